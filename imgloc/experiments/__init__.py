@@ -1,0 +1,1 @@
+"""Simulated sensors and the experiments of the paper."""

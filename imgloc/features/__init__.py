@@ -1,0 +1,1 @@
+"""What the algorithms see: surface points, fields, visibility and ray distances."""

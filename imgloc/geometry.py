@@ -1,0 +1,113 @@
+"""SE(2), angles, and the one place where cells, grid frame and map frame meet."""
+
+import numpy as np
+import numpy.typing as npt
+
+from imgloc.model import FloatArray, GridInfo, IntArray, Pose2D
+
+
+def wrap(angle: npt.ArrayLike) -> FloatArray:
+    """Wrap angles to (-pi, pi].
+
+    Examples
+    --------
+    >>> wrap([-np.pi, 4.0]).round(4).tolist()
+    [3.1416, -2.2832]
+    """
+    return np.asarray(np.pi - (np.pi - np.asarray(angle, dtype=np.float64)) % (2 * np.pi))
+
+
+def uniform_thetas(step: float) -> FloatArray:
+    """Headings ``0, step', 2 step', ...`` over the circle, with step' <= step dividing it.
+
+    Examples
+    --------
+    >>> np.rad2deg(uniform_thetas(np.deg2rad(90))).tolist()
+    [0.0, 90.0, 180.0, 270.0]
+    """
+    n = max(1, int(np.ceil(2 * np.pi / step - 1e-9)))
+    return np.arange(n, dtype=np.float64) * (2 * np.pi / n)
+
+
+def theta_bin(theta: npt.ArrayLike, n: int) -> IntArray:
+    """Index of the nearest of `n` uniform headings, circular (the inverse of uniform_thetas).
+
+    Examples
+    --------
+    >>> theta_bin([0.0, -0.1, 3.2], 4).tolist()
+    [0, 0, 2]
+    """
+    return np.floor(np.asarray(theta) * (n / (2 * np.pi)) + 0.5).astype(np.int64) % n
+
+
+def compose(a: Pose2D, b: Pose2D) -> Pose2D:
+    """Return ``a ⊕ b``: pose `b`, given in the frame of `a`, in the frame of `a`'s parent.
+
+    Examples
+    --------
+    >>> p = compose(Pose2D(1, 0, np.pi / 2), Pose2D(1, 0, 0))
+    >>> round(p.x, 6), round(p.y, 6)
+    (1.0, 1.0)
+    """
+    c, s = np.cos(a.theta), np.sin(a.theta)
+    return Pose2D(a.x + c * b.x - s * b.y, a.y + s * b.x + c * b.y, a.theta + b.theta)
+
+
+def inverse(a: Pose2D) -> Pose2D:
+    """Return the pose that undoes `a`: ``compose(a, inverse(a))`` is the identity."""
+    c, s = np.cos(a.theta), np.sin(a.theta)
+    return Pose2D(-c * a.x - s * a.y, s * a.x - c * a.y, -a.theta)
+
+
+def rotation(theta: float) -> FloatArray:
+    """Return the (2, 2) matrix that rotates column vectors by `theta`."""
+    c, s = np.cos(theta), np.sin(theta)
+    return np.array([[c, -s], [s, c]])
+
+
+def transform_points(pose: Pose2D, xy: FloatArray) -> FloatArray:
+    """Points (N, 2) of the frame at `pose`, in the parent frame: ``p ⊕ pose`` of the paper."""
+    return xy @ rotation(pose.theta).T + (pose.x, pose.y)
+
+
+def transform_poses(pose: Pose2D, poses: FloatArray) -> FloatArray:
+    """Poses (N, 3) of the frame at `pose`, in the parent frame; theta wrapped.
+
+    ``transform_poses(grid.origin, poses)`` takes grid frame to map frame, and
+    ``transform_poses(inverse(grid.origin), poses)`` takes it back.
+    """
+    poses = np.asarray(poses, dtype=np.float64)
+    xy = transform_points(pose, poses[:, :2])
+    return np.column_stack((xy, wrap(poses[:, 2] + pose.theta)))
+
+
+def rotate_covariance(covariance: FloatArray, theta: float) -> FloatArray:
+    """Covariance (3, 3) of (x, y, theta) seen from a frame rotated by `theta`."""
+    R = np.eye(3)
+    R[:2, :2] = rotation(theta)
+    return np.asarray(R @ covariance @ R.T)
+
+
+def cell_of(xy: FloatArray, resolution: float) -> IntArray:
+    """Cells (..., 2) as (row, col) that hold the points (..., 2) of the grid frame.
+
+    Cell ``[r, c]`` covers ``[c, c + 1) x [r, r + 1)`` times the resolution; cells outside the
+    grid come out with indices outside it, never clamped.
+
+    Examples
+    --------
+    >>> cell_of(np.array([[0.0, 0.19]]), 0.1).tolist()
+    [[1, 0]]
+    """
+    return np.floor(xy[..., ::-1] / resolution).astype(np.int64)
+
+
+def centre_of(cells: npt.NDArray[np.integer], resolution: float) -> FloatArray:
+    """Centres (..., 2) as (x, y) in the grid frame of the cells (..., 2) given as (row, col)."""
+    return np.asarray((cells[..., ::-1] + 0.5) * resolution)
+
+
+def inside(cells: IntArray, grid: GridInfo) -> npt.NDArray[np.bool_]:
+    """Whether each (row, col) of (..., 2) lies on the grid."""
+    r, c = cells[..., 0], cells[..., 1]
+    return (r >= 0) & (r < grid.height) & (c >= 0) & (c < grid.width)

@@ -1,0 +1,1 @@
+"""Files in, files out: maps, scans, and results written whole or not at all."""

@@ -1,0 +1,1 @@
+"""The paper's likelihood approximations, each a stack of images (theta, y, x)."""

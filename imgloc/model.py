@@ -1,0 +1,326 @@
+"""The types that flow through imgloc: frozen dataclasses over read-only NumPy arrays.
+
+Two frames occur. The **map frame** is the one of the map's YAML: poses that enter or leave
+the program are in it. The **grid frame** has its origin at the lower-left corner of cell
+``[0, 0]``, x along the columns and y along the rows, in metres; everything between input
+and output is in it. :mod:`imgloc.geometry` converts, in one place, so that an origin with a
+yaw is honoured everywhere.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+Float32Array = npt.NDArray[np.float32]
+BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
+
+VERDICTS = ("unique", "ambiguous", "no-match", "invalid")
+
+
+def _frozen(array: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    """Return `array` as a read-only array of `dtype`, leaving the caller's own writable."""
+    out = np.asarray(array, dtype=dtype).view()
+    out.flags.writeable = False
+    return out
+
+
+@dataclass(frozen=True)
+class Pose2D:
+    """A pose in the plane: x, y in metres, theta in radians, counter-clockwise.
+
+    `theta` is wrapped to (-pi, pi] at construction.
+
+    Examples
+    --------
+    >>> round(Pose2D(1.0, 2.0, 3.5).theta, 4)
+    -2.7832
+    """
+
+    x: float
+    y: float
+    theta: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "x", float(self.x))
+        object.__setattr__(self, "y", float(self.y))
+        object.__setattr__(self, "theta", float(np.pi - (np.pi - self.theta) % (2 * np.pi)))
+
+
+@dataclass(frozen=True)
+class GridInfo:
+    """The lattice of an image of the plane (ROS: MapMetaData), without the image.
+
+    Parameters
+    ----------
+    height, width : int
+        Number of rows and columns. Row 0 is the lowest y.
+    resolution : float
+        Side of a cell, metres.
+    origin : Pose2D
+        Pose of the lower-left corner of cell ``[0, 0]`` in the map frame.
+    """
+
+    height: int
+    width: int
+    resolution: float
+    origin: Pose2D = field(default_factory=lambda: Pose2D(0.0, 0.0, 0.0))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns, as NumPy has them."""
+        return self.height, self.width
+
+
+@dataclass(frozen=True)
+class OccupancyGrid:
+    """A map: which cells are occupied, which are free; a cell that is neither is unknown.
+
+    Row 0 is the lowest y (the order of nav_msgs/OccupancyGrid): images are flipped once when
+    they are loaded and once when they are drawn.
+
+    Parameters
+    ----------
+    occupied, free : (H, W) bool arrays
+        No cell is both.
+    resolution : float
+        Side of a cell, metres.
+    origin : Pose2D
+        Pose of the lower-left corner of cell ``[0, 0]`` in the map frame.
+    """
+
+    occupied: BoolArray
+    free: BoolArray
+    resolution: float
+    origin: Pose2D = field(default_factory=lambda: Pose2D(0.0, 0.0, 0.0))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "occupied", _frozen(self.occupied, np.bool_))
+        object.__setattr__(self, "free", _frozen(self.free, np.bool_))
+        if self.occupied.ndim != 2 or self.occupied.shape != self.free.shape:
+            raise ValueError(
+                f"occupied {self.occupied.shape} and free {self.free.shape} "
+                "must be images of one shape"
+            )
+        if not np.isfinite(self.resolution) or self.resolution <= 0:
+            raise ValueError(f"resolution must be positive, got {self.resolution}")
+
+    @property
+    def info(self) -> GridInfo:
+        """The lattice of this grid."""
+        height, width = self.occupied.shape
+        return GridInfo(height, width, self.resolution, self.origin)
+
+    @property
+    def unknown(self) -> BoolArray:
+        """Cells that are neither occupied nor free, (H, W) bool."""
+        return ~(self.occupied | self.free)
+
+
+@dataclass(frozen=True)
+class LaserScan:
+    """One 2-D scan, kept as recorded; which readings count is derived (REP 117).
+
+    Parameters
+    ----------
+    ranges : (N,) float array
+        Metres. +inf and values >= `range_max` are "no return"; NaN, -inf, values <=
+        `range_min` are no evidence at all.
+    angles : (N,) float array
+        Direction of each ray in the sensor's frame, radians, counter-clockwise, 0 = forward.
+    range_min, range_max : float
+        A reading is valid iff it is finite and range_min < r < range_max.
+    stamp : float
+        Seconds; NaN when unknown.
+    T_base_laser : Pose2D
+        Where the sensor sits on the robot.
+    """
+
+    ranges: FloatArray
+    angles: FloatArray
+    range_min: float = 0.0
+    range_max: float = float("inf")
+    stamp: float = float("nan")
+    T_base_laser: Pose2D = field(default_factory=lambda: Pose2D(0.0, 0.0, 0.0))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ranges", _frozen(self.ranges, np.float64))
+        object.__setattr__(self, "angles", _frozen(self.angles, np.float64))
+        if self.ranges.ndim != 1 or self.ranges.shape != self.angles.shape:
+            raise ValueError(
+                f"ranges {self.ranges.shape} and angles {self.angles.shape} "
+                "must be vectors of one length"
+            )
+
+    @property
+    def valid(self) -> BoolArray:
+        """(N,) bool: the readings that are distances to something."""
+        with np.errstate(invalid="ignore"):
+            return (
+                np.isfinite(self.ranges)
+                & (self.ranges > self.range_min)
+                & (self.ranges < self.range_max)
+            )
+
+    @property
+    def no_return(self) -> BoolArray:
+        """(N,) bool: the rays that met nothing within `range_max`."""
+        with np.errstate(invalid="ignore"):
+            beyond = np.isfinite(self.ranges) & (self.ranges >= self.range_max)
+            return beyond | (self.ranges == np.inf)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many readings are used, and how many are dropped for which reason."""
+        r = self.ranges
+        with np.errstate(invalid="ignore"):
+            too_close = (r == -np.inf) | (np.isfinite(r) & (r <= self.range_min))
+        return {
+            "valid": int(self.valid.sum()),
+            "no_return": int(self.no_return.sum()),
+            "too_close": int((too_close & ~self.no_return).sum()),
+            "nan": int(np.isnan(r).sum()),
+        }
+
+
+@dataclass(frozen=True)
+class OrientedPoints:
+    """Points of a surface with its directed normals.
+
+    Parameters
+    ----------
+    xy : (N, 2) float array
+        Metres.
+    alpha : (N,) float array
+        Direction of the normal that points into free space (toward the sensor), radians in
+        (-pi, pi]; NaN where it is unknown.
+    sigma_alpha : (N,) float array
+        Standard deviation of `alpha`, radians.
+    valid : (N,) bool array
+        Whether `alpha` may be used. Points with ``valid == False`` still have a position.
+    """
+
+    xy: FloatArray
+    alpha: FloatArray
+    sigma_alpha: FloatArray
+    valid: BoolArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "xy", _frozen(self.xy, np.float64))
+        object.__setattr__(self, "alpha", _frozen(self.alpha, np.float64))
+        object.__setattr__(self, "sigma_alpha", _frozen(self.sigma_alpha, np.float64))
+        object.__setattr__(self, "valid", _frozen(self.valid, np.bool_))
+        n = len(self.xy)
+        if self.xy.shape != (n, 2) or not (
+            self.alpha.shape == self.sigma_alpha.shape == self.valid.shape == (n,)
+        ):
+            raise ValueError(
+                f"xy {self.xy.shape}, alpha {self.alpha.shape}, sigma_alpha "
+                f"{self.sigma_alpha.shape} and valid {self.valid.shape} must agree in length"
+            )
+
+    def __len__(self) -> int:
+        return len(self.xy)
+
+    def select(self, index: npt.NDArray[Any]) -> "OrientedPoints":
+        """Return the points at `index` (a mask or integer array) as a new set."""
+        return OrientedPoints(
+            self.xy[index], self.alpha[index], self.sigma_alpha[index], self.valid[index]
+        )
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """A likelihood for every pose of a lattice, as a stack of images.
+
+    Parameters
+    ----------
+    values : (K, H, W) float32 array
+        ``values[k, row, col]`` belongs to the pose at the centre of cell ``[row, col]`` of
+        `grid` with heading ``thetas[k]``, in the grid frame.
+    thetas : (K,) float array
+        Headings in the grid frame, radians, equally spaced over the circle.
+    grid : GridInfo
+        The lattice of x and y.
+    method : str
+        Name of the algorithm that made it.
+    """
+
+    values: Float32Array
+    thetas: FloatArray
+    grid: GridInfo
+    method: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", _frozen(self.values, np.float32))
+        object.__setattr__(self, "thetas", _frozen(self.thetas, np.float64))
+        if self.values.shape != (len(self.thetas), *self.grid.shape):
+            raise ValueError(
+                f"values {self.values.shape} must be (thetas, rows, columns) = "
+                f"{(len(self.thetas), *self.grid.shape)}"
+            )
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A pose that fits the scan.
+
+    Parameters
+    ----------
+    pose : Pose2D
+        Of the sensor; the map frame in everything that leaves the program.
+    log_likelihood : float
+        Nats, up to a constant of the scan.
+    mass : float
+        Share of the posterior probability, 0..1; all hypotheses sum to at most 1.
+    covariance : (3, 3) float array
+        Of (x, y, theta): m², m rad, rad². Positive definite.
+    """
+
+    pose: Pose2D
+    log_likelihood: float
+    mass: float
+    covariance: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "covariance", _frozen(self.covariance, np.float64))
+
+
+@dataclass(frozen=True)
+class Localization:
+    """The answer for one scan.
+
+    Parameters
+    ----------
+    hypotheses : tuple of Hypothesis
+        Best first; separated poses, not samples of one mode.
+    verdict : str
+        One of ``unique``, ``ambiguous``, ``no-match``, ``invalid``.
+    entropy : float
+        Of the masses, nats; 0 means one pose holds everything.
+    explained : float
+        Share of the valid rays that end on a surface of the map at the best pose.
+    counts : mapping
+        Readings used and dropped, by reason.
+    timings_ms : mapping
+        Wall time of each step.
+    parameters : mapping
+        Everything that decided the answer, with the seed.
+    """
+
+    hypotheses: tuple[Hypothesis, ...]
+    verdict: str
+    entropy: float
+    explained: float
+    counts: Mapping[str, int] = field(default_factory=dict)
+    timings_ms: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def pose(self) -> Pose2D | None:
+        """The best pose, or None when there is none."""
+        return self.hypotheses[0].pose if self.hypotheses else None

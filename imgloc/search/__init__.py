@@ -1,0 +1,1 @@
+"""From images and votes to separated, refined and weighted pose hypotheses."""
