@@ -171,7 +171,7 @@ class LaserScan:
         """(N,) bool: the rays that met nothing within `range_max`."""
         with np.errstate(invalid="ignore"):
             beyond = np.isfinite(self.ranges) & (self.ranges >= self.range_max)
-            return beyond | (self.ranges == np.inf)
+            return np.asarray(beyond | (self.ranges == np.inf), dtype=np.bool_)
 
     @property
     def counts(self) -> dict[str, int]:

@@ -1,0 +1,229 @@
+"""Image files: pixels as stored on every OpenCV, damage refused. `field-notes` section 4."""
+
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+from badfiles import chunk, encode, png, room
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imgloc.errors import MapError
+from imgloc.io.files import display
+from imgloc.io.images import decode_image, read_image
+from imgloc.io.netpbm import decode_netpbm
+
+EXIF_ROTATED = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
+PALETTE = chunk(b"PLTE", bytes([0, 255, 0, 9, 8, 7]))
+
+
+@pytest.mark.parametrize(
+    ("data", "expected", "white"),
+    [
+        (png(2, 1, 8, 0, [bytes([0, 205])]), [[0, 205]], 255),
+        (png(4, 1, 1, 0, [bytes([0b10100000])]), [[255, 0, 255, 0]], 255),
+        (png(4, 1, 2, 0, [bytes([0b00011011])]), [[0, 85, 170, 255]], 255),
+        (png(2, 1, 16, 0, [struct.pack(">HH", 256, 65535)]), [[256, 65535]], 65535),
+        # Grey with alpha: as BGRA.
+        (png(1, 1, 8, 4, [bytes([205, 7])]), [[[205, 205, 205, 7]]], 255),
+        (png(1, 1, 8, 2, [bytes([1, 2, 3])]), [[[3, 2, 1]]], 255),
+        (png(1, 1, 8, 6, [bytes([1, 2, 3, 4])]), [[[3, 2, 1, 4]]], 255),
+        (png(2, 1, 8, 3, [b"\0\1"], before=PALETTE), [[[0, 255, 0], [7, 8, 9]]], 255),
+        # Transparency by colour or palette index.
+        (
+            png(2, 1, 8, 3, [b"\0\1"], before=PALETTE + chunk(b"tRNS", b"\0")),
+            [[[0, 255, 0, 0], [7, 8, 9, 255]]],
+            255,
+        ),
+        (
+            png(2, 1, 8, 0, [bytes([0, 205])], before=chunk(b"tRNS", b"\0\xcd")),
+            [[[0, 0, 0, 255], [205, 205, 205, 0]]],
+            255,
+        ),
+        (
+            png(2, 1, 2, 0, [bytes([0b00100000])], before=chunk(b"tRNS", b"\0\2")),
+            [[[0, 0, 0, 255], [170, 170, 170, 0]]],
+            255,
+        ),
+        # Gamma and orientation do not belong to the pixels of a map.
+        (
+            png(
+                2,
+                1,
+                8,
+                0,
+                [bytes([100, 205])],
+                before=chunk(b"gAMA", struct.pack(">I", 20000)) + chunk(b"eXIf", EXIF_ROTATED),
+            ),
+            [[100, 205]],
+            255,
+        ),
+    ],
+)
+def test_png_pixels_are_as_stored(data: bytes, expected: object, white: int) -> None:
+    image = decode_image(data, "map.png")
+    np.testing.assert_array_equal(image.pixels, expected)
+    assert image.white == white
+    assert image.channels == (1 if image.pixels.ndim == 2 else image.pixels.shape[2])
+
+
+def test_interlaced_png_is_whole_or_refused() -> None:
+    # Adam7 of a 3 x 3 image: passes 1, 5 (row 2), 6 (column 1) and 7 (row 1) hold pixels,
+    # pass 4 holds column 2; each row has its filter byte.
+    want = np.arange(9, dtype=np.uint8).reshape(3, 3) * 10
+    rows = [want[0:1, 0:1], want[0:1, 2:3], want[2:3, 0:3:2], want[0:1, 1:2], want[2:3, 1:2]]
+    data = b"".join(b"\0" + r.tobytes() for r in [*rows, want[1:2, :]])
+    good = png(3, 3, 8, 0, [], idat=zlib.compress(data), interlace=1)
+    np.testing.assert_array_equal(decode_image(good, "i.png").pixels, want)
+    short = png(3, 3, 8, 0, [], idat=zlib.compress(data[:-1]), interlace=1)
+    with pytest.raises(MapError, match="truncated PNG: 14 of 15 bytes"):
+        decode_image(short, "i.png")
+
+
+@pytest.mark.parametrize(("top", "fine"), [(0, True), (255, False), (4095, False), (4096, True)])
+def test_16_bits_that_hold_fewer_are_refused(top: int, fine: bool) -> None:
+    data = encode(".png", np.array([[0, top]], np.uint16))
+    if fine:
+        assert decode_image(data, "d.png").pixels.tolist() == [[0, top]]
+    else:
+        with pytest.raises(MapError, match="16-bit"):
+            decode_image(data, "d.png")
+
+
+PGM_ROWS = bytes([0, 50, 100, 10, 20, 30])
+
+
+@pytest.mark.parametrize(
+    ("data", "expected", "white"),
+    [
+        (b"P5\n3 2\n100\n" + PGM_ROWS, [[0, 50, 100], [10, 20, 30]], 100),
+        (b"P5 3 2 100 " + PGM_ROWS, [[0, 50, 100], [10, 20, 30]], 100),
+        (b"P5\r\n3 2\r\n100\r\n" + PGM_ROWS, [[0, 50, 100], [10, 20, 30]], 100),
+        (b"P5\n# of\n# two lines\n3 2 # wide\n100\n" + PGM_ROWS, [[0, 50, 100], [10, 20, 30]], 100),
+        (b"P5\n3 2\n100\n" + PGM_ROWS + b"\n", [[0, 50, 100], [10, 20, 30]], 100),
+        # A header that ends in LF, before a pixel of 10 = LF; and one that ends in CR.
+        (b"P5\n2 1\n100\n\n\x05", [[10, 5]], 100),
+        (b"P5\n2 1\n100\r\n\x05", [[10, 5]], 100),
+        (b"P5\n2 1\n4095\n" + struct.pack(">HH", 4095, 300), [[4095, 300]], 4095),
+        (b"P2\n3 1 # comment\n15\n0 7 # another\n15\n", [[0, 7, 15]], 15),
+        (b"P3 1 1 255 1 2 3", [[[3, 2, 1]]], 255),
+        (b"P6 1 1 255 \x01\x02\x03", [[[3, 2, 1]]], 255),
+    ],
+)
+def test_netpbm_honours_maxval_and_line_endings(data: bytes, expected: object, white: int) -> None:
+    image = decode_image(data, "map.pgm")
+    np.testing.assert_array_equal(image.pixels, expected)
+    assert image.white == white
+
+
+def test_crlf_header_is_where_cv2_shifts_the_image() -> None:
+    data = b"P5\r\n4 1\r\n255\r\n" + bytes([1, 2, 3, 4])
+    assert decode_netpbm(data, "c.pgm")[0].tolist() == [[1, 2, 3, 4]]
+    theirs = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    assert theirs is None or theirs.tolist() != [[1, 2, 3, 4]]
+
+
+def test_jpeg_only_on_request_and_never_half() -> None:
+    jpeg = encode(".jpg", room())
+    with pytest.raises(MapError, match="--allow-lossy"):
+        decode_image(jpeg, "a.jpg")
+    image = decode_image(jpeg, "a.jpg", allow_lossy=True)
+    assert image.kind == "jpeg"
+    assert image.pixels.shape == (40, 50)
+    assert np.abs(image.pixels.astype(int) - room()).max() < 60
+    for end in (200, len(jpeg) // 2, len(jpeg) - 1):
+        with pytest.raises(MapError, match="truncated"):
+            decode_image(jpeg[:end], "a.jpg", allow_lossy=True)
+
+
+def test_jpeg_is_not_turned_by_exif() -> None:
+    jpeg = encode(".jpg", room())
+    body = b"Exif\0\0" + EXIF_ROTATED
+    turned = jpeg[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + jpeg[2:]
+    there = cv2.imdecode(np.frombuffer(turned, np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert there is not None
+    assert there.shape == (50, 40)  # the tag does say "rotate"
+    assert decode_image(turned, "a.jpg", allow_lossy=True).pixels.shape == (40, 50)
+
+
+def test_bmp_padding_is_not_alpha() -> None:
+    grey = decode_image(encode(".bmp", room()), "a.bmp")
+    np.testing.assert_array_equal(grey.pixels.reshape(40, 50, -1)[:, :, 0], room())
+    # 32 bits a pixel, the fourth byte 0 as the format allows: not transparent.
+    header = struct.pack("<2sIHHI", b"BM", 62, 0, 0, 54)
+    header += struct.pack("<IiiHHIIiiII", 40, 2, 1, 1, 32, 0, 8, 0, 0, 0, 0)
+    image = decode_image(header + bytes([1, 2, 3, 0, 4, 5, 6, 0]), "b.bmp")
+    assert image.pixels.tolist() == [[[1, 2, 3], [4, 5, 6]]]
+
+
+def test_size_is_refused_on_the_header_alone() -> None:
+    data = encode(".png", room())
+    assert decode_image(data, "a.png", max_pixels=2000).pixels.shape == (40, 50)
+    with pytest.raises(MapError, match=r"a\.png: 50 x 40 = 2,000 pixels, expected at most 1,999"):
+        decode_image(data[:40], "a.png", max_pixels=1999)  # nothing but the header is there
+
+
+def test_file_longer_than_its_pixels_could_need_is_not_read(tmp_path) -> None:
+    path = tmp_path / "sparse.png"
+    with path.open("wb") as file:
+        file.truncate(10**10)  # a sparse file: no disk is used
+    with pytest.raises(MapError, match="10,000,000,000 bytes"):
+        read_image(path)
+
+
+def test_undecodable_names_do_not_crash(tmp_path) -> None:
+    path = tmp_path / "x"
+    raw = path.with_name(b"caf\xe9.png".decode("utf-8", "surrogateescape"))
+    try:
+        raw.write_bytes(encode(".png", room()))
+    except OSError:
+        pytest.skip("this file system refuses names that are not text")
+    np.testing.assert_array_equal(read_image(raw).pixels, room())
+    with pytest.raises(MapError, match=r"caf\\xe9\.jpg: no such file; beside it .*caf\\xe9\.png"):
+        read_image(raw.with_suffix(".jpg"))
+
+
+def test_display_is_one_printable_line() -> None:
+    assert display("a\nb\x1b[31m.png") == "a\\nb\\x1b[31m.png"
+    assert display("größe.png") == "größe.png"
+
+
+def test_null_byte_in_a_name() -> None:
+    with pytest.raises(MapError, match="null byte"):
+        read_image("a\0b.png")
+
+
+GOOD = {ending: encode(ending, room()[:12, :12]) for ending in (".png", ".pgm", ".bmp", ".jpg")}
+
+
+@given(st.sampled_from(sorted(GOOD)), st.data())
+def test_every_truncation_is_refused(ending: str, data: st.DataObject) -> None:
+    good = GOOD[ending]
+    end = data.draw(st.integers(0, len(good) - 1))
+    with pytest.raises(MapError, match=r"^t\.img: "):
+        decode_image(good[:end], "t.img", allow_lossy=True)
+
+
+@given(st.data())
+def test_every_flipped_bit_of_a_png_is_noticed(data: st.DataObject) -> None:
+    good = bytearray(GOOD[".png"])
+    at = data.draw(st.integers(0, len(good) - 1))
+    good[at] ^= 1 << data.draw(st.integers(0, 7))
+    with pytest.raises(MapError):
+        decode_image(bytes(good), "f.png")
+
+
+@given(st.sampled_from(sorted(GOOD)), st.data())
+def test_garbage_gives_pixels_or_a_map_error(ending: str, data: st.DataObject) -> None:
+    good = GOOD[ending]
+    at = data.draw(st.integers(0, len(good)))
+    bad = good[:at] + data.draw(st.binary(max_size=12)) + good[at + data.draw(st.integers(0, 12)) :]
+    message = "g.img: "
+    try:
+        assert decode_image(bad, "g.img", allow_lossy=True, max_pixels=100_000).pixels.size
+    except MapError as e:
+        message = str(e)
+    assert message.startswith("g.img: ")
+    assert "\n" not in message
