@@ -1,0 +1,129 @@
+"""The sheet that pictures are drawn on: cells and metres to pixels, colours, text.
+
+Row 0 of a grid is the lowest y and row 0 of a picture is at the top: the flip happens here
+and nowhere else.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from imgloc.model import FloatArray, GridInfo
+
+Picture = npt.NDArray[np.uint8]
+"""(H, W, 3) uint8, blue-green-red as OpenCV has it, row 0 at the top."""
+Colour = tuple[int, int, int]
+
+INK: Colour = (56, 47, 40)
+PAPER: Colour = (255, 255, 255)
+SHADE: Colour = (236, 233, 230)
+# Okabe and Ito's colours, which colour-blind readers can tell apart; the best one stands out.
+PALETTE: tuple[Colour, ...] = (
+    (0, 94, 213), (178, 114, 0), (115, 158, 0), (167, 121, 204), (0, 159, 230), (233, 180, 86),
+)  # fmt: skip
+TURQUOISE: Colour = (210, 220, 105)
+_SIDE = 1000  # pixels that the longer side of a small map has at least
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_SHIFT = 4  # positions are drawn to a sixteenth of a pixel
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """A picture of a part of the plane, with the lower-left corner at (0, 0).
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8 array
+        Drawn on in place.
+    px_per_m : float
+        Pixels per metre.
+
+    Examples
+    --------
+    >>> canvas = Canvas(np.zeros((40, 30, 3), np.uint8), 10.0)
+    >>> canvas.pixels(np.array([[0.0, 0.0], [3.0, 4.0]])).tolist()
+    [[-0.5, 39.5], [29.5, -0.5]]
+    """
+
+    image: Picture
+    px_per_m: float
+
+    def pixels(self, xy: FloatArray) -> FloatArray:
+        """Positions (N, 2) in metres as (N, 2) pixels, whose centres are at integers."""
+        x, y = np.asarray(xy, dtype=np.float64).reshape(-1, 2).T * self.px_per_m
+        return np.column_stack((x - 0.5, len(self.image) - 0.5 - y))
+
+    def _fixed(self, xy: FloatArray) -> npt.NDArray[np.int32]:
+        return np.rint(self.pixels(xy) * (1 << _SHIFT)).astype(np.int32)
+
+    def dots(self, xy: FloatArray, colour: Colour, radius: float) -> None:
+        """Draw a disc of `radius` pixels at each of the points (N, 2), in metres."""
+        r = round(radius * (1 << _SHIFT))
+        for x, y in self._fixed(xy).tolist():
+            cv2.circle(self.image, (x, y), r, colour, cv2.FILLED, cv2.LINE_AA, _SHIFT)
+
+    def lines(self, ends: FloatArray, colour: Colour, thickness: int = 1) -> None:
+        """Draw polylines (N, P, 2), in metres."""
+        fixed = self._fixed(ends).reshape(*ends.shape[:-1], 1, 2)
+        cv2.polylines(self.image, list(fixed), False, colour, thickness, cv2.LINE_AA, _SHIFT)
+
+    def polygon(self, xy: FloatArray, colour: Colour, opacity: float = 1.0) -> None:
+        """Fill a polygon (N, 2), in metres, with a translucent colour."""
+        layer = self.image.copy() if opacity < 1 else self.image
+        cv2.fillPoly(layer, [self._fixed(xy)], colour, cv2.LINE_AA, _SHIFT)
+        if opacity < 1:
+            cv2.addWeighted(layer, opacity, self.image, 1 - opacity, 0, dst=self.image)
+
+    def robot(self, x: float, y: float, theta: float, colour: Colour, size: float) -> None:
+        """Draw a pose: a disc of `size` pixels with a nose that points along theta."""
+        r = size / self.px_per_m
+        nose = np.array([(2.1, 0.0), (0.45, 0.9), (0.45, -0.9)]) * r
+        c, s = np.cos(theta), np.sin(theta)
+        tip = nose @ np.array([[c, s], [-s, c]]) + (x, y)
+        for grow, ink in ((2.0, PAPER), (0.0, colour)):
+            centre = np.array([[x, y]])
+            self.dots(centre, ink, size + grow)
+            cv2.polylines(
+                self.image, [self._fixed(tip)], True, ink, round(1 + 2 * grow), cv2.LINE_AA, _SHIFT
+            )
+            self.polygon(tip, ink)
+        self.dots(np.array([[x, y]]), PAPER, 0.45 * size)
+
+
+def sheet(cells: npt.NDArray[np.uint8], grid: GridInfo, scale: int | None) -> Canvas:
+    """Draw the cells (H, W, 3) of a grid as squares of `scale` pixels, upside up.
+
+    By default small grids are enlarged to 1000 pixels a side or more.
+    """
+    if scale is None:
+        scale = max(1, min(16, -(-_SIDE // max(grid.shape))))
+    up = np.ascontiguousarray(cells[::-1])
+    size = (grid.width * scale, grid.height * scale)
+    image = cv2.resize(up, size, interpolation=cv2.INTER_NEAREST)
+    return Canvas(np.asarray(image, dtype=np.uint8), scale / grid.resolution)
+
+
+def text(image: Picture, message: str, x: int, y: int, colour: Colour = INK, size: int = 13) -> int:
+    """Write `message` with its baseline's left end at pixel (x, y) and return its width."""
+    scale = size / 22
+    cv2.putText(image, message, (x, y), _FONT, scale, colour, 1, cv2.LINE_AA)
+    return text_width(message, size)
+
+
+def text_width(message: str, size: int = 13) -> int:
+    """Width of `message` in pixels."""
+    return int(cv2.getTextSize(message, _FONT, size / 22, 1)[0][0])
+
+
+def wheel(direction: npt.ArrayLike, strength: npt.ArrayLike) -> Picture:
+    """Colours (..., 3) of directions in radians, from white at strength 0 to full at 1."""
+    hue = np.rint(np.asarray(direction) / (2 * np.pi) * 180).astype(np.int64) % 180
+    saturation = np.rint(255 * np.broadcast_to(strength, hue.shape))
+    value = 255 - 0.22 * saturation
+    hsv = np.stack((hue, saturation, np.rint(value)), axis=-1).astype(np.uint8)
+    if hsv.size == 0:  # which cv2 refuses
+        return hsv
+    bgr = cv2.cvtColor(hsv.reshape(-1, 1, 3), cv2.COLOR_HSV2BGR)
+    return np.asarray(bgr, dtype=np.uint8).reshape(hsv.shape)

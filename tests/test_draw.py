@@ -1,0 +1,280 @@
+"""Pictures: right way up, right colours, right places."""
+
+import numpy as np
+import pytest
+
+from imgloc.draw import (
+    draw_field,
+    draw_hypotheses,
+    draw_likelihood,
+    draw_map,
+    draw_surface,
+    draw_visibility,
+    mosaic,
+)
+from imgloc.draw.canvas import INK, PALETTE, PAPER, SHADE, TURQUOISE, Canvas, wheel
+from imgloc.model import GridInfo, Hypothesis, Likelihood, OccupancyGrid, OrientedPoints, Pose2D
+
+
+def close(colour, other, tolerance=12):
+    return np.abs(np.asarray(colour, int) - np.asarray(other, int)).max(axis=-1) <= tolerance
+
+
+def room(height=40, width=60, resolution=0.1, origin=None):
+    occupied = np.zeros((height, width), dtype=bool)
+    occupied[[0, -1]] = occupied[:, [0, -1]] = True
+    return OccupancyGrid(occupied, ~occupied, resolution, origin or Pose2D(0, 0, 0))
+
+
+def stack(values, thetas=None):
+    values = np.asarray(values, dtype=np.float32)
+    thetas = np.arange(len(values)) * 2 * np.pi / len(values) if thetas is None else thetas
+    return Likelihood(values, thetas, GridInfo(*values.shape[1:], 0.1), "test")
+
+
+def hypothesis(x, y, theta, mass=0.5):
+    return Hypothesis(Pose2D(x, y, theta), -1.0, mass, np.diag([1e-4, 1e-4, 1e-4]))
+
+
+def test_row_0_of_the_grid_is_at_the_bottom():
+    occupied = np.array([[1, 0, 0], [0, 0, 0]], dtype=bool)
+    free = np.array([[0, 1, 0], [1, 1, 0]], dtype=bool)
+    picture = draw_map(OccupancyGrid(occupied, free, 1.0), scale=1, bar=False)
+    assert picture.tolist() == [
+        [list(PAPER), list(PAPER), list(SHADE)],
+        [list(INK), list(PAPER), list(SHADE)],
+    ]
+
+
+def test_cells_become_squares():
+    grid = room(5, 7)
+    big = draw_map(grid, scale=3, bar=False)
+    np.testing.assert_array_equal(big[::3, ::3], draw_map(grid, scale=1, bar=False))
+    np.testing.assert_array_equal(big[2::3, 2::3], draw_map(grid, scale=1, bar=False))
+
+
+@pytest.mark.parametrize(("side", "scale"), [(10, 16), (200, 5), (999, 2), (1000, 1), (3000, 1)])
+def test_small_maps_are_enlarged(side, scale):
+    assert draw_map(room(8, side)).shape == (8 * scale, side * scale, 3)
+
+
+def test_the_scale_bar_has_its_length_and_covers_no_wall():
+    grid = room(100, 200)  # 20 m wide: the longest round length up to a fifth is 2 m
+    bare, barred = draw_map(grid, scale=4, bar=False), draw_map(grid, scale=4)
+    changed = np.any(bare != barred, axis=2)
+    assert not np.any(changed & close(bare, INK, 0))
+    runs = [np.flatnonzero(row).size for row in close(barred, INK, 0) & changed]
+    assert max(runs) == 2 * 10 * 4 + 1
+
+
+def test_a_likelihood_is_black_white_and_turquoise():
+    picture = draw_likelihood(stack([[[4, 2, 0], [-3, 1e-9, 1]]]), scale=1)
+    black, grey, white, light = (0, 0, 0), (128, 128, 128), (255, 255, 255), (191, 191, 191)
+    assert picture.tolist() == [
+        [list(TURQUOISE), list(white), list(light)],
+        [list(black), list(grey), list(TURQUOISE)],
+    ]
+
+
+def test_a_likelihood_is_maximised_over_theta():
+    picture = draw_likelihood(stack([[[4, 0]], [[0, 2]], [[1, 1]]]), scale=1)
+    assert picture[0, :, 0].tolist() == [0, 128]
+
+
+def test_a_likelihood_of_nothing_is_turquoise_all_over():
+    assert np.all(draw_likelihood(stack(np.zeros((2, 3, 4)))) == TURQUOISE)
+
+
+def test_a_log_likelihood_is_drawn_relative_to_its_maximum():
+    picture = draw_likelihood(stack([[[-500, -500 + np.log(0.5), -np.inf]]]), scale=1, log=True)
+    assert picture[0, 0].tolist() == [0, 0, 0]
+    assert picture[0, 1, 0] in (127, 128)
+    assert tuple(picture[0, 2]) == TURQUOISE
+    nowhere = draw_likelihood(stack(np.full((2, 3, 3), -np.inf)), scale=1, log=True)
+    assert np.all(nowhere == TURQUOISE)
+
+
+def test_walls_lie_over_a_likelihood_of_another_cell_size():
+    grid = room(6, 9, 0.1)
+    lattice = Likelihood(np.ones((1, 3, 5)), np.zeros(1), GridInfo(3, 5, 0.2), "test")
+    picture = draw_likelihood(lattice, grid=grid, scale=4)  # two pixels per cell of the map
+    assert picture.shape == (12, 20, 3)
+    black = np.all(picture == 0, axis=2)
+    expected = np.zeros((12, 20), dtype=bool)
+    expected[2:10, 2:16] = True
+    np.testing.assert_array_equal(black, expected)
+    np.testing.assert_array_equal(picture[:, 18:], np.full((12, 2, 3), SHADE))  # off the map
+
+
+def test_the_true_pose_is_marked_where_it_is():
+    lattice = stack(np.ones((1, 40, 60)))
+    plain, marked = draw_likelihood(lattice), draw_likelihood(lattice, truth=Pose2D(1.0, 3.0, 0))
+    rows, columns = np.nonzero(np.any(plain != marked, axis=2))
+    px = plain.shape[1] / 6.0
+    assert abs(rows.mean() - 1.0 * px) < 0.06 * px
+    assert abs(columns.mean() - 1.0 * px) < 0.2 * px  # the nose pulls it to the right
+
+
+@pytest.mark.parametrize("theta", np.arange(8) * np.pi / 4)
+def test_the_nose_of_a_robot_points_along_theta(theta):
+    canvas = Canvas(np.full((100, 100, 3), 255, np.uint8), 10.0)
+    canvas.robot(5.0, 5.0, theta, (0, 0, 200), 12.0)
+    y, x = np.nonzero(close(canvas.image, (0, 0, 200)))
+    far = np.argmax(np.hypot(x - 49.5, y - 49.5))
+    # Pixel rows go down: y is negated.
+    angle = np.arctan2(49.5 - y[far], x[far] - 49.5)
+    assert abs((angle - theta + np.pi) % (2 * np.pi) - np.pi) < 0.1
+
+
+def test_centres_of_pixels_are_at_integers():
+    canvas = Canvas(np.zeros((40, 60, 3), np.uint8), 10.0)
+    np.testing.assert_allclose(canvas.pixels(np.array([[0.05, 0.05]])), [[0, 39]])
+    canvas.dots(np.array([[2.05, 1.05]]), (0, 0, 255), 3)
+    np.testing.assert_allclose(np.argwhere(canvas.image[..., 2]).mean(axis=0), (29, 20))
+
+
+def test_a_scan_lies_where_the_hypothesis_puts_it():
+    grid = room()
+    points = np.array([[1.0, 0.0], [0.0, 2.0]])
+    picture = draw_hypotheses(grid, points, [hypothesis(4.0, 1.0, np.pi / 2)], scale=10)
+    # (1, 0) is straight ahead, upward; (0, 2) is to the left.
+    for x, y in ((4.0, 2.0), (2.0, 1.0)):
+        row, column = 400 - round(y * 100), round(x * 100)
+        assert close(picture[row, column], PALETTE[0])
+    assert close(picture[400 - 300, 300], PAPER)
+
+
+def test_the_best_hypothesis_is_drawn_over_the_others():
+    both = [hypothesis(3.0, 2.0, 0.0, 0.6), hypothesis(3.0, 2.0, 0.0, 0.3)]
+    picture = draw_hypotheses(room(), np.array([[1.0, 1.0]]), both, scale=10)
+    assert close(picture[400 - 300, 400], PALETTE[0])
+
+
+def test_a_legend_names_each_hypothesis_with_its_mass():
+    grid, points = room(), np.zeros((1, 2))
+    none = draw_hypotheses(grid, points, [], scale=10)
+    assert none.shape == (400, 600, 3)
+    some = [hypothesis(1, 1, 0, 0.5), hypothesis(2, 2, 1, 0.25), hypothesis(3, 3, 2, 0.0)]
+    heights = [draw_hypotheses(grid, points, some[:n], scale=10).shape[0] for n in (1, 2, 3)]
+    assert np.diff(heights).tolist() == [24, 24]
+    legend = draw_hypotheses(grid, points, some, scale=10)[400:, 60:200]
+    bars = [np.all(legend == colour, axis=2).any(axis=0).sum() for colour in PALETTE[:3]]
+    assert bars == [60, 30, 0]
+    assert draw_hypotheses(grid, points, some, scale=10, top=1).shape[0] == heights[0]
+
+
+def test_the_legend_is_in_the_map_frame_and_the_picture_in_the_grid_frame():
+    one = [hypothesis(2, 2, 1)]
+    here = draw_hypotheses(room(), np.ones((1, 2)), one, scale=10)
+    there = draw_hypotheses(room(origin=Pose2D(-7, 9, 0.5)), np.ones((1, 2)), one, scale=10)
+    np.testing.assert_array_equal(here[:400], there[:400])
+    assert not np.array_equal(here[400:], there[400:])
+
+
+def test_a_narrow_map_leaves_room_for_the_legend():
+    picture = draw_hypotheses(room(60, 10), np.ones((1, 2)), [hypothesis(0.5, 2, 1)], scale=2)
+    assert picture.shape[1] > 400
+    assert picture.shape[0] > 120
+
+
+def test_the_true_pose_gets_a_cross_and_a_line():
+    one, points = [hypothesis(2, 2, 1)], np.ones((1, 2))
+    plain = draw_hypotheses(room(), points, one, scale=10)
+    crossed = draw_hypotheses(room(), points, one, scale=10, truth=Pose2D(5.0, 1.0, 0.0))
+    assert crossed.shape[0] - plain.shape[0] == 24
+    assert close(crossed[400 - 100, 500], INK)
+
+
+def test_the_ellipse_lies_along_the_greater_deviation():
+    wide = Hypothesis(Pose2D(3, 2, 0), -1.0, 0.5, np.diag([0.25, 0.01, 0.01]))
+    picture = draw_hypotheses(room(), np.empty((0, 2)), [wide], scale=10)
+    assert not close(picture[200, 300 + 90], PAPER, 3)  # 0.9 m along x: within 2 sigma = 1 m
+    assert close(picture[200 - 90, 300], PAPER, 3)
+
+
+def test_the_colours_of_opposite_directions_differ_and_weak_ones_fade():
+    right, left, weak = wheel(np.array([0.0, np.pi, 0.0]), np.array([1.0, 1.0, 0.0])).astype(int)
+    assert np.abs(right - left).max() > 100
+    assert weak.tolist() == [255, 255, 255]
+    np.testing.assert_array_equal(wheel(-0.001, 1.0), wheel(2 * np.pi, 1.0))
+
+
+def test_a_field_shows_its_arrows_on_its_walls():
+    vmap = np.zeros((2, 20, 30), dtype=np.float32)
+    vmap[0, :, 8] = 1.0
+    vmap[0, :, 12] = -1.0
+    picture = draw_field(vmap, 0.1, scale=8)
+    assert picture.shape == (160, 240, 3)
+    assert close(picture[:, :40], PAPER, 0).all()
+    left, right = (picture[:, k * 8 + 1].astype(int) for k in (8, 12))
+    assert np.abs(np.median(left, axis=0) - np.median(right, axis=0)).max() > 30
+    ink = close(picture, INK, 40).any(axis=0)
+    assert ink[60:80].any()
+    assert ink[90:110].any()
+
+
+def test_a_field_of_nothing_is_white():
+    assert np.all(draw_field(np.zeros((2, 5, 7), dtype=np.float32), 0.1) == 255)
+
+
+def test_normals_stand_on_their_side_of_the_wall():
+    occupied = np.zeros((20, 30), dtype=bool)
+    occupied[:, 14] = True
+    xy = np.column_stack((np.full(10, 1.5), np.linspace(0.3, 1.7, 10)))
+    nan = np.full(10, np.nan)
+    surface = OrientedPoints(xy, np.zeros(10), np.zeros(10), np.ones(10, dtype=bool))
+    grid = OccupancyGrid(occupied, ~occupied, 0.1)
+    picture = draw_surface(grid, surface, scale=10)
+    colourful = np.ptp(picture.astype(int), axis=2) > 60
+    columns = np.flatnonzero(colourful.any(axis=0))
+    assert 147 <= columns.min() <= 151
+    assert 165 <= columns.max() <= 180
+    blind = OrientedPoints(xy, nan, nan, np.zeros(10, dtype=bool))
+    dots = draw_surface(grid, blind, scale=10)
+    assert not (np.ptp(dots.astype(int), axis=2) > 60).any()
+    assert close(dots[200 - 30, 150], INK, 40)
+
+
+@pytest.mark.parametrize(("alpha", "seen"), [(0.0, (0, 1)), (np.pi / 2, (-1, 0))])
+def test_a_fan_covers_what_is_seen(alpha, seen):
+    vis = np.zeros(36)
+    vis[9] = 1.5  # 90 degrees from bin 0
+    vis[27] = np.inf  # the other way, up to the horizon
+    picture = draw_visibility(room(), (3.0, 2.0), vis, horizon=1.0, alpha=alpha, scale=10)
+
+    def tinted(x, y):
+        return np.ptp(picture[400 - round(y * 100), round(x * 100)].astype(int)) > 15
+
+    dx, dy = seen
+    assert tinted(3.0 + 1.0 * 0.9 * dx, 2.0 + 1.0 * 0.9 * dy)
+    assert not tinted(3.0 + 1.2 * dx, 2.0 + 1.2 * dy)  # longer than the horizon
+    assert tinted(3.0 - 0.9 * dx, 2.0 - 0.9 * dy)
+    assert not tinted(3.0 - 1.1 * dx, 2.0 - 1.1 * dy)
+    assert not tinted(3.0 + 0.5 * dy, 2.0 - 0.5 * dx)
+
+
+def test_a_mosaic_holds_every_picture_and_its_caption():
+    colours = [(10, 20, 30), (40, 50, 60), (70, 80, 90)]
+    pictures = [np.full((20 + 10 * k, 60, 3), c, np.uint8) for k, c in enumerate(colours)]
+    sheet = mosaic([(f"({k})", p) for k, p in enumerate(pictures)], columns=2)
+    assert sheet.dtype == np.uint8
+    for picture, colour in zip(pictures, colours, strict=True):
+        assert np.all(sheet == colour, axis=2).sum() == picture.shape[0] * picture.shape[1]
+        rows, columns = np.nonzero(np.all(sheet == colour, axis=2))
+        below = sheet[rows.max() + 1 : rows.max() + 26, columns.min() : columns.max()]
+        assert (below < 128).any()
+    assert np.all(sheet[:16] == 255)
+
+
+def test_an_empty_mosaic_is_refused():
+    with pytest.raises(ValueError, match="at least one"):
+        mosaic([])
+
+
+def test_drawing_leaves_its_inputs_alone_and_gives_the_same_bytes():
+    grid, points, one = room(), np.ones((3, 2)), [hypothesis(2, 2, 1)]
+    first = draw_hypotheses(grid, points, one, truth=Pose2D(1, 1, 0))
+    assert first.tobytes() == draw_hypotheses(grid, points, one, truth=Pose2D(1, 1, 0)).tobytes()
+    assert np.all(points == 1)
+    assert first.dtype == np.uint8
+    assert first.flags.c_contiguous

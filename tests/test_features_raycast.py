@@ -1,0 +1,178 @@
+"""Ray casting against known distances and against a slow, exact intersection."""
+
+import numpy as np
+import pytest
+
+from imgloc.errors import ConfigError
+from imgloc.features.raycast import cast_rays, distance_image
+
+INF = float("inf")
+
+ROOM = np.array(
+    [
+        [1, 1, 1, 1, 1, 1],
+        [1, 0, 0, 0, 0, 1],
+        [1, 0, 0, 0, 0, 1],
+        [1, 0, 0, 1, 0, 1],
+        [1, 1, 1, 1, 1, 1],
+    ],
+    dtype=bool,
+)
+
+
+def naive(occupied, x, y, psi, shrink=0.0):
+    """Entry into the nearest of all occupied squares, by the slab method, in cells."""
+    best = INF
+    direction = np.array([np.cos(psi), np.sin(psi)])
+    for row, column in np.argwhere(occupied):
+        low = np.array([column, row]) + shrink
+        high = np.array([column, row]) + 1 - shrink
+        with np.errstate(divide="ignore", invalid="ignore"):
+            a, b = (low - (x, y)) / direction, (high - (x, y)) / direction
+        near, far = np.minimum(a, b).max(), np.maximum(a, b).min()
+        if far >= max(near, 0):
+            best = min(best, max(near, 0))
+    return best
+
+
+@pytest.mark.parametrize(
+    ("psi", "expected"),
+    [(0.0, 3.5), (np.pi / 2, 2.5), (np.pi, 0.5), (-np.pi / 2, 0.5), (np.pi / 4, 2.5 * 2**0.5)],
+)
+def test_distances_to_the_borders_of_cells(psi, expected):
+    # From the centre of cell [1, 1]; the post at [3, 3] is behind the corner (3, 3).
+    distance = cast_rays(distance_image(ROOM), (1.5, 1.5), psi, 10.0, 1.0)
+    if psi == np.pi / 4:
+        expected = 1.5 * 2**0.5  # the post's corner
+    assert distance == pytest.approx(expected, abs=0.02)
+
+
+def test_x_runs_along_the_columns_and_row_0_is_the_lowest_y():
+    distance = distance_image(ROOM)
+    up = cast_rays(distance, (3.5, 1.2), np.pi / 2, 10.0, 1.0)
+    assert up == pytest.approx(1.8, abs=0.02)  # the post, row 3, column 3
+    down = cast_rays(distance, (3.5, 1.2), -np.pi / 2, 10.0, 1.0)
+    assert down == pytest.approx(0.2, abs=0.02)
+
+
+def test_metres():
+    fine = cast_rays(distance_image(ROOM), (0.15, 0.15), 0.0, 1.0, 0.1)
+    assert fine == pytest.approx(0.35, abs=0.002)
+
+
+def test_a_start_in_a_wall_reads_zero():
+    assert cast_rays(distance_image(ROOM), (0.5, 2.5), 0.3, 10.0, 1.0) == 0.0
+
+
+@pytest.mark.parametrize("psi", [0.0, 1.4, np.pi, 4.0])
+def test_off_the_map_is_a_miss(psi):
+    open_field = np.zeros((5, 5), dtype=bool)
+    open_field[2, 2] = True
+    distance = distance_image(open_field)
+    assert cast_rays(distance, (0.5, 0.5), psi, 100.0, 1.0) == INF
+    # A start off the map sees nothing, not even the post straight ahead.
+    assert cast_rays(distance, (-0.5, 2.5), 0.0, 100.0, 1.0) == INF
+    assert cast_rays(distance, (2.5, 5.0), -np.pi / 2, 100.0, 1.0) == INF
+
+
+def test_the_range_ends_where_it_says():
+    distance = distance_image(ROOM)
+    assert cast_rays(distance, (1.5, 1.5), 0.0, 3.49, 1.0) == INF
+    assert cast_rays(distance, (1.5, 1.5), 0.0, 3.51, 1.0) == pytest.approx(3.5, abs=0.02)
+
+
+def test_each_ray_may_have_its_own_reach():
+    distance = distance_image(ROOM)
+    got = cast_rays(distance, (1.5, 1.5), [0.0, 0.0, np.pi], [3.4, 3.6, 0.4], 1.0)
+    assert got[[0, 2]].tolist() == [INF, INF]
+    assert got[1] == pytest.approx(3.5, abs=0.02)
+    reach = np.array([[1.0], [9.0]])  # of two scans
+    scans = cast_rays(distance, np.full((2, 3, 2), 1.5), np.zeros((2, 3)), reach, 1.0)
+    assert np.isinf(scans).tolist() == [[True] * 3, [False] * 3]
+
+
+def test_a_map_without_walls_reads_infinity():
+    distance = distance_image(np.zeros((4, 4), dtype=bool))
+    assert np.all(cast_rays(distance, (2.0, 2.0), [0.0, 1.0, 2.0], 1e6, 1.0) == INF)
+
+
+def test_origins_and_angles_broadcast_to_scans():
+    poses = np.array([[1.5, 1.5, 0.0], [2.5, 2.5, np.pi / 2], [3.5, 1.5, -0.4]])
+    angles = np.linspace(-1, 1, 7)
+    distance = distance_image(ROOM)
+    scans = cast_rays(distance, poses[:, None, :2], poses[:, 2:] + angles, 10.0, 1.0)
+    assert scans.shape == (3, 7)
+    assert scans.dtype == np.float32
+    for pose, scan in zip(poses, scans, strict=True):
+        np.testing.assert_array_equal(
+            scan, cast_rays(distance, pose[:2], pose[2] + angles, 10.0, 1.0)
+        )
+
+
+@pytest.mark.parametrize("shape", [(12, 17), (17, 12)])
+def test_random_maps_agree_with_the_exact_intersection(shape):
+    rng = np.random.default_rng(shape[0])
+    occupied = rng.random(shape) < 0.06
+    distance = distance_image(occupied)
+    origins = rng.random((300, 2)) * shape[::-1]
+    angles = rng.uniform(-7, 7, 300)
+    got = cast_rays(distance, origins, angles, 50.0, 1.0)
+    for (x, y), psi, d in zip(origins, angles, got, strict=True):
+        # A ray may slip past a corner that it cuts by less than a hundredth of a cell.
+        assert naive(occupied, x, y, psi) - 0.01 <= d <= naive(occupied, x, y, psi, 0.01) + 0.01
+    assert np.isfinite(got).sum() > 100
+
+
+def test_a_quarter_turn_of_map_and_ray_changes_nothing():
+    rng = np.random.default_rng(5)
+    occupied = rng.random((20, 20)) < 0.05
+    origins, angles = rng.uniform(2, 18, (200, 2)), rng.uniform(0, 2 * np.pi, 200)
+    before = cast_rays(distance_image(occupied), origins, angles, 30.0, 1.0)
+    # Rows go up, so a counter-clockwise turn of the plane is a clockwise one of the array.
+    turned = np.rot90(occupied, -1)
+    there = np.column_stack((20 - origins[:, 1], origins[:, 0]))
+    after = cast_rays(distance_image(turned), there, angles + np.pi / 2, 30.0, 1.0)
+    both = np.isfinite(before) & np.isfinite(after)
+    assert np.mean(np.isfinite(before) == np.isfinite(after)) > 0.98  # rays that graze a corner
+    assert np.mean(np.abs(before[both] - after[both]) < 0.02) > 0.98
+
+
+def test_a_diagonal_wall_of_single_cells_holds():
+    occupied = np.eye(40, dtype=bool)
+    rng = np.random.default_rng(0)
+    origins = np.column_stack((rng.uniform(10, 30, 2000), rng.uniform(0, 5, 2000)))
+    angles = np.full(2000, np.pi / 2)
+    got = cast_rays(distance_image(occupied), origins, angles, 100.0, 1.0)
+    expected = np.floor(origins[:, 0]) - origins[:, 1]
+    np.testing.assert_allclose(got, expected, atol=0.02)
+
+
+def test_far_from_the_origin_of_a_large_map():
+    occupied = np.zeros((3, 32_000), dtype=bool)
+    occupied[:, -1] = True
+    distance = cast_rays(distance_image(occupied), (31_000.25, 1.5), 0.0, 2000.0, 1.0)
+    assert distance == pytest.approx(998.75, abs=0.05)
+
+
+@pytest.mark.parametrize("angles", [[], np.empty((0, 3))])
+def test_no_rays(angles):
+    origins = np.empty((*np.shape(angles), 2))
+    got = cast_rays(distance_image(ROOM), origins, angles, 1.0, 1.0)
+    assert got.shape == np.shape(angles)
+
+
+@pytest.mark.parametrize(
+    ("origin", "angle", "max_range", "resolution"),
+    [
+        ((np.nan, 1.0), 0.0, 1.0, 1.0),
+        ((1.0, 1.0), INF, 1.0, 1.0),
+        ((1.0, 1.0), 0.0, 0.0, 1.0),
+        ((1.0, 1.0), 0.0, INF, 1.0),
+        ((1.0, 1.0), [0.0, 0.0], [1.0, np.nan], 1.0),
+        ((1.0, 1.0), 0.0, 1.0, -0.1),
+        ((1.0, 1.0), 0.0, 1.0, np.nan),
+    ],
+)
+def test_nonsense_is_refused(origin, angle, max_range, resolution):
+    with pytest.raises((ConfigError, ValueError), match="finite"):
+        cast_rays(distance_image(ROOM), origin, angle, max_range, resolution)

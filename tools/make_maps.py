@@ -1,0 +1,63 @@
+"""Draw the bundled maps: the worlds of imgloc.experiments.worlds at 10 cm per cell.
+
+The files in maps/ are made by this and by nothing else; a test compares them. Run it after
+a change of a world:
+
+    python tools/make_maps.py            # into maps/, beside this folder
+    python tools/make_maps.py --picture worlds.png
+"""
+
+import argparse
+from pathlib import Path
+
+from imgloc.draw import draw_map, mosaic
+from imgloc.experiments.worlds import WORLDS, render
+from imgloc.io.maps import save_map
+from imgloc.io.output import encode_png, write_bytes_atomic
+
+RESOLUTION = 0.1
+"""Side of a cell of the bundled maps, metres: the paper's."""
+
+
+def make_maps(folder: Path) -> list[Path]:
+    """Write every bundled world into `folder` as PNG and YAML, over what is there.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if it does not exist.
+
+    Returns
+    -------
+    list of Path
+        Of the YAML files.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, world in WORLDS.items():
+        path = folder / f"{name}.yaml"
+        save_map(path, render(world(), RESOLUTION), force=True)
+        paths.append(path)
+    return paths
+
+
+def main() -> None:
+    """Parse the command line and write the files."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    beside = Path(__file__).resolve().parents[1] / "maps"
+    parser.add_argument("--out", type=Path, default=beside, help="folder (default: maps/)")
+    parser.add_argument("--picture", type=Path, help="also draw all worlds into this PNG")
+    arguments = parser.parse_args()
+    for path in make_maps(arguments.out):
+        print(path)
+    if arguments.picture is not None:
+        worlds = [(name, render(world(), RESOLUTION)) for name, world in WORLDS.items()]
+        sheet = mosaic([(name, draw_map(grid)) for name, grid in worlds])
+        write_bytes_atomic(arguments.picture, encode_png(sheet), force=True)
+        print(arguments.picture)
+
+
+if __name__ == "__main__":
+    main()
