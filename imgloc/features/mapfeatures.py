@@ -1,0 +1,172 @@
+"""Everything the algorithms need to know about a map, computed when first asked for."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from imgloc.errors import ConfigError
+from imgloc.features.distance import DistanceField, distance_field, signed_distance
+from imgloc.features.fields import bmap, vmap
+from imgloc.features.lattice import any_of_blocks, coarse_info
+from imgloc.features.pyramid import Level, pyramid
+from imgloc.features.raycast import distance_image
+from imgloc.features.raydistance import ray_distances, ray_distances_bytes
+from imgloc.features.surface import surface_points
+from imgloc.features.visibility import visibility_frames
+from imgloc.model import BoolArray, Float32Array, GridInfo, OccupancyGrid, OrientedPoints
+
+
+@dataclass(frozen=True, eq=False)
+class MapFeatures:
+    """The features of one map; each is computed once, when first used, and read-only.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        The map.
+    cell : float
+        Side of a cell of the lattice of poses on which bmap, vmap and the ray-distance stack
+        live, metres; rounded to a multiple of the map's own cells.
+    sigma : float
+        Of the kernel K that blurs bmap and vmap, metres.
+    sigma_endpoint : float
+        How far an endpoint may lie from its wall in the pyramid, metres.
+    n_psi : int
+        Directions of the visibility map, measured from the normal.
+    horizon : float
+        How far the visibility map sees, metres.
+    n_rays : int
+        Directions of the ray-distance stack.
+    max_range : float
+        What the ray-distance stack says where nothing is hit, metres.
+    max_bytes : int
+        The ray-distance stack is refused when it would be larger.
+    threads : int
+        Used for the ray-distance stack; no result depends on it.
+
+    Examples
+    --------
+    >>> walls = np.zeros((20, 30), bool)
+    >>> walls[[2, -3]] = True
+    >>> features = MapFeatures(OccupancyGrid(walls, ~walls, 0.1), sigma=0.1)
+    >>> features.bmap.shape, features.vmap.shape, features.visibility.shape[0]
+    ((20, 30), (2, 20, 30), 72)
+    """
+
+    grid: OccupancyGrid
+    cell: float = 0.1
+    sigma: float = 0.1
+    sigma_endpoint: float = 0.15
+    n_psi: int = 72
+    horizon: float = 30.0
+    n_rays: int = 360
+    max_range: float = 30.0
+    max_bytes: int = 2 << 30
+    threads: int = 1
+
+    @cached_property
+    def lattice(self) -> GridInfo:
+        """The lattice of poses: shares its corner with the map, covers all of it."""
+        return coarse_info(self.grid.info, self._factor)
+
+    @cached_property
+    def free(self) -> BoolArray:
+        """Lattice cells in which a free cell of the map lies: the pose space, (H, W) bool."""
+        return _read_only(any_of_blocks(self.grid.free, self._factor))
+
+    @property
+    def _factor(self) -> int:
+        return max(1, round(self.cell / self.grid.resolution))
+
+    @cached_property
+    def field(self) -> DistanceField:
+        """Signed distance to the surfaces, at the map's own resolution."""
+        return distance_field(self.grid.occupied, self.grid.resolution)
+
+    @cached_property
+    def walls(self) -> Float32Array:
+        """Distance to the nearest occupied cell, in cells, for casting rays."""
+        return _read_only(distance_image(self.grid.occupied))
+
+    @cached_property
+    def standable(self) -> BoolArray:
+        """Map cells in which a sensor can be: free, or next to free and not occupied."""
+        near = cv2.dilate(self.grid.free.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+        return _read_only(near & ~self.grid.occupied)
+
+    @cached_property
+    def pyramid(self) -> tuple[Level, ...]:
+        """Endpoint images at one, two and four times `cell`, finest first."""
+        distance = signed_distance(self.grid.occupied, self.grid.resolution)
+        return pyramid(
+            distance,
+            self.grid.free,
+            self.grid.resolution,
+            cell=self.cell,
+            sigma=self.sigma_endpoint,
+            levels=3,
+        )
+
+    @cached_property
+    def surface(self) -> OrientedPoints:
+        """Surface points with directed normals, grid frame."""
+        return surface_points(self.grid.occupied, self.grid.free, self.grid.resolution)
+
+    @cached_property
+    def bmap(self) -> Float32Array:
+        """Blurred map of CBML, (H, W) float32 in 0..1."""
+        return _read_only(
+            bmap(self.surface.xy, self.lattice.shape, self.lattice.resolution, self.sigma)
+        )
+
+    @cached_property
+    def vmap(self) -> Float32Array:
+        """Blurred vector field of CBML-O, (2, H, W) float32, no vector longer than 1."""
+        return _read_only(
+            vmap(self.surface, self.lattice.shape, self.lattice.resolution, self.sigma)
+        )
+
+    @cached_property
+    def visibility(self) -> Float32Array:
+        """Visibility of GHT-V, (n_psi, M) float32 metres, direction 0 is the normal."""
+        return _read_only(
+            visibility_frames(
+                self.grid.occupied, self.surface, self.grid.resolution, self.n_psi, self.horizon
+            )
+        )
+
+    @cached_property
+    def ray_distances(self) -> npt.NDArray[np.uint16]:
+        """``r_m`` of eq. 2, (n_rays, H, W) uint16 centimetres.
+
+        Raises
+        ------
+        ConfigError
+            If the stack would take more than `max_bytes`.
+        """
+        height, width = self.lattice.shape
+        need = ray_distances_bytes((height, width), self.n_rays)
+        if need > self.max_bytes:
+            raise ConfigError(
+                f"ray distances of {self.n_rays} directions x {height} x {width} cells need "
+                f"{need / 2**20:.0f} MiB, the budget is {self.max_bytes / 2**20:.0f} MiB: "
+                "use fewer directions or coarser cells"
+            )
+        stack = ray_distances(
+            any_of_blocks(self.grid.occupied, self._factor),
+            self.lattice.resolution,
+            self.n_rays,
+            self.max_range,
+            threads=self.threads,
+        )
+        stack.flags.writeable = False
+        return stack
+
+
+def _read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    array.flags.writeable = False
+    return array

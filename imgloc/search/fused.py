@@ -1,0 +1,187 @@
+"""The default method: proposals from two sources, refined, re-scored, separated.
+
+Endpoint correlation and GHT-V votes fail differently, so that both propose; the score that
+decides is a third one, :mod:`imgloc.search.rescore`. Most proposals are dropped after a look
+with a few rays.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.scanpoints import scan_points
+from imgloc.geometry import cell_of, inside
+from imgloc.likelihood.ght import ght_v
+from imgloc.model import BoolArray, FloatArray, IntArray, LaserScan
+from imgloc.search.hypotheses import modes
+from imgloc.search.peaks import find_peaks, smooth
+from imgloc.search.proposals import propose_endpoints
+from imgloc.search.refine import refine
+from imgloc.search.rescore import Evidence, EvidenceModel, rescore
+
+
+@dataclass(frozen=True)
+class FusedOptions:
+    """What the search spends where.
+
+    Parameters
+    ----------
+    theta_step : float
+        Between the headings of the endpoint correlation, radians.
+    keep : tuple of int
+        Nodes kept by each level of the endpoint pyramid, finest first.
+    vote_cell : float
+        Cell of the GHT-V votes, metres.
+    vote_headings : int
+        Number of headings of the GHT-V votes.
+    vote_peaks : int
+        How many peaks of the votes become proposals.
+    few_rays, rays : int
+        Rays of the first look at all proposals, and of the second at the best.
+    second_look : int
+        How many proposals get the second look.
+    separation : (float, float)
+        Two poses nearer than this, metres and radians, are one hypothesis.
+    model : EvidenceModel
+        The score.
+    """
+
+    theta_step: float = float(np.deg2rad(1.0))
+    keep: tuple[int, ...] = (3000, 8000, 8000)
+    vote_cell: float = 0.2
+    vote_headings: int = 30
+    vote_peaks: int = 100
+    few_rays: int = 64
+    rays: int = 180
+    second_look: int = 60
+    separation: tuple[float, float] = (0.5, float(np.deg2rad(15.0)))
+    model: EvidenceModel = field(default_factory=EvidenceModel)
+
+
+@dataclass(frozen=True)
+class Modes:
+    """What the search found, best first: C separated poses of the grid frame."""
+
+    poses: FloatArray
+    evidence: Evidence
+    rays: IntArray
+
+
+def search_fused(
+    features: MapFeatures, scan: LaserScan, options: FusedOptions, threads: int = 1
+) -> Modes:
+    """Find all poses that fit a scan.
+
+    Parameters
+    ----------
+    features : MapFeatures
+    scan : LaserScan
+        With at least one valid reading.
+    options : FusedOptions
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    Modes
+        May be empty; `rays` are the indices of the readings that were scored.
+    """
+    few, many = thin(scan.valid, options.few_rays), thin(scan.valid, options.rays)
+    xy = scan_xy(scan)
+    proposals = np.concatenate(
+        (
+            propose_endpoints(
+                features.pyramid,
+                xy[few],
+                theta_step=options.theta_step,
+                keep=options.keep,
+                threads=threads,
+            )[0],
+            propose_votes(features, scan, options, threads),
+        )
+    )
+    poses = refine(proposals, xy[few], features.field, sigmas=(0.3, 0.2, 0.1))
+    poses, evidence = _standing(features, scan, few, poses, options)
+    best = np.argsort(-evidence.log_likelihood, kind="stable")[: options.second_look]
+    poses = refine(poses[best], xy[many], features.field, sigmas=(0.1, 0.05))
+    poses, evidence = _standing(features, scan, many, poses, options)
+    distance, angle = options.separation
+    found = modes(poses, evidence.log_likelihood, distance=distance, angle=angle)
+    return Modes(poses[found], evidence.select(found), many)
+
+
+def propose_votes(
+    features: MapFeatures, scan: LaserScan, options: FusedOptions, threads: int = 1
+) -> FloatArray:
+    """Peaks (M, 3) of coarse, smoothed GHT-V votes: grid frame, best first."""
+    points = scan_points(scan.ranges, scan.angles, scan.valid)
+    usable = np.flatnonzero(points.valid)
+    points = points.select(usable[thin(np.ones(len(usable), bool), options.few_rays)])
+    grid = features.grid.info
+    shape = (
+        int(np.ceil(grid.height * grid.resolution / options.vote_cell)),
+        int(np.ceil(grid.width * grid.resolution / options.vote_cell)),
+    )
+    votes = ght_v(
+        features.surface,
+        features.visibility,
+        points,
+        options.vote_headings,
+        shape,
+        options.vote_cell,
+        threads=threads,
+    )
+    peaks = find_peaks(smooth(votes, 1.0, 0.7), options.vote_peaks)
+    theta = peaks[:, 0] * (2 * np.pi / options.vote_headings)
+    return np.column_stack(((peaks[:, :0:-1] + 0.5) * options.vote_cell, theta))
+
+
+def thin(valid: BoolArray, n: int) -> IntArray:
+    """Indices of at most `n` of the valid readings, evenly spread over them.
+
+    Examples
+    --------
+    >>> thin(np.array([True, False, True, True, True, True]), 3).tolist()
+    [0, 3, 5]
+    """
+    index = np.flatnonzero(valid)
+    pick = np.linspace(0, len(index) - 1, min(n, len(index))).round().astype(np.int64)
+    return index[pick]
+
+
+def scan_xy(scan: LaserScan) -> FloatArray:
+    """Endpoints (N, 2) of all readings, sensor frame; what is not valid is at the origin."""
+    r = np.where(scan.valid, scan.ranges, 0.0)
+    return np.column_stack((r * np.cos(scan.angles), r * np.sin(scan.angles)))
+
+
+def _standing(
+    features: MapFeatures,
+    scan: LaserScan,
+    rays: IntArray,
+    poses: FloatArray,
+    options: FusedOptions,
+) -> tuple[FloatArray, Evidence]:
+    """Score the poses at which a robot can stand, and drop the others."""
+    cells = cell_of(poses[:, :2], features.grid.resolution)
+    on_map = inside(cells, features.grid.info)
+    poses, cells = poses[on_map], cells[on_map]
+    poses = poses[features.standable[cells[:, 0], cells[:, 1]]]
+    evidence = rescore(
+        poses,
+        scan.ranges[rays],
+        scan.angles[rays],
+        features.field,
+        features.walls,
+        reach(scan),
+        options.model,
+    )
+    return poses, evidence
+
+
+def reach(scan: LaserScan) -> float:
+    """How far the sensor sees, metres: range_max, or the longest reading if that is infinite."""
+    if np.isfinite(scan.range_max):
+        return float(scan.range_max)
+    return float(scan.ranges[scan.valid].max(initial=1.0))

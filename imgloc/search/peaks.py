@@ -1,0 +1,143 @@
+"""Peaks of a stack (theta, y, x), with theta circular."""
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from imgloc.geometry import wrap
+from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
+
+
+def smooth(values: Float32Array, sigma_px: float, sigma_bins: float) -> Float32Array:
+    """Blur a stack with a Gaussian in x, y and, circularly, in theta.
+
+    The uncertainty of eq. 8, which a vote for a single cell ignores.
+
+    Parameters
+    ----------
+    values : (K, H, W) float32 array
+    sigma_px, sigma_bins : float
+        Standard deviations in cells and in headings; 0 leaves that axis alone.
+
+    Returns
+    -------
+    (K, H, W) float32 array
+        Nothing comes in from outside the image.
+
+    Examples
+    --------
+    >>> stack = np.zeros((8, 1, 1), dtype=np.float32)
+    >>> stack[0] = 1
+    >>> print(smooth(stack, 0, 1).ravel().round(2))
+    [0.4  0.24 0.05 0.   0.   0.   0.05 0.24]
+    """
+    out = np.array(values, dtype=np.float32)
+    n = len(out)
+    if sigma_bins > 0 and n > 1:
+        steps = np.arange(n)
+        near = np.minimum(steps, n - steps)
+        kernel = np.exp(-0.5 * np.square(near / sigma_bins))
+        kernel /= kernel.sum()
+        circulant = kernel[(steps[:, None] - steps) % n].astype(np.float32)
+        out = (circulant @ out.reshape(n, -1)).reshape(out.shape)
+    if sigma_px > 0:
+        for image in out:
+            cv2.GaussianBlur(image, (0, 0), sigma_px, image, borderType=cv2.BORDER_CONSTANT)
+    return out
+
+
+def find_peaks(
+    values: Float32Array, n: int, *, radius: int = 1, where: BoolArray | None = None
+) -> IntArray:
+    """Local maxima of a stack, best first.
+
+    Parameters
+    ----------
+    values : (K, H, W) float32 array
+    n : int
+        At most so many.
+    radius : int
+        A peak is the largest of the ``2 radius + 1`` cells and headings around it, theta
+        wrapping around. Of equal neighbours the first in index order stays.
+    where : (H, W) bool array, optional
+        Cells that may hold a peak.
+
+    Returns
+    -------
+    (M, 3) int array
+        ``(theta, row, col)`` of values above 0.
+
+    Examples
+    --------
+    >>> stack = np.zeros((4, 1, 5), dtype=np.float32)
+    >>> stack[0, 0, 1], stack[3, 0, 1], stack[2, 0, 4] = 3, 5, 2
+    >>> find_peaks(stack, 9).tolist()
+    [[3, 0, 1], [2, 0, 4]]
+    """
+    side = 2 * radius + 1
+    kernel = np.ones((side, side), dtype=np.uint8)
+    allowed = values if where is None else np.where(where, values, np.float32(0))
+    spread = np.stack([cv2.dilate(image, kernel) for image in allowed])
+    reach = min(radius, len(values) - 1)
+    top = spread.copy()
+    for step in range(1, reach + 1):
+        np.maximum(top, np.roll(spread, step, axis=0), out=top)
+        np.maximum(top, np.roll(spread, -step, axis=0), out=top)
+    flat = np.flatnonzero((allowed == top) & (allowed > 0))
+    order = np.argsort(-allowed.ravel()[flat], kind="stable")
+    cells = np.stack(np.unravel_index(flat[order], values.shape), axis=1)
+    return _first_of_plateaus(cells, n, radius, len(values))
+
+
+def _first_of_plateaus(cells: IntArray, n: int, radius: int, n_thetas: int) -> IntArray:
+    """Drop peaks that touch a better or equal one before them."""
+    kept: list[npt.NDArray[np.int64]] = []
+    for cell in cells:
+        if len(kept) == n:
+            break
+        gap = np.abs(np.asarray(kept).reshape(-1, 3) - cell)
+        gap[:, 0] = np.minimum(gap[:, 0], n_thetas - gap[:, 0])
+        if not (gap <= radius).all(axis=1).any():
+            kept.append(cell)
+    return np.asarray(kept, dtype=np.int64).reshape(-1, 3)
+
+
+def separated(
+    poses: FloatArray, n: int, *, distance: float, angle: float
+) -> tuple[IntArray, IntArray]:
+    """Pick poses, best first, that are not another one's neighbour.
+
+    Parameters
+    ----------
+    poses : (M, 3) float array
+        Best first: metres, metres, radians.
+    n : int
+        At most so many.
+    distance, angle : float
+        Two poses are neighbours if they are closer than both, metres and radians.
+
+    Returns
+    -------
+    picked : (K,) int array
+        Indices of the picked poses.
+    owner : (M,) int array
+        For each pose the position in `picked` of the pose it is a neighbour of, or -1.
+
+    Examples
+    --------
+    >>> poses = np.array([[0, 0, 3.1], [0.1, 0, -3.1], [5, 0, 0.0]])
+    >>> [a.tolist() for a in separated(poses, 9, distance=0.5, angle=0.2)]
+    [[0, 2], [0, 0, 1]]
+    """
+    owner = np.full(len(poses), -1, dtype=np.int64)
+    picked: list[int] = []
+    for i in range(len(poses)):
+        if len(picked) == n:
+            break
+        if owner[i] >= 0:
+            continue
+        gap = np.hypot(*(poses[:, :2] - poses[i, :2]).T)
+        turn = np.abs(wrap(poses[:, 2] - poses[i, 2]))
+        owner[(gap < distance) & (turn < angle) & (owner < 0)] = len(picked)
+        picked.append(i)
+    return np.asarray(picked, dtype=np.int64), owner

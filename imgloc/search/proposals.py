@@ -1,0 +1,136 @@
+"""Where to look closely: poses proposed by endpoint correlation, coarse to fine.
+
+The correlation of CBML with a narrow kernel and a fine theta step proposes the true pose
+almost always, on clean and on old maps alike. Only the coarsest level is exhaustive; every
+finer one is evaluated around what the level before it kept.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from imgloc.features.pyramid import Level
+from imgloc.geometry import uniform_thetas
+from imgloc.likelihood.correlate import correlate
+from imgloc.likelihood.slices import cell_offsets
+from imgloc.model import Float32Array, FloatArray, IntArray
+
+_CHUNK_CELLS = 1 << 24  # of the exhaustive level's stack: 64 MB at a time
+_BLOCK = 4  # cells and headings a side: one proposal each
+
+
+def propose_endpoints(
+    levels: Sequence[Level],
+    xy: FloatArray,
+    *,
+    theta_step: float,
+    keep: Sequence[int],
+    threads: int = 1,
+) -> tuple[FloatArray, FloatArray]:
+    """Propose poses whose endpoints fall on walls.
+
+    Parameters
+    ----------
+    levels : sequence of Level
+        Of :func:`~imgloc.features.pyramid.pyramid`, finest first, at least two.
+    xy : (N, 2) float array
+        Scan points, sensor frame, metres.
+    theta_step : float
+        Largest step between headings, radians; the coarsest level takes every second one.
+    keep : sequence of int
+        How many nodes each level keeps, finest first.
+    threads : int
+        For the exhaustive level; the result does not depend on it.
+
+    Returns
+    -------
+    poses : (M, 3) float array
+        Grid frame, best first, at most ``keep[0]``, one per block of 4 x 4 cells and 4
+        headings.
+    scores : (M,) float array
+        Mean of the finest endpoint image under the points, 0..1.
+    """
+    if len(xy) == 0:
+        return np.empty((0, 3)), np.empty(0)
+    thetas = uniform_thetas(theta_step)
+    thetas = uniform_thetas(2 * np.pi / (len(thetas) + len(thetas) % 2))
+    nodes = _exhaustive(levels[-1], xy, thetas[::2], keep[-1], threads) * (2, 1, 1)
+    spread = np.array([-1, 0, 1])
+    for level, count in zip(levels[-2::-1], keep[-2::-1], strict=True):
+        nodes = _children(nodes, level, spread, len(thetas))
+        spread = np.array([0])
+        scores = _score(level, xy, thetas, nodes)
+        best = np.argsort(-scores, kind="stable")[:count]
+        nodes, scores = nodes[best], scores[best]
+    first = np.sort(np.unique(_key(nodes // _BLOCK), return_index=True)[1])
+    nodes, scores = nodes[first], scores[first]
+    centres = (nodes[:, :0:-1] + 0.5) * levels[0].resolution
+    return np.column_stack((centres, thetas[nodes[:, 0]])), scores / (255.0 * len(xy))
+
+
+def _exhaustive(
+    level: Level, xy: FloatArray, thetas: FloatArray, keep: int, threads: int
+) -> IntArray:
+    """Best `keep` nodes (theta, row, col) of a whole level, a few headings at a time."""
+    chunk = max(1, _CHUNK_CELLS // level.image.size)
+    nodes, scores = [], []
+    for start in range(0, len(thetas), chunk):
+        stack = correlate(
+            level.image,
+            xy,
+            thetas[start : start + chunk],
+            level.resolution,
+            engine="shift",
+            threads=threads,
+            where=level.free,
+        )
+        best = _largest(stack.ravel(), keep)
+        node = np.stack(np.unravel_index(best, stack.shape), axis=1)
+        nodes.append(node + (start, 0, 0))
+        scores.append(stack.ravel()[best])
+    order = np.argsort(-np.concatenate(scores), kind="stable")[:keep]
+    return np.asarray(np.concatenate(nodes)[order], dtype=np.int64)
+
+
+def _largest(values: Float32Array, n: int) -> IntArray:
+    """Indices of the `n` largest positive values; of equal ones, those that come first."""
+    if n >= values.size:
+        return np.flatnonzero(values > 0)
+    threshold = max(0.0, np.partition(values, values.size - n)[values.size - n])
+    above = np.flatnonzero(values > threshold)
+    if threshold > 0:
+        equal = np.flatnonzero(values == threshold)[: n - len(above)]
+        above = np.sort(np.concatenate((above, equal)))
+    return above
+
+
+def _children(nodes: IntArray, level: Level, spread: IntArray, n_thetas: int) -> IntArray:
+    """The four cells of each node one level down, at its own and its neighbouring headings."""
+    dk, dr, dc = (g.ravel() for g in np.meshgrid(spread, [0, 1], [0, 1], indexing="ij"))
+    k = (nodes[:, :1] + dk) % n_thetas
+    r, c = 2 * nodes[:, 1:2] + dr, 2 * nodes[:, 2:] + dc
+    out = np.stack((k, r, c), axis=-1).reshape(-1, 3)
+    height, width = level.free.shape
+    out = out[(out[:, 1] < height) & (out[:, 2] < width)]
+    out = out[level.free[out[:, 1], out[:, 2]]]
+    if len(spread) > 1:  # neighbouring headings meet in the same child
+        out = out[np.sort(np.unique(_key(out), return_index=True)[1])]
+    return np.asarray(out)
+
+
+def _key(nodes: IntArray) -> IntArray:
+    """One integer per node; a side of a level has fewer than 2**20 cells."""
+    return np.asarray((nodes[:, 0] << 40) + (nodes[:, 1] << 20) + nodes[:, 2])
+
+
+def _score(level: Level, xy: FloatArray, thetas: FloatArray, nodes: IntArray) -> FloatArray:
+    """Sum of the level's image under the points at each node (Alg. 1, l. 4-6)."""
+    offsets = cell_offsets(xy, thetas, level.resolution)
+    margin = int(np.abs(offsets).max()) + 1
+    padded = np.pad(level.image, margin)  # off the map is a miss
+    stride = padded.shape[1]
+    flat = (offsets[..., 0] * stride + offsets[..., 1]).astype(np.int32)
+    base = ((nodes[:, 1] + margin) * stride + nodes[:, 2] + margin).astype(np.int32)
+    index = flat[nodes[:, 0]]
+    index += base[:, None]
+    return np.asarray(padded.ravel().take(index).sum(axis=1, dtype=np.uint32), dtype=np.float64)

@@ -1,0 +1,78 @@
+"""Move poses to where their endpoints meet the walls, all poses at once."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from imgloc.features.distance import DistanceField
+from imgloc.geometry import wrap
+from imgloc.model import Float32Array, FloatArray
+
+_MAX_STEP = np.array([0.1, 0.1, np.deg2rad(2.0)])
+
+
+def refine(
+    poses: FloatArray,
+    xy: FloatArray,
+    field: DistanceField,
+    *,
+    sigmas: Sequence[float],
+    iterations: int = 2,
+) -> FloatArray:
+    """Gauss-Newton on the signed distance of the endpoints, with a shrinking kernel.
+
+    Parameters
+    ----------
+    poses : (C, 3) float array
+        Grid frame: metres, metres, radians.
+    xy : (N, 2) float array
+        Scan points, sensor frame, metres.
+    field : DistanceField
+        Signed, so that a pose settles on the surface itself and not on cell centres.
+    sigmas : sequence of float
+        Widths of the robust (Geman-McClure) kernel, metres, in the order in which to use
+        them; endpoints much farther from a wall than that have no say.
+    iterations : int
+        Steps for each width.
+
+    Returns
+    -------
+    (C, 3) float array
+        A pose moves at most 0.1 m and 2 degrees a step.
+    """
+    poses = np.array(poses, dtype=np.float64)
+    if len(poses) == 0 or len(xy) == 0:
+        return poses
+    for sigma in sigmas:
+        for _ in range(iterations):
+            A, b = normal_equations(poses, xy, field, sigma)
+            # A corridor leaves one direction free: a little damping keeps the pose where it is.
+            A[:, range(3), range(3)] += 1e-3 * len(xy)
+            step = np.linalg.solve(A, b[..., None])[..., 0]
+            poses -= np.clip(step, -_MAX_STEP, _MAX_STEP)
+    poses[:, 2] = wrap(poses[:, 2])
+    return poses
+
+
+def normal_equations(
+    poses: FloatArray, xy: FloatArray, field: DistanceField, sigma: float
+) -> tuple[FloatArray, FloatArray]:
+    """Weighted ``J^T J`` (C, 3, 3) and ``J^T e`` (C, 3) of the endpoint distances."""
+    dx, dy, distance, gx, gy = endpoints(poses, xy, field)
+    weight = 1 / np.square(1 + np.square(distance / np.float32(sigma)))
+    J = np.stack((gx, gy, dx * gy - dy * gx), axis=1)
+    weighted = J * weight[:, None]
+    A = weighted @ J.transpose(0, 2, 1)
+    b = weighted @ distance[..., None]
+    return A.astype(np.float64), b[..., 0].astype(np.float64)
+
+
+def endpoints(
+    poses: FloatArray, xy: FloatArray, field: DistanceField
+) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array, Float32Array]:
+    """Turned points ``R_theta p`` (dx, dy) and distance, gx, gy there, each (C, N) float32."""
+    p = np.asarray(xy, dtype=np.float32)
+    x, y, theta = (v[:, None] for v in np.asarray(poses, dtype=np.float64).T)
+    c, s = np.cos(theta).astype(np.float32), np.sin(theta).astype(np.float32)
+    dx, dy = c * p[:, 0] - s * p[:, 1], s * p[:, 0] + c * p[:, 1]
+    return dx, dy, *field.lookup(x.astype(np.float32) + dx, y.astype(np.float32) + dy)

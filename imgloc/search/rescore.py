@@ -1,0 +1,122 @@
+"""The score that decides: endpoint evidence under the paper's visibility constraint.
+
+For each reading the model asks two questions of the map. Does it end on a surface? Distance to
+the nearest surface answers, which forgives half-cells, grazing angles and thick walls, as
+ray-traced ranges do not. And did it get there? A reading that passes through a mapped wall
+contradicts the map (Sec. V), unless the wall has gone since: a door. ::
+
+    p(rho | x) = o * (h N(d; 0, sigma) + (1 - h) / rho_max)
+
+with d the distance of the endpoint from the nearest surface, h the share of readings that
+come from mapped surfaces, and o = 1, or, for a reading that crosses a wall, the chance that the
+wall is not there. What is left of eq. 2 is that too short a reading is no surprise and too
+long a one is. How well the map fits, sigma, is not known beforehand: it is summed over.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imgloc.features.distance import DistanceField
+from imgloc.features.raycast import cast_rays
+from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
+from imgloc.search.refine import endpoints
+
+
+@dataclass(frozen=True)
+class EvidenceModel:
+    """The parameters of the score.
+
+    Parameters
+    ----------
+    sigmas : sequence of float
+        Standard deviations of an endpoint's distance from its surface, metres, equally
+        probable: a sharp one for maps that are exact and a wide one for maps that are not.
+    hit : float
+        Share of the readings that come from mapped surfaces.
+    absent : float
+        Probability that a mapped wall is not there any more.
+    margin : float
+        Metres by which a reading must pass a wall to have crossed it.
+    """
+
+    sigmas: Sequence[float] = (0.1, 0.2)
+    hit: float = 0.8
+    absent: float = 0.1
+    margin: float = 0.35
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What :func:`rescore` found for C poses and N readings.
+
+    Parameters
+    ----------
+    log_likelihood : (C,) float array
+        Nats.
+    on_surface : (C, N) bool array
+        Readings that are better explained by a mapped surface than by chance.
+    crossed : (C, N) bool array
+        Readings that pass through a mapped wall.
+    """
+
+    log_likelihood: FloatArray
+    on_surface: BoolArray
+    crossed: BoolArray
+
+    def select(self, index: IntArray) -> "Evidence":
+        """The evidence of the poses at `index`."""
+        return Evidence(self.log_likelihood[index], self.on_surface[index], self.crossed[index])
+
+    @property
+    def explained(self) -> FloatArray:
+        """(C,) share of readings that end on a surface and cross no wall."""
+        return np.asarray((self.on_surface & ~self.crossed).mean(axis=1))
+
+
+def rescore(
+    poses: FloatArray,
+    ranges: FloatArray,
+    angles: FloatArray,
+    field: DistanceField,
+    walls: Float32Array,
+    range_max: float,
+    model: EvidenceModel,
+) -> Evidence:
+    """Evaluate the score of the module's head for some poses.
+
+    Parameters
+    ----------
+    poses : (C, 3) float array
+        Grid frame.
+    ranges, angles : (N,) float arrays
+        Valid readings only.
+    field : DistanceField
+        Signed distance to the surfaces.
+    walls : (H, W) float32 array
+        :func:`~imgloc.features.raycast.distance_image` of the occupied cells, in cells.
+    range_max : float
+        The reach of the sensor, metres: a reading not from the map is uniform up to it.
+    model : EvidenceModel
+    """
+    xy = np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles)))
+    distance = endpoints(poses, xy, field)[2]
+    seen = cast_rays(
+        walls,
+        poses[:, None, :2],
+        poses[:, 2:] + angles,
+        np.maximum(ranges - model.margin, 1e-3),
+        field.resolution,
+    )
+    crossed = np.isfinite(seen)
+    chance = (1 - model.hit) / range_max
+    logs = []
+    for sigma in model.sigmas:
+        peak = model.hit / (sigma * np.sqrt(2 * np.pi))
+        fit = np.float32(peak) * np.exp(distance * distance * np.float32(-0.5 / sigma**2))
+        logs.append(np.log(fit + np.float32(chance)).sum(axis=1, dtype=np.float64))
+    log_likelihood = np.logaddexp.reduce(logs, axis=0) - np.log(len(logs))
+    log_likelihood += crossed.sum(axis=1) * np.log(model.absent)
+    on_surface = np.abs(distance) < 2 * max(model.sigmas)
+    return Evidence(log_likelihood, on_surface, crossed)
