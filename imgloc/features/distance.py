@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.features.transform import distance_transform
 from imgloc.model import BoolArray, Float32Array
 
 #: Metres; what is farther from a wall than this, or off the map, counts as this far.
@@ -90,11 +91,10 @@ def signed_distance(occupied: BoolArray, resolution: float) -> Float32Array:
     >>> signed_distance(np.array([[False, True, True, True]]), 1.0).tolist()
     [[0.5, -0.5, -0.5, -0.5]]
     """
-    wall = cv2.copyMakeBorder(occupied.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
+    wall = np.pad(occupied, 1).astype(np.uint8)
     if not occupied.any():
         return np.full(occupied.shape, FAR, dtype=np.float32)
-    outside = cv2.distanceTransform(1 - wall, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    inside = cv2.distanceTransform(wall, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    outside, inside = distance_transform(1 - wall), distance_transform(wall)
     # One of the two is 0 everywhere; the border lies half a cell before the other's centre.
     cells = (outside - inside - np.where(wall > 0, -0.5, 0.5))[1:-1, 1:-1]
     return np.asarray(np.clip(cells * resolution, -FAR, FAR), dtype=np.float32)

@@ -5,11 +5,11 @@ ray walks from cell border to cell border instead. Far from walls that is fast, 
 wall it is exact: a reading ends where the ray enters the square of an occupied cell.
 """
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
+from imgloc.features.transform import distance_transform
 from imgloc.model import BoolArray, Float32Array
 
 # A ray that stops on a cell border belongs to the cell behind it: it is pushed this far over
@@ -29,7 +29,8 @@ def distance_image(occupied: BoolArray) -> Float32Array:
     Returns
     -------
     (H, W) float32 array
-        Cells, exact; 0 on occupied cells, about 3.4e38 everywhere if none is occupied.
+        Cells, exact up to 512 and never more; 0 on occupied cells, 512 everywhere if none is
+        occupied.
 
     Examples
     --------
@@ -37,8 +38,7 @@ def distance_image(occupied: BoolArray) -> Float32Array:
     [[0.0, 1.0, 2.0]]
     """
     free = np.logical_not(occupied).astype(np.uint8)
-    out = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return np.asarray(out, dtype=np.float32)
+    return distance_transform(free)
 
 
 def cast_rays(

@@ -41,6 +41,9 @@ class FusedOptions:
         Rays of the first look at all proposals, and of the second at the best.
     second_look : int
         How many proposals get the second look.
+    twins : (float, float)
+        Proposals nearer than this after the first look, metres and radians, get one second
+        look.
     separation : (float, float)
         Two poses nearer than this, metres and radians, are one hypothesis.
     model : EvidenceModel
@@ -54,7 +57,8 @@ class FusedOptions:
     vote_peaks: int = 100
     few_rays: int = 64
     rays: int = 180
-    second_look: int = 60
+    second_look: int = 100
+    twins: tuple[float, float] = (0.1, float(np.deg2rad(3.0)))
     separation: tuple[float, float] = (0.5, float(np.deg2rad(15.0)))
     model: EvidenceModel = field(default_factory=EvidenceModel)
 
@@ -101,10 +105,12 @@ def search_fused(
             propose_votes(features, scan, options, threads),
         )
     )
-    poses = refine(proposals, xy[few], features.field, sigmas=(0.3, 0.2, 0.1))
+    poses = refine(proposals, xy[few], features.field, sigmas=(0.2, 0.1))
     poses, evidence = _standing(features, scan, few, poses, options)
-    best = np.argsort(-evidence.log_likelihood, kind="stable")[: options.second_look]
-    poses = refine(poses[best], xy[many], features.field, sigmas=(0.1, 0.05))
+    # Many proposals have met in the same pose by now.
+    distance, angle = options.twins
+    best = modes(poses, evidence.log_likelihood, distance=distance, angle=angle)
+    poses = refine(poses[best[: options.second_look]], xy[many], features.field, sigmas=(0.1, 0.05))
     poses, evidence = _standing(features, scan, many, poses, options)
     distance, angle = options.separation
     found = modes(poses, evidence.log_likelihood, distance=distance, angle=angle)

@@ -16,7 +16,7 @@ from imgloc.likelihood.slices import cell_offsets
 from imgloc.model import Float32Array, FloatArray, IntArray
 
 _CHUNK_CELLS = 1 << 24  # of the exhaustive level's stack: 64 MB at a time
-_BLOCK = 4  # cells and headings a side: one proposal each
+_BLOCK = 2  # cells and headings a side: one proposal each
 
 
 def propose_endpoints(
@@ -45,7 +45,7 @@ def propose_endpoints(
     Returns
     -------
     poses : (M, 3) float array
-        Grid frame, best first, at most ``keep[0]``, one per block of 4 x 4 cells and 4
+        Grid frame, best first, at most ``keep[0]``, one per block of 2 x 2 cells and 2
         headings.
     scores : (M,) float array
         Mean of the finest endpoint image under the points, 0..1.

@@ -5,12 +5,13 @@ the nearest surface answers, which forgives half-cells, grazing angles and thick
 ray-traced ranges do not. And did it get there? A reading that passes through a mapped wall
 contradicts the map (Sec. V), unless the wall has gone since: a door. ::
 
-    p(rho | x) = o * (h N(d; 0, sigma) + (1 - h) / rho_max)
+    p(rho | x) = o * (h mean_s N(d; 0, sigma_s) + (1 - h) / rho_max)
 
 with d the distance of the endpoint from the nearest surface, h the share of readings that
 come from mapped surfaces, and o = 1, or, for a reading that crosses a wall, the chance that the
 wall is not there. What is left of eq. 2 is that too short a reading is no surprise and too
-long a one is. How well the map fits, sigma, is not known beforehand: it is summed over.
+long a one is. The hit has a sharp and a wide sigma: the score is sharp where map and scan
+agree, and forgiving where the map is old.
 """
 
 from collections.abc import Sequence
@@ -32,7 +33,7 @@ class EvidenceModel:
     ----------
     sigmas : sequence of float
         Standard deviations of an endpoint's distance from its surface, metres, equally
-        probable: a sharp one for maps that are exact and a wide one for maps that are not.
+        probable for every reading.
     hit : float
         Share of the readings that come from mapped surfaces.
     absent : float
@@ -41,7 +42,7 @@ class EvidenceModel:
         Metres by which a reading must pass a wall to have crossed it.
     """
 
-    sigmas: Sequence[float] = (0.1, 0.2)
+    sigmas: Sequence[float] = (0.05, 0.2)
     hit: float = 0.8
     absent: float = 0.1
     margin: float = 0.35
@@ -111,12 +112,11 @@ def rescore(
     )
     crossed = np.isfinite(seen)
     chance = (1 - model.hit) / range_max
-    logs = []
+    density = np.full(distance.shape, chance, dtype=np.float32)
     for sigma in model.sigmas:
-        peak = model.hit / (sigma * np.sqrt(2 * np.pi))
-        fit = np.float32(peak) * np.exp(distance * distance * np.float32(-0.5 / sigma**2))
-        logs.append(np.log(fit + np.float32(chance)).sum(axis=1, dtype=np.float64))
-    log_likelihood = np.logaddexp.reduce(logs, axis=0) - np.log(len(logs))
+        peak = model.hit / (len(model.sigmas) * sigma * np.sqrt(2 * np.pi))
+        density += np.float32(peak) * np.exp(distance * distance * np.float32(-0.5 / sigma**2))
+    log_likelihood = np.log(density).sum(axis=1, dtype=np.float64)
     log_likelihood += crossed.sum(axis=1) * np.log(model.absent)
     on_surface = np.abs(distance) < 2 * max(model.sigmas)
     return Evidence(log_likelihood, on_surface, crossed)

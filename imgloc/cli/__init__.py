@@ -1,0 +1,104 @@
+"""The command line: parses, calls and prints. What it calls is imported when a command runs."""
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from imgloc import __version__
+from imgloc.cli.console import Group, emit
+from imgloc.cli.demo import demo
+from imgloc.cli.localize import localize
+from imgloc.cli.maps import check, show
+from imgloc.cli.options import examples
+from imgloc.cli.simulate import simulate
+
+_OPTIONS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+
+# No rich: help has to appear at once, and examples have to stay as they are typed.
+app = typer.Typer(
+    cls=Group,
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings=_OPTIONS,
+    epilog=examples(
+        "imgloc demo",
+        "imgloc map check office.yaml",
+        "imgloc localize office.yaml scans.npz --picture answer.png",
+        "imgloc simulate office.yaml -n 100 --out scans.npz",
+        "imgloc localize office.yaml scans.npz --json > answers.jsonl",
+    ),
+)
+maps = typer.Typer(no_args_is_help=True, rich_markup_mode=None, context_settings=_OPTIONS)
+
+
+_HELP = """Where am I on this map?
+
+Finds the pose of a 2-D laser scan in a map that is an image, without an initial guess, and says
+whether to trust it.
+
+Exit codes: 0 ok, 1 internal or output, 2 usage, 3 bad map, 4 bad scan, 6 not unique (with
+--strict).
+"""
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        emit(f"imgloc {__version__}")
+        raise typer.Exit
+
+
+@app.callback(help=_HELP)
+def root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Options of the program itself."""
+
+
+app.command(epilog=examples("imgloc demo", "imgloc demo --map corridor --seed 4"))(demo)
+app.command(
+    epilog=examples(
+        "imgloc localize office.yaml scans.npz",
+        "imgloc localize office.yaml scans.npz --index 3 --picture answer.png",
+        "imgloc localize office.png scan.csv --resolution 0.05 --origin -12.5,-8,0",
+        "imgloc localize office.yaml scans.npz --json --strict > answers.jsonl",
+        "imgloc localize office.yaml scans.npz --method ght-v --theta-step-deg 5",
+    )
+)(localize)
+maps.command(epilog=examples("imgloc map check office.yaml", "imgloc map check a.yaml --json"))(
+    check
+)
+maps.command(
+    epilog=examples(
+        "imgloc map show office.yaml --out office-view.png",
+        "imgloc map show office.yaml --what surface --out normals.png",
+        "imgloc map show office.yaml --what visibility --at 3.5,2 --out fan.png",
+    )
+)(show)
+app.add_typer(maps, name="map", help="Look at a map: what is in it, what may be wrong with it.")
+app.command(
+    epilog=examples(
+        "imgloc simulate office.yaml -n 100 --out scans.npz",
+        "imgloc simulate office.yaml -n 20 --rays 360 --fov-deg 360 --outliers 0.2 --out hard.npz",
+    )
+)(simulate)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Without the program's name; ``sys.argv[1:]`` by default.
+
+    Raises
+    ------
+    SystemExit
+        Always, with the exit code.
+    """
+    app(None if arguments is None else list(arguments), prog_name="imgloc")

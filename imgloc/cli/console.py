@@ -1,0 +1,186 @@
+"""What the commands share: output, progress, and the end of a run that fails.
+
+Standard output carries results only. Everything else, logs, progress, errors, goes to standard
+error.
+"""
+
+import contextlib
+import errno
+import logging
+import os
+import sys
+import traceback
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+from imgloc.errors import ImglocError, OutputError
+
+LOG = logging.getLogger("imgloc")
+NOT_UNIQUE = 6  # exit code under --strict
+INTERRUPTED = 128 + 2  # as a shell reports a process that SIGINT ended
+PIPE_CLOSED = 128 + 13  # and SIGPIPE
+
+
+class _Session:
+    """Switches of one run of the command line."""
+
+    debug = False
+    verbose = False
+
+
+_SESSION = _Session()
+
+
+class Group(TyperGroup):
+    """The commands, with one end for every way in which one can fail."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; turn what it raises into one line and an exit code.
+
+        Raises
+        ------
+        typer.Exit
+            With the exit code.
+        """
+        configure(verbose=False, debug=False)
+        try:
+            result = super().invoke(ctx)
+            _flush()
+        except ImglocError as e:
+            _trace()
+            say(f"error: {one_line(e)}")
+            code = e.exit_code
+        except KeyboardInterrupt:
+            say("interrupted")
+            code = INTERRUPTED
+        except BrokenPipeError:  # `| head` has seen enough
+            _drop_stdout()
+            code = PIPE_CLOSED
+        except (typer.Exit, typer.Abort):
+            raise
+        except MemoryError:
+            _trace()
+            say("error: out of memory; a smaller map, a larger --cell or fewer --threads need less")
+            code = 1
+        except Exception as e:
+            if hasattr(e, "show"):  # a usage error, which Typer prints itself
+                raise
+            _trace()
+            say(f"internal error: {type(e).__name__}: {one_line(e)} (a defect; see --debug)")
+            code = 1
+        else:
+            return result
+        raise typer.Exit(code)
+
+
+def configure(*, verbose: bool, debug: bool) -> None:
+    """Set the switches of this run: logs on standard error, tracebacks."""
+    _SESSION.verbose, _SESSION.debug = verbose, debug
+    handler = logging.StreamHandler()  # of this run's stderr
+    handler.setFormatter(logging.Formatter("imgloc: %(message)s"))
+    LOG.handlers[:] = [handler]
+    LOG.propagate = False
+    LOG.setLevel(logging.INFO if verbose else logging.WARNING)
+
+
+def emit(text: str) -> None:
+    """Write a piece of the result to standard output, at once.
+
+    Raises
+    ------
+    OutputError
+        If standard output cannot take it, for another reason than a closed pipe.
+    """
+    try:
+        print(text)
+        _flush()
+    except OSError as e:
+        if e.errno == errno.EPIPE:
+            raise
+        _drop_stdout()
+        raise OutputError(f"standard output: cannot be written: {e.strerror}") from None
+
+
+def say(message: str) -> None:
+    """Write one line to standard error."""
+    with contextlib.suppress(OSError):
+        print(f"imgloc: {message}", file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def quiet_libraries() -> Iterator[None]:
+    """Keep what C libraries write to standard error from it.
+
+    libpng says a word of its own about a damaged file; imgloc's error says all of it.
+    """
+    if sys.stderr is not None:
+        sys.stderr.flush()
+    with contextlib.ExitStack() as undo:
+        with contextlib.suppress(OSError):  # without a standard error nothing is to be done
+            kept = os.dup(2)
+            undo.callback(os.close, kept)
+            sink = os.open(os.devnull, os.O_WRONLY)
+            undo.callback(os.close, sink)
+            os.dup2(sink, 2)
+            undo.callback(os.dup2, kept, 2)
+        yield
+
+
+def one_line(error: BaseException) -> str:
+    r"""Return the message of an error without line breaks.
+
+    Examples
+    --------
+    >>> one_line(ValueError("two\n  lines"))
+    'two lines'
+    """
+    return " ".join(str(error).split())
+
+
+@contextlib.contextmanager
+def progress(title: str, total: int) -> Iterator[Callable[[], None]]:
+    """Show a progress bar on standard error, if that is a terminal.
+
+    Yields
+    ------
+    callable
+        To be called after each of `total` steps.
+    """
+    # Lines that appear on the same terminal, one for each step, are progress enough.
+    crowded = total > 1 and sys.stdout is not None and sys.stdout.isatty()
+    terminal = sys.stderr is not None and sys.stderr.isatty()
+    if not terminal or crowded or _SESSION.verbose:
+        yield lambda: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import TimeRemainingColumn as Remaining
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Remaining())
+    # Without the redirection: results go to stdout, where they belong.
+    with Progress(
+        *columns, console=Console(stderr=True), transient=True, redirect_stdout=False
+    ) as bar:
+        task = bar.add_task(title, total=total if total > 1 else None)
+        yield lambda: bar.advance(task)
+
+
+def _trace() -> None:
+    if _SESSION.debug:
+        traceback.print_exc()
+
+
+def _flush() -> None:
+    if sys.stdout is not None:
+        sys.stdout.flush()
+
+
+def _drop_stdout() -> None:
+    """Let what is still in the buffer go nowhere: Python flushes it once more at its end."""
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        sink = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(sink, sys.stdout.fileno())
+        os.close(sink)

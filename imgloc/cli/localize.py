@@ -1,0 +1,179 @@
+"""`imgloc localize`: the poses of scans in a map."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, quiet_libraries
+from imgloc.cli.options import (
+    AllowLossy,
+    AsJson,
+    EngineName,
+    Force,
+    MapPath,
+    MethodName,
+    Reading,
+    ScansPath,
+    Threads,
+    check_range,
+    check_target,
+    console,
+    count_threads,
+    reading,
+    with_options,
+)
+from imgloc.errors import ConfigError
+
+if TYPE_CHECKING:
+    from imgloc.io.scans import ScanSet
+    from imgloc.model import LaserScan, Pose2D
+    from imgloc.pipeline import Options
+
+
+@with_options(reading, console)
+def localize(
+    map_path: MapPath,
+    scans_path: ScansPath,
+    reading: Reading,
+    method: Annotated[
+        MethodName,
+        typer.Option(help="How: fused searches and re-scores, the others are the paper's stacks."),
+    ] = MethodName.FUSED,
+    top: Annotated[int, typer.Option(min=1, metavar="N", help="Hypotheses listed for a scan.")] = 5,
+    as_json: AsJson = False,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PNG",
+            help="Draw the scan at each hypothesis; several scans: NAME-0003.png and so on.",
+        ),
+    ] = None,
+    index: Annotated[
+        int | None, typer.Option("--index", min=0, metavar="I", help="Only scan I, counted from 0.")
+    ] = None,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit with 6 unless every scan is unique.")
+    ] = False,
+    range_max: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Cut readings at M metres: there, no return."),
+    ] = None,
+    theta_step_deg: Annotated[
+        float | None,
+        typer.Option(metavar="DEG", help="Step of the headings. [default: the method's own]"),
+    ] = None,
+    cell: Annotated[float, typer.Option(metavar="M", help="Cell of the poses, metres.")] = 0.1,
+    engine: Annotated[
+        EngineName, typer.Option(help="Of the correlations of cbml and cbml-o.")
+    ] = EngineName.AUTO,
+    threads: Threads = None,
+    force: Force = False,
+    allow_lossy: AllowLossy = False,
+) -> None:
+    """Find the pose of each scan in a map, without an initial guess.
+
+    Verdicts: unique (one pose holds nearly all of the mass), ambiguous (several fit), no-match (the
+    best pose does not explain the scan), invalid (too few readings). Poses are those of the sensor,
+    in the map frame. Look at the mass of the second hypothesis before trusting the first.
+    """
+    check_range("--range-max", range_max, 1e-3, 1e6, "metres")
+    check_range("--theta-step-deg", theta_step_deg, 0.05, 180, "degrees")
+    check_range("--cell", cell, 0.001, 10, "metres")
+    if engine != EngineName.AUTO and method not in (MethodName.CBML, MethodName.CBML_O):
+        raise ConfigError(f"--engine: {method.value} does not correlate; use cbml or cbml-o")
+    if picture is not None:
+        check_target(picture, ".png", force=force)
+
+    import cv2
+
+    from imgloc.cli import answers
+    from imgloc.cli.pictures import picture_name, write_hypotheses
+    from imgloc.io.files import display
+    from imgloc.io.maps import load_map
+    from imgloc.io.scans import load_scans
+    from imgloc.pipeline import localize as locate
+    from imgloc.pipeline import prepare
+
+    workers = count_threads(threads)
+    cv2.setNumThreads(workers)
+    options = _options(method, top, theta_step_deg, engine, workers)
+    with quiet_libraries():
+        grid = load_map(map_path, **reading, allow_lossy=allow_lossy)
+    features = prepare(grid, display(map_path), cell=cell, threads=workers)
+    scans = load_scans(scans_path)
+    chosen = _choose(scans, index, display(scans_path))
+    many = len(chosen) > 1
+    targets = {k: picture_name(picture, k, many) for k in chosen} if picture is not None else {}
+    for target in targets.values():
+        check_target(target, ".png", force=force)
+    LOG.info("%s: %d x %d cells of %g m", display(map_path), *grid.info.shape, grid.resolution)
+    LOG.info("%s: %d of %d scans", display(scans_path), len(chosen), len(scans))
+    if many and not as_json:
+        emit(answers.HEADER)
+    doubtful = 0
+    with progress("localize", len(chosen)) as advance:
+        for k in chosen:
+            scan = _cut(scans[k], range_max)
+            answer = locate(features, scan, options)
+            truth = _truth(scans, k)
+            doubtful += answer.verdict != "unique"
+            LOG.info("scan %d: %s, %s", k, answer.verdict, dict(answer.timings_ms))
+            if k in targets:
+                write_hypotheses(targets[k], grid, scan, answer, truth, force=force)
+                LOG.info("wrote %s", display(targets[k]))
+            advance()
+            if as_json:
+                emit(answers.as_json(k, answer, {"range_max": scan.range_max}))
+            elif many:
+                emit(answers.as_line(k, answer))
+            else:
+                emit(answers.as_text(f"scan {k}", answer, truth))
+    if strict and doubtful:
+        raise typer.Exit(NOT_UNIQUE)
+
+
+def _options(
+    method: MethodName, top: int, step_deg: float | None, engine: EngineName, threads: int
+) -> "Options":
+    import numpy as np
+
+    from imgloc.pipeline import Options
+
+    options = Options(method=method.value, top=top, engine=engine.value, threads=threads)
+    if step_deg is None:
+        return options
+    step = float(np.deg2rad(step_deg))
+    if method == MethodName.FUSED:
+        return replace(options, fused=replace(options.fused, theta_step=step))
+    return replace(options, theta_step=step)
+
+
+def _choose(scans: "ScanSet", index: int | None, name: str) -> range:
+    """Indices of the scans asked for."""
+    if index is None:
+        return range(len(scans))
+    if index >= len(scans):
+        raise ConfigError(
+            f"--index: got {index}, expected 0 to {len(scans) - 1}: {name} has {len(scans)} scans"
+        )
+    return range(index, index + 1)
+
+
+def _cut(scan: "LaserScan", range_max: float | None) -> "LaserScan":
+    """Return the scan that a sensor with a shorter reach would have recorded."""
+    if range_max is None or range_max >= scan.range_max:
+        return scan
+    if range_max <= scan.range_min:
+        raise ConfigError(
+            f"--range-max: got {range_max:g}, expected more than range_min, {scan.range_min:g} m"
+        )
+    return replace(scan, range_max=range_max)
+
+
+def _truth(scans: "ScanSet", k: int) -> "Pose2D | None":
+    """Pose recorded with scan `k`, in the map frame."""
+    from imgloc.model import Pose2D
+
+    return None if scans.poses is None else Pose2D(*scans.poses[k])

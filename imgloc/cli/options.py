@@ -1,0 +1,229 @@
+"""Options that several commands have, and the checks of their values."""
+
+import functools
+import inspect
+import math
+import os
+from collections.abc import Callable
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any, TypedDict, TypeVar
+
+import typer
+
+from imgloc.cli.console import configure
+from imgloc.errors import ConfigError, OutputError
+
+F = TypeVar("F", bound=Callable[..., None])
+
+
+class MethodName(StrEnum):
+    """Names of the methods; spelled out, as loading the methods themselves takes a while."""
+
+    FUSED = "fused"
+    CBML = "cbml"
+    CBML_O = "cbml-o"
+    GHT = "ght"
+    GHT_V = "ght-v"
+    BEAM = "beam"
+
+
+class EngineName(StrEnum):
+    """Engines of the correlations."""
+
+    AUTO = "auto"
+    FILTER2D = "filter2d"
+    SHIFT = "shift"
+    DFT = "dft"
+
+
+class ModeName(StrEnum):
+    """How map_server reads greys."""
+
+    TRINARY = "trinary"
+    SCALE = "scale"
+    RAW = "raw"
+
+
+class SemanticsName(StrEnum):
+    """Whose map_server."""
+
+    NAV2 = "nav2"
+    ROS1 = "ros1"
+
+
+class Reading(TypedDict):
+    """Keywords of :func:`imgloc.io.maps.load_map`, but for `allow_lossy`."""
+
+    resolution: float | None
+    origin: tuple[float, float, float] | None
+    mode: str | None
+    semantics: str
+    occupied_thresh: float | None
+    free_thresh: float | None
+    negate: bool | None
+
+
+def numbers(count: int) -> Callable[[str], tuple[float, ...]]:
+    """Return a parser of `count` finite numbers with commas between them.
+
+    Examples
+    --------
+    >>> numbers(3)("1,-2.5,0")
+    (1.0, -2.5, 0.0)
+    """
+
+    def parse(text: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(word) for word in text.split(","))
+        except ValueError:
+            values = ()
+        if len(values) != count or not all(map(math.isfinite, values)):
+            raise typer.BadParameter(f"got {text!r}, expected {count} numbers with commas between")
+        return values
+
+    return parse
+
+
+MapPath = Annotated[
+    Path, typer.Argument(metavar="MAP", help="map_server YAML, or an image with --resolution.")
+]
+ScansPath = Annotated[
+    Path, typer.Argument(metavar="SCANS", help="Scans: .npz, .csv, .jsonl, .ndjson or .json.")
+]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite output files that exist.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable: a JSON object a line.")]
+Threads = Annotated[
+    int | None,
+    typer.Option(
+        min=1, metavar="N", help="Threads; no result depends on it. [default: all processors]"
+    ),
+]
+AllowLossy = Annotated[bool, typer.Option("--allow-lossy", help="Accept a JPEG as the map.")]
+
+
+def reading(
+    resolution: Annotated[float | None, typer.Option(metavar="M", help="Metres per cell.")] = None,
+    origin: Annotated[
+        Any,
+        typer.Option(
+            metavar="X,Y,YAW",
+            parser=numbers(3),
+            help="Pose of the lower-left corner in the map frame: metres, metres, radians.",
+        ),
+    ] = None,
+    mode: Annotated[ModeName | None, typer.Option(help="How greys are read.")] = None,
+    semantics: Annotated[
+        SemanticsName,
+        typer.Option(help="Whose thresholds and transparency."),
+    ] = SemanticsName.NAV2,
+    occupied_thresh: Annotated[
+        float | None,
+        typer.Option(metavar="P", help="Occupied from here on, 0..1."),
+    ] = None,
+    free_thresh: Annotated[
+        float | None,
+        typer.Option(metavar="P", help="Free up to here, 0..1."),
+    ] = None,
+    negate: Annotated[
+        bool | None,
+        typer.Option("--negate/--no-negate", help="White is a wall."),
+    ] = None,
+) -> Reading:
+    """Options that say how a map is read; they override its YAML."""
+    return Reading(
+        resolution=resolution,
+        origin=origin,
+        mode=None if mode is None else mode.value,
+        semantics=semantics.value,
+        occupied_thresh=occupied_thresh,
+        free_thresh=free_thresh,
+        negate=negate,
+    )
+
+
+def console(
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say what is done.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
+) -> None:
+    """Options about what is said on standard error."""
+    configure(verbose=verbose, debug=debug)
+
+
+def with_options(*groups: Callable[..., Any]) -> Callable[[F], Callable[..., None]]:
+    """Give a command the options of other functions.
+
+    Each of `groups` is called with the options that its signature declares; what it returns is
+    passed to the command under the function's name, if the command has such a parameter.
+    """
+
+    def decorate(command: F) -> Callable[..., None]:
+        own = inspect.signature(command).parameters
+        names = [group.__name__ for group in groups]
+        shared = [inspect.signature(group).parameters for group in groups]
+        parameters = [p for p in own.values() if p.name not in names]
+        parameters += [p for part in shared for p in part.values()]
+
+        @functools.wraps(command)
+        def run(**values: Any) -> None:
+            for name, group, part in zip(names, groups, shared, strict=True):
+                made = group(**{key: values.pop(key) for key in part})
+                if name in own:
+                    values[name] = made
+            command(**values)
+
+        signature = inspect.Signature(
+            [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in parameters]
+        )
+        run.__signature__ = signature  # type: ignore[attr-defined]
+        run.__annotations__ = {p.name: p.annotation for p in parameters}
+        return run
+
+    return decorate
+
+
+def examples(*lines: str) -> str:
+    """Format examples for the end of a help text, one a line."""
+    return "\b\nExamples:\n" + "\n".join("  " + line for line in lines)
+
+
+def check_range(option: str, value: float | None, low: float, high: float, unit: str) -> None:
+    """Refuse a value that is not in ``low..high``; None, an option not given, passes.
+
+    Raises
+    ------
+    ConfigError
+        Naming the option.
+    """
+    if value is not None and not low <= value <= high:  # NaN fails both
+        raise ConfigError(f"{option}: got {value:g}, expected {unit}, {low:g} to {high:g}")
+
+
+def check_target(path: Path, ending: str, *, force: bool) -> None:
+    """Refuse an output file before the work that it is to hold.
+
+    Raises
+    ------
+    ConfigError
+        If it is not named `ending`.
+    OutputError
+        If it exists and `force` is not given, or there is no such folder.
+    """
+    from imgloc.io.files import display
+    from imgloc.io.output import refuse_existing
+
+    if path.suffix.lower() != ending:
+        raise ConfigError(f"{display(path)}: expected a name that ends in {ending}")
+    if not path.parent.is_dir():
+        raise OutputError(f"{display(path)}: there is no folder {display(path.parent)}")
+    if not force:
+        refuse_existing(path)
+
+
+def count_threads(wanted: int | None) -> int:
+    """Return `wanted`, or the number of processors that this process may use."""
+    if wanted is not None:
+        return wanted
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

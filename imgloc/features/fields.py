@@ -1,0 +1,126 @@
+"""The blurred maps: `bmap` of CBML and the vector field `vmap` of CBML-O (Fig. 4)."""
+
+import cv2
+import numpy as np
+
+from imgloc.errors import ConfigError
+from imgloc.geometry import cell_of
+from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, OrientedPoints
+
+
+def bmap(xy: FloatArray, shape: tuple[int, int], resolution: float, sigma: float) -> Float32Array:
+    """Blur the surface points of a map into an image: ``map * K`` of eq. 3.
+
+    Parameters
+    ----------
+    xy : (N, 2) float array
+        Surface points in the grid frame, metres; points off the grid are left out.
+    shape : (H, W)
+        Rows and columns of the result.
+    resolution : float
+        Side of a cell, metres.
+    sigma : float
+        Standard deviation of the Gaussian kernel K, metres: the sensor's, or more where the
+        map itself is uncertain. Greater than zero and no greater than the map.
+
+    Returns
+    -------
+    (H, W) float32 array
+        In 0..1 with greatest value 1 (all 0 without points). A cell with several points
+        counts once.
+
+    Raises
+    ------
+    ConfigError
+        If sigma, shape or resolution is out of its range.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> field = bmap(np.array([[0.25, 0.15]]), (3, 5), 0.1, 0.05)
+    >>> (int(field.argmax()), round(float(field[1, 3] / field[1, 2]), 3))
+    (7, 0.135)
+    """
+    image = np.zeros(shape, np.float32)
+    row, col, _ = _cells(xy, shape, resolution)
+    image[row, col] = 1.0
+    image = _blur(image, sigma, resolution)
+    peak = image.max(initial=0.0)
+    return image / peak if peak > 0 else image
+
+
+def vmap(
+    surface: OrientedPoints, shape: tuple[int, int], resolution: float, sigma: float
+) -> Float32Array:
+    """Blur the normals of a map into a vector field: ``map * K`` of eq. 4.
+
+    Parameters
+    ----------
+    surface : OrientedPoints
+        In the grid frame; invalid normals and points off the grid are left out.
+    shape, resolution, sigma
+        As for :func:`bmap`.
+
+    Returns
+    -------
+    (2, H, W) float32 array
+        The x and the y component. The longest vector has length 1 (all 0 without points).
+        The normals in one cell are summed, the sum no longer than 1: opposite walls in one
+        cell cancel.
+
+    Raises
+    ------
+    ConfigError
+        If sigma, shape or resolution is out of its range.
+
+    Examples
+    --------
+    Two walls that face each other generate opposite fields (Fig. 4c):
+
+    >>> import numpy as np
+    >>> walls = OrientedPoints([[0.05, 0.05], [0.45, 0.05]], [0.0, np.pi], [0.1, 0.1], [1, 1])
+    >>> (100 * vmap(walls, (1, 5), 0.1, 0.05)[0]).round().astype(int).tolist()
+    [[100, 14, 0, -14, -100]]
+    """
+    row, col, on_grid = _cells(surface.xy, shape, resolution)
+    use = surface.valid[on_grid]
+    alpha = surface.alpha[on_grid][use]
+    flat = row[use] * shape[1] + col[use]
+    # map(x, y) = sum_j (cos alpha_j, sin alpha_j) delta_pj(x, y), caption of Fig. 4
+    field = np.stack(
+        [
+            np.bincount(flat, weights=part, minlength=shape[0] * shape[1])
+            for part in (np.cos(alpha), np.sin(alpha))
+        ]
+    ).reshape(2, *shape)
+    field = field / np.maximum(np.hypot(field[0], field[1]), 1.0)
+    blurred = np.stack([_blur(part.astype(np.float32), sigma, resolution) for part in field])
+    peak = np.hypot(blurred[0], blurred[1]).max(initial=0.0)
+    return blurred / peak if peak > 0 else blurred
+
+
+def _cells(
+    xy: FloatArray, shape: tuple[int, int], resolution: float
+) -> tuple[IntArray, IntArray, BoolArray]:
+    """Row and column of the points on the grid, and which of the points those are."""
+    if min(shape) < 1:
+        raise ConfigError(f"shape must be (rows, columns), both positive, got {shape}")
+    if not (np.isfinite(resolution) and resolution > 0):
+        raise ConfigError(f"resolution must be positive and finite, got {resolution}")
+    cells = cell_of(np.asarray(xy, np.float64).reshape(-1, 2), resolution)
+    on_grid: BoolArray = np.all((cells >= 0) & (cells < shape), axis=1)
+    return cells[on_grid, 0], cells[on_grid, 1], on_grid
+
+
+def _blur(image: Float32Array, sigma: float, resolution: float) -> Float32Array:
+    """Convolve with a Gaussian of `sigma` metres; beyond the border there is nothing."""
+    # cv2 raises on 0 and NaN and takes minutes for a kernel much wider than the image.
+    widest = max(image.shape) * resolution
+    if not 0 < sigma <= widest:
+        raise ConfigError(
+            f"sigma must be greater than 0 and at most the map's longest side, "
+            f"{widest:g} m, got {sigma}"
+        )
+    deviation = sigma / resolution
+    out = cv2.GaussianBlur(image, (0, 0), deviation, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(out, np.float32)

@@ -1,0 +1,155 @@
+"""The points of a scan with their normals (Fig. 3), by regression over neighbouring rays."""
+
+import numpy as np
+
+from imgloc.geometry import wrap
+from imgloc.model import BoolArray, FloatArray, IntArray, OrientedPoints
+
+# A wall is followed up to this angle between ray and wall (Borges & Aldon 2004, breakpoints).
+_GRAZING = np.deg2rad(10.0)
+_MAX_GAP = np.deg2rad(20.0)  # neighbours further apart than this say nothing about each other
+_MIN_NEIGHBOURS = 3
+
+
+def scan_points(
+    ranges: FloatArray,
+    angles: FloatArray,
+    valid: BoolArray,
+    *,
+    sigma_range: float = 0.02,
+    width: float = 0.25,
+    max_sigma: float = np.pi / 6,
+) -> OrientedPoints:
+    """Return the valid readings as points with normals that face the sensor.
+
+    Parameters
+    ----------
+    ranges, angles : (N,) float arrays
+        Metres and radians in the sensor frame, in any order of angles.
+    valid : (N,) bool array
+        Which readings are distances to something.
+    sigma_range : float
+        Standard deviation of a reading, metres.
+    width : float
+        Half the length of the window of the regression, metres at right angles to the ray; it
+        never has fewer than three points on either side unless the surface ends there.
+    max_sigma : float
+        Normals less certain than this (radians) are marked invalid.
+
+    Returns
+    -------
+    OrientedPoints
+        In the sensor frame, one point per valid reading, in the order of the readings. Points
+        with fewer than three neighbours on their surface have ``valid == False`` and alpha
+        NaN, sigma_alpha inf: they are endpoints still.
+
+    Raises
+    ------
+    ValueError
+        If the arrays differ in length or sigma_range or width is not positive.
+
+    Notes
+    -----
+    The window is broken at depth jumps. Where its points do not lie on one line within the
+    noise (corners, curves), the windows that end at the point are tried, then narrower ones;
+    the first that is straight is taken, else the straightest. sigma_alpha is the standard
+    error of the regression with the larger of the noise expected and the residuals found.
+
+    Examples
+    --------
+    A wall one metre ahead, seen by five rays; its normal points back, to -x:
+
+    >>> import numpy as np
+    >>> angles = np.deg2rad(np.arange(-10, 15, 5.0))
+    >>> points = scan_points(1 / np.cos(angles), angles, np.ones(5, bool))
+    >>> np.cos(points.alpha).round(6).tolist(), points.valid.all()
+    ([-1.0, -1.0, -1.0, -1.0, -1.0], np.True_)
+    """
+    ranges, angles = np.asarray(ranges, np.float64), np.asarray(angles, np.float64)
+    valid = np.asarray(valid, np.bool_)
+    if not (ranges.shape == angles.shape == valid.shape == (len(ranges),)):
+        raise ValueError(
+            f"ranges {ranges.shape}, angles {angles.shape} and valid {valid.shape} "
+            "must be vectors of one length"
+        )
+    if not (sigma_range > 0 and width > 0):
+        raise ValueError(f"sigma_range {sigma_range} and width {width} must be positive")
+
+    rho, phi = ranges[valid], wrap(angles[valid])
+    xy = np.column_stack((rho * np.cos(phi), rho * np.sin(phi)))  # p_i of Fig. 3
+    n = len(rho)
+    if n == 0:
+        return OrientedPoints(xy, rho, rho, np.zeros(0, np.bool_))
+
+    # Three turns of the circle, so that a window may reach across the seam at +-180 deg.
+    order = np.argsort(phi, kind="stable")
+    turn = np.concatenate((phi[order] - 2 * np.pi, phi[order], phi[order] + 2 * np.pi))
+    depth, points = np.tile(rho[order], 3), np.tile(xy[order], (3, 1))
+    first, last = _surfaces(depth, turn, sigma_range)
+    moments = np.zeros((3 * n + 1, 5))
+    x, y = points.T
+    np.cumsum(np.column_stack((x, y, x * x, y * y, x * y)), axis=0, out=moments[1:])
+
+    middle = np.arange(n, 2 * n)
+    first, last, ray = first[middle], last[middle], turn[middle]
+    line, sigma, excess = np.full(n, np.nan), np.full(n, np.inf), np.full(n, np.inf)
+    for reach in (width, width / 2):
+        half = np.minimum(reach / np.maximum(depth[middle], 1e-9), np.pi / 4)
+        low = np.minimum(np.searchsorted(turn, ray - half, "left"), middle - _MIN_NEIGHBOURS)
+        high = np.maximum(np.searchsorted(turn, ray + half, "right") - 1, middle + _MIN_NEIGHBOURS)
+        for a, b in ((low, high), (middle, high), (low, middle)):  # around, after, before
+            a, b = np.maximum(a, first), np.minimum(b, last)
+            fit = _regress(moments, a, b + 1, ray, sigma_range)
+            take = (excess > 3.0) & (fit[2] < excess)
+            for out, value in zip((line, sigma, excess), fit, strict=True):
+                out[take] = value[take]
+
+    normal = line + np.pi / 2
+    away = np.cos(normal - ray) > 0
+    alpha, sigma_alpha = np.empty(n), np.empty(n)
+    alpha[order] = wrap(np.where(away, normal + np.pi, normal))
+    sigma_alpha[order] = sigma
+    return OrientedPoints(xy, alpha, sigma_alpha, sigma_alpha <= max_sigma)
+
+
+def _surfaces(rho: FloatArray, phi: FloatArray, sigma: float) -> tuple[IntArray, IntArray]:
+    """Index of the first and the last ray of the surface that each ray of (N,) met."""
+    gap = np.diff(phi)
+    jump = np.abs(np.diff(rho))
+    near = np.minimum(rho[1:], rho[:-1])
+    broken = (jump > 5 * sigma + near * gap / np.tan(_GRAZING)) | (
+        gap > min(4 * np.median(gap[: len(rho) // 3]), _MAX_GAP)  # of one turn
+    )
+    surface = np.concatenate(([0], np.cumsum(broken)))
+    starts = np.concatenate(([0], np.flatnonzero(broken) + 1, [len(rho)]))
+    return starts[surface], starts[surface + 1] - 1
+
+
+def _regress(
+    moments: FloatArray, low: IntArray, high: IntArray, ray: FloatArray, sigma_range: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Fit lines to the points ``low..high-1``: direction, standard error, excess.
+
+    The excess is by how many standard deviations of chi-square the residuals are larger than
+    the noise explains. Where a window has fewer than three neighbours: NaN, inf, inf.
+    """
+    m = (high - low).astype(np.float64)
+    sums = moments[high] - moments[low]
+    mx, my, xx, yy, xy = (sums / m[:, None]).T
+    xx, yy, xy = xx - mx * mx, yy - my * my, xy - mx * my
+    mean, half = (xx + yy) / 2, (xx - yy) / 2
+    spread = np.hypot(half, xy)
+    line = 0.5 * np.arctan2(2 * xy, 2 * half)
+    residual = np.maximum(mean - spread, 0.0)
+    # The noise is along the ray; what counts is its part across the line.
+    noise = (sigma_range * np.sin(line - ray)) ** 2
+    enough = m > _MIN_NEIGHBOURS
+    with np.errstate(divide="ignore", invalid="ignore"):
+        unbiased = residual * m / (m - 2)
+        sigma = np.sqrt(np.maximum(noise, unbiased) / (m * (mean + spread)))
+        excess = (unbiased / sigma_range**2 - 1) * np.sqrt((m - 2) / 2)
+    return (
+        np.where(enough, line, np.nan),
+        np.where(enough, sigma, np.inf),
+        np.where(enough, excess, np.inf),
+    )

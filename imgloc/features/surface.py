@@ -1,0 +1,197 @@
+"""The surface of a map: points on the boundary between occupied and free, with normals.
+
+A wall's surface is the boundary *between* an occupied and a free cell, not the centre of the
+occupied cell: the iso-contour of the occupancy image. Its two sides are two surfaces with
+opposite normals, however thin the wall, which is what Fig. 4 of the paper depends on.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import skimage.measure
+
+from imgloc.geometry import wrap
+from imgloc.model import BoolArray, FloatArray, IntArray, OrientedPoints
+
+# Half-widths, in points, of the windows of the line fit, widest first: a wide window averages
+# the staircase of a slanted wall away, a narrow one follows a curve.
+_WINDOWS = (8, 5, 3)
+# A digital straight line stays within this rms distance (cells) of the line it draws: the
+# staircase gives 1/sqrt(12). A window with more has a corner or a curve in it.
+_STRAIGHT = 0.29
+# The narrowest window around a right angle has about 0.6, around a circle of 4 cells 0.4.
+_CORNER = 0.45
+# Free space begins at most this far (cells) in front of a surface: maps made by counting hits
+# have single unknown cells between a wall and the room.
+_REACH = 1.5
+
+
+def surface_points(
+    occupied: BoolArray, free: BoolArray, resolution: float, *, max_sigma: float = np.pi / 4
+) -> OrientedPoints:
+    """Sample the boundary between occupied and free space, with directed normals.
+
+    Parameters
+    ----------
+    occupied, free : (H, W) bool arrays
+        Row 0 is the lowest y. A cell that is neither is unknown; there is no surface between
+        a wall and unknown space, nor between a wall and the edge of the map.
+    resolution : float
+        Side of a cell, metres.
+    max_sigma : float
+        Normals less certain than this (radians) are marked invalid.
+
+    Returns
+    -------
+    OrientedPoints
+        In the grid frame, one point per cell length of boundary, contour after contour.
+        `alpha` points from the wall into free space. Without any wall: no points.
+
+    Raises
+    ------
+    ValueError
+        If the images are not two of one shape or the resolution is not positive.
+
+    Notes
+    -----
+    The contours of :func:`skimage.measure.find_contours` are resampled to one point per cell;
+    each point gets the line fitted to the widest window around it that is still a digital
+    straight line. Where none is (corners), the windows that end at the point are tried too,
+    so that a corner keeps the two normals of its walls instead of their mean (the filter of
+    Kuwahara, on a curve). The point is moved onto its line, which takes the staircase off.
+
+    Examples
+    --------
+    A wall one cell thick has two surfaces, half a cell to either side of its centre line:
+
+    >>> import numpy as np
+    >>> wall = np.zeros((5, 40), bool)
+    >>> wall[2] = True
+    >>> points = surface_points(wall, ~wall, 0.1)
+    >>> up = points.alpha > 0
+    >>> [round(float(np.median(points.xy[side, 1])), 3) for side in (up, ~up)]
+    [0.3, 0.2]
+    """
+    occupied, free = np.asarray(occupied, np.bool_), np.asarray(free, np.bool_)
+    if occupied.ndim != 2 or occupied.shape != free.shape:
+        raise ValueError(f"occupied {occupied.shape} and free {free.shape} must be one shape")
+    if not (np.isfinite(resolution) and resolution > 0):
+        raise ValueError(f"resolution must be positive, got {resolution}")
+
+    points, start, length = _contours(occupied)
+    if len(points) == 0:
+        empty = np.zeros(0)
+        return OrientedPoints(np.zeros((0, 2)), empty, empty, np.zeros(0, np.bool_))
+    points, alpha, sigma = _fit(points, start, length)
+
+    normal = np.column_stack((np.cos(alpha), np.sin(alpha)))
+    faces_free = _sample(free, points + 0.5 * normal) | _sample(free, points + _REACH * normal)
+    valid = sigma <= max_sigma
+    alpha = np.where(np.isfinite(sigma), alpha, np.nan)
+    return OrientedPoints(points * resolution, alpha, sigma, valid).select(faces_free)
+
+
+def _contours(occupied: BoolArray) -> tuple[FloatArray, IntArray, IntArray]:
+    """Return the boundary points (N, 2) as (x, y) in cells, one per cell of arc length.
+
+    The second and third arrays (N,) hold, for each point, the index of the first point of
+    its contour and the number of points in it. Contours are closed and keep the wall on
+    their right.
+    """
+    # The border makes every contour closed. Walls one pixel wide that run diagonally hold
+    # together ("high"): a ray does not pass between two cells that touch at a corner.
+    image = np.pad(occupied, 1).astype(np.float32)
+    find: Callable[..., list[FloatArray]] = skimage.measure.find_contours
+    contours = find(image, 0.5, fully_connected="high", positive_orientation="high")
+    if not contours:
+        none = np.zeros(0, np.int64)
+        return np.zeros((0, 2)), none, none
+    vertices = np.concatenate(contours)[:, ::-1] - 0.5  # centre of pixel 1 -> coordinate 0.5
+
+    # One arc length over all contours, so that one interpolation resamples them all.
+    size = np.array([len(contour) for contour in contours])
+    first = np.cumsum(size) - size
+    step = np.hypot(*np.diff(vertices, axis=0, prepend=vertices[:1]).T)
+    step[first] = 1.0  # apart from the contour before it
+    arc = np.cumsum(step)
+    perimeter = arc[first + size - 1] - arc[first]
+    count = np.maximum(np.round(perimeter).astype(np.int64), 4)
+    start = np.repeat(np.cumsum(count) - count, count)
+    rank = np.arange(count.sum()) - start
+    at = np.repeat(arc[first], count) + rank * np.repeat(perimeter / count, count)
+    xy = np.column_stack([np.interp(at, arc, vertices[:, axis]) for axis in (0, 1)])
+    return xy, start, np.repeat(count, count)
+
+
+def _fit(
+    points: FloatArray, start: IntArray, length: IntArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Fit a line at each point; return the points on their lines, normals and deviations."""
+    n = len(points)
+    index = np.arange(n)
+
+    def neighbour(k: int) -> IntArray:
+        return np.asarray(start + (index - start + k) % length)
+
+    # Moments of the window (relative to its centre, in cells), widened step by step.
+    mean, square, cross = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n)
+    fits: dict[int, tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = {}
+    for k in range(1, max(_WINDOWS) + 1):
+        after, before = points[neighbour(k)] - points, points[neighbour(-k)] - points
+        mean += after + before
+        square += after**2 + before**2
+        cross += after[:, 0] * after[:, 1] + before[:, 0] * before[:, 1]
+        if k in (1, 2, *_WINDOWS):
+            m = 2 * k + 1
+            cov = (square - mean**2 / m) / m
+            fits[k] = _principal(cov, cross / m - mean.prod(axis=1) / m**2, after - before, m)
+            fits[k] = (*fits[k][:3], points + mean / m)
+
+    # Each point takes its first choice that is straight: the widest window first, then, at
+    # corners, the straighter of the two windows that end at the point.
+    side = _WINDOWS[-1]
+    ends = np.stack((neighbour(side), neighbour(-side)))
+    end = ends[np.argmin(fits[side][1][ends], axis=0), index]
+    corner = fits[side][1] > _CORNER
+    choices = [(k, index) for k in _WINDOWS] + [(side, np.where(corner, end, index))]
+    chosen = [array.copy() for array in fits[1]]  # specks: the chord of the two neighbours
+    open_ = np.ones(n, np.bool_)
+    for k, at in choices:
+        take = open_ & (fits[k][1][at] <= _STRAIGHT) & (length > 2 * k)
+        for out, fit in zip(chosen, fits[k], strict=True):
+            out[take] = fit[at[take]]
+        open_ &= ~take
+    round_ = open_ & (length > 4)  # tight curves
+    for out, fit in zip(chosen, fits[2], strict=True):
+        out[round_] = fit[round_]
+    angle, _, sigma, centre = chosen
+
+    alpha = angle + np.pi / 2  # the wall is on the right of the contour, free space on its left
+    normal = np.column_stack((np.cos(alpha), np.sin(alpha)))
+    off = ((centre - points) * normal).sum(axis=1).clip(-0.5, 0.5)
+    off[open_] = 0.0  # a curve does not lie on its chord
+    return points + off[:, None] * normal, wrap(alpha), sigma
+
+
+def _principal(
+    var: FloatArray, cov: FloatArray, forward: FloatArray, m: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Direction, rms residual and sigma of the line through `m` points with these moments."""
+    half, mean = (var[:, 0] - var[:, 1]) / 2, (var[:, 0] + var[:, 1]) / 2
+    spread = np.hypot(half, cov)
+    angle = 0.5 * np.arctan2(2 * cov, 2 * half)
+    backward = forward[:, 0] * np.cos(angle) + forward[:, 1] * np.sin(angle) < 0
+    residual = np.maximum(mean - spread, 0.0)
+    # Regression: sigma² = residual variance / sum of squares, and no less than what the
+    # staircase of the cells allows (1/12 of a cell²).
+    with np.errstate(divide="ignore"):
+        sigma = np.sqrt((residual + 1 / 12) / (m * (mean + spread)))
+    return np.where(backward, angle + np.pi, angle), np.sqrt(residual), sigma, forward
+
+
+def _sample(image: BoolArray, xy: FloatArray) -> BoolArray:
+    """Cells of `image` at points (N, 2) given in cells; off the image is False."""
+    col, row = np.floor(xy).astype(np.int64).T + 1
+    height, width = image.shape
+    padded = np.pad(image, 1)
+    return np.asarray(padded[row.clip(0, height + 1), col.clip(0, width + 1)])

@@ -1,0 +1,184 @@
+"""The beam model, eq. 2, for every pose of a lattice: the paper's "Table" as image operations."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from imgloc.errors import ConfigError
+from imgloc.geometry import theta_bin, wrap
+from imgloc.model import BoolArray, Float32Array, FloatArray
+
+_CM = 100.0
+_REACH = 127  # steps that the table of log densities reaches in front of the reading
+_BLOCK = 1 << 17  # pixels worked on at a time, so that they stay in the second-level cache
+
+
+def beam(
+    distances: npt.NDArray[np.uint16],
+    ranges: FloatArray,
+    angles: FloatArray,
+    valid: BoolArray,
+    no_return: BoolArray,
+    thetas: FloatArray,
+    *,
+    sigma: float = 0.1,
+    sigma_theta: float = 0.0,
+    hit: float = 0.8,
+    short: float = 0.1,
+    span: float = 10.0,
+    lost: float = 1.0,
+    range_max: float = np.inf,
+    threads: int = 1,
+) -> Float32Array:
+    """Log-likelihood of a scan for the poses at all cell centres and headings.
+
+    Parameters
+    ----------
+    distances : (n_psi, H, W) uint16 array
+        From :func:`imgloc.features.raydistance.ray_distances`; n_psi is a multiple of K.
+    ranges, angles : (N,) float arrays
+        Readings, metres and radians in the sensor frame. Those neither valid nor no_return
+        are no evidence.
+    valid, no_return : (N,) bool arrays
+        As :class:`imgloc.model.LaserScan` derives them.
+    thetas : (K,) float array
+        Headings, uniform over the circle and starting at 0.
+    sigma : float
+        Standard deviation of a hit, metres: the sensor's, with half a cell or so for the
+        cell, which holds poses beside its centre and walls beside theirs.
+    sigma_theta : float
+        Radians. A hit's deviation at range rho is hypot(sigma, rho sigma_theta): what the
+        steps of theta and psi move a distant reading along its wall.
+    hit, short : float
+        Shares of the mixture: readings of the mapped wall, and readings of something in
+        front of it that is not on the map. The rest, 1 - hit - short > 0, is spread evenly
+        and is all that a reading from *behind* a mapped wall can be.
+    span : float
+        Metres over which the shares other than `hit` are spread.
+    lost : float
+        Probability of no return although a wall is within `range_max`. The default 1 leaves
+        missing readings neutral: real sensors lose readings on dark and slanted surfaces.
+    range_max : float
+        Of the sensor, metres; needed when lost < 1.
+    threads : int
+        Headings computed at a time; the result does not depend on it.
+
+    Returns
+    -------
+    (K, H, W) float32 array
+        Nats, up to a constant of the scan. 0 everywhere for a scan without evidence.
+
+    Raises
+    ------
+    ConfigError
+        If an array has a wrong shape or a parameter is out of its range.
+
+    Notes
+    -----
+    The robust form of eq. 2, ``sum_i log p(rho_i | r_m(x, y, theta + phi_i))`` with::
+
+        p(rho | r) = hit N(rho - r; sigma^2) + (short [rho < r] + 1 - hit - short) / span
+
+    For one heading and one beam: subtract the reading from the image of distances, look the
+    log-density up, add. psi is theta + phi rounded to the nearest direction of the stack.
+
+    Examples
+    --------
+    Two walls, 0.4 m apart; a reading of 0.25 m forward fits best in one cell:
+
+    >>> import numpy as np
+    >>> from imgloc.features.raydistance import ray_distances
+    >>> d = ray_distances(np.array([[1, 0, 0, 0, 0, 1]], bool), 0.1, 4, 5.0)
+    >>> one = np.array([True])
+    >>> L = beam(d, np.array([0.25]), np.zeros(1), one, ~one, np.array([0, np.pi]), sigma=0.05)
+    >>> L.argmax(axis=2)[:, 0].tolist()
+    [2, 3]
+    """
+    distances = np.asarray(distances)
+    n_psi, k = _check_stack(distances, thetas)
+    rho, phi = np.asarray(ranges, np.float64), np.asarray(angles, np.float64)
+    if not (rho.ndim == 1 and rho.shape == phi.shape == np.shape(valid) == np.shape(no_return)):
+        raise ConfigError(
+            f"ranges {rho.shape}, angles {phi.shape}, valid {np.shape(valid)} and no_return "
+            f"{np.shape(no_return)} must be vectors of one length"
+        )
+    if not (sigma > 0 and sigma_theta >= 0 and span > 0):
+        raise ConfigError(
+            f"sigma {sigma} and span {span} must be positive, "
+            f"sigma_theta {sigma_theta} not negative"
+        )
+    if not (hit >= 0 and short >= 0 and hit + short < 1):
+        raise ConfigError(f"hit {hit} and short {short} must be shares with a sum below 1")
+    if not 0 < lost <= 1 or (lost < 1 and not np.isfinite(range_max)):
+        raise ConfigError(
+            f"lost {lost} must be in (0, 1], with a finite range_max (got {range_max}) below 1"
+        )
+
+    floors = (1 - hit - short) / span, (1 - hit) / span
+    beams = [
+        (
+            int(theta_bin(a, n_psi)),
+            *_hit_table(r, float(np.hypot(sigma, r * sigma_theta)), hit, floors),
+        )
+        for r, a in zip(rho[valid], phi[valid], strict=True)
+    ]
+    if lost < 1:
+        start = max(0, round(range_max * _CM) - _REACH)
+        beyond = start + np.arange(256) >= round(range_max * _CM)
+        table = np.where(beyond, 0.0, np.log(lost)).astype(np.float32)
+        beams += [(int(theta_bin(a, n_psi)), start, 1.0, table) for a in phi[no_return]]
+
+    out = np.zeros((k, *distances.shape[1:]), np.float32)
+    rows = max(1, _BLOCK // max(1, distances.shape[2]))
+
+    def heading(index: int) -> None:
+        for top in range(0, distances.shape[1], rows):
+            total = out[index, top : top + rows]
+            ahead = np.empty(total.shape, np.uint16)
+            entry, value = np.empty(total.shape, np.uint8), np.empty(total.shape, np.float32)
+            for psi, start, step, table in beams:
+                r_m = distances[(psi + index * (n_psi // k)) % n_psi, top : top + rows]
+                # r_m - start in steps, cut to what the table holds. No cv2.subtract: it takes
+                # a scalar for an image of four rows.
+                np.maximum(r_m, np.uint16(start), out=ahead)
+                np.subtract(ahead, np.uint16(start), out=ahead)
+                cv2.convertScaleAbs(ahead, dst=entry, alpha=1 / step)  # saturates at 255
+                cv2.LUT(entry, table, dst=value)
+                cv2.add(total, value, dst=total)  # eq. 2, its logarithm
+
+    with ThreadPoolExecutor(max(1, threads)) as pool:
+        list(pool.map(heading, range(k)))
+    return out
+
+
+def _hit_table(
+    rho: float, sigma: float, hit: float, floors: tuple[float, float]
+) -> tuple[int, float, Float32Array]:
+    """Log density of a reading `rho` over the expected distance: first entry, step, table.
+
+    Entry j is for an expected distance of ``start + j * step`` centimetres; the first and the
+    last serve for all that are nearer and farther.
+    """
+    step = max(1.0, 8 * sigma * _CM / _REACH)  # so that the table reaches 8 sigma
+    start = int(np.clip(round(rho * _CM - _REACH * step), 0, np.iinfo(np.uint16).max))
+    error = rho - (start + step * np.arange(256)) / _CM
+    normal = np.exp(-0.5 * (error / sigma) ** 2) / (np.sqrt(2 * np.pi) * sigma)
+    density = hit * normal + np.where(error < 0, floors[1], floors[0])
+    return start, step, np.log(density).astype(np.float32)
+
+
+def _check_stack(distances: npt.NDArray[np.uint16], thetas: FloatArray) -> tuple[int, int]:
+    """Return the number of directions and of headings, or say why they do not go together."""
+    if distances.ndim != 3 or distances.dtype != np.uint16:
+        raise ConfigError(
+            f"distances must be a (n_psi, H, W) uint16 stack, got {distances.shape} "
+            f"{distances.dtype}"
+        )
+    n_psi, k = len(distances), len(thetas)
+    if k < 1 or n_psi % k:
+        raise ConfigError(f"n_psi = {n_psi} must be a multiple of the number of headings, {k}")
+    if not np.allclose(wrap(thetas - np.arange(k) * (2 * np.pi / k)), 0, atol=1e-9):
+        raise ConfigError("thetas must be 2 pi k / K for k = 0 .. K - 1")
+    return n_psi, k

@@ -1,0 +1,199 @@
+"""Correlate a scan, turned to every heading, with an image: the core of CBML and CBML-O.
+
+Three engines compute the same stack. ``filter2d`` draws the scan as a kernel and is the one to
+read; ``shift`` adds shifted views, Alg. 2 as printed; ``dft`` multiplies spectra. Which one is
+fastest depends on the reach in cells and on the number of readings, so ``auto`` estimates.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from imgloc.errors import ConfigError
+from imgloc.likelihood.kernels import filter2d_stack
+from imgloc.likelihood.shift import Tile, merge_repeats, multiples, shift_stack, tiles_of
+from imgloc.likelihood.slices import (
+    cell_offsets,
+    check_arguments,
+    check_where,
+    finite_points,
+    output_stack,
+    window_of,
+)
+from imgloc.likelihood.spectral import spectral_stack
+from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
+
+ENGINES = ("filter2d", "shift", "dft")
+
+# Measured on one core of a server CPU. Only their ratios matter, and only to `auto`.
+SHIFT_SECONDS_PER_BYTE = 3.2e-11
+SHIFT_SECONDS_PER_CALL = 1.6e-6
+DFT_SECONDS_PER_STEP = 1.5e-10
+
+
+def correlate(
+    image: npt.NDArray[np.uint8] | Float32Array,
+    xy: FloatArray,
+    thetas: FloatArray,
+    resolution: float,
+    *,
+    engine: str = "auto",
+    threads: int = 1,
+    where: BoolArray | None = None,
+    out: Float32Array | None = None,
+) -> Float32Array:
+    """Sum the image under every point of a scan, for every pose (Alg. 1 and 2).
+
+    ``L[k, r, c] = sum_i image[cell of p_i ⊕ (x, y, theta_k)]`` with (x, y) the centre of cell
+    ``[r, c]``. A point that falls off the image adds nothing.
+
+    Parameters
+    ----------
+    image : (H, W) uint8 or float32 array
+        Row 0 is the lowest y. Integers are summed exactly by every engine, so that the result
+        does not depend on the engine; floats agree up to rounding.
+    xy : (N, 2) float array
+        Scan points, sensor frame, metres. Points that are not finite are left out.
+    thetas : (K,) float array
+        Headings, radians.
+    resolution : float
+        Side of a cell, metres.
+    engine : {"auto", "filter2d", "shift", "dft"}
+        How to compute it.
+    threads : int
+        Number of threads, over headings. The result does not depend on it.
+    where : (H, W) bool array, optional
+        Poses that are wanted; the others come out 0. Tiles without any are skipped.
+    out : (K, H, W) float32 array, optional
+        Stack to overwrite and return, instead of a new one.
+
+    Returns
+    -------
+    (K, H, W) float32 array
+
+    Raises
+    ------
+    ConfigError
+        If `engine`, `threads` or `resolution` is out of its range.
+    ValueError
+        If an array has a wrong shape or type.
+
+    Examples
+    --------
+    One wall cell, seen one cell ahead: the pose is one cell behind it.
+
+    >>> image = np.zeros((3, 3), dtype=np.uint8)
+    >>> image[1, 1] = 255
+    >>> stack = correlate(image, np.array([[1.0, 0.0]]), np.array([0.0, np.pi / 2]), 1.0)
+    >>> [tuple(map(int, pose)) for pose in np.argwhere(stack)]
+    [(0, 1, 0), (1, 0, 1)]
+    """
+    if image.ndim != 2 or image.dtype not in (np.uint8, np.float32):
+        raise ValueError(
+            f"image must be (H, W) uint8 or float32, got {image.dtype} of shape {image.shape}"
+        )
+    check_arguments(resolution, threads)
+    shape = (int(image.shape[0]), int(image.shape[1]))
+    check_where(where, shape)
+    points, headings = finite_points(xy), np.asarray(thetas, dtype=np.float64)
+    out = output_stack(out, (len(headings), *shape))
+    window = window_of(where, image != 0)
+    view, image = out[:, *window], image[window]
+    if view.shape != out.shape:
+        out.fill(0)
+    if view.size == 0:
+        return out
+    offsets = cell_offsets(points, headings, resolution)
+    weights = np.broadcast_to(np.float32(1), (len(headings), 1, len(points)))
+    integers = image.dtype == np.uint8
+    wanted = None if where is None else where[window]
+    tiles = tiles_of(view.shape[1:], wanted)
+    engine = choose_engine(engine, offsets, view.shape[1:], tiles, itemsize=2 if integers else 4)
+    if engine == "shift":
+        _correlate_by_shift(image, offsets, tiles, threads, view)
+    elif engine == "dft":
+        spectral_stack(image[None], offsets, weights, threads, view, half_turn=1, exact=integers)
+    else:
+        filter2d_stack(image[None], offsets, weights, threads, view, exact=integers)
+    if wanted is not None:
+        np.multiply(view, wanted, out=view)
+    return out
+
+
+def _correlate_by_shift(
+    image: npt.NDArray[np.uint8] | Float32Array,
+    offsets: IntArray,
+    tiles: Sequence[Tile],
+    threads: int,
+    out: Float32Array,
+) -> None:
+    """Alg. 2 on one image, each distinct offset once."""
+    if image.dtype == np.uint8:
+        images = multiples(image)
+        limit = np.iinfo(np.uint16).max // max(1, int(image.max()))
+        shift_stack(images, lambda k: merge_repeats(offsets[k]), limit, tiles, threads, out)
+    else:
+        once = np.zeros(offsets.shape[1], dtype=np.int64)
+        shift_stack(
+            [np.ascontiguousarray(image, dtype=np.float32)],
+            lambda k: (offsets[k], once, once),
+            np.iinfo(np.int32).max,
+            tiles,
+            threads,
+            out,
+        )
+
+
+def choose_engine(
+    engine: str,
+    offsets: IntArray,
+    shape: tuple[int, int],
+    tiles: Sequence[Tile],
+    *,
+    itemsize: int = 2,
+    components: int = 1,
+) -> str:
+    """Return `engine`, or for ``"auto"`` the one of ``shift`` and ``dft`` with the lower cost.
+
+    ``filter2d`` is never chosen: OpenCV runs it as a DFT too, of the scan anew for each tile.
+
+    Parameters
+    ----------
+    engine : str
+        One of :data:`ENGINES` or ``"auto"``.
+    offsets : (K, N, 2) int array
+        Of :func:`~imgloc.likelihood.slices.cell_offsets`.
+    shape : (int, int)
+        Rows and columns.
+    tiles : sequence of Tile
+        Where the shift engine would compute.
+    itemsize : int
+        Bytes of a cell of the shift engine's sums.
+    components : int
+        Correlations to add up: 1 for a scalar image, 2 for a vector field (``dft`` only).
+
+    Raises
+    ------
+    ConfigError
+        If there is no such engine.
+    """
+    if engine in ENGINES:
+        return engine
+    if engine != "auto":
+        raise ConfigError(f"engine must be one of auto, {', '.join(ENGINES)}, got {engine!r}")
+    height, width = shape
+    sample = np.abs(offsets[:: max(1, len(offsets) // 8)])
+    overlap = np.maximum(0, height - sample[..., 0]) * np.maximum(0, width - sample[..., 1])
+    readings = float((overlap > 0).sum(axis=1).mean())
+    if components == 1:  # repeated offsets are added once
+        readings = float(np.mean([len(np.unique(o, axis=0)) for o in sample]))
+    share = sum((t.r1 - t.r0) * (t.c1 - t.c0) for t in tiles) / (height * width)
+    cells = readings * share * float(overlap.mean()) if overlap.size else 0.0
+    shift = cells * itemsize * SHIFT_SECONDS_PER_BYTE
+    shift += readings * len(tiles) * SHIFT_SECONDS_PER_CALL
+    rows, columns = np.minimum(sample.max(axis=(0, 1), initial=0), shape)
+    plane = float((height + rows) * (width + columns))
+    # One transform back, half a transform forth (two headings share it) and a product.
+    dft = DFT_SECONDS_PER_STEP * plane * np.log2(plane + 1) * (1.0 + 1.1 * components)
+    return "shift" if shift < dft else "dft"

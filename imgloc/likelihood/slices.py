@@ -1,0 +1,156 @@
+"""What every engine shares: offsets in cells, the stack to fill, threads over its slices."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from imgloc.errors import ConfigError
+from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
+
+Unit = TypeVar("Unit")
+
+# Beyond this a shift misses every map; the bound keeps the cast to integers defined.
+FAR = 2.0**30
+
+
+def cell_offsets(xy: FloatArray, thetas: FloatArray, resolution: float) -> IntArray:
+    """How many cells away from a pose each scan point falls, for each heading.
+
+    A pose sits at the centre of its cell, so the cell that holds ``p ⊕ (x, y, theta)`` (Alg. 1,
+    l. 5) is the pose's own cell plus ``floor(R_theta p / resolution + 0.5)``: the same for
+    every cell, which is what turns Alg. 1 into Alg. 2.
+
+    Parameters
+    ----------
+    xy : (N, 2) float array
+        Scan points, sensor frame, metres, finite.
+    thetas : (K,) float array
+        Headings, radians.
+    resolution : float
+        Side of a cell, metres.
+
+    Returns
+    -------
+    (K, N, 2) int array
+        Offsets as (rows, columns).
+
+    Examples
+    --------
+    >>> cell_offsets(np.array([[0.24, 0.0]]), np.array([0.0, np.pi / 2]), 0.1).tolist()
+    [[[0, 2]], [[2, 0]]]
+    """
+    c, s = np.cos(thetas)[:, None] / resolution, np.sin(thetas)[:, None] / resolution
+    x, y = np.asarray(xy, dtype=np.float64).T
+    d = np.stack((s * x + c * y, c * x - s * y), axis=-1)
+    return np.asarray(np.floor(np.clip(d, -FAR, FAR) + 0.5), dtype=np.int64)
+
+
+def check_arguments(resolution: float, threads: int) -> None:
+    """Refuse a resolution or a number of threads that cannot be meant.
+
+    Raises
+    ------
+    ConfigError
+        If `resolution` is not positive and finite or `threads` is less than 1.
+    """
+    if not (np.isfinite(resolution) and resolution > 0):
+        raise ConfigError(f"resolution must be a positive number of metres, got {resolution}")
+    if threads < 1:
+        raise ConfigError(f"threads must be at least 1, got {threads}")
+
+
+def check_where(where: BoolArray | None, shape: tuple[int, int]) -> None:
+    """Refuse a mask of poses that does not fit the image.
+
+    Raises
+    ------
+    ValueError
+        If `where` is not a bool array of `shape`.
+    """
+    if where is not None and (where.shape != shape or where.dtype != np.bool_):
+        raise ValueError(f"where must be bool {shape}, got {where.dtype} {where.shape}")
+
+
+def window_of(where: BoolArray | None, marked: BoolArray) -> tuple[slice, slice]:
+    """Rows and columns that matter: poses that are wanted and cells that are `marked`.
+
+    Maps often carry a wide unknown border, which need not be computed.
+
+    Examples
+    --------
+    >>> where = np.zeros((4, 5), dtype=bool)
+    >>> where[1, 1:3] = True
+    >>> window_of(where, np.zeros((4, 5), dtype=bool))
+    (slice(1, 2, None), slice(1, 3, None))
+    """
+    if where is None:
+        return slice(0, marked.shape[0]), slice(0, marked.shape[1])
+    used = where | marked
+    r, c = np.flatnonzero(used.any(axis=1)), np.flatnonzero(used.any(axis=0))
+    if not r.size:
+        return slice(0, 0), slice(0, 0)
+    return slice(int(r[0]), int(r[-1]) + 1), slice(int(c[0]), int(c[-1]) + 1)
+
+
+def output_stack(out: Float32Array | None, shape: tuple[int, int, int]) -> Float32Array:
+    """Return `out` after checking it, or a new uninitialised stack.
+
+    Reusing a stack saves the page faults of a new one, which for tens of megabytes cost about
+    as much as the cheap engines.
+
+    Raises
+    ------
+    ValueError
+        If `out` is not a writable float32 array of `shape` with contiguous rows.
+    """
+    if out is None:
+        return np.empty(shape, dtype=np.float32)
+    if out.shape != shape or out.dtype != np.float32 or not out.flags.c_contiguous:
+        raise ValueError(
+            f"out must be a C-contiguous float32 array of shape {shape}, "
+            f"got {out.dtype} of shape {out.shape}"
+        )
+    if not out.flags.writeable:
+        raise ValueError("out must be writable")
+    return out
+
+
+def over_slices(
+    work: Callable[[Sequence[Unit]], object], units: Sequence[Unit], threads: int
+) -> None:
+    """Call ``work(share)`` for disjoint shares of `units`, one share per thread.
+
+    A share per thread, and not a task per unit, lets `work` allocate its scratch once. Who
+    computes a slice does not change it, so that the result is the same for any `threads`.
+
+    Examples
+    --------
+    >>> done = []
+    >>> over_slices(done.extend, [0, 1, 2], threads=2)
+    >>> sorted(done)
+    [0, 1, 2]
+    """
+    threads = min(threads, len(units))
+    if threads <= 1:
+        work(units)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        for future in [pool.submit(work, units[i::threads]) for i in range(threads)]:
+            future.result()
+
+
+def finite_points(xy: npt.ArrayLike) -> FloatArray:
+    """Return the points (N, 2) that are finite; a lost reading casts no vote.
+
+    Raises
+    ------
+    ValueError
+        If `xy` is not a list of pairs.
+    """
+    points = np.asarray(xy, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1] != 2:
+        raise ValueError(f"points must have shape (N, 2), got {points.shape}")
+    return np.asarray(points[np.isfinite(points).all(axis=1)])

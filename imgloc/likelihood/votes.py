@@ -1,0 +1,171 @@
+"""The arithmetic of the Hough transforms: a block of pairs, and its votes.
+
+Blocks fit the cache. Everything is element by element in double precision, without a matrix
+product, so that a vote does not depend on the block its pair is in.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from imgloc.geometry import theta_bin
+from imgloc.model import Float32Array, FloatArray, IntArray, OrientedPoints
+
+# Pairs of a block: 256 KB of float64 for each of its few buffers.
+BLOCK_PAIRS = 1 << 15
+BLOCK_COLUMNS = 1 << 13
+# Points this many cells off cast no vote; the bound keeps the conversion to integers defined.
+FAR = 2.0**29
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """What the pairs need, in cells and bins: columns for map points, rows for scan points."""
+
+    x: FloatArray  # (M,) p_j, columns of the lattice
+    y: FloatArray
+    c: FloatArray  # (M,) of alpha_j
+    s: FloatArray
+    u: FloatArray  # (M,) alpha_j in bins, plus a half to round and K to stay positive
+    qx: FloatArray  # (N, 1) q_i
+    qy: FloatArray
+    w: FloatArray  # (N, 1) alpha_i in bins
+    psi: IntArray  # (N,) row of `visibility`
+    rho: Float32Array  # (N, 1) metres
+    visibility: Float32Array | None  # (n_psi, M)
+
+
+def _usable(points: OrientedPoints, resolution: float) -> npt.NDArray[np.bool_]:
+    """(N,) bool: points that may vote. NaN is not near."""
+    near = np.all(np.abs(points.xy) < FAR * resolution, axis=1)
+    return np.asarray(points.valid & near & np.isfinite(points.alpha))
+
+
+def _bins(alpha: FloatArray, n: int, offset: float) -> FloatArray:
+    """Angles in units of 2 pi / n plus an offset, wrapped to [0, n)."""
+    bins = (alpha * (n / (2 * np.pi)) + offset) % n
+    return np.where(bins < n, bins, 0.0)  # -1e-20 % n is n
+
+
+def prepare(
+    surface: OrientedPoints,
+    visibility: Float32Array | None,
+    points: OrientedPoints,
+    n_theta: int,
+    resolution: float,
+) -> Pairs:
+    """Drop the points that cannot vote and compute what does not depend on the pair."""
+    kept = _usable(surface, resolution)
+    if visibility is not None and not kept.all():
+        visibility = visibility[:, kept]
+    surface, points = surface.select(kept), points.select(_usable(points, resolution))
+    c, s = np.cos(points.alpha), np.sin(points.alpha)
+    x, y = points.xy.T
+    qx, qy = c * x + s * y, c * y - s * x  # R(-alpha_i) p_i
+    n_psi = 1 if visibility is None else len(visibility)
+    distance = np.hypot(x, y)
+    rho = distance.astype(np.float32)
+    # Rounded down, vis > rho in float32 says the same as in float64.
+    rho = np.where(rho > distance, np.nextafter(rho, np.float32(0)), rho)
+    return Pairs(
+        x=surface.xy[:, 0] / resolution,
+        y=surface.xy[:, 1] / resolution,
+        c=np.cos(surface.alpha),
+        s=np.sin(surface.alpha),
+        u=_bins(surface.alpha, n_theta, 0.5) + n_theta,
+        qx=qx[:, None] / resolution,
+        qy=qy[:, None] / resolution,
+        w=_bins(points.alpha, n_theta, 0.0)[:, None],
+        psi=theta_bin(np.arctan2(-qy, -qx), n_psi),
+        rho=rho[:, None],
+        visibility=visibility,
+    )
+
+
+def block_shape(n: int, m: int) -> tuple[int, int]:
+    """Rows and columns of the blocks that n scan points by m map points are cut into."""
+    columns = min(m, BLOCK_COLUMNS)
+    return min(n, BLOCK_PAIRS // max(1, columns)), columns
+
+
+def blocks_of(n: int, m: int) -> list[tuple[slice, slice]]:
+    """Cut the pairs of n scan points and m map points into blocks that fit the cache.
+
+    Examples
+    --------
+    >>> blocks_of(5, 8192)
+    [(slice(0, 4, None), slice(0, 8192, None)), (slice(4, 5, None), slice(0, 8192, None))]
+    """
+    rows, columns = block_shape(n, m)
+    return [
+        (slice(i, min(i + rows, n)), slice(j, min(j + columns, m)))
+        for i in range(0, n, max(1, rows))
+        for j in range(0, m, max(1, columns))
+    ]
+
+
+class Voter:
+    """The buffers of one thread, and the votes of a block of pairs."""
+
+    def __init__(self, pairs: Pairs, stack: Float32Array) -> None:
+        rows, columns = block_shape(len(pairs.w), len(pairs.x))
+        size = rows * columns
+        self.pairs, self.stack = pairs, stack.reshape(-1)
+        self.n_theta, self.height, self.width = stack.shape
+        self.integer = np.int32 if stack.size < 2**31 else np.int64
+        self.floats = np.empty((3, size))
+        self.integers = np.empty((3, size), dtype=self.integer)
+        self.bools = np.empty((2, size), dtype=np.bool_)
+
+    def cast(self, i: slice, j: slice) -> None:
+        """Cast the votes of the scan points `i` with the map points `j`."""
+        g = self.pairs
+        block = (i.stop - i.start, j.stop - j.start)
+        size = block[0] * block[1]
+        x, y, spare = (a[:size].reshape(block) for a in self.floats)
+        row, column, flat = (a[:size].reshape(block) for a in self.integers)
+        keep, test = (a[:size].reshape(block) for a in self.bools)
+        c, s, qx, qy = g.c[j], g.s[j], g.qx[i], g.qy[i]
+
+        # Alg. 5, l. 4: t = p_j - R(alpha_j) q_i
+        np.multiply(c, qx, out=x)
+        np.multiply(s, qy, out=spare)
+        np.subtract(x, spare, out=x)
+        np.subtract(g.x[j], x, out=x)
+        np.multiply(s, qx, out=y)
+        np.multiply(c, qy, out=spare)
+        np.add(y, spare, out=y)
+        np.subtract(g.y[j], y, out=y)
+
+        # Off the lattice is a miss.
+        np.greater_equal(x, 0, out=keep)
+        for limit, value, compare in (
+            (self.width, x, np.less),
+            (0, y, np.greater_equal),
+            (self.height, y, np.less),
+        ):
+            compare(value, limit, out=test)
+            np.logical_and(keep, test, out=keep)
+        if g.visibility is not None:
+            np.greater(g.visibility[g.psi[i], j], g.rho[i], out=test)  # Alg. 5, l. 5
+            np.logical_and(keep, test, out=keep)
+
+        # Alg. 5, l. 3: theta = alpha_j - alpha_i, in bins 0 .. 2 K - 1, wrapped by taking the
+        # smaller of k and k - K as unsigned numbers.
+        np.subtract(g.u[j], g.w[i], out=spare)
+        np.copyto(flat, spare, casting="unsafe")
+        np.subtract(flat, self.n_theta, out=row)
+        unsigned = np.dtype(f"u{flat.itemsize}")
+        k = flat.view(unsigned)
+        np.minimum(k, row.view(unsigned), out=k)
+
+        np.copyto(row, y, casting="unsafe")  # truncation is floor where it matters, y >= 0
+        np.copyto(column, x, casting="unsafe")
+        np.multiply(flat, self.height, out=flat)
+        np.add(flat, row, out=flat)
+        np.multiply(flat, self.width, out=flat)
+        np.add(flat, column, out=flat)
+        chosen = flat.reshape(-1).take(np.flatnonzero(keep))
+        # Alg. 5, l. 6. Since NumPy 1.25 as fast as bincount, which needs a stack of its own.
+        np.add.at(self.stack, chosen.astype(np.intp), np.float32(1))

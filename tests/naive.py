@@ -1,0 +1,144 @@
+"""The paper's listings as literal loops: slow, obvious, and the oracle of the fast paths.
+
+A. Censi, "A comparison of algorithms for likelihood approximation in Bayesian localization".
+Only what the paper leaves to the reader is added, and marked: which cell a position falls
+in, what lies off the map (nothing: a miss), and which points take part (finite ones; with a
+usable normal where the listing uses the normal).
+
+Frames and axes are those of the fast code: grid frame in metres, stacks (theta, row, column),
+a pose of a stack is the centre of its cell.
+"""
+
+import math
+
+import numpy as np
+
+
+def oplus(p, x, y, theta):
+    """``p ⊕ (x, y, theta)``: a rotation of theta followed by a translation (x, y)."""
+    c, s = math.cos(theta), math.sin(theta)
+    return c * p[0] - s * p[1] + x, s * p[0] + c * p[1] + y
+
+
+def cell(position, resolution):
+    """Row and column of the cell [c, c + 1) x [r, r + 1) that holds a position."""
+    return math.floor(position[1] / resolution), math.floor(position[0] / resolution)
+
+
+def centre(row, col, resolution):
+    return (col + 0.5) * resolution, (row + 0.5) * resolution
+
+
+def value(image, position, resolution):
+    """The image at a position; 0 off the map."""
+    r, c = cell(position, resolution)
+    on_map = 0 <= r < image.shape[0] and 0 <= c < image.shape[1]
+    return float(image[r, c]) if on_map else 0.0
+
+
+def phi(v):
+    """The direction of a vector, ``atan2(v.y, v.x)``."""
+    return math.atan2(v[1], v[0])
+
+
+def angle_bin(angle, n):
+    """The nearest of n directions ``2 pi k / n``."""
+    return math.floor(angle * n / (2 * math.pi) + 0.5) % n
+
+
+def cbml(bmap, points, thetas, resolution):
+    """Algorithm 1."""
+    height, width = bmap.shape
+    L = np.zeros((len(thetas), height, width))
+    for k, theta in enumerate(thetas):  # l. 2
+        for row in range(height):
+            for col in range(width):
+                x, y = centre(row, col, resolution)
+                for p_i in points:  # l. 4
+                    if np.isfinite(p_i).all():
+                        L[k, row, col] += value(bmap, oplus(p_i, x, y, theta), resolution)  # l. 5
+    return L
+
+
+def cbml_faster(bmap, points, thetas, resolution):
+    """Algorithm 2."""
+    height, width = bmap.shape
+    L = np.zeros((len(thetas), height, width))
+    for k, theta in enumerate(thetas):  # l. 1
+        for p_i in points:  # l. 2
+            if not np.isfinite(p_i).all():
+                continue
+            p_rotated = oplus(p_i, 0.0, 0.0, theta)  # l. 3
+            for row in range(height):  # l. 4
+                for col in range(width):
+                    x, y = centre(row, col, resolution)
+                    L[k, row, col] += value(bmap, oplus(p_rotated, x, y, 0.0), resolution)  # l. 5
+    return L
+
+
+def cbml_o(vmap, points, thetas, resolution):
+    """Algorithm 3; `vmap` (2, H, W) holds the x and the y component, `points` are oriented."""
+    _, height, width = vmap.shape
+    L = np.zeros((len(thetas), height, width))
+    for k, theta in enumerate(thetas):  # l. 1
+        for row in range(height):
+            for col in range(width):
+                x, y = centre(row, col, resolution)
+                for p_i, alpha_i, valid in zip(points.xy, points.alpha, points.valid, strict=True):
+                    if not (valid and np.isfinite(p_i).all()):
+                        continue
+                    position = oplus(p_i, x, y, theta)
+                    v_1 = [value(component, position, resolution) for component in vmap]  # l. 3
+                    v_2 = math.cos(alpha_i + theta), math.sin(alpha_i + theta)  # l. 4
+                    L[k, row, col] += v_1[0] * v_2[0] + v_1[1] * v_2[1]  # l. 5
+    return L
+
+
+def ght(surface, points, n_theta, shape, resolution):
+    """Algorithm 4."""
+    return ght_v(surface, None, points, n_theta, shape, resolution)
+
+
+def ght_v(surface, vis, points, n_theta, shape, resolution):
+    """Algorithm 5, and 4 when `vis` is None.
+
+    `vis` (M, n_psi) is absolute, as in the listing: ``vis[j, b]`` is the distance from p_j to
+    the nearest obstacle in the direction ``2 pi b / n_psi`` of the grid frame.
+    """
+    L = np.zeros((n_theta, *shape))
+    for j in range(len(surface)):  # l. 1
+        if not (surface.valid[j] and np.isfinite(surface.xy[j]).all()):
+            continue
+        for i in range(len(points)):  # l. 2
+            p_j, p_i = surface.xy[j], points.xy[i]
+            if not (points.valid[i] and np.isfinite(p_i).all()):
+                continue
+            theta = surface.alpha[j] - points.alpha[i]  # l. 3
+            rotated = oplus(p_i, 0.0, 0.0, theta)
+            t = p_j[0] - rotated[0], p_j[1] - rotated[1]  # l. 4
+            if vis is not None:
+                psi = angle_bin(phi((t[0] - p_j[0], t[1] - p_j[1])), vis.shape[1])
+                if not vis[j, psi] > math.hypot(*p_i):  # l. 5
+                    continue
+            r, c = cell(t, resolution)
+            if 0 <= r < shape[0] and 0 <= c < shape[1]:
+                L[angle_bin(theta, n_theta), r, c] += 1  # l. 6
+    return L
+
+
+def visibility(points, n_psi, horizon):
+    """Algorithm 6; (M, n_psi), infinite where nothing lies within the horizon.
+
+    The listing updates vis_j with the direction from p_i to p_j. What the text defines, "the
+    distance from p_j to the nearest obstacle in direction psi", needs the direction from p_j
+    to p_i, and that is computed here.
+    """
+    vis = np.full((len(points), n_psi), np.inf)
+    for i, p_i in enumerate(points):  # l. 1
+        for j, p_j in enumerate(points):  # l. 2
+            d = math.hypot(p_j[0] - p_i[0], p_j[1] - p_i[1])  # l. 3
+            if i == j or d > horizon:
+                continue
+            psi = angle_bin(phi((p_i[0] - p_j[0], p_i[1] - p_j[1])), n_psi)  # l. 4
+            vis[j, psi] = min(d, vis[j, psi])  # l. 5
+    return vis

@@ -1,0 +1,254 @@
+"""The command line as a whole: help, versions, exit codes, the end of a run that fails."""
+
+import importlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import typer
+from command import MAPS, ROOT, call, command, rows, spawn
+
+import imgloc
+from imgloc.cli.console import Group, emit
+from imgloc.cli.demo import DemoMap
+from imgloc.cli.options import EngineName, MethodName, ModeName, SemanticsName
+from imgloc.errors import ConfigError, MapError, OutputError, ScanError
+from imgloc.experiments.worlds import WORLDS
+from imgloc.io.mapyaml import MODES
+from imgloc.io.occupancy import SEMANTICS
+from imgloc.likelihood.correlate import ENGINES
+from imgloc.pipeline import ALL_METHODS
+
+COMMANDS = (["demo"], ["localize"], ["simulate"], ["map"], ["map", "check"], ["map", "show"])
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cli") / "scans.npz"
+    assert call("simulate", MAPS / "curved.yaml", "-n", 40, "--rays", 40, "--out", path).code == 0
+    return path
+
+
+@pytest.mark.parametrize("words", [[], *COMMANDS], ids=" ".join)
+def test_help_has_examples_that_parse(words: list[str]) -> None:
+    code, out, err = call(*words, "--help")
+    assert (code, err) == (0, "")
+    assert out.startswith("Usage: imgloc")
+    if words != ["map"]:
+        lines = out[out.index("Examples:") :].splitlines()[1:]
+        assert lines
+        assert all(line.split()[0] == "imgloc" for line in lines)
+
+
+def test_help_imports_nothing_heavy() -> None:
+    heavy = ("numpy", "cv2", "skimage", "scipy", "yaml", "matplotlib", "imgloc.pipeline")
+    code = (
+        f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
+        "from imgloc.cli import main\n"
+        "for words in (['--help'], ['localize', '--help'], ['map', 'show', '-h'], ['--version']):\n"
+        "    try: main(words)\n"
+        "    except SystemExit as e: assert not e.code, words\n"
+        f"sys.exit(str([m for m in {heavy} if m in sys.modules] or ''))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
+    assert done.stderr.decode().strip() == ""
+
+
+def test_import_imgloc_is_cheap_and_offers_every_public_name() -> None:
+    code = (
+        f"import sys; sys.path.insert(0, {str(ROOT)!r}); import imgloc\n"
+        "assert 'numpy' not in sys.modules and 'load_map' in dir(imgloc)\n"
+        "from imgloc import *\n"
+        "assert load_map.__name__ == 'load_map' and 'fused' in ALL_METHODS"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+    for name in imgloc.__all__:
+        assert getattr(imgloc, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'load_mapp'"):
+        _ = imgloc.load_mapp  # type: ignore[attr-defined]
+
+
+def test_python_m_imgloc_says_its_version() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "imgloc", "--version"], cwd=ROOT, capture_output=True, check=True
+    )
+    assert done.stdout.decode().split() == ["imgloc", imgloc.__version__]
+
+
+def test_names_spelled_out_for_the_help_are_those_of_the_code() -> None:
+    assert tuple(m.value for m in MethodName) == ALL_METHODS
+    assert [e.value for e in EngineName] == ["auto", *ENGINES]
+    assert {m.value for m in ModeName} == set(MODES)
+    assert {s.value for s in SemanticsName} == set(SEMANTICS)
+    assert [m.value for m in DemoMap] == list(WORLDS)
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "line"),
+    [
+        (ConfigError("two\nlines"), 2, "imgloc: error: two lines\n"),
+        (MapError("a.png: bad"), 3, "imgloc: error: a.png: bad\n"),
+        (ScanError("a.npz: bad"), 4, "imgloc: error: a.npz: bad\n"),
+        (OutputError("o.png: exists"), 1, "imgloc: error: o.png: exists\n"),
+        (KeyboardInterrupt(), 130, "imgloc: interrupted\n"),
+        (BrokenPipeError(), 141, ""),
+        (MemoryError(), 1, "imgloc: error: out of memory"),
+        (ValueError("a\nb"), 1, "imgloc: internal error: ValueError: a b"),
+        (SystemExit(7), 7, ""),
+        (typer.Exit(6), 6, ""),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_every_failure_is_one_line_and_its_exit_code(
+    error: BaseException, code: int, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    app = typer.Typer(cls=Group, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+    @app.command()
+    def fail() -> None:
+        raise error
+
+    @app.command()
+    def other() -> None: ...
+
+    with pytest.raises(SystemExit) as caught:
+        app(["fail"])
+    assert caught.value.code == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(line)
+    assert err.count("\n") == bool(line)
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--method", "cmbl"], "'cbml-o', 'ght', 'ght-v', 'beam'"),
+        (["--top", "0"], "--top"),
+        (["--threads", "0"], "--threads"),
+        (["--index", "-1"], "--index"),
+        (["--index", "40"], "--index: got 40, expected 0 to 39"),
+        (["--origin", "1,2"], "expected 3 numbers"),
+        (["--origin", "1,nan,2"], "expected 3 numbers"),
+        (["--mode", "fancy"], "'trinary', 'scale', 'raw'"),
+        (["--resolution", "0"], "--resolution: got 0"),
+        (["--resolution", "nan"], "--resolution: got nan"),
+        (["--free-thresh", "0.9"], "expected 0 <= free_thresh < occupied_thresh"),
+        (["--theta-step-deg", "0"], "--theta-step-deg: got 0, expected degrees"),
+        (["--theta-step-deg", "nan"], "--theta-step-deg: got nan"),
+        (["--cell", "-0.1"], "--cell: got -0.1, expected metres"),
+        (["--range-max", "inf"], "--range-max: got inf"),
+        (["--engine", "dft"], "--engine: fused does not correlate"),
+        (["--picture", "a.jpg"], "expected a name that ends in .png"),
+        (["--nonsense"], "--nonsense"),
+    ],
+    ids=" ".join,
+)
+def test_usage_errors_exit_with_2(words: list[str], expected: str, scans: Path) -> None:
+    code, out, err = call("localize", MAPS / "curved.yaml", scans, *words)
+    assert (code, out) == (2, "")
+    assert expected in " ".join(err.split())
+    assert "Traceback" not in err
+
+
+def test_debug_shows_the_traceback_and_keeps_the_exit_code(tmp_path: Path) -> None:
+    code, _, err = call("map", "check", tmp_path / "gone.yaml", "--debug")
+    assert code == 3
+    assert "Traceback" in err
+    assert err.splitlines()[-1].startswith("imgloc: error: ")
+    assert "Traceback" not in call("map", "check", tmp_path / "gone.yaml").err
+
+
+def test_verbose_logs_to_stderr_alone(scans: Path) -> None:
+    words = ("localize", MAPS / "curved.yaml", scans, "--json", "--index", 3)
+    loud, quiet = call(*words, "-v"), call(*words)
+    assert len(rows(loud.out)) == 1
+    assert "scan 3: " in loud.err
+    assert quiet.err == ""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_interrupt_exits_with_130_and_without_a_traceback(scans: Path) -> None:
+    words = command(["localize", MAPS / "curved.yaml", scans, "--json", "--threads", "1"])
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
+        assert run.stdout is not None
+        assert rows(run.stdout.readline().decode())[0]["index"] == 0  # flushed one by one
+        run.send_signal(signal.SIGINT)
+        out, err = run.communicate(timeout=30)
+    assert run.returncode == 130
+    assert err.decode() == "imgloc: interrupted\n"
+    assert len(rows(out.decode())) < 39
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes of POSIX")
+def test_a_closed_pipe_ends_the_run_quietly(scans: Path) -> None:
+    words = command(["localize", MAPS / "curved.yaml", scans, "--json", "--threads", "1"])
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
+        assert run.stdout is not None
+        assert run.stderr is not None
+        run.stdout.readline()
+        run.stdout.close()
+        assert run.stderr.read() == b""
+        assert run.wait(30) == 141
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+def test_a_full_disk_under_stdout_is_one_line() -> None:
+    with Path("/dev/full").open("wb") as full:
+        done = subprocess.run(
+            command(["map", "check", MAPS / "curved.yaml"]),
+            stdout=full, stderr=subprocess.PIPE, check=False,
+        )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr.decode().startswith("imgloc: error: standard output: cannot be written")
+    assert done.stderr.count(b"\n") == 1
+
+
+@pytest.mark.skipif(os.name != "posix", reason="terminals of POSIX")
+def test_progress_is_shown_on_a_terminal_and_stdout_stays_clean(scans: Path) -> None:
+    pty = importlib.import_module("pty")
+    leader, follower = pty.openpty()
+    words = ["localize", MAPS / "curved.yaml", scans, "--json", "--index", "0"]
+    with subprocess.Popen(
+        command(words), stdout=subprocess.PIPE, stderr=follower, env={**os.environ, "TERM": "xterm"}
+    ) as run:
+        out, _ = run.communicate(timeout=60)
+        time.sleep(0.1)
+        shown = os.read(leader, 100_000).decode()
+    os.close(leader)
+    os.close(follower)
+    assert "localize" in shown
+    assert len(rows(out.decode())) == 1
+    assert b"\x1b" not in out
+
+
+def test_emit_survives_without_a_stdout(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdout", None)
+    emit("nobody hears this")
+
+
+def test_demo_runs_twice_in_an_empty_folder(tmp_path: Path) -> None:
+    first, second = (spawn("demo", cwd=tmp_path) for _ in range(2))
+    assert (first.code, second.code) == (0, 0)
+    assert "map double_wall, seed 0: unique" in first.out
+    error = next(line for line in first.out.splitlines() if "error" in line).split()
+    assert float(error[1]) < 0.1
+    assert first.out.endswith("picture: imgloc-demo.png\n")
+    assert second.out.endswith("picture: imgloc-demo-1.png\n")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["imgloc-demo-1.png", "imgloc-demo.png"]
+    pictures = [p.read_bytes() for p in tmp_path.iterdir()]
+    assert pictures[0] == pictures[1]
+
+
+def test_demo_with_a_name_never_overwrites(tmp_path: Path) -> None:
+    out = tmp_path / "mine.png"
+    out.write_text("mine")
+    words = ("demo", "--map", "curved", "--seed", 2, "--out", out)
+    assert call(*words).code == 1
+    assert out.read_text() == "mine"
+    assert call(*words, "--force").code == 0
+    assert out.read_bytes().startswith(b"\x89PNG")

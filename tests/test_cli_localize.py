@@ -1,0 +1,207 @@
+"""`imgloc simulate` and `imgloc localize`, from file to file."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import MAPS, call, rows, spawn, untimed
+
+from imgloc.geometry import compose, transform_poses
+from imgloc.io.maps import load_map, save_map
+from imgloc.io.scans import ScanSet, load_scans, save_scans
+from imgloc.model import LaserScan, OccupancyGrid, Pose2D
+from imgloc.pipeline import ALL_METHODS
+
+CURVED = MAPS / "curved.yaml"
+KEYS = ["index", "verdict", "pose", "hypotheses", "entropy", "explained", "counts"]
+KEYS += ["timings_ms", "parameters"]
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cli") / "scans.npz"
+    assert call("simulate", CURVED, "-n", 3, "--out", path, "--dropped", 0.1).code == 0
+    return path
+
+
+def test_simulate_writes_what_it_was_asked_for(tmp_path: Path) -> None:
+    out = tmp_path / "s.npz"
+    words = ["simulate", CURVED, "-n", 4, "--rays", 90, "--fov-deg", 270, "--range-max", 3]
+    words += ["--seed", 5, "--dropped", 0.2, "--out", out]
+    code, text, err = call(*words)
+    assert (code, text) == (0, "")
+    assert err == f"imgloc: wrote {out}: 4 scans of 90 readings, with their poses\n"
+    made = load_scans(out)
+    assert len(made) == 4
+    assert made[0].range_max == 3
+    np.testing.assert_allclose(np.rad2deg(made[0].angles[[0, -1]]), [-135, 135])
+    ranges = np.stack([s.ranges for s in made.scans])
+    assert 0.1 < np.isnan(ranges).mean() < 0.3
+    assert np.isinf(ranges).any()
+    assert ranges[np.isfinite(ranges)].max() <= 3
+    first = out.read_bytes()
+    assert call(*words).code == 1  # it exists
+    assert call(*words, "--force").code == 0
+    assert out.read_bytes() == first
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "expected"),
+    [
+        (["--sigma", "nan"], 2, "--sigma: got nan"),
+        (["--fov-deg", "361"], 2, "--fov-deg: got 361, expected degrees"),
+        (["--outliers", "1.1"], 2, "--outliers: got 1.1"),
+        (["--rays", "0"], 2, "--rays"),
+        (["-n", "1000000"], 2, "181,000,000 readings, expected at most"),
+        (["--clearance", "50"], 3, "50.0 m away"),
+        (["--out", "no/such/folder.npz"], 1, "there is no folder"),
+        (["--out", "scans.txt"], 2, "ends in .npz"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_simulate_refuses(words: list[str], code: int, expected: str, tmp_path: Path) -> None:
+    run = call("simulate", CURVED, "--out", tmp_path / "s.npz", *words)
+    assert run.code == code
+    assert expected in run.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_json_has_the_documented_keys_and_the_right_poses(scans: Path) -> None:
+    code, out, err = call("localize", CURVED, scans, "--json", "--top", 2)
+    assert (code, err) == (0, "")
+    answers = rows(out)
+    assert [a["index"] for a in answers] == [0, 1, 2]
+    truth = load_scans(scans).poses
+    assert truth is not None
+    for answer, pose in zip(answers, truth, strict=True):
+        assert list(answer) == KEYS
+        assert answer["verdict"] == "unique"
+        assert list(answer["pose"]) == ["x", "y", "theta"]
+        assert np.hypot(answer["pose"]["x"] - pose[0], answer["pose"]["y"] - pose[1]) < 0.1
+        assert 1 <= len(answer["hypotheses"]) <= 2
+        best = answer["hypotheses"][0]
+        assert list(best) == ["x", "y", "theta", "mass", "log_likelihood", "covariance"]
+        assert np.linalg.eigvalsh(best["covariance"]).min() > 0
+        assert answer["counts"]["nan"] > 0
+        assert sum(answer["counts"].values()) == 181
+        assert answer["parameters"]["range_max"] == 30
+
+
+def test_the_same_bytes_for_every_run_and_number_of_threads(scans: Path) -> None:
+    once, again, two = (
+        spawn("localize", CURVED, scans, "--json", "--threads", n) for n in (1, 1, 2)
+    )
+    assert once.code == 0
+    assert len(rows(once.out)) == 3
+    assert untimed(once.out) == untimed(again.out) == untimed(two.out)
+
+
+@pytest.mark.parametrize("method", ALL_METHODS)
+def test_every_method_answers(method: str, scans: Path) -> None:
+    words = ["localize", CURVED, scans, "--json", "--method", method, "--index", 1]
+    words += ["--theta-step-deg", 10, "--cell", 0.2]
+    one, two = call(*words, "--threads", 1), call(*words, "--threads", 2)
+    assert one.code == 0
+    assert untimed(one.out) == untimed(two.out)
+    (answer,) = rows(one.out)
+    assert answer["index"] == 1
+    parameters = answer["parameters"]
+    assert parameters["method"] == method
+    assert parameters["cell"] == pytest.approx(0.2)
+    step = parameters["fused"]["theta_step"] if method == "fused" else parameters["theta_step"]
+    assert step == pytest.approx(np.deg2rad(10))
+
+
+def test_origin_with_a_yaw_moves_every_pose(scans: Path, tmp_path: Path) -> None:
+    origin = Pose2D(3.0, -2.0, 0.7)
+    grid = load_map(CURVED)
+    turned = tmp_path / "turned.yaml"
+    save_map(turned, OccupancyGrid(grid.occupied, grid.free, grid.resolution, origin))
+    plain = rows(call("localize", CURVED, scans, "--json").out)
+    by_yaml = rows(call("localize", turned, scans, "--json").out)
+    by_option = rows(call("localize", CURVED, scans, "--json", "--origin", "3,-2,0.7").out)
+    for a, b, c in zip(plain, by_yaml, by_option, strict=True):
+        for h, moved in zip(a["hypotheses"], b["hypotheses"], strict=True):
+            expected = compose(origin, Pose2D(h["x"], h["y"], h["theta"]))
+            got = [moved[k] for k in ("x", "y", "theta")]
+            np.testing.assert_allclose(got, [expected.x, expected.y, expected.theta], atol=1e-9)
+            assert moved["covariance"] != h["covariance"]
+        assert b["hypotheses"] == c["hypotheses"]
+    # Simulated poses are of the map frame too.
+    for path, name in ((CURVED, "a"), (turned, "b")):
+        assert call("simulate", path, "-n", 2, "--out", tmp_path / f"{name}.npz").code == 0
+    a, b = (load_scans(tmp_path / f"{name}.npz") for name in "ab")
+    assert a.poses is not None
+    assert b.poses is not None
+    np.testing.assert_allclose(b.poses, transform_poses(origin, a.poses), atol=1e-9)
+    np.testing.assert_array_equal(a[1].ranges, b[1].ranges)
+    text = call("localize", turned, tmp_path / "b.npz", "--index", 0).out
+    error = next(line for line in text.splitlines() if line.startswith("  error")).split()
+    assert float(error[1]) < 0.1
+
+
+def test_text_is_a_table_for_one_scan_and_a_line_for_each_of_several(scans: Path) -> None:
+    one = call("localize", CURVED, scans, "--index", 2)
+    assert one.code == 0
+    assert one.out.startswith("scan 2: unique\n  pose       x ")
+    assert "| 1 | " in one.out
+    assert one.out.isascii()
+    several = call("localize", CURVED, scans).out.splitlines()
+    assert several[0].split()[:2] == ["index", "verdict"]
+    assert [line.split()[:2] for line in several[1:]] == [[str(k), "unique"] for k in range(3)]
+
+
+def test_pictures_are_numbered_when_there_are_several(scans: Path, tmp_path: Path) -> None:
+    words = ["localize", CURVED, scans, "--picture", tmp_path / "out.png", "--threads", 1]
+    assert call(*words, "--index", 1).code == 0
+    assert [p.name for p in tmp_path.iterdir()] == ["out.png"]
+    assert call(*words, "--force").code == 0
+    numbered = [f"out-000{k}.png" for k in range(3)]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [*numbered, "out.png"]
+    assert (tmp_path / "out-0001.png").read_bytes() == (tmp_path / "out.png").read_bytes()
+    (tmp_path / "out.png").unlink()
+    (tmp_path / "out-0001.png").write_text("mine")
+    code, out, err = call(*words)
+    assert (code, out) == (1, "")  # before anything is computed
+    assert "out-0000.png: exists already; pass --force" in err
+    assert (tmp_path / "out-0001.png").read_text() == "mine"
+
+
+def test_picture_does_not_depend_on_the_origin(scans: Path, tmp_path: Path) -> None:
+    for name, origin in (("a", "0,0,0"), ("b", "0,0,6.283185307179586")):
+        words = ["--index", 0, "--origin", origin, "--picture", tmp_path / f"{name}.png"]
+        assert call("localize", CURVED, scans, *words).code == 0
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_strict_exits_with_6_after_all_answers(tmp_path: Path) -> None:
+    angles = np.linspace(-1, 1, 20)
+    blind = LaserScan(np.full(20, np.nan), angles, range_max=10.0)
+    path = tmp_path / "blind.npz"
+    save_scans(path, ScanSet((blind, blind)))
+    code, out, err = call("localize", CURVED, path, "--json", "--strict")
+    assert (code, err) == (6, "")
+    assert [r["verdict"] for r in rows(out)] == ["invalid", "invalid"]
+    assert all(r["pose"] is None and r["hypotheses"] == [] for r in rows(out))
+    assert call("localize", CURVED, path).code == 0
+    text = call("localize", CURVED, path, "--index", 0, "--picture", tmp_path / "p.png")
+    assert text.out.startswith("scan 0: invalid\n  readings   0 valid")
+    assert (tmp_path / "p.png").exists()
+
+
+def test_range_max_cuts_readings_to_no_return(scans: Path) -> None:
+    (row,) = rows(call("localize", CURVED, scans, "--index", 0, "--json", "--range-max", "2.5").out)
+    ranges = load_scans(scans)[0].ranges
+    beyond = int(np.count_nonzero(ranges >= 2.5))  # NaN is not
+    assert beyond > 0
+    assert row["counts"]["no_return"] == beyond
+    assert row["parameters"]["range_max"] == 2.5
+
+
+def test_a_scan_without_a_limit_has_no_infinity_in_json(tmp_path: Path, scans: Path) -> None:
+    scan = load_scans(scans)[0]
+    path = tmp_path / "unlimited.npz"
+    save_scans(path, ScanSet((LaserScan(scan.ranges, scan.angles),)))
+    (row,) = rows(call("localize", CURVED, path, "--json").out)
+    assert row["parameters"]["range_max"] is None
+    assert row["verdict"] == "unique"

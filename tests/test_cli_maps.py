@@ -1,0 +1,119 @@
+"""`imgloc map check`, `imgloc map show` and the pictures behind them."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command import MAPS, call, rows
+
+from imgloc.cli.maps import Subject
+from imgloc.draw.scalars import draw_bmap, draw_distance
+from imgloc.io.bundled import bundled_maps
+from imgloc.model import GridInfo
+
+
+@pytest.fixture
+def grey(tmp_path: Path) -> Path:
+    """Write a map whose unknown grey, 205, is free by its thresholds."""
+    image = np.full((30, 40), 205, np.uint8)
+    image[5:25, 5:35] = 254
+    cv2.rectangle(image, (5, 5), (34, 24), 0, 1)
+    (tmp_path / "m.png").write_bytes(cv2.imencode(".png", image)[1].tobytes())
+    path = tmp_path / "m.yaml"
+    path.write_text(
+        "image: m.png\nresolution: 0.1\norigin: [1.0, 2.0, 0.5]\nnegate: 0\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.25\n"
+    )
+    return path
+
+
+def test_check_reports_classes_greys_and_warnings(grey: Path) -> None:
+    code, out, err = call("map", "check", grey)
+    assert (code, err) == (0, "")
+    assert "40 x 30 of 0.1 m: 4.0 x 3.0 m" in out
+    assert "yaw 28.65 deg" in out
+    assert "    grey-205: 600 cells" in out
+    (row,) = rows(call("map", "check", grey, "--json").out)
+    assert row["shares"]["occupied"] == pytest.approx(96 / 1200)
+    assert row["greys"][0] == {"value": 205.0, "cells": 600}
+    assert row["origin"] == {"x": 1.0, "y": 2.0, "theta": 0.5}
+    assert {w["code"] for w in row["warnings"]} == {"grey-205", "yaw"}
+
+
+def test_check_strict_exits_with_3_only_on_warnings(grey: Path) -> None:
+    assert call("map", "check", grey, "--strict").code == 3
+    assert call("map", "check", grey, "--strict", "--origin", "0,0,0", "--free-thresh", 0.19) == (
+        call("map", "check", grey, "--origin", "0,0,0", "--free-thresh", 0.19)
+    )
+
+
+def test_check_and_show_work_without_walls(tmp_path: Path) -> None:
+    image = tmp_path / "blank.png"
+    image.write_bytes(cv2.imencode(".png", np.full((20, 20), 254, np.uint8))[1].tobytes())
+    check = call("map", "check", image, "--resolution", 0.05)
+    assert check.code == 0
+    assert "no-walls" in check.out
+    words = ["map", "show", image, "--resolution", 0.05, "--out", tmp_path / "o.png"]
+    assert call(*words).code == 0
+    code, _, err = call(*words, "--force", "--what", "surface")
+    assert code == 3
+    assert "none of its 400 cells is occupied" in err
+
+
+@pytest.mark.parametrize("what", [s.value for s in Subject])
+def test_show_draws_every_subject(what: str, grey: Path, tmp_path: Path) -> None:
+    out = tmp_path / f"{what}.png"
+    code, text, err = call("map", "show", grey, "--what", what, "--out", out)
+    assert (code, text) == (0, "")
+    assert err.startswith(f"imgloc: wrote {out}: {what}, ")
+    picture = cv2.imdecode(np.frombuffer(out.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
+    assert picture.shape[0] * 4 == picture.shape[1] * 3
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 2
+    before = out.read_bytes()
+    assert call("map", "show", grey, "--what", what, "--out", out).code == 1
+    assert call("map", "show", grey, "--what", what, "--out", out, "--force").code == 0
+    assert out.read_bytes() == before
+
+
+def test_show_visibility_takes_a_point_of_the_map_frame(tmp_path: Path) -> None:
+    def fan(*words: object) -> bytes:
+        out = tmp_path / "fan.png"
+        run = call(
+            "map", "show", MAPS / "curved.yaml", "--what", "visibility", "--out", out, *words
+        )
+        assert run.code == 0, run.err
+        data = out.read_bytes()
+        out.unlink()
+        return data
+
+    # The same surface point, named in two frames.
+    assert fan("--at", "4.2,5.4") == fan("--origin", "1,2,1.5707963", "--at", "-4.4,6.2")
+    assert fan("--at", "4.2,5.4") != fan()
+
+
+def test_show_refuses_a_point_where_it_means_nothing(grey: Path, tmp_path: Path) -> None:
+    code, _, err = call("map", "show", grey, "--at", "1,1", "--out", tmp_path / "o.png")
+    assert code == 2
+    assert "--at: only --what visibility" in err
+
+
+def test_distance_picture_is_dark_at_walls_with_a_line_each_metre() -> None:
+    metres = np.tile(np.arange(25) * 0.1, (3, 1))
+    picture = draw_distance(metres, GridInfo(3, 25, 0.1), scale=1)
+    grey = picture.astype(int).sum(axis=2)[1]
+    assert grey.argmin() == 0
+    assert grey[9] > grey[8]
+    assert grey[9] > grey[11]
+
+
+def test_blurred_map_is_upside_up() -> None:
+    picture = draw_bmap([[1.0, 1.0], [0.0, 0.5]], GridInfo(2, 2, 0.1), scale=1)
+    assert picture[1].max() < 60  # row 0 is the lowest y
+    assert picture[0, 0].tolist() == [255, 255, 255]
+    assert 100 < picture[0, 1, 0] < 200
+
+
+def test_bundled_maps_are_those_of_the_checkout() -> None:
+    assert bundled_maps() == MAPS

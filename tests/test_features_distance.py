@@ -1,0 +1,170 @@
+"""Signed distance: against loops over all cells, exact along straight walls, off the map."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imgloc.features.distance import FAR, distance_field, signed_distance
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def naive(occupied, resolution):
+    """From each centre to the nearest centre of the other kind, less half a cell.
+
+    Around the map lies a ring of cells without a wall.
+    """
+    padded = np.pad(occupied, 1)
+    out = np.empty(occupied.shape)
+    for row in range(occupied.shape[0]):
+        for column in range(occupied.shape[1]):
+            here, best = occupied[row, column], math.inf
+            for r in range(padded.shape[0]):
+                for c in range(padded.shape[1]):
+                    if padded[r, c] != here:
+                        best = min(best, math.hypot(r - 1 - row, c - 1 - column) - 0.5)
+            d = min(best * resolution, FAR)
+            out[row, column] = -d if here else d
+    return out
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (7, 1), (6, 9), (9, 8)])
+@pytest.mark.parametrize("share", [0.05, 0.4, 1.0])
+def test_signed_distance_equals_the_loops(shape, share):
+    occupied = np.random.default_rng(len(shape)).random(shape) < share
+    occupied.flat[0] = True
+    for resolution in (0.05, 1.0):
+        got = signed_distance(occupied, resolution)
+        assert got.dtype == np.float32
+        np.testing.assert_allclose(got, naive(occupied, resolution), rtol=1e-5, atol=1e-6)
+
+
+def test_zero_lies_on_the_border_between_the_cells():
+    row = [[False, False, True, True, True, False]]
+    np.testing.assert_allclose(
+        signed_distance(np.array(row * 9), 0.1)[4], [0.15, 0.05, -0.05, -0.15, -0.05, 0.05]
+    )
+
+
+def test_far_away_is_cut_and_a_map_without_walls_is_far_everywhere():
+    wall = np.zeros((3, 60), bool)
+    wall[:, 0] = True
+    got = signed_distance(wall, 0.1)
+    assert got.max() == FAR
+    assert got[1, 39] == pytest.approx(3.85)
+    assert got[1, 45] == FAR
+    assert np.all(signed_distance(np.zeros((2, 3), bool), 0.1) == FAR)
+
+
+def test_beyond_the_border_nothing_is_occupied():
+    np.testing.assert_allclose(
+        signed_distance(np.ones((3, 4), bool), 1.0),
+        [[-0.5] * 4, [-0.5, -1.5, -1.5, -0.5], [-0.5] * 4],
+    )
+
+
+@given(seeds)
+@settings(max_examples=20, deadline=None)
+def test_walls_and_gaps_change_places_with_the_sign(seed):
+    occupied = np.random.default_rng(seed).random((7, 9)) < 0.5
+    occupied = np.pad(np.pad(occupied, 1, constant_values=True), 20)
+    inner = (slice(20, -20),) * 2  # the nearest of the other kind lies on the map
+    a, b = signed_distance(occupied, 0.1), signed_distance(~occupied, 0.1)
+    np.testing.assert_array_equal(a[inner], -b[inner])
+
+
+@given(seeds, st.integers(0, 3), st.booleans())
+@settings(max_examples=30, deadline=None)
+def test_turned_and_mirrored_maps_have_turned_and_mirrored_distances(seed, turns, mirror):
+    occupied = np.random.default_rng(seed).random((6, 11)) < 0.2
+
+    def move(image):
+        image = np.rot90(image, turns)
+        return image[:, ::-1] if mirror else image
+
+    np.testing.assert_array_equal(
+        signed_distance(np.ascontiguousarray(move(occupied)), 0.1),
+        move(signed_distance(occupied, 0.1)),
+    )
+
+
+@pytest.mark.parametrize("side", ["left", "right", "down", "up"])
+@given(data=st.data())
+@settings(max_examples=40, deadline=None)
+def test_lookups_are_exact_along_a_straight_wall(side, data):
+    resolution = data.draw(st.sampled_from([0.05, 0.1, 1.0]))
+    n, thick = 24, 5
+    wall = np.zeros((n, n), bool)
+    wall[:, :thick] = True
+    far = min(n - 1.01, FAR / resolution + thick - 1.01)
+    across = data.draw(st.floats(1, far)) * resolution
+    along = data.draw(st.floats(6, n - 6)) * resolution
+    # Its surface is at x = 5 cells; turn wall and point so that it faces any of four ways.
+    expected, slope = across - thick * resolution, (1.0, 0.0)
+    x, y, size = across, along, n * resolution
+    if side == "right":
+        wall, x, slope = wall[:, ::-1], size - x, (-1.0, 0.0)
+    elif side == "down":
+        wall, x, y, slope = wall.T, y, x, (0.0, 1.0)
+    elif side == "up":
+        wall, x, y, slope = wall.T[::-1], y, size - x, (0.0, -1.0)
+    distance, gx, gy = distance_field(np.ascontiguousarray(wall), resolution).lookup(x, y)
+    if across > 3.01 * resolution:  # deeper in, the other side of the wall is as near
+        assert distance == pytest.approx(expected, abs=2e-5)
+        assert (gx, gy) == pytest.approx(slope, abs=1e-5)
+    else:
+        assert distance < 0
+
+
+def test_thin_walls_are_inside_on_both_sides():
+    wall = np.zeros((5, 9), bool)
+    wall[:, 4] = True
+    x = np.array([3.0, 3.75, 4.5, 5.25, 6.0])
+    distance, gx, _ = distance_field(wall, 1.0).lookup(x, np.full(5, 2.5))
+    assert (distance < 0).tolist() == [False, False, True, False, False]
+    assert gx[2] == 0  # its middle is as near to one side as to the other
+    assert gx[1] < 0 < gx[3]
+
+
+@pytest.mark.parametrize(
+    ("x", "y"),
+    [(-1e-4, 0.5), (0.5, -1e-4), (0.6, 0.5), (0.5, 0.4), (1e9, 0.0), (-1e9, -1e9), (0.0, 1e9)],
+)
+def test_off_the_map_is_far_and_flat(x, y):
+    field = distance_field(np.ones((4, 6), bool), 0.1)
+    assert [v.tolist() for v in field.lookup([x], [y])] == [[FAR], [0], [0]]
+    inside = field.lookup(0.599, 0.399)
+    assert inside[0] < 0
+
+
+def test_rows_of_the_table_are_the_cells_in_order():
+    field = distance_field(np.eye(3, 4, dtype=bool), 0.5)
+    x, y = np.array([0.0, 3.99, 0.5, 4.0, np.nan]), np.array([0.0, 2.99, 1.0, 1.0, 1.0])
+    assert field.index(x.astype(np.float32), y.astype(np.float32)).tolist() == [0, 11, 4, 12, 12]
+    assert field.table.shape == (13, 4)
+    np.testing.assert_array_equal(
+        field.table[:-1, 0].reshape(3, 4), signed_distance(np.eye(3, 4, dtype=bool), 0.5)
+    )
+
+
+@given(seeds)
+@settings(max_examples=30, deadline=None)
+def test_at_centres_the_lookup_is_the_image_and_no_slope_is_steeper_than_one(seed):
+    rng = np.random.default_rng(seed)
+    occupied = rng.random((7, 8)) < 0.25
+    field = distance_field(occupied, 0.1)
+    y, x = (np.indices((7, 8)) + 0.5) * 0.1
+    distance, gx, gy = field.lookup(x, y)
+    np.testing.assert_allclose(distance, signed_distance(occupied, 0.1), atol=1e-6)
+    assert max(np.abs(gx).max(), np.abs(gy).max()) <= 1 + 1e-5
+
+
+def test_lookups_keep_the_shape_and_nobody_changes_the_table():
+    field = distance_field(np.eye(4, dtype=bool), 0.1)
+    for out in field.lookup(np.zeros((2, 3)), np.zeros((2, 3))):
+        assert out.shape == (2, 3)
+        assert out.dtype == np.float32
+    assert not field.table.flags.writeable

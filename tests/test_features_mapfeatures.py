@@ -1,0 +1,50 @@
+"""The bundle of a map's features: what is computed, once, and refused."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from imgloc.errors import ConfigError
+from imgloc.features.fields import bmap, vmap
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.raydistance import ray_distances
+from imgloc.features.surface import surface_points
+from imgloc.features.visibility import visibility_frames
+from imgloc.model import OccupancyGrid
+
+
+@pytest.fixture
+def features():
+    occupied = np.ones((24, 30), bool)
+    occupied[3:-3, 3:-3] = False
+    return MapFeatures(
+        OccupancyGrid(occupied, ~occupied, 0.1), sigma=0.15, n_psi=12, n_rays=8, max_range=7.0
+    )
+
+
+def test_features_are_those_of_the_functions(features):
+    grid = features.grid
+    surface = surface_points(grid.occupied, grid.free, 0.1)
+    np.testing.assert_array_equal(features.surface.xy, surface.xy)
+    np.testing.assert_array_equal(features.bmap, bmap(surface.xy, (24, 30), 0.1, 0.15))
+    np.testing.assert_array_equal(features.vmap, vmap(surface, (24, 30), 0.1, 0.15))
+    np.testing.assert_array_equal(
+        features.visibility, visibility_frames(grid.occupied, surface, 0.1, 12, 30.0)
+    )
+    np.testing.assert_array_equal(features.ray_distances, ray_distances(grid.occupied, 0.1, 8, 7.0))
+
+
+@pytest.mark.parametrize("name", ["surface", "bmap", "vmap", "visibility", "ray_distances"])
+def test_each_is_computed_once_and_read_only(features, name):
+    value = getattr(features, name)
+    assert getattr(features, name) is value
+    array = value.xy if name == "surface" else value
+    assert not array.flags.writeable
+
+
+def test_too_large_a_stack_is_refused_with_its_size(features):
+    small = dataclasses.replace(features, max_bytes=24 * 30 * 8 * 2 - 1)
+    with pytest.raises(ConfigError, match="8 directions x 24 x 30 cells"):
+        _ = small.ray_distances
+    assert dataclasses.replace(features, max_bytes=24 * 30 * 8 * 2).ray_distances.shape[0] == 8

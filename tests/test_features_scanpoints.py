@@ -1,0 +1,197 @@
+"""Points of a scan: order, normals, the sensor's side, and when a normal is not known."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imgloc.features.scanpoints import scan_points
+from imgloc.geometry import wrap
+
+
+def fan(count, fov_deg):
+    angles = np.deg2rad(np.linspace(-fov_deg / 2, fov_deg / 2, count, endpoint=fov_deg < 360))
+    return np.asarray(angles)
+
+
+def box(angles, x, y, width=8.0, height=6.0):
+    """Exact ranges and normals in a rectangular room, seen from (x, y)."""
+    c, s = np.cos(angles), np.sin(angles)
+    with np.errstate(divide="ignore"):
+        side = np.where(c > 0, width - x, x) / np.abs(c)
+        cap = np.where(s > 0, height - y, y) / np.abs(s)
+    normal = np.where(
+        side < cap, np.where(c > 0, np.pi, 0.0), np.where(s > 0, -np.pi / 2, np.pi / 2)
+    )
+    return np.minimum(side, cap), normal
+
+
+def every(angles):
+    return np.ones(len(angles), bool)
+
+
+def degrees_off(alpha, truth):
+    return np.abs(np.rad2deg(wrap(alpha - truth)))
+
+
+def test_cartesian_points_as_in_fig_3():
+    angles = np.array([0.0, np.pi / 2, np.pi])
+    points = scan_points(np.array([1.0, 2.0, 3.0]), angles, every(angles))
+    np.testing.assert_allclose(points.xy, [[1, 0], [0, 2], [-3, 0]], atol=1e-12)
+
+
+@pytest.mark.parametrize("direction_deg", [0, 45, 90, 135, 180, -120])
+def test_the_normal_of_a_wall_points_back_at_the_sensor(direction_deg):
+    direction = np.deg2rad(direction_deg)
+    angles = direction + fan(41, 40)
+    ranges = 2.0 / np.cos(angles - direction)
+    points = scan_points(ranges, angles, every(angles))
+    assert points.valid.all()
+    assert degrees_off(points.alpha, direction + np.pi).max() < 1e-5
+    assert (
+        np.einsum("ij,ij->i", points.xy, np.cos([points.alpha, points.alpha - np.pi / 2]).T) < 0
+    ).all()
+
+
+def test_only_valid_readings_become_points_and_in_their_order():
+    angles = fan(61, 60)
+    ranges = 2.0 / np.cos(angles)
+    valid = every(angles)
+    valid[[0, 20, 21, 60]] = False
+    ranges[[0, 20]] = np.nan, np.inf
+    ranges[21] = 81.9  # a code of the sensor
+    points = scan_points(ranges, angles, valid)
+    assert len(points) == 57
+    np.testing.assert_allclose(np.hypot(*points.xy.T), ranges[valid])
+    np.testing.assert_allclose(np.arctan2(*points.xy.T[::-1]), angles[valid])
+    assert points.valid.all()
+    assert degrees_off(points.alpha, np.pi).max() < 1e-5
+
+
+@pytest.mark.parametrize(("count", "fov"), [(181, 180), (1081, 270), (360, 360)])
+def test_noisy_room(count, fov):
+    rng = np.random.default_rng(count)
+    errors, scores = [], []
+    for _ in range(20):
+        heading, x, y = rng.uniform(0, 2 * np.pi), rng.uniform(0.5, 7.5), rng.uniform(0.5, 5.5)
+        angles = fan(count, fov)
+        ranges, normal = box(angles + heading, x, y)
+        points = scan_points(ranges + rng.normal(0, 0.02, count), angles, every(angles))
+        assert points.valid.mean() > 0.97
+        error = degrees_off(points.alpha + heading, normal)[points.valid]
+        errors.append(error)
+        scores.append(np.deg2rad(error) / points.sigma_alpha[points.valid])
+    error, score = np.concatenate(errors), np.concatenate(scores)
+    assert np.median(error) < 1.5
+    assert np.percentile(error, 95) < 7
+    # sigma_alpha describes the error: half of a normal distribution lies within 0.67 sigma.
+    assert 0.4 < np.median(score) < 1.0
+
+
+def test_less_noise_gives_smaller_sigma():
+    angles = fan(181, 180)
+    ranges, _ = box(angles, 4.0, 3.0)
+    sigmas = [
+        np.median(scan_points(ranges, angles, every(angles), sigma_range=s).sigma_alpha)
+        for s in (0.01, 0.02)
+    ]
+    assert sigmas[1] == pytest.approx(2 * sigmas[0], rel=0.05)
+
+
+def test_corners_keep_the_normals_of_their_walls():
+    angles = fan(721, 360)
+    ranges, normal = box(angles, 3.0, 2.0)
+    points = scan_points(ranges, angles, every(angles), sigma_range=0.005)
+    assert (degrees_off(points.alpha, normal) > 5).sum() <= 8  # four corners, two rays each
+
+
+def test_a_window_stops_at_a_depth_jump():
+    angles = fan(121, 60)
+    pillar = np.abs(angles) < np.deg2rad(10)
+    ranges = np.where(pillar, 1.0, 4.0) / np.cos(angles)  # two parallel walls, 3 m apart
+    points = scan_points(ranges, angles, every(angles))
+    assert points.valid.all()
+    assert degrees_off(points.alpha, np.pi).max() < 1e-4
+
+
+def test_fewer_than_three_neighbours_give_no_normal():
+    angles = np.deg2rad([-30, -29, -28, 0, 1, 2, 3, 40])
+    ranges = np.array([1.0, 1, 1, 3, 3, 3, 3, 2])
+    points = scan_points(ranges, angles, every(angles))
+    np.testing.assert_array_equal(points.valid, [0, 0, 0, 1, 1, 1, 1, 0])
+    assert np.isnan(points.alpha[[0, 1, 2, 7]]).all()
+    assert np.isinf(points.sigma_alpha[[0, 1, 2, 7]]).all()
+    assert np.isfinite(points.xy).all()
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3])
+def test_tiny_scans(count):
+    angles = np.linspace(0, 0.01, count)
+    points = scan_points(np.ones(count), angles, every(angles))
+    assert len(points) == count
+    assert not points.valid.any()
+    assert len(scan_points(np.ones(5), np.zeros(5), np.zeros(5, bool))) == 0
+
+
+def test_a_full_turn_has_no_seam():
+    angles = fan(360, 360)  # -180 .. 179 deg, the wall behind crosses the seam
+    ranges, normal = box(angles, 4.0, 3.0)
+    points = scan_points(ranges, angles, every(angles))
+    behind = np.abs(angles) > np.deg2rad(170)
+    assert degrees_off(points.alpha, normal)[behind].max() < 1e-4
+    assert np.ptp(points.sigma_alpha[behind]) < 0.2 * points.sigma_alpha[behind].mean()
+
+
+def test_a_half_turn_does_have_one():
+    angles = fan(181, 180)
+    ranges = np.full(181, 2.0)
+    ranges[:3] = 1.0  # three rays at one end: too few, whatever is at the other
+    points = scan_points(ranges, angles, every(angles))
+    assert not points.valid[:3].any()
+    assert points.valid[3:].all()
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 1000), st.floats(-7.0, 7.0))
+def test_order_and_heading_of_the_rays_do_not_matter(seed, turn):
+    rng = np.random.default_rng(seed)
+    angles = np.sort(rng.uniform(-np.pi, np.pi, 300))  # irregular
+    ranges, _ = box(angles, rng.uniform(1, 7), rng.uniform(1, 5))
+    ranges += rng.normal(0, 0.02, 300)
+    reference = scan_points(ranges, angles, every(angles))
+    order = rng.permutation(300)
+    shuffled = scan_points(ranges[order], angles[order], every(angles))
+    np.testing.assert_allclose(shuffled.xy, reference.xy[order])
+    np.testing.assert_array_equal(shuffled.valid, reference.valid[order])
+    np.testing.assert_array_equal(shuffled.alpha, reference.alpha[order])
+    turned = scan_points(ranges, angles + turn, every(angles))
+    same = reference.valid & turned.valid
+    assert (reference.valid == turned.valid).mean() > 0.99
+    off = degrees_off(turned.alpha[same], reference.alpha[same] + turn)
+    assert (off < 1e-4).mean() > 0.99  # but for ties between windows
+
+
+@pytest.mark.parametrize(
+    "kwargs", [{"sigma_range": 0.0}, {"width": -1.0}, {"sigma_range": float("nan")}]
+)
+def test_wrong_parameters(kwargs):
+    with pytest.raises(ValueError, match="positive"):
+        scan_points(np.ones(4), np.zeros(4), np.ones(4, bool), **kwargs)
+
+
+def test_wrong_lengths():
+    with pytest.raises(ValueError, match="one length"):
+        scan_points(np.ones(4), np.zeros(3), np.ones(4, bool))
+
+
+@pytest.mark.parametrize("name", ["fr079", "gh25", "duke_loop5"])
+def test_real_scans_have_normals_almost_everywhere(shared, name):
+    with np.load(shared / "data" / name / "scans.npz") as data:
+        ranges, angles = data["ranges"][:20], data["angles"]
+        low, high = float(data["range_min"]), float(data["range_max"])
+    for scan in ranges:
+        valid = np.isfinite(scan) & (scan > low) & (scan < high)
+        points = scan_points(scan, angles, valid)
+        assert points.valid.mean() > 0.8
+        facing = np.einsum("ij,ji->i", points.xy, [np.cos(points.alpha), np.sin(points.alpha)])
+        assert (facing[points.valid] <= 1e-9).all()

@@ -1,0 +1,285 @@
+import naive
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imgloc.errors import ConfigError
+from imgloc.geometry import uniform_thetas
+from imgloc.likelihood.cbml import cbml, cbml_o
+from imgloc.likelihood.correlate import ENGINES
+from imgloc.likelihood.projections import project
+from imgloc.model import OrientedPoints
+
+seeds = st.integers(0, 2**32 - 1)
+every_engine = pytest.mark.parametrize("engine", ENGINES)
+ONE = np.zeros(1)
+
+
+def oriented(xy, alpha, valid=None):
+    n = len(xy)
+    valid = np.ones(n, dtype=bool) if valid is None else valid
+    return OrientedPoints(xy, alpha, np.full(n, 0.1), valid)
+
+
+def random_field(rng, shape):
+    angle, length = rng.uniform(-4, 4, shape), rng.uniform(0, 1, shape)
+    return np.stack((length * np.cos(angle), length * np.sin(angle))).astype(np.float32)
+
+
+def random_case(seed, shape=(7, 9), n=20, reach=0.6):
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-reach, reach, (n, 2))
+    valid = rng.random(n) < 0.7
+    alpha = np.where(valid | (rng.random(n) < 0.5), rng.uniform(-np.pi, np.pi, n), np.nan)
+    return random_field(rng, shape), oriented(xy, alpha, valid)
+
+
+def test_the_two_listings_of_cbml_agree():
+    rng = np.random.default_rng(0)
+    bmap, xy = rng.random((4, 6)), rng.uniform(-0.4, 0.4, (7, 2))
+    thetas = np.array([0.0, 1.0, -1.0])
+    np.testing.assert_allclose(
+        naive.cbml(bmap, xy, thetas, 0.1), naive.cbml_faster(bmap, xy, thetas, 0.1), atol=1e-12
+    )
+
+
+@every_engine
+@pytest.mark.parametrize("shape", [(6, 8), (5, 7)])
+def test_cbml_equals_algorithm_1(engine, shape):
+    rng = np.random.default_rng(1)
+    bmap = rng.random(shape).astype(np.float32)
+    xy = rng.uniform(-0.5, 0.5, (13, 2))
+    xy[4] = np.nan
+    thetas = np.array([0.0, 2.0, -9.0])
+    stack = cbml(bmap, xy, thetas, 0.1, engine=engine)
+    levels = np.rint(bmap * np.float32(255))
+    np.testing.assert_allclose(stack, naive.cbml(levels, xy, thetas, 0.1) / 255, rtol=1e-6)
+    exact = naive.cbml(bmap, xy, thetas, 0.1)
+    np.testing.assert_allclose(stack, exact, atol=12 * 0.5 / 255)
+
+
+def test_cbml_is_the_same_bits_whatever_computes_it():
+    rng = np.random.default_rng(2)
+    bmap, xy = rng.random((30, 41)).astype(np.float32), rng.uniform(-2, 2, (300, 2))
+    thetas = uniform_thetas(0.7)
+    one, *more = (
+        cbml(bmap, xy, thetas, 0.1, engine=engine, threads=threads)
+        for engine in ("auto", *ENGINES)
+        for threads in (1, 2)
+    )
+    for stack in more:
+        np.testing.assert_array_equal(stack, one)
+
+
+def test_cbml_bounds():
+    # Each reading counts for 1 at most, also where 257 of them fill a 16-bit sum to the brim.
+    bmap = np.ones((3, 3), dtype=np.float32)
+    for n in (1, 256, 257, 258, 600):
+        stack = cbml(bmap, np.zeros((n, 2)), ONE, 0.1, engine="shift")
+        np.testing.assert_allclose(stack, n, rtol=1e-6)
+
+
+def test_cbml_restricted_and_reused():
+    rng = np.random.default_rng(3)
+    bmap, xy = rng.random((8, 9)).astype(np.float32), rng.uniform(-0.5, 0.5, (20, 2))
+    where = rng.random(bmap.shape) < 0.4
+    full = cbml(bmap, xy, np.arange(3.0), 0.1)
+    out = np.full(full.shape, np.nan, dtype=np.float32)
+    assert cbml(bmap, xy, np.arange(3.0), 0.1, where=where, out=out) is out
+    np.testing.assert_array_equal(out, np.where(where, full, 0))
+
+
+@pytest.mark.parametrize("value", [-0.1, 1.1, np.nan, np.inf])
+def test_cbml_refuses_a_bmap_that_is_not_one(value):
+    bmap = np.zeros((3, 3), dtype=np.float32)
+    bmap[1, 1] = value
+    with pytest.raises(ValueError, match=r"bmap must be in 0\.\.1"):
+        cbml(bmap, np.zeros((1, 2)), ONE, 0.1)
+
+
+@every_engine
+@pytest.mark.parametrize("shape", [(6, 8), (5, 7), (1, 4)])
+def test_cbml_o_equals_algorithm_3_on_its_directions(engine, shape):
+    vmap, points = random_case(4, shape)
+    step = 2 * np.pi / 64
+    points = oriented(points.xy, np.rint(points.alpha / step) * step, points.valid)
+    assert 0 < points.valid.sum() < len(points)
+    assert np.isnan(points.alpha).any()
+    thetas = uniform_thetas(np.pi / 4) + 8 * np.pi
+    stack = cbml_o(vmap, points, thetas, 0.1, engine=engine)
+    # The shift engine rounds each projection to a step of 1/127.
+    tolerance = len(points) * 0.5 / 127 if engine == "shift" else 1e-4
+    np.testing.assert_allclose(stack, naive.cbml_o(vmap, points, thetas, 0.1), atol=tolerance)
+
+
+@pytest.mark.parametrize("engine", ["shift", "dft"])
+def test_normals_go_to_the_nearest_direction(engine):
+    vmap, points = random_case(12)
+    step = 2 * np.pi / 64
+    centred = oriented(points.xy, np.rint(points.alpha / step) * step + 1e-9, points.valid)
+    thetas = uniform_thetas(np.pi / 4)
+    expected = cbml_o(vmap, centred, thetas, 0.1, engine=engine)
+    for off in (-0.49, 0.49):
+        near = oriented(points.xy, centred.alpha + off * step, points.valid)
+        np.testing.assert_array_equal(cbml_o(vmap, near, thetas, 0.1, engine=engine), expected)
+
+
+@every_engine
+def test_cbml_o_is_near_algorithm_3_in_any_direction(engine):
+    vmap, points = random_case(5)
+    thetas = np.array([0.1, 1.7, -2.9])
+    n = int(points.valid.sum())
+    expected = naive.cbml_o(vmap, points, thetas, 0.1)
+    previous = np.inf
+    for directions, rounding in ((8, np.pi / 8), (64, np.pi / 64), (512, np.pi / 512)):
+        stack = cbml_o(vmap, points, thetas, 0.1, directions=directions, engine=engine)
+        error = np.abs(stack - expected).max()
+        assert error <= n * (2 * np.sin(rounding / 2) + 0.5 / 127) + 1e-4
+        assert error < previous
+        previous = error
+
+
+@every_engine
+def test_cbml_o_knows_the_two_sides_of_a_wall(engine):
+    # One wall, seen from the left (normal -x) and from the right (normal +x).
+    vmap = np.zeros((2, 1, 5), dtype=np.float32)
+    vmap[0, 0, 2] = -1
+    scan = oriented([[1.0, 0.0]], [np.pi])
+    stack = cbml_o(vmap, scan, np.array([0.0, np.pi]), 1.0, engine=engine)
+    literal = [[[0, 1, 0, 0, 0]], [[0, 0, 0, -1, 0]]]
+    np.testing.assert_allclose(stack, literal, atol=1e-6)
+
+
+@every_engine
+def test_cbml_o_components(engine):
+    # A floor-like wall below (normal +y): compatible with a scan point whose normal is +y.
+    vmap = np.zeros((2, 3, 1), dtype=np.float32)
+    vmap[1, 0, 0] = 0.5
+    scan = oriented([[0.0, -1.0], [0.0, -1.0]], [np.pi / 2, 0.0])
+    stack = cbml_o(vmap, scan, ONE, 1.0, engine=engine)
+    np.testing.assert_allclose(stack, [[[0], [0.5], [0]]], atol=0.005)
+
+
+@every_engine
+def test_points_without_a_normal_do_not_vote_in_cbml_o(engine):
+    vmap, points = random_case(6)
+    usable = points.select(points.valid)
+    assert len(usable) < len(points)
+    thetas = uniform_thetas(1.0)
+    np.testing.assert_array_equal(
+        cbml_o(vmap, points, thetas, 0.1, engine=engine),
+        cbml_o(vmap, usable, thetas, 0.1, engine=engine),
+    )
+    nobody = oriented(points.xy, points.alpha, np.zeros(len(points), dtype=bool))
+    assert not cbml_o(vmap, nobody, thetas, 0.1, engine=engine).any()
+
+
+def test_a_valid_point_with_nan_does_not_vote():
+    vmap, points = random_case(7)
+    xy = np.concatenate((points.xy, [[np.nan, 0.0], [0.1, 0.1]]))
+    alpha = np.concatenate((points.alpha, [0.0, np.nan]))
+    more = oriented(xy, alpha, np.concatenate((points.valid, [True, True])))
+    np.testing.assert_array_equal(
+        cbml_o(vmap, more, ONE, 0.1, engine="shift"), cbml_o(vmap, points, ONE, 0.1, engine="shift")
+    )
+
+
+@every_engine
+def test_cbml_o_beyond_16_bits(engine):
+    vmap = np.zeros((2, 4, 4), dtype=np.float32)
+    vmap[0] = 1
+    for n in (257, 258, 259, 700):
+        for alpha, sign in ((0.0, 1), (np.pi, -1)):
+            points = oriented(np.zeros((n, 2)), np.full(n, alpha))
+            stack = cbml_o(vmap, points, ONE, 0.1, engine=engine)
+            np.testing.assert_allclose(stack, sign * n, rtol=1e-5)
+
+
+def test_projections_are_reused():
+    vmap, points = random_case(8, (20, 30))
+    thetas = uniform_thetas(0.5)
+    where = np.zeros((20, 30), dtype=bool)
+    where[5:9, 7:20] = True
+    vmap[:, :3] = 0
+    projections = project(vmap, 32)
+    assert projections.shape == (16, 20, 30)
+    for mask in (None, where):
+        fresh = cbml_o(vmap, points, thetas, 0.1, directions=32, engine="shift", where=mask)
+        again = cbml_o(
+            vmap,
+            points,
+            thetas,
+            0.1,
+            directions=32,
+            engine="shift",
+            where=mask,
+            projections=projections,
+        )
+        np.testing.assert_array_equal(fresh, again)
+    with pytest.raises(ValueError, match="projections must be"):
+        cbml_o(vmap, points, thetas, 0.1, directions=64, engine="shift", projections=projections)
+
+
+@every_engine
+def test_cbml_o_restricted_reused_and_threaded(engine):
+    vmap, points = random_case(9, (12, 10), 30)
+    where = np.random.default_rng(9).random((12, 10)) < 0.5
+    where[:3] = False
+    thetas = uniform_thetas(0.9)
+    full = cbml_o(vmap, points, thetas, 0.1, engine=engine)
+    out = np.full(full.shape, np.nan, dtype=np.float32)
+    assert cbml_o(vmap, points, thetas, 0.1, engine=engine, where=where, out=out) is out
+    np.testing.assert_allclose(out, np.where(where, full, 0), atol=1e-5)
+    for threads in (2, 5):
+        threaded = cbml_o(vmap, points, thetas, 0.1, engine=engine, threads=threads)
+        np.testing.assert_array_equal(threaded, full)
+
+
+@pytest.mark.parametrize("directions", [0, 7, -2])
+def test_refuses_directions(directions):
+    vmap, points = random_case(10)
+    with pytest.raises(ConfigError, match="directions"):
+        cbml_o(vmap, points, ONE, 0.1, directions=directions)
+    with pytest.raises(ConfigError, match="directions"):
+        project(vmap, directions)
+
+
+def test_refuses_a_vmap_that_is_not_one():
+    _, points = random_case(11)
+    with pytest.raises(ValueError, match=r"\(2, H, W\)"):
+        cbml_o(np.zeros((3, 4), np.float32), points, ONE, 0.1)
+    for value in (1.2, np.nan):
+        with pytest.raises(ValueError, match="length"):
+            cbml_o(np.full((2, 3, 4), value, np.float32), points, ONE, 0.1)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seeds, st.sampled_from(ENGINES))
+def test_turning_the_field_turns_the_answer(seed, engine):
+    vmap, points = random_case(seed, (5, 8))
+    thetas = uniform_thetas(np.pi / 4)
+    turn = np.stack((-vmap[1], vmap[0])).swapaxes(1, 2)[..., ::-1]
+    stack = cbml_o(vmap, points, thetas, 0.1, engine=engine)
+    turned = cbml_o(np.ascontiguousarray(turn), points, thetas, 0.1, engine=engine)
+    np.testing.assert_allclose(
+        np.roll(stack.swapaxes(1, 2)[..., ::-1], 2, axis=0), turned, atol=len(points) / 127 + 1e-4
+    )
+
+
+@settings(max_examples=20, deadline=None)
+@given(seeds)
+def test_order_of_the_rays_and_opposite_normals(seed):
+    vmap, points = random_case(seed)
+    thetas = uniform_thetas(0.8)
+    stack = cbml_o(vmap, points, thetas, 0.1, engine="shift")
+    order = np.random.default_rng(seed).permutation(len(points))
+    np.testing.assert_array_equal(
+        cbml_o(vmap, points.select(order), thetas, 0.1, engine="shift"), stack
+    )
+    opposite = oriented(points.xy, points.alpha + np.pi, points.valid)
+    np.testing.assert_allclose(
+        cbml_o(vmap, opposite, thetas, 0.1, engine="dft"),
+        -cbml_o(vmap, points, thetas, 0.1, engine="dft"),
+        atol=0.02 * len(points) * np.pi,  # a normal midway between two directions
+    )

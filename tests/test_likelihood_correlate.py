@@ -1,0 +1,312 @@
+import cv2
+import naive
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imgloc.errors import ConfigError
+from imgloc.geometry import uniform_thetas
+from imgloc.likelihood import shift
+from imgloc.likelihood.correlate import ENGINES, choose_engine, correlate
+from imgloc.likelihood.slices import cell_offsets
+
+seeds = st.integers(0, 2**32 - 1)
+every_engine = pytest.mark.parametrize("engine", ENGINES)
+ONE = np.zeros(1)
+
+
+def random_case(seed, shape=(7, 10), n=12, reach=0.7):
+    rng = np.random.default_rng(seed)
+    image = rng.integers(0, 256, shape).astype(np.uint8)
+    return image, rng.uniform(-reach, reach, (n, 2))
+
+
+def turn(stack):
+    """Images of the plane turned by +90 degrees: (x, y) -> (-y, x)."""
+    return np.swapaxes(stack, -1, -2)[..., ::-1]
+
+
+@every_engine
+@pytest.mark.parametrize("shape", [(6, 8), (5, 7), (9, 4), (1, 6), (5, 1), (1, 1)])
+def test_equals_algorithm_1(engine, shape):
+    image, xy = random_case(1, shape, n=30, reach=0.6)
+    thetas = np.array([0.0, 0.3, -2.0, 3.0, 7.0])
+    expected = naive.cbml(image, xy, thetas, 0.1)
+    assert expected.max() > 100
+    np.testing.assert_array_equal(correlate(image, xy, thetas, 0.1, engine=engine), expected)
+
+
+@every_engine
+@pytest.mark.parametrize("k", [1, 3, 4, 6])
+def test_full_circle_equals_algorithm_2(engine, k):
+    image, xy = random_case(k)
+    thetas = uniform_thetas(2 * np.pi / k)
+    expected = naive.cbml_faster(image, xy, thetas, 0.1)
+    np.testing.assert_array_equal(correlate(image, xy, thetas, 0.1, engine=engine), expected)
+
+
+@every_engine
+def test_axes_and_sides(engine):
+    image = np.array([[0, 0, 0, 0], [0, 0, 9, 0], [0, 0, 0, 5]], dtype=np.uint8)
+    ahead = np.array([[1.0, 0.0]])
+    stack = correlate(image, ahead, uniform_thetas(np.pi / 2), 1.0, engine=engine)
+    # Looking along +x the pose is one column lower; along +y one row lower; and so on. The 5
+    # in the corner is never reached through the other side of the map.
+    literal = [
+        [[0, 0, 0, 0], [0, 9, 0, 0], [0, 0, 5, 0]],
+        [[0, 0, 9, 0], [0, 0, 0, 5], [0, 0, 0, 0]],
+        [[0, 0, 0, 0], [0, 0, 0, 9], [0, 0, 0, 0]],
+        [[0, 0, 0, 0], [0, 0, 0, 0], [0, 0, 9, 0]],
+    ]
+    np.testing.assert_array_equal(stack, literal)
+
+
+@every_engine
+def test_left_is_positive_y(engine):
+    image = np.array([[0, 0], [7, 0]], dtype=np.uint8)
+    left = np.array([[0.0, 1.0]])
+    np.testing.assert_array_equal(
+        correlate(image, left, ONE, 1.0, engine=engine), [[[7, 0], [0, 0]]]
+    )
+
+
+@pytest.mark.parametrize(
+    ("x", "column"), [(0.049, 0), (0.051, 1), (-0.049, 0), (-0.051, -1), (0.149, 1), (-0.151, -2)]
+)
+def test_half_cells(x, column):
+    # A pose is a cell's centre: 4.9 cm on is the same 10 cm cell, 5.1 cm on is the next.
+    assert cell_offsets(np.array([[x, 0.0]]), ONE, 0.1)[0, 0].tolist() == [0, column]
+
+
+@every_engine
+def test_lost_and_far_points_add_nothing(engine):
+    image, xy = random_case(3)
+    lost = [[np.nan, 0], [np.inf, 0], [0, -np.inf], [np.nan, np.nan], [1e12, 0], [0.05, -1e300]]
+    thetas = np.array([0.0, 1.0, np.pi])
+    np.testing.assert_array_equal(
+        correlate(image, np.concatenate((xy, lost)), thetas, 0.1, engine=engine),
+        correlate(image, xy, thetas, 0.1, engine=engine),
+    )
+
+
+@every_engine
+def test_no_points_and_no_headings(engine):
+    image, xy = random_case(4)
+    nothing = correlate(image, np.empty((0, 2)), np.arange(3.0), 0.1, engine=engine)
+    np.testing.assert_array_equal(nothing, np.zeros((3, 7, 10)))
+    assert correlate(image, xy, np.empty(0), 0.1, engine=engine).shape == (0, 7, 10)
+
+
+@every_engine
+def test_sums_beyond_16_bits(engine):
+    # 700 readings of 255 on one map: 178500 > 65535, half of them in one cell.
+    image = np.full((12, 15), 255, dtype=np.uint8)
+    image[3, 4] = 254
+    xy = np.random.default_rng(5).uniform(-0.3, 0.3, (700, 2))
+    xy[::2] = 0.011
+    expected = naive.cbml(image, xy, ONE, 0.1)
+    assert expected.max() > 2 * 65535
+    np.testing.assert_array_equal(correlate(image, xy, ONE, 0.1, engine=engine), expected)
+
+
+@pytest.mark.parametrize("shape", [(600, 620), (3, 1500), (130, 90)])
+def test_engines_agree_to_the_bit_over_several_tiles(shape):
+    image, xy = random_case(6, shape, n=60, reach=8.0)
+    thetas = uniform_thetas(np.pi)
+    stacks = [correlate(image, xy, thetas, 0.1, engine=engine) for engine in ENGINES]
+    np.testing.assert_array_equal(stacks[0], stacks[1])
+    np.testing.assert_array_equal(stacks[0], stacks[2])
+
+
+def test_dft_is_exact_where_single_precision_is_not():
+    image = np.full((300, 300), 255, dtype=np.uint8)
+    xy = np.random.default_rng(7).uniform(-3, 3, (9000, 2))
+    xy[::2] = 0.5  # a kernel of one huge weight
+    stacks = [correlate(image, xy, ONE + 0.4, 0.1, engine=engine) for engine in ("dft", "shift")]
+    assert stacks[0].max() > 2e6
+    np.testing.assert_array_equal(*stacks)
+
+
+@every_engine
+def test_float_images(engine):
+    image, xy = random_case(8)
+    real = (image / np.float32(51)).astype(np.float32)
+    thetas = np.array([0.2, 0.2 + np.pi])
+    np.testing.assert_allclose(
+        correlate(real, xy, thetas, 0.1, engine=engine),
+        naive.cbml(real, xy, thetas, 0.1),
+        atol=2e-5,
+    )
+
+
+@every_engine
+@pytest.mark.parametrize("k", [1, 5, 6])
+def test_any_number_of_threads_gives_the_same_bits(engine, k):
+    image, xy = random_case(9, (40, 31), 50, 2.0)
+    real = image.astype(np.float32) / 7
+    thetas = uniform_thetas(2 * np.pi / k)
+    before = cv2.getNumThreads()
+    for source in (image, real):
+        one, *more = (
+            correlate(source, xy, thetas, 0.1, engine=engine, threads=t) for t in (1, 2, 3, 9)
+        )
+        for stack in more:
+            np.testing.assert_array_equal(stack, one)
+    assert cv2.getNumThreads() == before
+
+
+@every_engine
+def test_only_wanted_poses(engine):
+    image, xy = random_case(10, (20, 30), 40, 1.0)
+    image[:, :9] = 0  # an unknown border, to be skipped altogether
+    image[15:] = 0
+    where = np.zeros(image.shape, dtype=bool)
+    where[4:9, 12:20] = True
+    where[6, 15] = False
+    thetas = uniform_thetas(np.pi / 3)
+    full = correlate(image, xy, thetas, 0.1, engine=engine)
+    out = np.full(full.shape, np.nan, dtype=np.float32)
+    result = correlate(image, xy, thetas, 0.1, engine=engine, where=where, out=out)
+    assert result is out
+    np.testing.assert_array_equal(result, np.where(where, full, 0))
+    nowhere = correlate(image, xy, thetas, 0.1, engine=engine, where=np.zeros_like(where), out=out)
+    assert not nowhere.any()
+
+
+@every_engine
+def test_output_is_reused(engine):
+    image, xy = random_case(11)
+    thetas = np.array([0.0, 0.4])
+    out = np.full((2, *image.shape), np.nan, dtype=np.float32)
+    fresh = correlate(image, xy, thetas, 0.1, engine=engine)
+    assert correlate(image, xy, thetas, 0.1, engine=engine, out=out) is out
+    np.testing.assert_array_equal(out, fresh)
+
+
+def test_image_may_be_any_view():
+    image, xy = random_case(12, (14, 20))
+    thetas = np.array([0.0, 1.1])
+    for view in (image[::2, ::2], image.T, image[::-1, ::-1]):
+        view.flags.writeable = False
+        for engine in ENGINES:
+            np.testing.assert_array_equal(
+                correlate(view, xy, thetas, 0.1, engine=engine), naive.cbml(view, xy, thetas, 0.1)
+            )
+
+
+@pytest.mark.parametrize(
+    "out",
+    [
+        np.empty((2, 7, 9), np.float32),
+        np.empty((1, 7, 10)),
+        np.empty((1, 7, 20), np.float32)[..., ::2],
+        np.broadcast_to(np.float32(0), (1, 7, 10)),
+    ],
+)
+def test_refuses_an_output_that_does_not_fit(out):
+    image, xy = random_case(13)
+    with pytest.raises(ValueError, match="out must be"):
+        correlate(image, xy, ONE, 0.1, out=out)
+
+
+def test_refuses_a_read_only_output():
+    image, xy = random_case(13)
+    out = np.empty((1, 7, 10), np.float32)
+    out.flags.writeable = False
+    with pytest.raises(ValueError, match="writable"):
+        correlate(image, xy, ONE, 0.1, out=out)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"engine": "fft"}, "auto, filter2d, shift, dft, got 'fft'"),
+        ({"threads": 0}, "threads"),
+        ({"resolution": 0.0}, "resolution"),
+        ({"resolution": np.nan}, "resolution"),
+    ],
+)
+def test_refuses_bad_parameters(change, words):
+    image, xy = random_case(14)
+    with pytest.raises(ConfigError, match=words):
+        correlate(**{"image": image, "xy": xy, "thetas": ONE, "resolution": 0.1, **change})
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"image": np.zeros((3, 3))}, "uint8 or float32, got float64"),
+        ({"image": np.zeros((3, 3, 3), np.uint8)}, "H, W"),
+        ({"xy": np.zeros((5, 3))}, r"\(N, 2\)"),
+        ({"where": np.ones((3, 3), dtype=bool)}, "where"),
+        ({"where": np.ones((7, 10))}, "where"),
+    ],
+)
+def test_refuses_bad_arrays(change, words):
+    image, xy = random_case(15)
+    with pytest.raises(ValueError, match=words):
+        correlate(**{"image": image, "xy": xy, "thetas": ONE, "resolution": 0.1, **change})
+
+
+def test_cost_model():
+    rng = np.random.default_rng(16)
+    tiles = shift.tiles_of((400, 500))
+
+    def chosen(n, reach, tiles=tiles):
+        offsets = rng.integers(-reach, reach + 1, (8, n, 2))
+        return choose_engine("auto", offsets, (400, 500), tiles)
+
+    assert chosen(40, 100) == "shift"
+    assert chosen(300, 100) == "dft"
+    assert chosen(181, 390) == "shift"  # most shifts leave little of the map
+    where = np.zeros((400, 500), dtype=bool)
+    where[:40, :50] = True
+    assert chosen(300, 100, shift.tiles_of((400, 500), where)) == "shift"  # few poses wanted
+    assert chosen(0, 1) == "shift"
+
+
+def test_tiles_cover_every_pose_once():
+    for shape in [(1, 1), (5, 3000), (3000, 5), (700, 1025)]:
+        covered = np.zeros(shape, dtype=int)
+        for t in shift.tiles_of(shape):
+            assert (t.r1 - t.r0) * (t.c1 - t.c0) <= shift.TILE_CELLS
+            covered[t.r0 : t.r1, t.c0 : t.c1] += 1
+        assert (covered == 1).all()
+
+
+@settings(max_examples=25, deadline=None)
+@given(seeds, st.sampled_from(ENGINES))
+def test_turning_the_map_turns_the_answer(seed, engine):
+    image, xy = random_case(seed, (6, 9), 15, 0.8)
+    thetas = uniform_thetas(np.pi / 4)
+    stack = correlate(image, xy, thetas, 0.1, engine=engine)
+    turned = correlate(np.ascontiguousarray(turn(image)), xy, thetas, 0.1, engine=engine)
+    np.testing.assert_array_equal(np.roll(turn(stack), 2, axis=0), turned)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seeds, st.sampled_from(ENGINES))
+def test_order_of_the_rays_does_not_matter_and_votes_add(seed, engine):
+    image, xy = random_case(seed)
+    thetas = uniform_thetas(1.0)
+    stack = correlate(image, xy, thetas, 0.1, engine=engine)
+    order = np.random.default_rng(seed).permutation(len(xy))
+    np.testing.assert_array_equal(correlate(image, xy[order], thetas, 0.1, engine=engine), stack)
+    twice = correlate(image, np.repeat(xy, 3, axis=0), thetas, 0.1, engine=engine)
+    np.testing.assert_array_equal(twice, 3 * stack)
+    parts = [correlate(image, part, thetas, 0.1, engine=engine) for part in (xy[:5], xy[5:])]
+    np.testing.assert_array_equal(parts[0] + parts[1], stack)
+
+
+@settings(max_examples=15, deadline=None)
+@given(seeds, st.integers(0, 4), st.integers(0, 4))
+def test_moving_the_map_moves_the_answer(seed, rows, columns):
+    image, xy = random_case(seed, (5, 6), 9, 0.3)
+    thetas = uniform_thetas(2.0)
+    # An empty rim as wide as the reach, so that no score is cut off.
+    rim = np.pad(image, 5)
+    moved = np.pad(image, ((5 + rows, 9 - rows), (5 + columns, 9 - columns)))
+    stack = correlate(rim, xy, thetas, 0.1)
+    again = correlate(moved, xy, thetas, 0.1)
+    np.testing.assert_array_equal(again[:, rows : rows + 15, columns : columns + 16], stack)

@@ -1,0 +1,96 @@
+"""The posterior: normalised over free cells only, whatever the scale of the stack."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from imgloc.likelihood.posterior import LOG_METHODS, posterior
+from imgloc.pipeline import METHODS
+
+VOTES = sorted(set(METHODS) - LOG_METHODS)
+stacks = arrays(np.float32, (3, 2, 4), elements=st.integers(-800, 800).map(lambda i: i / 8))
+masks = arrays(bool, (2, 4))
+
+
+def naive(values, log, free):
+    out = np.zeros(values.shape)
+    top = max((float(v) for k in values for v in k[free]), default=0.0)
+    for k, r, c in np.ndindex(values.shape):
+        if free[r, c]:
+            v = float(values[k, r, c])
+            out[k, r, c] = math.exp(v - top) if log else max(v, 0.0)
+    total = out.sum()
+    return out / total if total > 0 else out
+
+
+@pytest.mark.parametrize("method", METHODS)
+@given(values=stacks, free=masks)
+@settings(max_examples=60, deadline=None)
+def test_posterior_equals_the_loops(method, values, free):
+    before = values.copy()
+    got = posterior(values, method, free)
+    assert got.dtype == np.float32
+    np.testing.assert_allclose(got, naive(values, method in LOG_METHODS, free), atol=1e-6)
+    np.testing.assert_array_equal(values, before)
+
+
+def test_the_beam_model_is_the_one_that_is_a_logarithm():
+    assert frozenset({"beam"}) == LOG_METHODS
+
+
+@given(stacks, st.floats(-1e4, 1e4))
+@settings(max_examples=40, deadline=None)
+def test_a_constant_of_the_scan_drops_out_of_a_log_likelihood(values, constant):
+    values = np.rint(values)  # so that the sum is exact in float32
+    free = np.ones((2, 4), bool)
+    moved = (values + np.float32(round(constant))).astype(np.float32)
+    np.testing.assert_array_equal(posterior(values, "beam", free), posterior(moved, "beam", free))
+
+
+@pytest.mark.parametrize("method", VOTES)
+@given(values=stacks, power=st.integers(-10, 10))
+@settings(max_examples=20, deadline=None)
+def test_the_unit_of_a_vote_drops_out(method, values, power):
+    free = np.ones((2, 4), bool)
+    scaled = values * np.float32(2.0**power)
+    np.testing.assert_allclose(
+        posterior(values, method, free), posterior(scaled, method, free), atol=1e-6
+    )
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_better_pose_in_a_wall_takes_nothing(method):
+    values = np.array([[[1000.0, 2.0, 1.0]]], np.float32)
+    got = posterior(values, method, np.array([[False, True, True]]))[0, 0]
+    assert got[0] == 0
+    assert got.sum() == pytest.approx(1)
+    assert got[1] == pytest.approx(1 / (1 + math.exp(-1)) if method == "beam" else 2 / 3)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_free_cell_no_pose(method):
+    assert not posterior(np.ones((2, 3, 4), np.float32), method, np.zeros((3, 4), bool)).any()
+
+
+@pytest.mark.parametrize("method", VOTES)
+def test_no_positive_vote_no_pose(method):
+    values = np.array([[[0.0, -3.0]]], np.float32)
+    assert not posterior(values, method, np.ones((1, 2), bool)).any()
+
+
+def test_log_likelihoods_may_be_of_any_size():
+    values = np.array([[[-90_000.0, -90_001.0, -np.inf, 4e4]]], np.float32)
+    got = posterior(values, "beam", np.array([[True, True, True, False]]))[0, 0]
+    np.testing.assert_allclose(got, [0.7310586, 0.2689414, 0, 0], rtol=1e-5)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_large_stacks_sum_to_one(method):
+    rng = np.random.default_rng(0)
+    values = rng.uniform(0, 3, (40, 200, 200)).astype(np.float32)
+    free = rng.random((200, 200)) < 0.7
+    assert posterior(values, method, free).sum(dtype=np.float64) == pytest.approx(1, abs=1e-5)

@@ -1,0 +1,207 @@
+"""The types that flow: what they refuse, what they derive, and that nobody can change them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from imgloc.model import (
+    VERDICTS,
+    GridInfo,
+    Hypothesis,
+    LaserScan,
+    Likelihood,
+    Localization,
+    OccupancyGrid,
+    OrientedPoints,
+    Pose2D,
+)
+
+INF, NAN = float("inf"), float("nan")
+
+
+def grid(occupied, free, resolution=0.1):
+    return OccupancyGrid(np.array(occupied, bool), np.array(free, bool), resolution)
+
+
+def points(n=3):
+    return OrientedPoints(np.arange(2.0 * n).reshape(n, 2), np.zeros(n), np.ones(n), [True] * n)
+
+
+def frozen_arrays():
+    scan = LaserScan([1.0, 2.0], [0.0, 0.1])
+    hypothesis = Hypothesis(Pose2D(0, 0), -1.0, 0.5, np.eye(3))
+    stack = Likelihood(np.zeros((2, 1, 3)), [0, np.pi], GridInfo(1, 3, 0.1), "cbml")
+    p = points()
+    return {
+        "occupied": grid([[1]], [[0]]).occupied,
+        "free": grid([[1]], [[0]]).free,
+        "ranges": scan.ranges,
+        "angles": scan.angles,
+        "xy": p.xy,
+        "alpha": p.alpha,
+        "sigma_alpha": p.sigma_alpha,
+        "valid": p.valid,
+        "values": stack.values,
+        "thetas": stack.thetas,
+        "covariance": hypothesis.covariance,
+    }
+
+
+@pytest.mark.parametrize("name", frozen_arrays())
+def test_arrays_are_read_only(name):
+    array = frozen_arrays()[name]
+    with pytest.raises(ValueError, match="read-only"):
+        array[...] = 0
+
+
+def test_the_callers_own_array_stays_writable():
+    mine = np.array([[True, False]])
+    OccupancyGrid(mine, ~mine, 0.1)
+    mine[0, 0] = False
+    assert mine.flags.writeable
+
+
+@pytest.mark.parametrize("value", [Pose2D(0, 0), GridInfo(1, 1, 0.1), grid([[1]], [[0]]), points()])
+def test_fields_cannot_be_assigned(value):
+    name = dataclasses.fields(value)[0].name
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(value, name, 1)
+
+
+def test_a_pose_holds_plain_floats_and_a_wrapped_heading():
+    pose = Pose2D(np.float32(1), 2, np.int64(4))
+    assert [type(v) for v in (pose.x, pose.y, pose.theta)] == [float] * 3
+    assert pose.theta == pytest.approx(4 - 2 * np.pi)
+    assert Pose2D(1, 2).theta == 0.0
+    assert Pose2D(0, 0, np.pi) == Pose2D(0, 0, -np.pi)
+
+
+def test_rows_come_before_columns():
+    g = grid(np.zeros((2, 5)), np.ones((2, 5)))
+    assert (g.info.height, g.info.width, g.info.shape) == (2, 5, (2, 5))
+    assert g.info.resolution == 0.1
+    assert g.info.origin == Pose2D(0, 0, 0)
+
+
+def test_unknown_is_neither_occupied_nor_free():
+    g = grid([[1, 0, 0]], [[0, 1, 0]])
+    assert g.unknown.tolist() == [[False, False, True]]
+
+
+def test_occupied_and_free_become_bool():
+    assert OccupancyGrid(np.array([[0, 2]]), np.array([[1, 0]]), 1.0).occupied.dtype == bool
+
+
+@pytest.mark.parametrize(("occupied", "free"), [((2, 3), (3, 2)), ((4,), (4,)), ((1, 2, 3),) * 2])
+def test_maps_of_wrong_shape_are_refused(occupied, free):
+    with pytest.raises(ValueError, match="one shape"):
+        OccupancyGrid(np.zeros(occupied, bool), np.zeros(free, bool), 0.1)
+
+
+@pytest.mark.parametrize("resolution", [0.0, -0.1, NAN, INF])
+def test_a_resolution_is_positive_and_finite(resolution):
+    with pytest.raises(ValueError, match="resolution"):
+        grid([[1]], [[0]], resolution)
+
+
+# What each reading is, with range_min 0.5 and range_max 8 (REP 117).
+READINGS = {
+    0.5000001: "valid",
+    7.9999: "valid",
+    0.5: "too_close",
+    0.0: "too_close",
+    -1.0: "too_close",
+    -INF: "too_close",
+    8.0: "no_return",
+    81.9: "no_return",
+    INF: "no_return",
+    NAN: "nan",
+}
+
+
+@pytest.mark.parametrize(("reading", "kind"), READINGS.items())
+def test_each_reading_is_of_one_kind(reading, kind):
+    scan = LaserScan([reading], [0.0], range_min=0.5, range_max=8.0)
+    assert scan.counts == {"valid": 0, "no_return": 0, "too_close": 0, "nan": 0} | {kind: 1}
+    assert scan.valid.tolist() == [kind == "valid"]
+    assert scan.no_return.tolist() == [kind == "no_return"]
+
+
+def test_without_a_range_max_every_distance_counts():
+    scan = LaserScan([0.0, 1e-9, 1e6, INF, NAN], np.zeros(5))
+    assert scan.valid.tolist() == [False, True, True, False, False]
+    assert scan.no_return.tolist() == [False, False, False, True, False]
+
+
+@given(
+    arrays(float, st.integers(0, 30), elements=st.floats(width=32)),
+    st.floats(-1, 5),
+    st.floats(-1, 10) | st.just(INF),
+)
+def test_the_counts_add_up(ranges, range_min, range_max):
+    scan = LaserScan(ranges, np.zeros(len(ranges)), range_min=range_min, range_max=range_max)
+    assert sum(scan.counts.values()) == len(ranges)
+    assert not (scan.valid & scan.no_return).any()
+    assert scan.valid.dtype == scan.no_return.dtype == bool
+    kept = scan.ranges[scan.valid]
+    assert np.all((kept > range_min) & (kept < range_max) & np.isfinite(kept))
+
+
+def test_the_readings_are_kept_as_recorded():
+    raw = [1.0, INF, NAN, 99.0]
+    np.testing.assert_array_equal(LaserScan(raw, np.zeros(4), range_max=10).ranges, raw)
+
+
+@pytest.mark.parametrize(("ranges", "angles"), [((3,), (4,)), ((2, 3), (2, 3)), ((), ())])
+def test_a_scan_is_two_vectors_of_one_length(ranges, angles):
+    with pytest.raises(ValueError, match="one length"):
+        LaserScan(np.zeros(ranges), np.zeros(angles))
+
+
+def test_oriented_points_are_selected_together():
+    p = OrientedPoints([[0, 1], [2, 3], [4, 5]], [0.1, 0.2, 0.3], [1, 2, 3], [True, False, True])
+    assert len(p) == 3
+    for index in (np.array([2, 0]), np.array([False, True, True])):
+        some = p.select(index)
+        assert len(some) == 2
+        for name in ("xy", "alpha", "sigma_alpha", "valid"):
+            np.testing.assert_array_equal(getattr(some, name), getattr(p, name)[index])
+    assert p.select(np.array([2, 0])).xy.tolist() == [[4, 5], [0, 1]]
+
+
+@pytest.mark.parametrize("short", ["xy", "alpha", "sigma_alpha", "valid"])
+def test_oriented_points_agree_in_length(short):
+    fields = {"xy": np.zeros((3, 2)), "alpha": np.zeros(3), "sigma_alpha": np.zeros(3)}
+    fields["valid"] = np.ones(3, bool)
+    fields[short] = fields[short][:2]
+    with pytest.raises(ValueError, match="agree in length"):
+        OrientedPoints(**fields)
+
+
+def test_points_have_two_coordinates():
+    with pytest.raises(ValueError, match="agree in length"):
+        OrientedPoints(np.zeros((2, 3)), np.zeros(2), np.zeros(2), np.ones(2, bool))
+
+
+@pytest.mark.parametrize("shape", [(2, 4, 3), (3, 3, 4), (3, 12), (1, 3, 3, 4)])
+def test_a_stack_is_theta_then_rows_then_columns(shape):
+    lattice, thetas = GridInfo(3, 4, 0.1), np.zeros(2)
+    assert Likelihood(np.zeros((2, 3, 4)), thetas, lattice, "ght").values.dtype == np.float32
+    with pytest.raises(ValueError, match="thetas, rows, columns"):
+        Likelihood(np.zeros(shape), thetas, lattice, "ght")
+
+
+def test_the_pose_of_an_answer_is_that_of_its_first_hypothesis():
+    first, second = (Hypothesis(Pose2D(x, 0), -x, 0.5, np.eye(3)) for x in (1, 2))
+    assert Localization((first, second), "ambiguous", 0.69, 0.9).pose == Pose2D(1, 0)
+    nothing = Localization((), "invalid", 0.0, 0.0)
+    assert nothing.pose is None
+    assert dict(nothing.counts) == dict(nothing.timings_ms) == dict(nothing.parameters) == {}
+
+
+def test_verdicts():
+    assert VERDICTS == ("unique", "ambiguous", "no-match", "invalid")

@@ -1,0 +1,267 @@
+"""The default search: its parts, what it returns, and that its answer moves with the world."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from imgloc.experiments.simulate import sample_free_poses, simulate
+from imgloc.experiments.worlds import WORLDS, render
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.geometry import cell_of, inside, transform_poses, wrap
+from imgloc.model import LaserScan, OccupancyGrid, Pose2D
+from imgloc.search.fused import (
+    FusedOptions,
+    propose_votes,
+    reach,
+    scan_xy,
+    search_fused,
+    thin,
+)
+from imgloc.search.rescore import rescore
+
+INF, NAN = float("inf"), float("nan")
+OPTIONS = FusedOptions()
+ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
+seeds = st.integers(0, 2**32 - 1)
+
+
+@cache
+def world(name="curved"):
+    return render(WORLDS[name](), 0.1)
+
+
+@cache
+def features_of(name="curved"):
+    return MapFeatures(world(name))
+
+
+@cache
+def truth(name="curved"):
+    return render(WORLDS[name](), 0.02)
+
+
+def scan_at(pose, name="curved", angles=ANGLES, seed=0):
+    ranges = simulate(truth(name), [pose], angles, seed=seed, range_max=30.0)[0]
+    return LaserScan(ranges, angles, range_max=30.0)
+
+
+def moved(grid, change):
+    """Map with its images changed."""
+    occupied, free = (np.ascontiguousarray(change(a)) for a in (grid.occupied, grid.free))
+    return OccupancyGrid(occupied, free, grid.resolution)
+
+
+def clear_answer(features, scan):
+    """The best pose, where it is much better than the second."""
+    found = search_fused(features, scan, OPTIONS)
+    score = found.evidence.log_likelihood
+    assume(len(score) == 1 or score[0] - score[1] > 20)
+    return found.poses[0]
+
+
+def assert_close(pose, other, metres=0.03, degrees=0.7):
+    assert np.hypot(*(pose[:2] - other[:2])) < metres
+    assert abs(wrap(pose[2] - other[2])) < np.deg2rad(degrees)
+
+
+def poses_of(seed, n=1):
+    return sample_free_poses(world(), n, seed, clearance=0.4)
+
+
+# --- parts
+
+
+@given(st.lists(st.booleans(), max_size=60), st.integers(0, 70))
+def test_thinning_spreads_over_the_valid_readings(valid, n):
+    valid = np.array(valid, bool)
+    index = thin(valid, n)
+    assert len(index) == min(n, valid.sum())
+    assert valid[index].all()
+    assert np.all(np.diff(index) > 0)
+    if len(index) > 1:  # from the first to the last, in even steps
+        every = np.flatnonzero(valid)
+        assert (index[0], index[-1]) == (every[0], every[-1])
+        steps = np.diff(np.searchsorted(every, index))
+        assert steps.max() - steps.min() <= 1
+
+
+def test_enough_rays_keep_all_readings():
+    assert thin(np.array([False, True, True, False, True]), 10).tolist() == [1, 2, 4]
+
+
+def test_endpoints_of_readings_and_the_origin_for_what_is_none():
+    scan = LaserScan([2.0, 3.0, NAN, INF, 9.0], [0, np.pi / 2, 0, 0, 0], range_max=8.0)
+    np.testing.assert_allclose(
+        scan_xy(scan), [[2, 0], [0, 3], [0, 0], [0, 0], [0, 0]], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("ranges", "range_max", "expected"),
+    [([1.0, 3.0], 8.0, 8.0), ([1.0, 3.0, INF, NAN], INF, 3.0), ([NAN], INF, 1.0)],
+)
+def test_reach(ranges, range_max, expected):
+    assert reach(LaserScan(ranges, np.zeros(len(ranges)), range_max=range_max)) == expected
+
+
+@given(seeds)
+@settings(max_examples=4, deadline=None)
+def test_votes_propose_the_true_pose(seed):
+    (pose,) = poses_of(seed)
+    proposals = propose_votes(features_of(), scan_at(pose), OPTIONS)
+    assert proposals.shape[1] == 3
+    assert 0 < len(proposals) <= OPTIONS.vote_peaks
+    gap = np.hypot(*(proposals[:, :2] - pose[:2]).T)
+    turn = np.abs(wrap(proposals[:, 2] - pose[2]))
+    near = (gap < 2 * OPTIONS.vote_cell) & (turn < 3 * np.pi / OPTIONS.vote_headings)
+    assert near.any()
+
+
+def test_a_scan_without_a_surface_casts_no_votes():
+    angles = np.linspace(0, 6, 12)
+    scan = LaserScan(1.0 + 5.0 * (np.arange(12) % 2), angles)  # a depth jump at every reading
+    assert propose_votes(features_of(), scan, OPTIONS).shape == (0, 3)
+
+
+# --- the search
+
+
+@given(seeds)
+@settings(max_examples=5, deadline=None)
+def test_the_true_pose_is_found(seed):
+    (pose,) = poses_of(seed)
+    found = clear_answer(features_of(), scan_at(pose))
+    assert_close(found, pose, metres=0.1, degrees=2)
+
+
+@pytest.mark.parametrize("name", ["curved", "corridor"])
+def test_what_is_returned(name):
+    features = features_of(name)
+    pose = (6.0, 5.0, 1.0)
+    scan = scan_at(pose, name, angles=ANGLES[::2])
+    found = search_fused(features, scan, OPTIONS)
+    poses, evidence = found.poses, found.evidence
+    assert len(poses) == len(evidence.log_likelihood) == len(evidence.on_surface) > 0
+    # Scored with the rays it names, best first.
+    assert scan.valid[found.rays].all()
+    assert evidence.on_surface.shape == evidence.crossed.shape == (len(poses), len(found.rays))
+    again = rescore(
+        poses,
+        scan.ranges[found.rays],
+        scan.angles[found.rays],
+        features.field,
+        features.walls,
+        reach(scan),
+        OPTIONS.model,
+    )
+    np.testing.assert_allclose(evidence.log_likelihood, again.log_likelihood)
+    assert np.all(np.diff(evidence.log_likelihood) <= 0)
+    # Where a robot can be, and none of them another one's neighbour.
+    cells = cell_of(poses[:, :2], features.grid.resolution)
+    assert inside(cells, features.grid.info).all()
+    assert features.standable[tuple(cells.T)].all()
+    assert not features.grid.occupied[tuple(cells.T)].any()
+    distance, angle = OPTIONS.separation
+    for i, a in enumerate(poses):
+        gap = np.hypot(*(poses[i + 1 :, :2] - a[:2]).T)
+        turn = np.abs(wrap(poses[i + 1 :, 2] - a[2]))
+        assert not ((gap < distance) & (turn < angle)).any()
+
+
+@given(seeds, st.integers(2, 4))
+@settings(max_examples=2, deadline=None)
+def test_threads_and_repetition_change_nothing(seed, threads):
+    scan = scan_at(poses_of(seed)[0])
+    first = search_fused(features_of(), scan, OPTIONS)
+    for found in (
+        search_fused(features_of(), scan, OPTIONS, threads=threads),
+        search_fused(MapFeatures(world()), scan, OPTIONS),
+    ):
+        np.testing.assert_array_equal(found.poses, first.poses)
+        np.testing.assert_array_equal(found.evidence.log_likelihood, first.evidence.log_likelihood)
+        np.testing.assert_array_equal(found.evidence.crossed, first.evidence.crossed)
+        np.testing.assert_array_equal(found.rays, first.rays)
+
+
+@given(seeds, st.integers(1, 3))
+@settings(max_examples=3, deadline=None)
+def test_a_turned_map_turns_the_answer(seed, turns):
+    scan = scan_at(poses_of(seed)[0])
+    pose = clear_answer(features_of(), scan)
+    grid = world()
+    # Rows go up, so that a clockwise turn of the array is a counter-clockwise one of the plane.
+    turned = MapFeatures(moved(grid, lambda a: np.rot90(a, -turns)))
+    height, width = np.array(grid.occupied.shape) * grid.resolution
+    corner = {1: (height, 0.0), 2: (width, height), 3: (0.0, width)}[turns]
+    (expected,) = transform_poses(Pose2D(*corner, turns * np.pi / 2), pose[None])
+    assert_close(clear_answer(turned, scan), expected)
+
+
+@given(seeds)
+@settings(max_examples=2, deadline=None)
+def test_a_mirrored_world_has_the_mirrored_answer(seed):
+    scan = scan_at(poses_of(seed)[0])
+    x, y, theta = clear_answer(features_of(), scan)
+    grid = world()
+    mirrored = MapFeatures(moved(grid, lambda a: a[::-1]))
+    across = LaserScan(scan.ranges, -scan.angles, range_max=30.0)
+    height = grid.occupied.shape[0] * grid.resolution
+    assert_close(clear_answer(mirrored, across), np.array([x, height - y, -theta]))
+
+
+@given(seeds, st.integers(0, 13), st.integers(0, 13))
+@settings(max_examples=3, deadline=None)
+def test_unknown_land_around_the_map_shifts_the_answer(seed, left, below):
+    scan = scan_at(poses_of(seed)[0])
+    pose = clear_answer(features_of(), scan)
+    wider = MapFeatures(moved(world(), lambda a: np.pad(a, ((below, 3), (left, 5)))))
+    assert_close(clear_answer(wider, scan), pose + np.array([left, below, 0]) * 0.1)
+
+
+@given(seeds, st.floats(-np.pi, np.pi))
+@settings(max_examples=3, deadline=None)
+def test_a_sensor_mounted_askew_is_a_turned_pose(seed, turn):
+    pose = poses_of(seed)[0]
+    scan = scan_at(pose)
+    askew = LaserScan(scan.ranges, scan.angles - turn, range_max=30.0)
+    here, there = clear_answer(features_of(), scan), clear_answer(features_of(), askew)
+    assert_close(there, here + (0, 0, turn))
+
+
+@given(seeds)
+@settings(max_examples=2, deadline=None)
+def test_the_order_of_the_readings_is_of_no_importance(seed):
+    scan = scan_at(poses_of(seed)[0])
+    order = np.random.default_rng(seed).permutation(len(scan.ranges))
+    shuffled = LaserScan(scan.ranges[order], scan.angles[order], range_max=30.0)
+    assert_close(clear_answer(features_of(), shuffled), clear_answer(features_of(), scan))
+
+
+@given(seeds)
+@settings(max_examples=4, deadline=None)
+def test_lost_readings_are_no_evidence(seed):
+    pose = poses_of(seed)[0]
+    scan = scan_at(pose)
+    ranges = scan.ranges.copy()
+    ranges[::4] = NAN
+    ranges[1::8] = -INF
+    ranges[5::8] = 30.0
+    found = clear_answer(features_of(), LaserScan(ranges, scan.angles, range_max=30.0))
+    assert_close(found, pose, metres=0.15, degrees=2)
+
+
+def test_people_in_front_of_the_walls_do_not_move_the_answer():
+    pose = np.array([6.0, 9.0, 0.5])
+    ranges = simulate(truth(), [pose], ANGLES, seed=4, range_max=30.0, outliers=0.25)[0]
+    found = search_fused(features_of(), LaserScan(ranges, ANGLES, range_max=30.0), OPTIONS)
+    assert_close(found.poses[0], pose, metres=0.1, degrees=2)
+
+
+def test_a_scan_that_fits_nowhere_on_the_map_finds_nothing():
+    scan = LaserScan(np.full(len(ANGLES), 300.0), ANGLES)
+    found = search_fused(features_of(), scan, OPTIONS)
+    assert found.poses.shape == (0, 3)
+    assert found.evidence.log_likelihood.shape == (0,)

@@ -1,0 +1,220 @@
+"""Masses, entropy, modes, covariances and the verdict."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from imgloc.features.distance import distance_field
+from imgloc.geometry import rotate_covariance, transform_points
+from imgloc.model import VERDICTS, Pose2D
+from imgloc.search.hypotheses import as_hypotheses, covariances, entropy, masses, modes
+from imgloc.search.verdict import Trust, judge
+
+scores = arrays(float, st.integers(1, 12), elements=st.floats(-2000, 2000))
+seeds = st.integers(0, 2**32 - 1)
+RESOLUTION = 0.1
+
+
+@given(scores, st.floats(0.5, 20))
+def test_masses_are_a_softmax(score, temperature):
+    got = masses(score, temperature)
+    best = max(score)
+    expected = [math.exp((s - best) / temperature) for s in score]
+    np.testing.assert_allclose(got, np.array(expected) / sum(expected), atol=1e-12)
+    assert got.sum() == pytest.approx(1)
+
+
+@given(scores, st.floats(-1e5, 1e5))
+def test_a_constant_of_the_scan_changes_no_mass(score, constant):
+    np.testing.assert_allclose(masses(score + constant, 4.0), masses(score, 4.0), atol=1e-6)
+
+
+def test_a_temperature_is_a_discount():
+    score = np.array([0.0, -4.0])
+    assert masses(score, 4.0)[0] == pytest.approx(1 / (1 + math.exp(-1)))
+    assert masses(score, 1.0)[0] > masses(score, 4.0)[0] > masses(score, 100.0)[0] > 0.5
+
+
+def test_masses_of_nothing_and_of_the_impossible():
+    assert masses(np.empty(0), 1.0).tolist() == []
+    assert masses(np.array([5.0]), 1.0).tolist() == [1.0]
+    assert masses(np.array([-np.inf, 3.0]), 1.0).tolist() == [0.0, 1.0]
+
+
+@given(st.integers(1, 500))
+def test_entropy_of_equal_shares_is_the_logarithm(n):
+    assert entropy(np.full(n, 1 / n)) == pytest.approx(math.log(n))
+
+
+@given(scores, seeds)
+def test_entropy_lies_between_certainty_and_equal_shares(score, seed):
+    mass = masses(score, 4.0)
+    assert 0 <= entropy(mass) <= math.log(len(mass)) + 1e-9
+    shuffled = np.random.default_rng(seed).permutation(mass)
+    assert entropy(shuffled) == pytest.approx(entropy(mass))
+
+
+def test_certainty_has_no_entropy_and_no_sign():
+    value = entropy(np.array([1.0, 0.0]))
+    assert value == 0
+    assert math.copysign(1, value) == 1
+
+
+def poses_and_scores(seed, n=20):
+    rng = np.random.default_rng(seed)
+    poses = np.column_stack((rng.uniform(0, 2, (n, 2)), rng.uniform(-np.pi, np.pi, n)))
+    return poses, rng.integers(0, 5, n).astype(float)
+
+
+def near(a, b, distance, angle):
+    turn = math.remainder(a[2] - b[2], 2 * math.pi)
+    return math.hypot(a[0] - b[0], a[1] - b[1]) < distance and abs(turn) < angle
+
+
+@given(seeds)
+@settings(deadline=None)
+def test_modes_are_the_best_of_their_neighbourhood(seed):
+    poses, score = poses_and_scores(seed)
+    expected = []
+    for i in sorted(range(len(poses)), key=lambda i: (-score[i], i)):
+        if not any(near(poses[i], poses[j], 0.8, 1.0) for j in expected):
+            expected.append(i)
+    assert modes(poses, score, distance=0.8, angle=1.0).tolist() == expected
+
+
+@given(seeds, st.integers(1, 4))
+@settings(deadline=None, max_examples=30)
+def test_how_many_proposals_led_there_says_nothing(seed, copies):
+    poses, score = poses_and_scores(seed)
+    found = modes(poses, score, distance=0.8, angle=1.0)
+    many = modes(np.tile(poses, (copies, 1)), np.tile(score, copies), distance=0.8, angle=1.0)
+    assert many.tolist() == found.tolist()
+
+
+def test_modes_of_nothing():
+    assert modes(np.empty((0, 3)), np.empty(0), distance=1, angle=1).tolist() == []
+
+
+def wall_ahead(n):
+    """Map with one wall at x = 3 m and a sensor 2 m in front of it, seeing n points of it."""
+    wall = np.zeros((60, 60), bool)
+    wall[:, 30:] = True
+    y = np.linspace(-1, 1, n)
+    return distance_field(wall, RESOLUTION), np.array([[1.0, 3.0, 0.0]]), np.column_stack((y * 0 + 2, y))
+
+
+def laplace(field, poses, xy, sigma=0.1, temperature=4.0, extent=(0.5, 0.25)):
+    return covariances(poses, xy, field, sigma=sigma, temperature=temperature, extent=extent)
+
+
+@pytest.mark.parametrize("n", [5, 41])
+@pytest.mark.parametrize("temperature", [1.0, 4.0])
+def test_the_variance_in_front_of_a_wall_is_that_of_a_mean(n, temperature):
+    field, poses, xy = wall_ahead(n)
+    ((xx, xy_, xt), (_, yy, _), (_, _, tt)) = laplace(field, poses, xy, temperature=temperature)[0]
+    floor = (RESOLUTION / 5) ** 2
+    # n readings of deviation 0.1 m, discounted, and the extent of a mode as the prior.
+    assert xx == pytest.approx(1 / (n / (temperature * 0.1**2) + 1 / 0.5**2) + floor, rel=1e-3)
+    # Along the wall nothing is known but the extent.
+    assert yy == pytest.approx(0.5**2 + floor, rel=1e-3)
+    lever = np.sum(xy[:, 1] ** 2)
+    expected = 1 / (lever / (temperature * 0.1**2) + 1 / 0.25**2) + np.deg2rad(0.1) ** 2
+    assert tt == pytest.approx(expected, rel=1e-3)
+    assert (xy_, xt) == pytest.approx((0, 0), abs=1e-6)
+
+
+def random_room(seed):
+    rng = np.random.default_rng(seed)
+    wall = np.pad(rng.random((36, 36)) < 0.03, 2, constant_values=True)
+    n = int(rng.integers(1, 60))
+    poses = np.column_stack((rng.uniform(1, 3, (3, 2)), rng.uniform(-np.pi, np.pi, 3)))
+    return wall, poses, rng.uniform(-3, 3, (n, 2))
+
+
+@given(seeds, st.sampled_from([0.05, 0.3]), st.sampled_from([1.0, 8.0]))
+@settings(deadline=None, max_examples=60)
+def test_covariances_are_positive_definite_and_no_larger_than_a_mode(seed, sigma, temperature):
+    wall, poses, xy = random_room(seed)
+    got = laplace(distance_field(wall, RESOLUTION), poses, xy, sigma, temperature)
+    assert got.shape == (3, 3, 3)
+    np.testing.assert_array_equal(got, got.transpose(0, 2, 1))
+    assert np.all(np.linalg.eigvalsh(got) > 0)
+    diagonal = got[:, range(3), range(3)]
+    assert np.all(diagonal <= np.square([0.5, 0.5, 0.25]) * 1.001 + (RESOLUTION / 5) ** 2)
+
+
+@given(seeds)
+@settings(deadline=None, max_examples=30)
+def test_covariances_turn_with_the_map(seed):
+    wall, poses, xy = random_room(seed)
+    turned = np.ascontiguousarray(np.rot90(wall, -1))  # rows go up: counter-clockwise
+    frame = Pose2D(4.0, 0.0, np.pi / 2)
+    there = np.column_stack((transform_points(frame, poses[:, :2]), poses[:, 2] + np.pi / 2))
+    a = laplace(distance_field(wall, RESOLUTION), poses, xy)
+    b = laplace(distance_field(turned, RESOLUTION), there, xy)
+    for before, after in zip(a, b, strict=True):
+        np.testing.assert_allclose(rotate_covariance(before, np.pi / 2), after, rtol=0.05, atol=1e-4)
+
+
+@given(st.floats(-np.pi, np.pi))
+@settings(deadline=None, max_examples=30)
+def test_a_corridor_is_long_along_itself_whatever_the_heading(theta):
+    wall = np.zeros((40, 120), bool)
+    wall[[9, 30]] = True
+    s = np.linspace(-3, 3, 30)
+    points = np.concatenate((np.column_stack((s, 0 * s + 1)), np.column_stack((s, 0 * s - 1))))
+    xy = transform_points(Pose2D(0, 0, -theta), points)
+    (got,) = laplace(distance_field(wall, RESOLUTION), np.array([[6.0, 2.0, theta]]), xy)
+    assert got[0, 0] > 0.8 * 0.5**2
+    assert got[1, 1] < 0.01
+    assert abs(got[0, 1]) < 0.1 * math.sqrt(got[0, 0] * got[1, 1])
+
+
+def test_no_poses_no_covariances():
+    field, _, xy = wall_ahead(5)
+    assert laplace(field, np.empty((0, 3)), xy).shape == (0, 3, 3)
+
+
+def test_hypotheses_keep_the_order_of_their_arrays():
+    poses, score, mass = np.array([[1, 2, 4.0], [3, 4, 0.5]]), np.array([-1, -2.0]), [0.7, 0.3]
+    a, b = as_hypotheses(poses, score, np.array(mass), np.stack([np.eye(3), 2 * np.eye(3)]))
+    assert a.pose == Pose2D(1, 2, 4 - 2 * np.pi)
+    assert (a.log_likelihood, a.mass, b.log_likelihood, b.mass) == (-1, 0.7, -2, 0.3)
+    assert b.covariance[2, 2] == 2
+    assert as_hypotheses(np.empty((0, 3)), np.empty(0), np.empty(0), np.empty((0, 3, 3))) == ()
+    with pytest.raises(ValueError, match="shorter"):
+        as_hypotheses(poses, score, np.array([1.0]), np.stack([np.eye(3)] * 2))
+
+
+TRUST = Trust(readings=10, explained=0.5, mass=0.9)
+
+
+@pytest.mark.parametrize(
+    ("valid", "mass", "explained", "verdict"),
+    [
+        (9, [1.0], 1.0, "invalid"),
+        (0, [], 0.0, "invalid"),
+        (10, [], 0.0, "no-match"),
+        (10, [1.0], 0.49, "no-match"),
+        (10, [1.0], 0.5, "unique"),
+        (10, [0.9, 0.1], 0.5, "unique"),
+        (10, [0.89, 0.11], 1.0, "ambiguous"),
+        (181, [0.5, 0.5], 0.4, "no-match"),
+    ],
+)
+def test_the_verdict(valid, mass, explained, verdict):
+    assert judge(valid, np.array(mass), explained, TRUST) == verdict
+    assert verdict in VERDICTS
+
+
+@given(st.integers(0, 500), st.floats(0, 1), st.floats(0, 1))
+def test_better_evidence_never_makes_a_verdict_worse(valid, mass, explained):
+    rank = ["invalid", "no-match", "ambiguous", "unique"].index
+    here = judge(valid, np.array([mass]), explained, TRUST)
+    assert rank(judge(valid + 1, np.array([mass]), explained, TRUST)) >= rank(here)
+    assert rank(judge(valid, np.array([min(1, mass + 0.1)]), explained, TRUST)) >= rank(here)
+    assert rank(judge(valid, np.array([mass]), min(1, explained + 0.1), TRUST)) >= rank(here)

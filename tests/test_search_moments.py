@@ -1,0 +1,131 @@
+"""Means, masses and covariances around peaks, against loops over their windows."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imgloc.geometry import uniform_thetas, wrap
+from imgloc.search.moments import peak_moments
+from imgloc.search.peaks import find_peaks
+
+RESOLUTION = 0.2
+seeds = st.integers(0, 2**32 - 1)
+shapes = st.tuples(st.integers(1, 9), st.integers(1, 8), st.integers(1, 8))
+
+
+def stack_of(seed, shape):
+    values = np.random.default_rng(seed).random(shape) ** 6
+    return (values / values.sum()).astype(np.float32)
+
+
+def naive(probability, peaks, radius):
+    """Weighted moments of the cells not yet counted, theta unrolled around the peak."""
+    n, height, width = probability.shape
+    step, taken = 2 * math.pi / n, set()
+    reach = min(radius, (n - 1) // 2)  # on a small circle no heading counts twice
+    out = []
+    for k, r, c in peaks:
+        samples, weights = [], []
+        for dk in range(-reach, reach + 1):
+            for row in range(max(0, r - radius), min(height, r + radius + 1)):
+                for column in range(max(0, c - radius), min(width, c + radius + 1)):
+                    cell = ((k + dk) % n, row, column)
+                    x, y = (column + 0.5) * RESOLUTION, (row + 0.5) * RESOLUTION
+                    samples.append((x, y, (k + dk) * step))
+                    weights.append(0.0 if cell in taken else float(probability[cell]))
+                    taken.add(cell)
+        mass = sum(weights)
+        samples, shares = np.array(samples), np.array(weights) / mass
+        mean = sum(s * w for s, w in zip(samples, shares, strict=True))
+        covariance = np.diag([RESOLUTION**2 / 12, RESOLUTION**2 / 12, step**2 / 12])
+        for s, w in zip(samples, shares, strict=True):
+            covariance += w * np.outer(s - mean, s - mean)
+        out.append((mean, mass, covariance))
+    return out
+
+
+def moments(probability, peaks, radius=2):
+    thetas = uniform_thetas(2 * np.pi / len(probability))
+    return peak_moments(probability, np.asarray(peaks), thetas, RESOLUTION, radius=radius)
+
+
+@given(shapes, seeds, st.integers(0, 3))
+@settings(deadline=None)
+def test_moments_equal_the_loops(shape, seed, radius):
+    probability = stack_of(seed, shape)
+    peaks = find_peaks(probability, 3, radius=max(1, radius))
+    poses, mass, covariance = moments(probability, peaks, radius)
+    for i, (mean, total, expected) in enumerate(naive(probability, peaks.tolist(), radius)):
+        np.testing.assert_allclose(poses[i, :2], mean[:2], atol=1e-9)
+        np.testing.assert_allclose(wrap(poses[i, 2] - mean[2]), 0, atol=1e-9)
+        assert mass[i] == pytest.approx(total)
+        np.testing.assert_allclose(covariance[i], expected, atol=1e-9)
+
+
+@given(shapes, seeds)
+@settings(deadline=None)
+def test_masses_are_shares_and_covariances_positive_definite(shape, seed):
+    probability = stack_of(seed, shape)
+    poses, mass, covariance = moments(probability, find_peaks(probability, 50, radius=2))
+    assert 0 < mass.sum() <= 1 + 1e-5
+    assert np.all(mass > 0)
+    assert np.all(np.abs(poses[:, 2]) <= np.pi)
+    np.testing.assert_allclose(covariance, covariance.transpose(0, 2, 1), atol=1e-15)
+    assert np.all(np.linalg.eigvalsh(covariance) > 0)
+
+
+@given(seeds, st.integers(0, 8))
+@settings(deadline=None, max_examples=30)
+def test_the_answer_turns_with_the_stack(seed, turn):
+    probability = stack_of(seed, (9, 6, 7))
+    peaks = find_peaks(probability, 4)
+    poses, mass, covariance = moments(probability, peaks)
+    turned = moments(np.roll(probability, turn, axis=0), (peaks + (turn, 0, 0)) % (9, 99, 99))
+    np.testing.assert_allclose(turned[0][:, :2], poses[:, :2], atol=1e-9)
+    np.testing.assert_allclose(
+        wrap(turned[0][:, 2] - poses[:, 2] - turn * 2 * np.pi / 9), 0, atol=1e-9
+    )
+    np.testing.assert_allclose(turned[1], mass, atol=1e-12)
+    np.testing.assert_allclose(turned[2], covariance, atol=1e-9)
+
+
+def test_all_mass_in_one_cell():
+    probability = np.zeros((8, 3, 5), np.float32)
+    probability[6, 1, 4] = 1
+    poses, mass, covariance = moments(probability, [[6, 1, 4]])
+    np.testing.assert_allclose(poses, [[0.9, 0.3, -np.pi / 2]])
+    assert mass.tolist() == [1]
+    # A uniform draw within the cell.
+    np.testing.assert_allclose(covariance[0], np.diag([0.04, 0.04, (np.pi / 4) ** 2]) / 12)
+
+
+def test_a_mean_across_the_seam_of_the_circle():
+    probability = np.zeros((12, 1, 1), np.float32)
+    probability[0], probability[11] = 0.75, 0.25
+    (pose,), (mass,), (covariance,) = moments(probability, [[0, 0, 0]])
+    assert mass == 1
+    assert pose[2] == pytest.approx(-np.pi / 6 / 4)
+    assert covariance[2, 2] == pytest.approx((np.pi / 6) ** 2 * (0.75 * 0.25 + 1 / 12))
+
+
+def test_rows_are_y():
+    probability = np.zeros((1, 3, 3), np.float32)
+    probability[0, :, 1] = 0.25, 0.5, 0.25
+    (pose,), _, (covariance,) = moments(probability, [[0, 1, 1]])
+    np.testing.assert_allclose(pose[:2], [0.3, 0.3])
+    assert covariance[1, 1] - covariance[0, 0] == pytest.approx(0.5 * RESOLUTION**2)
+
+
+def test_a_cell_between_two_peaks_counts_for_the_better():
+    probability = np.zeros((1, 1, 4), np.float32)
+    probability[0, 0] = 0.4, 0.2, 0.1, 0.3
+    _, mass, _ = moments(probability, [[0, 0, 0], [0, 0, 3]], radius=2)
+    np.testing.assert_allclose(mass, [0.7, 0.3])
+
+
+def test_no_peaks():
+    poses, mass, covariance = moments(stack_of(0, (4, 3, 3)), np.empty((0, 3), int))
+    assert (poses.shape, mass.shape, covariance.shape) == ((0, 3), (0,), (0, 3, 3))

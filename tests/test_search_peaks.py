@@ -1,0 +1,207 @@
+"""Smoothing, local maxima and separation, against loops; theta is a circle throughout."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imgloc.search.peaks import find_peaks, separated, smooth
+
+seeds = st.integers(0, 2**32 - 1)
+shapes = st.tuples(st.integers(1, 7), st.integers(1, 6), st.integers(1, 7))
+
+
+def circular(i, j, n):
+    return min((i - j) % n, (j - i) % n)
+
+
+def naive_smooth_theta(values, sigma):
+    n = len(values)
+    out = np.zeros(values.shape)
+    for k in range(n):
+        weights = [math.exp(-0.5 * (circular(k, j, n) / sigma) ** 2) for j in range(n)]
+        for j in range(n):
+            out[k] += values[j] * weights[j] / sum(weights)
+    return out
+
+
+def naive_peaks(values, n, radius):
+    """The definition: the largest of its window, the first of equals, nothing at or below 0."""
+    ranked = sorted(np.ndindex(values.shape), key=lambda cell: (-values[cell], cell))
+    windows = {
+        a: [
+            b
+            for b in ranked
+            if circular(a[0], b[0], len(values)) <= radius
+            and abs(a[1] - b[1]) <= radius
+            and abs(a[2] - b[2]) <= radius
+        ]
+        for a in ranked
+    }
+    kept = []
+    for a in ranked:
+        largest = all(values[a] >= values[b] for b in windows[a])
+        if values[a] > 0 and largest and not any(b in kept for b in windows[a]):
+            kept.append(a)
+    return [list(a) for a in kept[:n]]
+
+
+def naive_separated(poses, n, distance, angle):
+    picked, owner = [], []
+    for x, y, theta in poses:
+        for at, i in enumerate(picked):
+            turn = abs(math.remainder(theta - poses[i][2], 2 * math.pi))
+            if math.hypot(x - poses[i][0], y - poses[i][1]) < distance and turn < angle:
+                owner.append(at)
+                break
+        else:
+            owner.append(len(picked))
+            picked.append(len(owner) - 1)
+    return picked[:n], [at if at < n else -1 for at in owner]
+
+
+@given(shapes, seeds, st.sampled_from([0.3, 0.7, 2.0]))
+@settings(deadline=None)
+def test_smoothing_along_theta_equals_the_loops(shape, seed, sigma):
+    values = np.random.default_rng(seed).random(shape).astype(np.float32)
+    got = smooth(values, 0, sigma)
+    np.testing.assert_allclose(got, naive_smooth_theta(values, sigma), rtol=1e-5)
+    assert got.sum() == pytest.approx(values.sum(), rel=1e-5)  # a circle loses nothing
+
+
+def test_a_smoothed_impulse_is_a_gaussian_in_the_image():
+    values = np.zeros((2, 21, 23), np.float32)
+    values[1, 10, 12] = 1
+    got = smooth(values, 1.5, 0)
+    assert not got[0].any()
+    r, c = np.indices((21, 23))
+    bell = np.exp(-((r - 10) ** 2 + (c - 12) ** 2) / (2 * 1.5**2))
+    np.testing.assert_allclose(got[1], bell / bell.sum(), atol=2e-4)
+
+
+def test_nothing_comes_in_from_outside_the_image():
+    got = smooth(np.ones((1, 30, 30), np.float32), 1.0, 0)[0]
+    assert got[15, 15] == pytest.approx(1)
+    assert got[0, 15] == pytest.approx(0.7, abs=0.01)  # half of the bell, and its middle
+    assert got[0, 0] == pytest.approx(got[0, 15] ** 2, abs=1e-3)
+
+
+@given(shapes, seeds, st.integers(0, 6))
+@settings(deadline=None)
+def test_smoothing_commutes_with_turning_the_circle(shape, seed, turn):
+    values = np.random.default_rng(seed).random(shape).astype(np.float32)
+    turned = smooth(np.roll(values, turn, axis=0), 0.8, 0.7)
+    np.testing.assert_allclose(turned, np.roll(smooth(values, 0.8, 0.7), turn, axis=0), rtol=1e-5)
+
+
+def test_zero_width_copies():
+    values = np.arange(12, dtype=np.float32).reshape(3, 2, 2)
+    got = smooth(values, 0, 0)
+    np.testing.assert_array_equal(got, values)
+    got[...] = 7
+    assert values[0, 0, 0] == 0
+
+
+@pytest.mark.parametrize(("px", "bins"), [(1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
+def test_smoothing_leaves_its_input_alone(px, bins):
+    values = np.random.default_rng(1).random((4, 5, 6)).astype(np.float32)
+    before = values.copy()
+    smooth(values, px, bins)
+    np.testing.assert_array_equal(values, before)
+
+
+@given(shapes, seeds, st.integers(0, 3), st.integers(1, 3), st.integers(1, 300))
+@settings(max_examples=150, deadline=None)
+def test_peaks_equal_the_loops(shape, seed, radius, top, n):
+    # Few distinct values: plateaus everywhere, and negative ones as in CBML-O.
+    values = np.random.default_rng(seed).integers(-1, top + 1, shape).astype(np.float32)
+    assert find_peaks(values, n, radius=radius).tolist() == naive_peaks(values, n, radius)
+
+
+@given(shapes, seeds, st.integers(1, 2))
+@settings(deadline=None)
+def test_peaks_of_distinct_values_turn_with_the_circle(shape, seed, radius):
+    rng = np.random.default_rng(seed)
+    values = (1 + rng.permutation(math.prod(shape))).reshape(shape).astype(np.float32)
+    peaks = find_peaks(values, 99, radius=radius)
+    scores = values[tuple(peaks.T)]
+    assert np.all(np.diff(scores) < 0)
+    assert scores[0] == values.max()
+    turned = find_peaks(np.roll(values, 2, axis=0), 99, radius=radius)
+    np.testing.assert_array_equal((peaks + (2, 0, 0)) % (shape[0], *(99, 99)), turned)
+    # More peaks than asked for: the best of them.
+    np.testing.assert_array_equal(find_peaks(values, 2, radius=radius), peaks[:2])
+
+
+def test_the_first_and_the_last_heading_are_neighbours():
+    values = np.zeros((5, 3, 3), np.float32)
+    values[0, 1, 1], values[4, 2, 2], values[2, 1, 1] = 3, 2, 1
+    assert find_peaks(values, 9).tolist() == [[0, 1, 1], [2, 1, 1]]
+    assert find_peaks(values, 9, radius=2).tolist() == [[0, 1, 1]]
+
+
+def test_rows_and_columns_do_not_wrap():
+    values = np.zeros((1, 4, 4), np.float32)
+    values[0, 0, 0], values[0, 3, 0], values[0, 0, 3] = 3, 2, 1
+    assert find_peaks(values, 9).tolist() == [[0, 0, 0], [0, 3, 0], [0, 0, 3]]
+
+
+def test_a_better_value_where_no_peak_may_be_hides_none():
+    values = np.array([[[5, 4, 0, 1]]], np.float32)
+    where = np.array([[False, True, True, True]])
+    assert find_peaks(values, 9, where=where).tolist() == [[0, 0, 1], [0, 0, 3]]
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0])
+def test_nothing_above_zero_is_no_peak(value):
+    peaks = find_peaks(np.full((3, 2, 4), value, np.float32), 5)
+    assert peaks.shape == (0, 3)
+    assert peaks.dtype == np.int64
+
+
+def poses_of(seed, n):
+    """A crowd in which most poses are somebody's neighbour, on both sides of the seam."""
+    rng = np.random.default_rng(seed)
+    return np.column_stack((rng.uniform(0, 2, (n, 2)), rng.uniform(np.pi - 0.6, np.pi + 0.6, n)))
+
+
+@given(seeds, st.integers(0, 25), st.integers(1, 30), st.booleans())
+@settings(max_examples=100, deadline=None)
+def test_separation_equals_the_greedy_loops(seed, m, n, wrapped):
+    poses = poses_of(seed, m)
+    if wrapped:
+        poses[:, 2] -= 2 * np.pi * (poses[:, 2] > np.pi)
+    picked, owner = separated(poses, n, distance=0.5, angle=0.3)
+    expected = naive_separated(poses.tolist(), n, 0.5, 0.3)
+    assert picked.tolist() == expected[0]
+    assert owner.tolist() == expected[1]
+
+
+@given(seeds)
+@settings(max_examples=30, deadline=None)
+def test_picked_poses_are_apart_and_the_others_have_a_better_neighbour(seed):
+    poses = poses_of(seed, 30)
+    picked, owner = separated(poses, 30, distance=0.5, angle=0.3)
+    for i in range(30):
+        gap = np.hypot(*(poses[picked, :2] - poses[i, :2]).T)
+        turn = np.abs(np.angle(np.exp(1j * (poses[picked, 2] - poses[i, 2]))))
+        near = (gap < 0.5) & (turn < 0.3)
+        if i in picked:
+            assert picked[near].tolist() == [i]
+        assert near[owner[i]]
+        assert picked[owner[i]] <= i
+
+
+def test_neighbours_are_strictly_closer_in_both():
+    at = [(0, 0, 0), (0.5, 0, 0), (0.25, 0, 0.25), (0.25, 0, 0.125), (0, 0, 0.25)]
+    picked, owner = separated(np.array(at, float), 9, distance=0.5, angle=0.25)
+    assert picked.tolist() == [0, 1, 2]
+    assert owner.tolist() == [0, 1, 2, 0, 2]
+
+
+def test_no_poses():
+    picked, owner = separated(np.empty((0, 3)), 5, distance=1, angle=1)
+    assert picked.tolist() == owner.tolist() == []
+    assert picked.dtype == owner.dtype == np.int64

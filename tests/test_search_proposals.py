@@ -1,0 +1,165 @@
+"""Proposals by endpoint correlation against the exhaustive correlation, loop by loop."""
+
+import itertools
+
+import naive
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imgloc.features.distance import signed_distance
+from imgloc.features.pyramid import pyramid
+from imgloc.geometry import cell_of, theta_bin, transform_points, uniform_thetas
+from imgloc.model import Pose2D
+from imgloc.search.proposals import propose_endpoints
+
+RESOLUTION = 0.1
+STEP = np.deg2rad(30)
+ALL = (1 << 30,) * 3
+seeds = st.integers(0, 2**32 - 1)
+
+
+def levels_of(occupied, free=None, sigma=0.4, levels=3):
+    free = ~occupied if free is None else free
+    distance = signed_distance(occupied, RESOLUTION)
+    return pyramid(distance, free, RESOLUTION, cell=RESOLUTION, sigma=sigma, levels=levels)
+
+
+def random_case(seed, shape=(13, 18), n=6):
+    rng = np.random.default_rng(seed)
+    occupied = rng.random(shape) < 0.08
+    occupied.flat[0] = True
+    return levels_of(occupied, ~occupied & (rng.random(shape) < 0.6)), rng.uniform(-1, 1, (n, 2))
+
+
+def exhaustive(level, xy, thetas):
+    """Mean of the finest image under the points for every pose: Alg. 1; -1 where none may be."""
+    stack = naive.cbml(level.image, xy, thetas, level.resolution) / (255 * len(xy))
+    return np.where(level.free, stack, -1)
+
+
+def nodes_of(poses, thetas):
+    return np.column_stack((theta_bin(poses[:, 2], len(thetas)), cell_of(poses[:, :2], RESOLUTION)))
+
+
+@given(seeds)
+@settings(max_examples=5, deadline=None)
+def test_with_all_kept_each_block_proposes_its_best_pose(seed):
+    levels, xy = random_case(seed)
+    poses, scores = propose_endpoints(levels, xy, theta_step=STEP, keep=ALL)
+    thetas = uniform_thetas(STEP)
+    expected = exhaustive(levels[0], xy, thetas)
+    nodes = nodes_of(poses, thetas)
+    np.testing.assert_allclose(scores, expected[tuple(nodes.T)], atol=1e-12)
+    best = {}
+    for node in np.ndindex(expected.shape):
+        if expected[node] >= 0:
+            block = tuple(i // 4 for i in node)
+            best[block] = max(best.get(block, 0), expected[node])
+    got = {tuple(node // 4): score for node, score in zip(nodes, scores, strict=True)}
+    assert got == pytest.approx(best)
+    assert len(got) == len(poses)  # one of each block
+    assert scores[0] == pytest.approx(expected.max())  # the exhaustive argmax is the first
+
+
+@given(seeds, st.tuples(*[st.integers(1, 60)] * 3))
+@settings(max_examples=15, deadline=None)
+def test_what_is_proposed_is_scored_truly_sorted_and_free(seed, keep):
+    levels, xy = random_case(seed)
+    poses, scores = propose_endpoints(levels, xy, theta_step=STEP, keep=keep)
+    assert 0 < len(poses) <= keep[0]
+    assert np.all(np.diff(scores) <= 0)
+    cells = cell_of(poses[:, :2], RESOLUTION)
+    np.testing.assert_allclose(poses[:, 1::-1], (cells + 0.5) * RESOLUTION)  # cell centres
+    assert levels[0].free[tuple(cells.T)].all()
+    for (x, y, theta), score in zip(poses, scores, strict=True):
+        at = [naive.oplus(p, x, y, theta) for p in xy]
+        fit = [naive.value(levels[0].image, p, RESOLUTION) / 255 for p in at]
+        assert score == pytest.approx(np.mean(fit))
+
+
+@given(seeds)
+@settings(max_examples=8, deadline=None)
+def test_threads_and_the_order_of_points_change_nothing(seed):
+    levels, xy = random_case(seed, shape=(40, 60))
+    once = propose_endpoints(levels, xy, theta_step=STEP, keep=(40, 80, 80))
+    for points, threads in ((xy, 2), (xy[::-1], 1), (xy, 3)):
+        again = propose_endpoints(
+            levels, points, theta_step=STEP, keep=(40, 80, 80), threads=threads
+        )
+        for a, b in zip(once, again, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+@given(seeds, st.integers(1, 3))
+@settings(max_examples=10, deadline=None)
+def test_a_turned_map_has_the_turned_best_pose(seed, turns):
+    rng = np.random.default_rng(seed)
+    occupied = rng.random((16, 24)) < 0.08
+    occupied[3, 4] = True
+    xy = rng.uniform(-1, 1, (7, 2))
+    poses, scores = propose_endpoints(levels_of(occupied), xy, theta_step=STEP, keep=ALL)
+    # Rows go up, so that a clockwise turn of the array is a counter-clockwise one of the plane.
+    turned = np.ascontiguousarray(np.rot90(occupied, -turns))
+    there, scores_there = propose_endpoints(levels_of(turned), xy, theta_step=STEP, keep=ALL)
+    assert scores_there[0] == pytest.approx(scores[0])
+    sides = np.array([1.6, 2.4]), np.array([2.4, 1.6])
+    corner = {1: (sides[0][0], 0), 2: (sides[1][0], sides[1][1]), 3: (0, sides[1][0])}[turns]
+    moved = transform_points(Pose2D(*corner, turns * np.pi / 2), poses[:1, :2])[0]
+    top = there[np.isclose(scores_there, scores[0])]
+    gap = np.abs(top[:, :2] - moved).max(axis=1)
+    turn = np.abs(np.angle(np.exp(1j * (top[:, 2] - poses[0, 2] - turns * np.pi / 2))))
+    assert ((gap < 0.35) & (turn < 3 * STEP + 1e-6)).any()  # the same one, or a tie in its block
+
+
+def test_the_best_pose_is_the_one_the_scan_was_made_at():
+    occupied = np.zeros((40, 60), bool)
+    occupied[[0, -1]] = occupied[:, [0, -1]] = True
+    occupied[:15, 30] = True
+    true = Pose2D(1.65, 2.45, np.deg2rad(60))
+    wall = (np.argwhere(occupied)[:, ::-1] + 0.5) * RESOLUTION
+    xy = transform_points(Pose2D(0, 0, -true.theta), wall - (true.x, true.y))
+    poses, scores = propose_endpoints(
+        levels_of(occupied, sigma=0.1), xy, theta_step=np.deg2rad(5), keep=(300, 900, 900)
+    )
+    np.testing.assert_allclose(poses[0], [true.x, true.y, true.theta], atol=1e-9)
+    assert scores[0] > scores[1]
+
+
+@pytest.mark.parametrize(("step", "n"), [(120, 4), (100, 4), (72, 6), (90, 4), (360, 2)])
+def test_headings_are_even_in_number_and_no_farther_apart_than_asked(step, n):
+    levels, xy = random_case(3)
+    poses, _ = propose_endpoints(levels, xy, theta_step=np.deg2rad(step), keep=ALL)
+    headings = poses[:, 2] * n / (2 * np.pi)
+    np.testing.assert_allclose(headings, np.rint(headings), atol=1e-9)
+    assert len(np.unique(np.rint(headings) % n)) <= n
+
+
+def test_off_the_map_is_a_miss():
+    levels, xy = random_case(5)
+    far = np.vstack((xy, [[60.0, 0.0], [0.0, -80.0], [-70.0, 70.0]]))
+    poses, scores = propose_endpoints(levels, xy, theta_step=STEP, keep=ALL)
+    poses_far, scores_far = propose_endpoints(levels, far, theta_step=STEP, keep=ALL)
+    np.testing.assert_array_equal(poses_far, poses)
+    np.testing.assert_allclose(scores_far, scores * len(xy) / len(far))
+
+
+@pytest.mark.parametrize("n_levels", [2, 3, 4])
+def test_any_number_of_levels_from_two(n_levels):
+    rng = np.random.default_rng(n_levels)
+    occupied = rng.random((16, 20)) < 0.1
+    levels, xy = levels_of(occupied, levels=n_levels), rng.uniform(-0.5, 0.5, (4, 2))
+    keep = (1 << 30,) * n_levels
+    _, scores = propose_endpoints(levels, xy, theta_step=STEP, keep=keep)
+    assert scores[0] == pytest.approx(exhaustive(levels[0], xy, uniform_thetas(STEP)).max())
+
+
+def test_nothing_to_propose():
+    levels, xy = random_case(7)
+    nowhere = levels_of(levels[0].image > 250, np.zeros(levels[0].image.shape, bool))
+    cases = [(levels, np.empty((0, 2))), (nowhere, xy), (levels, xy + 50.0)]
+    for (some, points), keep in itertools.product(cases, [ALL, (1, 1, 1)]):
+        poses, scores = propose_endpoints(some, points, theta_step=STEP, keep=keep)
+        assert poses.shape == (0, 3)
+        assert scores.shape == (0,)

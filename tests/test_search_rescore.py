@@ -1,0 +1,204 @@
+"""The deciding score against loops over readings, and what each of its terms is for."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imgloc.features.distance import distance_field
+from imgloc.features.raycast import cast_rays, distance_image
+from imgloc.search.rescore import EvidenceModel, rescore
+
+RESOLUTION = 0.1
+REACH = 15.0
+seeds = st.integers(0, 2**32 - 1)
+
+
+def room_with_pillars(seed, shape=(50, 70)):
+    rng = np.random.default_rng(seed)
+    wall = np.pad(rng.random((shape[0] - 4, shape[1] - 4)) < 0.01, 2, constant_values=True)
+    free = np.argwhere(~wall)
+    at = free[rng.integers(len(free), size=4)]
+    xy = (at[:, ::-1] + rng.uniform(0.1, 0.9, (4, 2))) * RESOLUTION
+    return wall, np.column_stack((xy, rng.uniform(-np.pi, np.pi, 4))), rng
+
+
+def score(wall, poses, ranges, angles, model=None, reach=REACH):
+    return rescore(
+        np.asarray(poses, float),
+        np.asarray(ranges, float),
+        np.asarray(angles, float),
+        distance_field(wall, RESOLUTION),
+        distance_image(wall),
+        reach,
+        model or EvidenceModel(),
+    )
+
+
+def marches_through(wall, x, y, psi, limit):
+    """Whether a walk of 2 mm a step meets a wall before `limit`."""
+    t = np.arange(0, limit, 0.002)
+    c = np.floor((x + t * math.cos(psi)) / RESOLUTION).astype(int)
+    r = np.floor((y + t * math.sin(psi)) / RESOLUTION).astype(int)
+    on = (r >= 0) & (r < wall.shape[0]) & (c >= 0) & (c < wall.shape[1])
+    stop = np.argmin(on) if not on.all() else len(on)
+    return bool(wall[r[:stop], c[:stop]].any())
+
+
+def naive_crossed(wall, pose, rho, phi, margin):
+    """True or False, or None for a ray that only just touches something."""
+    x, y, theta = pose
+    limit = max(rho - margin, 0.0)
+    answers = {
+        marches_through(wall, x, y, theta + phi + turn, max(limit + more, 0.0))
+        for turn in (-0.003, 0.0, 0.003)
+        for more in (-0.01, 0.01)
+    }
+    return answers.pop() if len(answers) == 1 else None
+
+
+def naive_log_likelihood(distance, crossed, model, reach):
+    """Formula of the module's head, reading by reading."""
+    total = 0.0
+    for d, passes in zip(distance, crossed, strict=True):
+        normal = [
+            math.exp(-(d**2) / (2 * s**2)) / (s * math.sqrt(2 * math.pi)) for s in model.sigmas
+        ]
+        p = model.hit * sum(normal) / len(normal) + (1 - model.hit) / reach
+        total += math.log(p * (model.absent if passes else 1.0))
+    return total
+
+
+@given(seeds, st.sampled_from([EvidenceModel(), EvidenceModel((0.1,), 0.5, 0.01, 0.1)]))
+@settings(max_examples=15, deadline=None)
+def test_the_score_equals_the_loops(seed, model):
+    wall, poses, rng = room_with_pillars(seed)
+    angles = rng.uniform(-np.pi, np.pi, 13)
+    ranges = rng.uniform(0.05, 6, 13)
+    got = score(wall, poses, ranges, angles, model)
+    field = distance_field(wall, RESOLUTION)
+    for i, (x, y, theta) in enumerate(poses):
+        distance = []
+        for k, (rho, phi) in enumerate(zip(ranges, angles, strict=True)):
+            end = (x + rho * math.cos(theta + phi), y + rho * math.sin(theta + phi))
+            distance.append(float(field.lookup(*end)[0]))
+            expected = naive_crossed(wall, poses[i], rho, phi, model.margin)
+            if expected is not None:
+                assert got.crossed[i, k] == expected
+        expected = naive_log_likelihood(distance, got.crossed[i], model, REACH)
+        assert got.log_likelihood[i] == pytest.approx(expected, rel=1e-3, abs=0.05)
+        assert got.explained[i] == pytest.approx(
+            sum(on and not c for on, c in zip(got.on_surface[i], got.crossed[i], strict=True)) / 13
+        )
+
+
+def corridor(screen=None):
+    """A wall at x = 5 m, seen from (1, 1); on demand a thin screen in between."""
+    wall = np.zeros((20, 80), bool)
+    wall[:, 50:52] = True
+    if screen is not None:
+        wall[:, round(screen / RESOLUTION)] = True
+    return wall
+
+
+POSE = [[1.0, 1.0, 0.0]]
+
+
+def test_a_wall_in_between_costs_the_chance_that_it_is_gone():
+    model = EvidenceModel()
+    plain = score(corridor(), POSE, [4.0, 4.0], [0.0, 0.1], model)
+    screened = score(corridor(screen=2.5), POSE, [4.0, 4.0], [0.0, 0.1], model)
+    assert plain.crossed.tolist() == [[False, False]]
+    assert screened.crossed.tolist() == [[True, True]]
+    # The screen is too far from the endpoints to change their distances.
+    cost = plain.log_likelihood[0] - screened.log_likelihood[0]
+    assert cost == pytest.approx(-2 * math.log(model.absent), rel=1e-5)
+    assert (plain.explained[0], screened.explained[0]) == (1, 0)
+
+
+@pytest.mark.parametrize(
+    ("rho", "crossed", "on_surface"),
+    [
+        (0.01, False, False),
+        (2.0, False, False),  # too short: something not on the map, no contradiction
+        (4.0, False, True),
+        (4.3, False, False),  # less than the margin behind the wall's face, but deep in it
+        (4.34, False, False),
+        (4.36, True, False),
+        (7.0, True, False),  # too long: through a mapped wall
+    ],
+)
+def test_too_short_is_no_surprise_and_too_long_is(rho, crossed, on_surface):
+    wall = corridor()
+    wall[:, 52:60] = True
+    model = EvidenceModel(sigmas=(0.05,), margin=0.35)
+    got = score(wall, POSE, [rho], [0.0], model)
+    assert bool(got.crossed[0, 0]) is crossed
+    assert bool(got.on_surface[0, 0]) is on_surface
+
+
+def test_what_fits_best_scores_best():
+    rho = np.arange(3.0, 5.0, 0.05)
+    got = [score(corridor(), POSE, [r], [0.0]).log_likelihood[0] for r in rho]
+    assert rho[np.argmax(got)] == pytest.approx(4.0, abs=0.026)
+    rise = np.diff(got[: int(np.argmax(got)) + 1])
+    assert np.all(rise >= -1e-6)
+
+
+def test_a_reading_of_nothing_on_the_map_costs_the_same_everywhere():
+    model = EvidenceModel()
+    got = score(np.eye(200, dtype=bool), [[15.0, 3.0, 0.0]], [1.0, 2.0], [0.0, 0.0], model)
+    chance = math.log((1 - model.hit) / REACH)
+    assert got.log_likelihood[0] == pytest.approx(2 * chance, rel=1e-5)
+    assert not got.on_surface.any()
+
+
+def test_off_the_map_nothing_is_met():
+    got = score(corridor(), [[1.0, 1.0, math.pi / 2]], [9.0], [0.0])
+    assert not got.crossed.any()
+    assert not got.on_surface.any()
+    assert np.isfinite(got.log_likelihood).all()
+
+
+@given(seeds)
+@settings(max_examples=10, deadline=None)
+def test_readings_have_no_order_and_poses_are_alone(seed):
+    wall, poses, rng = room_with_pillars(seed)
+    ranges, angles = rng.uniform(0.1, 5, 20), rng.uniform(-3, 3, 20)
+    order = rng.permutation(20)
+    a = score(wall, poses, ranges, angles)
+    b = score(wall, poses[::-1], ranges[order], angles[order])
+    np.testing.assert_allclose(b.log_likelihood[::-1], a.log_likelihood, rtol=1e-5)
+    np.testing.assert_array_equal(b.crossed[::-1], a.crossed[:, order])
+    np.testing.assert_array_equal(b.on_surface[::-1], a.on_surface[:, order])
+
+
+@given(seeds)
+@settings(max_examples=10, deadline=None)
+def test_the_true_pose_explains_its_scan_and_beats_its_neighbours(seed):
+    wall, poses, rng = room_with_pillars(seed)
+    angles = np.linspace(-np.pi, np.pi, 90, endpoint=False)
+    true = poses[0]
+    ranges = cast_rays(distance_image(wall), true[:2], true[2] + angles, 30.0, RESOLUTION)
+    others = true + rng.normal(size=(20, 3)) * (0.5, 0.5, 0.5) + (0.3, 0, 0)
+    got = score(wall, np.vstack((true, others)), ranges, angles)
+    assert got.log_likelihood.argmax() == 0
+    assert got.explained[0] > 0.95
+
+
+def test_evidence_is_selected_together():
+    wall, poses, rng = room_with_pillars(1)
+    got = score(wall, poses, rng.uniform(0.1, 5, 6), rng.uniform(-3, 3, 6))
+    some = got.select(np.array([2, 0]))
+    np.testing.assert_array_equal(some.log_likelihood, got.log_likelihood[[2, 0]])
+    np.testing.assert_array_equal(some.on_surface, got.on_surface[[2, 0]])
+    np.testing.assert_array_equal(some.crossed, got.crossed[[2, 0]])
+    np.testing.assert_array_equal(some.explained, got.explained[[2, 0]])
+
+
+def test_no_poses():
+    got = score(corridor(), np.empty((0, 3)), [1.0, 2.0], [0.0, 0.1])
+    assert got.log_likelihood.shape == got.explained.shape == (0,)
+    assert got.crossed.shape == got.on_surface.shape == (0, 2)
