@@ -14,7 +14,8 @@ def wrap(angle: npt.ArrayLike) -> FloatArray:
     >>> wrap([-np.pi, 4.0]).round(4).tolist()
     [3.1416, -2.2832]
     """
-    return np.asarray(np.pi - (np.pi - np.asarray(angle, dtype=np.float64)) % (2 * np.pi))
+    out = np.pi - (np.pi - np.asarray(angle, dtype=np.float64)) % (2 * np.pi)
+    return np.where(out <= -np.pi, np.pi, out)  # the remainder may round up to 2 pi
 
 
 def uniform_thetas(step: float) -> FloatArray:

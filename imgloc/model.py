@@ -7,6 +7,7 @@ and output is in it. :mod:`imgloc.geometry` converts, in one place, so that an o
 yaw is honoured everywhere.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -48,7 +49,8 @@ class Pose2D:
     def __post_init__(self) -> None:
         object.__setattr__(self, "x", float(self.x))
         object.__setattr__(self, "y", float(self.y))
-        object.__setattr__(self, "theta", float(np.pi - (np.pi - self.theta) % (2 * np.pi)))
+        theta = math.remainder(self.theta, math.tau)
+        object.__setattr__(self, "theta", math.pi if theta <= -math.pi else theta)
 
 
 @dataclass(frozen=True)
