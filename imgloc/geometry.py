@@ -3,7 +3,11 @@
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.errors import ConfigError
 from imgloc.model import FloatArray, GridInfo, IntArray, Pose2D
+
+MIN_THETA_STEP = 1e-4
+"""Radians: 63 thousand headings. A smaller step is a mistake, of units say."""
 
 
 def wrap(angle: npt.ArrayLike) -> FloatArray:
@@ -21,11 +25,21 @@ def wrap(angle: npt.ArrayLike) -> FloatArray:
 def uniform_thetas(step: float) -> FloatArray:
     """Headings ``0, step', 2 step', ...`` over the circle, with step' <= step dividing it.
 
+    Raises
+    ------
+    ConfigError
+        If `step` is not finite or below :data:`MIN_THETA_STEP`.
+
     Examples
     --------
     >>> np.rad2deg(uniform_thetas(np.deg2rad(90))).tolist()
     [0.0, 90.0, 180.0, 270.0]
     """
+    if not MIN_THETA_STEP <= step < np.inf:
+        raise ConfigError(
+            f"the step between headings must be finite and at least {MIN_THETA_STEP} rad, "
+            f"got {step}"
+        )
     n = max(1, int(np.ceil(2 * np.pi / step - 1e-9)))
     return np.arange(n, dtype=np.float64) * (2 * np.pi / n)
 

@@ -108,6 +108,9 @@ class OccupancyGrid:
                 f"occupied {self.occupied.shape} and free {self.free.shape} "
                 "must be images of one shape"
             )
+        if np.any(self.occupied & self.free):
+            row, column = np.argwhere(self.occupied & self.free)[0].tolist()
+            raise ValueError(f"cell [{row}, {column}] is both occupied and free")
         if not np.isfinite(self.resolution) or self.resolution <= 0:
             raise ValueError(f"resolution must be positive, got {self.resolution}")
 
@@ -133,7 +136,8 @@ class LaserScan:
         Metres. +inf and values >= `range_max` are "no return"; NaN, -inf, values <=
         `range_min` are no evidence at all.
     angles : (N,) float array
-        Direction of each ray in the sensor's frame, radians, counter-clockwise, 0 = forward.
+        Direction of each ray in the sensor's frame, radians, counter-clockwise, 0 = forward;
+        finite, also for rays without a reading.
     range_min, range_max : float
         A reading is valid iff it is finite and range_min < r < range_max.
     stamp : float
@@ -157,6 +161,9 @@ class LaserScan:
                 f"ranges {self.ranges.shape} and angles {self.angles.shape} "
                 "must be vectors of one length"
             )
+        if not np.isfinite(self.angles).all():
+            i = int(np.argmin(np.isfinite(self.angles)))
+            raise ValueError(f"angles must be finite, angles[{i}] is {self.angles[i]}")
 
     @property
     def valid(self) -> BoolArray:
@@ -303,7 +310,8 @@ class Localization:
     verdict : str
         One of ``unique``, ``ambiguous``, ``no-match``, ``invalid``.
     entropy : float
-        Of the masses, nats; 0 means one pose holds everything.
+        Nats, of the masses with what is left for other poses; of a stack's whole posterior
+        where the method has one. 0 means one pose holds everything.
     explained : float
         Share of the valid rays that end on a surface of the map at the best pose.
     counts : mapping

@@ -15,17 +15,18 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from types import MappingProxyType
 
 import numpy as np
 
 from imgloc.errors import ConfigError
+from imgloc.features.budget import check_budget, default_budget, stack_bytes
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import compose, rotate_covariance, uniform_thetas
 from imgloc.io.maps import require_usable
-from imgloc.likelihood.beam import beam
+from imgloc.likelihood.beam import beam, heading_sigma, temperature
 from imgloc.likelihood.cbml import cbml, cbml_o
 from imgloc.likelihood.ght import ght, ght_v
 from imgloc.likelihood.posterior import posterior
@@ -39,12 +40,13 @@ from imgloc.model import (
     Localization,
     OccupancyGrid,
 )
-from imgloc.search.fused import FusedOptions, reach, scan_xy, search_fused, thin
+from imgloc.search.fused import FusedOptions, scan_xy, search_fused, thin
 from imgloc.search.hypotheses import as_hypotheses, covariances, entropy, masses
 from imgloc.search.moments import peak_moments
-from imgloc.search.peaks import find_peaks
-from imgloc.search.rescore import rescore
-from imgloc.search.verdict import Trust, judge
+from imgloc.search.peaks import find_peaks, separated
+from imgloc.search.refine import refine
+from imgloc.search.rescore import Evidence, rescore
+from imgloc.search.trust import Trust, judge
 
 FUSED = "fused"
 
@@ -65,10 +67,9 @@ class Options:
         Of the correlations, see :mod:`imgloc.likelihood.correlate`.
     threads : int
         No result depends on it.
-    memory_budget : int
-        Bytes that a likelihood stack may take.
-    temperature : float
-        The evidence of neighbouring readings is not independent: it is divided by this.
+    memory_budget : int, optional
+        Bytes that a likelihood stack and its posterior may take; None is half of the RAM that
+        is available.
     fused : FusedOptions
     trust : Trust
     """
@@ -78,8 +79,7 @@ class Options:
     theta_step: float | None = None
     engine: str = "auto"
     threads: int = 1
-    memory_budget: int = 4 << 30
-    temperature: float = 4.0
+    memory_budget: int | None = None
     fused: FusedOptions = field(default_factory=FusedOptions)
     trust: Trust = field(default_factory=Trust)
 
@@ -131,13 +131,19 @@ def likelihood(features: MapFeatures, scan: LaserScan, options: Options) -> Like
     step = options.theta_step
     thetas = uniform_thetas(np.deg2rad(method.theta_step_deg) if step is None else step)
     lattice = features.lattice
-    need = 4 * len(thetas) * lattice.height * lattice.width
-    if need > options.memory_budget:
-        raise ConfigError(
-            f"a stack of {len(thetas)} headings x {lattice.height} x {lattice.width} cells takes "
-            f"{need / 2**20:.0f} MiB, the budget is {options.memory_budget / 2**20:.0f} MiB: "
-            "use a larger cell, a larger theta step, or the method 'fused'"
-        )
+    need = stack_bytes(
+        options.method,
+        lattice.shape,
+        len(thetas),
+        threads=options.threads,
+        n_rays=features.n_rays,
+    )
+    check_budget(
+        need,
+        default_budget() if options.memory_budget is None else options.memory_budget,
+        f"{options.method} on {len(thetas)} headings x {lattice.height} x {lattice.width} cells",
+        "use larger cells, a larger theta step, or the method 'fused'",
+    )
     values = method.stack(features, scan, thetas, options)
     return Likelihood(values, thetas, lattice, options.method)
 
@@ -171,67 +177,122 @@ def localize(
     check_method(options.method, ALL_METHODS)
     start = time.perf_counter()
     valid = int(scan.valid.sum())
-    found: tuple[Hypothesis, ...] = ()
-    shares, explained = np.empty(0), 0.0
-    if valid >= options.trust.readings:
+    found = _NOTHING
+    if valid >= max(1, options.trust.readings):
         search = _localize_fused if options.method == FUSED else _localize_stack
-        found, shares, explained = search(features, scan, options)
+        found = search(features, scan, options)
     elapsed = 1e3 * (time.perf_counter() - start)
+    top = found.hypotheses[: options.top]
     return Localization(
-        hypotheses=tuple(in_map_frame(h, features.grid.info) for h in found),
-        verdict=judge(valid, shares, explained, options.trust),
-        entropy=entropy(shares),
-        explained=explained,
+        hypotheses=tuple(in_map_frame(h, features.grid.info) for h in top),
+        verdict=judge(valid, found.mass, found.elsewhere, options.trust),
+        entropy=found.entropy,
+        explained=found.explained,
         counts=scan.counts,
         timings_ms={"localize": elapsed},
         parameters=effective(options, features),
     )
 
 
-def _localize_fused(
-    features: MapFeatures, scan: LaserScan, options: Options
-) -> tuple[tuple[Hypothesis, ...], FloatArray, float]:
+@dataclass(frozen=True)
+class Found:
+    """What a search found, in the grid frame, and what it left to other poses.
+
+    Parameters
+    ----------
+    hypotheses : tuple of Hypothesis
+        Best first.
+    mass : (M,) float array
+        Of all modes, listed or not.
+    elsewhere : float
+        Probability that the true pose is none of them.
+    explained : float
+        Share of the readings that the best one explains.
+    entropy : float
+        Nats: of the masses, ``elsewhere`` being one of them, or of a stack's whole posterior.
+    """
+
+    hypotheses: tuple[Hypothesis, ...]
+    mass: FloatArray
+    elsewhere: float
+    explained: float
+    entropy: float
+
+
+_NOTHING = Found((), np.empty(0), 1.0, 0.0, 0.0)
+
+
+def _localize_fused(features: MapFeatures, scan: LaserScan, options: Options) -> Found:
     """Proposals from two sources, one score, separated modes."""
-    modes = search_fused(features, scan, options.fused, options.threads)
-    score = modes.evidence.log_likelihood
-    mass = masses(score, options.temperature)
+    result = search_fused(features, scan, options.fused, options.threads)
+    if len(result.poses) == 0:
+        return _NOTHING
+    score = result.evidence.log_likelihood
+    misfit = _misfit(result.evidence, options)
+    mass = masses(score, options.trust.temperature_at(misfit))
+    elsewhere = options.trust.mass_elsewhere(misfit, float(mass[0]))
+    mass *= 1 - elsewhere
     top = slice(0, options.top)
     covariance = covariances(
-        modes.poses[top],
-        scan_xy(scan)[modes.rays],
+        result.poses[top],
+        scan_xy(scan)[result.rays],
         features.field,
-        sigma=min(options.fused.model.sigmas),
-        temperature=options.temperature,
+        sigma=2 * min(options.fused.model.sigmas),
+        correlated=options.trust.correlated,
         extent=options.fused.separation,
     )
-    explained = float(modes.evidence.explained[0]) if len(mass) else 0.0
-    return as_hypotheses(modes.poses[top], score[top], mass[top], covariance), mass, explained
+    hypotheses = as_hypotheses(result.poses[top], score[top], mass[top], covariance)
+    whole = entropy(np.append(mass, elsewhere))
+    return Found(hypotheses, mass, elsewhere, float(result.evidence.explained[0]), whole)
 
 
-def _localize_stack(
-    features: MapFeatures, scan: LaserScan, options: Options
-) -> tuple[tuple[Hypothesis, ...], FloatArray, float]:
-    """Peaks of the posterior of a full stack."""
-    stack = likelihood(features, scan, options)
-    probability = posterior(stack.values, stack.method, features.free)
-    peaks = find_peaks(probability, options.top, radius=2)
+def _localize_stack(features: MapFeatures, scan: LaserScan, options: Options) -> Found:
+    return found_in_stack(features, scan, likelihood(features, scan, options), options)
+
+
+def found_in_stack(
+    features: MapFeatures, scan: LaserScan, stack: Likelihood, options: Options
+) -> Found:
+    """Peaks of the posterior of a full stack, with the mass and the moments around each."""
+    probability = posterior(
+        stack.values,
+        stack.method,
+        features.free,
+        temperature=temperature(int(scan.valid.sum())) if stack.method == "beam" else 1.0,
+    )
+    # More peaks than asked for: some are neighbours on the slope of one mode.
+    peaks = find_peaks(probability, 4 * options.top, radius=2)
     poses, mass, covariance = peak_moments(probability, peaks, stack.thetas, stack.grid.resolution)
     if len(poses) == 0:
-        return (), mass, 0.0
+        return _NOTHING
+    distance, angle = options.fused.separation
+    best, _ = separated(poses, len(poses), distance=distance, angle=angle)
+    poses, mass, covariance, peaks = poses[best], mass[best], covariance[best], peaks[best]
+    # Trust is about the place, not about the cell: let the best pose settle first.
     rays = thin(scan.valid, options.fused.rays)
+    settled = refine(poses[:1], scan_xy(scan)[rays], features.field, sigmas=(0.3, 0.1, 0.05))
     evidence = rescore(
-        poses[:1],
+        settled,
         scan.ranges[rays],
         scan.angles[rays],
         features.field,
         features.walls,
-        reach(scan),
         options.fused.model,
     )
+    # The masses of votes are no calibrated ones: that they are spread says nothing of the scan.
+    elsewhere = options.trust.mass_elsewhere(_misfit(evidence, options), 1.0)
     uniform = 1 / (len(stack.thetas) * np.count_nonzero(features.free))
     with np.errstate(divide="ignore"):
         score = np.log(probability[tuple(peaks.T)].astype(np.float64) / uniform)
-    return as_hypotheses(poses, score, mass, covariance), mass, float(evidence.explained[0])
+    mass = (1 - elsewhere) * mass
+    hypotheses = as_hypotheses(poses, score, mass, covariance)
+    return Found(hypotheses, mass, elsewhere, float(evidence.explained[0]), entropy(probability))
+
+
+def _misfit(evidence: Evidence, options: Options) -> float:
+    """Nats per reading that the best pose falls short of a perfect fit."""
+    per_reading = float(evidence.log_likelihood[0]) / evidence.crossed.shape[1]
+    return float(options.fused.model.best - per_reading)
 
 
 def in_map_frame(hypothesis: Hypothesis, grid: GridInfo) -> Hypothesis:
@@ -249,12 +310,12 @@ def effective(options: Options, features: MapFeatures) -> dict[str, object]:
     del out["threads"], out["memory_budget"]
     if options.method == FUSED:
         del out["theta_step"], out["engine"]
-    else:
-        del out["fused"], out["temperature"]
-        if out["theta_step"] is None:
-            out["theta_step"] = float(np.deg2rad(METHODS[options.method].theta_step_deg))
-    out |= {"cell": features.lattice.resolution, "sigma": features.sigma, "seed": None}
-    return out
+    elif out["theta_step"] is None:
+        out["theta_step"] = float(np.deg2rad(METHODS[options.method].theta_step_deg))
+    about_map = {f.name: getattr(features, f.name) for f in fields(features)}
+    for name in ("grid", "max_bytes", "threads"):
+        del about_map[name]
+    return out | {"map": about_map, "seed": None}
 
 
 def check_method(name: str, known: Sequence[str]) -> None:
@@ -299,10 +360,8 @@ def _beam(f: MapFeatures, scan: LaserScan, thetas: FloatArray, o: Options) -> Fl
         scan.valid,
         scan.no_return,
         thetas,
-        sigma=f.lattice.resolution,
-        sigma_theta=(2 * np.pi / len(thetas)) / np.sqrt(12),
-        span=reach(scan),
-        range_max=reach(scan),
+        sigma=f.lattice.resolution / 2,
+        sigma_theta=heading_sigma(len(thetas)),
         threads=o.threads,
     )
 

@@ -23,7 +23,15 @@ from imgloc.io.occupancy import SEMANTICS
 from imgloc.likelihood.correlate import ENGINES
 from imgloc.pipeline import ALL_METHODS
 
-COMMANDS = (["demo"], ["localize"], ["simulate"], ["map"], ["map", "check"], ["map", "show"])
+COMMANDS = (
+    ["demo"],
+    ["localize"],
+    ["simulate"],
+    ["evaluate"],
+    ["map"],
+    ["map", "check"],
+    ["map", "show"],
+)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +57,8 @@ def test_help_imports_nothing_heavy() -> None:
     code = (
         f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
         "from imgloc.cli import main\n"
-        "for words in (['--help'], ['localize', '--help'], ['map', 'show', '-h'], ['--version']):\n"
+        "for words in (['--help'], ['localize', '--help'], ['evaluate', '-h'],\n"
+        "              ['map', 'show', '-h'], ['--version']):\n"
         "    try: main(words)\n"
         "    except SystemExit as e: assert not e.code, words\n"
         f"sys.exit(str([m for m in {heavy} if m in sys.modules] or ''))"

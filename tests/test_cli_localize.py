@@ -107,7 +107,7 @@ def test_every_method_answers(method: str, scans: Path) -> None:
     assert answer["index"] == 1
     parameters = answer["parameters"]
     assert parameters["method"] == method
-    assert parameters["cell"] == pytest.approx(0.2)
+    assert parameters["map"]["cell"] == pytest.approx(0.2)
     step = parameters["fused"]["theta_step"] if method == "fused" else parameters["theta_step"]
     assert step == pytest.approx(np.deg2rad(10))
 

@@ -49,6 +49,32 @@ def test_zero_lies_on_the_border_between_the_cells():
     )
 
 
+@pytest.mark.parametrize("degrees", [10.0, 26.6, 45.0])
+def test_a_slanted_wall_is_where_it_was_drawn_and_not_where_its_steps_are(degrees):
+    c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    y, x = np.indices((120, 120)) - 59.5
+    near, away, steps = [], [], []
+    for shift in np.linspace(-0.5, 0.5, 7):
+        drawn = c * x + s * y + shift  # cells; the wall is where it is negative
+        got = signed_distance(drawn < 0, 0.1) / 0.1
+        middle = np.hypot(x, y) < 40
+        near.append((got - drawn)[middle & (np.abs(drawn) < 1)].mean())
+        off = middle & (drawn > 6) & (drawn < 8)
+        away.append((got - drawn)[off].mean())
+        walls = np.argwhere((drawn < 0) & (drawn > -3))
+        gap = np.maximum(np.abs(np.argwhere(off)[:, None] - walls) - 0.5, 0)  # to the squares
+        steps.append((np.hypot(gap[..., 0], gap[..., 1]).min(axis=1) - drawn[off]).mean())
+    assert abs(np.mean(near)) < 0.05
+    assert -0.32 < np.mean(away) < -0.12
+    assert np.mean(steps) < np.mean(away) - 0.05
+
+
+def test_diagonally_off_a_corner_it_is_the_distance_between_centres():
+    corner = np.zeros((3, 3), bool)
+    corner[0, 0] = True
+    assert signed_distance(corner, 1.0)[1, 1] == pytest.approx(math.sqrt(2) - 0.5)
+
+
 def test_far_away_is_cut_and_a_map_without_walls_is_far_everywhere():
     wall = np.zeros((3, 60), bool)
     wall[:, 0] = True
@@ -117,6 +143,30 @@ def test_lookups_are_exact_along_a_straight_wall(side, data):
         assert (gx, gy) == pytest.approx(slope, abs=1e-5)
     else:
         assert distance < 0
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_the_slope_at_the_edge_of_the_map_is_one(turns):
+    wall = np.zeros((9, 9), bool)
+    wall[:, :3] = True  # rows go up: a turn of the array by -90 degrees is one of the plane by 90
+    field = distance_field(np.ascontiguousarray(np.rot90(wall, -turns)), 1.0)
+    c, s = round(math.cos(turns * math.pi / 2)), round(math.sin(turns * math.pi / 2))
+    x, y = 4.25, 0.0  # from the middle of the map: in its last column, off the centre
+    distance, gx, gy = field.lookup(4.5 + c * x - s * y, 4.5 + s * x + c * y)
+    assert distance == pytest.approx(min(5.75, FAR))
+    assert (gx, gy) == pytest.approx((0, 0))  # cut at FAR
+    field = distance_field(np.ascontiguousarray(np.rot90(wall[:, 1:6], -turns)), 0.5)
+    h, w = (9, 5) if turns % 2 == 0 else (5, 9)
+    x, y = 1.125, 0.3
+    distance, gx, gy = field.lookup(w / 4 + c * x - s * y, h / 4 + s * x + c * y)
+    assert distance == pytest.approx(1.25 + 1.125 - 1.0)
+    assert (gx, gy) == pytest.approx((c, s))
+
+
+def test_a_map_of_one_row_has_no_slope_across():
+    field = distance_field(np.array([[True, False, False]]), 1.0)
+    assert field.table[:-1, 2].tolist() == [0, 0, 0]
+    assert field.table[2, 1] == 1
 
 
 def test_thin_walls_are_inside_on_both_sides():

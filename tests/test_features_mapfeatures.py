@@ -43,6 +43,20 @@ def test_each_is_computed_once_and_read_only(features, name):
     assert not array.flags.writeable
 
 
+@pytest.mark.parametrize("name", ["cell", "sigma", "sigma_endpoint", "horizon", "max_range"])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
+def test_lengths_are_positive_and_finite(features, name, value):
+    with pytest.raises(ConfigError, match=f"^{name} must be"):
+        dataclasses.replace(features, **{name: value})
+
+
+@pytest.mark.parametrize("name", ["n_psi", "n_rays", "max_bytes", "threads"])
+@pytest.mark.parametrize("value", [0, -3])
+def test_numbers_are_at_least_one(features, name, value):
+    with pytest.raises(ConfigError, match=f"^{name} must be at least 1"):
+        dataclasses.replace(features, **{name: value})
+
+
 def test_too_large_a_stack_is_refused_with_its_size(features):
     small = dataclasses.replace(features, max_bytes=24 * 30 * 8 * 2 - 1)
     with pytest.raises(ConfigError, match="8 directions x 24 x 30 cells"):

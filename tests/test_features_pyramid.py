@@ -1,5 +1,6 @@
 """Blocks of cells and the pyramid of endpoint images, against loops over cells."""
 
+import itertools
 import math
 
 import numpy as np
@@ -76,9 +77,7 @@ def levels_of(shape=(9, 14), resolution=0.05, cell=0.05, sigma=0.1, levels=3, se
     return distance, free, out
 
 
-@pytest.mark.parametrize(
-    ("cell", "factor"), [(0.05, 1), (0.1, 2), (0.12, 2), (0.15, 3), (0.01, 1)]
-)
+@pytest.mark.parametrize(("cell", "factor"), [(0.05, 1), (0.1, 2), (0.12, 2), (0.15, 3), (0.01, 1)])
 def test_the_finest_level_averages_the_fit_over_its_cells(cell, factor):
     distance, free, (level, *_) = levels_of(cell=cell)
     assert level.resolution == pytest.approx(0.05 * factor)
@@ -94,7 +93,7 @@ def test_the_finest_level_averages_the_fit_over_its_cells(cell, factor):
 def test_each_further_level_keeps_the_best_of_four(shape):
     _, _, levels = levels_of(shape, levels=4)
     assert len(levels) == 4
-    for fine, coarse in zip(levels, levels[1:], strict=False):
+    for fine, coarse in itertools.pairwise(levels):
         assert coarse.resolution == pytest.approx(2 * fine.resolution)
         assert coarse.image.shape == tuple(math.ceil(n / 2) for n in fine.image.shape)
         for row, column in np.ndindex(coarse.image.shape):

@@ -5,7 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from imgloc.errors import ConfigError
 from imgloc.geometry import (
+    MIN_THETA_STEP,
     cell_of,
     centre_of,
     compose,
@@ -79,6 +81,12 @@ def test_the_step_is_never_larger_than_asked_for(step):
     np.testing.assert_allclose(np.diff(thetas), actual, rtol=1e-9)
 
 
+@pytest.mark.parametrize("step", [0.0, -1.0, np.nan, np.inf, -np.inf, 1e-9, 0.99 * MIN_THETA_STEP])
+def test_a_step_that_cannot_be_meant_is_refused(step):
+    with pytest.raises(ConfigError, match="step between headings"):
+        uniform_thetas(step)
+
+
 @given(st.integers(1, 400), st.integers(-3, 3))
 def test_theta_bin_is_the_inverse_of_uniform_thetas(n, turns):
     thetas = uniform_thetas(2 * np.pi / n) + turns * 2 * np.pi
@@ -132,7 +140,9 @@ def test_transform_poses_composes_each_row_and_comes_back(frame, rows):
     out = transform_poses(frame, rows)
     assert out.shape == rows.shape
     for row, got in zip(rows, out, strict=True):
-        np.testing.assert_allclose(matrix(Pose2D(*got)), matrix(compose(frame, Pose2D(*row))))
+        np.testing.assert_allclose(
+            matrix(Pose2D(*got)), matrix(compose(frame, Pose2D(*row))), atol=1e-9
+        )
     back = transform_poses(inverse(frame), out)
     np.testing.assert_allclose(back[:, :2], rows[:, :2], atol=1e-9)
     np.testing.assert_allclose(wrap(back[:, 2] - rows[:, 2]), 0, atol=1e-9)

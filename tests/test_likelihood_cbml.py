@@ -283,3 +283,18 @@ def test_order_of_the_rays_and_opposite_normals(seed):
         -cbml_o(vmap, points, thetas, 0.1, engine="dft"),
         atol=0.02 * len(points) * np.pi,  # a normal midway between two directions
     )
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 7, 8, 9, 31, 257, 258, 259, 700])
+def test_readings_that_share_cell_and_direction_are_added_at_once_and_exactly(n):
+    # Also where their sums would overflow 16 bits, on both sides of zero.
+    vmap = np.zeros((2, 1, 3), dtype=np.float32)
+    vmap[0] = [1, -1, 0.5]
+    left = oriented(np.zeros((n, 2)), np.zeros(n))
+    right = oriented(np.zeros((n, 2)), np.full(n, np.pi))
+    expected = n * np.array([127, -127, 64]) / np.float32(127)
+    for points, sign in ((left, 1), (right, -1)):
+        stack = cbml_o(vmap, points, ONE, 1.0, engine="shift")
+        np.testing.assert_allclose(stack[0, 0], sign * expected, rtol=1e-6)
+    both = oriented(np.zeros((2 * n, 2)), np.repeat([0.0, np.pi], n))
+    assert not cbml_o(vmap, both, ONE, 1.0, engine="shift").any()

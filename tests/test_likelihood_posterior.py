@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from imgloc.errors import ConfigError
 from imgloc.likelihood.posterior import LOG_METHODS, posterior
 from imgloc.pipeline import METHODS
 
@@ -36,6 +37,49 @@ def test_posterior_equals_the_loops(method, values, free):
     assert got.dtype == np.float32
     np.testing.assert_allclose(got, naive(values, method in LOG_METHODS, free), atol=1e-6)
     np.testing.assert_array_equal(values, before)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@given(values=stacks, free=masks)
+@settings(max_examples=20, deadline=None)
+def test_posterior_equals_that_of_the_whole_stack(method, values, free):
+    # Slices are summed in another order, which the last bit may show.
+    if method in LOG_METHODS:
+        top = values[:, free].max(initial=-np.inf)
+        whole = np.exp(np.minimum(values - top, 0)) * free
+    else:
+        whole = np.maximum(values, 0) * free
+    total = whole.sum(dtype=np.float64)
+    if total > 0:
+        whole = whole * np.float32(1 / total)
+    np.testing.assert_array_max_ulp(posterior(values, method, free), whole.astype(np.float32), 2)
+
+
+@given(values=stacks, free=masks, temperature=st.sampled_from([0.5, 3.0, 15.0, 1e4]))
+@settings(max_examples=40, deadline=None)
+def test_a_temperature_divides_the_evidence(values, free, temperature):
+    got = posterior(values, "beam", free, temperature=temperature)
+    np.testing.assert_allclose(got, naive(values / temperature, True, free), atol=1e-5)
+
+
+@pytest.mark.parametrize("method", VOTES)
+def test_votes_have_no_temperature(method):
+    values, free = np.array([[[1.0, 3.0]]], np.float32), np.ones((1, 2), bool)
+    assert posterior(values, method, free, temperature=9.0)[0, 0].tolist() == [0.25, 0.75]
+
+
+def test_a_hot_posterior_still_counts_what_is_far_below():
+    values = np.array([[[0.0]], [[-150.0]], [[-1e9]]], np.float32)
+    got = posterior(values, "beam", np.ones((1, 1), bool), temperature=15.0)[:, 0, 0]
+    np.testing.assert_allclose(got[1] / got[0], math.exp(-10), rtol=1e-5)
+    assert got[2] == 0
+
+
+@pytest.mark.parametrize("temperature", [0.0, -1.0, math.nan, math.inf])
+def test_a_temperature_is_positive_and_finite(temperature):
+    with pytest.raises(ConfigError, match="temperature"):
+        posterior(np.zeros((1, 1, 1), np.float32), "beam", np.ones((1, 1), bool),
+                  temperature=temperature)  # fmt: skip
 
 
 def test_the_beam_model_is_the_one_that_is_a_logarithm():

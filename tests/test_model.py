@@ -102,6 +102,11 @@ def test_maps_of_wrong_shape_are_refused(occupied, free):
         OccupancyGrid(np.zeros(occupied, bool), np.zeros(free, bool), 0.1)
 
 
+def test_a_cell_is_not_both_occupied_and_free():
+    with pytest.raises(ValueError, match=r"cell \[1, 2\] is both"):
+        grid([[1, 0, 0], [0, 0, 1]], [[0, 1, 1], [1, 0, 1]])
+
+
 @pytest.mark.parametrize("resolution", [0.0, -0.1, NAN, INF])
 def test_a_resolution_is_positive_and_finite(resolution):
     with pytest.raises(ValueError, match="resolution"):
@@ -160,6 +165,12 @@ def test_the_readings_are_kept_as_recorded():
 def test_a_scan_is_two_vectors_of_one_length(ranges, angles):
     with pytest.raises(ValueError, match="one length"):
         LaserScan(np.zeros(ranges), np.zeros(angles))
+
+
+@pytest.mark.parametrize("angle", [NAN, INF, -INF])
+def test_every_ray_has_a_direction(angle):
+    with pytest.raises(ValueError, match=r"angles\[1\] is"):
+        LaserScan([1.0, NAN, 2.0], [0.0, angle, 0.2])
 
 
 def test_oriented_points_are_selected_together():

@@ -1,7 +1,9 @@
 """The default search: its parts, what it returns, and that its answer moves with the world."""
 
+import dataclasses
 from functools import cache
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -10,12 +12,12 @@ from hypothesis import strategies as st
 from imgloc.experiments.simulate import sample_free_poses, simulate
 from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.raycast import cast_rays
 from imgloc.geometry import cell_of, inside, transform_poses, wrap
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.search.fused import (
     FusedOptions,
     propose_votes,
-    reach,
     scan_xy,
     search_fused,
     thin,
@@ -62,7 +64,7 @@ def clear_answer(features, scan):
     return found.poses[0]
 
 
-def assert_close(pose, other, metres=0.03, degrees=0.7):
+def assert_close(pose, other, metres=0.1, degrees=1.5):
     assert np.hypot(*(pose[:2] - other[:2])) < metres
     assert abs(wrap(pose[2] - other[2])) < np.deg2rad(degrees)
 
@@ -94,17 +96,7 @@ def test_enough_rays_keep_all_readings():
 
 def test_endpoints_of_readings_and_the_origin_for_what_is_none():
     scan = LaserScan([2.0, 3.0, NAN, INF, 9.0], [0, np.pi / 2, 0, 0, 0], range_max=8.0)
-    np.testing.assert_allclose(
-        scan_xy(scan), [[2, 0], [0, 3], [0, 0], [0, 0], [0, 0]], atol=1e-12
-    )
-
-
-@pytest.mark.parametrize(
-    ("ranges", "range_max", "expected"),
-    [([1.0, 3.0], 8.0, 8.0), ([1.0, 3.0, INF, NAN], INF, 3.0), ([NAN], INF, 1.0)],
-)
-def test_reach(ranges, range_max, expected):
-    assert reach(LaserScan(ranges, np.zeros(len(ranges)), range_max=range_max)) == expected
+    np.testing.assert_allclose(scan_xy(scan), [[2, 0], [0, 3], [0, 0], [0, 0], [0, 0]], atol=1e-12)
 
 
 @given(seeds)
@@ -130,11 +122,11 @@ def test_a_scan_without_a_surface_casts_no_votes():
 
 
 @given(seeds)
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=4, deadline=None)
 def test_the_true_pose_is_found(seed):
     (pose,) = poses_of(seed)
     found = clear_answer(features_of(), scan_at(pose))
-    assert_close(found, pose, metres=0.1, degrees=2)
+    assert_close(found, pose)
 
 
 @pytest.mark.parametrize("name", ["curved", "corridor"])
@@ -154,7 +146,6 @@ def test_what_is_returned(name):
         scan.angles[found.rays],
         features.field,
         features.walls,
-        reach(scan),
         OPTIONS.model,
     )
     np.testing.assert_allclose(evidence.log_likelihood, again.log_likelihood)
@@ -187,7 +178,7 @@ def test_threads_and_repetition_change_nothing(seed, threads):
 
 
 @given(seeds, st.integers(1, 3))
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=2, deadline=None)
 def test_a_turned_map_turns_the_answer(seed, turns):
     scan = scan_at(poses_of(seed)[0])
     pose = clear_answer(features_of(), scan)
@@ -213,7 +204,7 @@ def test_a_mirrored_world_has_the_mirrored_answer(seed):
 
 
 @given(seeds, st.integers(0, 13), st.integers(0, 13))
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=2, deadline=None)
 def test_unknown_land_around_the_map_shifts_the_answer(seed, left, below):
     scan = scan_at(poses_of(seed)[0])
     pose = clear_answer(features_of(), scan)
@@ -222,7 +213,7 @@ def test_unknown_land_around_the_map_shifts_the_answer(seed, left, below):
 
 
 @given(seeds, st.floats(-np.pi, np.pi))
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=2, deadline=None)
 def test_a_sensor_mounted_askew_is_a_turned_pose(seed, turn):
     pose = poses_of(seed)[0]
     scan = scan_at(pose)
@@ -241,7 +232,7 @@ def test_the_order_of_the_readings_is_of_no_importance(seed):
 
 
 @given(seeds)
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=3, deadline=None)
 def test_lost_readings_are_no_evidence(seed):
     pose = poses_of(seed)[0]
     scan = scan_at(pose)
@@ -257,7 +248,24 @@ def test_people_in_front_of_the_walls_do_not_move_the_answer():
     pose = np.array([6.0, 9.0, 0.5])
     ranges = simulate(truth(), [pose], ANGLES, seed=4, range_max=30.0, outliers=0.25)[0]
     found = search_fused(features_of(), LaserScan(ranges, ANGLES, range_max=30.0), OPTIONS)
-    assert_close(found.poses[0], pose, metres=0.1, degrees=2)
+    assert_close(found.poses[0], pose)
+
+
+def test_no_pose_stands_where_nobody_has_been():
+    wall = np.pad(np.zeros((30, 40), bool), 2, constant_values=True)
+    wall[2:12, 20:23] = True
+    # The same room again, of which only the walls are known and what lies right before them.
+    seen = cv2.dilate(wall.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    free = np.concatenate((~wall, ~wall & seen), axis=1)
+    features = MapFeatures(OccupancyGrid(np.concatenate((wall, wall), axis=1), free, 0.1))
+    pose, width = np.array([1.25, 2.35, 1.0]), wall.shape[1] * 0.1
+    ranges = cast_rays(features.walls, pose[:2], pose[2] + ANGLES, 20.0, 0.1)
+    scan = LaserScan(ranges, ANGLES, range_max=20.0)
+    votes = propose_votes(features, scan, OPTIONS)
+    assert (np.hypot(*(votes[:, :2] - pose[:2] - (width, 0)).T) < 0.5).any()
+    found = search_fused(features, scan, OPTIONS)
+    assert_close(found.poses[0], pose)
+    assert np.hypot(*(found.poses[:, :2] - pose[:2] - (width, 0)).T).min() > 0.5
 
 
 def test_a_scan_that_fits_nowhere_on_the_map_finds_nothing():
@@ -265,3 +273,15 @@ def test_a_scan_that_fits_nowhere_on_the_map_finds_nothing():
     found = search_fused(features_of(), scan, OPTIONS)
     assert found.poses.shape == (0, 3)
     assert found.evidence.log_likelihood.shape == (0,)
+
+
+def test_twins_get_one_second_look():
+    # As many looks as twins are left unrecognised: all of them go to the best place.
+    features, scan = features_of("corridor"), scan_at((6.0, 5.0, 1.0), "corridor")
+    few = dataclasses.replace(OPTIONS, second_look=4)
+    all_looks, one_look = (
+        search_fused(features, scan, dataclasses.replace(few, twins=twins))
+        for twins in ((0.0, 0.0), OPTIONS.twins)
+    )
+    assert 1 <= len(all_looks.poses) < len(one_look.poses) <= 4
+    assert_close(one_look.poses[0], all_looks.poses[0])

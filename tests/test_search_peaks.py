@@ -1,5 +1,6 @@
 """Smoothing, local maxima and separation, against loops; theta is a circle throughout."""
 
+import itertools
 import math
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from imgloc.search import peaks as peaks_module
 from imgloc.search.peaks import find_peaks, separated, smooth
 
 seeds = st.integers(0, 2**32 - 1)
@@ -120,6 +122,54 @@ def test_peaks_equal_the_loops(shape, seed, radius, top, n):
     assert find_peaks(values, n, radius=radius).tolist() == naive_peaks(values, n, radius)
 
 
+@given(shapes, seeds, st.integers(1, 300), st.integers(1, 9))
+@settings(max_examples=60, deadline=None)
+def test_peaks_may_be_sorted_a_few_at_a_time(shape, seed, n, few):
+    values = np.random.default_rng(seed).integers(0, 4, shape).astype(np.float32)
+    before = peaks_module._FEW
+    peaks_module._FEW = few
+    try:
+        got = find_peaks(values, n).tolist()
+    finally:
+        peaks_module._FEW = before
+    assert got == naive_peaks(values, n, 1)
+
+
+@pytest.mark.parametrize("radius", [1, 2])
+@pytest.mark.parametrize("levels", [1, 4, 1 << 20])
+def test_peaks_of_a_large_stack(radius, levels):
+    rng = np.random.default_rng(levels)
+    values = rng.integers(0, levels + 1, (20, 90, 110)).astype(np.float32)
+    where = rng.random((90, 110)) < 0.7
+    allowed = np.pad(values * where, ((0, 0), *[(radius, radius)] * 2))
+    window = range(-radius, radius + 1)
+    top = np.max(
+        [
+            np.roll(allowed, (a, b, c), axis=(0, 1, 2))
+            for a, b, c in itertools.product(window, repeat=3)
+        ],
+        axis=0,
+    )
+    maxima = np.argwhere(((allowed == top) & (allowed > 0))[:, radius:-radius, radius:-radius])
+    maxima = maxima[np.argsort(-values[tuple(maxima.T)], kind="stable")]
+    kept = []
+    for cell in maxima:
+        if len(kept) < 40 and not any(
+            circular(cell[0], k[0], 20) <= radius and np.abs(cell - k)[1:].max() <= radius
+            for k in kept
+        ):
+            kept.append(cell)
+    got = find_peaks(values, 40, radius=radius, where=where)
+    np.testing.assert_array_equal(got, np.array(kept))
+
+
+def test_a_read_only_stack_and_a_view_of_one_have_peaks():
+    values = np.random.default_rng(3).random((6, 9, 14)).astype(np.float32)
+    expected = find_peaks(values[:, 1:8, ::2].copy(), 9).tolist()
+    values.flags.writeable = False
+    assert find_peaks(values[:, 1:8, ::2], 9).tolist() == expected
+
+
 @given(shapes, seeds, st.integers(1, 2))
 @settings(deadline=None)
 def test_peaks_of_distinct_values_turn_with_the_circle(shape, seed, radius):
@@ -140,6 +190,16 @@ def test_the_first_and_the_last_heading_are_neighbours():
     values[0, 1, 1], values[4, 2, 2], values[2, 1, 1] = 3, 2, 1
     assert find_peaks(values, 9).tolist() == [[0, 1, 1], [2, 1, 1]]
     assert find_peaks(values, 9, radius=2).tolist() == [[0, 1, 1]]
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_slope_has_one_peak(axis, direction):
+    # Each but the last has a larger neighbour on one side, which is no peak either.
+    values = np.array([1, 2, 3, 4, 0, 0, 0], np.float32)[::direction]
+    shape = np.roll([7, 1, 1], axis)
+    (peak,) = find_peaks(values.reshape(shape), 9).tolist()
+    assert peak[axis] == int(values.argmax())
 
 
 def test_rows_and_columns_do_not_wrap():

@@ -12,41 +12,112 @@ from imgloc.features.distance import signed_distance
 from imgloc.features.pyramid import pyramid
 from imgloc.geometry import cell_of, theta_bin, transform_points, uniform_thetas
 from imgloc.model import Pose2D
+from imgloc.search import proposals
 from imgloc.search.proposals import propose_endpoints
 
 RESOLUTION = 0.1
 STEP = np.deg2rad(30)
 ALL = (1 << 30,) * 3
+BLOCK = proposals._BLOCK  # cells and headings a side, of which one is proposed
 seeds = st.integers(0, 2**32 - 1)
 
 
-def levels_of(occupied, free=None, sigma=0.4, levels=3):
+def levels_of(occupied, free=None, sigma=0.6, levels=3):
     free = ~occupied if free is None else free
     distance = signed_distance(occupied, RESOLUTION)
     return pyramid(distance, free, RESOLUTION, cell=RESOLUTION, sigma=sigma, levels=levels)
 
 
-def random_case(seed, shape=(13, 18), n=6):
+def random_case(seed, shape=(13, 18), n=6, margin=20, sigma=0.6):
     rng = np.random.default_rng(seed)
     occupied = rng.random(shape) < 0.08
     occupied.flat[0] = True
-    return levels_of(occupied, ~occupied & (rng.random(shape) < 0.6)), rng.uniform(-1, 1, (n, 2))
+    free = ~occupied & (rng.random(shape) < 0.6)
+    levels = levels_of(np.pad(occupied, margin), np.pad(free, margin), sigma)
+    return levels, rng.uniform(-1, 1, (n, 2))
 
 
 def exhaustive(level, xy, thetas):
     """Mean of the finest image under the points for every pose: Alg. 1; -1 where none may be."""
-    stack = naive.cbml(level.image, xy, thetas, level.resolution) / (255 * len(xy))
-    return np.where(level.free, stack, -1)
+    out = np.full((len(thetas), *level.image.shape), -1.0)
+    for k, theta in enumerate(thetas):
+        for row, column in np.argwhere(level.free):
+            x, y = naive.centre(row, column, level.resolution)
+            at = [naive.oplus(p, x, y, theta) for p in xy]
+            fit = [naive.value(level.image, p, level.resolution) for p in at]
+            out[k, row, column] = np.mean(fit) / 255
+    return out
 
 
 def nodes_of(poses, thetas):
     return np.column_stack((theta_bin(poses[:, 2], len(thetas)), cell_of(poses[:, :2], RESOLUTION)))
 
 
-@given(seeds)
-@settings(max_examples=5, deadline=None)
-def test_with_all_kept_each_block_proposes_its_best_pose(seed):
-    levels, xy = random_case(seed)
+def score(level, xy, theta, row, column):
+    """Sum of the image under the points at a pose, Alg. 1."""
+    x, y = naive.centre(row, column, level.resolution)
+    at = [naive.oplus(p, x, y, theta) for p in xy]
+    return sum(naive.value(level.image, p, level.resolution) for p in at)
+
+
+def naive_propose(levels, xy, thetas, keep):
+    """Coarse to fine with plain lists; ties in the order in which poses are met."""
+    n, coarsest = len(thetas), levels[-1]
+    ranked = []
+    for k in range(0, n, 2):
+        for row, column in np.ndindex(coarsest.free.shape):
+            value = score(coarsest, xy, thetas[k], row, column)
+            if coarsest.free[row, column]:
+                ranked.append((value, (k, row, column)))
+    ranked = sorted(ranked, key=lambda entry: -entry[0])[: keep[-1]]
+    spread = (-1, 0, 1)
+    for level, count in zip(levels[-2::-1], keep[-2::-1], strict=True):
+        met = {}
+        for _, (k, row, column) in ranked:
+            for dk, dr, dc in itertools.product(spread, (0, 1), (0, 1)):
+                child = ((k + dk) % n, 2 * row + dr, 2 * column + dc)
+                on = child[1] < level.free.shape[0] and child[2] < level.free.shape[1]
+                if on and level.free[child[1:]] and child not in met:
+                    met[child] = score(level, xy, thetas[child[0]], *child[1:])
+        ranked = sorted(((v, c) for c, v in met.items()), key=lambda entry: -entry[0])[:count]
+        spread = (0,)
+    out = {}
+    for value, node in ranked:
+        out.setdefault(tuple(i // BLOCK for i in node), (node, value))
+    return [(node, value) for node, value in out.values() if value > 0]
+
+
+@given(
+    seeds,
+    st.tuples(*[st.integers(1, 40)] * 3),
+    st.sampled_from([30, 45, 72]),
+    st.sampled_from([(0.6, 6), (0.02, 1)]),  # the second: most poses meet nothing at all
+)
+@settings(max_examples=12, deadline=None)
+def test_coarse_to_fine_equals_the_loops(seed, keep, step, fit):
+    levels, xy = random_case(seed, sigma=fit[0], n=fit[1], margin=0)
+    thetas = uniform_thetas(np.deg2rad(60 if step == 72 else step))
+    poses, scores = propose_endpoints(levels, xy, theta_step=np.deg2rad(step), keep=keep)
+    expected = naive_propose(levels, xy, thetas, keep)
+    assert nodes_of(poses, thetas).tolist() == [list(node) for node, _ in expected]
+    np.testing.assert_allclose(scores * 255 * len(xy), [value for _, value in expected])
+
+
+@pytest.mark.parametrize("cells", [1, 100, 5000])
+def test_the_exhaustive_level_may_be_cut_into_any_chunks(monkeypatch, cells):
+    levels, xy = random_case(11)
+    whole = propose_endpoints(levels, xy, theta_step=STEP, keep=(30, 50, 70))
+    monkeypatch.setattr(proposals, "_CHUNK_CELLS", cells)
+    cut = propose_endpoints(levels, xy, theta_step=STEP, keep=(30, 50, 70))
+    for a, b in zip(whole, cut, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@given(seeds, st.sampled_from([0.05, 0.6]))
+@settings(max_examples=6, deadline=None)
+def test_with_all_kept_each_block_proposes_its_best_pose(seed, sigma):
+    # A narrow fit and no land around: coarse poses that meet nothing have finer ones that do.
+    levels, xy = random_case(seed, sigma=sigma, margin=0)
     poses, scores = propose_endpoints(levels, xy, theta_step=STEP, keep=ALL)
     thetas = uniform_thetas(STEP)
     expected = exhaustive(levels[0], xy, thetas)
@@ -54,10 +125,10 @@ def test_with_all_kept_each_block_proposes_its_best_pose(seed):
     np.testing.assert_allclose(scores, expected[tuple(nodes.T)], atol=1e-12)
     best = {}
     for node in np.ndindex(expected.shape):
-        if expected[node] >= 0:
-            block = tuple(i // 4 for i in node)
+        if expected[node] > 0:
+            block = tuple(i // BLOCK for i in node)
             best[block] = max(best.get(block, 0), expected[node])
-    got = {tuple(node // 4): score for node, score in zip(nodes, scores, strict=True)}
+    got = {tuple(node // BLOCK): score for node, score in zip(nodes, scores, strict=True)}
     assert got == pytest.approx(best)
     assert len(got) == len(poses)  # one of each block
     assert scores[0] == pytest.approx(expected.max())  # the exhaustive argmax is the first
@@ -110,7 +181,8 @@ def test_a_turned_map_has_the_turned_best_pose(seed, turns):
     top = there[np.isclose(scores_there, scores[0])]
     gap = np.abs(top[:, :2] - moved).max(axis=1)
     turn = np.abs(np.angle(np.exp(1j * (top[:, 2] - poses[0, 2] - turns * np.pi / 2))))
-    assert ((gap < 0.35) & (turn < 3 * STEP + 1e-6)).any()  # the same one, or a tie in its block
+    near = (gap < (BLOCK - 0.5) * RESOLUTION) & (turn < (BLOCK - 0.5) * STEP)
+    assert near.any()  # the same one, or a tie in its block
 
 
 def test_the_best_pose_is_the_one_the_scan_was_made_at():
@@ -143,6 +215,16 @@ def test_off_the_map_is_a_miss():
     poses_far, scores_far = propose_endpoints(levels, far, theta_step=STEP, keep=ALL)
     np.testing.assert_array_equal(poses_far, poses)
     np.testing.assert_allclose(scores_far, scores * len(xy) / len(far))
+
+
+@pytest.mark.parametrize("far", [1e4, 1e7, 1e39])
+def test_an_absurd_reading_is_a_miss_like_any_other(far):
+    levels, xy = random_case(6)
+    poses, scores = propose_endpoints(levels, xy, theta_step=STEP, keep=(30, 60, 90))
+    more = np.vstack((xy, np.array([[1, 0], [-0.6, 0.8], [0, -1]]) * far))
+    poses_far, scores_far = propose_endpoints(levels, more, theta_step=STEP, keep=(30, 60, 90))
+    np.testing.assert_array_equal(poses_far, poses)
+    np.testing.assert_allclose(scores_far, scores * len(xy) / len(more))
 
 
 @pytest.mark.parametrize("n_levels", [2, 3, 4])

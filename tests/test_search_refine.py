@@ -65,18 +65,21 @@ def test_endpoints_are_the_transformed_points(seed):
 @settings(max_examples=30, deadline=None)
 def test_normal_equations_equal_the_loops(seed, sigma):
     field, poses, xy = random_case(seed)
-    A, b = normal_equations(poses, xy, field, sigma)
+    A, b, square = normal_equations(poses, xy, field, sigma)
     dx, dy, distance, gx, gy = (v.astype(float) for v in endpoints(poses, xy, field))
     for i in range(len(poses)):
-        JtJ, Jte = np.zeros((3, 3)), np.zeros(3)
+        JtJ, Jte, total, weights = np.zeros((3, 3)), np.zeros(3), 0.0, 0.0
         for k in range(len(xy)):
             weight = 1 / (1 + (distance[i, k] / sigma) ** 2) ** 2  # Geman-McClure
             turned = gx[i, k] * -dy[i, k] + gy[i, k] * dx[i, k]  # d(R p)/dtheta = R (-p_y, p_x)
             J = np.array([gx[i, k], gy[i, k], turned])
             JtJ += weight * np.outer(J, J)
             Jte += weight * J * distance[i, k]
+            total += weight * distance[i, k] ** 2
+            weights += weight
         np.testing.assert_allclose(A[i], JtJ, rtol=1e-4, atol=1e-4)
         np.testing.assert_allclose(b[i], Jte, rtol=1e-4, atol=1e-4)
+        assert square[i] == pytest.approx(total / weights, rel=1e-3, abs=1e-8)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -112,6 +115,13 @@ def test_the_true_pose_stays_where_it_is(pose):
     ((x, y, theta),) = refine(row(pose), seen_from(pose), FIELD, sigmas=(0.1, 0.05))
     assert np.hypot(x - pose.x, y - pose.y) < 0.005
     assert abs(wrap(theta - pose.theta)) < np.deg2rad(0.1)
+
+
+def test_headings_come_back_wrapped():
+    pose = Pose2D(3.0, 2.5, 3.1)
+    start = row(pose) + (0.05, 0.0, 4 * np.pi + 0.06)
+    ((_, _, theta),) = refine(start, seen_from(pose), FIELD, sigmas=(0.2, 0.1))
+    assert theta == pytest.approx(3.1, abs=np.deg2rad(0.2))
 
 
 def test_points_of_something_else_have_no_say():

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from imgloc.features.distance import distance_field
 from imgloc.features.raycast import cast_rays, distance_image
+from imgloc.search.refine import endpoints
 from imgloc.search.rescore import EvidenceModel, rescore
 
 RESOLUTION = 0.1
-REACH = 15.0
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -25,73 +25,75 @@ def room_with_pillars(seed, shape=(50, 70)):
     return wall, np.column_stack((xy, rng.uniform(-np.pi, np.pi, 4))), rng
 
 
-def score(wall, poses, ranges, angles, model=None, reach=REACH):
+def score(wall, poses, ranges, angles, model=None, resolution=RESOLUTION):
     return rescore(
         np.asarray(poses, float),
         np.asarray(ranges, float),
         np.asarray(angles, float),
-        distance_field(wall, RESOLUTION),
+        distance_field(wall, resolution),
         distance_image(wall),
-        reach,
         model or EvidenceModel(),
     )
 
 
-def marches_through(wall, x, y, psi, limit):
-    """Whether a walk of 2 mm a step meets a wall before `limit`."""
-    t = np.arange(0, limit, 0.002)
-    c = np.floor((x + t * math.cos(psi)) / RESOLUTION).astype(int)
-    r = np.floor((y + t * math.sin(psi)) / RESOLUTION).astype(int)
-    on = (r >= 0) & (r < wall.shape[0]) & (c >= 0) & (c < wall.shape[1])
-    stop = np.argmin(on) if not on.all() else len(on)
-    return bool(wall[r[:stop], c[:stop]].any())
+def walk(wall, x, y, psi, limit):
+    """Length of a walk of 2 mm a step to the first wall; inf if none is met before `limit`."""
+    for t in np.arange(0, limit, 0.002):
+        c = math.floor((x + t * math.cos(psi)) / RESOLUTION)
+        r = math.floor((y + t * math.sin(psi)) / RESOLUTION)
+        if not (0 <= r < wall.shape[0] and 0 <= c < wall.shape[1]):
+            return math.inf
+        if wall[r, c]:
+            return float(t)
+    return math.inf
 
 
-def naive_crossed(wall, pose, rho, phi, margin):
-    """True or False, or None for a ray that only just touches something."""
-    x, y, theta = pose
-    limit = max(rho - margin, 0.0)
-    answers = {
-        marches_through(wall, x, y, theta + phi + turn, max(limit + more, 0.0))
-        for turn in (-0.003, 0.0, 0.003)
-        for more in (-0.01, 0.01)
-    }
-    return answers.pop() if len(answers) == 1 else None
+def naive_shifted(seen, rho, model, resolution=RESOLUTION):
+    """Chance, relative to its best, that a wall met at `seen` is drawn in a wrong place."""
+    beyond = max(rho - seen - (model.margin + resolution / 2), 0)
+    return math.exp(-((beyond / model.displaced) ** 2))
 
 
-def naive_log_likelihood(distance, crossed, model, reach):
-    """Formula of the module's head, reading by reading."""
-    total = 0.0
-    for d, passes in zip(distance, crossed, strict=True):
-        normal = [
-            math.exp(-(d**2) / (2 * s**2)) / (s * math.sqrt(2 * math.pi)) for s in model.sigmas
-        ]
-        p = model.hit * sum(normal) / len(normal) + (1 - model.hit) / reach
-        total += math.log(p * (model.absent if passes else 1.0))
-    return total
+def naive_log_density(d, shifted, model):
+    """Formula of the module's head for one reading."""
+    normal = [math.exp(-(d**2) / (2 * s**2)) / (s * math.sqrt(2 * math.pi)) for s in model.sigmas]
+    o = model.absent + (1 - model.absent) * shifted
+    return math.log(o * (model.hit * sum(normal) / len(normal) + (1 - model.hit) / model.span))
 
 
-@given(seeds, st.sampled_from([EvidenceModel(), EvidenceModel((0.1,), 0.5, 0.01, 0.1)]))
-@settings(max_examples=15, deadline=None)
+@given(seeds, st.sampled_from([EvidenceModel(), EvidenceModel((0.1,), 0.5, 4.0, 0.01, 0.2, 0.3)]))
+@settings(max_examples=12, deadline=None)
 def test_the_score_equals_the_loops(seed, model):
     wall, poses, rng = room_with_pillars(seed)
-    angles = rng.uniform(-np.pi, np.pi, 13)
-    ranges = rng.uniform(0.05, 6, 13)
+    poses = poses[:2]
+    angles = rng.uniform(-np.pi, np.pi, 9)
+    ranges = rng.uniform(0.05, 6, 9)
     got = score(wall, poses, ranges, angles, model)
     field = distance_field(wall, RESOLUTION)
-    for i, (x, y, theta) in enumerate(poses):
-        distance = []
-        for k, (rho, phi) in enumerate(zip(ranges, angles, strict=True)):
-            end = (x + rho * math.cos(theta + phi), y + rho * math.sin(theta + phi))
-            distance.append(float(field.lookup(*end)[0]))
-            expected = naive_crossed(wall, poses[i], rho, phi, model.margin)
-            if expected is not None:
-                assert got.crossed[i, k] == expected
-        expected = naive_log_likelihood(distance, got.crossed[i], model, REACH)
-        assert got.log_likelihood[i] == pytest.approx(expected, rel=1e-3, abs=0.05)
-        assert got.explained[i] == pytest.approx(
-            sum(on and not c for on, c in zip(got.on_surface[i], got.crossed[i], strict=True)) / 13
-        )
+    one_by_one = np.zeros(len(poses))
+    for k, (rho, phi) in enumerate(zip(ranges, angles, strict=True)):
+        alone = score(wall, poses, [rho], [phi], model)
+        one_by_one += alone.log_likelihood
+        distance = endpoints(poses, rho * np.array([[math.cos(phi), math.sin(phi)]]), field)
+        for i, (x, y, theta) in enumerate(poses):
+            d = float(distance[2][i, 0])
+            # A ray may only just touch something, and a walk is exact to its steps.
+            shifted = [
+                naive_shifted(walk(wall, x, y, theta + phi + turn, rho) + more, rho, model)
+                for turn in (-0.003, 0.0, 0.003)
+                for more in (-0.005, 0.005)
+            ]
+            bounds = [naive_log_density(d, of(shifted), model) for of in (min, max)]
+            assert bounds[0] - 1e-3 <= alone.log_likelihood[i] <= bounds[1] + 1e-3
+            if max(shifted) < 0.95 * model.absent:  # gone rather than displaced
+                assert got.crossed[i, k]
+            if min(shifted) > 1.05 * model.absent / (1 - model.absent):
+                assert not got.crossed[i, k]
+            assert got.on_surface[i, k] == (abs(d) < 2 * max(model.sigmas))
+    np.testing.assert_allclose(got.log_likelihood, one_by_one, rtol=1e-5, atol=1e-3)
+    for i in range(len(poses)):
+        fits = [on and not c for on, c in zip(got.on_surface[i], got.crossed[i], strict=True)]
+        assert got.explained[i] == pytest.approx(sum(fits) / len(fits))
 
 
 def corridor(screen=None):
@@ -118,6 +120,26 @@ def test_a_wall_in_between_costs_the_chance_that_it_is_gone():
     assert (plain.explained[0], screened.explained[0]) == (1, 0)
 
 
+@pytest.mark.parametrize("resolution", [0.05, 0.1, 0.2])
+@pytest.mark.parametrize("before", [1, 2, 3, 4, 6, 30])
+def test_the_further_behind_a_wall_the_less_likely_it_is_drawn_in_a_wrong_place(resolution, before):
+    model = EvidenceModel(margin=0.07, displaced=0.15)
+    wall = np.zeros((20, 80), bool)
+    wall[:, 50:52] = True
+    screened = wall.copy()
+    screened[:, 50 - 1 - before] = True  # so many free cells before the wall
+    pose = [[10 * resolution, 10.5 * resolution, 0.0]]
+    a, b = (
+        score(w, pose, [40 * resolution], [0.0], model, resolution).log_likelihood[0]
+        for w in (wall, screened)
+    )
+    # Half a cell is free besides the margin, however large a cell is.
+    beyond = max((before + 1) * resolution - 0.07 - resolution / 2, 0)
+    o = model.absent + (1 - model.absent) * math.exp(-((beyond / 0.15) ** 2))
+    assert b - a == pytest.approx(math.log(o), abs=0.04)  # a ray ends to 1/128 of a cell
+    assert b - a >= math.log(model.absent) - 1e-4  # never less than: it is gone
+
+
 @pytest.mark.parametrize(
     ("rho", "crossed", "on_surface"),
     [
@@ -125,18 +147,27 @@ def test_a_wall_in_between_costs_the_chance_that_it_is_gone():
         (2.0, False, False),  # too short: something not on the map, no contradiction
         (4.0, False, True),
         (4.3, False, False),  # less than the margin behind the wall's face, but deep in it
-        (4.34, False, False),
-        (4.36, True, False),
+        (4.36, False, False),  # more, but the wall may be drawn in a wrong place
+        (4.48, False, False),
+        (4.53, True, False),  # exp(-(0.18 / 0.1)^2) < 0.1: rather than that, it is gone
         (7.0, True, False),  # too long: through a mapped wall
     ],
 )
 def test_too_short_is_no_surprise_and_too_long_is(rho, crossed, on_surface):
     wall = corridor()
     wall[:, 52:60] = True
-    model = EvidenceModel(sigmas=(0.05,), margin=0.35)
+    model = EvidenceModel(sigmas=(0.05,), absent=0.1, margin=0.3, displaced=0.1)
     got = score(wall, POSE, [rho], [0.0], model)
     assert bool(got.crossed[0, 0]) is crossed
     assert bool(got.on_surface[0, 0]) is on_surface
+
+
+@pytest.mark.parametrize("model", [EvidenceModel(), EvidenceModel((0.1, 0.3), 0.6, 5.0)])
+def test_no_reading_is_better_than_the_best(model):
+    assert model.best == pytest.approx(naive_log_density(0.0, 1.0, model))
+    ranges = np.linspace(0.05, 7, 200)
+    each = [score(corridor(), POSE, [r], [0.0], model).log_likelihood[0] for r in ranges]
+    assert model.best - 0.2 < max(each) <= model.best + 1e-4
 
 
 def test_what_fits_best_scores_best():
@@ -150,7 +181,7 @@ def test_what_fits_best_scores_best():
 def test_a_reading_of_nothing_on_the_map_costs_the_same_everywhere():
     model = EvidenceModel()
     got = score(np.eye(200, dtype=bool), [[15.0, 3.0, 0.0]], [1.0, 2.0], [0.0, 0.0], model)
-    chance = math.log((1 - model.hit) / REACH)
+    chance = math.log((1 - model.hit) / model.span)
     assert got.log_likelihood[0] == pytest.approx(2 * chance, rel=1e-5)
     assert not got.on_surface.any()
 

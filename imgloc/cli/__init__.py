@@ -8,6 +8,7 @@ import typer
 from imgloc import __version__
 from imgloc.cli.console import Group, emit
 from imgloc.cli.demo import demo
+from imgloc.cli.evaluate import evaluate
 from imgloc.cli.localize import localize
 from imgloc.cli.maps import check, show
 from imgloc.cli.options import examples
@@ -86,6 +87,15 @@ app.command(
         "imgloc simulate office.yaml -n 20 --rays 360 --fov-deg 360 --outliers 0.2 --out hard.npz",
     )
 )(simulate)
+app.command(
+    epilog=examples(
+        "imgloc evaluate curved visibility large --methods cbml,cbml-o,ght,ght-v,beam",
+        "imgloc evaluate office.yaml -n 50 --methods fused --range-max 10 --tolerance 0.3,10",
+        "imgloc evaluate office.yaml --scans scans.npz --sample 60 --json > results.jsonl",
+        "imgloc evaluate a.yaml b.yaml --scans a.npz --scans b.npz --methods fused,ght-v",
+        "imgloc evaluate curved --methods ght,ght-v --theta-step-deg ght=10 --cell 0.2",
+    )
+)(evaluate)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

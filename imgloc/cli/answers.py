@@ -1,11 +1,11 @@
 """Answers as JSON and as text for people."""
 
-import io
 import json
 import math
 from collections.abc import Mapping
 from typing import Any
 
+from imgloc.cli.tables import as_plain
 from imgloc.model import Localization, Pose2D
 
 HEADER = (
@@ -48,6 +48,11 @@ def as_json(index: int, answer: Localization, more: Mapping[str, object]) -> str
         "timings_ms": {key: round(ms, 3) for key, ms in answer.timings_ms.items()},
         "parameters": {**answer.parameters, **more},
     }
+    return to_json(row)
+
+
+def to_json(row: Mapping[str, object]) -> str:
+    """Return one line of JSON; what is not finite becomes null."""
     return json.dumps(plain(row), allow_nan=False)
 
 
@@ -135,16 +140,11 @@ def _pose(pose: Pose2D) -> dict[str, float | list[list[float]]]:
 
 def _table(answer: Localization) -> str:
     """Hypotheses, best first, as plain text."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(box=box.ASCII2, pad_edge=True)
-    for name in ("#", "mass", "x / m", "y / m", "theta / deg", "+- xy / m", "+- deg", "log L"):
-        table.add_column(name, justify="right", no_wrap=True)
+    columns = ("#", "mass", "x / m", "y / m", "theta / deg", "+- xy / m", "+- deg", "log L")
+    rows = []
     for k, h in enumerate(answer.hypotheses, start=1):
         xy, turn = h.covariance[0, 0] + h.covariance[1, 1], h.covariance[2, 2]
-        table.add_row(
+        row = (
             str(k),
             f"{100 * h.mass:.1f} %",
             f"{h.pose.x:.3f}",
@@ -154,7 +154,5 @@ def _table(answer: Localization) -> str:
             f"{math.degrees(math.sqrt(max(0.0, turn))):.2f}",
             f"{h.log_likelihood:.1f}",
         )
-    console = Console(file=io.StringIO(), width=110, color_system=None)
-    with console.capture() as captured:
-        console.print(table)
-    return "\n".join(line.rstrip() for line in captured.get().splitlines())
+        rows.append(row)
+    return as_plain(columns, rows)

@@ -141,16 +141,23 @@ def one_line(error: BaseException) -> str:
 
 
 @contextlib.contextmanager
-def progress(title: str, total: int) -> Iterator[Callable[[], None]]:
+def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable[[], None]]:
     """Show a progress bar on standard error, if that is a terminal.
+
+    Parameters
+    ----------
+    title : str
+    total : int
+        Number of steps.
+    lines : bool
+        Each step writes a line of the result; on one terminal those are progress enough.
 
     Yields
     ------
     callable
         To be called after each of `total` steps.
     """
-    # Lines that appear on the same terminal, one for each step, are progress enough.
-    crowded = total > 1 and sys.stdout is not None and sys.stdout.isatty()
+    crowded = lines and total > 1 and sys.stdout is not None and sys.stdout.isatty()
     terminal = sys.stderr is not None and sys.stderr.isatty()
     if not terminal or crowded or _SESSION.verbose:
         yield lambda: None

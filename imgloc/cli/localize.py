@@ -21,6 +21,7 @@ from imgloc.cli.options import (
     check_target,
     console,
     count_threads,
+    cut_scan,
     reading,
     with_options,
 )
@@ -28,7 +29,7 @@ from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
     from imgloc.io.scans import ScanSet
-    from imgloc.model import LaserScan, Pose2D
+    from imgloc.model import Pose2D
     from imgloc.pipeline import Options
 
 
@@ -115,7 +116,7 @@ def localize(
     doubtful = 0
     with progress("localize", len(chosen)) as advance:
         for k in chosen:
-            scan = _cut(scans[k], range_max)
+            scan = cut_scan(scans[k], range_max)
             answer = locate(features, scan, options)
             truth = _truth(scans, k)
             doubtful += answer.verdict != "unique"
@@ -159,17 +160,6 @@ def _choose(scans: "ScanSet", index: int | None, name: str) -> range:
             f"--index: got {index}, expected 0 to {len(scans) - 1}: {name} has {len(scans)} scans"
         )
     return range(index, index + 1)
-
-
-def _cut(scan: "LaserScan", range_max: float | None) -> "LaserScan":
-    """Return the scan that a sensor with a shorter reach would have recorded."""
-    if range_max is None or range_max >= scan.range_max:
-        return scan
-    if range_max <= scan.range_min:
-        raise ConfigError(
-            f"--range-max: got {range_max:g}, expected more than range_min, {scan.range_min:g} m"
-        )
-    return replace(scan, range_max=range_max)
 
 
 def _truth(scans: "ScanSet", k: int) -> "Pose2D | None":

@@ -5,14 +5,18 @@ import inspect
 import math
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict, TypeVar
 
 import typer
 
 from imgloc.cli.console import configure
 from imgloc.errors import ConfigError, OutputError
+
+if TYPE_CHECKING:
+    from imgloc.model import LaserScan
 
 F = TypeVar("F", bound=Callable[..., None])
 
@@ -227,3 +231,20 @@ def count_threads(wanted: int | None) -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def cut_scan(scan: "LaserScan", range_max: float | None) -> "LaserScan":
+    """Return the scan that a sensor with a shorter reach would have recorded.
+
+    Raises
+    ------
+    ConfigError
+        If it would not reach beyond `range_min`.
+    """
+    if range_max is None or range_max >= scan.range_max:
+        return scan
+    if range_max <= scan.range_min:
+        raise ConfigError(
+            f"--range-max: got {range_max:g}, expected more than range_min, {scan.range_min:g} m"
+        )
+    return replace(scan, range_max=range_max)

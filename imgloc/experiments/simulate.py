@@ -5,62 +5,16 @@ much finer image than the map, :func:`~imgloc.experiments.finegrid.refine_grid` 
 world's polygons rendered at 1 cm.
 """
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.errors import ConfigError, MapError
+from imgloc.errors import ConfigError
 from imgloc.experiments.finegrid import refine_grid
+from imgloc.experiments.poses import sample_free_poses, sample_sensor_poses
 from imgloc.features.raycast import cast_rays, distance_image
-from imgloc.model import FloatArray, OccupancyGrid
+from imgloc.model import FloatArray, OccupancyGrid, Pose2D
 
-
-def sample_free_poses(grid: OccupancyGrid, n: int, seed: int, clearance: float = 0.3) -> FloatArray:
-    """Draw poses uniformly from the free space of a map, in the grid frame.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-    n : int
-        Number of poses.
-    seed : int
-        Seed of the random generator.
-    clearance : float
-        Metres to the nearest cell that is not free; the border of the map counts as such.
-
-    Returns
-    -------
-    (n, 3) float array
-        x and y in metres, continuous, and theta in [0, 2 pi).
-
-    Raises
-    ------
-    MapError
-        If no cell is free with that clearance.
-
-    Examples
-    --------
-    >>> free = np.zeros((9, 9), dtype=bool)
-    >>> free[2:7, 2:7] = True
-    >>> pose = sample_free_poses(OccupancyGrid(~free, free, 0.1), 1, seed=1, clearance=0.2)
-    >>> bool(np.all((pose[:, :2] > 0.4) & (pose[:, :2] < 0.5)))
-    True
-    """
-    taken = np.pad(~grid.free, 1, constant_values=True).astype(np.uint8)
-    # Grown by one cell, so that the distance is from the square of a cell to the next square.
-    grown = cv2.dilate(taken, np.ones((3, 3), dtype=np.uint8)) > 0
-    room = distance_image(grown)[1:-1, 1:-1] * grid.resolution
-    rows, columns = np.nonzero(grid.free & (room >= clearance - 1e-6))
-    if not len(rows):
-        raise MapError(
-            f"no free cell of the map is {clearance} m away from everything that is not free; "
-            "expected some free space, hint: a smaller clearance or another free_thresh"
-        )
-    rng = np.random.default_rng(seed)
-    pick = rng.integers(len(rows), size=n)
-    cells = np.column_stack((columns[pick], rows[pick]))
-    xy = (cells + rng.random((n, 2))) * grid.resolution
-    return np.column_stack((xy, rng.uniform(0, 2 * np.pi, n)))
+__all__ = ["sample_free_poses", "sample_sensor_poses", "simulate", "simulate_scans"]
 
 
 def simulate(
@@ -153,6 +107,7 @@ def simulate_scans(
     outliers: float = 0.0,
     dropped: float = 0.0,
     clearance: float = 0.3,
+    mount: Pose2D | None = None,
     fine: OccupancyGrid | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Simulate scans at random free poses of a map; the defaults are the sensor of Sec. VI.
@@ -174,7 +129,9 @@ def simulate_scans(
     sigma, range_max, outliers, dropped : float
         See :func:`simulate`.
     clearance : float
-        See :func:`sample_free_poses`.
+        Of the robot, see :func:`~imgloc.experiments.poses.sample_free_poses`.
+    mount : Pose2D, optional
+        Of the sensor on the robot, whose poses are what is drawn; by default they are one.
     fine : OccupancyGrid, optional
         Image on which rays are cast, with the same lower-left corner. By default the map
         redrawn at 1 cm; for a bundled world ``render(world, 0.01)`` is the truth itself.
@@ -200,7 +157,7 @@ def simulate_scans(
     full = fov > 2 * np.pi * (1 - 1e-9)
     angles = np.linspace(-fov / 2, fov / 2, rays, endpoint=not full)
     seeds = np.random.SeedSequence(seed).generate_state(2)
-    poses = sample_free_poses(grid, n, int(seeds[0]), clearance)
+    poses = sample_sensor_poses(grid, n, int(seeds[0]), mount or Pose2D(0.0, 0.0), clearance)
     ranges = simulate(
         refine_grid(grid) if fine is None else fine, poses, angles,
         sigma=sigma, range_max=range_max, seed=int(seeds[1]), outliers=outliers, dropped=dropped,

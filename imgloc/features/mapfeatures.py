@@ -12,6 +12,7 @@ from imgloc.errors import ConfigError
 from imgloc.features.distance import DistanceField, distance_field, signed_distance
 from imgloc.features.fields import bmap, vmap
 from imgloc.features.lattice import any_of_blocks, coarse_info
+from imgloc.features.pooled import PooledMaps, pooled_maps
 from imgloc.features.pyramid import Level, pyramid
 from imgloc.features.raycast import distance_image
 from imgloc.features.raydistance import ray_distances, ray_distances_bytes
@@ -48,6 +49,11 @@ class MapFeatures:
     threads : int
         Used for the ray-distance stack; no result depends on it.
 
+    Raises
+    ------
+    ConfigError
+        If a length is not positive and finite, or a number less than 1.
+
     Examples
     --------
     >>> walls = np.zeros((20, 30), bool)
@@ -67,6 +73,16 @@ class MapFeatures:
     max_range: float = 30.0
     max_bytes: int = 2 << 30
     threads: int = 1
+
+    def __post_init__(self) -> None:
+        for name in ("cell", "sigma", "sigma_endpoint", "horizon", "max_range"):
+            length = getattr(self, name)
+            if not 0 < length < np.inf:
+                raise ConfigError(f"{name} must be a positive number of metres, got {length}")
+        for name in ("n_psi", "n_rays", "max_bytes", "threads"):
+            number = getattr(self, name)
+            if number < 1:
+                raise ConfigError(f"{name} must be at least 1, got {number}")
 
     @cached_property
     def lattice(self) -> GridInfo:
@@ -122,6 +138,11 @@ class MapFeatures:
         return _read_only(
             bmap(self.surface.xy, self.lattice.shape, self.lattice.resolution, self.sigma)
         )
+
+    @cached_property
+    def pooled(self) -> PooledMaps:
+        """`bmap` max-pooled over blocks of free cells, for branch and bound."""
+        return pooled_maps(self.bmap, self.free, self.lattice.resolution, reach=self.max_range)
 
     @cached_property
     def vmap(self) -> Float32Array:

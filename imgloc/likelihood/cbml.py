@@ -12,7 +12,7 @@ from imgloc.likelihood.projections import (
     project,
     unit_vectors,
 )
-from imgloc.likelihood.shift import shift_stack, tiles_of
+from imgloc.likelihood.shift import merge_repeats, shift_stack, tiles_of
 from imgloc.likelihood.slices import (
     cell_offsets,
     check_arguments,
@@ -21,7 +21,7 @@ from imgloc.likelihood.slices import (
     window_of,
 )
 from imgloc.likelihood.spectral import spectral_stack
-from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, OrientedPoints
+from imgloc.model import BoolArray, Float32Array, FloatArray, OrientedPoints
 
 # bmap in 0..BMAP_LEVELS: sums of 257 readings fit into uint16.
 BMAP_LEVELS = 255
@@ -178,18 +178,16 @@ def cbml_o(
     direction = np.floor(turned + 0.5).astype(np.int64) % directions
     wanted = None if where is None else where[window]
     tiles = tiles_of(view.shape[1:], wanted)
-    engine = choose_engine(engine, offsets, view.shape[1:], tiles, components=2)
+    # Image of the projection to add, or -1 - that of the one to subtract: the opposite direction.
+    half = directions // 2
+    which = np.where(direction < half, direction, half - 1 - direction)
+    engine = choose_engine(engine, offsets, view.shape[1:], tiles, components=2, which=which)
     if engine == "shift":
         images = project(field, directions) if projections is None else projections[:, *window]
-
-        def scan(k: int) -> tuple[IntArray, IntArray, IntArray]:
-            half = direction[k] % (directions // 2)
-            order = np.argsort(half, kind="stable")  # one image at a time stays in the cache
-            which = np.where(direction[k] < directions // 2, half, -1 - half)
-            return offsets[k][order], which[order], np.ones(len(order), dtype=np.int64)
-
         limit = np.iinfo(np.int16).max // VMAP_LEVELS
-        shift_stack(list(images), scan, limit, tiles, threads, view)
+        shift_stack(
+            list(images), lambda k: merge_repeats(offsets[k], which[k]), limit, tiles, threads, view
+        )
         np.divide(view, np.float32(VMAP_LEVELS), out=view)
     else:
         vectors = unit_vectors(directions)[direction].transpose(0, 2, 1)  # Alg. 3, l. 4

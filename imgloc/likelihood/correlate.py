@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.likelihood.kernels import filter2d_stack
-from imgloc.likelihood.shift import Tile, merge_repeats, multiples, shift_stack, tiles_of
+from imgloc.likelihood.shift import Tile, merge_repeats, shift_stack, tiles_of
 from imgloc.likelihood.slices import (
     cell_offsets,
     check_arguments,
@@ -21,14 +21,14 @@ from imgloc.likelihood.slices import (
     output_stack,
     window_of,
 )
-from imgloc.likelihood.spectral import spectral_stack
+from imgloc.likelihood.spectral import needs_double, spectral_stack
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 
 ENGINES = ("filter2d", "shift", "dft")
 
 # Measured on one core of a server CPU. Only their ratios matter, and only to `auto`.
 SHIFT_SECONDS_PER_BYTE = 3.2e-11
-SHIFT_SECONDS_PER_CALL = 1.6e-6
+SHIFT_SECONDS_PER_CALL = 2.0e-6
 DFT_SECONDS_PER_STEP = 1.5e-10
 
 
@@ -109,7 +109,14 @@ def correlate(
     integers = image.dtype == np.uint8
     wanted = None if where is None else where[window]
     tiles = tiles_of(view.shape[1:], wanted)
-    engine = choose_engine(engine, offsets, view.shape[1:], tiles, itemsize=2 if integers else 4)
+    engine = choose_engine(
+        engine,
+        offsets,
+        view.shape[1:],
+        tiles,
+        itemsize=2 if integers else 4,
+        double=integers and needs_double(image, offsets[:: max(1, len(offsets) // 8)]),
+    )
     if engine == "shift":
         _correlate_by_shift(image, offsets, tiles, threads, view)
     elif engine == "dft":
@@ -129,12 +136,17 @@ def _correlate_by_shift(
     out: Float32Array,
 ) -> None:
     """Alg. 2 on one image, each distinct offset once."""
+    once = np.zeros(offsets.shape[1], dtype=np.int64)
     if image.dtype == np.uint8:
-        images = multiples(image)
-        limit = np.iinfo(np.uint16).max // max(1, int(image.max()))
-        shift_stack(images, lambda k: merge_repeats(offsets[k]), limit, tiles, threads, out)
+        shift_stack(
+            [image.astype(np.uint16)],
+            lambda k: merge_repeats(offsets[k], once),
+            np.iinfo(np.uint16).max // max(1, int(image.max())),
+            tiles,
+            threads,
+            out,
+        )
     else:
-        once = np.zeros(offsets.shape[1], dtype=np.int64)
         shift_stack(
             [np.ascontiguousarray(image, dtype=np.float32)],
             lambda k: (offsets[k], once, once),
@@ -153,6 +165,8 @@ def choose_engine(
     *,
     itemsize: int = 2,
     components: int = 1,
+    which: IntArray | None = None,
+    double: bool = False,
 ) -> str:
     """Return `engine`, or for ``"auto"`` the one of ``shift`` and ``dft`` with the lower cost.
 
@@ -172,6 +186,10 @@ def choose_engine(
         Bytes of a cell of the shift engine's sums.
     components : int
         Correlations to add up: 1 for a scalar image, 2 for a vector field (``dft`` only).
+    which : (K, N) int array, optional
+        Image that each reading takes its values from, if there are several (``shift`` only).
+    double : bool
+        Whether the transforms need double precision (``dft`` only).
 
     Raises
     ------
@@ -183,11 +201,13 @@ def choose_engine(
     if engine != "auto":
         raise ConfigError(f"engine must be one of auto, {', '.join(ENGINES)}, got {engine!r}")
     height, width = shape
-    sample = np.abs(offsets[:: max(1, len(offsets) // 8)])
+    some = slice(None, None, max(1, len(offsets) // 8))
+    sample = np.abs(offsets[some])
     overlap = np.maximum(0, height - sample[..., 0]) * np.maximum(0, width - sample[..., 1])
-    readings = float((overlap > 0).sum(axis=1).mean())
-    if components == 1:  # repeated offsets are added once
-        readings = float(np.mean([len(np.unique(o, axis=0)) for o in sample]))
+    if which is None:
+        which = np.zeros(offsets.shape[:2], dtype=np.int64)
+    merged = [len(merge_repeats(o, w)[0]) for o, w in zip(offsets[some], which[some], strict=True)]
+    readings = float(np.mean(merged)) if merged else 0.0
     share = sum((t.r1 - t.r0) * (t.c1 - t.c0) for t in tiles) / (height * width)
     cells = readings * share * float(overlap.mean()) if overlap.size else 0.0
     shift = cells * itemsize * SHIFT_SECONDS_PER_BYTE
@@ -195,5 +215,6 @@ def choose_engine(
     rows, columns = np.minimum(sample.max(axis=(0, 1), initial=0), shape)
     plane = float((height + rows) * (width + columns))
     # One transform back, half a transform forth (two headings share it) and a product.
-    dft = DFT_SECONDS_PER_STEP * plane * np.log2(plane + 1) * (1.0 + 1.1 * components)
+    dft = DFT_SECONDS_PER_STEP * plane * np.log2(plane + 1) * (1.2 + 0.8 * components)
+    dft *= 1 + double
     return "shift" if shift < dft else "dft"

@@ -4,16 +4,16 @@ Each scan point is put into the frame of its own surface once, ``q_i = R(-alpha_
 pose of a pair is then ``t = p_j - R(alpha_j) q_i``: no trigonometry for each pair. And the
 direction from p_j to t, seen from the normal of p_j, is that of ``-q_i`` whatever j is, so
 that the visibility test of Alg. 5 compares one row of `visibility` with ``|p_i|``.
-The arithmetic is in :mod:`imgloc.likelihood.votes`.
+The arithmetic is in :mod:`imgloc.likelihood.votes`, the two options of Sec. VII are there and
+in :mod:`imgloc.likelihood.uncertainty`.
 """
-
-from collections.abc import Sequence
 
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.likelihood.slices import check_arguments, output_stack, over_slices
-from imgloc.likelihood.votes import Voter, blocks_of, prepare
+from imgloc.likelihood.slices import check_arguments, output_stack
+from imgloc.likelihood.uncertainty import Uncertainty, vote_spread
+from imgloc.likelihood.votes import vote
 from imgloc.model import Float32Array, OrientedPoints
 
 
@@ -24,6 +24,8 @@ def ght(
     shape: tuple[int, int],
     resolution: float,
     *,
+    once: bool = False,
+    uncertainty: Uncertainty | None = None,
     threads: int = 1,
     out: Float32Array | None = None,
 ) -> Float32Array:
@@ -43,6 +45,12 @@ def ght(
         Rows and columns of the lattice of votes; its lower-left corner is that of the grid.
     resolution : float
         Side of a cell of that lattice, metres. It need not be that of the map.
+    once : bool
+        At most one vote of each scan point in a cell, Sec. VII. A wall casts many votes in
+        the cells along it; this counts the scan points that a pose explains.
+    uncertainty : Uncertainty, optional
+        Spread each vote over the poses that eq. 8 allows for, given the errors of its terms.
+        With `once` too, a scan point adds no more than 1 to a cell, before the blur.
     threads : int
         Number of threads. Each beyond the first needs a stack of its own; the result does not
         depend on their number.
@@ -52,7 +60,8 @@ def ght(
     Returns
     -------
     (K, H, W) float32 array
-        Votes ``L[theta, y, x]``; a vote off the lattice is lost.
+        Votes ``L[theta, y, x]``; a vote off the lattice is lost. Whole numbers, unless there
+        is an `uncertainty`.
 
     Raises
     ------
@@ -70,7 +79,7 @@ def ght(
     >>> np.argwhere(ght(wall, scan, 4, (1, 3), 1.0)).tolist()
     [[0, 0, 0]]
     """
-    return _vote(surface, None, points, n_theta, shape, resolution, threads, out)
+    return _vote(surface, None, points, n_theta, shape, resolution, once, uncertainty, threads, out)
 
 
 def ght_v(
@@ -81,6 +90,8 @@ def ght_v(
     shape: tuple[int, int],
     resolution: float,
     *,
+    once: bool = False,
+    uncertainty: Uncertainty | None = None,
     threads: int = 1,
     out: Float32Array | None = None,
 ) -> Float32Array:
@@ -92,7 +103,7 @@ def ght_v(
         ``visibility[b, j]`` is the distance in metres from surface point j to the nearest
         obstacle in the direction ``2 pi b / n_psi`` counted **from its normal**; infinite when
         there is none. The pair (i, j) votes iff ``visibility[b, j] > |p_i|``.
-    surface, points, n_theta, shape, resolution, threads, out
+    surface, points, n_theta, shape, resolution, once, uncertainty, threads, out
         As in :func:`ght`.
 
     Returns
@@ -123,7 +134,9 @@ def ght_v(
             f"visibility must be (n_psi, {len(surface)}), a column for each surface point, "
             f"got {visibility.shape}"
         )
-    return _vote(surface, visibility, points, n_theta, shape, resolution, threads, out)
+    return _vote(
+        surface, visibility, points, n_theta, shape, resolution, once, uncertainty, threads, out
+    )
 
 
 def _vote(
@@ -133,6 +146,8 @@ def _vote(
     n_theta: int,
     shape: tuple[int, int],
     resolution: float,
+    once: bool,
+    uncertainty: Uncertainty | None,
     threads: int,
     out: Float32Array | None,
 ) -> Float32Array:
@@ -143,22 +158,10 @@ def _vote(
         raise ConfigError(f"the lattice of votes must not be empty, got {(n_theta, *shape)}")
     out = output_stack(out, (n_theta, height, width))
     out.fill(0)
-    pairs = prepare(surface, visibility, points, n_theta, resolution)
-    blocks = blocks_of(len(pairs.w), len(pairs.x))
-    # A stack costs about as much as half a vote for each of its cells.
-    threads = min(threads, 1 + 2 * len(pairs.w) * len(pairs.x) // out.size)
-    spare: list[Float32Array] = []
-
-    def work(share: Sequence[tuple[slice, slice]]) -> None:
-        stack = out
-        if share and share[0] != blocks[0]:
-            stack = np.zeros_like(out)
-            spare.append(stack)
-        voter = Voter(pairs, stack)
-        for i, j in share:
-            voter.cast(i, j)
-
-    over_slices(work, blocks, threads)
-    for stack in spare:  # whole numbers: their order does not matter
-        np.add(out, stack, out=out)
+    if uncertainty is None:
+        vote(surface, visibility, points, resolution, out, once=once, threads=threads)
+    else:
+        vote_spread(
+            surface, visibility, points, resolution, uncertainty, out, once=once, threads=threads
+        )
     return out

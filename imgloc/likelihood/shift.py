@@ -21,8 +21,8 @@ Image = npt.NDArray[np.uint16] | npt.NDArray[np.int16] | Float32Array
 # Cells of a tile: 512 KB of uint16. Smaller tiles pay more calls, larger ones leave the cache.
 TILE_CELLS = 1 << 18
 TILE_WIDTH = 1024
-# A cell hit m times is added once from the image times m, for m up to this.
-MAX_MULTIPLE = 4
+# Repeated readings are added in powers of two up to 2**MAX_POWER; must fit the limits of 16 bits.
+MAX_POWER = 3
 
 
 @dataclass(frozen=True)
@@ -66,28 +66,34 @@ def tiles_of(shape: tuple[int, int], where: BoolArray | None = None) -> list[Til
     return tiles
 
 
-def multiples(image: npt.NDArray[np.generic]) -> list[Image]:
-    """Return the image times 1, 2, ... :data:`MAX_MULTIPLE`, as uint16."""
-    return [image.astype(np.uint16) * np.uint16(m) for m in range(1, MAX_MULTIPLE + 1)]
+def merge_repeats(offsets: IntArray, which: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Add readings that fall in one cell once: offsets (n, 2), which image, power of two.
 
-
-def merge_repeats(offsets: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Add readings that fall in one cell once: offsets (n, 2), which multiple, weights.
-
-    Close readings share cells: half of the rays of a 0.25 degree scan at 10 cm cells.
+    Close readings share cells: half of the rays of a 0.25 degree scan at 10 cm cells. What m
+    readings share is needed once for each binary digit of m that is 1, the highest powers first:
+    :func:`shift_sum` doubles its sums on the way down (Horner), which takes no other image.
 
     Examples
     --------
-    >>> [a.tolist() for a in merge_repeats(np.array([[0, 1], [0, 1], [2, 0]]))]
-    [[[2, 0], [0, 1]], [0, 1], [1, 2]]
+    >>> offsets = np.array([[0, 1], [0, 1], [2, 0], [0, 1]])
+    >>> [a.tolist() for a in merge_repeats(offsets, np.zeros(4, dtype=np.int64))]
+    [[[0, 1], [0, 1], [2, 0]], [0, 0, 0], [1, 0, 0]]
     """
-    key = (offsets[:, 0] << 32) + offsets[:, 1]
-    _, first, count = np.unique(key, return_index=True, return_counts=True)
-    whole, rest = np.divmod(count, MAX_MULTIPLE)
-    index = np.concatenate((first[rest > 0], np.repeat(first, whole)))
-    weight = np.concatenate((rest[rest > 0], np.full(whole.sum(), MAX_MULTIPLE)))
-    order = np.argsort(weight, kind="stable")  # one image at a time stays in the cache
-    return offsets[index[order]], weight[order] - 1, weight[order]
+    if not len(offsets):
+        return offsets, which, which
+    # One image after the other, added or subtracted: it stays in the cache.
+    image = np.where(which >= 0, 2 * which, -1 - 2 * which)
+    cell = (offsets[:, 0] << 32) + offsets[:, 1]
+    order = np.lexsort((cell, image))
+    offsets, which, cell = offsets[order], which[order], cell[order]
+    new = (cell[1:] != cell[:-1]) | (which[1:] != which[:-1])
+    first = np.flatnonzero(np.concatenate(([True], new)))
+    count = np.diff(np.append(first, len(offsets)))
+    index = [np.repeat(first, count >> MAX_POWER)]
+    index += [first[(count >> p) & 1 > 0] for p in range(MAX_POWER - 1, -1, -1)]
+    power = np.repeat(np.arange(MAX_POWER, -1, -1), [len(i) for i in index])
+    chosen = np.concatenate(index)
+    return offsets[chosen], which[chosen], power
 
 
 def shift_stack(
@@ -100,7 +106,7 @@ def shift_stack(
 ) -> None:
     """Fill a stack (K, H, W): :func:`shift_sum` for each heading, 0 off the tiles.
 
-    `scan` returns, for the index of a heading, the ``offsets, which, weights`` of its points.
+    `scan` returns, for the index of a heading, the ``offsets, which, powers`` of its points.
     """
     largest = max(((t.r1 - t.r0) * (t.c1 - t.c0) for t in tiles), default=0)
 
@@ -117,13 +123,13 @@ def shift_sum(
     images: Sequence[Image],
     offsets: IntArray,
     which: IntArray,
-    weights: IntArray,
+    powers: IntArray,
     limit: int,
     tiles: Sequence[Tile],
     scratch: Image,
     out: Float32Array,
 ) -> None:
-    """Write ``out[r, c] = sum_i s_i images[w_i][r + dr_i, c + dc_i]`` on the tiles.
+    """Write ``out[r, c] = sum_i ± 2**k_i images[w_i][r + dr_i, c + dc_i]`` on the tiles.
 
     Parameters
     ----------
@@ -133,10 +139,10 @@ def shift_sum(
         (dr, dc) of each point; what it brings from outside the image is 0.
     which : (n,) int array
         ``w_i >= 0`` adds image ``w_i``; ``w_i < 0`` subtracts image ``-1 - w_i``.
-    weights : (n,) int array
-        How much of `limit` each point uses up.
+    powers : (n,) int array
+        ``k_i >= 0``, none greater than the one before it.
     limit : int
-        Sum of weights that the type of the images can hold.
+        How often the type of the images can hold the largest value in them.
     tiles : sequence of Tile
         Where to compute; nothing is written elsewhere.
     scratch : flat array of the type of the images
@@ -149,26 +155,38 @@ def shift_sum(
     Exact for integer images while the sums stay below 2**24.
     """
     height, width = images[0].shape
+    weights = 1 << powers
     part = np.cumsum(weights) // max(1, limit - int(weights.max(initial=1)))
     bounds = np.flatnonzero(np.diff(part, prepend=-1, append=-1))
     dr, dc = offsets.T
     for t in tiles:
-        accumulator = scratch[: (t.r1 - t.r0) * (t.c1 - t.c0)].reshape(t.r1 - t.r0, t.c1 - t.c0)
+        total = scratch[: (t.r1 - t.r0) * (t.c1 - t.c0)].reshape(t.r1 - t.r0, t.c1 - t.c0)
         r0, r1 = np.maximum(t.r0, -dr), np.minimum(t.r1, height - dr)
         c0, c1 = np.maximum(t.c0, -dc), np.minimum(t.c1, width - dc)
         inside = (r0 < r1) & (c0 < c1)
         box = np.stack(
-            (r0 - t.r0, r1 - t.r0, c0 - t.c0, c1 - t.c0, r0 + dr, r1 + dr, c0 + dc, c1 + dc, which),
+            (
+                r0 - t.r0, r1 - t.r0, c0 - t.c0, c1 - t.c0,
+                r0 + dr, r1 + dr, c0 + dc, c1 + dc, which, powers,
+            ),
             axis=1,
-        )
+        )  # fmt: skip
         target = out[t.r0 : t.r1, t.c0 : t.c1]
         for start, stop in pairwise(bounds.tolist()):
-            accumulator.fill(0)
-            rows = slice(start, stop)
-            for a0, a1, b0, b1, s0, s1, u0, u1, w in box[rows][inside[rows]].tolist():
-                view = accumulator[a0:a1, b0:b1]
+            boxes = box[start:stop][inside[start:stop]].tolist()
+            if not boxes:
+                continue
+            total.fill(0)
+            level = boxes[0][-1]
+            for a0, a1, b0, b1, s0, s1, u0, u1, w, power in boxes:
+                while level > power:
+                    cv2.add(total, total, total)
+                    level -= 1
+                view = total[a0:a1, b0:b1]
                 if w >= 0:
                     cv2.add(view, images[w][s0:s1, u0:u1], view)  # Alg. 2, l. 4-6
                 else:
                     cv2.subtract(view, images[-1 - w][s0:s1, u0:u1], view)
-            np.add(target, accumulator, out=target)
+            for _ in range(level):
+                cv2.add(total, total, total)
+            np.add(target, total, out=target)

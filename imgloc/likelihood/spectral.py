@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.likelihood.slices import over_slices
-from imgloc.model import Float32Array, IntArray
+from imgloc.model import Float32Array, FloatArray, IntArray
 
 # Largest error of a correlation in float32, in norms of image and kernel multiplied: measured
 # on both OpenCV majors, and reached when all readings share a cell. Integers are recovered from
@@ -41,7 +41,7 @@ class Spectrum:
         self.components, self.height, self.width = image.shape
         self.exact = exact
         values = np.asarray(image, dtype=np.float64)
-        doubtful = exact and EPSILON * weight * float(np.linalg.norm(values)) > ALLOWED_ERROR
+        doubtful = exact and _doubtful(values, weight)
         self.dtype: type[np.floating] = np.float64 if doubtful else np.float32
         self.shape = (
             cv2.getOptimalDFTSize(self.height + reach[0]),
@@ -96,10 +96,11 @@ class Spectrum:
         result = spare[: self.height, : self.width]
         if self.exact:
             np.rint(result, out=out, casting="unsafe")
-        else:
-            np.copyto(out, result, casting="unsafe")
+            result = out
         if half_turn < 0:
-            np.negative(out, out=out)
+            np.negative(result, out=out, casting="unsafe")
+        elif result is not out:
+            np.copyto(out, result, casting="unsafe")
 
 
 def spectral_stack(
@@ -149,10 +150,20 @@ def spectral_stack(
     over_slices(work, units, threads)
 
 
+def needs_double(image: npt.NDArray[np.generic], offsets: IntArray) -> bool:
+    """Tell whether exact sums of these scans (K, N, 2) over the image need double precision."""
+    return _doubtful(np.asarray(image, dtype=np.float64), _kernel_norm(offsets))
+
+
+def _doubtful(values: FloatArray, weight: float) -> bool:
+    return EPSILON * weight * float(np.linalg.norm(values)) > ALLOWED_ERROR
+
+
 def _kernel_norm(offsets: IntArray) -> float:
     """Return the largest norm of a scan drawn with weight 1: readings may share cells."""
     keys = (offsets[..., 0] << 32) + offsets[..., 1]
-    return max(float(np.linalg.norm(np.unique(key, return_counts=True)[1])) for key in keys)
+    norms = (float(np.linalg.norm(np.unique(key, return_counts=True)[1])) for key in keys)
+    return max(norms, default=0.0)
 
 
 def _opposite_headings(offsets: IntArray) -> list[tuple[int, int | None]]:

@@ -4,12 +4,14 @@ Blocks fit the cache. Everything is element by element in double precision, with
 product, so that a vote does not depend on the block its pair is in.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from imgloc.geometry import theta_bin
+from imgloc.likelihood.slices import over_slices
 from imgloc.model import Float32Array, FloatArray, IntArray, OrientedPoints
 
 # Pairs of a block: 256 KB of float64 for each of its few buffers.
@@ -34,6 +36,7 @@ class Pairs:
     psi: IntArray  # (N,) row of `visibility`
     rho: Float32Array  # (N, 1) metres
     visibility: Float32Array | None  # (n_psi, M)
+    weights: Float32Array | None = None  # (N,) of a vote of each scan point; None: 1
 
 
 def _usable(points: OrientedPoints, resolution: float) -> npt.NDArray[np.bool_]:
@@ -54,12 +57,14 @@ def prepare(
     points: OrientedPoints,
     n_theta: int,
     resolution: float,
+    weights: Float32Array | None = None,
 ) -> Pairs:
     """Drop the points that cannot vote and compute what does not depend on the pair."""
     kept = _usable(surface, resolution)
     if visibility is not None and not kept.all():
         visibility = visibility[:, kept]
-    surface, points = surface.select(kept), points.select(_usable(points, resolution))
+    voters = _usable(points, resolution)
+    surface, points = surface.select(kept), points.select(voters)
     c, s = np.cos(points.alpha), np.sin(points.alpha)
     x, y = points.xy.T
     qx, qy = c * x + s * y, c * y - s * x  # R(-alpha_i) p_i
@@ -80,24 +85,27 @@ def prepare(
         psi=theta_bin(np.arctan2(-qy, -qx), n_psi),
         rho=rho[:, None],
         visibility=visibility,
+        weights=None if weights is None else weights[voters],
     )
 
 
-def block_shape(n: int, m: int) -> tuple[int, int]:
+def block_shape(n: int, m: int, once: bool = False) -> tuple[int, int]:
     """Rows and columns of the blocks that n scan points by m map points are cut into."""
-    columns = min(m, BLOCK_COLUMNS)
-    return min(n, BLOCK_PAIRS // max(1, columns)), columns
+    columns = m if once else min(m, BLOCK_COLUMNS)
+    return min(n, max(1, BLOCK_PAIRS // max(1, columns))), columns
 
 
-def blocks_of(n: int, m: int) -> list[tuple[slice, slice]]:
+def blocks_of(n: int, m: int, once: bool = False) -> list[tuple[slice, slice]]:
     """Cut the pairs of n scan points and m map points into blocks that fit the cache.
+
+    With `once`, all votes of a scan point are in one block, whatever its size.
 
     Examples
     --------
     >>> blocks_of(5, 8192)
     [(slice(0, 4, None), slice(0, 8192, None)), (slice(4, 5, None), slice(0, 8192, None))]
     """
-    rows, columns = block_shape(n, m)
+    rows, columns = block_shape(n, m, once)
     return [
         (slice(i, min(i + rows, n)), slice(j, min(j + columns, m)))
         for i in range(0, n, max(1, rows))
@@ -106,10 +114,14 @@ def blocks_of(n: int, m: int) -> list[tuple[slice, slice]]:
 
 
 class Voter:
-    """The buffers of one thread, and the votes of a block of pairs."""
+    """The buffers of one thread, and the votes of a block of pairs.
 
-    def __init__(self, pairs: Pairs, stack: Float32Array) -> None:
-        rows, columns = block_shape(len(pairs.w), len(pairs.x))
+    With `once`, a scan point casts one vote in a cell, however many map points ask for it.
+    """
+
+    def __init__(self, pairs: Pairs, stack: Float32Array, once: bool = False) -> None:
+        self.once = once
+        rows, columns = block_shape(len(pairs.w), len(pairs.x), once)
         size = rows * columns
         self.pairs, self.stack = pairs, stack.reshape(-1)
         self.n_theta, self.height, self.width = stack.shape
@@ -166,6 +178,54 @@ class Voter:
         np.add(flat, row, out=flat)
         np.multiply(flat, self.width, out=flat)
         np.add(flat, column, out=flat)
-        chosen = flat.reshape(-1).take(np.flatnonzero(keep))
-        # Alg. 5, l. 6. Since NumPy 1.25 as fast as bincount, which needs a stack of its own.
-        np.add.at(self.stack, chosen.astype(np.intp), np.float32(1))
+        chosen = flat.reshape(-1).take(np.flatnonzero(keep)).astype(np.intp)
+        if g.weights is None and not self.once:
+            # Alg. 5, l. 6. Since NumPy 1.25 as fast as bincount, which needs a stack of its own.
+            np.add.at(self.stack, chosen, np.float32(1))
+            return
+        counts = np.count_nonzero(keep, axis=1)
+        weights = np.ones(len(counts), np.float32) if g.weights is None else g.weights[i]
+        if self.once:
+            # One scan point at a time: with an index repeated, += adds once (Sec. VII).
+            for cells, weight in zip(
+                np.split(chosen, np.cumsum(counts)[:-1]), weights, strict=True
+            ):
+                self.stack[cells] += weight
+        else:
+            np.add.at(self.stack, chosen, np.repeat(weights, counts))
+
+
+def vote(
+    surface: OrientedPoints,
+    visibility: Float32Array | None,
+    points: OrientedPoints,
+    resolution: float,
+    out: Float32Array,
+    *,
+    weights: Float32Array | None = None,
+    once: bool = False,
+    threads: int = 1,
+) -> None:
+    """Add the votes of all pairs to a stack (K, H, W): Alg. 5, Alg. 4 without visibility.
+
+    `weights` (N,) say what a vote of each scan point counts. As long as the sums are exact in
+    float32 (whole numbers, or few binary places), the number of threads changes nothing.
+    """
+    pairs = prepare(surface, visibility, points, len(out), resolution, weights)
+    blocks = blocks_of(len(pairs.w), len(pairs.x), once)
+    # A stack costs about as much as half a vote for each of its cells.
+    threads = min(threads, 1 + 2 * len(pairs.w) * len(pairs.x) // out.size)
+    spare: list[Float32Array] = []
+
+    def work(share: Sequence[tuple[slice, slice]]) -> None:
+        stack = out
+        if share and share[0] != blocks[0]:
+            stack = np.zeros_like(out)
+            spare.append(stack)
+        voter = Voter(pairs, stack, once)
+        for i, j in share:
+            voter.cast(i, j)
+
+    over_slices(work, blocks, threads)
+    for stack in spare:  # whole numbers: their order does not matter
+        np.add(out, stack, out=out)

@@ -180,14 +180,6 @@ def _standing(
         scan.angles[rays],
         features.field,
         features.walls,
-        reach(scan),
         options.model,
     )
     return poses, evidence
-
-
-def reach(scan: LaserScan) -> float:
-    """How far the sensor sees, metres: range_max, or the longest reading if that is infinite."""
-    if np.isfinite(scan.range_max):
-        return float(scan.range_max)
-    return float(scan.ranges[scan.valid].max(initial=1.0))

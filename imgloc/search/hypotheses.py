@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from imgloc.errors import ConfigError
 from imgloc.features.distance import DistanceField
-from imgloc.model import FloatArray, Hypothesis, IntArray, Pose2D
+from imgloc.model import Float32Array, FloatArray, Hypothesis, IntArray, Pose2D
 from imgloc.search.peaks import separated
 from imgloc.search.refine import normal_equations
 
@@ -11,18 +12,25 @@ from imgloc.search.refine import normal_equations
 def masses(log_likelihood: FloatArray, temperature: float) -> FloatArray:
     """Softmax of ``log_likelihood / temperature``: (M,) shares that sum to 1.
 
+    Raises
+    ------
+    ConfigError
+        If the temperature is not positive and finite.
+
     Examples
     --------
     >>> masses(np.array([0.0, 0.0, -np.inf]), 1.0).tolist()
     [0.5, 0.5, 0.0]
     """
+    if not (np.isfinite(temperature) and temperature > 0):
+        raise ConfigError(f"temperature must be positive and finite, got {temperature}")
     if len(log_likelihood) == 0:
         return np.empty(0)
     weight = np.exp((log_likelihood - log_likelihood.max()) / temperature)
     return np.asarray(weight / weight.sum())
 
 
-def entropy(mass: FloatArray) -> float:
+def entropy(mass: FloatArray | Float32Array) -> float:
     """Of shares that sum to 1, nats.
 
     Examples
@@ -31,7 +39,7 @@ def entropy(mass: FloatArray) -> float:
     0.693
     """
     positive = mass[mass > 0]
-    return float(abs(np.sum(positive * np.log(positive))))
+    return float(abs(np.sum(positive * np.log(positive), dtype=np.float64)))
 
 
 def modes(poses: FloatArray, score: FloatArray, *, distance: float, angle: float) -> IntArray:
@@ -51,10 +59,13 @@ def covariances(
     field: DistanceField,
     *,
     sigma: float,
-    temperature: float,
+    correlated: float,
     extent: tuple[float, float],
 ) -> FloatArray:
-    """Covariance (C, 3, 3) of each pose from the curvature of its score (Laplace).
+    """Covariance (C, 3, 3) of each pose, from how well and how firmly its scan fits.
+
+    Least squares: the mean square distance left over, times the inverse of ``J^T J``. It knows
+    the sensor's noise, the map's cells and the map's errors without being told.
 
     Parameters
     ----------
@@ -64,20 +75,19 @@ def covariances(
         Scan points, sensor frame, metres.
     field : DistanceField
     sigma : float
-        Standard deviation of an endpoint's distance from its surface, metres.
-    temperature : float
-        As in :func:`masses`: neighbouring readings are not independent.
+        Width of the robust kernel, metres.
+    correlated : float
+        How many neighbouring readings share their error: the staircase of a wall's cells.
     extent : (float, float)
         Half-widths of a mode, metres and radians. A corridor leaves its own direction
         undetermined; the mode is no longer than this all the same.
     """
-    A, _ = normal_equations(poses, xy, field, 2 * sigma)
-    information = A / (temperature * sigma**2)
+    A, _, square = normal_equations(poses, xy, field, sigma)
+    # No finer than a twentieth of a cell, however well the scan seems to fit.
+    variance = correlated * np.maximum(square, np.square(field.resolution / 20))
+    information = A / variance[:, None, None]
     information[:, range(3), range(3)] += 1 / np.square([extent[0], extent[0], extent[1]])
     out = np.linalg.inv(information)
-    # No finer than a fifth of a cell: the map itself is rounded to cells.
-    floor = np.square([field.resolution / 5, field.resolution / 5, np.deg2rad(0.1)])
-    out[:, range(3), range(3)] += floor
     return np.asarray((out + out.transpose(0, 2, 1)) / 2)
 
 

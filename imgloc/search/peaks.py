@@ -1,11 +1,15 @@
 """Peaks of a stack (theta, y, x), with theta circular."""
 
+from collections.abc import Iterator
+
 import cv2
 import numpy as np
 import numpy.typing as npt
 
 from imgloc.geometry import wrap
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
+
+_FEW = 4096  # peaks sorted at a time
 
 
 def smooth(values: Float32Array, sigma_px: float, sigma_bins: float) -> Float32Array:
@@ -74,32 +78,61 @@ def find_peaks(
     >>> find_peaks(stack, 9).tolist()
     [[3, 0, 1], [2, 0, 4]]
     """
-    side = 2 * radius + 1
-    kernel = np.ones((side, side), dtype=np.uint8)
-    allowed = values if where is None else np.where(where, values, np.float32(0))
-    spread = np.stack([cv2.dilate(image, kernel) for image in allowed])
-    reach = min(radius, len(values) - 1)
-    top = spread.copy()
-    for step in range(1, reach + 1):
-        np.maximum(top, np.roll(spread, step, axis=0), out=top)
-        np.maximum(top, np.roll(spread, -step, axis=0), out=top)
-    flat = np.flatnonzero((allowed == top) & (allowed > 0))
-    order = np.argsort(-allowed.ravel()[flat], kind="stable")
-    cells = np.stack(np.unravel_index(flat[order], values.shape), axis=1)
-    return _first_of_plateaus(cells, n, radius, len(values))
-
-
-def _first_of_plateaus(cells: IntArray, n: int, radius: int, n_thetas: int) -> IntArray:
-    """Drop peaks that touch a better or equal one before them."""
+    cells = _local_maxima(values, radius, where)
+    scores = values.ravel()[cells]
     kept: list[npt.NDArray[np.int64]] = []
-    for cell in cells:
-        if len(kept) == n:
-            break
-        gap = np.abs(np.asarray(kept).reshape(-1, 3) - cell)
-        gap[:, 0] = np.minimum(gap[:, 0], n_thetas - gap[:, 0])
-        if not (gap <= radius).all(axis=1).any():
-            kept.append(cell)
+    for some in _falling(scores):
+        for cell in np.stack(np.unravel_index(cells[some], values.shape), axis=1):
+            if len(kept) == n:
+                return np.asarray(kept, dtype=np.int64).reshape(-1, 3)
+            # Of a plateau only the first stays.
+            gap = np.abs(np.asarray(kept).reshape(-1, 3) - cell)
+            gap[:, 0] = np.minimum(gap[:, 0], len(values) - gap[:, 0])
+            if not (gap <= radius).all(axis=1).any():
+                kept.append(cell)
     return np.asarray(kept, dtype=np.int64).reshape(-1, 3)
+
+
+def _local_maxima(values: Float32Array, radius: int, where: BoolArray | None) -> IntArray:
+    """Flat indices, in order, of what is positive and no less than anything in its window.
+
+    The headings of a window are held in a ring, so that they are dilated once and stay in the
+    cache.
+    """
+    n, height, width = values.shape
+    kernel = np.ones((2 * radius + 1, 2 * radius + 1), dtype=np.uint8)
+    reach = min(radius, n - 1)
+    ring = np.empty((2 * reach + 1, height, width), dtype=np.float32)
+    top = np.empty((height, width), dtype=np.float32)
+
+    def allowed(k: int) -> Float32Array:
+        image = values[k % n]
+        return image if where is None else np.where(where, image, np.float32(0))
+
+    found = []
+    for k in range(-2 * reach, n):
+        cv2.dilate(allowed(k + reach), kernel, dst=ring[k % len(ring)])
+        if k >= 0:
+            image = allowed(k)
+            np.max(ring, axis=0, out=top)
+            found.append(np.flatnonzero((image == top) & (image > 0)) + k * top.size)
+    return np.concatenate(found)
+
+
+def _falling(scores: Float32Array) -> Iterator[IntArray]:
+    """Indices by falling score, equal ones in their order, a few at a time.
+
+    A stack without information is one plateau: millions of peaks that need not be sorted.
+    """
+    rest = np.arange(len(scores))
+    if len(scores) > _FEW:
+        level = np.partition(scores, -_FEW)[-_FEW]
+        better, equal = np.flatnonzero(scores > level), np.flatnonzero(scores == level)
+        yield better[np.argsort(-scores[better], kind="stable")]
+        for start in range(0, len(equal), _FEW):
+            yield equal[start : start + _FEW]
+        rest = np.flatnonzero(scores < level)
+    yield rest[np.argsort(-scores[rest], kind="stable")]
 
 
 def separated(

@@ -13,7 +13,7 @@ from imgloc.features.pyramid import Level
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.correlate import correlate
 from imgloc.likelihood.slices import cell_offsets
-from imgloc.model import Float32Array, FloatArray, IntArray
+from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 
 _CHUNK_CELLS = 1 << 24  # of the exhaustive level's stack: 64 MB at a time
 _BLOCK = 2  # cells and headings a side: one proposal each
@@ -46,7 +46,7 @@ def propose_endpoints(
     -------
     poses : (M, 3) float array
         Grid frame, best first, at most ``keep[0]``, one per block of 2 x 2 cells and 2
-        headings.
+        headings; none that meets no wall at all.
     scores : (M,) float array
         Mean of the finest endpoint image under the points, 0..1.
     """
@@ -63,6 +63,7 @@ def propose_endpoints(
         best = np.argsort(-scores, kind="stable")[:count]
         nodes, scores = nodes[best], scores[best]
     first = np.sort(np.unique(_key(nodes // _BLOCK), return_index=True)[1])
+    first = first[scores[first] > 0]
     nodes, scores = nodes[first], scores[first]
     centres = (nodes[:, :0:-1] + 0.5) * levels[0].resolution
     return np.column_stack((centres, thetas[nodes[:, 0]])), scores / (255.0 * len(xy))
@@ -84,7 +85,7 @@ def _exhaustive(
             threads=threads,
             where=level.free,
         )
-        best = _largest(stack.ravel(), keep)
+        best = _largest(stack, keep, level.free)
         node = np.stack(np.unravel_index(best, stack.shape), axis=1)
         nodes.append(node + (start, 0, 0))
         scores.append(stack.ravel()[best])
@@ -92,16 +93,17 @@ def _exhaustive(
     return np.asarray(np.concatenate(nodes)[order], dtype=np.int64)
 
 
-def _largest(values: Float32Array, n: int) -> IntArray:
-    """Indices of the `n` largest positive values; of equal ones, those that come first."""
-    if n >= values.size:
-        return np.flatnonzero(values > 0)
-    threshold = max(0.0, np.partition(values, values.size - n)[values.size - n])
+def _largest(stack: Float32Array, n: int, free: BoolArray) -> IntArray:
+    """Indices of the `n` largest values in free cells; of equal ones, those that come first.
+
+    Zeros count: what a coarse pose misses by a cell one of its finer ones may meet.
+    """
+    values = stack.ravel()
+    threshold = np.partition(values, values.size - n)[values.size - n] if n < values.size else 0.0
     above = np.flatnonzero(values > threshold)
-    if threshold > 0:
-        equal = np.flatnonzero(values == threshold)[: n - len(above)]
-        above = np.sort(np.concatenate((above, equal)))
-    return above
+    # Poses that are not free are 0 as well.
+    at = stack == threshold if threshold > 0 else (stack == 0) & free
+    return np.sort(np.concatenate((above, np.flatnonzero(at)[: n - len(above)])))
 
 
 def _children(nodes: IntArray, level: Level, spread: IntArray, n_thetas: int) -> IntArray:
@@ -125,12 +127,16 @@ def _key(nodes: IntArray) -> IntArray:
 
 def _score(level: Level, xy: FloatArray, thetas: FloatArray, nodes: IntArray) -> FloatArray:
     """Sum of the level's image under the points at each node (Alg. 1, l. 4-6)."""
+    # A shift by the whole image misses it from anywhere; a longer one needs no wider padding.
     offsets = cell_offsets(xy, thetas, level.resolution)
-    margin = int(np.abs(offsets).max()) + 1
-    padded = np.pad(level.image, margin)  # off the map is a miss
+    sides = np.array(level.image.shape)
+    offsets = np.clip(offsets, -sides, sides)
+    rows, columns = np.abs(offsets).max(axis=(0, 1)).tolist()
+    padded = np.pad(level.image, ((rows, rows), (columns, columns)))  # off the map is a miss
     stride = padded.shape[1]
-    flat = (offsets[..., 0] * stride + offsets[..., 1]).astype(np.int32)
-    base = ((nodes[:, 1] + margin) * stride + nodes[:, 2] + margin).astype(np.int32)
+    integer = np.int32 if padded.size <= np.iinfo(np.int32).max else np.int64
+    flat = (offsets[..., 0] * stride + offsets[..., 1]).astype(integer)
+    base = ((nodes[:, 1] + rows) * stride + nodes[:, 2] + columns).astype(integer)
     index = flat[nodes[:, 0]]
     index += base[:, None]
     return np.asarray(padded.ravel().take(index).sum(axis=1, dtype=np.uint32), dtype=np.float64)

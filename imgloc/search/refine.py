@@ -9,6 +9,7 @@ from imgloc.geometry import wrap
 from imgloc.model import Float32Array, FloatArray
 
 _MAX_STEP = np.array([0.1, 0.1, np.deg2rad(2.0)])
+_OFF_EVERY_MAP = 1e6  # metres; what float32 still squares
 
 
 def refine(
@@ -41,11 +42,9 @@ def refine(
         A pose moves at most 0.1 m and 2 degrees a step.
     """
     poses = np.array(poses, dtype=np.float64)
-    if len(poses) == 0 or len(xy) == 0:
-        return poses
-    for sigma in sigmas:
+    for sigma in sigmas if len(poses) and len(xy) else ():
         for _ in range(iterations):
-            A, b = normal_equations(poses, xy, field, sigma)
+            A, b, _ = normal_equations(poses, xy, field, sigma)
             # A corridor leaves one direction free: a little damping keeps the pose where it is.
             A[:, range(3), range(3)] += 1e-3 * len(xy)
             step = np.linalg.solve(A, b[..., None])[..., 0]
@@ -56,22 +55,26 @@ def refine(
 
 def normal_equations(
     poses: FloatArray, xy: FloatArray, field: DistanceField, sigma: float
-) -> tuple[FloatArray, FloatArray]:
-    """Weighted ``J^T J`` (C, 3, 3) and ``J^T e`` (C, 3) of the endpoint distances."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Weighted ``J^T J`` (C, 3, 3) and ``J^T e`` (C, 3) of the endpoint distances e.
+
+    The third result, (C,), is the weighted mean of ``e^2``, m²: how well the scan fits.
+    """
     dx, dy, distance, gx, gy = endpoints(poses, xy, field)
     weight = 1 / np.square(1 + np.square(distance / np.float32(sigma)))
     J = np.stack((gx, gy, dx * gy - dy * gx), axis=1)
     weighted = J * weight[:, None]
     A = weighted @ J.transpose(0, 2, 1)
     b = weighted @ distance[..., None]
-    return A.astype(np.float64), b[..., 0].astype(np.float64)
+    square = (weight * np.square(distance)).sum(axis=1) / weight.sum(axis=1)
+    return A.astype(np.float64), b[..., 0].astype(np.float64), square.astype(np.float64)
 
 
 def endpoints(
     poses: FloatArray, xy: FloatArray, field: DistanceField
 ) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array, Float32Array]:
     """Turned points ``R_theta p`` (dx, dy) and distance, gx, gy there, each (C, N) float32."""
-    p = np.asarray(xy, dtype=np.float32)
+    p = np.clip(xy, -_OFF_EVERY_MAP, _OFF_EVERY_MAP).astype(np.float32)
     x, y, theta = (v[:, None] for v in np.asarray(poses, dtype=np.float64).T)
     c, s = np.cos(theta).astype(np.float32), np.sin(theta).astype(np.float32)
     dx, dy = c * p[:, 0] - s * p[:, 1], s * p[:, 0] + c * p[:, 1]

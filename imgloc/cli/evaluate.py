@@ -1,0 +1,201 @@
+"""`imgloc evaluate`: how often, how precisely and how fast each method finds known poses."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from imgloc.cli.console import LOG, emit, progress
+from imgloc.cli.options import (
+    AllowLossy,
+    AsJson,
+    MethodName,
+    Reading,
+    Threads,
+    check_range,
+    console,
+    count_threads,
+    reading,
+    with_options,
+)
+from imgloc.cli.sensor import sensor
+from imgloc.cli.sources import (
+    check_sources,
+    find_map,
+    load_usable,
+    recorded,
+    short_name,
+    simulated,
+)
+from imgloc.errors import ConfigError
+
+if TYPE_CHECKING:
+    from imgloc.experiments.scansets import Sensor
+
+_METHODS = ",".join(MethodName)
+
+
+@with_options(sensor, reading, console)
+def evaluate(
+    maps: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="MAP...", help="map_server YAML, image, or the name of a bundled map."
+        ),
+    ],
+    sensor: "Sensor",
+    reading: Reading,
+    methods: Annotated[str, typer.Option(metavar="NAMES", help="With commas between.")] = _METHODS,
+    count: Annotated[
+        int | None,
+        typer.Option("-n", "--count", min=1, metavar="N", help="Scans simulated. [default: 100]"),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of what is simulated.")] = 0,
+    range_max: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Reach of the simulated sensor [default: 30]; cuts recorded readings.",
+        ),
+    ] = None,
+    scans: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="Recorded scans with poses; once for each MAP."),
+    ] = None,
+    sample: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Of the recorded scans take N. [default: all]"),
+    ] = None,
+    sample_seed: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Seed that decides which.")
+    ] = 1,
+    tolerance: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="M,DEG", help="Report success within this too; the last rules unique, wrong."
+        ),
+    ] = None,
+    theta_step_deg: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[METHOD=]DEG", help="Step of the headings. [default: as in the paper]"
+        ),
+    ] = None,
+    cell: Annotated[
+        list[str] | None,
+        typer.Option(metavar="[METHOD=]M", help="Cell of the poses, metres. [default: 0.1]"),
+    ] = None,
+    floor: Annotated[
+        float,
+        typer.Option(metavar="P", help="Share of the uniform density mixed into each, for S."),
+    ] = 1e-3,
+    as_json: AsJson = False,
+    threads: Threads = None,
+    allow_lossy: AllowLossy = False,
+) -> None:
+    """Measure methods on scans whose poses are known: simulated at random, or recorded.
+
+    S is the paper's performance index (eq. 12), the mean logarithm of the density at the true pose
+    relative to that of no idea at all: 0 knows nothing, S max is certainty on a lattice of poses.
+    The paper's methods run on its cells: 3 degrees (cbml, cbml-o, beam) and 30 (ght, ght-v).
+    Everything but what is under "cost" is the same in every run.
+    """
+    chosen = _methods(methods)
+    steps = _for_each("--theta-step-deg", theta_step_deg, chosen, 0.05, 180, "degrees")
+    cells = _for_each("--cell", cell, chosen, 0.001, 10, "metres")
+    check_range("--range-max", range_max, 1e-3, 10_000, "metres")
+    check_range("--floor", floor, 1e-12, 0.5, "a share")
+    tolerances = [_tolerance(text) for text in tolerance or ()]
+    check_sources(maps, scans, count, sample, sensor)
+
+    import cv2
+    import numpy as np
+
+    from imgloc.cli import answers, tables
+    from imgloc.experiments import evaluate as experiment
+    from imgloc.experiments.summary import TOLERANCES, Tolerance
+    from imgloc.io.files import display
+    from imgloc.pipeline import prepare
+
+    workers = count_threads(threads)
+    cv2.setNumThreads(workers)
+    within = (*TOLERANCES, *(Tolerance(m, float(np.deg2rad(deg))) for m, deg in tolerances))
+    table: list[Mapping[str, Any]] = []
+    for k, given in enumerate(maps):
+        path, name = find_map(given), short_name(given)
+        grid = load_usable(path, reading, allow_lossy=allow_lossy)
+        source: dict[str, object] = {"map": display(path)}
+        if scans is None:
+            laser = replace(sensor, range_max=30.0 if range_max is None else range_max)
+            trials = simulated(path, grid, count or 100, seed, laser)
+            source |= {"seed": seed, "sensor": asdict(laser)}
+        else:
+            trials = recorded(scans[k], sample, sample_seed, range_max)
+            source |= {"scans": display(scans[k]), "sample": sample, "sample_seed": sample_seed}
+            source |= {"range_max": range_max}
+        for method in chosen:
+            step = steps.get(method)
+            options = experiment.method_options(
+                method, None if step is None else float(np.deg2rad(step)), workers
+            )
+            # Each method has features of its own: their bytes are what it needs.
+            features = prepare(grid, display(path), cell=cells.get(method, 0.1), threads=workers)
+            with progress(f"{name}: {method}", len(trials), lines=False) as advance:
+                result = experiment.evaluate(
+                    features, trials, options, tolerances=within, floor=floor, advance=advance
+                )
+            LOG.info("%s: %s: S %.2f", name, method, result.summary.index.value)
+            row = {
+                "map": name,
+                **asdict(result.summary),
+                "lattice": asdict(result.lattice),
+                "source": source,
+                "parameters": result.parameters,
+            }
+            table.append(row)
+            if as_json:
+                emit(answers.to_json(row))
+    if not as_json:
+        emit(tables.evaluation(table))
+
+
+def _methods(text: str) -> list[str]:
+    """Names of methods, each once, in the order given."""
+    names = [name.strip() for name in text.split(",")]
+    for name in names:
+        if name not in list(MethodName):
+            raise ConfigError(f"--methods: got {name!r}, expected {_METHODS} or some of them")
+    return list(dict.fromkeys(names))
+
+
+def _for_each(
+    option: str, texts: Sequence[str] | None, methods: Sequence[str], low: float, high: float,
+    unit: str,
+) -> dict[str, float]:  # fmt: skip
+    """Values by method of an option given as VALUE, for all, or METHOD=VALUE."""
+    out: dict[str, float] = {}
+    for text in sorted(texts or (), key=lambda t: "=" in t):  # those for one method win
+        name, _, number = text.rpartition("=")
+        if name and name not in methods:
+            raise ConfigError(f"{option}: got {text!r}, {name!r} is not one of --methods")
+        value = _number(option, number)
+        check_range(option, value, low, high, unit)
+        out |= dict.fromkeys([name] if name else methods, value)
+    return out
+
+
+def _tolerance(text: str) -> tuple[float, float]:
+    metres, _, degrees = text.partition(",")
+    values = _number("--tolerance", metres), _number("--tolerance", degrees)
+    check_range("--tolerance", values[0], 1e-6, 1e6, "metres")
+    check_range("--tolerance", values[1], 1e-6, 360, "degrees")
+    return values
+
+
+def _number(option: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ConfigError(f"{option}: got {text!r}, expected a number") from None

@@ -1,0 +1,99 @@
+"""Where `imgloc evaluate` takes its maps and scans from."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from imgloc.cli.console import quiet_libraries
+from imgloc.cli.options import Reading, cut_scan
+from imgloc.errors import ConfigError
+
+if TYPE_CHECKING:
+    from imgloc.experiments.scansets import Sensor
+    from imgloc.io.scanset import ScanSet
+    from imgloc.model import OccupancyGrid
+
+_MAX_SCANS = 100_000
+
+
+def check_sources(
+    maps: Sequence[Path], scans: Sequence[Path] | None, count: int | None, sample: int | None,
+    sensor: "Sensor",
+) -> None:  # fmt: skip
+    """Refuse options that would be ignored.
+
+    Raises
+    ------
+    ConfigError
+        Naming the option.
+    """
+    from imgloc.experiments.scansets import Sensor
+
+    if scans is None:
+        if sample is not None:
+            raise ConfigError("--sample: expected --scans to take from; -n is for simulated scans")
+        if (count or 0) > _MAX_SCANS:
+            raise ConfigError(f"-n: got {count:,}, expected at most {_MAX_SCANS:,} scans")
+        return
+    if len(scans) != len(maps):
+        raise ConfigError(f"--scans: got {len(scans)} for {len(maps)} maps, expected one each")
+    if count is not None:
+        raise ConfigError("-n: recorded scans are not simulated; use --sample")
+    if sensor != Sensor():
+        raise ConfigError("--scans: options of a simulated sensor do not go with recorded scans")
+
+
+def find_map(path: Path) -> Path:
+    """The file of a bundled map that is called by its name, or `path` itself."""
+    from imgloc.experiments.worlds import WORLDS
+    from imgloc.io.bundled import bundled_maps
+
+    if str(path) in WORLDS and not path.exists():
+        return bundled_maps() / f"{path}.yaml"
+    return path
+
+
+def short_name(path: Path) -> str:
+    """What a table calls a map: the folder of a map.yaml says more than its name."""
+    from imgloc.io.files import display
+
+    return display(path.parent.name if path.stem == "map" and path.parent.name else path.stem)
+
+
+def load_usable(path: Path, reading: Reading, *, allow_lossy: bool) -> "OccupancyGrid":
+    """Load a map that has walls and free cells.
+
+    Raises
+    ------
+    MapError
+        If it cannot be read, or has none.
+    """
+    from imgloc.io.files import display
+    from imgloc.io.maps import load_map, require_usable
+
+    with quiet_libraries():
+        grid = load_map(path, **reading, allow_lossy=allow_lossy)
+    require_usable(grid, display(path))
+    return grid
+
+
+def simulated(
+    path: Path, grid: "OccupancyGrid", count: int, seed: int, sensor: "Sensor"
+) -> "ScanSet":
+    """Simulate scans in a map; in a bundled one on its walls, not on its cells."""
+    from imgloc.experiments.scansets import fine_image, simulate_set
+
+    return simulate_set(grid, count, seed, sensor, fine_image(path, grid))
+
+
+def recorded(
+    path: Path, sample: int | None, sample_seed: int, range_max: float | None
+) -> "ScanSet":
+    """Load scans with poses, pick some at random and cut their readings."""
+    from imgloc.experiments.scansets import sample_set
+    from imgloc.io.files import display
+    from imgloc.io.scans import load_scans
+
+    chosen = sample_set(load_scans(path), sample, sample_seed, display(path))
+    return replace(chosen, scans=tuple(cut_scan(scan, range_max) for scan in chosen.scans))

@@ -1,0 +1,217 @@
+"""How many bytes something will take, known before they are taken, and how many there are.
+
+The factors below are peaks, measured with :mod:`tracemalloc`; the tests measure them again.
+An estimate is an upper bound that is rarely more than a few times too high.
+"""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from imgloc.errors import ConfigError
+from imgloc.features.pooled import default_top
+from imgloc.model import OccupancyGrid
+
+MIB = 1 << 20
+#: What is assumed to be available where the system does not say.
+UNKNOWN_RAM = 4 << 30
+
+_POSE = 20  # bytes per pose of a stack: itself, its posterior, and the search for peaks
+_FIXED = 64 * MIB  # buffers whose size depends neither on the map nor on the scan
+_RAY, _RAYS = 110, 1 << 21  # bytes per ray of the visibility map, and how many at a time
+
+
+def available_bytes(
+    meminfo: Path = Path("/proc/meminfo"), cgroup: Path = Path("/sys/fs/cgroup")
+) -> int:
+    """Bytes of RAM that can be taken without anything being swapped out.
+
+    On Linux what the kernel says is available, or what the container's limit leaves if that
+    is less; elsewhere half of the RAM; :data:`UNKNOWN_RAM` if that is not known either.
+
+    Parameters
+    ----------
+    meminfo, cgroup : path
+        Where Linux says so.
+    """
+    free = []
+    try:
+        for line in meminfo.read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                free.append(1024 * int(line.split()[1]))
+    except (OSError, ValueError, IndexError):
+        pass
+    try:
+        limit, used = ((cgroup / f"memory.{name}").read_text() for name in ("max", "current"))
+        free.append(max(0, int(limit) - int(used)))  # without a limit it says "max"
+    except (OSError, ValueError):
+        pass
+    if free:
+        return min(free)
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2
+    except (AttributeError, OSError, ValueError):  # Windows has no sysconf
+        return UNKNOWN_RAM
+
+
+def default_budget() -> int:
+    """Half of the RAM that is available, bytes."""
+    return available_bytes() // 2
+
+
+def check_budget(need: int, budget: int, what: str, hint: str) -> None:
+    """Refuse to start something that would take more memory than it may.
+
+    Parameters
+    ----------
+    need, budget : int
+        Bytes.
+    what : str
+        What takes them, with its sizes, as the subject of a sentence.
+    hint : str
+        What to change.
+
+    Raises
+    ------
+    ConfigError
+        If `need` is more than `budget`.
+
+    Examples
+    --------
+    >>> check_budget(3 << 30, 1 << 30, "a stack of 120 headings", "use larger cells")
+    Traceback (most recent call last):
+        ...
+    imgloc.errors.ConfigError: a stack of 120 headings needs 3072 MiB of memory, the budget is \
+1024 MiB: use larger cells
+    """
+    if need > budget:
+        raise ConfigError(
+            f"{what} needs {-(-need // MIB)} MiB of memory, the budget is {budget // MIB} MiB: "
+            f"{hint}"
+        )
+
+
+def surface_count(grid: OccupancyGrid) -> int:
+    """How many surface points a map has at most: its edges between occupied and free cells.
+
+    Examples
+    --------
+    >>> wall = np.array([[False, True, False]] * 2)
+    >>> surface_count(OccupancyGrid(wall, ~wall, 0.1))
+    4
+    """
+    a, b = grid.occupied, grid.free
+    across = (a[:, 1:] & b[:, :-1]) | (b[:, 1:] & a[:, :-1])
+    along = (a[1:] & b[:-1]) | (b[1:] & a[:-1])
+    return int(np.count_nonzero(across) + np.count_nonzero(along))
+
+
+def prepare_bytes(shape: tuple[int, int], *, points: int, n_psi: int = 72, factor: int = 1) -> int:
+    """Peak of computing what the default method uses of a map, besides the map itself.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns of the map.
+    points : int
+        Number of surface points, see :func:`surface_count`.
+    n_psi : int
+        Directions of the visibility map.
+    factor : int
+        Cells of the map along a cell of the lattice of poses.
+
+    Examples
+    --------
+    >>> round(prepare_bytes((10_000, 10_000), points=100_000, factor=2) / 2**30, 1)
+    5.2
+    """
+    cells = shape[0] * shape[1]
+    held = 22 * cells + 3 * cells // factor**2 + points * (4 * n_psi + 25)
+    passing = max(33 * cells, 720 * points, _RAY * min(points * n_psi, _RAYS))
+    return held + passing
+
+
+def stack_bytes(
+    method: str, shape: tuple[int, int], n_thetas: int, *, threads: int = 1, n_rays: int = 360
+) -> int:
+    """Peak of `localize` with one of the paper's methods: its stack, and what it becomes.
+
+    Parameters
+    ----------
+    method : str
+        A name of :data:`imgloc.pipeline.METHODS`.
+    shape : (int, int)
+        Rows and columns of the lattice of poses.
+    n_thetas : int
+        Number of headings.
+    threads : int
+        Each beyond the first has votes of its own in GHT and GHT-V.
+    n_rays : int
+        Directions of the ray-distance stack of ``beam``.
+
+    Examples
+    --------
+    >>> stack_bytes("cbml", (1000, 1000), 120) // 2**20
+    2360
+    """
+    cells = shape[0] * shape[1]
+    stack = 4 * cells * n_thetas
+    extra = {
+        "cbml": 8 * cells,  # the image and its multiples
+        "cbml-o": 96 * cells,  # the field and its projections on 32 directions
+        "ght": (threads - 1) * stack,
+        "ght-v": (threads - 1) * stack,
+        "beam": 2 * n_rays * cells,
+    }
+    return _POSE * cells * n_thetas + extra.get(method, 0) + _FIXED
+
+
+def fused_bytes(
+    shape: tuple[int, int],
+    resolution: float,
+    *,
+    n_thetas: int = 360,
+    vote_cell: float = 0.2,
+    vote_headings: int = 30,
+) -> int:
+    """Peak of `localize` with the default method, besides the features.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns of the lattice of poses.
+    resolution : float
+        Its cells, metres.
+    n_thetas : int
+        Headings of the endpoint correlation, of which the coarsest level takes every second.
+    vote_cell, vote_headings
+        Of :class:`imgloc.search.fused.FusedOptions`.
+    """
+    cells = shape[0] * shape[1]
+    coarse = min(n_thetas // 2 * cells // 16, 1 << 24)  # a few headings at a time
+    votes = vote_headings * cells * resolution**2 / vote_cell**2
+    return int(4 * 3 * coarse + _POSE * votes) + _FIXED
+
+
+def exact_bytes(
+    shape: tuple[int, int], resolution: float, n_thetas: int, *, readings: int = 360
+) -> int:
+    """Peak of :func:`imgloc.search.branch_and_bound.best_poses` for one pose, and its maps.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns of the lattice of poses.
+    resolution : float
+        Its cells, metres.
+    n_thetas : int
+        Number of headings.
+    readings : int
+        Number of scan points.
+    """
+    cells = shape[0] * shape[1]
+    top = default_top(resolution)
+    blocks = ((shape[0] >> top) + 1) * ((shape[1] >> top) + 1)
+    # The maps with their margins twice, the bounds of all blocks, offsets of all readings.
+    return 2 * (top + 5) * cells + 32 * n_thetas * blocks + 120 * n_thetas * readings + _FIXED

@@ -1,0 +1,163 @@
+"""The bounds of branch and bound: what blocks of poses can score at best, many at a time.
+
+No block is looked at by itself. The top level is summed as runs of memory, heading by heading;
+the finer ones are gathered with one call for hundreds of blocks.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
+
+from imgloc.features.pooled import PooledMaps
+from imgloc.likelihood.slices import cell_offsets, over_slices
+from imgloc.model import FloatArray, IntArray
+
+_BAND_BYTES = 1 << 18  # readings x blocks of the top level summed at a time
+_LOOKUPS = 1 << 15  # lookups of finer levels at a time
+_GROUPS = 4  # of readings; a block that falls behind after one group is not looked at further
+_FULL = 255  # a reading on a wall
+_QUARTERS = np.array([(0, 0, 0), (0, 0, 1), (0, 1, 0), (0, 1, 1)])
+
+
+class Bounds:
+    """Upper bounds of the score for blocks ``(theta, row, col)``; at level 0 the score."""
+
+    def __init__(self, pooled: PooledMaps, points: FloatArray, thetas: FloatArray) -> None:
+        self.pooled, self.thetas = pooled, thetas
+        height, width = pooled.shape
+        side = 1 << pooled.top
+        # Farther than the map is large, a point misses it from everywhere.
+        limit = np.array((height + side, width + side))
+        # Every fourth reading in one group: each sees all directions.
+        points = points[np.argsort(np.arange(len(points)) % _GROUPS, kind="stable")]
+        cuts = [-(-(len(points) - g) // _GROUPS) for g in range(_GROUPS)]
+        self.groups = [slice(b - n, b) for n, b in zip(cuts, np.cumsum(cuts).tolist(), strict=True)]
+        self.sums_type = np.uint16 if cuts[0] * _FULL < 1 << 16 else np.uint32
+        offsets = np.clip(cell_offsets(points, thetas, pooled.resolution), -limit, limit)
+        reach = int(np.abs(offsets).max())
+        images, self.margin = pooled.images, pooled.margin
+        if reach + side > self.margin:
+            more = reach + side - self.margin
+            images, self.margin = np.pad(images, ((0, 0), (more, more), (more, 0))), reach + side
+        self.stride = images.shape[2]
+        self.images = images.reshape(len(images), images.shape[1] * images.shape[2])
+        # (N, K): a column per heading, so that sums run along the rows.
+        flat = offsets[..., 0] * self.stride + offsets[..., 1]
+        self.flat = np.ascontiguousarray(flat.T, dtype=np.intp)
+
+        # The top level, with margins for this scan. What leaves a row on the right enters
+        # the next one's left margin, which is empty.
+        q, phase = np.divmod(offsets, side)
+        low, high = q.min(axis=(0, 1)), q.max(axis=(0, 1))
+        left, above = int(max(-low[1], high[1], 0)) + 2, int(max(-low[0], 0)) + 1
+        rows, columns = pooled.where[-1].shape
+        self.top_stride = left + columns
+        shape = (side * side, above + rows + int(max(high[0], 0)) + 2, self.top_stride)
+        window = np.s_[:, above - 1 : above + rows, left - 1 :]
+        self.coarse, self.quads = np.zeros(shape, np.uint8), np.zeros(shape, np.uint32)
+        self.coarse[window], self.quads[window] = pooled.coarse, pooled.quads
+        start = (phase[..., 0] * side + phase[..., 1]) * (shape[1] * shape[2])
+        start += (q[..., 0] + above) * self.top_stride + q[..., 1] + left
+        self.start = np.ascontiguousarray(start.T, dtype=np.intp)
+
+    def of_top(self, threads: int) -> IntArray:
+        """Bounds (K, H', W') of all blocks of the top level; 0 where no pose is wanted.
+
+        One look at a phase of the image, from the offset of a point on, is a run of memory
+        that holds what the point adds to every block: the sum over the points is a sum of
+        such runs.
+        """
+        where, stride = self.pooled.where[-1], self.top_stride
+        rows, columns = where.shape
+        start = np.ascontiguousarray(self.start.T)
+        band = max(1, _BAND_BYTES // (stride * start.shape[1]))
+        self.parts = np.zeros((_GROUPS, len(start), rows, columns), dtype=self.sums_type)
+        bands = [r for r in range(0, rows, band) if where[r : r + band].any()]
+
+        def work(share: Sequence[int]) -> None:
+            for r in bands:
+                n = min(band, rows - r)
+                runs = sliding_window_view(self.coarse.reshape(-1), n * stride)[r * stride :]
+                for k in share:
+                    found = runs[start[k]]
+                    for part, group in zip(self.parts, self.groups, strict=True):
+                        total = np.add.reduce(found[group], axis=0, dtype=self.sums_type)
+                        part[k, r : r + n] = total.reshape(n, stride)[:, :columns]
+
+        over_slices(work, range(len(start)), threads)
+        return np.asarray(np.add.reduce(self.parts, axis=0, dtype=np.int64) * where)
+
+    def of_quarters(self, nodes: IntArray, threshold: int) -> tuple[IntArray, IntArray]:
+        """Blocks of the top level, and the bounds (n, 4) of their quarters.
+
+        Blocks without a quarter that reaches `threshold` are left out.
+
+        What a group of readings adds to a block bounds what it adds to a quarter of it: as
+        soon as that much is not enough, the other groups need not be looked up.
+        """
+        base = nodes[:, 1] * self.top_stride + nodes[:, 2]
+        parts = self.parts[:, nodes[:, 0], nodes[:, 1], nodes[:, 2]].astype(np.int64)
+        total = np.repeat(parts.sum(axis=0)[:, None], 4, axis=1)
+        quads = self.quads.reshape(-1)
+        for g, group in enumerate(self.groups):
+            total += self.sums([quads], self.start[group], nodes[:, 0], base)
+            total -= parts[g][:, None]
+            keep = total.max(axis=1, initial=0) >= threshold
+            nodes, base, total, parts = nodes[keep], base[keep], total[keep], parts[:, keep]
+        return nodes, total
+
+    def sums(
+        self,
+        images: Sequence[npt.NDArray[Any]],
+        offsets: npt.NDArray[np.intp],
+        k: IntArray,
+        base: IntArray,
+    ) -> IntArray:
+        """Sum what the images, byte by byte, hold under the scan at positions `base`."""
+        size = images[0].itemsize
+        out = np.empty((len(k), len(images) * size), dtype=np.int64)
+        step = max(1, _LOOKUPS // max(1, len(offsets)))
+        for i in range(0, len(k), step):
+            index = offsets.take(k[i : i + step], axis=1)
+            index += base[i : i + step]
+            for j, image in enumerate(images):
+                found = image.take(index).view(np.uint8)
+                total = np.add.reduce(found, axis=0, dtype=np.uint32)
+                out[i : i + step, j * size : (j + 1) * size] = total.reshape(-1, size)
+        return out
+
+    def children(
+        self, level: int, nodes: IntArray, threshold: int = 0
+    ) -> tuple[IntArray, IntArray]:
+        """The blocks that `nodes` of the level above consist of, and their bounds.
+
+        Some of those with a bound less than `threshold` are left out.
+        """
+        if level == self.pooled.top - 1:
+            nodes, bounds = self.of_quarters(nodes, threshold)
+        else:
+            side = 1 << level
+            row, column = 2 * side * nodes[:, 1:].T + self.margin
+            quarters = side * (_QUARTERS[:, 1] * self.stride + _QUARTERS[:, 2])
+            images = [self.images[level][shift:] for shift in quarters.tolist()]
+            bounds = self.sums(images, self.flat, nodes[:, 0], row * self.stride + column)
+        out = (nodes[:, None] * (1, 2, 2) + _QUARTERS).reshape(-1, 3)
+        mask = self.pooled.where[level]
+        wanted = (out[:, 1] < mask.shape[0]) & (out[:, 2] < mask.shape[1])
+        wanted[wanted] = mask[out[wanted, 1], out[wanted, 2]]
+        return out[wanted], bounds.ravel()[wanted]
+
+    def descend(self, nodes: IntArray) -> tuple[IntArray, IntArray]:
+        """One pose in each block of the top level, down the best bounds, and its score."""
+        score = np.zeros(len(nodes), dtype=np.int64)
+        for level in range(self.pooled.top - 1, -1, -1):
+            nodes, score = self.children(level, nodes)
+            rows, columns = self.pooled.where[level + 1].shape
+            parent = (nodes[:, 0] * rows + nodes[:, 1] // 2) * columns + nodes[:, 2] // 2
+            order = np.lexsort((-score, parent))
+            best = order[np.flatnonzero(np.diff(parent[order], prepend=-1))]
+            nodes, score = nodes[best], score[best]
+        return nodes, score

@@ -1,0 +1,225 @@
+"""The best poses of the CBML score over the whole map, exactly, without its stack.
+
+Branch and bound (Hess et al. 2016): a block of poses whose bound, from a max-pooled map, is
+below what is already known to be reached is left out with all its poses. Nothing here is an
+approximation: the result is that of the exhaustive search, ties included.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from imgloc.errors import ConfigError
+from imgloc.features.pooled import PooledMaps
+from imgloc.geometry import centre_of
+from imgloc.likelihood.slices import check_arguments, finite_points
+from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
+from imgloc.search.bounds import Bounds
+from imgloc.search.peaks import separated
+
+_CHUNK = 2048  # blocks of the top level opened before the threshold is looked at again
+_PATHS = 64  # blocks that are descended first, to have a threshold
+_FULL = 255  # a reading on a wall
+
+
+@dataclass(frozen=True)
+class Best:
+    """The best poses of a lattice, best first.
+
+    Parameters
+    ----------
+    cells : (M, 3) int array
+        ``(theta, row, col)`` indices, as into a stack.
+    scores : (M,) float32 array
+        The values that the stack of :func:`imgloc.likelihood.cbml.cbml` has there.
+    """
+
+    cells: IntArray
+    scores: Float32Array
+
+
+def best_poses(
+    pooled: PooledMaps,
+    xy: FloatArray,
+    thetas: FloatArray,
+    *,
+    count: int = 1,
+    distance: float = 0.0,
+    angle: float = 0.0,
+    threads: int = 1,
+) -> Best:
+    """Find the poses of the largest CBML score, as if the stack had been computed.
+
+    For ``count=1`` that is the argmax of the stack over the wanted poses, the first in
+    (theta, row, col) order if there are several. For more it is what
+    :func:`imgloc.search.peaks.separated` picks from all poses sorted in that way: the best,
+    then the best of those that are not its neighbours, and so on.
+
+    Parameters
+    ----------
+    pooled : PooledMaps
+        Of :func:`imgloc.features.pooled.pooled_maps`; it also says which poses are wanted.
+    xy : (N, 2) float array
+        Scan points, sensor frame, metres. Points that are not finite are left out.
+    thetas : (K,) float array
+        Headings, radians.
+    count : int
+        At most so many poses.
+    distance, angle : float
+        Two poses are neighbours if they are closer than both, metres and radians. Irrelevant
+        for ``count=1``. Far more poses than fit the map at this distance make the search
+        exhaustive.
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    Best
+        Only poses with a score above 0: a pose that no reading speaks for is no answer.
+
+    Raises
+    ------
+    ConfigError
+        If `count`, `distance`, `angle` or `threads` is out of its range.
+    ValueError
+        If `xy` has a wrong shape.
+
+    Examples
+    --------
+    >>> from imgloc.features.pooled import pooled_maps
+    >>> bmap = np.zeros((4, 4), dtype=np.float32)
+    >>> bmap[:, 3] = 1  # a wall on the right
+    >>> pooled = pooled_maps(bmap, np.ones((4, 4), bool), 1.0, top=1)
+    >>> best = best_poses(pooled, np.array([[2.0, 0.0], [2.0, 1.0]]), np.zeros(1))
+    >>> best.cells.tolist(), best.scores.tolist()
+    ([[0, 0, 1]], [2.0])
+    """
+    check_arguments(pooled.resolution, threads)
+    if count < 1:
+        raise ConfigError(f"count must be at least 1, got {count}")
+    if not (np.isfinite([distance, angle]).all() and distance >= 0 and angle >= 0):
+        raise ConfigError(f"distance and angle must be at least 0, got {distance}, {angle}")
+    headings = np.asarray(thetas, dtype=np.float64)
+    points = finite_points(xy)
+    if not (points.size and headings.size and pooled.where[0].any()):
+        return Best(np.empty((0, 3), dtype=np.int64), np.empty(0, dtype=np.float32))
+    bounds = Bounds(pooled, points, headings)
+    picks = _Picks(bounds, count, distance, angle)
+    top = bounds.of_top(threads)
+    picks.promise(*bounds.descend(_roots(top, _PATHS + 8 * count)))
+    nodes = np.flatnonzero(top >= picks.threshold)
+    values = top.ravel()[nodes]
+    # Best first; equal ones in index order, so that the first of equal poses is met first.
+    order = np.argsort(-values, kind="stable")
+    nodes, values = nodes[order], values[order]
+    for start in range(0, len(nodes), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        # In index order again: lookups of one heading are near each other in memory.
+        index = np.sort(nodes[part])
+        block = np.stack(np.unravel_index(index, top.shape), axis=1)
+        score = top.ravel()[index]
+        for level in range(pooled.top, -1, -1):
+            if level < pooled.top:
+                block, score = bounds.children(level, block, picks.threshold)
+            alive = picks.may_hold(level, block, score)
+            block, score = block[alive], score[alive]
+        picks.add(block, score)
+        rest = values[start + _CHUNK : start + _CHUNK + 1]
+        if picks.settle(int(rest[0]) if rest.size else 0):
+            break
+    return picks.result()
+
+
+class _Picks:
+    """What has been found, and what a block must reach to matter."""
+
+    def __init__(self, bounds: Bounds, count: int, distance: float, angle: float) -> None:
+        self.bounds, self.count, self.distance, self.angle = bounds, count, distance, angle
+        self.threshold = 1
+        empty = np.empty((0, 3), dtype=np.int64), np.empty(0, dtype=np.int64)
+        self.apart = empty  # poses so far apart that each stands for a pick of its own
+        self.found = empty  # best first; the first `settled` of them are picks for good
+        self.settled = 0
+
+    def may_hold(self, level: int, nodes: IntArray, bounds: IntArray) -> BoolArray:
+        """Which blocks may hold a pose that is still to be picked."""
+        if self.count > 1 or not len(self.apart[1]):
+            return np.asarray(bounds >= self.threshold)
+        # Of equal poses the first wins, and no pose of a block comes before its corner.
+        first = self.flat(nodes * (1, 1 << level, 1 << level))
+        before = first <= self.flat(self.apart[0])[0]
+        return np.asarray((bounds > self.threshold) | ((bounds == self.threshold) & before))
+
+    def promise(self, nodes: IntArray, scores: IntArray) -> None:
+        """Raise the threshold to what the last pick is known to reach.
+
+        Two poses that are twice the separation apart are not neighbours of one and the same
+        pick, so that `count` such poses bring about as many picks that score no less.
+        """
+        few = np.argsort(-scores, kind="stable")[: _CHUNK + self.count]
+        nodes, scores = self.sort((self.apart[0], nodes[few]), (self.apart[1], scores[few]))
+        # A little more, as sums of rounded distances are not quite.
+        keep = self.separate(nodes, 2 * (1 + 1e-6))[0]
+        self.apart = nodes[keep], scores[keep]
+        if len(keep) == self.count:
+            self.threshold = max(self.threshold, int(scores[keep[-1]]))
+
+    def add(self, nodes: IntArray, scores: IntArray) -> None:
+        """Take note of poses."""
+        if not len(nodes):
+            return
+        self.promise(nodes, scores)
+        nodes, scores = self.sort((self.found[0], nodes), (self.found[1], scores))
+        self.found = nodes, scores
+
+    def settle(self, rest: int) -> bool:
+        """Pick among the poses that beat every bound still open, `rest`; whether that is all."""
+        nodes, scores = self.found
+        picked, owner = self.separate(nodes, 1.0)
+        picked = picked[scores[picked] > rest]
+        self.settled = len(picked)
+        # Neighbours of a pick will never be picked themselves.
+        keep = (owner >= len(picked)) | (owner < 0)
+        keep[picked] = True
+        self.found = nodes[keep], scores[keep]
+        return self.settled == self.count
+
+    def result(self) -> Best:
+        """The picks, once no block is left."""
+        nodes, scores = self.found
+        return Best(
+            nodes[: self.settled], scores[: self.settled].astype(np.float32) / np.float32(_FULL)
+        )
+
+    def sort(
+        self, nodes: tuple[IntArray, IntArray], scores: tuple[IntArray, IntArray]
+    ) -> tuple[IntArray, IntArray]:
+        """Join two lists of poses, the best first, equal ones in index order, each once."""
+        both, values = np.concatenate(nodes), np.concatenate(scores)
+        index = np.unique(self.flat(both), return_index=True)[1]
+        order = index[np.argsort(-values[index], kind="stable")]
+        return both[order], values[order]
+
+    def separate(self, nodes: IntArray, scale: float) -> tuple[IntArray, IntArray]:
+        """:func:`separated` at a multiple of the separation."""
+        pooled = self.bounds.pooled
+        xy = centre_of(nodes[:, 1:], pooled.resolution)
+        poses = np.column_stack((xy, self.bounds.thetas[nodes[:, 0]]))
+        return separated(
+            poses, self.count, distance=scale * self.distance, angle=scale * self.angle
+        )
+
+    def flat(self, nodes: IntArray) -> IntArray:
+        """Index of poses into the raveled stack."""
+        height, width = self.bounds.pooled.shape
+        return np.asarray((nodes[:, 0] * height + nodes[:, 1]) * width + nodes[:, 2])
+
+
+def _roots(top: IntArray, n: int) -> IntArray:
+    """Blocks (n, 3) to descend first: at most `n`, at different places, with high bounds."""
+    heading = top.argmax(axis=0)
+    peak = top.max(axis=0).ravel()
+    place = np.argsort(-peak, kind="stable")[:n]
+    place = place[peak[place] > 0]
+    row, column = np.divmod(place, top.shape[2])
+    return np.stack((heading.ravel()[place], row, column), axis=1)

@@ -1,0 +1,70 @@
+"""What the tests of the pipeline share: the bundled worlds, a scan in each, answers."""
+
+import math
+from functools import cache
+
+import numpy as np
+
+from imgloc.experiments.simulate import simulate
+from imgloc.experiments.worlds import WORLDS, render
+from imgloc.geometry import wrap
+from imgloc.model import LaserScan, OccupancyGrid
+from imgloc.pipeline import Options, localize, prepare
+
+ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
+
+# A pose of each world at which no other place looks alike all around.
+POSES = {
+    "double_wall": (18.3, 3.1, -0.05),
+    "visibility": (17.05, 8.05, 5.3),
+    "large": (45.3, 20.2, 3.6),
+    "curved": (2.9, 4.8, 0.3),
+    "corridor": (29.5, 4.4, -0.05),
+}
+
+
+@cache
+def grid_of(name):
+    return render(WORLDS[name](), 0.2 if name == "large" else 0.1)
+
+
+@cache
+def features_of(name):
+    # Coarser than the default: the stacks need not be fine here.
+    return prepare(grid_of(name), name, cell=0.2, n_rays=120)
+
+
+@cache
+def scan_of(name, seed=0):
+    fine = render(WORLDS[name](), 0.02)
+    ranges = simulate(fine, [POSES[name]], ANGLES, seed=seed, range_max=30.0)[0]
+    return LaserScan(ranges, ANGLES, range_max=30.0)
+
+
+@cache
+def answer_of(name, method, threads=1):
+    return localize(features_of(name), scan_of(name), Options(method=method, threads=threads))
+
+
+def error(pose, truth):
+    x, y, theta = truth
+    return math.hypot(pose.x - x, pose.y - y), abs(float(wrap(pose.theta - theta)))
+
+
+def facts(answer):
+    """Everything in an answer but its timings, as plain values that can be compared."""
+    return (
+        [(h.pose, h.log_likelihood, h.mass, h.covariance.tolist()) for h in answer.hypotheses],
+        answer.verdict,
+        answer.entropy,
+        answer.explained,
+        dict(answer.counts),
+        dict(answer.parameters),
+    )
+
+
+def room_with_a_post(width=40, height=30):
+    """A small map on which every method is fast."""
+    wall = np.pad(np.zeros((height, width), bool), 2, constant_values=True)
+    wall[2:12, 20:23] = True
+    return OccupancyGrid(wall, ~wall, 0.1)

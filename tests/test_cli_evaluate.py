@@ -1,0 +1,189 @@
+"""`imgloc evaluate`, from the command line to its table and its JSON."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command import MAPS, call, rows, spawn
+
+from imgloc.geometry import transform_poses
+from imgloc.io.maps import load_map, save_map
+from imgloc.io.scans import ScanSet, load_scans, save_scans
+from imgloc.model import OccupancyGrid, Pose2D
+
+CURVED = MAPS / "curved.yaml"
+QUICK = ["--methods", "fused,ght-v", "--threads", 1]
+KEYS = ["map", "method", "trials", "index", "index_box", "index_calibrated", "outside", "exact"]
+KEYS += ["near", "success", "position", "heading", "verdicts", "unit", "work", "stack_bytes"]
+KEYS += ["features_bytes", "cost", "lattice", "source", "parameters"]
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cli") / "scans.npz"
+    assert call("simulate", CURVED, "-n", 6, "--seed", 2, "--out", path).code == 0
+    return path
+
+
+def evaluated(*arguments: object) -> list[dict[str, Any]]:
+    code, out, err = call("evaluate", *arguments, "--json")
+    assert (code, err) == (0, "")
+    return rows(out)
+
+
+def without_cost(text: str) -> list[str]:
+    return [json.dumps({**row, "cost": None}) for row in rows(text)]
+
+
+def test_simulated_scans_on_a_bundled_map_called_by_its_name() -> None:
+    words = ["curved", "-n", 3, "--seed", 5, "--rays", 91, "--mount", "0.1,0,0.5", "--range-max", 8]
+    fused, votes = evaluated(*words, *QUICK, "--tolerance", "0.3,20")
+    assert list(fused) == list(votes) == KEYS
+    assert (fused["method"], votes["method"]) == ("fused", "ght-v")
+    assert fused["trials"] == 3
+    source = fused["source"]
+    assert source == votes["source"]
+    assert source["seed"] == 5
+    assert source["map"].endswith("curved.yaml")
+    assert source["sensor"]["rays"] == 91
+    assert source["sensor"]["range_max"] == 8
+    assert source["sensor"]["mount"] == {"x": 0.1, "y": 0.0, "theta": 0.5}
+    assert fused["near"]["hits"] == 3
+    assert fused["index"]["value"] > votes["index"]["value"] > 0
+    tolerances = [s["tolerance"] for s in fused["success"]]
+    assert [t["position"] for t in tolerances] == [0.25, 0.5, 0.3]
+    assert tolerances[2]["heading"] == pytest.approx(np.deg2rad(20))
+    assert fused["success"][0]["at_1"]["hits"] == 3
+    assert fused["verdicts"]["unique"]["value"] == 1
+    assert fused["success"][2]["unique_wrong"]["hits"] == 0
+    assert votes["verdicts"] is None
+    assert votes["lattice"]["theta_step"] == pytest.approx(np.deg2rad(30))  # the paper's
+    assert votes["stack_bytes"] == 4 * votes["lattice"]["poses_box"]
+    assert votes["cost"]["ns_per_unit"] > 0
+    assert votes["parameters"]["method"] == "ght-v"
+
+
+def test_the_same_for_every_run_and_number_of_threads() -> None:
+    words = ("evaluate", "curved", "-n", 1, "--methods", "fused,cbml,ght-v", "--json", "--threads")
+    one, two = (spawn(*words, n) for n in (1, 2))
+    assert one.code == 0
+    assert without_cost(one.out) == without_cost(two.out)
+
+
+def test_recorded_scans_are_sampled_as_numpy_samples(scans: Path, tmp_path: Path) -> None:
+    whole = load_scans(scans)
+    assert whole.poses is not None
+    pick = np.random.default_rng(7).choice(6, 2, replace=False)
+    few = tmp_path / "few.npz"
+    save_scans(few, ScanSet(tuple(whole[int(k)] for k in pick), poses=whole.poses[pick]))
+    (a,) = evaluated(
+        CURVED, "--scans", scans, "--sample", 2, "--sample-seed", 7, "--methods", "cbml"
+    )
+    (b,) = evaluated(CURVED, "--scans", few, "--methods", "cbml")
+    assert (a["source"]["sample"], a["source"]["sample_seed"]) == (2, 7)
+    assert a["source"]["scans"] == str(scans)
+    for key in set(KEYS) - {"source", "cost"}:
+        assert a[key] == b[key]
+
+
+def test_several_maps_with_scans_of_their_own(scans: Path, tmp_path: Path) -> None:
+    grid, recorded = load_map(CURVED), load_scans(scans)
+    assert recorded.poses is not None
+    origin = Pose2D(-4.0, 9.0, 2.0)  # the same world in another frame
+    save_map(tmp_path / "map.yaml", OccupancyGrid(grid.occupied, grid.free, 0.1, origin))
+    moved = transform_poses(origin, np.array(recorded.poses))
+    save_scans(tmp_path / "b.npz", ScanSet(recorded.scans, poses=moved))
+    a, b = evaluated(
+        CURVED, tmp_path / "map.yaml", "--scans", scans, "--scans", tmp_path / "b.npz",
+        "--methods", "fused",
+    )  # fmt: skip
+    assert (a["map"], b["map"]) == ("curved", tmp_path.name)
+    assert b["index"]["value"] == pytest.approx(a["index"]["value"], abs=0.01)
+    assert [s["at_1"] for s in a["success"]] == [s["at_1"] for s in b["success"]]
+    assert a["success"][0]["at_1"]["hits"] >= 5
+
+
+def test_range_max_cuts_recorded_readings(scans: Path) -> None:
+    words = (CURVED, "--scans", scans, "--methods", "cbml")
+    (whole,), (short,) = evaluated(*words), evaluated(*words, "--range-max", 2)
+    assert short["work"] < whole["work"]
+    assert short["source"]["range_max"] == 2
+    assert short["index"]["value"] < whole["index"]["value"]
+
+
+def test_steps_and_cells_by_method(scans: Path) -> None:
+    ght, votes = evaluated(
+        CURVED, "--scans", scans, "--methods", "ght,ght-v", "--theta-step-deg", "ght=12",
+        "--theta-step-deg", "20", "--cell", "ght-v=0.2",
+    )  # fmt: skip
+    assert ght["lattice"]["theta_step"] == pytest.approx(np.deg2rad(12))
+    assert votes["lattice"]["theta_step"] == pytest.approx(np.deg2rad(20))
+    assert (ght["lattice"]["cell"], votes["lattice"]["cell"]) == (0.1, 0.2)
+
+
+def test_the_table_shows_every_method_thrice() -> None:
+    code, out, err = call("evaluate", "curved", "-n", 2, *QUICK, "--tolerance", "0.3,10")
+    assert (code, err) == (0, "")
+    for method in ("fused", "ght-v"):
+        assert sum(line.startswith(f"| curved | {method} ") for line in out.splitlines()) == 3
+    assert "0.3 m 10 deg @1" in out
+    assert "100.0 [34, 100]" in out
+    assert "nan" not in out
+    tables = out.split("\n\n")
+    assert len(tables) == 3
+    for table in tables:
+        assert len({len(line) for line in table.splitlines()[1:]}) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "expected"),
+    [
+        (["--methods", "cbml,cmbl"], 2, "--methods: got 'cmbl', expected fused,cbml,"),
+        (["--theta-step-deg", "ght=10"], 2, "'ght' is not one of --methods"),
+        (["--theta-step-deg", "0"], 2, "--theta-step-deg: got 0, expected degrees"),
+        (["--cell", "x"], 2, "--cell: got 'x', expected a number"),
+        (["--tolerance", "0.3"], 2, "--tolerance: got '', expected a number"),
+        (["--tolerance", "nan,1"], 2, "--tolerance: got nan"),
+        (["--floor", "0"], 2, "--floor: got 0"),
+        (["--sample", "3"], 2, "--sample: expected --scans"),
+        (["-n", "1000000"], 2, "-n: got 1,000,000"),
+        (["--range-max", "0"], 2, "--range-max: got 0"),
+        (["--mount", "1,2"], 2, "expected 3 numbers"),
+        (["--mount", "99,0,0"], 3, "hardly ever in a free cell"),
+        (["--scans", "SCANS", "-n", "4"], 2, "use --sample"),
+        (["--scans", "SCANS", "--rays", "90"], 2, "do not go with recorded scans"),
+        (["--scans", "SCANS", "--scans", "SCANS"], 2, "got 2 for 1 maps"),
+        (["--scans", "no.npz"], 4, "no.npz"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_refuses(words: list[str], code: int, expected: str, scans: Path) -> None:
+    given = [str(scans) if w == "SCANS" else w for w in words]
+    run = call("evaluate", CURVED, "--methods", "fused", *given)
+    assert (run.code, run.out) == (code, "")
+    assert expected in " ".join(run.err.split())
+
+
+def test_scans_without_poses_cannot_be_compared(scans: Path, tmp_path: Path) -> None:
+    bare = tmp_path / "bare.npz"
+    save_scans(bare, ScanSet(load_scans(scans).scans))
+    code, out, err = call("evaluate", CURVED, "--scans", bare)
+    assert (code, out) == (4, "")
+    assert "bare.npz: no poses" in err
+
+
+def test_an_unknown_name_is_a_missing_map() -> None:
+    code, _, err = call("evaluate", "curvy")
+    assert code == 3
+    assert "curvy" in err
+
+
+def test_real_data(shared: Path) -> None:
+    folder = shared / "data" / "fr079"
+    words = ("--scans", folder / "scans.npz", "--sample", 3, "--range-max", 20)
+    (row,) = evaluated(folder / "map.yaml", *words, "--methods", "fused")
+    assert row["map"] == "fr079"
+    assert row["success"][1]["at_1"]["hits"] == 3
+    assert row["outside"] == 0

@@ -1,0 +1,211 @@
+"""The appendix: work counted exactly, and how it grows."""
+
+import sys
+from functools import cache
+
+import naive
+import numpy as np
+import pytest
+
+from imgloc.errors import ConfigError
+from imgloc.experiments import complexity
+from imgloc.features.raydistance import _rotate, ray_cells, ray_distances
+from imgloc.features.surface import surface_points
+from imgloc.features.visibility import visibility_frames
+from imgloc.likelihood.work import pixels_added, votes_cast
+from imgloc.model import OrientedPoints
+
+
+@cache
+def counted():
+    """Counts on all axes: no run, no clock."""
+    return complexity.measure(repeats=0)
+
+
+def random_points(rng, n, low, high):
+    valid = rng.random(n) < 0.8
+    xy = rng.uniform(low, high, (n, 2))
+    xy[rng.random(n) < 0.1] = np.nan
+    alpha = np.where(valid, rng.uniform(-4, 4, n), np.nan)
+    return OrientedPoints(xy, alpha, np.full(n, 0.1), valid)
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (4, 4), (1, 9)])
+def test_pixels_added_are_those_of_algorithm_2(shape):
+    rng = np.random.default_rng(1)
+    xy = rng.uniform(-0.7, 0.7, (12, 2))
+    xy[3] = np.nan
+    thetas = np.array([0.0, 1.0, 2.5, -3.0])
+    # An image of ones: what the listing sums up is how often it meets the map.
+    slow = naive.cbml_faster(np.ones(shape), xy, thetas, 0.1).sum()
+    assert 0 < slow < 11 * 4 * shape[0] * shape[1]
+    assert pixels_added(xy, thetas, shape, 0.1) == slow
+
+
+def test_votes_cast_are_those_of_algorithms_4_and_5():
+    rng = np.random.default_rng(2)
+    surface, points = random_points(rng, 30, 0.0, 2.0), random_points(rng, 25, -1.0, 1.0)
+    step = 2 * np.pi / 12
+    surface = OrientedPoints(
+        surface.xy, np.rint(surface.alpha / step) * step, surface.sigma_alpha, surface.valid
+    )
+    vis = rng.uniform(0, 1.5, (30, 12)).astype(np.float32)
+    turn = np.rint(np.nan_to_num(surface.alpha) / step).astype(int)
+    seen = np.stack([np.roll(row, -k) for row, k in zip(vis, turn, strict=True)], axis=1)
+    # Moved to the middle of one huge cell, no vote is lost.
+    middle = OrientedPoints(surface.xy + 50, surface.alpha, surface.sigma_alpha, surface.valid)
+    everybody = naive.ght(middle, points, 1, (1, 1), 100.0).sum()
+    some = naive.ght_v(middle, vis, points, 1, (1, 1), 100.0).sum()
+    assert 0 < some < everybody
+    assert votes_cast(surface, None, points) == everybody
+    assert votes_cast(surface, seen, points) == some
+    nobody = points.select(slice(0))
+    assert votes_cast(surface, None, nobody) == votes_cast(surface, seen, nobody) == 0
+
+
+@pytest.mark.parametrize(("shape", "n_psi"), [((10, 20), 4), ((7, 5), 8), ((6, 9), 5), ((1, 3), 1)])
+def test_ray_cells_are_the_pixels_of_the_turned_maps(shape, n_psi):
+    image = np.zeros(shape, dtype=np.uint8)
+    canvases = [_rotate(image, 2 * np.pi * k / n_psi)[0].size for k in range(n_psi)]
+    assert ray_cells(shape, n_psi) == sum(canvases)
+
+
+@pytest.mark.parametrize(
+    ("method", "axis", "exponent"),
+    [
+        (method, axis, exponent)
+        for method, exponents in {
+            "ght": {"A": 1, "rho_m": 1, "rho_theta": 0, "n": 1},
+            "ght-v": {"A": 1, "rho_m": 1, "rho_theta": 0, "n": 1},
+            "cbml": {"A": 1, "rho_m": 2, "rho_theta": 1, "n": 1},
+            "cbml-o": {"A": 1, "rho_m": 2, "rho_theta": 1, "n": 1},
+            "beam": {"A": 1, "rho_m": 2, "rho_theta": 1, "n": 1},
+        }.items()
+        for axis, exponent in exponents.items()
+    ],
+)
+def test_work_grows_as_the_appendix_says(method, axis, exponent):
+    assert abs(counted().exponent(method, axis, "work") - exponent) < 0.15
+    assert complexity.PAPER[method]["run_s"][axis] == exponent
+
+
+def test_storage_grows_as_the_appendix_says():
+    for fit in counted().fits:
+        if fit.quantity == "storage":
+            # The surface points themselves do not grow with rho_theta.
+            allowed = 0.25 if (fit.method, fit.axis) == ("ght-v", "rho_theta") else 0.1
+            assert abs(fit.exponent - fit.paper) < allowed
+
+
+def test_the_table_is_a_factor_of_rho_m_cheaper_than_the_papers():
+    assert abs(counted().exponent("beam", "rho_m", "init_work") - 2) < 0.1
+    assert abs(counted().exponent("beam", "rho_m", "traced") - 3) < 0.1
+    # So is the blur: a Gaussian is separable; the paper has rho_m ** 4.
+    assert abs(counted().exponent("cbml", "rho_m", "init_work") - 3) < 0.15
+
+
+def test_each_axis_has_four_points_over_a_factor_of_eight():
+    for axis in complexity.AXES:
+        values = [s.value for s in counted().samples if (s.method, s.axis) == ("ght", axis)]
+        assert len(values) == 4
+        assert np.isclose(values[-1] / values[0], 8)
+    assert {s.method for s in counted().samples} == set(complexity.METHODS)
+
+
+def test_samples_are_what_they_say():
+    at = {s.method: s for s in counted().samples if s.axis == "n" and s.value == 90}
+    height, width, headings = 130, 160, 60  # the curved world at 10 cells per metre
+    assert at["cbml"].storage == 4 * height * width
+    assert at["cbml-o"].storage == (2 * 4 + 32 * 2) * height * width
+    assert at["beam"].storage == 2 * headings * height * width
+    m = at["ght"].storage // (8 * 4 + 1)  # x, y, alpha, sigma_alpha and whether it is valid
+    assert at["ght"].storage == m * 33
+    assert at["ght-v"].storage == m * (33 + 4 * headings)
+    assert at["ght-v"].work < at["ght"].work <= 90 * m
+    assert at["cbml-o"].work <= at["cbml"].work < at["beam"].work <= 90 * headings * height * width
+    assert all(np.isnan(s.run_s) and np.isnan(s.init_s) for s in at.values())
+
+
+def test_traced_cells_are_counted_from_free_cells():
+    # A closed room of 10 x 1 free cells; along it, from cell c, c + 1/2 and 10 - c - 1/2 cells.
+    occupied = np.ones((3, 12), dtype=bool)
+    occupied[1, 1:-1] = False
+    stack = ray_distances(occupied, 0.1, 2, 5.0)
+    assert np.isclose(stack[:, ~occupied].sum() / 10, 2 * np.sum(np.arange(10) + 0.5))
+
+
+def test_tiling_a_closed_world_copies_its_votes():
+    areas = [s for s in counted().samples if (s.method, s.axis) == ("ght-v", "A")]
+    assert [s.work for s in areas] == [areas[0].work * k for k in (1, 2, 4, 8)]
+
+
+def test_times_are_measured_when_asked_for():
+    timed = complexity.measure(axes={"n": (5, 10)}, repeats=1, seed=3)
+    assert all(s.run_s > 0 and s.init_s > 0 for s in timed.samples)
+    assert {f.quantity for f in timed.fits} >= {"init_s", "run_s", "storage", "work"}
+    told = []
+    again = complexity.measure(
+        methods=("ght-v",), axes={"n": (5, 10)}, repeats=0, seed=3, progress=told.append
+    )
+    assert told == ["n = 5", "n = 10"]
+    mine = [s for s in timed.samples if s.method == "ght-v"]
+    assert [s.work for s in mine] == [s.work for s in again.samples]
+    with pytest.raises(KeyError):
+        again.exponent("cbml", "n", "work")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"world": "round"}, "no world 'round'"),
+        ({"methods": ("gth",)}, "no method 'gth'"),
+        ({"axes": {"B": (1, 2)}}, "axis 'B'"),
+        ({"axes": {"n": (5,)}}, "at least two"),
+        ({"axes": {"n": (0, 5)}}, "positive"),
+    ],
+)
+def test_refuses_what_cannot_be_measured(options, message):
+    with pytest.raises(ConfigError, match=message):
+        complexity.measure(**options)
+
+
+def test_exponents_of_powers():
+    x = np.array([1.0, 2.0, 5.0, 8.0])
+    for power in (-1, 0, 0.5, 3):
+        assert np.isclose(complexity.fit_exponent(x, 7 * x**power), power)
+
+
+def test_picture_has_a_panel_per_quantity_and_axis():
+    pytest.importorskip("matplotlib")
+    picture = complexity.draw(counted())
+    assert picture.dtype == np.uint8
+    assert picture.ndim == 3
+    assert picture.shape[1] > picture.shape[0]  # four axes, two quantities: nothing was timed
+    blue = (picture == (178, 114, 0)).all(axis=2)  # GHT-V's, as BGR
+    for half in np.array_split(blue, 2):
+        for panel in np.array_split(half, 4, axis=1):
+            assert panel.any()
+
+
+def test_picture_without_matplotlib_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setitem(sys.modules, "matplotlib.backends.backend_agg", None)
+    with pytest.raises(ConfigError, match=r"pip install imgloc\[plot\]"):
+        complexity.draw(counted())
+
+
+def test_visible_votes_are_the_only_ones_cast_in_a_real_map():
+    occupied = np.ones((24, 30), dtype=bool)
+    occupied[2:-2, 2:-2] = False
+    occupied[8:16, 14] = True
+    surface = surface_points(occupied, ~occupied, 0.1)
+    rng = np.random.default_rng(4)
+    phi = rng.uniform(-np.pi, np.pi, 20)
+    xy = np.column_stack((np.cos(phi), np.sin(phi)))
+    points = OrientedPoints(xy, phi + np.pi, np.full(20, 0.1), np.full(20, True))
+    seen = visibility_frames(occupied, surface, 0.1, 24, 5.0)
+    visible = votes_cast(surface, seen, points)
+    # All rays here meet their walls at right angles: what counts is direction 0 alone.
+    assert visible == 20 * np.count_nonzero(seen[0] > 1.0)
+    assert 0 < visible < votes_cast(surface, None, points)

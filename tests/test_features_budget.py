@@ -1,0 +1,161 @@
+"""Memory is known beforehand: the estimates bound what is really taken, and not by far."""
+
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imgloc.errors import ConfigError
+from imgloc.features.budget import (
+    MIB,
+    UNKNOWN_RAM,
+    available_bytes,
+    check_budget,
+    default_budget,
+    exact_bytes,
+    fused_bytes,
+    prepare_bytes,
+    stack_bytes,
+    surface_count,
+)
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.geometry import uniform_thetas
+from imgloc.model import LaserScan, OccupancyGrid
+from imgloc.pipeline import METHODS, Options, localize
+from imgloc.search.branch_and_bound import best_poses
+
+FIXED = fused_bytes((1, 1), 1.0)  # what is assumed whatever the sizes
+
+
+def office(rooms: int, resolution: float = 0.05) -> OccupancyGrid:
+    """Square rooms of 5 m with doors, two walls to each cell of the pattern."""
+    side = round(5 / resolution)
+    room = np.zeros((side, side), dtype=bool)
+    room[:2] = room[:, :2] = True
+    room[side // 2 : side // 2 + 20, :2] = room[:2, side // 3 : side // 3 + 20] = False
+    walls = np.tile(room, (rooms, rooms))
+    return OccupancyGrid(walls, ~walls, resolution)
+
+
+def scan() -> LaserScan:
+    angles = np.linspace(-np.pi, np.pi, 90)
+    return LaserScan(np.full(90, 2.0) + 0.2 * np.cos(3 * angles), angles, range_max=10.0)
+
+
+def peak(work: Callable[[], object]) -> int:
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def test_preparing_takes_no_more_than_estimated() -> None:
+    grid = office(8)
+    names = ("walls", "field", "standable", "pyramid", "surface", "visibility")
+    features = MapFeatures(grid)
+    taken = peak(lambda: [getattr(features, name) for name in names])
+    need = prepare_bytes(grid.occupied.shape, points=surface_count(grid), factor=2)
+    assert taken <= need
+    assert need <= 6 * taken
+
+
+def test_a_surface_has_no_more_points_than_estimated() -> None:
+    grid = office(3)
+    n = len(MapFeatures(grid).surface)
+    assert n <= surface_count(grid) <= 2 * n
+
+
+def test_unknown_cells_have_no_surface() -> None:
+    walls = np.eye(5, dtype=bool)
+    assert surface_count(OccupancyGrid(walls, np.zeros((5, 5), bool), 1.0)) == 0
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_stack_takes_no_more_than_estimated(method: str) -> None:
+    grid = office(6, 0.1)
+    features = MapFeatures(grid, n_psi=24, n_rays=48)
+    if method == "ght-v":
+        _ = features.visibility
+    _ = features.surface, features.bmap, features.field, features.walls, features.free
+    options = Options(method=method, theta_step=2 * np.pi / 24)
+    taken = peak(lambda: localize(features, scan(), options))
+    need = stack_bytes(method, features.lattice.shape, 24, n_rays=48)
+    assert taken <= need
+    assert need - FIXED <= 3 * taken
+
+
+def test_the_default_method_takes_no_more_than_estimated() -> None:
+    features = MapFeatures(office(6, 0.1), n_psi=24)
+    _ = features.surface, features.visibility, features.pyramid, features.field, features.walls
+    taken = peak(lambda: localize(features, scan(), Options()))
+    assert taken <= fused_bytes(features.lattice.shape, features.lattice.resolution)
+
+
+def test_the_exact_argmax_takes_no_more_than_estimated() -> None:
+    features = MapFeatures(office(8, 0.05), cell=0.05)
+    pooled = features.pooled
+    one = scan()
+    xy = np.column_stack((one.ranges * np.cos(one.angles), one.ranges * np.sin(one.angles)))
+    thetas = uniform_thetas(np.deg2rad(3))
+    taken = peak(lambda: best_poses(pooled, xy, thetas))
+    need = exact_bytes(features.lattice.shape, 0.05, len(thetas), readings=90)
+    assert taken <= need
+    assert need < stack_bytes("cbml", features.lattice.shape, len(thetas)) / 4
+
+
+def test_estimates_grow_with_everything() -> None:
+    base = {"points": 1000, "n_psi": 72, "factor": 2}
+    least = prepare_bytes((500, 500), **base)
+    for change in ({"points": 10**6}, {"n_psi": 720}, {"factor": 1}):
+        assert prepare_bytes((500, 500), **{**base, **change}) > least
+    assert stack_bytes("ght", (500, 500), 36, threads=4) > stack_bytes("ght", (500, 500), 36)
+    assert stack_bytes("beam", (99, 99), 9, n_rays=720) > stack_bytes("beam", (99, 99), 9)
+    assert fused_bytes((5000, 5000), 0.1) > fused_bytes((500, 500), 0.1)
+    assert isinstance(fused_bytes((500, 500), 0.1), int)
+
+
+def test_within_the_budget_nothing_happens() -> None:
+    check_budget(100, 100, "a thing", "no hint")
+
+
+def test_over_budget_names_sizes_and_what_to_change() -> None:
+    with pytest.raises(ConfigError) as e:
+        check_budget(2 * MIB + 1, 2 * MIB, "a stack of 36 headings x 9 x 9 cells", "use cells")
+    assert str(e.value) == (
+        "a stack of 36 headings x 9 x 9 cells needs 3 MiB of memory, the budget is 2 MiB: use cells"
+    )
+
+
+def test_available_memory_of_linux(tmp_path: Path) -> None:
+    meminfo = tmp_path / "meminfo"
+    meminfo.write_text("MemTotal:  9000 kB\nMemFree:  100 kB\nMemAvailable:    2048 kB\n")
+    assert available_bytes(meminfo, tmp_path) == 2 * MIB
+
+
+@pytest.mark.parametrize(
+    ("limit", "used", "expected"),
+    [(str(3 * MIB), str(2 * MIB), MIB), ("max", "5", 2 * MIB), ("5", "9", 0)],
+)
+def test_a_container_may_leave_less(tmp_path: Path, limit: str, used: str, expected: int) -> None:
+    (tmp_path / "meminfo").write_text("MemAvailable: 2048 kB\n")
+    (tmp_path / "memory.max").write_text(limit + "\n")
+    (tmp_path / "memory.current").write_text(used + "\n")
+    assert available_bytes(tmp_path / "meminfo", tmp_path) == expected
+
+
+@pytest.mark.parametrize("text", ["", "MemAvailable:\n", "MemAvailable: many kB\n"])
+def test_other_systems(tmp_path: Path, text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "meminfo").write_text(text)
+    pages = {"SC_PAGE_SIZE": 4096, "SC_PHYS_PAGES": 1000}
+    monkeypatch.setattr("os.sysconf", pages.__getitem__, raising=False)
+    assert available_bytes(tmp_path / "meminfo", tmp_path) == 2_048_000
+    monkeypatch.delattr("os.sysconf")
+    assert available_bytes(tmp_path / "meminfo", tmp_path) == UNKNOWN_RAM
+
+
+def test_half_of_it_is_the_default() -> None:
+    assert 0 < default_budget() < 1 << 50

@@ -1,0 +1,84 @@
+"""How much an answer is worth: temperature, the chance of being elsewhere, the verdict."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from imgloc.model import VERDICTS
+from imgloc.search.trust import Trust, judge
+
+TRUST = Trust(
+    readings=10, temperature=2.0, strain=3.0, elsewhere=(-4.0, 1.5, 2.0), mass=0.9, correlated=1.0
+)
+misfits = st.floats(-5, 50)
+shares = st.floats(0, 1)
+
+
+@pytest.mark.parametrize(("misfit", "expected"), [(0.0, 2.0), (0.5, 3.5), (4.0, 14.0), (-1.0, 2.0)])
+def test_temperature_grows_with_the_misfit(misfit, expected):
+    assert TRUST.temperature_at(misfit) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("trust", [TRUST, Trust()])
+@given(a=misfits, b=misfits)
+def test_a_worse_fit_never_sharpens_an_answer(trust, a, b):
+    low, high = sorted((a, b))
+    assert 0 < trust.temperature_at(low) <= trust.temperature_at(high)
+
+
+@given(misfits, shares)
+def test_the_chance_of_being_elsewhere_is_a_logistic_regression(misfit, best):
+    odds = -4.0
+    if misfit > 0:  # a scan cannot fit better than perfectly
+        odds += 1.5 * misfit
+    odds += 2.0 * (1 - best)
+    expected = math.exp(odds) / (1 + math.exp(odds))
+    assert TRUST.mass_elsewhere(misfit, best) == pytest.approx(expected)
+
+
+def test_even_odds():
+    assert TRUST.mass_elsewhere(2.0, 0.5) == pytest.approx(0.5)  # -4 + 3 + 1 = 0
+    assert Trust(elsewhere=(0.0, 0.0, 0.0)).mass_elsewhere(9.0, 0.1) == 0.5
+
+
+@pytest.mark.parametrize("trust", [TRUST, Trust()])
+@given(misfit=misfits, best=shares, worse=st.floats(0, 10), less=shares)
+def test_a_bad_fit_and_rivals_make_elsewhere_likelier(trust, misfit, best, worse, less):
+    here = trust.mass_elsewhere(misfit, best)
+    assert 0 < here <= 1
+    assert trust.mass_elsewhere(misfit + worse, best) >= here
+    assert trust.mass_elsewhere(misfit, best * less) >= here
+
+
+@pytest.mark.parametrize(
+    ("valid", "mass", "elsewhere", "verdict"),
+    [
+        (9, [1.0], 0.0, "invalid"),
+        (0, [], 1.0, "invalid"),
+        (9, [0.1], 0.9, "invalid"),  # too few readings say nothing, not even that
+        (10, [], 0.0, "no-match"),
+        (10, [], 1.0, "no-match"),
+        (10, [0.49], 0.51, "no-match"),
+        (10, [0.95], 0.51, "no-match"),
+        (10, [0.5], 0.5, "ambiguous"),
+        (10, [1.0], 0.0, "unique"),
+        (10, [0.9, 0.1], 0.0, "unique"),
+        (10, [0.89, 0.11], 0.0, "ambiguous"),
+        (181, [0.3, 0.1], 0.6, "no-match"),
+    ],
+)
+def test_the_verdict(valid, mass, elsewhere, verdict):
+    assert judge(valid, np.array(mass), elsewhere, TRUST) == verdict
+    assert verdict in VERDICTS
+
+
+@given(st.integers(0, 500), shares, shares)
+def test_better_evidence_never_makes_a_verdict_worse(valid, mass, elsewhere):
+    rank = ["invalid", "no-match", "ambiguous", "unique"].index
+    here = rank(judge(valid, np.array([mass]), elsewhere, TRUST))
+    assert rank(judge(valid + 1, np.array([mass]), elsewhere, TRUST)) >= here
+    assert rank(judge(valid, np.array([min(1, mass + 0.1)]), elsewhere, TRUST)) >= here
+    assert rank(judge(valid, np.array([mass]), max(0, elsewhere - 0.1), TRUST)) >= here
