@@ -68,7 +68,8 @@ def test_a_room_that_looks_alike_from_both_ends_is_ambiguous(top):
     assert answer.verdict == "ambiguous"
     assert len(answer.hypotheses) <= top
     assert answer.hypotheses[0].mass == pytest.approx(0.5, abs=0.1)
-    assert answer.entropy == pytest.approx(math.log(2), abs=0.15)  # whatever is listed
+    # Two twins and what is left for elsewhere, whatever is listed.
+    assert math.log(2) <= answer.entropy < math.log(3)
     for place in (pose, twin)[: min(2, top)]:
         found = [error(h.pose, place) for h in answer.hypotheses[:2]]
         if top > 1:
@@ -82,7 +83,10 @@ def test_trust_is_an_option():
     assert localize(features, scan, just).verdict == "unique"
     strict = Options(trust=Trust(readings=valid + 1))
     assert localize(features, scan, strict).verdict == "invalid"
-    assert localize(features, scan, Options(trust=Trust(elsewhere=(9.0, 0.0, 0.0)))).verdict == "no-match"
+    assert (
+        localize(features, scan, Options(trust=Trust(elsewhere=(9.0, 0.0, 0.0)))).verdict
+        == "no-match"
+    )
     assert localize(features, scan, Options(trust=Trust(mass=1.01))).verdict == "ambiguous"
 
 
