@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
+from imgloc.features.raycast import cast_rays, distance_image
 from imgloc.features.raydistance import ray_distances, ray_distances_bytes
 
 
@@ -145,6 +146,28 @@ def test_threads_do_not_matter(n_psi):
         ray_distances(occupied, 0.1, n_psi, 9.0),
         ray_distances(occupied, 0.1, n_psi, 9.0, threads=3),
     )
+
+
+def test_rays_start_at_the_centres_of_blocks():
+    walls = np.zeros((2, 9), bool)  # the last block sticks out
+    walls[:, [0, 1, 7]] = True
+    stack = ray_distances(walls, 0.1, 2, 5.0, factor=2)
+    #         solid, centre at 0.3, 0.5, in the wall's left half, beyond the wall
+    assert stack[0, 0].tolist() == [0, 40, 20, 0, 500]
+    assert stack[1, 0, :3].tolist() == [0, 10, 30]
+
+
+@pytest.mark.parametrize("factor", [2, 3])
+def test_blocks_see_the_walls_of_the_fine_map(factor):
+    occupied = blobs(3, 61, 44)
+    fine = distance_image(occupied)
+    stack = ray_distances(occupied, 0.1, 8, 9.0, factor=factor)
+    height, width = stack.shape[1:]
+    y, x = (np.indices((height, width)) + 0.5) * factor * 0.1
+    for k in range(8):
+        seen = cast_rays(fine, np.stack((x, y), axis=-1), np.full(x.shape, k * np.pi / 4), 9.0, 0.1)
+        expected = 100 * np.minimum(seen, 9.0)
+        assert np.median(np.abs(stack[k] - expected)) <= 5  # half a fine cell
 
 
 def test_without_walls_everything_is_out_of_range():

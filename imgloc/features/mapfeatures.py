@@ -178,10 +178,11 @@ class MapFeatures:
                 "use fewer directions or coarser cells"
             )
         stack = ray_distances(
-            any_of_blocks(self.grid.occupied, self._factor),
-            self.lattice.resolution,
+            self.grid.occupied,
+            self.grid.resolution,
             self.n_rays,
             self.max_range,
+            factor=self._factor,
             threads=self.threads,
         )
         stack.flags.writeable = False

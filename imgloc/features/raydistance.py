@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
+from imgloc.features.lattice import blocks
 from imgloc.model import BoolArray, Float32Array, FloatArray
 
 _CM = 100.0
@@ -49,7 +50,13 @@ def ray_cells(shape: tuple[int, int], n_psi: int) -> int:
 
 
 def ray_distances(
-    occupied: BoolArray, resolution: float, n_psi: int, max_range: float, *, threads: int = 1
+    occupied: BoolArray,
+    resolution: float,
+    n_psi: int,
+    max_range: float,
+    *,
+    factor: int = 1,
+    threads: int = 1,
 ) -> npt.NDArray[np.uint16]:
     """Distance to the nearest obstacle, from every cell in every direction.
 
@@ -64,15 +71,18 @@ def ray_distances(
         Number of directions.
     max_range : float
         Metres, at most 655.35. Where nothing is hit within it, the value is `max_range`.
+    factor : int
+        Rays start at the centres of blocks of `factor` x `factor` cells, as of
+        :func:`~imgloc.features.lattice.blocks`; walls keep the cells of the map.
     threads : int
         Directions computed at a time; the result does not depend on it.
 
     Returns
     -------
     (n_psi, H, W) uint16 array
-        Centimetres from the centre of cell ``[row, col]`` to the surface (the boundary between
+        Centimetres from the centre of block ``[row, col]`` to the surface (the boundary between
         the occupied cell and the one before it) in direction ``psi_k = 2 pi k / n_psi`` of the
-        grid frame. 0 in occupied cells.
+        grid frame. 0 in blocks that are all occupied. H and W count blocks.
 
     Raises
     ------
@@ -97,26 +107,28 @@ def ray_distances(
         raise ConfigError(f"occupied must be an image, got an array of shape {occupied.shape}")
     if np.hypot(*occupied.shape) >= np.iinfo(np.int16).max:  # the limit of warpAffine
         raise ConfigError(f"a map of {occupied.shape} is too large to be rotated")
-    if n_psi < 1:
-        raise ConfigError(f"n_psi must be at least 1, got {n_psi}")
+    if n_psi < 1 or factor < 1:
+        raise ConfigError(f"n_psi and factor must be at least 1, got {n_psi} and {factor}")
     if not 0 < max_range <= _MAX_CM / _CM:
         raise ConfigError(f"max_range must be in (0, {_MAX_CM / _CM}] m, got {max_range}")
     if not (np.isfinite(resolution) and resolution > 0):
         raise ConfigError(f"resolution must be positive and finite, got {resolution}")
 
-    stack = np.empty((n_psi, *occupied.shape), np.uint16)
+    solid = np.asarray(blocks(occupied, factor).all(axis=(1, 3)))
+    stack = np.empty((n_psi, *solid.shape), np.uint16)
     image = _watertight(occupied)
     limit = np.uint16(round(max_range * _CM))
 
     def direction(k: int) -> None:
         # A rotated map serves the two directions along its columns.
         canvas, turn = _rotate(image, 2 * np.pi * k / n_psi)
-        _look(canvas, turn, occupied, resolution, limit, stack[k])
+        turn = _of_blocks(turn, factor)
+        _look(canvas, turn, solid, resolution, limit, stack[k])
         if n_psi % 2 == 0:
             back = turn.copy()
             back[1] = -turn[1]
             back[1, 2] += len(canvas) - 1
-            _look(canvas[::-1], back, occupied, resolution, limit, stack[k + n_psi // 2])
+            _look(canvas[::-1], back, solid, resolution, limit, stack[k + n_psi // 2])
 
     turns = range(n_psi // 2 if n_psi % 2 == 0 else n_psi)
     with ThreadPoolExecutor(max(1, threads)) as pool:
@@ -168,17 +180,23 @@ def _rotate(image: npt.NDArray[np.uint8], psi: float) -> tuple[npt.NDArray[np.ui
     ), turn
 
 
+def _of_blocks(turn: FloatArray, factor: int) -> FloatArray:
+    """The matrix from (x, y) of the centres of blocks, counted in blocks."""
+    linear = turn[:, :2]
+    return np.column_stack((factor * linear, turn[:, 2] + linear.sum(axis=1) * (factor - 1) / 2))
+
+
 def _look(
     canvas: npt.NDArray[np.uint8],
     turn: FloatArray,
-    occupied: BoolArray,
+    solid: BoolArray,
     resolution: float,
     limit: np.uint16,
     out: npt.NDArray[np.uint16],
 ) -> None:
-    """Write the distance, in cm, from each cell to the first wall down its column of `canvas`."""
+    """Write the distance, in cm, from each block to the first wall down its column of `canvas`."""
     hit = _next_hit(canvas)
-    height, width = occupied.shape
+    height, width = solid.shape
     back = cv2.warpAffine(
         hit,
         turn,
@@ -186,7 +204,7 @@ def _look(
         flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_REPLICATE,
     )
-    # The row of the canvas where each cell's own centre lies, exactly.
+    # The row of the canvas where each block's own centre lies, exactly.
     x, y = np.arange(width), np.arange(height)
     start = np.add.outer(
         (turn[1, 1] * y).astype(np.float32), (turn[1, 0] * x + turn[1, 2]).astype(np.float32)
@@ -195,15 +213,16 @@ def _look(
     cm = cv2.addWeighted(back, scale, start, -scale, 0.0, dtype=cv2.CV_16U)  # saturates
 
     # A free cell beside a wall may have been rounded into it: its other neighbour then.
-    row, col = np.divmod(np.flatnonzero((cm == 0) > occupied), width)
+    row, col = np.divmod(np.flatnonzero((cm == 0) > solid), width)
     v, u = turn @ (col, row, np.ones(len(row)))
     near = np.floor(v + 0.5)
     other = (near + np.where(v < near, -1, 1)).astype(np.int64)
     other = other.clip(0, canvas.shape[1] - 1)
-    far = hit[np.floor(u + 0.5).astype(np.int64), other] - u
+    row_of_u = np.floor(u + 0.5).astype(np.int64).clip(0, len(canvas) - 1)
+    far = hit[row_of_u, other] - u
     cm[row, col] = np.clip(np.round(far * scale), 0, _MAX_CM)
     # Occupied cells look from within.
-    cm[occupied] = 0
+    cm[solid] = 0
     np.minimum(cm, limit, out=out)
 
 

@@ -144,14 +144,14 @@ def beam(
     def heading(index: int) -> None:
         for top in range(0, distances.shape[1], rows):
             total = out[index, top : top + rows]
-            ahead = np.empty(total.shape, np.uint16)
+            ahead, offset = np.empty((2, *total.shape), np.uint16)
             entry, value = np.empty(total.shape, np.uint8), np.empty(total.shape, np.float32)
             for psi, start, step, table in beams:
                 r_m = distances[(psi + index * (n_psi // k)) % n_psi, top : top + rows]
-                # r_m - start in steps, cut to what the table holds. No cv2.subtract: it takes
-                # a scalar for an image of four rows.
-                np.maximum(r_m, np.uint16(start), out=ahead)
-                np.subtract(ahead, np.uint16(start), out=ahead)
+                # r_m - start in steps, cut to what the table holds. An image of `start`: OpenCV
+                # takes a scalar for an image of four rows.
+                offset.fill(start)
+                cv2.subtract(r_m, offset, dst=ahead)  # saturates at 0
                 cv2.convertScaleAbs(ahead, dst=entry, alpha=1 / step)  # saturates at 255
                 cv2.LUT(entry, table, dst=value)
                 cv2.add(total, value, dst=total)  # eq. 2, its logarithm

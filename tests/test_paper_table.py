@@ -1,0 +1,147 @@
+"""The table of Sec. VI: its trials, its rows, and what is claimed of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imgloc.errors import ConfigError
+from imgloc.experiments.claims import ORDER, claims, growth_claims, time_claims
+from imgloc.experiments.complexity_types import Complexity, Fit
+from imgloc.experiments.evaluate import evaluate, method_options
+from imgloc.experiments.index import Index
+from imgloc.experiments.paper import STEPS_DEG, Row, place, stack_of, table
+from imgloc.experiments.shares import share
+from imgloc.geometry import uniform_thetas
+
+
+@pytest.fixture(scope="module")
+def curved():
+    return {row.method: row for row in table(4, 7, worlds=["curved"], threads=2)}
+
+
+def test_every_method_has_a_row_of_all_trials(curved):
+    assert list(curved) == list(STEPS_DEG)
+    assert {row.index.trials for row in curved.values()} == {4}
+    assert {len(row.ms) for row in curved.values()} == {4}
+
+
+def test_no_s_is_above_that_of_a_method_that_knows(curved):
+    for row in curved.values():
+        assert row.index.value < row.log_poses
+    finer = curved["cbml"].log_poses - curved["ght"].log_poses
+    assert finer == pytest.approx(np.log(10))  # 3 and 30 degrees
+
+
+def test_the_oracle_is_above_all_methods_and_better_for_its_temperature(curved):
+    assert curved["beam"].index.value > max(curved[m].index.value for m in ORDER)
+    assert curved["beam"].bare is not None
+    assert curved["beam"].index.value > curved["beam"].bare.value
+
+
+def test_a_maximum_in_the_cell_is_also_next_to_it(curved):
+    for row in curved.values():
+        assert row.exact.hits <= row.near.hits
+
+
+def test_the_table_says_what_evaluate_says(curved):
+    features, scans = place("curved", 4, 7)
+    for method in ("cbml-o", "ght-v"):
+        summary = evaluate(features, scans, method_options(method)).summary
+        assert summary.index.value == pytest.approx(curved[method].index.value, abs=1e-4)
+        assert summary.exact.hits == curved[method].exact.hits
+
+
+def test_the_options_of_ght_v_change_its_votes():
+    features, scans = place("curved", 1, 0)
+    thetas = uniform_thetas(np.deg2rad(30))
+    plain, once, spread = (
+        stack_of(m, features, scans.scans[0], thetas)
+        for m in ("ght-v", "ght-v once", "ght-v eq. 8")
+    )
+    assert (once <= plain).all()
+    assert once.sum() < plain.sum()
+    assert np.count_nonzero(spread) > np.count_nonzero(plain)
+
+
+def test_threads_change_nothing_but_times():
+    rows = [table(2, 3, worlds=["curved"], methods=["ght-v", "beam"], threads=t) for t in (1, 3)]
+    one, three = ([replace(row, ms=()) for row in some] for some in rows)
+    assert one == three
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"n": 0}, "n must be at least 1"),
+        ({"worlds": ["moon"]}, "got 'moon'"),
+        ({"methods": ["icp"]}, "got 'icp'"),
+    ],
+)
+def test_refuses_what_is_not_there(wrong, message):
+    with pytest.raises(ConfigError, match=message):
+        table(**wrong)
+
+
+def made_up(world, s, error=0.1, hits=8, ms=1.0):
+    """Rows of the four methods with given indices."""
+    return [
+        Row(
+            world, method, 3.0, Index(value, error, 10, 0, 1e-3), None, 14.0,
+            share([True] * hits + [False] * (10 - hits)), share([True] * 10), None, (ms,) * 3,
+        )
+        for method, value in zip(ORDER, s, strict=True)
+    ]  # fmt: skip
+
+
+def test_claims_hold_for_a_table_like_the_papers():
+    assert all(c.holds for c in claims(made_up("a", (-0.5, 0.7, 2.9, 3.7))))
+
+
+@pytest.mark.parametrize(
+    ("rows", "failing"),
+    [
+        (made_up("a", (-0.5, 0.7, 3.7, 2.9)), "CBML < CBML-O < GHT < GHT-V"),
+        (made_up("a", (-0.5, -0.2, 2.9, 3.7)), "intervals of CBML and CBML-O"),
+        (made_up("a", (-0.5, 0.7, 0.8, 0.9)), "intervals of CBML-O and GHT-V"),
+        (made_up("a", (-0.5, 0.7, 2.9, 3.7), hits=6), "70 %"),
+    ],
+)
+def test_a_claim_that_does_not_hold_is_told(rows, failing):
+    assert [failing in c.text for c in claims(rows) if not c.holds] == [True]
+
+
+def test_one_good_world_is_enough_for_the_maxima():
+    rows = made_up("a", (0, 1, 2, 3), hits=2) + made_up("b", (0, 1, 2, 3), hits=9)
+    maximum = next(c for c in claims(rows) if "70 %" in c.text)
+    assert maximum.holds
+    assert maximum.found.startswith("b: 90 %")
+
+
+def test_times_are_compared_scan_by_scan():
+    cbml, cbml_o, ght, ght_v = made_up("a", (0, 1, 2, 3))
+    rows = [replace(cbml, ms=(1.0, 5.0, 1.0)), replace(cbml_o, ms=(1.2, 6.0, 9.0)), ght]
+    told = time_claims([*rows, replace(ght_v, ms=(1.2, 1.2, 1.0))])
+    assert [(c.holds, c.found) for c in told] == [(True, "1.20 x"), (False, "1.20 x")]
+
+
+def grown(**changed):
+    """Exponents of the appendix, but for those given as method_axis."""
+    said = {
+        ("cbml", "rho_m"): 2, ("cbml", "rho_theta"): 1,
+        **{(m, a): p for m in ("ght", "ght-v")
+           for a, p in (("A", 1), ("rho_m", 1), ("rho_theta", 0), ("n", 1))},
+    }  # fmt: skip
+    fits = [Fit(m, a, "work", changed.get(f"{m}_{a}", p), None) for (m, a), p in said.items()]
+    fits += [Fit("beam", "rho_m", q, p, 3) for q, p in (("init_work", 2.0), ("traced", 3.0))]
+    return Complexity("curved", (), tuple(fits))
+
+
+def test_exponents_within_the_tolerance_hold():
+    assert all(c.holds for c in growth_claims(grown(ght_n=1.14, cbml_rho_m=1.86)))
+
+
+@pytest.mark.parametrize("axis", ["ght_n", "ght_rho_theta", "cbml_rho_m"])
+def test_other_exponents_do_not(axis):
+    failing = [c for c in growth_claims(grown(**{axis: 1.5})) if not c.holds]
+    assert [c.text.split(":")[0] for c in failing] == [axis.split("_")[0].upper()]
