@@ -320,6 +320,8 @@ class Localization:
         Wall time of each step.
     parameters : mapping
         Everything that decided the answer, with the seed.
+    complete : bool
+        False if a time budget ended the search early.
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -329,6 +331,7 @@ class Localization:
     counts: Mapping[str, int] = field(default_factory=dict)
     timings_ms: Mapping[str, float] = field(default_factory=dict)
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    complete: bool = True
 
     @property
     def pose(self) -> Pose2D | None:

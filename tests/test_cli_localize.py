@@ -13,7 +13,17 @@ from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.pipeline import ALL_METHODS
 
 CURVED = MAPS / "curved.yaml"
-KEYS = ["index", "verdict", "pose", "hypotheses", "entropy", "explained", "counts"]
+KEYS = [
+    "index",
+    "verdict",
+    "pose",
+    "base_pose",
+    "hypotheses",
+    "complete",
+    "entropy",
+    "explained",
+    "counts",
+]
 KEYS += ["timings_ms", "parameters"]
 
 

@@ -6,7 +6,7 @@ Writes results.json, the figures as PNG and one self-contained report.html into 
     python tools/reproduce_paper.py --out paper --quick    # a few, in under a minute
 
 Everything but times is the same for the same -n and --seed, whatever the threads. The exit
-code is 1 if the order of the methods is not the paper's.
+code is 1 if the order of the methods or a counted exponent is not the paper's.
 """
 
 import argparse

@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from imgloc.cli.priors import base_of
 from imgloc.cli.tables import as_plain
 from imgloc.model import Localization, Pose2D
 
@@ -15,7 +16,16 @@ HEADER = (
 """Above the lines of :func:`as_line`."""
 
 
-def as_json(index: int, answer: Localization, more: Mapping[str, object]) -> str:
+SURE = ("unique", "ambiguous")
+"""Verdicts under which there is a pose to be named; the others list what fits best at most."""
+
+
+def as_json(
+    index: int,
+    answer: Localization,
+    more: Mapping[str, object],
+    mount: Pose2D | None = None,
+) -> str:
     """Return one line of JSON for one scan.
 
     Parameters
@@ -25,23 +35,29 @@ def as_json(index: int, answer: Localization, more: Mapping[str, object]) -> str
     answer : Localization
     more : mapping
         Joined to the answer's parameters.
+    mount : Pose2D, optional
+        Pose of the sensor on the robot; None if it is not known. ``base_pose`` is the robot's.
 
     Examples
     --------
     >>> line = as_json(3, Localization((), "invalid", 0.0, float("nan")), {})
-    >>> line[:64], '"explained": null' in line
-    ('{"index": 3, "verdict": "invalid", "pose": null, "hypotheses": [', True)
+    >>> line[:52], '"explained": null' in line
+    ('{"index": 3, "verdict": "invalid", "pose": null, "ba', True)
     """
+    pose = answer.pose if answer.verdict in SURE else None
     row = {
         "index": index,
         "verdict": answer.verdict,
-        "pose": None if answer.pose is None else _pose(answer.pose),
+        "pose": None if pose is None else _pose(pose),
+        "base_pose": None if pose is None or mount is None else _pose(base_of(pose, mount)),
         "hypotheses": [
             _pose(h.pose)
             | {"mass": h.mass, "log_likelihood": h.log_likelihood}
             | {"covariance": h.covariance.tolist()}
+            | ({} if mount is None else {"base": _pose(base_of(h.pose, mount))})
             for h in answer.hypotheses
         ],
+        "complete": answer.complete,
         "entropy": answer.entropy,
         "explained": answer.explained,
         "counts": answer.counts,
@@ -87,7 +103,9 @@ def as_line(index: int, answer: Localization) -> str:
     )
 
 
-def as_text(title: str, answer: Localization, truth: Pose2D | None = None) -> str:
+def as_text(
+    title: str, answer: Localization, truth: Pose2D | None = None, mount: Pose2D | None = None
+) -> str:
     """Return what is known about one scan, with a table of its hypotheses.
 
     Parameters
@@ -96,12 +114,19 @@ def as_text(title: str, answer: Localization, truth: Pose2D | None = None) -> st
     answer : Localization
     truth : Pose2D, optional
         True pose in the map frame, to state the error.
+    mount : Pose2D, optional
+        Pose of the sensor on the robot, to state the robot's.
     """
     counts = ", ".join(f"{n} {key.replace('_', ' ')}" for key, n in answer.counts.items())
     times = ", ".join(f"{key} {ms:.0f} ms" for key, ms in answer.timings_ms.items())
-    lines = [f"{title}: {answer.verdict}"]
+    lines = [f"{title}: {answer.verdict}" + ("" if answer.complete else ", out of time")]
     if answer.pose is not None:
-        lines.append(f"  pose       {describe(answer.pose)}")
+        sure = answer.verdict in SURE
+        lines.append(f"  {'pose      ' if sure else 'best guess'} {describe(answer.pose)}")
+        if not sure:
+            lines.append("             not to be trusted: the map does not explain the scan there")
+        if mount is not None:
+            lines.append(f"  base       {describe(base_of(answer.pose, mount))}")
     if truth is not None:
         lines.append(f"  truth      {describe(truth)}")
     if truth is not None and answer.pose is not None:

@@ -13,6 +13,7 @@ from imgloc.cli.options import (
     EngineName,
     Force,
     MapPath,
+    MemoryBudget,
     MethodName,
     Reading,
     ScansPath,
@@ -25,6 +26,7 @@ from imgloc.cli.options import (
     reading,
     with_options,
 )
+from imgloc.cli.priors import Known, Mounting, known, mounting, prior_of
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -33,10 +35,12 @@ if TYPE_CHECKING:
     from imgloc.pipeline import Options
 
 
-@with_options(reading, console)
+@with_options(known, mounting, reading, console)
 def localize(
     map_path: MapPath,
     scans_path: ScansPath,
+    known: Known,
+    mounting: Mounting,
     reading: Reading,
     method: Annotated[
         MethodName,
@@ -69,7 +73,33 @@ def localize(
     engine: Annotated[
         EngineName, typer.Option(help="Of the correlations of cbml and cbml-o.")
     ] = EngineName.AUTO,
+    exact_argmax: Annotated[
+        bool,
+        typer.Option(
+            "--exact-argmax",
+            help="Branch and bound: the best poses of cbml without its stack; to fused, more "
+            "proposals.",
+        ),
+    ] = False,
     threads: Threads = None,
+    memory_budget: MemoryBudget = None,
+    time_budget: Annotated[
+        float | None,
+        typer.Option(
+            metavar="S",
+            help="Seconds for each scan: then the best so far, marked as not complete. Such "
+            "answers depend on the machine.",
+        ),
+    ] = None,
+    cache: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Where prepared maps are kept. [default: the user's cache folder]"
+        ),
+    ] = None,
+    no_cache: Annotated[
+        bool, typer.Option("--no-cache", help="Prepare the map anew and keep nothing.")
+    ] = False,
     force: Force = False,
     allow_lossy: AllowLossy = False,
 ) -> None:
@@ -82,6 +112,9 @@ def localize(
     check_range("--range-max", range_max, 1e-3, 1e6, "metres")
     check_range("--theta-step-deg", theta_step_deg, 0.05, 180, "degrees")
     check_range("--cell", cell, 0.001, 10, "metres")
+    check_range("--time-budget", time_budget, 0.001, 1e6, "seconds")
+    if cache is not None and no_cache:
+        raise ConfigError("--cache and --no-cache: expected one of them")
     if engine != EngineName.AUTO and method not in (MethodName.CBML, MethodName.CBML_O):
         raise ConfigError(f"--engine: {method.value} does not correlate; use cbml or cbml-o")
     if picture is not None:
@@ -91,18 +124,30 @@ def localize(
 
     from imgloc.cli import answers
     from imgloc.cli.pictures import picture_name, write_hypotheses
+    from imgloc.cli.prepared import cache_folder, keep_features, open_features
     from imgloc.io.files import display
     from imgloc.io.maps import load_map
     from imgloc.io.scans import load_scans
+    from imgloc.model import Pose2D
     from imgloc.pipeline import localize as locate
-    from imgloc.pipeline import prepare
 
+    not_said = Pose2D(0.0, 0.0, 0.0)
     workers = count_threads(threads)
     cv2.setNumThreads(workers)
     options = _options(method, top, theta_step_deg, engine, workers)
     with quiet_libraries():
         grid = load_map(map_path, **reading, allow_lossy=allow_lossy)
-    features = prepare(grid, display(map_path), cell=cell, threads=workers)
+    options = replace(
+        options,
+        memory_budget=memory_budget,
+        time_budget=time_budget,
+        exact=exact_argmax,
+        prior=prior_of(known, grid),
+    )
+    folder = cache_folder(cache, wanted=not no_cache)
+    features = open_features(
+        grid, display(map_path), folder, memory_budget, cell=cell, threads=workers
+    )
     scans = load_scans(scans_path)
     chosen = _choose(scans, index, display(scans_path))
     many = len(chosen) > 1
@@ -116,7 +161,8 @@ def localize(
     doubtful = 0
     with progress("localize", len(chosen)) as advance:
         for k in chosen:
-            scan = cut_scan(scans[k], range_max)
+            scan = mounting.mount(cut_scan(scans[k], range_max))
+            mount = scan.T_base_laser if mounting.sensor or scan.T_base_laser != not_said else None
             answer = locate(features, scan, options)
             truth = _truth(scans, k)
             doubtful += answer.verdict != "unique"
@@ -126,11 +172,13 @@ def localize(
                 LOG.info("wrote %s", display(targets[k]))
             advance()
             if as_json:
-                emit(answers.as_json(k, answer, {"range_max": scan.range_max}))
+                emit(answers.as_json(k, answer, {"range_max": scan.range_max}, mount))
             elif many:
                 emit(answers.as_line(k, answer))
             else:
-                emit(answers.as_text(f"scan {k}", answer, truth))
+                emit(answers.as_text(f"scan {k}", answer, truth, mount))
+    if folder is not None:
+        keep_features(features, folder)
     if strict and doubtful:
         raise typer.Exit(NOT_UNIQUE)
 

@@ -4,6 +4,7 @@ import functools
 import inspect
 import math
 import os
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from enum import StrEnum
@@ -68,6 +69,23 @@ class Reading(TypedDict):
     negate: bool | None
 
 
+_UNITS = {"": 0, "K": 10, "M": 20, "G": 30, "T": 40}
+
+
+def byte_count(text: str) -> int:
+    """Parse a number of bytes, with a unit of powers of 1024 or none.
+
+    Examples
+    --------
+    >>> byte_count("512M") == 512 * 1024**2, byte_count("1.5GiB") == 3 * 2**29
+    (True, True)
+    """
+    found = re.fullmatch(r"(\d+(?:\.\d*)?)\s*([KMGT]?)(?:i?B)?", text.strip(), re.IGNORECASE)
+    if found is None:
+        raise typer.BadParameter(f"got {text!r}, expected a number of bytes such as 512M or 2G")
+    return int(float(found[1]) * (1 << _UNITS[found[2].upper()]))
+
+
 def numbers(count: int) -> Callable[[str], tuple[float, ...]]:
     """Return a parser of `count` finite numbers with commas between them.
 
@@ -101,6 +119,14 @@ Threads = Annotated[
     int | None,
     typer.Option(
         min=1, metavar="N", help="Threads; no result depends on it. [default: all processors]"
+    ),
+]
+MemoryBudget = Annotated[
+    Any,
+    typer.Option(
+        metavar="BYTES",
+        parser=byte_count,
+        help="Refuse to take more memory, such as 512M or 2G. [default: half of what is available]",
     ),
 ]
 AllowLossy = Annotated[bool, typer.Option("--allow-lossy", help="Accept a JPEG as the map.")]

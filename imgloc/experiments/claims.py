@@ -29,11 +29,15 @@ WITHIN = 0.15
 
 @dataclass(frozen=True)
 class Claim:
-    """Something that is said of the table, whether it is so in ours, and what was found."""
+    """Something that is said of the table, whether it is so in ours, and what was found.
+
+    One that is not `firm` may fail by chance where the trials are few.
+    """
 
     text: str
     holds: bool
     found: str
+    firm: bool = True
 
 
 def claims(rows: Sequence[Row]) -> tuple[Claim, ...]:
@@ -71,6 +75,7 @@ def claims(rows: Sequence[Row]) -> tuple[Claim, ...]:
             best.exact.value >= MAXIMUM,
             f"{best.world}: {100 * best.exact.value:.0f} % in its cell, "
             f"{100 * best.near.value:.0f} % in its cell or one next to it",
+            firm=False,
         )
     )
     return tuple(out)

@@ -6,7 +6,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from imgloc.experiments.paper import CELL, stack_of
+from imgloc.experiments.paper_trials import CELL, stack_of
 from imgloc.experiments.simulate import simulate
 from imgloc.experiments.worlds import NICHES, WORLDS, render
 from imgloc.features.mapfeatures import MapFeatures

@@ -87,15 +87,16 @@ class MapFeatures:
     @cached_property
     def lattice(self) -> GridInfo:
         """The lattice of poses: shares its corner with the map, covers all of it."""
-        return coarse_info(self.grid.info, self._factor)
+        return coarse_info(self.grid.info, self.factor)
 
     @cached_property
     def free(self) -> BoolArray:
         """Lattice cells in which a free cell of the map lies: the pose space, (H, W) bool."""
-        return _read_only(any_of_blocks(self.grid.free, self._factor))
+        return _read_only(any_of_blocks(self.grid.free, self.factor))
 
     @property
-    def _factor(self) -> int:
+    def factor(self) -> int:
+        """Cells of the map along a cell of the lattice of poses."""
         return max(1, round(self.cell / self.grid.resolution))
 
     @cached_property
@@ -182,7 +183,7 @@ class MapFeatures:
             self.grid.resolution,
             self.n_rays,
             self.max_range,
-            factor=self._factor,
+            factor=self.factor,
             threads=self.threads,
         )
         stack.flags.writeable = False

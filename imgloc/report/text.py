@@ -23,9 +23,10 @@ SETTING = (
     "σ = 2 cm, and a reach of 30 m. Cells are 10 cm and 30° for GHT and GHT-V, 10 cm and 3° for "
     "CBML, CBML-O and the beam model, on maps drawn at 5 cm. S is the paper's performance index "
     "(eq. 12), in nats, over the poses in free cells: 0 for a method that knows nothing. The "
-    "table gives S with its standard error over {n} trials, and below it, grey, the paper's own number. The paper's "
-    "maps are not published: its numbers cannot be met, its order can. A density is never less "
-    "than 0.001 of the uniform one; † counts the trials in which that floor was hit."
+    "table gives S with its standard error over {n} trials, and below it, grey, the paper's own "
+    "number. The paper's maps are not published: its numbers cannot be met, its order can. A "
+    "density is never less than 0.001 of the uniform one; † counts the trials in which that "
+    "floor was hit."
 )
 MAXIMUM = (
     "Share of the trials in which the likelihood is greatest at the true pose: in its very cell, "

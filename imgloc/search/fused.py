@@ -5,20 +5,24 @@ decides is a third one, :mod:`imgloc.search.rescore`. Most proposals are dropped
 with a few rays.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
-from imgloc.geometry import cell_of, inside
+from imgloc.geometry import cell_of, inside, uniform_thetas
 from imgloc.likelihood.ght import ght_v
 from imgloc.model import BoolArray, FloatArray, IntArray, LaserScan
 from imgloc.search.hypotheses import modes
 from imgloc.search.peaks import find_peaks, smooth
+from imgloc.search.priors import Prior
 from imgloc.search.proposals import propose_endpoints
 from imgloc.search.refine import refine
 from imgloc.search.rescore import Evidence, EvidenceModel, rescore
+
+_LAST = 20  # proposals that get the second look when time is up
 
 
 @dataclass(frozen=True)
@@ -65,15 +69,26 @@ class FusedOptions:
 
 @dataclass(frozen=True)
 class Modes:
-    """What the search found, best first: C separated poses of the grid frame."""
+    """What the search found, best first: C separated poses of the grid frame.
+
+    `rays` are the readings that were scored; `complete` says whether the search came to its end.
+    """
 
     poses: FloatArray
     evidence: Evidence
     rays: IntArray
+    complete: bool = True
 
 
 def search_fused(
-    features: MapFeatures, scan: LaserScan, options: FusedOptions, threads: int = 1
+    features: MapFeatures,
+    scan: LaserScan,
+    options: FusedOptions,
+    *,
+    prior: Prior | None = None,
+    more: FloatArray | None = None,
+    late: Callable[[], bool] = lambda: False,
+    threads: int = 1,
 ) -> Modes:
     """Find all poses that fit a scan.
 
@@ -83,6 +98,13 @@ def search_fused(
     scan : LaserScan
         With at least one valid reading.
     options : FusedOptions
+    prior : Prior, optional
+        Poses outside it are not looked at.
+    more : (M, 3) float array, optional
+        Proposals of another source, grid frame.
+    late : callable
+        Whether time is up, asked between the stages: from then on only the best proposals so
+        far are followed.
     threads : int
         The result does not depend on it.
 
@@ -93,32 +115,43 @@ def search_fused(
     """
     few, many = thin(scan.valid, options.few_rays), thin(scan.valid, options.rays)
     xy = scan_xy(scan)
-    proposals = np.concatenate(
-        (
-            propose_endpoints(
-                features.pyramid,
-                xy[few],
-                theta_step=options.theta_step,
-                keep=options.keep,
-                threads=threads,
-            )[0],
-            propose_votes(features, scan, options, threads),
-        )
+    prior = prior or Prior()
+    resolution = features.grid.resolution
+    endpoints, _ = propose_endpoints(
+        prior.levels(features.pyramid, resolution),
+        xy[few],
+        theta_step=options.theta_step,
+        keep=options.keep,
+        prior=prior,
+        threads=threads,
     )
-    poses = refine(proposals, xy[few], features.field, sigmas=(0.2, 0.1))
-    poses, evidence = _standing(features, scan, few, poses, options)
+    sources = [endpoints, np.empty((0, 3)) if more is None else more]
+    hurry = late()
+    if not hurry:
+        sources.insert(1, propose_votes(features, scan, options, prior, threads))
+        hurry = late()
+    if hurry:
+        sources[0] = endpoints[: options.second_look]
+    poses = refine(np.concatenate(sources), xy[few], features.field, sigmas=(0.2, 0.1))
+    poses, evidence = _standing(features, scan, few, poses, options, prior)
     # Many proposals have met in the same pose by now.
     distance, angle = options.twins
     best = modes(poses, evidence.log_likelihood, distance=distance, angle=angle)
-    poses = refine(poses[best[: options.second_look]], xy[many], features.field, sigmas=(0.1, 0.05))
-    poses, evidence = _standing(features, scan, many, poses, options)
+    hurry = hurry or late()
+    best = best[: _LAST if hurry else options.second_look]
+    poses = refine(poses[best], xy[many], features.field, sigmas=(0.1, 0.05))
+    poses, evidence = _standing(features, scan, many, poses, options, prior)
     distance, angle = options.separation
     found = modes(poses, evidence.log_likelihood, distance=distance, angle=angle)
-    return Modes(poses[found], evidence.select(found), many)
+    return Modes(poses[found], evidence.select(found), many, complete=not hurry)
 
 
 def propose_votes(
-    features: MapFeatures, scan: LaserScan, options: FusedOptions, threads: int = 1
+    features: MapFeatures,
+    scan: LaserScan,
+    options: FusedOptions,
+    prior: Prior | None = None,
+    threads: int = 1,
 ) -> FloatArray:
     """Peaks (M, 3) of coarse, smoothed GHT-V votes: grid frame, best first."""
     points = scan_points(scan.ranges, scan.angles, scan.valid)
@@ -138,7 +171,13 @@ def propose_votes(
         options.vote_cell,
         threads=threads,
     )
-    peaks = find_peaks(smooth(votes, 1.0, 0.7), options.vote_peaks)
+    votes = smooth(votes, 1.0, 0.7)
+    where = None
+    if prior is not None:
+        thetas = uniform_thetas(2 * np.pi / options.vote_headings)
+        votes[~prior.headings(thetas, np.pi / options.vote_headings)] = 0
+        where = prior.around(shape, options.vote_cell, grid.resolution)
+    peaks = find_peaks(votes, options.vote_peaks, where=where)
     theta = peaks[:, 0] * (2 * np.pi / options.vote_headings)
     return np.column_stack(((peaks[:, :0:-1] + 0.5) * options.vote_cell, theta))
 
@@ -168,12 +207,14 @@ def _standing(
     rays: IntArray,
     poses: FloatArray,
     options: FusedOptions,
+    prior: Prior,
 ) -> tuple[FloatArray, Evidence]:
-    """Score the poses at which a robot can stand, and drop the others."""
+    """Score the poses at which a robot can stand and may be, and drop the others."""
     cells = cell_of(poses[:, :2], features.grid.resolution)
     on_map = inside(cells, features.grid.info)
     poses, cells = poses[on_map], cells[on_map]
     poses = poses[features.standable[cells[:, 0], cells[:, 1]]]
+    poses = poses[prior.admits(poses, features.grid.resolution)]
     evidence = rescore(
         poses,
         scan.ranges[rays],

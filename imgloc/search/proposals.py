@@ -14,6 +14,7 @@ from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.correlate import correlate
 from imgloc.likelihood.slices import cell_offsets
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
+from imgloc.search.priors import Prior
 
 _CHUNK_CELLS = 1 << 24  # of the exhaustive level's stack: 64 MB at a time
 _BLOCK = 2  # cells and headings a side: one proposal each
@@ -25,6 +26,7 @@ def propose_endpoints(
     *,
     theta_step: float,
     keep: Sequence[int],
+    prior: Prior | None = None,
     threads: int = 1,
 ) -> tuple[FloatArray, FloatArray]:
     """Propose poses whose endpoints fall on walls.
@@ -39,6 +41,8 @@ def propose_endpoints(
         Largest step between headings, radians; the coarsest level takes every second one.
     keep : sequence of int
         How many nodes each level keeps, finest first.
+    prior : Prior, optional
+        Whose headings are the only ones; its cells are in the levels' `free` already.
     threads : int
         For the exhaustive level; the result does not depend on it.
 
@@ -54,10 +58,15 @@ def propose_endpoints(
         return np.empty((0, 3)), np.empty(0)
     thetas = uniform_thetas(theta_step)
     thetas = uniform_thetas(2 * np.pi / (len(thetas) + len(thetas) % 2))
-    nodes = _exhaustive(levels[-1], xy, thetas[::2], keep[-1], threads) * (2, 1, 1)
+    wanted = np.ones(len(thetas), bool)
+    if prior is not None:  # a coarse heading stands for those beside it
+        wanted = prior.headings(thetas, 2 * np.pi / len(thetas))
+    coarse = np.flatnonzero(wanted[::2])
+    nodes = _exhaustive(levels[-1], xy, thetas[::2][coarse], keep[-1], threads)
+    nodes[:, 0] = 2 * coarse[nodes[:, 0]]
     spread = np.array([-1, 0, 1])
     for level, count in zip(levels[-2::-1], keep[-2::-1], strict=True):
-        nodes = _children(nodes, level, spread, len(thetas))
+        nodes = _children(nodes, level, spread, wanted)
         spread = np.array([0])
         scores = _score(level, xy, thetas, nodes)
         best = np.argsort(-scores, kind="stable")[:count]
@@ -89,6 +98,8 @@ def _exhaustive(
         node = np.stack(np.unravel_index(best, stack.shape), axis=1)
         nodes.append(node + (start, 0, 0))
         scores.append(stack.ravel()[best])
+    if not nodes:
+        return np.empty((0, 3), dtype=np.int64)
     order = np.argsort(-np.concatenate(scores), kind="stable")[:keep]
     return np.asarray(np.concatenate(nodes)[order], dtype=np.int64)
 
@@ -106,15 +117,15 @@ def _largest(stack: Float32Array, n: int, free: BoolArray) -> IntArray:
     return np.sort(np.concatenate((above, np.flatnonzero(at)[: n - len(above)])))
 
 
-def _children(nodes: IntArray, level: Level, spread: IntArray, n_thetas: int) -> IntArray:
+def _children(nodes: IntArray, level: Level, spread: IntArray, wanted: BoolArray) -> IntArray:
     """The four cells of each node one level down, at its own and its neighbouring headings."""
     dk, dr, dc = (g.ravel() for g in np.meshgrid(spread, [0, 1], [0, 1], indexing="ij"))
-    k = (nodes[:, :1] + dk) % n_thetas
+    k = (nodes[:, :1] + dk) % len(wanted)
     r, c = 2 * nodes[:, 1:2] + dr, 2 * nodes[:, 2:] + dc
     out = np.stack((k, r, c), axis=-1).reshape(-1, 3)
     height, width = level.free.shape
     out = out[(out[:, 1] < height) & (out[:, 2] < width)]
-    out = out[level.free[out[:, 1], out[:, 2]]]
+    out = out[level.free[out[:, 1], out[:, 2]] & wanted[out[:, 0]]]
     if len(spread) > 1:  # neighbouring headings meet in the same child
         out = out[np.sort(np.unique(_key(out), return_index=True)[1])]
     return np.asarray(out)

@@ -1,0 +1,199 @@
+"""Options that say where the robot may be, and how its sensor is mounted."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from imgloc.cli.options import check_range, numbers
+from imgloc.errors import ConfigError
+
+if TYPE_CHECKING:
+    from imgloc.model import LaserScan, OccupancyGrid, Pose2D
+    from imgloc.search.priors import Prior
+
+RADIUS, TOLERANCE = 2.0, 0.8
+"""How far from --near a robot may be, and turned how far, unless stated: metres, radians."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What the options say of the pose, map frame; None where they say nothing."""
+
+    near: tuple[float, ...] | None
+    heading: tuple[float, ...] | None
+    region: Path | None
+    clearance: float | None
+
+
+def some_numbers(least: int, most: int) -> Callable[[str], tuple[float, ...]]:
+    """Return a parser of `least` to `most` finite numbers with commas between them.
+
+    Examples
+    --------
+    >>> some_numbers(1, 2)("0.5")
+    (0.5,)
+    """
+
+    def parse(text: str) -> tuple[float, ...]:
+        count = min(max(text.count(",") + 1, least), most)
+        try:
+            return numbers(count)(text)
+        except typer.BadParameter:
+            raise typer.BadParameter(
+                f"got {text!r}, expected {least} to {most} numbers with commas between"
+            ) from None
+
+    return parse
+
+
+def known(
+    near: Annotated[
+        Any,
+        typer.Option(
+            metavar="X,Y,YAW[,R[,T]]",
+            parser=some_numbers(3, 5),
+            help="Only poses within R metres of a pose in the map frame and turned from it by at "
+            f"most T radians. [default: R = {RADIUS:g}, T = {TOLERANCE:g}]",
+        ),
+    ] = None,
+    heading: Annotated[
+        Any,
+        typer.Option(
+            metavar="YAW[,T]",
+            parser=some_numbers(1, 2),
+            help="Only poses with this heading in the map frame (a compass), up to T radians. "
+            f"[default: T = {TOLERANCE:g}]",
+        ),
+    ] = None,
+    region: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PNG",
+            help="Only poses in the white part of an image as large as the map's.",
+        ),
+    ] = None,
+    clearance: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Only poses at least M metres from what is not free: the robot's size.",
+        ),
+    ] = None,
+) -> Known:
+    """Options of the prior."""
+    if near is not None and len(near) > 3:
+        check_range("--near, R", near[3], 0.01, 1e6, "metres")
+    for option, given, place in (("--near", near, 4), ("--heading", heading, 1)):
+        if given is not None and len(given) > place:
+            check_range(f"{option}, T", given[place], 0.001, 3.2, "radians")
+    check_range("--clearance", clearance, 0, 1000, "metres")
+    return Known(near, heading, region, clearance)
+
+
+def prior_of(known: Known, grid: "OccupancyGrid") -> "Prior":
+    """Make the prior of a map.
+
+    Raises
+    ------
+    ConfigError
+        If the heading is given twice, or the region is not as large as the map.
+    MapError
+        If the region is not an image.
+    """
+    from imgloc.geometry import compose, inverse
+    from imgloc.model import Pose2D
+    from imgloc.search import priors
+
+    prior, to_grid = priors.Prior(), inverse(grid.origin)
+    if known.near is not None:
+        x, y, yaw, *rest = known.near
+        radius, tolerance = (*rest, *(RADIUS, TOLERANCE)[len(rest) :])
+        at = compose(to_grid, Pose2D(x, y, yaw))
+        disc = priors.near(grid.info, at.x, at.y, radius)
+        about = {"x": x, "y": y, "theta": yaw, "radius": radius, "tolerance": tolerance}
+        prior &= priors.Prior(disc, (at.theta, tolerance), {"near": about})
+    if known.heading is not None:
+        yaw, tolerance = (*known.heading, TOLERANCE)[:2]
+        about = {"theta": yaw, "tolerance": tolerance}
+        prior &= priors.Prior(None, (yaw + to_grid.theta, tolerance), {"heading": about})
+    if known.region is not None:
+        cells = _region(known.region, grid)
+        prior &= priors.Prior(cells, None, {"region": {"cells": int(cells.sum())}})
+    if known.clearance:
+        prior &= priors.Prior(
+            priors.clearance(grid, known.clearance), None, {"clearance": known.clearance}
+        )
+    return prior
+
+
+def _region(path: Path, grid: "OccupancyGrid") -> Any:
+    """The white pixels of an image, row 0 lowest."""
+    from imgloc.io.files import display
+    from imgloc.io.images import read_image
+
+    read = read_image(path)
+    image = read.pixels
+    if image.shape[:2] != grid.occupied.shape:
+        height, width = grid.occupied.shape
+        raise ConfigError(
+            f"{display(path)}: {image.shape[1]} x {image.shape[0]} pixels, expected "
+            f"{width} x {height} as the map"
+        )
+    grey = image if image.ndim == 2 else image[..., :3].min(axis=2)
+    cells = grey[::-1] > read.white // 2
+    if not cells.any():
+        raise ConfigError(f"{display(path)}: no white pixel, expected white where the robot may be")
+    return cells
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """How the sensor sits on the robot."""
+
+    sensor: tuple[float, float, float] | None
+    flipped: bool
+
+    def mount(self, scan: "LaserScan") -> "LaserScan":
+        """The scan as that of a sensor that is mounted upright, with the mounting pose given."""
+        from imgloc.model import Pose2D
+
+        if self.flipped:
+            scan = replace(scan, angles=-scan.angles)
+        if self.sensor is not None:
+            scan = replace(scan, T_base_laser=Pose2D(*self.sensor))
+        return scan
+
+
+def mounting(
+    sensor: Annotated[
+        Any,
+        typer.Option(
+            metavar="X,Y,YAW",
+            parser=numbers(3),
+            help="Pose of the sensor on the robot (metres, radians): poses of the robot's base are "
+            "given too. [default: what the scans say, else 0,0,0]",
+        ),
+    ] = None,
+    flipped: Annotated[
+        bool, typer.Option("--flipped", help="The sensor is upside down: its angles run clockwise.")
+    ] = False,
+) -> Mounting:
+    """Options of the mounting."""
+    return Mounting(sensor, flipped)
+
+
+def base_of(pose: "Pose2D", mount: "Pose2D") -> "Pose2D":
+    """Pose of the robot's base, of the sensor's pose and its mounting: T_map_base.
+
+    Examples
+    --------
+    >>> from imgloc.model import Pose2D
+    >>> base_of(Pose2D(1.0, 0.0, 0.0), Pose2D(0.2, 0.0, 0.0)).x
+    0.8
+    """
+    from imgloc.geometry import compose, inverse
+
+    return compose(pose, inverse(mount))
