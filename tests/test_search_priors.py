@@ -82,7 +82,7 @@ def test_radii_that_cannot_be_meant(radius):
 @pytest.fixture(scope="module")
 def visibility():
     grid = render(WORLDS["visibility"](), 0.1)
-    scans = simulate_set(grid, 6, 4, Sensor(), render(WORLDS["visibility"](), 0.01))
+    scans = simulate_set(grid, 3, 4, Sensor(), render(WORLDS["visibility"](), 0.01))
     return prepare(grid), scans
 
 

@@ -129,6 +129,7 @@ def localize(
     from imgloc.io.maps import load_map
     from imgloc.io.scans import load_scans
     from imgloc.model import Pose2D
+    from imgloc.pipeline import check_options
     from imgloc.pipeline import localize as locate
 
     not_said = Pose2D(0.0, 0.0, 0.0)
@@ -156,6 +157,7 @@ def localize(
         check_target(target, ".png", force=force)
     LOG.info("%s: %d x %d cells of %g m", display(map_path), *grid.info.shape, grid.resolution)
     LOG.info("%s: %d of %d scans", display(scans_path), len(chosen), len(scans))
+    check_options(features, options)
     if many and not as_json:
         emit(answers.HEADER)
     doubtful = 0

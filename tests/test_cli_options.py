@@ -1,0 +1,219 @@
+"""Priors, mounting, budgets and the map cache, through the real command."""
+
+import logging
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import typer
+from command import MAPS, call, rows, untimed
+
+from imgloc.cli.options import byte_count
+from imgloc.cli.priors import base_of, some_numbers
+from imgloc.io.output import encode_png, write_bytes_atomic
+from imgloc.io.scans import load_scans
+from imgloc.model import Pose2D
+
+WORLD = MAPS / "visibility.yaml"  # 140 x 200 cells of 0.1 m
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("options") / "scans.npz"
+    assert call("simulate", WORLD, "-n", 3, "--seed", 4, "--out", path).code == 0
+    return path
+
+
+def first(scans: Path, *options: object) -> dict:
+    code, out, err = call("localize", WORLD, scans, "--index", 0, "--json", *options)
+    assert code == 0, err
+    return rows(out)[0]
+
+
+def away(row: dict, scans: Path) -> float:
+    poses = load_scans(scans).poses
+    assert poses is not None
+    return float(np.hypot(row["pose"]["x"] - poses[0, 0], row["pose"]["y"] - poses[0, 1]))
+
+
+def test_near_makes_an_ambiguous_scan_unique(scans: Path) -> None:
+    assert first(scans)["verdict"] == "ambiguous"
+    told = first(scans, "--near", "2.5,1.5,-1.7")
+    assert told["verdict"] == "unique"
+    assert away(told, scans) < 0.1
+    assert told["parameters"]["prior"]["near"] == {
+        "x": 2.5, "y": 1.5, "theta": -1.7, "radius": 2.0, "tolerance": 0.8,
+    }  # fmt: skip
+
+
+def test_heading_and_clearance_combine(scans: Path) -> None:
+    row = first(scans, "--heading=-1.7,0.3", "--clearance", 0.5, "--top", 20)
+    for h in row["hypotheses"]:
+        assert abs(np.angle(np.exp(1j * (h["theta"] + 1.7)))) < 0.35
+    assert set(row["parameters"]["prior"]) == {"heading", "clearance"}
+
+
+def test_a_region_is_as_the_map_is_seen(scans: Path, tmp_path: Path) -> None:
+    mask = np.zeros((140, 200), np.uint8)
+    mask[-40:, :60] = 255  # the lower left of the image: x < 6 m, y < 4 m
+    write_bytes_atomic(tmp_path / "mask.png", encode_png(mask))
+    row = first(scans, "--region", tmp_path / "mask.png")
+    assert away(row, scans) < 0.1
+    assert all(h["x"] < 6 and h["y"] < 4 for h in row["hypotheses"])
+    assert row["parameters"]["prior"]["region"] == {"cells": 2400}
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "expected"),
+    [
+        (("--near", "1,2"), 2, "3 to 5 numbers"),
+        (("--near", "1,2,3,-4"), 2, "--near, R"),
+        (("--near", "1,2,3", "--heading", "1"), 2, "given twice"),
+        (("--near", "-50,-50,0"), 2, "leaves no cell"),
+        (("--clearance", "50"), 2, "leaves no cell"),
+        (("--clearance", "nan"), 2, "--clearance"),
+        (("--region", MAPS / "curved.png"), 2, "expected 200 x 140"),
+        (("--region", MAPS / "none.png"), 3, "none.png"),
+        (("--sensor", "1,2"), 2, "3 numbers"),
+        (("--memory-budget", "lots"), 2, "number of bytes"),
+        (("--memory-budget", "8M"), 2, "budget is 8 MiB"),
+        (("--time-budget", "0"), 2, "--time-budget"),
+        (("--time-budget", "1", "--method", "cbml"), 2, "time budget"),
+        (("--exact-argmax", "--method", "ght"), 2, "exact search"),
+        (("--cache", ".", "--no-cache"), 2, "one of them"),
+    ],
+)
+def test_refuses_what_cannot_be_meant(
+    scans: Path, options: tuple[object, ...], code: int, expected: str
+) -> None:
+    run = call("localize", WORLD, scans, *options)
+    assert (run.code, run.out) == (code, "")
+    assert expected in run.err
+
+
+def test_a_black_region_is_refused(scans: Path, tmp_path: Path) -> None:
+    write_bytes_atomic(tmp_path / "black.png", encode_png(np.zeros((140, 200), np.uint8)))
+    run = call("localize", WORLD, scans, "--region", tmp_path / "black.png")
+    assert run.code == 2
+    assert "no white pixel" in run.err
+
+
+def test_the_base_is_behind_a_sensor_mounted_in_front(scans: Path) -> None:
+    plain, mounted = first(scans), first(scans, "--sensor", "0.5,0,0")
+    assert plain["base_pose"] is None
+    assert mounted["pose"] == plain["pose"]
+    back = mounted["base_pose"]
+    theta = plain["pose"]["theta"]
+    assert back["x"] == pytest.approx(plain["pose"]["x"] - 0.5 * np.cos(theta))
+    assert back["y"] == pytest.approx(plain["pose"]["y"] - 0.5 * np.sin(theta))
+    assert mounted["hypotheses"][0]["base"] == back
+
+
+def test_a_base_turned_against_its_sensor() -> None:
+    base = base_of(Pose2D(2.0, 1.0, np.pi / 2), Pose2D(0.0, 1.0, np.pi / 2))
+    assert [base.x, base.y, base.theta] == pytest.approx([2.0, 0.0, 0.0])
+
+
+def test_flipped_undoes_a_sensor_upside_down(scans: Path, tmp_path: Path) -> None:
+    data = dict(np.load(scans))
+    data["angles"] = -data["angles"]
+    np.savez(tmp_path / "flipped.npz", **data)
+    assert first(tmp_path / "flipped.npz")["verdict"] != "unique"
+    assert first(tmp_path / "flipped.npz", "--flipped")["pose"] == first(scans)["pose"]
+
+
+def test_a_guess_is_said_to_be_one(scans: Path) -> None:
+    row = first(scans, "--near", "15,3,0,1")
+    assert row["verdict"] == "no-match"
+    assert row["pose"] is None
+    assert row["hypotheses"]
+    out = call("localize", WORLD, scans, "--index", 0, "--near", "15,3,0,1").out
+    assert "no-match" in out
+    assert "best guess" in out
+    assert "not to be trusted" in out
+
+
+def test_exact_argmax_is_that_of_the_stack(scans: Path) -> None:
+    exact = first(scans, "--method", "cbml", "--exact-argmax")
+    stack = first(scans, "--method", "cbml")
+    best, peak = exact["hypotheses"][0], stack["hypotheses"][0]
+    # The stack's answer is the mean around its highest cell.
+    assert np.hypot(best["x"] - peak["x"], best["y"] - peak["y"]) < 0.15
+    assert first(scans, "--exact-argmax")["hypotheses"][0]["mass"] > 0.1
+
+
+def test_out_of_time_is_said(scans: Path) -> None:
+    row = first(scans, "--time-budget", 0.001)
+    assert row["complete"] is False
+    assert row["hypotheses"]
+    assert first(scans, "--time-budget", 1000)["complete"] is True
+    assert "out of time" in call("localize", WORLD, scans, "--index", 0, "--time-budget", 0.001).out
+
+
+def test_the_second_run_starts_from_the_cache(scans: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "cache"
+    one = call("localize", WORLD, scans, "--json", "--cache", folder, "-v")
+    (entry,) = folder.glob("*.npz")
+    assert "kept the prepared map" in one.err
+    before = entry.stat().st_mtime_ns
+    two = call("localize", WORLD, scans, "--json", "--cache", folder, "-v")
+    assert untimed(one.out) == untimed(two.out)
+    assert "kept" not in two.err
+    assert entry.stat().st_mtime_ns == before
+    assert untimed(call("localize", WORLD, scans, "--json", "--no-cache").out) == untimed(one.out)
+
+
+def test_a_bad_entry_is_built_anew_with_a_warning(scans: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "cache"
+    good = call("localize", WORLD, scans, "--json", "--cache", folder)
+    (entry,) = folder.glob("*.npz")
+    entry.write_bytes(entry.read_bytes()[:-100])
+    run = call("localize", WORLD, scans, "--json", "--cache", folder)
+    assert run.code == 0
+    assert "built anew" in run.err
+    assert untimed(run.out) == untimed(good.out)
+
+
+def test_a_cache_that_cannot_be_written_costs_nothing(scans: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    run = call("localize", WORLD, scans, "--index", 0, "--json", "--cache", tmp_path / "file")
+    assert run.code == 0
+    assert len(rows(run.out)) == 1
+
+
+def test_memory_is_told(scans: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO):
+        run = call("localize", WORLD, scans, "--index", 0, "--memory-budget", "2G", "-v")
+    assert "the budget is 2048 MiB" in run.err + caplog.text
+
+
+@pytest.mark.parametrize(
+    ("text", "count"), [("1024", 1024), ("2k", 2048), ("1.5 GiB", 3 << 29), ("7MB", 7 << 20)]
+)
+def test_bytes(text: str, count: int) -> None:
+    assert byte_count(text) == count
+
+
+@pytest.mark.parametrize("text", ["", "-1", "M", "1e3", "2 GX"])
+def test_no_bytes(text: str) -> None:
+    with pytest.raises(typer.BadParameter):
+        byte_count(text)
+
+
+def test_some_numbers_are_enough() -> None:
+    assert some_numbers(3, 5)("1,2,3,4") == (1.0, 2.0, 3.0, 4.0)
+    for wrong in ("1,2", "1,2,3,4,5,6", "1,2,x"):
+        with pytest.raises(typer.BadParameter, match="3 to 5"):
+            some_numbers(3, 5)(wrong)
+
+
+def test_opencv_is_not_asked_to_read_a_mask(tmp_path: Path, scans: Path) -> None:
+    mask = np.full((140, 200, 3), 255, np.uint8)
+    mask[..., 2] = 0  # coloured is not white
+    mask[:70] = 255
+    ok, png = cv2.imencode(".png", mask)
+    assert ok
+    (tmp_path / "colour.png").write_bytes(png.tobytes())
+    row = first(scans, "--region", tmp_path / "colour.png")
+    assert row["parameters"]["prior"]["region"] == {"cells": 70 * 200}
