@@ -12,6 +12,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.beam import beam, heading_sigma
+from imgloc.likelihood.calibration import Calibration
 from imgloc.likelihood.cbml import cbml, cbml_o
 from imgloc.likelihood.ght import ght, ght_v
 from imgloc.model import Float32Array, FloatArray, LaserScan, Likelihood
@@ -51,6 +52,8 @@ class Options:
         The poses that may be.
     fused : FusedOptions
     trust : Trust
+    calibration : Calibration, optional
+        What makes a probability of a stack; None takes the method's default. ``fused`` has none.
     """
 
     method: str = FUSED
@@ -64,6 +67,7 @@ class Options:
     prior: Prior = field(default_factory=Prior)
     fused: FusedOptions = field(default_factory=FusedOptions)
     trust: Trust = field(default_factory=Trust)
+    calibration: Calibration | None = None
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from imgloc.features.budget import check_budget, default_budget, exact_bytes, fu
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import compose, rotate_covariance, uniform_thetas
 from imgloc.io.maps import require_usable
+from imgloc.likelihood.calibration import DEFAULTS
 from imgloc.methods import (
     ALL_METHODS,
     FUSED,
@@ -47,7 +48,8 @@ from imgloc.searches import (
 
 __all__ = [
     "ALL_METHODS", "FUSED", "METHODS", "Found", "Method", "Options", "Trust", "check_method",
-    "effective", "found_in_stack", "in_map_frame", "likelihood", "localize", "prepare",
+    "check_options", "effective", "found_in_stack", "in_map_frame", "likelihood", "localize",
+    "prepare",
 ]  # fmt: skip
 
 
@@ -96,7 +98,7 @@ def localize(
         sensor can be is in the prior.
     """
     options = options or Options()
-    _check(features, options)
+    check_options(features, options)
     start = time.perf_counter()
     valid = int(scan.valid.sum())
     found = NOTHING
@@ -120,8 +122,15 @@ def localize(
     )
 
 
-def _check(features: MapFeatures, options: Options) -> None:
-    """Refuse what cannot be done before anything is done."""
+def check_options(features: MapFeatures, options: Options) -> None:
+    """Refuse what :func:`localize` cannot do, before anything is done.
+
+    Raises
+    ------
+    ConfigError
+        If an option is out of its range, the memory budget too small, or no pose in which a
+        sensor can be is in the prior.
+    """
     if options.top < 1:
         raise ConfigError(f"top must be at least 1, got {options.top}")
     check_method(options.method, ALL_METHODS)
@@ -170,8 +179,11 @@ def effective(options: Options, features: MapFeatures) -> dict[str, object]:
         del out["time_budget"]
     if options.method == FUSED:
         del out["theta_step"], out["engine"]
-    elif out["theta_step"] is None:
-        out["theta_step"] = float(np.deg2rad(METHODS[options.method].theta_step_deg))
+        del out["calibration"]
+    else:
+        if out["theta_step"] is None:
+            out["theta_step"] = float(np.deg2rad(METHODS[options.method].theta_step_deg))
+        out["calibration"] = asdict(options.calibration or DEFAULTS[options.method])
     about_map = {f.name: getattr(features, f.name) for f in fields(features)}
     for name in ("grid", "max_bytes", "threads"):
         del about_map[name]

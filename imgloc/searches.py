@@ -8,10 +8,9 @@ import numpy as np
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pooled import block_masks
 from imgloc.geometry import centre_of
-from imgloc.likelihood.beam import temperature
-from imgloc.likelihood.posterior import LOG_METHODS, posterior
+from imgloc.likelihood.posterior import calibrated
 from imgloc.methods import Options, headings_of, likelihood
-from imgloc.model import FloatArray, Hypothesis, IntArray, LaserScan, Likelihood
+from imgloc.model import Float32Array, FloatArray, Hypothesis, IntArray, LaserScan, Likelihood
 from imgloc.search.branch_and_bound import Best, best_poses
 from imgloc.search.fused import scan_xy, search_fused, thin
 from imgloc.search.hypotheses import as_hypotheses, covariances, entropy, masses
@@ -144,24 +143,24 @@ def find_stack(features: MapFeatures, scan: LaserScan, options: Options) -> Foun
     return found_in_stack(features, scan, likelihood(features, scan, options), options)
 
 
+def probability_of(
+    features: MapFeatures, scan: LaserScan, stack: Likelihood, options: Options
+) -> Float32Array:
+    """The calibrated posterior (K, H, W) of a stack over the poses of the prior."""
+    return calibrated(
+        stack,
+        options.prior.lattice(features.free, features.factor),
+        int(scan.valid.sum()),
+        options.calibration,
+        headings=options.prior.headings(stack.thetas),
+    )
+
+
 def found_in_stack(
     features: MapFeatures, scan: LaserScan, stack: Likelihood, options: Options
 ) -> Found:
     """Peaks of the posterior of a full stack, with the mass and the moments around each."""
-    prior, values = options.prior, stack.values
-    excluded = ~prior.headings(stack.thetas)
-    if excluded.any():
-        values = np.where(
-            excluded[:, None, None],
-            np.float32(-np.inf if stack.method in LOG_METHODS else 0),
-            values,
-        )
-    probability = posterior(
-        values,
-        stack.method,
-        prior.lattice(features.free, features.factor),
-        temperature=temperature(int(scan.valid.sum())) if stack.method == "beam" else 1.0,
-    )
+    probability = probability_of(features, scan, stack, options)
     # More peaks than asked for: some are neighbours on the slope of one mode.
     peaks = find_peaks(probability, 4 * options.top, radius=2)
     poses, mass, covariance = peak_moments(probability, peaks, stack.thetas, stack.grid.resolution)
@@ -171,7 +170,7 @@ def found_in_stack(
     best, _ = separated(poses, len(poses), distance=distance, angle=angle)
     poses, mass, covariance, peaks = poses[best], mass[best], covariance[best], peaks[best]
     evidence, _ = _settled(features, scan, poses[:1], options)
-    # The masses of votes are no calibrated ones: that they are spread says nothing of the scan.
+    # Votes are spread where walls are few, too: that says nothing of the scan.
     elsewhere = options.trust.mass_elsewhere(_misfit(evidence, options), 1.0)
     uniform = 1 / (len(stack.thetas) * np.count_nonzero(features.free))
     with np.errstate(divide="ignore"):

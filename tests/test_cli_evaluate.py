@@ -1,5 +1,6 @@
 """`imgloc evaluate`, from the command line to its table and its JSON."""
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from command import MAPS, call, rows, spawn
 from imgloc.geometry import transform_poses
 from imgloc.io.maps import load_map, save_map
 from imgloc.io.scans import ScanSet, load_scans, save_scans
+from imgloc.likelihood.calibration import DEFAULTS
 from imgloc.model import OccupancyGrid, Pose2D
 
 CURVED = MAPS / "curved.yaml"
@@ -58,7 +60,11 @@ def test_simulated_scans_on_a_bundled_map_called_by_its_name() -> None:
     assert fused["success"][0]["at_1"]["hits"] == 3
     assert fused["verdicts"]["unique"]["value"] == 1
     assert fused["success"][2]["unique_wrong"]["hits"] == 0
-    assert votes["verdicts"] is None
+    assert sum(share["hits"] for share in votes["verdicts"].values()) == 3
+    assert votes["index_calibrated"]["value"] > votes["index"]["value"] + 2
+    assert fused["index_calibrated"]["value"] < fused["lattice"]["log_poses"]
+    calibration = votes["parameters"]["calibration"]
+    assert calibration == dataclasses.asdict(DEFAULTS["ght-v"])
     assert votes["lattice"]["theta_step"] == pytest.approx(np.deg2rad(30))  # the paper's
     assert votes["stack_bytes"] == 4 * votes["lattice"]["poses_box"]
     assert votes["cost"]["ns_per_unit"] > 0

@@ -4,13 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
-from imgloc.draw.figures import draw_comparison, draw_fields, draw_scan, lettered, ring
+from imgloc.draw.figures import cross, draw_comparison, draw_fields, draw_scan, lettered, ring
 from imgloc.experiments.reproduce import figure
 from imgloc.experiments.scenes import SETTINGS, scene
 from imgloc.geometry import cell_of
 from imgloc.model import OccupancyGrid, OrientedPoints, Pose2D
 
-RED = (60, 20, 220)
+RED, BLUE = (60, 20, 220), (178, 114, 0)
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +57,21 @@ def test_panels_get_letters_in_order():
     assert [c for c, _ in lettered([("a map", one), ("CBML", one)])] == ["(a) a map", "(b) CBML"]
 
 
+def test_panels_get_a_frame_and_keep_what_is_in_it():
+    (_, framed), *_ = lettered([("a map", np.full((5, 7, 3), 9, np.uint8))])
+    assert (framed[1:-1, 1:-1] == 9).all()
+    assert (framed[[0, -1]] != 9).all()
+    assert (framed[:, [0, -1]] != 9).all()
+
+
+def test_a_cross_lies_on_its_position():
+    info = OccupancyGrid(np.zeros((20, 40), bool), np.ones((20, 40), bool), 0.1).info
+    image = cross(np.zeros((200, 400, 3), np.uint8), info, np.array((3.0, 0.5)))
+    rows, columns = np.nonzero((image == BLUE).all(axis=2))
+    assert abs(columns.mean() - 300) < 1
+    assert abs(rows.mean() - 150) < 1  # row 0 is at the top
+
+
 def test_a_ring_leaves_what_is_in_it():
     image = np.full((200, 200, 3), 7, np.uint8)
     info = OccupancyGrid(np.zeros((20, 20), bool), np.ones((20, 20), bool), 0.1).info
@@ -80,13 +95,23 @@ def test_a_scan_lies_where_it_was_taken():
     assert abs(columns.mean() - 200) < 8
 
 
+def test_a_scan_lies_on_a_trace_of_the_map():
+    wall = np.zeros((40, 40), bool)
+    wall[5] = True
+    grid = OccupancyGrid(wall, ~wall, 0.1)
+    none = OrientedPoints(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0, bool))
+    image = draw_scan(grid, Pose2D(2.0, 3.0, 0.0), none, scale=10)
+    assert 200 < image[400 - 55, 200].min() < 255  # pale
+    assert (image[400 - 155, 200] == 255).all()
+
+
 def test_fields_have_arrows_and_six_panels(scenes):
     s, f = scenes["fig4"], scenes["fig4"].features
-    window = (19.5, 18.0, 28.5, 27.0)
+    window = (21.0, 20.0, 27.0, 26.0)
     image = draw_fields(
         f.grid, f.surface, f.bmap, f.vmap, s.truth, s.points, s.stacks, window=window
     )
-    assert image.shape[1] > 2.5 * 90 * 6  # three panels of 90 cells
+    assert image.shape[1] > 2.5 * 60 * 9  # three panels of 60 cells
     saturation = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)[..., 1]
     assert (saturation > 100).mean() > 0.02  # directions are colours
 
@@ -97,6 +122,16 @@ def test_comparisons_mark_the_pose_in_each_panel(scenes):
     red = (image == RED).all(axis=2).astype(np.uint8)
     count = cv2.connectedComponents(cv2.dilate(red, np.ones((5, 5), np.uint8)))[0] - 1
     assert count == 2 + len(s.stacks)
+
+
+def test_a_maximum_is_marked_where_it_is_not_the_true_pose(scenes):
+    s, f = scenes["fig2"], scenes["fig2"].features
+    marked = []
+    for truth in (s.truth, Pose2D(s.truth.x + 2.0, s.truth.y, s.truth.theta)):
+        image = draw_comparison(f.grid, truth, s.points, s.stacks, scale=2)
+        blue = (image == BLUE).all(axis=2).astype(np.uint8)
+        marked.append(cv2.connectedComponents(cv2.dilate(blue, np.ones((5, 5), np.uint8)))[0] - 1)
+    assert marked == [0, len(s.stacks)]
 
 
 def test_figures_are_named_after_the_papers():

@@ -63,9 +63,24 @@ def test_a_temperature_divides_the_evidence(values, free, temperature):
 
 
 @pytest.mark.parametrize("method", VOTES)
-def test_votes_have_no_temperature(method):
-    values, free = np.array([[[1.0, 3.0]]], np.float32), np.ones((1, 2), bool)
-    assert posterior(values, method, free, temperature=9.0)[0, 0].tolist() == [0.25, 0.75]
+def test_votes_are_raised_to_a_power(method):
+    # Outside the pose space there may be more of them: a power of that must not overflow.
+    values, free = np.array([[[1.0, 3.0, -1.0, 1e9]]], np.float32), np.array([[1, 1, 1, 0]], bool)
+    got = posterior(values, method, free, temperature=1 / 3)[0, 0]
+    np.testing.assert_allclose(got, [1 / 28, 27 / 28, 0, 0], rtol=1e-5)
+    cold = posterior(values, method, free, temperature=1e-3)[0, 0]
+    assert cold.tolist() == [0, 1, 0, 0]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_headings_may_be_excluded(method):
+    values = np.array([[[9.0]], [[1.0]], [[2.0]]], np.float32)
+    wanted = np.array([False, True, True])
+    got = posterior(values, method, np.ones((1, 1), bool), headings=wanted)
+    np.testing.assert_array_equal(
+        got[1:], posterior(values[1:], method, np.ones((1, 1), bool)), strict=True
+    )
+    assert got[0, 0, 0] == 0
 
 
 def test_a_hot_posterior_still_counts_what_is_far_below():

@@ -19,6 +19,7 @@ import cv2
 from imgloc.cli.answers import to_json
 from imgloc.cli.console import progress
 from imgloc.errors import ConfigError, ImglocError, OutputError
+from imgloc.experiments.paper import PLACES
 from imgloc.experiments.reproduce import QUICK, Reproduction, as_dict, reproduce, steps
 from imgloc.experiments.scenes import SETTINGS
 from imgloc.io.output import refuse_existing, write_bytes_atomic, write_text_atomic
@@ -35,6 +36,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, required=True, help="folder, made if need be")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK} trials, time nothing twice")
     parser.add_argument("-n", type=int, help="trials in each world (default: 100)")
+    parser.add_argument(
+        "--worlds", nargs="+", choices=tuple(PLACES), default=tuple(PLACES), metavar="WORLD",
+        help="of the table (default: visibility large curved)",
+    )  # fmt: skip
     parser.add_argument("--seed", type=int, default=0, help="of everything random (default: 0)")
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--force", action="store_true", help="overwrite files in --out")
@@ -62,8 +67,12 @@ def run(given: argparse.Namespace) -> int:
         for name in FILES:  # now, not after minutes of work
             refuse_existing(given.out / name)
     cv2.setNumThreads(given.threads)
-    with progress("the paper's experiment", steps(n), lines=False) as advance:
-        found = reproduce(n, given.seed, quick=given.quick, threads=given.threads, advance=advance)
+    worlds = tuple(dict.fromkeys(given.worlds))
+    total = steps(n, worlds, quick=given.quick)
+    with progress("the paper's experiment", total, lines=False) as advance:
+        found = reproduce(
+            n, given.seed, worlds=worlds, quick=given.quick, threads=given.threads, advance=advance
+        )
     write(given.out, found, force=given.force)
     for row in found.rows:
         paper = "" if row.paper is None else f", the paper's {row.paper:.2f}"

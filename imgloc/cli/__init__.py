@@ -6,6 +6,8 @@ from typing import Annotated
 import typer
 
 from imgloc import __version__
+from imgloc.cli.atlas import atlas
+from imgloc.cli.calibrate import calibrate
 from imgloc.cli.console import Group, emit
 from imgloc.cli.demo import demo
 from imgloc.cli.evaluate import evaluate
@@ -13,6 +15,7 @@ from imgloc.cli.localize import localize
 from imgloc.cli.maps import check, show
 from imgloc.cli.options import examples
 from imgloc.cli.simulate import simulate
+from imgloc.cli.which import which
 
 _OPTIONS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
@@ -40,8 +43,8 @@ _HELP = """Where am I on this map?
 Finds the pose of a 2-D laser scan in a map that is an image, without an initial guess, and says
 whether to trust it.
 
-Exit codes: 0 ok, 1 internal or output, 2 usage, 3 bad map, 4 bad scan, 6 not unique (with
---strict).
+Exit codes: 0 ok, 1 internal or output, 2 usage, 3 bad map, 4 bad scan, 5 some maps failed,
+6 not unique (with --strict).
 """
 
 
@@ -96,6 +99,27 @@ app.command(
         "imgloc evaluate curved --methods ght,ght-v --theta-step-deg ght=10 --cell 0.2",
     )
 )(evaluate)
+app.command(
+    epilog=examples(
+        "imgloc calibrate office.yaml",
+        "imgloc calibrate office.yaml --methods ght-v,beam --rays 360 --fov-deg 360 --range-max 12",
+        "imgloc calibrate floor1.yaml floor2.yaml -n 15 --json",
+        "imgloc calibrate curved visibility --dry-run",
+    )
+)(calibrate)
+app.command(
+    epilog=examples(
+        "imgloc atlas office.yaml --out atlas.png",
+        "imgloc atlas office.yaml --out atlas.png --csv atlas.csv --rays 360 --fov-deg 360",
+        "imgloc atlas visibility --out atlas.png --range-max 5 --json",
+    )
+)(atlas)
+app.command(
+    epilog=examples(
+        "imgloc which floors scans.npz",
+        "imgloc which floors scan.csv --range-max 20 --json",
+    )
+)(which)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -48,7 +48,7 @@ def as_json(
     row = {
         "index": index,
         "verdict": answer.verdict,
-        "pose": None if pose is None else _pose(pose),
+        "pose": as_pose(pose),
         "base_pose": None if pose is None or mount is None else _pose(base_of(pose, mount)),
         "hypotheses": [
             _pose(h.pose)
@@ -157,6 +157,11 @@ def describe(pose: Pose2D) -> str:
 def difference(a: Pose2D, b: Pose2D) -> tuple[float, float]:
     """Distance in metres and angle in radians, 0..pi, between two poses."""
     return math.hypot(a.x - b.x, a.y - b.y), abs(Pose2D(0.0, 0.0, a.theta - b.theta).theta)
+
+
+def as_pose(pose: Pose2D | None) -> dict[str, float | list[list[float]]] | None:
+    """A pose as plain values; None stays None."""
+    return None if pose is None else _pose(pose)
 
 
 def _pose(pose: Pose2D) -> dict[str, float | list[list[float]]]:

@@ -1,6 +1,6 @@
 """`imgloc evaluate`: how often, how precisely and how fast each method finds known poses."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from imgloc.cli.console import LOG, emit, progress
+from imgloc.cli.methodlists import for_each, methods_of, number_of
 from imgloc.cli.options import (
     AllowLossy,
     AsJson,
@@ -29,7 +30,6 @@ from imgloc.cli.sources import (
     short_name,
     simulated,
 )
-from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
     from imgloc.experiments.scansets import Sensor
@@ -99,12 +99,14 @@ def evaluate(
 
     S is the paper's performance index (eq. 12), the mean logarithm of the density at the true pose
     relative to that of no idea at all: 0 knows nothing, S max is certainty on a lattice of poses.
-    The paper's methods run on its cells: 3 degrees (cbml, cbml-o, beam) and 30 (ght, ght-v).
+    S calibrated is that of the posterior which localize uses, see `imgloc calibrate`; for fused it
+    is on the lattice, too, where S of its Gaussians may be above S max. The paper's methods run on
+    its cells: 3 degrees (cbml, cbml-o, beam) and 30 (ght, ght-v).
     Everything but what is under "cost" is the same in every run.
     """
-    chosen = _methods(methods)
-    steps = _for_each("--theta-step-deg", theta_step_deg, chosen, 0.05, 180, "degrees")
-    cells = _for_each("--cell", cell, chosen, 0.001, 10, "metres")
+    chosen = methods_of(methods, list(MethodName))
+    steps = for_each("--theta-step-deg", theta_step_deg, chosen, 0.05, 180, "degrees")
+    cells = for_each("--cell", cell, chosen, 0.001, 10, "metres")
     check_range("--range-max", range_max, 1e-3, 10_000, "metres")
     check_range("--floor", floor, 1e-12, 0.5, "a share")
     tolerances = [_tolerance(text) for text in tolerance or ()]
@@ -116,6 +118,7 @@ def evaluate(
     from imgloc.cli import answers, tables
     from imgloc.experiments import evaluate as experiment
     from imgloc.experiments.summary import TOLERANCES, Tolerance
+    from imgloc.io.calibration import calibration_path, load_calibrations
     from imgloc.io.files import display
     from imgloc.pipeline import prepare
 
@@ -126,6 +129,7 @@ def evaluate(
     for k, given in enumerate(maps):
         path, name = find_map(given), short_name(given)
         grid = load_usable(path, reading, allow_lossy=allow_lossy)
+        calibrations = load_calibrations(calibration_path(path), grid)
         source: dict[str, object] = {"map": display(path)}
         if scans is None:
             laser = replace(sensor, range_max=30.0 if range_max is None else range_max)
@@ -140,6 +144,7 @@ def evaluate(
             options = experiment.method_options(
                 method, None if step is None else float(np.deg2rad(step)), workers
             )
+            options = replace(options, calibration=calibrations.get(method))
             # Each method has features of its own: their bytes are what it needs.
             features = prepare(grid, display(path), cell=cells.get(method, 0.1), threads=workers)
             with progress(f"{name}: {method}", len(trials), lines=False) as advance:
@@ -161,41 +166,9 @@ def evaluate(
         emit(tables.evaluation(table))
 
 
-def _methods(text: str) -> list[str]:
-    """Names of methods, each once, in the order given."""
-    names = [name.strip() for name in text.split(",")]
-    for name in names:
-        if name not in list(MethodName):
-            raise ConfigError(f"--methods: got {name!r}, expected {_METHODS} or some of them")
-    return list(dict.fromkeys(names))
-
-
-def _for_each(
-    option: str, texts: Sequence[str] | None, methods: Sequence[str], low: float, high: float,
-    unit: str,
-) -> dict[str, float]:  # fmt: skip
-    """Values by method of an option given as VALUE, for all, or METHOD=VALUE."""
-    out: dict[str, float] = {}
-    for text in sorted(texts or (), key=lambda t: "=" in t):  # those for one method win
-        name, _, number = text.rpartition("=")
-        if name and name not in methods:
-            raise ConfigError(f"{option}: got {text!r}, {name!r} is not one of --methods")
-        value = _number(option, number)
-        check_range(option, value, low, high, unit)
-        out |= dict.fromkeys([name] if name else methods, value)
-    return out
-
-
 def _tolerance(text: str) -> tuple[float, float]:
     metres, _, degrees = text.partition(",")
-    values = _number("--tolerance", metres), _number("--tolerance", degrees)
+    values = number_of("--tolerance", metres), number_of("--tolerance", degrees)
     check_range("--tolerance", values[0], 1e-6, 1e6, "metres")
     check_range("--tolerance", values[1], 1e-6, 360, "degrees")
     return values
-
-
-def _number(option: str, text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise ConfigError(f"{option}: got {text!r}, expected a number") from None

@@ -125,6 +125,7 @@ def localize(
     from imgloc.cli import answers
     from imgloc.cli.pictures import picture_name, write_hypotheses
     from imgloc.cli.prepared import cache_folder, keep_features, open_features
+    from imgloc.io.calibration import calibration_path, load_calibrations
     from imgloc.io.files import display
     from imgloc.io.maps import load_map
     from imgloc.io.scans import load_scans
@@ -144,6 +145,7 @@ def localize(
         time_budget=time_budget,
         exact=exact_argmax,
         prior=prior_of(known, grid),
+        calibration=load_calibrations(calibration_path(map_path), grid).get(method.value),
     )
     folder = cache_folder(cache, wanted=not no_cache)
     features = open_features(

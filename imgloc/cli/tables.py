@@ -65,6 +65,7 @@ def _index(row: Mapping[str, Any]) -> dict[str, str]:
     return {
         "cell": f"{row['lattice']['cell']:g} m {math.degrees(step):.3g} deg",
         "S +- s.e.": _estimate(row["index"]),
+        "S calibrated": _estimate(row["index_calibrated"]),
         "S max": f"{row['lattice']['log_poses']:.2f}",
         "S box +- s.e.": _estimate(row["index_box"]),
         "floored": str(row["index"]["floored"]),
@@ -80,8 +81,8 @@ def _success(row: Mapping[str, Any]) -> dict[str, str]:
         near = f"{s['tolerance']['position']:g} m {math.degrees(s['tolerance']['heading']):.3g} deg"
         out |= {f"{near} @1": _share(s["at_1"]), f"{near} @5": _share(s["at_5"])}
     wrong = row["success"][-1]["unique_wrong"]
-    out["unique"] = "-" if row["verdicts"] is None else _share(row["verdicts"]["unique"])
-    out["unique, wrong"] = "-" if wrong is None else _share(wrong)
+    out["unique"] = _share(row["verdicts"]["unique"])
+    out["unique, wrong"] = _share(wrong)
     return out
 
 

@@ -66,7 +66,7 @@ def draw_field(
     canvas = sheet(wheel(np.arctan2(y, x), 0.55 * strength), info, scale)
     apart = step or max(1, round(14 / (canvas.px_per_m * resolution)))
     rows, columns = _strongest(strength, apart)
-    centre = (np.column_stack((columns, rows)) + 0.5) * resolution
+    centre = (np.column_stack((columns // apart, rows // apart)) + 0.5) * apart * resolution
     length = 0.9 * apart * resolution
     arrow = np.column_stack((x[rows, columns], y[rows, columns]))
     arrow *= (length / np.maximum(np.hypot(*arrow.T), 1e-12) * strength[rows, columns])[:, None]

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from imgloc.draw.answers import draw_likelihood
@@ -14,6 +15,7 @@ from imgloc.draw.scalars import draw_bmap
 from imgloc.geometry import transform_points
 from imgloc.model import (
     Float32Array,
+    FloatArray,
     GridInfo,
     Likelihood,
     OccupancyGrid,
@@ -22,17 +24,19 @@ from imgloc.model import (
 )
 
 _TRUTH = (60, 20, 220)
+_MAXIMUM = (178, 114, 0)
+_FRAME = (205, 199, 193)
+_APART = 0.3  # metres from the true pose at which a maximum is marked
 
 
 def draw_scan(
     grid: OccupancyGrid, truth: Pose2D, points: OrientedPoints, *, scale: int | None = None
 ) -> Picture:
-    """Draw a scan with its normals where it was taken, on an empty sheet as large as the map.
+    """Draw a scan with its normals where it was taken, on a sheet with a trace of the map.
 
     Parameters
     ----------
     grid : OccupancyGrid
-        Only its size counts.
     truth : Pose2D
         Grid frame.
     points : OrientedPoints
@@ -44,12 +48,12 @@ def draw_scan(
     -------
     (H * scale, W * scale, 3) uint8 array
     """
-    nothing = np.zeros(grid.occupied.shape, bool)
     there = OrientedPoints(
         transform_points(truth, points.xy), points.alpha + truth.theta, points.sigma_alpha,
         points.valid,
     )  # fmt: skip
-    sheet = OccupancyGrid(nothing, ~nothing, grid.resolution)
+    # Walls are drawn as what is unknown, pale: the scan is what is to be seen.
+    sheet = OccupancyGrid(np.zeros_like(grid.occupied), ~grid.occupied, grid.resolution)
     return ring(draw_surface(sheet, there, scale=scale), grid.info, truth)
 
 
@@ -77,6 +81,16 @@ def ring(image: Picture, info: GridInfo, pose: Pose2D) -> Picture:
     return image
 
 
+def cross(image: Picture, info: GridInfo, xy: FloatArray) -> Picture:
+    """Mark a position (2,), metres in the grid frame, by an oblique cross; returns `image`."""
+    canvas = Canvas(image, image.shape[1] / (info.width * info.resolution))
+    arm = 0.8 * marker_size(canvas) / canvas.px_per_m * np.array((1.0, 1.0))
+    strokes = np.stack([xy + np.outer((-1, 1), arm * turn) for turn in ((1, 1), (1, -1))])
+    for colour, thickness in ((PAPER, 5), (_MAXIMUM, 2)):
+        canvas.lines(strokes, colour, thickness)
+    return image
+
+
 def draw_comparison(
     grid: OccupancyGrid,
     truth: Pose2D,
@@ -92,7 +106,7 @@ def draw_comparison(
     ----------
     grid : OccupancyGrid
     truth : Pose2D
-        Grid frame; marked red in every panel.
+        Grid frame; a red ring in every panel. A blue cross is a maximum that is elsewhere.
     points : OrientedPoints
         Of the scan, sensor frame.
     stacks : sequence of (str, Likelihood)
@@ -123,7 +137,7 @@ def draw_fields(
     stacks: Sequence[tuple[str, Likelihood]],
     *,
     window: tuple[float, float, float, float],
-    scale: int = 6,
+    scale: int = 9,
 ) -> Picture:
     """Draw what CBML and CBML-O make of a map, Fig. 4, and what comes of it near a pose.
 
@@ -173,11 +187,17 @@ def draw_fields(
 
 
 def _likelihood(stack: Likelihood, grid: OccupancyGrid, truth: Pose2D, scale: int) -> Picture:
-    return ring(draw_likelihood(stack, grid=grid, scale=scale), stack.grid, truth)
+    """One method's panel: its likelihood, the true pose, the maximum if it is elsewhere."""
+    best = np.where(grid.free, stack.values.max(axis=0), -np.inf)
+    row, column = np.unravel_index(int(best.argmax()), best.shape)
+    at = np.array((column + 0.5, row + 0.5)) * stack.grid.resolution
+    panel = ring(draw_likelihood(stack, grid=grid, scale=scale), stack.grid, truth)
+    elsewhere = np.hypot(*(at - (truth.x, truth.y))) > _APART
+    return cross(panel, stack.grid, at) if elsewhere else panel
 
 
 def lettered(panels: Sequence[tuple[str, Picture]]) -> list[tuple[str, Picture]]:
-    """Put (a), (b), ... before the captions.
+    """Put (a), (b), ... before the captions, and a thin frame on each panel.
 
     Examples
     --------
@@ -185,4 +205,13 @@ def lettered(panels: Sequence[tuple[str, Picture]]) -> list[tuple[str, Picture]]
     >>> [caption for caption, _ in lettered([("map", one), ("CBML", one)])]
     ['(a) map', '(b) CBML']
     """
-    return [(f"({chr(ord('a') + k)}) {caption}", p) for k, (caption, p) in enumerate(panels)]
+    return [
+        (f"({chr(ord('a') + k)}) {caption}", framed(p)) for k, (caption, p) in enumerate(panels)
+    ]
+
+
+def framed(picture: Picture) -> Picture:
+    """Replace the outermost pixels by a thin line."""
+    out = picture.copy()
+    cv2.rectangle(out, (0, 0), (out.shape[1] - 1, out.shape[0] - 1), _FRAME, 1)
+    return out

@@ -77,11 +77,13 @@ def draw(complexity: Complexity) -> npt.NDArray[np.uint8]:
             ticks = sorted({s.value for s in complexity.samples if s.axis == axis})
             panel.set_xticks(ticks, [f"{t:,.0f}" if t >= 100 else f"{t:.3g}" for t in ticks])
             panel.grid(alpha=0.25)
-            panel.legend(fontsize=6, loc="best", framealpha=0.7)
+            panel.legend(fontsize=6.5, loc="upper left", ncols=2, framealpha=1, edgecolor="none")
             if j == 0:
                 panel.set_ylabel(_ROWS[quantity])
             if i == len(rows) - 1:
                 panel.set_xlabel(_LABELS[axis])
+        low, high = panels[i, 0].get_ylim()
+        panels[i, 0].set_ylim(low, high * (high / low) ** 0.35)  # room for the legends
     figure.suptitle(f"Growth in the world '{complexity.world}': exponents fitted (the paper's)")
     canvas.draw()
     return np.asarray(cv2.cvtColor(np.asarray(canvas.buffer_rgba()), cv2.COLOR_RGBA2BGR), np.uint8)

@@ -15,6 +15,8 @@ AXES: Mapping[str, tuple[float, ...]] = MappingProxyType(
 )
 """What grows: copies of the world, cells per metre, headings, readings."""
 QUANTITIES = ("init_s", "storage", "run_s", "init_work", "work")
+TIMES = ("init_s", "run_s")
+"""Those that two runs do not share."""
 BASE: Mapping[str, float] = MappingProxyType({"A": 1, "rho_m": 10, "rho_theta": 60, "n": 181})
 """The value of each axis while another one grows."""
 

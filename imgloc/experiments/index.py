@@ -23,6 +23,9 @@ FLOOR = 1e-3
 """Share of the uniform density in every density: a trial counts -6.9 nats or more."""
 
 
+_SAMPLES = 16  # along each side of a cell: a Gaussian is hardly narrower than 6 mm
+
+
 @dataclass(frozen=True)
 class Index:
     """S of some trials.
@@ -74,13 +77,17 @@ def performance_index(densities: Sequence[float], floor: float = FLOOR) -> Index
     p = np.asarray(densities, dtype=np.float64)
     if not (np.isfinite(p).all() and (p >= 0).all()):
         raise ValueError("densities must be finite and not negative")
-    logs = np.log((1 - floor) * p + floor)
+    return index_of(np.log((1 - floor) * p + floor), floor)
+
+
+def index_of(logs: FloatArray, floor: float) -> Index:
+    """Average logarithms (n,) of relative densities into which `floor` is mixed already."""
     n = len(logs)
     return Index(
         value=float(logs.mean()) if n else float("nan"),
         standard_error=float(logs.std(ddof=1) / np.sqrt(n)) if n > 1 else float("nan"),
         trials=n,
-        floored=int((p < floor).sum()),
+        floored=int((logs < np.log((1 - floor) * floor + floor)).sum()),
         floor=floor,
     )
 
@@ -163,14 +170,52 @@ def density_at(answer: Localization, pose: Pose2D, volume: float) -> float:
     >>> round(density_at(answer, Pose2D(1, 2, 3), 10.0), 2)  # 0.6 * 10 / (2 pi 0.01)^1.5 + 0.4
     381.36
     """
+    return float(_mixture(answer, np.array([[pose.x, pose.y, pose.theta]]), volume)[0])
+
+
+def density_in_cell(
+    answer: Localization, pose: Pose2D, cell: float, theta_step: float, poses: int
+) -> float:
+    """Relative density of an answer made of hypotheses, on a lattice: ``p N`` of a cell.
+
+    What :func:`density_at` says is finer than any lattice; this is to be compared with a stack.
+
+    Parameters
+    ----------
+    answer : Localization
+    pose : Pose2D
+        Centre of the cell, in the map frame; its sides are those of the grid, whose axes the
+        map's are taken for when the two are turned.
+    cell, theta_step : float
+        Sides of the cell, metres and radians.
+    poses : int
+        N, cells of the pose space.
+
+    Examples
+    --------
+    >>> from imgloc.model import Hypothesis
+    >>> one = Hypothesis(Pose2D(1, 2, 3), 0.0, 0.9, np.diag([1e-4, 1e-4, 1e-4]))
+    >>> answer = Localization((one,), "unique", 0.0, 1.0)
+    >>> round(density_in_cell(answer, Pose2D(1, 2, 3), 0.1, 0.1, 1000), 1)  # 0.9 * 1000 + 0.1
+    900.1
+    """
+    steps = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
+    x, y, theta = np.meshgrid(steps * cell, steps * cell, steps * theta_step, indexing="ij")
+    around = np.stack((x, y, theta), axis=-1).reshape(-1, 3) + (pose.x, pose.y, pose.theta)
+    return float(_mixture(answer, around, poses * cell**2 * theta_step).mean())
+
+
+def _mixture(answer: Localization, poses: FloatArray, volume: float) -> FloatArray:
+    """Relative densities (N,) of an answer at poses (N, 3)."""
     rest = max(0.0, 1.0 - sum(h.mass for h in answer.hypotheses))
-    total = rest / volume
+    total = np.full(len(poses), rest / volume)
     for h in answer.hypotheses:
-        d = np.array([pose.x - h.pose.x, pose.y - h.pose.y, wrap(pose.theta - h.pose.theta)])
-        exponent = -0.5 * float(d @ np.linalg.solve(h.covariance, d))
+        d = poses - (h.pose.x, h.pose.y, h.pose.theta)
+        d[:, 2] = wrap(d[:, 2])
+        exponent = -0.5 * np.einsum("ni,ni->n", d, np.linalg.solve(h.covariance, d.T).T)
         norm = np.sqrt(np.linalg.det(2 * np.pi * h.covariance))
-        total += h.mass * float(np.exp(exponent) / norm)
-    return float(total * volume)
+        total += h.mass * np.exp(exponent) / norm
+    return np.asarray(total * volume)
 
 
 def global_maximum(values: Float32Array, where: BoolArray | None = None) -> tuple[int, int, int]:

@@ -70,7 +70,8 @@ class Row:
     paper : float or None
         The paper's S in the world that this one stands for.
     ms : (n,) tuple of float
-        Times of the likelihood stacks, one for each trial; they differ from run to run.
+        Times of the likelihood stacks, one for each trial; they differ from run to run. The map
+        is prepared within the first.
     """
 
     world: str
@@ -145,8 +146,6 @@ def table(
     for world in worlds:
         features, scans = place(world, n, seed, threads)
         trials: dict[str, list[Outcome]] = {method: [] for method in methods}
-        for method in methods:  # features are computed before the clock counts
-            try_method(method, features, scans.scans[0], truth_of(scans, 0), threads)
         for k, scan in enumerate(scans.scans):
             for method in methods:
                 trials[method].append(
@@ -158,9 +157,7 @@ def table(
     return tuple(rows)
 
 
-def _row(
-    world: str, method: str, free: int, all_trials: Mapping[str, Sequence[Outcome]]
-) -> Row:
+def _row(world: str, method: str, free: int, all_trials: Mapping[str, Sequence[Outcome]]) -> Row:
     trials = all_trials[method]
     bare = [t.bare for t in trials if t.bare is not None]
     paired = method in OPTIONS and _PLAIN in all_trials

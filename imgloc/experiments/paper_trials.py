@@ -53,7 +53,8 @@ class Outcome:
     exact, near : bool
         The maximum is the cell of the true pose; that or one next to it (of the 27).
     wide : bool
-        The maximum and the true pose share a cell if headings are :data:`WIDE_DEG` apart.
+        The maximum and the true pose share a cell, or would if headings were
+        :data:`WIDE_DEG` apart.
     ms : float
         Time of the stack.
     """
@@ -126,7 +127,7 @@ def try_method(
         bare=bare,
         exact=not off.any(),
         near=bool(off.max() <= 1),
-        wide=bool(wide[0] == wide[1] and not off[1:].any()),
+        wide=bool(not off[1:].any() and (off[0] == 0 or wide[0] == wide[1])),
         ms=ms,
     )
 

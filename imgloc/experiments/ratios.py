@@ -7,6 +7,7 @@ which they run, which other programs do not use up. Still a ratio is this machin
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -73,10 +74,9 @@ def measure_ratios(
     for world in worlds:
         features, scans = place(world, n, seed)
         for method, rival, most in PAIRS:
-            both = (method, rival)
             runs = [
-                [lambda m=m, s=s: stack_of(m, features, s, thetas_of(m)) for m in both]
-                for s in scans.scans
+                [partial(stack_of, m, features, scan, thetas_of(m)) for m in (method, rival)]
+                for scan in scans.scans
             ]
             for run in runs[0]:  # features are computed before the clock counts
                 run()

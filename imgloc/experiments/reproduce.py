@@ -1,7 +1,7 @@
 """Everything that the paper shows, measured and drawn: its table, figures and appendix."""
 
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -14,13 +14,18 @@ from imgloc.draw.figures import draw_comparison, draw_fields
 from imgloc.errors import ConfigError
 from imgloc.experiments.claims import Claim, claims, growth_claims, time_claims
 from imgloc.experiments.complexity import AXES, Complexity, draw, measure
-from imgloc.experiments.paper import PLACES, STEPS_DEG, Row, table
+from imgloc.experiments.complexity_types import TIMES
+from imgloc.experiments.paper import PLACES, Row, table
+from imgloc.experiments.paper_trials import STEPS_DEG
+from imgloc.experiments.ratios import PAIRS, Ratio, measure_ratios
 from imgloc.experiments.scenes import SETTINGS, scene
 from imgloc.io.output import encode_png
 
 QUICK = 5
 """Trials in each world of the quick form."""
-_WINDOW_FIG_4 = (19.5, 18.0, 28.5, 27.0)
+TIMED, TIMED_QUICK = (8, 3), (2, 1)
+"""Scans of each world whose run times are compared, and repeats."""
+_WINDOW_FIG_4 = (21.0, 20.0, 27.0, 26.0)
 
 
 @dataclass(frozen=True)
@@ -31,6 +36,7 @@ class Reproduction:
     ----------
     n, seed : int
     rows : tuple of Row
+    ratios : tuple of Ratio
     claims, time_claims : tuple of Claim
         Those about the index, the maxima and counted work; and those about times, which are
         this machine's.
@@ -42,6 +48,7 @@ class Reproduction:
     n: int
     seed: int
     rows: tuple[Row, ...]
+    ratios: tuple[Ratio, ...]
     claims: tuple[Claim, ...]
     time_claims: tuple[Claim, ...]
     complexity: Complexity
@@ -53,16 +60,19 @@ class Reproduction:
         return all(claim.holds for claim in self.claims if claim.firm)
 
 
-def steps(n: int) -> int:
+def steps(n: int, worlds: Sequence[str] = tuple(PLACES), *, quick: bool = False) -> int:
     """How often `advance` is called by :func:`reproduce`."""
     stacks = sum(len(setting.steps) for setting in SETTINGS.values())
-    return n * len(PLACES) * len(STEPS_DEG) + stacks + sum(map(len, AXES.values()))
+    timed, _ = TIMED_QUICK if quick else TIMED
+    in_turns = (n * len(STEPS_DEG) + timed * len(PAIRS)) * len(worlds)
+    return in_turns + stacks + sum(map(len, AXES.values()))
 
 
 def reproduce(
     n: int = 100,
     seed: int = 0,
     *,
+    worlds: Sequence[str] = tuple(PLACES),
     quick: bool = False,
     threads: int = 1,
     advance: Callable[[], None] = lambda: None,
@@ -75,8 +85,10 @@ def reproduce(
         Trials in each world.
     seed : int
         Of everything random.
+    worlds : sequence of str
+        Of the table and the run times; some of :data:`imgloc.experiments.paper.PLACES`.
     quick : bool
-        Only count the work of the appendix, time nothing there.
+        Only count the work of the appendix, time little.
     threads : int
         No number but the times depends on it.
     advance : callable
@@ -85,15 +97,17 @@ def reproduce(
     Raises
     ------
     ConfigError
-        If `n` is less than 1.
+        If `n` is less than 1, or there is no such world.
     """
-    rows = table(n, seed, threads=threads, advance=advance)
+    rows = table(n, seed, worlds=worlds, threads=threads, advance=advance)
+    timed = TIMED_QUICK if quick else TIMED
+    ratios = measure_ratios(*timed, seed, worlds=worlds, advance=advance)
     pictures = {name: encode_png(figure(name, threads, advance)) for name in SETTINGS}
-    grown = measure(repeats=0 if quick else 1, seed=seed, progress=lambda _: advance())
+    grown = measure(repeats=0 if quick else 3, seed=seed, progress=lambda _: advance())
     with suppress(ConfigError):  # without matplotlib the table of exponents says it all
         pictures["complexity"] = encode_png(draw(grown))
     said = claims(rows) + growth_claims(grown)
-    return Reproduction(n, seed, rows, said, time_claims(rows), grown, pictures)
+    return Reproduction(n, seed, rows, ratios, said, time_claims(ratios), grown, pictures)
 
 
 def figure(
@@ -107,16 +121,17 @@ def figure(
             f.grid, f.surface, f.bmap, f.vmap, s.truth, s.points, s.stacks, window=_WINDOW_FIG_4
         )
     wide = name == "fig5"
-    return draw_comparison(
-        f.grid, s.truth, s.points, s.stacks, scale=1 if wide else 3, columns=4 if wide else 3
-    )
+    return draw_comparison(f.grid, s.truth, s.points, s.stacks, scale=1 if wide else 3, columns=3)
 
 
 def as_dict(reproduction: Reproduction) -> dict[str, Any]:
     """Everything but the pictures as plain values, for ``results.json`` and the report.
 
-    Two runs differ only in what is under ``cost`` and in the times of ``complexity``.
+    Two runs differ only in what is under ``cost``.
     """
+    grown = reproduction.complexity
+    samples, fits = [asdict(s) for s in grown.samples], [asdict(f) for f in grown.fits]
+    keys = ("method", "axis", "value")
     return {
         "paper": "A. Censi, A comparison of algorithms for likelihood approximation in "
         "Bayesian localization",
@@ -129,8 +144,19 @@ def as_dict(reproduction: Reproduction) -> dict[str, Any]:
         "holds": reproduction.holds,
         "claims": [asdict(claim) for claim in reproduction.claims],
         "table": [_row(row) for row in reproduction.rows],
-        "cost": {"claims": [asdict(claim) for claim in reproduction.time_claims]},
-        "complexity": asdict(reproduction.complexity),
+        "complexity": {
+            "world": grown.world,
+            "samples": [{k: v for k, v in s.items() if k not in TIMES} for s in samples],
+            "fits": [f for f in fits if f["quantity"] not in TIMES],
+        },
+        "cost": {
+            "claims": [asdict(claim) for claim in reproduction.time_claims],
+            "ratios": [asdict(ratio) for ratio in reproduction.ratios],
+            "complexity": {
+                "samples": [{k: s[k] for k in (*keys, *TIMES)} for s in samples],
+                "fits": [f for f in fits if f["quantity"] in TIMES],
+            },
+        },
     }  # fmt: skip
 
 

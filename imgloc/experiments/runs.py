@@ -11,16 +11,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imgloc.experiments.index import density_at, density_in_stack, global_maximum
+from imgloc.experiments.index import (
+    density_at,
+    density_in_cell,
+    density_in_stack,
+    global_maximum,
+)
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
-from imgloc.geometry import cell_of, compose, inside, inverse, theta_bin, uniform_thetas, wrap
+from imgloc.geometry import (
+    cell_of,
+    centre_of,
+    compose,
+    inside,
+    inverse,
+    theta_bin,
+    uniform_thetas,
+    wrap,
+)
 from imgloc.io.scanset import ScanSet
-from imgloc.likelihood.posterior import LOG_METHODS, posterior
-from imgloc.model import FloatArray, LaserScan, Likelihood, Pose2D
-from imgloc.pipeline import FUSED, Options, likelihood, localize
-from imgloc.search.moments import peak_moments
-from imgloc.search.peaks import find_peaks
+from imgloc.likelihood.posterior import LOG_METHODS
+from imgloc.model import FloatArray, LaserScan, Likelihood, Localization, Pose2D
+from imgloc.pipeline import FUSED, Options, found_in_stack, likelihood, localize
+from imgloc.search.trust import judge
+from imgloc.searches import NOTHING, probability_of
 
 PAIR_METHODS = frozenset({"ght", "ght-v"})
 """Methods whose work is counted in pairs of points, not in poses and readings."""
@@ -37,6 +51,10 @@ class Trial:
     ----------
     free, box : float
         Relative density, ``p V``, at the true pose; over free cells and over the whole box.
+        Of a stack as it is, as in the paper.
+    calibrated : float
+        The same over free cells of the calibrated posterior; of ``fused``, which has no cells,
+        that of the lattice's cell.
     outside : bool
         The true pose is not in a free cell of the map, so that `free` is 0.
     exact, near : bool
@@ -44,8 +62,7 @@ class Trial:
         (of the 27).
     errors : (M, 2) float array
         Metres and radians from the true pose to each of at most `LISTED` hypotheses.
-    verdict : str or None
-        None for a bare stack, whose values are no calibrated probabilities.
+    verdict : str
     ms : float
         Time of the whole answer.
     stack_ms : float
@@ -57,11 +74,12 @@ class Trial:
 
     free: float
     box: float
+    calibrated: float
     outside: bool
     exact: bool
     near: bool
     errors: FloatArray
-    verdict: str | None
+    verdict: str
     ms: float
     stack_ms: float
     stack_bytes: int
@@ -108,8 +126,8 @@ def _trial_fused(features: MapFeatures, scan: LaserScan, truth: Pose2D, options:
     answer = localize(features, scan, options)
     ms = 1e3 * (time.perf_counter() - start)
     n, lattice = headings(options), features.lattice
-    at = _cell(features, truth, n)
-    found = None if answer.pose is None else _cell(features, answer.pose, n)
+    at = cell_of_pose(features, truth, n)
+    found = None if answer.pose is None else cell_of_pose(features, answer.pose, n)
     cells = np.count_nonzero(features.free), lattice.height * lattice.width
     volumes = [count * lattice.resolution**2 * 2 * np.pi for count in cells]
     on_map = bool(inside(np.array(at[1:]), lattice))
@@ -118,6 +136,7 @@ def _trial_fused(features: MapFeatures, scan: LaserScan, truth: Pose2D, options:
     return Trial(
         free=density_at(answer, truth, volumes[0]) if free else 0.0,
         box=density_at(answer, truth, volumes[1]) if on_map else 0.0,
+        calibrated=_on_lattice(features, answer, at, n) if free else 0.0,
         outside=not free,
         exact=found == at,
         near=found is not None and _next_to(found, at, n),
@@ -135,19 +154,24 @@ def _trial_stack(features: MapFeatures, scan: LaserScan, truth: Pose2D, options:
     start = time.perf_counter()
     stack = likelihood(features, scan, options)
     between = time.perf_counter()
-    poses = _hypotheses(stack, features)
+    valid = int(scan.valid.sum())
+    enough = valid >= max(1, options.trust.readings)
+    answer = found_in_stack(features, scan, stack, options) if enough else NOTHING
     end = time.perf_counter()
     n, log = len(stack.thetas), stack.method in LOG_METHODS
-    at, found = _cell(features, truth, n), global_maximum(stack.values, features.free)
+    at, found = cell_of_pose(features, truth, n), global_maximum(stack.values, features.free)
     free = bool(inside(np.array(at[1:]), stack.grid)) and bool(features.free[at[1:]])
+    probability = probability_of(features, scan, stack, options)
+    poses = np.array([(h.pose.x, h.pose.y, h.pose.theta) for h in answer.hypotheses[:LISTED]])
     return Trial(
         free=density_in_stack(stack.values, at, features.free, log=log),
         box=density_in_stack(stack.values, at, log=log),
+        calibrated=density_in_stack(probability, at, features.free),
         outside=not free,
         exact=found == at,
         near=_next_to(found, at, n),
         errors=pose_errors(poses, compose(inverse(features.grid.origin), truth)),
-        verdict=None,
+        verdict=judge(valid, answer.mass, answer.elsewhere, options.trust),
         ms=1e3 * (end - start),
         stack_ms=1e3 * (between - start),
         stack_bytes=stack.values.nbytes,
@@ -155,11 +179,15 @@ def _trial_stack(features: MapFeatures, scan: LaserScan, truth: Pose2D, options:
     )
 
 
-def _hypotheses(stack: Likelihood, features: MapFeatures) -> FloatArray:
-    """Poses (M, 3) of the best peaks, grid frame."""
-    probability = posterior(stack.values, stack.method, features.free)
-    peaks = find_peaks(probability, LISTED, radius=2)
-    return peak_moments(probability, peaks, stack.thetas, stack.grid.resolution)[0]
+def _on_lattice(
+    features: MapFeatures, answer: Localization, at: tuple[int, int, int], n: int
+) -> float:
+    """Relative density of an answer in a cell of free space."""
+    lattice = features.lattice
+    xy = centre_of(np.array(at[1:]), lattice.resolution)
+    centre = compose(features.grid.origin, Pose2D(*xy, float(uniform_thetas(2 * np.pi / n)[at[0]])))
+    poses = n * int(np.count_nonzero(features.free))
+    return density_in_cell(answer, centre, lattice.resolution, 2 * np.pi / n, poses)
 
 
 def _work(features: MapFeatures, scan: LaserScan, stack: Likelihood) -> int:
@@ -185,7 +213,7 @@ def pose_errors(poses: FloatArray, truth: Pose2D) -> FloatArray:
     return np.column_stack((away, np.abs(wrap(poses[:, 2] - truth.theta))))
 
 
-def _cell(features: MapFeatures, pose: Pose2D, n: int) -> tuple[int, int, int]:
+def cell_of_pose(features: MapFeatures, pose: Pose2D, n: int) -> tuple[int, int, int]:
     """Cell ``(theta, row, col)`` of a pose of the map frame; may lie off the map."""
     local = compose(inverse(features.grid.origin), pose)
     row, col = cell_of(np.array([local.x, local.y]), features.lattice.resolution).tolist()

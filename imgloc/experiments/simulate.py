@@ -95,6 +95,27 @@ def simulate(
     return out
 
 
+def ray_angles(rays: int, fov: float) -> FloatArray:
+    """Angles (rays,) of a sensor's rays, centred about forward, radians.
+
+    With a full circle the last ray is one step short of the first.
+
+    Raises
+    ------
+    ConfigError
+        If there is no ray, or `fov` is not in (0, 2 pi].
+
+    Examples
+    --------
+    >>> np.rad2deg(ray_angles(3, np.pi)).tolist(), np.rad2deg(ray_angles(2, 2 * np.pi)).tolist()
+    ([-90.0, 0.0, 90.0], [-180.0, 0.0])
+    """
+    if rays < 1 or not 0 < fov <= 2 * np.pi + 1e-9:
+        raise ConfigError(f"rays {rays} must be at least 1 and fov {fov} in (0, 2 pi]")
+    full = fov > 2 * np.pi * (1 - 1e-9)
+    return np.linspace(-fov / 2, fov / 2, rays, endpoint=not full)
+
+
 def simulate_scans(
     grid: OccupancyGrid,
     n: int,
@@ -124,8 +145,7 @@ def simulate_scans(
     rays : int
         Readings of a scan.
     fov : float
-        Angle between the first and the last ray, radians, centred about forward; with a full
-        circle the last ray is one step short of the first.
+        Angle between the first and the last ray, radians, see :func:`ray_angles`.
     sigma, range_max, outliers, dropped : float
         See :func:`simulate`.
     clearance : float
@@ -152,10 +172,7 @@ def simulate_scans(
     ConfigError
         If a parameter is out of its range.
     """
-    if rays < 1 or not 0 < fov <= 2 * np.pi + 1e-9:
-        raise ConfigError(f"rays {rays} must be at least 1 and fov {fov} in (0, 2 pi]")
-    full = fov > 2 * np.pi * (1 - 1e-9)
-    angles = np.linspace(-fov / 2, fov / 2, rays, endpoint=not full)
+    angles = ray_angles(rays, fov)
     seeds = np.random.SeedSequence(seed).generate_state(2)
     poses = sample_sensor_poses(grid, n, int(seeds[0]), mount or Pose2D(0.0, 0.0), clearance)
     ranges = simulate(

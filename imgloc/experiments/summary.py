@@ -1,6 +1,5 @@
 """Numbers made of trials: shares with intervals, percentiles, cost."""
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -36,14 +35,14 @@ class Success:
     tolerance : Tolerance
     at_1, at_5 : Share
         The first hypothesis is right; one of the first five is.
-    unique_wrong : Share or None
-        The verdict is ``unique`` and the first hypothesis is wrong; None without verdicts.
+    unique_wrong : Share
+        The verdict is ``unique`` and the first hypothesis is wrong.
     """
 
     tolerance: Tolerance
     at_1: Share
     at_5: Share
-    unique_wrong: Share | None
+    unique_wrong: Share
 
 
 @dataclass(frozen=True)
@@ -56,8 +55,8 @@ class Summary:
     trials : int
     index, index_box : Index
         S, eq. 12, over poses in free cells and over the whole box of the map.
-    index_calibrated : Index or None
-        Reserved for the calibrated posterior.
+    index_calibrated : Index
+        S of the calibrated posterior over free cells; of ``fused`` on the lattice of poses.
     outside : int
         Trials whose true pose is in no free cell.
     exact, near : Share
@@ -66,7 +65,7 @@ class Summary:
     position, heading : dict
         Percentiles of the first hypothesis' error, metres and radians; infinite where so many
         scans have no answer.
-    verdicts : dict of Share, or None
+    verdicts : dict of Share
     unit : str or None
         What `ns_per_unit` counts.
     work : int
@@ -80,14 +79,14 @@ class Summary:
     trials: int
     index: Index
     index_box: Index
-    index_calibrated: Index | None
+    index_calibrated: Index
     outside: int
     exact: Share
     near: Share
     success: tuple[Success, ...]
     position: dict[str, float]
     heading: dict[str, float]
-    verdicts: dict[str, Share] | None
+    verdicts: dict[str, Share]
     unit: str | None
     work: int
     stack_bytes: int
@@ -124,23 +123,20 @@ def summarise(
         If `floor` is out of its range.
     """
     first = np.array([t.errors[0] if len(t.errors) else (np.inf, np.inf) for t in trials])
-    verdicts = Counter(t.verdict for t in trials)
     has_stack = any(t.stack_bytes for t in trials)
     return Summary(
         method=method,
         trials=len(trials),
         index=performance_index([t.free for t in trials], floor),
         index_box=performance_index([t.box for t in trials], floor),
-        index_calibrated=None,
+        index_calibrated=performance_index([t.calibrated for t in trials], floor),
         outside=sum(t.outside for t in trials),
         exact=share(t.exact for t in trials),
         near=share(t.near for t in trials),
         success=tuple(_success(trials, tolerance) for tolerance in tolerances),
         position=_percentiles(first[:, 0]),
         heading=_percentiles(first[:, 1]),
-        verdicts=None
-        if None in verdicts
-        else {v: share(t.verdict == v for t in trials) for v in VERDICTS},
+        verdicts={v: share(t.verdict == v for t in trials) for v in VERDICTS},
         unit=None
         if not has_stack
         else "pair of points"
@@ -165,7 +161,7 @@ def _success(trials: Sequence[Trial], tolerance: Tolerance) -> Success:
         tolerance,
         share(right(t, tolerance, 1) for t in trials),
         share(right(t, tolerance, LISTED) for t in trials),
-        None if any(t.verdict is None for t in trials) else share(wrong),
+        share(wrong),
     )
 
 

@@ -12,13 +12,25 @@ from imgloc.report.style import STYLE
 from imgloc.report.tables import (
     chart,
     claim_list,
+    cost_table,
     escape,
     exponent_table,
     index_table,
     maximum_table,
+    ratio_table,
     time_table,
 )
-from imgloc.report.text import APPENDIX, CAPTIONS, MAXIMUM, ORACLE, PICTURES, RUN_TIME, SETTING
+from imgloc.report.text import (
+    APPENDIX,
+    BEYOND,
+    CAPTIONS,
+    MAXIMUM,
+    ORACLE,
+    PICTURES,
+    RATIOS,
+    RUN_TIME,
+    SETTING,
+)
 
 
 def render_report(results: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
@@ -47,6 +59,7 @@ def render_report(results: Mapping[str, Any], pictures: Mapping[str, bytes]) -> 
         index_table(rows),
         chart(rows),
         f"<p>{ORACLE}</p>",
+        f"<p>{BEYOND}</p>",
         "<h2>What the paper says, and whether it holds</h2>",
         claim_list(results["claims"]),
         "<h2>Where is the global maximum?</h2>",
@@ -55,21 +68,24 @@ def render_report(results: Mapping[str, Any], pictures: Mapping[str, bytes]) -> 
         "<h2>Run time</h2>",
         f"<p>{RUN_TIME}</p>",
         time_table(rows),
+        f"<p>{RATIOS}</p>",
+        ratio_table(results["cost"]["ratios"]),
         claim_list(results["cost"]["claims"]),
         "<h2>Figures</h2>",
         f"<p>{PICTURES}</p>",
         *(_figure(f"Fig. {name[3:]}", name, pictures[name], caption)
           for name, caption in CAPTIONS.items() if name in pictures),
     ]  # fmt: skip
-    if results.get("complexity"):
-        parts += [
-            "<h2>Appendix: complexity, measured</h2>",
-            f"<p>{APPENDIX}</p>",
-            exponent_table(results["complexity"]),
-        ]
-        if "complexity" in pictures:
-            caption = "All samples; the legends give the exponents fitted, the paper's in brackets."
-            parts.append(_figure("Growth", "complexity", pictures["complexity"], caption))
+    grown, timed = results["complexity"], results["cost"]["complexity"]
+    parts += [
+        "<h2>Appendix: complexity, measured</h2>",
+        f"<p>{APPENDIX.format(world=escape(grown['world']))}</p>",
+        cost_table(grown["samples"], timed["samples"]),
+        exponent_table([*grown["fits"], *timed["fits"]]),
+    ]
+    if "complexity" in pictures:
+        caption = "All samples; the legends give the exponents fitted, the paper's in brackets."
+        parts.append(_figure("Growth", "complexity", pictures["complexity"], caption))
     title = f"imgloc: the paper's experiment, {trials} trials"
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -83,7 +99,7 @@ def render_report(results: Mapping[str, Any], pictures: Mapping[str, bytes]) -> 
 def _figure(label: str, name: str, png: bytes, caption: str) -> str:
     data = base64.b64encode(png).decode("ascii")
     return (
-        f'<figure><img alt="{escape(label)}" id="{escape(name)}" '
-        f'src="data:image/png;base64,{data}">'
+        f'<figure><div class=wide><img alt="{escape(label)}" id="{escape(name)}" '
+        f'src="data:image/png;base64,{data}"></div>'
         f"<figcaption><b>{escape(label)}.</b> {escape(caption)}</figcaption></figure>"
     )

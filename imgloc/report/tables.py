@@ -2,6 +2,7 @@
 
 import html
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -23,15 +24,15 @@ def index_table(rows: Sequence[Row]) -> str:
     """S of each method in each world, the paper's below it; the greatest S that there can be."""
 
     def cell(row: Row) -> str:
-        index = row["index"]
-        floored = f"<sup>†{index['floored']}</sup>" if index["floored"] else ""
+        index, bare = row["index"], row["bare"]
         said = _number(row["paper"])
-        if row["bare"]:
-            said = f"bare {_number(row['bare']['value'])}<sup>†{row['bare']['floored']}</sup>"
-        return (
-            f"<b>{_number(index['value'])}</b> ± {_number(index['standard_error'])}{floored}"
-            f"<br><span class=paper>{said}</span>"
-        )
+        if bare:
+            said = f"bare {_number(bare['value'])}{_floored(bare)}"
+        if row["gain"]:
+            gain = row["gain"]
+            said = f"{_number(gain['value'], '+')} ± {_number(gain['standard_error'])}"
+        error = _number(index["standard_error"]) + _floored(index)
+        return f"<b>{_number(index['value'])}</b> ± {error}<br><span class=paper>{said}</span>"
 
     ceiling = {(r["world"], r["step_deg"]): r["log_poses"] for r in rows}
     note = "; ".join(f"{w}, {s:g}°: {v:.1f}" for (w, s), v in ceiling.items())
@@ -43,11 +44,12 @@ def index_table(rows: Sequence[Row]) -> str:
 
 def maximum_table(rows: Sequence[Row]) -> str:
     """Shares of trials in which the maximum is at the true pose, and next to it."""
+    cells = ("exact", "its cell"), ("wide", "10 cm, 30°"), ("near", "± 1 cell")
 
     def cell(row: Row) -> str:
-        return f"{_share(row['exact'])}<br>{_share(row['near'])}"
+        return "<br>".join(_share(row[key]) for key, _ in cells)
 
-    return _by_world(rows, cell)
+    return _by_world(rows, cell, "<br>".join(label for _, label in cells))
 
 
 def time_table(rows: Sequence[Row]) -> str:
@@ -55,9 +57,23 @@ def time_table(rows: Sequence[Row]) -> str:
     return _by_world(rows, lambda row: f"{row['cost']['ms']:.1f}")
 
 
-def _by_world(rows: Sequence[Row], cell: Callable[[Row], str]) -> str:
-    """A table with a line for each method and a column for each world."""
+def ratio_table(ratios: Sequence[Row]) -> str:
+    """CPU times of two methods on the same scans, and their ratios."""
+    lines = [
+        f"<tr><th>{escape(r['world'])}<td>{_NAMES[r['method']]} / {_NAMES[r['rival']]}"
+        f"<td>{r['ms']:.1f} / {r['rival_ms']:.1f} ms<td><b>{_number(r['value'])}</b>"
+        for r in ratios
+    ]
+    return f"<table>{'</tr>'.join(lines)}</tr></table>"
+
+
+def _by_world(rows: Sequence[Row], cell: Callable[[Row], str], label: str = "") -> str:
+    """A table with a line for each method and a column for each world.
+
+    `label`, of HTML, is a column of its own: what the lines of a cell are.
+    """
     by = {(r["world"], r["method"]): r for r in rows}
+    label = label and f"<td><span class=paper>{label}</span>"
     worlds, methods = (list(dict.fromkeys(r[key] for r in rows)) for key in ("world", "method"))
     places = {r["world"]: r["place"] for r in rows}
     head = "".join(
@@ -66,8 +82,8 @@ def _by_world(rows: Sequence[Row], cell: Callable[[Row], str]) -> str:
     lines = []
     for method in methods:
         cells = "".join(f"<td>{cell(by[w, method])}" for w in worlds)
-        lines.append(f"<tr><th>{escape(_NAMES.get(method, method))}{cells}</tr>")
-    return f"<table><tr><th>{head}</tr>{''.join(lines)}</table>"
+        lines.append(f"<tr><th>{escape(_NAMES.get(method, method))}{label}{cells}</tr>")
+    return f"<table><tr><th>{label and '<th>'}{head}</tr>{''.join(lines)}</table>"
 
 
 def chart(rows: Sequence[Row]) -> str:
@@ -104,31 +120,32 @@ def chart(rows: Sequence[Row]) -> str:
         y += 12
     caption = "S with its 95 % interval (dots) beside the paper's (rings), nats."
     return (
-        f'<figure><svg viewBox="0 0 700 {bottom + 22}" role="img" aria-label="{caption}">'
-        f"{''.join(out)}</svg><figcaption>{caption}</figcaption></figure>"
+        f'<figure><div class=wide><svg viewBox="0 0 700 {bottom + 22}" role="img" '
+        f'aria-label="{caption}">'
+        f"{''.join(out)}</svg></div><figcaption>{caption}</figcaption></figure>"
     )
 
 
 def claim_list(claims: Sequence[Row]) -> str:
     """What is said and whether it holds, as a list."""
     lines = [
-        f"<li class={'yes' if c['holds'] else 'no'}>{escape(c['text'])} "
-        f"<span class=paper>({escape(c['found'])})</span></li>"
+        f"<li class={'yes' if c['holds'] else 'no'}>{formula(c['text'])} "
+        f"<span class=paper>({formula(c['found'])})</span></li>"
         for c in claims
     ]
     return f"<ul class=claims>{''.join(lines)}</ul>"
 
 
-def exponent_table(complexity: Mapping[str, Any]) -> str:
+def exponent_table(fits: Sequence[Row]) -> str:
     """Exponents, each beside the paper's."""
-    fits = {(f["method"], f["quantity"], f["axis"]): f for f in complexity["fits"]}
-    axes = [a for a in _AXES if any(key[2] == a for key in fits)]
+    at = {(f["method"], f["quantity"], f["axis"]): f for f in fits}
+    axes = [a for a in _AXES if any(key[2] == a for key in at)]
     lines = []
     for quantity, label in _QUANTITIES.items():
-        for method in dict.fromkeys(key[0] for key in fits if key[1] == quantity):
+        for method in dict.fromkeys(key[0] for key in at if key[1] == quantity):
             cells = []
             for axis in axes:
-                fit = fits.get((method, quantity, axis))
+                fit = at.get((method, quantity, axis))
                 said = "" if fit is None or fit["paper"] is None else f" ({fit['paper']:g})"
                 cells.append(f"<td>{'–' if fit is None else _number(fit['exponent'])}"
                              f"<span class=paper>{said}</span>")  # fmt: skip
@@ -136,8 +153,27 @@ def exponent_table(complexity: Mapping[str, Any]) -> str:
                 f"<tr><th>{label}: {escape(_NAMES.get(method, method))}{''.join(cells)}</tr>"
             )
     head = "".join(f"<th>{_AXES[a]}" for a in axes)
-    world = f"<p class=note>World: {escape(complexity['world'])}.</p>"
-    return f"<table><tr><th>{head}</tr>{''.join(lines)}</table>{world}"
+    return f"<table><tr><th>{head}</tr>{''.join(lines)}</table>"
+
+
+def cost_table(samples: Sequence[Row], times: Sequence[Row]) -> str:
+    """What each method takes where the measurement of the area begins: one copy of the world."""
+    least = min(s["value"] for s in samples if s["axis"] == "A")
+    lines = []
+    for s, t in zip(samples, times, strict=True):
+        if (s["axis"], s["value"]) != ("A", least):
+            continue
+        ms = [_number(None if t[k] is None else 1e3 * t[k]) for k in ("init_s", "run_s")]
+        lines.append(
+            f"<tr><th>{escape(_NAMES[s['method']])}<td>{ms[0]}<td>{s['storage'] / 1e3:,.0f}"
+            f"<td>{ms[1]}<td>{s['work'] / 1e6:,.2f}</tr>"
+        )
+    head = "<th><th>init, ms<th>storage, kB<th>run, ms<th>votes or pixels, 10<sup>6</sup>"
+    return f"<table><tr>{head}</tr>{''.join(lines)}</table>"
+
+
+def _floored(index: Row) -> str:
+    return f"<sup>†{index['floored']}</sup>" if index["floored"] else ""
 
 
 def _share(share: Mapping[str, Any]) -> str:
@@ -145,11 +181,25 @@ def _share(share: Mapping[str, Any]) -> str:
     return f"{100 * share['value']:.0f} % <span class=paper>[{low:.0f}, {high:.0f}]</span>"
 
 
-def _number(value: float | None) -> str:
+def _number(value: float | None, sign: str = "") -> str:
     """Two digits, with a minus sign that is one; a dash for what is not known."""
     if value is None or not math.isfinite(value):
         return "–"
-    return f"{value:.2f}".replace("-", "−")
+    return f"{round(value, 2) + 0.0:{sign}.2f}".replace("-", "−")
+
+
+def formula(text: str) -> str:
+    """Text as HTML, with its powers raised and the paper's Greek letters.
+
+    Examples
+    --------
+    >>> formula("A^1, rho_m^2.98 < 3")
+    'A<sup>1</sup>, ρ<sub>m</sub><sup>2.98</sup> &lt; 3'
+    """
+    raised = re.sub(r"\^(-?[\d.]*\d)", r"<sup>\1</sup>", escape(text))
+    for name, letter in _AXES.items():
+        raised = raised.replace(name, letter) if len(name) > 1 else raised
+    return raised
 
 
 def escape(text: object) -> str:

@@ -4,9 +4,12 @@ import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.features.distance import DistanceField
-from imgloc.model import Float32Array, FloatArray, Hypothesis, IntArray, Pose2D
+from imgloc.likelihood.draws import entropy
+from imgloc.model import FloatArray, Hypothesis, IntArray, Pose2D
 from imgloc.search.peaks import separated
 from imgloc.search.refine import normal_equations
+
+__all__ = ["as_hypotheses", "covariances", "entropy", "masses", "modes"]
 
 
 def masses(log_likelihood: FloatArray, temperature: float) -> FloatArray:
@@ -28,18 +31,6 @@ def masses(log_likelihood: FloatArray, temperature: float) -> FloatArray:
         return np.empty(0)
     weight = np.exp((log_likelihood - log_likelihood.max()) / temperature)
     return np.asarray(weight / weight.sum())
-
-
-def entropy(mass: FloatArray | Float32Array) -> float:
-    """Of shares that sum to 1, nats.
-
-    Examples
-    --------
-    >>> round(entropy(np.array([0.5, 0.5])), 3)
-    0.693
-    """
-    positive = mass[mass > 0]
-    return float(abs(np.sum(positive * np.log(positive), dtype=np.float64)))
 
 
 def modes(poses: FloatArray, score: FloatArray, *, distance: float, angle: float) -> IntArray:

@@ -7,47 +7,12 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.geometry import wrap
+from imgloc.likelihood.smoothing import smooth
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 
+__all__ = ["find_peaks", "separated", "smooth"]
+
 _FEW = 4096  # peaks sorted at a time
-
-
-def smooth(values: Float32Array, sigma_px: float, sigma_bins: float) -> Float32Array:
-    """Blur a stack with a Gaussian in x, y and, circularly, in theta.
-
-    The uncertainty of eq. 8, which a vote for a single cell ignores.
-
-    Parameters
-    ----------
-    values : (K, H, W) float32 array
-    sigma_px, sigma_bins : float
-        Standard deviations in cells and in headings; 0 leaves that axis alone.
-
-    Returns
-    -------
-    (K, H, W) float32 array
-        Nothing comes in from outside the image.
-
-    Examples
-    --------
-    >>> stack = np.zeros((8, 1, 1), dtype=np.float32)
-    >>> stack[0] = 1
-    >>> print(smooth(stack, 0, 1).ravel().round(2))
-    [0.4  0.24 0.05 0.   0.   0.   0.05 0.24]
-    """
-    out = np.array(values, dtype=np.float32)
-    n = len(out)
-    if sigma_bins > 0 and n > 1:
-        steps = np.arange(n)
-        near = np.minimum(steps, n - steps)
-        kernel = np.exp(-0.5 * np.square(near / sigma_bins))
-        kernel /= kernel.sum()
-        circulant = kernel[(steps[:, None] - steps) % n].astype(np.float32)
-        out = (circulant @ out.reshape(n, -1)).reshape(out.shape)
-    if sigma_px > 0:
-        for image in out:
-            cv2.GaussianBlur(image, (0, 0), sigma_px, image, borderType=cv2.BORDER_CONSTANT)
-    return out
 
 
 def find_peaks(

@@ -1,0 +1,165 @@
+"""`imgloc calibrate`: what the evidence of each method is worth in a map."""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from imgloc.cli.console import LOG, emit, progress, say
+from imgloc.cli.methodlists import for_each, methods_of
+from imgloc.cli.options import (
+    AllowLossy,
+    AsJson,
+    Force,
+    MethodName,
+    Reading,
+    Threads,
+    check_range,
+    check_target,
+    console,
+    count_threads,
+    reading,
+    with_options,
+)
+from imgloc.cli.sensor import sensor
+from imgloc.cli.sources import find_map, load_usable
+from imgloc.errors import ConfigError
+
+if TYPE_CHECKING:
+    from imgloc.experiments.calibrate import Fit
+    from imgloc.experiments.scansets import Sensor
+
+_STACKS = [name.value for name in MethodName if name != MethodName.FUSED]
+_COLUMNS = ("method", "scans", "sigma m", "sigma deg", "exponent", "S +- s.e.", "S of the stack")
+
+
+@with_options(sensor, reading, console)
+def calibrate(
+    maps: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="MAP...",
+            help="map_server YAML, image, or the name of a bundled map; several share one fit.",
+        ),
+    ],
+    sensor: "Sensor",
+    reading: Reading,
+    methods: Annotated[str, typer.Option(metavar="NAMES", help="With commas between.")] = ",".join(
+        _STACKS
+    ),
+    count: Annotated[
+        int,
+        typer.Option("-n", "--count", min=1, max=10_000, metavar="N", help="Scans of each map."),
+    ] = 30,
+    seed: Annotated[
+        int, typer.Option(min=0, metavar="N", help="Of what is simulated; evaluate with another.")
+    ] = 1000,
+    range_max: Annotated[
+        float, typer.Option(metavar="M", help="Reach of the simulated sensor.")
+    ] = 30.0,
+    theta_step_deg: Annotated[
+        list[str] | None,
+        typer.Option(metavar="[METHOD=]DEG", help="Step of the headings. [default: the method's]"),
+    ] = None,
+    cell: Annotated[float, typer.Option(metavar="M", help="Cell of the poses, metres.")] = 0.1,
+    clean: Annotated[
+        bool,
+        typer.Option("--clean", help="Disturb no scan. [default: two thirds are, as by people]"),
+    ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Store nothing, only show what would be.")
+    ] = False,
+    as_json: AsJson = False,
+    threads: Threads = None,
+    force: Force = False,
+    allow_lossy: AllowLossy = False,
+) -> None:
+    """Fit the posterior of a map's methods on simulated scans, and keep it beside the map.
+
+    A stack of votes or log-likelihoods becomes a probability by a blur in x, y and theta and an
+    exponent; those with the greatest S (eq. 12) are stored in MAP.calibration.json with the hash of
+    the map, where localize and evaluate find them. Without that file they use defaults.
+    """
+    chosen = methods_of(methods, _STACKS)
+    steps = for_each("--theta-step-deg", theta_step_deg, chosen, 0.05, 180, "degrees")
+    check_range("--range-max", range_max, 0.01, 10_000, "metres")
+    check_range("--cell", cell, 0.001, 10, "metres")
+
+    import cv2
+    import numpy as np
+
+    from imgloc.cli import answers, tables
+    from imgloc.experiments.calibrate import disturbed_set, fit, sweep
+    from imgloc.experiments.scansets import fine_image, simulate_set
+    from imgloc.io.calibration import calibration_path, save_calibrations
+    from imgloc.io.files import display
+    from imgloc.pipeline import Options, prepare
+
+    paths = [find_map(given) for given in maps]
+    targets = [calibration_path(path) for path in paths]
+    if len(set(targets)) < len(targets):
+        raise ConfigError("MAP...: the same map twice, or two that would share a file")
+    for target in [] if dry_run else targets:
+        check_target(target, ".json", force=force)
+    workers = count_threads(threads)
+    cv2.setNumThreads(workers)
+    laser = replace(sensor, range_max=range_max)
+    grids = [load_usable(path, reading, allow_lossy=allow_lossy) for path in paths]
+    simulate = simulate_set if clean else disturbed_set
+    sets = [
+        simulate(grid, count, seed, laser, fine_image(path, grid))
+        for path, grid in zip(paths, grids, strict=True)
+    ]
+    fits: dict[str, Fit] = {}
+    for method in chosen:
+        step = steps.get(method)
+        options = Options(
+            method=method,
+            theta_step=None if step is None else float(np.deg2rad(step)),
+            threads=workers,
+        )
+        sweeps = []
+        with progress(method, count * len(maps), lines=False) as advance:
+            for path, grid, scans in zip(paths, grids, sets, strict=True):
+                features = prepare(grid, display(path), cell=cell, threads=workers)
+                sweeps.append(sweep(features, scans, options, advance=advance))
+        fits[method] = fit(sweeps)
+        LOG.info("%s: %s", method, fits[method])
+    about = {
+        "maps": [display(path) for path in paths],
+        "seed": seed,
+        "trials": count,
+        "sensor": asdict(laser),
+        "clean": clean,
+        "cell": cell,
+        "theta_step_deg": steps,
+        "index": {
+            m: {"calibrated": asdict(f.index), "bare": asdict(f.bare)} for m, f in fits.items()
+        },
+    }
+    if as_json:
+        fitted = {method: asdict(f.calibration) for method, f in fits.items()}
+        emit(answers.to_json({"methods": fitted, "about": about}))
+    else:
+        emit(tables.as_plain(_COLUMNS, [_row(m, f) for m, f in fits.items()], left=1))
+    for target, grid in [] if dry_run else zip(targets, grids, strict=True):
+        fitted_here = {method: f.calibration for method, f in fits.items()}
+        plain = answers.plain(about)
+        save_calibrations(target, grid, fitted_here, plain, force=force)
+        say(f"wrote {display(target)}")
+
+
+def _row(method: str, fit: "Fit") -> list[str]:
+    import numpy as np
+
+    how = fit.calibration
+    return [
+        method,
+        str(fit.index.trials),
+        f"{how.sigma_xy:g}",
+        f"{np.rad2deg(how.sigma_theta):.3g}",
+        f"{1 / how.temperature:.3g}",
+        f"{fit.index.value:.2f} +- {fit.index.standard_error:.2f}",
+        f"{fit.bare.value:.2f} +- {fit.bare.standard_error:.2f}",
+    ]

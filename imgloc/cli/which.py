@@ -1,0 +1,183 @@
+"""`imgloc which`: which of the maps in a folder a scan is from."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from imgloc.cli.console import LOG, emit, progress, quiet_libraries, say
+from imgloc.cli.options import (
+    AllowLossy,
+    AsJson,
+    MemoryBudget,
+    ScansPath,
+    Threads,
+    check_range,
+    console,
+    count_threads,
+    cut_scan,
+    with_options,
+)
+from imgloc.errors import ConfigError, MapError
+
+if TYPE_CHECKING:
+    from imgloc.which import Choice, Fit
+
+FAILED_ROWS = 5
+_LISTED = 3
+_HEADER = f"{'index':>6}  {'verdict':<24} {'probability':>11} {'none':>7}  pose or next best"
+
+
+@with_options(console)
+def which(
+    maps_dir: Annotated[
+        Path,
+        typer.Argument(metavar="MAPS_DIR", help="Folder with map_server YAML files, at any depth."),
+    ],
+    scans_path: ScansPath,
+    range_max: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Cut readings at M metres: there, no return."),
+    ] = None,
+    sure: Annotated[
+        float, typer.Option(metavar="P", help="Probability that a map needs to be named.")
+    ] = 0.9,
+    as_json: AsJson = False,
+    threads: Threads = None,
+    memory_budget: MemoryBudget = None,
+    no_cache: Annotated[
+        bool, typer.Option("--no-cache", help="Prepare the maps anew and keep nothing.")
+    ] = False,
+    allow_lossy: AllowLossy = False,
+) -> None:
+    """Say which of the maps in a folder each scan is from: one of them, none, or undecided.
+
+    The scan is located in every map. Evidence is the likelihood averaged over all poses of a map,
+    so that a large map does not win by having more places. A map that cannot be used is reported
+    and left out; the exit code is then 5.
+    """
+    check_range("--range-max", range_max, 1e-3, 1e6, "metres")
+    check_range("--sure", sure, 0.5, 1, "a probability")
+
+    import cv2
+
+    from imgloc.cli.prepared import cache_folder, keep_features, open_features
+    from imgloc.io.files import display
+    from imgloc.io.maps import load_map
+    from imgloc.io.scans import load_scans
+    from imgloc.methods import Options
+    from imgloc.which import choose, fit
+
+    workers = count_threads(threads)
+    cv2.setNumThreads(workers)
+    paths = find_maps(maps_dir)
+    scans = [cut_scan(scan, range_max) for scan in load_scans(scans_path).scans]
+    options = Options(top=20, threads=workers, memory_budget=memory_budget)
+    folder = cache_folder(None, wanted=not no_cache)
+    fits: list[dict[str, Fit]] = [{} for _ in scans]
+    names, failed = names_of(paths, maps_dir), 0
+    with progress("which", len(paths) * len(scans), lines=False) as advance:
+        for path, name in zip(paths, names, strict=True):
+            try:
+                with quiet_libraries():
+                    grid = load_map(path, allow_lossy=allow_lossy)
+                features = open_features(
+                    grid, display(path), folder, memory_budget, threads=workers
+                )
+            except (MapError, ConfigError) as error:
+                say(f"left out: {error}")
+                failed += 1
+                continue
+            for scan, found in zip(scans, fits, strict=True):
+                found[name] = fit(features, scan, options)
+                advance()
+            if folder is not None:
+                keep_features(features, folder)
+            LOG.info("%s: %d scans located", display(path), len(scans))
+    if failed == len(paths):
+        raise MapError(f"{display(maps_dir)}: none of its {failed} maps can be used")
+    if not as_json:
+        emit(_HEADER)
+    for k, found in enumerate(fits):
+        choice = choose(found, options.trust, sure=sure)
+        emit(_as_json(k, choice, found) if as_json else _as_line(k, choice, found))
+    if failed:
+        raise typer.Exit(FAILED_ROWS)
+
+
+def find_maps(folder: Path) -> list[Path]:
+    """YAML files of maps in a folder and below, in order of their names.
+
+    Raises
+    ------
+    ConfigError
+        If it is no folder, or holds none.
+    """
+    from imgloc.io.files import display
+
+    if not folder.is_dir():
+        raise ConfigError(f"{display(folder)}: expected a folder of maps")
+    paths = sorted({*folder.rglob("*.yaml"), *folder.rglob("*.yml")})
+    if not paths:
+        raise ConfigError(f"{display(folder)}: no map, expected map_server YAML files (*.yaml)")
+    return paths
+
+
+def names_of(paths: Iterable[Path], folder: Path) -> list[str]:
+    """Names of maps in a folder, each other than all others.
+
+    Examples
+    --------
+    >>> names_of([Path("a/attic.yaml"), Path("a/cellar/map.yaml")], Path("a"))
+    ['attic', 'cellar']
+    """
+    names = []
+    for path in paths:
+        name = path.relative_to(folder).with_suffix("")
+        short = name.parent if name.name == "map" and name.parent != Path() else name
+        names.append(short.as_posix() if short.as_posix() not in names else name.as_posix())
+    return names
+
+
+def _as_json(index: int, choice: "Choice", fits: "dict[str, Fit]") -> str:
+    """One line of JSON: the verdict, and each map with its pose in it."""
+    from imgloc.cli.answers import as_pose, to_json
+
+    return to_json(
+        {
+            "index": index,
+            "verdict": choice.verdict,
+            "none": choice.none,
+            "temperature": choice.temperature,
+            "maps": [
+                {
+                    "map": name,
+                    "probability": share,
+                    "log_evidence": choice.log_evidence.get(name),
+                    "misfit": fits[name].misfit,
+                    "verdict": fits[name].answer.verdict,
+                    "pose": as_pose(fits[name].answer.pose),
+                    "explained": fits[name].answer.explained,
+                }
+                for name, share in choice.probability.items()
+            ],
+        }
+    )
+
+
+def _as_line(index: int, choice: "Choice", fits: "dict[str, Fit]") -> str:
+    """One line of text: the pose in the map that is named, else the candidates."""
+    from imgloc.cli.answers import describe
+
+    name = next(iter(choice.probability))
+    pose = fits[name].answer.pose
+    if choice.verdict == name and pose is not None:
+        more = f"{describe(pose)} ({fits[name].answer.verdict})"
+    else:
+        some = list(choice.probability.items())[:_LISTED]
+        more = ", ".join(f"{other} {100 * share:.1f} %" for other, share in some)
+    return (
+        f"{index:>6}  {choice.verdict:<24} {100 * choice.probability[name]:9.1f} % "
+        f"{100 * choice.none:5.1f} %  {more}"
+    )

@@ -1,0 +1,91 @@
+"""The atlas as CSV: one row for each pose, and a file that a survey goes on from."""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from imgloc.errors import OutputError
+from imgloc.io.files import display
+
+COLUMNS = (
+    "x", "y", "theta", "kind", "mass", "error", "turn", "twin_x", "twin_y", "twin_theta",
+    "twin_mass",
+)  # fmt: skip
+"""Map frame, metres and radians; kind is unique, ambiguous, no-match or wrong."""
+
+
+def as_csv(rows: Sequence[Sequence[object]]) -> str:
+    """Rows of :data:`COLUMNS` below their names; what is not a number is left empty.
+
+    Examples
+    --------
+    >>> as_csv([(1.0, 2.5, 0.0, "unique", 1.0, 0.01, 0.0, None, None, None, 0.0)]).split()[1]
+    '1.0,2.5,0.0,unique,1.0,0.01,0.0,,,,0.0'
+    """
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows([_plain(value) for value in row] for row in rows)
+    return out.getvalue()
+
+
+def _plain(value: object) -> object:
+    lost = value is None or (isinstance(value, float) and not math.isfinite(value))
+    return "" if lost else value
+
+
+class Journal:
+    """Rows as they come, in a file that only grows, so that a survey can go on after a stop.
+
+    Parameters
+    ----------
+    path : Path
+    key : mapping
+        What decides the rows; a journal of anything else is refused.
+
+    Raises
+    ------
+    OutputError
+        If there is a journal of another survey, or it cannot be read or written.
+    """
+
+    def __init__(self, path: Path, key: Mapping[str, object]) -> None:
+        self.path, self.key = path, json.dumps(key, sort_keys=True)
+        self.rows: list[list[object]] = []
+        name = display(path)
+        try:
+            if path.exists():
+                lines = path.read_text("utf-8").splitlines(keepends=True)
+                if not lines or lines[0].strip() != self.key:
+                    raise OutputError(
+                        f"{name}: begun with another map or other options; remove it, or go on "
+                        "with those"
+                    )
+                # A stop may have cut the last line.
+                whole = [line for line in lines if line.endswith("\n")]
+                self.rows = [json.loads(line) for line in whole[1:]]
+                self._file = path.open("w", encoding="utf-8")
+                self._file.writelines(whole)
+            else:
+                self._file = path.open("x", encoding="utf-8")
+                self._file.write(self.key + "\n")
+        except (OSError, ValueError) as error:
+            raise OutputError(f"{name}: cannot be used to go on from: {error}") from None
+
+    def add(self, row: Sequence[object]) -> None:
+        """Append a row, at once."""
+        self.rows.append(list(row))
+        self._file.write(json.dumps([None if _plain(v) == "" else v for v in row]) + "\n")
+        self._file.flush()
+
+    def close(self) -> None:
+        """Keep the file for the next time."""
+        self._file.close()
+
+    def remove(self) -> None:
+        """All is done: the file is of no use any more."""
+        self._file.close()
+        self.path.unlink()

@@ -1,0 +1,160 @@
+"""What a posterior says, in fewer numbers: entropy, marginals, the mass of a region, samples.
+
+Drawing poses from p(x | z) is what the paper's benchmark is for: a particle filter that has lost
+the robot puts its particles where the scan may have been taken (sensor resetting).
+"""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from imgloc.errors import ConfigError
+from imgloc.geometry import centre_of, wrap
+from imgloc.model import BoolArray, Float32Array, FloatArray, GridInfo
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+
+def entropy(mass: npt.NDArray[Any]) -> float:
+    """Of shares that sum to 1, nats: 0 for certainty, ``log(n)`` for no idea among n.
+
+    Parameters
+    ----------
+    mass : array of any shape
+        A posterior, a marginal, or masses of hypotheses.
+
+    Examples
+    --------
+    >>> round(entropy(np.array([0.5, 0.5])), 3)
+    0.693
+    """
+    positive = mass[mass > 0]
+    return float(abs(np.sum(positive * np.log(positive), dtype=np.float64)))
+
+
+def marginal_xy(probability: Float32Array) -> FloatArray:
+    """The probability of each place (H, W), whatever the heading.
+
+    Examples
+    --------
+    >>> marginal_xy(np.full((4, 1, 2), 0.125, dtype=np.float32)).tolist()
+    [[0.5, 0.5]]
+    """
+    return np.asarray(probability.sum(axis=0, dtype=np.float64))
+
+
+def marginal_theta(probability: Float32Array) -> FloatArray:
+    """The probability of each heading (K,), wherever the place.
+
+    Examples
+    --------
+    >>> marginal_theta(np.full((4, 1, 2), 0.125, dtype=np.float32)).tolist()
+    [0.25, 0.25, 0.25, 0.25]
+    """
+    return np.asarray(probability.reshape(len(probability), -1).sum(axis=1, dtype=np.float64))
+
+
+def mass_of(
+    probability: Float32Array,
+    thetas: FloatArray,
+    *,
+    where: BoolArray | None = None,
+    heading: tuple[float, float] | None = None,
+) -> float:
+    """The probability of a region: that the robot is in this room and faces the door, say.
+
+    Parameters
+    ----------
+    probability : (K, H, W) float32 array
+    thetas : (K,) float array
+        Headings, radians.
+    where : (H, W) bool array, optional
+        The cells; by default all.
+    heading : (float, float), optional
+        Middle and half-width of a window of headings, radians; cells of headings whose middle is
+        in it count. By default all do.
+
+    Raises
+    ------
+    ConfigError
+        If `where` has another shape than the images.
+
+    Examples
+    --------
+    >>> p = np.full((4, 1, 2), 0.125, dtype=np.float32)
+    >>> thetas = np.deg2rad([0, 90, 180, 270])
+    >>> mass_of(p, thetas, where=np.array([[True, False]]), heading=(-0.2, 0.3))
+    0.125
+    """
+    if where is not None and where.shape != probability.shape[1:]:
+        raise ConfigError(f"region of {where.shape} cells, expected {probability.shape[1:]}")
+    chosen = probability
+    if heading is not None:
+        middle, half = heading
+        chosen = chosen[np.abs(wrap(thetas - middle)) <= half]
+    place = marginal_xy(chosen)
+    return float(place.sum() if where is None else place[where].sum())
+
+
+def draw_poses(
+    probability: Float32Array,
+    thetas: FloatArray,
+    grid: GridInfo,
+    n: int,
+    rng: "Generator",
+) -> FloatArray:
+    """Draw poses from p(x | z): cells by their probability, and uniformly inside a cell.
+
+    Parameters
+    ----------
+    probability : (K, H, W) float32 array
+        Not all 0; need not sum to 1.
+    thetas : (K,) float array
+        Equally spaced over the circle: the middles of the cells.
+    grid : GridInfo
+    n : int
+    rng : numpy.random.Generator
+        ``numpy.random.default_rng(seed)``: the same seed, the same poses.
+
+    Returns
+    -------
+    (n, 3) float array
+        x, y, theta in the grid frame; :func:`imgloc.geometry.transform_poses` with
+        ``grid.origin`` takes them to the map frame.
+
+    Raises
+    ------
+    ConfigError
+        If `n` is negative or no pose has a probability.
+
+    Examples
+    --------
+    >>> p = np.zeros((4, 2, 2), dtype=np.float32)
+    >>> p[1, 0, 1] = 1
+    >>> poses = draw_poses(p, np.deg2rad([0, 90, 180, 270]), GridInfo(2, 2, 0.5), 3,
+    ...                    np.random.default_rng(0))
+    >>> bool(np.all((poses[:, 0] >= 0.5) & (poses[:, 0] <= 1.0))), poses.shape
+    (True, (3, 3))
+    """
+    if n < 0:
+        raise ConfigError(f"the number of poses to draw must not be negative, got {n}")
+    # By heading first: a sum over a whole stack at a time would need a copy of it in float64.
+    by_heading = np.cumsum(marginal_theta(probability))
+    if not (len(by_heading) and by_heading[-1] > 0):
+        raise ConfigError("no pose has a positive probability to be drawn with")
+    shares = rng.random((n, 2))
+    heading = np.searchsorted(by_heading, shares[:, 0] * by_heading[-1], side="right")
+    heading = np.minimum(heading, np.flatnonzero(np.diff(by_heading, prepend=0))[-1])
+    cell = np.empty(n, dtype=np.int64)
+    for k in np.unique(heading):
+        mine = heading == k
+        sums = np.cumsum(probability[k].ravel(), dtype=np.float64)
+        found = np.searchsorted(sums, shares[mine, 1] * sums[-1], side="right")
+        cell[mine] = np.minimum(found, np.flatnonzero(probability[k].ravel())[-1])
+    within = rng.uniform(-0.5, 0.5, (n, 3))
+    cells = np.stack(np.unravel_index(cell, grid.shape), axis=1)
+    xy = centre_of(cells, grid.resolution) + grid.resolution * within[:, :2]
+    theta = wrap(thetas[heading] + 2 * np.pi / len(thetas) * within[:, 2])
+    return np.column_stack((xy, theta))

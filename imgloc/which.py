@@ -1,0 +1,165 @@
+"""Which of some maps is a scan from? Evidence that is comparable across maps of any size.
+
+The evidence of a map is the mean of the scan's likelihood over all poses in it: eq. 12's
+``1 / V`` in front of an integral that is, mode by mode, the height of a Gaussian times its
+volume. A large map has more places that fit by chance, and pays for them with its V.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from imgloc.errors import ConfigError
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.model import FloatArray, LaserScan, Localization
+from imgloc.pipeline import FUSED, Options, localize
+from imgloc.search.fused import thin
+from imgloc.search.trust import Trust
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How a scan fits a map.
+
+    Parameters
+    ----------
+    answer : Localization
+        In that map.
+    log_likelihood : (M,) float array
+        Of the modes, best first, nats.
+    log_volume : (M,) float array
+        Logarithm of the volume of each mode as a share of the map's.
+    readings : int
+        How many were scored.
+    best : float
+        Log-likelihood of a reading that fits perfectly, nats.
+    """
+
+    answer: Localization
+    log_likelihood: FloatArray
+    log_volume: FloatArray
+    readings: int
+    best: float
+
+    @property
+    def misfit(self) -> float:
+        """Nats per reading that the best mode falls short of a perfect fit; inf without one."""
+        if not len(self.log_likelihood):
+            return float("inf")
+        return float(self.best - self.log_likelihood[0] / self.readings)
+
+    def log_evidence(self, temperature: float) -> float:
+        """Logarithm of the mean likelihood over the poses of the map, nats; -inf without a mode."""
+        if not len(self.log_likelihood):
+            return float("-inf")
+        # The modes of the tempered likelihood are wider by the root of the temperature.
+        terms = self.log_likelihood / temperature + self.log_volume + 1.5 * np.log(temperature)
+        return float(np.logaddexp.reduce(terms))
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Probabilities of the maps.
+
+    Parameters
+    ----------
+    verdict : str
+        The name of a map, ``none`` or ``undecided``.
+    probability : mapping of str to float
+        Of each map, best first; with `none` they sum to 1.
+    none : float
+        That the scan is from none of them.
+    log_evidence : mapping of str to float
+        Nats, relative to the best map's.
+    temperature : float
+        Common to all maps: that of the one that fits best.
+    """
+
+    verdict: str
+    probability: Mapping[str, float]
+    none: float
+    log_evidence: Mapping[str, float]
+    temperature: float
+
+
+def fit(features: MapFeatures, scan: LaserScan, options: Options | None = None) -> Fit:
+    """Locate a scan in a map, and keep what its evidence is made of.
+
+    Parameters
+    ----------
+    features : MapFeatures
+    scan : LaserScan
+    options : Options, optional
+        Of the method ``fused``.
+
+    Raises
+    ------
+    ConfigError
+        If the method is another one: the values of votes have no common scale.
+    """
+    options = options or Options(top=20)
+    if options.method != FUSED:
+        raise ConfigError(f"maps are compared by the method {FUSED}, got {options.method}")
+    answer = localize(features, scan, options)
+    space = np.count_nonzero(features.free) * features.lattice.resolution**2 * 2 * np.pi
+    modes = answer.hypotheses
+    # An integral of a density that is no narrower than the score is sharp: the search's own
+    # rounding and a mode that is its own best pose cost as much in every map.
+    volumes = [0.5 * np.linalg.slogdet(2 * np.pi * h.covariance)[1] for h in modes]
+    return Fit(
+        answer,
+        np.array([h.log_likelihood for h in modes]),
+        np.array(volumes) - np.log(space),
+        max(1, len(thin(scan.valid, options.fused.rays))),
+        options.fused.model.best,
+    )
+
+
+def choose(fits: Mapping[str, Fit], trust: Trust | None = None, *, sure: float = 0.9) -> Choice:
+    """Compare maps by how a scan fits them; all maps are equally likely beforehand.
+
+    Parameters
+    ----------
+    fits : mapping of str to Fit
+    trust : Trust, optional
+    sure : float
+        Probability that a map needs to be the verdict.
+
+    Raises
+    ------
+    ConfigError
+        If there are no maps.
+
+    Examples
+    --------
+    >>> def made(score):
+    ...     nothing = Localization((), "unique", 0.0, 1.0)
+    ...     return Fit(nothing, np.array([score]), np.array([-9.0]), 100, 1.5)
+    >>> choose({"cellar": made(-150.0), "attic": made(140.0)}).verdict
+    'attic'
+    """
+    if not fits:
+        raise ConfigError("expected at least one map to choose from")
+    trust = trust or Trust()
+    best = min(fits.values(), key=lambda f: f.misfit)
+    if not np.isfinite(best.misfit):
+        return Choice("none", dict.fromkeys(fits, 0.0), 1.0, {}, trust.temperature)
+    temperature = trust.temperature_at(best.misfit)
+    evidence = {name: f.log_evidence(temperature) for name, f in fits.items()}
+    top = max(evidence.values())
+    order = sorted(evidence, key=lambda name: (-evidence[name], name))
+    weights = np.exp([evidence[name] - top for name in order])
+    weights /= weights.sum()
+    # The chance of being elsewhere counts twins in one map; twins in two maps are no less twins.
+    share = np.exp((best.log_likelihood - best.log_likelihood[0]) / temperature)
+    none = trust.mass_elsewhere(best.misfit, float(1 / share.sum()))
+    probability = {name: float((1 - none) * w) for name, w in zip(order, weights, strict=True)}
+    verdict = order[0] if probability[order[0]] >= sure else "undecided"
+    return Choice(
+        "none" if none > 0.5 else verdict,
+        probability,
+        none,
+        {name: evidence[name] - top for name in order},
+        temperature,
+    )

@@ -1,0 +1,202 @@
+"""The localizability atlas: places, kinds, twins, the journal, the picture and the command."""
+
+import csv
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command import MAPS, call, rows
+
+from imgloc.draw.atlas import COLOURS, draw_atlas
+from imgloc.errors import ConfigError, MapError, OutputError
+from imgloc.experiments.atlas import TOP, atlas_poses, survey
+from imgloc.experiments.simulate import ray_angles, simulate
+from imgloc.io.atlasrows import COLUMNS, Journal, as_csv
+from imgloc.model import LaserScan, OccupancyGrid, Pose2D
+from imgloc.pipeline import Options
+
+
+def twin_rooms() -> OccupancyGrid:
+    """Two rooms, each other's copies 6 m apart along x, and one that is like neither."""
+    walls = np.zeros((52, 180), bool)
+    for left in (0, 60):
+        walls[[0, 51], left : left + 60] = True
+        walls[:, left : left + 3] = True
+        walls[:, left + 57 : left + 60] = True
+        walls[15:25, left + 10 : left + 16] = True
+        walls[35, left + 30 : left + 57] = True
+    walls[[0, 51], 120:] = True
+    walls[:, 179] = True
+    walls[10:40, 150] = True
+    return OccupancyGrid(walls, ~walls, 0.1, Pose2D(5.0, -3.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def spots():
+    grid = twin_rooms()
+    poses = [Pose2D(2.5, 3.0, 0.3), Pose2D(8.5, 3.0, 0.3), Pose2D(16.5, 2.5, 1.0)]
+    angles = ray_angles(181, np.pi * 1.5)
+    ranges = simulate(grid, [(p.x, p.y, p.theta) for p in poses], angles, seed=1)
+    scans = [(p, LaserScan(r, angles, range_max=30.0)) for p, r in zip(poses, ranges, strict=True)]
+    return grid, scans, list(survey(grid, scans, Options(top=TOP)))
+
+
+def test_twins_name_each_other(spots):
+    _, _, (left, right, alone) = spots
+    assert (left.kind, right.kind, alone.kind) == ("ambiguous", "ambiguous", "unique")
+    for one, other in ((left, right), (right, left)):
+        assert np.hypot(one.twin.x - other.pose.x, one.twin.y - other.pose.y) < 0.15
+        assert one.mass + one.twin_mass > 0.9
+    assert alone.mass > 0.9
+    assert alone.error < 0.1
+
+
+def test_poses_are_in_the_map_frame(spots):
+    _, scans, found = spots
+    assert found[0].pose.x == pytest.approx(scans[0][0].x + 5.0)
+    assert found[0].pose.y == pytest.approx(scans[0][0].y - 3.0)
+
+
+def test_workers_do_not_matter(spots):
+    grid, scans, found = spots
+    assert list(survey(grid, scans, Options(top=TOP), workers=2)) == found
+
+
+def test_places_are_free_and_clear():
+    free = np.ones((40, 60), bool)
+    free[:, 30] = False
+    grid = OccupancyGrid(~free, free, 0.1)
+    poses = atlas_poses(grid, 0.5, 3, 0.3)
+    assert len(poses) % 3 == 0
+    assert np.unique(poses[:, 2]).round(3).tolist() == [0.0, 2.094, 4.189]
+    assert (np.abs(poses[:, 0] - 3.05) >= 0.3).all()
+    assert poses[:, :2].min() >= 0.3
+    with pytest.raises(MapError, match="clearance"):
+        atlas_poses(grid, 0.5, 1, 9.0)
+    with pytest.raises(ConfigError, match="positive step"):
+        atlas_poses(grid, 0.0, 1, 0.0)
+
+
+def test_a_journal_goes_on_after_a_cut_line(tmp_path: Path) -> None:
+    path = tmp_path / "a.part"
+    journal = Journal(path, {"step": 1})
+    journal.add([1.0, None, float("nan"), "unique"])
+    journal.add([2.0])
+    journal.close()
+    path.write_text(path.read_text() + '[3.0, "half')
+    again = Journal(path, {"step": 1})
+    assert again.rows == [[1.0, None, None, "unique"], [2.0]]
+    again.add([4.0])
+    again.close()
+    last = Journal(path, {"step": 1})
+    assert len(last.rows) == 3
+    last.close()
+    with pytest.raises(OutputError, match="another map or other options"):
+        Journal(path, {"step": 2})
+
+
+def test_csv_has_named_columns() -> None:
+    text = as_csv([(1.0, 2.0, 0.5, "no-match", 0.0, float("nan"), None, None, None, None, 0.0)])
+    (row,) = csv.DictReader(text.splitlines())
+    assert tuple(row) == COLUMNS
+    assert (row["kind"], row["error"], row["twin_x"]) == ("no-match", "", "")
+
+
+def test_a_wedge_points_along_its_heading() -> None:
+    free = np.ones((20, 20), bool)
+    grid = OccupancyGrid(~free, free, 0.1, Pose2D(1.0, 0.0, np.pi / 2))
+    # In the map frame, whose x is the grid's -y: heading 0 is down in the picture.
+    pose = Pose2D(0.0, 1.0, 0.0)
+    image = draw_atlas(grid, [pose], ["unique"], [None], step=1.0, headings=4)
+    blue = (image[:320] == COLOURS["unique"]).all(axis=2)  # 16 pixels a cell
+    y, x = np.nonzero(blue)
+    assert abs(x.mean() - 160) < 5
+    assert y.mean() > 165 + 20
+
+
+def test_the_legend_counts(tmp_path: Path) -> None:
+    free = np.ones((30, 30), bool)
+    grid = OccupancyGrid(~free, free, 0.1)
+    poses = [Pose2D(1.0, 1.0), Pose2D(2.0, 1.0)]
+    kinds = ["ambiguous", "wrong"]
+    image = draw_atlas(grid, poses, kinds, [Pose2D(2.0, 2.0), None], step=0.5, headings=1)
+    legend = image[480:]
+    assert (legend == COLOURS["wrong"]).all(axis=2).any()
+    assert not (legend == COLOURS["no-match"]).all(axis=2).any()
+
+
+ATLAS = ("atlas", MAPS / "curved.yaml", "--step", 3, "--headings", 2, "--rays", 61)
+
+
+def test_the_command_writes_a_picture_a_table_and_numbers(tmp_path: Path) -> None:
+    png, table = tmp_path / "a.png", tmp_path / "a.csv"
+    code, out, err = call(*ATLAS, "--out", png, "--csv", table, "--json", "--workers", 1)
+    assert (code, err) == (0, "")
+    (found,) = rows(out)
+    with table.open() as file:
+        listed = list(csv.DictReader(file))
+    assert len(listed) == found["poses"] == 2 * found["places"]
+    kinds = [row["kind"] for row in listed]
+    assert kinds.count("unique") == found["unique"]["hits"]
+    assert found["unique"]["low"] <= found["unique"]["value"] <= found["unique"]["high"]
+    assert cv2.imdecode(np.fromfile(png, np.uint8), cv2.IMREAD_COLOR).shape[1] >= 1000
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv", "a.png"]
+    again = call(*ATLAS, "--out", png, "--json")
+    assert (again.code, again.out) == (1, "")
+
+
+def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
+    whole, part = tmp_path / "whole.png", tmp_path / "part.png"
+    first = call(*ATLAS, "--out", whole, "--csv", tmp_path / "w.csv", "--workers", 1)
+    # What a stop leaves behind: the head of the journal and some rows.
+    assert call(*ATLAS, "--out", part, "--step", 3, "--csv", tmp_path / "x" / "y.csv").code != 0
+    text = (tmp_path / "w.csv").read_text().splitlines()
+    done = call(*ATLAS, "--out", part, "--csv", tmp_path / "p.csv", "--workers", 2)
+    assert done.out == first.out
+    assert (tmp_path / "p.csv").read_text().splitlines() == text
+    assert whole.read_bytes() == part.read_bytes()
+
+
+def test_rows_that_are_there_are_not_computed_again(tmp_path: Path, monkeypatch) -> None:
+    from imgloc.experiments import atlas
+
+    png = tmp_path / "a.png"
+    stop = 5
+
+    def interrupted(*args, **kwargs):
+        for k, spot in enumerate(atlas_survey(*args, **kwargs)):
+            if k == stop:
+                raise KeyboardInterrupt
+            yield spot
+
+    atlas_survey = atlas.survey
+    monkeypatch.setattr(atlas, "survey", interrupted)
+    run = call(*ATLAS, "--out", png, "--workers", 1)
+    assert run.code != 0
+    journal = (tmp_path / "a.png.part").read_text().splitlines()
+    assert len(journal) == 1 + stop
+    assert json.loads(journal[0])["headings"] == 2
+    monkeypatch.undo()
+    run = call(*ATLAS, "--out", png, "--workers", 1)
+    assert run.code == 0
+    assert "going on after 5" in run.err
+    assert not (tmp_path / "a.png.part").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "code", "expected"),
+    [
+        (("--step", 0.02, "--headings", 72), 2, "expected at most 20,000"),
+        (("--step", 0), 2, "--step"),
+        (("--clearance", 40), 3, "clearance"),
+        (("--out", "a.jpg"), 2, ".png"),
+    ],
+)
+def test_refuses(tmp_path: Path, options, code: int, expected: str) -> None:
+    words = ["atlas", MAPS / "curved.yaml", "--out", tmp_path / "a.png", *options]
+    run = call(*words)
+    assert (run.code, run.out) == (code, "")
+    assert expected in run.err
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,111 @@
+"""`imgloc calibrate`, from the command line to the file that localize and evaluate find."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from command import MAPS, call, rows
+
+from imgloc.io.calibration import load_calibrations
+from imgloc.io.maps import load_map
+from imgloc.likelihood.calibration import DEFAULTS
+
+QUICK = ("--methods", "ght-v", "-n", 3, "--rays", 61, "--theta-step-deg", 15, "--threads", 1)
+
+
+@pytest.fixture
+def office(tmp_path: Path) -> Path:
+    for ending in (".yaml", ".png"):
+        shutil.copy(MAPS / f"curved{ending}", tmp_path)
+    return tmp_path / "curved.yaml"
+
+
+def test_what_is_fitted_is_used(office: Path) -> None:
+    code, out, err = call("calibrate", office, *QUICK)
+    assert code == 0
+    assert out.count("ght-v") == 1
+    path = office.with_name("curved.calibration.json")
+    assert f"wrote {path}" in err
+    content = json.loads(path.read_text())
+    assert content["about"]["seed"] == 1000
+    assert content["about"]["trials"] == 3
+    assert content["about"]["sensor"]["rays"] == 61
+    fitted = load_calibrations(path, load_map(office))
+    assert list(fitted) == ["ght-v"]
+    assert fitted["ght-v"] != DEFAULTS["ght-v"]
+    scans = office.with_name("scans.npz")
+    assert call("simulate", office, "-n", 1, "--rays", 61, "--out", scans).code == 0
+    for words in (
+        ("localize", office, scans, "--method", "ght-v", "--json"),
+        ("evaluate", office, "-n", 1, "--rays", 61, "--methods", "ght-v", "--json"),
+    ):
+        (row,) = rows(call(*words).out)
+        assert row["parameters"]["calibration"] == vars(fitted["ght-v"])
+    (other,) = rows(call("localize", office, scans, "--method", "ght", "--json").out)
+    assert other["parameters"]["calibration"] == vars(DEFAULTS["ght"])
+    # At another resolution it is another map.
+    code, out, err = call("localize", office, scans, "--method", "ght-v", "--json",
+                          "--resolution", 0.101)  # fmt: skip
+    assert rows(out)[0]["parameters"]["calibration"] == vars(DEFAULTS["ght-v"])
+    assert "not used" in err
+
+
+def test_the_same_seed_the_same_bytes_for_every_number_of_threads(office: Path) -> None:
+    path = office.with_name("curved.calibration.json")
+    content = []
+    for threads in (1, 2):
+        words = ("--force", "--threads", threads, "--seed", 5)
+        assert call("calibrate", office, *QUICK[:-2], *words).code == 0
+        content.append(path.read_bytes())
+    assert content[0] == content[1]
+
+
+def test_a_dry_run_stores_nothing(office: Path) -> None:
+    before = sorted(office.parent.iterdir())
+    words = ("--methods", "ght,beam", "--cell", 0.2, "--theta-step-deg", 15, "-n", 1, "--clean")
+    (row,) = rows(call("calibrate", office, *words, "--dry-run", "--json").out)
+    assert sorted(office.parent.iterdir()) == before
+    assert list(row["methods"]) == ["ght", "beam"]
+    assert row["about"]["clean"] is True
+    index = row["about"]["index"]["ght"]
+    assert index["calibrated"]["value"] > index["bare"]["value"]
+
+
+def test_maps_that_share_a_fit(office: Path) -> None:
+    twin = office.with_name("twin.yaml")
+    shutil.copy(office, twin)
+    assert call("calibrate", office, twin, *QUICK).code == 0
+    one, two = (
+        load_calibrations(p.with_suffix(".calibration.json"), load_map(p)) for p in (office, twin)
+    )
+    assert one == two != {}
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "expected"),
+    [
+        (["--methods", "fused"], 2, "--methods: got 'fused', expected cbml,"),
+        (["--theta-step-deg", "beam=3", "--methods", "ght"], 2, "not one of --methods"),
+        (["--cell", "0"], 2, "--cell: got 0"),
+        (["--range-max", "0"], 2, "--range-max: got 0"),
+        (["--clearance", "50"], 3, "clearance"),
+        (["MAP"], 2, "the same map twice"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_refuses(office: Path, words: list[str], code: int, expected: str) -> None:
+    given = [str(office) if w == "MAP" else w for w in words]
+    run = call("calibrate", office, *given)
+    assert (run.code, run.out) == (code, "")
+    assert expected in " ".join(run.err.split())
+    assert not office.with_name("curved.calibration.json").exists()
+
+
+def test_refuses_to_overwrite_before_any_work(office: Path) -> None:
+    path = office.with_name("curved.calibration.json")
+    path.write_text("mine")
+    code, out, err = call("calibrate", office)
+    assert (code, out) == (1, "")
+    assert "--force" in err
+    assert path.read_text() == "mine"

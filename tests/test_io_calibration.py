@@ -1,0 +1,111 @@
+"""The file of calibrations beside a map: found again, and not used for another map."""
+
+import json
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imgloc.errors import OutputError
+from imgloc.io.calibration import (
+    calibration_path,
+    load_calibrations,
+    map_hash,
+    save_calibrations,
+)
+from imgloc.likelihood.calibration import Calibration
+from imgloc.model import OccupancyGrid, Pose2D
+
+WALL = np.eye(4, dtype=bool)
+GRID = OccupancyGrid(WALL, ~WALL, 0.1)
+FITTED = {"ght-v": Calibration(0.1, 0.17, 1 / 30), "beam": Calibration(temperature=0.1)}
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = calibration_path(tmp_path / "office.v2.yaml")
+    save_calibrations(path, GRID, FITTED, {"seed": 3})
+    return path
+
+
+def test_what_is_stored_is_found_again(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    assert path.name == "office.v2.calibration.json"
+    assert load_calibrations(path, GRID) == FITTED
+    content = json.loads(path.read_text())
+    assert content["about"] == {"seed": 3}
+    assert content["map_hash"] == map_hash(GRID)
+    assert not caplog.records
+
+
+def test_no_file_no_calibrations(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    assert load_calibrations(tmp_path / "a.calibration.json", GRID) == {}
+    assert load_calibrations(tmp_path, GRID) == {}
+    assert not caplog.records
+
+
+def test_the_hash_is_of_what_is_seen_in_the_map() -> None:
+    moved = OccupancyGrid(WALL, ~WALL, 0.1, Pose2D(1, 2, 3))
+    assert map_hash(moved) == map_hash(GRID)
+    other = WALL.copy()
+    other[0, 1] = True
+    unknown = ~WALL
+    unknown[0, 1] = False
+    grids = [
+        OccupancyGrid(other, ~other, 0.1),
+        OccupancyGrid(WALL, unknown, 0.1),
+        OccupancyGrid(WALL, ~WALL, 0.2),
+        OccupancyGrid(WALL.reshape(2, 8), ~WALL.reshape(2, 8), 0.1),
+    ]
+    assert len({map_hash(grid) for grid in [GRID, *grids]}) == 5
+
+
+def test_of_another_map_it_is_not_used(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    finer = OccupancyGrid(WALL, ~WALL, 0.05)
+    assert load_calibrations(path, finer) == {}
+    (record,) = caplog.records
+    assert record.levelno == logging.WARNING
+    assert "office.v2.calibration.json: not used" in record.getMessage()
+    assert "a map with other cells" in record.getMessage()
+
+
+def values(sigma_xy: float, temperature: object) -> dict[str, object]:
+    return {"sigma_xy": sigma_xy, "sigma_theta": 0, "temperature": temperature}
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"format": 2}, "format 1"),
+        ({"methods": []}, "methods: expected an object"),
+        ({"methods": {"fused": {}}}, "methods: expected an object with keys of cbml"),
+        ({"methods": {"ght": {"sigma_xy": 1}}}, "methods.ght: expected an object with sigma_xy"),
+        ({"methods": {"ght": values(0, "1")}}, "got '1'"),
+        ({"methods": {"ght": values(0, True)}}, "got True"),
+        ({"methods": {"ght": values(0, 0)}}, "positive"),
+        ({"methods": {"ght": values(-1, 1)}}, "sigma_xy"),
+        ({"methods": {"ght": values(float("nan"), 1)}}, "nan"),
+    ],
+)
+def test_a_damaged_file_is_not_used(
+    path: Path, change: dict[str, object], expected: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    assert load_calibrations(path, GRID) == {}
+    assert expected in caplog.text
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[1]", b"\xff\xfe", b"[" * 100_000, b" " * 2**21])
+def test_what_is_no_such_file_is_not_used(
+    path: Path, content: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    path.write_bytes(content)
+    assert load_calibrations(path, GRID) == {}
+    assert len(caplog.records) == 1
+
+
+def test_nothing_is_overwritten_unless_told_to(path: Path) -> None:
+    with pytest.raises(OutputError, match="--force"):
+        save_calibrations(path, GRID, {}, {})
+    save_calibrations(path, GRID, {}, {}, force=True)
+    assert load_calibrations(path, GRID) == {}

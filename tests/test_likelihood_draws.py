@@ -1,0 +1,107 @@
+"""Entropy, marginals, regions and draws of a posterior, against sums written out."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from imgloc.errors import ConfigError
+from imgloc.geometry import cell_of, theta_bin, uniform_thetas
+from imgloc.likelihood.draws import draw_poses, entropy, marginal_theta, marginal_xy, mass_of
+from imgloc.model import GridInfo, Pose2D
+
+GRID = GridInfo(2, 3, 0.5, Pose2D(7.0, -3.0, 1.0))
+THETAS = uniform_thetas(np.pi / 2)
+P = np.zeros((4, 2, 3), dtype=np.float32)
+P[0, 0, 0], P[1, 0, 0], P[3, 1, 2] = 0.5, 0.25, 0.25
+
+
+def test_entropy_of_a_stack_and_of_its_marginals():
+    assert entropy(P) == pytest.approx(1.5 * np.log(2))
+    assert entropy(marginal_xy(P)) == pytest.approx(-0.75 * np.log(0.75) - 0.25 * np.log(0.25))
+    assert entropy(np.full((4, 2, 3), 1 / 24, np.float32)) == pytest.approx(np.log(24), rel=1e-6)
+    certain = np.zeros((4, 2, 3), np.float32)
+    certain[2, 1, 1] = 1
+    assert entropy(certain) == 0
+
+
+def test_marginals():
+    assert marginal_xy(P).tolist() == [[0.75, 0, 0], [0, 0, 0.25]]
+    assert marginal_theta(P).tolist() == [0.5, 0.25, 0, 0.25]
+
+
+def test_the_mass_of_a_region():
+    corner = np.array([[True, True, False], [False, False, False]])
+    assert mass_of(P, THETAS) == 1
+    assert mass_of(P, THETAS, where=corner) == 0.75
+    assert mass_of(P, THETAS, where=~corner) == 0.25
+    assert mass_of(P, THETAS, heading=(0.1, 0.2)) == 0.5
+    assert mass_of(P, THETAS, where=corner, heading=(np.pi / 2, 0.1)) == 0.25
+    # A window that goes across -pi, and one across 0.
+    assert mass_of(P, THETAS, heading=(-np.pi / 2 + 2 * np.pi, 0.1)) == 0.25
+    assert mass_of(P, THETAS, heading=(-0.8, 0.9)) == 0.75
+    with pytest.raises(ConfigError, match="expected"):
+        mass_of(P, THETAS, where=corner.T)
+
+
+def test_draws_have_the_shares_of_the_posterior():
+    poses = draw_poses(P, THETAS, GRID, 20_000, np.random.default_rng(3))
+    cells = cell_of(poses[:, :2], 0.5)
+    drawn = np.zeros_like(P)
+    np.add.at(drawn, (theta_bin(poses[:, 2], 4), cells[:, 0], cells[:, 1]), 1 / len(poses))
+    np.testing.assert_allclose(drawn, P, atol=4 * np.sqrt(0.25 / len(poses)))
+    assert (drawn[P == 0] == 0).all()
+
+
+def test_draws_are_uniform_inside_a_cell():
+    one = np.zeros_like(P)
+    one[2, 1, 2] = 1e-20  # need not sum to 1
+    poses = draw_poses(one, THETAS, GRID, 20_000, np.random.default_rng(0))
+    low, high = (1.0, 0.5), (1.5, 1.0)
+    for axis in range(2):
+        inside = (poses[:, axis] - low[axis]) / (high[axis] - low[axis])
+        assert inside.min() >= 0
+        assert inside.max() <= 1
+        assert np.histogram(inside, 4, (0, 1))[0] / 20_000 == pytest.approx([0.25] * 4, abs=0.02)
+    # The cell of heading pi goes across the cut.
+    turn = np.abs(poses[:, 2])
+    assert turn.min() >= 0.75 * np.pi
+    assert np.mean(poses[:, 2] > 0) == pytest.approx(0.5, abs=0.02)
+    assert np.corrcoef(poses[:, 0], poses[:, 1])[0, 1] == pytest.approx(0, abs=0.03)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 50))
+@settings(max_examples=20, deadline=None)
+def test_the_same_seed_the_same_poses(seed, n):
+    a, b = (draw_poses(P, THETAS, GRID, n, np.random.default_rng(seed)) for _ in range(2))
+    assert a.shape == (n, 3)
+    np.testing.assert_array_equal(a, b)
+
+
+class Edges:
+    """A generator that draws the ends of [0, 1)."""
+
+    def __init__(self, share):
+        self.share = share
+
+    def random(self, shape):
+        return np.full(shape, self.share)
+
+    def uniform(self, low, high, shape):
+        return np.full(shape, (low + high) / 2)
+
+
+@pytest.mark.parametrize(
+    ("share", "expected"), [(0.0, (0.25, 0.25, 0.0)), (1.0, (1.25, 0.75, -90))]
+)
+def test_the_ends_of_the_sums_are_poses_that_may_be(share, expected):
+    (pose,) = draw_poses(P, THETAS, GRID, 1, Edges(share))
+    np.testing.assert_allclose(pose[:2], expected[:2])
+    assert np.rad2deg(pose[2]) == pytest.approx(expected[2])
+
+
+def test_refuses_what_cannot_be_drawn():
+    with pytest.raises(ConfigError, match="negative, got -1"):
+        draw_poses(P, THETAS, GRID, -1, np.random.default_rng(0))
+    with pytest.raises(ConfigError, match="no pose"):
+        draw_poses(np.zeros_like(P), THETAS, GRID, 1, np.random.default_rng(0))

@@ -1,0 +1,136 @@
+"""Which map a scan is from: evidence across maps, and the command."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import MAPS, call, rows
+
+from imgloc.cli.which import find_maps, names_of
+from imgloc.errors import ConfigError
+from imgloc.experiments.scansets import Sensor, simulate_set
+from imgloc.experiments.worlds import WORLDS, render
+from imgloc.io.maps import save_map
+from imgloc.model import Localization, OccupancyGrid
+from imgloc.pipeline import Options, prepare
+from imgloc.which import Fit, choose, fit
+
+EMPTY = Localization((), "unique", 0.0, 1.0)
+
+
+def made(*scores: float, log_volume: float = -10.0) -> Fit:
+    """A fit of 100 readings, each worth 1.5 nats at best."""
+    return Fit(EMPTY, np.array(scores), np.full(len(scores), log_volume), 100, 1.5)
+
+
+def test_evidence_is_a_sum_over_modes() -> None:
+    assert made(120.0, 120.0).log_evidence(1.0) == pytest.approx(120 - 10 + np.log(2))
+    assert made(120.0).log_evidence(4.0) == pytest.approx(30 - 10 + 1.5 * np.log(4))
+    assert made().log_evidence(1.0) == -np.inf
+
+
+def test_of_two_maps_that_fit_alike_the_smaller_is_likelier() -> None:
+    choice = choose({"large": made(140.0, log_volume=-13.0), "small": made(140.0)})
+    assert list(choice.probability) == ["small", "large"]
+    odds = choice.probability["small"] / choice.probability["large"]
+    assert odds == pytest.approx(np.exp(3))
+
+
+def test_probabilities_and_none_sum_to_one() -> None:
+    choice = choose({"a": made(140.0), "b": made(139.0), "c": made()})
+    assert sum(choice.probability.values()) + choice.none == pytest.approx(1)
+    assert choice.verdict == "undecided"
+    assert choice.probability["c"] == 0
+
+
+def test_the_better_fit_is_named_and_a_bad_one_is_none() -> None:
+    assert choose({"a": made(140.0), "b": made(-100.0)}).verdict == "a"
+    assert choose({"a": made(-250.0), "b": made(-260.0)}).verdict == "none"
+    assert choose({"a": made(), "b": made()}).verdict == "none"
+
+
+def test_the_temperature_is_that_of_the_best_fit() -> None:
+    both = choose({"a": made(140.0), "b": made(-100.0)})
+    assert both.temperature == choose({"a": made(140.0)}).temperature
+
+
+def test_the_order_of_the_maps_does_not_matter() -> None:
+    a, b = made(140.0), made(140.0)
+    assert choose({"a": a, "b": b}) == choose({"b": b, "a": a})
+
+
+def test_something_to_choose_from_is_needed() -> None:
+    with pytest.raises(ConfigError, match="at least one map"):
+        choose({})
+
+
+def test_votes_have_no_common_scale() -> None:
+    grid = render(WORLDS["curved"](), 0.1)
+    scan = simulate_set(grid, 1, 0, Sensor()).scans[0]
+    with pytest.raises(ConfigError, match="fused"):
+        fit(prepare(grid), scan, Options("ght"))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two worlds, one of them in a folder of its own, and scans from the first."""
+    folder = tmp_path_factory.mktemp("which")
+    (folder / "floors" / "second").mkdir(parents=True)
+    save_map(folder / "floors" / "curved.yaml", render(WORLDS["curved"](), 0.1))
+    save_map(folder / "floors" / "second" / "map.yaml", render(WORLDS["double_wall"](), 0.1))
+    scans = folder / "scans.npz"
+    assert call("simulate", MAPS / "curved.yaml", "-n", 4, "--out", scans).code == 0
+    return folder
+
+
+def test_the_command_names_the_map(folder: Path) -> None:
+    code, out, err = call("which", folder / "floors", folder / "scans.npz", "--json")
+    assert (code, err) == (0, "")
+    answers = rows(out)
+    assert [a["index"] for a in answers] == [0, 1, 2, 3]
+    assert [a["verdict"] for a in answers] == ["curved"] * 4
+    for answer in answers:
+        assert {m["map"] for m in answer["maps"]} == {"curved", "second"}
+        assert answer["none"] + sum(m["probability"] for m in answer["maps"]) == pytest.approx(1)
+        assert answer["maps"][0]["pose"] is not None
+
+
+def test_without_its_map_a_scan_is_from_none(folder: Path) -> None:
+    out = call("which", folder / "floors" / "second", folder / "scans.npz", "--json").out
+    verdicts = [a["verdict"] for a in rows(out)]
+    assert sum(v in ("none", "undecided") for v in verdicts) >= 3  # one niche looks like it
+
+
+def test_text_has_a_line_for_each_scan(folder: Path) -> None:
+    out = call("which", folder / "floors", folder / "scans.npz").out.splitlines()
+    assert len(out) == 5
+    assert out[0].split()[:2] == ["index", "verdict"]
+    assert "curved" in out[1]
+    assert "theta" in out[1]
+
+
+def test_a_map_that_cannot_be_used_is_left_out(folder: Path, tmp_path: Path) -> None:
+    save_map(tmp_path / "good.yaml", render(WORLDS["curved"](), 0.1))
+    blank = np.ones((9, 9), bool)
+    save_map(tmp_path / "blank.yaml", OccupancyGrid(~blank, blank, 0.1))
+    (tmp_path / "broken.yaml").write_text("image: [")
+    run = call("which", tmp_path, folder / "scans.npz", "--json")
+    assert run.code == 5
+    assert run.err.count("left out") == 2
+    assert all(a["verdict"] == "good" for a in rows(run.out))
+    (tmp_path / "good.yaml").unlink()
+    run = call("which", tmp_path, folder / "scans.npz")
+    assert (run.code, run.out) == (3, "")
+
+
+@pytest.mark.parametrize("where", ["nowhere", "."])
+def test_a_folder_without_maps(where: str, tmp_path: Path, folder: Path) -> None:
+    run = call("which", tmp_path / where, folder / "scans.npz")
+    assert (run.code, run.out) == (2, "")
+    assert "map" in run.err
+
+
+def test_names_tell_maps_apart() -> None:
+    paths = [Path(p) for p in ("m/a.yaml", "m/a/map.yaml", "m/b/c.yaml", "m/map.yaml")]
+    assert names_of(paths, Path("m")) == ["a", "a/map", "b/c", "map"]
+    assert len(find_maps(MAPS)) == 5

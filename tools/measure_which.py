@@ -1,0 +1,95 @@
+"""How often does `imgloc which` name the right map? Over the maps of some folders.
+
+    python tools/measure_which.py maps ../data -n 200 --same fr079,fr079_half
+
+Scans are those recorded beside a map (scans.npz, with poses), or simulated in it. Each is asked
+of all maps, and again with its own map left out, when `none` or `undecided` are the answers to
+give. Maps of one building, named with --same, count as one.
+"""
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from imgloc.cli.console import progress
+from imgloc.cli.which import find_maps, names_of
+from imgloc.experiments.scansets import Sensor, sample_set, simulate_set
+from imgloc.experiments.shares import share
+from imgloc.io.maps import load_map
+from imgloc.io.scans import load_scans
+from imgloc.methods import Options
+from imgloc.model import LaserScan
+from imgloc.pipeline import prepare
+from imgloc.which import Fit, choose, fit
+
+
+def main() -> int:
+    """Parse the command line, measure, print a JSON object."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folders", type=Path, nargs="+", help="folders of maps")
+    parser.add_argument("-n", type=int, default=200, help="scans, spread over the maps")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--range-max", type=float, default=20.0, help="metres")
+    parser.add_argument("--same", action="append", default=[], help="names of one building")
+    given = parser.parse_args()
+    maps = {
+        name: path
+        for folder in given.folders
+        for path, name in zip(find_maps(folder), names_of(find_maps(folder), folder), strict=True)
+    }
+    buildings = {name: group for group in given.same for name in group.split(",")}
+    each = -(-given.n // len(maps))
+    scans = {name: scans_of(path, each, given.seed, given.range_max) for name, path in maps.items()}
+    asked = [(name, scan) for name, some in scans.items() for scan in some]
+    fits: list[dict[str, Fit]] = [{} for _ in asked]
+    cores = os.cpu_count() or 1
+    cv2.setNumThreads(cores)
+    with progress("which", len(maps) * len(asked), lines=False) as advance:
+        for name, path in maps.items():
+            features = prepare(load_map(path), threads=cores)
+            for (_, scan), found in zip(asked, fits, strict=True):
+                found[name] = fit(features, scan, Options(top=20, threads=cores))
+                advance()
+    right, wrong, silent = [], [], []
+    rows: dict[str, dict[str, int]] = {}
+    for (name, _), found in zip(asked, fits, strict=True):
+        home = {m for m in maps if buildings.get(m, m) == buildings.get(name, name)}
+        verdict = choose(found).verdict
+        away = choose({m: f for m, f in found.items() if m not in home}).verdict
+        right.append(verdict in home)
+        wrong.append(verdict in maps.keys() - home)
+        silent.append(away not in maps)
+        row = rows.setdefault(name, {"scans": 0, "right": 0, "wrong": 0, "silent": 0})
+        for key, happened in zip(row, (True, right[-1], wrong[-1], silent[-1]), strict=True):
+            row[key] += bool(happened)
+    out = {
+        "named right": vars(share(right)), "named wrong": vars(share(wrong)),
+        "none or undecided without its map": vars(share(silent)),
+        "seed": given.seed, "maps": rows,
+    }  # fmt: skip
+    print(json.dumps(out, indent=1))
+    return 0
+
+
+def scans_of(path: Path, n: int, seed: int, range_max: float) -> list[LaserScan]:
+    """Scans taken in a map: recorded ones if there are any, else simulated ones."""
+    recorded = path.with_name("scans.npz")
+    if recorded.exists():
+        chosen = sample_set(load_scans(recorded), n, seed)
+    else:
+        chosen = simulate_set(load_map(path), n, seed, Sensor(range_max=range_max))
+    return [
+        LaserScan(s.ranges, s.angles, s.range_min, float(np.minimum(s.range_max, range_max)))
+        for s in chosen.scans
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
