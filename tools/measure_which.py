@@ -27,6 +27,9 @@ from imgloc.model import LaserScan
 from imgloc.pipeline import prepare
 from imgloc.which import Fit, choose, fit
 
+SURE = (0.5, 0.9)
+"""Probabilities that a map needs to be named, for which the shares are given."""
+
 
 def main() -> int:
     """Parse the command line, measure, print a JSON object."""
@@ -57,23 +60,22 @@ def main() -> int:
             for (_, scan), found in zip(asked, fits, strict=True):
                 found[name] = fit(features, scan, Options(top=20, threads=cores))
                 advance()
-    right, wrong, silent = [], [], []
-    rows: dict[str, dict[str, int]] = {}
-    for (name, _), found in zip(asked, fits, strict=True):
-        home = {m for m in maps if buildings.get(m, m) == buildings.get(name, name)}
-        verdict = choose(found).verdict
-        away = choose({m: f for m, f in found.items() if m not in home}).verdict
-        right.append(verdict in home)
-        wrong.append(verdict in maps.keys() - home)
-        silent.append(away not in maps)
-        row = rows.setdefault(name, {"scans": 0, "right": 0, "wrong": 0, "silent": 0})
-        for key, happened in zip(row, (True, right[-1], wrong[-1], silent[-1]), strict=True):
-            row[key] += bool(happened)
-    out = {
-        "named right": vars(share(right)), "named wrong": vars(share(wrong)),
-        "none or undecided without its map": vars(share(silent)),
-        "seed": given.seed, "maps": rows,
-    }  # fmt: skip
+    out: dict[str, object] = {"seed": given.seed, "scans": len(asked), "maps": len(maps)}
+    for sure in SURE:
+        right, wrong, silent = [], [], []
+        for (name, _), found in zip(asked, fits, strict=True):
+            home = {m for m in maps if buildings.get(m, m) == buildings.get(name, name)}
+            verdict = choose(found, sure=sure).verdict
+            away = choose({m: f for m, f in found.items() if m not in home}, sure=sure).verdict
+            right.append(verdict in home)
+            wrong.append(verdict in maps.keys() - home)
+            silent.append(away not in maps)
+        out[f"named with {sure:g} or more"] = {
+            "right": vars(share(right)),
+            "wrong": vars(share(wrong)),
+            "silent without its map": vars(share(silent)),
+            "not right": [k for k, yes in enumerate(right) if not yes],
+        }
     print(json.dumps(out, indent=1))
     return 0
 

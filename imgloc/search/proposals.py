@@ -78,6 +78,33 @@ def propose_endpoints(
     return np.column_stack((centres, thetas[nodes[:, 0]])), scores / (255.0 * len(xy))
 
 
+def propose_all(
+    level: Level, xy: FloatArray, *, theta_step: float, keep: int, threads: int = 1
+) -> FloatArray:
+    """The best `keep` of all poses of one level, each heading tried: (M, 3), grid frame.
+
+    Parameters
+    ----------
+    level : Level
+    xy : (N, 2) float array
+        Scan points, sensor frame, metres.
+    theta_step : float
+        Largest step between headings, radians.
+    keep : int
+    threads : int
+        The result does not depend on it.
+
+    Returns
+    -------
+    (M, 3) float array
+        Best first.
+    """
+    thetas = uniform_thetas(theta_step)
+    nodes = _exhaustive(level, xy, thetas, keep, threads)
+    centres = (nodes[:, :0:-1] + 0.5) * level.resolution
+    return np.column_stack((centres, thetas[nodes[:, 0]]))
+
+
 def _exhaustive(
     level: Level, xy: FloatArray, thetas: FloatArray, keep: int, threads: int
 ) -> IntArray:

@@ -1,0 +1,117 @@
+"""Reliability, NEES and verdicts against true poses, and the command that measures them."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from command import ROOT
+
+from imgloc.draw.canvas import PALETTE
+from imgloc.draw.reliability import draw_reliability
+from imgloc.experiments.reliability import (
+    Judged,
+    count_verdicts,
+    judge_answer,
+    judged,
+    mean_nees,
+    nees_band,
+    reliability,
+)
+from imgloc.experiments.scansets import Sensor, simulate_set
+from imgloc.experiments.worlds import WORLDS, render
+from imgloc.model import Hypothesis, Localization, Pose2D
+from imgloc.pipeline import prepare
+
+
+def answer(verdict, *told):
+    """An answer of (x, theta, mass) with deviations of 0.1 m and 0.1 rad."""
+    cov = np.diag([0.01, 0.01, 0.01])
+    return Localization(
+        tuple(Hypothesis(Pose2D(x, 0.0, theta), 0.0, mass, cov) for x, theta, mass in told),
+        verdict, 0.0, 1.0,
+    )  # fmt: skip
+
+
+def test_near_is_right_and_far_is_wrong():
+    one = judge_answer(answer("unique", (0.1, 0.2, 0.95), (5.0, 0.0, 0.05)), Pose2D(0.0, 0.0))
+    assert one.right.tolist() == [True, False]
+    assert not one.wrong
+    assert one.nees == pytest.approx((0.01 + 0.04) / 0.01)
+    far = judge_answer(answer("unique", (1.1, 0.0, 0.95)), Pose2D(0.0, 0.0))
+    assert far.wrong
+    assert np.isnan(far.nees)
+    turned = judge_answer(answer("unique", (0.0, 0.4, 0.95)), Pose2D(0.0, 0.0))
+    assert turned.wrong
+    between = judge_answer(answer("unique", (0.7, 0.0, 0.95)), Pose2D(0.0, 0.0))
+    assert (between.wrong, between.right.tolist()) == (False, [False])
+
+
+def test_only_unique_answers_can_be_wrong():
+    assert not judge_answer(answer("ambiguous", (9.0, 0.0, 0.6)), Pose2D(0.0, 0.0)).wrong
+
+
+def test_angles_are_compared_around_the_circle():
+    one = judge_answer(answer("unique", (0.0, 3.1, 1.0)), Pose2D(0.0, 0.0, -3.1))
+    assert one.right.all()
+    assert one.nees == pytest.approx((2 * np.pi - 6.2) ** 2 / 0.01)
+
+
+def test_small_masses_say_nothing():
+    one = judge_answer(answer("ambiguous", (0.0, 0.0, 0.6), (3.0, 0.0, 0.009)), Pose2D(0.0, 0.0))
+    assert one.mass.tolist() == [0.6]
+
+
+def test_bins_count_and_compare():
+    told = [
+        Judged(np.array([1.0]), np.array([True]), "unique", False, 3.0),
+        Judged(np.array([0.95, 0.02]), np.array([False, False]), "unique", True, np.nan),
+    ]
+    rows, ece = reliability(told)
+    assert [row.count for row in rows] == [1, 0, 0, 0, 0, 0, 0, 0, 0, 2]
+    assert rows[-1].right.value == 0.5
+    assert ece == pytest.approx((2 * (0.975 - 0.5) + 0.02) / 3)
+    assert reliability([])[1] == 0
+    assert count_verdicts(told) == {"unique": 2}
+    assert mean_nees(told) == {"mean": 3.0, "trials": 1, "band": nees_band(1)}
+
+
+@pytest.mark.parametrize("count", [10, 100, 1000])
+def test_the_band_is_that_of_chi_square(count):
+    rng = np.random.default_rng(0)
+    means = rng.chisquare(3 * count, 200_000) / count
+    np.testing.assert_allclose(nees_band(count), np.quantile(means, [0.025, 0.975]), rtol=0.01)
+
+
+def test_simulated_scans_are_judged():
+    grid = render(WORLDS["curved"](), 0.1)
+    scans = simulate_set(grid, 3, 5, Sensor(), render(WORLDS["curved"](), 0.01))
+    calls = []
+    told = list(judged(prepare(grid), scans, advance=lambda: calls.append(1)))
+    assert len(told) == len(calls) == 3
+    assert all(t.right[0] for t in told)
+    other = list(judged(prepare(render(WORLDS["corridor"](), 0.1)), scans))
+    assert not any(t.verdict == "unique" for t in other)
+
+
+def test_the_diagram_has_a_dot_where_mass_and_share_meet():
+    told = [Judged(np.array([0.75]), np.array([k < 3]), "ambiguous", False, 0.0) for k in range(4)]
+    image = draw_reliability({"simulated": reliability(told)[0]})
+    blue = (image == PALETTE[1]).all(axis=2)
+    assert blue[40 + 130, 70 + 390]  # 520 pixels a side, from (70, 40)
+    assert not blue[40 + 390, 70 + 390]
+
+
+def test_the_tool_writes_numbers_and_a_picture(tmp_path):
+    done = subprocess.run(
+        [sys.executable, ROOT / "tools" / "trust.py", "-n", "2", "--picture", tmp_path / "r.png"],
+        capture_output=True, text=True, check=False,
+        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["unique but wrong, simulated"]["trials"] == 10
+    assert found["unique but wrong, recorded"]["trials"] == 0
+    assert set(found["nees"]) == set(WORLDS)
+    assert (tmp_path / "r.png").read_bytes().startswith(b"\x89PNG")
