@@ -94,8 +94,8 @@ def test_steps_are_counted_before_they_are_taken():
     one = ("curved",)
     in_turns = 2 * len(STEPS_DEG) + TIMED_QUICK[0] * len(PAIRS)
     assert steps(2, one, quick=True) == in_turns + stacks + axes
-    assert steps(7, one) - steps(5, one) == 2 * len(STEPS_DEG)
-    assert steps(2) > steps(2, quick=True)
+    assert steps(17, one) - steps(15, one) == 2 * len(STEPS_DEG)
+    assert steps(9) > steps(9, quick=True)
 
 
 def test_the_report_holds_all_pictures(folder):

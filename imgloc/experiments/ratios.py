@@ -47,6 +47,7 @@ def measure_ratios(
     repeats: int = 5,
     seed: int = 0,
     *,
+    trials: int | None = None,
     worlds: Sequence[str] = tuple(PLACES),
     advance: Callable[[], None] = lambda: None,
 ) -> tuple[Ratio, ...]:
@@ -55,11 +56,13 @@ def measure_ratios(
     Parameters
     ----------
     n : int
-        Scans of each world: the first of those of the table.
+        Scans of each world.
     repeats : int
         How often each stack is computed; who comes first changes from time to time.
     seed : int
         That of the table.
+    trials : int, optional
+        Those of the table, `n` or more: then the scans are the first of the table's.
     worlds : sequence of str
     advance : callable
         Called ``n * len(worlds) * len(PAIRS)`` times.
@@ -72,11 +75,11 @@ def measure_ratios(
     """
     out = []
     for world in worlds:
-        features, scans = place(world, n, seed)
+        features, scans = place(world, trials or n, seed)
         for method, rival, most in PAIRS:
             runs = [
                 [partial(stack_of, m, features, scan, thetas_of(m)) for m in (method, rival)]
-                for scan in scans.scans
+                for scan in scans.scans[:n]
             ]
             for run in runs[0]:  # features are computed before the clock counts
                 run()

@@ -21,7 +21,7 @@ from imgloc.experiments.ratios import PAIRS, Ratio, measure_ratios
 from imgloc.experiments.scenes import SETTINGS, scene
 from imgloc.io.output import encode_png
 
-QUICK = 5
+QUICK = 3
 """Trials in each world of the quick form."""
 TIMED, TIMED_QUICK = (8, 3), (2, 1)
 """Scans of each world whose run times are compared, and repeats."""
@@ -64,7 +64,7 @@ def steps(n: int, worlds: Sequence[str] = tuple(PLACES), *, quick: bool = False)
     """How often `advance` is called by :func:`reproduce`."""
     stacks = sum(len(setting.steps) for setting in SETTINGS.values())
     timed, _ = TIMED_QUICK if quick else TIMED
-    in_turns = (n * len(STEPS_DEG) + timed * len(PAIRS)) * len(worlds)
+    in_turns = (n * len(STEPS_DEG) + min(timed, n) * len(PAIRS)) * len(worlds)
     return in_turns + stacks + sum(map(len, AXES.values()))
 
 
@@ -100,8 +100,8 @@ def reproduce(
         If `n` is less than 1, or there is no such world.
     """
     rows = table(n, seed, worlds=worlds, threads=threads, advance=advance)
-    timed = TIMED_QUICK if quick else TIMED
-    ratios = measure_ratios(*timed, seed, worlds=worlds, advance=advance)
+    timed, repeats = TIMED_QUICK if quick else TIMED
+    ratios = measure_ratios(min(timed, n), repeats, seed, trials=n, worlds=worlds, advance=advance)
     pictures = {name: encode_png(figure(name, threads, advance)) for name in SETTINGS}
     grown = measure(repeats=0 if quick else 3, seed=seed, progress=lambda _: advance())
     with suppress(ConfigError):  # without matplotlib the table of exponents says it all

@@ -15,24 +15,29 @@ from imgloc.model import BoolArray, Float32Array
 
 #: Metres; what is farther from a wall than this, or off the map, counts as this far.
 FAR = 4.0
+#: Steps in which a field keeps distances, metres, and slopes, metres per metre.
+UNIT, SLOPE = FAR / 32000, 1 / 16000
+
+_BAND = 1024  # rows that are computed at a time: a large map takes no more memory than its field
 
 
 @dataclass(frozen=True)
 class DistanceField:
-    """Signed distance and its gradient, one 16-byte row per cell, for lookups by the million.
+    """Signed distance and its gradient, one 8-byte row per cell, for lookups by the million.
 
     Parameters
     ----------
-    table : (H * W + 1, 4) float32 array
-        Distance at the centre of the cell [m], its derivatives in x and y [m/m], and a spare
-        column that keeps a row aligned. The last row stands for "off the map".
+    table : (H * W + 1, 4) int16 array
+        Distance at the centre of the cell in units of :data:`UNIT`, its derivatives in x and y
+        in units of :data:`SLOPE`, and a spare column that keeps a row aligned. The last row
+        stands for "off the map".
     height, width : int
         Rows and columns.
     resolution : float
         Side of a cell, metres.
     """
 
-    table: Float32Array
+    table: npt.NDArray[np.int16]
     height: int
     width: int
     resolution: float
@@ -64,10 +69,18 @@ class DistanceField:
         u = np.asarray(x, dtype=np.float32) / np.float32(self.resolution)
         v = np.asarray(y, dtype=np.float32) / np.float32(self.resolution)
         rows = self.table.take(self.index(u, v), axis=0)
-        gx, gy = rows[..., 1], rows[..., 2]
+        gx = rows[..., 1] * np.float32(SLOPE)
+        gy = rows[..., 2] * np.float32(SLOPE)
         du, dv = u - np.floor(u) - np.float32(0.5), v - np.floor(v) - np.float32(0.5)
         off = np.float32(self.resolution) * (gx * du + gy * dv)
-        return rows[..., 0] + off, gx, gy
+        off += rows[..., 0] * np.float32(UNIT)
+        return off, gx, gy
+
+    @property
+    def distance(self) -> Float32Array:
+        """Distance at the centres of all cells, (H, W) float32 metres."""
+        cells = self.table[:-1, 0].reshape(self.height, self.width)
+        return np.asarray(cells * np.float32(UNIT))
 
 
 def signed_distance(occupied: BoolArray, resolution: float) -> Float32Array:
@@ -127,17 +140,29 @@ def distance_field(occupied: BoolArray, resolution: float) -> DistanceField:
     >>> distance.tolist(), gx.tolist()
     ([0.75, 0.25], [-1.0, -1.0])
     """
-    distance = signed_distance(occupied, resolution)
-    height, width = distance.shape
-    scale = 1.0 / (2.0 * resolution)
-    table = np.zeros((height * width + 1, 4), dtype=np.float32)
-    table[:-1, 0] = distance.ravel()
-    for column, order, edge in ((1, (1, 0), np.s_[:, [0, -1]]), (2, (0, 1), np.s_[[0, -1], :])):
-        slope = cv2.Sobel(
-            distance, cv2.CV_32F, *order, ksize=1, scale=scale, borderType=cv2.BORDER_REPLICATE
-        )
-        slope[edge] *= 2  # half of a one-sided difference: there the cell is its own neighbour
-        table[:-1, column] = slope.ravel()
-    table[-1, 0] = FAR
+    height, width = occupied.shape
+    table = np.zeros((height * width + 1, 4), dtype=np.int16)
+    cells = table[:-1].reshape(height, width, 4)
+    # Rows farther than this change neither a distance up to FAR nor its slope.
+    margin = int(np.ceil(FAR / resolution)) + 2
+    for top in range(0, height, _BAND):
+        low, high = max(0, top - margin), min(height, top + _BAND + margin)
+        here = slice(top - low, min(height, top + _BAND) - low)
+        distance = signed_distance(occupied[low:high], resolution)
+        rows = cells[top : top + _BAND]
+        rows[..., 0] = np.rint(distance[here] / np.float32(UNIT))
+        for column, order in ((1, (1, 0)), (2, (0, 1))):
+            slope = cv2.Sobel(
+                distance,
+                cv2.CV_32F,
+                *order,
+                ksize=1,
+                scale=0.5 / (resolution * SLOPE),
+                borderType=cv2.BORDER_REPLICATE,
+            )
+            # Half of a one-sided difference: at an edge the cell is its own neighbour.
+            slope[np.s_[:, [0, -1]] if column == 1 else np.s_[[0, -1], :]] *= 2
+            rows[..., column] = np.rint(slope[here])
+    table[-1, 0] = round(FAR / UNIT)
     table.flags.writeable = False
     return DistanceField(table, height, width, resolution)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.features.distance import DistanceField, distance_field, signed_distance
+from imgloc.features.distance import DistanceField, distance_field
 from imgloc.features.fields import bmap, vmap
 from imgloc.features.lattice import any_of_blocks, coarse_info
 from imgloc.features.pooled import PooledMaps, pooled_maps
@@ -118,9 +118,8 @@ class MapFeatures:
     @cached_property
     def pyramid(self) -> tuple[Level, ...]:
         """Endpoint images at one, two and four times `cell`, finest first."""
-        distance = signed_distance(self.grid.occupied, self.grid.resolution)
         return pyramid(
-            distance,
+            self.field.distance,
             self.grid.free,
             self.grid.resolution,
             cell=self.cell,

@@ -8,6 +8,8 @@ import numpy.typing as npt
 from imgloc.features.lattice import blocks
 from imgloc.model import BoolArray, Float32Array
 
+_BAND = 1024  # rows that are computed at a time: a large map takes little memory
+
 
 @dataclass(frozen=True)
 class Level:
@@ -66,8 +68,9 @@ def pyramid(
     ([[225, 225, 225, 83]], [[225, 225]], 2.0)
     """
     factor = max(1, round(cell / resolution))
-    fit = np.exp(distance * distance * np.float32(-0.5 / sigma**2)) * np.float32(255)
-    image = np.rint(blocks(fit, factor).mean(axis=(1, 3))).astype(np.uint8)
+    rows = factor * max(1, _BAND // factor)
+    bands = [distance[top : top + rows] for top in range(0, len(distance), rows)]
+    image = np.concatenate([_fit(band, factor, sigma) for band in bands])
     mask = np.asarray(blocks(free, factor).any(axis=(1, 3)))
     out = [Level(image, mask, resolution * factor)]
     for _ in range(levels - 1):
@@ -76,3 +79,9 @@ def pyramid(
         mask = np.asarray(blocks(last.free, 2).any(axis=(1, 3)))
         out.append(Level(image, mask, 2 * last.resolution))
     return tuple(out)
+
+
+def _fit(distance: Float32Array, factor: int, sigma: float) -> npt.NDArray[np.uint8]:
+    """How well an endpoint in each block fits, from the distances of some rows of cells."""
+    fit = np.exp(distance * distance * np.float32(-0.5 / sigma**2)) * np.float32(255)
+    return np.asarray(np.rint(blocks(fit, factor).mean(axis=(1, 3))), dtype=np.uint8)

@@ -234,7 +234,7 @@ def _walls(features: MapFeatures, parts: dict[str, Array]) -> Array:
 
 def _field(features: MapFeatures, parts: dict[str, Array]) -> DistanceField:
     height, width = features.grid.occupied.shape
-    table = _take(parts, "field", np.float32, (height * width + 1, 4))
+    table = _take(parts, "field", np.int16, (height * width + 1, 4))
     return DistanceField(table, height, width, features.grid.resolution)
 
 

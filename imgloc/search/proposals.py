@@ -16,7 +16,7 @@ from imgloc.likelihood.slices import cell_offsets
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 from imgloc.search.priors import Prior
 
-_CHUNK_CELLS = 1 << 24  # of the exhaustive level's stack: 64 MB at a time
+_CHUNK_CELLS = 1 << 22  # of the exhaustive level's stack: 16 MB at a time
 _BLOCK = 2  # cells and headings a side: one proposal each
 
 
@@ -26,6 +26,7 @@ def propose_endpoints(
     *,
     theta_step: float,
     keep: Sequence[int],
+    skip: int = 1,
     prior: Prior | None = None,
     threads: int = 1,
 ) -> tuple[FloatArray, FloatArray]:
@@ -41,6 +42,9 @@ def propose_endpoints(
         Largest step between headings, radians; the coarsest level takes every second one.
     keep : sequence of int
         How many nodes each level keeps, finest first.
+    skip : int
+        The exhaustive level takes every `skip`-th point: its cells are coarse, and neighbouring
+        points say nearly the same.
     prior : Prior, optional
         Whose headings are the only ones; its cells are in the levels' `free` already.
     threads : int
@@ -62,7 +66,7 @@ def propose_endpoints(
     if prior is not None:  # a coarse heading stands for those beside it
         wanted = prior.headings(thetas, 2 * np.pi / len(thetas))
     coarse = np.flatnonzero(wanted[::2])
-    nodes = _exhaustive(levels[-1], xy, thetas[::2][coarse], keep[-1], threads)
+    nodes = _exhaustive(levels[-1], xy[::skip], thetas[::2][coarse], keep[-1], threads)
     nodes[:, 0] = 2 * coarse[nodes[:, 0]]
     spread = np.array([-1, 0, 1])
     for level, count in zip(levels[-2::-1], keep[-2::-1], strict=True):
@@ -110,25 +114,34 @@ def _exhaustive(
 ) -> IntArray:
     """Best `keep` nodes (theta, row, col) of a whole level, a few headings at a time."""
     chunk = max(1, _CHUNK_CELLS // level.image.size)
-    nodes, scores = [], []
+    nodes, scores, threshold = np.empty(0, np.int64), np.empty(0, np.float32), np.float32(0)
+    buffer = np.empty((chunk, *level.image.shape), np.float32)
     for start in range(0, len(thetas), chunk):
+        part = thetas[start : start + chunk]
         stack = correlate(
             level.image,
             xy,
-            thetas[start : start + chunk],
+            part,
             level.resolution,
             engine="shift",
             threads=threads,
             where=level.free,
+            out=buffer[: len(part)],
         )
-        best = _largest(stack, keep, level.free)
-        node = np.stack(np.unravel_index(best, stack.shape), axis=1)
-        nodes.append(node + (start, 0, 0))
-        scores.append(stack.ravel()[best])
-    if not nodes:
-        return np.empty((0, 3), dtype=np.int64)
-    order = np.argsort(-np.concatenate(scores), kind="stable")[:keep]
-    return np.asarray(np.concatenate(nodes)[order], dtype=np.int64)
+        # What is known to be reached by `keep` nodes already is all that can still matter.
+        best = (
+            np.flatnonzero(stack.ravel() >= threshold)
+            if threshold > 0
+            else _largest(stack, keep, level.free)
+        )
+        nodes = np.concatenate((nodes, best + start * level.image.size))
+        scores = np.concatenate((scores, stack.ravel()[best]))
+        if len(nodes) >= keep:
+            threshold = np.partition(scores, len(scores) - keep)[len(scores) - keep]
+            still = scores >= threshold
+            nodes, scores = nodes[still], scores[still]
+    nodes = nodes[np.argsort(-scores, kind="stable")[:keep]]
+    return np.stack(np.unravel_index(nodes, (len(thetas), *level.image.shape)), axis=1)
 
 
 def _largest(stack: Float32Array, n: int, free: BoolArray) -> IntArray:

@@ -111,8 +111,7 @@ def rescore(
         :func:`~imgloc.features.raycast.distance_image` of the occupied cells, in cells.
     model : EvidenceModel
     """
-    xy = np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles)))
-    distance = endpoints(poses, xy, field)[2]
+    density, distance = _endpoint_density(poses, ranges, angles, field, model)
     margin = model.margin + field.resolution / 2
     seen = cast_rays(
         walls,
@@ -123,11 +122,42 @@ def rescore(
     )
     beyond = np.maximum(ranges - seen - margin, 0).astype(np.float32)  # 0 where nothing is met
     shifted = np.exp(-np.square(beyond / np.float32(model.displaced)))
-    density = np.full(distance.shape, (1 - model.hit) / model.span, dtype=np.float32)
-    for sigma in model.sigmas:
-        peak = model.hit / (len(model.sigmas) * sigma * np.sqrt(2 * np.pi))
-        density += np.float32(peak) * np.exp(distance * distance * np.float32(-0.5 / sigma**2))
     density *= np.float32(model.absent) + np.float32(1 - model.absent) * shifted
     log_likelihood = np.log(density).sum(axis=1, dtype=np.float64)
     on_surface = np.abs(distance) < 2 * max(model.sigmas)
     return Evidence(log_likelihood, on_surface, shifted < model.absent)
+
+
+def bound(
+    poses: FloatArray,
+    ranges: FloatArray,
+    angles: FloatArray,
+    field: DistanceField,
+    model: EvidenceModel,
+) -> FloatArray:
+    """What :func:`rescore` cannot exceed, (C,) nats: the visibility constraint only takes away.
+
+    Parameters
+    ----------
+    poses, ranges, angles, field, model
+        As of :func:`rescore`.
+    """
+    density, _ = _endpoint_density(poses, ranges, angles, field, model)
+    return np.asarray(np.log(density).sum(axis=1, dtype=np.float64))
+
+
+def _endpoint_density(
+    poses: FloatArray,
+    ranges: FloatArray,
+    angles: FloatArray,
+    field: DistanceField,
+    model: EvidenceModel,
+) -> tuple[Float32Array, Float32Array]:
+    """Density of each reading by where it ends alone, and its distance from a surface, (C, N)."""
+    xy = np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles)))
+    distance = endpoints(poses, xy, field)[2]
+    density = np.full(distance.shape, (1 - model.hit) / model.span, dtype=np.float32)
+    for sigma in model.sigmas:
+        peak = model.hit / (len(model.sigmas) * sigma * np.sqrt(2 * np.pi))
+        density += np.float32(peak) * np.exp(distance * distance * np.float32(-0.5 / sigma**2))
+    return density, distance
