@@ -322,6 +322,8 @@ class Localization:
         Everything that decided the answer, with the seed.
     complete : bool
         False if a time budget ended the search early.
+    elsewhere : float
+        Probability that the true pose is none of those found; a part of what the masses lack.
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -332,6 +334,7 @@ class Localization:
     timings_ms: Mapping[str, float] = field(default_factory=dict)
     parameters: Mapping[str, Any] = field(default_factory=dict)
     complete: bool = True
+    elsewhere: float = 1.0
 
     @property
     def pose(self) -> Pose2D | None:

@@ -119,6 +119,7 @@ def localize(
         timings_ms={"localize": elapsed},
         parameters=effective(options, features),
         complete=found.complete,
+        elsewhere=found.elsewhere,
     )
 
 

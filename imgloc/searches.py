@@ -68,7 +68,7 @@ def find_fused(features: MapFeatures, scan: LaserScan, options: Options) -> Foun
     if len(result.poses) == 0:
         return replace(NOTHING, complete=result.complete)
     score = result.evidence.log_likelihood
-    misfit = _misfit(result.evidence, options)
+    misfit = misfit_of(result.evidence, options)
     mass = masses(score, options.trust.temperature_at(misfit))
     elsewhere = options.trust.mass_elsewhere(misfit, float(mass[0]))
     mass *= 1 - elsewhere
@@ -121,8 +121,8 @@ def find_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Foun
     poses, best = _exact(features, scan, options)
     if len(poses) == 0:
         return NOTHING
-    evidence, rays = _settled(features, scan, poses[:1], options)
-    elsewhere = options.trust.mass_elsewhere(_misfit(evidence, options), 1.0)
+    evidence, rays = settle(features, scan, poses[:1], options)
+    elsewhere = options.trust.mass_elsewhere(misfit_of(evidence, options), 1.0)
     share = best.scores.astype(np.float64) / best.scores.sum(dtype=np.float64)
     covariance = covariances(
         poses,
@@ -169,9 +169,9 @@ def found_in_stack(
     distance, angle = options.fused.separation
     best, _ = separated(poses, len(poses), distance=distance, angle=angle)
     poses, mass, covariance, peaks = poses[best], mass[best], covariance[best], peaks[best]
-    evidence, _ = _settled(features, scan, poses[:1], options)
+    evidence, _ = settle(features, scan, poses[:1], options)
     # Votes are spread where walls are few, too: that says nothing of the scan.
-    elsewhere = options.trust.mass_elsewhere(_misfit(evidence, options), 1.0)
+    elsewhere = options.trust.mass_elsewhere(misfit_of(evidence, options), 1.0)
     uniform = 1 / (len(stack.thetas) * np.count_nonzero(features.free))
     with np.errstate(divide="ignore"):
         score = np.log(probability[tuple(peaks.T)].astype(np.float64) / uniform)
@@ -180,7 +180,7 @@ def found_in_stack(
     return Found(hypotheses, mass, elsewhere, float(evidence.explained[0]), entropy(probability))
 
 
-def _settled(
+def settle(
     features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Options
 ) -> tuple[Evidence, IntArray]:
     """Evidence at poses after they have settled, and the readings used.
@@ -188,9 +188,9 @@ def _settled(
     Trust is about the place, not about the cell.
     """
     rays = thin(scan.valid, options.fused.rays)
-    settled = refine(poses, scan_xy(scan)[rays], features.field, sigmas=(0.3, 0.1, 0.05))
+    poses = refine(poses, scan_xy(scan)[rays], features.field, sigmas=(0.3, 0.1, 0.05))
     return rescore(
-        settled,
+        poses,
         scan.ranges[rays],
         scan.angles[rays],
         features.field,
@@ -199,7 +199,7 @@ def _settled(
     ), rays
 
 
-def _misfit(evidence: Evidence, options: Options) -> float:
+def misfit_of(evidence: Evidence, options: Options) -> float:
     """Nats per reading that the best pose falls short of a perfect fit."""
     per_reading = float(evidence.log_likelihood[0]) / evidence.crossed.shape[1]
     return float(options.fused.model.best - per_reading)

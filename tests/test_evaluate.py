@@ -84,8 +84,7 @@ def test_an_origin_with_a_yaw_changes_nothing(method: str, scans: ScanSet) -> No
     ):
         assert there.free == pytest.approx(here.free, rel=1e-4)
         assert there.box == pytest.approx(here.box, rel=1e-4)
-        if method != "fused":
-            assert there.calibrated == pytest.approx(here.calibrated, rel=1e-3)
+        assert there.calibrated == pytest.approx(here.calibrated, rel=1e-3)
         assert (there.exact, there.near, there.outside) == (here.exact, here.near, False)
         np.testing.assert_allclose(there.errors, here.errors, atol=1e-6)
 

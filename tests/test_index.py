@@ -6,6 +6,7 @@ import pytest
 from imgloc.errors import ConfigError
 from imgloc.experiments.index import (
     density_at,
+    density_in_cell,
     density_in_stack,
     global_maximum,
     performance_index,
@@ -119,6 +120,30 @@ def test_density_of_hypotheses_integrates_to_its_volume() -> None:
     ]
     assert np.mean(p) == pytest.approx(1, abs=0.01)
     assert min(p) == pytest.approx(0.2, abs=0.01)  # the mass that no hypothesis has
+
+
+def test_density_in_cells_sums_to_their_number() -> None:
+    # So narrow that a cell holds all of one and parts of the other.
+    narrow, wide = [1e-6, 2.5e-5, 1e-6], [0.002, 0.003, 0.05]
+    two = answer((Pose2D(0.55, 0.35, 3.1), 0.5, narrow), (Pose2D(0.42, 0.5, 0.1), 0.3, wide))
+    n = (10, 10, 12)
+    step = 2 * np.pi / n[2]
+    p = np.array([
+        density_in_cell(two, Pose2D(0.1 * x + 0.05, 0.1 * y + 0.05, k * step), 0.1, step, 1200)
+        for x in range(n[0]) for y in range(n[1]) for k in range(n[2])
+    ])  # fmt: skip
+    assert p.mean() == pytest.approx(1, abs=0.005)
+    assert p.max() == pytest.approx(0.5 * 1200 + 0.2, rel=0.01)  # never more than the poses
+
+
+def test_density_in_a_small_cell_is_that_at_its_middle() -> None:
+    wide = [0.04, 0.09, 0.05]
+    one = answer((Pose2D(2, 2, 3.1), 0.7, wide))
+    at = Pose2D(2.1, 1.8, -3.1)
+    volume = 1000 * 0.01**2 * 0.02
+    assert density_in_cell(one, at, 0.01, 0.02, 1000) == pytest.approx(
+        density_at(one, at, volume), rel=1e-2
+    )
 
 
 def test_density_takes_theta_the_short_way_round() -> None:

@@ -6,9 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
-from imgloc.geometry import cell_of, theta_bin, uniform_thetas
-from imgloc.likelihood.draws import draw_poses, entropy, marginal_theta, marginal_xy, mass_of
-from imgloc.model import GridInfo, Pose2D
+from imgloc.geometry import cell_of, inverse, theta_bin, transform_poses, uniform_thetas, wrap
+from imgloc.likelihood.draws import (
+    draw_near,
+    draw_poses,
+    entropy,
+    marginal_theta,
+    marginal_xy,
+    mass_of,
+)
+from imgloc.model import GridInfo, Hypothesis, Localization, Pose2D
 
 GRID = GridInfo(2, 3, 0.5, Pose2D(7.0, -3.0, 1.0))
 THETAS = uniform_thetas(np.pi / 2)
@@ -105,3 +112,33 @@ def test_refuses_what_cannot_be_drawn():
         draw_poses(P, THETAS, GRID, -1, np.random.default_rng(0))
     with pytest.raises(ConfigError, match="no pose"):
         draw_poses(np.zeros_like(P), THETAS, GRID, 1, np.random.default_rng(0))
+
+
+def test_draws_of_an_answer_are_its_gaussians_and_what_they_leave():
+    covariance = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, 0.02], [0.0, 0.02, 0.01]])
+    far = Hypothesis(Pose2D(90, -60, 3.1), 0.0, 0.6, covariance)
+    twin = Hypothesis(Pose2D(-90, 60, 0.0), 0.0, 0.3, 1e-6 * np.eye(3))
+    answer = Localization((far, twin), "ambiguous", 1.0, 1.0)
+    free = np.array([[True, True, False], [False, True, False]])
+    poses = draw_near(answer, free, GRID, 20_000, np.random.default_rng(1))
+    near = np.hypot(poses[:, 0] - 90, poses[:, 1] + 60) < 5
+    at_twin = np.hypot(poses[:, 0] + 90, poses[:, 1] - 60) < 5
+    assert near.mean() == pytest.approx(0.6, abs=0.02)
+    assert at_twin.mean() == pytest.approx(0.3, abs=0.02)
+    d = poses[near] - (90, -60, 3.1)
+    d[:, 2] = wrap(d[:, 2])
+    np.testing.assert_allclose(d.mean(axis=0), 0, atol=0.01)
+    np.testing.assert_allclose(np.cov(d.T), covariance, atol=0.004)
+    assert np.abs(poses[:, 2]).max() <= np.pi
+    # The rest is anywhere that is free, in the map frame.
+    local = transform_poses(inverse(GRID.origin), poses[~near & ~at_twin])
+    cells = cell_of(local[:, :2], 0.5)
+    assert free[cells[:, 0], cells[:, 1]].all()
+    assert len(np.unique(cells, axis=0)) == 3
+    assert np.histogram(local[:, 2], 4)[0] / len(local) == pytest.approx([0.25] * 4, abs=0.05)
+
+
+def test_draws_of_an_answer_need_a_free_cell():
+    lost = Localization((), "no-match", 0.0, 0.0)
+    with pytest.raises(ConfigError, match="no pose"):
+        draw_near(lost, np.zeros((2, 3), bool), GRID, 3, np.random.default_rng(0))

@@ -14,6 +14,7 @@ from imgloc.cli.evaluate import evaluate
 from imgloc.cli.localize import localize
 from imgloc.cli.maps import check, show
 from imgloc.cli.options import examples
+from imgloc.cli.sample import sample
 from imgloc.cli.simulate import simulate
 from imgloc.cli.which import which
 
@@ -107,6 +108,12 @@ app.command(
         "imgloc calibrate curved visibility --dry-run",
     )
 )(calibrate)
+app.command(
+    epilog=examples(
+        "imgloc sample office.yaml scans.npz --out particles.csv",
+        "imgloc sample office.yaml scans.npz --index 3 -n 2000 --seed 7 --method beam --out a.csv",
+    )
+)(sample)
 app.command(
     epilog=examples(
         "imgloc atlas office.yaml --out atlas.png",

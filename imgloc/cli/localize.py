@@ -55,6 +55,13 @@ def localize(
             help="Draw the scan at each hypothesis; several scans: NAME-0003.png and so on.",
         ),
     ] = None,
+    explain: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="HTML",
+            help="Say why, ray by ray, on a page of its own; several scans: NAME-0003.html.",
+        ),
+    ] = None,
     index: Annotated[
         int | None, typer.Option("--index", min=0, metavar="I", help="Only scan I, counted from 0.")
     ] = None,
@@ -119,10 +126,13 @@ def localize(
         raise ConfigError(f"--engine: {method.value} does not correlate; use cbml or cbml-o")
     if picture is not None:
         check_target(picture, ".png", force=force)
+    if explain is not None:
+        check_target(explain, ".html", force=force)
 
     import cv2
 
     from imgloc.cli import answers
+    from imgloc.cli.explanations import write_explanation
     from imgloc.cli.pictures import picture_name, write_hypotheses
     from imgloc.cli.prepared import cache_folder, keep_features, open_features
     from imgloc.io.calibration import calibration_path, load_calibrations
@@ -157,6 +167,9 @@ def localize(
     targets = {k: picture_name(picture, k, many) for k in chosen} if picture is not None else {}
     for target in targets.values():
         check_target(target, ".png", force=force)
+    pages = {k: picture_name(explain, k, many) for k in chosen} if explain is not None else {}
+    for page in pages.values():
+        check_target(page, ".html", force=force)
     LOG.info("%s: %d x %d cells of %g m", display(map_path), *grid.info.shape, grid.resolution)
     LOG.info("%s: %d of %d scans", display(scans_path), len(chosen), len(scans))
     check_options(features, options)
@@ -174,6 +187,19 @@ def localize(
             if k in targets:
                 write_hypotheses(targets[k], grid, scan, answer, truth, force=force)
                 LOG.info("wrote %s", display(targets[k]))
+            if k in pages:
+                write_explanation(
+                    pages[k],
+                    features,
+                    scan,
+                    answer,
+                    options,
+                    title=f"{display(scans_path.name)}, scan {k}, on {display(map_path.name)}",
+                    truth=truth,
+                    mount=mount,
+                    force=force,
+                )
+                LOG.info("wrote %s", display(pages[k]))
             advance()
             if as_json:
                 emit(answers.as_json(k, answer, {"range_max": scan.range_max}, mount))

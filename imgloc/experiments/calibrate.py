@@ -75,7 +75,7 @@ def disturbed_set(
 ) -> ScanSet:
     """Simulate scans of which one third is as the sensor says and two thirds are worse.
 
-    Of each three scans the second has 30 % of its rays stopped by something that the map does not
+    Of each three scans the second has 50 % of its rays stopped by something that the map does not
     show. The third has 10 % of these, 10 % dropped, and walls that are not where the map has them:
     an error of 10 cm that neighbouring readings share.
 
@@ -87,7 +87,7 @@ def disturbed_set(
     outliers, dropped = max(0.1, sensor.outliers), max(0.1, sensor.dropped)
     kinds = (
         sensor,
-        replace(sensor, outliers=max(0.3, sensor.outliers)),
+        replace(sensor, outliers=max(0.5, sensor.outliers)),
         replace(sensor, outliers=outliers, dropped=dropped),
     )
     sets = [simulate_set(grid, n, seed, kind, fine) for kind in kinds]
@@ -213,9 +213,9 @@ def fit(sweeps: Sequence[Sweep]) -> Fit:
     sigma_xy, sigma_theta = sweeps[0].configurations[c]
     logs, floor = np.concatenate([s.logs for s in sweeps]), sweeps[0].floor
     error = index_of(logs[:, c, e], floor).standard_error
-    e = int(np.argmax(mean[c] >= mean[c, e] - np.nan_to_num(error)))
+    hottest = int(np.argmax(mean[c] >= mean[c, e] - np.nan_to_num(error)))
     return Fit(
-        Calibration(sigma_xy, sigma_theta, float(1 / EXPONENTS[e])),
-        index_of(logs[:, c, e], floor),
+        Calibration(sigma_xy, sigma_theta, float(1 / EXPONENTS[hottest])),
+        index_of(logs[:, c, hottest], floor),
         index_of(np.concatenate([s.bare for s in sweeps]), floor),
     )

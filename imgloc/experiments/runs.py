@@ -7,7 +7,7 @@ of the trials.
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from imgloc.geometry import (
 from imgloc.io.scanset import ScanSet
 from imgloc.likelihood.posterior import LOG_METHODS
 from imgloc.model import FloatArray, LaserScan, Likelihood, Localization, Pose2D
-from imgloc.pipeline import FUSED, Options, found_in_stack, likelihood, localize
+from imgloc.pipeline import FUSED, Options, found_in_stack, in_map_frame, likelihood, localize
 from imgloc.search.trust import judge
 from imgloc.searches import NOTHING, probability_of
 
@@ -184,10 +184,13 @@ def _on_lattice(
 ) -> float:
     """Relative density of an answer in a cell of free space."""
     lattice = features.lattice
-    xy = centre_of(np.array(at[1:]), lattice.resolution)
-    centre = compose(features.grid.origin, Pose2D(*xy, float(uniform_thetas(2 * np.pi / n)[at[0]])))
+    to_grid = replace(lattice, origin=inverse(lattice.origin))
+    local = replace(answer, hypotheses=tuple(in_map_frame(h, to_grid) for h in answer.hypotheses))
+    x, y = centre_of(np.array(at[1:]), lattice.resolution)
+    thetas = uniform_thetas(2 * np.pi / n)
     poses = n * int(np.count_nonzero(features.free))
-    return density_in_cell(answer, centre, lattice.resolution, 2 * np.pi / n, poses)
+    side = lattice.resolution
+    return density_in_cell(local, Pose2D(x, y, thetas[at[0]]), side, 2 * np.pi / n, poses)
 
 
 def _work(features: MapFeatures, scan: LaserScan, stack: Likelihood) -> int:

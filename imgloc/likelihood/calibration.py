@@ -79,15 +79,15 @@ def scale(method: str, readings: int) -> float:
     return n if method in LOG_METHODS else 1 + FEW / n
 
 
-#: What is used for a map that has no calibration of its own: fitted jointly on the bundled worlds,
-#: two thirds of the scans disturbed, by ``imgloc calibrate curved visibility large corridor
-#: double_wall -n 12 --seed 1000 --dry-run --json``, and rounded.
+#: What is used for a map that has no calibration of its own: fitted jointly on bundled worlds (not
+#: ``large``), two thirds of the scans disturbed, by ``imgloc calibrate curved visibility corridor
+#: double_wall -n 12 --seed 1000 --dry-run``.
 DEFAULTS: Mapping[str, Calibration] = MappingProxyType(
     {
-        "cbml": Calibration(temperature=1 / 16),
-        "cbml-o": Calibration(temperature=1 / 16),
-        "ght": Calibration(0.2, float(np.deg2rad(10.0)), 1 / 22.6),
-        "ght-v": Calibration(0.2, float(np.deg2rad(10.0)), 1 / 22.6),
+        "cbml": Calibration(temperature=1 / 11.3),
+        "cbml-o": Calibration(0.1, 0.0, 1 / 12.7),
+        "ght": Calibration(0.2, float(np.deg2rad(10.0)), 1 / 10.1),
+        "ght-v": Calibration(0.2, float(np.deg2rad(15.0)), 1 / 12.7),
         "beam": Calibration(temperature=1 / 6.35),
     }
 )

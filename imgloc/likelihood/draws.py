@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.geometry import centre_of, wrap
-from imgloc.model import BoolArray, Float32Array, FloatArray, GridInfo
+from imgloc.geometry import centre_of, transform_poses, wrap
+from imgloc.model import BoolArray, Float32Array, FloatArray, GridInfo, Localization
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -158,3 +158,50 @@ def draw_poses(
     xy = centre_of(cells, grid.resolution) + grid.resolution * within[:, :2]
     theta = wrap(thetas[heading] + 2 * np.pi / len(thetas) * within[:, 2])
     return np.column_stack((xy, theta))
+
+
+def draw_near(
+    answer: Localization, free: BoolArray, grid: GridInfo, n: int, rng: "Generator"
+) -> FloatArray:
+    """Draw poses from an answer: a Gaussian for each hypothesis, any free pose for what is left.
+
+    Parameters
+    ----------
+    answer : Localization
+        Of :func:`imgloc.pipeline.localize`; without hypotheses every free pose is as likely.
+    free : (H, W) bool array
+        The pose space; at least one cell.
+    grid : GridInfo
+        Of `free`.
+    n : int
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    (n, 3) float array
+        x, y, theta in the map frame, as the answer.
+
+    Raises
+    ------
+    ConfigError
+        If `n` is negative or nothing is free.
+
+    Examples
+    --------
+    >>> lost = Localization((), "no-match", 0.0, 0.0)
+    >>> rng = np.random.default_rng(0)
+    >>> draw_near(lost, np.ones((2, 2), bool), GridInfo(2, 2, 0.5), 4, rng).shape
+    (4, 3)
+    """
+    masses = np.array([h.mass for h in answer.hypotheses])
+    anywhere = np.asarray(free, dtype=np.float32)[None]
+    out = transform_poses(grid.origin, draw_poses(anywhere, np.zeros(1), grid, n, rng))
+    which = np.searchsorted(np.cumsum(masses), rng.random(n), side="right")
+    normal = rng.standard_normal((n, 3))
+    for k, hypothesis in enumerate(answer.hypotheses):
+        mine = which == k
+        pose = hypothesis.pose
+        spread = normal[mine] @ np.linalg.cholesky(hypothesis.covariance).T
+        out[mine] = spread + (pose.x, pose.y, pose.theta)
+    out[:, 2] = wrap(out[:, 2])
+    return out

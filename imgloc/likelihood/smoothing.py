@@ -2,7 +2,6 @@
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from imgloc.model import Float32Array
 
@@ -53,7 +52,7 @@ def smooth(
     return out
 
 
-def circular_kernel(n: int, sigma: float) -> npt.NDArray[np.float32]:
+def circular_kernel(n: int, sigma: float) -> Float32Array:
     """Weights (n,) of the headings ``0, 1, ... n - 1`` steps away, around the circle; sum 1.
 
     Parameters
@@ -73,6 +72,6 @@ def circular_kernel(n: int, sigma: float) -> npt.NDArray[np.float32]:
     steps = np.arange(n)
     near = np.minimum(steps, n - steps)
     if sigma < 0.1:  # a neighbour has 2e-22 of it
-        return (near == 0).astype(np.float32)
+        return np.asarray(near == 0, dtype=np.float32)
     weights = np.where(near <= max(1.0, _REACH * sigma), np.exp(-0.5 * (near / sigma) ** 2), 0.0)
-    return (weights / weights.sum()).astype(np.float32)
+    return np.asarray(weights / weights.sum(), dtype=np.float32)

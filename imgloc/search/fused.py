@@ -14,15 +14,23 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import cell_of, inside, uniform_thetas
 from imgloc.likelihood.ght import ght_v
-from imgloc.model import BoolArray, FloatArray, IntArray, LaserScan
+from imgloc.model import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    GridInfo,
+    IntArray,
+    LaserScan,
+)
 from imgloc.search.hypotheses import modes
 from imgloc.search.peaks import find_peaks, smooth
 from imgloc.search.priors import Prior
 from imgloc.search.proposals import propose_endpoints
 from imgloc.search.refine import refine
-from imgloc.search.rescore import Evidence, EvidenceModel, rescore
+from imgloc.search.rescore import Evidence, EvidenceModel, bound, rescore
 
 _LAST = 20  # proposals that get the second look when time is up
+_BATCH = 256  # proposals that are scored at a time
 
 
 @dataclass(frozen=True)
@@ -35,8 +43,12 @@ class FusedOptions:
         Between the headings of the endpoint correlation, radians.
     keep : tuple of int
         Nodes kept by each level of the endpoint pyramid, finest first.
+    skip : int
+        The coarsest level of the pyramid takes every `skip`-th of the few rays.
     vote_cell : float
         Cell of the GHT-V votes, metres.
+    vote_cells : int
+        With more cells than this, headings and all, the votes of a map get larger ones.
     vote_headings : int
         Number of headings of the GHT-V votes.
     vote_peaks : int
@@ -56,7 +68,9 @@ class FusedOptions:
 
     theta_step: float = float(np.deg2rad(1.0))
     keep: tuple[int, ...] = (3000, 8000, 8000)
+    skip: int = 2
     vote_cell: float = 0.2
+    vote_cells: int = 4_000_000
     vote_headings: int = 30
     vote_peaks: int = 100
     few_rays: int = 64
@@ -122,6 +136,7 @@ def search_fused(
         xy[few],
         theta_step=options.theta_step,
         keep=options.keep,
+        skip=options.skip,
         prior=prior,
         threads=threads,
     )
@@ -133,14 +148,13 @@ def search_fused(
     if hurry:
         sources[0] = endpoints[: options.second_look]
     poses = refine(np.concatenate(sources), xy[few], features.field, sigmas=(0.2, 0.1))
-    poses, evidence = _standing(features, scan, few, poses, options, prior)
-    # Many proposals have met in the same pose by now.
-    distance, angle = options.twins
-    best = modes(poses, evidence.log_likelihood, distance=distance, angle=angle)
+    poses = _first_look(features, scan, few, _standing(features, poses, prior), options)
     hurry = hurry or late()
-    best = best[: _LAST if hurry else options.second_look]
-    poses = refine(poses[best], xy[many], features.field, sigmas=(0.1, 0.05))
-    poses, evidence = _standing(features, scan, many, poses, options, prior)
+    if hurry:
+        poses = poses[:_LAST]
+    poses = refine(poses, xy[many], features.field, sigmas=(0.1, 0.05))
+    poses = _standing(features, poses, prior)
+    evidence = _scored(features, scan, many, poses, options)
     distance, angle = options.separation
     found = modes(poses, evidence.log_likelihood, distance=distance, angle=angle)
     return Modes(poses[found], evidence.select(found), many, complete=not hurry)
@@ -153,14 +167,45 @@ def propose_votes(
     prior: Prior | None = None,
     threads: int = 1,
 ) -> FloatArray:
-    """Peaks (M, 3) of coarse, smoothed GHT-V votes: grid frame, best first."""
+    """Peaks (M, 3) of :func:`cast_votes`: grid frame, best first."""
+    votes = cast_votes(features, scan, options, prior, threads)
+    cell, where = vote_cell(features.grid.info, options), None
+    if prior is not None:
+        where = prior.around(votes.shape[1:], cell, features.grid.resolution)
+    peaks = find_peaks(votes, options.vote_peaks, where=where)
+    theta = peaks[:, 0] * (2 * np.pi / options.vote_headings)
+    return np.column_stack(((peaks[:, :0:-1] + 0.5) * cell, theta))
+
+
+def vote_cell(grid: GridInfo, options: FusedOptions) -> float:
+    """Cell of the votes on a map, metres: time and memory for them have an end.
+
+    Examples
+    --------
+    >>> vote_cell(GridInfo(1000, 1000, 0.05), FusedOptions())
+    0.2
+    >>> round(vote_cell(GridInfo(10_000, 10_000, 0.05), FusedOptions()), 2)
+    1.37
+    """
+    area = grid.height * grid.width * grid.resolution**2
+    return float(max(options.vote_cell, np.sqrt(area * options.vote_headings / options.vote_cells)))
+
+
+def cast_votes(
+    features: MapFeatures,
+    scan: LaserScan,
+    options: FusedOptions,
+    prior: Prior | None = None,
+    threads: int = 1,
+) -> Float32Array:
+    """Coarse, smoothed GHT-V votes (K, H, W) at the headings of the prior, Alg. 5."""
     points = scan_points(scan.ranges, scan.angles, scan.valid)
     usable = np.flatnonzero(points.valid)
     points = points.select(usable[thin(np.ones(len(usable), bool), options.few_rays)])
-    grid = features.grid.info
+    grid, cell = features.grid.info, vote_cell(features.grid.info, options)
     shape = (
-        int(np.ceil(grid.height * grid.resolution / options.vote_cell)),
-        int(np.ceil(grid.width * grid.resolution / options.vote_cell)),
+        int(np.ceil(grid.height * grid.resolution / cell)),
+        int(np.ceil(grid.width * grid.resolution / cell)),
     )
     votes = ght_v(
         features.surface,
@@ -168,18 +213,14 @@ def propose_votes(
         points,
         options.vote_headings,
         shape,
-        options.vote_cell,
+        cell,
         threads=threads,
     )
     votes = smooth(votes, 1.0, 0.7)
-    where = None
     if prior is not None:
         thetas = uniform_thetas(2 * np.pi / options.vote_headings)
         votes[~prior.headings(thetas, np.pi / options.vote_headings)] = 0
-        where = prior.around(shape, options.vote_cell, grid.resolution)
-    peaks = find_peaks(votes, options.vote_peaks, where=where)
-    theta = peaks[:, 0] * (2 * np.pi / options.vote_headings)
-    return np.column_stack(((peaks[:, :0:-1] + 0.5) * options.vote_cell, theta))
+    return votes
 
 
 def thin(valid: BoolArray, n: int) -> IntArray:
@@ -201,21 +242,55 @@ def scan_xy(scan: LaserScan) -> FloatArray:
     return np.column_stack((r * np.cos(scan.angles), r * np.sin(scan.angles)))
 
 
-def _standing(
+def _first_look(
     features: MapFeatures,
     scan: LaserScan,
     rays: IntArray,
     poses: FloatArray,
     options: FusedOptions,
-    prior: Prior,
-) -> tuple[FloatArray, Evidence]:
-    """Score the poses at which a robot can stand and may be, and drop the others."""
+) -> FloatArray:
+    """The best poses with a few rays, each of them once: those that get the second look.
+
+    Scored in the order of what they can reach at most, until none that is left can be among
+    them: the same poses as if all had been scored.
+    """
+    most = bound(poses, scan.ranges[rays], scan.angles[rays], features.field, options.model)
+    order = np.argsort(-most, kind="stable")
+    distance, angle = options.twins
+    seen, score = np.empty(0, np.int64), np.empty(0)
+    best = seen
+    for start in range(0, len(order), _BATCH):
+        part = order[start : start + _BATCH]
+        evidence = _scored(features, scan, rays, poses[part], options)
+        seen, score = np.append(seen, part), np.append(score, evidence.log_likelihood)
+        by_index = np.argsort(seen)
+        seen, score = seen[by_index], score[by_index]
+        # Many proposals have met in the same pose by now.
+        best = modes(poses[seen], score, distance=distance, angle=angle, most=options.second_look)
+        rest = most[order[start + _BATCH :][:1]]
+        if len(best) == options.second_look and (rest < score[best[-1]]).all():
+            break
+    return poses[seen[best]]
+
+
+def _standing(features: MapFeatures, poses: FloatArray, prior: Prior) -> FloatArray:
+    """The poses at which a robot can stand and may be."""
     cells = cell_of(poses[:, :2], features.grid.resolution)
     on_map = inside(cells, features.grid.info)
     poses, cells = poses[on_map], cells[on_map]
     poses = poses[features.standable[cells[:, 0], cells[:, 1]]]
-    poses = poses[prior.admits(poses, features.grid.resolution)]
-    evidence = rescore(
+    return poses[prior.admits(poses, features.grid.resolution)]
+
+
+def _scored(
+    features: MapFeatures,
+    scan: LaserScan,
+    rays: IntArray,
+    poses: FloatArray,
+    options: FusedOptions,
+) -> Evidence:
+    """The score of poses with some of the rays."""
+    return rescore(
         poses,
         scan.ranges[rays],
         scan.angles[rays],
@@ -223,4 +298,3 @@ def _standing(
         features.walls,
         options.model,
     )
-    return poses, evidence

@@ -33,14 +33,22 @@ def masses(log_likelihood: FloatArray, temperature: float) -> FloatArray:
     return np.asarray(weight / weight.sum())
 
 
-def modes(poses: FloatArray, score: FloatArray, *, distance: float, angle: float) -> IntArray:
-    """Indices of the best pose of each mode, best first, ties in index order.
+def modes(
+    poses: FloatArray,
+    score: FloatArray,
+    *,
+    distance: float,
+    angle: float,
+    most: int | None = None,
+) -> IntArray:
+    """Indices of the best pose of each mode, best first, ties in index order; at most `most`.
 
     Poses that a refinement has brought together are one mode, whose score is that of its best
     pose: how many proposals led there says nothing about it.
     """
     order = np.argsort(-score, kind="stable")
-    picked, _ = separated(poses[order], len(order), distance=distance, angle=angle)
+    count = len(order) if most is None else most
+    picked, _ = separated(poses[order], count, distance=distance, angle=angle)
     return np.asarray(order[picked])
 
 

@@ -13,6 +13,10 @@ import numpy as np
 from imgloc.model import FloatArray
 
 
+#: With more probability elsewhere than this there is no match.
+DOUBT = 0.5
+
+
 @dataclass(frozen=True)
 class Trust:
     """What turns evidence into probabilities and a verdict.
@@ -96,6 +100,6 @@ def judge(valid: int, mass: FloatArray, elsewhere: float, trust: Trust) -> str:
     """
     if valid < trust.readings:
         return "invalid"
-    if len(mass) == 0 or elsewhere > 0.5:
+    if len(mass) == 0 or elsewhere > DOUBT:
         return "no-match"
     return "unique" if mass[0] >= trust.mass else "ambiguous"

@@ -1,0 +1,114 @@
+"""`imgloc localize --explain`, from file to file."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import MAPS, call, spawn
+
+from imgloc.io.scans import ScanSet, save_scans
+from imgloc.model import LaserScan
+
+CURVED = MAPS / "curved.yaml"
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cli") / "two & <b>.npz"
+    assert call("simulate", CURVED, "-n", 2, "--out", path).code == 0
+    return path
+
+
+def test_one_scan_is_one_page(scans: Path, tmp_path: Path) -> None:
+    out = tmp_path / "why.html"
+    words = ["localize", CURVED, scans, "--index", 1, "--explain", out]
+    plain = call(*words[:-2])
+    code, text, err = call(*words)
+    assert (code, err) == (0, "")
+    assert text.splitlines()[:3] == plain.out.splitlines()[:3]  # the answer is the same
+    page = out.read_text(encoding="utf-8")
+    assert page.startswith("<!doctype html>")
+    assert "two &amp; &lt;b&gt;.npz, scan 1, on curved.yaml" in page
+    assert "One pose explains this scan." in page
+    assert "True pose of the sensor" in page
+    assert [p.name for p in tmp_path.iterdir()] == ["why.html"]
+
+
+def test_nothing_is_overwritten_without_force(scans: Path, tmp_path: Path) -> None:
+    out = tmp_path / "why.html"
+    out.write_text("mine")
+    words = ["localize", CURVED, scans, "--index", 0, "--explain", out]
+    code, text, err = call(*words)
+    assert (code, text) == (1, "")
+    assert "why.html: exists already; pass --force" in err
+    assert out.read_text() == "mine"
+    assert call(*words, "--force").code == 0
+    assert "<html" in out.read_text(encoding="utf-8")
+
+
+def test_several_scans_are_numbered_pages(scans: Path, tmp_path: Path) -> None:
+    words = ["localize", CURVED, scans, "--json", "--explain", tmp_path / "why.html"]
+    assert call(*words).code == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["why-0000.html", "why-0001.html"]
+    (tmp_path / "why-0000.html").unlink()
+    code, text, err = call(*words)
+    assert (code, text) == (1, "")  # before anything is computed
+    assert "why-0001.html: exists already" in err
+    assert not (tmp_path / "why-0000.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "code", "expected"),
+    [("why.htm", 2, "ends in .html"), ("no/why.html", 1, "there is no folder")],
+)
+def test_bad_names_are_refused_at_once(
+    name: str, code: int, expected: str, scans: Path, tmp_path: Path
+) -> None:
+    run = call("localize", CURVED, scans, "--explain", tmp_path / name)
+    assert (run.code, run.out) == (code, "")
+    assert expected in run.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_same_page_for_any_number_of_threads(scans: Path, tmp_path: Path) -> None:
+    pages = []
+    for n in (1, 2):
+        out = tmp_path / f"{n}.html"
+        run = spawn(
+            "localize", CURVED, scans, "--index", 0, "--explain", out, "--threads", n
+        )  # fmt: skip
+        assert run.code == 0
+        lines = out.read_text(encoding="utf-8").splitlines()
+        pages.append([line for line in lines if "Time: localize" not in line])
+    assert pages[0] == pages[1]
+
+
+def test_the_mounting_and_the_prior_are_on_the_page(scans: Path, tmp_path: Path) -> None:
+    out = tmp_path / "why.html"
+    words = ["--index", 0, "--sensor", "0.2,0,0", "--clearance", 0.1, "--explain", out]
+    assert call("localize", CURVED, scans, *words).code == 0
+    page = out.read_text(encoding="utf-8")
+    assert "Pose of the robot" in page
+    assert "Known beforehand" in page
+    assert "clearance" in page
+
+
+def test_an_invalid_scan_has_a_page_too(tmp_path: Path) -> None:
+    path, out = tmp_path / "blind.npz", tmp_path / "why.html"
+    blind = LaserScan(np.full(20, np.nan), np.linspace(-1, 1, 20), range_max=10.0)
+    save_scans(path, ScanSet((blind,)))
+    run = call("localize", CURVED, path, "--explain", out, "--strict")
+    assert run.code == 6
+    assert "0 of its 20 readings are distances to something" in out.read_text(encoding="utf-8")
+
+
+def test_a_real_scan_on_a_real_map_and_on_a_wrong_one(shared: Path, tmp_path: Path) -> None:
+    scans = shared / "data" / "fr079" / "scans.npz"
+    for name, verdicts in (("fr079", {"unique"}), ("gh25", {"no-match", "ambiguous"})):
+        out = tmp_path / f"{name}.html"
+        here = shared / "data" / name / "map.yaml"
+        run = call("localize", here, scans, "--index", 100, "--explain", out, "--no-cache")
+        assert run.code == 0
+        page = out.read_text(encoding="utf-8")
+        assert any(f"<span class=word>{verdict}</span>" in page for verdict in verdicts)
+        assert len(page) < 3_000_000

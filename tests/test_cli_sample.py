@@ -1,0 +1,104 @@
+"""`imgloc sample`: the poses of a lost particle filter."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import MAPS, call
+
+from imgloc.geometry import compose, wrap
+from imgloc.io.maps import load_map, save_map
+from imgloc.io.scans import ScanSet, load_scans, save_scans
+from imgloc.model import LaserScan, OccupancyGrid, Pose2D
+
+CURVED = MAPS / "curved.yaml"
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("cli") / "scans.npz"
+    words = ("--rays", 181, "--fov-deg", 360, "--seed", 2)
+    assert call("simulate", CURVED, "-n", 2, *words, "--out", path).code == 0
+    return path
+
+
+def drawn(*words: object) -> np.ndarray:
+    run = call("sample", *words)
+    assert (run.code, run.out) == (0, "")
+    out = Path(str(words[words.index("--out") + 1]))
+    assert out.read_text().startswith("scan,x,y,theta\n")
+    return np.loadtxt(out, delimiter=",", skiprows=1, ndmin=2)
+
+
+def near(poses: np.ndarray, truth: np.ndarray) -> float:
+    away = np.hypot(*(poses[:, :2] - truth[:2]).T)
+    return float(np.mean((away < 0.5) & (np.abs(wrap(poses[:, 2] - truth[2])) < 0.35)))
+
+
+@pytest.mark.parametrize("method", ["fused", "ght-v"])
+def test_most_are_where_the_scan_was_taken(method: str, scans: Path, tmp_path: Path) -> None:
+    words = ("--method", method, "-n", 200, "--out", tmp_path / "a.csv")
+    rows = drawn(CURVED, scans, *words)
+    truth = load_scans(scans).poses
+    assert truth is not None
+    assert rows[:, 0].tolist() == [0] * 200 + [1] * 200
+    for k in range(2):
+        assert near(rows[rows[:, 0] == k, 1:], truth[k]) > 0.5
+
+
+@pytest.mark.parametrize("method", ["fused", "ght"])
+def test_poses_are_in_the_map_frame(method: str, scans: Path, tmp_path: Path) -> None:
+    grid, origin = load_map(CURVED), Pose2D(-20.0, 7.0, 2.0)
+    moved = tmp_path / "moved.yaml"
+    save_map(moved, OccupancyGrid(grid.occupied, grid.free, grid.resolution, origin))
+    words = ("--index", 1, "--method", method, "-n", 50, "--out")
+    here, there = (
+        drawn(path, scans, *words, tmp_path / f"{path.stem}.csv")[:, 1:] for path in (CURVED, moved)
+    )
+    expected = [compose(origin, Pose2D(*pose)) for pose in here]
+    # The Gaussians of fused are drawn along other axes: the same poses but for their spread.
+    close = 0.2 if method == "fused" else 1e-4
+    np.testing.assert_allclose(there[:, :2], [(p.x, p.y) for p in expected], atol=close)
+    np.testing.assert_allclose(wrap(there[:, 2] - [p.theta for p in expected]), 0, atol=close)
+
+
+def test_draws_depend_on_the_seed_and_the_scan_alone(scans: Path, tmp_path: Path) -> None:
+    words = ("-n", 20, "--out", tmp_path / "a.csv", "--force")
+    both = drawn(CURVED, scans, *words, "--threads", 1)
+    np.testing.assert_array_equal(drawn(CURVED, scans, *words, "--threads", 2), both)
+    np.testing.assert_array_equal(drawn(CURVED, scans, *words, "--index", 1), both[20:])
+    assert (drawn(CURVED, scans, *words, "--seed", 1) != both).any()
+
+
+@pytest.mark.parametrize("method", ["fused", "ght-v", "beam"])
+def test_a_scan_that_says_nothing_may_be_from_anywhere(method: str, tmp_path: Path) -> None:
+    blind = tmp_path / "blind.npz"
+    save_scans(blind, ScanSet((LaserScan(np.full(30, np.inf), np.arange(30) / 9, range_max=9),)))
+    words = ("--cell", 0.2, "--method", method, "-n", 400, "--out", tmp_path / "a.csv")
+    poses = drawn(CURVED, blind, *words)[:, 1:]
+    assert poses[:, :2].std(axis=0).min() > 2
+    assert np.histogram(poses[:, 2], 4, (-np.pi, np.pi))[0].min() > 60
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "expected"),
+    [
+        (["--theta-step-deg", 3], 2, "fused has no stack"),
+        (["--index", 2], 2, "--index: got 2, expected 0 to 1"),
+        (["-n", 10**8], 2, "more than 10,000,000"),
+        (["--cell", 0], 2, "--cell: got 0"),
+        (["--range-max", -1], 2, "--range-max: got -1"),
+    ],
+    ids=str,
+)
+def test_refuses(
+    scans: Path, tmp_path: Path, words: list[object], code: int, expected: str
+) -> None:
+    run = call("sample", CURVED, scans, "--out", tmp_path / "a.csv", *words)
+    assert (run.code, run.out) == (code, "")
+    assert expected in run.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_file_is_named_csv(scans: Path, tmp_path: Path) -> None:
+    assert call("sample", CURVED, scans, "--out", tmp_path / "a.txt").code == 2

@@ -1,0 +1,322 @@
+"""Pictures and page of an explanation: right places, right words, nothing from outside."""
+
+import base64
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import cv2
+import numpy as np
+import pytest
+from places import answer_of, features_of, room_with_a_post, scan_of
+
+from imgloc.draw.canvas import INK, PAPER, SHADE
+from imgloc.draw.explain import draw_covariance, draw_overview, draw_rays, draw_scan, window
+from imgloc.draw.marks import share_bar, swatch
+from imgloc.draw.svg import View, cells_picture, map_image, scale_bar
+from imgloc.explain import explain
+from imgloc.model import Hypothesis, LaserScan, OccupancyGrid, Pose2D
+from imgloc.pipeline import Options, localize, prepare
+from imgloc.report.explain import render_explanation
+from imgloc.report.verdicts import HEADLINES
+from imgloc.search.explain import KINDS, RayFit
+
+VOID = {"meta", "img", "br"}
+LOOSE = {"p", "li", "td", "th", "tr", "dt", "dd"}  # HTML closes them by itself
+
+
+class Page(HTMLParser):
+    """What a page is made of, and whether every element is closed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open, self.tags, self.sources, self.words = [], [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.sources += [
+            v for k, v in attrs if k in ("src", "href", "xlink:href", "data", "action")
+        ]
+        if tag not in VOID | LOOSE:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID | LOOSE:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        if tag not in LOOSE:
+            assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+
+def fit_of(*rays: tuple[str, float, float, float]) -> RayFit:
+    kinds, x, y, wall = zip(*rays, strict=True)
+    return RayFit(np.array(kinds), np.column_stack((x, y)), np.array(wall, np.float32))
+
+
+def hypothesis(x=1.0, y=1.0, theta=0.0, covariance=None):
+    matrix = np.diag([1e-4, 4e-4, 1e-3]) if covariance is None else covariance
+    return Hypothesis(Pose2D(x, y, theta), -1.0, 0.5, matrix)
+
+
+def page_of(features, scan, options=None, **more) -> tuple[str, Page]:
+    options = options or Options()
+    why = explain(features, scan, localize(features, scan, options), options)
+    text = render_explanation(why, more.pop("title", "a title"), **more)
+    return text, Page(text)
+
+
+def numbers_of(d: str) -> list[float]:
+    return [float(v) for v in re.findall(r"-?\d+\.?\d*", d)]
+
+
+def test_up_in_the_map_is_up_in_the_picture() -> None:
+    occupied = np.array([[1, 0, 0], [0, 0, 0]], dtype=bool)
+    free = np.array([[0, 1, 0], [1, 1, 0]], dtype=bool)
+    picture = cells_picture(OccupancyGrid(occupied, free, 1.0), np.s_[0:2, 0:3])
+    assert picture.tolist() == [[[*PAPER], [*PAPER], [*SHADE]], [[*INK], [*PAPER], [*SHADE]]]
+
+
+def test_a_thin_wall_is_still_there_when_a_map_is_large() -> None:
+    wall = np.zeros((20, 6000), dtype=bool)
+    wall[:, 3001] = True
+    picture = cells_picture(OccupancyGrid(wall, ~wall, 0.1), np.s_[0:20, 0:6000])
+    assert picture.shape[1] <= 1400
+    assert (picture.min(axis=(0, 2)) < 60).sum() >= 1
+
+
+def test_the_image_of_a_map_is_cut_to_the_view_and_put_in_its_place() -> None:
+    grid = room_with_a_post()  # 4.4 by 3.4 m
+    view = View(-1.0, 2.0, 2.0, 2.0, 200.0)
+    image = ET.fromstring(map_image(grid, view))
+    at = {k: float(image.get(k)) for k in ("x", "y", "width", "height")}
+    # From x = 0 to 1 m and y = 2 to 3.4 m.
+    assert at == {"x": 100, "y": 60, "width": 100, "height": 140}
+    data = base64.b64decode(image.get("href").split(",")[1])
+    png = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    assert png.shape == (14, 10, 3)
+    assert png[0, 5].tolist() == [*INK]  # the upper wall
+    assert png[-1, 0].tolist() == [*INK]  # the left wall
+    assert png[-1, -1].tolist() == [*PAPER]
+    assert map_image(grid, View(10.0, 10.0, 2.0, 2.0, 200.0)) == ""
+
+
+@pytest.mark.parametrize(("width", "label", "px"), [(20, "5 m", 50), (3, "50 cm", 100 / 3)])
+def test_the_bar_is_as_long_as_it_says(width: float, label: str, px: float) -> None:
+    bar = ET.fromstring(scale_bar(View(0, 0, width, width, 200.0)))
+    assert bar.find("text").text == label
+    length = float(re.search(r"h(\d+\.?\d*)", bar.find("path").get("d"))[1])
+    assert length == pytest.approx(px, abs=0.06)
+
+
+def test_each_ray_is_drawn_in_its_kind_and_place() -> None:
+    grid, view = room_with_a_post(), View(0.0, 0.0, 4.0, 4.0, 400.0)
+    fit = fit_of(
+        ("agrees", 2.0, 1.0, np.inf),
+        ("visibility", 3.0, 1.0, 0.5),
+        ("no_return", np.nan, np.nan, np.inf),
+    )
+    root = ET.fromstring(draw_rays(grid, hypothesis(), fit, view, "1"))
+    paths = {p.get("class"): p.get("d") for p in root.iter("path") if p.get("class")}
+    assert numbers_of(paths["ray agrees"]) == [100, 300, 200, 300]
+    assert numbers_of(paths["ray visibility"]) == [100, 300, 300, 300]
+    assert numbers_of(paths["beyond"]) == [150, 300, 300, 300]  # from the wall to the end
+    assert paths["end agrees"].startswith("M200 300")
+    assert paths["end unexplained"] == ""
+    assert not any("no_return" in name for name in paths)
+    assert "1 agrees" in root.get("aria-label")
+
+
+def test_marks_differ_in_shape_and_not_only_in_colour() -> None:
+    shapes = {re.sub('class="[^"]*"', "", swatch(kind)) for kind in KINDS}
+    assert len(shapes) == 5  # four marks; what is only counted has a box
+
+
+def test_views_have_one_size_and_hold_pose_and_rays() -> None:
+    fits = [fit_of(("agrees", 3, 1, np.inf)), fit_of(("agrees", 1, 9, np.inf))]
+    poses = [Pose2D(1, 1), Pose2D(1, 1)]
+    views = window(poses, fits, 100.0)
+    assert views[0].box == views[1].box
+    for view, fit in zip(views, fits, strict=True):
+        for x, y in [(1, 1), *fit.end.tolist()]:
+            assert 0 < x - view.x < view.width
+            assert 0 < y - view.y < view.height
+    stray = fit_of(("agrees", 3, 1, np.inf), ("agrees", 500, 1, np.inf))
+    assert window(poses[:1], [stray], 100.0)[0].width < 10
+
+
+def test_the_overview_numbers_every_hypothesis_where_it_is() -> None:
+    grid = room_with_a_post()
+    some = [hypothesis(1.0, 1.0), hypothesis(3.5, 2.0, np.pi / 2)]
+    root = ET.fromstring(draw_overview(grid, some, [fit_of(("agrees", 2, 2, np.inf))] * 2))
+    robots = {
+        g.find("text").text: g for g in root.iter("g") if (g.get("class") or "").startswith("robot")
+    }
+    assert set(robots) == {"1", "2"}
+    one, two = (numbers_of(robots[k].get("transform")) for k in "12")
+    px_per_m = np.hypot(two[0] - one[0], two[1] - one[1]) / np.hypot(2.5, 1.0)
+    assert two[0] - one[0] == pytest.approx(2.5 * px_per_m, abs=0.2)
+    assert two[1] - one[1] == pytest.approx(-1.0 * px_per_m, abs=0.2)  # pixels go down
+    assert numbers_of(robots["2"].find("g").get("transform")) == [-90]
+
+
+@pytest.mark.parametrize(
+    ("yaw", "along"), [(0.0, (32, 0)), (np.pi / 2, (0, 32)), (np.pi, (-32, 0))]
+)
+def test_the_axes_are_those_of_the_map_frame(yaw: float, along: tuple[float, float]) -> None:
+    grid = replace(room_with_a_post(), origin=Pose2D(0.0, 0.0, yaw))
+    root = ET.fromstring(draw_overview(grid, [], []))
+    axes = next(g for g in root.iter("g") if g.get("class") == "axes")
+    x0, y0, x1, y1 = numbers_of(axes.find("path").get("d"))[:4]
+    # The picture lies as the image does: the map's x axis is turned back by the origin's yaw.
+    np.testing.assert_allclose((x1 - x0, y1 - y0), along, atol=0.11)
+
+
+def test_the_ellipse_is_two_standard_deviations_long() -> None:
+    root = ET.fromstring(draw_covariance(hypothesis(theta=0.3)))
+    outline = {
+        p.get("class"): np.array(numbers_of(p.get("d"))).reshape(-1, 2)
+        for p in root.iter("path")
+        if p.get("class")
+    }
+    size = {name: np.ptp(outline[name], axis=0) for name in ("one", "two")}
+    np.testing.assert_allclose(size["two"], 2 * size["one"], atol=0.3)
+    np.testing.assert_allclose(size["one"][1] / size["one"][0], 2.0, atol=0.01)  # 2 cm and 1 cm
+    degenerate = draw_covariance(hypothesis(covariance=np.zeros((3, 3))))
+    assert "nan" not in degenerate
+
+
+def test_a_scan_is_drawn_with_forward_up_and_left_at_the_left() -> None:
+    scan = LaserScan([2.0, 1.0, np.inf], [0.0, np.pi / 2, -0.5], range_max=9.0)
+    root = ET.fromstring(draw_scan(scan))
+    at = {p.get("class"): numbers_of(p.get("d")) for p in root.iter("path") if p.get("class")}
+    robot = next(g for g in root.iter("g") if (g.get("class") or "").startswith("robot"))
+    x, y = numbers_of(robot.get("transform"))
+    ahead, left = np.array(at["end agrees"]).reshape(-1, 3)[:, :2] - (x, y)
+    assert ahead[0] == pytest.approx(0, abs=0.2)
+    assert left[1] == pytest.approx(0, abs=0.2)
+    assert ahead[1] == pytest.approx(2 * left[0], abs=0.3)
+    assert ahead[1] < 0
+    assert len(at["end no_return"]) == 4
+    assert "nan" not in draw_scan(LaserScan([np.nan], [0.0]))
+
+
+def test_the_bar_of_shares_is_full() -> None:
+    fit = fit_of(*[("agrees", 0, 0, np.inf)] * 3, ("no_return", np.nan, np.nan, np.inf))
+    boxes = [(r.get("class"), float(r.get("width"))) for r in ET.fromstring(share_bar(fit))]
+    assert [name for name, _ in boxes] == list(KINDS)
+    assert dict(boxes)["agrees"] == 75
+    assert sum(width for _, width in boxes) == pytest.approx(100)
+
+
+@pytest.fixture(scope="module")
+def why():
+    return explain(
+        features_of("visibility"), scan_of("visibility"), answer_of("visibility", "fused")
+    )
+
+
+def test_the_page_needs_nothing_from_outside(why) -> None:
+    text = render_explanation(why, "scan 0", version="9.9")
+    page = Page(text)
+    assert page.open == []
+    assert "script" not in page.tags
+    assert "link" not in page.tags
+    assert len(page.sources) >= 2 + len(why.fits)
+    assert all(source.startswith("data:image/png;base64,") for source in page.sources)
+    assert not re.search(r"https?:|url\(|@import", text)
+    for svg in re.findall(r"<svg.*?</svg>", text):
+        ET.fromstring(svg)
+    assert "imgloc 9.9" in page.text
+
+
+def test_the_page_says_what_the_answer_says(why) -> None:
+    page = Page(render_explanation(why, "scan 0"))
+    assert HEADLINES[why.answer.verdict] in page.text
+    assert page.tags.count("figure") >= 2 * len(why.fits) + 3
+    for fit in why.fits:
+        for kind, n in fit.rays.counts.items():
+            if n and kind == "agrees":
+                assert f"agrees {n} " in page.text
+    assert f"Misfit {why.misfit:.3f} nats per reading." in page.text
+    assert f"Temperature {why.temperature:.2f}" in page.text
+    margin = why.fits[0].hypothesis.log_likelihood - why.fits[1].hypothesis.log_likelihood
+    assert f"the second is {margin:.1f} nats behind" in page.text
+    assert page.text.count("this decides") == 1
+    assert "fused.model.hit 0.8" in page.text
+
+
+def test_names_are_text_and_not_html(why) -> None:
+    evil = '<script>alert("1")</script> & <b>'
+    text = render_explanation(why, evil, [(evil, evil)], evil)
+    page = Page(text)
+    assert "script" not in page.tags
+    assert page.text.count(evil) == 5  # title twice, a fact's name and value, the version
+
+
+def test_too_few_readings_are_explained() -> None:
+    ranges = np.full(20, np.nan)
+    ranges[:3], ranges[3:7] = 1.0, np.inf
+    scan = LaserScan(ranges, np.linspace(-1, 1, 20), range_max=9.0)
+    _, page = page_of(prepare(room_with_a_post()), scan)
+    assert "3 of its 20 readings are distances to something; 10 are needed." in page.text
+    assert "4 no return" in page.text
+    assert "Ray by ray" not in page.text
+    assert page.tags.count("img") == 0
+
+
+def test_a_scan_of_elsewhere_is_a_best_guess_at_most() -> None:
+    rng = np.random.default_rng(0)
+    angles = np.deg2rad(np.arange(-180, 180, 3.0))
+    features = prepare(room_with_a_post())
+    _, page = page_of(features, LaserScan(rng.uniform(0.3, 3.0, 120), angles, range_max=9.0))
+    assert HEADLINES["no-match"] in page.text
+    assert "Best guess x " in page.text
+    assert "Pose of the sensor" not in page.text
+    _, nothing = page_of(features, LaserScan(np.full(120, 70.0), angles, range_max=80.0))
+    assert "The search found no pose in which" in nothing.text
+
+
+@pytest.mark.parametrize("method", ["cbml", "ght-v", "beam"])
+def test_a_stack_is_its_own_picture(method: str) -> None:
+    features, scan = features_of("curved"), scan_of("curved")
+    options = Options(method=method)
+    why = explain(features, scan, answer_of("curved", method), options)
+    (layer,) = why.layers
+    assert layer.likelihood is not None
+    assert layer.likelihood.values.min() >= 0
+    page = Page(render_explanation(why, "x"))
+    assert f"no finer than the cells and headings of {method}'s stack" in page.text
+    assert "nan" not in page.text
+
+
+def test_branch_and_bound_has_no_temperature() -> None:
+    options = Options(method="cbml", exact=True)
+    text, page = page_of(features_of("curved"), scan_of("curved"), options)
+    assert "No temperature:" in page.text
+    assert ">nan<" not in text
+
+
+def test_an_answer_out_of_time_says_so(why) -> None:
+    late = replace(why, answer=replace(why.answer, complete=False))
+    assert "ran out of time" in Page(render_explanation(late, "x")).text
+    assert "ran out of time" not in Page(render_explanation(why, "x")).text
+
+
+def test_what_was_known_beforehand_is_listed(why) -> None:
+    known = {**why.answer.parameters, "prior": {"near": [1.0, 2.0], "radius": 3.0}}
+    given = replace(why, answer=replace(why.answer, parameters=known))
+    assert (
+        "Known beforehand near [1.0, 2.0], radius 3.0" in Page(render_explanation(given, "x")).text
+    )

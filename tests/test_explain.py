@@ -1,0 +1,199 @@
+"""What each ray says about a pose, and the numbers behind a verdict."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from places import POSES, answer_of, error, features_of, room_with_a_post, scan_of
+
+from imgloc.explain import explain
+from imgloc.features.raycast import cast_rays
+from imgloc.methods import ALL_METHODS
+from imgloc.model import LaserScan, OccupancyGrid, OrientedPoints, Pose2D
+from imgloc.pipeline import Options, localize, prepare
+from imgloc.search.explain import KINDS, RayFit, explain_rays, faced
+from imgloc.search.priors import Prior, near
+
+ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
+
+
+def rays_at(features, scan, pose) -> RayFit:
+    model = Options().fused.model
+    return explain_rays(pose, scan, features.surface, features.field, features.walls, model)
+
+
+@pytest.fixture(scope="module")
+def room():
+    return prepare(room_with_a_post())
+
+
+def seen_from(features, pose, angles=ANGLES):
+    ranges = cast_rays(features.walls, pose[:2], angles + pose[2], 20.0, 0.1)
+    return LaserScan(ranges, angles, range_max=20.0)
+
+
+def test_every_ray_of_a_perfect_scan_agrees(room) -> None:
+    pose = (3.0, 2.4, 0.4)
+    fit = rays_at(room, seen_from(room, pose), Pose2D(*pose))
+    assert fit.counts["visibility"] == fit.counts["unexplained"] == 0
+    assert fit.counts["agrees"] >= 0.95 * len(ANGLES)  # corners have no normal of their own
+    assert sum(fit.counts.values()) == len(ANGLES)
+    assert np.isinf(fit.wall).all()
+
+
+def test_readings_that_are_no_distances_have_no_say(room) -> None:
+    ranges = [1.0, np.inf, 25.0, np.nan, -np.inf, 0.05]
+    scan = LaserScan(ranges, np.zeros(6), range_min=0.1, range_max=20.0)
+    fit = rays_at(room, scan, Pose2D(1.0, 1.0))
+    assert fit.kind[1:].tolist() == ["no_return"] * 2 + ["invalid"] * 3
+    assert np.isfinite(fit.end).all(axis=1).tolist() == [True] + [False] * 5
+    assert list(fit.counts) == list(KINDS)
+    nothing = rays_at(room, LaserScan([np.nan], [0.0]), Pose2D(1.0, 1.0))
+    assert nothing.counts["invalid"] == 1
+
+
+def test_a_ray_through_a_wall_is_vetoed_where_it_meets_it(room) -> None:
+    # The post begins at x = 2.0 m, up to y = 1.2 m.
+    scan = LaserScan([2.5], [0.0], range_max=20.0)
+    fit = rays_at(room, scan, Pose2D(0.6, 0.7))
+    assert fit.kind.tolist() == ["visibility"]
+    assert fit.wall[0] == pytest.approx(1.4, abs=0.01)
+    np.testing.assert_allclose(fit.end, [[3.1, 0.7]])
+    above = rays_at(room, scan, Pose2D(0.6, 2.0))
+    assert above.kind.tolist() == ["unexplained"]
+    assert np.isinf(above.wall[0])
+
+
+def test_a_wall_seen_askew_is_vetoed_by_orientation(room) -> None:
+    # Points of a wall at 45 degrees, laid with their middle on the wall at the left, x = 0.2 m.
+    angles = np.deg2rad(np.arange(-8, 8.5, 0.5))
+    slope = 1.0 / (np.cos(angles) + np.sin(angles))
+    straight = 1.0 / np.cos(angles)
+    pose = Pose2D(1.2, 2.0, np.pi)
+    middle = len(angles) // 2
+    askew = rays_at(room, LaserScan(slope, angles, range_max=20.0), pose)
+    assert askew.kind[middle] == "orientation"
+    flat = rays_at(room, LaserScan(straight, angles, range_max=20.0), pose)
+    assert (flat.kind == "agrees").all()
+
+
+def test_a_surface_that_faces_away_does_not_agree() -> None:
+    wall = OrientedPoints([[1.0, 0.0], [1.3, 0.0]], [np.pi, 0.0], [0.1, 0.1], [True, True])
+    one, unknown = np.zeros(1), np.full(1, np.inf)
+    front = faced(np.array([[0.95, 0.0]]), one, one, unknown, wall, reach=0.5)
+    back = faced(np.array([[1.32, 0.0]]), one, one, unknown, wall, reach=0.5)
+    assert (front.tolist(), back.tolist()) == ([True], [False])
+    blind = replace(wall, valid=np.zeros(2, bool))
+    assert faced(np.array([[1.32, 0.0]]), one, one, unknown, blind, reach=0.5).all()
+
+
+def test_an_uncertain_normal_is_given_more_room() -> None:
+    end, psi, alpha = np.zeros((1, 2)), np.zeros(1), np.array([np.pi - 0.7])
+    for sigma, agrees in ((0.05, False), (0.4, True)):
+        wall = OrientedPoints([[0.0, 0.0]], [np.pi], [0.05], [True])
+        assert faced(end, psi, alpha, np.array([sigma]), wall, reach=0.5).all() == agrees
+
+
+@given(st.floats(-3.0, 3.0))
+@settings(max_examples=10, deadline=None)
+def test_where_the_sensor_looks_is_of_no_importance(turn) -> None:
+    features = prepare(room_with_a_post())
+    scan = seen_from(features, (3.0, 2.4, 0.0))
+    plain = rays_at(features, scan, Pose2D(3.4, 2.5, 0.1))
+    askew = LaserScan(scan.ranges, scan.angles - turn, range_max=20.0)
+    turned = rays_at(features, askew, Pose2D(3.4, 2.5, 0.1 + turn))
+    assert np.mean(plain.kind == turned.kind) > 0.98  # rounding at a border
+
+
+@pytest.mark.parametrize("method", ALL_METHODS)
+def test_the_numbers_are_those_of_the_answer(method) -> None:
+    answer = answer_of("visibility", method)
+    options = Options(method=method)
+    why = explain(features_of("visibility"), scan_of("visibility"), answer, options)
+    assert [f.pose for f in why.fits] == [h.pose for h in answer.hypotheses]
+    masses = [f.before * (1 - answer.elsewhere) for f in why.fits]
+    np.testing.assert_allclose(masses, [h.mass for h in answer.hypotheses])
+    share = why.fits[0].before if method == "fused" else 1.0
+    assert options.trust.mass_elsewhere(why.misfit, share) == pytest.approx(answer.elsewhere)
+    assert why.misfit == pytest.approx(options.fused.model.best - why.fits[0].per_reading)
+    assert why.readings == 120
+    if method == "fused":
+        gap = [h.log_likelihood for h in answer.hypotheses]
+        np.testing.assert_allclose([f.per_reading * why.readings for f in why.fits], gap, rtol=1e-6)
+        odds = np.log(why.fits[0].before / why.fits[1].before) * why.temperature
+        assert odds == pytest.approx(gap[0] - gap[1])
+    if answer.verdict == "unique":
+        assert all(check.holds for check in why.checks)
+
+
+def test_the_best_likelihood_of_a_picture_is_near_the_pose() -> None:
+    why = explain(features_of("curved"), scan_of("curved"), answer_of("curved", "fused"), Options())
+    assert [layer.name for layer in why.layers] == ["cbml", "ght-v"]
+    for layer in why.layers:
+        stack = layer.likelihood
+        assert stack is not None
+        row, column = np.unravel_index(np.argmax(stack.values[0]), stack.grid.shape)
+        at = Pose2D((column + 0.5) * stack.grid.resolution, (row + 0.5) * stack.grid.resolution)
+        assert error(at, POSES["curved"])[0] < 0.5
+
+
+def test_a_picture_that_is_too_large_is_left_out_with_the_reason() -> None:
+    features, scan = features_of("curved"), scan_of("curved")
+    answer = answer_of("curved", "fused")
+    why = explain(features, scan, answer, Options(memory_budget=1 << 20))
+    assert why.layers[0].likelihood is None
+    assert "the budget is 1 MiB" in why.layers[0].about
+
+
+def test_outside_the_prior_the_picture_is_empty(room) -> None:
+    scan = seen_from(room, (3.0, 2.4, 0.4))
+    cells = near(room.grid.info, 3.0, 2.4, 0.6)
+    options = Options(prior=Prior(cells, None, {"near": "here"}))
+    why = explain(room, scan, localize(room, scan, options), options)
+    cbml = why.layers[0].likelihood
+    assert cbml is not None
+    rows, columns = np.nonzero(cbml.values[0])
+    assert rows.size > 0
+    assert np.hypot(columns * 0.1 + 0.05 - 3.0, rows * 0.1 + 0.05 - 2.4).max() < 0.75
+
+
+def test_the_check_that_fails_is_the_last_one(room) -> None:
+    rng = np.random.default_rng(0)
+    noise = LaserScan(rng.uniform(0.3, 3.0, 120), ANGLES, range_max=20.0)
+    answer = localize(room, noise)
+    why = explain(room, noise, answer)
+    assert answer.verdict == "no-match"
+    assert [c.name for c in why.checks] == ["readings", "elsewhere"]
+    assert [c.holds for c in why.checks] == [True, False]
+    assert why.checks[1].value == answer.elsewhere
+    square = np.pad(np.zeros((30, 30), bool), 2, constant_values=True)
+    twins = prepare(OccupancyGrid(square, ~square, 0.1))
+    scan = seen_from(twins, (1.0, 1.3, 0.2))
+    answer = localize(twins, scan)
+    why = explain(twins, scan, answer)
+    assert answer.verdict == "ambiguous"
+    assert [c.holds for c in why.checks] == [True, True, False]
+
+
+def test_the_origin_moves_the_pose_and_not_the_rays() -> None:
+    grid = room_with_a_post()
+    moved = prepare(
+        OccupancyGrid(grid.occupied, grid.free, grid.resolution, Pose2D(-5.0, 3.0, 2.0))
+    )
+    plain = prepare(grid)
+    scan = seen_from(plain, (3.0, 2.4, 0.4))
+    a, b = (explain(f, scan, localize(f, scan)).fits[0] for f in (plain, moved))
+    assert abs(a.pose.theta - b.pose.theta) > 1
+    assert a.hypothesis.pose.x == pytest.approx(b.hypothesis.pose.x)
+    assert a.rays.kind.tolist() == b.rays.kind.tolist()
+    np.testing.assert_allclose(a.hypothesis.covariance, b.hypothesis.covariance, atol=1e-12)
+
+
+def test_a_scan_of_nothing_has_no_fits(room) -> None:
+    far = LaserScan(np.full(120, 70.0), ANGLES, range_max=80.0)
+    why = explain(room, far, localize(room, far))
+    assert why.fits == ()
+    assert np.isnan(why.misfit)
+    assert [c.holds for c in why.checks] == [True, False]
