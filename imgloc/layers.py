@@ -14,7 +14,7 @@ from imgloc.likelihood.correlate import correlate
 from imgloc.likelihood.posterior import LOG_METHODS
 from imgloc.methods import FUSED, Options, likelihood
 from imgloc.model import Float32Array, GridInfo, LaserScan, Likelihood
-from imgloc.search.fused import cast_votes, scan_xy, thin
+from imgloc.search.fused import cast_votes, scan_xy, thin, vote_cell
 
 _SIDE = 1400  # cells that the picture of a likelihood has at most along a side
 _WORK = 10**10  # readings x headings x cells of the correlation that is drawn, at most
@@ -47,13 +47,13 @@ def layers_of(features: MapFeatures, scan: LaserScan, options: Options) -> Itera
         except ConfigError as error:  # branch and bound does without the stack
             yield Layer(options.method, f"Left out: {error}.", None)
             return
-        about = f"{len(stack.thetas)} headings, cells of {stack.grid.resolution:g} m"
+        about = f"{len(stack.thetas)} headings, cells of {stack.grid.resolution:.2g} m"
         yield _layer(options.method, about, stack.values.max(axis=0), stack.grid, options.method)
         return
     yield _endpoints(features, scan, options)
     votes = cast_votes(features, scan, options.fused, options.prior, options.threads)
-    cell = options.fused.vote_cell
-    about = f"{len(votes)} headings, cells of {cell:g} m, at most {options.fused.few_rays} readings"
+    cell = vote_cell(features.grid.info, options.fused)
+    about = f"{len(votes)} headings, cells of {cell:.2g} m, at most {options.fused.few_rays} readings"
     lattice = GridInfo(votes.shape[1], votes.shape[2], cell, features.grid.origin)
     yield _layer("ght-v", about, votes.max(axis=0), lattice, "ght-v")
 
@@ -90,7 +90,7 @@ def _endpoints(features: MapFeatures, scan: LaserScan, options: Options) -> Laye
             where=level.free,
         )
         np.maximum(best, stack.max(axis=0), out=best)
-    about = f"{len(thetas)} headings, cells of {level.resolution:g} m, {len(few)} readings"
+    about = f"{len(thetas)} headings, cells of {level.resolution:.2g} m, {len(few)} readings"
     height, width = level.free.shape
     info = GridInfo(height, width, level.resolution, features.grid.origin)
     return _layer(name, about, best, info, name)

@@ -81,6 +81,11 @@ def numbers_of(d: str) -> list[float]:
     return [float(v) for v in re.findall(r"-?\d+\.?\d*", d)]
 
 
+def png_of(image: ET.Element) -> np.ndarray:
+    data = base64.b64decode(image.get("href").split(",")[1])
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+
+
 def test_up_in_the_map_is_up_in_the_picture() -> None:
     occupied = np.array([[1, 0, 0], [0, 0, 0]], dtype=bool)
     free = np.array([[0, 1, 0], [1, 1, 0]], dtype=bool)
@@ -91,9 +96,14 @@ def test_up_in_the_map_is_up_in_the_picture() -> None:
 def test_a_thin_wall_is_still_there_when_a_map_is_large() -> None:
     wall = np.zeros((20, 6000), dtype=bool)
     wall[:, 3001] = True
-    picture = cells_picture(OccupancyGrid(wall, ~wall, 0.1), np.s_[0:20, 0:6000])
-    assert picture.shape[1] <= 1400
-    assert (picture.min(axis=(0, 2)) < 60).sum() >= 1
+    image = ET.fromstring(
+        map_image(OccupancyGrid(wall, ~wall, 0.1), View(0.0, 0.0, 600.0, 2.0, 6000.0))
+    )
+    png = png_of(image)
+    assert png.shape[1] <= 1400
+    (column,) = np.flatnonzero((png == INK).all(axis=2).all(axis=0))
+    width = float(image.get("width"))
+    assert abs((column + 0.5) * width / png.shape[1] - 3001.5) < 5
 
 
 def test_the_image_of_a_map_is_cut_to_the_view_and_put_in_its_place() -> None:
@@ -103,8 +113,7 @@ def test_the_image_of_a_map_is_cut_to_the_view_and_put_in_its_place() -> None:
     at = {k: float(image.get(k)) for k in ("x", "y", "width", "height")}
     # From x = 0 to 1 m and y = 2 to 3.4 m.
     assert at == {"x": 100, "y": 60, "width": 100, "height": 140}
-    data = base64.b64decode(image.get("href").split(",")[1])
-    png = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    png = png_of(image)
     assert png.shape == (14, 10, 3)
     assert png[0, 5].tolist() == [*INK]  # the upper wall
     assert png[-1, 0].tolist() == [*INK]  # the left wall
@@ -255,6 +264,22 @@ def test_the_page_says_what_the_answer_says(why) -> None:
     assert f"the second is {margin:.1f} nats behind" in page.text
     assert page.text.count("this decides") == 1
     assert "fused.model.hit 0.8" in page.text
+
+
+def test_the_log_odds_on_the_page_are_those_of_elsewhere(why) -> None:
+    found = re.search(r"Log-odds .*? = (−?[\d.]+)\.", Page(render_explanation(why, "x")).text)
+    odds = np.log(why.answer.elsewhere / (1 - why.answer.elsewhere))
+    assert float(found[1].replace("−", "-")) == pytest.approx(odds, abs=0.006)
+
+
+def test_deviations_are_along_and_across_the_heading(why) -> None:
+    # 30 cm along 45 degrees, 1 cm across.
+    c = np.sqrt(0.5)
+    turn = np.array([[c, -c, 0], [c, c, 0], [0, 0, 1]])
+    matrix = turn @ np.diag([0.09, 1e-4, 1e-4]) @ turn.T
+    fit = replace(why.fits[0], hypothesis=hypothesis(theta=np.pi / 4, covariance=matrix))
+    text = Page(render_explanation(replace(why, fits=(fit,)), "x")).text
+    assert "± 30.0 cm along, ± 1.0 cm across its heading, ± 0.57°" in text
 
 
 def test_names_are_text_and_not_html(why) -> None:

@@ -64,6 +64,9 @@ def test_a_ray_through_a_wall_is_vetoed_where_it_meets_it(room) -> None:
     above = rays_at(room, scan, Pose2D(0.6, 2.0))
     assert above.kind.tolist() == ["unexplained"]
     assert np.isinf(above.wall[0])
+    # The far side of the post is a surface, and faces away: the wall was in the way first.
+    behind = rays_at(room, LaserScan([1.75], [0.0], range_max=20.0), Pose2D(0.6, 0.7))
+    assert behind.kind.tolist() == ["visibility"]
 
 
 def test_a_wall_seen_askew_is_vetoed_by_orientation(room) -> None:
@@ -139,6 +142,18 @@ def test_the_best_likelihood_of_a_picture_is_near_the_pose() -> None:
         assert error(at, POSES["curved"])[0] < 0.5
 
 
+def test_pictures_cover_the_map_however_coarse_their_cells(room) -> None:
+    scan = seen_from(room, (3.0, 2.4, 0.4))
+    few = replace(Options().fused, vote_cells=3000)  # of 0.2 m there would be 11,000
+    for options in (Options(), Options(fused=few)):
+        why = explain(room, scan, localize(room, scan, options), options)
+        for layer in why.layers:
+            info = layer.likelihood.grid
+            for n, cells in zip(info.shape, room.grid.occupied.shape, strict=True):
+                assert 0 <= n * info.resolution - 0.1 * cells < 4 * info.resolution
+    assert info.resolution > 0.2
+
+
 def test_a_picture_that_is_too_large_is_left_out_with_the_reason() -> None:
     features, scan = features_of("curved"), scan_of("curved")
     answer = answer_of("curved", "fused")
@@ -157,6 +172,13 @@ def test_outside_the_prior_the_picture_is_empty(room) -> None:
     rows, columns = np.nonzero(cbml.values[0])
     assert rows.size > 0
     assert np.hypot(columns * 0.1 + 0.05 - 3.0, rows * 0.1 + 0.05 - 2.4).max() < 0.75
+
+
+def test_headings_outside_the_prior_are_not_drawn(room) -> None:
+    scan = seen_from(room, (3.0, 2.4, 0.4))
+    options = Options(prior=Prior(None, (0.4, np.deg2rad(10.0)), {"heading": 0.4}))
+    cbml, _ = explain(room, scan, localize(room, scan, options), options).layers
+    assert cbml.about.startswith("11 headings")  # every second degree
 
 
 def test_the_check_that_fails_is_the_last_one(room) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imgloc.features import mapfeatures
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.store import (
     KEPT,
@@ -54,6 +55,9 @@ def test_every_feature_comes_back(grid: OccupancyGrid, arrays: dict) -> None:
     fresh = MapFeatures(grid, **PARAMETERS)
     back = features_from_arrays(grid, arrays, PARAMETERS)
     for name in KEPT:
+        if name == "voters_visibility":  # all points vote: it is `visibility`
+            assert back.voters_visibility is back.visibility
+            continue
         assert name in vars(back)  # nothing is computed
         for a, b in zip(leaves(getattr(fresh, name)), leaves(getattr(back, name)), strict=True):
             np.testing.assert_array_equal(a, b)
@@ -61,6 +65,18 @@ def test_every_feature_comes_back(grid: OccupancyGrid, arrays: dict) -> None:
             assert b.ndim == 0 or not b.flags.writeable
     for name in ("bmap", "free", "standable"):
         np.testing.assert_array_equal(getattr(fresh, name), getattr(back, name))
+
+
+def test_the_visibility_of_a_few_voters_comes_back(grid: OccupancyGrid, monkeypatch) -> None:
+    monkeypatch.setattr(mapfeatures, "VOTERS", 20)
+    fresh = MapFeatures(grid, **PARAMETERS)
+    assert fresh.voters_visibility.shape == (PARAMETERS["n_psi"], 20)
+    pick = np.linspace(0, len(fresh.surface) - 1, 20).astype(int)
+    np.testing.assert_array_equal(fresh.voters_visibility, fresh.visibility[:, pick])
+    kept = features_to_arrays(fresh, ["surface", "voters_visibility"])
+    back = features_from_arrays(grid, kept, PARAMETERS)
+    assert "visibility" not in vars(back)
+    np.testing.assert_array_equal(back.voters_visibility, fresh.voters_visibility)
 
 
 def test_loaded_maps_find_the_same_pose(grid: OccupancyGrid, arrays: dict) -> None:

@@ -6,10 +6,10 @@ The grid frame has y up, SVG has y down: :class:`View` is where it is turned rou
 import base64
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from imgloc.draw.canvas import INK, PAPER, SHADE, Picture
+from imgloc.features.lattice import any_of_blocks
 from imgloc.io.output import encode_png
 from imgloc.model import FloatArray, OccupancyGrid, Pose2D
 
@@ -92,28 +92,22 @@ def map_image(grid: OccupancyGrid, view: View) -> str:
     low, high = np.maximum(low, 0), np.minimum(high, grid.occupied.shape)
     if (high <= low).any():
         return ""
-    window = np.s_[low[0] : high[0], low[1] : high[1]]
-    x, top = view.pixels(np.array([[low[1] * cell, high[0] * cell]]))[0]
-    height, width = ((high - low) * cell * view.scale).tolist()
+    factor = -(-int((high - low).max()) // _SIDE)
+    picture = cells_picture(grid, np.s_[low[0] : high[0], low[1] : high[1]], factor)
+    height, width = np.array(picture.shape[:2]) * factor * cell * view.scale
+    x, bottom = view.pixels(np.array([[low[1] * cell, low[0] * cell]]))[0]
     return embed(
-        cells_picture(grid, window),
-        f'x="{number(x)}" y="{number(top)}" width="{number(width)}" height="{number(height)}" '
-        'preserveAspectRatio="none" class="cells"',
+        picture,
+        f'x="{number(x)}" y="{number(bottom - height)}" width="{number(width)}" '
+        f'height="{number(height)}" preserveAspectRatio="none" class="cells"',
     )
 
 
-def cells_picture(grid: OccupancyGrid, window: tuple[slice, slice]) -> Picture:
-    """A pixel for each cell, or fewer for many: a wall stays visible however thin it is."""
-    occupied, free = grid.occupied[window], grid.free[window]
-    side = max(occupied.shape)
+def cells_picture(grid: OccupancyGrid, window: tuple[slice, slice], factor: int = 1) -> Picture:
+    """A pixel for each block of cells: a wall if there is any in it, however thin."""
+    occupied, free = (any_of_blocks(cells[window], factor) for cells in (grid.occupied, grid.free))
     colours = np.array([SHADE, PAPER, INK], dtype=np.uint8)
-    image = colours[np.where(occupied, 2, free.astype(np.int64))][::-1]
-    if side > _SIDE:
-        factor = -(-side // _SIDE)
-        darkest = cv2.erode(image, np.ones((factor, factor), np.uint8))
-        size = (max(1, image.shape[1] // factor), max(1, image.shape[0] // factor))
-        image = np.asarray(cv2.resize(darkest, size, interpolation=cv2.INTER_AREA), np.uint8)
-    return image
+    return np.asarray(colours[np.where(occupied, 2, free.astype(np.int64))][::-1])
 
 
 def embed(picture: Picture, attributes: str) -> str:

@@ -20,6 +20,9 @@ from imgloc.features.surface import surface_points
 from imgloc.features.visibility import visibility_frames
 from imgloc.model import BoolArray, Float32Array, GridInfo, OccupancyGrid, OrientedPoints
 
+VOTERS = 100_000
+"""Surface points that vote for proposals at most: votes find places, not poses."""
+
 
 @dataclass(frozen=True, eq=False)
 class MapFeatures:
@@ -154,9 +157,31 @@ class MapFeatures:
     @cached_property
     def visibility(self) -> Float32Array:
         """Visibility of GHT-V, (n_psi, M) float32 metres, direction 0 is the normal."""
+        return self._visibility_of(self.surface)
+
+    @cached_property
+    def voters(self) -> OrientedPoints:
+        """Surface points that vote for proposals: evenly spread ones where there are too many."""
+        count = len(self.surface)
+        if count <= VOTERS:
+            return self.surface
+        return self.surface.select(np.linspace(0, count - 1, VOTERS).astype(np.int64))
+
+    @cached_property
+    def voters_visibility(self) -> Float32Array:
+        """Visibility of the :attr:`voters`, as :attr:`visibility`."""
+        few = self.voters is self.surface
+        return self.visibility if few else self._visibility_of(self.voters)
+
+    def _visibility_of(self, points: OrientedPoints) -> Float32Array:
         return _read_only(
             visibility_frames(
-                self.grid.occupied, self.surface, self.grid.resolution, self.n_psi, self.horizon
+                self.grid.occupied,
+                points,
+                self.grid.resolution,
+                self.n_psi,
+                self.horizon,
+                distance=self.walls,
             )
         )
 

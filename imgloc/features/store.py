@@ -33,7 +33,7 @@ from imgloc.model import OccupancyGrid, OrientedPoints
 Array = npt.NDArray[Any]
 
 #: Features that are kept, those first that save most time per byte.
-KEPT = ("surface", "visibility", "pyramid", "vmap", "pooled", "walls", "field")
+KEPT = ("surface", "visibility", "voters_visibility", "pyramid", "vmap", "pooled", "walls", "field")
 #: Bytes of an entry; what does not fit is computed anew each time.
 MAX_BYTES = 1 << 30
 
@@ -75,7 +75,7 @@ def features_to_arrays(
     out: dict[str, Array] = {}
     room = max_bytes
     for name in KEPT:
-        if name not in wanted:
+        if name not in wanted or (name == "voters_visibility" and _shared(features)):
             continue
         parts = _parts(name, getattr(features, name))
         size = sum(array.nbytes for array in parts.values())
@@ -212,6 +212,18 @@ def _visibility(features: MapFeatures, parts: dict[str, Array]) -> Array:
     return _take(parts, "visibility", np.float32, shape)
 
 
+def _shared(features: MapFeatures) -> bool:
+    """Whether all surface points vote: their visibility is kept once."""
+    return features.voters is features.surface
+
+
+def _voters_visibility(features: MapFeatures, parts: dict[str, Array]) -> Array:
+    if "surface" not in vars(features):
+        raise ValueError("visibility without its surface")
+    shape = (features.n_psi, len(features.voters))
+    return _take(parts, "voters_visibility", np.float32, shape)
+
+
 def _pyramid(features: MapFeatures, parts: dict[str, Array]) -> tuple[Level, ...]:
     levels = []
     height, width = features.lattice.shape
@@ -258,6 +270,7 @@ def _pooled(features: MapFeatures, parts: dict[str, Array]) -> PooledMaps:
 _BUILDERS: Mapping[str, Callable[[MapFeatures, dict[str, Array]], object]] = {
     "surface": _surface,
     "visibility": _visibility,
+    "voters_visibility": _voters_visibility,
     "pyramid": _pyramid,
     "vmap": _vmap,
     "pooled": _pooled,

@@ -5,7 +5,7 @@ occupied cell: the iso-contour of the occupancy image. Its two sides are two sur
 opposite normals, however thin the wall, which is what Fig. 4 of the paper depends on.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import skimage.measure
@@ -24,6 +24,7 @@ _CORNER = 0.45
 # Free space begins at most this far (cells) in front of a surface: maps made by counting hits
 # have single unknown cells between a wall and the room.
 _REACH = 1.5
+_GROUP = 50_000  # points that are fitted at a time
 
 
 def surface_points(
@@ -82,7 +83,8 @@ def surface_points(
     if len(points) == 0:
         empty = np.zeros(0)
         return OrientedPoints(np.zeros((0, 2)), empty, empty, np.zeros(0, np.bool_))
-    points, alpha, sigma = _fit(points, start, length)
+    parts = [_fit(points[a:b], start[a:b] - a, length[a:b]) for a, b in _groups(start, length)]
+    points, alpha, sigma = (np.concatenate(column) for column in zip(*parts, strict=True))
 
     normal = np.column_stack((np.cos(alpha), np.sin(alpha)))
     faces_free = _sample(free, points + 0.5 * normal) | _sample(free, points + _REACH * normal)
@@ -121,6 +123,16 @@ def _contours(occupied: BoolArray) -> tuple[FloatArray, IntArray, IntArray]:
     at = np.repeat(arc[first], count) + rank * np.repeat(perimeter / count, count)
     xy = np.column_stack([np.interp(at, arc, vertices[:, axis]) for axis in (0, 1)])
     return xy, start, np.repeat(count, count)
+
+
+def _groups(start: IntArray, length: IntArray) -> Iterator[tuple[int, int]]:
+    """Cut the points into groups of whole contours, :data:`_GROUP` points or a little more."""
+    first = 0
+    while first < len(start):
+        last = min(first + _GROUP, len(start)) - 1
+        end = int(start[last] + length[last])
+        yield first, end
+        first = end
 
 
 def _fit(

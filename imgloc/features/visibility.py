@@ -105,11 +105,18 @@ def visibility_image(
     """
     psi = np.arange(n_psi) * (2 * np.pi / max(n_psi, 1))
     angles = np.broadcast_to(psi, (len(surface), n_psi))
-    return _cast(occupied, surface, resolution, angles, horizon)
+    _check(n_psi, horizon, finite=True)
+    return _cast(occupied, surface, resolution, angles, horizon, distance_image(occupied))
 
 
 def visibility_frames(
-    occupied: BoolArray, surface: OrientedPoints, resolution: float, n_psi: int, horizon: float
+    occupied: BoolArray,
+    surface: OrientedPoints,
+    resolution: float,
+    n_psi: int,
+    horizon: float,
+    *,
+    distance: Float32Array | None = None,
 ) -> Float32Array:
     """Visibility map with each point's normal as its direction 0, as GHT-V reads it.
 
@@ -118,6 +125,8 @@ def visibility_frames(
     occupied, surface, resolution, n_psi, horizon
         As for :func:`visibility_image`; here ``psi_k = 2 pi k / n_psi`` is measured from the
         normal, counter-clockwise.
+    distance : (H, W) float32 array, optional
+        :func:`~imgloc.features.raycast.distance_image` of `occupied`, if it is there already.
 
     Returns
     -------
@@ -143,9 +152,18 @@ def visibility_frames(
     >>> visibility_frames(corridor, wall, 0.1, 4, 5.0).round(2).tolist()
     [[1.0], [0.0], [0.0], [0.0]]
     """
-    psi = np.arange(n_psi) * (2 * np.pi / max(n_psi, 1))
-    angles = surface.alpha[:, None] + psi
-    return np.ascontiguousarray(_cast(occupied, surface, resolution, angles, horizon).T)
+    _check(n_psi, horizon, finite=True)
+    psi = np.arange(n_psi) * (2 * np.pi / n_psi)
+    out = np.empty((n_psi, len(surface)), np.float32)
+    distance = distance_image(occupied) if distance is None else distance
+    rows = max(1, _PAIRS // n_psi)
+    for first in range(0, len(surface), rows):
+        some = surface.select(np.arange(first, min(first + rows, len(surface))))
+        angles = some.alpha[:, None] + psi
+        out[:, first : first + rows] = _cast(
+            occupied, some, resolution, angles, horizon, distance
+        ).T
+    return out
 
 
 def visibility_relative(vis: Float32Array, alpha: FloatArray) -> Float32Array:
@@ -187,13 +205,10 @@ def _cast(
     resolution: float,
     angles: npt.NDArray[np.float64],
     horizon: float,
+    distance: Float32Array,
 ) -> Float32Array:
     """Distance (M, n_psi) seen from each point at `angles` (M, n_psi) of the grid frame."""
-    _check(angles.shape[1], horizon)
-    if not np.isfinite(horizon):
-        raise ConfigError(f"horizon must be finite, got {horizon}")
     occupied = np.asarray(occupied, np.bool_)
-    distance = distance_image(occupied)
     with np.errstate(invalid="ignore"):
         cosine = np.cos(angles - surface.alpha[:, None])
         front = cosine > 1e-9  # NaN is not
@@ -229,8 +244,10 @@ def _first_clear(
     return off * resolution
 
 
-def _check(n_psi: int, horizon: float) -> None:
+def _check(n_psi: int, horizon: float, *, finite: bool = False) -> None:
     if n_psi < 1:
         raise ConfigError(f"n_psi must be at least 1, got {n_psi}")
     if not horizon > 0:
         raise ConfigError(f"horizon must be positive, got {horizon}")
+    if finite and not np.isfinite(horizon):
+        raise ConfigError(f"horizon must be finite, got {horizon}")

@@ -180,7 +180,7 @@ def _likelihoods(e: Explanation) -> Iterator[str]:
     yield "<h2>The likelihood of every place</h2>"
     yield (
         "<p>For each place the best over all headings: black is the highest, white low, turquoise "
-        "exactly zero or not searched. "
+        "exactly zero or not searched; walls are brown. "
         + (
             "These two propose where to look; a finer score decides.</p>"
             if e.options.method == FUSED

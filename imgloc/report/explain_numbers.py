@@ -10,7 +10,7 @@ from imgloc.explain import Explanation
 from imgloc.geometry import rotate_covariance
 from imgloc.methods import FUSED
 from imgloc.model import Pose2D
-from imgloc.report.verdicts import percent, question
+from imgloc.report.verdicts import likely, percent, question
 
 
 def numbers(e: Explanation) -> Iterator[str]:
@@ -82,9 +82,10 @@ def _margin(e: Explanation) -> str:
     if len(e.fits) < 2:
         return ". There is no second pose."
     margin = e.fits[0].hypothesis.log_likelihood - e.fits[1].hypothesis.log_likelihood
+    worth = margin / e.temperature
     return (
-        f": the second is {margin:.1f} nats behind, worth {margin / e.temperature:.2f}, "
-        f"a factor of {math.exp(min(margin / e.temperature, 99)):.3g}."
+        f": the second is {margin:.1f} nats behind, worth {worth:.2f}: it is "
+        f"{likely(math.exp(min(worth, 99)))}."
     )
 
 

@@ -27,14 +27,14 @@ EXPLAIN_STYLE = """
 .card table { display: table; width: 100%; margin: .5rem 0 0; font-size: .88rem; }
 .card td { padding: .12rem 0; text-align: right; } .card td:first-child { text-align: left; }
 .card > svg, .over > svg { border: 1px solid var(--line); background: #dfe4ea; }
-main svg { max-width: none; }
+main svg { max-width: none; } main img { max-width: 100%; } main svg, main img { box-sizing: border-box; }
 .over > svg { max-height: 46rem; }
 .scan > svg { background: #fff; border: 1px solid var(--line); }
 .spread { display: flex; flex-wrap: wrap; gap: 1rem 1.6rem; }
 .spread figure { margin: 0; width: 11.5rem; } .spread svg { border: 1px solid var(--line); }
 .pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(18.5rem, 1fr)); gap: 1.4rem; }
 .pair figure { margin: 0; break-inside: avoid; } .pair img { border: 1px solid var(--line);
-  max-height: 44rem; width: auto; max-width: 100%; }
+  max-height: 44rem; width: auto; }
 .legend { list-style: none; padding: 0; margin: .6rem 0; display: grid; gap: .2rem 1.6rem;
   grid-template-columns: repeat(auto-fit, minmax(21rem, 1fr)); font-size: .92rem; }
 .legend li { display: flex; gap: .5rem; align-items: baseline; }
@@ -80,11 +80,12 @@ svg .two { fill: var(--agrees); fill-opacity: .12; stroke: var(--agrees); stroke
 svg .wedge { fill: var(--orientation); fill-opacity: .35; }
 svg .nose { stroke: var(--ink); stroke-width: 1.3; }
 @media print { .verdict, .checks tr, svg { print-color-adjust: exact;
-  -webkit-print-color-adjust: exact; } h2, h3 { break-after: avoid; }
+  -webkit-print-color-adjust: exact; } h2, h3, h2 + p { break-after: avoid; }
+  table.checks { break-inside: avoid; } .wide { overflow: hidden; }
   .cards { grid-template-columns: repeat(3, 1fr); gap: .9rem; } .spread figure { width: 8rem; } }
 @media (max-width: 40rem) { .verdict { padding: .8rem; gap: .8rem; }
   .verdict .mark { width: 2.4rem; height: 2.4rem; font-size: 1.4rem; }
-  .verdict h2 { font-size: 1.2rem; } .wide .plain { width: 100%; }
+  .verdict h2 { font-size: 1.2rem; }
   .legend { grid-template-columns: 1fr; }
   .spread { gap: 1rem; } .spread figure { width: 9.2rem; }
   .checks td { white-space: normal; } }

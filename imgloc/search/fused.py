@@ -208,8 +208,8 @@ def cast_votes(
         int(np.ceil(grid.width * grid.resolution / cell)),
     )
     votes = ght_v(
-        features.surface,
-        features.visibility,
+        features.voters,
+        features.voters_visibility,
         points,
         options.vote_headings,
         shape,

@@ -12,7 +12,6 @@ import numpy as np
 
 from imgloc.model import FloatArray
 
-
 #: With more probability elsewhere than this there is no match.
 DOUBT = 0.5
 
