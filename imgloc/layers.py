@@ -53,7 +53,9 @@ def layers_of(features: MapFeatures, scan: LaserScan, options: Options) -> Itera
     yield _endpoints(features, scan, options)
     votes = cast_votes(features, scan, options.fused, options.prior, options.threads)
     cell = vote_cell(features.grid.info, options.fused)
-    about = f"{len(votes)} headings, cells of {cell:.2g} m, at most {options.fused.few_rays} readings"
+    about = (
+        f"{len(votes)} headings, cells of {cell:.2g} m, at most {options.fused.few_rays} readings"
+    )
     lattice = GridInfo(votes.shape[1], votes.shape[2], cell, features.grid.origin)
     yield _layer("ght-v", about, votes.max(axis=0), lattice, "ght-v")
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from imgloc.errors import ConfigError
+from imgloc.features.mapfeatures import VOTERS
 from imgloc.features.pooled import default_top
 from imgloc.model import OccupancyGrid
 
@@ -124,11 +125,12 @@ def prepare_bytes(shape: tuple[int, int], *, points: int, n_psi: int = 72, facto
     Examples
     --------
     >>> round(prepare_bytes((10_000, 10_000), points=100_000, factor=2) / 2**30, 1)
-    5.2
+    2.2
     """
     cells = shape[0] * shape[1]
-    held = 22 * cells + 3 * cells // factor**2 + points * (4 * n_psi + 25)
-    passing = max(33 * cells, 720 * points, _RAY * min(points * n_psi, _RAYS))
+    voters = min(points, VOTERS)
+    held = 14 * cells + 3 * cells // factor**2 + 25 * points + 4 * n_psi * voters
+    passing = max(9 * cells, 520 * points, _RAY * min(voters * n_psi, _RAYS))
     return held + passing
 
 
@@ -174,6 +176,7 @@ def fused_bytes(
     n_thetas: int = 360,
     vote_cell: float = 0.2,
     vote_headings: int = 30,
+    vote_cells: int = 4_000_000,
 ) -> int:
     """Peak of `localize` with the default method, besides the features.
 
@@ -185,12 +188,12 @@ def fused_bytes(
         Its cells, metres.
     n_thetas : int
         Headings of the endpoint correlation, of which the coarsest level takes every second.
-    vote_cell, vote_headings
+    vote_cell, vote_headings, vote_cells
         Of :class:`imgloc.search.fused.FusedOptions`.
     """
     cells = shape[0] * shape[1]
-    coarse = min(n_thetas // 2 * cells // 16, 1 << 24)  # a few headings at a time
-    votes = vote_headings * cells * resolution**2 / vote_cell**2
+    coarse = min(n_thetas // 2 * cells // 16, max(1 << 22, cells // 16))  # some headings at a time
+    votes = min(vote_cells, vote_headings * cells * resolution**2 / vote_cell**2)
     return int(4 * 3 * coarse + _POSE * votes) + _FIXED
 
 

@@ -27,7 +27,7 @@ from imgloc.io.containers import (
 from imgloc.io.files import PathLike, display, read_file
 from imgloc.io.netpbm import decode_netpbm, is_netpbm, netpbm_header
 
-MAX_PIXELS = 64_000_000
+MAX_PIXELS = 128_000_000
 _KNOWN = "PNG, PGM, PPM, BMP or JPEG"
 # Formats that people do try, for the message only.
 _OTHERS = {

@@ -27,7 +27,8 @@ EXPLAIN_STYLE = """
 .card table { display: table; width: 100%; margin: .5rem 0 0; font-size: .88rem; }
 .card td { padding: .12rem 0; text-align: right; } .card td:first-child { text-align: left; }
 .card > svg, .over > svg { border: 1px solid var(--line); background: #dfe4ea; }
-main svg { max-width: none; } main img { max-width: 100%; } main svg, main img { box-sizing: border-box; }
+main svg { max-width: none; } main img { max-width: 100%; }
+main svg, main img { box-sizing: border-box; }
 .over > svg { max-height: 46rem; }
 .scan > svg { background: #fff; border: 1px solid var(--line); }
 .spread { display: flex; flex-wrap: wrap; gap: 1rem 1.6rem; }
