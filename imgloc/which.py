@@ -116,7 +116,7 @@ def fit(features: MapFeatures, scan: LaserScan, options: Options | None = None) 
     )
 
 
-def choose(fits: Mapping[str, Fit], trust: Trust | None = None, *, sure: float = 0.9) -> Choice:
+def choose(fits: Mapping[str, Fit], trust: Trust | None = None, *, sure: float = 0.5) -> Choice:
     """Compare maps by how a scan fits them; all maps are equally likely beforehand.
 
     Parameters

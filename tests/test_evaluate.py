@@ -202,7 +202,8 @@ def test_bytes_are_those_of_the_arrays_a_method_needs() -> None:
     surface = points * (16 + 8 + 8 + 1)
     assert bytes_of(features) == surface
     _ = features.visibility
-    assert bytes_of(features) == surface + features.n_psi * points * 4
+    walls = features.walls.nbytes  # on which its rays are cast
+    assert bytes_of(features) == surface + features.n_psi * points * 4 + walls
 
 
 def test_the_paper_s_steps_are_known_for_every_stack() -> None:

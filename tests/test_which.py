@@ -39,8 +39,10 @@ def test_of_two_maps_that_fit_alike_the_smaller_is_likelier() -> None:
 def test_probabilities_and_none_sum_to_one() -> None:
     choice = choose({"a": made(140.0), "b": made(139.0), "c": made()})
     assert sum(choice.probability.values()) + choice.none == pytest.approx(1)
-    assert choice.verdict == "undecided"
     assert choice.probability["c"] == 0
+    assert choice.verdict == "a"
+    assert choose({"a": made(140.0), "b": made(139.0)}, sure=0.9).verdict == "undecided"
+    assert choose({"a": made(140.0), "b": made(140.0)}).verdict == "undecided"
 
 
 def test_the_better_fit_is_named_and_a_bad_one_is_none() -> None:

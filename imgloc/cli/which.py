@@ -42,7 +42,7 @@ def which(
     ] = None,
     sure: Annotated[
         float, typer.Option(metavar="P", help="Probability that a map needs to be named.")
-    ] = 0.9,
+    ] = 0.5,
     as_json: AsJson = False,
     threads: Threads = None,
     memory_budget: MemoryBudget = None,
