@@ -28,7 +28,7 @@ ENGINES = ("filter2d", "shift", "dft")
 
 # Measured on one core of a server CPU. Only their ratios matter, and only to `auto`.
 SHIFT_SECONDS_PER_BYTE = 3.2e-11
-SHIFT_SECONDS_PER_CALL = 2.0e-6
+SHIFT_SECONDS_PER_CALL = 3.5e-6
 DFT_SECONDS_PER_STEP = 1.5e-10
 
 

@@ -259,15 +259,17 @@ def _first_look(
     distance, angle = options.twins
     seen, score = np.empty(0, np.int64), np.empty(0)
     best = seen
-    for start in range(0, len(order), _BATCH):
-        part = order[start : start + _BATCH]
+    start, size = 0, _BATCH
+    while start < len(order):
+        part = order[start : start + size]
+        start, size = start + size, 2 * size
         evidence = _scored(features, scan, rays, poses[part], options)
         seen, score = np.append(seen, part), np.append(score, evidence.log_likelihood)
         by_index = np.argsort(seen)
         seen, score = seen[by_index], score[by_index]
         # Many proposals have met in the same pose by now.
         best = modes(poses[seen], score, distance=distance, angle=angle, most=options.second_look)
-        rest = most[order[start + _BATCH :][:1]]
+        rest = most[order[start : start + 1]]
         if len(best) == options.second_look and (rest < score[best[-1]]).all():
             break
     return poses[seen[best]]

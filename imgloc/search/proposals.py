@@ -6,6 +6,8 @@ finer one is evaluated around what the level before it kept.
 """
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,6 +19,8 @@ from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 from imgloc.search.priors import Prior
 
 _CHUNK_CELLS = 1 << 22  # of the exhaustive level's stack: 16 MB at a time
+_FIRST_CELLS = 1 << 18  # of its first piece
+_PIECE = 4096  # nodes that are scored at a time
 _BLOCK = 2  # cells and headings a side: one proposal each
 
 
@@ -43,8 +47,8 @@ def propose_endpoints(
     keep : sequence of int
         How many nodes each level keeps, finest first.
     skip : int
-        The exhaustive level takes every `skip`-th point: its cells are coarse, and neighbouring
-        points say nearly the same.
+        All levels but the finest take every `skip`-th point: their cells are coarse, and
+        neighbouring points say nearly the same.
     prior : Prior, optional
         Whose headings are the only ones; its cells are in the levels' `free` already.
     threads : int
@@ -72,7 +76,8 @@ def propose_endpoints(
     for level, count in zip(levels[-2::-1], keep[-2::-1], strict=True):
         nodes = _children(nodes, level, spread, wanted)
         spread = np.array([0])
-        scores = _score(level, xy, thetas, nodes)
+        points = xy if level is levels[0] else xy[::skip]
+        scores = _score(level, points, thetas, nodes, threads)
         best = np.argsort(-scores, kind="stable")[:count]
         nodes, scores = nodes[best], scores[best]
     first = np.sort(np.unique(_key(nodes // _BLOCK), return_index=True)[1])
@@ -113,20 +118,22 @@ def _exhaustive(
     level: Level, xy: FloatArray, thetas: FloatArray, keep: int, threads: int
 ) -> IntArray:
     """Best `keep` nodes (theta, row, col) of a whole level, a few headings at a time."""
-    chunk = max(1, _CHUNK_CELLS // level.image.size)
+    area = level.image.size
+    chunk = min(len(thetas), max(1, _CHUNK_CELLS // area))
     nodes, scores, threshold = np.empty(0, np.int64), np.empty(0, np.float32), np.float32(0)
     buffer = np.empty((chunk, *level.image.shape), np.float32)
-    for start in range(0, len(thetas), chunk):
-        part = thetas[start : start + chunk]
+    # A few headings first: what they reach spares a look at nearly all of the others.
+    first = min(chunk, -(-_FIRST_CELLS // area))
+    edges = [0, *range(first, len(thetas), chunk), len(thetas)]
+    for start, stop in pairwise(edges):
         stack = correlate(
             level.image,
             xy,
-            part,
+            thetas[start:stop],
             level.resolution,
-            engine="shift",
             threads=threads,
             where=level.free,
-            out=buffer[: len(part)],
+            out=buffer[: stop - start],
         )
         # What is known to be reached by `keep` nodes already is all that can still matter.
         best = (
@@ -134,7 +141,7 @@ def _exhaustive(
             if threshold > 0
             else _largest(stack, keep, level.free)
         )
-        nodes = np.concatenate((nodes, best + start * level.image.size))
+        nodes = np.concatenate((nodes, best + start * area))
         scores = np.concatenate((scores, stack.ravel()[best]))
         if len(nodes) >= keep:
             threshold = np.partition(scores, len(scores) - keep)[len(scores) - keep]
@@ -176,7 +183,9 @@ def _key(nodes: IntArray) -> IntArray:
     return np.asarray((nodes[:, 0] << 40) + (nodes[:, 1] << 20) + nodes[:, 2])
 
 
-def _score(level: Level, xy: FloatArray, thetas: FloatArray, nodes: IntArray) -> FloatArray:
+def _score(
+    level: Level, xy: FloatArray, thetas: FloatArray, nodes: IntArray, threads: int
+) -> FloatArray:
     """Sum of the level's image under the points at each node (Alg. 1, l. 4-6)."""
     # A shift by the whole image misses it from anywhere; a longer one needs no wider padding.
     offsets = cell_offsets(xy, thetas, level.resolution)
@@ -188,6 +197,14 @@ def _score(level: Level, xy: FloatArray, thetas: FloatArray, nodes: IntArray) ->
     integer = np.int32 if padded.size <= np.iinfo(np.int32).max else np.int64
     flat = (offsets[..., 0] * stride + offsets[..., 1]).astype(integer)
     base = ((nodes[:, 1] + rows) * stride + nodes[:, 2] + columns).astype(integer)
-    index = flat[nodes[:, 0]]
-    index += base[:, None]
-    return np.asarray(padded.ravel().take(index).sum(axis=1, dtype=np.uint32), dtype=np.float64)
+    image = padded.ravel()
+
+    def some(part: slice) -> FloatArray:
+        index = flat[nodes[part, 0]]
+        index += base[part, None]
+        return np.asarray(image.take(index).sum(axis=1, dtype=np.uint32), dtype=np.float64)
+
+    # In pieces that stay in the cache.
+    parts = [slice(start, start + _PIECE) for start in range(0, len(nodes), _PIECE)]
+    with ThreadPoolExecutor(max(1, threads)) as pool:
+        return np.concatenate([np.empty(0), *pool.map(some, parts)])
