@@ -7,13 +7,12 @@ from imgloc.errors import ConfigError
 from imgloc.experiments.bench import (
     PAIR_HEADINGS,
     added,
-    floors,
     gathered,
-    growth,
     in_turns,
     stack_cases,
     vote_cases,
 )
+from imgloc.experiments.bench_outside import floors, growth
 from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.scanpoints import scan_points

@@ -21,12 +21,11 @@ from imgloc.cli.tables import as_plain
 from imgloc.experiments.bench import (
     answer_times,
     as_row,
-    floors,
-    growth,
     in_turns,
     stack_cases,
     vote_cases,
 )
+from imgloc.experiments.bench_outside import floors, growth
 from imgloc.experiments.complexity import fit_exponent
 from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.experiments.worlds import WORLDS, render

@@ -1,0 +1,101 @@
+"""What the benchmark measures outside its own process: floors in C, and growth from nothing."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from imgloc.experiments.bench import HEADINGS, PAIR_HEADINGS
+
+
+def floors(problem: Path) -> Mapping[str, float | str]:
+    """What hand-written C takes, ns per unit of work, on one thread; or why it is not known.
+
+    Parameters
+    ----------
+    problem : Path
+        Folder with ``floor/cbml.c``, ``floor/ght.c``, ``mapA.pgm`` and ``scans_10m.txt``.
+    """
+    compiler = shutil.which("cc")
+    out: dict[str, float | str] = {}
+    for name, arguments, pattern in (
+        ("cbml", ("0.1", "0.1", str(HEADINGS), "0", "10", "1"), r"([\d.]+) ns per pose"),
+        ("ght", ("0.1", str(PAIR_HEADINGS), "2", "10"), r"([\d.]+) ns/pair"),
+        ("ght-v", ("0.1", str(PAIR_HEADINGS), "12", "10"), r"([\d.]+) ns/pair"),
+    ):
+        source = problem / "floor" / f"{name.removesuffix('-v')}.c"
+        if compiler is None or not source.exists():
+            out[name] = "no C compiler" if compiler is None else f"no {source.name}"
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            program = Path(folder) / name
+            flags = ["-O3", "-march=native", "-ffast-math", "-w"]
+            build = [compiler, *flags, str(source), "-o", str(program), "-lm", "-lpthread"]
+            subprocess.run(build, check=True, capture_output=True)  # noqa: S603
+            command = [str(program), str(problem / "mapA.pgm"), str(problem / "scans_10m.txt")]
+            done = subprocess.run(  # noqa: S603
+                [*command, *arguments], check=False, capture_output=True, text=True
+            )
+        found = re.search(pattern, done.stdout)
+        out[name] = float(found[1]) if found else f"not understood: {done.stdout[:80]!r}"
+    return out
+
+
+def growth(world: str, times: Sequence[int], repeats: int) -> tuple[Mapping[str, float], ...]:
+    """Time and memory of `localize` on a world tiled 1, 4, 16 ... times, each in a fresh process.
+
+    Parameters
+    ----------
+    world : str
+        Of :data:`imgloc.experiments.worlds.WORLDS`.
+    times : sequence of int
+        Tiles along each side.
+    repeats : int
+        Answers, of which the median counts.
+
+    Returns
+    -------
+    tuple of mappings
+        ``area`` in m², ``ms`` of an answer, ``prepare_s``, ``rss_mib`` at the peak.
+    """
+    rows = []
+    for side in times:
+        command = [sys.executable, "-c", _GROW, world, str(side), str(repeats)]
+        done = subprocess.run(command, check=True, capture_output=True, text=True)  # noqa: S603
+        rows.append(json.loads(done.stdout))
+    return tuple(rows)
+
+
+_GROW = """
+import json, re, resource, sys, time
+from pathlib import Path
+import numpy as np
+from imgloc.experiments.scansets import Sensor, simulate_set
+from imgloc.experiments.worlds import WORLDS, render
+from imgloc.model import OccupancyGrid
+from imgloc.pipeline import localize, prepare
+world, side, repeats = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+one = render(WORLDS[world](), 0.1)
+scans = simulate_set(one, repeats + 1, 0, Sensor(range_max=10.0))
+grid = OccupancyGrid(np.tile(one.occupied, (side, side)), np.tile(one.free, (side, side)), 0.1)
+features = prepare(grid)
+start = time.perf_counter()
+localize(features, scans.scans[0])
+first = time.perf_counter() - start
+seconds = []
+for scan in scans.scans[1:]:
+    start = time.perf_counter()
+    localize(features, scan)
+    seconds.append(time.perf_counter() - start)
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+status = Path("/proc/self/status")
+if status.exists():  # ru_maxrss begins with what the parent had
+    peak = int(re.search(r"VmHWM:\\s+(\\d+)", status.read_text())[1]) / 1024
+area = grid.occupied.size * 0.01
+print(json.dumps({"area": area, "ms": 1e3 * float(np.median(seconds)),
+                  "prepare_s": first - float(np.median(seconds)), "rss_mib": peak}))
+"""
