@@ -6,7 +6,14 @@ import pytest
 from imgloc.errors import ConfigError
 from imgloc.experiments import robustness as room
 from imgloc.experiments.exhaustive import exhaustive, score_level
-from imgloc.experiments.robustness import CONDITIONS, base_pose, robustness, upright, upside_down
+from imgloc.experiments.robustness import (
+    CONDITIONS,
+    base_pose,
+    recorded_row,
+    robustness,
+    upright,
+    upside_down,
+)
 from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.pyramid import Level
@@ -76,6 +83,15 @@ def test_a_row_for_each_condition_and_a_call_for_each_trial(monkeypatch):
         assert row.localize.hits == row.oracle.hits == 2
         assert row.behind == 0
         assert row.wrong.hits == 0
+
+
+def test_recorded_scans_are_compared_in_the_map_frame(monkeypatch):
+    monkeypatch.setattr(room, "exhaustive", lambda *a, **k: exhaustive(*a, **k, keep=500))
+    here = render(WORLDS["curved"](), 0.1)
+    grid = OccupancyGrid(here.occupied, here.free, 0.1, Pose2D(3.0, -2.0, 2.5))
+    scans = simulate_set(grid, 2, 3, Sensor(), render(WORLDS["curved"](), 0.01))
+    row = recorded_row("a set", prepare(grid), scans)
+    assert (row.condition, row.localize.hits, row.oracle.hits) == ("a set", 2, 2)
 
 
 def test_conditions_are_those_of_users():

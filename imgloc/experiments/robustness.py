@@ -16,7 +16,9 @@ from imgloc.experiments.runs import pose_errors
 from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.experiments.shares import Share, share
 from imgloc.experiments.worlds import WORLDS, render
+from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import compose, inverse
+from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.pipeline import Options, localize, prepare
 
@@ -138,9 +140,41 @@ def robustness(
             for trial in _trials(world, condition, n, seed, threads):
                 trials.append(trial)
                 advance()
-        right, best, unique = (np.array(column) for column in zip(*trials, strict=True))
-        rows.append(Row(name, share(right), share(best), share(unique), share(unique & ~right)))
+        rows.append(_row(name, trials))
     return tuple(rows)
+
+
+def recorded_row(
+    name: str,
+    features: MapFeatures,
+    scans: ScanSet,
+    *,
+    threads: int = 1,
+    advance: Callable[[], None] = lambda: None,
+) -> Row:
+    """The same for scans that were recorded with their poses.
+
+    Parameters
+    ----------
+    name : str
+        Of the set.
+    features : MapFeatures
+    scans : ScanSet
+        With poses of the sensor, map frame.
+    threads, advance
+        As of :func:`robustness`; `advance` is called after each scan.
+    """
+    trials = []
+    truth = np.empty((0, 3)) if scans.poses is None else scans.poses
+    for scan, pose in zip(scans.scans, truth, strict=True):
+        trials.append(_trial(features, scan, scan, Pose2D(*pose), threads))
+        advance()
+    return _row(name, trials)
+
+
+def _row(name: str, trials: Sequence[tuple[bool, bool, bool]]) -> Row:
+    right, best, unique = (np.array(column) for column in zip(*trials, strict=True))
+    return Row(name, share(right), share(best), share(unique), share(unique & ~right))
 
 
 def _trials(
@@ -153,18 +187,30 @@ def _trials(
     scans = simulate_set(
         render(WORLDS[world](), 0.1), n, seed, condition.sensor, render(WORLDS[world](), 0.01)
     )
-    options = Options(threads=threads)
-    out = []
     truth = np.empty((0, 3)) if scans.poses is None else scans.poses
-    for scan, pose in zip(scans.scans, truth, strict=True):
-        mounted = upright(upside_down(scan)) if condition.flipped else scan
-        answer = localize(features, mounted, options)
-        best = exhaustive(features, mounted, options.fused, threads=threads).poses[:1]
-        robot = base_pose(Pose2D(*pose), scan)
-        found = [] if answer.pose is None else [base_pose(answer.pose, scan)]
-        ideal = [base_pose(Pose2D(*p), scan) for p in best]
-        out.append((_right(found, robot), _right(ideal, robot), answer.verdict == "unique"))
-    return out
+    return [
+        _trial(
+            features,
+            upright(upside_down(scan)) if condition.flipped else scan,
+            scan,
+            Pose2D(*pose),
+            threads,
+        )
+        for scan, pose in zip(scans.scans, truth, strict=True)
+    ]
+
+
+def _trial(
+    features: MapFeatures, scan: LaserScan, mounted: LaserScan, pose: Pose2D, threads: int
+) -> tuple[bool, bool, bool]:
+    """Compare both answers with the pose of the robot that carries the sensor."""
+    options = Options(threads=threads)
+    answer = localize(features, scan, options)
+    best = exhaustive(features, scan, options.fused, threads=threads)
+    robot, to_map = base_pose(pose, mounted), features.grid.origin
+    found = [] if answer.pose is None else [base_pose(answer.pose, mounted)]
+    ideal = [base_pose(compose(to_map, Pose2D(*p)), mounted) for p in best.poses[:1]]
+    return _right(found, robot), _right(ideal, robot), answer.verdict == "unique"
 
 
 def upside_down(scan: LaserScan) -> LaserScan:
