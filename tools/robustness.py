@@ -30,15 +30,13 @@ from imgloc.io.scans import load_scans
 from imgloc.pipeline import prepare
 
 QUICK = ("visibility", "curved")
-POINTS = 5.0
-"""Points that localize may lie behind the oracle."""
+POINTS = 5.0  # that localize may lie behind the oracle
 
 
 def main() -> int:
     """Parse the command line, measure, print."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    style = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=style)
     parser.add_argument("--out", type=Path, help="JSON file to write, too")
     parser.add_argument("-n", type=int, help="scans in each world (default: 20)")
     parser.add_argument("--seed", type=int, default=100, help="of poses and noise (default: 100)")
