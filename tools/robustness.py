@@ -4,8 +4,8 @@
     python tools/robustness.py --quick                      # 3 scans in two
     python tools/robustness.py -n 20 --sets ../data/*/map.yaml   # recorded scans instead
 
-The oracle is the same score evaluated for every pose, 0.1 m and 1 degree apart, the best refined.
-Prints a Markdown table; right is within 0.5 m and 10 degrees.
+The oracle is the same score for every pose, 0.1 m and 1 degree apart, the best refined. Prints a
+Markdown table; right is within 0.5 m and 10 degrees.
 """
 
 import argparse
@@ -48,7 +48,7 @@ def main() -> int:
     parser.add_argument("--force", action="store_true", help="overwrite --out")
     given = parser.parse_args()
     worlds = QUICK if given.quick else tuple(given.worlds.split(","))
-    n = given.n if given.n is not None else 3 if given.quick else 20
+    n = given.n or (3 if given.quick else 20)
     cv2.setNumThreads(given.threads)
     try:
         if given.out is not None and not given.force:
@@ -81,10 +81,8 @@ def on_set(path: Path, n: int, given: argparse.Namespace, advance: Callable[[], 
 
 def table(rows: tuple[Row, ...]) -> str:
     """The rows as Markdown."""
-    lines = [
-        "| condition | localize | oracle | points behind | unique | unique, wrong |",
-        "|---|---|---|---|---|---|",
-    ]
+    head = "| condition | localize | oracle | points behind | unique | unique, wrong |"
+    lines = [head, "|---|---|---|---|---|---|"]
     for row in rows:
         first, best = (
             f"{100 * s.value:.0f} % [{100 * s.low:.0f}, {100 * s.high:.0f}]"
