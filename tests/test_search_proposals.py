@@ -61,7 +61,7 @@ def score(level, xy, theta, row, column):
 
 
 def naive_propose(levels, xy, thetas, keep):
-    """Coarse to fine with plain lists; ties in the order in which poses are met."""
+    """Coarse to fine with plain lists; ties in the order of their indices."""
     n, coarsest = len(thetas), levels[-1]
     ranked = []
     for k in range(0, n, 2):
@@ -79,7 +79,8 @@ def naive_propose(levels, xy, thetas, keep):
                 on = child[1] < level.free.shape[0] and child[2] < level.free.shape[1]
                 if on and level.free[child[1:]] and child not in met:
                     met[child] = score(level, xy, thetas[child[0]], *child[1:])
-        ranked = sorted(((v, c) for c, v in met.items()), key=lambda entry: -entry[0])[:count]
+        ranked = sorted(((v, c) for c, v in met.items()), key=lambda entry: (-entry[0], entry[1]))
+        ranked = ranked[:count]
         spread = (0,)
     out = {}
     for value, node in ranked:

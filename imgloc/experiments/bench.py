@@ -138,17 +138,18 @@ def vote_cases(features: MapFeatures, scan: LaserScan, threads: int) -> list[Cas
     shape, cell = features.lattice.shape, features.lattice.resolution
     pairs = int(points.valid.sum()) * int(surface.valid.sum())
     args = points, PAIR_HEADINGS, shape, cell
+    out = np.empty((PAIR_HEADINGS, *shape), dtype=np.float32)
     cases: list[Case] = [
         ("Alg. 4 by np.add.at", "pair", pairs, lambda: added(features, scan)),
-        ("ght", "pair", pairs, lambda: ght(surface, *args)),
-        ("ght-v", "pair", pairs, lambda: ght_v(surface, visibility, *args)),
+        ("ght", "pair", pairs, lambda: ght(surface, *args, out=out)),
+        ("ght-v", "pair", pairs, lambda: ght_v(surface, visibility, *args, out=out)),
     ]
     if threads > 1:
         many = threads
         cases.append(
             (
                 f"ght-v, {many} threads", "pair", pairs,
-                lambda: ght_v(surface, visibility, *args, threads=many),
+                lambda: ght_v(surface, visibility, *args, threads=many, out=out),
             )
         )  # fmt: skip
     return cases

@@ -16,6 +16,7 @@ from imgloc.model import BoolArray, Float32Array
 # the border, in cells. float32 resolves it on images of up to 65,536 cells a side.
 _NUDGE = np.float32(1 / 128)
 _DIAGONAL = np.float32(np.sqrt(2))
+_STALE = 0.5  # share of ended rays among those that are carried on
 
 
 def distance_image(occupied: BoolArray) -> Float32Array:
@@ -97,37 +98,90 @@ def cast_rays(
     x, y, psi = np.broadcast_arrays(start[..., 0], start[..., 1], np.asarray(angles, np.float64))
     if not (np.isfinite(x).all() and np.isfinite(y).all() and np.isfinite(psi).all()):
         raise ValueError("origins and angles must be finite")
-    height, width = distance.shape
-    out = np.full(psi.size, np.inf, dtype=np.float32)
-    ray = np.arange(psi.size)
     x0, y0 = ((v / resolution).ravel().astype(np.float32) for v in (x, y))
     dx, dy = np.cos(psi).ravel().astype(np.float32), np.sin(psi).ravel().astype(np.float32)
-    t = np.zeros(psi.size, dtype=np.float32)
     reach = np.broadcast_to(lengths / resolution, psi.shape).ravel().astype(np.float32)
+    cells = _march(distance, x0, y0, dx, dy, reach)
+    return (cells * np.float32(resolution)).reshape(psi.shape)
+
+
+def _march(
+    distance: Float32Array,
+    x0: Float32Array,
+    y0: Float32Array,
+    dx: Float32Array,
+    dy: Float32Array,
+    reach: Float32Array,
+) -> Float32Array:
+    """:func:`cast_rays` in cells, all arrays flat: length of each ray, inf if it meets nothing.
+
+    What a ray does depends on nothing but that ray. One that has ended stands still, or goes on
+    where nothing counts any more, until so many have ended that it pays to drop them.
+    """
+    height, width = distance.shape
+    image = distance.reshape(-1)
+    out = np.full(x0.size, np.inf, dtype=np.float32)
+    ray = np.flatnonzero((x0 >= 0) & (x0 < width) & (y0 >= 0) & (y0 < height))
+    x0, y0, dx, dy, reach = (v[ray] for v in (x0, y0, dx, dy, reach))
+    ux, ix, exit_x = _axis(x0, dx, width)
+    uy, iy, exit_y = _axis(y0, dy, height)
+    # Off the map there is nothing; a ray looks at its first cell wherever that is.
+    reach = np.minimum(reach, np.maximum(np.minimum(exit_x, exit_y) - _NUDGE / 2, 0))
+    t = np.zeros(ray.size, dtype=np.float32)
+    floats = np.empty((5, ray.size), dtype=np.float32)
+    integers = np.empty((2, ray.size), dtype=np.intp)
+    bools = np.empty((2, ray.size), dtype=np.bool_)
     while ray.size:
-        px, py = x0 + t * dx, y0 + t * dy
-        live = (px >= 0) & (px < width) & (py >= 0) & (py < height) & (t <= reach)
-        if not live.all():
-            ray, x0, y0, dx, dy, t, reach, px, py = (
-                v[live] for v in (ray, x0, y0, dx, dy, t, reach, px, py)
-            )
-        column, row = px.astype(np.int32), py.astype(np.int32)
-        d = distance[row, column]
-        hit = d == 0
-        if hit.any():
-            out[ray[hit]] = np.maximum(t[hit] - _NUDGE, 0)
-            walk = ~hit
-            ray, x0, y0, dx, dy, t, reach, px, py, column, row, d = (
-                v[walk] for v in (ray, x0, y0, dx, dy, t, reach, px, py, column, row, d)
-            )
+        px, py, near, other, step = (v[: ray.size] for v in floats)
+        row, column = (v[: ray.size] for v in integers)
+        ended, free = (v[: ray.size] for v in bools)
+        np.multiply(t, dx, out=px)
+        np.add(px, x0, out=px)
+        np.multiply(t, dy, out=py)
+        np.add(py, y0, out=py)
+        np.floor(px, out=near)
+        np.floor(py, out=other)
+        np.copyto(column, near, casting="unsafe")
+        np.copyto(row, other, casting="unsafe")
+        np.multiply(row, width, out=row)
+        np.add(row, column, out=row)
+        image.take(row, out=step, mode="clip")  # beyond its reach a ray may be anywhere
+        np.greater(step, 0, out=free)
+        # Length of ray to the next border of cells along each axis.
+        for cell, u, p, i in ((near, ux, px, ix), (other, uy, py, iy)):
+            np.add(cell, u, out=cell)
+            np.subtract(cell, p, out=cell)
+            np.multiply(cell, i, out=cell)
+        np.minimum(near, other, out=near)
         # The point and the wall may each be half a diagonal away from their cell's centre.
-        near = np.minimum(_to_border(px - column, dx), _to_border(py - row, dy))
-        t += np.maximum(d - _DIAGONAL, near) + _NUDGE
-    return (out * np.float32(resolution)).reshape(psi.shape)
+        np.subtract(step, _DIAGONAL, out=step)
+        np.maximum(step, near, out=step)
+        np.add(step, _NUDGE, out=step)
+        np.multiply(step, free, out=step)
+        np.add(t, step, out=t)
+        np.less_equal(t, reach, out=ended)
+        np.logical_and(ended, free, out=ended)
+        np.logical_not(ended, out=ended)
+        if np.count_nonzero(ended) > _STALE * ray.size:
+            done = np.flatnonzero(ended)
+            done = done[~free[done] & (t[done] <= reach[done])]
+            out[ray[done]] = np.maximum(t[done] - _NUDGE, 0)
+            live = np.flatnonzero(~ended)
+            ray = ray[live]
+            x0, y0, dx, dy, ux, uy, ix, iy, t, reach = (
+                v[live] for v in (x0, y0, dx, dy, ux, uy, ix, iy, t, reach)
+            )
+    return out
 
 
-def _to_border(offset: Float32Array, direction: Float32Array) -> Float32Array:
-    """Length of ray from `offset` (0..1) inside a cell to its border along one axis."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        length = ((direction > 0) - offset) / direction
-    return np.asarray(np.where(direction == 0, np.inf, np.maximum(length, 0)), dtype=np.float32)
+def _axis(
+    start: Float32Array, direction: Float32Array, size: int
+) -> tuple[Float32Array, Float32Array, Float32Array]:
+    """Which border of a cell rays make for (0 or 1), length per cell, length to the map's border.
+
+    A ray across the axis never gets to either.
+    """
+    ahead = (direction >= 0).astype(np.float32)
+    inverse = np.reciprocal(direction, out=np.full_like(direction, 1e30), where=direction != 0)
+    border = (ahead * np.float32(size) - start) * inverse
+    return ahead, inverse, np.asarray(border, dtype=np.float32)

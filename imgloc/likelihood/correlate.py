@@ -5,12 +5,13 @@ read; ``shift`` adds shifted views, Alg. 2 as printed; ``dft`` multiplies spectr
 fastest depends on the reach in cells and on the number of readings, so ``auto`` estimates.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
+from imgloc.likelihood.flat import FLAT_CELLS, flat_stack
 from imgloc.likelihood.kernels import filter2d_stack
 from imgloc.likelihood.shift import Tile, merge_repeats, shift_stack, tiles_of
 from imgloc.likelihood.slices import (
@@ -29,6 +30,7 @@ ENGINES = ("filter2d", "shift", "dft")
 # Measured on one core of a server CPU. Only their ratios matter, and only to `auto`.
 SHIFT_SECONDS_PER_BYTE = 3.2e-11
 SHIFT_SECONDS_PER_CALL = 3.5e-6
+FLAT_SECONDS_PER_CALL = 6e-7
 DFT_SECONDS_PER_STEP = 1.5e-10
 
 
@@ -115,8 +117,12 @@ def correlate(
         view.shape[1:],
         tiles,
         itemsize=2 if integers else 4,
-        double=integers and needs_double(image, offsets[:: max(1, len(offsets) // 8)]),
+        doubtful=lambda: integers and needs_double(image, offsets[:: max(1, len(offsets) // 8)]),
     )
+    if engine == "shift" and _is_flat(offsets, view.shape[1:]):
+        # On one thread: several would only wait for each other.
+        flat_stack(*_summable(image), offsets, view, where=wanted)
+        return out
     if engine == "shift":
         _correlate_by_shift(image, offsets, tiles, threads, view)
     elif engine == "dft":
@@ -135,26 +141,31 @@ def _correlate_by_shift(
     threads: int,
     out: Float32Array,
 ) -> None:
-    """Alg. 2 on one image, each distinct offset once."""
+    """Alg. 2 on one image, each distinct offset of integers once."""
+    wide, limit = _summable(image)
     once = np.zeros(offsets.shape[1], dtype=np.int64)
+
+    def scan(k: int) -> tuple[IntArray, IntArray, IntArray]:
+        if image.dtype == np.uint8:
+            return merge_repeats(offsets[k], once)
+        return offsets[k], once, once
+
+    shift_stack([wide], scan, limit, tiles, threads, out)
+
+
+def _summable(
+    image: npt.NDArray[np.uint8] | Float32Array,
+) -> tuple[npt.NDArray[np.uint16] | Float32Array, int]:
+    """The image in the type of its sums, and how often that holds its largest value."""
     if image.dtype == np.uint8:
-        shift_stack(
-            [image.astype(np.uint16)],
-            lambda k: merge_repeats(offsets[k], once),
-            np.iinfo(np.uint16).max // max(1, int(image.max())),
-            tiles,
-            threads,
-            out,
-        )
-    else:
-        shift_stack(
-            [np.ascontiguousarray(image, dtype=np.float32)],
-            lambda k: (offsets[k], once, once),
-            np.iinfo(np.int32).max,
-            tiles,
-            threads,
-            out,
-        )
+        return image.astype(np.uint16), np.iinfo(np.uint16).max // max(1, int(image.max()))
+    return np.ascontiguousarray(image, dtype=np.float32), np.iinfo(np.int32).max
+
+
+def _is_flat(offsets: IntArray, shape: tuple[int, ...]) -> bool:
+    """Whether the image with its padding is small enough for :func:`flat_stack`."""
+    columns = min(int(np.abs(offsets[..., 1]).max(initial=0)), shape[1])
+    return shape[0] * (shape[1] + columns) <= FLAT_CELLS
 
 
 def choose_engine(
@@ -166,7 +177,7 @@ def choose_engine(
     itemsize: int = 2,
     components: int = 1,
     which: IntArray | None = None,
-    double: bool = False,
+    doubtful: Callable[[], bool] = lambda: False,
 ) -> str:
     """Return `engine`, or for ``"auto"`` the one of ``shift`` and ``dft`` with the lower cost.
 
@@ -188,8 +199,8 @@ def choose_engine(
         Correlations to add up: 1 for a scalar image, 2 for a vector field (``dft`` only).
     which : (K, N) int array, optional
         Image that each reading takes its values from, if there are several (``shift`` only).
-    double : bool
-        Whether the transforms need double precision (``dft`` only).
+    doubtful : callable
+        Tells whether the transforms need double precision, asked if it matters (``dft`` only).
 
     Raises
     ------
@@ -201,6 +212,28 @@ def choose_engine(
     if engine != "auto":
         raise ConfigError(f"engine must be one of auto, {', '.join(ENGINES)}, got {engine!r}")
     height, width = shape
+    sample = np.abs(offsets[:: max(1, len(offsets) // 8)])
+    rows, columns = np.minimum(sample.max(axis=(0, 1), initial=0), shape)
+    if components == 1 and _is_flat(offsets, shape):
+        line = height * (width + int(columns)) * itemsize * SHIFT_SECONDS_PER_BYTE
+        shift = offsets.shape[1] * (line + FLAT_SECONDS_PER_CALL)
+    else:
+        shift = _shift_seconds(offsets, shape, tiles, itemsize, which)
+    plane = float((height + rows) * (width + columns))
+    # One transform back, half a transform forth (two headings share it) and a product.
+    dft = DFT_SECONDS_PER_STEP * plane * np.log2(plane + 1) * (1.2 + 0.8 * components)
+    return "shift" if shift < dft or (shift < 2 * dft and doubtful()) else "dft"
+
+
+def _shift_seconds(
+    offsets: IntArray,
+    shape: tuple[int, int],
+    tiles: Sequence[Tile],
+    itemsize: int,
+    which: IntArray | None,
+) -> float:
+    """What a heading costs by :func:`shift_stack`, judged from a few headings."""
+    height, width = shape
     some = slice(None, None, max(1, len(offsets) // 8))
     sample = np.abs(offsets[some])
     overlap = np.maximum(0, height - sample[..., 0]) * np.maximum(0, width - sample[..., 1])
@@ -210,11 +243,5 @@ def choose_engine(
     readings = float(np.mean(merged)) if merged else 0.0
     share = sum((t.r1 - t.r0) * (t.c1 - t.c0) for t in tiles) / (height * width)
     cells = readings * share * float(overlap.mean()) if overlap.size else 0.0
-    shift = cells * itemsize * SHIFT_SECONDS_PER_BYTE
-    shift += readings * len(tiles) * SHIFT_SECONDS_PER_CALL
-    rows, columns = np.minimum(sample.max(axis=(0, 1), initial=0), shape)
-    plane = float((height + rows) * (width + columns))
-    # One transform back, half a transform forth (two headings share it) and a product.
-    dft = DFT_SECONDS_PER_STEP * plane * np.log2(plane + 1) * (1.2 + 0.8 * components)
-    dft *= 1 + double
-    return "shift" if shift < dft else "dft"
+    seconds = cells * itemsize * SHIFT_SECONDS_PER_BYTE
+    return seconds + readings * len(tiles) * SHIFT_SECONDS_PER_CALL

@@ -156,7 +156,8 @@ def needs_double(image: npt.NDArray[np.generic], offsets: IntArray) -> bool:
 
 
 def _doubtful(values: FloatArray, weight: float) -> bool:
-    return EPSILON * weight * float(np.linalg.norm(values)) > ALLOWED_ERROR
+    # Not np.linalg.norm, which wakes the threads of a BLAS.
+    return EPSILON * weight * float(np.sqrt(np.square(values).sum())) > ALLOWED_ERROR
 
 
 def _kernel_norm(offsets: IntArray) -> float:

@@ -128,14 +128,17 @@ def separated(
     [[0, 2], [0, 0, 1]]
     """
     owner = np.full(len(poses), -1, dtype=np.int64)
+    x, y, theta = np.ascontiguousarray(poses.T)
+    theta = wrap(theta)
     picked: list[int] = []
     for i in range(len(poses)):
         if len(picked) == n:
             break
         if owner[i] >= 0:
             continue
-        gap = np.hypot(*(poses[:, :2] - poses[i, :2]).T)
-        turn = np.abs(wrap(poses[:, 2] - poses[i, 2]))
-        owner[(gap < distance) & (turn < angle) & (owner < 0)] = len(picked)
+        near = np.square(x - x[i]) + np.square(y - y[i]) < distance * distance
+        turn = np.abs(theta - theta[i])
+        near &= np.minimum(turn, 2 * np.pi - turn) < angle
+        owner[near & (owner < 0)] = len(picked)
         picked.append(i)
     return np.asarray(picked, dtype=np.int64), owner
