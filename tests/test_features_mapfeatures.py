@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
+from imgloc.features import mapfeatures
 from imgloc.features.fields import bmap, vmap
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raydistance import ray_distances
@@ -33,6 +34,14 @@ def test_features_are_those_of_the_functions(features):
         features.visibility, visibility_frames(grid.occupied, surface, 0.1, 12, 30.0)
     )
     np.testing.assert_array_equal(features.ray_distances, ray_distances(grid.occupied, 0.1, 8, 7.0))
+
+
+def test_a_large_map_has_a_coarser_level(features, monkeypatch):
+    assert [level.resolution for level in features.pyramid] == [0.1, 0.2, 0.4]
+    monkeypatch.setattr(mapfeatures, "COARSE_CELLS", 40)  # 24 x 30 / 16 cells are more
+    large = dataclasses.replace(features)
+    assert [level.resolution for level in large.pyramid] == [0.1, 0.2, 0.4, 0.8]
+    assert large.pyramid[3].image.shape == (3, 4)
 
 
 @pytest.mark.parametrize("name", ["surface", "bmap", "vmap", "visibility", "ray_distances"])

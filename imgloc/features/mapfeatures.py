@@ -20,8 +20,11 @@ from imgloc.features.surface import surface_points
 from imgloc.features.visibility import visibility_frames
 from imgloc.model import BoolArray, Float32Array, GridInfo, OccupancyGrid, OrientedPoints
 
-VOTERS = 100_000
-"""Surface points that vote for proposals at most: votes find places, not poses."""
+VOTERS, VOTER_SPACING = 100_000, 0.2
+"""Surface points that vote for proposals at most, and metres of wall to each: votes find places."""
+
+COARSE_CELLS = 1 << 17
+"""With more cells than this at four times `cell`, the search starts at eight times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,14 +123,15 @@ class MapFeatures:
 
     @cached_property
     def pyramid(self) -> tuple[Level, ...]:
-        """Endpoint images at one, two and four times `cell`, finest first."""
+        """Endpoint images at one, two and four times `cell`, finest first; eight on large maps."""
+        coarse = self.lattice.height * self.lattice.width / 16
         return pyramid(
             self.field.distance,
             self.grid.free,
             self.grid.resolution,
             cell=self.cell,
             sigma=self.sigma_endpoint,
-            levels=3,
+            levels=3 if coarse <= COARSE_CELLS else 4,
         )
 
     @cached_property
@@ -161,11 +165,12 @@ class MapFeatures:
 
     @cached_property
     def voters(self) -> OrientedPoints:
-        """Surface points that vote for proposals: evenly spread ones where there are too many."""
-        count = len(self.surface)
-        if count <= VOTERS:
+        """Surface points that vote for proposals: one for each cell of the votes along a wall."""
+        count = len(self.surface)  # about one for each cell of the map along a wall
+        wanted = min(VOTERS, int(np.ceil(count * self.grid.resolution / VOTER_SPACING)))
+        if count <= wanted:
             return self.surface
-        return self.surface.select(np.linspace(0, count - 1, VOTERS).astype(np.int64))
+        return self.surface.select(np.linspace(0, count - 1, wanted).astype(np.int64))
 
     @cached_property
     def voters_visibility(self) -> Float32Array:

@@ -42,7 +42,7 @@ class FusedOptions:
     theta_step : float
         Between the headings of the endpoint correlation, radians.
     keep : tuple of int
-        Nodes kept by each level of the endpoint pyramid, finest first.
+        Nodes kept by each level of the endpoint pyramid, finest first; as many as there are.
     skip : int
         The coarsest level of the pyramid takes every `skip`-th of the few rays.
     vote_cell : float
@@ -67,7 +67,7 @@ class FusedOptions:
     """
 
     theta_step: float = float(np.deg2rad(1.0))
-    keep: tuple[int, ...] = (3000, 8000, 8000)
+    keep: tuple[int, ...] = (3000, 8000, 8000, 16000)
     skip: int = 2
     vote_cell: float = 0.2
     vote_cells: int = 4_000_000
@@ -131,11 +131,12 @@ def search_fused(
     xy = scan_xy(scan)
     prior = prior or Prior()
     resolution = features.grid.resolution
+    levels = prior.levels(features.pyramid, resolution)
     endpoints, _ = propose_endpoints(
-        prior.levels(features.pyramid, resolution),
+        levels,
         xy[few],
         theta_step=options.theta_step,
-        keep=options.keep,
+        keep=options.keep[: len(levels)],
         skip=options.skip,
         prior=prior,
         threads=threads,
