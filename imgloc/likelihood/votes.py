@@ -91,7 +91,8 @@ def prepare(
 
 def block_shape(n: int, m: int, once: bool = False) -> tuple[int, int]:
     """Rows and columns of the blocks that n scan points by m map points are cut into."""
-    columns = m if once else min(m, BLOCK_COLUMNS)
+    # Evenly: a narrow block costs as many calls as a wide one.
+    columns = m if once else -(-m // max(1, -(-m // BLOCK_COLUMNS)))
     return min(n, max(1, BLOCK_PAIRS // max(1, columns))), columns
 
 
@@ -104,6 +105,8 @@ def blocks_of(n: int, m: int, once: bool = False) -> list[tuple[slice, slice]]:
     --------
     >>> blocks_of(5, 8192)
     [(slice(0, 4, None), slice(0, 8192, None)), (slice(4, 5, None), slice(0, 8192, None))]
+    >>> blocks_of(2, 8200)
+    [(slice(0, 2, None), slice(0, 4100, None)), (slice(0, 2, None), slice(4100, 8200, None))]
     """
     rows, columns = block_shape(n, m, once)
     return [
