@@ -57,7 +57,11 @@ def layers_of(features: MapFeatures, scan: LaserScan, options: Options) -> Itera
         f"{len(votes)} headings, cells of {cell:.2g} m, at most {options.fused.few_rays} readings"
     )
     lattice = GridInfo(votes.shape[1], votes.shape[2], cell, features.grid.origin)
-    yield _layer("ght-v", about, votes.max(axis=0), lattice, "ght-v")
+    best = votes.max(axis=0)
+    allowed = options.prior.around(best.shape, cell, features.grid.resolution)
+    if allowed is not None:
+        best *= allowed
+    yield _layer("ght-v", about, best, lattice, "ght-v")
 
 
 def _endpoints(features: MapFeatures, scan: LaserScan, options: Options) -> Layer:

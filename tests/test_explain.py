@@ -167,11 +167,13 @@ def test_outside_the_prior_the_picture_is_empty(room) -> None:
     cells = near(room.grid.info, 3.0, 2.4, 0.6)
     options = Options(prior=Prior(cells, None, {"near": "here"}))
     why = explain(room, scan, localize(room, scan, options), options)
-    cbml = why.layers[0].likelihood
-    assert cbml is not None
-    rows, columns = np.nonzero(cbml.values[0])
-    assert rows.size > 0
-    assert np.hypot(columns * 0.1 + 0.05 - 3.0, rows * 0.1 + 0.05 - 2.4).max() < 0.75
+    for layer in why.layers:
+        assert layer.likelihood is not None
+        cell = layer.likelihood.grid.resolution
+        rows, columns = np.nonzero(layer.likelihood.values[0])
+        assert rows.size > 0
+        apart = np.hypot((columns + 0.5) * cell - 3.0, (rows + 0.5) * cell - 2.4)
+        assert apart.max() < 0.6 + 2.2 * cell
 
 
 def test_headings_outside_the_prior_are_not_drawn(room) -> None:

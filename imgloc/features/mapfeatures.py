@@ -20,7 +20,7 @@ from imgloc.features.surface import surface_points
 from imgloc.features.visibility import visibility_frames
 from imgloc.model import BoolArray, Float32Array, GridInfo, OccupancyGrid, OrientedPoints
 
-VOTERS, VOTER_SPACING = 100_000, 0.2
+VOTERS, VOTER_SPACING = 100_000, 0.25
 """Surface points that vote for proposals at most, and metres of wall to each: votes find places."""
 
 COARSE_CELLS = 1 << 17

@@ -69,9 +69,9 @@ class FusedOptions:
     theta_step: float = float(np.deg2rad(1.0))
     keep: tuple[int, ...] = (3000, 8000, 8000, 16000)
     skip: int = 2
-    vote_cell: float = 0.2
+    vote_cell: float = 0.25
     vote_cells: int = 4_000_000
-    vote_headings: int = 30
+    vote_headings: int = 24
     vote_peaks: int = 100
     few_rays: int = 64
     rays: int = 180
@@ -184,9 +184,9 @@ def vote_cell(grid: GridInfo, options: FusedOptions) -> float:
     Examples
     --------
     >>> vote_cell(GridInfo(1000, 1000, 0.05), FusedOptions())
-    0.2
+    0.25
     >>> round(vote_cell(GridInfo(10_000, 10_000, 0.05), FusedOptions()), 2)
-    1.37
+    1.22
     """
     area = grid.height * grid.width * grid.resolution**2
     return float(max(options.vote_cell, np.sqrt(area * options.vote_headings / options.vote_cells)))
