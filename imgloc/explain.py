@@ -91,7 +91,7 @@ class Explanation:
     misfit : float
         Nats per reading that the best pose lacks, NaN without one.
     temperature : float
-        What evidence was divided by, NaN where masses are plain shares.
+        What evidence was divided by, NaN without a pose.
     checks : tuple of Check
         The questions of the verdict, up to the first that is answered with no: that one
         decided. All answered with yes is ``unique``.
@@ -179,8 +179,6 @@ def _temperature(scan: LaserScan, options: Options, misfit: float) -> float:
     """What made masses of the scores."""
     if options.method == FUSED:
         return options.trust.temperature_at(misfit) if np.isfinite(misfit) else float("nan")
-    if options.exact:
-        return float("nan")
     how = options.calibration or DEFAULTS[options.method]
     return how.temperature_at(options.method, max(1, int(scan.valid.sum())))
 
@@ -189,9 +187,10 @@ def _checks(scan: LaserScan, answer: Localization, options: Options) -> Iterator
     """The questions of :func:`~imgloc.search.trust.judge`, in its order."""
     best = answer.hypotheses[0].mass if answer.hypotheses else 0.0
     for check in (
-        Check("readings", float(scan.valid.sum()), options.trust.readings, True),
+        Check("readings", float(scan.directions), options.trust.readings, True),
         Check("elsewhere", answer.elsewhere, DOUBT, False),
         Check("mass", best, options.trust.mass, True),
+        *([] if answer.complete else [Check("complete", 0.0, 1.0, True)]),
     ):
         yield check
         if not check.holds:

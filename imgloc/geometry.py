@@ -74,6 +74,17 @@ def inverse(a: Pose2D) -> Pose2D:
     return Pose2D(-c * a.x - s * a.y, s * a.x - c * a.y, -a.theta)
 
 
+def base_of(pose: Pose2D, mount: Pose2D) -> Pose2D:
+    """Pose of the robot's base, of its sensor's pose and mounting: T_map_base.
+
+    Examples
+    --------
+    >>> base_of(Pose2D(1.0, 0.0, 0.0), Pose2D(0.2, 0.0, 0.0)).x
+    0.8
+    """
+    return compose(pose, inverse(mount))
+
+
 def rotation(theta: float) -> FloatArray:
     """Return the (2, 2) matrix that rotates column vectors by `theta`."""
     c, s = np.cos(theta), np.sin(theta)

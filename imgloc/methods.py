@@ -34,7 +34,8 @@ class Options:
     top : int
         How many hypotheses are listed.
     theta_step : float or None
-        Step of the headings of a stack, radians; None takes the method's own.
+        Step of the headings of a stack, radians, and of branch and bound, whose own are those
+        of ``cbml``; None takes the method's own.
     engine : str
         Of the correlations, see :mod:`imgloc.likelihood.correlate`.
     threads : int

@@ -9,7 +9,7 @@ yaw is honoured everywhere.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,9 @@ FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
+
+FAR = 1e6
+"""Metres that no sensor reaches: drivers write such numbers where a ray met nothing."""
 
 VERDICTS = ("unique", "ambiguous", "no-match", "invalid")
 
@@ -133,8 +136,8 @@ class LaserScan:
     Parameters
     ----------
     ranges : (N,) float array
-        Metres. +inf and values >= `range_max` are "no return"; NaN, -inf, values <=
-        `range_min` are no evidence at all.
+        Metres. +inf and values >= `range_max` or :data:`FAR` are "no return"; NaN, -inf,
+        values <= `range_min` are no evidence at all.
     angles : (N,) float array
         Direction of each ray in the sensor's frame, radians, counter-clockwise, 0 = forward;
         finite, also for rays without a reading.
@@ -172,15 +175,39 @@ class LaserScan:
             return (
                 np.isfinite(self.ranges)
                 & (self.ranges > self.range_min)
-                & (self.ranges < self.range_max)
+                & (self.ranges < min(self.range_max, FAR))
             )
+
+    @property
+    def directions(self) -> int:
+        """Number of different directions of the valid readings: to a milliradian, mod 2 pi.
+
+        Examples
+        --------
+        >>> LaserScan([1.0, 1.1, 2.0, 3.0], [0.0, 0.0, 2 * np.pi, 1.0]).directions
+        2
+        """
+        turns = np.rint(1000 * self.angles[self.valid] % (2000 * np.pi))
+        return len(np.unique(turns % np.rint(2000 * np.pi)))
 
     @property
     def no_return(self) -> BoolArray:
         """(N,) bool: the rays that met nothing within `range_max`."""
         with np.errstate(invalid="ignore"):
-            beyond = np.isfinite(self.ranges) & (self.ranges >= self.range_max)
+            far = min(self.range_max, FAR)
+            beyond = np.isfinite(self.ranges) & (self.ranges >= far)
             return np.asarray(beyond | (self.ranges == np.inf), dtype=np.bool_)
+
+    @property
+    def flipped(self) -> "LaserScan":
+        """What the scan is if the sensor hangs upside down: its angles run clockwise.
+
+        Examples
+        --------
+        >>> LaserScan([1.0, 2.0], [0.5, 1.0]).flipped.angles.tolist()
+        [-0.5, -1.0]
+        """
+        return replace(self, angles=-self.angles)
 
     @property
     def counts(self) -> dict[str, int]:

@@ -19,7 +19,13 @@ from dataclasses import asdict, fields, replace
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.features.budget import check_budget, default_budget, exact_bytes, fused_bytes
+from imgloc.features.budget import (
+    check_budget,
+    default_budget,
+    exact_bytes,
+    fused_bytes,
+    stack_bytes,
+)
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import compose, rotate_covariance, uniform_thetas
 from imgloc.io.maps import require_usable
@@ -31,6 +37,7 @@ from imgloc.methods import (
     Method,
     Options,
     check_method,
+    headings_of,
     likelihood,
 )
 from imgloc.model import GridInfo, Hypothesis, LaserScan, Localization, OccupancyGrid
@@ -47,9 +54,9 @@ from imgloc.searches import (
 )
 
 __all__ = [
-    "ALL_METHODS", "FUSED", "METHODS", "Found", "Method", "Options", "Trust", "check_method",
-    "check_options", "effective", "found_in_stack", "in_map_frame", "likelihood", "localize",
-    "prepare",
+    "ALL_METHODS", "FUSED", "METHODS", "Found", "Method", "Options", "Trust", "answer_bytes",
+    "check_method", "check_options", "effective", "found_in_stack", "in_map_frame", "likelihood",
+    "localize", "prepare",
 ]  # fmt: skip
 
 
@@ -88,8 +95,9 @@ def localize(
     Returns
     -------
     Localization
-        Poses of the sensor in the map frame. A scan with too few readings is answered with
-        the verdict ``invalid``, not with an error.
+        Poses of the sensor in the map frame. A scan with readings in too few directions is
+        answered with the verdict ``invalid``, not with an error; a search that ran out of time
+        is never ``unique``.
 
     Raises
     ------
@@ -100,9 +108,9 @@ def localize(
     options = options or Options()
     check_options(features, options)
     start = time.perf_counter()
-    valid = int(scan.valid.sum())
+    directions = scan.directions
     found = NOTHING
-    if valid >= max(1, options.trust.readings):
+    if directions >= max(1, options.trust.readings):
         if options.method == FUSED:
             search = find_fused
         else:
@@ -110,9 +118,12 @@ def localize(
         found = search(features, scan, options)
     elapsed = 1e3 * (time.perf_counter() - start)
     top = found.hypotheses[: options.top]
+    verdict = judge(directions, found.mass, found.elsewhere, options.trust)
+    if verdict == "unique" and not found.complete:
+        verdict = "ambiguous"  # what was not looked at may fit as well
     return Localization(
         hypotheses=tuple(in_map_frame(h, features.grid.info) for h in top),
-        verdict=judge(valid, found.mass, found.elsewhere, options.trust),
+        verdict=verdict,
         entropy=found.entropy,
         explained=found.explained,
         counts=scan.counts,
@@ -144,22 +155,35 @@ def check_options(features: MapFeatures, options: Options) -> None:
         raise ConfigError("the prior leaves no cell of the map in which a sensor can be")
     if options.exact or options.method == FUSED:
         shape, cell = features.lattice.shape, features.lattice.resolution
-        need = exact_bytes(shape, cell, len(exact_thetas(options))) if options.exact else 0
-        if options.method == FUSED:
-            fused = options.fused
-            need += fused_bytes(
-                shape,
-                cell,
-                n_thetas=len(uniform_thetas(fused.theta_step)),
-                vote_cell=fused.vote_cell,
-                vote_headings=fused.vote_headings,
-            )
         check_budget(
-            need,
+            answer_bytes(features, options),
             default_budget() if options.memory_budget is None else options.memory_budget,
             f"{options.method} on {shape[0]} x {shape[1]} cells of {cell:g} m",
             "use larger cells",
         )
+
+
+def answer_bytes(features: MapFeatures, options: Options) -> int:
+    """How many bytes :func:`localize` takes at most, besides the map's features."""
+    shape, cell = features.lattice.shape, features.lattice.resolution
+    exact = exact_bytes(shape, cell, len(exact_thetas(options))) if options.exact else 0
+    if options.method == FUSED:
+        fused = options.fused
+        return exact + fused_bytes(
+            shape,
+            cell,
+            n_thetas=len(uniform_thetas(fused.theta_step)),
+            vote_cell=fused.vote_cell,
+            vote_headings=fused.vote_headings,
+            vote_cells=fused.vote_cells,
+        )
+    return exact or stack_bytes(
+        options.method,
+        shape,
+        len(headings_of(options)),
+        threads=options.threads,
+        n_rays=features.n_rays,
+    )
 
 
 def in_map_frame(hypothesis: Hypothesis, grid: GridInfo) -> Hypothesis:
@@ -178,13 +202,16 @@ def effective(options: Options, features: MapFeatures) -> dict[str, object]:
     del out["threads"], out["memory_budget"]
     if options.time_budget is None:
         del out["time_budget"]
-    if options.method == FUSED:
-        del out["theta_step"], out["engine"]
-        del out["calibration"]
-    else:
-        if out["theta_step"] is None:
-            out["theta_step"] = float(np.deg2rad(METHODS[options.method].theta_step_deg))
+    fused = options.method == FUSED
+    if out["theta_step"] is None:
+        stack = "cbml" if fused else options.method
+        out["theta_step"] = float(np.deg2rad(METHODS[stack].theta_step_deg))
+    if not fused:
         out["calibration"] = asdict(options.calibration or DEFAULTS[options.method])
+    else:
+        del out["engine"], out["calibration"]
+        if not options.exact:  # they are the headings of branch and bound
+            del out["theta_step"]
     about_map = {f.name: getattr(features, f.name) for f in fields(features)}
     for name in ("grid", "max_bytes", "threads"):
         del about_map[name]

@@ -7,7 +7,8 @@ import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pooled import block_masks
-from imgloc.geometry import centre_of
+from imgloc.geometry import centre_of, wrap
+from imgloc.likelihood.calibration import DEFAULTS
 from imgloc.likelihood.posterior import calibrated
 from imgloc.methods import Options, headings_of, likelihood
 from imgloc.model import Float32Array, FloatArray, Hypothesis, IntArray, LaserScan, Likelihood
@@ -18,6 +19,9 @@ from imgloc.search.moments import peak_moments
 from imgloc.search.peaks import find_peaks, separated
 from imgloc.search.refine import refine
 from imgloc.search.rescore import Evidence, rescore
+
+MODES = 20
+"""Poses that are looked for, however few are listed: no verdict depends on the list's length."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +100,7 @@ def _exact(features: MapFeatures, scan: LaserScan, options: Options) -> tuple[Fl
     """Best separated poses (M, 3) of CBML's score, grid frame, by branch and bound."""
     prior, pooled = options.prior, features.pooled
     thetas = exact_thetas(options)
-    wanted = np.flatnonzero(prior.headings(thetas))
+    wanted = np.flatnonzero(prior.headings(thetas, np.pi / len(thetas)))
     if prior.cells is not None:
         where = prior.lattice(features.free, features.factor)
         pooled = replace(pooled, where=block_masks(where, pooled.top))
@@ -105,7 +109,7 @@ def _exact(features: MapFeatures, scan: LaserScan, options: Options) -> tuple[Fl
         pooled,
         scan_xy(scan)[scan.valid],
         thetas[wanted],
-        count=options.top,
+        count=max(options.top, MODES),
         distance=distance,
         angle=angle,
         threads=options.threads,
@@ -117,15 +121,21 @@ def _exact(features: MapFeatures, scan: LaserScan, options: Options) -> tuple[Fl
 
 
 def find_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Found:
-    """The best poses of CBML's stack without the stack; masses are shares among them."""
+    """The best poses of CBML's stack without the stack.
+
+    Masses are shares among at least :data:`MODES` of them, each score raised to the calibrated
+    power, as if every mode were equally wide.
+    """
     poses, best = _exact(features, scan, options)
     if len(poses) == 0:
         return NOTHING
     evidence, rays = settle(features, scan, poses[:1], options)
     elsewhere = options.trust.mass_elsewhere(misfit_of(evidence, options), 1.0)
-    share = best.scores.astype(np.float64) / best.scores.sum(dtype=np.float64)
+    score, top = best.scores.astype(np.float64), slice(0, options.top)
+    how = options.calibration or DEFAULTS["cbml"]
+    share = masses(np.log(score), how.temperature_at("cbml", int(scan.valid.sum())))
     covariance = covariances(
-        poses,
+        poses[top],
         scan_xy(scan)[rays],
         features.field,
         sigma=features.lattice.resolution,
@@ -133,7 +143,7 @@ def find_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Foun
         extent=options.fused.separation,
     )
     mass = (1 - elsewhere) * share
-    hypotheses = as_hypotheses(poses, best.scores.astype(np.float64), mass, covariance)
+    hypotheses = as_hypotheses(poses[top], score[top], mass[top], covariance)
     whole = entropy(np.append(mass, elsewhere))
     return Found(hypotheses, mass, elsewhere, float(evidence.explained[0]), whole)
 
@@ -152,22 +162,27 @@ def probability_of(
         options.prior.lattice(features.free, features.factor),
         int(scan.valid.sum()),
         options.calibration,
-        headings=options.prior.headings(stack.thetas),
+        headings=options.prior.headings(stack.thetas, np.pi / len(stack.thetas)),
     )
 
 
 def found_in_stack(
     features: MapFeatures, scan: LaserScan, stack: Likelihood, options: Options
 ) -> Found:
-    """Peaks of the posterior of a full stack, with the mass and the moments around each."""
+    """Modes of the posterior of a full stack: mass and moments of the peaks of each.
+
+    The highest peak comes first, the paper's global maximum; a lower one that is broader may
+    hold more mass.
+    """
     probability = probability_of(features, scan, stack, options)
-    # More peaks than asked for: some are neighbours on the slope of one mode.
-    peaks = find_peaks(probability, 4 * options.top, radius=2)
+    # More peaks than modes: some are neighbours on the slope of one.
+    peaks = find_peaks(probability, 4 * max(options.top, MODES), radius=2)
     poses, mass, covariance = peak_moments(probability, peaks, stack.thetas, stack.grid.resolution)
     if len(poses) == 0:
         return NOTHING
     distance, angle = options.fused.separation
-    best, _ = separated(poses, len(poses), distance=distance, angle=angle)
+    best, owner = separated(poses, len(poses), distance=distance, angle=angle)
+    mass, covariance = _joined(poses, mass, covariance, best[owner])
     poses, mass, covariance, peaks = poses[best], mass[best], covariance[best], peaks[best]
     evidence, _ = settle(features, scan, poses[:1], options)
     # Votes are spread where walls are few, too: that says nothing of the scan.
@@ -178,6 +193,19 @@ def found_in_stack(
     mass = (1 - elsewhere) * mass
     hypotheses = as_hypotheses(poses, score, mass, covariance)
     return Found(hypotheses, mass, elsewhere, float(evidence.explained[0]), entropy(probability))
+
+
+def _joined(
+    poses: FloatArray, mass: FloatArray, covariance: FloatArray, owner: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Mass (M,) and covariance (M, 3, 3) of each pose with those of which it is the owner."""
+    offset = poses - poses[owner]
+    offset[:, 2] = wrap(offset[:, 2])
+    second = covariance + offset[:, :, None] * offset[:, None, :]
+    total, out = np.zeros_like(mass), np.zeros_like(covariance)
+    np.add.at(total, owner, mass)
+    np.add.at(out, owner, (mass / total[owner])[:, None, None] * second)
+    return total, out
 
 
 def settle(

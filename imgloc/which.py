@@ -65,7 +65,8 @@ class Choice:
     Parameters
     ----------
     verdict : str
-        The name of a map, ``none`` or ``undecided``.
+        The name of a map, ``none``, ``undecided``, or ``invalid``: the scan has too few
+        readings to say anything, and no probability is known (NaN).
     probability : mapping of str to float
         Of each map, best first; with `none` they sum to 1.
     none : float
@@ -142,6 +143,9 @@ def choose(fits: Mapping[str, Fit], trust: Trust | None = None, *, sure: float =
     if not fits:
         raise ConfigError("expected at least one map to choose from")
     trust = trust or Trust()
+    if all(f.answer.verdict == "invalid" for f in fits.values()):
+        unknown = float("nan")
+        return Choice("invalid", dict.fromkeys(fits, unknown), unknown, {}, trust.temperature)
     best = min(fits.values(), key=lambda f: f.misfit)
     if not np.isfinite(best.misfit):
         return Choice("none", dict.fromkeys(fits, 0.0), 1.0, {}, trust.temperature)

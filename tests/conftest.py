@@ -6,6 +6,13 @@ from pathlib import Path
 import pytest
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_configure(config: pytest.Config) -> None:
+    """Let `--benchmark-only` say enough: benchmarks are off in other runs."""
+    if config.getoption("benchmark_only", False):
+        config.option.benchmark_enable = True
+
+
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     """Keep the map cache of the user who runs the tests out of them."""

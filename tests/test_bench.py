@@ -1,5 +1,9 @@
 """The benchmark: its references compute what the engines do, and its numbers are of its work."""
 
+import shutil
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,17 +11,22 @@ from imgloc.errors import ConfigError
 from imgloc.experiments.bench import (
     PAIR_HEADINGS,
     added,
+    answer_summary,
+    answer_times,
+    as_row,
     gathered,
     in_turns,
     stack_cases,
     vote_cases,
 )
+from imgloc.experiments.bench_engines import engine_rows, seen, tiled
 from imgloc.experiments.bench_outside import floors, growth
 from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.cbml import cbml
+from imgloc.likelihood.correlate import ENGINES
 from imgloc.likelihood.ght import ght
 from imgloc.pipeline import prepare
 from imgloc.search.fused import scan_xy
@@ -64,17 +73,119 @@ def test_every_case_runs_and_counts_its_work(case):
 
 
 def test_growth_is_measured_in_fresh_processes():
-    one, four = growth("curved", (1, 2), 1)
-    assert four["area"] == pytest.approx(4 * one["area"])
+    one, many = growth("curved", (1, 6), 1)
+    assert many["area"] == pytest.approx(36 * one["area"])
     assert one["ms"] > 0
-    assert four["rss_mib"] > one["rss_mib"]
+    assert many["rss_mib"] > one["rss_mib"] + 5  # some million cells
 
 
 def test_floors_say_why_they_are_not_known(tmp_path):
     assert all(isinstance(value, str) for value in floors(tmp_path).values())
 
 
+needs_compiler = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+
+
+@needs_compiler
 def test_floors_in_c(shared):
     found = floors(shared / "problem")
     assert set(found) == {"cbml", "ght", "ght-v"}
-    assert all(isinstance(v, str) or 0 < v < 1000 for v in found.values())
+    assert all(0 < value < 1000 for value in found.values())
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [
+        ('#include <stdio.h>\nint main(void) { puts("1.25 ns per pose"); return 0; }', 1.25),
+        ("int main(void) { return undeclared; }", "not compiled: "),
+        (
+            '#include <stdio.h>\nint main(void) { fputs("no map", stderr); return 3; }',
+            "ended with 3",
+        ),
+        ("int main(void) { return 0; }", "not understood: ''"),
+    ],
+)
+def test_a_floor_is_known_or_says_why_not(tmp_path, source, expected):
+    (tmp_path / "floor").mkdir()
+    (tmp_path / "floor" / "cbml.c").write_text(source + "\n")
+    found = floors(tmp_path)
+    if isinstance(expected, float):
+        assert found["cbml"] == expected
+    else:
+        assert found["cbml"].startswith(expected)
+        assert len(found["cbml"]) > len("not compiled: ")
+    assert found["ght"] == "no ght.c"
+
+
+def test_preparing_is_what_the_first_answer_takes_longer():
+    summary = answer_summary([500.0, 100.0, 50.0, 50.0])
+    assert summary["prepare_s"] == pytest.approx(0.4)
+    assert summary["median_ms"] == 50
+
+
+def test_answers_are_measured(case):
+    times = answer_times(case[0].grid, [case[1]], 1)
+    assert times["prepare_s"] > 0
+    assert times["p99_over_median"] == 1  # there is one
+    with pytest.raises(ConfigError, match="scans"):
+        answer_times(case[0].grid, [], 1)
+
+
+def test_auto_beside_every_engine():
+    rows = engine_rows((30, 60), (10,), (16, 40), headings=2, repeats=2)
+    assert [(r["size"], r["rays"]) for r in rows] == [(30, 16), (30, 40), (60, 16), (60, 40)]
+    for row in rows:
+        assert set(row["ms"]) == {*ENGINES, "auto"}
+        assert row["ms"][row["best"]] == min(row["ms"][engine] for engine in ENGINES)
+        assert row["ratio"] == row["ms"]["auto"] / row["ms"][row["best"]]
+    with pytest.raises(ConfigError):
+        engine_rows((30,), (10,), (16,), repeats=0)
+
+
+def test_rays_of_the_engines_are_as_many_and_as_long_as_said():
+    grid = tiled(700)  # more than one tile
+    assert grid.occupied.shape == (700, 700)
+    lengths = np.hypot(*seen(grid, 25, 90).T)
+    assert lengths.shape == (90,)
+    assert lengths.max() == pytest.approx(2.5)
+    assert (lengths > 0).all()
+    assert lengths.min() < 2.4  # some end on walls
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--repeats", "0"], "repeats must be at least 1, got 0"),
+        (["--threads", "0"], "threads must be at least 1, got 0"),
+        (["--scans", "0"], "scans must be at least 1, got 0"),
+        (["--parts", "cost"], "a part is one of costs, engines, localize, growth, got 'cost'"),
+    ],
+)
+def test_the_tool_refuses_nonsense(words, expected, capsys):
+    assert tool().main(words) == 2
+    assert capsys.readouterr() == ("", f"bench: error: {expected}\n")
+
+
+def test_the_tool_prints_what_is_asked_for(capsys):
+    assert tool().main(["--parts", "localize", "--scans", "1", "--threads", "1"]) == 0
+    out = capsys.readouterr().out
+    assert "median_ms" in out
+    assert "growth" not in out
+
+
+def test_the_tables_of_the_tool(case):
+    timings = in_turns([("nothing", "call", 1, lambda: None)], 1)
+    rows = engine_rows((30,), (10,), (16,), headings=2, repeats=1)
+    text = tool().text({"machine": {}, "costs": [as_row(t) for t in timings], "engines": rows})
+    assert "| nothing |" in text
+    assert "auto/best" in text
+    assert f"| {rows[0]['ratio']:.2f} |" in " ".join(text.split()).replace("  ", " ")
+
+
+def tool():
+    path = Path(__file__).resolve().parents[1] / "tools" / "bench.py"
+    spec = spec_from_file_location("bench", path)
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module

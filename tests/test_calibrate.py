@@ -74,8 +74,8 @@ def made(best: int, peak: float = 5.0, width: float = 1.0) -> Sweep:
     """Trials whose S falls off around an exponent, the same in each but for a shift."""
     curve = peak - width * np.abs(np.arange(len(EXPONENTS)) - best)
     both = np.stack([curve - 2.0, curve])
-    shift = np.array([-0.5, 0.5, -0.5, 0.5])[:, None, None]
-    return Sweep("ght", ((0.0, 0.0), (0.1, 0.2)), both + shift, np.zeros(4))
+    shift = np.tile([-0.5, 0.5], 10)[:, None, None]
+    return Sweep("ght", ((0.0, 0.0), (0.1, 0.2)), both + shift, np.zeros(20))
 
 
 def test_the_fit_is_the_greatest_index_or_the_hottest_near_it() -> None:
@@ -83,24 +83,27 @@ def test_the_fit_is_the_greatest_index_or_the_hottest_near_it() -> None:
     assert sharp.calibration == Calibration(0.1, 0.2, 1 / EXPONENTS[30])
     assert sharp.index.value == pytest.approx(5.0)
     assert sharp.bare.value == 0
-    # Standard error 0.289: two steps of 0.1 down are within it, a third is not.
-    flat = fit([made(30, width=0.1)])
+    # Standard error 0.115: two steps of 0.05 down are within it, a third is not.
+    flat = fit([made(30, width=0.05)])
     assert flat.calibration.temperature == pytest.approx(1 / EXPONENTS[28])
-    assert flat.index.value == pytest.approx(4.8)
-    assert flat.index.trials == 4
+    assert flat.index.value == pytest.approx(4.9)
+    assert flat.index.trials == 20
 
 
 def test_each_map_counts_alike_in_a_joint_fit() -> None:
     few, many = made(20, width=5.0), made(40)
-    many = dataclasses.replace(many, logs=np.tile(many.logs, (100, 1, 1)), bare=np.zeros(400))
+    many = dataclasses.replace(many, logs=np.tile(many.logs, (100, 1, 1)), bare=np.zeros(2000))
     joint = fit([few, many])
     assert joint.calibration.temperature == pytest.approx(1 / EXPONENTS[20])
-    assert joint.index.trials == 404
+    assert joint.index.trials == 2020
 
 
-def test_a_fit_to_one_scan_has_no_standard_error() -> None:
-    one = dataclasses.replace(made(30), logs=made(30).logs[:1], bare=np.zeros(1))
-    assert fit([one]).calibration.temperature == pytest.approx(1 / EXPONENTS[30])
+@pytest.mark.parametrize("count", [1, 19])
+def test_a_few_scans_fit_nothing(count: int) -> None:
+    few = dataclasses.replace(made(30), logs=made(30).logs[:count], bare=np.zeros(count))
+    with pytest.raises(ConfigError, match=f"got {count} in all, expected at least 20"):
+        fit([few])
+    assert fit([few] * 20).index.trials == 20 * count
 
 
 def test_a_third_of_the_scans_is_as_the_sensor_says() -> None:
@@ -147,7 +150,7 @@ def test_refuses_scans_without_poses() -> None:
 def test_a_calibrated_posterior_knows_more_than_the_bare_stack() -> None:
     features = prepare(room())
     options = Options(method="ght-v")
-    fitted = fit([sweep(features, simulate_set(room(), 9, 1, Sensor(rays=91)), options)])
+    fitted = fit([sweep(features, simulate_set(room(), 20, 1, Sensor(rays=91)), options)])
     fresh = simulate_set(room(), 5, 77, Sensor(rays=91))
     assert fresh.poses is not None
     bare, sure = [], []

@@ -11,7 +11,7 @@ from imgloc.io.calibration import load_calibrations
 from imgloc.io.maps import load_map
 from imgloc.likelihood.calibration import DEFAULTS
 
-QUICK = ("--methods", "ght-v", "-n", 3, "--rays", 61, "--theta-step-deg", 15, "--threads", 1)
+QUICK = ("--methods", "ght-v", "-n", 20, "--rays", 61, "--theta-step-deg", 15, "--threads", 1)
 
 
 @pytest.fixture
@@ -28,9 +28,12 @@ def test_what_is_fitted_is_used(office: Path) -> None:
     path = office.with_name("curved.calibration.json")
     assert f"wrote {path}" in err
     content = json.loads(path.read_text())
-    assert content["about"]["seed"] == 1000
-    assert content["about"]["trials"] == 3
-    assert content["about"]["sensor"]["rays"] == 61
+    about = content["about"]["ght-v"]
+    assert about["seed"] == 1000
+    assert about["trials"] == 20
+    assert about["sensor"]["rays"] == 61
+    assert about["theta_step_deg"] == 15
+    assert about["index"]["calibrated"]["trials"] == 20
     fitted = load_calibrations(path, load_map(office))
     assert list(fitted) == ["ght-v"]
     assert fitted["ght-v"] != DEFAULTS["ght-v"]
@@ -63,7 +66,7 @@ def test_the_same_seed_the_same_bytes_for_every_number_of_threads(office: Path) 
 
 def test_a_dry_run_stores_nothing(office: Path) -> None:
     before = sorted(office.parent.iterdir())
-    words = ("--methods", "ght,beam", "--cell", 0.2, "--theta-step-deg", 15, "-n", 1, "--clean")
+    words = ("--methods", "ght,beam", "--cell", 0.2, "--theta-step-deg", 15, "-n", 20, "--clean")
     (row,) = rows(call("calibrate", office, *words, "--dry-run", "--json").out)
     assert sorted(office.parent.iterdir()) == before
     assert list(row["methods"]) == ["ght", "beam"]
@@ -75,7 +78,8 @@ def test_a_dry_run_stores_nothing(office: Path) -> None:
 def test_maps_that_share_a_fit(office: Path) -> None:
     twin = office.with_name("twin.yaml")
     shutil.copy(office, twin)
-    assert call("calibrate", office, twin, *QUICK).code == 0
+    words = [10 if word == 20 else word for word in QUICK]  # 20 in all
+    assert call("calibrate", office, twin, *words).code == 0
     one, two = (
         load_calibrations(p.with_suffix(".calibration.json"), load_map(p)) for p in (office, twin)
     )
@@ -91,6 +95,8 @@ def test_maps_that_share_a_fit(office: Path) -> None:
         (["--range-max", "0"], 2, "--range-max: got 0"),
         (["--clearance", "50"], 3, "clearance"),
         (["MAP"], 2, "the same map twice"),
+        (["-n", "1"], 2, "got 1 in all, expected at least 20"),
+        (["-n", "19", "--dry-run"], 2, "got 19 in all, expected at least 20"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
@@ -100,6 +106,38 @@ def test_refuses(office: Path, words: list[str], code: int, expected: str) -> No
     assert (run.code, run.out) == (code, "")
     assert expected in " ".join(run.err.split())
     assert not office.with_name("curved.calibration.json").exists()
+
+
+def test_other_methods_keep_their_fits(office: Path) -> None:
+    path, grid = office.with_name("curved.calibration.json"), load_map(office)
+    assert call("calibrate", office, *QUICK).code == 0
+    votes = load_calibrations(path, grid)
+    words = (
+        "--methods",
+        "cbml",
+        "-n",
+        20,
+        "--rays",
+        61,
+        "--theta-step-deg",
+        15,
+        "--cell",
+        0.2,
+        "--force",
+    )
+    assert call("calibrate", office, *words).code == 0
+    both = load_calibrations(path, grid)
+    assert list(both) == ["ght-v", "cbml"]
+    assert both["ght-v"] == votes["ght-v"]
+
+
+def test_nothing_is_kept_among_the_files_of_the_program_by_name() -> None:
+    run = call("calibrate", "curved", *QUICK)
+    assert (run.code, run.out) == (2, "")
+    assert str(MAPS / "curved.calibration.json") in run.err
+    assert "--dry-run" in run.err
+    assert not (MAPS / "curved.calibration.json").exists()
+    assert call("calibrate", "curved", *QUICK, "--dry-run").code == 0
 
 
 def test_refuses_to_overwrite_before_any_work(office: Path) -> None:

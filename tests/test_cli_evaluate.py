@@ -71,6 +71,17 @@ def test_simulated_scans_on_a_bundled_map_called_by_its_name() -> None:
     assert votes["parameters"]["method"] == "ght-v"
 
 
+def test_recorded_scans_of_a_sensor_upside_down(scans: Path, tmp_path: Path) -> None:
+    data = dict(np.load(scans))
+    data["angles"] = -data["angles"]
+    np.savez(tmp_path / "flipped.npz", **data)
+    words = ("curved", "--methods", "fused", "--threads", 1, "--scans")
+    (told,) = evaluated(*words, tmp_path / "flipped.npz", "--flipped", "--range-max", 20_000)
+    (upright,) = evaluated(*words, scans)
+    assert told["success"] == upright["success"]
+    assert (told["source"]["flipped"], upright["source"]["flipped"]) == (True, False)
+
+
 def test_the_same_for_every_run_and_number_of_threads() -> None:
     words = ("evaluate", "curved", "-n", 1, "--methods", "fused,cbml,ght-v", "--json", "--threads")
     one, two = (spawn(*words, n) for n in (1, 2))
@@ -150,7 +161,10 @@ def test_the_table_shows_every_method_thrice() -> None:
         (["--theta-step-deg", "ght=10"], 2, "'ght' is not one of --methods"),
         (["--theta-step-deg", "0"], 2, "--theta-step-deg: got 0, expected degrees"),
         (["--cell", "x"], 2, "--cell: got 'x', expected a number"),
-        (["--tolerance", "0.3"], 2, "--tolerance: got '', expected a number"),
+        (["--tolerance", "0.3"], 2, "--tolerance: got '0.3', expected metres and degrees"),
+        (["--tolerance", "0.3,x"], 2, "--tolerance: got 'x', expected a number"),
+        (["--flipped"], 2, "--flipped: expected --scans"),
+        (["--mount", "0,0,90"], 2, "--mount: got a yaw of 90, expected radians"),
         (["--tolerance", "nan,1"], 2, "--tolerance: got nan"),
         (["--floor", "0"], 2, "--floor: got 0"),
         (["--sample", "3"], 2, "--sample: expected --scans"),

@@ -19,6 +19,7 @@ KEYS = [
     "pose",
     "base_pose",
     "hypotheses",
+    "elsewhere",
     "complete",
     "entropy",
     "explained",
@@ -215,3 +216,22 @@ def test_a_scan_without_a_limit_has_no_infinity_in_json(tmp_path: Path, scans: P
     (row,) = rows(call("localize", CURVED, path, "--json").out)
     assert row["parameters"]["range_max"] is None
     assert row["verdict"] == "unique"
+
+
+@pytest.mark.parametrize("method", ALL_METHODS)
+@pytest.mark.parametrize("sentinel", [1e6, 3.4e38, 1.7e308])
+def test_codes_for_no_return_need_no_limit_of_the_range(
+    sentinel: float, method: str, scans: Path, tmp_path: Path
+) -> None:
+    scan = load_scans(scans)[0]
+    answers = []
+    for name, value in (("plain", np.inf), ("coded", sentinel)):
+        ranges = scan.ranges.copy()
+        ranges[::7] = value
+        np.savez(tmp_path / f"{name}.npz", ranges=ranges, angles=scan.angles)
+        words = ("--json", "--method", method, "--theta-step-deg", 10, "--cell", 0.2)
+        code, out, err = call("localize", CURVED, tmp_path / f"{name}.npz", *words)
+        assert (code, err) == (0, "")  # no warning of NumPy's, either
+        answers.append(untimed(out))
+    assert rows(answers[0][0])[0]["counts"]["no_return"] == 26
+    assert answers[0] == answers[1]

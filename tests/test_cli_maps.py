@@ -93,10 +93,33 @@ def test_show_visibility_takes_a_point_of_the_map_frame(tmp_path: Path) -> None:
     assert fan("--at", "4.2,5.4") != fan()
 
 
-def test_show_refuses_a_point_where_it_means_nothing(grey: Path, tmp_path: Path) -> None:
-    code, _, err = call("map", "show", grey, "--at", "1,1", "--out", tmp_path / "o.png")
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("--at 1,1", "--at: only --what visibility"),
+        ("--at 500,500 --what visibility", "--at: 500,500 is not on the map"),
+        ("--at 0,0 --what visibility", "not on the map"),  # left of its origin
+        ("--sigma 3", "--sigma: only --what bmap"),
+        ("--cell 1 --what visibility", "--cell: only --what bmap"),
+    ],
+)
+def test_show_refuses_what_would_be_ignored(
+    words: str, expected: str, grey: Path, tmp_path: Path
+) -> None:
+    code, _, err = call("map", "show", grey, *words.split(), "--out", tmp_path / "o.png")
     assert code == 2
-    assert "--at: only --what visibility" in err
+    assert expected in err
+    assert not (tmp_path / "o.png").exists()
+
+
+def test_show_blurs_as_it_is_told(grey: Path, tmp_path: Path) -> None:
+    pictures = set()
+    for k, words in enumerate(("", "--sigma 0.1", "--sigma 0.3", "--cell 0.2")):
+        out = tmp_path / f"{k}.png"
+        run = call("map", "show", grey, "--what", "bmap", "--out", out, *words.split())
+        assert run.code == 0
+        pictures.add(out.read_bytes())
+    assert len(pictures) == 3  # 0.1 is the default
 
 
 def test_distance_picture_is_dark_at_walls_with_a_line_each_metre() -> None:

@@ -9,8 +9,8 @@ import pytest
 import typer
 from command import MAPS, call, rows, untimed
 
-from imgloc.cli.options import byte_count
-from imgloc.cli.priors import base_of, some_numbers
+from imgloc.cli.values import byte_count, some_numbers
+from imgloc.geometry import base_of
 from imgloc.io.output import encode_png, write_bytes_atomic
 from imgloc.io.scans import load_scans
 from imgloc.model import Pose2D
@@ -76,6 +76,10 @@ def test_a_region_is_as_the_map_is_seen(scans: Path, tmp_path: Path) -> None:
         (("--region", MAPS / "curved.png"), 2, "expected 200 x 140"),
         (("--region", MAPS / "none.png"), 3, "none.png"),
         (("--sensor", "1,2"), 2, "3 numbers"),
+        (("--sensor", "0,0,90"), 2, "--sensor: got a yaw of 90, expected radians"),
+        (("--heading", "360"), 2, "--heading: got a yaw of 360, expected radians"),
+        (("--near", "1,2,-90"), 2, "--near: got a yaw of -90, expected radians"),
+        (("--origin", "0,0,45"), 2, "are these degrees?"),
         (("--memory-budget", "lots"), 2, "number of bytes"),
         (("--memory-budget", "8M"), 2, "budget is 8 MiB"),
         (("--time-budget", "0"), 2, "--time-budget"),
@@ -90,6 +94,28 @@ def test_refuses_what_cannot_be_meant(
     run = call("localize", WORLD, scans, *options)
     assert (run.code, run.out) == (code, "")
     assert expected in run.err
+
+
+def test_what_is_transparent_is_not_white(scans: Path, tmp_path: Path) -> None:
+    mask = np.full((140, 200, 4), 255, np.uint8)
+    mask[:100, :, 3] = 0  # white that is not seen
+    ok, png = cv2.imencode(".png", mask)
+    assert ok
+    (tmp_path / "mask.png").write_bytes(png.tobytes())
+    row = first(scans, "--region", tmp_path / "mask.png")
+    assert row["parameters"]["prior"]["region"] == {"cells": 40 * 200}
+
+
+def test_a_region_may_be_a_jpeg_if_that_is_said(scans: Path, tmp_path: Path) -> None:
+    mask = np.full((140, 200), 255, np.uint8)
+    ok, jpeg = cv2.imencode(".jpg", mask)
+    assert ok
+    (tmp_path / "mask.jpg").write_bytes(jpeg.tobytes())
+    words = ("localize", WORLD, scans, "--index", 0, "--json", "--region", tmp_path / "mask.jpg")
+    run = call(*words)
+    assert (run.code, "--allow-lossy" in run.err) == (3, True)
+    (row,) = rows(call(*words, "--allow-lossy").out)
+    assert row["parameters"]["prior"]["region"] == {"cells": mask.size}
 
 
 def test_a_black_region_is_refused(scans: Path, tmp_path: Path) -> None:
@@ -108,6 +134,41 @@ def test_the_base_is_behind_a_sensor_mounted_in_front(scans: Path) -> None:
     assert back["x"] == pytest.approx(plain["pose"]["x"] - 0.5 * np.cos(theta))
     assert back["y"] == pytest.approx(plain["pose"]["y"] - 0.5 * np.sin(theta))
     assert mounted["hypotheses"][0]["base"] == back
+
+
+def test_the_base_is_in_the_table_of_several_scans(scans: Path) -> None:
+    plain = call("localize", WORLD, scans).out.splitlines()
+    mounted = call("localize", WORLD, scans, "--sensor", "0.5,0,0.1").out.splitlines()
+    assert mounted[0] == plain[0] + "      base x     base y   base theta"
+    bases = [r["base_pose"] for r in rows(call(
+        "localize", WORLD, scans, "--sensor", "0.5,0,0.1", "--json").out)]  # fmt: skip
+    for before, after, base in zip(plain[1:], mounted[1:], bases, strict=True):
+        assert after.startswith(before)
+        x, y, degrees = map(float, after[len(before) :].split())
+        assert [x, y] == pytest.approx([base["x"], base["y"]], abs=1e-3)
+        assert np.deg2rad(degrees) == pytest.approx(base["theta"], abs=1e-3)
+
+
+def test_a_scan_without_a_pose_has_no_base(scans: Path, tmp_path: Path) -> None:
+    blind = np.full((2, 30), np.nan)
+    np.savez(tmp_path / "blind.npz", ranges=blind, angles=np.arange(30) / 30)
+    out = call("localize", WORLD, tmp_path / "blind.npz", "--sensor", "0.5,0,0").out.splitlines()
+    assert {len(line) for line in out} == {len(out[0])}
+    assert out[1].split()[1:] == ["invalid", *"--------"]
+
+
+def test_the_mounting_is_recorded(scans: Path) -> None:
+    parameters = first(scans)["parameters"]
+    assert (parameters["sensor"], parameters["flipped"]) == (None, False)
+    parameters = first(scans, "--sensor", "0.5,0,0.1", "--flipped")["parameters"]
+    assert parameters["sensor"] == {"x": 0.5, "y": 0.0, "theta": 0.1}
+    assert parameters["flipped"] is True
+
+
+def test_masses_and_what_is_elsewhere_sum_to_one(scans: Path) -> None:
+    row = first(scans, "--top", 100)
+    assert 0 < row["elsewhere"] < 0.5
+    assert row["elsewhere"] + sum(h["mass"] for h in row["hypotheses"]) == pytest.approx(1)
 
 
 def test_a_base_turned_against_its_sensor() -> None:
@@ -149,6 +210,13 @@ def test_out_of_time_is_said(scans: Path) -> None:
     assert row["hypotheses"]
     assert first(scans, "--time-budget", 1000)["complete"] is True
     assert "out of time" in call("localize", WORLD, scans, "--index", 0, "--time-budget", 0.001).out
+    table = call("localize", WORLD, scans, "--time-budget", 0.001, "--strict")
+    assert table.code == 6  # what was not looked at may fit as well
+    lines = table.out.splitlines()[1:]
+    assert len(lines) > 1
+    assert all(line.endswith("  out of time") for line in lines)
+    assert not any(" unique " in line for line in lines)
+    assert "out of time" not in call("localize", WORLD, scans).out
 
 
 def test_the_second_run_starts_from_the_cache(scans: Path, tmp_path: Path) -> None:

@@ -102,3 +102,30 @@ def test_refuses(
 
 def test_the_file_is_named_csv(scans: Path, tmp_path: Path) -> None:
     assert call("sample", CURVED, scans, "--out", tmp_path / "a.txt").code == 2
+
+
+@pytest.mark.parametrize("method", ["fused", "ght-v"])
+def test_an_invalid_scan_is_drawn_from_everywhere_and_said_so(
+    method: str, scans: Path, tmp_path: Path
+) -> None:
+    data = dict(np.load(scans))
+    data["ranges"][0, 9:] = np.nan  # nine readings are left
+    np.savez(tmp_path / "nine.npz", **data)
+    words = ("--method", method, "-n", 300, "--out")
+    run = call("sample", CURVED, tmp_path / "nine.npz", *words, tmp_path / "a.csv")
+    assert run.code == 0
+    assert run.err.count("too few readings") == 1
+    assert "scan 0: invalid, too few readings" in run.err
+    poses = np.loadtxt(tmp_path / "a.csv", delimiter=",", skiprows=1)[:300, 1:]
+    height, width = load_map(CURVED).occupied.shape
+    assert (np.ptp(poses[:, :2], axis=0) > 0.08 * np.array([width, height])).all()
+    assert call("sample", CURVED, scans, *words, tmp_path / "b.csv").err.count("few") == 0
+
+
+def test_a_sensor_upside_down(scans: Path, tmp_path: Path) -> None:
+    data = dict(np.load(scans))
+    data["angles"] = -data["angles"]
+    np.savez(tmp_path / "flipped.npz", **data)
+    words = ("-n", 50, "--out")
+    told = drawn(CURVED, tmp_path / "flipped.npz", "--flipped", *words, tmp_path / "a.csv")
+    assert told.tolist() == drawn(CURVED, scans, *words, tmp_path / "b.csv").tolist()

@@ -326,10 +326,10 @@ def test_a_stack_is_its_own_picture(method: str) -> None:
     assert "nan" not in page.text
 
 
-def test_branch_and_bound_has_no_temperature() -> None:
+def test_branch_and_bound_has_the_temperature_of_the_stack() -> None:
     options = Options(method="cbml", exact=True)
     text, page = page_of(features_of("curved"), scan_of("curved"), options)
-    assert "No temperature:" in page.text
+    assert "Logarithms of scores are divided by it" in page.text
     assert ">nan<" not in text
 
 

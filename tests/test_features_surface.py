@@ -1,11 +1,14 @@
 """The surface of a map: where it is, which way it faces, where there is none."""
 
+import tracemalloc
+
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from imgloc.features import surface
 from imgloc.features.surface import surface_points
 from imgloc.geometry import wrap
 
@@ -177,6 +180,30 @@ def test_wrong_input(shape, resolution):
 def blobs(seed, size=48):
     noise = np.random.default_rng(seed).random((size, size)).astype(np.float32)
     return cv2.GaussianBlur(noise, (0, 0), 2.0) > 0.52
+
+
+@pytest.mark.parametrize("group", [30, 100, 1000])
+def test_fitting_in_parts_changes_nothing(monkeypatch, group):
+    occupied = blobs(5, 80)
+    whole = surface_points(occupied, ~occupied, 0.05)
+    lengths = surface._contours(occupied)[2]
+    assert lengths.min() < 30 < 100 < lengths.max()  # whole contours, and parts of one
+    monkeypatch.setattr(surface, "_GROUP", group)
+    parts = surface_points(occupied, ~occupied, 0.05)
+    for name in ("xy", "alpha", "sigma_alpha", "valid"):
+        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+
+
+def test_a_surface_takes_little_memory():
+    occupied = np.tile(blobs(1, 400), (3, 3))
+    tracemalloc.start()
+    try:
+        count = len(surface_points(occupied, ~occupied, 0.05))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert count > 50_000
+    assert peak < 600 * 50_000 + 150 * count + 25 * occupied.size  # fits, results, a band
 
 
 @settings(max_examples=25, deadline=None)

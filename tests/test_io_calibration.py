@@ -25,7 +25,7 @@ FITTED = {"ght-v": Calibration(0.1, 0.17, 1 / 30), "beam": Calibration(temperatu
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     path = calibration_path(tmp_path / "office.v2.yaml")
-    save_calibrations(path, GRID, FITTED, {"seed": 3})
+    save_calibrations(path, GRID, FITTED, {name: {"seed": 3} for name in FITTED})
     return path
 
 
@@ -33,7 +33,7 @@ def test_what_is_stored_is_found_again(path: Path, caplog: pytest.LogCaptureFixt
     assert path.name == "office.v2.calibration.json"
     assert load_calibrations(path, GRID) == FITTED
     content = json.loads(path.read_text())
-    assert content["about"] == {"seed": 3}
+    assert content["about"] == {"ght-v": {"seed": 3}, "beam": {"seed": 3}}
     assert content["map_hash"] == map_hash(GRID)
     assert not caplog.records
 
@@ -107,5 +107,34 @@ def test_what_is_no_such_file_is_not_used(
 def test_nothing_is_overwritten_unless_told_to(path: Path) -> None:
     with pytest.raises(OutputError, match="--force"):
         save_calibrations(path, GRID, {}, {})
+    assert load_calibrations(path, GRID) == FITTED
+
+
+def test_other_methods_are_kept(path: Path) -> None:
+    new = {"cbml": Calibration(0.1, 0.0, 0.5), "beam": Calibration(temperature=0.7)}
+    save_calibrations(path, GRID, new, {name: {"seed": 4} for name in new}, force=True)
+    assert load_calibrations(path, GRID) == FITTED | new
+    about = json.loads(path.read_text())["about"]
+    assert {name: said["seed"] for name, said in about.items()} == {
+        "ght-v": 3, "beam": 4, "cbml": 4,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("damage", ['{"format": 1}', "{", '{"about": 3}'])
+def test_a_file_that_is_of_no_use_is_replaced(path: Path, damage: str) -> None:
+    path.write_text(damage)
+    save_calibrations(path, GRID, {"cbml": Calibration()}, {}, force=True)
+    assert load_calibrations(path, GRID) == {"cbml": Calibration()}
+
+
+def test_what_is_of_another_map_is_not_kept(path: Path) -> None:
+    finer = OccupancyGrid(WALL, ~WALL, 0.05)
+    save_calibrations(path, finer, {"cbml": Calibration()}, {}, force=True)
+    assert load_calibrations(path, finer) == {"cbml": Calibration()}
+
+
+@pytest.mark.parametrize("about", [[], 7, {"seed": 1}, {"beam": float("nan")}])
+def test_fits_of_which_nothing_is_said_are_kept(path: Path, about: object) -> None:
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"about": about}))
     save_calibrations(path, GRID, {}, {}, force=True)
-    assert load_calibrations(path, GRID) == {}
+    assert load_calibrations(path, GRID) == FITTED

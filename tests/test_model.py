@@ -136,10 +136,12 @@ def test_each_reading_is_of_one_kind(reading, kind):
     assert scan.no_return.tolist() == [kind == "no_return"]
 
 
-def test_without_a_range_max_every_distance_counts():
-    scan = LaserScan([0.0, 1e-9, 1e6, INF, NAN], np.zeros(5))
-    assert scan.valid.tolist() == [False, True, True, False, False]
-    assert scan.no_return.tolist() == [False, False, False, True, False]
+def test_without_a_range_max_every_distance_counts_that_a_sensor_may_reach():
+    for range_max in (INF, 3.4e38):
+        scan = LaserScan([0.0, 1e-9, 9e5, INF, NAN, 1e6, 1.7e308], np.zeros(7), 0.0, range_max)
+        assert scan.valid.tolist() == [False, True, True, False, False, False, False]
+        assert scan.no_return.tolist() == [False, False, False, True, False, True, True]
+        assert sum(scan.counts.values()) == 7
 
 
 @given(

@@ -18,9 +18,12 @@ from imgloc.experiments.reliability import (
     mean_nees,
     nees_band,
     reliability,
+    summary,
 )
 from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.experiments.worlds import WORLDS, render
+from imgloc.io.maps import save_map
+from imgloc.io.scans import save_scans
 from imgloc.model import Hypothesis, Localization, Pose2D
 from imgloc.pipeline import prepare
 
@@ -103,15 +106,54 @@ def test_the_diagram_has_a_dot_where_mass_and_share_meet():
     assert not blue[40 + 390, 70 + 390]
 
 
-def test_the_tool_writes_numbers_and_a_picture(tmp_path):
-    done = subprocess.run(
-        [sys.executable, ROOT / "tools" / "trust.py", "-n", "2", "--picture", tmp_path / "r.png"],
+def test_the_summary_counts_simulated_recorded_and_other_maps():
+    good = Judged(np.array([0.95]), np.array([True]), "unique", False, 3.0)
+    bad = Judged(np.array([0.85, 0.1]), np.array([False, True]), "unique", True, np.nan)
+    none = Judged(np.array([0.4]), np.array([False]), "no-match", False, np.nan)
+    rows, said = summary({"a": [good, bad], "b": [good]}, {"c": [bad, good]}, [none, bad])
+    assert (rows[9].count, rows[8].count, rows[1].count) == (2, 1, 1)
+    assert said["right of mass 0.8 and more"]["hits"] == 2
+    assert said["unique but wrong, simulated"]["hits"] == 1
+    assert said["unique but wrong, recorded"]["trials"] == 2
+    assert said["not unique in another map"]["value"] == 0.5
+    assert {name: said["nees"][name]["trials"] for name in "ab"} == {"a": 1, "b": 1}
+    assert said["recorded"]["c"]["verdicts"] == {"unique": 2}
+    assert said["recorded"]["c"]["nees"]["mean"] == 3.0
+
+
+def run_tool(*words):
+    return subprocess.run(
+        [sys.executable, ROOT / "tools" / "trust.py", *map(str, words)],
         capture_output=True, text=True, check=False,
         env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"},
     )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("--picture", "tools/trust.py"), 1, "exists already"),
+        (("-n", 0), 2, "n must be"),
+        (("--sets", "nowhere/map.yaml"), 4, "scans.npz"),
+    ],
+)
+def test_the_tool_refuses_in_one_line_before_it_measures(words, code, said):
+    done = run_tool(*[ROOT / w if "trust" in str(w) else w for w in words])
+    assert (done.returncode, done.stdout) == (code, "")
+    assert done.stderr.count("\n") == 1
+    assert said in done.stderr
+
+
+def test_the_tool_writes_numbers_and_a_picture(tmp_path):
+    grid = render(WORLDS["curved"](), 0.1)
+    save_map(tmp_path / "map.yaml", grid)
+    save_scans(tmp_path / "scans.npz", simulate_set(grid, 2, 3, Sensor()))
+    words = ("-n", 1, "--picture", tmp_path / "r.png", "--sets", tmp_path / "map.yaml")
+    done = run_tool(*words, "--range-max", 0.31)  # from where a robot can be there is nothing
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
-    assert found["unique but wrong, simulated"]["trials"] == 10
-    assert found["unique but wrong, recorded"]["trials"] == 0
+    assert found["range_max"] == 0.31
+    assert found["unique but wrong, simulated"]["trials"] == 5
+    assert found["recorded"][tmp_path.name]["verdicts"] == {"invalid": 1}
     assert set(found["nees"]) == set(WORLDS)
     assert (tmp_path / "r.png").read_bytes().startswith(b"\x89PNG")

@@ -1,26 +1,34 @@
 """The oracle of the score, and the table of conditions beside it."""
 
+import json
+import subprocess
+import sys
+from dataclasses import fields
+
 import numpy as np
 import pytest
+from command import ROOT
 
+from imgloc.cli.priors import Mounting
 from imgloc.errors import ConfigError
 from imgloc.experiments import robustness as room
-from imgloc.experiments.exhaustive import exhaustive, score_level
-from imgloc.experiments.robustness import (
-    CONDITIONS,
-    base_pose,
-    recorded_row,
-    robustness,
-    upright,
-    upside_down,
-)
+from imgloc.experiments.conditions import CONDITIONS, upside_down
+from imgloc.experiments.exhaustive import exhaustive, joined, score_level
+from imgloc.experiments.recorded import cut_set
+from imgloc.experiments.robustness import Trial, recorded_row, robustness, row_of, tied
 from imgloc.experiments.scansets import Sensor, simulate_set
+from imgloc.experiments.simulate import simulate
 from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.pyramid import Level
+from imgloc.geometry import compose
+from imgloc.io.maps import save_map
+from imgloc.io.scans import ScanSet, save_scans
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.pipeline import Options, localize, prepare
+from imgloc.report.robustness import robustness_table
+from imgloc.search.fused import FusedOptions, Modes
 from imgloc.search.proposals import propose_all
-from imgloc.search.rescore import EvidenceModel
+from imgloc.search.rescore import Evidence, EvidenceModel
 
 
 def test_all_poses_are_tried_and_the_best_come_first():
@@ -38,7 +46,7 @@ def test_the_level_is_the_logarithm_above_the_background():
     walls = np.zeros((20, 30), bool)
     walls[:, 20] = True
     features = prepare(OccupancyGrid(walls, ~walls, 0.1))
-    level = score_level(features, EvidenceModel())
+    level = score_level(features, EvidenceModel(), 1)
     assert level.image[10, 18:23].tolist() == sorted(level.image[10, 18:21]) + sorted(
         level.image[10, 21:23], reverse=True
     )
@@ -46,30 +54,94 @@ def test_the_level_is_the_logarithm_above_the_background():
     assert level.image.max() == 255
 
 
-def test_the_oracle_is_never_below_the_search():
-    grid = render(WORLDS["double_wall"](), 0.1)
+@pytest.mark.parametrize(
+    ("world", "sensor"),
+    [
+        ("double_wall", Sensor(fov=np.pi / 2)),
+        ("curved", Sensor(range_max=5.0)),
+        ("corridor", Sensor(outliers=0.5)),
+    ],
+    ids=["narrow", "short", "disturbed"],
+)
+def test_the_oracle_is_never_below_the_search(world, sensor):
+    grid = render(WORLDS[world](), 0.1)
     features = prepare(grid)
-    scans = simulate_set(grid, 3, 2, Sensor(), render(WORLDS["double_wall"](), 0.01))
-    for scan in scans.scans:
+    for scan in simulate_set(grid, 4, 7, sensor, render(WORLDS[world](), 0.01)).scans:
         best = exhaustive(features, scan, keep=3000)
         answer = localize(features, scan, Options())
-        assert best.evidence.log_likelihood[0] >= answer.hypotheses[0].log_likelihood - 1e-6
+        assert best.evidence.log_likelihood[0] >= answer.hypotheses[0].log_likelihood
+        assert np.all(np.diff(best.evidence.log_likelihood) <= 0)
+        assert best.evidence.crossed.shape == (len(best.poses), len(best.rays))
 
 
-def test_an_upside_down_sensor_is_set_right():
-    angles = np.linspace(-1.0, 1.0, 5)
-    scan = LaserScan(np.arange(1.0, 6.0), angles, range_max=9.0)
-    there = upside_down(scan)
-    assert there.ranges.tolist() == [5, 4, 3, 2, 1]
-    again = upright(there)
-    pairs = {(a, r) for a, r in zip(again.angles, again.ranges, strict=True)}
-    assert pairs == set(zip(angles, scan.ranges, strict=True))
+def test_two_searches_are_joined_without_their_doubles():
+    def found(*told):
+        poses, score = np.array([t[:3] for t in told]), np.array([t[3] for t in told])
+        seen = np.zeros((len(told), 2), bool)
+        return Modes(poses, Evidence(score, seen, seen), np.arange(2))
+
+    a = found((1.0, 1.0, 0.0, 5.0), (9.0, 1.0, 0.0, 4.0))
+    b = found((9.1, 1.0, 0.1, 6.0), (3.0, 3.0, 0.0, 1.0))
+    both = joined(a, b, FusedOptions())
+    assert both.poses.tolist() == [[9.1, 1.0, 0.1], [1.0, 1.0, 0.0], [3.0, 3.0, 0.0]]
+    assert both.evidence.log_likelihood.tolist() == [6, 5, 1]
 
 
-def test_the_base_of_a_mounted_sensor():
-    scan = LaserScan([1.0], [0.0], range_max=9.0, T_base_laser=Pose2D(0.3, 0.0, np.pi / 2))
-    base = base_pose(Pose2D(1.0, 2.0, np.pi / 2), scan)
-    assert [base.x, base.y, base.theta] == pytest.approx([0.7, 2.0, 0.0])
+def test_a_lattice_with_too_many_poses_gets_larger_cells():
+    grid = render(WORLDS["curved"](), 0.1)
+    features = prepare(grid)
+    assert score_level(features, EvidenceModel(), 2).resolution == pytest.approx(0.2)
+    (scan,) = simulate_set(grid, 1, 3, Sensor(), render(WORLDS["curved"](), 0.01)).scans
+    few = 360 * grid.occupied.size // 4
+    best = [exhaustive(features, scan, keep=500, most=m).poses[0] for m in (4 * few, few)]
+    np.testing.assert_allclose(best[0], best[1], atol=0.02)
+
+
+def test_a_sensor_upside_down_sweeps_the_other_way():
+    grid, pose = render(WORLDS["curved"](), 0.1), [(2.9, 4.8, 0.3)]
+    angles = np.linspace(-1.0, 1.0, 41)
+    up, down = (simulate(grid, pose, a, sigma=0.0, range_max=9.0)[0] for a in (angles, -angles))
+    assert not np.allclose(up, down)
+    hanging = upside_down(LaserScan(up, angles, range_max=9.0))
+    np.testing.assert_allclose(hanging.ranges, down, atol=1e-3)
+    # The command's own remedy.
+    told = Mounting(None, flipped=True).mount(hanging)
+    order = np.argsort(told.angles)
+    np.testing.assert_allclose(told.angles[order], angles)
+    np.testing.assert_allclose(told.ranges[order], up)
+    assert Mounting(None, flipped=False).mount(hanging) == hanging
+
+
+def test_the_robots_of_mounted_sensors_are_compared():
+    mount = Pose2D(5.0, 0.0, 0.0)
+    # Sensors 0.87 m apart, on robots at one place turned by 10 degrees; and the other way.
+    turned = compose(Pose2D(0.0, 0.0, np.deg2rad(9.9)), mount)
+    assert tied([turned], np.zeros(1), mount, mount) == (True,)
+    beside = Pose2D(mount.x, mount.y, np.deg2rad(9.9))
+    assert tied([beside], np.zeros(1), mount, mount) == (False,)
+
+
+def test_equal_scores_are_equally_right():
+    here, there, none = Pose2D(0.0, 0.0), Pose2D(9.0, 0.0), Pose2D(0.0, 0.0)
+    scores = np.array([7.0, 6.91, 6.89])
+    assert tied([there, here, here], scores, here, none) == (False, True)
+    assert tied([there, there, here], scores, here, none) == (False, False)
+    assert tied([], np.empty(0), here, none) == ()
+    row = row_of(
+        "some",
+        [
+            Trial((False, True), (True, False), unique=False),
+            Trial((False,), (True,), unique=True),
+            Trial((), (False, False), unique=False),
+            Trial((True,), (True,), unique=True),
+        ],
+    )
+    assert (row.localize.hits, row.oracle.hits, row.behind) == (2, 3, 25)
+    assert (row.localize_first.hits, row.oracle_first.hits) == (1, 3)
+    assert (row.ties.hits, row.unique.hits, row.wrong.hits) == (1, 2, 1)
+    assert "| 50 % [15, 85] | 75 % [30, 95] | 25 | 25 %, 75 % | 25 % | 50 % | 1 of 4 |" in (
+        robustness_table([row])
+    )
 
 
 def test_a_row_for_each_condition_and_a_call_for_each_trial(monkeypatch):
@@ -94,13 +166,103 @@ def test_recorded_scans_are_compared_in_the_map_frame(monkeypatch):
     assert (row.condition, row.localize.hits, row.oracle.hits) == ("a set", 2, 2)
 
 
-def test_conditions_are_those_of_users():
-    names = " ".join(CONDITIONS)
-    for words in ("stopped short", "dropped", "reach", "view", "rays", "map at", "upside down"):
-        assert words in names
+def test_conditions_change_one_thing_each():
+    plain = CONDITIONS["as in the paper"]
+    assert (plain.sensor, plain.cell, plain.flipped) == (Sensor(), 0.1, False)
+    changed = {
+        name: {
+            f.name
+            for f in fields(Sensor)
+            if getattr(c.sensor, f.name) != getattr(plain.sensor, f.name)
+        }
+        | ({"cell"} if c.cell != plain.cell else set())
+        | ({"flipped"} if c.flipped else set())
+        for name, c in CONDITIONS.items()
+    }
+    assert changed.pop("sensor upside down") == {"mount", "flipped"}
+    assert sorted(len(c) for c in changed.values()) == [0] + [1] * 15
+    values = {
+        key: sorted(getattr(CONDITIONS[n].sensor, key) for n, c in changed.items() if c == {key})
+        for key in ("outliers", "dropped", "range_max", "rays")
+    }
+    assert values == {
+        "outliers": [0.1, 0.3, 0.5], "dropped": [0.1], "range_max": [5.0], "rays": [31, 361, 1081]
+    }  # fmt: skip
+    turns = sorted(round(np.rad2deg(c.sensor.fov)) for c in CONDITIONS.values())
+    assert (turns[0], turns[-2:]) == (90, [270, 360])
+    assert sorted(c.cell for c in CONDITIONS.values() if c.cell != 0.1) == [0.025, 0.05, 0.2]
+
+
+def test_a_scan_without_readings_is_no_success_of_anyone():
+    grid = render(WORLDS["curved"](), 0.1)
+    blind = LaserScan(np.full(20, np.inf), np.linspace(-1, 1, 20), range_max=9.0)
+    row = recorded_row("blind", prepare(grid), ScanSet((blind,), poses=np.zeros((1, 3))))
+    assert (row.localize.hits, row.oracle.hits, row.ties.hits, row.unique.hits) == (0, 0, 0, 0)
 
 
 @pytest.mark.parametrize("wrong", [{"n": 0}, {"worlds": ["moon"]}, {"conditions": ["in the rain"]}])
 def test_refuses(wrong):
     with pytest.raises(ConfigError):
         robustness(**wrong)
+
+
+# --- the tool
+
+
+@pytest.fixture
+def recorded_set(tmp_path):
+    """A map with three scans beside it."""
+    grid = render(WORLDS["curved"](), 0.1)
+    (tmp_path / "here").mkdir()
+    save_map(tmp_path / "here" / "map.yaml", grid)
+    save_scans(tmp_path / "here" / "scans.npz", simulate_set(grid, 3, 3, Sensor()))
+    return tmp_path / "here" / "map.yaml"
+
+
+def run_tool(*words):
+    return subprocess.run(
+        [sys.executable, ROOT / "tools" / "robustness.py", "--threads", "1", *map(str, words)],
+        capture_output=True, text=True, check=False,
+        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"},
+    )  # fmt: skip
+
+
+def test_the_tool_measures_recorded_sets(recorded_set, tmp_path):
+    out = tmp_path / "out.json"
+    words = ("-n", 2, "--sets", recorded_set, recorded_set, "--out", out)
+    done = run_tool(*words)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("\n| here | 100 % ") == 2
+    found = json.loads(out.read_text())
+    assert (found["n"], found["sets"], found["range_max"]) == (2, ["here", "here"], 20.0)
+    assert [row["oracle"]["trials"] for row in found["rows"]] == [2, 2]
+    again = run_tool(*words)
+    assert (again.returncode, "Traceback" in again.stderr) == (1, False)
+    assert "exists already" in again.stderr
+    # Within 0.4 m of a robot with a clearance of 0.3 m there is little to see.
+    short = run_tool(*words, "--range-max", 0.4, "--force")
+    assert (short.returncode, "| here | 0 % " in short.stdout) == (0, True)
+    assert json.loads(out.read_text())["range_max"] == 0.4
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("-n", 0, "--sets", "map.yaml"), 2, "at least 1"),
+        (("-n", 0), 2, "at least 1"),
+        (("--sets", "nowhere/map.yaml"), 4, "scans.npz"),
+        (("--threads", 0), 2, "at least 1"),
+    ],
+)
+def test_the_tool_refuses_in_one_line(words, code, said):
+    done = run_tool(*words)
+    assert (done.returncode, done.stderr.count("\n")) == (code, 1)
+    assert said in done.stderr
+
+
+def test_a_shorter_reach_is_positive():
+    scans = ScanSet((LaserScan([1.0, 3.0], [0.0, 1.0], range_max=9.0),), poses=np.zeros((1, 3)))
+    assert cut_set(scans, 2.0).scans[0].valid.tolist() == [True, False]
+    assert cut_set(scans, 20.0).scans[0].range_max == 9.0
+    with pytest.raises(ConfigError, match="reach"):
+        cut_set(scans, 0.0)

@@ -1,5 +1,7 @@
 """Priors: which poses are in them, and what a search makes of them."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -60,9 +62,63 @@ def test_around_covers_the_cells_and_their_neighbours():
     assert Prior().around((1, 6), 1.0, 0.5) is None
 
 
+def test_around_covers_map_cells_that_are_larger_than_its_own():
+    two = Prior(np.array([[False, False, True]])).around((5, 15), 0.2, 1.0)
+    assert two[:, 10:].all()  # all of the metre that is in the set
+    assert not two[:, :9].any()
+
+
+def test_around_takes_no_more_memory_than_the_map():
+    cells = np.ones((2000, 2000), bool)
+    tracemalloc.start()
+    try:
+        assert Prior(cells).around((500, 500), 0.2, 0.05).all()
+        assert tracemalloc.get_traced_memory()[1] < cells.size
+    finally:
+        tracemalloc.stop()
+
+
+def test_what_is_just_outside_is_moved_to_the_nearest_cell_and_heading():
+    prior = Prior(CELLS, (np.pi, 0.2))
+    poses = [[0.9, 0.5, 3.0], [3.3, 0.9, np.pi - 0.3], [1.5, 0.5, -np.pi + 0.4], [1.2, 0.3, 3.1]]
+    moved = prior.nearest(np.array(poses), 1.0)
+    assert prior.admits(moved, 1.0).all()
+    expected = [[1, 0.5, 3.0], [3, 0.9, np.pi - 0.2], [1.5, 0.5, -np.pi + 0.2], [1.2, 0.3, 3.1]]
+    np.testing.assert_allclose(moved, expected, atol=1e-5)
+    assert moved[3].tolist() == poses[3]  # to the last bit
+    assert Prior().nearest(np.array(poses), 1.0).tolist() == poses
+
+
+def test_what_is_far_outside_is_left_out():
+    prior = Prior(np.eye(1, 20, dtype=bool), (0.0, 0.2))
+    poses = np.array([[0.55, 0.05, 0.0], [0.75, 0.05, 0.0], [0.05, 0.05, 0.5], [0.05, 0.05, 0.4]])
+    np.testing.assert_allclose(
+        prior.nearest(poses, 0.1), [[0.1, 0.05, 0], [0.05, 0.05, 0.2]], atol=1e-5
+    )
+
+
+def test_the_nearest_cell_is_the_nearest():
+    rng = np.random.default_rng(0)
+    cells = rng.random((40, 30)) < 0.01
+    poses = np.column_stack((rng.uniform((-0.2, -0.2), (3.2, 4.2), (200, 2)), np.zeros(200)))
+    moved = Prior(cells).nearest(poses, 0.1)
+    at = np.argwhere(cells)
+    away = np.sqrt(np.square(np.floor(poses[:, None, 1::-1] / 0.1) - at).sum(axis=2)).min(axis=1)
+    assert len(moved) == np.count_nonzero(away <= 5)  # 0.5 m
+    kept = poses[away <= 5]
+    np.testing.assert_allclose(
+        np.hypot(*(np.floor(moved[:, :2] / 0.1) - np.floor(kept[:, :2] / 0.1)).T), away[away <= 5]
+    )
+
+
 def test_near_is_a_disc_of_centres():
     disc = near(GridInfo(3, 3, 1.0), 1.5, 1.5, 1.0)
     assert disc.astype(int).tolist() == [[0, 1, 0], [1, 1, 1], [0, 1, 0]]
+
+
+def test_near_holds_the_cell_of_the_point_however_small_the_radius():
+    assert np.argwhere(near(GridInfo(3, 3, 1.0), 1.05, 2.95, 0.01)).tolist() == [[2, 1]]
+    assert not near(GridInfo(3, 3, 1.0), 3.05, 2.95, 0.01).any()  # off the map
 
 
 def test_clearance_is_from_walls_unknown_cells_and_the_edge():
@@ -71,6 +127,15 @@ def test_clearance_is_from_walls_unknown_cells_and_the_edge():
     roomy = clearance(OccupancyGrid(np.zeros((7, 9), bool), free, 0.5), 1.0)
     assert np.argwhere(roomy).min(axis=0).tolist() == [2, 2]
     assert np.argwhere(roomy).max(axis=0).tolist() == [4, 5]
+
+
+def test_clearance_at_a_corner_is_that_of_the_centre_less_half_a_cell():
+    free = np.ones((5, 5), bool)
+    free[0, 0] = False
+    grid = OccupancyGrid(~free, free, 1.0)
+    # The corner of the wall is 0.707 m from the centre of the cell beside it.
+    assert clearance(grid, 0.9)[1, 1]
+    assert not clearance(grid, 0.92)[1, 1]
 
 
 @pytest.mark.parametrize("radius", [0.0, -1.0, np.nan, np.inf])
@@ -123,6 +188,18 @@ def test_what_would_be_crowded_out_is_found(visibility):
     told = localize(features, scans[0], Options(fused=few, prior=known))
     assert np.hypot(without.pose.x - x, without.pose.y - y) > 1  # a twin took the places
     assert np.hypot(told.pose.x - x, told.pose.y - y) < 0.1
+
+
+@pytest.mark.parametrize("index", [0, 1, 2])
+@pytest.mark.parametrize(("radius", "tolerance"), [(0.01, 0.005), (0.05, 0.02)])
+def test_a_tight_prior_beside_the_best_pose_is_no_mismatch(visibility, index, radius, tolerance):
+    features, scans = visibility
+    x, y, theta = scans.poses[index] + (0.08, -0.06, 0.03)  # as well as poses are known
+    prior = Prior(near(features.grid.info, x, y, radius), (float(theta), tolerance))
+    answer = localize(features, scans[index], Options(prior=prior))
+    assert answer.verdict == "unique"
+    assert abs(answer.pose.theta - np.angle(np.exp(1j * theta))) < tolerance + 1e-6
+    assert np.hypot(answer.pose.x - x, answer.pose.y - y) < radius + 0.1  # a cell
 
 
 def test_a_prior_without_a_pose_is_refused(visibility):

@@ -61,6 +61,14 @@ def test_the_order_of_the_maps_does_not_matter() -> None:
     assert choose({"a": a, "b": b}) == choose({"b": b, "a": a})
 
 
+def test_a_scan_that_is_invalid_everywhere_says_nothing_of_its_map() -> None:
+    blind = Fit(Localization((), "invalid", 0.0, 0.0), np.empty(0), np.empty(0), 1, 1.5)
+    choice = choose({"a": blind, "b": blind})
+    assert choice.verdict == "invalid"
+    assert list(choice.probability) == ["a", "b"]
+    assert np.isnan([choice.none, *choice.probability.values()]).all()
+
+
 def test_something_to_choose_from_is_needed() -> None:
     with pytest.raises(ConfigError, match="at least one map"):
         choose({})
@@ -123,6 +131,32 @@ def test_a_map_that_cannot_be_used_is_left_out(folder: Path, tmp_path: Path) -> 
     (tmp_path / "good.yaml").unlink()
     run = call("which", tmp_path, folder / "scans.npz")
     assert (run.code, run.out) == (3, "")
+
+
+def test_a_scan_without_readings_is_invalid(folder: Path, tmp_path: Path) -> None:
+    np.savez(tmp_path / "blind.npz", ranges=np.full((1, 90), np.nan), angles=np.arange(90) / 90)
+    (row,) = rows(call("which", folder / "floors", tmp_path / "blind.npz", "--json").out)
+    assert (row["verdict"], row["none"]) == ("invalid", None)
+    assert [m["probability"] for m in row["maps"]] == [None, None]
+    line = call("which", folder / "floors", tmp_path / "blind.npz").out.splitlines()[1]
+    assert line.split() == ["0", "invalid", "-", "-", "too", "few", "readings"]
+
+
+def test_too_little_memory_is_no_fault_of_the_maps(folder: Path) -> None:
+    words = (folder / "scans.npz", "--memory-budget", "8M")
+    run = call("which", folder / "floors", *words)
+    assert (run.code, run.out) == (2, "")
+    assert run.code == call("localize", folder / "floors" / "curved.yaml", *words).code
+    assert run.err.count("the budget is 8 MiB") == 2
+
+
+def test_a_sensor_upside_down(folder: Path, tmp_path: Path) -> None:
+    data = dict(np.load(folder / "scans.npz"))
+    data["angles"] = -data["angles"]
+    np.savez(tmp_path / "flipped.npz", **data)
+    words = ("which", folder / "floors")
+    told = call(*words, tmp_path / "flipped.npz", "--flipped", "--json").out
+    assert told == call(*words, folder / "scans.npz", "--json").out
 
 
 @pytest.mark.parametrize("where", ["nowhere", "."])

@@ -5,16 +5,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from imgloc.cli.priors import base_of
 from imgloc.cli.tables import as_plain
+from imgloc.geometry import base_of
 from imgloc.model import Localization, Pose2D
-
-HEADER = (
-    f"{'index':>6}  {'verdict':<10} {'x / m':>10} {'y / m':>10} {'theta / deg':>12} "
-    f"{'mass':>8} {'explained':>10}"
-)
-"""Above the lines of :func:`as_line`."""
-
 
 SURE = ("unique", "ambiguous")
 """Verdicts under which there is a pose to be named; the others list what fits best at most."""
@@ -57,6 +50,7 @@ def as_json(
             | ({} if mount is None else {"base": _pose(base_of(h.pose, mount))})
             for h in answer.hypotheses
         ],
+        "elsewhere": answer.elsewhere,
         "complete": answer.complete,
         "entropy": answer.entropy,
         "explained": answer.explained,
@@ -91,16 +85,41 @@ def plain(value: Any) -> Any:
     return value
 
 
-def as_line(index: int, answer: Localization) -> str:
-    """Return one line of text for one scan, to stand below :data:`HEADER`."""
-    start = f"{index:>6}  {answer.verdict:<10} "
-    if answer.pose is None:
-        return start + f"{'-':>10} {'-':>10} {'-':>12} {'-':>8} {'-':>10}"
-    pose, mass = answer.pose, answer.hypotheses[0].mass
-    return start + (
-        f"{pose.x:10.3f} {pose.y:10.3f} {math.degrees(pose.theta):12.2f} "
-        f"{100 * mass:6.1f} % {100 * answer.explained:8.1f} %"
+def header(mount: Pose2D | None = None) -> str:
+    """Return what stands above the lines of :func:`as_line`."""
+    place = f"{'x / m':>10} {'y / m':>10} {'theta / deg':>12}"
+    base = f"  {'base x':>10} {'base y':>10} {'base theta':>12}"
+    return (
+        f"{'index':>6}  {'verdict':<10} {place} {'mass':>8} {'explained':>10}"
+        f"{'' if mount is None else base}"
     )
+
+
+def as_line(index: int, answer: Localization, mount: Pose2D | None = None) -> str:
+    """Return one line of text for one scan, to stand below :func:`header`.
+
+    Parameters
+    ----------
+    index : int
+        Of the scan in its file.
+    answer : Localization
+    mount : Pose2D, optional
+        Pose of the sensor on the robot, to state the robot's.
+    """
+    start = f"{index:>6}  {answer.verdict:<10} "
+    late = "" if answer.complete else "  out of time"
+    if answer.pose is None:
+        base = "" if mount is None else f"  {'-':>10} {'-':>10} {'-':>12}"
+        return start + f"{'-':>10} {'-':>10} {'-':>12} {'-':>8} {'-':>10}{base}{late}"
+    mass = answer.hypotheses[0].mass
+    base = "" if mount is None else f"  {_columns(base_of(answer.pose, mount))}"
+    return start + (
+        f"{_columns(answer.pose)} {100 * mass:6.1f} % {100 * answer.explained:8.1f} %{base}{late}"
+    )
+
+
+def _columns(pose: Pose2D) -> str:
+    return f"{pose.x:10.3f} {pose.y:10.3f} {math.degrees(pose.theta):12.2f}"
 
 
 def as_text(

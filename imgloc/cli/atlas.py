@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from imgloc.cli.console import emit, progress, say
+from imgloc.cli.files import check_target, files_of
 from imgloc.cli.options import (
     AllowLossy,
     AsJson,
     Force,
     MapPath,
     Reading,
-    check_range,
-    check_target,
     console,
     count_threads,
     reading,
     with_options,
 )
 from imgloc.cli.sensor import sensor
+from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def atlas(
     right one), ambiguous (several fit; lines lead to the twins), no-match, or wrong (unique, but
     elsewhere). An interrupted run goes on where it stopped: its rows are kept in PNG.part.
     """
-    check_target(out, ".png", force=force)
+    check_target(out, ".png", force=force, inputs=files_of(map_path))
     if csv is not None:
         check_target(csv, ".csv", force=force)
     check_range("--step", step, 0.02, 1000, "metres")
@@ -73,7 +73,7 @@ def atlas(
 
     from imgloc.cli.answers import to_json
     from imgloc.cli.pictures import write_picture
-    from imgloc.cli.sources import find_map, load_usable
+    from imgloc.cli.sources import load_usable
     from imgloc.draw.atlas import draw_atlas
     from imgloc.experiments.atlas import TOP, atlas_poses, survey
     from imgloc.io.atlasrows import Journal, as_csv
@@ -83,12 +83,11 @@ def atlas(
     from imgloc.model import Pose2D
     from imgloc.pipeline import Options
 
-    path = find_map(map_path)
-    grid = load_usable(path, reading, allow_lossy=allow_lossy)
+    grid = load_usable(map_path, reading, allow_lossy=allow_lossy)
     poses = atlas_poses(grid, step, headings, sensor.clearance)
     if len(poses) > _MOST:
         raise ConfigError(
-            f"{display(path)}: {len(poses):,} poses, expected at most {_MOST:,}; "
+            f"{display(map_path)}: {len(poses):,} poses, expected at most {_MOST:,}; "
             "use a larger --step or fewer --headings"
         )
     chosen = replace(sensor, range_max=range_max)
@@ -104,7 +103,7 @@ def atlas(
         say(f"going on after {done} of {len(poses)} poses")
     processes = min(count_threads(workers), max(1, (len(poses) - done) // 8))
     options = Options(top=TOP, threads=1)
-    scans = _scans(path, grid, poses, chosen, seed)[done:]
+    scans = _scans(map_path, grid, poses, chosen, seed)[done:]
     try:
         with progress("atlas", len(scans), lines=False) as advance:
             for spot in survey(grid, scans, options, workers=processes):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from imgloc.cli.console import LOG, emit, progress, say
+from imgloc.cli.files import check_target, find_map
 from imgloc.cli.methodlists import for_each, methods_of
 from imgloc.cli.options import (
     AllowLossy,
@@ -15,15 +16,14 @@ from imgloc.cli.options import (
     MethodName,
     Reading,
     Threads,
-    check_range,
-    check_target,
     console,
     count_threads,
     reading,
     with_options,
 )
 from imgloc.cli.sensor import sensor
-from imgloc.cli.sources import find_map, load_usable
+from imgloc.cli.sources import load_usable
+from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -79,7 +79,8 @@ def calibrate(
 
     A stack of votes or log-likelihoods becomes a probability by a blur in x, y and theta and an
     exponent; those with the greatest S (eq. 12) are stored in MAP.calibration.json with the hash of
-    the map, where localize and evaluate find them. Without that file they use defaults.
+    the map, where localize and evaluate find them. Without that file they use defaults. With
+    --force what the file has of other methods is kept.
     """
     chosen = methods_of(methods, _STACKS)
     steps = for_each("--theta-step-deg", theta_step_deg, chosen, 0.05, 180, "degrees")
@@ -90,7 +91,7 @@ def calibrate(
     import numpy as np
 
     from imgloc.cli import answers, tables
-    from imgloc.experiments.calibrate import disturbed_set, fit, sweep
+    from imgloc.experiments.calibrate import check_trials, disturbed_set, fit, sweep
     from imgloc.experiments.scansets import fine_image, simulate_set
     from imgloc.io.calibration import calibration_path, save_calibrations
     from imgloc.io.files import display
@@ -100,8 +101,14 @@ def calibrate(
     targets = [calibration_path(path) for path in paths]
     if len(set(targets)) < len(targets):
         raise ConfigError("MAP...: the same map twice, or two that would share a file")
-    for target in [] if dry_run else targets:
+    for given, path, target in [] if dry_run else zip(maps, paths, targets, strict=True):
+        if path != given:
+            raise ConfigError(
+                f"{given}: of a bundled map it would be kept in {display(target)}, among the files "
+                f"of imgloc; give {display(path)} if that is meant, else --dry-run or a copy"
+            )
         check_target(target, ".json", force=force)
+    check_trials(count * len(paths))
     workers = count_threads(threads)
     cv2.setNumThreads(workers)
     laser = replace(sensor, range_max=range_max)
@@ -133,19 +140,18 @@ def calibrate(
         "sensor": asdict(laser),
         "clean": clean,
         "cell": cell,
-        "theta_step_deg": steps,
-        "index": {
-            m: {"calibrated": asdict(f.index), "bare": asdict(f.bare)} for m, f in fits.items()
-        },
     }
+    index = {m: {"calibrated": asdict(f.index), "bare": asdict(f.bare)} for m, f in fits.items()}
     if as_json:
         fitted = {method: asdict(f.calibration) for method, f in fits.items()}
-        emit(answers.to_json({"methods": fitted, "about": about}))
+        more = {"theta_step_deg": steps, "index": index}
+        emit(answers.to_json({"methods": fitted, "about": about | more}))
     else:
         emit(tables.as_plain(_COLUMNS, [_row(m, f) for m, f in fits.items()], left=1))
     for target, grid in [] if dry_run else zip(targets, grids, strict=True):
         fitted_here = {method: f.calibration for method, f in fits.items()}
-        plain = answers.plain(about)
+        each = {m: {"theta_step_deg": steps.get(m), "index": index[m]} for m in fits}
+        plain = answers.plain({m: about | more for m, more in each.items()})
         save_calibrations(target, grid, fitted_here, plain, force=force)
         say(f"wrote {display(target)}")
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from imgloc.cli.console import LOG, emit
+from imgloc.cli.files import check_target
 from imgloc.cli.options import (
     Force,
     Threads,
-    check_target,
     console,
     count_threads,
     with_options,
@@ -58,15 +58,17 @@ def demo(
     likelihood of CBML, which takes one side of a wall for the other, and the scan at each
     hypothesis of the answer.
     """
+    from imgloc.io.bundled import bundled_maps
+
     target = out or _OUT
+    maps = bundled_maps()
     if out is not None:
-        check_target(out, ".png", force=force)
+        check_target(out, ".png", force=force, inputs=maps.glob("*.png"))
 
     import cv2
 
     from imgloc.cli import answers
     from imgloc.experiments.simulate import simulate_scans
-    from imgloc.io.bundled import bundled_maps
     from imgloc.io.files import display
     from imgloc.io.maps import load_map
     from imgloc.model import LaserScan, Pose2D
@@ -74,7 +76,7 @@ def demo(
 
     workers = count_threads(threads)
     cv2.setNumThreads(workers)
-    path = bundled_maps() / f"{name.value}.yaml"
+    path = maps / f"{name.value}.yaml"
     grid = load_map(path)
     features = prepare(grid, name.value, threads=workers)
     ranges, angles, poses = simulate_scans(grid, 1, seed)

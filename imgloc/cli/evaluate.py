@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from imgloc.cli.console import LOG, emit, progress
+from imgloc.cli.files import find_map
 from imgloc.cli.methodlists import for_each, methods_of, number_of
 from imgloc.cli.options import (
     AllowLossy,
     AsJson,
+    Flipped,
+    MemoryBudget,
     MethodName,
     Reading,
     Threads,
-    check_range,
     console,
     count_threads,
     reading,
@@ -24,12 +26,13 @@ from imgloc.cli.options import (
 from imgloc.cli.sensor import sensor
 from imgloc.cli.sources import (
     check_sources,
-    find_map,
     load_usable,
     recorded,
     short_name,
     simulated,
 )
+from imgloc.cli.values import check_range
+from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
     from imgloc.experiments.scansets import Sensor
@@ -71,6 +74,7 @@ def evaluate(
     sample_seed: Annotated[
         int, typer.Option(min=0, metavar="N", help="Seed that decides which.")
     ] = 1,
+    flipped: Flipped = False,
     tolerance: Annotated[
         list[str] | None,
         typer.Option(
@@ -93,6 +97,7 @@ def evaluate(
     ] = 1e-3,
     as_json: AsJson = False,
     threads: Threads = None,
+    memory_budget: MemoryBudget = None,
     allow_lossy: AllowLossy = False,
 ) -> None:
     """Measure methods on scans whose poses are known: simulated at random, or recorded.
@@ -107,15 +112,17 @@ def evaluate(
     chosen = methods_of(methods, list(MethodName))
     steps = for_each("--theta-step-deg", theta_step_deg, chosen, 0.05, 180, "degrees")
     cells = for_each("--cell", cell, chosen, 0.001, 10, "metres")
-    check_range("--range-max", range_max, 1e-3, 10_000, "metres")
+    check_range("--range-max", range_max, 1e-3, 10_000 if scans is None else 1e6, "metres")
     check_range("--floor", floor, 1e-12, 0.5, "a share")
     tolerances = [_tolerance(text) for text in tolerance or ()]
-    check_sources(maps, scans, count, sample, sensor)
+    check_sources(maps, scans, count, sample, sensor, flipped=flipped)
 
     import cv2
     import numpy as np
 
     from imgloc.cli import answers, tables
+    from imgloc.cli.budgets import check_answer
+    from imgloc.cli.prepared import open_features
     from imgloc.experiments import evaluate as experiment
     from imgloc.experiments.summary import TOLERANCES, Tolerance
     from imgloc.io.calibration import calibration_path, load_calibrations
@@ -133,20 +140,28 @@ def evaluate(
         source: dict[str, object] = {"map": display(path)}
         if scans is None:
             laser = replace(sensor, range_max=30.0 if range_max is None else range_max)
-            trials = simulated(path, grid, count or 100, seed, laser)
+            trials = simulated(path, grid, count or 100, seed, laser, memory_budget)
             source |= {"seed": seed, "sensor": asdict(laser)}
         else:
-            trials = recorded(scans[k], sample, sample_seed, range_max)
+            trials = recorded(scans[k], sample, sample_seed, range_max, flipped=flipped)
             source |= {"scans": display(scans[k]), "sample": sample, "sample_seed": sample_seed}
-            source |= {"range_max": range_max}
+            source |= {"range_max": range_max, "flipped": flipped}
+        plans = []
         for method in chosen:
-            step = steps.get(method)
+            step, side = steps.get(method), cells.get(method, 0.1)
             options = experiment.method_options(
                 method, None if step is None else float(np.deg2rad(step)), workers
             )
-            options = replace(options, calibration=calibrations.get(method))
+            options = replace(
+                options, calibration=calibrations.get(method), memory_budget=memory_budget
+            )
+            # All of them before the first one takes its time.
+            features = open_features(grid, display(path), None, memory_budget, cell=side)
+            check_answer(features, options, display(path), memory_budget)
+            plans.append((method, side, options))
+        for method, side, options in plans:
             # Each method has features of its own: their bytes are what it needs.
-            features = prepare(grid, display(path), cell=cells.get(method, 0.1), threads=workers)
+            features = prepare(grid, display(path), cell=side, threads=workers)
             with progress(f"{name}: {method}", len(trials), lines=False) as advance:
                 result = experiment.evaluate(
                     features, trials, options, tolerances=within, floor=floor, advance=advance
@@ -167,7 +182,9 @@ def evaluate(
 
 
 def _tolerance(text: str) -> tuple[float, float]:
-    metres, _, degrees = text.partition(",")
+    metres, comma, degrees = text.partition(",")
+    if not comma:
+        raise ConfigError(f"--tolerance: got {text!r}, expected metres and degrees, M,DEG")
     values = number_of("--tolerance", metres), number_of("--tolerance", degrees)
     check_range("--tolerance", values[0], 1e-6, 1e6, "metres")
     check_range("--tolerance", values[1], 1e-6, 360, "degrees")

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from imgloc import __version__
 from imgloc.cli.answers import difference
-from imgloc.cli.priors import base_of
 from imgloc.explain import explain
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.geometry import base_of
 from imgloc.io.output import write_text_atomic
 from imgloc.model import LaserScan, Localization, Pose2D
 from imgloc.pipeline import Options

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, quiet_libraries
+from imgloc.cli.files import check_target, files_of
 from imgloc.cli.options import (
     AllowLossy,
     AsJson,
@@ -18,8 +19,6 @@ from imgloc.cli.options import (
     Reading,
     ScansPath,
     Threads,
-    check_range,
-    check_target,
     console,
     count_threads,
     cut_scan,
@@ -27,6 +26,7 @@ from imgloc.cli.options import (
     with_options,
 )
 from imgloc.cli.priors import Known, Mounting, known, mounting, prior_of
+from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -124,8 +124,9 @@ def localize(
         raise ConfigError("--cache and --no-cache: expected one of them")
     if engine != EngineName.AUTO and method not in (MethodName.CBML, MethodName.CBML_O):
         raise ConfigError(f"--engine: {method.value} does not correlate; use cbml or cbml-o")
+    inputs = [*files_of(map_path), *([] if known.region is None else [known.region])]
     if picture is not None:
-        check_target(picture, ".png", force=force)
+        check_target(picture, ".png", force=force, inputs=inputs)
     if explain is not None:
         check_target(explain, ".html", force=force)
 
@@ -139,11 +140,9 @@ def localize(
     from imgloc.io.files import display
     from imgloc.io.maps import load_map
     from imgloc.io.scans import load_scans
-    from imgloc.model import Pose2D
     from imgloc.pipeline import check_options
     from imgloc.pipeline import localize as locate
 
-    not_said = Pose2D(0.0, 0.0, 0.0)
     workers = count_threads(threads)
     cv2.setNumThreads(workers)
     options = _options(method, top, theta_step_deg, engine, workers)
@@ -154,7 +153,7 @@ def localize(
         memory_budget=memory_budget,
         time_budget=time_budget,
         exact=exact_argmax,
-        prior=prior_of(known, grid),
+        prior=prior_of(known, grid, allow_lossy=allow_lossy),
         calibration=load_calibrations(calibration_path(map_path), grid).get(method.value),
     )
     folder = cache_folder(cache, wanted=not no_cache)
@@ -163,10 +162,10 @@ def localize(
     )
     scans = load_scans(scans_path)
     chosen = _choose(scans, index, display(scans_path))
-    many = len(chosen) > 1
+    many, mount = len(chosen) > 1, mounting.pose
     targets = {k: picture_name(picture, k, many) for k in chosen} if picture is not None else {}
     for target in targets.values():
-        check_target(target, ".png", force=force)
+        check_target(target, ".png", force=force, inputs=inputs)
     pages = {k: picture_name(explain, k, many) for k in chosen} if explain is not None else {}
     for page in pages.values():
         check_target(page, ".html", force=force)
@@ -174,12 +173,11 @@ def localize(
     LOG.info("%s: %d of %d scans", display(scans_path), len(chosen), len(scans))
     check_options(features, options)
     if many and not as_json:
-        emit(answers.HEADER)
+        emit(answers.header(mount))
     doubtful = 0
     with progress("localize", len(chosen)) as advance:
         for k in chosen:
             scan = mounting.mount(cut_scan(scans[k], range_max))
-            mount = scan.T_base_laser if mounting.sensor or scan.T_base_laser != not_said else None
             answer = locate(features, scan, options)
             truth = _truth(scans, k)
             doubtful += answer.verdict != "unique"
@@ -202,9 +200,10 @@ def localize(
                 LOG.info("wrote %s", display(pages[k]))
             advance()
             if as_json:
-                emit(answers.as_json(k, answer, {"range_max": scan.range_max}, mount))
+                about = {"range_max": scan.range_max, **mounting.about}
+                emit(answers.as_json(k, answer, about, mount))
             elif many:
-                emit(answers.as_line(k, answer))
+                emit(answers.as_line(k, answer, mount))
             else:
                 emit(answers.as_text(f"scan {k}", answer, truth, mount))
     if folder is not None:

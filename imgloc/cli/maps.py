@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from imgloc.cli.console import emit, quiet_libraries, say
+from imgloc.cli.files import check_target, files_of
 from imgloc.cli.options import (
     AllowLossy,
     AsJson,
     Force,
     MapPath,
+    MemoryBudget,
     Reading,
-    check_range,
-    check_target,
     console,
-    numbers,
     reading,
     with_options,
 )
+from imgloc.cli.values import check_range, numbers
 from imgloc.errors import ConfigError, MapError
 
 if TYPE_CHECKING:
@@ -129,43 +129,55 @@ def show(
         ),
     ] = None,
     sigma: Annotated[
-        float, typer.Option(metavar="M", help="Blur of bmap and vmap, standard deviation, metres.")
-    ] = 0.1,
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Blur of bmap and vmap, standard deviation, metres. [default: 0.1]",
+        ),
+    ] = None,
     cell: Annotated[
         float | None, typer.Option(metavar="M", help="Cell of bmap and vmap, metres.")
     ] = None,
+    memory_budget: MemoryBudget = None,
     force: Force = False,
     allow_lossy: AllowLossy = False,
 ) -> None:
     """Draw a map, or what is computed from it, into a PNG."""
-    check_target(out, ".png", force=force)
+    check_target(out, ".png", force=force, inputs=files_of(map_path))
     check_range("--sigma", sigma, 0.001, 100, "metres")
     check_range("--cell", cell, 0.001, 10, "metres")
     if at is not None and what != Subject.VISIBILITY:
         raise ConfigError("--at: only --what visibility is drawn at a point")
+    for option, value in (("--sigma", sigma), ("--cell", cell)):
+        if value is not None and what not in (Subject.BMAP, Subject.VMAP):
+            raise ConfigError(f"{option}: only --what bmap and --what vmap are blurred")
+    from imgloc.cli.budgets import check_picture
     from imgloc.cli.pictures import write_picture
-    from imgloc.draw import draw_map
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.io.files import display
     from imgloc.io.maps import load_map, require_usable
 
     with quiet_libraries():
         grid = load_map(map_path, **reading, allow_lossy=allow_lossy)
-    if what == Subject.MAP:
-        picture = draw_map(grid)
-    else:
+    features = MapFeatures(grid, cell=cell or grid.resolution, sigma=sigma or 0.1)
+    if what != Subject.MAP:
         require_usable(grid, display(map_path))
-        features = MapFeatures(grid, cell=grid.resolution if cell is None else cell, sigma=sigma)
-        picture = _draw(features, what, at)
+    check_picture(features, what.value, display(map_path), memory_budget)
+    picture = draw_subject(features, what, at)
     write_picture(out, picture, force=force)
     say(f"wrote {display(out)}: {what.value}, {picture.shape[1]} x {picture.shape[0]} pixels")
 
 
-def _draw(features: "MapFeatures", what: Subject, at: tuple[float, float] | None) -> "Picture":
-    from imgloc.draw import draw_field, draw_surface
+def draw_subject(
+    features: "MapFeatures", what: Subject, at: tuple[float, float] | None
+) -> "Picture":
+    """Draw a map, or one of its features; what is seen from a point, from the one next to `at`."""
+    from imgloc.draw import draw_field, draw_map, draw_surface
     from imgloc.draw.scalars import draw_bmap, draw_distance
 
     grid, lattice = features.grid, features.lattice
+    if what == Subject.MAP:
+        return draw_map(grid)
     if what == Subject.BMAP:
         return draw_bmap(features.bmap, lattice)
     if what == Subject.VMAP:
@@ -182,7 +194,7 @@ def _draw_fan(features: "MapFeatures", at: tuple[float, float] | None) -> "Pictu
     import numpy as np
 
     from imgloc.draw import draw_visibility
-    from imgloc.geometry import inverse, transform_points
+    from imgloc.geometry import cell_of, inside, inverse, transform_points
 
     grid, surface = features.grid, features.surface
     if len(surface) == 0:
@@ -194,6 +206,10 @@ def _draw_fan(features: "MapFeatures", at: tuple[float, float] | None) -> "Pictu
         best = int(np.argmax((np.asarray(vis, dtype=np.float64) ** 2).sum(axis=0)))
     else:
         there = transform_points(inverse(grid.origin), np.array([at]))
+        if not inside(cell_of(there, grid.resolution), grid.info).all():
+            raise ConfigError(
+                f"--at: {at[0]:g},{at[1]:g} is not on the map, expected a point of it"
+            )
         best = int(np.argmin(np.hypot(*(surface.xy - there).T)))
     alpha = float(np.nan_to_num(surface.alpha[best]))
     return draw_visibility(

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from imgloc.cli.options import check_range
+from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
 

@@ -2,9 +2,7 @@
 
 import functools
 import inspect
-import math
 import os
-import re
 from collections.abc import Callable
 from dataclasses import replace
 from enum import StrEnum
@@ -14,7 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict, TypeVar
 import typer
 
 from imgloc.cli.console import configure
-from imgloc.errors import ConfigError, OutputError
+from imgloc.cli.files import find_map
+from imgloc.cli.values import byte_count, check_yaw, numbers
+from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
     from imgloc.model import LaserScan
@@ -69,49 +69,20 @@ class Reading(TypedDict):
     negate: bool | None
 
 
-_UNITS = {"": 0, "K": 10, "M": 20, "G": 30, "T": 40}
-
-
-def byte_count(text: str) -> int:
-    """Parse a number of bytes, with a unit of powers of 1024 or none.
-
-    Examples
-    --------
-    >>> byte_count("512M") == 512 * 1024**2, byte_count("1.5GiB") == 3 * 2**29
-    (True, True)
-    """
-    found = re.fullmatch(r"(\d+(?:\.\d*)?)\s*([KMGT]?)(?:i?B)?", text.strip(), re.IGNORECASE)
-    if found is None:
-        raise typer.BadParameter(f"got {text!r}, expected a number of bytes such as 512M or 2G")
-    return int(float(found[1]) * (1 << _UNITS[found[2].upper()]))
-
-
-def numbers(count: int) -> Callable[[str], tuple[float, ...]]:
-    """Return a parser of `count` finite numbers with commas between them.
-
-    Examples
-    --------
-    >>> numbers(3)("1,-2.5,0")
-    (1.0, -2.5, 0.0)
-    """
-
-    def parse(text: str) -> tuple[float, ...]:
-        try:
-            values = tuple(float(word) for word in text.split(","))
-        except ValueError:
-            values = ()
-        if len(values) != count or not all(map(math.isfinite, values)):
-            raise typer.BadParameter(f"got {text!r}, expected {count} numbers with commas between")
-        return values
-
-    return parse
-
-
 MapPath = Annotated[
-    Path, typer.Argument(metavar="MAP", help="map_server YAML, or an image with --resolution.")
+    Path,
+    typer.Argument(
+        metavar="MAP",
+        callback=find_map,
+        help="map_server YAML, an image with --resolution, or the name of a bundled map.",
+    ),
 ]
 ScansPath = Annotated[
     Path, typer.Argument(metavar="SCANS", help="Scans: .npz, .csv, .jsonl, .ndjson or .json.")
+]
+Flipped = Annotated[
+    bool,
+    typer.Option("--flipped", help="The sensor is upside down: its angles run clockwise."),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite output files that exist.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable: a JSON object a line.")]
@@ -161,6 +132,8 @@ def reading(
     ] = None,
 ) -> Reading:
     """Options that say how a map is read; they override its YAML."""
+    if origin is not None:
+        check_yaw("--origin", origin[2])
     return Reading(
         resolution=resolution,
         origin=origin,
@@ -217,39 +190,6 @@ def examples(*lines: str) -> str:
     return "\b\nExamples:\n" + "\n".join("  " + line for line in lines)
 
 
-def check_range(option: str, value: float | None, low: float, high: float, unit: str) -> None:
-    """Refuse a value that is not in ``low..high``; None, an option not given, passes.
-
-    Raises
-    ------
-    ConfigError
-        Naming the option.
-    """
-    if value is not None and not low <= value <= high:  # NaN fails both
-        raise ConfigError(f"{option}: got {value:g}, expected {unit}, {low:g} to {high:g}")
-
-
-def check_target(path: Path, ending: str, *, force: bool) -> None:
-    """Refuse an output file before the work that it is to hold.
-
-    Raises
-    ------
-    ConfigError
-        If it is not named `ending`.
-    OutputError
-        If it exists and `force` is not given, or there is no such folder.
-    """
-    from imgloc.io.files import display
-    from imgloc.io.output import refuse_existing
-
-    if path.suffix.lower() != ending:
-        raise ConfigError(f"{display(path)}: expected a name that ends in {ending}")
-    if not path.parent.is_dir():
-        raise OutputError(f"{display(path)}: there is no folder {display(path.parent)}")
-    if not force:
-        refuse_existing(path)
-
-
 def count_threads(wanted: int | None) -> int:
     """Return `wanted`, or the number of processors that this process may use."""
     if wanted is not None:
@@ -259,14 +199,15 @@ def count_threads(wanted: int | None) -> int:
     return os.cpu_count() or 1
 
 
-def cut_scan(scan: "LaserScan", range_max: float | None) -> "LaserScan":
-    """Return the scan that a sensor with a shorter reach would have recorded.
+def cut_scan(scan: "LaserScan", range_max: float | None, *, flipped: bool = False) -> "LaserScan":
+    """Return the scan that a sensor with a shorter reach, or one upright, would have recorded.
 
     Raises
     ------
     ConfigError
         If it would not reach beyond `range_min`.
     """
+    scan = scan.flipped if flipped else scan
     if range_max is None or range_max >= scan.range_max:
         return scan
     if range_max <= scan.range_min:

@@ -1,13 +1,13 @@
 """Options that say where the robot may be, and how its sensor is mounted."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from imgloc.cli.options import check_range, numbers
+from imgloc.cli.options import Flipped
+from imgloc.cli.values import check_range, check_yaw, numbers, some_numbers
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -26,27 +26,6 @@ class Known:
     heading: tuple[float, ...] | None
     region: Path | None
     clearance: float | None
-
-
-def some_numbers(least: int, most: int) -> Callable[[str], tuple[float, ...]]:
-    """Return a parser of `least` to `most` finite numbers with commas between them.
-
-    Examples
-    --------
-    >>> some_numbers(1, 2)("0.5")
-    (0.5,)
-    """
-
-    def parse(text: str) -> tuple[float, ...]:
-        count = min(max(text.count(",") + 1, least), most)
-        try:
-            return numbers(count)(text)
-        except typer.BadParameter:
-            raise typer.BadParameter(
-                f"got {text!r}, expected {least} to {most} numbers with commas between"
-            ) from None
-
-    return parse
 
 
 def known(
@@ -86,15 +65,17 @@ def known(
     """Options of the prior."""
     if near is not None and len(near) > 3:
         check_range("--near, R", near[3], 0.01, 1e6, "metres")
-    for option, given, place in (("--near", near, 4), ("--heading", heading, 1)):
-        if given is not None and len(given) > place:
-            check_range(f"{option}, T", given[place], 0.001, 3.2, "radians")
+    for option, given, yaw, tolerance in (("--near", near, 2, 4), ("--heading", heading, 0, 1)):
+        if given is not None:
+            check_yaw(option, given[yaw])
+            if len(given) > tolerance:
+                check_range(f"{option}, T", given[tolerance], 0.001, 3.2, "radians")
     check_range("--clearance", clearance, 0, 1000, "metres")
     return Known(near, heading, region, clearance)
 
 
-def prior_of(known: Known, grid: "OccupancyGrid") -> "Prior":
-    """Make the prior of a map.
+def prior_of(known: Known, grid: "OccupancyGrid", *, allow_lossy: bool = False) -> "Prior":
+    """Make the prior of a map; its region may be a JPEG if the map may.
 
     Raises
     ------
@@ -120,7 +101,7 @@ def prior_of(known: Known, grid: "OccupancyGrid") -> "Prior":
         about = {"theta": yaw, "tolerance": tolerance}
         prior &= priors.Prior(None, (yaw + to_grid.theta, tolerance), {"heading": about})
     if known.region is not None:
-        cells = _region(known.region, grid)
+        cells = _region(known.region, grid, allow_lossy)
         prior &= priors.Prior(cells, None, {"region": {"cells": int(cells.sum())}})
     if known.clearance:
         prior &= priors.Prior(
@@ -129,12 +110,12 @@ def prior_of(known: Known, grid: "OccupancyGrid") -> "Prior":
     return prior
 
 
-def _region(path: Path, grid: "OccupancyGrid") -> Any:
-    """The white pixels of an image, row 0 lowest."""
+def _region(path: Path, grid: "OccupancyGrid", allow_lossy: bool) -> Any:
+    """The white pixels of an image that are not transparent, row 0 lowest."""
     from imgloc.io.files import display
     from imgloc.io.images import read_image
 
-    read = read_image(path)
+    read = read_image(path, allow_lossy=allow_lossy)
     image = read.pixels
     if image.shape[:2] != grid.occupied.shape:
         height, width = grid.occupied.shape
@@ -142,7 +123,8 @@ def _region(path: Path, grid: "OccupancyGrid") -> Any:
             f"{display(path)}: {image.shape[1]} x {image.shape[0]} pixels, expected "
             f"{width} x {height} as the map"
         )
-    grey = image if image.ndim == 2 else image[..., :3].min(axis=2)
+    # The darkest channel decides, alpha being one of them: neither colour nor nothing is white.
+    grey = image if image.ndim == 2 else image.min(axis=2)
     cells = grey[::-1] > read.white // 2
     if not cells.any():
         raise ConfigError(f"{display(path)}: no white pixel, expected white where the robot may be")
@@ -156,15 +138,24 @@ class Mounting:
     sensor: tuple[float, float, float] | None
     flipped: bool
 
-    def mount(self, scan: "LaserScan") -> "LaserScan":
-        """The scan as that of a sensor that is mounted upright, with the mounting pose given."""
+    @property
+    def pose(self) -> "Pose2D | None":
+        """Pose of the sensor on the robot, if it was given."""
         from imgloc.model import Pose2D
 
-        if self.flipped:
-            scan = replace(scan, angles=-scan.angles)
-        if self.sensor is not None:
-            scan = replace(scan, T_base_laser=Pose2D(*self.sensor))
-        return scan
+        return None if self.sensor is None else Pose2D(*self.sensor)
+
+    @property
+    def about(self) -> dict[str, object]:
+        """What was given, as plain values, for the record."""
+        names = ("x", "y", "theta")
+        sensor = self.sensor and dict(zip(names, self.sensor, strict=True))
+        return {"sensor": sensor, "flipped": self.flipped}
+
+    def mount(self, scan: "LaserScan") -> "LaserScan":
+        """The scan as that of a sensor that is mounted upright, with the mounting pose given."""
+        scan = scan.flipped if self.flipped else scan
+        return scan if self.pose is None else replace(scan, T_base_laser=self.pose)
 
 
 def mounting(
@@ -174,26 +165,12 @@ def mounting(
             metavar="X,Y,YAW",
             parser=numbers(3),
             help="Pose of the sensor on the robot (metres, radians): poses of the robot's base are "
-            "given too. [default: what the scans say, else 0,0,0]",
+            "given too.",
         ),
     ] = None,
-    flipped: Annotated[
-        bool, typer.Option("--flipped", help="The sensor is upside down: its angles run clockwise.")
-    ] = False,
+    flipped: Flipped = False,
 ) -> Mounting:
     """Options of the mounting."""
+    if sensor is not None:
+        check_yaw("--sensor", sensor[2])
     return Mounting(sensor, flipped)
-
-
-def base_of(pose: "Pose2D", mount: "Pose2D") -> "Pose2D":
-    """Pose of the robot's base, of the sensor's pose and its mounting: T_map_base.
-
-    Examples
-    --------
-    >>> from imgloc.model import Pose2D
-    >>> base_of(Pose2D(1.0, 0.0, 0.0), Pose2D(0.2, 0.0, 0.0)).x
-    0.8
-    """
-    from imgloc.geometry import compose, inverse
-
-    return compose(pose, inverse(mount))

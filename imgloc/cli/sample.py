@@ -7,22 +7,23 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from imgloc.cli.console import LOG, progress, quiet_libraries, say
+from imgloc.cli.files import check_target
 from imgloc.cli.options import (
     AllowLossy,
+    Flipped,
     Force,
     MapPath,
     MethodName,
     Reading,
     ScansPath,
     Threads,
-    check_range,
-    check_target,
     console,
     count_threads,
     cut_scan,
     reading,
     with_options,
 )
+from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ def sample(
     range_max: Annotated[
         float | None, typer.Option(metavar="M", help="Cut readings at M metres: there, no return.")
     ] = None,
+    flipped: Flipped = False,
     theta_step_deg: Annotated[
         float | None,
         typer.Option(metavar="DEG", help="Step of a stack's headings. [default: the method's]"),
@@ -75,7 +77,7 @@ def sample(
     check_range("--cell", cell, 0.001, 10, "metres")
     if theta_step_deg is not None and method == MethodName.FUSED:
         raise ConfigError("--theta-step-deg: fused has no stack of headings")
-    check_target(out, ".csv", force=force)
+    check_target(out, ".csv", force=force, inputs=[scans_path])
 
     import cv2
     import numpy as np
@@ -107,7 +109,10 @@ def sample(
         for k in chosen:
             # Each scan has draws of its own, whichever others are drawn from.
             rng = np.random.default_rng((seed, k))
-            poses = _draw(features, cut_scan(scans[k], range_max), options, count, rng)
+            scan = cut_scan(scans[k], range_max, flipped=flipped)
+            if scan.directions < options.trust.readings:
+                say(f"scan {k}: invalid, too few readings: its poses are drawn from everywhere")
+            poses = _draw(features, scan, options, count, rng)
             lines += [f"{k},{x:.6f},{y:.6f},{theta:.6f}" for x, y, theta in poses.tolist()]
             advance()
     write_text_atomic(out, "\n".join(lines) + "\n", force=force)
@@ -129,7 +134,8 @@ def _draw(
     from imgloc.searches import probability_of
 
     lattice = features.lattice
-    if options.method != FUSED:
+    enough = scan.directions >= options.trust.readings
+    if enough and options.method != FUSED:
         stack = likelihood(features, scan, options)
         probability = probability_of(features, scan, stack, options)
         if probability.any():

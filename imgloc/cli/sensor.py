@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from imgloc.cli.options import check_range, numbers
+from imgloc.cli.values import check_range, check_yaw, numbers
 
 if TYPE_CHECKING:
     from imgloc.experiments.scansets import Sensor
@@ -46,6 +46,8 @@ def sensor(
     check_range("--outliers", outliers, 0, 1, "a share")
     check_range("--dropped", dropped, 0, 1, "a share")
     check_range("--clearance", clearance, 0, 1000, "metres")
+    if mount is not None:
+        check_yaw("--mount", mount[2])
     import numpy as np
 
     from imgloc.experiments.scansets import Sensor

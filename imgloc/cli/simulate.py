@@ -7,18 +7,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from imgloc.cli.console import quiet_libraries, say
+from imgloc.cli.files import check_target
 from imgloc.cli.options import (
     AllowLossy,
     Force,
     MapPath,
+    MemoryBudget,
     Reading,
-    check_range,
-    check_target,
     console,
     reading,
     with_options,
 )
 from imgloc.cli.sensor import sensor
+from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ def simulate(
         float, typer.Option(metavar="M", help="Reach of the sensor, metres.")
     ] = 30.0,
     seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of everything random.")] = 0,
+    memory_budget: MemoryBudget = None,
     force: Force = False,
     allow_lossy: AllowLossy = False,
 ) -> None:
@@ -56,6 +58,7 @@ def simulate(
             f"{count:,} scans of {rays:,} rays are {count * rays:,} readings, expected at most "
             f"{_MAX_READINGS:,}; simulate several files with different seeds"
         )
+    from imgloc.cli.budgets import check_simulation
     from imgloc.experiments.scansets import simulate_set
     from imgloc.io.files import display
     from imgloc.io.maps import load_map, require_usable
@@ -64,6 +67,7 @@ def simulate(
     with quiet_libraries():
         grid = load_map(map_path, **reading, allow_lossy=allow_lossy)
     require_usable(grid, display(map_path))
+    check_simulation(grid, display(map_path), count, rays, memory_budget)
     scans = simulate_set(grid, count, seed, replace(sensor, range_max=range_max))
     save_scans(out, scans, force=force)
     say(f"wrote {display(out)}: {count} scans of {rays} readings, with their poses")

@@ -19,7 +19,7 @@ _MAX_SCANS = 100_000
 
 def check_sources(
     maps: Sequence[Path], scans: Sequence[Path] | None, count: int | None, sample: int | None,
-    sensor: "Sensor",
+    sensor: "Sensor", *, flipped: bool = False,
 ) -> None:  # fmt: skip
     """Refuse options that would be ignored.
 
@@ -31,6 +31,8 @@ def check_sources(
     from imgloc.experiments.scansets import Sensor
 
     if scans is None:
+        if flipped:
+            raise ConfigError("--flipped: expected --scans; simulated sensors are upright")
         if sample is not None:
             raise ConfigError("--sample: expected --scans to take from; -n is for simulated scans")
         if (count or 0) > _MAX_SCANS:
@@ -42,16 +44,6 @@ def check_sources(
         raise ConfigError("-n: recorded scans are not simulated; use --sample")
     if sensor != Sensor():
         raise ConfigError("--scans: options of a simulated sensor do not go with recorded scans")
-
-
-def find_map(path: Path) -> Path:
-    """The file of a bundled map that is called by its name, or `path` itself."""
-    from imgloc.experiments.worlds import WORLDS
-    from imgloc.io.bundled import bundled_maps
-
-    if str(path) in WORLDS and not path.exists():
-        return bundled_maps() / f"{path}.yaml"
-    return path
 
 
 def short_name(path: Path) -> str:
@@ -79,16 +71,36 @@ def load_usable(path: Path, reading: Reading, *, allow_lossy: bool) -> "Occupanc
 
 
 def simulated(
-    path: Path, grid: "OccupancyGrid", count: int, seed: int, sensor: "Sensor"
+    path: Path,
+    grid: "OccupancyGrid",
+    count: int,
+    seed: int,
+    sensor: "Sensor",
+    memory_budget: int | None = None,
 ) -> "ScanSet":
-    """Simulate scans in a map; in a bundled one on its walls, not on its cells."""
-    from imgloc.experiments.scansets import fine_image, simulate_set
+    """Simulate scans in a map; in a bundled one on its walls, not on its cells.
 
+    Raises
+    ------
+    ConfigError
+        If that would take more than the budget, bytes; None is half of what is there.
+    """
+    from imgloc.cli.budgets import check_simulation
+    from imgloc.experiments.scansets import fine_image, is_world, simulate_set
+    from imgloc.io.files import display
+
+    world = is_world(path, grid)
+    check_simulation(grid, display(path), count, sensor.rays, memory_budget, world=world)
     return simulate_set(grid, count, seed, sensor, fine_image(path, grid))
 
 
 def recorded(
-    path: Path, sample: int | None, sample_seed: int, range_max: float | None
+    path: Path,
+    sample: int | None,
+    sample_seed: int,
+    range_max: float | None,
+    *,
+    flipped: bool = False,
 ) -> "ScanSet":
     """Load scans with poses, pick some at random and cut their readings."""
     from imgloc.experiments.scansets import sample_set
@@ -96,4 +108,5 @@ def recorded(
     from imgloc.io.scans import load_scans
 
     chosen = sample_set(load_scans(path), sample, sample_seed, display(path))
-    return replace(chosen, scans=tuple(cut_scan(scan, range_max) for scan in chosen.scans))
+    scans = tuple(cut_scan(scan, range_max, flipped=flipped) for scan in chosen.scans)
+    return replace(chosen, scans=scans)

@@ -10,15 +10,16 @@ from imgloc.cli.console import LOG, emit, progress, quiet_libraries, say
 from imgloc.cli.options import (
     AllowLossy,
     AsJson,
+    Flipped,
     MemoryBudget,
     ScansPath,
     Threads,
-    check_range,
     console,
     count_threads,
     cut_scan,
     with_options,
 )
+from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError, MapError
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ def which(
         float | None,
         typer.Option(metavar="M", help="Cut readings at M metres: there, no return."),
     ] = None,
+    flipped: Flipped = False,
     sure: Annotated[
         float, typer.Option(metavar="P", help="Probability that a map needs to be named.")
     ] = 0.5,
@@ -54,8 +56,8 @@ def which(
     """Say which of the maps in a folder each scan is from: one of them, none, or undecided.
 
     The scan is located in every map. Evidence is the likelihood averaged over all poses of a map,
-    so that a large map does not win by having more places. A map that cannot be used is reported
-    and left out; the exit code is then 5.
+    so that a large map does not win by having more places. A scan with too few readings is
+    invalid. A map that cannot be used is reported and left out; the exit code is then 5.
     """
     check_range("--range-max", range_max, 1e-3, 1e6, "metres")
     check_range("--sure", sure, 0.5, 1, "a probability")
@@ -66,17 +68,18 @@ def which(
     from imgloc.io.files import display
     from imgloc.io.maps import load_map
     from imgloc.io.scans import load_scans
-    from imgloc.methods import Options
+    from imgloc.pipeline import Options, check_options
     from imgloc.which import choose, fit
 
     workers = count_threads(threads)
     cv2.setNumThreads(workers)
     paths = find_maps(maps_dir)
-    scans = [cut_scan(scan, range_max) for scan in load_scans(scans_path).scans]
+    recorded = load_scans(scans_path).scans
+    scans = [cut_scan(scan, range_max, flipped=flipped) for scan in recorded]
     options = Options(top=20, threads=workers, memory_budget=memory_budget)
     folder = cache_folder(None, wanted=not no_cache)
     fits: list[dict[str, Fit]] = [{} for _ in scans]
-    names, failed = names_of(paths, maps_dir), 0
+    names, failed = names_of(paths, maps_dir), list[MapError | ConfigError]()
     with progress("which", len(paths) * len(scans), lines=False) as advance:
         for path, name in zip(paths, names, strict=True):
             try:
@@ -85,9 +88,10 @@ def which(
                 features = open_features(
                     grid, display(path), folder, memory_budget, threads=workers
                 )
+                check_options(features, options)
             except (MapError, ConfigError) as error:
                 say(f"left out: {error}")
-                failed += 1
+                failed.append(error)
                 continue
             for scan, found in zip(scans, fits, strict=True):
                 found[name] = fit(features, scan, options)
@@ -95,8 +99,10 @@ def which(
             if folder is not None:
                 keep_features(features, folder)
             LOG.info("%s: %d scans located", display(path), len(scans))
-    if failed == len(paths):
-        raise MapError(f"{display(maps_dir)}: none of its {failed} maps can be used")
+    if len(failed) == len(paths):
+        # Too little memory is no fault of the maps.
+        kind = MapError if any(isinstance(e, MapError) for e in failed) else ConfigError
+        raise kind(f"{display(maps_dir)}: none of its {len(failed)} maps can be used")
     if not as_json:
         emit(_HEADER)
     for k, found in enumerate(fits):
@@ -170,6 +176,8 @@ def _as_line(index: int, choice: "Choice", fits: "dict[str, Fit]") -> str:
     """One line of text: the pose in the map that is named, else the candidates."""
     from imgloc.cli.answers import describe
 
+    if choice.verdict == "invalid":
+        return f"{index:>6}  {choice.verdict:<24} {'-':>11} {'-':>7}  too few readings"
     name = next(iter(choice.probability))
     pose = fits[name].answer.pose
     if choice.verdict == name and pose is not None:

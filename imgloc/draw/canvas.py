@@ -92,13 +92,17 @@ class Canvas:
         self.dots(np.array([[x, y]]), PAPER, 0.45 * size)
 
 
+def default_scale(grid: GridInfo) -> int:
+    """Pixels per cell that enlarge a small grid to 1000 pixels a side or more."""
+    return max(1, min(16, -(-_SIDE // max(grid.shape))))
+
+
 def sheet(cells: npt.NDArray[np.uint8], grid: GridInfo, scale: int | None) -> Canvas:
     """Draw the cells (H, W, 3) of a grid as squares of `scale` pixels, upside up.
 
     By default small grids are enlarged to 1000 pixels a side or more.
     """
-    if scale is None:
-        scale = max(1, min(16, -(-_SIDE // max(grid.shape))))
+    scale = default_scale(grid) if scale is None else scale
     up = np.ascontiguousarray(cells[::-1])
     size = (grid.width * scale, grid.height * scale)
     image = cv2.resize(up, size, interpolation=cv2.INTER_NEAREST)

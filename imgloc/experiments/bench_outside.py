@@ -35,14 +35,26 @@ def floors(problem: Path) -> Mapping[str, float | str]:
             program = Path(folder) / name
             flags = ["-O3", "-march=native", "-ffast-math", "-w"]
             build = [compiler, *flags, str(source), "-o", str(program), "-lm", "-lpthread"]
-            subprocess.run(build, check=True, capture_output=True)  # noqa: S603
+            built = subprocess.run(build, check=False, capture_output=True, text=True)  # noqa: S603
+            if built.returncode:
+                out[name] = f"not compiled: {_last_line(built.stderr)}"
+                continue
             command = [str(program), str(problem / "mapA.pgm"), str(problem / "scans_10m.txt")]
             done = subprocess.run(  # noqa: S603
                 [*command, *arguments], check=False, capture_output=True, text=True
             )
         found = re.search(pattern, done.stdout)
-        out[name] = float(found[1]) if found else f"not understood: {done.stdout[:80]!r}"
+        if found:
+            out[name] = float(found[1])
+        elif done.returncode:
+            out[name] = f"ended with {done.returncode}: {_last_line(done.stderr)}"
+        else:
+            out[name] = f"not understood: {done.stdout[:80]!r}"
     return out
+
+
+def _last_line(text: str) -> str:
+    return (text.strip().splitlines() or ["it did not say why"])[-1]
 
 
 def growth(world: str, times: Sequence[int], repeats: int) -> tuple[Mapping[str, float], ...]:

@@ -33,6 +33,8 @@ SIGMAS_THETA = tuple(float(np.deg2rad(deg)) for deg in (0.0, 5.0, 10.0, 15.0))
 """Radians tried."""
 EXPONENTS = np.geomspace(0.25, 256.0, 61)
 """1 / temperature tried, in steps of an eighth."""
+LEAST = 20
+"""Trials, of all maps together, below which nothing is fitted: a few lucky scans promise all."""
 _BINS = 8192
 _WALLS = 0.1  # metres by which walls are displaced
 _SHARED = 10.0  # readings over which they are so alike
@@ -196,6 +198,21 @@ def densities(
     return np.asarray(np.exp(-powers * here) * (poses / totals))
 
 
+def check_trials(count: int) -> None:
+    """Refuse to fit to too few trials.
+
+    Raises
+    ------
+    ConfigError
+        If there are fewer than :data:`LEAST`.
+    """
+    if count < LEAST:
+        raise ConfigError(
+            f"got {count} in all, expected at least {LEAST} scans to fit to: fewer make a method "
+            "too sure of itself"
+        )
+
+
 def fit(sweeps: Sequence[Sweep]) -> Fit:
     """Choose the smoothing and temperature with the greatest S over all trials of all maps.
 
@@ -207,13 +224,19 @@ def fit(sweeps: Sequence[Sweep]) -> Fit:
     ----------
     sweeps : sequence of Sweep
         Of one method; one for each map.
+
+    Raises
+    ------
+    ConfigError
+        If there are fewer than :data:`LEAST` trials.
     """
+    check_trials(sum(len(s.bare) for s in sweeps))
     mean = np.mean([s.logs.mean(axis=0) for s in sweeps], axis=0)
     c, e = np.unravel_index(int(mean.argmax()), mean.shape)
     sigma_xy, sigma_theta = sweeps[0].configurations[c]
     logs, floor = np.concatenate([s.logs for s in sweeps]), sweeps[0].floor
     error = index_of(logs[:, c, e], floor).standard_error
-    hottest = int(np.argmax(mean[c] >= mean[c, e] - np.nan_to_num(error)))
+    hottest = int(np.argmax(mean[c] >= mean[c, e] - error))
     return Fit(
         Calibration(sigma_xy, sigma_theta, float(1 / EXPONENTS[hottest])),
         index_of(logs[:, c, hottest], floor),

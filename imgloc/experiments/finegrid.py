@@ -5,6 +5,10 @@ import numpy as np
 
 from imgloc.model import BoolArray, Float32Array, OccupancyGrid
 
+FINE = 0.01
+"""Cells on which scans are simulated, metres."""
+_MAX_CELLS = 16_000_000
+
 # Blurred by 0.7 cells, a straight wall of one cell is worth 0.57 at its centre and 0.20 one cell
 # off. Raised to 0.8 its outline at 0.5 is again half a cell off, as it was; so with gaps.
 _BLUR = 0.7
@@ -12,7 +16,7 @@ _THIN, _THIN_VALUE = 0.6, 0.8
 
 
 def refine_grid(
-    grid: OccupancyGrid, resolution: float = 0.01, *, max_cells: int = 16_000_000
+    grid: OccupancyGrid, resolution: float = FINE, *, max_cells: int = _MAX_CELLS
 ) -> OccupancyGrid:
     """Redraw a map with smaller cells and smooth outlines, so that walls have no stairs.
 
@@ -40,8 +44,8 @@ def refine_grid(
     (20, 20)
     """
     height, width = grid.occupied.shape
-    factor = min(round(grid.resolution / resolution), int((max_cells / (height * width)) ** 0.5))
-    if factor <= 1:
+    factor = fine_factor(grid, resolution, max_cells=max_cells)
+    if factor == 1:
         return grid
     size = (width * factor, height * factor)
     occupied = cv2.resize(_smooth(grid.occupied), size, interpolation=cv2.INTER_LINEAR) >= 0.5
@@ -51,6 +55,20 @@ def refine_grid(
     return OccupancyGrid(
         occupied, (free | (known > 0)) & ~occupied, grid.resolution / factor, grid.origin
     )
+
+
+def fine_factor(
+    grid: OccupancyGrid, resolution: float = FINE, *, max_cells: int = _MAX_CELLS
+) -> int:
+    """How many cells of :func:`refine_grid` lie along a cell of the map.
+
+    Examples
+    --------
+    >>> fine_factor(OccupancyGrid(np.eye(4, dtype=bool), ~np.eye(4, dtype=bool), 0.1), 0.02)
+    5
+    """
+    most = int((max_cells / grid.occupied.size) ** 0.5)
+    return max(1, min(round(grid.resolution / resolution), most))
 
 
 def _smooth(occupied: BoolArray) -> Float32Array:

@@ -1,7 +1,7 @@
 """Is the trust deserved? Masses, verdicts and covariances held against true poses."""
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -144,6 +144,44 @@ def count_verdicts(answers: Sequence[Judged]) -> dict[str, int]:
     """How often each verdict was given."""
     told = [a.verdict for a in answers]
     return {verdict: told.count(verdict) for verdict in sorted(set(told))}
+
+
+def summary(
+    simulated: Mapping[str, Sequence[Judged]],
+    recorded: Mapping[str, Sequence[Judged]],
+    away: Sequence[Judged],
+) -> tuple[tuple[Bin, ...], dict[str, object]]:
+    """What there is to say of the trust, for JSON; and the bins of the simulated scans.
+
+    Parameters
+    ----------
+    simulated, recorded : mapping of str to sequence of Judged
+        By the names of worlds and sets.
+    away : sequence of Judged
+        Scans that were asked of another map than theirs.
+    """
+    all_simulated = [a for some in simulated.values() for a in some]
+    all_recorded = [a for some in recorded.values() for a in some]
+    rows, ece = reliability(all_simulated)
+    sure = [yes for a in all_simulated for yes in a.right[a.mass >= 0.8].tolist()]
+    return rows, {
+        "ece": ece,
+        "bins": [asdict(row) for row in rows],
+        "right of mass 0.8 and more": asdict(share(sure)),
+        "unique but wrong, simulated": asdict(share(a.wrong for a in all_simulated)),
+        "unique but wrong, recorded": asdict(share(a.wrong for a in all_recorded)),
+        "not unique in another map": asdict(share(a.verdict != "unique" for a in away)),
+        "nees": {name: mean_nees(some) for name, some in simulated.items()},
+        "nees of all": mean_nees(all_simulated),
+        "recorded": {
+            name: {
+                "ece": reliability(some)[1],
+                "verdicts": count_verdicts(some),
+                "nees": mean_nees(some),
+            }
+            for name, some in recorded.items()
+        },
+    }
 
 
 def nees_band(count: int) -> tuple[float, float]:

@@ -1,76 +1,37 @@
-"""How much a search stands: one condition at a time, beside what no search can beat.
+"""How much a search stands: one condition at a time, beside a far wider search.
 
 Each condition changes one thing of the sensor, of its mounting or of the map. The oracle is the
-same score evaluated for all poses, :mod:`imgloc.experiments.exhaustive`.
+same score, searched as widely as :mod:`imgloc.experiments.exhaustive` does: where it is right and
+`localize` is not, the search is to blame, and otherwise the score.
+
+Twins whose scores are equal cannot be told apart by anyone. A pose counts as right if one that
+scores as well is, for both; the strict shares count the first pose alone.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from types import MappingProxyType
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from imgloc.errors import ConfigError
+from imgloc.experiments.conditions import CONDITIONS, Condition, upside_down
 from imgloc.experiments.exhaustive import exhaustive
 from imgloc.experiments.runs import pose_errors
-from imgloc.experiments.scansets import Sensor, simulate_set
+from imgloc.experiments.scansets import simulate_set
 from imgloc.experiments.shares import Share, share
 from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.geometry import compose, inverse
+from imgloc.geometry import base_of, compose
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.pipeline import Options, localize, prepare
 
 TOLERANCE = (0.5, float(np.deg2rad(10.0)))
 """Metres and radians within which a pose is right."""
-_FULL = 2 * np.pi
-
-
-@dataclass(frozen=True)
-class Condition:
-    """What is different.
-
-    Parameters
-    ----------
-    sensor : Sensor
-    cell : float
-        Of the map, metres.
-    flipped : bool
-        The sensor hangs upside down, and says so.
-    """
-
-    sensor: Sensor = field(default_factory=Sensor)
-    cell: float = 0.1
-    flipped: bool = False
-
-
-def _sensor(**changed: object) -> Condition:
-    return Condition(replace(Sensor(), **changed))  # type: ignore[arg-type]
-
-
-CONDITIONS: Mapping[str, Condition] = MappingProxyType(
-    {
-        "as in the paper": Condition(),
-        "10 % of the rays stopped short": _sensor(outliers=0.1),
-        "30 % of the rays stopped short": _sensor(outliers=0.3),
-        "50 % of the rays stopped short": _sensor(outliers=0.5),
-        "10 % of the rays dropped": _sensor(dropped=0.1),
-        "reach of 5 m": _sensor(range_max=5.0),
-        "field of view 90 deg": _sensor(fov=np.pi / 2),
-        "field of view 270 deg": _sensor(fov=1.5 * np.pi),
-        "field of view 360 deg": _sensor(fov=_FULL),
-        "31 rays": _sensor(rays=31),
-        "361 rays": _sensor(rays=361),
-        "1081 rays": _sensor(rays=1081),
-        "map at 2.5 cm": Condition(cell=0.025),
-        "map at 5 cm": Condition(cell=0.05),
-        "map at 20 cm": Condition(cell=0.2),
-        "sensor off-centre": _sensor(mount=Pose2D(0.3, -0.2, 0.5)),
-        "sensor upside down": Condition(replace(Sensor(), mount=Pose2D(0.3, 0.0, 0.2)), 0.1, True),
-    }
-)
-"""The conditions of the table by name."""
+TIE = 0.1
+"""Nats: poses whose scores differ by no more are equally good."""
+LISTED = 20
+"""Hypotheses among which ties are looked for."""
 
 
 @dataclass(frozen=True)
@@ -81,14 +42,21 @@ class Row:
     ----------
     condition : str
     localize, oracle : Share
-        Scans whose first pose is right.
+        Scans for which the first pose, or one within :data:`TIE` of its score, is right.
+    localize_first, oracle_first : Share
+        Scans for which the first pose is right.
+    ties : Share
+        Scans for which several poses of the oracle are within :data:`TIE`, one of them right.
     unique, wrong : Share
-        Verdict ``unique``; and ``unique`` although the pose is not right.
+        Verdict ``unique``; and ``unique`` although the first pose is not right.
     """
 
     condition: str
     localize: Share
     oracle: Share
+    localize_first: Share
+    oracle_first: Share
+    ties: Share
     unique: Share
     wrong: Share
 
@@ -96,6 +64,24 @@ class Row:
     def behind(self) -> float:
         """Points that the search lies behind the oracle."""
         return 100 * (self.oracle.value - self.localize.value)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One scan: of the poses that score best, is any right, and is the first.
+
+    Parameters
+    ----------
+    localize, oracle : tuple of bool
+        For each pose within :data:`TIE` of the best score, best first: is it right? Empty
+        without a pose.
+    unique : bool
+        The verdict.
+    """
+
+    localize: tuple[bool, ...]
+    oracle: tuple[bool, ...]
+    unique: bool
 
 
 def robustness(
@@ -116,7 +102,8 @@ def robustness(
     seed : int
         Of the poses and the noise.
     worlds, conditions : sequence of str
-        Some of :data:`~imgloc.experiments.worlds.WORLDS` and of :data:`CONDITIONS`.
+        Some of :data:`~imgloc.experiments.worlds.WORLDS` and of
+        :data:`~imgloc.experiments.conditions.CONDITIONS`.
     threads : int
         No result depends on it.
     advance : callable
@@ -140,7 +127,7 @@ def robustness(
             for trial in _trials(world, condition, n, seed, threads):
                 trials.append(trial)
                 advance()
-        rows.append(_row(name, trials))
+        rows.append(row_of(name, trials))
     return tuple(rows)
 
 
@@ -167,20 +154,33 @@ def recorded_row(
     trials = []
     truth = np.empty((0, 3)) if scans.poses is None else scans.poses
     for scan, pose in zip(scans.scans, truth, strict=True):
-        trials.append(_trial(features, scan, scan, Pose2D(*pose), threads))
+        trials.append(_trial(features, scan, Pose2D(*pose), threads))
         advance()
-    return _row(name, trials)
+    return row_of(name, trials)
 
 
-def _row(name: str, trials: Sequence[tuple[bool, bool, bool]]) -> Row:
-    right, best, unique = (np.array(column) for column in zip(*trials, strict=True))
-    return Row(name, share(right), share(best), share(unique), share(unique & ~right))
+def row_of(name: str, trials: Sequence[Trial]) -> Row:
+    """Count.
+
+    Examples
+    --------
+    >>> row = row_of("twins", [Trial((False,), (False, True), False)])
+    >>> row.localize.hits, row.oracle.hits, row.oracle_first.hits, row.ties.hits
+    (0, 1, 0, 1)
+    """
+    return Row(
+        name,
+        share(any(t.localize) for t in trials),
+        share(any(t.oracle) for t in trials),
+        share(any(t.localize[:1]) for t in trials),
+        share(any(t.oracle[:1]) for t in trials),
+        share(len(t.oracle) > 1 and any(t.oracle) for t in trials),
+        share(t.unique for t in trials),
+        share(t.unique and not any(t.localize[:1]) for t in trials),
+    )
 
 
-def _trials(
-    world: str, condition: Condition, n: int, seed: int, threads: int
-) -> list[tuple[bool, bool, bool]]:
-    """For each scan: is the answer right, is the oracle, is the verdict ``unique``."""
+def _trials(world: str, condition: Condition, n: int, seed: int, threads: int) -> Iterator[Trial]:
     grid = render(WORLDS[world](), condition.cell)
     features = prepare(grid, threads=threads)
     # The poses are those of the map at 10 cm, whatever its cells now.
@@ -188,46 +188,53 @@ def _trials(
         render(WORLDS[world](), 0.1), n, seed, condition.sensor, render(WORLDS[world](), 0.01)
     )
     truth = np.empty((0, 3)) if scans.poses is None else scans.poses
-    return [
-        _trial(
-            features,
-            upright(upside_down(scan)) if condition.flipped else scan,
-            scan,
-            Pose2D(*pose),
-            threads,
-        )
-        for scan, pose in zip(scans.scans, truth, strict=True)
-    ]
+    for scan, pose in zip(scans.scans, truth, strict=True):
+        told = upside_down(scan).flipped if condition.flipped else scan
+        yield _trial(features, told, Pose2D(*pose), threads)
 
 
-def _trial(
-    features: MapFeatures, scan: LaserScan, mounted: LaserScan, pose: Pose2D, threads: int
-) -> tuple[bool, bool, bool]:
+def _trial(features: MapFeatures, scan: LaserScan, pose: Pose2D, threads: int) -> Trial:
     """Compare both answers with the pose of the robot that carries the sensor."""
-    options = Options(threads=threads)
+    options = Options(top=LISTED, threads=threads)
     answer = localize(features, scan, options)
-    best = exhaustive(features, scan, options.fused, threads=threads)
-    robot, to_map = base_pose(pose, mounted), features.grid.origin
-    found = [] if answer.pose is None else [base_pose(answer.pose, mounted)]
-    ideal = [base_pose(compose(to_map, Pose2D(*p)), mounted) for p in best.poses[:1]]
-    return _right(found, robot), _right(ideal, robot), answer.verdict == "unique"
+    found = [h.pose for h in answer.hypotheses]
+    scores = np.array([h.log_likelihood for h in answer.hypotheses])
+    if scan.valid.any():
+        best = exhaustive(features, scan, options.fused, threads=threads)
+        ideal = [compose(features.grid.origin, Pose2D(*p)) for p in best.poses[:LISTED]]
+        told = tied(ideal, best.evidence.log_likelihood[:LISTED], pose, scan.T_base_laser)
+    else:
+        told = ()
+    return Trial(
+        tied(found, scores, pose, scan.T_base_laser), told, unique=answer.verdict == "unique"
+    )
 
 
-def upside_down(scan: LaserScan) -> LaserScan:
-    """What a sensor with a symmetric fan records when it hangs upside down: clockwise."""
-    return replace(scan, ranges=scan.ranges[::-1])
+def tied(
+    poses: Sequence[Pose2D], scores: FloatArray, truth: Pose2D, mount: Pose2D
+) -> tuple[bool, ...]:
+    """Which of the poses that score within :data:`TIE` of the best are right, best first.
 
+    Parameters
+    ----------
+    poses : sequence of Pose2D
+        Of the sensor, best first.
+    scores : (C,) float array
+        Nats.
+    truth : Pose2D
+        Of the sensor.
+    mount : Pose2D
+        Of the sensor on the robot, whose poses are compared.
 
-def upright(scan: LaserScan) -> LaserScan:
-    """What is made of such a scan (``--flipped``): its angles run the other way."""
-    return replace(scan, angles=-scan.angles)
-
-
-def base_pose(pose: Pose2D, scan: LaserScan) -> Pose2D:
-    """Pose of the robot, of its sensor's."""
-    return compose(pose, inverse(scan.T_base_laser))
-
-
-def _right(found: Sequence[Pose2D], truth: Pose2D) -> bool:
-    poses: FloatArray = np.array([(p.x, p.y, p.theta) for p in found]).reshape(-1, 3)
-    return bool((pose_errors(poses[:1], truth) <= TOLERANCE).all(axis=1).any())
+    Examples
+    --------
+    >>> here, there = Pose2D(0.0, 0.0), Pose2D(9.0, 0.0)
+    >>> tied([there, here, here], np.array([5.0, 4.95, 3.0]), here, Pose2D(0.0, 0.0))
+    (False, True)
+    """
+    equal = int(np.sum(scores >= scores[:1] - TIE))
+    robots = [base_of(p, mount) for p in poses[:equal]]
+    errors = pose_errors(
+        np.array([(p.x, p.y, p.theta) for p in robots]).reshape(-1, 3), base_of(truth, mount)
+    )
+    return tuple(bool(np.all(error <= TOLERANCE)) for error in errors)

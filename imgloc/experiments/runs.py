@@ -154,8 +154,8 @@ def _trial_stack(features: MapFeatures, scan: LaserScan, truth: Pose2D, options:
     start = time.perf_counter()
     stack = likelihood(features, scan, options)
     between = time.perf_counter()
-    valid = int(scan.valid.sum())
-    enough = valid >= max(1, options.trust.readings)
+    directions = scan.directions
+    enough = directions >= max(1, options.trust.readings)
     answer = found_in_stack(features, scan, stack, options) if enough else NOTHING
     end = time.perf_counter()
     n, log = len(stack.thetas), stack.method in LOG_METHODS
@@ -171,7 +171,7 @@ def _trial_stack(features: MapFeatures, scan: LaserScan, truth: Pose2D, options:
         exact=found == at,
         near=_next_to(found, at, n),
         errors=pose_errors(poses, compose(inverse(features.grid.origin), truth)),
-        verdict=judge(valid, answer.mass, answer.elsewhere, options.trust),
+        verdict=judge(directions, answer.mass, answer.elsewhere, options.trust),
         ms=1e3 * (end - start),
         stack_ms=1e3 * (between - start),
         stack_bytes=stack.values.nbytes,

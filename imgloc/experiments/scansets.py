@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from imgloc.errors import ScanError
+from imgloc.experiments.finegrid import FINE
 from imgloc.experiments.simulate import simulate_scans
 from imgloc.experiments.worlds import WORLDS, render
 from imgloc.geometry import transform_poses
@@ -111,10 +112,12 @@ def fine_image(path: Path, grid: OccupancyGrid) -> OccupancyGrid | None:
     grid : OccupancyGrid
         As loaded: read at another resolution or origin it is not the world any more.
     """
+    return render(WORLDS[path.stem](), FINE) if is_world(path, grid) else None
+
+
+def is_world(path: Path, grid: OccupancyGrid) -> bool:
+    """Whether a map is a bundled one, as it is: more than its cells is known."""
     if path.stem not in WORLDS or path.resolve().parent != bundled_maps().resolve():
-        return None
-    world = WORLDS[path.stem]()
-    width, height = (round(side / grid.resolution) for side in world.size)
-    if grid.occupied.shape != (height, width) or grid.origin != Pose2D(0.0, 0.0):
-        return None
-    return render(world, 0.01)
+        return False
+    width, height = (round(side / grid.resolution) for side in WORLDS[path.stem]().size)
+    return grid.occupied.shape == (height, width) and grid.origin == Pose2D(0.0, 0.0)

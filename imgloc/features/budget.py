@@ -20,7 +20,9 @@ UNKNOWN_RAM = 4 << 30
 
 _POSE = 20  # bytes per pose of a stack: itself, its posterior, and the search for peaks
 _FIXED = 64 * MIB  # buffers whose size depends neither on the map nor on the scan
-_RAY, _RAYS = 110, 1 << 21  # bytes per ray of the visibility map, and how many at a time
+_RAY, _RAYS = 130, 1 << 21  # bytes per ray of the visibility map, and how many at a time
+_SIDE = 240  # bytes per surface point, twice that of a side of a cell: behind walls are some, too
+_LINE, _LINES = 600, 50_000  # bytes per line fitted to the surface, and how many at a time
 
 
 def available_bytes(
@@ -130,7 +132,8 @@ def prepare_bytes(shape: tuple[int, int], *, points: int, n_psi: int = 72, facto
     cells = shape[0] * shape[1]
     voters = min(points, VOTERS)
     held = 14 * cells + 3 * cells // factor**2 + 25 * points + 4 * n_psi * voters
-    passing = max(9 * cells, 520 * points, _RAY * min(voters * n_psi, _RAYS))
+    lines = _SIDE * points + _LINE * min(points, _LINES)
+    passing = max(9 * cells, lines, _RAY * min(voters * n_psi, _RAYS))
     return held + passing
 
 
@@ -174,8 +177,8 @@ def fused_bytes(
     resolution: float,
     *,
     n_thetas: int = 360,
-    vote_cell: float = 0.2,
-    vote_headings: int = 30,
+    vote_cell: float = 0.25,
+    vote_headings: int = 24,
     vote_cells: int = 4_000_000,
 ) -> int:
     """Peak of `localize` with the default method, besides the features.

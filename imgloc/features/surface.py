@@ -5,11 +5,11 @@ occupied cell: the iso-contour of the occupancy image. Its two sides are two sur
 opposite normals, however thin the wall, which is what Fig. 4 of the paper depends on.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
-import skimage.measure
 
+from imgloc.features.contours import outlines
 from imgloc.geometry import wrap
 from imgloc.model import BoolArray, FloatArray, IntArray, OrientedPoints
 
@@ -25,6 +25,7 @@ _CORNER = 0.45
 # have single unknown cells between a wall and the room.
 _REACH = 1.5
 _GROUP = 50_000  # points that are fitted at a time
+_HALO = max(_WINDOWS) + min(_WINDOWS)  # how far along its contour a fit looks
 
 
 def surface_points(
@@ -55,7 +56,7 @@ def surface_points(
 
     Notes
     -----
-    The contours of :func:`skimage.measure.find_contours` are resampled to one point per cell;
+    The polygons of :func:`~imgloc.features.contours.outlines` are resampled to one point per cell;
     each point gets the line fitted to the widest window around it that is still a digital
     straight line. Where none is (corners), the windows that end at the point are tried too,
     so that a corner keeps the two normals of its walls instead of their mean (the filter of
@@ -83,14 +84,11 @@ def surface_points(
     if len(points) == 0:
         empty = np.zeros(0)
         return OrientedPoints(np.zeros((0, 2)), empty, empty, np.zeros(0, np.bool_))
-    parts = [_fit(points[a:b], start[a:b] - a, length[a:b]) for a, b in _groups(start, length)]
+    parts = [
+        _facing(free, *_fit_part(points, start, length, a, b)) for a, b in _groups(start, length)
+    ]
     points, alpha, sigma = (np.concatenate(column) for column in zip(*parts, strict=True))
-
-    normal = np.column_stack((np.cos(alpha), np.sin(alpha)))
-    faces_free = _sample(free, points + 0.5 * normal) | _sample(free, points + _REACH * normal)
-    valid = sigma <= max_sigma
-    alpha = np.where(np.isfinite(sigma), alpha, np.nan)
-    return OrientedPoints(points * resolution, alpha, sigma, valid).select(faces_free)
+    return OrientedPoints(points * resolution, alpha, sigma, sigma <= max_sigma)
 
 
 def _contours(occupied: BoolArray) -> tuple[FloatArray, IntArray, IntArray]:
@@ -100,18 +98,12 @@ def _contours(occupied: BoolArray) -> tuple[FloatArray, IntArray, IntArray]:
     its contour and the number of points in it. Contours are closed and keep the wall on
     their right.
     """
-    # The border makes every contour closed. Walls one pixel wide that run diagonally hold
-    # together ("high"): a ray does not pass between two cells that touch at a corner.
-    image = np.pad(occupied, 1).astype(np.float32)
-    find: Callable[..., list[FloatArray]] = skimage.measure.find_contours
-    contours = find(image, 0.5, fully_connected="high", positive_orientation="high")
-    if not contours:
+    vertices, size = outlines(occupied)
+    if len(size) == 0:
         none = np.zeros(0, np.int64)
         return np.zeros((0, 2)), none, none
-    vertices = np.concatenate(contours)[:, ::-1] - 0.5  # centre of pixel 1 -> coordinate 0.5
 
     # One arc length over all contours, so that one interpolation resamples them all.
-    size = np.array([len(contour) for contour in contours])
     first = np.cumsum(size) - size
     step = np.hypot(*np.diff(vertices, axis=0, prepend=vertices[:1]).T)
     step[first] = 1.0  # apart from the contour before it
@@ -126,13 +118,39 @@ def _contours(occupied: BoolArray) -> tuple[FloatArray, IntArray, IntArray]:
 
 
 def _groups(start: IntArray, length: IntArray) -> Iterator[tuple[int, int]]:
-    """Cut the points into groups of whole contours, :data:`_GROUP` points or a little more."""
+    """Cut the points into groups: of whole contours, or a part of one that is longer."""
     first = 0
     while first < len(start):
-        last = min(first + _GROUP, len(start)) - 1
-        end = int(start[last] + length[last])
+        end = min(first + _GROUP, len(start))
+        if length[first] > _GROUP:
+            end = min(end, int(start[first] + length[first]))
+        elif start[end - 1] + length[end - 1] > end:
+            end = int(start[end - 1])
         yield first, end
         first = end
+
+
+def _fit_part(
+    points: FloatArray, start: IntArray, length: IntArray, a: int, b: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Fit a line at each point of a group; see :func:`_fit`."""
+    if length[a] <= _GROUP:
+        return _fit(points[a:b], start[a:b] - a, length[a:b])
+    # A part of a contour, with its neighbours, as a contour of its own.
+    index = start[a] + (np.arange(a - _HALO, b + _HALO) - start[a]) % length[a]
+    n = len(index)
+    fits = _fit(points[index], np.zeros(n, np.int64), np.full(n, n))
+    inner = slice(_HALO, n - _HALO)
+    return fits[0][inner], fits[1][inner], fits[2][inner]
+
+
+def _facing(
+    free: BoolArray, points: FloatArray, alpha: FloatArray, sigma: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Only what faces free space; normals that are not known at all become NaN."""
+    normal = np.column_stack((np.cos(alpha), np.sin(alpha)))
+    keep = _sample(free, points + 0.5 * normal) | _sample(free, points + _REACH * normal)
+    return points[keep], np.where(np.isfinite(sigma), alpha, np.nan)[keep], sigma[keep]
 
 
 def _fit(
@@ -203,7 +221,7 @@ def _principal(
 
 def _sample(image: BoolArray, xy: FloatArray) -> BoolArray:
     """Cells of `image` at points (N, 2) given in cells; off the image is False."""
-    col, row = np.floor(xy).astype(np.int64).T + 1
+    col, row = np.floor(xy).astype(np.int64).T
     height, width = image.shape
-    padded = np.pad(image, 1)
-    return np.asarray(padded[row.clip(0, height + 1), col.clip(0, width + 1)])
+    inside = (row >= 0) & (row < height) & (col >= 0) & (col < width)
+    return np.asarray(image[row.clip(0, height - 1), col.clip(0, width - 1)] & inside)

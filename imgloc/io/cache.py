@@ -16,7 +16,6 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -97,7 +96,7 @@ def cache_key(grid: OccupancyGrid, parameters: Mapping[str, object]) -> str:
         "format": _FORMAT,
         "imgloc": imgloc.__version__,
         # The same call of another version may round in another way.
-        "libraries": [np.__version__, cv2.__version__, _version_of("scikit-image")],
+        "libraries": [np.__version__, cv2.__version__],
         "shape": grid.occupied.shape,
         "resolution": float(grid.resolution).hex(),
         "parameters": dict(parameters),
@@ -231,10 +230,3 @@ def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any]
 def _reason(error: BaseException) -> str:
     text = (error.strerror if isinstance(error, OSError) else None) or str(error)
     return " ".join(text.split()) or type(error).__name__
-
-
-def _version_of(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return ""

@@ -4,6 +4,7 @@ The file says for which cells it was made: a map that has been redrawn since is 
 what was fitted on the old one is not used.
 """
 
+import contextlib
 import hashlib
 import json
 import logging
@@ -25,6 +26,7 @@ LOG = logging.getLogger(__name__)
 _FORMAT = 1
 _ENDING = ".calibration.json"
 _MOST = 1 << 20  # bytes; what is longer is not such a file
+_UNUSABLE = (OSError, ValueError, RecursionError, ConfigError)
 
 
 def calibration_path(map_path: PathLike) -> Path:
@@ -59,11 +61,11 @@ def save_calibrations(
     path: PathLike,
     grid: OccupancyGrid,
     calibrations: Mapping[str, Calibration],
-    about: Mapping[str, object],
+    about: Mapping[str, Mapping[str, object]],
     *,
     force: bool = False,
 ) -> None:
-    """Write what was fitted on a map.
+    """Write what was fitted on a map, beside what the file has of its other methods.
 
     Parameters
     ----------
@@ -72,23 +74,31 @@ def save_calibrations(
     grid : OccupancyGrid
     calibrations : mapping of str to Calibration
         By method.
-    about : mapping
-        What decided them, as plain values: seed, number of trials, sensor ...
+    about : mapping of str to mapping
+        By method: what decided them, as plain values: seed, number of trials, sensor ...
     force : bool
-        Replace a file that exists.
+        Change a file that exists. One that is damaged or of another map is replaced.
 
     Raises
     ------
     OutputError
         As :func:`~imgloc.io.output.write_bytes_atomic`.
     """
-    methods = {name: vars(fitted) for name, fitted in calibrations.items()}
+    kept: dict[str, Calibration] = {}
+    kept_about: dict[str, object] = {}
+    if force and Path(path).is_file():
+        with contextlib.suppress(*_UNUSABLE):
+            old = _content(Path(path))
+            kept = _parse(old, grid)
+            said = json.loads(json.dumps(old.get("about")), parse_constant=lambda _: None)
+            if isinstance(said, dict):
+                kept_about = {name: said[name] for name in kept if name in said}
     content = {
         "format": _FORMAT,
         "imgloc": imgloc.__version__,
         "map_hash": map_hash(grid),
-        "methods": methods,
-        "about": dict(about),
+        "methods": {name: vars(fitted) for name, fitted in {**kept, **calibrations}.items()},
+        "about": {**kept_about, **about},
     }
     write_text_atomic(path, json.dumps(content, indent=2, allow_nan=False) + "\n", force=force)
 
@@ -113,17 +123,21 @@ def load_calibrations(path: PathLike, grid: OccupancyGrid) -> dict[str, Calibrat
     if not file.is_file():
         return {}
     try:
-        with file.open("rb") as stream:
-            text = stream.read(_MOST + 1)
-        if len(text) > _MOST:
-            raise ValueError(f"over {_MOST} bytes")
-        return _parse(json.loads(text), grid)
-    except (OSError, ValueError, RecursionError, ConfigError) as e:
+        return _parse(_content(file), grid)
+    except _UNUSABLE as e:
         LOG.warning(
             "%s: not used, the defaults are: %s; make it anew with `imgloc calibrate`",
             display(path), e,
         )  # fmt: skip
         return {}
+
+
+def _content(file: Path) -> Any:
+    with file.open("rb") as stream:
+        text = stream.read(_MOST + 1)
+    if len(text) > _MOST:
+        raise ValueError(f"over {_MOST} bytes")
+    return json.loads(text)
 
 
 def _parse(content: Any, grid: OccupancyGrid) -> dict[str, Calibration]:

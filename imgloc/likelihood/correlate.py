@@ -215,8 +215,10 @@ def choose_engine(
     sample = np.abs(offsets[:: max(1, len(offsets) // 8)])
     rows, columns = np.minimum(sample.max(axis=(0, 1), initial=0), shape)
     if components == 1 and _is_flat(offsets, shape):
-        line = height * (width + int(columns)) * itemsize * SHIFT_SECONDS_PER_BYTE
-        shift = offsets.shape[1] * (line + FLAT_SECONDS_PER_CALL)
+        near = np.all(sample < shape, axis=2)  # the others miss from every pose
+        pad = np.where(near, sample[..., 1], 0).max(initial=0)
+        line = height * (width + int(pad)) * itemsize * SHIFT_SECONDS_PER_BYTE
+        shift = near.sum(axis=1).mean() * (line + FLAT_SECONDS_PER_CALL) if near.size else 0.0
     else:
         shift = _shift_seconds(offsets, shape, tiles, itemsize, which)
     plane = float((height + rows) * (width + columns))

@@ -61,13 +61,16 @@ def _reasons(e: Explanation) -> Iterator[str]:
             "misfit. Errors of neighbouring readings are not independent, so differences of "
             "log-likelihood are divided by this before they become probabilities" + _margin(e)
         )
-    elif math.isfinite(e.temperature):
+    elif e.options.exact:
+        yield (
+            f"<b>Temperature {e.temperature:.2f}.</b> Logarithms of scores are divided by it; "
+            "probabilities are shares of the separated poses that score best."
+        )
+    else:
         yield (
             f"<b>Temperature {e.temperature:.2f}.</b> The stack's (log-)values are divided by it; "
             "its log-likelihoods are relative to all poses being equally probable."
         )
-    else:
-        yield "<b>No temperature:</b> probabilities are shares of the scores of the poses found."
     constant, per_nat, per_share = trust.elsewhere
     share = 1 - e.fits[0].before if e.options.method == FUSED else 0.0
     odds = constant + per_nat * max(0.0, e.misfit) + per_share * share

@@ -37,9 +37,11 @@ def why(e: Explanation) -> str:
         left = [
             f"{n} {key.replace('_', ' ')}" for key, n in e.scan.counts.items() if key != "valid"
         ]
+        valid, directions = e.scan.counts["valid"], e.scan.directions
+        repeated = f", in {directions} different directions" if directions < valid else ""
         return (
-            f"{e.scan.counts['valid']} of its {len(e.scan.ranges)} readings are distances to "
-            f"something; {trust.readings} are needed. The others: {', '.join(left)}."
+            f"{valid} of its {len(e.scan.ranges)} readings are distances to "
+            f"something{repeated}; {trust.readings} are needed. The others: {', '.join(left)}."
         )
     if not e.fits:
         within = " that the prior allows" if answer.parameters.get("prior") else ""
@@ -59,6 +61,8 @@ def why(e: Explanation) -> str:
             f"It holds {share} of the probability, where {needed} are needed, and "
             f"{percent(answer.explained)} of the readings end on a wall of the map there."
         )
+    if not e.answer.complete and best.hypothesis.mass >= trust.mass:
+        return f"Of those looked at, the best one holds {share} of the probability."
     rival = e.fits[1] if len(e.fits) > 1 else None
     text = f"The best one holds {share} of the probability; {needed} are needed to be unique."
     if rival is not None:
@@ -105,7 +109,10 @@ def percent(share: float) -> str:
 def question(check: Check) -> tuple[str, str, str]:
     """What a check asks, what was found and what is needed, as text."""
     if check.name == "readings":
-        return "Are there enough readings?", f"{check.value:.0f} valid", f"≥ {check.limit:.0f}"
+        found = f"valid in {check.value:.0f} directions"
+        return "Are there enough readings?", found, f"≥ {check.limit:.0f}"
+    if check.name == "complete":
+        return "Did the search come to its end?", "out of time", "complete"
     ask = {
         "elsewhere": "Is the true pose among those found?",
         "mass": "Does one pose hold nearly all of the probability?",

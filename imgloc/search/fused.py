@@ -277,12 +277,12 @@ def _first_look(
 
 
 def _standing(features: MapFeatures, poses: FloatArray, prior: Prior) -> FloatArray:
-    """The poses at which a robot can stand and may be."""
+    """The poses at which a robot can stand and may be, moved there if they are just beside."""
+    poses = prior.nearest(poses, features.grid.resolution)
     cells = cell_of(poses[:, :2], features.grid.resolution)
     on_map = inside(cells, features.grid.info)
     poses, cells = poses[on_map], cells[on_map]
-    poses = poses[features.standable[cells[:, 0], cells[:, 1]]]
-    return poses[prior.admits(poses, features.grid.resolution)]
+    return poses[features.standable[cells[:, 0], cells[:, 1]]]
 
 
 def _scored(

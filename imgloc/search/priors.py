@@ -14,7 +14,12 @@ from imgloc.errors import ConfigError
 from imgloc.features.lattice import any_of_blocks
 from imgloc.features.pyramid import Level
 from imgloc.geometry import cell_of, inside, wrap
-from imgloc.model import BoolArray, FloatArray, GridInfo, OccupancyGrid
+from imgloc.model import BoolArray, FloatArray, GridInfo, IntArray, OccupancyGrid
+
+SLIP = (0.5, float(np.deg2rad(15.0)))
+"""How far outside a set a pose can be that a refinement has taken there from a place in it."""
+_REACH = 100  # cells: the same on maps finer than 5 mm
+_LOOKS = 1 << 18  # cells looked at in one go
 
 
 @dataclass(frozen=True)
@@ -68,6 +73,36 @@ class Prior:
             ok &= on_map
         return ok
 
+    def nearest(self, poses: FloatArray, resolution: float) -> FloatArray:
+        """The poses (C, 3), grid frame, those beside the set moved to where it begins.
+
+        A scan that settles a few centimetres beside what is known of its place is no scan of
+        another place. Poses farther out than :data:`SLIP` are left out.
+
+        Examples
+        --------
+        >>> prior = Prior(np.array([[True, False, False]]), (0.0, 0.5))
+        >>> found = prior.nearest(np.array([[0.45, 0.1, 0.6], [1.7, 0.1, -0.1]]), 0.4)
+        >>> found.round(3).tolist()
+        [[0.4, 0.1, 0.5]]
+        """
+        poses = np.array(poses, dtype=np.float64)
+        if self.heading is not None:
+            poses = poses[self.headings(poses[:, 2], SLIP[1])]
+            centre, tolerance = self.heading
+            turned = ~self.headings(poses[:, 2])
+            turn = np.clip(wrap(poses[turned, 2] - centre), -tolerance, tolerance)
+            poses[turned, 2] = wrap(centre + turn)
+        if self.cells is None:
+            return poses
+        beside = np.flatnonzero(~self.admits(poses, resolution))
+        cells = _nearest_cells(self.cells, cell_of(poses[beside, :2], resolution), resolution)
+        # Not on the edge itself, which may belong to the next cell.
+        low = (cells[:, ::-1] + 1e-6) * resolution
+        high = (cells[:, ::-1] + 1 - 1e-6) * resolution
+        poses[beside, :2] = np.clip(poses[beside, :2], low, high)
+        return poses[self.admits(poses, resolution)]
+
     def headings(self, thetas: FloatArray, slack: float = 0.0) -> BoolArray:
         """Which headings are in the set, or less than `slack` beside it: bool, as `thetas`."""
         if self.heading is None:
@@ -85,11 +120,18 @@ class Prior:
         """Cells of another lattice, `cell` metres, that lie in the set or touch it."""
         if self.cells is None:
             return None
-        at = (np.argwhere(self.cells) + 0.5) * (resolution / cell)
-        row, col = np.minimum(at.astype(np.intp), np.subtract(shape, 1)).T
+        sides = zip(self.cells.shape, shape, strict=True)
+        row, column = (
+            np.minimum((np.arange(n) + 0.5) * (resolution / cell), most - 1).astype(np.intp)
+            for n, most in sides
+        )
+        # Rows and columns that meet in one lattice cell are neighbours: no list of cells is made.
+        first, left = (np.flatnonzero(np.diff(at, prepend=-1)) for at in (row, column))
+        some = np.logical_or.reduceat(np.logical_or.reduceat(self.cells, first), left, axis=1)
         out = np.zeros(shape, np.uint8)
-        out[row, col] = 1
-        return np.asarray(cv2.dilate(out, np.ones((3, 3), np.uint8)) > 0)
+        out[np.ix_(row[first], column[left])] = some
+        side = 2 * int(np.ceil(resolution / (2 * cell))) + 1  # of map cells larger than these
+        return np.asarray(cv2.dilate(out, np.ones((side, side), np.uint8)) > 0)
 
     def levels(self, levels: tuple[Level, ...], resolution: float) -> tuple[Level, ...]:
         """A pyramid whose free cells are those of the set."""
@@ -103,6 +145,8 @@ class Prior:
 
 def near(info: GridInfo, x: float, y: float, radius: float) -> BoolArray:
     """Cells (H, W) whose centre is within `radius` of a point, grid frame, metres.
+
+    The cell that holds the point is one of them, however small the radius.
 
     Raises
     ------
@@ -118,13 +162,19 @@ def near(info: GridInfo, x: float, y: float, radius: float) -> BoolArray:
         raise ConfigError(f"the radius must be positive and finite, got {radius:g} m")
     columns = (np.arange(info.width) + 0.5) * info.resolution - x
     rows = (np.arange(info.height) + 0.5) * info.resolution - y
-    return np.asarray(np.add.outer(rows**2, columns**2) <= radius**2 + 1e-9)
+    disc = np.asarray(np.add.outer(rows**2, columns**2) <= radius**2 + 1e-9)
+    here = cell_of(np.array([x, y]), info.resolution)
+    if inside(here, info):
+        disc[tuple(here)] = True
+    return disc
 
 
 def clearance(grid: OccupancyGrid, radius: float) -> BoolArray:
-    """Cells (H, W) whose centre is at least `radius` from all that is not free, metres.
+    """Cells (H, W) whose centre is about `radius` or more from all that is not free, metres.
 
-    Unknown cells and the world off the map are not free: a robot has not been there.
+    Unknown cells and the world off the map are not free: a robot has not been there. Distances
+    are those of the centres less half a cell: exact for walls along the axes, up to 0.21 cells
+    too large at a corner.
 
     Raises
     ------
@@ -145,3 +195,25 @@ def clearance(grid: OccupancyGrid, radius: float) -> BoolArray:
     # From centre to centre; the blocked cell itself begins half a cell nearer.
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     return np.asarray(grid.free & ((distance - 0.5) * grid.resolution >= radius - 1e-6))
+
+
+def _nearest_cells(mask: BoolArray, cells: IntArray, resolution: float) -> IntArray:
+    """For each (row, col) of (C, 2) the cell of `mask` that is nearest; itself if all are far."""
+    reach = min(int(np.ceil(SLIP[0] / resolution)), _REACH)
+    side = np.arange(-reach, reach + 1)
+    offsets = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
+    square = np.square(offsets).sum(axis=1)
+    order = np.argsort(square, kind="stable")
+    offsets = offsets[order[square[order] <= reach**2]]
+    height, width = mask.shape
+    info, out, left = GridInfo(height, width, resolution), cells.copy(), np.arange(len(cells))
+    while len(left) and len(offsets):
+        # Nearly all are found by the first look: few are left for the many offsets far away.
+        some, offsets = np.split(offsets, [max(1, _LOOKS // len(left))])
+        looks = cells[left, None] + some
+        hit = inside(looks, info)
+        hit[hit] = mask[tuple(looks[hit].T)]
+        found = hit.any(axis=1)
+        out[left[found]] += some[hit[found].argmax(axis=1)]
+        left = left[~found]
+    return out

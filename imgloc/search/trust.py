@@ -23,7 +23,7 @@ class Trust:
     Parameters
     ----------
     readings : int
-        With fewer valid readings than this a scan is ``invalid``.
+        With valid readings in fewer directions than this a scan is ``invalid``.
     temperature : float
         What evidence is divided by where map and scan agree perfectly: neighbouring readings
         are not independent.
@@ -79,13 +79,13 @@ class Trust:
         return float(1 / (1 + np.exp(-odds)))
 
 
-def judge(valid: int, mass: FloatArray, elsewhere: float, trust: Trust) -> str:
+def judge(directions: int, mass: FloatArray, elsewhere: float, trust: Trust) -> str:
     """Return one of ``unique``, ``ambiguous``, ``no-match`` and ``invalid``.
 
     Parameters
     ----------
-    valid : int
-        Number of valid readings.
+    directions : int
+        Of the valid readings, see :attr:`~imgloc.model.LaserScan.directions`.
     mass : (M,) float array
         Of the hypotheses, best first.
     elsewhere : float
@@ -97,7 +97,7 @@ def judge(valid: int, mass: FloatArray, elsewhere: float, trust: Trust) -> str:
     >>> judge(181, np.array([0.6, 0.4]), 0.0, Trust())
     'ambiguous'
     """
-    if valid < trust.readings:
+    if directions < trust.readings:
         return "invalid"
     if len(mass) == 0 or elsewhere > DOUBT:
         return "no-match"

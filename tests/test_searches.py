@@ -1,0 +1,192 @@
+"""What decides a verdict does not depend on what is listed, on time, or on repetition."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from places import ANGLES, POSES, answer_of, facts, features_of, scan_of
+
+from imgloc.errors import ConfigError
+from imgloc.experiments.scansets import Sensor, simulate_set
+from imgloc.experiments.worlds import WORLDS, render
+from imgloc.explain import explain
+from imgloc.features.budget import fused_bytes
+from imgloc.geometry import uniform_thetas
+from imgloc.likelihood.calibration import Calibration
+from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid
+from imgloc.pipeline import Options, check_options, found_in_stack, localize, prepare
+from imgloc.report.verdicts import question, why
+from imgloc.search.fused import FusedOptions
+from imgloc.search.priors import Prior
+from imgloc.search.trust import Trust
+from imgloc.searches import probability_of
+
+
+@pytest.fixture(scope="module")
+def double_wall():
+    """Features and three scans that several places explain."""
+    fine = render(WORLDS["double_wall"](), 0.01)
+    scans = simulate_set(render(WORLDS["double_wall"](), 0.1), 3, 5, Sensor(range_max=5.0), fine)
+    return features_of("double_wall"), scans.scans
+
+
+# --- the list
+
+
+@pytest.mark.parametrize(
+    "options",
+    [Options("cbml", exact=True), Options("cbml"), Options("ght-v"), Options(exact=True)],
+    ids=["branch and bound", "cbml", "ght-v", "fused with branch and bound"],
+)
+def test_a_shorter_list_is_the_start_of_a_longer_one(double_wall, options):
+    features, scans = double_wall
+    for scan in scans:
+        five = localize(features, scan, replace(options, top=5))
+        one = localize(features, scan, replace(options, top=1))
+        assert (one.verdict, one.entropy) == (five.verdict, five.entropy)
+        assert facts(one)[0] == facts(five)[0][:1]
+        assert len(five.hypotheses) == 5
+
+
+def test_branch_and_bound_shares_by_calibrated_scores(double_wall):
+    features, scans = double_wall
+    sharp, flat = (
+        localize(
+            features,
+            scans[0],
+            Options("cbml", exact=True, calibration=Calibration(temperature=t)),
+        ).hypotheses
+        for t in (0.02, 1e6)
+    )
+    assert [h.pose for h in sharp] == [h.pose for h in flat]
+    mass = [h.mass for h in sharp]
+    assert mass == sorted(mass, reverse=True)
+    assert mass[0] > 2 * mass[4]
+    assert flat[0].mass == pytest.approx(flat[4].mass, rel=1e-3)
+    assert flat[0].mass <= 1 / 20  # of all that were looked for
+
+
+# --- headings of the prior
+
+
+@pytest.mark.parametrize("method", ["ght-v", "cbml", "exact"])
+def test_a_heading_known_better_than_the_step_leaves_the_nearest_one(method):
+    x, y, _ = POSES["curved"]
+    exact, step, right = method == "exact", np.deg2rad(8), POSES["curved"][2]
+    assert 0.1 < right / step % 1 < 0.9  # between two headings
+    options = Options("cbml" if exact else method, theta_step=step, exact=exact)
+    options = replace(options, prior=Prior(None, (right, np.deg2rad(0.5))))
+    known = localize(features_of("curved"), scan_of("curved"), options)
+    assert abs(known.pose.theta - right) < step
+    assert np.hypot(known.pose.x - x, known.pose.y - y) < 0.5
+
+
+# --- neighbours of a peak
+
+
+def _stack_of(*peaks):
+    """A stack of 36 headings over 40 x 60 free cells of 0.1 m with some values in it."""
+    values = np.zeros((36, 40, 60), np.float32)
+    for k, row, column, value in peaks:
+        values[k, row, column] = value
+    return Likelihood(values, uniform_thetas(2 * np.pi / 36), GridInfo(40, 60, 0.1), "cbml")
+
+
+def test_the_mass_of_a_neighbouring_peak_goes_to_its_owner():
+    wall = np.zeros((40, 60), bool)
+    wall[0] = True
+    features = prepare(OccupancyGrid(wall, ~wall, 0.1))
+    options = Options("cbml", calibration=Calibration(temperature=1 / 2))
+    scan = LaserScan(np.full(120, 1.0), ANGLES, range_max=30.0)
+    stack = _stack_of((5, 20, 20, 5), (5, 20, 24, 4), (20, 10, 50, 3))
+    found = found_in_stack(features, scan, stack, options)
+    p = probability_of(features, scan, stack, options).astype(float)
+    here, there = p[5, 20, 20] + p[5, 20, 24], p[20, 10, 50]
+    assert len(found.hypotheses) == 2
+    assert found.mass[1] / found.mass[0] == pytest.approx(there / here)
+    assert found.mass.sum() == pytest.approx(1 - found.elsewhere)
+    # About the pose that is named: the neighbour's share is 0.4 m away from it.
+    share = p[5, 20, 24] / here
+    spread = [h.covariance[0, 0] for h in found.hypotheses]
+    assert spread[0] - spread[1] == pytest.approx(share * 0.4**2)
+    assert found.hypotheses[0].covariance[1, 1] == pytest.approx(spread[1])
+
+
+def test_neighbouring_headings_are_joined_across_the_cut():
+    wall = np.zeros((40, 60), bool)
+    wall[0] = True
+    scan = LaserScan(np.full(120, 1.0), ANGLES, range_max=30.0)
+    # Headings of 180 and 187.2 degrees: the cut of the circle lies between them.
+    values = np.zeros((50, 40, 60), np.float32)
+    values[25, 20, 20], values[26, 20, 23] = 5, 4
+    stack = Likelihood(values, uniform_thetas(2 * np.pi / 50), GridInfo(40, 60, 0.1), "cbml")
+    features = prepare(OccupancyGrid(wall, ~wall, 0.1))
+    (only,) = found_in_stack(features, scan, stack, Options("cbml")).hypotheses
+    assert only.covariance[2, 2] < np.deg2rad(8) ** 2
+
+
+# --- an early end
+
+
+def test_an_answer_out_of_time_is_never_unique():
+    features, scan = features_of("curved"), scan_of("curved")
+    assert answer_of("curved", "fused").verdict == "unique"
+    late = localize(features, scan, Options(time_budget=1e-9))
+    assert not late.complete
+    assert late.hypotheses[0].mass > 0.9
+    assert late.verdict == "ambiguous"
+    reason = explain(features, scan, late)
+    assert [c.holds for c in reason.checks] == [True, True, True, False]
+    assert question(reason.checks[-1])[1] == "out of time"
+    assert why(reason).startswith("Of those looked at")
+
+
+# --- repetition
+
+
+def test_repeated_directions_are_one_reading_each():
+    features, scan = features_of("curved"), scan_of("curved")
+    some = np.tile(np.arange(0, 120, 24), 60)  # five readings, sixty times
+    again = LaserScan(scan.ranges[some], scan.angles[some], range_max=30.0)
+    assert again.valid.sum() == 300
+    assert again.directions == 5
+    for method in ("fused", "cbml"):
+        answer = localize(features, again, Options(method))
+        assert (answer.verdict, answer.pose) == ("invalid", None)
+    turns = replace(again, angles=again.angles + 2 * np.pi * np.repeat(np.arange(60), 5))
+    assert localize(features, turns).verdict == "invalid"
+    answer = localize(features, again, Options(trust=Trust(readings=5)))
+    assert answer.verdict != "invalid"
+
+
+def test_the_page_says_that_directions_are_repeated():
+    features, scan = features_of("curved"), scan_of("curved")
+    again = LaserScan(np.full(90, 2.0), np.tile([0.0, 0.5, 1.0], 30), range_max=30.0)
+    for given, said in ((again, ", in 3 different directions"), (scan, "")):
+        invalid = localize(features, given, Options(trust=Trust(readings=999)))
+        text = why(explain(features, given, invalid, Options(trust=Trust(readings=999))))
+        assert f"distances to something{said};" in text
+
+
+# --- what is recorded, and what is taken
+
+
+def test_the_headings_of_branch_and_bound_are_recorded():
+    features, scan = features_of("curved"), scan_of("curved")
+    step = np.deg2rad(6.0)
+    exact = localize(features, scan, Options(exact=True, theta_step=step)).parameters
+    assert exact["theta_step"] == step
+    default = localize(features, scan, Options(exact=True)).parameters
+    assert default["theta_step"] == pytest.approx(np.deg2rad(3.0))
+    assert "theta_step" not in localize(features, scan, Options(theta_step=step)).parameters
+
+
+def test_the_number_of_votes_is_part_of_the_estimate():
+    features = features_of("curved")
+    shape, cell = features.lattice.shape, features.lattice.resolution
+    fused = FusedOptions(vote_cell=0.01, vote_cells=1_000_000_000)
+    need = fused_bytes(shape, cell, vote_cell=0.01, vote_cells=1_000_000_000)
+    assert need > 2 * fused_bytes(shape, cell, vote_cell=0.01)
+    check_options(features, Options(fused=fused, memory_budget=need))
+    with pytest.raises(ConfigError, match="MiB"):
+        check_options(features, Options(fused=fused, memory_budget=need - 1))
