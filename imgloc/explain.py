@@ -29,9 +29,9 @@ from imgloc.model import (
 )
 from imgloc.pipeline import in_map_frame
 from imgloc.search.explain import RayFit, explain_rays
-from imgloc.search.fused import thin
+from imgloc.search.fused import scan_xy, thin
 from imgloc.search.rescore import rescore
-from imgloc.search.trust import DOUBT
+from imgloc.search.trust import DOUBT, crowding
 from imgloc.searches import misfit_of, settle
 
 
@@ -178,7 +178,10 @@ def explain(
 def _temperature(scan: LaserScan, options: Options, misfit: float) -> float:
     """What made masses of the scores."""
     if options.method == FUSED:
-        return options.trust.temperature_at(misfit) if np.isfinite(misfit) else float("nan")
+        if not np.isfinite(misfit):
+            return float("nan")
+        rays = thin(scan.valid, options.fused.rays)
+        return options.trust.temperature_at(misfit, crowding(scan_xy(scan)[rays]))
     how = options.calibration or DEFAULTS[options.method]
     return how.temperature_at(options.method, max(1, int(scan.valid.sum())))
 

@@ -19,6 +19,7 @@ from imgloc.search.moments import peak_moments
 from imgloc.search.peaks import find_peaks, separated
 from imgloc.search.refine import refine
 from imgloc.search.rescore import Evidence, rescore
+from imgloc.search.trust import crowding
 
 MODES = 20
 """Poses that are looked for, however few are listed: no verdict depends on the list's length."""
@@ -73,7 +74,8 @@ def find_fused(features: MapFeatures, scan: LaserScan, options: Options) -> Foun
         return replace(NOTHING, complete=result.complete)
     score = result.evidence.log_likelihood
     misfit = misfit_of(result.evidence, options)
-    mass = masses(score, options.trust.temperature_at(misfit))
+    crowded = crowding(scan_xy(scan)[result.rays])
+    mass = masses(score, options.trust.temperature_at(misfit, crowded))
     elsewhere = options.trust.mass_elsewhere(misfit, float(mass[0]))
     mass *= 1 - elsewhere
     top = slice(0, options.top)

@@ -1,8 +1,8 @@
 """A far wider search for the score of the default method: what the search misses shows.
 
 The endpoint part of the score is an image: its logarithm at an endpoint depends on where that is
-and on nothing else. Correlated with 64 rays of the scan it ranks all poses of a lattice, roughly:
-it is averaged over cells, and walls in between are left out. The 20 000 best, many more than a
+and on nothing else. Correlated with the scan it ranks all poses of a lattice, roughly: it is
+averaged over cells, and walls in between are left out. The 20 000 best, many more than a
 search looks at, are refined and scored in full. They join what the search itself finds, so that
 the best of both is never below the search; nothing proves that no other pose is above.
 """
@@ -64,7 +64,7 @@ def exhaustive(
         function's own.
     """
     options = options or FusedOptions()
-    points = scan_xy(scan)[thin(scan.valid, options.few_rays)]
+    points = scan_xy(scan)[thin(scan.valid, options.rays)]
     factor = features.factor
     headings = len(uniform_thetas(options.theta_step))
     while headings * features.grid.occupied.size > most * factor**2:

@@ -15,6 +15,8 @@ from imgloc.model import FloatArray
 #: With more probability elsewhere than this there is no match.
 DOUBT = 0.5
 
+_PATCH = 0.2  # metres
+
 
 @dataclass(frozen=True)
 class Trust:
@@ -29,6 +31,10 @@ class Trust:
         are not independent.
     strain : float
         Growth of the temperature per nat of misfit.
+    crowded : float
+        Growth of the temperature per reading on the same patch of wall, of :func:`crowding`, from
+        where this makes more than 1 of it: they share the errors of the map, so that a scan of a
+        corner with hundreds of readings says no more than one with a few.
     elsewhere : (float, float, float)
         Log-odds that the true pose is none of the hypotheses: constant, per nat of misfit, per
         share of the mass that the best hypothesis does not hold. A logistic regression on
@@ -43,19 +49,24 @@ class Trust:
     readings: int = 10
     temperature: float = 1.5
     strain: float = 15.0
+    crowded: float = 0.36
     elsewhere: tuple[float, float, float] = (-5.1, 1.8, 3.9)
     mass: float = 0.9
     correlated: float = 2.6
 
-    def temperature_at(self, misfit: float) -> float:
-        """Temperature for a misfit in nats per reading.
+    def temperature_at(self, misfit: float, crowding: float = 1.0) -> float:
+        """Temperature for a misfit in nats per reading, and a number of readings per patch.
 
         Examples
         --------
-        >>> Trust(temperature=2.0, strain=10.0).temperature_at(0.5)
+        >>> Trust(temperature=2.0, strain=10.0, crowded=0.5).temperature_at(0.5)
         7.0
+        >>> Trust(temperature=2.0, strain=10.0, crowded=0.5).temperature_at(0.5, 6.0)
+        21.0
         """
-        return self.temperature + self.strain * max(0.0, misfit)
+        return (self.temperature + self.strain * max(0.0, misfit)) * max(
+            1.0, self.crowded * crowding
+        )
 
     def mass_elsewhere(self, misfit: float, best: float) -> float:
         """Probability that the true pose is none of the hypotheses.
@@ -77,6 +88,18 @@ class Trust:
         constant, per_nat, per_share = self.elsewhere
         odds = constant + per_nat * max(0.0, misfit) + per_share * (1 - best)
         return float(1 / (1 + np.exp(-odds)))
+
+
+def crowding(xy: FloatArray) -> float:
+    """Readings for each patch of 0.2 m that they fall on, from their endpoints (N, 2), metres.
+
+    Examples
+    --------
+    >>> crowding(np.array([[1.01, 0.05], [1.03, 0.07], [1.05, 0.09], [5.0, 0.1]]))
+    2.0
+    """
+    patches = np.unique(np.floor(xy / _PATCH), axis=0)
+    return len(xy) / max(1, len(patches))
 
 
 def judge(directions: int, mass: FloatArray, elsewhere: float, trust: Trust) -> str:
