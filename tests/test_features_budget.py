@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
+from imgloc.experiments.calibrate import disturbed_set, sweep
+from imgloc.experiments.scansets import Sensor
 from imgloc.features.budget import (
     MIB,
     UNKNOWN_RAM,
@@ -23,7 +25,7 @@ from imgloc.features.budget import (
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import uniform_thetas
 from imgloc.model import LaserScan, OccupancyGrid
-from imgloc.pipeline import METHODS, Options, localize
+from imgloc.pipeline import ALL_METHODS, METHODS, Options, answer_bytes, localize
 from imgloc.search.branch_and_bound import best_poses
 
 FIXED = fused_bytes((1, 1), 1.0)  # what is assumed whatever the sizes
@@ -88,6 +90,32 @@ def test_a_stack_takes_no_more_than_estimated(method: str) -> None:
     assert need - FIXED <= 3 * taken
 
 
+@pytest.mark.parametrize("method", ALL_METHODS)
+@pytest.mark.parametrize("resolution", [0.05, 0.1])
+def test_features_and_answer_take_no_more_than_estimated(method: str, resolution: float) -> None:
+    grid = office(4, resolution)
+    features, options = MapFeatures(grid, n_rays=48), Options(method=method, theta_step=np.pi / 6)
+    taken = peak(lambda: localize(features, scan(), options))
+    points = surface_count(grid)
+    need = prepare_bytes(grid.occupied.shape, points=points, factor=features.factor, voters=points)
+    assert taken <= need + answer_bytes(features, options)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_calibrating_takes_no_more_than_estimated(method: str) -> None:
+    grid = office(6, 0.1)
+    scans = disturbed_set(grid, 1, 0, Sensor(rays=90))
+    features = MapFeatures(grid, n_psi=24, n_rays=48)
+    if method == "ght-v":
+        _ = features.visibility
+    _ = features.surface, features.bmap, features.field, features.walls, features.free
+    options = Options(method=method, theta_step=2 * np.pi / 12)
+    taken = peak(lambda: sweep(features, scans, options))
+    need = answer_bytes(features, options)
+    assert taken <= need
+    assert need - FIXED <= 3 * taken
+
+
 def test_the_default_method_takes_no_more_than_estimated() -> None:
     features = MapFeatures(office(6, 0.1), n_psi=24)
     _ = features.surface, features.visibility, features.pyramid, features.field, features.walls
@@ -110,6 +138,7 @@ def test_the_exact_argmax_takes_no_more_than_estimated() -> None:
 def test_estimates_grow_with_everything() -> None:
     base = {"points": 1000, "n_psi": 72, "factor": 2}
     least = prepare_bytes((500, 500), **base)
+    assert prepare_bytes((500, 500), **base, voters=10) < least
     for change in ({"points": 10**6}, {"n_psi": 720}, {"factor": 1}):
         assert prepare_bytes((500, 500), **{**base, **change}) > least
     assert stack_bytes("ght", (500, 500), 36, threads=4) > stack_bytes("ght", (500, 500), 36)

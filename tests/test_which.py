@@ -13,7 +13,7 @@ from imgloc.experiments.worlds import WORLDS, render
 from imgloc.io.maps import save_map
 from imgloc.model import Localization, OccupancyGrid
 from imgloc.pipeline import Options, prepare
-from imgloc.which import Fit, choose, fit
+from imgloc.which import LUCK, Fit, choose, fit, unknown_evidence
 
 EMPTY = Localization((), "unique", 0.0, 1.0)
 
@@ -51,6 +51,38 @@ def test_the_better_fit_is_named_and_a_bad_one_is_none() -> None:
     assert choose({"a": made(), "b": made()}).verdict == "none"
 
 
+def test_a_map_is_not_named_for_fitting_by_chance() -> None:
+    chance = {"a": made(50.0), "b": made(20.0), "c": made(20.0)}  # 1 nat per reading is missing
+    assert choose({"a": chance["a"], "b": chance["b"]}).verdict == "a"  # two say nothing of chance
+    choice = choose(chance)
+    assert choice.verdict == "none"
+    assert sum(choice.probability.values()) + choice.none == pytest.approx(1)
+    assert choose(chance | {"own": made(120.0)}).verdict == "own"
+
+
+def test_chance_is_what_the_third_best_map_reaches() -> None:
+    twins = {"floor": made(70.0), "half": made(69.0)}
+    some = {f"other {k}": made(-60.0) for k in range(9)}
+    choice = choose(twins | some)
+    assert choice.verdict == "floor"  # two maps of one building are no evidence against it
+    assert choice.none == pytest.approx(choose(twins | {"other": made(-60.0)}).none, abs=1e-3)
+    assert choose(twins | some | {"third": made(68.0)}).verdict == "none"
+
+
+def test_what_fits_too_well_for_chance_is_not_none() -> None:
+    floors = {name: made(140.0) for name in ("first", "second", "third")}
+    choice = choose(floors)
+    assert choice.verdict == "undecided"
+    assert choice.none < 0.1
+
+
+def test_an_unknown_building_may_lead_the_third_best() -> None:
+    assert unknown_evidence([-9.0, -8.0, 31.0, -12.0], 6.0) == -3.0
+    assert unknown_evidence([50.0, 49.0, 48.0], 6.0) == LUCK
+    assert unknown_evidence([50.0, 49.0], 6.0) == -np.inf
+    assert unknown_evidence([50.0, 49.0, -np.inf], 6.0) == -np.inf
+
+
 def test_the_temperature_is_that_of_the_best_fit() -> None:
     both = choose({"a": made(140.0), "b": made(-100.0)})
     assert both.temperature == choose({"a": made(140.0)}).temperature
@@ -79,6 +111,20 @@ def test_votes_have_no_common_scale() -> None:
     scan = simulate_set(grid, 1, 0, Sensor()).scans[0]
     with pytest.raises(ConfigError, match="fused"):
         fit(prepare(grid), scan, Options("ght"))
+
+
+def test_of_four_other_worlds_none_is_named() -> None:
+    sensor = Sensor(range_max=20.0)
+    simulated = simulate_set(render(WORLDS["curved"](), 0.1), 20, 0, sensor).scans
+    scans = [simulated[k] for k in (6, 15)]  # of the others, one fits better than the next
+    fits: list[dict[str, Fit]] = [{} for _ in scans]
+    for name, world in WORLDS.items():
+        features = prepare(render(world(), 0.1))
+        for scan, found in zip(scans, fits, strict=True):
+            found[name] = fit(features, scan)
+    assert [choose(found).verdict for found in fits] == ["curved"] * 2
+    away = [{name: f for name, f in found.items() if name != "curved"} for found in fits]
+    assert not {choose(found).verdict for found in away} & set(WORLDS)
 
 
 @pytest.fixture(scope="module")

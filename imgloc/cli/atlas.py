@@ -14,6 +14,7 @@ from imgloc.cli.options import (
     AsJson,
     Force,
     MapPath,
+    MemoryBudget,
     Reading,
     console,
     count_threads,
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
 
 _MOST = 20_000
+_AT_ONCE = 1000  # scans that are simulated at a time
 
 
 @with_options(sensor, reading, console)
@@ -55,6 +57,7 @@ def atlas(
             min=1, metavar="N", help="Processes; no result depends on it. [default: all processors]"
         ),
     ] = None,
+    memory_budget: MemoryBudget = None,
     as_json: AsJson = False,
     force: Force = False,
     allow_lossy: AllowLossy = False,
@@ -72,17 +75,25 @@ def atlas(
     check_range("--range-max", range_max, 0.01, 10_000, "metres")
 
     from imgloc.cli.answers import to_json
+    from imgloc.cli.budgets import (
+        check_answer,
+        check_picture,
+        check_simulation,
+        fixed_budget,
+    )
     from imgloc.cli.pictures import write_picture
     from imgloc.cli.sources import load_usable
     from imgloc.draw.atlas import draw_atlas
     from imgloc.experiments.atlas import TOP, atlas_poses, survey
+    from imgloc.experiments.scansets import is_world
     from imgloc.io.atlasrows import Journal, as_csv
     from imgloc.io.cache import cache_key
     from imgloc.io.files import display
     from imgloc.io.output import write_text_atomic
     from imgloc.model import Pose2D
-    from imgloc.pipeline import Options
+    from imgloc.pipeline import Options, prepare
 
+    memory_budget = fixed_budget(memory_budget)
     grid = load_usable(map_path, reading, allow_lossy=allow_lossy)
     poses = atlas_poses(grid, step, headings, sensor.clearance)
     if len(poses) > _MOST:
@@ -91,6 +102,15 @@ def atlas(
             "use a larger --step or fewer --headings"
         )
     chosen = replace(sensor, range_max=range_max)
+    name, features = display(map_path), prepare(grid, display(map_path))
+    options = Options(top=TOP, threads=1, memory_budget=memory_budget)
+    processes = min(count_threads(workers), max(1, len(poses) // 8))
+    check_simulation(
+        grid, name, len(poses), sensor.rays, memory_budget,
+        world=is_world(map_path, grid), at_once=_AT_ONCE, hint="use a larger --step, crop the map",
+    )  # fmt: skip
+    check_answer(features, options, name, hint="crop the map", workers=processes)
+    check_picture(features, "map", name, memory_budget, marks=len(poses))
     about = {"step": step, "headings": headings, "seed": seed, "sensor": repr(chosen)}
 
     def pose_of(values: Sequence[object]) -> Pose2D:
@@ -101,8 +121,7 @@ def atlas(
     done = len(journal.rows)
     if done:
         say(f"going on after {done} of {len(poses)} poses")
-    processes = min(count_threads(workers), max(1, (len(poses) - done) // 8))
-    options = Options(top=TOP, threads=1)
+    processes = min(processes, max(1, (len(poses) - done) // 8))
     scans = _scans(map_path, grid, poses, chosen, seed)[done:]
     try:
         with progress("atlas", len(scans), lines=False) as advance:
@@ -147,7 +166,7 @@ def _scans(
                 fine, part, angles, sigma=sensor.sigma, range_max=sensor.range_max,
                 seed=seed + k, outliers=sensor.outliers, dropped=sensor.dropped,
             )
-            for k, part in enumerate(np.array_split(poses, -(-len(poses) // 1000)))
+            for k, part in enumerate(np.array_split(poses, -(-len(poses) // _AT_ONCE)))
         ]
     )  # fmt: skip
     return [

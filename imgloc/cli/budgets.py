@@ -5,9 +5,21 @@ from typing import TYPE_CHECKING
 from imgloc.cli.console import LOG
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from imgloc.cli.options import Reading
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.methods import Options
     from imgloc.model import OccupancyGrid
+
+COARSER = "crop the map, use a larger --cell or --theta-step-deg"
+
+
+def fixed_budget(memory_budget: int | None) -> int:
+    """Bytes that a command may take to its end: by default half of what is there at its start."""
+    from imgloc.features.budget import default_budget
+
+    return default_budget() if memory_budget is None else memory_budget
 
 
 def check_memory(need: int, memory_budget: int | None, what: str, hint: str) -> None:
@@ -18,48 +30,108 @@ def check_memory(need: int, memory_budget: int | None, what: str, hint: str) -> 
     ConfigError
         If it is more than the budget, bytes; None is half of what is there.
     """
-    from imgloc.features.budget import MIB, check_budget, default_budget
+    from imgloc.features.budget import MIB, check_budget
 
-    budget = default_budget() if memory_budget is None else memory_budget
+    budget = fixed_budget(memory_budget)
     LOG.info("%s: at most %d MiB, the budget is %d MiB", what, -(-need // MIB), budget // MIB)
     check_budget(need, budget, what, f"{hint}, or raise --memory-budget")
 
 
+def check_image(map_path: "Path", reading: "Reading", memory_budget: int | None) -> None:
+    """Check the memory that looking at the image of a map takes."""
+    from imgloc.features.estimates import check_bytes
+    from imgloc.io.files import display
+    from imgloc.io.images import image_size
+    from imgloc.io.mapsettings import resolve_settings
+
+    image = resolve_settings(map_path, **reading).image
+    width, height, file_bytes = image_size(image)
+    check_memory(
+        check_bytes(width * height, file_bytes),
+        memory_budget,
+        f"{display(image)}: an image of {width} x {height} pixels",
+        "crop the map",
+    )
+
+
 def check_simulation(
     grid: "OccupancyGrid", name: str, count: int, rays: int, memory_budget: int | None,
-    *, world: bool = False,
+    *, world: bool = False, at_once: int | None = None, sets: int = 1,
+    hint: str = "simulate fewer scans, crop the map",
 ) -> None:  # fmt: skip
-    """Check the memory that simulating scans takes; those of a bundled `world` on its walls."""
+    """Check the memory that simulating scans takes; those of a bundled `world` on its walls.
+
+    They are simulated `at_once`, by default all, and as many as `sets` times `count` are kept.
+    """
     from imgloc.experiments.finegrid import FINE, fine_factor
     from imgloc.features.estimates import simulate_bytes
 
     height, width = grid.occupied.shape
     factor = round(grid.resolution / FINE) if world else fine_factor(grid)
     check_memory(
-        simulate_bytes(height * width, height * width * factor**2, count * rays),
+        simulate_bytes(
+            height * width,
+            height * width * factor**2,
+            min(count, at_once or count) * rays,
+            kept=sets * count * rays,
+        ),
         memory_budget,
         f"{name}: simulating {count:,} scans of {rays:,} rays "
         f"on {factor * height} x {factor * width} cells",
-        "simulate fewer scans, crop the map",
+        hint,
     )
 
 
 def check_answer(
-    features: "MapFeatures", options: "Options", name: str, memory_budget: int | None
-) -> None:
-    """Check the memory that an answer takes besides the features."""
+    features: "MapFeatures", options: "Options", name: str,
+    *, hint: str = COARSER, workers: int = 1,
+) -> None:  # fmt: skip
+    """Check the memory that an answer and the features it needs take together.
+
+    The budget, that of the options, is for all of several processes, which share nothing.
+    """
+    from imgloc.features.budget import MIB, prepare_bytes, surface_count
+    from imgloc.features.estimates import PROCESS
+    from imgloc.features.mapfeatures import VOTERS
     from imgloc.pipeline import answer_bytes
 
-    (height, width), cell = features.lattice.shape, features.lattice.resolution
+    (rows, columns), lattice = features.grid.occupied.shape, features.lattice
+    points = surface_count(features.grid)
+    held = prepare_bytes(
+        (rows, columns),
+        points=points,
+        n_psi=features.n_psi,
+        factor=features.factor,
+        voters=points if options.method == "ght-v" else VOTERS,
+    )
+    answer = answer_bytes(features, options)
+    what = (
+        f"{name}: {options.method} on {lattice.height} x {lattice.width} cells of "
+        f"{lattice.resolution:g} m ({-(-answer // MIB)} MiB) with features of "
+        f"{rows} x {columns} cells ({-(-held // MIB)} MiB)"
+    )
+    need = held + answer
+    if workers > 1:
+        need = workers * (need + PROCESS + 2 * rows * columns)
+        what, hint = f"{what} in each of {workers} processes", f"use fewer --workers, {hint}"
+    check_memory(need, options.memory_budget, what, hint)
+
+
+def check_draws(count: int, scans: int, name: str, memory_budget: int | None) -> None:
+    """Check the memory that `count` poses for each of some scans take as text."""
+    from imgloc.features.estimates import POSE_TEXT
+
     check_memory(
-        answer_bytes(features, options),
+        POSE_TEXT * count * scans,
         memory_budget,
-        f"{name}: {options.method} on {height} x {width} cells of {cell:g} m",
-        "use a larger --cell or --theta-step-deg",
+        f"{name}: a table of {count:,} poses for each of {scans:,} scans",
+        "draw fewer (-n), or from one scan (--index)",
     )
 
 
-def check_picture(features: "MapFeatures", what: str, name: str, memory_budget: int | None) -> None:
+def check_picture(
+    features: "MapFeatures", what: str, name: str, memory_budget: int | None, *, marks: int = 0
+) -> None:
     """Check the memory that drawing a map or one of its features takes."""
     from imgloc.draw.canvas import default_scale
     from imgloc.features.budget import surface_count
@@ -71,7 +143,12 @@ def check_picture(features: "MapFeatures", what: str, name: str, memory_budget: 
     points = 0 if what in ("map", "distance") else surface_count(features.grid)
     check_memory(
         picture_bytes(
-            what, info.shape, height * width * scale**2, points=points, n_psi=features.n_psi
+            what,
+            info.shape,
+            height * width * scale**2,
+            points=points,
+            n_psi=features.n_psi,
+            marks=marks,
         ),
         memory_budget,
         f"{name}: a picture ({what}) of {scale * height} x {scale * width} pixels",

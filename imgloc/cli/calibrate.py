@@ -13,6 +13,7 @@ from imgloc.cli.options import (
     AllowLossy,
     AsJson,
     Force,
+    MemoryBudget,
     MethodName,
     Reading,
     Threads,
@@ -72,6 +73,7 @@ def calibrate(
     ] = False,
     as_json: AsJson = False,
     threads: Threads = None,
+    memory_budget: MemoryBudget = None,
     force: Force = False,
     allow_lossy: AllowLossy = False,
 ) -> None:
@@ -91,8 +93,9 @@ def calibrate(
     import numpy as np
 
     from imgloc.cli import answers, tables
+    from imgloc.cli.budgets import check_answer, check_simulation, fixed_budget
     from imgloc.experiments.calibrate import check_trials, disturbed_set, fit, sweep
-    from imgloc.experiments.scansets import fine_image, simulate_set
+    from imgloc.experiments.scansets import fine_image, is_world, simulate_set
     from imgloc.io.calibration import calibration_path, save_calibrations
     from imgloc.io.files import display
     from imgloc.pipeline import Options, prepare
@@ -110,22 +113,33 @@ def calibrate(
         check_target(target, ".json", force=force)
     check_trials(count * len(paths))
     workers = count_threads(threads)
+    memory_budget = fixed_budget(memory_budget)
     cv2.setNumThreads(workers)
     laser = replace(sensor, range_max=range_max)
     grids = [load_usable(path, reading, allow_lossy=allow_lossy) for path in paths]
+    plans = {}
+    for method in chosen:
+        step = steps.get(method)
+        plans[method] = Options(
+            method=method,
+            theta_step=None if step is None else float(np.deg2rad(step)),
+            threads=workers,
+            memory_budget=memory_budget,
+        )
+    for path, grid in zip(paths, grids, strict=True):
+        name, world = display(path), is_world(path, grid)
+        check_simulation(
+            grid, name, count, sensor.rays, memory_budget, world=world, sets=3 * len(grids)
+        )
+        for options in plans.values():
+            check_answer(prepare(grid, name, cell=cell), options, name)
     simulate = simulate_set if clean else disturbed_set
     sets = [
         simulate(grid, count, seed, laser, fine_image(path, grid))
         for path, grid in zip(paths, grids, strict=True)
     ]
     fits: dict[str, Fit] = {}
-    for method in chosen:
-        step = steps.get(method)
-        options = Options(
-            method=method,
-            theta_step=None if step is None else float(np.deg2rad(step)),
-            threads=workers,
-        )
+    for method, options in plans.items():
         sweeps = []
         with progress(method, count * len(maps), lines=False) as advance:
             for path, grid, scans in zip(paths, grids, sets, strict=True):

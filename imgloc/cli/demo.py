@@ -1,6 +1,7 @@
 """`imgloc demo`: the whole way in one command, without any file."""
 
 import os
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +12,7 @@ from imgloc.cli.console import LOG, emit
 from imgloc.cli.files import check_target
 from imgloc.cli.options import (
     Force,
+    MemoryBudget,
     Threads,
     console,
     count_threads,
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from imgloc.draw.canvas import Picture
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.model import LaserScan, Localization, Pose2D
+    from imgloc.pipeline import Options
 
 _OUT = Path("imgloc-demo.png")
 
@@ -50,6 +53,7 @@ def demo(
         ),
     ] = None,
     threads: Threads = None,
+    memory_budget: MemoryBudget = None,
     force: Force = False,
 ) -> None:
     """Simulate a scan in a bundled map, localize it, draw the answer.
@@ -68,6 +72,7 @@ def demo(
     import cv2
 
     from imgloc.cli import answers
+    from imgloc.cli.budgets import check_answer, check_simulation, fixed_budget
     from imgloc.experiments.simulate import simulate_scans
     from imgloc.io.files import display
     from imgloc.io.maps import load_map
@@ -75,17 +80,24 @@ def demo(
     from imgloc.pipeline import Options, localize, prepare
 
     workers = count_threads(threads)
+    memory_budget = fixed_budget(memory_budget)
     cv2.setNumThreads(workers)
     path = maps / f"{name.value}.yaml"
     grid = load_map(path)
+    options = Options(threads=workers, memory_budget=memory_budget)
+    cbml = replace(options, method="cbml")
     features = prepare(grid, name.value, threads=workers)
+    hint = "use another --map"
+    check_simulation(grid, name.value, 1, 181, memory_budget, hint=hint)
+    for each in (options, cbml):
+        check_answer(features, each, name.value, hint=hint)
     ranges, angles, poses = simulate_scans(grid, 1, seed)
     scan = LaserScan(ranges[0], angles, range_max=30.0)
     truth = Pose2D(*poses[0])  # the origin of a bundled map is 0: grid frame and map frame agree
-    answer = localize(features, scan, Options(threads=workers))
+    answer = localize(features, scan, options)
     LOG.info("map %s, seed %d", display(path), seed)
     emit(answers.as_text(f"map {name.value}, seed {seed}", answer, truth))
-    sheet = _sheet(features, scan, answer, truth, workers)
+    sheet = _sheet(features, scan, answer, truth, cbml)
     emit(f"\npicture: {display(_write(target, sheet, free=out is None, force=force))}")
 
 
@@ -94,14 +106,14 @@ def _sheet(
     scan: "LaserScan",
     answer: "Localization",
     truth: "Pose2D",
-    threads: int,
+    options: "Options",
 ) -> "Picture":
     """Draw the likelihood as the paper does, and beside it the answer."""
     from imgloc.cli.pictures import draw_answer, same_height
     from imgloc.draw import draw_likelihood, mosaic
-    from imgloc.pipeline import Options, likelihood
+    from imgloc.pipeline import likelihood
 
-    stack = likelihood(features, scan, Options(method="cbml", threads=threads))
+    stack = likelihood(features, scan, options)
     pictures = same_height(
         [
             draw_likelihood(stack, grid=features.grid, truth=truth),

@@ -121,8 +121,7 @@ def evaluate(
     import numpy as np
 
     from imgloc.cli import answers, tables
-    from imgloc.cli.budgets import check_answer
-    from imgloc.cli.prepared import open_features
+    from imgloc.cli.budgets import check_answer, fixed_budget
     from imgloc.experiments import evaluate as experiment
     from imgloc.experiments.summary import TOLERANCES, Tolerance
     from imgloc.io.calibration import calibration_path, load_calibrations
@@ -130,6 +129,7 @@ def evaluate(
     from imgloc.pipeline import prepare
 
     workers = count_threads(threads)
+    memory_budget = fixed_budget(memory_budget)
     cv2.setNumThreads(workers)
     within = (*TOLERANCES, *(Tolerance(m, float(np.deg2rad(deg))) for m, deg in tolerances))
     table: list[Mapping[str, Any]] = []
@@ -156,11 +156,9 @@ def evaluate(
                 options, calibration=calibrations.get(method), memory_budget=memory_budget
             )
             # All of them before the first one takes its time.
-            features = open_features(grid, display(path), None, memory_budget, cell=side)
-            check_answer(features, options, display(path), memory_budget)
+            check_answer(prepare(grid, display(path), cell=side), options, display(path))
             plans.append((method, side, options))
         for method, side, options in plans:
-            # Each method has features of its own: their bytes are what it needs.
             features = prepare(grid, display(path), cell=side, threads=workers)
             with progress(f"{name}: {method}", len(trials), lines=False) as advance:
                 result = experiment.evaluate(

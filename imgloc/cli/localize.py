@@ -133,6 +133,7 @@ def localize(
     import cv2
 
     from imgloc.cli import answers
+    from imgloc.cli.budgets import fixed_budget
     from imgloc.cli.explanations import write_explanation
     from imgloc.cli.pictures import picture_name, write_hypotheses
     from imgloc.cli.prepared import cache_folder, keep_features, open_features
@@ -144,6 +145,7 @@ def localize(
     from imgloc.pipeline import localize as locate
 
     workers = count_threads(threads)
+    memory_budget = fixed_budget(memory_budget)
     cv2.setNumThreads(workers)
     options = _options(method, top, theta_step_deg, engine, workers)
     with quiet_libraries():
@@ -157,9 +159,7 @@ def localize(
         calibration=load_calibrations(calibration_path(map_path), grid).get(method.value),
     )
     folder = cache_folder(cache, wanted=not no_cache)
-    features = open_features(
-        grid, display(map_path), folder, memory_budget, cell=cell, threads=workers
-    )
+    features = open_features(grid, display(map_path), folder, options, cell=cell, threads=workers)
     scans = load_scans(scans_path)
     chosen = _choose(scans, index, display(scans_path))
     many, mount = len(chosen) > 1, mounting.pose

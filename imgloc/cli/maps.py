@@ -50,14 +50,17 @@ def check(
     strict: Annotated[
         bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")
     ] = False,
+    memory_budget: MemoryBudget = None,
 ) -> None:
     """Report what is in a map, and what is likely to be wrong with it.
 
     A map without walls or without free space is reported, not refused; a file that cannot be read
     exits with 3.
     """
+    from imgloc.cli.budgets import check_image
     from imgloc.io.mapcheck import check_map
 
+    check_image(map_path, reading, memory_budget)
     with quiet_libraries():
         report = check_map(map_path, **reading)
     emit(json.dumps(_as_row(report), allow_nan=False) if as_json else _as_text(report))

@@ -2,12 +2,14 @@
 
 from typing import TYPE_CHECKING, Any
 
+from imgloc.cli.budgets import COARSER, check_answer
 from imgloc.cli.console import LOG
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from imgloc.features.mapfeatures import MapFeatures
+    from imgloc.methods import Options
     from imgloc.model import OccupancyGrid
 
 
@@ -29,44 +31,26 @@ def open_features(
     grid: "OccupancyGrid",
     name: str,
     folder: "Path | None",
-    memory_budget: int | None,
+    options: "Options",
+    *,
+    hint: str = COARSER,
     **parameters: Any,
 ) -> "MapFeatures":
-    """Prepare a map, with what the cache in `folder` has of it.
+    """Prepare a map, with what the cache in `folder` has of it, to answer as `options` say.
 
     Raises
     ------
     MapError
         If the map has no walls or no free cells.
     ConfigError
-        If its features would take more than the budget, bytes; None is half of what is there.
+        If its features and an answer would take more memory than the options' budget; `hint`
+        is what to change.
     """
-    from imgloc.features.budget import (
-        MIB,
-        check_budget,
-        default_budget,
-        prepare_bytes,
-        surface_count,
-    )
     from imgloc.features.store import load_features
     from imgloc.pipeline import prepare
 
     features = prepare(grid, name, **parameters)
-    height, width = grid.occupied.shape
-    need = prepare_bytes(
-        (height, width), points=surface_count(grid), n_psi=features.n_psi, factor=features.factor
-    )
-    budget = default_budget() if memory_budget is None else memory_budget
-    LOG.info(
-        "%s: its features take at most %d MiB, the budget is %d MiB",
-        name, -(-need // MIB), budget // MIB,
-    )  # fmt: skip
-    check_budget(
-        need,
-        budget,
-        f"{name}: preparing {height} x {width} cells",
-        "crop the map, use a coarser one, or raise --memory-budget",
-    )
+    check_answer(features, options, name, hint=hint)
     return features if folder is None else load_features(grid, folder, parameters)
 
 

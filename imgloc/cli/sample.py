@@ -13,6 +13,7 @@ from imgloc.cli.options import (
     Flipped,
     Force,
     MapPath,
+    MemoryBudget,
     MethodName,
     Reading,
     ScansPath,
@@ -63,6 +64,7 @@ def sample(
     ] = None,
     cell: Annotated[float, typer.Option(metavar="M", help="Cell of the poses, metres.")] = 0.1,
     threads: Threads = None,
+    memory_budget: MemoryBudget = None,
     force: Force = False,
     allow_lossy: AllowLossy = False,
 ) -> None:
@@ -82,14 +84,17 @@ def sample(
     import cv2
     import numpy as np
 
+    from imgloc.cli.budgets import check_draws, fixed_budget
+    from imgloc.cli.prepared import open_features
     from imgloc.cli.sources import load_usable
     from imgloc.io.calibration import calibration_path, load_calibrations
     from imgloc.io.files import display
     from imgloc.io.output import write_text_atomic
     from imgloc.io.scans import load_scans
-    from imgloc.pipeline import Options, prepare
+    from imgloc.pipeline import Options
 
     workers = count_threads(threads)
+    memory_budget = fixed_budget(memory_budget)
     cv2.setNumThreads(workers)
     grid = load_usable(map_path, reading, allow_lossy=allow_lossy)
     with quiet_libraries():
@@ -99,11 +104,14 @@ def sample(
     chosen = range(len(scans)) if index is None else range(index, index + 1)
     if count * len(chosen) > _MOST:
         raise ConfigError(f"-n: {count:,} poses of {len(chosen):,} scans are more than {_MOST:,}")
-    options = Options(method=method.value, top=_LISTED, threads=workers)
+    check_draws(count, len(chosen), display(scans_path), memory_budget)
+    options = Options(
+        method=method.value, top=_LISTED, threads=workers, memory_budget=memory_budget
+    )
     step = None if theta_step_deg is None else float(np.deg2rad(theta_step_deg))
     calibration = load_calibrations(calibration_path(map_path), grid).get(method.value)
     options = replace(options, theta_step=step, calibration=calibration)
-    features = prepare(grid, display(map_path), cell=cell, threads=workers)
+    features = open_features(grid, display(map_path), None, options, cell=cell, threads=workers)
     lines = ["scan,x,y,theta"]
     with progress("sample", len(chosen)) as advance:
         for k in chosen:

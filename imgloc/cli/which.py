@@ -56,14 +56,17 @@ def which(
     """Say which of the maps in a folder each scan is from: one of them, none, or undecided.
 
     The scan is located in every map. Evidence is the likelihood averaged over all poses of a map,
-    so that a large map does not win by having more places. A scan with too few readings is
-    invalid. A map that cannot be used is reported and left out; the exit code is then 5.
+    so that a large map does not win by having more places. It is from none if it fits badly, or,
+    asked of three maps or more, if the best fits hardly better than the third best does by chance.
+    A scan with too few readings is invalid. A map that cannot be used is reported and left out;
+    the exit code is then 5.
     """
     check_range("--range-max", range_max, 1e-3, 1e6, "metres")
     check_range("--sure", sure, 0.5, 1, "a probability")
 
     import cv2
 
+    from imgloc.cli.budgets import fixed_budget
     from imgloc.cli.prepared import cache_folder, keep_features, open_features
     from imgloc.io.files import display
     from imgloc.io.maps import load_map
@@ -72,6 +75,7 @@ def which(
     from imgloc.which import choose, fit
 
     workers = count_threads(threads)
+    memory_budget = fixed_budget(memory_budget)
     cv2.setNumThreads(workers)
     paths = find_maps(maps_dir)
     recorded = load_scans(scans_path).scans
@@ -86,7 +90,7 @@ def which(
                 with quiet_libraries():
                     grid = load_map(path, allow_lossy=allow_lossy)
                 features = open_features(
-                    grid, display(path), folder, memory_budget, threads=workers
+                    grid, display(path), folder, options, hint="crop the map", threads=workers
                 )
                 check_options(features, options)
             except (MapError, ConfigError) as error:
@@ -98,6 +102,7 @@ def which(
                 advance()
             if folder is not None:
                 keep_features(features, folder)
+            del features  # before the next map's are loaded
             LOG.info("%s: %d scans located", display(path), len(scans))
     if len(failed) == len(paths):
         # Too little memory is no fault of the maps.

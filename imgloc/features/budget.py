@@ -110,8 +110,10 @@ def surface_count(grid: OccupancyGrid) -> int:
     return int(np.count_nonzero(across) + np.count_nonzero(along))
 
 
-def prepare_bytes(shape: tuple[int, int], *, points: int, n_psi: int = 72, factor: int = 1) -> int:
-    """Peak of computing what the default method uses of a map, besides the map itself.
+def prepare_bytes(
+    shape: tuple[int, int], *, points: int, n_psi: int = 72, factor: int = 1, voters: int = VOTERS
+) -> int:
+    """Peak of computing what a method uses of a map, besides the map itself.
 
     Parameters
     ----------
@@ -123,6 +125,8 @@ def prepare_bytes(shape: tuple[int, int], *, points: int, n_psi: int = 72, facto
         Directions of the visibility map.
     factor : int
         Cells of the map along a cell of the lattice of poses.
+    voters : int
+        Surface points that vote at most: all of them in the method ``ght-v``.
 
     Examples
     --------
@@ -130,7 +134,7 @@ def prepare_bytes(shape: tuple[int, int], *, points: int, n_psi: int = 72, facto
     2.2
     """
     cells = shape[0] * shape[1]
-    voters = min(points, VOTERS)
+    voters = min(points, voters)
     held = 14 * cells + 3 * cells // factor**2 + 25 * points + 4 * n_psi * voters
     lines = _SIDE * points + _LINE * min(points, _LINES)
     passing = max(9 * cells, lines, _RAY * min(voters * n_psi, _RAYS))

@@ -1,4 +1,4 @@
-"""How many bytes simulating scans and drawing a map take, known before they are taken.
+"""How many bytes reading, simulating and drawing take, known before they are taken.
 
 As in :mod:`imgloc.features.budget`: upper bounds, measured with :mod:`tracemalloc`.
 """
@@ -8,10 +8,31 @@ from imgloc.features.budget import prepare_bytes
 _DRAWN = {"map": 12, "bmap": 54, "vmap": 96, "surface": 12, "visibility": 12, "distance": 44}
 _PIXEL = 16  # bytes: three colours twice, and what is searched for a place for the scale bar
 _ARROW = 500  # bytes per surface point with its normal, as Python numbers
+_MARK = 1000  # bytes per pose of an atlas, as rows, polygons and lines
 _READING = 180  # bytes
+_KEPT = 24  # bytes per reading of a scan that has been simulated
+_SAMPLE, _TEXT = 28, 4  # bytes per pixel as it is classified; and per byte of its file
+_LEVELS = 6 << 20  # bytes that count how often each grey occurs
+POSE_TEXT = 280
+"""Bytes of a pose while it is written as a line of text."""
+PROCESS = 96 << 20
+"""Bytes of another process before it does anything: Python, NumPy, OpenCV."""
 
 
-def simulate_bytes(cells: int, fine_cells: int, readings: int) -> int:
+def check_bytes(pixels: int, file_bytes: int) -> int:
+    """Peak of :func:`imgloc.io.mapcheck.check_map`.
+
+    Parameters
+    ----------
+    pixels : int
+        Of the image, whatever its channels.
+    file_bytes : int
+        Of its file: samples may be written as text.
+    """
+    return _SAMPLE * pixels + _TEXT * file_bytes + _LEVELS
+
+
+def simulate_bytes(cells: int, fine_cells: int, readings: int, *, kept: int = 0) -> int:
     """Peak of :func:`imgloc.experiments.simulate.simulate_scans`, besides the map.
 
     Parameters
@@ -19,18 +40,26 @@ def simulate_bytes(cells: int, fine_cells: int, readings: int) -> int:
     cells, fine_cells : int
         Of the map, and of the finer image on which rays are cast.
     readings : int
-        Scans times rays.
+        Scans times rays, of those that are simulated at once.
+    kept : int
+        Readings of all that are simulated, if not at once.
 
     Examples
     --------
     >>> simulate_bytes(10**6, 16 * 10**6, 181 * 100) // 2**20
     163
     """
-    return 24 * cells + 9 * fine_cells + _READING * readings
+    return 24 * cells + 9 * fine_cells + _READING * readings + _KEPT * kept
 
 
 def picture_bytes(
-    what: str, shape: tuple[int, int], pixels: int, *, points: int = 0, n_psi: int = 72
+    what: str,
+    shape: tuple[int, int],
+    pixels: int,
+    *,
+    points: int = 0,
+    n_psi: int = 72,
+    marks: int = 0,
 ) -> int:
     """Peak of drawing a map or one of its features, besides the map.
 
@@ -46,13 +75,15 @@ def picture_bytes(
         Number of surface points, see :func:`imgloc.features.budget.surface_count`.
     n_psi : int
         Directions of the visibility map.
+    marks : int
+        Poses of an atlas that are drawn on the map.
 
     Examples
     --------
     >>> picture_bytes("map", (1000, 2000), 2000 * 1000) // 2**20
     53
     """
-    drawing = _DRAWN[what] * shape[0] * shape[1] + _PIXEL * pixels
+    drawing = _DRAWN[what] * shape[0] * shape[1] + _PIXEL * pixels + _MARK * marks
     if what in ("map", "distance"):
         return drawing
     need = drawing + prepare_bytes(

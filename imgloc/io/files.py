@@ -50,7 +50,9 @@ def read_file(path: PathLike, *, limit: int, error: type[ImglocError], what: str
         if size > limit:
             raise error(f"{name}: {size:,} bytes, expected a {what} of at most {limit:,}")
         try:
-            data = file.read(limit + 1)  # files under /proc claim a size of 0
+            data = file.read(size + 1)  # room for all that is asked for is taken at once
+            if len(data) > size:  # files under /proc claim a size of 0
+                data += file.read(limit + 1 - len(data))
         except OSError as e:
             raise error(f"{name}: cannot be read: {e.strerror}") from None
     if len(data) > limit:

@@ -91,6 +91,27 @@ def read_image(
     return decode_image(data, display(path), max_pixels=max_pixels, allow_lossy=allow_lossy)
 
 
+def image_size(path: PathLike, *, max_pixels: int = MAX_PIXELS) -> tuple[int, int, int]:
+    """Width and height of an image as its header says, pixels, and the length of its file, bytes.
+
+    Raises
+    ------
+    MapError
+        Missing, not a regular file, too large, of an unknown format, or the header is damaged.
+    """
+    data = read_file(path, limit=12 * max_pixels + 65536, error=MapError, what="map image")
+    name = display(path)
+    if is_netpbm(data):
+        _, width, height, _, _ = netpbm_header(data, name)
+    else:
+        size = next((how[1] for magic, how in _FORMATS.items() if data.startswith(magic)), None)
+        if size is None:
+            raise _unknown(data, name)
+        width, height = size(data, name)
+    check_size(width, height, max_pixels, name)
+    return width, height, len(data)
+
+
 def decode_image(
     data: bytes, name: str, *, max_pixels: int = MAX_PIXELS, allow_lossy: bool = False
 ) -> MapImage:
@@ -141,8 +162,12 @@ def decode_image(
                 )
             pixels = _decode(container, name)
             return _checked(MapImage(pixels, int(np.iinfo(pixels.dtype).max), kind), name)
+    raise _unknown(data, name)
+
+
+def _unknown(data: bytes, name: str) -> MapError:
     found = next((kind for magic, kind in _OTHERS.items() if data.startswith(magic)), None)
-    raise MapError(
+    return MapError(
         f"{name}: not an image that can be read "
         f"({'it looks like ' + found if found else 'unknown content'}), expected {_KNOWN}"
     )
