@@ -25,6 +25,8 @@ from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import uniform_thetas
+from imgloc.io.maps import save_map
+from imgloc.io.scans import save_scans
 from imgloc.likelihood.cbml import cbml
 from imgloc.likelihood.correlate import ENGINES
 from imgloc.likelihood.ght import ght
@@ -169,11 +171,19 @@ def test_the_tool_refuses_nonsense(words, expected, capsys):
     assert capsys.readouterr() == ("", f"bench: error: {expected}\n")
 
 
-def test_the_tool_prints_what_is_asked_for(capsys):
-    assert tool().main(["--parts", "localize", "--scans", "1", "--threads", "1"]) == 0
-    out = capsys.readouterr().out
-    assert "median_ms" in out
-    assert "growth" not in out
+def test_the_tool_prints_what_is_asked_for(tmp_path, capsys):
+    grid = render(WORLDS["curved"](), 0.2)
+    path = tmp_path / "office" / "map.yaml"
+    path.parent.mkdir()
+    save_map(path, grid)
+    save_scans(path.with_name("scans.npz"), simulate_set(grid, 2, 0, Sensor(rays=31)))
+    words = ["--parts", "localize", "--scans", "1", "--threads", "1", "--repeats", "1"]
+    assert tool().main([*words, "--sets", str(path)]) == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "p99 / median" in out
+    assert "| large |" in out
+    assert "| office |" in out
+    assert "peak MiB" not in out
 
 
 def test_the_tables_of_the_tool(case):

@@ -283,7 +283,7 @@ def test_twins_get_one_second_look():
     few = dataclasses.replace(OPTIONS, second_look=4)
     all_looks, one_look = (
         search_fused(features, scan, dataclasses.replace(few, twins=twins))
-        for twins in ((0.0, 0.0), OPTIONS.twins)
+        for twins in ((1e-9, 1e-9), OPTIONS.twins)
     )
     assert 1 <= len(all_looks.poses) < len(one_look.poses) <= 4
     assert_close(one_look.poses[0], all_looks.poses[0])

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imgloc.search import peaks as peaks_module
-from imgloc.search.peaks import find_peaks, separated, smooth
+from imgloc.search.peaks import find_peaks, first_in_cell, separated, smooth
 
 seeds = st.integers(0, 2**32 - 1)
 shapes = st.tuples(st.integers(1, 7), st.integers(1, 6), st.integers(1, 7))
@@ -265,3 +265,14 @@ def test_no_poses():
     picked, owner = separated(np.empty((0, 3)), 5, distance=1, angle=1)
     assert picked.tolist() == owner.tolist() == []
     assert picked.dtype == owner.dtype == np.int64
+
+
+def test_first_in_cell_knows_sides_and_the_circle():
+    poses = np.array([
+        [0.95, 0.5, 0.1], [1.05, 0.5, 0.1],  # either side of a border of cells
+        [0.91, 0.5, 0.1 + 2 * np.pi],  # the first one's cell, once round
+        [-0.05, 0.5, 0.1], [0.05, -0.5, 0.1], [0.05, 0.5, 0.1],  # nor is -0.05 what 0.05 is
+        [0.95, 0.5, -0.1],
+    ])  # fmt: skip
+    assert first_in_cell(poses, 1.0, 0.5).tolist() == [0, 1, 3, 4, 6]
+    assert first_in_cell(np.empty((0, 3)), 1.0, 0.5).tolist() == []

@@ -3,6 +3,7 @@
     python tools/bench.py                        # on a bundled world
     python tools/bench.py --problem ../problem   # on maps A and B, with the floors in C
     python tools/bench.py --parts engines        # how far engine="auto" is from the best one
+    python tools/bench.py --parts localize --sets ../data/*/map.yaml   # on recorded scans, too
 
 Costs are medians over the repeats with their spread; compare ratios, not times, between machines.
 """
@@ -27,6 +28,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--problem", type=Path, help="folder with mapA, mapB and scans_10m.npz")
+    parser.add_argument(
+        "--sets", type=Path, nargs="*", default=[], help="maps with a scans.npz beside them"
+    )
+    parser.add_argument("--range-max", type=float, default=20.0, help="metres, of their scans")
     parser.add_argument("--parts", default=",".join(PARTS), help="with commas between")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
@@ -36,6 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         results = run_bench(
             given.problem,
+            sets=given.sets,
+            range_max=given.range_max,
             parts=tuple(given.parts.split(",")),
             repeats=given.repeats,
             threads=given.threads,
@@ -78,7 +85,19 @@ def text(results: dict[str, Any]) -> str:
             "auto/best",
         )
         lines.append(as_plain(columns, rows))
-    for key in ("auto_over_best", "floors", "localize", "growth", "exponents"):
+    if "localize" in results:
+        rows = [
+            (name, f"{r['median_ms']:.0f}", f"{r['p99_over_median']:.2f}", f"{r['prepare_s']:.2f}")
+            for name, r in results["localize"].items()
+        ]
+        lines.append(as_plain(("localize on", "ms", "p99 / median", "prepare, s"), rows))
+    if "growth" in results:
+        rows = [
+            (f"{r['area']:.0f}", f"{r['ms']:.0f}", f"{r['prepare_s']:.2f}", f"{r['rss_mib']:.0f}")
+            for r in results["growth"]
+        ]
+        lines.append(as_plain(("area, m²", "ms", "prepare, s", "peak MiB"), rows))
+    for key in ("auto_over_best", "floors", "exponents"):
         if key in results:
             lines.append(to_json({key: results[key]}))
     return "\n".join(lines)

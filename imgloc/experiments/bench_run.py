@@ -2,7 +2,7 @@
 
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from imgloc.experiments.bench import answer_times, as_row, in_turns, stack_cases
 from imgloc.experiments.bench_engines import engine_rows, engine_summary
 from imgloc.experiments.bench_outside import floors, growth
 from imgloc.experiments.complexity import fit_exponent
+from imgloc.experiments.recorded import scans_beside
 from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.experiments.worlds import WORLDS, render
 from imgloc.io.maps import load_map
@@ -30,7 +31,14 @@ BOUND_SCANS = 10
 
 
 def run_bench(
-    problem: Path | None, *, parts: tuple[str, ...] = PARTS, repeats: int, threads: int, scans: int
+    problem: Path | None,
+    *,
+    sets: Sequence[Path] = (),
+    parts: tuple[str, ...] = PARTS,
+    repeats: int,
+    threads: int,
+    scans: int,
+    range_max: float = 20.0,
 ) -> dict[str, Any]:
     """Measure.
 
@@ -39,17 +47,23 @@ def run_bench(
     problem : Path, optional
         Folder with mapA, mapB, ``scans_10m.npz`` and the floors in C; by default the bundled
         world ``large`` is the only map.
+    sets : sequence of Path
+        Maps with recorded scans beside them, for the answers.
     parts : tuple of str
         Of :data:`PARTS`: stacks and votes beside plain references and C; engines beside
         ``auto``; answers; answers as the map grows.
     repeats, threads : int
     scans : int
         Answers of `localize` on each map.
+    range_max : float
+        Of recorded scans, metres.
 
     Raises
     ------
     ConfigError
         If a number is less than 1 or there is no such part.
+    ScanError
+        If a set has no scans with poses.
     """
     for name, number in (("repeats", repeats), ("threads", threads), ("scans", scans)):
         if number < 1:
@@ -65,6 +79,9 @@ def run_bench(
         }
     }  # fmt: skip
     maps = _maps(problem, scans)
+    recorded = {
+        path.parent.name: (load_map(path), scans_beside(path, scans, 0, range_max)) for path in sets
+    }
     if "costs" in parts:
         out |= _costs(*next(iter(maps.items())), repeats, threads)
         out["floors"] = {} if problem is None else floors(problem)
@@ -73,7 +90,8 @@ def run_bench(
         out |= {"engines": rows, "auto_over_best": engine_summary(rows)}
     if "localize" in parts:
         out["localize"] = {
-            name: answer_times(grid, s.scans[:scans], threads) for name, (grid, s) in maps.items()
+            name: answer_times(grid, s.scans[:scans], threads, repeats)
+            for name, (grid, s) in (maps | recorded).items()
         }
     if "growth" in parts:
         grown = growth("large", (1, 2, 4), repeats)
@@ -85,7 +103,7 @@ def run_bench(
     return out
 
 
-def _maps(problem: Path | None, count: int) -> Mapping[str, tuple[OccupancyGrid, ScanSet]]:
+def _maps(problem: Path | None, count: int) -> dict[str, tuple[OccupancyGrid, ScanSet]]:
     if problem is None:
         grid = render(WORLDS["large"](), 0.1)
         return {"large": (grid, simulate_set(grid, count, 0, Sensor(range_max=10.0)))}

@@ -23,7 +23,7 @@ from imgloc.model import (
     LaserScan,
 )
 from imgloc.search.hypotheses import modes
-from imgloc.search.peaks import find_peaks, smooth
+from imgloc.search.peaks import find_peaks, first_in_cell, smooth
 from imgloc.search.priors import Prior
 from imgloc.search.proposals import propose_endpoints
 from imgloc.search.refine import refine
@@ -31,6 +31,7 @@ from imgloc.search.rescore import Evidence, EvidenceModel, bound, rescore
 
 _LAST = 20  # proposals that get the second look when time is up
 _BATCH = 256  # proposals that are scored at a time
+_MET = 5  # proposals this much closer than twins have been refined to one pose
 
 
 @dataclass(frozen=True)
@@ -253,11 +254,14 @@ def _first_look(
     """The best poses with a few rays, each of them once: those that get the second look.
 
     Scored in the order of what they can reach at most, until none that is left can be among
-    them: the same poses as if all had been scored.
+    them: the same poses as if all had been scored. Of those that have met, the first stands
+    for all.
     """
     most = bound(poses, scan.ranges[rays], scan.angles[rays], features.field, options.model)
     order = np.argsort(-most, kind="stable")
     distance, angle = options.twins
+    # A third of the proposals have met where another one is: one of them is looked at.
+    order = order[first_in_cell(poses[order], distance / _MET, angle / _MET)]
     seen, score = np.empty(0, np.int64), np.empty(0)
     best = seen
     start, size = 0, _BATCH

@@ -10,7 +10,7 @@ from imgloc.geometry import wrap
 from imgloc.likelihood.smoothing import smooth
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 
-__all__ = ["find_peaks", "separated", "smooth"]
+__all__ = ["find_peaks", "first_in_cell", "separated", "smooth"]
 
 _FEW = 4096  # peaks sorted at a time
 
@@ -98,6 +98,31 @@ def _falling(scores: Float32Array) -> Iterator[IntArray]:
             yield equal[start : start + _FEW]
         rest = np.flatnonzero(scores < level)
     yield rest[np.argsort(-scores[rest], kind="stable")]
+
+
+def first_in_cell(poses: FloatArray, distance: float, angle: float) -> IntArray:
+    """Indices, in order, of the poses (M, 3) that are the first in their cell of pose space.
+
+    Parameters
+    ----------
+    poses : (M, 3) float array
+        Metres, metres, radians.
+    distance, angle : float
+        Sides of a cell, metres and radians; those of the headings all fit the circle.
+
+    Examples
+    --------
+    >>> poses = np.array([[0.01, 0, 3.1], [0.02, 0, 3.1], [0.01, 0, 3.1 - 2 * np.pi]])
+    >>> first_in_cell(poses, 0.1, 0.2).tolist()
+    [0]
+    """
+    turn = max(1, round(2 * np.pi / angle))
+    x, y = np.floor(poses[:, :2] / distance).T
+    heading = np.floor(poses[:, 2] * (turn / (2 * np.pi))) % turn
+    order = np.lexsort((x, y, heading))  # stable: the first of a cell comes first
+    cells = np.stack((x, y, heading))[:, order]
+    new = np.any(np.diff(cells, axis=1, prepend=np.nan) != 0, axis=0)
+    return np.sort(order[new])
 
 
 def separated(
