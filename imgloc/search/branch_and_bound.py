@@ -110,7 +110,7 @@ def best_poses(
     nodes = np.flatnonzero(top >= picks.threshold)
     values = top.ravel()[nodes]
     # Best first; equal ones in index order, so that the first of equal poses is met first.
-    order = np.argsort(-values, kind="stable")
+    order = _falling(values)
     nodes, values = nodes[order], values[order]
     for start in range(0, len(nodes), _CHUNK):
         part = slice(start, start + _CHUNK)
@@ -213,6 +213,14 @@ class _Picks:
         """Index of poses into the raveled stack."""
         height, width = self.bounds.pooled.shape
         return np.asarray((nodes[:, 0] * height + nodes[:, 1]) * width + nodes[:, 2])
+
+
+def _falling(values: IntArray) -> IntArray:
+    """Indices by falling value, equal ones in their order."""
+    below = values.max(initial=0) - values
+    # NumPy sorts integers of 16 bits by their digits, ten times as fast.
+    narrow = below.max(initial=0) <= np.iinfo(np.uint16).max
+    return np.argsort(below.astype(np.uint16) if narrow else below, kind="stable")
 
 
 def _roots(top: IntArray, n: int) -> IntArray:
