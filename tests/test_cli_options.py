@@ -184,6 +184,23 @@ def test_flipped_undoes_a_sensor_upside_down(scans: Path, tmp_path: Path) -> Non
     assert first(tmp_path / "flipped.npz", "--flipped")["pose"] == first(scans)["pose"]
 
 
+def test_scans_that_fit_if_mirrored_bring_a_hint(tmp_path: Path) -> None:
+    upright, hanging = tmp_path / "upright.npz", tmp_path / "hanging.npz"
+    assert call("simulate", "large", "-n", 3, "--seed", 1, "--out", upright).code == 0
+    data = dict(np.load(upright))
+    np.savez(hanging, **data | {"angles": -data["angles"]})
+
+    def hints(*words: object) -> str:
+        code, _, err = call("localize", "large", *words)
+        assert code == 0
+        return " ".join(err.split())
+
+    assert "Try --flipped" in hints(hanging)
+    assert "Leave out --flipped" in hints(upright, "--flipped")
+    assert hints(upright) == hints(hanging, "--flipped") == ""
+    assert hints(hanging, "--time-budget", 100) == ""
+
+
 def test_a_guess_is_said_to_be_one(scans: Path) -> None:
     row = first(scans, "--near", "15,3,0,1")
     assert row["verdict"] == "no-match"
