@@ -136,10 +136,10 @@ def test_equal_scores_are_equally_right():
             Trial((True,), (True,), unique=True),
         ],
     )
-    assert (row.localize.hits, row.oracle.hits, row.behind) == (2, 3, 25)
-    assert (row.localize_first.hits, row.oracle_first.hits) == (1, 3)
+    assert (row.localize.hits, row.oracle.hits) == (2, 3)
+    assert (row.localize_first.hits, row.oracle_first.hits, row.behind) == (1, 3, 50)
     assert (row.ties.hits, row.unique.hits, row.wrong.hits) == (1, 2, 1)
-    assert "| 50 % [15, 85] | 75 % [30, 95] | 25 | 25 %, 75 % | 25 % | 50 % | 1 of 4 |" in (
+    assert "| 25 % [5, 70] | 75 % [30, 95] | 50 | 50 %, 75 % | 25 % | 50 % | 1 of 4 |" in (
         robustness_table([row])
     )
 

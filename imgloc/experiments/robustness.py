@@ -4,8 +4,8 @@ Each condition changes one thing of the sensor, of its mounting or of the map. T
 same score, searched as widely as :mod:`imgloc.experiments.exhaustive` does: where it is right and
 `localize` is not, the search is to blame, and otherwise the score.
 
-Twins whose scores are equal cannot be told apart by anyone. A pose counts as right if one that
-scores as well is, for both; the strict shares count the first pose alone.
+Twins whose scores are equal cannot be told apart by anyone: beside success@1 there is the share
+of scans for which the right pose is among those that score as well as the first.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -62,8 +62,8 @@ class Row:
 
     @property
     def behind(self) -> float:
-        """Points that the search lies behind the oracle."""
-        return 100 * (self.oracle.value - self.localize.value)
+        """Points of success@1 that the search lies behind the oracle."""
+        return 100 * (self.oracle_first.value - self.localize_first.value)
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,13 @@ from imgloc.experiments.shares import Share
 
 def robustness_table(rows: Sequence[Row]) -> str:
     """The rows as Markdown."""
-    head = "condition | localize | oracle | points behind | first, both | ties | unique | wrong"
+    head = "condition | success@1 | oracle | behind | among equals, both | ties | unique | wrong"
     lines = [f"| {head} |", "|---" * 8 + "|"]
     for row in rows:
         lines.append(
-            f"| {row.condition} | {_interval(row.localize)} | {_interval(row.oracle)} | "
-            f"{row.behind:.0f} | {_percent(row.localize_first)}, {_percent(row.oracle_first)} | "
+            f"| {row.condition} | {_interval(row.localize_first)} | "
+            f"{_interval(row.oracle_first)} | {row.behind:.0f} | "
+            f"{_percent(row.localize)}, {_percent(row.oracle)} | "
             f"{_percent(row.ties)} | {_percent(row.unique)} | "
             f"{row.wrong.hits} of {row.wrong.trials} |"
         )
