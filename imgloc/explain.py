@@ -169,19 +169,19 @@ def explain(
         fits=fits,
         readings=readings,
         misfit=misfit,
-        temperature=_temperature(scan, options, misfit),
+        temperature=_temperature(scan, options, misfit, features.grid.resolution),
         checks=tuple(_checks(scan, answer, options)),
         layers=layers,
     )
 
 
-def _temperature(scan: LaserScan, options: Options, misfit: float) -> float:
+def _temperature(scan: LaserScan, options: Options, misfit: float, cell: float) -> float:
     """What made masses of the scores."""
     if options.method == FUSED:
         if not np.isfinite(misfit):
             return float("nan")
         rays = thin(scan.valid, options.fused.rays)
-        return options.trust.temperature_at(misfit, crowding(scan_xy(scan)[rays]))
+        return options.trust.temperature_at(misfit, crowding(scan_xy(scan)[rays]), cell)
     how = options.calibration or DEFAULTS[options.method]
     return how.temperature_at(options.method, max(1, int(scan.valid.sum())))
 

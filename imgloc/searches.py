@@ -75,7 +75,8 @@ def find_fused(features: MapFeatures, scan: LaserScan, options: Options) -> Foun
     score = result.evidence.log_likelihood
     misfit = misfit_of(result.evidence, options)
     crowded = crowding(scan_xy(scan)[result.rays])
-    mass = masses(score, options.trust.temperature_at(misfit, crowded))
+    cell = features.grid.resolution
+    mass = masses(score, options.trust.temperature_at(misfit, crowded, cell))
     elsewhere = options.trust.mass_elsewhere(misfit, float(mass[0]))
     mass *= 1 - elsewhere
     top = slice(0, options.top)

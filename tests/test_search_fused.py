@@ -17,6 +17,7 @@ from imgloc.geometry import cell_of, inside, transform_poses, wrap
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.search.fused import (
     FusedOptions,
+    _first_look,
     propose_votes,
     scan_xy,
     search_fused,
@@ -280,10 +281,20 @@ def test_a_scan_that_fits_nowhere_on_the_map_finds_nothing():
 def test_twins_get_one_second_look():
     # As many looks as twins are left unrecognised: all of them go to the best place.
     features, scan = features_of("corridor"), scan_at((6.0, 5.0, 1.0), "corridor")
-    few = dataclasses.replace(OPTIONS, second_look=4)
+    few = dataclasses.replace(OPTIONS, second_look=4, closer=0)
     all_looks, one_look = (
         search_fused(features, scan, dataclasses.replace(few, twins=twins))
-        for twins in ((1e-9, 1e-9), OPTIONS.twins)
+        for twins in ((1e-9, 1e-9), (0.1, 0.05))
     )
     assert 1 <= len(all_looks.poses) < len(one_look.poses) <= 4
     assert_close(one_look.poses[0], all_looks.poses[0])
+
+
+def test_two_layers_of_a_wall_have_a_maximum_each():
+    # One place, but 5 cm apart: both are looked at closer, and the better one is the answer.
+    features, scan = features_of("curved"), scan_at((6.0, 5.0, 1.0), "curved")
+    poses = np.array([[6.0, 5.0, 1.0], [6.05, 5.0, 1.0], [6.051, 5.0, 1.0], [3.0, 5.0, 1.0]])
+    rays = np.flatnonzero(scan.valid)[::3]
+    for closer, expected in ((0, 2), (40, 3)):
+        options = dataclasses.replace(OPTIONS, closer=closer)
+        assert len(_first_look(features, scan, rays, poses, options)) == expected

@@ -33,6 +33,12 @@ def test_readings_on_the_same_patch_are_no_more_evidence():
     assert TRUST.temperature_at(0.5, 60.0) == pytest.approx(2 * TRUST.temperature_at(0.5, 30.0))
 
 
+def test_a_coarse_map_is_less_evidence():
+    fine = TRUST.temperature_at(0.5, cell=0.05)
+    assert TRUST.temperature_at(0.5, cell=TRUST.fine) == fine == TRUST.temperature_at(0.5)
+    assert TRUST.temperature_at(0.5, cell=3 * TRUST.fine) == pytest.approx(3 * fine)
+
+
 @pytest.mark.parametrize("trust", [TRUST, Trust()])
 @given(a=misfits, b=misfits)
 def test_a_worse_fit_never_sharpens_an_answer(trust, a, b):

@@ -31,7 +31,6 @@ from imgloc.search.rescore import Evidence, EvidenceModel, bound, rescore
 
 _LAST = 20  # proposals that get the second look when time is up
 _BATCH = 256  # proposals that are scored at a time
-_MET = 5  # proposals this much closer than twins have been refined to one pose
 
 
 @dataclass(frozen=True)
@@ -56,11 +55,11 @@ class FusedOptions:
         How many peaks of the votes become proposals.
     few_rays, rays : int
         Rays of the first look at all proposals, and of the second at the best.
-    second_look : int
-        How many proposals get the second look.
-    twins : (float, float)
-        Proposals nearer than this after the first look, metres and radians, get one second
-        look.
+    second_look, closer : int
+        How many places get the second look, and how many poses, which may be of one place: between
+        two layers of a wall the score has several maxima.
+    twins, same : (float, float)
+        Proposals nearer than this, metres and radians, are of one place, and one pose.
     separation : (float, float)
         Two poses nearer than this, metres and radians, are one hypothesis.
     model : EvidenceModel
@@ -76,8 +75,10 @@ class FusedOptions:
     vote_peaks: int = 100
     few_rays: int = 64
     rays: int = 180
-    second_look: int = 100
+    second_look: int = 80
+    closer: int = 40
     twins: tuple[float, float] = (0.1, float(np.deg2rad(3.0)))
+    same: tuple[float, float] = (0.02, float(np.deg2rad(0.7)))
     separation: tuple[float, float] = (0.5, float(np.deg2rad(15.0)))
     model: EvidenceModel = field(default_factory=EvidenceModel)
 
@@ -251,17 +252,16 @@ def _first_look(
     poses: FloatArray,
     options: FusedOptions,
 ) -> FloatArray:
-    """The best poses with a few rays, each of them once: those that get the second look.
+    """The best places with a few rays, and the best poses: those that get the second look.
 
     Scored in the order of what they can reach at most, until none that is left can be among
-    them: the same poses as if all had been scored. Of those that have met, the first stands
+    the places: the same ones as if all had been scored. Of poses that have met, the first stands
     for all.
     """
     most = bound(poses, scan.ranges[rays], scan.angles[rays], features.field, options.model)
     order = np.argsort(-most, kind="stable")
+    order = order[first_in_cell(poses[order], *options.same)]
     distance, angle = options.twins
-    # A third of the proposals have met where another one is: one of them is looked at.
-    order = order[first_in_cell(poses[order], distance / _MET, angle / _MET)]
     seen, score = np.empty(0, np.int64), np.empty(0)
     best = seen
     start, size = 0, _BATCH
@@ -272,12 +272,13 @@ def _first_look(
         seen, score = np.append(seen, part), np.append(score, evidence.log_likelihood)
         by_index = np.argsort(seen)
         seen, score = seen[by_index], score[by_index]
-        # Many proposals have met in the same pose by now.
         best = modes(poses[seen], score, distance=distance, angle=angle, most=options.second_look)
         rest = most[order[start : start + 1]]
         if len(best) == options.second_look and (rest < score[best[-1]]).all():
             break
-    return poses[seen[best]]
+    distance, angle = options.same
+    close = modes(poses[seen], score, distance=distance, angle=angle, most=options.closer)
+    return poses[seen[np.concatenate((best, np.setdiff1d(close, best)))]]
 
 
 def _standing(features: MapFeatures, poses: FloatArray, prior: Prior) -> FloatArray:

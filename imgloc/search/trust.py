@@ -35,6 +35,9 @@ class Trust:
         Growth of the temperature per reading on the same patch of wall, of :func:`crowding`, from
         where this makes more than 1 of it: they share the errors of the map, so that a scan of a
         corner with hundreds of readings says no more than one with a few.
+    fine : float
+        Cell of a map, metres, above which the temperature grows in proportion: all readings on a
+        wall share the error of its place, up to half a cell.
     elsewhere : (float, float, float)
         Log-odds that the true pose is none of the hypotheses: constant, per nat of misfit, per
         share of the mass that the best hypothesis does not hold. A logistic regression on
@@ -50,12 +53,13 @@ class Trust:
     temperature: float = 1.5
     strain: float = 15.0
     crowded: float = 0.36
+    fine: float = 0.1
     elsewhere: tuple[float, float, float] = (-5.1, 1.8, 3.9)
     mass: float = 0.9
     correlated: float = 2.6
 
-    def temperature_at(self, misfit: float, crowding: float = 1.0) -> float:
-        """Temperature for a misfit in nats per reading, and a number of readings per patch.
+    def temperature_at(self, misfit: float, crowding: float = 1.0, cell: float = 0.0) -> float:
+        """Temperature for a misfit in nats per reading, readings per patch, and a map's cell.
 
         Examples
         --------
@@ -63,10 +67,11 @@ class Trust:
         7.0
         >>> Trust(temperature=2.0, strain=10.0, crowded=0.5).temperature_at(0.5, 6.0)
         21.0
+        >>> Trust(temperature=2.0, strain=10.0).temperature_at(0.5, cell=0.2)
+        14.0
         """
-        return (self.temperature + self.strain * max(0.0, misfit)) * max(
-            1.0, self.crowded * crowding
-        )
+        shared = max(1.0, self.crowded * crowding) * max(1.0, cell / self.fine)
+        return (self.temperature + self.strain * max(0.0, misfit)) * shared
 
     def mass_elsewhere(self, misfit: float, best: float) -> float:
         """Probability that the true pose is none of the hypotheses.
