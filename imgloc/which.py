@@ -31,6 +31,9 @@ LUCK = 20.0
 """Log-evidence that an unknown building does not exceed, nats: of these scans one in forty did.
 
 Maps that fit better are alike, and a scan of one of them is not from none."""
+FEW = 5
+"""Of fewer maps than this, one is named only if the scan is ``unique`` in it: too few to tell what
+fits by chance, and of chance there are mostly several places."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +182,8 @@ def choose(fits: Mapping[str, Fit], trust: Trust | None = None, *, sure: float =
     weights *= (1 - elsewhere) / (weights.sum() + other)
     none = float(1 - weights.sum())
     probability = dict(zip(order, weights.tolist(), strict=True))
-    verdict = order[0] if probability[order[0]] >= sure else "undecided"
+    known = len(fits) >= FEW or fits[order[0]].answer.verdict == "unique"
+    verdict = order[0] if known and probability[order[0]] >= sure else "undecided"
     return Choice(
         "none" if none > 0.5 else verdict,
         probability,

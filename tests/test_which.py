@@ -1,5 +1,6 @@
 """Which map a scan is from: evidence across maps, and the command."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,15 @@ def test_probabilities_and_none_sum_to_one() -> None:
     assert choice.verdict == "a"
     assert choose({"a": made(140.0), "b": made(139.0)}, sure=0.9).verdict == "undecided"
     assert choose({"a": made(140.0), "b": made(140.0)}).verdict == "undecided"
+
+
+def test_of_few_maps_only_one_in_which_the_place_is_unique_is_named() -> None:
+    twins = replace(made(140.0), answer=Localization((), "ambiguous", 0.0, 1.0))
+    others = {f"other {k}": made(-60.0) for k in range(4)}
+    assert choose({"a": twins}).verdict == "undecided"
+    assert choose({"a": made(140.0)}).verdict == "a"
+    assert choose({"a": twins} | dict(list(others.items())[:3])).verdict == "undecided"
+    assert choose({"a": twins} | others).verdict == "a"
 
 
 def test_the_better_fit_is_named_and_a_bad_one_is_none() -> None:
@@ -214,5 +224,9 @@ def test_a_folder_without_maps(where: str, tmp_path: Path, folder: Path) -> None
 
 def test_names_tell_maps_apart() -> None:
     paths = [Path(p) for p in ("m/a.yaml", "m/a/map.yaml", "m/b/c.yaml", "m/map.yaml")]
-    assert names_of(paths, Path("m")) == ["a", "a/map", "b/c", "map"]
+    assert names_of(paths, Path("m")) == ["a.yaml", "a/map.yaml", "b/c", "map"]
+    same = [Path(p) for p in ("m/a.yaml", "m/a.yml", "m/none.yaml", "m/undecided/map.yaml")]
+    assert names_of(same, Path("m")) == ["a.yaml", "a.yml", "none.yaml", "undecided/map.yaml"]
+    odd = [Path(p) for p in ("m/a.yaml", "m/a.yml", "m/a.yaml/map.yaml")]
+    assert len(set(names_of(odd, Path("m")))) == 3
     assert len(find_maps(MAPS)) == 5
