@@ -2,12 +2,16 @@
 
 import csv
 import json
+import os
+import signal
+import subprocess
+import time
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from command import MAPS, call, rows
+from command import MAPS, call, command, rows
 
 from imgloc.draw.atlas import COLOURS, draw_atlas
 from imgloc.errors import ConfigError, MapError, OutputError
@@ -157,6 +161,20 @@ def test_an_interrupted_run_goes_on(tmp_path: Path) -> None:
     assert done.out == first.out
     assert (tmp_path / "p.csv").read_text().splitlines() == text
     assert whole.read_bytes() == part.read_bytes()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_workers_do_not_outlive_a_run_that_is_killed(tmp_path: Path) -> None:
+    png = tmp_path / "a.png"
+    words = command([*ATLAS, "--step", "0.5", "--out", png, "--workers", "2"])
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
+        journal = tmp_path / "a.png.part"
+        while run.poll() is None and not (journal.exists() and b"\n" in journal.read_bytes()):
+            time.sleep(0.05)  # until the workers have worked
+        run.kill()
+        run.communicate(timeout=30)  # ends when nobody holds the pipes any more
+    assert run.returncode == -signal.SIGKILL
+    assert not png.exists()
 
 
 def test_rows_that_are_there_are_not_computed_again(tmp_path: Path, monkeypatch) -> None:

@@ -200,7 +200,9 @@ def test_a_scan_without_readings_is_no_success_of_anyone():
     assert (row.localize.hits, row.oracle.hits, row.ties.hits, row.unique.hits) == (0, 0, 0, 0)
 
 
-@pytest.mark.parametrize("wrong", [{"n": 0}, {"worlds": ["moon"]}, {"conditions": ["in the rain"]}])
+@pytest.mark.parametrize(
+    "wrong", [{"n": 0}, {"n": 1, "seed": -1}, {"worlds": ["moon"]}, {"conditions": ["in the rain"]}]
+)
 def test_refuses(wrong):
     with pytest.raises(ConfigError):
         robustness(**wrong)

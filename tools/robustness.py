@@ -20,13 +20,14 @@ import cv2
 
 from imgloc.cli.answers import to_json
 from imgloc.cli.console import progress
+from imgloc.cli.files import check_target
 from imgloc.errors import ConfigError, ImglocError
 from imgloc.experiments.conditions import CONDITIONS
 from imgloc.experiments.recorded import scans_beside
 from imgloc.experiments.robustness import Row, recorded_row, robustness
 from imgloc.experiments.worlds import WORLDS
 from imgloc.io.maps import load_map
-from imgloc.io.output import refuse_existing, write_text_atomic
+from imgloc.io.output import write_text_atomic
 from imgloc.pipeline import prepare
 from imgloc.report.robustness import robustness_table
 
@@ -41,10 +42,10 @@ def main() -> int:
     parser.add_argument("--out", type=Path, help="JSON file to write, too")
     parser.add_argument("-n", type=int, help="scans in each world or set (default: 20)")
     parser.add_argument("--seed", type=int, default=100, help="of poses and noise (default: 100)")
-    parser.add_argument("--worlds", default=",".join(WORLDS), help="with commas between")
+    parser.add_argument("--worlds", help="with commas between (default: all five)")
     parser.add_argument("--sets", type=Path, nargs="+", help="maps with a scans.npz beside them")
     parser.add_argument("--range-max", type=float, default=20.0, help="of recorded scans, metres")
-    parser.add_argument("--quick", action="store_true", help="3 scans in two worlds")
+    parser.add_argument("--quick", action="store_true", help="-n 3 --worlds visibility,curved")
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--force", action="store_true", help="overwrite --out")
     given = parser.parse_args()
@@ -52,8 +53,8 @@ def main() -> int:
         given.n = 3 if given.quick else 20
     cv2.setNumThreads(given.threads)
     try:
-        if given.out is not None and not given.force:
-            refuse_existing(given.out)
+        if given.out is not None:
+            check_target(given.out, ".json", force=given.force)
         about, rows = recorded(given) if given.sets else simulated(given)
         if given.out is not None:
             results = {"n": given.n, "seed": given.seed, **about, "rows": list(map(asdict, rows))}
@@ -68,7 +69,9 @@ def main() -> int:
 
 def simulated(given: argparse.Namespace) -> tuple[dict[str, object], tuple[Row, ...]]:
     """A row for each condition, and what was asked."""
-    worlds = QUICK if given.quick else tuple(given.worlds.split(","))
+    worlds = QUICK if given.quick else tuple(WORLDS)
+    if given.worlds is not None:
+        worlds = tuple(given.worlds.split(","))
     if given.threads < 1:
         raise ConfigError(f"--threads: got {given.threads}, expected at least 1")
     with progress("robustness", given.n * len(worlds) * len(CONDITIONS), lines=False) as advance:

@@ -16,6 +16,7 @@ import cv2
 
 from imgloc.cli.answers import to_json
 from imgloc.cli.console import progress
+from imgloc.cli.files import check_target
 from imgloc.draw.reliability import draw_reliability
 from imgloc.errors import ConfigError, ImglocError
 from imgloc.experiments.recorded import scans_beside
@@ -23,7 +24,7 @@ from imgloc.experiments.reliability import Judged, judged, reliability, summary
 from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.experiments.worlds import WORLDS, render
 from imgloc.io.maps import load_map
-from imgloc.io.output import encode_png, refuse_existing, write_bytes_atomic
+from imgloc.io.output import encode_png, write_bytes_atomic
 from imgloc.methods import Options
 from imgloc.pipeline import prepare
 
@@ -41,8 +42,8 @@ def main() -> int:
     parser.add_argument("--force", action="store_true", help="overwrite --picture")
     given = parser.parse_args()
     try:
-        if given.picture is not None and not given.force:
-            refuse_existing(given.picture)
+        if given.picture is not None:
+            check_target(given.picture, ".png", force=given.force)
         measure(given)
     except ImglocError as error:
         print(f"trust: error: {error}", file=sys.stderr)

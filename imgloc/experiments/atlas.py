@@ -1,6 +1,8 @@
 """Where on a map is one scan enough? A scan simulated at every place, located, and judged."""
 
 import multiprocessing
+import os
+import threading
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -128,8 +130,17 @@ _HERE: dict[str, tuple[MapFeatures, Options]] = {}
 
 
 def _start(grid: OccupancyGrid, options: Options) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
     _HERE["map"] = prepare(grid), options
+
+
+def _end_with_parent() -> None:
+    """A worker waits for tasks for ever, even from a parent that was killed."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _work(task: tuple[Pose2D, LaserScan]) -> Spot:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imgloc.errors import ScanError
+from imgloc.errors import ConfigError, ScanError
 from imgloc.experiments.finegrid import FINE
 from imgloc.experiments.simulate import simulate_scans
 from imgloc.experiments.worlds import WORLDS, render
@@ -64,8 +64,9 @@ def simulate_set(
     MapError
         If no pose has the clearance.
     ConfigError
-        If a parameter of the sensor is out of its range.
+        If a parameter of the sensor or the seed is out of its range.
     """
+    _check_seed(seed)
     ranges, angles, poses = simulate_scans(
         grid, n, seed,
         rays=sensor.rays, fov=sensor.fov, sigma=sensor.sigma, range_max=sensor.range_max,
@@ -87,6 +88,8 @@ def sample_set(scans: ScanSet, n: int | None, seed: int, name: str = "scans") ->
     ------
     ScanError
         If the set has no poses to compare with; `name` is what the message calls it.
+    ConfigError
+        If the seed is negative.
 
     Examples
     --------
@@ -96,10 +99,16 @@ def sample_set(scans: ScanSet, n: int | None, seed: int, name: str = "scans") ->
     """
     if scans.poses is None:
         raise ScanError(f"{name}: no poses; expected the true pose of each scan to compare with")
+    _check_seed(seed)
     if n is None:
         return scans
     pick = np.random.default_rng(seed).choice(len(scans), min(n, len(scans)), replace=False)
     return ScanSet(tuple(scans[int(k)] for k in pick), poses=scans.poses[pick])
+
+
+def _check_seed(seed: int) -> None:
+    if seed < 0:
+        raise ConfigError(f"the seed must be at least 0, got {seed}")
 
 
 def fine_image(path: Path, grid: OccupancyGrid) -> OccupancyGrid | None:
