@@ -42,9 +42,9 @@ def words(command: list[object], folder: Path) -> list[object]:
 @pytest.mark.parametrize(
     ("command", "budget", "expected"),
     [
-        (SIMULATE, "1M", ["simulating 2 scans of 181 rays on 1300 x 1600 cells", "fewer scans"]),
-        (SHOW, "1M", ["a picture (bmap) of 910 x 1120 pixels", "a larger --cell"]),
-        ([*SHOW, "--what", "map"], "1M", ["a picture (map) of", "crop the map"]),
+        (SIMULATE, "10M", ["simulating 2 scans of 181 rays on 1300 x 1600 cells", "fewer scans"]),
+        (SHOW, "10M", ["a picture (bmap) of 910 x 1120 pixels", "a larger --cell"]),
+        ([*SHOW, "--what", "map"], "10M", ["a picture (map) of", "crop the map"]),
         (EVALUATE, "15M", ["simulating 1 scans of 181 rays on", "cells needs"]),
         (EVALUATE, "100M", ["cbml on 130 x 160 cells of 0.1 m", "a larger --cell"]),
         (LOCALIZE, "60M", ["fused on 130 x 160 cells of 0.1 m", "features of 130 x 160 cells"]),
@@ -54,7 +54,7 @@ def words(command: list[object], folder: Path) -> list[object]:
         ([*ATLAS, 1], "10M", ["simulating 18 scans of 61 rays on 1300 x 1600", "larger --step"]),
         ([*ATLAS, 1], "60M", ["fused on 130 x 160 cells of 0.1 m", "features of", "crop the map"]),
         ([*ATLAS, 2], "200M", ["fused on", "in each of 2 processes", "use fewer --workers"]),
-        ([*CALIBRATE, 1], "5M", ["simulating 20 scans of 61 rays on", "fewer scans"]),
+        ([*CALIBRATE, 1], "10M", ["simulating 20 scans of 61 rays on", "fewer scans"]),
         ([*CALIBRATE, 1], "60M", ["ght on 130 x 160 cells of 0.1 m", "a larger --cell"]),
         ([*CALIBRATE, 4], "82M", ["ght on 130 x 160 cells of 0.1 m", "features of"]),
     ],

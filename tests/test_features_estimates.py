@@ -1,11 +1,14 @@
-"""What simulating and drawing take is known beforehand: bounds, and not by far."""
+"""What loading, simulating and drawing take is known beforehand: bounds, and not by far."""
 
+import json
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from command import MAPS, call
+from command import MAPS, ROOT, call
 from test_features_budget import office, peak
 
 from imgloc.cli.atlas import _scans
@@ -17,13 +20,45 @@ from imgloc.experiments.calibrate import disturbed_set
 from imgloc.experiments.finegrid import fine_factor, refine_grid
 from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.features.budget import surface_count
-from imgloc.features.estimates import POSE_TEXT, check_bytes, picture_bytes, simulate_bytes
+from imgloc.features.estimates import (
+    POSE_TEXT,
+    check_bytes,
+    load_bytes,
+    picture_bytes,
+    poses_bytes,
+    scans_bytes,
+    simulate_bytes,
+)
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.images import image_size
 from imgloc.io.mapcheck import check_map
+from imgloc.io.scans import scans_size
 from imgloc.model import Pose2D
 
 SLACK = 40  # MiB of buffers of a fixed size
+LOADS = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from imgloc.io.{} import {} as load
+def status(key):
+    with open("/proc/self/status") as lines:
+        return next(1024 * int(line.split()[1]) for line in lines if line.startswith(key))
+load(sys.argv[2], **{})
+before = status("VmRSS")
+load(sys.argv[3], **{})
+print(status("VmHWM") - before)
+"""
+
+
+def resident(room: str, function: str, small: Path, large: Path, **options: object) -> int:
+    """Bytes that a process of its own takes at most while it loads, after a small file."""
+    if not Path("/proc/self/status").exists():
+        pytest.skip("peak resident memory is read from /proc")
+    code = LOADS.format(room, function, options, options)
+    done = subprocess.run(
+        [sys.executable, "-c", code, ROOT, small, large], capture_output=True, text=True, check=True
+    )
+    return int(done.stdout)
 
 
 @pytest.mark.parametrize(("rooms", "count"), [(2, 2000), (8, 2), (20, 2)])
@@ -113,3 +148,104 @@ def test_a_table_of_poses_takes_no_more_than_estimated(tmp_path: Path) -> None:
     few, many = (peak(lambda n=n: call(*words, n)) for n in (1, 40_000))
     assert many <= POSE_TEXT * 40_000 + few
     assert many >= POSE_TEXT * 40_000 / 3
+
+
+def image_of(grey: np.ndarray, name: str) -> bytes:
+    """A file of a grey image, as the name says."""
+    kind, ending = name.split(".")
+    if kind.startswith("P"):
+        samples = np.repeat(grey % 10, 3, axis=1) if ending == "ppm" else grey
+        text = " ".join(map(str, samples.ravel()))
+        return f"{kind} {grey.shape[1]} {grey.shape[0]} {samples.max()} {text}".encode()
+    samples = grey.astype(np.uint16) * 257 if "16" in kind else grey
+    channels = {"rgb": 3, "rgba": 4}.get(kind.removesuffix("16"), 1)
+    image = samples if channels == 1 else np.dstack([samples] * channels)
+    return cv2.imencode(f".{ending}", image)[1].tobytes()
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["flat.png", "grey.png", "grey16.png", "rgba.png", "rgba16.png"]
+    + ["grey.pgm", "P2.pgm", "P3.ppm", "rgb.bmp"],
+)
+def test_loading_a_map_takes_no_more_than_estimated(name: str, tmp_path: Path) -> None:
+    side = 1000
+    grey = np.random.default_rng(0).integers(0, 256, (side, side), dtype=np.uint8)
+    grey[:, :: 1 if "flat" in name else side] = 254
+    paths = [tmp_path / f"{which}{name}" for which in ("small", "large")]
+    for path, image in zip(paths, (grey[:9, :9], grey), strict=True):
+        path.write_bytes(image_of(image, name))
+    width, height, length = image_size(paths[1])
+    assert (width, height, length) == (side, side, paths[1].stat().st_size)
+    taken = resident("maps", "load_map", *paths, resolution=0.05)
+    need = load_bytes(width * height, length)
+    assert taken <= need <= 4.5 * taken + load_bytes(0, 0)
+
+
+def write_scans(path: Path, count: int, rays: int, kind: str) -> None:
+    ranges = np.random.default_rng(count).uniform(1, 9, (count, rays)).round(3)
+    angles = np.linspace(-1, 1, rays)
+    if path.suffix == ".npz":
+        angles = np.tile(angles, (count, 1)) if kind == "wide" else angles
+        dtype = np.float64 if kind == "wide" else np.float32
+        np.savez_compressed(path, ranges=ranges.astype(dtype), angles=angles.astype(dtype))
+    elif path.suffix == ".csv":
+        lines = [",".join(map(str, row)) for row in ranges.tolist()]
+        path.write_text(f"# angle_min=-1, angle_max=1 {kind}\n" + "\n".join(lines), "utf-8")
+    else:
+        entry = {"angle_min": -1, "angle_max": 1, "note": kind}
+        lines = [json.dumps({**entry, "ranges": row}) for row in ranges.tolist()]
+        whole = "[" + ",".join(lines) + "]" if path.suffix == ".json" else "\n".join(lines)
+        path.write_text(whole, "utf-8")
+
+
+@pytest.mark.parametrize(
+    ("name", "count", "rays", "kind"),
+    [
+        ("s.npz", 5000, 360, ""),
+        ("s.npz", 3000, 360, "wide"),
+        ("s.npz", 30_000, 1, ""),
+        ("s.csv", 1500, 360, ""),
+        ("s.csv", 30_000, 1, ""),
+        ("s.csv", 1, 300_000, ""),
+        ("s.csv", 1500, 360, "\N{COMPASS}\N{ROBOT FACE}"),
+        ("s.jsonl", 1500, 360, ""),
+        ("s.jsonl", 20_000, 1, ""),
+        ("s.json", 1500, 360, ""),
+    ],
+)
+def test_loading_scans_takes_no_more_than_estimated(
+    name: str, count: int, rays: int, kind: str, tmp_path: Path
+) -> None:
+    small, large = tmp_path / f"small_{name}", tmp_path / name
+    write_scans(small, 2, 2, kind)
+    write_scans(large, count, rays, kind)
+    size = scans_size(large)
+    assert count <= size.scans <= count + 1
+    assert size.file_bytes == large.stat().st_size
+    assert size.ascii_only == kind.isascii()
+    taken = resident("scans", "load_scans", small, large)
+    assert taken <= scans_bytes(**vars(size)) <= 4 * taken
+
+
+def test_how_much_an_archive_holds_is_in_its_headers(tmp_path: Path) -> None:
+    arrays = {"ranges": np.ones((4, 7)), "angles": np.zeros(7), "poses": np.zeros((4, 3))}
+    np.savez_compressed(tmp_path / "s.npz", **arrays, other=np.zeros(999))
+    size = scans_size(tmp_path / "s.npz")
+    assert (size.scans, size.numbers, size.text) == (4, 28 + 7 + 12, False)
+    np.savez(tmp_path / "one.npz", ranges=np.ones(7), angle_min=0.0, angle_increment=0.1)
+    assert (scans_size(tmp_path / "one.npz").scans, scans_size(tmp_path / "one.npz").numbers) == (
+        1,
+        9,
+    )
+
+
+@pytest.mark.parametrize(("step", "headings"), [(5.0, 1), (0.1, 1), (0.05, 3), (0.5, 72)])
+def test_choosing_the_poses_of_an_atlas_takes_no_more_than_estimated(
+    step: float, headings: int
+) -> None:
+    grid = office(6, 0.1)
+    side = grid.occupied.shape[0] * grid.resolution
+    taken = peak(lambda: atlas_poses(grid, step, headings, 0.1))
+    need = poses_bytes(grid.occupied.size, round(side / step) ** 2, headings)
+    assert taken <= need <= 3 * taken

@@ -78,11 +78,12 @@ def atlas(
     from imgloc.cli.budgets import (
         check_answer,
         check_picture,
+        check_poses,
         check_simulation,
         fixed_budget,
     )
+    from imgloc.cli.loading import load_usable
     from imgloc.cli.pictures import write_picture
-    from imgloc.cli.sources import load_usable
     from imgloc.draw.atlas import draw_atlas
     from imgloc.experiments.atlas import TOP, atlas_poses, survey
     from imgloc.experiments.scansets import is_world
@@ -94,7 +95,8 @@ def atlas(
     from imgloc.pipeline import Options, prepare
 
     memory_budget = fixed_budget(memory_budget)
-    grid = load_usable(map_path, reading, allow_lossy=allow_lossy)
+    grid = load_usable(map_path, memory_budget, allow_lossy=allow_lossy, **reading)
+    check_poses(grid, display(map_path), step, headings, memory_budget)
     poses = atlas_poses(grid, step, headings, sensor.clearance)
     if len(poses) > _MOST:
         raise ConfigError(

@@ -1,16 +1,16 @@
 """Memory that a command will take: said beforehand, and refused if it is too much."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 from imgloc.cli.console import LOG
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from imgloc.cli.options import Reading
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.methods import Options
-    from imgloc.model import OccupancyGrid
+    from imgloc.model import LaserScan, OccupancyGrid
 
 COARSER = "crop the map, use a larger --cell or --theta-step-deg"
 
@@ -37,20 +37,70 @@ def check_memory(need: int, memory_budget: int | None, what: str, hint: str) -> 
     check_budget(need, budget, what, f"{hint}, or raise --memory-budget")
 
 
-def check_image(map_path: "Path", reading: "Reading", memory_budget: int | None) -> None:
-    """Check the memory that looking at the image of a map takes."""
-    from imgloc.features.estimates import check_bytes
+def check_image(
+    map_path: "Path", reading: Mapping[str, Any], memory_budget: int | None,
+    need: Callable[[int, int], int], *, held: int = 0,
+) -> None:  # fmt: skip
+    """Check the memory that looking at the image of a map takes, as its header says.
+
+    That is what `need` says of its pixels and the bytes of its file, and what other maps that are
+    `held` at the same time take.
+    """
+    from imgloc.features.budget import MIB
     from imgloc.io.files import display
     from imgloc.io.images import image_size
     from imgloc.io.mapsettings import resolve_settings
 
     image = resolve_settings(map_path, **reading).image
     width, height, file_bytes = image_size(image)
+    beside = f" beside {-(-held // MIB)} MiB of other maps" if held else ""
     check_memory(
-        check_bytes(width * height, file_bytes),
+        held + need(width * height, file_bytes),
         memory_budget,
-        f"{display(image)}: an image of {width} x {height} pixels",
+        f"{display(image)}: an image of {width} x {height} pixels{beside}",
         "crop the map",
+    )
+
+
+def check_scans(path: "Path", memory_budget: int | None) -> None:
+    """Check the memory that reading scans takes, as the headers or the lines of their file say."""
+    from imgloc.features.estimates import scans_bytes
+    from imgloc.io.files import display
+    from imgloc.io.scans import scans_size
+
+    size = scans_size(path)
+    check_memory(
+        scans_bytes(**vars(size)),
+        memory_budget,
+        f"{display(path)}: a file of up to {size.scans:,} scans and {size.numbers:,} numbers",
+        "take fewer scans, in several files",
+    )
+
+
+def held_bytes(scans: "Sequence[LaserScan]") -> int:
+    """Bytes of scans that are held in memory.
+
+    A few scans out of many hold the array of all.
+    """
+    from imgloc.features.estimates import scans_bytes
+
+    arrays = [a if a.base is None else a.base for s in scans for a in (s.ranges, s.angles)]
+    return scans_bytes(len(scans), 0) + sum({id(a): a.nbytes for a in arrays}.values())
+
+
+def check_poses(
+    grid: "OccupancyGrid", name: str, step: float, headings: int, memory_budget: int | None
+) -> None:
+    """Check the memory that looking for the poses of an atlas takes."""
+    from imgloc.features.estimates import poses_bytes
+
+    height, width = grid.occupied.shape
+    places = round(height * grid.resolution / step + 1) * round(width * grid.resolution / step + 1)
+    check_memory(
+        poses_bytes(height * width, places, headings),
+        memory_budget,
+        f"{name}: {headings} headings at up to {places:,} places on {height} x {width} cells",
+        "use a larger --step or fewer --headings, crop the map",
     )
 
 
@@ -84,9 +134,9 @@ def check_simulation(
 
 def check_answer(
     features: "MapFeatures", options: "Options", name: str,
-    *, hint: str = COARSER, workers: int = 1,
+    *, hint: str = COARSER, workers: int = 1, scans: "Sequence[LaserScan]" = (),
 ) -> None:  # fmt: skip
-    """Check the memory that an answer and the features it needs take together.
+    """Check the memory that an answer, the features it needs and the scans take together.
 
     The budget, that of the options, is for all of several processes, which share nothing.
     """
@@ -114,7 +164,9 @@ def check_answer(
     if workers > 1:
         need = workers * (need + PROCESS + 2 * rows * columns)
         what, hint = f"{what} in each of {workers} processes", f"use fewer --workers, {hint}"
-    check_memory(need, options.memory_budget, what, hint)
+    if (kept := held_bytes(scans)) >= MIB:
+        what = f"{what} and {len(scans):,} scans ({-(-kept // MIB)} MiB)"
+    check_memory(need + kept, options.memory_budget, what, hint)
 
 
 def check_draws(count: int, scans: int, name: str, memory_budget: int | None) -> None:

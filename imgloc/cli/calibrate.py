@@ -8,6 +8,7 @@ import typer
 
 from imgloc.cli.console import LOG, emit, progress, say
 from imgloc.cli.files import check_target, find_map
+from imgloc.cli.loading import load_usable
 from imgloc.cli.methodlists import for_each, methods_of
 from imgloc.cli.options import (
     AllowLossy,
@@ -23,13 +24,13 @@ from imgloc.cli.options import (
     with_options,
 )
 from imgloc.cli.sensor import sensor
-from imgloc.cli.sources import load_usable
 from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
     from imgloc.experiments.calibrate import Fit
     from imgloc.experiments.scansets import Sensor
+    from imgloc.model import OccupancyGrid
 
 _STACKS = [name.value for name in MethodName if name != MethodName.FUSED]
 _COLUMNS = ("method", "scans", "sigma m", "sigma deg", "exponent", "S +- s.e.", "S of the stack")
@@ -116,7 +117,12 @@ def calibrate(
     memory_budget = fixed_budget(memory_budget)
     cv2.setNumThreads(workers)
     laser = replace(sensor, range_max=range_max)
-    grids = [load_usable(path, reading, allow_lossy=allow_lossy) for path in paths]
+    grids: list[OccupancyGrid] = []
+    for path in paths:
+        held = sum(grid.occupied.nbytes + grid.free.nbytes for grid in grids)
+        grids.append(
+            load_usable(path, memory_budget, allow_lossy=allow_lossy, held=held, **reading)
+        )
     plans = {}
     for method in chosen:
         step = steps.get(method)
@@ -146,7 +152,7 @@ def calibrate(
                 features = prepare(grid, display(path), cell=cell, threads=workers)
                 sweeps.append(sweep(features, scans, options, advance=advance))
         fits[method] = fit(sweeps)
-        LOG.info("%s: %s", method, fits[method])
+        LOG.info("%s: %s", method, asdict(fits[method].calibration))
     about = {
         "maps": [display(path) for path in paths],
         "seed": seed,

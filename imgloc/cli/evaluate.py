@@ -9,6 +9,7 @@ import typer
 
 from imgloc.cli.console import LOG, emit, progress
 from imgloc.cli.files import find_map
+from imgloc.cli.loading import load_usable
 from imgloc.cli.methodlists import for_each, methods_of, number_of
 from imgloc.cli.options import (
     AllowLossy,
@@ -24,13 +25,7 @@ from imgloc.cli.options import (
     with_options,
 )
 from imgloc.cli.sensor import sensor
-from imgloc.cli.sources import (
-    check_sources,
-    load_usable,
-    recorded,
-    short_name,
-    simulated,
-)
+from imgloc.cli.sources import check_sources, recorded, short_name, simulated
 from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
@@ -135,7 +130,7 @@ def evaluate(
     table: list[Mapping[str, Any]] = []
     for k, given in enumerate(maps):
         path, name = find_map(given), short_name(given)
-        grid = load_usable(path, reading, allow_lossy=allow_lossy)
+        grid = load_usable(path, memory_budget, allow_lossy=allow_lossy, **reading)
         calibrations = load_calibrations(calibration_path(path), grid)
         source: dict[str, object] = {"map": display(path)}
         if scans is None:
@@ -143,7 +138,9 @@ def evaluate(
             trials = simulated(path, grid, count or 100, seed, laser, memory_budget)
             source |= {"seed": seed, "sensor": asdict(laser)}
         else:
-            trials = recorded(scans[k], sample, sample_seed, range_max, flipped=flipped)
+            trials = recorded(
+                scans[k], sample, sample_seed, range_max, memory_budget, flipped=flipped
+            )
             source |= {"scans": display(scans[k]), "sample": sample, "sample_seed": sample_seed}
             source |= {"range_max": range_max, "flipped": flipped}
         plans = []
@@ -156,7 +153,9 @@ def evaluate(
                 options, calibration=calibrations.get(method), memory_budget=memory_budget
             )
             # All of them before the first one takes its time.
-            check_answer(prepare(grid, display(path), cell=side), options, display(path))
+            check_answer(
+                prepare(grid, display(path), cell=side), options, display(path), scans=trials.scans
+            )
             plans.append((method, side, options))
         for method, side, options in plans:
             features = prepare(grid, display(path), cell=side, threads=workers)
@@ -175,6 +174,7 @@ def evaluate(
             table.append(row)
             if as_json:
                 emit(answers.to_json(row))
+        del features  # before the next map is loaded
     if not as_json:
         emit(tables.evaluation(table))
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, quiet_libraries
+from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress
 from imgloc.cli.files import check_target, files_of
 from imgloc.cli.options import (
     AllowLossy,
@@ -140,12 +140,11 @@ def localize(
     from imgloc.cli import answers
     from imgloc.cli.budgets import fixed_budget
     from imgloc.cli.explanations import write_explanation
+    from imgloc.cli.loading import load_grid, load_set
     from imgloc.cli.pictures import picture_name, write_hypotheses
     from imgloc.cli.prepared import cache_folder, keep_features, open_features
     from imgloc.io.calibration import calibration_path, load_calibrations
     from imgloc.io.files import display
-    from imgloc.io.maps import load_map
-    from imgloc.io.scans import load_scans
     from imgloc.pipeline import check_options
     from imgloc.pipeline import localize as locate
 
@@ -153,8 +152,7 @@ def localize(
     memory_budget = fixed_budget(memory_budget)
     cv2.setNumThreads(workers)
     options = _options(method, top, theta_step_deg, engine, workers)
-    with quiet_libraries():
-        grid = load_map(map_path, **reading, allow_lossy=allow_lossy)
+    grid = load_grid(map_path, memory_budget, allow_lossy=allow_lossy, **reading)
     options = replace(
         options,
         memory_budget=memory_budget,
@@ -164,8 +162,10 @@ def localize(
         calibration=load_calibrations(calibration_path(map_path), grid).get(method.value),
     )
     folder = cache_folder(cache, wanted=not no_cache)
-    features = open_features(grid, display(map_path), folder, options, cell=cell, threads=workers)
-    scans = load_scans(scans_path)
+    scans = load_set(scans_path, memory_budget)
+    features = open_features(
+        grid, display(map_path), folder, options, scans=scans.scans, cell=cell, threads=workers
+    )
     chosen = _choose(scans, index, display(scans_path))
     many, mount = len(chosen) > 1, mounting.pose
     targets = {k: picture_name(picture, k, many) for k in chosen} if picture is not None else {}

@@ -58,9 +58,10 @@ def check(
     exits with 3.
     """
     from imgloc.cli.budgets import check_image
+    from imgloc.features.estimates import check_bytes
     from imgloc.io.mapcheck import check_map
 
-    check_image(map_path, reading, memory_budget)
+    check_image(map_path, reading, memory_budget, check_bytes)
     with quiet_libraries():
         report = check_map(map_path, **reading)
     emit(json.dumps(_as_row(report), allow_nan=False) if as_json else _as_text(report))
@@ -154,14 +155,15 @@ def show(
     for option, value in (("--sigma", sigma), ("--cell", cell)):
         if value is not None and what not in (Subject.BMAP, Subject.VMAP):
             raise ConfigError(f"{option}: only --what bmap and --what vmap are blurred")
-    from imgloc.cli.budgets import check_picture
+    from imgloc.cli.budgets import check_picture, fixed_budget
+    from imgloc.cli.loading import load_grid
     from imgloc.cli.pictures import write_picture
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.io.files import display
-    from imgloc.io.maps import load_map, require_usable
+    from imgloc.io.maps import require_usable
 
-    with quiet_libraries():
-        grid = load_map(map_path, **reading, allow_lossy=allow_lossy)
+    memory_budget = fixed_budget(memory_budget)
+    grid = load_grid(map_path, memory_budget, allow_lossy=allow_lossy, **reading)
     features = MapFeatures(grid, cell=cell or grid.resolution, sigma=sigma or 0.1)
     if what != Subject.MAP:
         require_usable(grid, display(map_path))

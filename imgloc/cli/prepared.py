@@ -6,11 +6,12 @@ from imgloc.cli.budgets import COARSER, check_answer
 from imgloc.cli.console import LOG
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.methods import Options
-    from imgloc.model import OccupancyGrid
+    from imgloc.model import LaserScan, OccupancyGrid
 
 
 def cache_folder(given: "Path | None", *, wanted: bool) -> "Path | None":
@@ -34,6 +35,7 @@ def open_features(
     options: "Options",
     *,
     hint: str = COARSER,
+    scans: "Sequence[LaserScan]" = (),
     **parameters: Any,
 ) -> "MapFeatures":
     """Prepare a map, with what the cache in `folder` has of it, to answer as `options` say.
@@ -43,14 +45,14 @@ def open_features(
     MapError
         If the map has no walls or no free cells.
     ConfigError
-        If its features and an answer would take more memory than the options' budget; `hint`
-        is what to change.
+        If its features, an answer and the `scans` would take more memory than the options'
+        budget; `hint` is what to change.
     """
     from imgloc.features.store import load_features
     from imgloc.pipeline import prepare
 
     features = prepare(grid, name, **parameters)
-    check_answer(features, options, name, hint=hint)
+    check_answer(features, options, name, hint=hint, scans=scans)
     return features if folder is None else load_features(grid, folder, parameters)
 
 

@@ -113,16 +113,16 @@ def prior_of(known: Known, grid: "OccupancyGrid", *, allow_lossy: bool = False) 
 def _region(path: Path, grid: "OccupancyGrid", allow_lossy: bool) -> Any:
     """The white pixels of an image that are not transparent, row 0 lowest."""
     from imgloc.io.files import display
-    from imgloc.io.images import read_image
+    from imgloc.io.images import image_size, read_image
 
-    read = read_image(path, allow_lossy=allow_lossy)
-    image = read.pixels
-    if image.shape[:2] != grid.occupied.shape:
+    size = image_size(path)[:2]  # of which there is memory enough if it is that of the map
+    if size[::-1] != grid.occupied.shape:
         height, width = grid.occupied.shape
         raise ConfigError(
-            f"{display(path)}: {image.shape[1]} x {image.shape[0]} pixels, expected "
-            f"{width} x {height} as the map"
+            f"{display(path)}: {size[0]} x {size[1]} pixels, expected {width} x {height} as the map"
         )
+    read = read_image(path, allow_lossy=allow_lossy)
+    image = read.pixels
     # The darkest channel decides, alpha being one of them: neither colour nor nothing is white.
     grey = image if image.ndim == 2 else image.min(axis=2)
     cells = grey[::-1] > read.white // 2

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imgloc.cli.console import LOG, progress, quiet_libraries, say
+from imgloc.cli.console import LOG, progress, say
 from imgloc.cli.files import check_target
 from imgloc.cli.options import (
     AllowLossy,
@@ -85,20 +85,18 @@ def sample(
     import numpy as np
 
     from imgloc.cli.budgets import check_draws, fixed_budget
+    from imgloc.cli.loading import load_set, load_usable
     from imgloc.cli.prepared import open_features
-    from imgloc.cli.sources import load_usable
     from imgloc.io.calibration import calibration_path, load_calibrations
     from imgloc.io.files import display
     from imgloc.io.output import write_text_atomic
-    from imgloc.io.scans import load_scans
     from imgloc.pipeline import Options
 
     workers = count_threads(threads)
     memory_budget = fixed_budget(memory_budget)
     cv2.setNumThreads(workers)
-    grid = load_usable(map_path, reading, allow_lossy=allow_lossy)
-    with quiet_libraries():
-        scans = load_scans(scans_path)
+    grid = load_usable(map_path, memory_budget, allow_lossy=allow_lossy, **reading)
+    scans = load_set(scans_path, memory_budget)
     if index is not None and index >= len(scans):
         raise ConfigError(f"--index: got {index}, expected 0 to {len(scans) - 1}")
     chosen = range(len(scans)) if index is None else range(index, index + 1)
@@ -111,7 +109,9 @@ def sample(
     step = None if theta_step_deg is None else float(np.deg2rad(theta_step_deg))
     calibration = load_calibrations(calibration_path(map_path), grid).get(method.value)
     options = replace(options, theta_step=step, calibration=calibration)
-    features = open_features(grid, display(map_path), None, options, cell=cell, threads=workers)
+    features = open_features(
+        grid, display(map_path), None, options, scans=scans.scans, cell=cell, threads=workers
+    )
     lines = ["scan,x,y,theta"]
     with progress("sample", len(chosen)) as advance:
         for k in chosen:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imgloc.cli.console import quiet_libraries, say
+from imgloc.cli.console import say
 from imgloc.cli.files import check_target
 from imgloc.cli.options import (
     AllowLossy,
@@ -58,15 +58,14 @@ def simulate(
             f"{count:,} scans of {rays:,} rays are {count * rays:,} readings, expected at most "
             f"{_MAX_READINGS:,}; simulate several files with different seeds"
         )
-    from imgloc.cli.budgets import check_simulation
+    from imgloc.cli.budgets import check_simulation, fixed_budget
+    from imgloc.cli.loading import load_usable
     from imgloc.experiments.scansets import simulate_set
     from imgloc.io.files import display
-    from imgloc.io.maps import load_map, require_usable
     from imgloc.io.scans import save_scans
 
-    with quiet_libraries():
-        grid = load_map(map_path, **reading, allow_lossy=allow_lossy)
-    require_usable(grid, display(map_path))
+    memory_budget = fixed_budget(memory_budget)
+    grid = load_usable(map_path, memory_budget, allow_lossy=allow_lossy, **reading)
     check_simulation(grid, display(map_path), count, rays, memory_budget)
     scans = simulate_set(grid, count, seed, replace(sensor, range_max=range_max))
     save_scans(out, scans, force=force)

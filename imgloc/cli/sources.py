@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imgloc.cli.console import quiet_libraries
-from imgloc.cli.options import Reading, cut_scan
+from imgloc.cli.loading import load_set
+from imgloc.cli.options import cut_scan
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -53,23 +53,6 @@ def short_name(path: Path) -> str:
     return display(path.parent.name if path.stem == "map" and path.parent.name else path.stem)
 
 
-def load_usable(path: Path, reading: Reading, *, allow_lossy: bool) -> "OccupancyGrid":
-    """Load a map that has walls and free cells.
-
-    Raises
-    ------
-    MapError
-        If it cannot be read, or has none.
-    """
-    from imgloc.io.files import display
-    from imgloc.io.maps import load_map, require_usable
-
-    with quiet_libraries():
-        grid = load_map(path, **reading, allow_lossy=allow_lossy)
-    require_usable(grid, display(path))
-    return grid
-
-
 def simulated(
     path: Path,
     grid: "OccupancyGrid",
@@ -99,14 +82,20 @@ def recorded(
     sample: int | None,
     sample_seed: int,
     range_max: float | None,
+    memory_budget: int | None = None,
     *,
     flipped: bool = False,
 ) -> "ScanSet":
-    """Load scans with poses, pick some at random and cut their readings."""
+    """Load scans with poses, pick some at random and cut their readings.
+
+    Raises
+    ------
+    ConfigError
+        If that would take more than the budget, bytes; None is half of what is there.
+    """
     from imgloc.experiments.scansets import sample_set
     from imgloc.io.files import display
-    from imgloc.io.scans import load_scans
 
-    chosen = sample_set(load_scans(path), sample, sample_seed, display(path))
+    chosen = sample_set(load_set(path, memory_budget), sample, sample_seed, display(path))
     scans = tuple(cut_scan(scan, range_max, flipped=flipped) for scan in chosen.scans)
     return replace(chosen, scans=scans)

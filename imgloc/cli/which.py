@@ -1,12 +1,13 @@
 """`imgloc which`: which of the maps in a folder a scan is from."""
 
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imgloc.cli.console import LOG, emit, progress, quiet_libraries, say
+from imgloc.cli.console import LOG, emit, progress, say
 from imgloc.cli.options import (
     AllowLossy,
     AsJson,
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 FAILED_ROWS = 5
 _LISTED = 3
+_NO_MAP = ("none", "undecided", "invalid")  # verdicts
 _HEADER = f"{'index':>6}  {'verdict':<24} {'probability':>11} {'none':>7}  pose or next best"
 
 
@@ -58,6 +60,7 @@ def which(
     The scan is located in every map. Evidence is the likelihood averaged over all poses of a map,
     so that a large map does not win by having more places. It is from none if it fits badly, or,
     asked of three maps or more, if the best fits hardly better than the third best does by chance.
+    Of fewer than five maps, one is named only if the scan has a unique place in it.
     A scan with too few readings is invalid. A map that cannot be used is reported and left out;
     the exit code is then 5.
     """
@@ -67,10 +70,9 @@ def which(
     import cv2
 
     from imgloc.cli.budgets import fixed_budget
+    from imgloc.cli.loading import load_grid, load_set
     from imgloc.cli.prepared import cache_folder, keep_features, open_features
     from imgloc.io.files import display
-    from imgloc.io.maps import load_map
-    from imgloc.io.scans import load_scans
     from imgloc.pipeline import Options, check_options
     from imgloc.which import choose, fit
 
@@ -78,7 +80,7 @@ def which(
     memory_budget = fixed_budget(memory_budget)
     cv2.setNumThreads(workers)
     paths = find_maps(maps_dir)
-    recorded = load_scans(scans_path).scans
+    recorded = load_set(scans_path, memory_budget).scans
     scans = [cut_scan(scan, range_max, flipped=flipped) for scan in recorded]
     options = Options(top=20, threads=workers, memory_budget=memory_budget)
     folder = cache_folder(None, wanted=not no_cache)
@@ -87,11 +89,11 @@ def which(
     with progress("which", len(paths) * len(scans), lines=False) as advance:
         for path, name in zip(paths, names, strict=True):
             try:
-                with quiet_libraries():
-                    grid = load_map(path, allow_lossy=allow_lossy)
+                grid = load_grid(path, memory_budget, allow_lossy=allow_lossy)
                 features = open_features(
-                    grid, display(path), folder, options, hint="crop the map", threads=workers
-                )
+                    grid, display(path), folder, options,
+                    hint="crop the map", scans=scans, threads=workers,
+                )  # fmt: skip
                 check_options(features, options)
             except (MapError, ConfigError) as error:
                 say(f"left out: {error}")
@@ -136,19 +138,26 @@ def find_maps(folder: Path) -> list[Path]:
 
 
 def names_of(paths: Iterable[Path], folder: Path) -> list[str]:
-    """Names of maps in a folder, each other than all others.
+    """Names of maps in a folder, each other than all others and than the verdicts without a map.
 
     Examples
     --------
     >>> names_of([Path("a/attic.yaml"), Path("a/cellar/map.yaml")], Path("a"))
     ['attic', 'cellar']
+    >>> names_of([Path("a/b.yaml"), Path("a/b/map.yaml"), Path("a/none.yaml")], Path("a"))
+    ['b.yaml', 'b/map.yaml', 'none.yaml']
     """
-    names = []
-    for path in paths:
-        name = path.relative_to(folder).with_suffix("")
-        short = name.parent if name.name == "map" and name.parent != Path() else name
-        names.append(short.as_posix() if short.as_posix() not in names else name.as_posix())
-    return names
+    full = [path.relative_to(folder) for path in paths]
+    short = [
+        path.parent if path.stem == "map" and path.parent != Path() else path.with_suffix("")
+        for path in full
+    ]
+    taken = Counter([*(name.as_posix() for name in short), *_NO_MAP])
+    names = [
+        (path if taken[name.as_posix()] > 1 else name).as_posix()
+        for path, name in zip(full, short, strict=True)
+    ]
+    return names if len(set(names)) == len(names) else [path.as_posix() for path in full]
 
 
 def _as_json(index: int, choice: "Choice", fits: "dict[str, Fit]") -> str:

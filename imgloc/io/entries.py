@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 
 from imgloc.errors import ScanError
-from imgloc.io.files import PathLike, display, read_file
+from imgloc.io.files import PathLike, display, open_file, read_file
 from imgloc.io.scanset import (
     MAX_READINGS,
     ScanSet,
+    ScansSize,
     check_angles,
     check_finite,
     check_limits,
@@ -21,6 +22,8 @@ from imgloc.model import FloatArray, LaserScan
 
 Entry = tuple[str, Mapping[str, Any]]
 """Where it stands in the file, for messages, and what it says (names of LaserScan)."""
+_LIMIT = 8 * MAX_READINGS  # bytes
+_BLOCK = 1 << 20
 
 
 def text_lines(path: PathLike) -> list[tuple[int, str]]:
@@ -32,12 +35,30 @@ def text_lines(path: PathLike) -> list[tuple[int, str]]:
         Missing, not a regular file, too long, or not UTF-8.
     """
     name = display(path)
-    data = read_file(path, limit=8 * MAX_READINGS, error=ScanError, what="scan file")
+    data = read_file(path, limit=_LIMIT, error=ScanError, what="scan file")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as e:
         raise ScanError(f"{name}: byte {e.start} is not UTF-8 text") from None
     return [(i, s.strip()) for i, s in enumerate(text.split("\n"), 1) if s.strip()]
+
+
+def text_size(path: PathLike) -> ScansSize:
+    """How much a text may hold: a scan on each line or in each brace, numbers between commas.
+
+    Raises
+    ------
+    ScanError
+        Missing, not a regular file, or too long.
+    """
+    lines, braces, commas, ascii_only = 1, 0, 0, True
+    with open_file(path, limit=_LIMIT, error=ScanError, what="scan file") as (file, length):
+        while block := file.read(_BLOCK):
+            lines += block.count(b"\n")
+            braces += block.count(b"{")
+            commas += block.count(b",")
+            ascii_only &= block.isascii()
+    return ScansSize(max(lines, braces), lines + commas, length, True, ascii_only)
 
 
 def number_of(text: str, where: str) -> float:

@@ -3,6 +3,8 @@
 import contextlib
 import os
 import stat
+from collections.abc import Iterator
+from io import BufferedReader
 from pathlib import Path
 
 from imgloc.errors import ImglocError
@@ -44,22 +46,34 @@ def read_file(path: PathLike, *, limit: int, error: type[ImglocError], what: str
     ImglocError
         Of class `error`: missing, not a regular file, unreadable or too long.
     """
+    with open_file(path, limit=limit, error=error, what=what) as (file, size):
+        data = file.read(size + 1)  # room for all that is asked for is taken at once
+        if len(data) > size:  # files under /proc claim a size of 0
+            data += file.read(limit + 1 - len(data))
+    if len(data) > limit:
+        raise error(f"{display(path)}: expected a {what} of at most {limit:,} bytes")
+    return data
+
+
+@contextlib.contextmanager
+def open_file(
+    path: PathLike, *, limit: int, error: type[ImglocError], what: str
+) -> Iterator[tuple[BufferedReader, int]]:
+    """Open the regular file at `path`, to read some of it; and say how many bytes it has.
+
+    Parameters and errors are those of :func:`read_file`.
+    """
     name = display(path)
     with os.fdopen(_open_regular(path, error, what), "rb") as file:
         size = os.fstat(file.fileno()).st_size
         if size > limit:
             raise error(f"{name}: {size:,} bytes, expected a {what} of at most {limit:,}")
         try:
-            data = file.read(size + 1)  # room for all that is asked for is taken at once
-            if len(data) > size:  # files under /proc claim a size of 0
-                data += file.read(limit + 1 - len(data))
+            if not file.peek(1):
+                raise error(f"{name}: the file is empty, expected a {what}")
+            yield file, size
         except OSError as e:
             raise error(f"{name}: cannot be read: {e.strerror}") from None
-    if len(data) > limit:
-        raise error(f"{name}: expected a {what} of at most {limit:,} bytes")
-    if not data:
-        raise error(f"{name}: the file is empty, expected a {what}")
-    return data
 
 
 def refuse_irregular(path: PathLike, *, error: type[ImglocError], what: str) -> None:

@@ -24,10 +24,11 @@ from imgloc.io.containers import (
     open_png,
     png_size,
 )
-from imgloc.io.files import PathLike, display, read_file
+from imgloc.io.files import PathLike, display, open_file, read_file
 from imgloc.io.netpbm import decode_netpbm, is_netpbm, netpbm_header
 
 MAX_PIXELS = 128_000_000
+_HEAD = 4 << 20  # bytes in which the size is found, after comments and thumbnails
 _KNOWN = "PNG, PGM, PPM, BMP or JPEG"
 # Formats that people do try, for the message only.
 _OTHERS = {
@@ -86,21 +87,23 @@ def read_image(
         Missing, not a regular file, longer than `max_pixels` could need, or refused by
         :func:`decode_image`.
     """
-    # 16-bit RGBA takes 8 bytes a pixel; the samples of a text PPM up to 12.
-    data = read_file(path, limit=12 * max_pixels + 65536, error=MapError, what="map image")
+    data = read_file(path, limit=_longest(max_pixels), error=MapError, what="map image")
     return decode_image(data, display(path), max_pixels=max_pixels, allow_lossy=allow_lossy)
 
 
 def image_size(path: PathLike, *, max_pixels: int = MAX_PIXELS) -> tuple[int, int, int]:
     """Width and height of an image as its header says, pixels, and the length of its file, bytes.
 
+    No more than the first 4 MiB are read, which have the header of any image of a map.
+
     Raises
     ------
     MapError
         Missing, not a regular file, too large, of an unknown format, or the header is damaged.
     """
-    data = read_file(path, limit=12 * max_pixels + 65536, error=MapError, what="map image")
-    name = display(path)
+    longest, name = _longest(max_pixels), display(path)
+    with open_file(path, limit=longest, error=MapError, what="map image") as (file, length):
+        data = file.read(_HEAD)
     if is_netpbm(data):
         _, width, height, _, _ = netpbm_header(data, name)
     else:
@@ -109,7 +112,12 @@ def image_size(path: PathLike, *, max_pixels: int = MAX_PIXELS) -> tuple[int, in
             raise _unknown(data, name)
         width, height = size(data, name)
     check_size(width, height, max_pixels, name)
-    return width, height, len(data)
+    return width, height, max(length, len(data))
+
+
+def _longest(max_pixels: int) -> int:
+    """Bytes of a file: 16-bit RGBA takes 8 a pixel, the samples of a text PPM up to 12."""
+    return 12 * max_pixels + 65536
 
 
 def decode_image(

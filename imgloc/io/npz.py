@@ -1,20 +1,23 @@
 """Scans as NPZ, read by its headers first: an archive of 2 MB may claim arrays of 2 GB."""
 
+import contextlib
 import io
 import math
 import tokenize
 import zipfile
 import zlib
+from collections.abc import Iterator
 from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError, ScanError
-from imgloc.io.files import PathLike, display, read_file
+from imgloc.io.files import PathLike, display, open_file, read_file
 from imgloc.io.scanset import (
     MAX_READINGS,
     ScanSet,
+    ScansSize,
     check_angles,
     check_finite,
     check_limits,
@@ -44,6 +47,30 @@ def read_npz(path: PathLike) -> ScanSet:
     name = display(path)
     data = read_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file")
     return _scan_set(_members(data, name), name)
+
+
+def npz_size(path: PathLike) -> ScansSize:
+    """How much :func:`read_npz` would read, as the headers of the arrays say.
+
+    Raises
+    ------
+    ScanError
+        As :func:`read_npz`, but for what only the numbers show.
+    """
+    name, shapes = display(path), dict[str, tuple[int, ...]]()
+    with (
+        open_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file") as (file, length),
+        _explained(name),
+        zipfile.ZipFile(file) as archive,
+    ):
+        for info in archive.infolist():
+            key = info.filename.removesuffix(".npy")
+            if key in _KEYS + _SPACING:
+                with archive.open(info) as member:
+                    shapes[key] = _check_header(member, info.file_size, name, key)
+    ranges = shapes.get("ranges", ())
+    numbers = sum(math.prod(shape) for shape in shapes.values())
+    return ScansSize(ranges[0] if len(ranges) == 2 else 1, numbers, length)
 
 
 def write_npz(scans: ScanSet) -> bytes:
@@ -83,40 +110,46 @@ def write_npz(scans: ScanSet) -> bytes:
 
 def _members(data: bytes, name: str) -> dict[str, FloatArray]:
     arrays: dict[str, FloatArray] = {}
+    with _explained(name), zipfile.ZipFile(io.BytesIO(data)) as archive:
+        # The end record counts the members; zipfile does not compare, and a damaged
+        # entry can swallow those after it.
+        end = data.rfind(b"PK\5\6")
+        if int.from_bytes(data[end + 10 : end + 12], "little") not in (
+            len(archive.infolist()),
+            0xFFFF,  # ZIP64 counts elsewhere
+        ):
+            raise zipfile.BadZipFile("members are missing")
+        for info in archive.infolist():
+            key = info.filename.removesuffix(".npy")
+            if key not in _KEYS + _SPACING:
+                # Not read; but opening compares the name with the one at the data, so
+                # that a damaged "range_max" is not taken for somebody else's array.
+                archive.open(info).close()
+                continue
+            if key in arrays:
+                raise ScanError(f"{name}: {key}: in the archive twice, expected once")
+            with archive.open(info) as file:
+                _check_header(file, info.file_size, name, key)
+            with archive.open(info) as file:
+                value = np.lib.format.read_array(file, allow_pickle=False)
+            arrays[key] = numbers(value, name, key, ndim=(0, 1, 2))
+    return arrays
+
+
+@contextlib.contextmanager
+def _explained(name: str) -> Iterator[None]:
+    """Say of an archive that cannot be opened what is wrong with it."""
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            # The end record counts the members; zipfile does not compare, and a damaged
-            # entry can swallow those after it.
-            end = data.rfind(b"PK\5\6")
-            if int.from_bytes(data[end + 10 : end + 12], "little") not in (
-                len(archive.infolist()),
-                0xFFFF,  # ZIP64 counts elsewhere
-            ):
-                raise zipfile.BadZipFile("members are missing")
-            for info in archive.infolist():
-                key = info.filename.removesuffix(".npy")
-                if key not in _KEYS + _SPACING:
-                    # Not read; but opening compares the name with the one at the data, so
-                    # that a damaged "range_max" is not taken for somebody else's array.
-                    archive.open(info).close()
-                    continue
-                if key in arrays:
-                    raise ScanError(f"{name}: {key}: in the archive twice, expected once")
-                with archive.open(info) as file:
-                    _check_header(file, info.file_size, name, key)
-                with archive.open(info) as file:
-                    value = np.lib.format.read_array(file, allow_pickle=False)
-                arrays[key] = numbers(value, name, key, ndim=(0, 1, 2))
+        yield
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as e:
         raise ScanError(f"{name}: damaged NPZ ({e}); copy the file again") from None
     except (RuntimeError, NotImplementedError, ValueError) as e:
         # Encrypted, compressed in an unknown way, or offsets that lead out of the file.
         raise ScanError(f"{name}: NPZ that cannot be opened: {e}") from None
-    return arrays
 
 
-def _check_header(file: IO[bytes], size: int, name: str, key: str) -> None:
-    """Check type and shape of a member before its data are inflated."""
+def _check_header(file: IO[bytes], size: int, name: str, key: str) -> tuple[int, ...]:
+    """Check type and shape of a member before its data are inflated; return the shape."""
     read = {
         (1, 0): np.lib.format.read_array_header_1_0,
         (2, 0): np.lib.format.read_array_header_2_0,
@@ -144,6 +177,7 @@ def _check_header(file: IO[bytes], size: int, name: str, key: str) -> None:
             f"{name}: {key}: {size:,} bytes, expected {file.tell() + count * dtype.itemsize:,} "
             f"for shape {shape}; copy the file again"
         )
+    return tuple(shape)
 
 
 def _scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:

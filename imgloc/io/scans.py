@@ -5,13 +5,14 @@ from pathlib import Path
 
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.csvscans import read_csv
+from imgloc.io.entries import text_size
 from imgloc.io.files import PathLike, display
 from imgloc.io.jsonscans import read_jsonl
-from imgloc.io.npz import read_npz, write_npz
+from imgloc.io.npz import npz_size, read_npz, write_npz
 from imgloc.io.output import write_bytes_atomic
-from imgloc.io.scanset import ScanSet
+from imgloc.io.scanset import ScanSet, ScansSize
 
-__all__ = ["READERS", "ScanSet", "load_scans", "save_scans"]
+__all__ = ["READERS", "ScanSet", "load_scans", "save_scans", "scans_size"]
 
 READERS: dict[str, Callable[[PathLike], ScanSet]] = {
     ".npz": read_npz,
@@ -45,13 +46,28 @@ def load_scans(path: PathLike) -> ScanSet:
     ScanError
         Naming the file, the line or key, what was found and what was expected.
     """
+    return _reader(path)(path)
+
+
+def scans_size(path: PathLike) -> ScansSize:
+    """How much :func:`load_scans` would load, at most; nothing of it is kept in memory.
+
+    Raises
+    ------
+    ScanError
+        As :func:`load_scans`, but for what only the numbers show.
+    """
+    return npz_size(path) if _reader(path) is read_npz else text_size(path)
+
+
+def _reader(path: PathLike) -> Callable[[PathLike], ScanSet]:
     reader = READERS.get(Path(path).suffix.lower())
     if reader is None:
         raise ScanError(
             f"{display(path)}: ending {display(Path(path).suffix)!r} is no scan format, "
             f"expected {', '.join(READERS)}"
         )
-    return reader(path)
+    return reader
 
 
 def save_scans(path: PathLike, scans: ScanSet, *, force: bool = False) -> None:

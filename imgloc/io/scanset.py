@@ -17,6 +17,28 @@ _MAX_ANGLE = 4 * np.pi
 
 
 @dataclass(frozen=True)
+class ScansSize:
+    """How much a file of scans holds at most, known before it is read.
+
+    Parameters
+    ----------
+    scans : int
+    numbers : int
+        Ranges, angles, and what was recorded beside them.
+    file_bytes : int
+        Length of the file.
+    text, ascii_only : bool
+        Whether it is a text, and one without any other characters.
+    """
+
+    scans: int
+    numbers: int
+    file_bytes: int
+    text: bool = False
+    ascii_only: bool = True
+
+
+@dataclass(frozen=True)
 class ScanSet:
     """Scans, with what was recorded beside them.
 
