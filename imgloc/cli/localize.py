@@ -8,6 +8,7 @@ import typer
 
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress
 from imgloc.cli.files import check_target, files_of
+from imgloc.cli.hints import MIRRORED, hint_at_mirrored
 from imgloc.cli.options import (
     AllowLossy,
     AsJson,
@@ -30,14 +31,9 @@ from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from imgloc.features.mapfeatures import MapFeatures
     from imgloc.io.scans import ScanSet
-    from imgloc.model import LaserScan, Pose2D
+    from imgloc.model import Pose2D
     from imgloc.pipeline import Options
-
-_MIRRORED = 3  # doubtful scans that are looked at mirrored, for a hint
 
 
 @with_options(known, mounting, reading, console)
@@ -215,8 +211,8 @@ def localize(
     if folder is not None:
         keep_features(features, folder)
     if method == MethodName.FUSED and time_budget is None and 2 * len(doubtful) > len(chosen):
-        few = [mounting.mount(cut_scan(scans[k], range_max)) for k in doubtful[:_MIRRORED]]
-        _hint_at_mirrored(few, features, options, mounting)
+        few = [mounting.mount(cut_scan(scans[k], range_max)) for k in doubtful[:MIRRORED]]
+        hint_at_mirrored(few, features, options, flipped=mounting.flipped)
     if strict and doubtful:
         raise typer.Exit(NOT_UNIQUE)
 
@@ -235,23 +231,6 @@ def _options(
     if method == MethodName.FUSED:
         return replace(options, fused=replace(options.fused, theta_step=step))
     return replace(options, theta_step=step)
-
-
-def _hint_at_mirrored(
-    doubtful: "Sequence[LaserScan]",
-    features: "MapFeatures",
-    options: "Options",
-    mounting: Mounting,
-) -> None:
-    """Say so if what fits nowhere, or at many places, would fit at one if it were mirrored."""
-    from imgloc.pipeline import localize as locate
-
-    if all(locate(features, scan.flipped, options).verdict == "unique" for scan in doubtful):
-        LOG.warning(
-            "scans like these fit at one place if they are mirrored: is the sensor upside down? "
-            "%s --flipped",
-            "Leave out" if mounting.flipped else "Try",
-        )
 
 
 def _choose(scans: "ScanSet", index: int | None, name: str) -> range:
