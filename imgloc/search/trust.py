@@ -56,7 +56,7 @@ class Trust:
     fine: float = 0.1
     elsewhere: tuple[float, float, float] = (-5.1, 1.8, 3.9)
     mass: float = 0.9
-    correlated: float = 2.6
+    correlated: float = 2.9
 
     def temperature_at(self, misfit: float, crowding: float = 1.0, cell: float = 0.0) -> float:
         """Temperature for a misfit in nats per reading, readings per patch, and a map's cell.
