@@ -43,6 +43,7 @@ def main() -> int:
     parser.add_argument("-n", type=int, help="scans in each world or set (default: 20)")
     parser.add_argument("--seed", type=int, default=100, help="of poses and noise (default: 100)")
     parser.add_argument("--worlds", help="with commas between (default: all five)")
+    parser.add_argument("--conditions", help="with commas between (default: all)")
     parser.add_argument("--sets", type=Path, nargs="+", help="maps with a scans.npz beside them")
     parser.add_argument("--range-max", type=float, default=20.0, help="of recorded scans, metres")
     parser.add_argument("--quick", action="store_true", help="-n 3 --worlds visibility,curved")
@@ -72,11 +73,19 @@ def simulated(given: argparse.Namespace) -> tuple[dict[str, object], tuple[Row, 
     worlds = QUICK if given.quick else tuple(WORLDS)
     if given.worlds is not None:
         worlds = tuple(given.worlds.split(","))
+    conditions = tuple(CONDITIONS)
+    if given.conditions is not None:
+        conditions = tuple(given.conditions.split(","))
     if given.threads < 1:
         raise ConfigError(f"--threads: got {given.threads}, expected at least 1")
-    with progress("robustness", given.n * len(worlds) * len(CONDITIONS), lines=False) as advance:
+    with progress("robustness", given.n * len(worlds) * len(conditions), lines=False) as advance:
         rows = robustness(
-            given.n, given.seed, worlds=worlds, threads=given.threads, advance=advance
+            given.n,
+            given.seed,
+            worlds=worlds,
+            conditions=conditions,
+            threads=given.threads,
+            advance=advance,
         )
     return {"worlds": worlds}, rows
 
