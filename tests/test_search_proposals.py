@@ -1,5 +1,6 @@
 """Proposals by endpoint correlation against the exhaustive correlation, loop by loop."""
 
+import dataclasses
 import itertools
 
 import naive
@@ -60,9 +61,22 @@ def score(level, xy, theta, row, column):
     return sum(naive.value(level.image, p, level.resolution) for p in at)
 
 
+def rough(level, n):
+    """The level in as many grey levels as let a byte hold the sum of n points, if not too few."""
+    top = 255 // n
+    if top < 6:
+        return level
+    return dataclasses.replace(level, image=np.rint(level.image * (top / 255)).astype(np.uint8))
+
+
+def by_score_and_parent(entry):
+    value, (k, row, column) = entry
+    return -value, (k, row // 2, column // 2), (row, column)
+
+
 def naive_propose(levels, xy, thetas, keep):
-    """Coarse to fine with plain lists; ties in the order of their indices."""
-    n, coarsest = len(thetas), levels[-1]
+    """Coarse to fine with plain lists; ties in the order of their parents' indices."""
+    n, coarsest = len(thetas), rough(levels[-1], len(xy))
     ranked = []
     for k in range(0, n, 2):
         for row, column in np.ndindex(coarsest.free.shape):
@@ -79,8 +93,7 @@ def naive_propose(levels, xy, thetas, keep):
                 on = child[1] < level.free.shape[0] and child[2] < level.free.shape[1]
                 if on and level.free[child[1:]] and child not in met:
                     met[child] = score(level, xy, thetas[child[0]], *child[1:])
-        ranked = sorted(((v, c) for c, v in met.items()), key=lambda entry: (-entry[0], entry[1]))
-        ranked = ranked[:count]
+        ranked = sorted(((v, c) for c, v in met.items()), key=by_score_and_parent)[:count]
         spread = (0,)
     out = {}
     for value, node in ranked:

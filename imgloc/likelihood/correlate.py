@@ -13,7 +13,7 @@ import numpy.typing as npt
 from imgloc.errors import ConfigError
 from imgloc.likelihood.flat import FLAT_CELLS, flat_stack
 from imgloc.likelihood.kernels import filter2d_stack
-from imgloc.likelihood.shift import Tile, merge_repeats, shift_stack, tiles_of
+from imgloc.likelihood.shift import Summable, Tile, merge_repeats, shift_stack, tiles_of
 from imgloc.likelihood.slices import (
     cell_offsets,
     check_arguments,
@@ -109,6 +109,7 @@ def correlate(
     offsets = cell_offsets(points, headings, resolution)
     weights = np.broadcast_to(np.float32(1), (len(headings), 1, len(points)))
     integers = image.dtype == np.uint8
+    wide, limit = _summable(image, len(points))
     wanted = None if where is None else where[window]
     tiles = tiles_of(view.shape[1:], wanted)
     engine = choose_engine(
@@ -116,15 +117,15 @@ def correlate(
         offsets,
         view.shape[1:],
         tiles,
-        itemsize=2 if integers else 4,
+        itemsize=wide.itemsize,
         doubtful=lambda: integers and needs_double(image, offsets[:: max(1, len(offsets) // 8)]),
     )
     if engine == "shift" and _is_flat(offsets, view.shape[1:]):
         # On one thread: several would only wait for each other.
-        flat_stack(*_summable(image), offsets, view, where=wanted)
+        flat_stack(wide, limit, offsets, view, where=wanted)
         return out
     if engine == "shift":
-        _correlate_by_shift(image, offsets, tiles, threads, view)
+        _correlate_by_shift(wide, limit, offsets, tiles, threads, view)
     elif engine == "dft":
         spectral_stack(image[None], offsets, weights, threads, view, half_turn=1, exact=integers)
     else:
@@ -135,31 +136,36 @@ def correlate(
 
 
 def _correlate_by_shift(
-    image: npt.NDArray[np.uint8] | Float32Array,
+    image: Summable,
+    limit: int,
     offsets: IntArray,
     tiles: Sequence[Tile],
     threads: int,
     out: Float32Array,
 ) -> None:
     """Alg. 2 on one image, each distinct offset of integers once."""
-    wide, limit = _summable(image)
     once = np.zeros(offsets.shape[1], dtype=np.int64)
 
     def scan(k: int) -> tuple[IntArray, IntArray, IntArray]:
-        if image.dtype == np.uint8:
-            return merge_repeats(offsets[k], once)
-        return offsets[k], once, once
+        if image.dtype == np.float32:
+            return offsets[k], once, once
+        return merge_repeats(offsets[k], once)
 
-    shift_stack([wide], scan, limit, tiles, threads, out)
+    shift_stack([image], scan, limit, tiles, threads, out)
 
 
 def _summable(
-    image: npt.NDArray[np.uint8] | Float32Array,
-) -> tuple[npt.NDArray[np.uint16] | Float32Array, int]:
-    """The image in the type of its sums, and how often that holds its largest value."""
-    if image.dtype == np.uint8:
-        return image.astype(np.uint16), np.iinfo(np.uint16).max // max(1, int(image.max()))
-    return np.ascontiguousarray(image, dtype=np.float32), np.iinfo(np.int32).max
+    image: npt.NDArray[np.uint8] | Float32Array, points: int
+) -> tuple[Summable, int]:
+    """The image in the type of its sums, and how often that holds its largest value.
+
+    A few points of an image of a few levels are summed in bytes.
+    """
+    if image.dtype == np.float32:
+        return np.ascontiguousarray(image, dtype=np.float32), np.iinfo(np.int32).max
+    top = max(1, int(image.max()))
+    kind = np.uint8 if points * top <= np.iinfo(np.uint8).max else np.uint16
+    return image.astype(kind, copy=False), np.iinfo(kind).max // top
 
 
 def _is_flat(offsets: IntArray, shape: tuple[int, ...]) -> bool:

@@ -6,8 +6,8 @@ the time on an image that fits the cache: the coarse levels of a search.
 """
 
 import numpy as np
-import numpy.typing as npt
 
+from imgloc.likelihood.shift import Summable
 from imgloc.model import BoolArray, Float32Array, IntArray
 
 #: Cells of an image, padding included, up to which this is the faster way to shift.
@@ -15,7 +15,7 @@ FLAT_CELLS = 1 << 17
 
 
 def flat_stack(
-    image: npt.NDArray[np.uint16] | Float32Array,
+    image: Summable,
     limit: int,
     offsets: IntArray,
     out: Float32Array,
@@ -26,7 +26,7 @@ def flat_stack(
 
     Parameters
     ----------
-    image : (H, W) uint16 or float32 array
+    image : (H, W) uint8, uint16 or float32 array
     limit : int
         How often the type of the image can hold its largest value.
     offsets : (K, N, 2) int array
@@ -53,7 +53,9 @@ def flat_stack(
     first, length = rows * stride + columns, height * stride
     line[first : first + length].reshape(height, stride)[:, :width] = image
     start = offsets[..., 0] * stride + offsets[..., 1] + first
-    wanted: BoolArray | np.bool_ = np.True_ if where is None else where
+    wanted = np.zeros((height, stride), dtype=image.dtype)
+    wanted[:, :width] = 1 if where is None else where
+    mask = wanted.reshape(-1)
     total = np.empty(length, dtype=image.dtype)
     sums = total.reshape(height, stride)[:, :width]
     for k, target in enumerate(out):
@@ -62,7 +64,8 @@ def flat_stack(
             total.fill(0)
             for s in starts[part : part + limit]:
                 np.add(total, line[s : s + length], out=total)  # Alg. 2, l. 4-6
+            np.multiply(total, mask, out=total)
             if part == 0:
-                np.multiply(sums, wanted, out=target)
+                np.copyto(target, sums)
             else:
-                np.add(target, sums, out=target, where=wanted)
+                np.add(target, sums, out=target)

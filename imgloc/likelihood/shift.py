@@ -16,7 +16,10 @@ import numpy.typing as npt
 from imgloc.likelihood.slices import over_slices
 from imgloc.model import BoolArray, Float32Array, IntArray
 
-Image = npt.NDArray[np.uint16] | npt.NDArray[np.int16] | Float32Array
+#: An image of the type that holds its sums.
+Summable = (
+    npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.int16] | Float32Array
+)
 
 # Cells of a tile: 512 KB of uint16. Smaller tiles pay more calls, larger ones leave the cache.
 TILE_CELLS = 1 << 18
@@ -97,7 +100,7 @@ def merge_repeats(offsets: IntArray, which: IntArray) -> tuple[IntArray, IntArra
 
 
 def shift_stack(
-    images: Sequence[Image],
+    images: Sequence[Summable],
     scan: Callable[[int], tuple[IntArray, IntArray, IntArray]],
     limit: int,
     tiles: Sequence[Tile],
@@ -120,13 +123,13 @@ def shift_stack(
 
 
 def shift_sum(
-    images: Sequence[Image],
+    images: Sequence[Summable],
     offsets: IntArray,
     which: IntArray,
     powers: IntArray,
     limit: int,
     tiles: Sequence[Tile],
-    scratch: Image,
+    scratch: Summable,
     out: Float32Array,
 ) -> None:
     """Write ``out[r, c] = sum_i ± 2**k_i images[w_i][r + dr_i, c + dc_i]`` on the tiles.
@@ -134,7 +137,7 @@ def shift_sum(
     Parameters
     ----------
     images : sequence of (H, W) arrays
-        All of one type, uint16, int16 or float32.
+        All of one type, uint8, uint16, int16 or float32.
     offsets : (n, 2) int array
         (dr, dc) of each point; what it brings from outside the image is 0.
     which : (n,) int array

@@ -6,6 +6,7 @@ finer one is evaluated around what the level before it kept.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import cv2
@@ -20,7 +21,8 @@ from imgloc.search.priors import Prior
 
 _CHUNK_CELLS = 1 << 19  # of the exhaustive level's stack: 2 MB at a time
 _FIRST_CELLS = 1 << 18  # of its first piece
-_PIECE = 2048  # nodes that are scored at a time
+_PIECE = 1024  # nodes that are scored at a time
+_FEWEST_LEVELS = 6  # of grey besides 0
 _BLOCK = 2  # cells and headings a side: one proposal each
 
 
@@ -70,16 +72,18 @@ def propose_endpoints(
     if prior is not None:  # a coarse heading stands for those beside it
         wanted = prior.headings(thetas, 2 * np.pi / len(thetas))
     coarse = np.flatnonzero(wanted[::2])
-    nodes = _exhaustive(levels[-1], xy[::skip], thetas[::2][coarse], keep[-1], threads)
+    rough = _rough(levels[-1], len(xy[::skip]))
+    nodes = _exhaustive(rough, xy[::skip], thetas[::2][coarse], keep[-1], threads)
     nodes[:, 0] = 2 * coarse[nodes[:, 0]]
     spread = np.array([-1, 0, 1])
     for level, count in zip(levels[-2::-1], keep[-2::-1], strict=True):
-        nodes = _children(nodes, level, spread, wanted)
+        parents = _parents(nodes, spread, wanted)
         spread = np.array([0])
         points = xy if level is levels[0] else xy[::skip]
-        scores = _score(level, points, thetas, nodes)
-        best = _best(scores, count)
-        nodes, scores = nodes[best], scores[best]
+        sums = _score(level, points, thetas, parents)
+        sums[~_free_children(level, parents)] = -1
+        best = _best(sums.ravel(), count)
+        nodes, scores = _children(parents[best >> 2], best & 3), sums.ravel()[best]
     first = np.sort(np.unique(_key(*nodes.T // _BLOCK), return_index=True)[1])
     first = first[scores[first] > 0]
     nodes, scores = nodes[first], scores[first]
@@ -112,6 +116,18 @@ def propose_all(
     nodes = _exhaustive(level, xy, thetas, keep, threads)
     centres = (nodes[:, :0:-1] + 0.5) * level.resolution
     return np.column_stack((centres, thetas[nodes[:, 0]]))
+
+
+def _rough(level: Level, points: int) -> Level:
+    """The level with so few grey levels that a byte holds the sum of a few points.
+
+    Half the memory to move. An image of a few levels hardly orders the poses differently.
+    """
+    top = np.iinfo(np.uint8).max // max(1, points)
+    if top < _FEWEST_LEVELS:
+        return level
+    image = np.rint(level.image * np.float32(top / 255)).astype(np.uint8)
+    return replace(level, image=image)
 
 
 def _exhaustive(
@@ -164,28 +180,32 @@ def _largest(stack: Float32Array, n: int, free: BoolArray) -> IntArray:
     return np.sort(np.concatenate((above, np.flatnonzero(at)[: n - len(above)])))
 
 
-def _children(nodes: IntArray, level: Level, spread: IntArray, wanted: BoolArray) -> IntArray:
-    """The four cells of each node one level down, at its own and its neighbouring headings.
-
-    Each once, in the order of their indices.
-    """
-    height, width = level.free.shape
-    dr, dc = np.array([[0, 0, 1, 1], [0, 1, 0, 1]])
-    r, c = (2 * nodes[:, 1:2] + dr).ravel(), (2 * nodes[:, 2:] + dc).ravel()
-    k = np.repeat(nodes[:, 0], 4)
-    on = (r < height) & (c < width)
-    on[on] = level.free[r[on], c[on]]
-    k = (k[on] + spread[:, None]) % len(wanted)
-    key = _key(k, r[on], c[on])[wanted[k]]
+def _parents(nodes: IntArray, spread: IntArray, wanted: BoolArray) -> IntArray:
+    """The nodes at their own and their neighbouring headings: each once, by their indices."""
+    k = (nodes[:, 0] + spread[:, None]) % len(wanted)
+    key = _key(k, nodes[:, 1], nodes[:, 2])[wanted[k]]
     key.sort()
-    key = key[np.diff(key, prepend=-1) > 0]  # neighbouring headings meet in the same child
+    key = key[np.diff(key, prepend=-1) > 0]  # neighbouring headings meet
     return np.stack((key >> 40, key >> 20 & 0xFFFFF, key & 0xFFFFF), axis=1)
 
 
-def _best(scores: FloatArray, n: int) -> IntArray:
-    """Indices of the `n` largest, best first; of equal ones, those that come first."""
-    index = np.arange(len(scores))
-    if n < len(scores):
+def _children(parents: IntArray, which: IntArray) -> IntArray:
+    """One of the four cells of each node, one level down."""
+    k, r, c = parents.T
+    return np.stack((k, 2 * r + (which >> 1), 2 * c + (which & 1)), axis=1)
+
+
+def _free_children(level: Level, parents: IntArray) -> BoolArray:
+    """Which of the four cells of each node are free, (M, 4), and on the map: a side may be odd."""
+    free = np.pad(level.free, [(0, side % 2) for side in level.free.shape])
+    first = 2 * (parents[:, 1] * free.shape[1] + parents[:, 2])
+    return free.ravel().take(first[:, None] + [0, 1, free.shape[1], free.shape[1] + 1])
+
+
+def _best(scores: IntArray, n: int) -> IntArray:
+    """Indices of the `n` largest that are not negative, best first; equal ones in their order."""
+    index = np.flatnonzero(scores >= 0)
+    if n < len(index):
         threshold = np.partition(scores, len(scores) - n)[len(scores) - n]
         index = np.flatnonzero(scores >= threshold)
     return index[np.argsort(-scores[index], kind="stable")[:n]]
@@ -196,22 +216,28 @@ def _key(k: IntArray, r: IntArray, c: IntArray) -> IntArray:
     return np.asarray((k << 40) + (r << 20) + c)
 
 
-def _score(level: Level, xy: FloatArray, thetas: FloatArray, nodes: IntArray) -> FloatArray:
-    """Sum of the level's image under the points at each node (Alg. 1, l. 4-6)."""
+def _score(level: Level, xy: FloatArray, thetas: FloatArray, parents: IntArray) -> IntArray:
+    """Sums of the level's image under the points at the four cells of each node (Alg. 1, l. 4-6).
+
+    The four poses move together, and so do the four cells that a point falls on: they are read
+    at once.
+    """
     # A shift by the whole image misses it from anywhere; a longer one needs no wider padding.
     offsets = cell_offsets(xy, thetas, level.resolution)
-    sides = np.array(level.image.shape)
-    offsets = np.clip(offsets, -sides, sides)
-    rows, columns = np.abs(offsets).max(axis=(0, 1)).tolist()
-    padded = np.pad(level.image, ((rows, rows), (columns, columns)))  # off the map is a miss
-    stride = padded.shape[1]
+    side = max(level.image.shape)
+    offsets = np.clip(offsets, -side, side)
+    reach = int(np.abs(offsets).max())
+    padded = np.pad(level.image, (reach, reach + 2))  # off the map is a miss
+    top, bottom = padded[:-1], padded[1:]
+    quads = cv2.merge((top[:, :-1], top[:, 1:], bottom[:, :-1], bottom[:, 1:]))
+    stride = quads.shape[1]
     flat = offsets[..., 0] * stride + offsets[..., 1]
-    base = (nodes[:, 1] + rows) * stride + nodes[:, 2] + columns
-    image, headings = padded.ravel(), nodes[:, 0].copy()
-    out = np.empty((len(nodes), 1), dtype=np.int32)
+    base = (2 * parents[:, 1] + reach) * stride + 2 * parents[:, 2] + reach
+    image, headings = quads.view(np.uint32).ravel(), np.ascontiguousarray(parents[:, 0])
+    out = np.empty((len(parents), 1, 4), dtype=np.int32)
     index = np.empty((_PIECE, len(xy)), dtype=flat.dtype)
-    values = np.empty((_PIECE, len(xy)), dtype=np.uint8)
-    for start in range(0, len(nodes), _PIECE):  # in pieces that stay in the cache
+    values = np.empty((_PIECE, len(xy)), dtype=np.uint32)
+    for start in range(0, len(parents), _PIECE):  # in pieces that stay in the cache
         sums = out[start : start + _PIECE]
         at, fits = index[: len(sums)], values[: len(sums)]
         # Nothing is out of range; with "clip" NumPy needs no buffer of its own.
@@ -219,5 +245,6 @@ def _score(level: Level, xy: FloatArray, thetas: FloatArray, nodes: IntArray) ->
         np.add(at, base[start : start + _PIECE, None], out=at)
         image.take(at, out=fits, mode="clip")
         # Eight times as fast as NumPy's sum along short rows.
-        cv2.reduce(fits, 1, cv2.REDUCE_SUM, dst=sums, dtype=cv2.CV_32S)
-    return out[:, 0].astype(np.float64)
+        four = fits.view(np.uint8).reshape(*fits.shape, 4)
+        cv2.reduce(four, 1, cv2.REDUCE_SUM, dst=sums, dtype=cv2.CV_32S)
+    return out[:, 0]
