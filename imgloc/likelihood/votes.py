@@ -12,10 +12,10 @@ import numpy.typing as npt
 
 from imgloc.geometry import theta_bin
 from imgloc.likelihood.slices import over_slices
-from imgloc.model import Float32Array, FloatArray, IntArray, OrientedPoints
+from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, OrientedPoints
 
-# Pairs of a block: 256 KB of float64 for each of its few buffers.
-BLOCK_PAIRS = 1 << 15
+# Pairs of a block: 512 KB of float64 for each of its two buffers; calls cost, misses too.
+BLOCK_PAIRS = 1 << 16
 BLOCK_COLUMNS = 1 << 13
 # Points this many cells off cast no vote; the bound keeps the conversion to integers defined.
 FAR = 2.0**29
@@ -129,7 +129,8 @@ class Voter:
         self.pairs, self.stack = pairs, stack.reshape(-1)
         self.n_theta, self.height, self.width = stack.shape
         self.integer = np.int32 if stack.size < 2**31 else np.int64
-        self.floats = np.empty((3, size))
+        self.unsigned = np.dtype(f"u{np.dtype(self.integer).itemsize}")
+        self.floats = np.empty((2, size))
         self.integers = np.empty((3, size), dtype=self.integer)
         self.bools = np.empty((2, size), dtype=np.bool_)
 
@@ -138,50 +139,41 @@ class Voter:
         g = self.pairs
         block = (i.stop - i.start, j.stop - j.start)
         size = block[0] * block[1]
-        x, y, spare = (a[:size].reshape(block) for a in self.floats)
-        row, column, flat = (a[:size].reshape(block) for a in self.integers)
-        keep, test = (a[:size].reshape(block) for a in self.bools)
+        value, spare = self.floats[:, :size].reshape(2, *block)
+        row, column, flat = self.integers[:, :size].reshape(3, *block)
+        keep, test = self.bools[:, :size].reshape(2, *block)
         c, s, qx, qy = g.c[j], g.s[j], g.qx[i], g.qy[i]
 
-        # Alg. 5, l. 4: t = p_j - R(alpha_j) q_i
-        np.multiply(c, qx, out=x)
-        np.multiply(s, qy, out=spare)
-        np.subtract(x, spare, out=x)
-        np.subtract(g.x[j], x, out=x)
-        np.multiply(s, qx, out=y)
-        np.multiply(c, qy, out=spare)
-        np.add(y, spare, out=y)
-        np.subtract(g.y[j], y, out=y)
+        if g.visibility is None:
+            keep.fill(True)
+        else:
+            for seen, psi, rho in zip(keep, g.psi[i].tolist(), g.rho[i], strict=True):
+                np.greater(g.visibility[psi, j], rho, out=seen)  # Alg. 5, l. 5
 
-        # Off the lattice is a miss.
-        np.greater_equal(x, 0, out=keep)
-        for limit, value, compare in (
-            (self.width, x, np.less),
-            (0, y, np.greater_equal),
-            (self.height, y, np.less),
-        ):
-            compare(value, limit, out=test)
-            np.logical_and(keep, test, out=keep)
-        if g.visibility is not None:
-            np.greater(g.visibility[g.psi[i], j], g.rho[i], out=test)  # Alg. 5, l. 5
-            np.logical_and(keep, test, out=keep)
+        # Alg. 5, l. 4: t = p_j - R(alpha_j) q_i
+        np.multiply(c, qx, out=value)
+        np.multiply(s, qy, out=spare)
+        np.subtract(value, spare, out=value)
+        np.subtract(g.x[j], value, out=value)
+        self._cells(value, self.width, column, keep, test)
+        np.multiply(s, qx, out=value)
+        np.multiply(c, qy, out=spare)
+        np.add(value, spare, out=value)
+        np.subtract(g.y[j], value, out=value)
+        self._cells(value, self.height, row, keep, test)
 
         # Alg. 5, l. 3: theta = alpha_j - alpha_i, in bins 0 .. 2 K - 1, wrapped by taking the
-        # smaller of k and k - K as unsigned numbers.
-        np.subtract(g.u[j], g.w[i], out=spare)
-        np.copyto(flat, spare, casting="unsafe")
+        # smaller of k and k - K as unsigned numbers. Then the place in the stack.
+        np.subtract(g.u[j], g.w[i], out=value)
+        np.copyto(flat, value, casting="unsafe")
+        np.multiply(row, self.width, out=row)
+        np.add(column, row, out=column)
         np.subtract(flat, self.n_theta, out=row)
-        unsigned = np.dtype(f"u{flat.itemsize}")
-        k = flat.view(unsigned)
-        np.minimum(k, row.view(unsigned), out=k)
-
-        np.copyto(row, y, casting="unsafe")  # truncation is floor where it matters, y >= 0
-        np.copyto(column, x, casting="unsafe")
-        np.multiply(flat, self.height, out=flat)
-        np.add(flat, row, out=flat)
-        np.multiply(flat, self.width, out=flat)
+        k = flat.view(self.unsigned)
+        np.minimum(k, row.view(self.unsigned), out=k)
+        np.multiply(flat, self.height * self.width, out=flat)
         np.add(flat, column, out=flat)
-        chosen = flat.reshape(-1).take(np.flatnonzero(keep)).astype(np.intp)
+        chosen = flat.reshape(-1).take(np.flatnonzero(keep))
         if g.weights is None and not self.once:
             # Alg. 5, l. 6. Since NumPy 1.25 as fast as bincount, which needs a stack of its own.
             np.add.at(self.stack, chosen, np.float32(1))
@@ -196,6 +188,17 @@ class Voter:
                 self.stack[cells] += weight
         else:
             np.add.at(self.stack, chosen, np.repeat(weights, counts))
+
+    @staticmethod
+    def _cells(
+        value: FloatArray, size: int, out: IntArray, keep: BoolArray, test: BoolArray
+    ) -> None:
+        """The cells of coordinates along one axis; off the lattice is a miss."""
+        np.greater_equal(value, 0, out=test)
+        np.logical_and(keep, test, out=keep)
+        np.less(value, size, out=test)
+        np.logical_and(keep, test, out=keep)
+        np.copyto(out, value, casting="unsafe")  # truncation is floor where it matters
 
 
 def vote(
