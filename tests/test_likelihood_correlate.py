@@ -7,9 +7,11 @@ from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
 from imgloc.geometry import uniform_thetas
+from imgloc.likelihood import correlate as module
 from imgloc.likelihood import shift
 from imgloc.likelihood.correlate import ENGINES, choose_engine, correlate
 from imgloc.likelihood.slices import cell_offsets
+from imgloc.likelihood.spectral import multiply_packed
 
 seeds = st.integers(0, 2**32 - 1)
 every_engine = pytest.mark.parametrize("engine", ENGINES)
@@ -154,6 +156,45 @@ def test_any_number_of_threads_gives_the_same_bits(engine, k):
         for stack in more:
             np.testing.assert_array_equal(stack, one)
     assert cv2.getNumThreads() == before
+
+
+@pytest.mark.parametrize("flat", [True, False])
+@pytest.mark.parametrize(("top", "n"), [(5, 51), (4, 64), (85, 3), (255, 1), (128, 2), (0, 9)])
+def test_sums_up_to_255_fit_a_byte_and_others_do_not(monkeypatch, flat, top, n):
+    if not flat:
+        monkeypatch.setattr(module, "FLAT_CELLS", 0)
+    image, _ = random_case(13, (9, 12))
+    image = (image.astype(int) % (top + 1)).astype(np.uint8)
+    image[4, 5] = top
+    xy = np.tile([0.1, 0.0], (n, 1))  # all in one cell: the largest sum there is
+    thetas = np.array([0.0, 1.0])
+    stack = correlate(image, xy, thetas, 0.1, engine="shift")
+    np.testing.assert_array_equal(stack, naive.cbml(image, xy, thetas, 0.1))
+    assert stack.max() == top * n
+
+
+@every_engine
+def test_divisor(engine):
+    image, xy = random_case(14, (8, 9))
+    thetas = np.array([0.3, 0.3 + np.pi, 2.0])
+    where = image > 20
+    sums = correlate(image, xy, thetas, 0.1, engine=engine, where=where)
+    means = correlate(image, xy, thetas, 0.1, engine=engine, where=where, divisor=255)
+    np.testing.assert_array_equal(means, sums / np.float32(255))
+    assert 0 < means.max() < sums.max()
+
+
+@pytest.mark.parametrize("height", [1, 2, 5, 6])
+@pytest.mark.parametrize("width", [1, 2, 3, 8, 9])
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("conjugate", [False, True])
+def test_packed_spectra_are_multiplied_as_opencv_does(height, width, kind, conjugate):
+    rng = np.random.default_rng(15)
+    a, b = (cv2.dft(rng.normal(size=(height, width)).astype(kind)) for _ in range(2))
+    out = np.full_like(a, np.nan)
+    multiply_packed(a, b, out, conjugate=conjugate)
+    expected = cv2.mulSpectrums(a, b, 0, conjB=conjugate)
+    np.testing.assert_allclose(out, expected, atol=1e-4 if kind is np.float32 else 1e-12)
 
 
 @every_engine

@@ -17,6 +17,7 @@ from imgloc.likelihood.slices import (
     cell_offsets,
     check_arguments,
     check_where,
+    finishing,
     output_stack,
     window_of,
 )
@@ -86,10 +87,10 @@ def cbml(
             "see imgloc.features.fields.bmap"
         )
     image = np.rint(levels).astype(np.uint8)
-    out = correlate(
-        image, points_xy, thetas, resolution, engine=engine, threads=threads, where=where, out=out
-    )
-    return np.divide(out, np.float32(BMAP_LEVELS), out=out)
+    return correlate(
+        image, points_xy, thetas, resolution, divisor=BMAP_LEVELS,
+        engine=engine, threads=threads, where=where, out=out,
+    )  # fmt: skip
 
 
 def cbml_o(
@@ -186,15 +187,16 @@ def cbml_o(
         images = project(field, directions) if projections is None else projections[:, *window]
         limit = np.iinfo(np.int16).max // VMAP_LEVELS
         shift_stack(
-            list(images), lambda k: merge_repeats(offsets[k], which[k]), limit, tiles, threads, view
+            list(images), lambda k: merge_repeats(offsets[k], which[k]), limit, tiles, threads,
+            view, finishing(VMAP_LEVELS, wanted),
+        )  # fmt: skip
+        return out
+    vectors = unit_vectors(directions)[direction].transpose(0, 2, 1)  # Alg. 3, l. 4
+    finish = finishing(1.0, wanted)
+    if engine == "dft":
+        spectral_stack(
+            field, offsets, vectors, threads, view, half_turn=-1, exact=False, finish=finish
         )
-        np.divide(view, np.float32(VMAP_LEVELS), out=view)
     else:
-        vectors = unit_vectors(directions)[direction].transpose(0, 2, 1)  # Alg. 3, l. 4
-        if engine == "dft":
-            spectral_stack(field, offsets, vectors, threads, view, half_turn=-1, exact=False)
-        else:
-            filter2d_stack(field, offsets, vectors, threads, view, exact=False)
-    if wanted is not None:
-        np.multiply(view, wanted, out=view)
+        filter2d_stack(field, offsets, vectors, threads, view, exact=False, finish=finish)
     return out

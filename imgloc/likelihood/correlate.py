@@ -15,9 +15,11 @@ from imgloc.likelihood.flat import FLAT_CELLS, flat_stack
 from imgloc.likelihood.kernels import filter2d_stack
 from imgloc.likelihood.shift import Summable, Tile, merge_repeats, shift_stack, tiles_of
 from imgloc.likelihood.slices import (
+    Finish,
     cell_offsets,
     check_arguments,
     check_where,
+    finishing,
     finite_points,
     output_stack,
     window_of,
@@ -28,10 +30,12 @@ from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 ENGINES = ("filter2d", "shift", "dft")
 
 # Measured on one core of a server CPU. Only their ratios matter, and only to `auto`.
-SHIFT_SECONDS_PER_BYTE = 3.2e-11
+SHIFT_SECONDS_PER_BYTE = 2.9e-11
 SHIFT_SECONDS_PER_CALL = 3.5e-6
 FLAT_SECONDS_PER_CALL = 6e-7
-DFT_SECONDS_PER_STEP = 1.5e-10
+DFT_SECONDS_PER_STEP = 1.4e-10
+DFT_CACHE = 4.5e6  # bytes of a plane; a larger one
+DFT_BEYOND_CACHE = 1.3  # costs so many times as much
 
 
 def correlate(
@@ -40,6 +44,7 @@ def correlate(
     thetas: FloatArray,
     resolution: float,
     *,
+    divisor: float = 1.0,
     engine: str = "auto",
     threads: int = 1,
     where: BoolArray | None = None,
@@ -61,6 +66,8 @@ def correlate(
         Headings, radians.
     resolution : float
         Side of a cell, metres.
+    divisor : float
+        What the sums are divided by.
     engine : {"auto", "filter2d", "shift", "dft"}
         How to compute it.
     threads : int
@@ -123,15 +130,19 @@ def correlate(
     if engine == "shift" and _is_flat(offsets, view.shape[1:]):
         # On one thread: several would only wait for each other.
         flat_stack(wide, limit, offsets, view, where=wanted)
+        finishing(divisor)(view)
         return out
+    finish = finishing(divisor, wanted)
     if engine == "shift":
-        _correlate_by_shift(wide, limit, offsets, tiles, threads, view)
-    elif engine == "dft":
-        spectral_stack(image[None], offsets, weights, threads, view, half_turn=1, exact=integers)
+        _correlate_by_shift(wide, limit, offsets, tiles, threads, view, finish)
+        return out
+    field = image[None]
+    if engine == "dft":
+        spectral_stack(
+            field, offsets, weights, threads, view, half_turn=1, exact=integers, finish=finish
+        )
     else:
-        filter2d_stack(image[None], offsets, weights, threads, view, exact=integers)
-    if wanted is not None:
-        np.multiply(view, wanted, out=view)
+        filter2d_stack(field, offsets, weights, threads, view, exact=integers, finish=finish)
     return out
 
 
@@ -142,6 +153,7 @@ def _correlate_by_shift(
     tiles: Sequence[Tile],
     threads: int,
     out: Float32Array,
+    finish: Finish,
 ) -> None:
     """Alg. 2 on one image, each distinct offset of integers once."""
     once = np.zeros(offsets.shape[1], dtype=np.int64)
@@ -151,12 +163,10 @@ def _correlate_by_shift(
             return offsets[k], once, once
         return merge_repeats(offsets[k], once)
 
-    shift_stack([image], scan, limit, tiles, threads, out)
+    shift_stack([image], scan, limit, tiles, threads, out, finish)
 
 
-def _summable(
-    image: npt.NDArray[np.uint8] | Float32Array, points: int
-) -> tuple[Summable, int]:
+def _summable(image: npt.NDArray[np.uint8] | Float32Array, points: int) -> tuple[Summable, int]:
     """The image in the type of its sums, and how often that holds its largest value.
 
     A few points of an image of a few levels are summed in bytes.
@@ -230,7 +240,10 @@ def choose_engine(
     plane = float((height + rows) * (width + columns))
     # One transform back, half a transform forth (two headings share it) and a product.
     dft = DFT_SECONDS_PER_STEP * plane * np.log2(plane + 1) * (1.2 + 0.8 * components)
-    return "shift" if shift < dft or (shift < 2 * dft and doubtful()) else "dft"
+    single, double = (
+        dft * size / 4 * (DFT_BEYOND_CACHE if plane * size > DFT_CACHE else 1) for size in (4, 8)
+    )
+    return "shift" if shift < single or (shift < double and doubtful()) else "dft"
 
 
 def _shift_seconds(

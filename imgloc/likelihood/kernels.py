@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.likelihood.slices import over_slices
+from imgloc.likelihood.slices import Finish, over_slices
 from imgloc.model import Float32Array, IntArray
 
 
@@ -18,6 +18,7 @@ def filter2d_stack(
     out: Float32Array,
     *,
     exact: bool,
+    finish: Finish,
 ) -> None:
     """Write the correlation of each heading's scan with the image, summed over components.
 
@@ -35,6 +36,8 @@ def filter2d_stack(
         Overwritten.
     exact : bool
         Whether the sums are integers, to be recovered by rounding.
+    finish : callable
+        Called with each slice.
     """
     components = np.asarray(image, dtype=np.float64)
     _, height, width = image.shape
@@ -59,5 +62,6 @@ def filter2d_stack(
                     borderType=cv2.BORDER_CONSTANT,  # off the map is a miss
                 )
             np.copyto(out[k], np.rint(total) if exact else total, casting="unsafe")
+            finish(out[k])
 
     over_slices(work, range(len(offsets)), threads)

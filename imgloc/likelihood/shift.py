@@ -8,18 +8,17 @@ cut into tiles small enough for accumulator and source to stay in the second-lev
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.likelihood.slices import over_slices
+from imgloc.likelihood.slices import Finish, over_slices
 from imgloc.model import BoolArray, Float32Array, IntArray
 
-#: An image of the type that holds its sums.
-Summable = (
-    npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.int16] | Float32Array
-)
+#: An image of the type that holds its sums: uint8, uint16, int16 or float32.
+Summable = npt.NDArray[Any]
 
 # Cells of a tile: 512 KB of uint16. Smaller tiles pay more calls, larger ones leave the cache.
 TILE_CELLS = 1 << 18
@@ -106,10 +105,12 @@ def shift_stack(
     tiles: Sequence[Tile],
     threads: int,
     out: Float32Array,
+    finish: Finish,
 ) -> None:
     """Fill a stack (K, H, W): :func:`shift_sum` for each heading, 0 off the tiles.
 
-    `scan` returns, for the index of a heading, the ``offsets, which, powers`` of its points.
+    `scan` returns, for the index of a heading, the ``offsets, which, powers`` of its points;
+    `finish` is called with each slice.
     """
     largest = max(((t.r1 - t.r0) * (t.c1 - t.c0) for t in tiles), default=0)
 
@@ -118,6 +119,7 @@ def shift_stack(
         for k in share:
             out[k].fill(0)
             shift_sum(images, *scan(k), limit, tiles, scratch, out[k])
+            finish(out[k])
 
     over_slices(work, range(len(out)), threads)
 

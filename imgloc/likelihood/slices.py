@@ -118,6 +118,32 @@ def output_stack(out: Float32Array | None, shape: tuple[int, int, int]) -> Float
     return out
 
 
+#: What is left to do with a slice (H, W) of a stack, in place, while it is in the cache.
+Finish = Callable[[Float32Array], object]
+
+
+def finishing(divisor: float, where: BoolArray | None = None) -> Finish:
+    """Divide a slice, and clear the poses that are not wanted.
+
+    Examples
+    --------
+    >>> image = np.array([[4, 6]], np.float32)
+    >>> finishing(2.0, np.array([[True, False]]))(image)
+    >>> image.tolist()
+    [[2.0, 0.0]]
+    """
+    # A product of bool and float32 would convert the mask anew for each slice.
+    mask = None if where is None else where.astype(np.float32)
+
+    def finish(image: Float32Array) -> None:
+        if divisor != 1:
+            np.divide(image, np.float32(divisor), out=image)
+        if mask is not None:
+            np.multiply(image, mask, out=image)
+
+    return finish
+
+
 def over_slices(
     work: Callable[[Sequence[Unit]], object], units: Sequence[Unit], threads: int
 ) -> None:

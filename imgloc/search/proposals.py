@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from imgloc.features.pyramid import Level
 from imgloc.geometry import uniform_thetas
@@ -199,10 +200,11 @@ def _free_children(level: Level, parents: IntArray) -> BoolArray:
     """Which of the four cells of each node are free, (M, 4), and on the map: a side may be odd."""
     free = np.pad(level.free, [(0, side % 2) for side in level.free.shape])
     first = 2 * (parents[:, 1] * free.shape[1] + parents[:, 2])
-    return free.ravel().take(first[:, None] + [0, 1, free.shape[1], free.shape[1] + 1])
+    four = first[:, None] + [0, 1, free.shape[1], free.shape[1] + 1]
+    return np.asarray(free.ravel().take(four))
 
 
-def _best(scores: IntArray, n: int) -> IntArray:
+def _best(scores: npt.NDArray[np.int32], n: int) -> IntArray:
     """Indices of the `n` largest that are not negative, best first; equal ones in their order."""
     index = np.flatnonzero(scores >= 0)
     if n < len(index):
@@ -216,7 +218,9 @@ def _key(k: IntArray, r: IntArray, c: IntArray) -> IntArray:
     return np.asarray((k << 40) + (r << 20) + c)
 
 
-def _score(level: Level, xy: FloatArray, thetas: FloatArray, parents: IntArray) -> IntArray:
+def _score(
+    level: Level, xy: FloatArray, thetas: FloatArray, parents: IntArray
+) -> npt.NDArray[np.int32]:
     """Sums of the level's image under the points at the four cells of each node (Alg. 1, l. 4-6).
 
     The four poses move together, and so do the four cells that a point falls on: they are read
