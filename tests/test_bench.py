@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imgloc.errors import ConfigError
+from imgloc.errors import ConfigError, ImglocError
 from imgloc.experiments.bench import (
     PAIR_HEADINGS,
     added,
@@ -20,13 +20,14 @@ from imgloc.experiments.bench import (
     vote_cases,
 )
 from imgloc.experiments.bench_engines import engine_rows, seen, tiled
-from imgloc.experiments.bench_outside import floors, growth
+from imgloc.experiments.bench_outside import floors, growth, memory
 from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import uniform_thetas
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
+from imgloc.io.scanset import ScanSet
 from imgloc.likelihood.cbml import cbml
 from imgloc.likelihood.correlate import ENGINES
 from imgloc.likelihood.ght import ght
@@ -80,6 +81,16 @@ def test_growth_is_measured_in_fresh_processes():
     assert many["area"] == pytest.approx(36 * one["area"])
     assert one["ms"] > 0
     assert many["rss_mib"] > one["rss_mib"] + 5  # some million cells
+
+
+def test_memory_of_the_command_on_large_maps(case):
+    scans = ScanSet((case[1],))
+    small, large = memory(case[0].grid, scans, (100, 2000))
+    assert [small["side"], large["side"]] == [100, 2000]
+    assert large["rss_mib"] > small["rss_mib"] + 20  # four million cells
+    assert small["seconds"] > 0
+    with pytest.raises(ImglocError, match="localize"):
+        memory(case[0].grid, scans, (1,))  # a map without a wall
 
 
 def test_floors_say_why_they_are_not_known(tmp_path):
@@ -163,7 +174,10 @@ def test_rays_of_the_engines_are_as_many_and_as_long_as_said():
         (["--repeats", "0"], "repeats must be at least 1, got 0"),
         (["--threads", "0"], "threads must be at least 1, got 0"),
         (["--scans", "0"], "scans must be at least 1, got 0"),
-        (["--parts", "cost"], "a part is one of costs, engines, localize, growth, got 'cost'"),
+        (
+            ["--parts", "cost"],
+            "a part is one of costs, engines, localize, growth, memory, got 'cost'",
+        ),
     ],
 )
 def test_the_tool_refuses_nonsense(words, expected, capsys):

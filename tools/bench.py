@@ -4,6 +4,7 @@
     python tools/bench.py --problem ../problem   # on maps A and B, with the floors in C
     python tools/bench.py --parts engines        # how far engine="auto" is from the best one
     python tools/bench.py --parts localize --sets ../data/*/map.yaml   # on recorded scans, too
+    python tools/bench.py --parts memory         # of the command on large maps, up to 25 hectares
 
 Costs are medians over the repeats with their spread; compare ratios, not times, between machines.
 """
@@ -18,7 +19,7 @@ from typing import Any
 from imgloc.cli.answers import to_json
 from imgloc.cli.tables import as_plain
 from imgloc.errors import ImglocError
-from imgloc.experiments.bench_run import PARTS, run_bench
+from imgloc.experiments.bench_run import LARGE, PARTS, run_bench
 from imgloc.likelihood.correlate import ENGINES
 
 
@@ -32,7 +33,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--sets", type=Path, nargs="*", default=[], help="maps with a scans.npz beside them"
     )
     parser.add_argument("--range-max", type=float, default=20.0, help="metres, of their scans")
-    parser.add_argument("--parts", default=",".join(PARTS), help="with commas between")
+    parser.add_argument(
+        "--parts", default=",".join(PARTS), help=f"with commas between; {LARGE} is not a default"
+    )
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--scans", type=int, default=50, help="answers of localize")
@@ -97,6 +100,11 @@ def text(results: dict[str, Any]) -> str:
             for r in results["growth"]
         ]
         lines.append(as_plain(("area, m²", "ms", "prepare, s", "peak MiB"), rows))
+    if LARGE in results:
+        rows = [
+            (str(r["side"]), f"{r['seconds']:.1f}", f"{r['rss_mib']:.0f}") for r in results[LARGE]
+        ]
+        lines.append(as_plain(("cells a side, 5 cm", "localize, s", "peak MiB"), rows))
     for key in ("auto_over_best", "floors", "exponents"):
         if key in results:
             lines.append(to_json({key: results[key]}))

@@ -1,4 +1,4 @@
-"""What the benchmark measures outside its own process: floors in C, and growth from nothing."""
+"""What the benchmark measures outside its own process: floors in C, growth, memory."""
 
 import json
 import re
@@ -9,7 +9,14 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
+from imgloc.errors import ImglocError
 from imgloc.experiments.bench import HEADINGS, PAIR_HEADINGS
+from imgloc.io.maps import save_map
+from imgloc.io.scans import save_scans
+from imgloc.io.scanset import ScanSet
+from imgloc.model import OccupancyGrid
 
 
 def floors(problem: Path) -> Mapping[str, float | str]:
@@ -82,9 +89,71 @@ def growth(world: str, times: Sequence[int], repeats: int) -> tuple[Mapping[str,
     return tuple(rows)
 
 
-_GROW = """
+def memory(
+    grid: OccupancyGrid, scans: ScanSet, sides: Sequence[int]
+) -> tuple[Mapping[str, float], ...]:
+    """Peak of the command ``imgloc localize``, from file to answer, on maps of some sizes.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        The map is this one, repeated and cut.
+    scans : ScanSet
+        The first one is looked for.
+    sides : sequence of int
+        Cells along a side of the maps.
+
+    Returns
+    -------
+    tuple of mappings
+        ``side``, ``rss_mib`` at the peak and ``seconds`` of the whole command, which keeps no
+        cache and may take any amount of memory.
+
+    Raises
+    ------
+    ImglocError
+        If the command fails.
+    """
+    rows: list[Mapping[str, float]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        scan, yaml = Path(folder) / "scan.npz", Path(folder) / "map.yaml"
+        save_scans(scan, ScanSet(scans.scans[:1]))
+        for side in sides:
+            times = [-(-side // n) for n in grid.occupied.shape]
+            occupied, free = (np.tile(v, times)[:side, :side] for v in (grid.occupied, grid.free))
+            large = OccupancyGrid(occupied.copy(), free.copy(), grid.resolution)
+            save_map(yaml, large, force=True)
+            given = ["localize", str(yaml), str(scan), "--no-cache", "--memory-budget", "64G"]
+            command = [sys.executable, "-c", _PEAK + _COMMAND, *given]
+            done = subprocess.run(command, check=False, capture_output=True, text=True)  # noqa: S603
+            if done.returncode:
+                raise ImglocError(f"imgloc {' '.join(given)}: {_last_line(done.stderr)}")
+            rows.append({"side": side, **json.loads(_last_line(done.stdout))})
+    return tuple(rows)
+
+
+# ru_maxrss begins with what the parent had.
+_PEAK = """
 import json, re, resource, sys, time
 from pathlib import Path
+def peak():
+    status = Path("/proc/self/status")
+    if status.exists():
+        return int(re.search(r"VmHWM:\\s+(\\d+)", status.read_text())[1]) / 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+"""
+_COMMAND = """
+import atexit
+start = time.perf_counter()
+def tell():
+    print(json.dumps({"rss_mib": peak(), "seconds": time.perf_counter() - start}))
+atexit.register(tell)
+from imgloc.cli import main
+main()
+"""
+_GROW = (
+    _PEAK
+    + """
 import numpy as np
 from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.experiments.worlds import WORLDS, render
@@ -103,11 +172,8 @@ for scan in scans.scans[1:]:
     start = time.perf_counter()
     localize(features, scan)
     seconds.append(time.perf_counter() - start)
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-status = Path("/proc/self/status")
-if status.exists():  # ru_maxrss begins with what the parent had
-    peak = int(re.search(r"VmHWM:\\s+(\\d+)", status.read_text())[1]) / 1024
 area = grid.occupied.size * 0.01
 print(json.dumps({"area": area, "ms": 1e3 * float(np.median(seconds)),
-                  "prepare_s": first - float(np.median(seconds)), "rss_mib": peak}))
+                  "prepare_s": first - float(np.median(seconds)), "rss_mib": peak()}))
 """
+)

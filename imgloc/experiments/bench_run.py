@@ -12,7 +12,7 @@ import numpy as np
 from imgloc.errors import ConfigError
 from imgloc.experiments.bench import answer_times, as_row, in_turns, stack_cases, vote_cases
 from imgloc.experiments.bench_engines import engine_rows, engine_summary
-from imgloc.experiments.bench_outside import floors, growth
+from imgloc.experiments.bench_outside import floors, growth, memory
 from imgloc.experiments.complexity import fit_exponent
 from imgloc.experiments.recorded import scans_beside
 from imgloc.experiments.scansets import Sensor, simulate_set
@@ -24,7 +24,13 @@ from imgloc.model import OccupancyGrid
 from imgloc.pipeline import prepare
 
 PARTS = ("costs", "engines", "localize", "growth")
-"""What can be measured."""
+"""What is measured by default."""
+
+LARGE = "memory"
+"""What takes gigabytes, and is measured if it is asked for."""
+
+SIDES = (4_000, 10_000)
+"""Cells along a side of the large maps, of 5 cm."""
 
 BOUND_SCANS = 10
 """Scans of branch and bound, which is faster or slower as they are more or less clear."""
@@ -51,7 +57,7 @@ def run_bench(
         Maps with recorded scans beside them, for the answers.
     parts : tuple of str
         Of :data:`PARTS`: stacks and votes beside plain references and C; engines beside
-        ``auto``; answers; answers as the map grows.
+        ``auto``; answers; answers as the map grows. And :data:`LARGE`: memory of large maps.
     repeats, threads : int
     scans : int
         Answers of `localize` on each map.
@@ -69,8 +75,8 @@ def run_bench(
         if number < 1:
             raise ConfigError(f"{name} must be at least 1, got {number}")
     for part in parts:
-        if part not in PARTS:
-            raise ConfigError(f"a part is one of {', '.join(PARTS)}, got {part!r}")
+        if part not in (*PARTS, LARGE):
+            raise ConfigError(f"a part is one of {', '.join((*PARTS, LARGE))}, got {part!r}")
     cv2.setNumThreads(1)  # what has threads says so
     out: dict[str, Any] = {
         "machine": {
@@ -100,15 +106,21 @@ def run_bench(
         out["exponents"] = {
             key: fit_exponent(areas, [row[key] for row in grown]) for key in ("ms", "rss_mib")
         }
+    if LARGE in parts:
+        out["memory"] = memory(*maps.get("B", _world(0.05, 1)), SIDES)
     return out
 
 
 def _maps(problem: Path | None, count: int) -> dict[str, tuple[OccupancyGrid, ScanSet]]:
     if problem is None:
-        grid = render(WORLDS["large"](), 0.1)
-        return {"large": (grid, simulate_set(grid, count, 0, Sensor(range_max=10.0)))}
+        return {"large": _world(0.1, count)}
     scans = load_scans(problem / "scans_10m.npz")
     return {k: (load_map(problem / f"map{k}.yaml"), scans) for k in ("A", "B")}
+
+
+def _world(resolution: float, count: int) -> tuple[OccupancyGrid, ScanSet]:
+    grid = render(WORLDS["large"](), resolution)
+    return grid, simulate_set(grid, count, 0, Sensor(range_max=10.0))
 
 
 def _costs(
