@@ -61,10 +61,11 @@ def prepare(
 ) -> Pairs:
     """Drop the points that cannot vote and compute what does not depend on the pair."""
     kept = _usable(surface, resolution)
-    if visibility is not None and not kept.all():
-        visibility = visibility[:, kept]
+    if not kept.all():
+        surface = surface.select(kept)
+        visibility = None if visibility is None else visibility[:, kept]
     voters = _usable(points, resolution)
-    surface, points = surface.select(kept), points.select(voters)
+    points = points.select(voters)
     c, s = np.cos(points.alpha), np.sin(points.alpha)
     x, y = points.xy.T
     qx, qy = c * x + s * y, c * y - s * x  # R(-alpha_i) p_i
