@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.scanpoints import scan_xy, thin
 from imgloc.geometry import inverse
 from imgloc.layers import Layer, layers_of
 from imgloc.likelihood.calibration import DEFAULTS
@@ -29,7 +30,6 @@ from imgloc.model import (
 )
 from imgloc.pipeline import in_map_frame
 from imgloc.search.explain import RayFit, explain_rays
-from imgloc.search.fused import scan_xy, thin
 from imgloc.search.rescore import rescore
 from imgloc.search.trust import DOUBT, crowding
 from imgloc.searches import misfit_of, settle

@@ -9,12 +9,13 @@ from imgloc.errors import ConfigError
 from imgloc.features.budget import MIB, check_budget, default_budget
 from imgloc.features.lattice import blocks, coarse_info
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.scanpoints import scan_xy, thin
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.correlate import correlate
 from imgloc.likelihood.posterior import LOG_METHODS
 from imgloc.methods import FUSED, Options, likelihood
 from imgloc.model import Float32Array, GridInfo, LaserScan, Likelihood
-from imgloc.search.fused import cast_votes, scan_xy, thin, vote_cell
+from imgloc.search.vote_proposals import cast_votes, vote_cell
 
 _SIDE = 1400  # cells that the picture of a likelihood has at most along a side
 _WORK = 10**10  # readings x headings x cells of the correlation that is drawn, at most

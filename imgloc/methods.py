@@ -9,14 +9,14 @@ import numpy as np
 from imgloc.errors import ConfigError
 from imgloc.features.budget import check_budget, default_budget, stack_bytes
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.scanpoints import scan_points
+from imgloc.features.scanpoints import scan_points, scan_xy
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.beam import beam, heading_sigma
 from imgloc.likelihood.calibration import Calibration
 from imgloc.likelihood.cbml import cbml, cbml_o
 from imgloc.likelihood.ght import ght, ght_v
 from imgloc.model import Float32Array, FloatArray, LaserScan, Likelihood
-from imgloc.search.fused import FusedOptions, scan_xy
+from imgloc.search.fused_options import FusedOptions
 from imgloc.search.priors import Prior
 from imgloc.search.trust import Trust
 

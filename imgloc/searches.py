@@ -7,13 +7,14 @@ import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pooled import block_masks
+from imgloc.features.scanpoints import scan_xy, thin
 from imgloc.geometry import centre_of, wrap
 from imgloc.likelihood.calibration import DEFAULTS
 from imgloc.likelihood.posterior import calibrated
 from imgloc.methods import Options, headings_of, likelihood
 from imgloc.model import Float32Array, FloatArray, Hypothesis, IntArray, LaserScan, Likelihood
 from imgloc.search.branch_and_bound import Best, best_poses
-from imgloc.search.fused import scan_xy, search_fused, thin
+from imgloc.search.fused import search_fused
 from imgloc.search.hypotheses import as_hypotheses, covariances, entropy, masses
 from imgloc.search.moments import peak_moments
 from imgloc.search.peaks import find_peaks, separated

@@ -17,9 +17,9 @@ import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.scanpoints import thin
 from imgloc.model import FloatArray, LaserScan, Localization
 from imgloc.pipeline import FUSED, Options, localize
-from imgloc.search.fused import thin
 from imgloc.search.trust import Trust
 
 LEAD = 0.4

@@ -8,31 +8,22 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError, ImglocError
-from imgloc.experiments.bench import (
-    PAIR_HEADINGS,
-    added,
-    answer_summary,
-    answer_times,
-    as_row,
-    gathered,
-    in_turns,
-    stack_cases,
-    vote_cases,
-)
+from imgloc.experiments.bench import answer_summary, answer_times, as_row, in_turns
+from imgloc.experiments.bench_cases import PAIR_HEADINGS, added, gathered, stack_cases, vote_cases
 from imgloc.experiments.bench_engines import engine_rows, seen, tiled
 from imgloc.experiments.bench_outside import floors, growth, memory
 from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.experiments.worlds import WORLDS, render
-from imgloc.features.scanpoints import scan_points
+from imgloc.features.scanpoints import scan_points, scan_xy
 from imgloc.geometry import uniform_thetas
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.likelihood.cbml import cbml
-from imgloc.likelihood.correlate import ENGINES
+from imgloc.likelihood.engines import ENGINES
 from imgloc.likelihood.ght import ght
 from imgloc.pipeline import prepare
-from imgloc.search.fused import scan_xy
+from imgloc.report.bench import bench_tables
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +184,7 @@ def test_the_tool_prints_what_is_asked_for(tmp_path, capsys):
     save_scans(path.with_name("scans.npz"), simulate_set(grid, 2, 0, Sensor(rays=31)))
     words = ["--parts", "localize", "--scans", "1", "--threads", "1", "--repeats", "1"]
     assert tool().main([*words, "--sets", str(path)]) == 0
-    out = " ".join(capsys.readouterr().out.split())
+    out = capsys.readouterr().out
     assert "p99 / median" in out
     assert "| large |" in out
     assert "| office |" in out
@@ -203,10 +194,18 @@ def test_the_tool_prints_what_is_asked_for(tmp_path, capsys):
 def test_the_tables_of_the_tool(case):
     timings = in_turns([("nothing", "call", 1, lambda: None)], 1)
     rows = engine_rows((30,), (10,), (16,), headings=2, repeats=1)
-    text = tool().text({"machine": {}, "costs": [as_row(t) for t in timings], "engines": rows})
+    grown = [{"area": 10.0, "ms": 2.0, "prepare_s": 0.5, "rss_mib": 99.4}]
+    text = bench_tables(
+        {"machine": {"cores": 2}, "costs": [as_row(t) for t in timings], "engines": rows,
+         "growth": grown, "floors": {"ght": 2.34567, "cbml": "no C compiler"}}
+    )  # fmt: skip
     assert "| nothing |" in text
-    assert "auto/best" in text
-    assert f"| {rows[0]['ratio']:.2f} |" in " ".join(text.split()).replace("  ", " ")
+    assert f"| {rows[0]['best']} | {rows[0]['ratio']:.2f} |" in text
+    assert "| 10 | 2 | 0.50 | 99 |" in text
+    assert text.endswith("the same in C, ns: ght 2.346, cbml no C compiler")
+    tables = [part.splitlines() for part in text.split("\n\n")[1:-1]]
+    for lines in tables:  # as many cells in each line
+        assert len({line.count("|") for line in lines}) == 1
 
 
 def tool():

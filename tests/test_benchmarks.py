@@ -13,19 +13,20 @@ from imgloc.features.contours import outlines
 from imgloc.features.distance import FAR, distance_field
 from imgloc.features.pyramid import pyramid
 from imgloc.features.raycast import cast_rays, distance_image
-from imgloc.features.scanpoints import scan_points
+from imgloc.features.scanpoints import scan_points, scan_xy
 from imgloc.features.surface import surface_points
 from imgloc.features.visibility import visibility_frames
 from imgloc.geometry import centre_of, uniform_thetas
 from imgloc.likelihood.cbml import cbml_o
-from imgloc.likelihood.correlate import ENGINES, correlate
+from imgloc.likelihood.correlate import correlate
+from imgloc.likelihood.engines import ENGINES
 from imgloc.likelihood.flat import flat_stack
 from imgloc.likelihood.ght import ght, ght_v
 from imgloc.likelihood.slices import cell_offsets
 from imgloc.model import Pose2D
 from imgloc.pipeline import localize
 from imgloc.search.branch_and_bound import best_poses
-from imgloc.search.fused import FusedOptions, scan_xy
+from imgloc.search.fused_options import FusedOptions
 from imgloc.search.proposals import propose_endpoints
 from imgloc.search.refine import refine
 from imgloc.search.rescore import rescore

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihood import correlate as module
-from imgloc.likelihood import shift
-from imgloc.likelihood.correlate import ENGINES, choose_engine, correlate
+from imgloc.likelihood import engines, shift
+from imgloc.likelihood.correlate import correlate
+from imgloc.likelihood.engines import ENGINES, choose_engine
 from imgloc.likelihood.slices import cell_offsets
 from imgloc.likelihood.spectral import multiply_packed
 
@@ -162,7 +162,7 @@ def test_any_number_of_threads_gives_the_same_bits(engine, k):
 @pytest.mark.parametrize(("top", "n"), [(5, 51), (4, 64), (85, 3), (255, 1), (128, 2), (0, 9)])
 def test_sums_up_to_255_fit_a_byte_and_others_do_not(monkeypatch, flat, top, n):
     if not flat:
-        monkeypatch.setattr(module, "FLAT_CELLS", 0)
+        monkeypatch.setattr(engines, "FLAT_CELLS", 0)
     image, _ = random_case(13, (9, 12))
     image = (image.astype(int) % (top + 1)).astype(np.uint8)
     image[4, 5] = top

@@ -16,7 +16,7 @@ from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.pipeline import ALL_METHODS, Options, in_map_frame, likelihood, localize, prepare
-from imgloc.search.fused import FusedOptions
+from imgloc.search.fused_options import FusedOptions
 from imgloc.search.trust import Trust
 
 INF, NAN = float("inf"), float("nan")

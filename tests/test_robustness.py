@@ -26,7 +26,8 @@ from imgloc.io.scans import ScanSet, save_scans
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.pipeline import Options, localize, prepare
 from imgloc.report.robustness import robustness_table
-from imgloc.search.fused import FusedOptions, Modes
+from imgloc.search.fused import Modes
+from imgloc.search.fused_options import FusedOptions
 from imgloc.search.proposals import propose_all
 from imgloc.search.rescore import Evidence, EvidenceModel
 

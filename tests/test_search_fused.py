@@ -13,17 +13,13 @@ from imgloc.experiments.simulate import sample_free_poses, simulate
 from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
+from imgloc.features.scanpoints import scan_xy, thin
 from imgloc.geometry import cell_of, inside, transform_poses, wrap
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
-from imgloc.search.fused import (
-    FusedOptions,
-    _first_look,
-    propose_votes,
-    scan_xy,
-    search_fused,
-    thin,
-)
+from imgloc.search.fused import _first_look, search_fused
+from imgloc.search.fused_options import FusedOptions
 from imgloc.search.rescore import rescore
+from imgloc.search.vote_proposals import propose_votes
 
 INF, NAN = float("inf"), float("nan")
 OPTIONS = FusedOptions()

@@ -11,7 +11,7 @@ from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.pyramid import Level
 from imgloc.model import GridInfo, OccupancyGrid
 from imgloc.pipeline import ALL_METHODS, Options, localize, prepare
-from imgloc.search.fused import FusedOptions
+from imgloc.search.fused_options import FusedOptions
 from imgloc.search.priors import Prior, clearance, near
 
 # One row, 1 m cells: the sensor may be in the second and third.

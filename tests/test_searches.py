@@ -16,7 +16,7 @@ from imgloc.likelihood.calibration import Calibration
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid
 from imgloc.pipeline import Options, check_options, found_in_stack, localize, prepare
 from imgloc.report.verdicts import question, why
-from imgloc.search.fused import FusedOptions
+from imgloc.search.fused_options import FusedOptions
 from imgloc.search.priors import Prior
 from imgloc.search.trust import Trust
 from imgloc.searches import probability_of

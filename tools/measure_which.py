@@ -17,15 +17,8 @@ import cv2
 
 from imgloc.cli.console import progress
 from imgloc.cli.which import find_maps, names_of
-from imgloc.errors import ConfigError, ImglocError
-from imgloc.experiments.recorded import scans_beside
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.shares import share
-from imgloc.io.maps import load_map
-from imgloc.methods import Options
-from imgloc.model import LaserScan
-from imgloc.pipeline import prepare
-from imgloc.which import Fit, choose, fit
+from imgloc.errors import ImglocError
+from imgloc.experiments.naming import ask_all, naming_shares, scans_of
 
 SURE = (0.5, 0.9)
 """Probabilities that a map needs to be named, for which the shares are given."""
@@ -51,49 +44,21 @@ def main() -> int:
 
 def measure(given: argparse.Namespace) -> dict[str, object]:
     """Ask each scan of all maps, and count."""
-    if given.n < 1:
-        raise ConfigError(f"n must be at least 1, got {given.n}")
     maps = {
         name: path
         for folder in given.folders
         for path, name in zip(find_maps(folder), names_of(find_maps(folder), folder), strict=True)
     }
     buildings = {name: group for group in given.same for name in group.split(",")}
-    each = -(-given.n // len(maps))
-    scans = {name: scans_of(path, each, given.seed, given.range_max) for name, path in maps.items()}
-    asked = [(name, scan) for name, some in scans.items() for scan in some]
-    fits: list[dict[str, Fit]] = [{} for _ in asked]
+    asked = scans_of(maps, given.n, given.seed, given.range_max)
     cv2.setNumThreads(cores := os.cpu_count() or 1)
     with progress("which", len(maps) * len(asked), lines=False) as advance:
-        for name, path in maps.items():
-            features = prepare(load_map(path), threads=cores)
-            for (_, scan), found in zip(asked, fits, strict=True):
-                found[name] = fit(features, scan, Options(top=20, threads=cores))
-                advance()
+        fits = ask_all(maps, asked, threads=cores, advance=advance)
     out: dict[str, object] = {"seed": given.seed, "scans": len(asked), "maps": len(maps)}
     for sure in SURE:
-        right, wrong, silent = [], [], []
-        for (name, _), found in zip(asked, fits, strict=True):
-            home = {m for m in maps if buildings.get(m, m) == buildings.get(name, name)}
-            verdict = choose(found, sure=sure).verdict
-            away = {m: f for m, f in found.items() if m not in home}
-            right.append(verdict in home)
-            wrong.append(verdict in maps.keys() - home)
-            silent.append(not away or choose(away, sure=sure).verdict not in maps)
-        out[f"named with {sure:g} or more"] = {
-            "right": vars(share(right)),
-            "wrong": vars(share(wrong)),
-            "silent without its map": vars(share(silent)),
-            "not right": [k for k, yes in enumerate(right) if not yes],
-        }
+        shares = naming_shares(asked, fits, sure=sure, buildings=buildings)
+        out[f"named with {sure:g} or more"] = shares
     return out
-
-
-def scans_of(path: Path, n: int, seed: int, range_max: float) -> list[LaserScan]:
-    """Scans taken in a map: recorded ones if there are any, else simulated ones."""
-    if path.with_name("scans.npz").exists():
-        return list(scans_beside(path, n, seed, range_max).scans)
-    return list(simulate_set(load_map(path), n, seed, Sensor(range_max=range_max)).scans)
 
 
 if __name__ == "__main__":

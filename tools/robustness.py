@@ -71,22 +71,13 @@ def main() -> int:
 def simulated(given: argparse.Namespace) -> tuple[dict[str, object], tuple[Row, ...]]:
     """A row for each condition, and what was asked."""
     worlds = QUICK if given.quick else tuple(WORLDS)
-    if given.worlds is not None:
-        worlds = tuple(given.worlds.split(","))
-    conditions = tuple(CONDITIONS)
-    if given.conditions is not None:
-        conditions = tuple(given.conditions.split(","))
+    worlds = worlds if given.worlds is None else tuple(given.worlds.split(","))
+    conditions = tuple(CONDITIONS if given.conditions is None else given.conditions.split(","))
     if given.threads < 1:
         raise ConfigError(f"--threads: got {given.threads}, expected at least 1")
     with progress("robustness", given.n * len(worlds) * len(conditions), lines=False) as advance:
-        rows = robustness(
-            given.n,
-            given.seed,
-            worlds=worlds,
-            conditions=conditions,
-            threads=given.threads,
-            advance=advance,
-        )
+        asked = {"worlds": worlds, "conditions": conditions, "threads": given.threads}
+        rows = robustness(given.n, given.seed, **asked, advance=advance)
     return {"worlds": worlds}, rows
 
 

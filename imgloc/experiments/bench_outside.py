@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from imgloc.errors import ImglocError
-from imgloc.experiments.bench import HEADINGS, PAIR_HEADINGS
+from imgloc.experiments.bench_cases import HEADINGS, PAIR_HEADINGS
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet

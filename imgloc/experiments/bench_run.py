@@ -10,7 +10,8 @@ import cv2
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.experiments.bench import answer_times, as_row, in_turns, stack_cases, vote_cases
+from imgloc.experiments.bench import answer_times, as_row, in_turns
+from imgloc.experiments.bench_cases import stack_cases, vote_cases
 from imgloc.experiments.bench_engines import engine_rows, engine_summary
 from imgloc.experiments.bench_outside import floors, growth, memory
 from imgloc.experiments.complexity import fit_exponent

@@ -15,9 +15,11 @@ from imgloc.features.distance import signed_distance
 from imgloc.features.lattice import any_of_blocks, blocks
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import Level
+from imgloc.features.scanpoints import scan_xy, thin
 from imgloc.geometry import uniform_thetas
 from imgloc.model import LaserScan
-from imgloc.search.fused import FusedOptions, Modes, scan_xy, search_fused, thin
+from imgloc.search.fused import Modes, search_fused
+from imgloc.search.fused_options import FusedOptions
 from imgloc.search.hypotheses import modes
 from imgloc.search.proposals import propose_all
 from imgloc.search.rescore import Evidence, EvidenceModel

@@ -1,9 +1,9 @@
-"""The points of a scan with their normals (Fig. 3), by regression over neighbouring rays."""
+"""The points of a scan, and their normals (Fig. 3) by regression over neighbouring rays."""
 
 import numpy as np
 
 from imgloc.geometry import wrap
-from imgloc.model import BoolArray, FloatArray, IntArray, OrientedPoints
+from imgloc.model import BoolArray, FloatArray, IntArray, LaserScan, OrientedPoints
 
 # A wall is followed up to this angle between ray and wall (Borges & Aldon 2004, breakpoints).
 _GRAZING = np.deg2rad(10.0)
@@ -110,6 +110,25 @@ def scan_points(
     alpha[order] = wrap(np.where(away, normal + np.pi, normal))
     sigma_alpha[order] = sigma
     return OrientedPoints(xy, alpha, sigma_alpha, sigma_alpha <= max_sigma)
+
+
+def thin(valid: BoolArray, n: int) -> IntArray:
+    """Indices of at most `n` of the valid readings, evenly spread over them.
+
+    Examples
+    --------
+    >>> thin(np.array([True, False, True, True, True, True]), 3).tolist()
+    [0, 3, 5]
+    """
+    index = np.flatnonzero(valid)
+    pick = np.linspace(0, len(index) - 1, min(n, len(index))).round().astype(np.int64)
+    return index[pick]
+
+
+def scan_xy(scan: LaserScan) -> FloatArray:
+    """Endpoints (N, 2) of all readings, sensor frame; what is not valid is at the origin."""
+    r = np.where(scan.valid, scan.ranges, 0.0)
+    return np.column_stack((r * np.cos(scan.angles), r * np.sin(scan.angles)))
 
 
 def _surfaces(rho: FloatArray, phi: FloatArray, sigma: float) -> tuple[IntArray, IntArray]:

@@ -3,7 +3,8 @@
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.likelihood.correlate import choose_engine, correlate
+from imgloc.likelihood.correlate import correlate
+from imgloc.likelihood.engines import choose_engine
 from imgloc.likelihood.kernels import filter2d_stack
 from imgloc.likelihood.projections import (
     VMAP_LEVELS,

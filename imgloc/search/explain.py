@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from imgloc.features.distance import DistanceField
 from imgloc.features.raycast import cast_rays
-from imgloc.features.scanpoints import scan_points
+from imgloc.features.scanpoints import scan_points, scan_xy
 from imgloc.geometry import transform_points, wrap
 from imgloc.model import (
     BoolArray,
@@ -24,7 +24,6 @@ from imgloc.model import (
     OrientedPoints,
     Pose2D,
 )
-from imgloc.search.fused import scan_xy
 from imgloc.search.rescore import EvidenceModel, rescore
 
 #: What a ray can be, in the order in which they are counted.
