@@ -109,15 +109,17 @@ def correlate(
     wide, limit = _summable(image, len(points))
     wanted = None if where is None else where[window]
     tiles = tiles_of(view.shape[1:], wanted)
+    flat = is_flat(offsets, view.shape[1:])
     engine = choose_engine(
         engine,
         offsets,
         view.shape[1:],
         tiles,
         itemsize=wide.itemsize,
+        flat=flat,
         doubtful=lambda: integers and needs_double(image, offsets[:: max(1, len(offsets) // 8)]),
     )
-    if engine == "shift" and is_flat(offsets, view.shape[1:]):
+    if engine == "shift" and flat:
         # On one thread: several would only wait for each other.
         flat_stack(wide, limit, offsets, view, where=wanted)
         finishing(divisor)(view)

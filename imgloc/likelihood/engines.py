@@ -27,6 +27,7 @@ def choose_engine(
     tiles: Sequence[Tile],
     *,
     itemsize: int = 2,
+    flat: bool = False,
     components: int = 1,
     which: IntArray | None = None,
     doubtful: Callable[[], bool] = lambda: False,
@@ -47,6 +48,8 @@ def choose_engine(
         Where the shift engine would compute.
     itemsize : int
         Bytes of a cell of the shift engine's sums.
+    flat : bool
+        Whether :func:`~imgloc.likelihood.flat.flat_stack` would compute them: :func:`is_flat`.
     components : int
         Correlations to add up: 1 for a scalar image, 2 for a vector field (``dft`` only).
     which : (K, N) int array, optional
@@ -64,13 +67,14 @@ def choose_engine(
     if engine != "auto":
         raise ConfigError(f"engine must be one of auto, {', '.join(ENGINES)}, got {engine!r}")
     height, width = shape
-    sample = np.abs(offsets[:: max(1, len(offsets) // 8)])
-    rows, columns = np.minimum(sample.max(axis=(0, 1), initial=0), shape)
-    if components == 1 and is_flat(offsets, shape):
-        near = np.all(sample < shape, axis=2)  # the others miss from every pose
-        pad = np.where(near, sample[..., 1], 0).max(initial=0)
+    down, across = np.moveaxis(np.abs(offsets[:: max(1, len(offsets) // 8)]), -1, 0)
+    rows, columns = min(down.max(initial=0), height), min(across.max(initial=0), width)
+    if flat:
+        near = (down < height) & (across < width)  # the others miss from every pose
+        pad = (across * near).max(initial=0)
         line = height * (width + int(pad)) * itemsize * SHIFT_SECONDS_PER_BYTE
-        shift = near.sum(axis=1).mean() * (line + FLAT_SECONDS_PER_CALL) if near.size else 0.0
+        readings = np.count_nonzero(near) / max(1, len(near))
+        shift = float(readings * (line + FLAT_SECONDS_PER_CALL))
     else:
         shift = _shift_seconds(offsets, shape, tiles, itemsize, which)
     plane = float((height + rows) * (width + columns))

@@ -7,6 +7,7 @@ the finer ones are gathered with one call for hundreds of blocks.
 from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
@@ -44,9 +45,7 @@ class Bounds:
             images, self.margin = np.pad(images, ((0, 0), (more, more), (more, 0))), reach + side
         self.stride = images.shape[2]
         self.images = images.reshape(len(images), images.shape[1] * images.shape[2])
-        # (N, K): a column per heading, so that sums run along the rows.
-        flat = offsets[..., 0] * self.stride + offsets[..., 1]
-        self.flat = np.ascontiguousarray(flat.T, dtype=np.intp)
+        self.flat = offsets[..., 0] * self.stride + offsets[..., 1]
 
         # The top level, with margins for this scan. What leaves a row on the right enters
         # the next one's left margin, which is empty.
@@ -61,7 +60,7 @@ class Bounds:
         self.coarse[window], self.quads[window] = pooled.coarse, pooled.quads
         start = (phase[..., 0] * side + phase[..., 1]) * (shape[1] * shape[2])
         start += (q[..., 0] + above) * self.top_stride + q[..., 1] + left
-        self.start = np.ascontiguousarray(start.T, dtype=np.intp)
+        self.starts = [np.ascontiguousarray(start[:, group]) for group in self.groups]
 
     def of_top(self, threads: int) -> IntArray:
         """Bounds (K, H', W') of all blocks of the top level; 0 where no pose is wanted.
@@ -72,9 +71,9 @@ class Bounds:
         """
         where, stride = self.pooled.where[-1], self.top_stride
         rows, columns = where.shape
-        start = np.ascontiguousarray(self.start.T)
-        band = max(1, _BAND_BYTES // (stride * start.shape[1]))
-        self.parts = np.zeros((_GROUPS, len(start), rows, columns), dtype=self.sums_type)
+        starts = np.concatenate(self.starts, axis=1)
+        band = max(1, _BAND_BYTES // (stride * starts.shape[1]))
+        self.parts = np.zeros((_GROUPS, len(starts), rows, columns), dtype=self.sums_type)
         bands = [r for r in range(0, rows, band) if where[r : r + band].any()]
 
         def work(share: Sequence[int]) -> None:
@@ -82,15 +81,17 @@ class Bounds:
                 n = min(band, rows - r)
                 runs = sliding_window_view(self.coarse.reshape(-1), n * stride)[r * stride :]
                 for k in share:
-                    found = runs[start[k]]
+                    found = runs[starts[k]]
                     for part, group in zip(self.parts, self.groups, strict=True):
                         total = np.add.reduce(found[group], axis=0, dtype=self.sums_type)
                         part[k, r : r + n] = total.reshape(n, stride)[:, :columns]
 
-        over_slices(work, range(len(start)), threads)
-        return np.asarray(np.add.reduce(self.parts, axis=0, dtype=np.int64) * where)
+        over_slices(work, range(len(starts)), threads)
+        return np.asarray(np.add.reduce(self.parts, axis=0, dtype=np.int32) * where)
 
-    def of_quarters(self, nodes: IntArray, threshold: int) -> tuple[IntArray, IntArray]:
+    def of_quarters(
+        self, nodes: IntArray, threshold: int
+    ) -> tuple[IntArray, npt.NDArray[np.int32]]:
         """Blocks of the top level, and the bounds (n, 4) of their quarters.
 
         Blocks without a quarter that reaches `threshold` are left out.
@@ -98,16 +99,18 @@ class Bounds:
         What a group of readings adds to a block bounds what it adds to a quarter of it: as
         soon as that much is not enough, the other groups need not be looked up.
         """
-        base = nodes[:, 1] * self.top_stride + nodes[:, 2]
-        parts = self.parts[:, nodes[:, 0], nodes[:, 1], nodes[:, 2]].astype(np.int64)
-        total = np.repeat(parts.sum(axis=0)[:, None], 4, axis=1)
-        quads = self.quads.reshape(-1)
-        for g, group in enumerate(self.groups):
-            total += self.sums([quads], self.start[group], nodes[:, 0], base)
-            total -= parts[g][:, None]
-            keep = total.max(axis=1, initial=0) >= threshold
-            nodes, base, total, parts = nodes[keep], base[keep], total[keep], parts[:, keep]
-        return nodes, total
+        rows, columns = self.pooled.where[-1].shape
+        flat = (nodes[:, 0] * rows + nodes[:, 1]) * columns + nodes[:, 2]
+        parts = self.parts.reshape(_GROUPS, -1).take(flat, axis=1).astype(np.int32)
+        k, base = nodes[:, 0], nodes[:, 1] * self.top_stride + nodes[:, 2]
+        total = np.repeat(parts.sum(axis=0, dtype=np.int32)[:, None], 4, axis=1)
+        quads, left = self.quads.reshape(-1), np.arange(len(nodes))
+        for starts, part in zip(self.starts, parts, strict=True):
+            total += self.sums([quads], starts, k, base)
+            total -= part[left, None]
+            keep = np.flatnonzero(total.max(axis=1, initial=0) >= threshold)
+            k, base, total, left = k[keep], base[keep], total[keep], left[keep]
+        return nodes[left], total
 
     def sums(
         self,
@@ -115,19 +118,19 @@ class Bounds:
         offsets: npt.NDArray[np.intp],
         k: IntArray,
         base: IntArray,
-    ) -> IntArray:
+    ) -> npt.NDArray[np.int32]:
         """Sum what the images, byte by byte, hold under the scan at positions `base`."""
         size = images[0].itemsize
-        out = np.empty((len(k), len(images) * size), dtype=np.int64)
-        step = max(1, _LOOKUPS // max(1, len(offsets)))
-        narrow = _sums_type(len(offsets))
+        out = np.empty((len(k), len(images) * size), dtype=np.int32)
+        step = max(1, _LOOKUPS // max(1, offsets.shape[1]))
         for i in range(0, len(k), step):
             # Nothing is out of range; with "clip" NumPy needs no buffer of its own.
-            index = offsets.take(k[i : i + step], axis=1, mode="clip")
-            index += base[i : i + step]
+            index = offsets.take(k[i : i + step], axis=0, mode="clip")
+            index += base[i : i + step, None]
             for j, image in enumerate(images):
                 found = image.take(index, mode="clip").view(np.uint8)
-                total = np.add.reduce(found, axis=0, dtype=narrow)
+                found = found.reshape(*index.shape, size)
+                total = cv2.reduce(found, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S)
                 out[i : i + step, j * size : (j + 1) * size] = total.reshape(-1, size)
         return out
 
@@ -152,7 +155,7 @@ class Bounds:
         mask = self.pooled.where[level]
         wanted = (out[:, 1] < mask.shape[0]) & (out[:, 2] < mask.shape[1])
         wanted[wanted] = mask[out[wanted, 1], out[wanted, 2]]
-        return out[wanted], bounds[wanted]
+        return out[wanted], bounds[wanted].astype(np.int64)
 
     def descend(self, nodes: IntArray) -> tuple[IntArray, IntArray]:
         """One pose in each block of the top level, down the best bounds, and its score."""
