@@ -279,3 +279,16 @@ def test_order_of_points_and_heading_of_the_sensor(seed, turn):
     # (up to visibility bins: the way back is the same angle from the normal, but for rounding)
     votes = ght(surface, mounted, 1, (7, 10), 0.1)
     np.testing.assert_array_equal(votes, ght(surface, points, 1, (7, 10), 0.1))
+
+
+@pytest.mark.parametrize("n_theta", [24, 36, 120])
+def test_a_normal_just_below_a_whole_turn_has_a_heading(n_theta):
+    # A half added to round to the nearest bin makes a turn of what is just less than one.
+    alpha = (n_theta - 0.5) * 2 * np.pi / n_theta
+    for _ in range(4):
+        wall = OrientedPoints([[1.0, 1.0]], [alpha], [0.1], [True])
+        scan = OrientedPoints([[0.1, 0.0]], [0.0], [0.1], [True])
+        stack = ght(wall, scan, n_theta, (20, 20), 0.1)
+        assert stack.sum() == 1
+        assert int(stack.argmax()) // 400 in (n_theta - 1, 0)
+        alpha = np.nextafter(alpha, 0)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imgloc.features.distance import signed_distance
-from imgloc.features.pyramid import pyramid
+from imgloc.features.pyramid import Level, pyramid
 from imgloc.geometry import cell_of, theta_bin, transform_points, uniform_thetas
 from imgloc.model import Pose2D
 from imgloc.search import proposals
@@ -63,10 +63,11 @@ def score(level, xy, theta, row, column):
 
 def rough(level, n):
     """The level in as many grey levels as let a byte hold the sum of n points, if not too few."""
-    top = 255 // n
-    if top < 6:
+    top, most = 255 // n, level.image.max()
+    if top < 6 or top >= most:
         return level
-    return dataclasses.replace(level, image=np.rint(level.image * (top / 255)).astype(np.uint8))
+    image = np.rint(level.image * np.float32(top / most)).astype(np.uint8)
+    return dataclasses.replace(level, image=image)
 
 
 def by_score_and_parent(entry):
@@ -259,3 +260,52 @@ def test_nothing_to_propose():
         poses, scores = propose_endpoints(some, points, theta_step=STEP, keep=keep)
         assert poses.shape == (0, 3)
         assert scores.shape == (0,)
+
+
+@pytest.mark.parametrize(("most", "points", "left"), [(255, 32, 7), (64, 32, 7), (100, 40, 6)])
+def test_few_grey_levels_are_those_that_the_image_has(most, points, left):
+    image = np.array([[0, most // 2, most]], np.uint8)
+    level = Level(image, image < 9, 0.8)
+    few = proposals._rough(level, points)
+    assert few.image[0, 0] == 0
+    assert few.image[0, 1] == pytest.approx(left / 2, abs=0.51)
+    assert few.image[0, 2] == left
+    assert left * points <= 255
+    assert few.free is level.free
+
+
+@pytest.mark.parametrize(("most", "points"), [(7, 32), (1, 10), (255, 43), (255, 400), (0, 9)])
+def test_a_faint_image_and_many_points_stay_as_they_are(most, points):
+    level = Level(np.array([[0, most]], np.uint8), np.ones((1, 2), bool), 0.8)
+    assert proposals._rough(level, points) is level
+
+
+def test_walls_that_are_faint_on_coarse_cells_propose():
+    # At cells of a metre the finest image of a wall is 1 of 255 at most.
+    rng = np.random.default_rng(12)
+    occupied = rng.random((120, 120)) < 0.04
+    levels = pyramid(signed_distance(occupied, 1.0), ~occupied, 1.0, cell=1.0, sigma=0.15, levels=3)
+    assert levels[0].image.max() < 3
+    pose = Pose2D(90.5, 78.5, 0.0)
+    walls = (np.argwhere(occupied)[:, ::-1] + 0.5) - (pose.x, pose.y)
+    xy = walls[np.hypot(*walls.T) < 20][:36]
+    assert len(xy) == 36
+    poses, _ = propose_endpoints(levels, xy, theta_step=STEP, keep=(200, 200, 200))
+    near = np.hypot(poses[:, 0] - pose.x, poses[:, 1] - pose.y) < 2
+    assert (near & (np.abs(poses[:, 2]) < STEP)).any()
+
+
+@pytest.mark.parametrize("shape", [(7, 5), (6, 9), (1, 1), (2, 30)])
+@pytest.mark.parametrize("count", [1, 2000])  # few and many lookups beside the size of the level
+def test_scores_of_four_cells_at_once(shape, count):
+    rng = np.random.default_rng(13)
+    level = Level(rng.integers(0, 256, shape).astype(np.uint8), np.ones(shape, bool), 0.1)
+    xy, thetas = rng.uniform(-0.9, 0.9, (5, 2)), uniform_thetas(np.pi / 3)
+    xy[0] = 1e5, -1e7  # far off any map
+    half = [-(-side // 2) for side in shape]
+    parents = np.column_stack([rng.integers(0, n, count) for n in (len(thetas), *half)])
+    sums = proposals._score(level, xy, thetas, parents)
+    for (k, r, c), four in zip(parents[:60].tolist(), sums[:60].tolist(), strict=True):
+        for q, (dr, dc) in enumerate(itertools.product((0, 1), (0, 1))):
+            if 2 * r + dr < shape[0] and 2 * c + dc < shape[1]:
+                assert four[q] == score(level, xy, thetas[k], 2 * r + dr, 2 * c + dc)

@@ -16,9 +16,6 @@ from imgloc.methods import Options
 from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.pipeline import localize, prepare
 
-HEADINGS = 120
-PAIR_HEADINGS = 36
-
 
 @dataclass(frozen=True)
 class Timing:

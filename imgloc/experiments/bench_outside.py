@@ -79,13 +79,18 @@ def growth(world: str, times: Sequence[int], repeats: int) -> tuple[Mapping[str,
     Returns
     -------
     tuple of mappings
-        ``area`` in m², ``ms`` of an answer, ``prepare_s``, ``rss_mib`` at the peak.
+        ``area`` in m², ``ms`` of an answer, ``prepare_s``, ``rss_mib`` at the peak, NaN where the
+        system does not tell.
+
+    Raises
+    ------
+    ImglocError
+        If a process fails.
     """
     rows = []
     for side in times:
         command = [sys.executable, "-c", _GROW, world, str(side), str(repeats)]
-        done = subprocess.run(command, check=True, capture_output=True, text=True)  # noqa: S603
-        rows.append(json.loads(done.stdout))
+        rows.append(_measured(command, f"localize on {world}, {side} x {side} times"))
     return tuple(rows)
 
 
@@ -106,8 +111,8 @@ def memory(
     Returns
     -------
     tuple of mappings
-        ``side``, ``rss_mib`` at the peak and ``seconds`` of the whole command, which keeps no
-        cache and may take any amount of memory.
+        ``side``, ``cell`` in metres, ``rss_mib`` at the peak and ``seconds`` of the whole command,
+        which keeps no cache and may take any amount of memory.
 
     Raises
     ------
@@ -125,22 +130,34 @@ def memory(
             save_map(yaml, large, force=True)
             given = ["localize", str(yaml), str(scan), "--no-cache", "--memory-budget", "64G"]
             command = [sys.executable, "-c", _PEAK + _COMMAND, *given]
-            done = subprocess.run(command, check=False, capture_output=True, text=True)  # noqa: S603
-            if done.returncode:
-                raise ImglocError(f"imgloc {' '.join(given)}: {_last_line(done.stderr)}")
-            rows.append({"side": side, **json.loads(_last_line(done.stdout))})
+            found = _measured(command, f"imgloc {' '.join(given)}")
+            rows.append({"side": side, "cell": grid.resolution, **found})
     return tuple(rows)
 
 
-# ru_maxrss begins with what the parent had.
+def _measured(command: Sequence[str], what: str) -> Mapping[str, float]:
+    """What a Python process prints last, as JSON."""
+    done = subprocess.run(command, check=False, capture_output=True, text=True)  # noqa: S603
+    if done.returncode:
+        raise ImglocError(f"{what} ended with {done.returncode}: {_last_line(done.stderr)}")
+    found: Mapping[str, float] = json.loads(_last_line(done.stdout))
+    return found
+
+
+# ru_maxrss begins with what the parent had, macOS gives it in bytes, Windows has none.
 _PEAK = """
-import json, re, resource, sys, time
+import json, re, sys, time
 from pathlib import Path
 def peak():
     status = Path("/proc/self/status")
     if status.exists():
         return int(re.search(r"VmHWM:\\s+(\\d+)", status.read_text())[1]) / 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    try:
+        import resource
+    except ImportError:
+        return float("nan")
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most / (1024 * 1024 if sys.platform == "darwin" else 1024)
 """
 _COMMAND = """
 import atexit

@@ -108,7 +108,7 @@ def run_bench(
             key: fit_exponent(areas, [row[key] for row in grown]) for key in ("ms", "rss_mib")
         }
     if LARGE in parts:
-        out["memory"] = memory(*maps.get("B", _world(0.05, 1)), SIDES)
+        out["memory"] = memory(*(maps["B"] if "B" in maps else _world(0.05, 1)), SIDES)
     return out
 
 

@@ -35,10 +35,12 @@ def scans_of(
     Raises
     ------
     ConfigError
-        If `n` is less than 1.
+        If `n` is less than 1, or there is no map.
     """
     if n < 1:
         raise ConfigError(f"n must be at least 1, got {n}")
+    if not maps:
+        raise ConfigError("there is no map to take scans in")
     each = -(-n // len(maps))
     asked: list[Asked] = []
     for name, path in maps.items():

@@ -19,7 +19,7 @@ MIB = 1 << 20
 UNKNOWN_RAM = 4 << 30
 
 _POSE = 20  # bytes per pose of a stack: itself, its posterior, and the search for peaks
-_QUAD, _REACH = 5, 100.0  # bytes per cell where proposals are scored, and metres that lidars see
+_PADDED = 10  # bytes per cell of the lattice, for each of which there may be eight of margin
 _FIXED = 64 * MIB  # buffers whose size depends neither on the map nor on the scan
 _RAY, _RAYS = 130, 1 << 21  # bytes per ray of the visibility map, and how many at a time
 _SIDE = 240  # bytes per surface point, twice that of a side of a cell: behind walls are some, too
@@ -202,9 +202,8 @@ def fused_bytes(
     cells = shape[0] * shape[1]
     coarse = min(n_thetas // 2 * cells // 16, max(1 << 22, cells // 16))  # some headings at a time
     votes = min(vote_cells, vote_headings * cells * resolution**2 / vote_cell**2)
-    margin = 2 * min(max(shape), _REACH / resolution)  # a scan reaches beyond the map
-    quads = _QUAD * (shape[0] + margin) * (shape[1] + margin)
-    return int(4 * 3 * coarse + max(_POSE * votes, quads)) + _FIXED
+    # Beside the votes: the finest level in a margin as wide as the map, for readings that long.
+    return int(4 * 3 * coarse + _POSE * votes + _PADDED * cells) + _FIXED
 
 
 def exact_bytes(

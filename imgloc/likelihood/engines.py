@@ -1,4 +1,4 @@
-"""Which engine of the correlation costs least: a model of three measured constants."""
+"""Which engine of the correlation costs least: a model of a few measured constants."""
 
 from collections.abc import Callable, Sequence
 

@@ -1,8 +1,9 @@
 """The shift engine: Alg. 2 line by line, each line of its inner loop one ``cv2.add``.
 
 Integers are what makes it fast. A uint8 image is summed in uint16, four times denser than
-float64 and twice as dense as float32, for as many points as cannot overflow it. The plane is
-cut into tiles small enough for accumulator and source to stay in the second-level cache.
+float64 and twice as dense as float32, for as many points as cannot overflow it; in uint8, if
+that holds the sum of all points. The plane is cut into tiles small enough for accumulator and
+source to stay in the second-level cache.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,7 +24,8 @@ Summable = npt.NDArray[Any]
 # Cells of a tile: 512 KB of uint16. Smaller tiles pay more calls, larger ones leave the cache.
 TILE_CELLS = 1 << 18
 TILE_WIDTH = 1024
-# Repeated readings are added in powers of two up to 2**MAX_POWER; must fit the limits of 16 bits.
+# Repeated readings are added in powers of two up to 2**MAX_POWER, which must fit the limits of 16
+# bits. Those of 8 bits hold all readings together.
 MAX_POWER = 3
 
 

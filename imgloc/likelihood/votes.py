@@ -79,7 +79,8 @@ def prepare(
         y=surface.xy[:, 1] / resolution,
         c=np.cos(surface.alpha),
         s=np.sin(surface.alpha),
-        u=_bins(surface.alpha, n_theta, 0.5) + n_theta,
+        # The sum may round up to the next turn.
+        u=np.minimum(_bins(surface.alpha, n_theta, 0.5) + n_theta, np.nextafter(2 * n_theta, 0)),
         qx=qx[:, None] / resolution,
         qy=qy[:, None] / resolution,
         w=_bins(points.alpha, n_theta, 0.0)[:, None],

@@ -13,13 +13,13 @@ def bench_tables(results: Mapping[str, Any]) -> str:
 
     Examples
     --------
-    >>> row = {"side": 4000, "seconds": 5.31, "rss_mib": 565.2}
+    >>> row = {"side": 4000, "cell": 0.05, "seconds": 5.31, "rss_mib": 565.2}
     >>> print(bench_tables({"machine": {"cores": 2}, "memory": [row]}))
     cores 2
     <BLANKLINE>
-    | cells a side, 5 cm | localize, s | peak MiB |
-    |---:|---:|---:|
-    | 4000 | 5.3 | 565 |
+    | cells a side | of m | imgloc localize, s | peak MiB |
+    |---:|---:|---:|---:|
+    | 4000 | 0.05 | 5.3 | 565 |
     """
     parts = [", ".join(f"{key} {value}" for key, value in results["machine"].items())]
     parts += [table(results[key]) for key, table in _TABLES.items() if key in results]
@@ -87,8 +87,8 @@ def _growth(rows: Sequence[Row]) -> str:
 
 def _memory(rows: Sequence[Row]) -> str:
     return _table(
-        "cells a side, 5 cm | localize, s | peak MiB",
-        ((r["side"], f"{r['seconds']:.1f}", f"{r['rss_mib']:.0f}") for r in rows),
+        "cells a side | of m | imgloc localize, s | peak MiB",
+        ((r["side"], f"{r['cell']:g}", f"{r['seconds']:.1f}", f"{r['rss_mib']:.0f}") for r in rows),
     )
 
 

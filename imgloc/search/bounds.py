@@ -5,9 +5,7 @@ the finer ones are gathered with one call for hundreds of blocks.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
@@ -15,9 +13,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from imgloc.features.pooled import PooledMaps
 from imgloc.likelihood.slices import cell_offsets, over_slices
 from imgloc.model import FloatArray, IntArray
+from imgloc.search.lookups import sums_under
 
 _BAND_BYTES = 1 << 18  # readings x blocks of the top level summed at a time
-_LOOKUPS = 1 << 15  # lookups of finer levels at a time
 _GROUPS = 4  # of readings; a block that falls behind after one group is not looked at further
 _FULL = 255  # a reading on a wall
 _QUARTERS = np.array([(0, 0, 0), (0, 0, 1), (0, 1, 0), (0, 1, 1)])
@@ -28,38 +26,40 @@ class Bounds:
 
     def __init__(self, pooled: PooledMaps, points: FloatArray, thetas: FloatArray) -> None:
         self.pooled, self.thetas = pooled, thetas
-        height, width = pooled.shape
         side = 1 << pooled.top
-        # Farther than the map is large, a point misses it from everywhere.
-        limit = np.array((height + side, width + side))
         # Every fourth reading in one group: each sees all directions.
         points = points[np.argsort(np.arange(len(points)) % _GROUPS, kind="stable")]
         cuts = [-(-(len(points) - g) // _GROUPS) for g in range(_GROUPS)]
         self.groups = [slice(b - n, b) for n, b in zip(cuts, np.cumsum(cuts).tolist(), strict=True)]
         self.sums_type = _sums_type(cuts[0])
-        offsets = np.clip(cell_offsets(points, thetas, pooled.resolution), -limit, limit)
-        reach = int(np.abs(offsets).max())
+        offsets = cell_offsets(points, thetas, pooled.resolution)
+        # Farther than the map is large, a point misses it from everywhere.
+        down, across = (
+            np.clip(offsets[..., i], -n - side, n + side) for i, n in enumerate(pooled.shape)
+        )
+        reach = int(max(np.abs(down).max(), np.abs(across).max()))
         images, self.margin = pooled.images, pooled.margin
         if reach + side > self.margin:
             more = reach + side - self.margin
             images, self.margin = np.pad(images, ((0, 0), (more, more), (more, 0))), reach + side
         self.stride = images.shape[2]
         self.images = images.reshape(len(images), images.shape[1] * images.shape[2])
-        self.flat = offsets[..., 0] * self.stride + offsets[..., 1]
+        self.flat = down * self.stride + across
 
         # The top level, with margins for this scan. What leaves a row on the right enters
         # the next one's left margin, which is empty.
-        q, phase = np.divmod(offsets, side)
-        low, high = q.min(axis=(0, 1)), q.max(axis=(0, 1))
-        left, above = int(max(-low[1], high[1], 0)) + 2, int(max(-low[0], 0)) + 1
+        row, column = down >> pooled.top, across >> pooled.top
+        left = int(max(-column.min(), column.max(), 0)) + 2
+        above, below = int(max(-row.min(), 0)) + 1, int(max(row.max(), 0)) + 2
         rows, columns = pooled.where[-1].shape
         self.top_stride = left + columns
-        shape = (side * side, above + rows + int(max(high[0], 0)) + 2, self.top_stride)
+        shape = (side * side, above + rows + below, self.top_stride)
         window = np.s_[:, above - 1 : above + rows, left - 1 :]
         self.coarse, self.quads = np.zeros(shape, np.uint8), np.zeros(shape, np.uint32)
         self.coarse[window], self.quads[window] = pooled.coarse, pooled.quads
-        start = (phase[..., 0] * side + phase[..., 1]) * (shape[1] * shape[2])
-        start += (q[..., 0] + above) * self.top_stride + q[..., 1] + left
+        phase = (down & (side - 1)) * side + (across & (side - 1))
+        start = phase * (shape[1] * shape[2])
+        start += (row + above) * self.top_stride + column + left
         self.starts = [np.ascontiguousarray(start[:, group]) for group in self.groups]
 
     def of_top(self, threads: int) -> IntArray:
@@ -106,33 +106,11 @@ class Bounds:
         total = np.repeat(parts.sum(axis=0, dtype=np.int32)[:, None], 4, axis=1)
         quads, left = self.quads.reshape(-1), np.arange(len(nodes))
         for starts, part in zip(self.starts, parts, strict=True):
-            total += self.sums([quads], starts, k, base)
+            total += sums_under([quads], starts, k, base)
             total -= part[left, None]
             keep = np.flatnonzero(total.max(axis=1, initial=0) >= threshold)
             k, base, total, left = k[keep], base[keep], total[keep], left[keep]
         return nodes[left], total
-
-    def sums(
-        self,
-        images: Sequence[npt.NDArray[Any]],
-        offsets: npt.NDArray[np.intp],
-        k: IntArray,
-        base: IntArray,
-    ) -> npt.NDArray[np.int32]:
-        """Sum what the images, byte by byte, hold under the scan at positions `base`."""
-        size = images[0].itemsize
-        out = np.empty((len(k), len(images) * size), dtype=np.int32)
-        step = max(1, _LOOKUPS // max(1, offsets.shape[1]))
-        for i in range(0, len(k), step):
-            # Nothing is out of range; with "clip" NumPy needs no buffer of its own.
-            index = offsets.take(k[i : i + step], axis=0, mode="clip")
-            index += base[i : i + step, None]
-            for j, image in enumerate(images):
-                found = image.take(index, mode="clip").view(np.uint8)
-                found = found.reshape(*index.shape, size)
-                total = cv2.reduce(found, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S)
-                out[i : i + step, j * size : (j + 1) * size] = total.reshape(-1, size)
-        return out
 
     def children(
         self, level: int, nodes: IntArray, threshold: int = 0
@@ -148,7 +126,7 @@ class Bounds:
             row, column = 2 * side * nodes[:, 1:].T + self.margin
             quarters = side * (_QUARTERS[:, 1] * self.stride + _QUARTERS[:, 2])
             images = [self.images[level][shift:] for shift in quarters.tolist()]
-            bounds = self.sums(images, self.flat, nodes[:, 0], row * self.stride + column)
+            bounds = sums_under(images, self.flat, nodes[:, 0], row * self.stride + column)
         parent, quarter = np.nonzero(bounds >= threshold)
         bounds = bounds[parent, quarter]
         out = nodes[parent] * (1, 2, 2) + _QUARTERS[quarter]

@@ -18,7 +18,7 @@ class FusedOptions:
     keep : tuple of int
         Nodes kept by each level of the endpoint pyramid, finest first; as many as there are.
     skip : int
-        The coarsest level of the pyramid takes every `skip`-th of the few rays.
+        All levels of the pyramid but the finest take every `skip`-th of the few rays.
     vote_cell : float
         Cell of the GHT-V votes, metres.
     vote_cells : int

@@ -18,11 +18,11 @@ from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.correlate import correlate
 from imgloc.likelihood.slices import cell_offsets
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
+from imgloc.search.lookups import sums_under
 from imgloc.search.priors import Prior
 
 _CHUNK_CELLS = 1 << 19  # of the exhaustive level's stack: 2 MB at a time
 _FIRST_CELLS = 1 << 18  # of its first piece
-_PIECE = 1024  # nodes that are scored at a time
 _FEWEST_LEVELS = 6  # of grey besides 0
 _BLOCK = 2  # cells and headings a side: one proposal each
 
@@ -124,10 +124,10 @@ def _rough(level: Level, points: int) -> Level:
 
     Half the memory to move. An image of a few levels hardly orders the poses differently.
     """
-    top = np.iinfo(np.uint8).max // max(1, points)
-    if top < _FEWEST_LEVELS:
+    most, top = int(level.image.max()), np.iinfo(np.uint8).max // max(1, points)
+    if not _FEWEST_LEVELS <= top < most:
         return level
-    image = np.rint(level.image * np.float32(top / 255)).astype(np.uint8)
+    image = np.rint(level.image * np.float32(top / most)).astype(np.uint8)
     return replace(level, image=image)
 
 
@@ -221,34 +221,22 @@ def _key(k: IntArray, r: IntArray, c: IntArray) -> IntArray:
 def _score(
     level: Level, xy: FloatArray, thetas: FloatArray, parents: IntArray
 ) -> npt.NDArray[np.int32]:
-    """Sums of the level's image under the points at the four cells of each node (Alg. 1, l. 4-6).
-
-    The four poses move together, and so do the four cells that a point falls on: they are read
-    at once.
-    """
-    # A shift by the whole image misses it from anywhere; a longer one needs no wider padding.
+    """Sums (M, 4) of the level's image under the points at the four cells of each node."""
+    height, width = level.image.shape
     offsets = cell_offsets(xy, thetas, level.resolution)
-    side = max(level.image.shape)
-    offsets = np.clip(offsets, -side, side)
-    reach = int(np.abs(offsets).max())
-    padded = np.pad(level.image, (reach, reach + 2))  # off the map is a miss
-    top, bottom = padded[:-1], padded[1:]
-    quads = cv2.merge((top[:, :-1], top[:, 1:], bottom[:, :-1], bottom[:, 1:]))
-    stride = quads.shape[1]
-    flat = offsets[..., 0] * stride + offsets[..., 1]
-    base = (2 * parents[:, 1] + reach) * stride + 2 * parents[:, 2] + reach
-    image, headings = quads.view(np.uint32).ravel(), np.ascontiguousarray(parents[:, 0])
-    out = np.empty((len(parents), 1, 4), dtype=np.int32)
-    index = np.empty((_PIECE, len(xy)), dtype=flat.dtype)
-    values = np.empty((_PIECE, len(xy)), dtype=np.uint32)
-    for start in range(0, len(parents), _PIECE):  # in pieces that stay in the cache
-        sums = out[start : start + _PIECE]
-        at, fits = index[: len(sums)], values[: len(sums)]
-        # Nothing is out of range; with "clip" NumPy needs no buffer of its own.
-        flat.take(headings[start : start + _PIECE], axis=0, out=at, mode="clip")
-        np.add(at, base[start : start + _PIECE, None], out=at)
-        image.take(at, out=fits, mode="clip")
-        # Eight times as fast as NumPy's sum along short rows.
-        four = fits.view(np.uint8).reshape(*fits.shape, 4)
-        cv2.reduce(four, 1, cv2.REDUCE_SUM, dst=sums, dtype=cv2.CV_32S)
-    return out[:, 0]
+    # A shift by the whole image misses it from anywhere; a longer one needs no wider padding.
+    down, across = (np.clip(offsets[..., i], -side, side) for i, side in enumerate((height, width)))
+    rows, columns = int(np.abs(down).max()), int(np.abs(across).max())
+    # Off the map is a miss. A side may be odd: the last node's second row or column is one more.
+    padded = np.pad(level.image, ((rows, rows + 2), (columns, columns + 2)))
+    images: list[npt.NDArray[np.unsignedinteger]]
+    if 4 * len(parents) * len(xy) > padded.size:
+        # Worth making: the four cells that a point falls on from the four poses, side by side.
+        top, bottom = padded[:-1], padded[1:]
+        quads = cv2.merge((top[:, :-1], top[:, 1:], bottom[:, :-1], bottom[:, 1:]))
+        stride, images = quads.shape[1], [quads.view(np.uint32).ravel()]
+    else:
+        stride, line = padded.shape[1], padded.ravel()
+        images = [line[corner:] for corner in (0, 1, stride, stride + 1)]
+    base = (2 * parents[:, 1] + rows) * stride + 2 * parents[:, 2] + columns
+    return sums_under(images, down * stride + across, parents[:, 0], base)
