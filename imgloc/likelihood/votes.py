@@ -105,8 +105,8 @@ def blocks_of(n: int, m: int, once: bool = False) -> list[tuple[slice, slice]]:
 
     Examples
     --------
-    >>> blocks_of(5, 8192)
-    [(slice(0, 4, None), slice(0, 8192, None)), (slice(4, 5, None), slice(0, 8192, None))]
+    >>> blocks_of(9, 8192)
+    [(slice(0, 8, None), slice(0, 8192, None)), (slice(8, 9, None), slice(0, 8192, None))]
     >>> blocks_of(2, 8200)
     [(slice(0, 2, None), slice(0, 4100, None)), (slice(0, 2, None), slice(4100, 8200, None))]
     """
