@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import tracemalloc
 
 import naive
 import numpy as np
@@ -309,3 +310,14 @@ def test_scores_of_four_cells_at_once(shape, count):
         for q, (dr, dc) in enumerate(itertools.product((0, 1), (0, 1))):
             if 2 * r + dr < shape[0] and 2 * c + dc < shape[1]:
                 assert four[q] == score(level, xy, thetas[k], 2 * r + dr, 2 * c + dc)
+
+
+def test_a_far_reading_pads_a_long_level_by_its_own_sides():
+    level = Level(np.full((20, 4000), 9, np.uint8), np.ones((20, 4000), bool), 0.1)
+    xy, thetas = np.array([[1e6, 0.0], [0.5, 0.5]]), uniform_thetas(np.pi)
+    parents = np.array([[0, 3, 7], [1, 9, 1999]])
+    tracemalloc.start()
+    proposals._score(level, xy, thetas, parents)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 8 * 9 * level.image.size
