@@ -229,8 +229,6 @@ def draw_reliability(groups: Mapping[str, Sequence[Bin]]) -> npt.NDArray[np.uint
         axes.vlines(mass, [r.low for r in right], [r.high for r in right], colour, linewidth=2)
         size = [(8 + 3 * np.log10(b.count)) ** 2 / 2 for b in known]
         said = f"{name}: {sum(b.count for b in bins)} hypotheses"
-        axes.scatter(
-            mass, [r.value for r in right], size, colour, label=said, zorder=3, clip_on=False
-        )
+        axes.scatter(mass, value, size, colour, label=said, zorder=3, clip_on=False)
     axes.legend(loc="upper left")
     return pixels()
