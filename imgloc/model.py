@@ -327,6 +327,93 @@ class Hypothesis:
 
 
 @dataclass(frozen=True)
+class Temperature:
+    """What evidence was divided by, and why: ``(base + strain) * crowding * cell``.
+
+    Parameters
+    ----------
+    base : float
+        Where map and scan agree perfectly; of a stack its calibrated temperature. NaN without
+        a pose.
+    strain : float
+        Added for the misfit.
+    crowding : float
+        Factor for readings on the same patch of wall, at least 1.
+    cell : float
+        Factor for the cells of the map, at least 1.
+
+    Examples
+    --------
+    >>> Temperature(1.5, 3.0, crowding=2.0).value
+    9.0
+    """
+
+    base: float = math.nan
+    strain: float = 0.0
+    crowding: float = 1.0
+    cell: float = 1.0
+
+    @property
+    def value(self) -> float:
+        """The product."""
+        return (self.base + self.strain) * (self.crowding * self.cell)
+
+
+@dataclass(frozen=True)
+class Check:
+    """One question of the verdict: `value` must be at least, or at most, `limit`."""
+
+    name: str
+    value: float
+    limit: float
+    at_least: bool
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is answered with yes."""
+        return self.value >= self.limit if self.at_least else self.value <= self.limit
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What an answer rests on.
+
+    Parameters
+    ----------
+    readings : int
+        How many were scored.
+    best : float
+        Log-likelihood of a reading that fits perfectly, nats.
+    misfit : float
+        Nats per reading that the best pose lacks; NaN without a pose.
+    temperature : Temperature
+        What made masses of the log-likelihoods.
+    log_volume : (L,) float array
+        Of each listed hypothesis: logarithm of its volume as a share of that of all poses.
+    checks : tuple of Check
+        The questions of the verdict, up to the first that is answered with no: that one
+        decided. All answered with yes is ``unique``.
+    found, listed : int
+        Modes that were found, and how many of them are listed.
+    unlisted : float
+        Mass of those that are not.
+    """
+
+    readings: int = 0
+    best: float = math.nan
+    misfit: float = math.nan
+    temperature: Temperature = field(default_factory=Temperature)
+    log_volume: FloatArray = field(default_factory=lambda: np.empty(0))
+    checks: tuple[Check, ...] = ()
+    found: int = 0
+    listed: int = 0
+    unlisted: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "log_volume", _frozen(self.log_volume, np.float64))
+
+
+@dataclass(frozen=True)
 class Localization:
     """The answer for one scan.
 
@@ -351,6 +438,8 @@ class Localization:
         False if a time budget ended the search early.
     elsewhere : float
         Probability that the true pose is none of those found; a part of what the masses lack.
+    evidence : Evidence
+        What masses and verdict rest on.
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -362,6 +451,7 @@ class Localization:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     complete: bool = True
     elsewhere: float = 1.0
+    evidence: Evidence = field(default_factory=Evidence)
 
     @property
     def pose(self) -> Pose2D | None:

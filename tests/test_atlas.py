@@ -19,7 +19,7 @@ from imgloc.experiments.atlas import TOP, atlas_poses, survey
 from imgloc.experiments.simulate import ray_angles, simulate
 from imgloc.io.atlasrows import COLUMNS, Journal, as_csv
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
-from imgloc.pipeline import Options
+from imgloc.options import Options
 
 
 def twin_rooms() -> OccupancyGrid:

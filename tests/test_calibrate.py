@@ -11,10 +11,10 @@ from imgloc.experiments.index import density_in_stack, performance_index
 from imgloc.experiments.runs import cell_of_pose
 from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.io.scanset import ScanSet
-from imgloc.likelihood.calibration import Calibration
 from imgloc.likelihood.posterior import calibrated
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
-from imgloc.pipeline import METHODS, Options, likelihood, prepare
+from imgloc.options import METHODS, Calibration, Options
+from imgloc.pipeline import likelihood, prepare
 
 
 def room() -> OccupancyGrid:

@@ -21,7 +21,7 @@ from imgloc.experiments.worlds import WORLDS
 from imgloc.io.mapyaml import MODES
 from imgloc.io.occupancy import SEMANTICS
 from imgloc.likelihood.engines import ENGINES
-from imgloc.pipeline import ALL_METHODS
+from imgloc.options import ALL_METHODS
 
 COMMANDS = (
     ["demo"],

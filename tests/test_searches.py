@@ -12,14 +12,10 @@ from imgloc.experiments.worlds import WORLDS, render
 from imgloc.explain import explain
 from imgloc.features.budget import fused_bytes
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihood.calibration import Calibration
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid
-from imgloc.pipeline import Options, check_options, found_in_stack, localize, prepare
+from imgloc.options import Calibration, FusedOptions, Options, Prior, Trust
+from imgloc.pipeline import check_options, localize, posterior_of, prepare
 from imgloc.report.verdicts import question, why
-from imgloc.search.fused_options import FusedOptions
-from imgloc.search.priors import Prior
-from imgloc.search.trust import Trust
-from imgloc.searches import probability_of
 
 
 @pytest.fixture(scope="module")
@@ -99,12 +95,13 @@ def test_the_mass_of_a_neighbouring_peak_goes_to_its_owner():
     options = Options("cbml", calibration=Calibration(temperature=1 / 2))
     scan = LaserScan(np.full(120, 1.0), ANGLES, range_max=30.0)
     stack = _stack_of((5, 20, 20, 5), (5, 20, 24, 4), (20, 10, 50, 3))
-    found = found_in_stack(features, scan, stack, options)
-    p = probability_of(features, scan, stack, options).astype(float)
+    found = localize(features, scan, options, stack=stack)
+    p = posterior_of(features, scan, stack, options).astype(float)
     here, there = p[5, 20, 20] + p[5, 20, 24], p[20, 10, 50]
     assert len(found.hypotheses) == 2
-    assert found.mass[1] / found.mass[0] == pytest.approx(there / here)
-    assert found.mass.sum() == pytest.approx(1 - found.elsewhere)
+    mass = np.array([h.mass for h in found.hypotheses])
+    assert mass[1] / mass[0] == pytest.approx(there / here)
+    assert mass.sum() == pytest.approx(1 - found.elsewhere)
     # About the pose that is named: the neighbour's share is 0.4 m away from it.
     share = p[5, 20, 24] / here
     spread = [h.covariance[0, 0] for h in found.hypotheses]
@@ -121,7 +118,7 @@ def test_neighbouring_headings_are_joined_across_the_cut():
     values[25, 20, 20], values[26, 20, 23] = 5, 4
     stack = Likelihood(values, uniform_thetas(2 * np.pi / 50), GridInfo(40, 60, 0.1), "cbml")
     features = prepare(OccupancyGrid(wall, ~wall, 0.1))
-    (only,) = found_in_stack(features, scan, stack, Options("cbml")).hypotheses
+    (only,) = localize(features, scan, Options("cbml"), stack=stack).hypotheses
     assert only.covariance[2, 2] < np.deg2rad(8) ** 2
 
 
@@ -136,8 +133,8 @@ def test_an_answer_out_of_time_is_never_unique():
     assert late.hypotheses[0].mass > 0.9
     assert late.verdict == "ambiguous"
     reason = explain(features, scan, late)
-    assert [c.holds for c in reason.checks] == [True, True, True, False]
-    assert question(reason.checks[-1])[1] == "out of time"
+    assert [c.holds for c in late.evidence.checks] == [True, True, True, False]
+    assert question(late.evidence.checks[-1])[1] == "out of time"
     assert why(reason).startswith("Of those looked at")
 
 

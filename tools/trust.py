@@ -25,7 +25,7 @@ from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.experiments.worlds import WORLDS, render
 from imgloc.io.maps import load_map
 from imgloc.io.output import encode_png, write_bytes_atomic
-from imgloc.methods import Options
+from imgloc.options import Options
 from imgloc.pipeline import prepare
 
 

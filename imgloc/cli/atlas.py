@@ -92,7 +92,8 @@ def atlas(
     from imgloc.io.files import display
     from imgloc.io.output import write_text_atomic
     from imgloc.model import Pose2D
-    from imgloc.pipeline import Options, prepare
+    from imgloc.options import Options
+    from imgloc.pipeline import prepare
 
     memory_budget = fixed_budget(memory_budget)
     grid = load_usable(map_path, memory_budget, allow_lossy=allow_lossy, **reading)

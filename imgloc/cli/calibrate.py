@@ -99,7 +99,8 @@ def calibrate(
     from imgloc.experiments.scansets import fine_image, is_world, simulate_set
     from imgloc.io.calibration import calibration_path, save_calibrations
     from imgloc.io.files import display
-    from imgloc.pipeline import Options, prepare
+    from imgloc.options import Options
+    from imgloc.pipeline import prepare
 
     paths = [find_map(given) for given in maps]
     targets = [calibration_path(path) for path in paths]

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.methods import Options
 from imgloc.model import LaserScan, OccupancyGrid
+from imgloc.options import Options
 from imgloc.pipeline import localize, prepare
 
 

@@ -22,7 +22,8 @@ from imgloc.experiments.runs import LISTED, headings, run_trials
 from imgloc.experiments.summary import TOLERANCES, Summary, Tolerance, summarise
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.scanset import ScanSet
-from imgloc.pipeline import FUSED, Options, effective
+from imgloc.options import FUSED, Options
+from imgloc.pipeline import effective
 
 PAPER_STEPS_DEG = {"cbml": 3.0, "cbml-o": 3.0, "ght": 30.0, "ght-v": 30.0, "beam": 3.0}
 """Steps of the headings in Sec. VI, degrees; the beam model, its reference, gets the finer one."""

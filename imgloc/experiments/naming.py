@@ -9,10 +9,10 @@ from imgloc.experiments.recorded import scans_beside
 from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.experiments.shares import share
 from imgloc.io.maps import load_map
-from imgloc.methods import Options
-from imgloc.model import LaserScan
+from imgloc.model import LaserScan, Localization
+from imgloc.options import Options
 from imgloc.pipeline import prepare
-from imgloc.which import Fit, choose, fit
+from imgloc.which import choose, fit
 
 Asked = tuple[str, LaserScan]
 """The name of a map, and a scan taken in it."""
@@ -58,9 +58,9 @@ def ask_all(
     *,
     threads: int,
     advance: Callable[[], object] = lambda: None,
-) -> tuple[dict[str, Fit], ...]:
+) -> tuple[dict[str, Localization], ...]:
     """How well each scan fits each map, by its name."""
-    fits: tuple[dict[str, Fit], ...] = tuple({} for _ in asked)
+    fits: tuple[dict[str, Localization], ...] = tuple({} for _ in asked)
     for name, path in maps.items():
         features = prepare(load_map(path), threads=threads)
         for (_, scan), found in zip(asked, fits, strict=True):
@@ -71,7 +71,7 @@ def ask_all(
 
 def naming_shares(
     asked: Sequence[Asked],
-    fits: Sequence[Mapping[str, Fit]],
+    fits: Sequence[Mapping[str, Localization]],
     *,
     sure: float,
     buildings: Mapping[str, str],

@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from imgloc.experiments.evaluate import PAPER_STEPS_DEG, method_options
+from imgloc.experiments.evaluate import PAPER_STEPS_DEG
 from imgloc.experiments.index import density_in_stack, global_maximum
 from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.experiments.worlds import WORLDS, render
@@ -19,11 +19,11 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import cell_of, theta_bin, uniform_thetas
 from imgloc.io.scanset import ScanSet
+from imgloc.likelihood import stacks
 from imgloc.likelihood.beam import temperature
 from imgloc.likelihood.ght import ght_v
 from imgloc.likelihood.uncertainty import Uncertainty
 from imgloc.model import Float32Array, FloatArray, LaserScan, Pose2D
-from imgloc.pipeline import METHODS
 
 CELL = 0.1
 """Side of a cell of the pose space, metres: the paper's."""
@@ -84,8 +84,7 @@ def stack_of(
 ) -> Float32Array:
     """Likelihood stack (K, H, W) of a method of :data:`STEPS_DEG`."""
     if method not in OPTIONS:
-        options = method_options(method, threads=threads)
-        return METHODS[method].stack(features, scan, thetas, options)
+        return stacks.stack_of(method, features, scan, thetas, threads=threads)
     points = scan_points(scan.ranges, scan.angles, scan.valid)
     return ght_v(
         features.surface,

@@ -24,7 +24,8 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import base_of, compose
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, Pose2D
-from imgloc.pipeline import Options, localize, prepare
+from imgloc.options import Options
+from imgloc.pipeline import localize, prepare
 
 TOLERANCE = (0.5, float(np.deg2rad(10.0)))
 """Metres and radians within which a pose is right."""
@@ -202,7 +203,7 @@ def _trial(features: MapFeatures, scan: LaserScan, pose: Pose2D, threads: int) -
     if scan.valid.any():
         best = exhaustive(features, scan, options.fused, threads=threads)
         ideal = [compose(features.grid.origin, Pose2D(*p)) for p in best.poses[:LISTED]]
-        told = tied(ideal, best.evidence.log_likelihood[:LISTED], pose, scan.T_base_laser)
+        told = tied(ideal, best.scores.log_likelihood[:LISTED], pose, scan.T_base_laser)
     else:
         told = ()
     return Trial(
