@@ -11,14 +11,12 @@ import pytest
 from command import MAPS, ROOT, call
 from test_features_budget import office, peak
 
+from imgloc.atlas import atlas_poses
+from imgloc.calibrate import disturbed_set
 from imgloc.cli.atlas import _scans
 from imgloc.cli.maps import Subject, draw_subject
 from imgloc.draw.atlas import draw_atlas
 from imgloc.draw.canvas import default_scale
-from imgloc.experiments.atlas import atlas_poses
-from imgloc.experiments.calibrate import disturbed_set
-from imgloc.experiments.finegrid import fine_factor, refine_grid
-from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.features.budget import surface_count
 from imgloc.features.estimates import (
     POSE_TEXT,
@@ -34,6 +32,7 @@ from imgloc.io.images import image_size
 from imgloc.io.mapcheck import check_map
 from imgloc.io.scans import scans_size
 from imgloc.model import Pose2D
+from imgloc.simulate import Sensor, fine_factor, refine_grid, simulate_set
 
 SLACK = 40  # MiB of buffers of a fixed size
 LOADS = """

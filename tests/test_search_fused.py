@@ -9,8 +9,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from imgloc.experiments.simulate import sample_free_poses, simulate
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import scan_xy, thin
@@ -20,6 +18,8 @@ from imgloc.options import FusedOptions, Options
 from imgloc.pipeline import find_modes
 from imgloc.search.rescore import rescore, shortlist
 from imgloc.search.votes import propose_votes
+from imgloc.simulate import sample_free_poses, simulate
+from imgloc.worlds import WORLDS, render
 
 INF, NAN = float("inf"), float("nan")
 OPTIONS = FusedOptions()

@@ -7,8 +7,6 @@ import pytest
 from places import ANGLES, POSES, answer_of, facts, features_of, scan_of
 
 from imgloc.errors import ConfigError
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.explain import explain
 from imgloc.features.budget import fused_bytes
 from imgloc.geometry import uniform_thetas
@@ -16,6 +14,8 @@ from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid
 from imgloc.options import Calibration, FusedOptions, Options, Prior, Trust
 from imgloc.pipeline import check_options, localize, posterior_of, prepare
 from imgloc.report.verdicts import question, why
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
 
 
 @pytest.fixture(scope="module")

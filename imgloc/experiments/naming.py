@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from imgloc.errors import ConfigError
+from imgloc.evaluate import share
 from imgloc.experiments.recorded import scans_beside
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.shares import share
 from imgloc.io.maps import load_map
 from imgloc.model import LaserScan, Localization
 from imgloc.options import Options
 from imgloc.pipeline import prepare
+from imgloc.simulate import Sensor, simulate_set
 from imgloc.which import choose, fit
 
 Asked = tuple[str, LaserScan]

@@ -31,7 +31,7 @@ def calibrated(
     readings : int
         Valid ones of the scan.
     calibration : Calibration, optional
-        By default that of :data:`~imgloc.likelihood.calibration.DEFAULTS`.
+        By default that of :data:`~imgloc.options.DEFAULTS`.
     headings : (K,) bool array, optional
         The headings of the pose space; by default all.
 
