@@ -169,6 +169,7 @@ def localize(
             listed=len(hypotheses),
             unlisted=float(mass[len(hypotheses) :].sum()),
         ),
+        T_base_laser=scan.T_base_laser,
     )
 
 

@@ -196,18 +196,16 @@ def _trials(world: str, condition: Condition, n: int, seed: int, threads: int) -
 def _trial(features: MapFeatures, scan: LaserScan, pose: Pose2D, threads: int) -> Trial:
     """Compare both answers with the pose of the robot that carries the sensor."""
     options = Options(top=LISTED, threads=threads)
-    answer = localize(features, scan, options)
+    answer, mount = localize(features, scan, options), scan.T_base_laser or Pose2D(0.0, 0.0)
     found = [h.pose for h in answer.hypotheses]
     scores = np.array([h.log_likelihood for h in answer.hypotheses])
     if scan.valid.any():
         best = exhaustive(features, scan, options.fused, threads=threads)
         ideal = [compose(features.grid.origin, Pose2D(*p)) for p in best.poses[:LISTED]]
-        told = tied(ideal, best.scores.log_likelihood[:LISTED], pose, scan.T_base_laser)
+        told = tied(ideal, best.scores.log_likelihood[:LISTED], pose, mount)
     else:
         told = ()
-    return Trial(
-        tied(found, scores, pose, scan.T_base_laser), told, unique=answer.verdict == "unique"
-    )
+    return Trial(tied(found, scores, pose, mount), told, unique=answer.verdict == "unique")
 
 
 def tied(
