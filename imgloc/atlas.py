@@ -15,7 +15,8 @@ from imgloc.evaluate import pose_errors
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import cell_of, compose, inside
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
-from imgloc.pipeline import Options, localize, prepare
+from imgloc.options import Options
+from imgloc.pipeline import localize, prepare
 from imgloc.search.priors import clearance as roomy
 
 KINDS = ("unique", "ambiguous", "no-match", "wrong")

@@ -26,6 +26,7 @@ from imgloc.geometry import (
     cell_of,
     centre_of,
     compose,
+    in_grid_frame,
     inside,
     inverse,
     theta_bin,
@@ -44,17 +45,8 @@ from imgloc.index import (
 from imgloc.io.scanset import ScanSet
 from imgloc.likelihood.posterior import LOG_METHODS
 from imgloc.model import VERDICTS, FloatArray, LaserScan, Likelihood, Localization, Pose2D
-from imgloc.pipeline import (
-    FUSED,
-    Options,
-    effective,
-    found_in_stack,
-    in_map_frame,
-    likelihood,
-    localize,
-)
-from imgloc.search.trust import judge
-from imgloc.searches import NOTHING, probability_of
+from imgloc.options import FUSED, Options
+from imgloc.pipeline import effective, likelihood, localize, posterior_of
 
 Z95 = 1.959964
 """Quantile of the normal distribution for intervals of 95 %."""
@@ -226,14 +218,12 @@ def _trial_stack(features: MapFeatures, scan: LaserScan, truth: Pose2D, options:
     start = time.perf_counter()
     stack = likelihood(features, scan, options)
     between = time.perf_counter()
-    directions = scan.directions
-    enough = directions >= max(1, options.trust.readings)
-    answer = found_in_stack(features, scan, stack, options) if enough else NOTHING
+    answer = localize(features, scan, options, stack=stack)
     end = time.perf_counter()
     n, log = len(stack.thetas), stack.method in LOG_METHODS
     at, found = cell_of_pose(features, truth, n), global_maximum(stack.values, features.free)
     free = bool(inside(np.array(at[1:]), stack.grid)) and bool(features.free[at[1:]])
-    probability = probability_of(features, scan, stack, options)
+    probability = posterior_of(features, scan, stack, options)
     poses = np.array([(h.pose.x, h.pose.y, h.pose.theta) for h in answer.hypotheses[:LISTED]])
     return Trial(
         free=density_in_stack(stack.values, at, features.free, log=log),
@@ -242,8 +232,8 @@ def _trial_stack(features: MapFeatures, scan: LaserScan, truth: Pose2D, options:
         outside=not free,
         exact=found == at,
         near=_next_to(found, at, n),
-        errors=pose_errors(poses, compose(inverse(features.grid.origin), truth)),
-        verdict=judge(directions, answer.mass, answer.elsewhere, options.trust),
+        errors=pose_errors(poses, truth),
+        verdict=answer.verdict,
         ms=1e3 * (end - start),
         stack_ms=1e3 * (between - start),
         stack_bytes=stack.values.nbytes,
@@ -256,13 +246,13 @@ def _on_lattice(
 ) -> float:
     """Relative density of an answer in a cell of free space."""
     lattice = features.lattice
-    to_grid = replace(lattice, origin=inverse(lattice.origin))
-    local = replace(answer, hypotheses=tuple(in_map_frame(h, to_grid) for h in answer.hypotheses))
+    local = tuple(in_grid_frame(h, lattice) for h in answer.hypotheses)
+    answer = replace(answer, hypotheses=local)
     x, y = centre_of(np.array(at[1:]), lattice.resolution)
     thetas = uniform_thetas(2 * np.pi / n)
     poses = n * int(np.count_nonzero(features.free))
     side = lattice.resolution
-    return density_in_cell(local, Pose2D(x, y, thetas[at[0]]), side, 2 * np.pi / n, poses)
+    return density_in_cell(answer, Pose2D(x, y, thetas[at[0]]), side, 2 * np.pi / n, poses)
 
 
 def _work(features: MapFeatures, scan: LaserScan, stack: Likelihood) -> int:

@@ -18,7 +18,7 @@ from imgloc.draw.atlas import COLOURS, draw_atlas
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.io.atlasrows import COLUMNS, Journal, as_csv
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
-from imgloc.pipeline import Options
+from imgloc.options import Options
 from imgloc.simulate import ray_angles, simulate
 
 

@@ -24,9 +24,9 @@ from imgloc.likelihood.flat import flat_stack
 from imgloc.likelihood.ght import ght, ght_v
 from imgloc.likelihood.slices import cell_offsets
 from imgloc.model import Pose2D
+from imgloc.options import FusedOptions
 from imgloc.pipeline import localize
 from imgloc.search.branch_and_bound import best_poses
-from imgloc.search.fused_options import FusedOptions
 from imgloc.search.proposals import propose_endpoints
 from imgloc.search.refine import refine
 from imgloc.search.rescore import rescore

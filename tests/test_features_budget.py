@@ -24,7 +24,8 @@ from imgloc.features.budget import (
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import uniform_thetas
 from imgloc.model import LaserScan, OccupancyGrid
-from imgloc.pipeline import ALL_METHODS, METHODS, Options, answer_bytes, localize
+from imgloc.options import ALL_METHODS, METHODS, Options
+from imgloc.pipeline import answer_bytes, localize
 from imgloc.search.branch_and_bound import best_poses
 from imgloc.simulate import Sensor
 

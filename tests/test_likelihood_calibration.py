@@ -10,11 +10,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from imgloc.errors import ConfigError
-from imgloc.likelihood.calibration import DEFAULTS, LOG_METHODS, Calibration
 from imgloc.likelihood.posterior import calibrated, posterior
 from imgloc.likelihood.smoothing import circular_kernel, smooth
 from imgloc.model import GridInfo, Likelihood
-from imgloc.pipeline import METHODS
+from imgloc.options import DEFAULTS, LOG_METHODS, METHODS, Calibration
 
 VOTES = sorted(set(METHODS) - LOG_METHODS)
 FREE = np.ones((5, 7), bool)

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from imgloc.errors import ConfigError
 from imgloc.likelihood.posterior import LOG_METHODS, posterior
-from imgloc.pipeline import METHODS
+from imgloc.options import METHODS
 
 VOTES = sorted(set(METHODS) - LOG_METHODS)
 stacks = arrays(np.float32, (3, 2, 4), elements=st.integers(-800, 800).map(lambda i: i / 8))

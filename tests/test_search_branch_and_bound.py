@@ -17,7 +17,7 @@ from imgloc.likelihood.cbml import cbml
 from imgloc.model import BoolArray, Float32Array, FloatArray
 from imgloc.search.bounds import Bounds
 from imgloc.search.branch_and_bound import Best, best_poses
-from imgloc.search.peaks import separated
+from imgloc.search.hypotheses import separated
 
 DRAWN = st.fixed_dictionaries(
     {

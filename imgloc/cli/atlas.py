@@ -91,7 +91,8 @@ def atlas(
     from imgloc.io.files import display
     from imgloc.io.output import write_text_atomic
     from imgloc.model import Pose2D
-    from imgloc.pipeline import Options, prepare
+    from imgloc.options import Options
+    from imgloc.pipeline import prepare
     from imgloc.simulate import is_world
 
     memory_budget = fixed_budget(memory_budget)

@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from imgloc.features.mapfeatures import MapFeatures
-    from imgloc.methods import Options
     from imgloc.model import LaserScan, OccupancyGrid
+    from imgloc.options import Options
 
 COARSER = "crop the map, use a larger --cell or --theta-step-deg"
 

@@ -98,7 +98,8 @@ def calibrate(
     from imgloc.cli.budgets import check_answer, check_simulation, fixed_budget
     from imgloc.io.calibration import calibration_path, save_calibrations
     from imgloc.io.files import display
-    from imgloc.pipeline import Options, prepare
+    from imgloc.options import Options
+    from imgloc.pipeline import prepare
     from imgloc.simulate import fine_image, is_world, simulate_set
 
     paths = [find_map(given) for given in maps]

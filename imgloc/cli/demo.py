@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from imgloc.draw.canvas import Picture
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.model import LaserScan, Localization, Pose2D
-    from imgloc.pipeline import Options
+    from imgloc.options import Options
 
 _OUT = Path("imgloc-demo.png")
 
@@ -76,7 +76,8 @@ def demo(
     from imgloc.io.files import display
     from imgloc.io.maps import load_map
     from imgloc.model import LaserScan, Pose2D
-    from imgloc.pipeline import Options, localize, prepare
+    from imgloc.options import Options
+    from imgloc.pipeline import localize, prepare
     from imgloc.simulate import simulate_scans
 
     workers = count_threads(threads)

@@ -10,8 +10,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from imgloc.features.mapfeatures import MapFeatures
-    from imgloc.methods import Options
     from imgloc.model import LaserScan, OccupancyGrid
+    from imgloc.options import Options
 
 
 def cache_folder(given: "Path | None", *, wanted: bool) -> "Path | None":

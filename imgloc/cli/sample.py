@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.model import FloatArray, LaserScan
-    from imgloc.pipeline import Options
+    from imgloc.options import Options
 
 _MOST = 10_000_000  # poses in all
 _LISTED = 20  # hypotheses of fused that are drawn from
@@ -90,7 +90,7 @@ def sample(
     from imgloc.io.calibration import calibration_path, load_calibrations
     from imgloc.io.files import display
     from imgloc.io.output import write_text_atomic
-    from imgloc.pipeline import Options
+    from imgloc.options import Options
 
     workers = count_threads(threads)
     memory_budget = fixed_budget(memory_budget)
@@ -138,14 +138,14 @@ def _draw(
     from imgloc.geometry import transform_poses
     from imgloc.likelihood.draws import draw_near, draw_poses
     from imgloc.model import Localization
-    from imgloc.pipeline import FUSED, likelihood, localize
-    from imgloc.searches import probability_of
+    from imgloc.options import FUSED
+    from imgloc.pipeline import likelihood, localize, posterior_of
 
     lattice = features.lattice
     enough = scan.directions >= options.trust.readings
     if enough and options.method != FUSED:
         stack = likelihood(features, scan, options)
-        probability = probability_of(features, scan, stack, options)
+        probability = posterior_of(features, scan, stack, options)
         if probability.any():
             poses = draw_poses(probability, stack.thetas, lattice, count, rng)
             return transform_poses(features.grid.origin, poses)

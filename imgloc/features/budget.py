@@ -197,7 +197,7 @@ def fused_bytes(
     n_thetas : int
         Headings of the endpoint correlation, of which the coarsest level takes every second.
     vote_cell, vote_headings, vote_cells
-        Of :class:`imgloc.search.fused_options.FusedOptions`.
+        Of :class:`imgloc.options.FusedOptions`.
     """
     cells = shape[0] * shape[1]
     coarse = min(n_thetas // 2 * cells // 16, max(1 << 22, cells // 16))  # some headings at a time

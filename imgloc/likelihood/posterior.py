@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.likelihood.calibration import DEFAULTS, LOG_METHODS, Calibration
 from imgloc.likelihood.smoothing import smooth
 from imgloc.model import BoolArray, Float32Array, Likelihood
+from imgloc.options import DEFAULTS, LOG_METHODS, Calibration
 
 __all__ = ["LOG_METHODS", "calibrated", "posterior", "smoothed"]
 
@@ -31,7 +31,7 @@ def calibrated(
     readings : int
         Valid ones of the scan.
     calibration : Calibration, optional
-        By default that of :data:`~imgloc.likelihood.calibration.DEFAULTS`.
+        By default that of :data:`~imgloc.options.DEFAULTS`.
     headings : (K,) bool array, optional
         The headings of the pose space; by default all.
 

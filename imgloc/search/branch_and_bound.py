@@ -15,7 +15,7 @@ from imgloc.geometry import centre_of
 from imgloc.likelihood.slices import check_arguments, finite_points
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 from imgloc.search.bounds import Bounds
-from imgloc.search.peaks import separated
+from imgloc.search.hypotheses import separated
 
 _CHUNK = 2048  # blocks of the top level opened before the threshold is looked at again
 _PATHS = 64  # blocks that are descended first, to have a threshold
@@ -52,7 +52,7 @@ def best_poses(
 
     For ``count=1`` that is the argmax of the stack over the wanted poses, the first in
     (theta, row, col) order if there are several. For more it is what
-    :func:`imgloc.search.peaks.separated` picks from all poses sorted in that way: the best,
+    :func:`imgloc.search.hypotheses.separated` picks from all poses sorted in that way: the best,
     then the best of those that are not its neighbours, and so on.
 
     Parameters

@@ -31,7 +31,8 @@ from imgloc.likelihood.ght import ght, ght_v
 from imgloc.likelihood.projections import project
 from imgloc.likelihood.slices import cell_offsets
 from imgloc.model import Float32Array, FloatArray, LaserScan, OccupancyGrid
-from imgloc.pipeline import Options, localize, prepare
+from imgloc.options import Options
+from imgloc.pipeline import localize, prepare
 from imgloc.search.branch_and_bound import best_poses
 from imgloc.worlds import WORLDS, render
 

@@ -15,17 +15,17 @@ from types import MappingProxyType
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.evaluate import PAPER_STEPS_DEG, Z95, Share, method_options, share
+from imgloc.evaluate import PAPER_STEPS_DEG, Z95, Share, share
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import cell_of, theta_bin, uniform_thetas
 from imgloc.index import FLOOR, Index, density_in_stack, global_maximum, performance_index
 from imgloc.io.scanset import ScanSet
+from imgloc.likelihood import stacks
 from imgloc.likelihood.beam import temperature
 from imgloc.likelihood.ght import ght_v
 from imgloc.likelihood.uncertainty import Uncertainty
 from imgloc.model import Float32Array, FloatArray, LaserScan, Pose2D
-from imgloc.pipeline import METHODS
 from imgloc.simulate import Sensor, simulate_set
 from imgloc.worlds import WORLDS, render
 
@@ -88,8 +88,7 @@ def stack_of(
 ) -> Float32Array:
     """Likelihood stack (K, H, W) of a method of :data:`STEPS_DEG`."""
     if method not in OPTIONS:
-        options = method_options(method, threads=threads)
-        return METHODS[method].stack(features, scan, thetas, options)
+        return stacks.stack_of(method, features, scan, thetas, threads=threads)
     points = scan_points(scan.ranges, scan.angles, scan.valid)
     return ght_v(
         features.surface,

@@ -27,7 +27,8 @@ from imgloc.cli.which import find_maps, names_of
 from imgloc.errors import ConfigError, ImglocError
 from imgloc.io.maps import load_map
 from imgloc.io.output import encode_png, write_bytes_atomic, write_text_atomic
-from imgloc.pipeline import Options, prepare
+from imgloc.options import Options
+from imgloc.pipeline import prepare
 from imgloc.simulate import Sensor, simulate_set
 from imgloc.worlds import WORLDS, render
 from tools.plots import blank

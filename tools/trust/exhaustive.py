@@ -18,11 +18,11 @@ from imgloc.features.pyramid import Level
 from imgloc.features.scanpoints import scan_xy, thin
 from imgloc.geometry import uniform_thetas
 from imgloc.model import LaserScan
-from imgloc.search.fused import Modes, search_fused
-from imgloc.search.fused_options import FusedOptions
+from imgloc.options import EvidenceModel, FusedOptions, Options
+from imgloc.pipeline import Modes, find_modes
 from imgloc.search.hypotheses import modes
 from imgloc.search.proposals import propose_all
-from imgloc.search.rescore import Evidence, EvidenceModel
+from imgloc.search.rescore import Scores
 
 KEEP = 20_000
 """Poses that are refined; a search looks at some three thousand."""
@@ -62,7 +62,7 @@ def exhaustive(
     Returns
     -------
     Modes
-        As of :func:`~imgloc.search.fused.search_fused`; its best score is never below that
+        As of :func:`~imgloc.pipeline.find_modes`; its best score is never below that
         function's own.
     """
     options = options or FusedOptions()
@@ -80,8 +80,8 @@ def exhaustive(
     )
     wider = replace(options, second_look=SECOND_LOOK)
     return joined(
-        search_fused(features, scan, options, threads=threads),
-        search_fused(features, scan, wider, more=poses, threads=threads),
+        find_modes(features, scan, Options(fused=options, threads=threads)),
+        find_modes(features, scan, Options(fused=wider, threads=threads), more=poses),
         options,
     )
 
@@ -89,12 +89,12 @@ def exhaustive(
 def joined(a: Modes, b: Modes, options: FusedOptions) -> Modes:
     """The separated poses of two searches that scored the same readings, best first."""
     poses = np.concatenate((a.poses, b.poses))
-    evidence = Evidence(
-        *(np.concatenate([getattr(m.evidence, f.name) for m in (a, b)]) for f in fields(Evidence))
+    scores = Scores(
+        *(np.concatenate([getattr(m.scores, f.name) for m in (a, b)]) for f in fields(Scores))
     )
     distance, angle = options.separation
-    best = modes(poses, evidence.log_likelihood, distance=distance, angle=angle)
-    return Modes(poses[best], evidence.select(best), a.rays, a.complete and b.complete)
+    best = modes(poses, scores.log_likelihood, distance=distance, angle=angle)
+    return Modes(poses[best], scores.select(best), a.rays, a.complete and b.complete)
 
 
 def score_level(features: MapFeatures, model: EvidenceModel, factor: int) -> Level:

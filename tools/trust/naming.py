@@ -7,10 +7,11 @@ from typing import Any
 from imgloc.errors import ConfigError
 from imgloc.evaluate import share
 from imgloc.io.maps import load_map
-from imgloc.model import LaserScan
-from imgloc.pipeline import Options, prepare
+from imgloc.model import LaserScan, Localization
+from imgloc.options import Options
+from imgloc.pipeline import prepare
 from imgloc.simulate import Sensor, simulate_set
-from imgloc.which import Fit, choose, fit
+from imgloc.which import choose, fit
 from tools.recorded import scans_beside
 
 Asked = tuple[str, LaserScan]
@@ -57,9 +58,9 @@ def ask_all(
     *,
     threads: int,
     advance: Callable[[], object] = lambda: None,
-) -> tuple[dict[str, Fit], ...]:
+) -> tuple[dict[str, Localization], ...]:
     """How well each scan fits each map, by its name."""
-    fits: tuple[dict[str, Fit], ...] = tuple({} for _ in asked)
+    fits: tuple[dict[str, Localization], ...] = tuple({} for _ in asked)
     for name, path in maps.items():
         features = prepare(load_map(path), threads=threads)
         for (_, scan), found in zip(asked, fits, strict=True):
@@ -70,7 +71,7 @@ def ask_all(
 
 def naming_shares(
     asked: Sequence[Asked],
-    fits: Sequence[Mapping[str, Fit]],
+    fits: Sequence[Mapping[str, Localization]],
     *,
     sure: float,
     buildings: Mapping[str, str],

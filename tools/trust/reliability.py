@@ -11,7 +11,8 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import wrap
 from imgloc.io.scanset import ScanSet
 from imgloc.model import BoolArray, FloatArray, Localization, Pose2D
-from imgloc.pipeline import Options, localize
+from imgloc.options import Options
+from imgloc.pipeline import localize
 from tools.plots import blank
 
 RIGHT = (0.5, float(np.deg2rad(15.0)))

@@ -20,7 +20,8 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import base_of, compose
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, Pose2D
-from imgloc.pipeline import Options, localize, prepare
+from imgloc.options import Options
+from imgloc.pipeline import localize, prepare
 from imgloc.simulate import Sensor, simulate_set
 from imgloc.worlds import WORLDS, render
 from tools.trust.exhaustive import exhaustive
@@ -241,16 +242,16 @@ def _trials_of(features: MapFeatures, scans: ScanSet, threads: int) -> Iterator[
 def _trial(features: MapFeatures, scan: LaserScan, pose: Pose2D, threads: int) -> RobustnessTrial:
     """Compare both answers with the pose of the robot that carries the sensor."""
     options = Options(top=LISTED, threads=threads)
-    answer = localize(features, scan, options)
+    answer, mount = localize(features, scan, options), scan.T_base_laser or Pose2D(0.0, 0.0)
     found = [h.pose for h in answer.hypotheses]
     scores = np.array([h.log_likelihood for h in answer.hypotheses])
     told: tuple[bool, ...] = ()
     if scan.valid.any():
         best = exhaustive(features, scan, options.fused, threads=threads)
         ideal = [compose(features.grid.origin, Pose2D(*p)) for p in best.poses[:LISTED]]
-        told = tied(ideal, best.evidence.log_likelihood[:LISTED], pose, scan.T_base_laser)
+        told = tied(ideal, best.scores.log_likelihood[:LISTED], pose, mount)
     return RobustnessTrial(
-        tied(found, scores, pose, scan.T_base_laser), told, unique=answer.verdict == "unique"
+        tied(found, scores, pose, mount), told, unique=answer.verdict == "unique"
     )
 
 

@@ -6,10 +6,11 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points, thin
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.ght import ght_v
+from imgloc.likelihood.smoothing import smooth
 from imgloc.model import Float32Array, FloatArray, GridInfo, LaserScan
-from imgloc.search.fused_options import FusedOptions
-from imgloc.search.peaks import find_peaks, smooth
-from imgloc.search.priors import Prior
+from imgloc.options import FusedOptions, Prior
+from imgloc.search.peaks import find_peaks
+from imgloc.search.priors import around
 
 
 def propose_votes(
@@ -23,7 +24,7 @@ def propose_votes(
     votes = cast_votes(features, scan, options, prior, threads)
     cell, where = vote_cell(features.grid.info, options), None
     if prior is not None:
-        where = prior.around(votes.shape[1:], cell, features.grid.resolution)
+        where = around(prior, votes.shape[1:], cell, features.grid.resolution)
     peaks = find_peaks(votes, options.vote_peaks, where=where)
     theta = peaks[:, 0] * (2 * np.pi / options.vote_headings)
     return np.column_stack(((peaks[:, :0:-1] + 0.5) * cell, theta))
