@@ -101,7 +101,7 @@ def poses_bytes(cells: int, places: int, headings: int) -> int:
 
 
 def simulate_bytes(cells: int, fine_cells: int, readings: int, *, kept: int = 0) -> int:
-    """Peak of :func:`imgloc.simulate.simulate_scans`, besides the map.
+    """Peak of :func:`imgloc.simulate.simulate_set`, besides the map.
 
     Parameters
     ----------
