@@ -11,8 +11,8 @@ from imgloc.features.lattice import blocks, coarse_info
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_xy, thin
 from imgloc.geometry import uniform_thetas
+from imgloc.likelihood.calibration import LOG_METHODS
 from imgloc.likelihood.correlate import correlate
-from imgloc.likelihood.posterior import LOG_METHODS
 from imgloc.methods import FUSED, Options, likelihood
 from imgloc.model import Float32Array, GridInfo, LaserScan, Likelihood
 from imgloc.search.vote_proposals import cast_votes, vote_cell

@@ -18,10 +18,9 @@ from imgloc.features.surface import surface_points
 from imgloc.features.visibility import visibility_frames
 from imgloc.geometry import centre_of, uniform_thetas
 from imgloc.likelihood.cbml import cbml_o
-from imgloc.likelihood.correlate import correlate
-from imgloc.likelihood.engines import ENGINES
-from imgloc.likelihood.flat import flat_stack
+from imgloc.likelihood.correlate import ENGINES, correlate
 from imgloc.likelihood.ght import ght, ght_v
+from imgloc.likelihood.shift import flat_stack
 from imgloc.likelihood.slices import cell_offsets
 from imgloc.model import Pose2D
 from imgloc.pipeline import localize

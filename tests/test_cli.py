@@ -20,7 +20,7 @@ from imgloc.errors import ConfigError, MapError, OutputError, ScanError
 from imgloc.experiments.worlds import WORLDS
 from imgloc.io.mapyaml import MODES
 from imgloc.io.occupancy import SEMANTICS
-from imgloc.likelihood.engines import ENGINES
+from imgloc.likelihood.correlate import ENGINES
 from imgloc.pipeline import ALL_METHODS
 
 COMMANDS = (

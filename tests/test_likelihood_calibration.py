@@ -11,8 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from imgloc.errors import ConfigError
 from imgloc.likelihood.calibration import DEFAULTS, LOG_METHODS, Calibration
-from imgloc.likelihood.posterior import calibrated, posterior
-from imgloc.likelihood.smoothing import circular_kernel, smooth
+from imgloc.likelihood.posterior import calibrated, circular_kernel, posterior, smooth
 from imgloc.model import GridInfo, Likelihood
 from imgloc.pipeline import METHODS
 

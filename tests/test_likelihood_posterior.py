@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from imgloc.errors import ConfigError
-from imgloc.likelihood.posterior import LOG_METHODS, posterior
+from imgloc.likelihood.calibration import LOG_METHODS
+from imgloc.likelihood.posterior import posterior
 from imgloc.pipeline import METHODS
 
 VOTES = sorted(set(METHODS) - LOG_METHODS)

@@ -18,8 +18,7 @@ from imgloc.features.fields import bmap
 from imgloc.features.raycast import cast_rays, distance_image
 from imgloc.features.surface import surface_points
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihood.correlate import correlate
-from imgloc.likelihood.engines import ENGINES
+from imgloc.likelihood.correlate import ENGINES, correlate
 from imgloc.model import FloatArray, OccupancyGrid
 
 SIZES = (125, 250, 500, 1000)

@@ -21,9 +21,9 @@ from imgloc.geometry import cell_of, theta_bin, uniform_thetas
 from imgloc.io.scanset import ScanSet
 from imgloc.likelihood.beam import temperature
 from imgloc.likelihood.ght import ght_v
-from imgloc.likelihood.uncertainty import Uncertainty
 from imgloc.model import Float32Array, FloatArray, LaserScan, Pose2D
 from imgloc.pipeline import METHODS
+from tools.paper.uncertainty import Uncertainty, vote_spread
 
 CELL = 0.1
 """Side of a cell of the pose space, metres: the paper's."""
@@ -87,17 +87,10 @@ def stack_of(
         options = method_options(method, threads=threads)
         return METHODS[method].stack(features, scan, thetas, options)
     points = scan_points(scan.ranges, scan.angles, scan.valid)
-    return ght_v(
-        features.surface,
-        features.visibility,
-        points,
-        len(thetas),
-        features.lattice.shape,
-        CELL,
-        threads=threads,
-        once=method == "ght-v once",
-        uncertainty=Uncertainty() if method == "ght-v eq. 8" else None,
-    )
+    ours, shape = (features.surface, features.visibility, points), features.lattice.shape
+    if method == "ght-v once":
+        return ght_v(*ours, len(thetas), shape, CELL, threads=threads, once=True)
+    return vote_spread(*ours, len(thetas), shape, CELL, Uncertainty(), threads=threads)
 
 
 def try_method(

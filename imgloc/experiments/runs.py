@@ -30,7 +30,7 @@ from imgloc.geometry import (
     wrap,
 )
 from imgloc.io.scanset import ScanSet
-from imgloc.likelihood.posterior import LOG_METHODS
+from imgloc.likelihood.calibration import LOG_METHODS
 from imgloc.model import FloatArray, LaserScan, Likelihood, Localization, Pose2D
 from imgloc.pipeline import FUSED, Options, found_in_stack, in_map_frame, likelihood, localize
 from imgloc.search.trust import judge

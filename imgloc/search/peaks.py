@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.geometry import wrap
-from imgloc.likelihood.smoothing import smooth
+from imgloc.likelihood.posterior import smooth
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 
 __all__ = ["find_peaks", "first_in_cell", "separated", "smooth"]
