@@ -7,8 +7,8 @@ import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.features.budget import MIB, check_budget, default_budget
-from imgloc.features.lattice import blocks, coarse_info
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.pyramid import blocks, coarse_info
 from imgloc.features.scanpoints import scan_xy, thin
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.calibration import LOG_METHODS

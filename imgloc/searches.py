@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.pooled import block_masks
+from imgloc.features.pyramid import block_masks
 from imgloc.features.scanpoints import scan_xy, thin
 from imgloc.geometry import centre_of, wrap
 from imgloc.likelihood.calibration import DEFAULTS

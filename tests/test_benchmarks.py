@@ -10,9 +10,9 @@ import pytest
 from places import POSES, error, features_of, grid_of, scan_of
 
 from imgloc.features.contours import outlines
-from imgloc.features.distance import FAR, distance_field
+from imgloc.features.distance import FARTHEST, distance_field, distance_image
 from imgloc.features.pyramid import pyramid
-from imgloc.features.raycast import cast_rays, distance_image
+from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import scan_points, scan_xy
 from imgloc.features.surface import surface_points
 from imgloc.features.visibility import visibility_frames
@@ -157,7 +157,7 @@ def test_distance_field(benchmark):
     field = benchmark(lambda: distance_field(grid.occupied, grid.resolution))
     distance = field.distance
     assert (distance[grid.occupied] < 0).all()
-    assert 0 < distance[~grid.occupied].min() < distance.max() <= FAR
+    assert 0 < distance[~grid.occupied].min() < distance.max() <= FARTHEST
 
 
 def test_pyramid(benchmark, features):

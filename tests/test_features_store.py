@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 from imgloc.features import mapfeatures
-from imgloc.features.arrays import KEPT, features_from_arrays, features_to_arrays
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.store import features_key, load_features, save_features
+from imgloc.features.store import (
+    KEPT,
+    features_from_arrays,
+    features_key,
+    features_to_arrays,
+    load_features,
+    save_features,
+)
 from imgloc.geometry import uniform_thetas
 from imgloc.io.cache import entry_path, store_entry
 from imgloc.model import OccupancyGrid, Pose2D

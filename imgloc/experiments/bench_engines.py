@@ -14,8 +14,9 @@ import numpy as np
 
 from imgloc.experiments.bench import in_turns
 from imgloc.experiments.worlds import WORLDS, render
+from imgloc.features.distance import distance_image
 from imgloc.features.fields import bmap
-from imgloc.features.raycast import cast_rays, distance_image
+from imgloc.features.raycast import cast_rays
 from imgloc.features.surface import surface_points
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.correlate import ENGINES, correlate

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from imgloc.errors import MapError
-from imgloc.features.raycast import distance_image
+from imgloc.features.distance import distance_image
 from imgloc.geometry import cell_of, inside
 from imgloc.model import FloatArray, OccupancyGrid, Pose2D
 

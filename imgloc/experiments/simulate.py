@@ -11,7 +11,8 @@ import numpy.typing as npt
 from imgloc.errors import ConfigError
 from imgloc.experiments.finegrid import refine_grid
 from imgloc.experiments.poses import sample_free_poses, sample_sensor_poses
-from imgloc.features.raycast import cast_rays, distance_image
+from imgloc.features.distance import distance_image
+from imgloc.features.raycast import cast_rays
 from imgloc.model import FloatArray, OccupancyGrid, Pose2D
 
 __all__ = ["sample_free_poses", "sample_sensor_poses", "simulate", "simulate_scans"]

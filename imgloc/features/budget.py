@@ -11,7 +11,7 @@ import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import VOTERS
-from imgloc.features.pooled import default_top
+from imgloc.features.pyramid import default_top
 from imgloc.model import OccupancyGrid
 
 MIB = 1 << 20

@@ -9,12 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.features.distance import DistanceField, distance_field
+from imgloc.features.distance import DistanceField, distance_field, distance_image
 from imgloc.features.fields import bmap, vmap
-from imgloc.features.lattice import any_of_blocks, coarse_info
-from imgloc.features.pooled import PooledMaps, pooled_maps
-from imgloc.features.pyramid import Level, pyramid
-from imgloc.features.raycast import distance_image
+from imgloc.features.pyramid import (
+    Level,
+    PooledMaps,
+    any_of_blocks,
+    coarse_info,
+    pooled_maps,
+    pyramid,
+)
 from imgloc.features.raydistance import ray_distances, ray_distances_bytes
 from imgloc.features.surface import surface_points
 from imgloc.features.visibility import visibility_frames

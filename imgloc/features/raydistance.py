@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.features.lattice import blocks
+from imgloc.features.pyramid import blocks
 from imgloc.model import BoolArray, Float32Array, FloatArray
 
 _CM = 100.0
@@ -73,7 +73,7 @@ def ray_distances(
         Metres, at most 655.35. Where nothing is hit within it, the value is `max_range`.
     factor : int
         Rays start at the centres of blocks of `factor` x `factor` cells, as of
-        :func:`~imgloc.features.lattice.blocks`; walls keep the cells of the map.
+        :func:`~imgloc.features.pyramid.blocks`; walls keep the cells of the map.
     threads : int
         Directions computed at a time; the result does not depend on it.
 

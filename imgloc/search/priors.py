@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.features.lattice import any_of_blocks
-from imgloc.features.pyramid import Level
+from imgloc.features.pyramid import Level, any_of_blocks
 from imgloc.geometry import cell_of, inside, wrap
 from imgloc.model import BoolArray, FloatArray, GridInfo, IntArray, OccupancyGrid
 
