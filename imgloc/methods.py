@@ -157,7 +157,7 @@ def _ght_v(f: MapFeatures, scan: LaserScan, thetas: FloatArray, o: Options) -> F
 
 def _beam(f: MapFeatures, scan: LaserScan, thetas: FloatArray, o: Options) -> Float32Array:
     return beam(
-        f.ray_distances,
+        f.ray_distances_within(o.memory_budget or f.memory_budget),
         scan.ranges,
         scan.angles,
         scan.valid,

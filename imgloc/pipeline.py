@@ -213,6 +213,6 @@ def effective(options: Options, features: MapFeatures) -> dict[str, object]:
         if not options.exact:  # they are the headings of branch and bound
             del out["theta_step"]
     about_map = {f.name: getattr(features, f.name) for f in fields(features)}
-    for name in ("grid", "max_bytes", "threads"):
+    for name in ("grid", "memory_budget", "threads"):
         del about_map[name]
     return out | {"map": about_map, "seed": None}

@@ -162,7 +162,7 @@ def test_arrays_of_another_map_are_refused(grid: OccupancyGrid, arrays: dict) ->
 
 def test_key_ignores_what_does_not_change_a_feature(grid: OccupancyGrid) -> None:
     key = features_key(MapFeatures(grid, **PARAMETERS))
-    assert key == features_key(MapFeatures(grid, **PARAMETERS, threads=7, max_bytes=1))
+    assert key == features_key(MapFeatures(grid, **PARAMETERS, threads=7, memory_budget=1))
     assert key == features_key(MapFeatures(replace(grid, origin=Pose2D(1, 2, 3)), **PARAMETERS))
     assert key != features_key(MapFeatures(grid, **PARAMETERS, sigma=0.2))
 

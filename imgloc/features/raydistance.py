@@ -23,17 +23,6 @@ _WALL, _SURFACE, _HIT = 255, 127.5, 100
 _JOINT = 90  # free cells beside two occupied ones that touch at a corner; see _watertight
 
 
-def ray_distances_bytes(shape: tuple[int, int], n_psi: int) -> int:
-    """Bytes of the stack that :func:`ray_distances` returns for a map of this shape.
-
-    Examples
-    --------
-    >>> ray_distances_bytes((400, 500), 360) / 1e6
-    144.0
-    """
-    return shape[0] * shape[1] * n_psi * np.dtype(np.uint16).itemsize
-
-
 def ray_cells(shape: tuple[int, int], n_psi: int) -> int:
     """Count the pixels that :func:`ray_distances` walks over: those of the turned maps.
 

@@ -38,7 +38,7 @@ MAX_BYTES = 1 << 30
 
 _SURFACE = ("xy", "alpha", "sigma_alpha", "valid")
 _POOLED = ("images", "coarse", "quads")
-_NO_MATTER = ("grid", "max_bytes", "threads")  # do not change a feature
+_NO_MATTER = ("grid", "memory_budget", "threads")  # do not change a feature
 
 
 def features_to_arrays(
