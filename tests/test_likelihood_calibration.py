@@ -138,3 +138,9 @@ def test_a_circular_kernel_is_symmetric_and_sums_to_one(n, sigma):
 def test_values_out_of_range(values):
     with pytest.raises(ConfigError, match="must be finite and"):
         Calibration(*values)
+
+
+def test_more_rays_know_no_more_than_half_a_dozen() -> None:
+    how = DEFAULTS["beam"]
+    assert how.temperature_at("beam", 635) == pytest.approx(100)
+    assert how.temperature_at("beam", 1270) == pytest.approx(200)

@@ -19,7 +19,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import cell_of, theta_bin, uniform_thetas
 from imgloc.io.scanset import ScanSet
-from imgloc.likelihood.beam import temperature
+from imgloc.likelihood.calibration import DEFAULTS
 from imgloc.likelihood.ght import ght_v
 from imgloc.model import Float32Array, FloatArray, LaserScan, Pose2D
 from imgloc.pipeline import METHODS
@@ -99,7 +99,7 @@ def try_method(
     """Compute a method's stack and look where the true pose (grid frame) stands in it.
 
     The log-likelihoods of ``beam`` are divided by
-    :func:`imgloc.likelihood.beam.temperature`, as in an answer of ``imgloc localize``.
+    the temperature of :data:`imgloc.likelihood.calibration.DEFAULTS`, as in an answer of ``imgloc localize``.
     """
     thetas = thetas_of(method)
     row, col = cell_of(np.array((truth.x, truth.y)), CELL).tolist()
@@ -110,7 +110,7 @@ def try_method(
     bare, log = None, method == "beam"
     if log:
         bare = density_in_stack(stack, at, features.free, log=True)
-        stack *= np.float32(1 / temperature(int(scan.valid.sum())))
+        stack *= np.float32(1 / DEFAULTS[method].temperature_at(method, int(scan.valid.sum())))
     found = global_maximum(stack, features.free)
     off = np.abs(np.subtract(found, at))
     off[0] = min(off[0], len(thetas) - off[0])  # around the circle
