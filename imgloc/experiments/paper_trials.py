@@ -98,8 +98,8 @@ def try_method(
 ) -> Outcome:
     """Compute a method's stack and look where the true pose (grid frame) stands in it.
 
-    The log-likelihoods of ``beam`` are divided by
-    the temperature of :data:`imgloc.likelihood.calibration.DEFAULTS`, as in an answer of ``imgloc localize``.
+    The log-likelihoods of ``beam`` are divided by the temperature of
+    :data:`imgloc.likelihood.calibration.DEFAULTS`, as in an answer of ``imgloc localize``.
     """
     thetas = thetas_of(method)
     row, col = cell_of(np.array((truth.x, truth.y)), CELL).tolist()
