@@ -8,9 +8,8 @@ from imgloc.experiments.bench import Case
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points, scan_xy
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihood.cbml import cbml, cbml_o
+from imgloc.likelihood.cbml import cbml, cbml_o, project
 from imgloc.likelihood.ght import ght, ght_v
-from imgloc.likelihood.projections import project
 from imgloc.likelihood.slices import cell_offsets
 from imgloc.model import Float32Array, FloatArray, LaserScan
 from imgloc.search.branch_and_bound import best_poses

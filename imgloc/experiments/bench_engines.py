@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from imgloc.experiments.bench import in_turns
+from imgloc.features.distance import distance_image
 from imgloc.features.fields import bmap
-from imgloc.features.raycast import cast_rays, distance_image
+from imgloc.features.raycast import cast_rays
 from imgloc.features.surface import surface_points
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihood.correlate import correlate
-from imgloc.likelihood.engines import ENGINES
+from imgloc.likelihood.correlate import ENGINES, correlate
 from imgloc.model import FloatArray, OccupancyGrid
 from imgloc.worlds import WORLDS, render
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from imgloc.likelihood.engines import ENGINES
+from imgloc.likelihood.correlate import ENGINES
 
 Row = Mapping[str, Any]
 

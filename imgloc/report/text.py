@@ -41,7 +41,7 @@ MAXIMUM = (
 ORACLE = (
     "The beam model is the oracle: eq. 2 itself, its ranges ray-traced for all poses. Eq. 2 takes "
     "the errors that cells cause for independent from ray to ray, and is certain of a pose next "
-    "to the true one. Its log-likelihood is therefore divided by a temperature of n / 12 for n "
+    "to the true one. Its log-likelihood is therefore divided by a temperature of n / 6.35 for n "
     "readings; the <i>bare</i> S below it, grey, is without."
 )
 BEYOND = (

@@ -1,0 +1,1 @@
+"""Programs around imgloc's public functions; not a part of the package."""
