@@ -11,11 +11,6 @@ from command import ROOT
 
 from imgloc.cli.priors import Mounting
 from imgloc.errors import ConfigError
-from imgloc.experiments import robustness as room
-from imgloc.experiments.conditions import CONDITIONS, upside_down
-from imgloc.experiments.exhaustive import exhaustive, joined, score_level
-from imgloc.experiments.recorded import cut_set
-from imgloc.experiments.robustness import Trial, recorded_row, robustness, row_of, tied
 from imgloc.features.pyramid import Level
 from imgloc.geometry import compose
 from imgloc.io.maps import save_map
@@ -23,11 +18,23 @@ from imgloc.io.scans import ScanSet, save_scans
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import FusedOptions, Options
 from imgloc.pipeline import Modes, localize, prepare
-from imgloc.report.robustness import robustness_table
 from imgloc.search.proposals import propose_all
 from imgloc.search.rescore import EvidenceModel, Scores
 from imgloc.simulate import Sensor, simulate, simulate_set
 from imgloc.worlds import WORLDS, render
+from tools.recorded import cut_set
+from tools.trust import robustness as room
+from tools.trust.exhaustive import exhaustive, joined, score_level
+from tools.trust.robustness import (
+    CONDITIONS,
+    RobustnessTrial,
+    recorded_row,
+    robustness,
+    robustness_table,
+    row_of,
+    tied,
+    upside_down,
+)
 
 
 def test_all_poses_are_tried_and_the_best_come_first():
@@ -129,10 +136,10 @@ def test_equal_scores_are_equally_right():
     row = row_of(
         "some",
         [
-            Trial((False, True), (True, False), unique=False),
-            Trial((False,), (True,), unique=True),
-            Trial((), (False, False), unique=False),
-            Trial((True,), (True,), unique=True),
+            RobustnessTrial((False, True), (True, False), unique=False),
+            RobustnessTrial((False,), (True,), unique=True),
+            RobustnessTrial((), (False, False), unique=False),
+            RobustnessTrial((True,), (True,), unique=True),
         ],
     )
     assert (row.localize.hits, row.oracle.hits) == (2, 3)
@@ -222,9 +229,9 @@ def recorded_set(tmp_path):
 
 def run_tool(*words):
     return subprocess.run(
-        [sys.executable, ROOT / "tools" / "robustness.py", "--threads", "1", *map(str, words)],
+        [sys.executable, "-m", "tools.trust", "robustness", "--threads", "1", *map(str, words)],
         capture_output=True, text=True, check=False,
-        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"},
+        cwd=ROOT, env={"PATH": "/usr/bin:/bin"},
     )  # fmt: skip
 
 

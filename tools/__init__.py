@@ -1,1 +1,1 @@
-"""Programs around imgloc's public functions; not a part of the package."""
+"""What measures imgloc, from a checkout: see tools/README.md."""

@@ -1,1 +1,1 @@
-"""The paper's experiment: its tables, figures and claims."""
+"""The experiment of the paper, run again: its table, its figures and its appendix."""

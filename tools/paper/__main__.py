@@ -1,31 +1,103 @@
-"""Everything that the paper shows, measured and drawn: its table, figures and appendix."""
+"""Run the paper's experiment again: its table, Figs. 1, 2, 4 and 5, and its appendix.
 
+Writes results.json, the figures as PNG and one self-contained report.html into a folder:
+
+    python -m tools.paper --out paper            # 100 trials in each world
+    python -m tools.paper --out paper --quick    # a few, in under a minute
+
+Everything but times is the same for the same -n and --seed, whatever the threads. The exit
+code is 1 if the order of the methods or a counted exponent is not the paper's.
+"""
+
+import argparse
+import os
 import platform
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
 from imgloc import __version__
-from imgloc.draw.figures import draw_comparison, draw_fields
-from imgloc.errors import ConfigError
-from imgloc.experiments.claims import Claim, claims, growth_claims, time_claims
-from imgloc.experiments.complexity import AXES, Complexity, draw, measure
-from imgloc.experiments.complexity_types import TIMES
-from imgloc.experiments.paper import PLACES, Row, table
-from imgloc.experiments.paper_trials import STEPS_DEG
-from imgloc.experiments.ratios import PAIRS, Ratio, measure_ratios
-from imgloc.experiments.scenes import SETTINGS, scene
-from imgloc.io.output import encode_png
+from imgloc.cli.answers import to_json
+from imgloc.cli.console import progress
+from imgloc.errors import ConfigError, ImglocError, OutputError
+from imgloc.io.output import encode_png, refuse_existing, write_bytes_atomic, write_text_atomic
+from tools.paper.claims import Claim, claims, growth_claims, time_claims
+from tools.paper.complexity import AXES, TIMES, Complexity, draw, measure
+from tools.paper.figures import SETTINGS, figure
+from tools.paper.page import render_report
+from tools.paper.table import PAIRS, PLACES, STEPS_DEG, Ratio, TableRow, measure_ratios, table
 
+FILES = ("results.json", "report.html", *(f"{name}.png" for name in (*SETTINGS, "complexity")))
 QUICK = 3
 """Trials in each world of the quick form."""
 TIMED, TIMED_QUICK = (8, 3), (2, 1)
 """Scans of each world whose run times are compared, and repeats."""
-_WINDOW_FIG_4 = (21.0, 20.0, 27.0, 26.0)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse the command line, run, write the files; return the exit code."""
+    parser = argparse.ArgumentParser(
+        "tools.paper", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, required=True, help="folder, made if need be")
+    parser.add_argument("--quick", action="store_true", help=f"{QUICK} trials, time nothing twice")
+    parser.add_argument("-n", type=int, help="trials in each world (default: 100)")
+    parser.add_argument(
+        "--worlds", nargs="+", choices=tuple(PLACES), default=tuple(PLACES), metavar="WORLD",
+        help="of the table (default: visibility large curved)",
+    )  # fmt: skip
+    parser.add_argument("--seed", type=int, default=0, help="of everything random (default: 0)")
+    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--force", action="store_true", help="overwrite files in --out")
+    given = parser.parse_args(arguments)
+    try:
+        return run(given)
+    except ImglocError as error:
+        print(f"paper: error: {error}", file=sys.stderr)
+        return error.exit_code
+
+
+def run(given: argparse.Namespace) -> int:
+    """Do what the command line asks for."""
+    n = given.n if given.n is not None else QUICK if given.quick else 100
+    if n < 2 or given.seed < 0 or given.threads < 1:
+        raise ConfigError(
+            f"-n {n}, --seed {given.seed} and --threads {given.threads}: expected at least "
+            "2 trials, a seed of 0 or more, 1 thread or more"
+        )
+    try:
+        given.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{given.out}: cannot be made: {error.strerror}") from None
+    if not given.force:
+        for name in FILES:  # now, not after minutes of work
+            refuse_existing(given.out / name)
+    cv2.setNumThreads(given.threads)
+    worlds = tuple(dict.fromkeys(given.worlds))
+    total = steps(n, worlds, quick=given.quick)
+    with progress("the paper's experiment", total, lines=False) as advance:
+        found = reproduce(
+            n, given.seed, worlds=worlds, quick=given.quick, threads=given.threads, advance=advance
+        )
+    results = as_dict(found)
+    for name, png in found.pictures.items():
+        write_bytes_atomic(given.out / f"{name}.png", png, force=given.force)
+    write_text_atomic(given.out / "results.json", to_json(results) + "\n", force=given.force)
+    page = render_report(results, found.pictures)  # last, when all the rest is there
+    write_text_atomic(given.out / "report.html", page, force=given.force)
+    for row in found.rows:
+        paper = "" if row.paper is None else f", the paper's {row.paper:.2f}"
+        print(f"{row.world} {row.method}: S {row.index.value:.2f}{paper}")
+    for claim in (*found.claims, *found.time_claims):
+        print(f"{'holds' if claim.holds else 'FAILS'}: {claim.text} ({claim.found})")
+    print(given.out / "report.html")
+    return 0 if found.holds else 1
 
 
 @dataclass(frozen=True)
@@ -35,7 +107,7 @@ class Reproduction:
     Parameters
     ----------
     n, seed : int
-    rows : tuple of Row
+    rows : tuple of TableRow
     ratios : tuple of Ratio
     claims, time_claims : tuple of Claim
         Those about the index, the maxima and counted work; and those about times, which are
@@ -47,7 +119,7 @@ class Reproduction:
 
     n: int
     seed: int
-    rows: tuple[Row, ...]
+    rows: tuple[TableRow, ...]
     ratios: tuple[Ratio, ...]
     claims: tuple[Claim, ...]
     time_claims: tuple[Claim, ...]
@@ -86,7 +158,7 @@ def reproduce(
     seed : int
         Of everything random.
     worlds : sequence of str
-        Of the table and the run times; some of :data:`imgloc.experiments.paper.PLACES`.
+        Of the table and the run times; some of :data:`~tools.paper.table.PLACES`.
     quick : bool
         Only count the work of the appendix, time little.
     threads : int
@@ -108,20 +180,6 @@ def reproduce(
         pictures["complexity"] = encode_png(draw(grown))
     said = claims(rows) + growth_claims(grown)
     return Reproduction(n, seed, rows, ratios, said, time_claims(ratios), grown, pictures)
-
-
-def figure(
-    name: str, threads: int = 1, advance: Callable[[], None] = lambda: None
-) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Draw a figure of :data:`imgloc.experiments.scenes.SETTINGS`, (H, W, 3) BGR."""
-    s = scene(name, threads=threads, advance=advance)
-    f = s.features
-    if name == "fig4":
-        return draw_fields(
-            f.grid, f.surface, f.bmap, f.vmap, s.truth, s.points, s.stacks, window=_WINDOW_FIG_4
-        )
-    wide = name == "fig5"
-    return draw_comparison(f.grid, s.truth, s.points, s.stacks, scale=1 if wide else 3, columns=3)
 
 
 def as_dict(reproduction: Reproduction) -> dict[str, Any]:
@@ -160,8 +218,12 @@ def as_dict(reproduction: Reproduction) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _row(row: Row) -> dict[str, Any]:
+def _row(row: TableRow) -> dict[str, Any]:
     out = asdict(row)
     del out["ms"]
     out["cost"] = {"ms": row.median_ms}
     return {"place": PLACES[row.world], **out, "interval": list(row.interval)}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from imgloc.errors import ImglocError
-from imgloc.experiments.bench_cases import HEADINGS, PAIR_HEADINGS
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.model import OccupancyGrid
+from tools.bench.measure import HEADINGS, PAIR_HEADINGS
 
 
 def floors(problem: Path) -> Mapping[str, float | str]:

@@ -1,4 +1,4 @@
-"""tools/reproduce_paper.py as a user runs it, and what it writes."""
+"""`python -m tools.paper` as a user runs it, and what it writes."""
 
 import base64
 import json
@@ -10,23 +10,20 @@ import pytest
 from command import ROOT
 
 from imgloc.cli.answers import to_json
-from imgloc.experiments.complexity import AXES, Complexity
-from imgloc.experiments.paper import table
-from imgloc.experiments.paper_trials import STEPS_DEG
-from imgloc.experiments.ratios import PAIRS
-from imgloc.experiments.reproduce import TIMED_QUICK, Reproduction, as_dict, figure, steps
-from imgloc.experiments.scenes import SETTINGS, scene
 from imgloc.io.output import encode_png
+from tools.paper.__main__ import TIMED_QUICK, Reproduction, as_dict, steps
+from tools.paper.complexity import AXES, Complexity
+from tools.paper.figures import SETTINGS, figure, scene
+from tools.paper.table import PAIRS, STEPS_DEG, table
 
-TOOL = ROOT / "tools" / "reproduce_paper.py"
 NOTHING = Complexity("curved", (), ())
 
 
 def run(*arguments):
     return subprocess.run(
-        [sys.executable, TOOL, *map(str, arguments)],
+        [sys.executable, "-m", "tools.paper", *map(str, arguments)],
         capture_output=True, text=True, check=False,
-        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin", "MPLBACKEND": "agg"},
+        cwd=ROOT, env={"PATH": "/usr/bin:/bin", "MPLBACKEND": "agg"},
     )  # fmt: skip
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from imgloc.evaluate import Share, pose_errors, share
 from imgloc.features.mapfeatures import MapFeatures
@@ -12,6 +13,7 @@ from imgloc.io.scanset import ScanSet
 from imgloc.model import BoolArray, FloatArray, Localization, Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import localize
+from tools.plots import blank
 
 RIGHT = (0.5, float(np.deg2rad(15.0)))
 """A hypothesis this near the true pose is right: the separation of hypotheses."""
@@ -199,3 +201,35 @@ def nees_band(count: int) -> tuple[float, float]:
     z = np.array([-1.959964, 1.959964])
     low, high = 3 * (1 - 2 / (9 * k) + z * np.sqrt(2 / (9 * k))) ** 3
     return float(low), float(high)
+
+
+def draw_reliability(groups: Mapping[str, Sequence[Bin]]) -> npt.NDArray[np.uint8]:
+    """Draw the share of right hypotheses over their mass, with 95 % intervals, (H, W, 3) BGR.
+
+    Parameters
+    ----------
+    groups : mapping of str to bins
+        Of :func:`reliability`, by name.
+
+    Raises
+    ------
+    ConfigError
+        If matplotlib is not installed.
+    """
+    figure, pixels = blank(6.2, 6.2, dpi=100)
+    axes = figure.add_axes((70 / 620, 60 / 620, 520 / 620, 520 / 620))
+    axes.set(
+        xlim=(0, 1), ylim=(0, 1), xlabel="mass of the hypothesis", ylabel="share that is right"
+    )
+    axes.grid(alpha=0.3)
+    axes.plot((0, 1), (0, 1), color="#282f38", linewidth=1)
+    for (name, bins), colour in zip(groups.items(), ("#0072b2", "#d55e00"), strict=False):
+        known = [b for b in bins if b.count]
+        mass, right = [b.mass for b in known], [b.right for b in known]
+        value = [r.value for r in right]
+        axes.vlines(mass, [r.low for r in right], [r.high for r in right], colour, linewidth=2)
+        size = [(8 + 3 * np.log10(b.count)) ** 2 / 2 for b in known]
+        said = f"{name}: {sum(b.count for b in bins)} hypotheses"
+        axes.scatter(mass, value, size, colour, label=said, zorder=3, clip_on=False)
+    axes.legend(loc="upper left")
+    return pixels()

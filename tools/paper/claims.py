@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from imgloc.experiments.complexity_types import Complexity
-from imgloc.experiments.paper import Row
-from imgloc.experiments.ratios import Ratio
+from tools.paper.complexity import Complexity
+from tools.paper.table import Ratio, TableRow
 
 ORDER = ("cbml", "cbml-o", "ght", "ght-v")
 """From the worst to the best, says the paper."""
@@ -36,13 +35,13 @@ class Claim:
     firm: bool = True
 
 
-def claims(rows: Sequence[Row]) -> tuple[Claim, ...]:
+def claims(rows: Sequence[TableRow]) -> tuple[Claim, ...]:
     """Hold the paper's order, its intervals and its share of maxima against a table.
 
     Parameters
     ----------
-    rows : sequence of Row
-        Of :func:`~imgloc.experiments.paper.table`, with all of :data:`ORDER` in each world.
+    rows : sequence of TableRow
+        Of :func:`~tools.paper.table.table`, with all of :data:`ORDER` in each world.
     """
     by, worlds = _by(rows)
     out = []
@@ -145,5 +144,5 @@ def _signless(power: float) -> str:
     return f"{power:.2f}".replace("-0.00", "0.00")
 
 
-def _by(rows: Sequence[Row]) -> tuple[dict[tuple[str, str], Row], tuple[str, ...]]:
+def _by(rows: Sequence[TableRow]) -> tuple[dict[tuple[str, str], TableRow], tuple[str, ...]]:
     return {(r.world, r.method): r for r in rows}, tuple(dict.fromkeys(r.world for r in rows))

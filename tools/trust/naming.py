@@ -6,13 +6,13 @@ from typing import Any
 
 from imgloc.errors import ConfigError
 from imgloc.evaluate import share
-from imgloc.experiments.recorded import scans_beside
 from imgloc.io.maps import load_map
 from imgloc.model import LaserScan, Localization
 from imgloc.options import Options
 from imgloc.pipeline import prepare
 from imgloc.simulate import Sensor, simulate_set
 from imgloc.which import choose, fit
+from tools.recorded import scans_beside
 
 Asked = tuple[str, LaserScan]
 """The name of a map, and a scan taken in it."""

@@ -4,11 +4,19 @@ import cv2
 import numpy as np
 import pytest
 
-from imgloc.draw.figures import cross, draw_comparison, draw_fields, draw_scan, lettered, ring
-from imgloc.experiments.reproduce import figure
-from imgloc.experiments.scenes import SETTINGS, scene
 from imgloc.geometry import cell_of
 from imgloc.model import OccupancyGrid, OrientedPoints, Pose2D
+from tools.paper.figures import (
+    SETTINGS,
+    cross,
+    draw_comparison,
+    draw_fields,
+    draw_scan,
+    figure,
+    lettered,
+    ring,
+    scene,
+)
 
 RED, BLUE = (60, 20, 220), (178, 114, 0)
 
@@ -106,11 +114,7 @@ def test_a_scan_lies_on_a_trace_of_the_map():
 
 
 def test_fields_have_arrows_and_six_panels(scenes):
-    s, f = scenes["fig4"], scenes["fig4"].features
-    window = (21.0, 20.0, 27.0, 26.0)
-    image = draw_fields(
-        f.grid, f.surface, f.bmap, f.vmap, s.truth, s.points, s.stacks, window=window
-    )
+    image = draw_fields(scenes["fig4"], window=(21.0, 20.0, 27.0, 26.0))
     assert image.shape[1] > 2.5 * 60 * 9  # three panels of 60 cells
     saturation = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)[..., 1]
     assert (saturation > 100).mean() > 0.02  # directions are colours
