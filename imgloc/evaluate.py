@@ -43,9 +43,8 @@ from imgloc.index import (
     performance_index,
 )
 from imgloc.io.scanset import ScanSet
-from imgloc.likelihood.posterior import LOG_METHODS
 from imgloc.model import VERDICTS, FloatArray, LaserScan, Likelihood, Localization, Pose2D
-from imgloc.options import FUSED, Options
+from imgloc.options import FUSED, LOG_METHODS, Options
 from imgloc.pipeline import effective, likelihood, localize, posterior_of
 
 Z95 = 1.959964

@@ -22,10 +22,10 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.features.budget import MIB, check_budget, default_budget
+from imgloc.features.budget import MIB, check_budget
 from imgloc.features.distance import DistanceField
-from imgloc.features.lattice import blocks, coarse_info
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.pyramid import blocks, coarse_info
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import scan_points, scan_xy, thin
 from imgloc.geometry import in_grid_frame, transform_points, uniform_thetas, wrap
@@ -380,7 +380,7 @@ def _endpoints(features: MapFeatures, scan: LaserScan, options: Options) -> Laye
     try:
         check_budget(
             12 * level.image.size * min(at_once, max(1, len(thetas))) + 64 * MIB,
-            default_budget() if options.memory_budget is None else options.memory_budget,
+            options.memory_budget,
             "the picture of the endpoint correlation",
             "use larger cells",
         )

@@ -23,13 +23,12 @@ import numpy as np
 from imgloc.errors import ConfigError
 from imgloc.features.budget import (
     check_budget,
-    default_budget,
     exact_bytes,
     fused_bytes,
     stack_bytes,
 )
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.pooled import block_masks
+from imgloc.features.pyramid import block_masks
 from imgloc.features.scanpoints import scan_xy, thin
 from imgloc.geometry import centre_of, in_map_frame, uniform_thetas
 from imgloc.io.maps import require_usable
@@ -503,12 +502,18 @@ def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -
             threads=options.threads,
             n_rays=features.n_rays,
         ),
-        default_budget() if options.memory_budget is None else options.memory_budget,
+        options.memory_budget,
         f"{options.method} on {len(thetas)} headings x {lattice.height} x {lattice.width} cells",
         "use larger cells, a larger theta step, or the method 'fused'",
     )
     values = stack_of(
-        options.method, features, scan, thetas, engine=options.engine, threads=options.threads
+        options.method,
+        features,
+        scan,
+        thetas,
+        engine=options.engine,
+        threads=options.threads,
+        memory_budget=options.memory_budget,
     )
     return Likelihood(values, thetas, lattice, options.method)
 
@@ -565,7 +570,7 @@ def check_options(features: MapFeatures, options: Options) -> None:
         shape, cell = features.lattice.shape, features.lattice.resolution
         check_budget(
             answer_bytes(features, options),
-            default_budget() if options.memory_budget is None else options.memory_budget,
+            options.memory_budget,
             f"{options.method} on {shape[0]} x {shape[1]} cells of {cell:g} m",
             "use larger cells",
         )
@@ -613,7 +618,7 @@ def effective(options: Options, features: MapFeatures) -> dict[str, object]:
         if not options.exact:  # they are the headings of branch and bound
             del out["theta_step"]
     about_map = {f.name: getattr(features, f.name) for f in fields(features)}
-    for name in ("grid", "max_bytes", "threads"):
+    for name in ("grid", "memory_budget", "threads"):
         del about_map[name]
     return out | {"map": about_map, "seed": None}
 

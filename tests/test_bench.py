@@ -12,7 +12,7 @@ from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.likelihood.cbml import cbml
-from imgloc.likelihood.engines import ENGINES
+from imgloc.likelihood.correlate import ENGINES
 from imgloc.likelihood.ght import ght
 from imgloc.pipeline import prepare
 from imgloc.simulate import Sensor, simulate_set

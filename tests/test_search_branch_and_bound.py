@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.pooled import pooled_maps
+from imgloc.features.pyramid import pooled_maps
 from imgloc.geometry import centre_of, uniform_thetas
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans

@@ -51,6 +51,7 @@ def open_features(
     from imgloc.features.store import load_features
     from imgloc.pipeline import prepare
 
+    parameters["memory_budget"] = options.memory_budget
     features = prepare(grid, name, **parameters)
     check_answer(features, options, name, hint=hint, scans=scans)
     return features if folder is None else load_features(grid, folder, parameters)

@@ -17,6 +17,7 @@ def stack_of(
     *,
     engine: str = "auto",
     threads: int = 1,
+    memory_budget: int | None = None,
 ) -> Float32Array:
     """Compute a method's values (K, H, W) on the features' lattice at some headings.
 
@@ -32,11 +33,13 @@ def stack_of(
         Of the correlations, see :mod:`imgloc.likelihood.correlate`.
     threads : int
         No result depends on it.
+    memory_budget : int, optional
+        Bytes that the ray distances of ``beam`` may take; None is the map's own budget.
 
     Raises
     ------
     ConfigError
-        If the method has no stack.
+        If the method has no stack, or the ray distances are over the budget.
     """
     f, (shape, cell) = features, (features.lattice.shape, features.lattice.resolution)
     if method == "cbml":
@@ -44,7 +47,7 @@ def stack_of(
         return cbml(f.bmap, xy, thetas, cell, engine=engine, threads=threads)
     if method == "beam":
         return beam(
-            f.ray_distances,
+            f.ray_distances_within(memory_budget or f.memory_budget),
             scan.ranges,
             scan.angles,
             scan.valid,

@@ -10,9 +10,8 @@ import cv2
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.features.lattice import any_of_blocks
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.pyramid import Level
+from imgloc.features.pyramid import Level, any_of_blocks
 from imgloc.geometry import cell_of, inside, wrap
 from imgloc.model import BoolArray, FloatArray, GridInfo, IntArray, OccupancyGrid
 from imgloc.options import Prior

@@ -6,7 +6,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points, thin
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.ght import ght_v
-from imgloc.likelihood.smoothing import smooth
+from imgloc.likelihood.posterior import smooth
 from imgloc.model import Float32Array, FloatArray, GridInfo, LaserScan
 from imgloc.options import FusedOptions, Prior
 from imgloc.search.peaks import find_peaks

@@ -26,7 +26,7 @@ from imgloc.errors import ConfigError, ImglocError
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.likelihood.engines import ENGINES
+from imgloc.likelihood.correlate import ENGINES
 from imgloc.model import OccupancyGrid
 from imgloc.pipeline import prepare
 from imgloc.simulate import Sensor, simulate_set

@@ -18,17 +18,16 @@ import cv2
 import numpy as np
 
 from imgloc.errors import ConfigError
+from imgloc.features.distance import distance_image
 from imgloc.features.fields import bmap
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.raycast import cast_rays, distance_image
+from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import scan_points, scan_xy
 from imgloc.features.surface import surface_points
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihood.cbml import cbml, cbml_o
-from imgloc.likelihood.correlate import correlate
-from imgloc.likelihood.engines import ENGINES
+from imgloc.likelihood.cbml import cbml, cbml_o, project
+from imgloc.likelihood.correlate import ENGINES, correlate
 from imgloc.likelihood.ght import ght, ght_v
-from imgloc.likelihood.projections import project
 from imgloc.likelihood.slices import cell_offsets
 from imgloc.model import Float32Array, FloatArray, LaserScan, OccupancyGrid
 from imgloc.options import Options

@@ -22,13 +22,12 @@ from imgloc.features.surface import surface_points
 from imgloc.features.visibility import visibility_frames
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.beam import beam
-from imgloc.likelihood.cbml import cbml, cbml_o
+from imgloc.likelihood.cbml import cbml, cbml_o, project
 from imgloc.likelihood.ght import ght, ght_v
-from imgloc.likelihood.projections import project
-from imgloc.likelihood.work import pixels_added, votes_cast
 from imgloc.model import Float32Array, FloatArray, OccupancyGrid, OrientedPoints
 from imgloc.simulate import sample_free_poses, simulate
 from imgloc.worlds import WORLDS, render
+from tools.paper.work import pixels_added, votes_cast
 from tools.plots import COLOURS, blank
 
 METHODS = ("cbml", "cbml-o", "ght", "ght-v", "beam")

@@ -22,12 +22,12 @@ from imgloc.geometry import cell_of, theta_bin, uniform_thetas
 from imgloc.index import FLOOR, Index, density_in_stack, global_maximum, performance_index
 from imgloc.io.scanset import ScanSet
 from imgloc.likelihood import stacks
-from imgloc.likelihood.beam import temperature
 from imgloc.likelihood.ght import ght_v
-from imgloc.likelihood.uncertainty import Uncertainty
 from imgloc.model import Float32Array, FloatArray, LaserScan, Pose2D
+from imgloc.options import DEFAULTS
 from imgloc.simulate import Sensor, simulate_set
 from imgloc.worlds import WORLDS, render
+from tools.paper.uncertainty import Uncertainty, vote_spread
 
 CELL = 0.1
 """Side of a cell of the pose space, metres: the paper's."""
@@ -90,17 +90,10 @@ def stack_of(
     if method not in OPTIONS:
         return stacks.stack_of(method, features, scan, thetas, threads=threads)
     points = scan_points(scan.ranges, scan.angles, scan.valid)
-    return ght_v(
-        features.surface,
-        features.visibility,
-        points,
-        len(thetas),
-        features.lattice.shape,
-        CELL,
-        threads=threads,
-        once=method == "ght-v once",
-        uncertainty=Uncertainty() if method == "ght-v eq. 8" else None,
-    )
+    ours, shape = (features.surface, features.visibility, points), features.lattice.shape
+    if method == "ght-v once":
+        return ght_v(*ours, len(thetas), shape, CELL, threads=threads, once=True)
+    return vote_spread(*ours, len(thetas), shape, CELL, Uncertainty(), threads=threads)
 
 
 def try_method(
@@ -109,7 +102,7 @@ def try_method(
     """Compute a method's stack and look where the true pose (grid frame) stands in it.
 
     The log-likelihoods of ``beam`` are divided by
-    :func:`imgloc.likelihood.beam.temperature`, as in an answer of ``imgloc localize``.
+    the temperature of :data:`imgloc.options.DEFAULTS`, as in an answer of ``imgloc localize``.
     """
     thetas = thetas_of(method)
     row, col = cell_of(np.array((truth.x, truth.y)), CELL).tolist()
@@ -120,7 +113,7 @@ def try_method(
     bare, log = None, method == "beam"
     if log:
         bare = density_in_stack(stack, at, features.free, log=True)
-        stack *= np.float32(1 / temperature(int(scan.valid.sum())))
+        stack *= np.float32(1 / DEFAULTS[method].temperature_at(method, int(scan.valid.sum())))
     found = global_maximum(stack, features.free)
     off = np.abs(np.subtract(found, at))
     off[0] = min(off[0], len(thetas) - off[0])  # around the circle

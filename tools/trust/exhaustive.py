@@ -12,9 +12,8 @@ from dataclasses import fields, replace
 import numpy as np
 
 from imgloc.features.distance import signed_distance
-from imgloc.features.lattice import any_of_blocks, blocks
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.pyramid import Level
+from imgloc.features.pyramid import Level, any_of_blocks, blocks
 from imgloc.features.scanpoints import scan_xy, thin
 from imgloc.geometry import uniform_thetas
 from imgloc.model import LaserScan

@@ -6,8 +6,8 @@ without a counter in anybody's inner loop.
 
 import numpy as np
 
+from imgloc.likelihood.ght import pair_up
 from imgloc.likelihood.slices import cell_offsets, finite_points
-from imgloc.likelihood.votes import prepare
 from imgloc.model import Float32Array, FloatArray, OrientedPoints
 
 
@@ -71,7 +71,7 @@ def votes_cast(
     >>> votes_cast(wall, None, scan), votes_cast(wall, seen, scan)
     (2, 1)
     """
-    pairs = prepare(surface, visibility, points, 1, 1.0)
+    pairs = pair_up(surface, visibility, points, 1, 1.0)
     if pairs.visibility is None:
         return len(pairs.w) * len(pairs.x)
     return sum(

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.likelihood.votes import vote
+from imgloc.likelihood.ght import vote
 from imgloc.model import Float32Array, FloatArray, IntArray, OrientedPoints
 
 REACH = 2.5  # standard deviations that a vote is spread to either side
@@ -161,14 +161,20 @@ def vote_spread(
     surface: OrientedPoints,
     visibility: Float32Array | None,
     points: OrientedPoints,
+    n_theta: int,
+    shape: tuple[int, int],
     resolution: float,
     uncertainty: Uncertainty,
-    out: Float32Array,
     *,
     once: bool = False,
     threads: int = 1,
-) -> None:
-    """Add the votes of all pairs, each spread by its uncertainty, to a stack (K, H, W) of zeros."""
+) -> Float32Array:
+    """GHT-V, and GHT without a visibility, with each vote spread over the poses of eq. 8.
+
+    The parameters are those of :func:`imgloc.likelihood.ght.ght_v`. With `once`, a scan point
+    adds no more than 1 to a cell, before the blur.
+    """
+    out = np.zeros((n_theta, *shape), np.float32)
     points = points.select(points.valid & np.isfinite(points.xy).all(axis=1))
     # NaN is as uncertain as allowed.
     limits = 2.0**LEAST_OCTAVE, 2.0**GREATEST_OCTAVE
@@ -202,6 +208,7 @@ def vote_spread(
             )  # fmt: skip
         np.add(out, votes, out=out)
         blur(out, blur_of(group, base))
+    return out
 
 
 def blur_of(group: int, base: float) -> float:
