@@ -4,11 +4,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from skimage.measure import block_reduce
 
 from imgloc.errors import ConfigError
 from imgloc.features.budget import MIB, check_budget, default_budget
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.pyramid import blocks, coarse_info
+from imgloc.features.pyramid import coarse_info
 from imgloc.features.scanpoints import scan_xy, thin
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.calibration import LOG_METHODS
@@ -109,6 +110,6 @@ def _layer(name: str, about: str, best: Float32Array, info: GridInfo, method: st
     if method in LOG_METHODS:  # blocks that stick out are filled with zeros
         best = np.exp(best - max(float(best.max()), -1e30))
     if factor > 1:
-        best = np.asarray(blocks(best, factor).max(axis=(1, 3)))
+        best = np.asarray(block_reduce(best, factor, np.max))
         info = coarse_info(info, factor)
     return Layer(name, about, Likelihood(best[None], np.zeros(1), info, method))
