@@ -137,8 +137,9 @@ def features_bytes(
     """
     cells, voters = shape[0] * shape[1], min(points, voters)
     held = 14 * cells + 3 * cells // factor**2 + 25 * points + 4 * n_psi * voters
-    # One at a time: images of the map, lines fitted to the surface, rays of the visibility map.
-    lines = 240 * points + 600 * min(points, 50_000)
+    # One at a time: images of the map, outlines and the lines fitted to them in a band of rows,
+    # rays of the visibility map.
+    lines = 120 * points + 1200 * min(points, 1 << 17)
     return held + max(9 * cells, lines, 130 * min(voters * n_psi, 1 << 21))
 
 

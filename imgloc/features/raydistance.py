@@ -10,9 +10,9 @@ from concurrent.futures import ThreadPoolExecutor
 import cv2
 import numpy as np
 import numpy.typing as npt
+from skimage.measure import block_reduce
 
 from imgloc.errors import ConfigError
-from imgloc.features.pyramid import blocks
 from imgloc.model import BoolArray, Float32Array, FloatArray
 
 _CM = 100.0
@@ -61,8 +61,7 @@ def ray_distances(
     max_range : float
         Metres, at most 655.35. Where nothing is hit within it, the value is `max_range`.
     factor : int
-        Rays start at the centres of blocks of `factor` x `factor` cells, as of
-        :func:`~imgloc.features.pyramid.blocks`; walls keep the cells of the map.
+        Rays start at the centres of blocks of `factor` x `factor` cells; walls keep the cells of the map.
     threads : int
         Directions computed at a time; the result does not depend on it.
 
@@ -103,7 +102,7 @@ def ray_distances(
     if not (np.isfinite(resolution) and resolution > 0):
         raise ConfigError(f"resolution must be positive and finite, got {resolution}")
 
-    solid = np.asarray(blocks(occupied, factor).all(axis=(1, 3)))
+    solid = np.asarray(block_reduce(occupied, factor, np.all))
     stack = np.empty((n_psi, *solid.shape), np.uint16)
     image = _watertight(occupied)
     limit = np.uint16(round(max_range * _CM))
