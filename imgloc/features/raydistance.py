@@ -61,7 +61,8 @@ def ray_distances(
     max_range : float
         Metres, at most 655.35. Where nothing is hit within it, the value is `max_range`.
     factor : int
-        Rays start at the centres of blocks of `factor` x `factor` cells; walls keep the cells of the map.
+        Rays start at the centres of blocks of `factor` x `factor` cells; walls keep the
+        cells of the map.
     threads : int
         Directions computed at a time; the result does not depend on it.
 
