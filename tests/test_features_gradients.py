@@ -74,7 +74,7 @@ def test_the_direction_of_oblique_walls(degrees, thickness):
         assert np.abs(off).max() < 8
         assert (
             np.median(np.abs(off)) < 3
-        )  # of 3 degrees, whose steps are wider than the tensor looks
+        )  # at 3 degrees the steps are wide
         assert abs(off.mean()) < 1.6  # of the differences that Sobel takes
 
 
