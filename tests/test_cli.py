@@ -18,8 +18,8 @@ from imgloc.cli.demo import DemoMap
 from imgloc.cli.options import EngineName, MethodName, ModeName, SemanticsName
 from imgloc.errors import ConfigError, MapError, OutputError, ScanError
 from imgloc.experiments.worlds import WORLDS
+from imgloc.io.maps import SEMANTICS
 from imgloc.io.mapyaml import MODES
-from imgloc.io.occupancy import SEMANTICS
 from imgloc.likelihood.engines import ENGINES
 from imgloc.pipeline import ALL_METHODS
 

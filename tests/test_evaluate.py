@@ -16,8 +16,7 @@ from imgloc.experiments.summary import Tolerance, summarise
 from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import cell_of, compose, theta_bin, transform_poses
-from imgloc.io.bundled import bundled_maps
-from imgloc.io.maps import load_map
+from imgloc.io.maps import bundled_maps, load_map
 from imgloc.io.scanset import ScanSet
 from imgloc.likelihood.posterior import calibrated, posterior
 from imgloc.model import LaserScan, Likelihood, OccupancyGrid, Pose2D

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from imgloc.errors import MapError
 from imgloc.io.files import display
 from imgloc.io.images import decode_image, read_image
-from imgloc.io.netpbm import decode_netpbm
 
 EXIF_ROTATED = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
 PALETTE = chunk(b"PLTE", bytes([0, 255, 0, 9, 8, 7]))
@@ -120,7 +119,7 @@ def test_netpbm_honours_maxval_and_line_endings(data: bytes, expected: object, w
 
 def test_crlf_header_is_where_cv2_shifts_the_image() -> None:
     data = b"P5\r\n4 1\r\n255\r\n" + bytes([1, 2, 3, 4])
-    assert decode_netpbm(data, "c.pgm")[0].tolist() == [[1, 2, 3, 4]]
+    assert decode_image(data, "c.pgm").pixels.tolist() == [[1, 2, 3, 4]]
     theirs = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     assert theirs is None or theirs.tolist() != [[1, 2, 3, 4]]
 
@@ -162,7 +161,7 @@ def test_size_is_refused_on_the_header_alone() -> None:
     data = encode(".png", room())
     assert decode_image(data, "a.png", max_pixels=2000).pixels.shape == (40, 50)
     with pytest.raises(MapError, match=r"a\.png: 50 x 40 = 2,000 pixels, expected at most 1,999"):
-        decode_image(data[:40], "a.png", max_pixels=1999)  # nothing but the header is there
+        decode_image(data[:48], "a.png", max_pixels=1999)  # no pixels are there
 
 
 def test_file_longer_than_its_pixels_could_need_is_not_read(tmp_path) -> None:

@@ -16,7 +16,7 @@ from imgloc.experiments.paper_trials import STEPS_DEG
 from imgloc.experiments.ratios import PAIRS
 from imgloc.experiments.reproduce import TIMED_QUICK, Reproduction, as_dict, figure, steps
 from imgloc.experiments.scenes import SETTINGS, scene
-from imgloc.io.output import encode_png
+from imgloc.io.images import encode_png
 
 TOOL = ROOT / "tools" / "reproduce_paper.py"
 NOTHING = Complexity("curved", (), ())

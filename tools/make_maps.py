@@ -12,8 +12,9 @@ from pathlib import Path
 
 from imgloc.draw import draw_map, mosaic
 from imgloc.experiments.worlds import WORLDS, render
+from imgloc.io.files import write_bytes_atomic
+from imgloc.io.images import encode_png
 from imgloc.io.maps import save_map
-from imgloc.io.output import encode_png, write_bytes_atomic
 
 RESOLUTION = 0.1
 """Side of a cell of the bundled maps, metres: the paper's."""

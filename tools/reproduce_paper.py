@@ -22,7 +22,7 @@ from imgloc.errors import ConfigError, ImglocError, OutputError
 from imgloc.experiments.paper import PLACES
 from imgloc.experiments.reproduce import QUICK, Reproduction, as_dict, reproduce, steps
 from imgloc.experiments.scenes import SETTINGS
-from imgloc.io.output import refuse_existing, write_bytes_atomic, write_text_atomic
+from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
 from imgloc.report.paper import render_report
 
 FILES = ("results.json", "report.html", *(f"{name}.png" for name in (*SETTINGS, "complexity")))

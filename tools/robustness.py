@@ -26,8 +26,8 @@ from imgloc.experiments.conditions import CONDITIONS
 from imgloc.experiments.recorded import scans_beside
 from imgloc.experiments.robustness import Row, recorded_row, robustness
 from imgloc.experiments.worlds import WORLDS
+from imgloc.io.files import write_text_atomic
 from imgloc.io.maps import load_map
-from imgloc.io.output import write_text_atomic
 from imgloc.pipeline import prepare
 from imgloc.report.robustness import robustness_table
 

@@ -23,8 +23,9 @@ from imgloc.experiments.recorded import scans_beside
 from imgloc.experiments.reliability import Judged, judged, reliability, summary
 from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.experiments.worlds import WORLDS, render
+from imgloc.io.files import write_bytes_atomic
+from imgloc.io.images import encode_png
 from imgloc.io.maps import load_map
-from imgloc.io.output import encode_png, write_bytes_atomic
 from imgloc.methods import Options
 from imgloc.pipeline import prepare
 

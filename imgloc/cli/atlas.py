@@ -89,8 +89,7 @@ def atlas(
     from imgloc.experiments.scansets import is_world
     from imgloc.io.atlasrows import Journal, as_csv
     from imgloc.io.cache import cache_key
-    from imgloc.io.files import display
-    from imgloc.io.output import write_text_atomic
+    from imgloc.io.files import display, write_text_atomic
     from imgloc.model import Pose2D
     from imgloc.pipeline import Options, prepare
 

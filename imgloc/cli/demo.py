@@ -62,7 +62,7 @@ def demo(
     likelihood of CBML, which takes one side of a wall for the other, and the scan at each
     hypothesis of the answer.
     """
-    from imgloc.io.bundled import bundled_maps
+    from imgloc.io.maps import bundled_maps
 
     target = out or _OUT
     maps = bundled_maps()

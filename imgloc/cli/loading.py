@@ -33,8 +33,7 @@ def load_grid(
     ConfigError
         If it would take more than the budget.
     """
-    from imgloc.features.estimates import load_bytes
-    from imgloc.io.maps import load_map
+    from imgloc.io.maps import load_bytes, load_map
 
     check_image(path, reading, memory_budget, load_bytes, held=held)
     with quiet_libraries():

@@ -19,7 +19,7 @@ from imgloc.experiments.paper import PLACES, Row, table
 from imgloc.experiments.paper_trials import STEPS_DEG
 from imgloc.experiments.ratios import PAIRS, Ratio, measure_ratios
 from imgloc.experiments.scenes import SETTINGS, scene
-from imgloc.io.output import encode_png
+from imgloc.io.images import encode_png
 
 QUICK = 3
 """Trials in each world of the quick form."""

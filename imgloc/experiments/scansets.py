@@ -10,7 +10,7 @@ from imgloc.experiments.finegrid import FINE
 from imgloc.experiments.simulate import simulate_scans
 from imgloc.experiments.worlds import WORLDS, render
 from imgloc.geometry import transform_poses
-from imgloc.io.bundled import bundled_maps
+from imgloc.io.maps import bundled_maps
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 

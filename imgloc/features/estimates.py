@@ -12,9 +12,6 @@ _ARROW = 500  # bytes per surface point with its normal, as Python numbers
 _MARK = 1000  # bytes per pose of an atlas, as rows, polygons and lines
 _READING = 180  # bytes
 _KEPT = 24  # bytes per reading of a scan that has been simulated
-_SAMPLE, _TEXT = 28, 4  # bytes per pixel as it is classified; and per byte of its file
-_LEVELS = 6 << 20  # bytes that count how often each grey occurs, or say what each one means
-_LOADED = 20  # bytes per pixel as it is decoded and read as occupied or free
 _SCAN = 1700  # bytes per scan, twice its objects: cut or turned over it is another one
 _NUMBER, _NUMBER_TEXT = 24, 150  # bytes per number of an array, or of a text
 _COPIES, _WIDE = 4, 16  # bytes per byte of a text; characters beyond ASCII take up to four each
@@ -23,35 +20,6 @@ POSE_TEXT = 280
 """Bytes of a pose while it is written as a line of text."""
 PROCESS = 96 << 20
 """Bytes of another process before it does anything: Python, NumPy, OpenCV."""
-
-
-def check_bytes(pixels: int, file_bytes: int) -> int:
-    """Peak of :func:`imgloc.io.mapcheck.check_map`.
-
-    Parameters
-    ----------
-    pixels : int
-        Of the image, whatever its channels.
-    file_bytes : int
-        Of its file: samples may be written as text.
-    """
-    return _SAMPLE * pixels + _TEXT * file_bytes + _LEVELS
-
-
-def load_bytes(pixels: int, file_bytes: int) -> int:
-    """Peak of :func:`imgloc.io.maps.load_map`, with the map itself.
-
-    Parameters
-    ----------
-    pixels, file_bytes : int
-        As in :func:`check_bytes`.
-
-    Examples
-    --------
-    >>> load_bytes(10_000 * 10_000, 2_665_308) // 2**20
-    1923
-    """
-    return _LOADED * pixels + _TEXT * file_bytes + _LEVELS
 
 
 def scans_bytes(

@@ -12,7 +12,7 @@ from imgloc.draw.explain import (
 )
 from imgloc.draw.marks import share_bar, swatch
 from imgloc.explain import Explanation, Fit
-from imgloc.io.output import encode_png
+from imgloc.io.images import encode_png
 from imgloc.layers import Layer
 from imgloc.methods import FUSED
 from imgloc.report.explain_numbers import describe, numbers, short, spread
