@@ -235,22 +235,6 @@ def exact_bytes(
     return maps + n_thetas * (32 * blocks + 120 * readings) + _FIXED
 
 
-def load_bytes(pixels: int, file_bytes: int) -> int:
-    """Peak of :func:`imgloc.io.maps.load_map`, with the map; samples may be written as text.
-
-    Examples
-    --------
-    >>> load_bytes(10_000 * 10_000, 2_665_308) // 2**20
-    1923
-    """
-    return 20 * pixels + 4 * file_bytes + 6 * MIB
-
-
-def check_bytes(pixels: int, file_bytes: int) -> int:
-    """Peak of :func:`imgloc.io.mapcheck.check_map`, of whatever channels."""
-    return load_bytes(pixels, file_bytes) + 8 * pixels
-
-
 def scans_bytes(scans: int, numbers: int, file_bytes: int = 0, *, text: bool = False) -> int:
     """Peak of :func:`imgloc.io.scans.load_scans` for so many scans and numbers in a file.
 
