@@ -15,7 +15,7 @@ from imgloc.errors import ConfigError, MapError, ScanError
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
 from imgloc.geometry import cell_of, inside, transform_poses
-from imgloc.io.bundled import bundled_maps
+from imgloc.io.maps import bundled_maps
 from imgloc.io.scanset import ScanSet
 from imgloc.model import BoolArray, Float32Array, FloatArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.worlds import WORLDS, render

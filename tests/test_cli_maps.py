@@ -9,7 +9,7 @@ from command import MAPS, call, rows
 
 from imgloc.cli.maps import Subject
 from imgloc.draw.scalars import draw_bmap, draw_distance
-from imgloc.io.bundled import bundled_maps
+from imgloc.io.maps import bundled_maps
 from imgloc.model import GridInfo
 
 

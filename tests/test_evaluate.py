@@ -19,8 +19,7 @@ from imgloc.evaluate import (
 )
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import cell_of, compose, theta_bin, transform_poses
-from imgloc.io.bundled import bundled_maps
-from imgloc.io.maps import load_map
+from imgloc.io.maps import bundled_maps, load_map
 from imgloc.io.scanset import ScanSet
 from imgloc.likelihood.posterior import calibrated, posterior
 from imgloc.model import LaserScan, Likelihood, OccupancyGrid, Pose2D

@@ -10,9 +10,11 @@ a change of a world:
 import argparse
 from pathlib import Path
 
-from imgloc.draw import draw_map, mosaic
+from imgloc.draw import mosaic
+from imgloc.draw.maps import draw_map
+from imgloc.io.files import write_bytes_atomic
+from imgloc.io.images import encode_png
 from imgloc.io.maps import save_map
-from imgloc.io.output import encode_png, write_bytes_atomic
 from imgloc.worlds import WORLDS, render
 
 RESOLUTION = 0.1

@@ -88,8 +88,7 @@ def atlas(
     from imgloc.draw.atlas import draw_atlas
     from imgloc.io.atlasrows import Journal, as_csv
     from imgloc.io.cache import cache_key
-    from imgloc.io.files import display
-    from imgloc.io.output import write_text_atomic
+    from imgloc.io.files import display, write_text_atomic
     from imgloc.model import Pose2D
     from imgloc.options import Options
     from imgloc.pipeline import prepare

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from imgloc.features.mapfeatures import MapFeatures
+    from imgloc.io.images import ImageSize
     from imgloc.model import LaserScan, OccupancyGrid
     from imgloc.options import Options
 
@@ -40,25 +41,24 @@ def check_memory(need: int, memory_budget: int | None, what: str, hint: str) -> 
 
 def check_image(
     map_path: "Path", reading: Mapping[str, Any], memory_budget: int | None,
-    need: Callable[[int, int], int], *, held: int = 0,
+    need: "Callable[[ImageSize], int]", *, held: int = 0,
 ) -> None:  # fmt: skip
     """Check the memory that looking at the image of a map takes, as its header says.
 
-    That is what `need` says of its pixels and the bytes of its file, and what other maps that are
-    `held` at the same time take.
+    That is what `need` says of its size, and what other maps that are `held` at the same time take.
     """
     from imgloc.features.budget import MIB
     from imgloc.io.files import display
     from imgloc.io.images import image_size
-    from imgloc.io.mapsettings import resolve_settings
+    from imgloc.io.maps import resolve_settings
 
     image = resolve_settings(map_path, **reading).image
-    width, height, file_bytes = image_size(image)
+    size = image_size(image)
     beside = f" beside {-(-held // MIB)} MiB of other maps" if held else ""
     check_memory(
-        held + need(width * height, file_bytes),
+        held + need(size),
         memory_budget,
-        f"{display(image)}: an image of {width} x {height} pixels{beside}",
+        f"{display(image)}: an image of {size.width} x {size.height} pixels{beside}",
         "crop the map",
     )
 

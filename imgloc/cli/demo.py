@@ -62,7 +62,7 @@ def demo(
     likelihood of CBML, which takes one side of a wall for the other, and the scan at each
     hypothesis of the answer.
     """
-    from imgloc.io.bundled import bundled_maps
+    from imgloc.io.maps import bundled_maps
 
     target = out or _OUT
     maps = bundled_maps()
@@ -111,7 +111,8 @@ def _sheet(
 ) -> "Picture":
     """Draw the likelihood as the paper does, and beside it the answer."""
     from imgloc.cli.pictures import draw_answer, same_height
-    from imgloc.draw import draw_likelihood, mosaic
+    from imgloc.draw import mosaic
+    from imgloc.draw.answers import draw_likelihood
     from imgloc.pipeline import likelihood
 
     stack = likelihood(features, scan, options)

@@ -8,7 +8,7 @@ from imgloc.cli.answers import difference
 from imgloc.explain import explain
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import base_of
-from imgloc.io.output import write_text_atomic
+from imgloc.io.files import write_text_atomic
 from imgloc.model import LaserScan, Localization, Pose2D
 from imgloc.options import Options
 from imgloc.report.explain import render_explanation

@@ -18,7 +18,7 @@ def find_map(path: str | Path) -> Path:
     path = Path(path)
     if path.name != str(path) or path.suffix or path.exists():
         return path
-    from imgloc.io.bundled import bundled_maps
+    from imgloc.io.maps import bundled_maps
 
     with contextlib.suppress(MapError):
         bundled = bundled_maps() / f"{path}.yaml"
@@ -28,7 +28,7 @@ def find_map(path: str | Path) -> Path:
 
 def files_of(map_path: Path) -> list[Path]:
     """The files that a map is read from: its YAML and the image that this names, or an image."""
-    from imgloc.io.mapsettings import YAML_ENDINGS
+    from imgloc.io.maps import YAML_ENDINGS
     from imgloc.io.mapyaml import load_map_yaml
 
     files = [map_path]
@@ -58,8 +58,7 @@ def check_target(path: Path, ending: str, *, force: bool, inputs: Iterable[Path]
     OutputError
         If it exists and `force` is not given, if the command reads it, or there is no such folder.
     """
-    from imgloc.io.files import display
-    from imgloc.io.output import refuse_existing
+    from imgloc.io.files import display, refuse_existing
 
     if path.suffix.lower() != ending:
         raise ConfigError(f"{display(path)}: expected a name that ends in {ending}")

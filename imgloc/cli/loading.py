@@ -7,7 +7,7 @@ from imgloc.cli.budgets import check_image, check_scans
 from imgloc.cli.console import quiet_libraries
 
 if TYPE_CHECKING:
-    from imgloc.io.scans import ScanSet
+    from imgloc.io.scanset import ScanSet
     from imgloc.model import OccupancyGrid
 
 
@@ -33,8 +33,7 @@ def load_grid(
     ConfigError
         If it would take more than the budget.
     """
-    from imgloc.features.budget import load_bytes
-    from imgloc.io.maps import load_map
+    from imgloc.io.maps import load_bytes, load_map
 
     check_image(path, reading, memory_budget, load_bytes, held=held)
     with quiet_libraries():

@@ -58,8 +58,7 @@ def check(
     exits with 3.
     """
     from imgloc.cli.budgets import check_image
-    from imgloc.features.budget import check_bytes
-    from imgloc.io.mapcheck import check_map
+    from imgloc.io.mapcheck import check_bytes, check_map
 
     check_image(map_path, reading, memory_budget, check_bytes)
     with quiet_libraries():
@@ -177,7 +176,8 @@ def draw_subject(
     features: "MapFeatures", what: Subject, at: tuple[float, float] | None
 ) -> "Picture":
     """Draw a map, or one of its features; what is seen from a point, from the one next to `at`."""
-    from imgloc.draw import draw_field, draw_map, draw_surface
+    from imgloc.draw.features import draw_field, draw_surface
+    from imgloc.draw.maps import draw_map
     from imgloc.draw.scalars import draw_bmap, draw_distance
 
     grid, lattice = features.grid, features.lattice
@@ -198,7 +198,7 @@ def _draw_fan(features: "MapFeatures", at: tuple[float, float] | None) -> "Pictu
     """Draw what one surface point sees: the one nearest to `at`, or the one that sees most."""
     import numpy as np
 
-    from imgloc.draw import draw_visibility
+    from imgloc.draw.features import draw_visibility
     from imgloc.geometry import cell_of, inside, inverse, transform_points
 
     grid, surface = features.grid, features.surface

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from imgloc.draw import draw_hypotheses
+from imgloc.draw.answers import draw_hypotheses
 from imgloc.draw.canvas import Picture
 from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import compose, in_map_frame, inverse
-from imgloc.io.output import encode_png, write_bytes_atomic
+from imgloc.io.files import write_bytes_atomic
+from imgloc.io.images import encode_png
 from imgloc.model import Hypothesis, LaserScan, Localization, OccupancyGrid, Pose2D
 
 

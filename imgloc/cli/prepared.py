@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 def cache_folder(given: "Path | None", *, wanted: bool) -> "Path | None":
     """Where prepared maps are kept: the folder given, else the user's; None for nowhere."""
     from imgloc.errors import OutputError
-    from imgloc.io.cache import default_folder
+    from imgloc.io import cache
 
     if not wanted:
         return None
     try:
-        return given or default_folder()
+        return given or cache.cache_folder()
     except OutputError as error:  # nothing but time is lost
         LOG.warning("%s", error)
         return None

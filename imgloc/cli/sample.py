@@ -88,8 +88,7 @@ def sample(
     from imgloc.cli.loading import load_set, load_usable
     from imgloc.cli.prepared import open_features
     from imgloc.io.calibration import calibration_path, load_calibrations
-    from imgloc.io.files import display
-    from imgloc.io.output import write_text_atomic
+    from imgloc.io.files import display, write_text_atomic
     from imgloc.options import Options
 
     workers = count_threads(threads)

@@ -10,7 +10,7 @@ import numpy as np
 
 from imgloc.draw.canvas import INK, PAPER, SHADE, Picture
 from imgloc.features.pyramid import any_of_blocks
-from imgloc.io.output import encode_png
+from imgloc.io.images import encode_png
 from imgloc.model import FloatArray, OccupancyGrid, Pose2D
 
 _SIDE = 1400  # pixels that the image of the map has at most along a side

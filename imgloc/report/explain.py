@@ -12,7 +12,7 @@ from imgloc.draw.explain import (
 )
 from imgloc.draw.marks import share_bar, swatch
 from imgloc.explain import KINDS, Explanation, HypothesisFit, Layer
-from imgloc.io.output import encode_png
+from imgloc.io.images import encode_png
 from imgloc.options import FUSED
 from imgloc.report.explain_numbers import describe, numbers, short, spread
 from imgloc.report.explain_style import EXPLAIN_STYLE

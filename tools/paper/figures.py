@@ -7,9 +7,11 @@ from types import MappingProxyType
 import cv2
 import numpy as np
 
-from imgloc.draw import draw_field, draw_likelihood, draw_map, draw_surface, mosaic
+from imgloc.draw import mosaic
+from imgloc.draw.answers import draw_likelihood
 from imgloc.draw.canvas import PAPER, Canvas, Picture
-from imgloc.draw.maps import marker_size
+from imgloc.draw.features import draw_field, draw_surface
+from imgloc.draw.maps import draw_map, marker_size
 from imgloc.draw.scalars import draw_bmap
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points

@@ -25,8 +25,9 @@ from imgloc.cli.console import progress
 from imgloc.cli.files import check_target
 from imgloc.cli.which import find_maps, names_of
 from imgloc.errors import ConfigError, ImglocError
+from imgloc.io.files import write_bytes_atomic, write_text_atomic
+from imgloc.io.images import encode_png
 from imgloc.io.maps import load_map
-from imgloc.io.output import encode_png, write_bytes_atomic, write_text_atomic
 from imgloc.options import Options
 from imgloc.pipeline import prepare
 from imgloc.simulate import Sensor, simulate_set
