@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from command import MAPS, call, command, rows
 
-from imgloc.draw.atlas import COLOURS, draw_atlas
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.experiments.atlas import TOP, atlas_poses, survey
 from imgloc.experiments.simulate import ray_angles, simulate
 from imgloc.io.atlasrows import COLUMNS, Journal, as_csv
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
+from imgloc.output.pictures import ATLAS_COLOURS, draw_atlas
 from imgloc.pipeline import Options
 
 
@@ -114,7 +114,7 @@ def test_a_wedge_points_along_its_heading() -> None:
     # In the map frame, whose x is the grid's -y: heading 0 is down in the picture.
     pose = Pose2D(0.0, 1.0, 0.0)
     image = draw_atlas(grid, [pose], ["unique"], [None], step=1.0, headings=4)
-    blue = (image[:320] == COLOURS["unique"]).all(axis=2)  # 16 pixels a cell
+    blue = (image[:320] == ATLAS_COLOURS["unique"]).all(axis=2)  # 16 pixels a cell
     y, x = np.nonzero(blue)
     assert abs(x.mean() - 160) < 5
     assert y.mean() > 165 + 20
@@ -127,8 +127,8 @@ def test_the_legend_counts(tmp_path: Path) -> None:
     kinds = ["ambiguous", "wrong"]
     image = draw_atlas(grid, poses, kinds, [Pose2D(2.0, 2.0), None], step=0.5, headings=1)
     legend = image[480:]
-    assert (legend == COLOURS["wrong"]).all(axis=2).any()
-    assert not (legend == COLOURS["no-match"]).all(axis=2).any()
+    assert (legend == ATLAS_COLOURS["wrong"]).all(axis=2).any()
+    assert not (legend == ATLAS_COLOURS["no-match"]).all(axis=2).any()
 
 
 ATLAS = ("atlas", MAPS / "curved.yaml", "--step", 3, "--headings", 2, "--rays", 61)

@@ -43,8 +43,6 @@ def words(command: list[object], folder: Path) -> list[object]:
     ("command", "budget", "expected"),
     [
         (SIMULATE, "10M", ["simulating 2 scans of 181 rays on 1300 x 1600 cells", "fewer scans"]),
-        (SHOW, "10M", ["a picture (bmap) of 910 x 1120 pixels", "a larger --cell"]),
-        ([*SHOW, "--what", "map"], "10M", ["a picture (map) of", "crop the map"]),
         (EVALUATE, "15M", ["simulating 1 scans of 181 rays on", "cells needs"]),
         (EVALUATE, "100M", ["cbml on 130 x 160 cells of 0.1 m", "a larger --cell"]),
         (LOCALIZE, "60M", ["fused on 130 x 160 cells of 0.1 m", "features of 130 x 160 cells"]),
@@ -146,14 +144,6 @@ def test_every_method_of_a_calibration_is_checked_before_the_first_one_runs(
     assert "ght on" in run.err
     assert "beam on 130 x 160 cells of 0.1 m" in run.err
     assert "Fit(" not in run.err  # nothing has been measured
-
-
-def test_a_table_of_draws_counts(folder: Path) -> None:
-    run = call(*words(SAMPLE, folder), "-n", 1_000_000, "--memory-budget", "150M")
-    assert (run.code, run.out) == (2, "")
-    assert "a table of 1,000,000 poses for each of 2 scans needs" in run.err
-    assert "draw fewer (-n)" in run.err
-    assert not list(folder.iterdir())
 
 
 def test_which_leaves_out_maps_that_need_more(folder: Path) -> None:

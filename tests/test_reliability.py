@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from command import ROOT
 
-from imgloc.draw.canvas import PALETTE
 from imgloc.draw.reliability import draw_reliability
 from imgloc.experiments.reliability import (
     Judged,
@@ -25,6 +24,7 @@ from imgloc.experiments.worlds import WORLDS, render
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.model import Hypothesis, Localization, Pose2D
+from imgloc.output.canvas import PALETTE
 from imgloc.pipeline import prepare
 
 

@@ -14,8 +14,8 @@ from imgloc.features.budget import fused_bytes
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.calibration import Calibration
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid
+from imgloc.output.pages import question, why
 from imgloc.pipeline import Options, check_options, found_in_stack, localize, prepare
-from imgloc.report.verdicts import question, why
 from imgloc.search.fused_options import FusedOptions
 from imgloc.search.priors import Prior
 from imgloc.search.trust import Trust

@@ -10,10 +10,11 @@ a change of a world:
 import argparse
 from pathlib import Path
 
-from imgloc.draw import draw_map, mosaic
 from imgloc.experiments.worlds import WORLDS, render
 from imgloc.io.maps import save_map
 from imgloc.io.output import encode_png, write_bytes_atomic
+from imgloc.output.canvas import draw_map
+from imgloc.output.pictures import mosaic
 
 RESOLUTION = 0.1
 """Side of a cell of the bundled maps, metres: the paper's."""

@@ -77,14 +77,12 @@ def atlas(
     from imgloc.cli.answers import to_json
     from imgloc.cli.budgets import (
         check_answer,
-        check_picture,
         check_poses,
         check_simulation,
         fixed_budget,
     )
     from imgloc.cli.loading import load_usable
     from imgloc.cli.pictures import write_picture
-    from imgloc.draw.atlas import draw_atlas
     from imgloc.experiments.atlas import TOP, atlas_poses, survey
     from imgloc.experiments.scansets import is_world
     from imgloc.io.atlasrows import Journal, as_csv
@@ -92,6 +90,7 @@ def atlas(
     from imgloc.io.files import display
     from imgloc.io.output import write_text_atomic
     from imgloc.model import Pose2D
+    from imgloc.output.pictures import draw_atlas
     from imgloc.pipeline import Options, prepare
 
     memory_budget = fixed_budget(memory_budget)
@@ -112,7 +111,6 @@ def atlas(
         world=is_world(map_path, grid), at_once=_AT_ONCE, hint="use a larger --step, crop the map",
     )  # fmt: skip
     check_answer(features, options, name, hint="crop the map", workers=processes)
-    check_picture(features, "map", name, memory_budget, marks=len(poses))
     about = {"step": step, "headings": headings, "seed": seed, "sensor": repr(chosen)}
 
     def pose_of(values: Sequence[object]) -> Pose2D:

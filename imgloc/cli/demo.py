@@ -20,9 +20,9 @@ from imgloc.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from imgloc.draw.canvas import Picture
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.model import LaserScan, Localization, Pose2D
+    from imgloc.output.canvas import Image
     from imgloc.pipeline import Options
 
 _OUT = Path("imgloc-demo.png")
@@ -107,10 +107,10 @@ def _sheet(
     answer: "Localization",
     truth: "Pose2D",
     options: "Options",
-) -> "Picture":
+) -> "Image":
     """Draw the likelihood as the paper does, and beside it the answer."""
     from imgloc.cli.pictures import draw_answer, same_height
-    from imgloc.draw import draw_likelihood, mosaic
+    from imgloc.output.pictures import draw_likelihood, mosaic
     from imgloc.pipeline import likelihood
 
     stack = likelihood(features, scan, options)
@@ -127,7 +127,7 @@ def _sheet(
     return mosaic(list(zip(captions, pictures, strict=True)), columns=2)
 
 
-def _write(target: Path, sheet: "Picture", *, free: bool, force: bool) -> Path:
+def _write(target: Path, sheet: "Image", *, free: bool, force: bool) -> Path:
     """Write the picture; with `free` under the next name that is not taken."""
     from imgloc.cli.pictures import free_names, write_picture
 

@@ -10,9 +10,8 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import base_of
 from imgloc.io.output import write_text_atomic
 from imgloc.model import LaserScan, Localization, Pose2D
+from imgloc.output.pages import describe, render_explanation
 from imgloc.pipeline import Options
-from imgloc.report.explain import render_explanation
-from imgloc.report.explain_numbers import describe
 
 
 def write_explanation(

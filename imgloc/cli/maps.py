@@ -2,7 +2,6 @@
 
 import json
 import math
-from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -26,9 +25,8 @@ from imgloc.cli.values import check_range, numbers
 from imgloc.errors import ConfigError, MapError
 
 if TYPE_CHECKING:
-    from imgloc.draw.canvas import Picture
-    from imgloc.features.mapfeatures import MapFeatures
     from imgloc.io.mapcheck import MapReport
+    from imgloc.model import OccupancyGrid
 
 
 class Subject(StrEnum):
@@ -155,68 +153,32 @@ def show(
     for option, value in (("--sigma", sigma), ("--cell", cell)):
         if value is not None and what not in (Subject.BMAP, Subject.VMAP):
             raise ConfigError(f"{option}: only --what bmap and --what vmap are blurred")
-    from imgloc.cli.budgets import check_picture, fixed_budget
+    from imgloc.cli.budgets import fixed_budget
     from imgloc.cli.loading import load_grid
-    from imgloc.cli.pictures import write_picture
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.io.files import display
     from imgloc.io.maps import require_usable
+    from imgloc.output.pictures import draw
 
     memory_budget = fixed_budget(memory_budget)
     grid = load_grid(map_path, memory_budget, allow_lossy=allow_lossy, **reading)
     features = MapFeatures(grid, cell=cell or grid.resolution, sigma=sigma or 0.1)
     if what != Subject.MAP:
         require_usable(grid, display(map_path))
-    check_picture(features, what.value, display(map_path), memory_budget)
-    picture = draw_subject(features, what, at)
-    write_picture(out, picture, force=force)
-    say(f"wrote {display(out)}: {what.value}, {picture.shape[1]} x {picture.shape[0]} pixels")
+    if at is not None:
+        _check_point(grid, at)
+    picture = draw(features, what=what.value, at=at)
+    picture.save(out, force=force)
+    height, width = picture.image.shape[:2]
+    say(f"wrote {display(out)}: {what.value}, {width} x {height} pixels")
 
 
-def draw_subject(
-    features: "MapFeatures", what: Subject, at: tuple[float, float] | None
-) -> "Picture":
-    """Draw a map, or one of its features; what is seen from a point, from the one next to `at`."""
-    from imgloc.draw import draw_field, draw_map, draw_surface
-    from imgloc.draw.scalars import draw_bmap, draw_distance
-
-    grid, lattice = features.grid, features.lattice
-    if what == Subject.MAP:
-        return draw_map(grid)
-    if what == Subject.BMAP:
-        return draw_bmap(features.bmap, lattice)
-    if what == Subject.VMAP:
-        return draw_field(features.vmap, lattice.resolution)
-    if what == Subject.SURFACE:
-        return draw_surface(grid, features.surface)
-    if what == Subject.DISTANCE:
-        return draw_distance(features.walls * grid.resolution, grid.info)
-    return _draw_fan(features, at)
-
-
-def _draw_fan(features: "MapFeatures", at: tuple[float, float] | None) -> "Picture":
-    """Draw what one surface point sees: the one nearest to `at`, or the one that sees most."""
+def _check_point(grid: "OccupancyGrid", at: tuple[float, float]) -> None:
+    """Refuse a point that is not on the map, metres, map frame."""
     import numpy as np
 
-    from imgloc.draw import draw_visibility
     from imgloc.geometry import cell_of, inside, inverse, transform_points
 
-    grid, surface = features.grid, features.surface
-    if len(surface) == 0:
-        raise MapError("the map has no surface: no occupied cell borders on a free one")
-    reach = math.hypot(*grid.occupied.shape) * grid.resolution
-    features = replace(features, horizon=min(features.horizon, reach))
-    vis = np.minimum(features.visibility, features.horizon)
-    if at is None:
-        best = int(np.argmax((np.asarray(vis, dtype=np.float64) ** 2).sum(axis=0)))
-    else:
-        there = transform_points(inverse(grid.origin), np.array([at]))
-        if not inside(cell_of(there, grid.resolution), grid.info).all():
-            raise ConfigError(
-                f"--at: {at[0]:g},{at[1]:g} is not on the map, expected a point of it"
-            )
-        best = int(np.argmin(np.hypot(*(surface.xy - there).T)))
-    alpha = float(np.nan_to_num(surface.alpha[best]))
-    return draw_visibility(
-        grid, surface.xy[best], vis[:, best], horizon=features.horizon, alpha=alpha
-    )
+    there = transform_points(inverse(grid.origin), np.array([at]))
+    if not inside(cell_of(there, grid.resolution), grid.info).all():
+        raise ConfigError(f"--at: {at[0]:g},{at[1]:g} is not on the map, expected a point of it")

@@ -1,4 +1,4 @@
-"""Pictures that the commands write."""
+"""Images that the commands write."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from imgloc.draw import draw_hypotheses
-from imgloc.draw.canvas import Picture
 from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import compose, inverse
 from imgloc.io.output import encode_png, write_bytes_atomic
 from imgloc.model import Hypothesis, LaserScan, Localization, OccupancyGrid, Pose2D
+from imgloc.output.canvas import Image
+from imgloc.output.pictures import draw_hypotheses
 from imgloc.pipeline import in_map_frame
 
 
@@ -44,7 +44,7 @@ def free_names(path: Path) -> Iterator[Path]:
 
 def draw_answer(
     grid: OccupancyGrid, scan: LaserScan, answer: Localization, truth: Pose2D | None = None
-) -> Picture:
+) -> Image:
     """Draw a scan at each hypothesis of an answer in the map frame; see draw_hypotheses."""
     return draw_hypotheses(
         grid,
@@ -60,7 +60,7 @@ def in_grid_frame(answer: Localization, grid: OccupancyGrid) -> list[Hypothesis]
     return [in_map_frame(h, there) for h in answer.hypotheses]
 
 
-def same_height(pictures: Sequence[Picture]) -> list[Picture]:
+def same_height(pictures: Sequence[Image]) -> list[Image]:
     """Extend pictures with white below, so that they stand side by side in line."""
     height = max(len(p) for p in pictures)
     return [
@@ -87,7 +87,7 @@ def write_hypotheses(
     write_picture(path, draw_answer(grid, scan, answer, truth), force=force)
 
 
-def write_picture(path: Path, picture: Picture, *, force: bool) -> None:
+def write_picture(path: Path, picture: Image, *, force: bool) -> None:
     """Write a picture as PNG.
 
     Raises

@@ -84,7 +84,7 @@ def sample(
     import cv2
     import numpy as np
 
-    from imgloc.cli.budgets import check_draws, fixed_budget
+    from imgloc.cli.budgets import fixed_budget
     from imgloc.cli.loading import load_set, load_usable
     from imgloc.cli.prepared import open_features
     from imgloc.io.calibration import calibration_path, load_calibrations
@@ -102,7 +102,6 @@ def sample(
     chosen = range(len(scans)) if index is None else range(index, index + 1)
     if count * len(chosen) > _MOST:
         raise ConfigError(f"-n: {count:,} poses of {len(chosen):,} scans are more than {_MOST:,}")
-    check_draws(count, len(chosen), display(scans_path), memory_budget)
     options = Options(
         method=method.value, top=_LISTED, threads=workers, memory_budget=memory_budget
     )

@@ -6,12 +6,6 @@ from dataclasses import replace
 import cv2
 import numpy as np
 
-from imgloc.draw.answers import draw_likelihood
-from imgloc.draw.canvas import PAPER, Canvas, Picture
-from imgloc.draw.features import draw_field, draw_surface
-from imgloc.draw.maps import draw_map, marker_size
-from imgloc.draw.mosaic import mosaic
-from imgloc.draw.scalars import draw_bmap
 from imgloc.geometry import transform_points
 from imgloc.model import (
     Float32Array,
@@ -22,6 +16,9 @@ from imgloc.model import (
     OrientedPoints,
     Pose2D,
 )
+from imgloc.output.canvas import PAPER, Canvas, Image, draw_map, marker_size
+from imgloc.output.features import draw_bmap, draw_field, draw_surface
+from imgloc.output.pictures import draw_likelihood, mosaic
 
 _TRUTH = (60, 20, 220)
 _MAXIMUM = (178, 114, 0)
@@ -31,7 +28,7 @@ _APART = 0.3  # metres from the true pose at which a maximum is marked
 
 def draw_scan(
     grid: OccupancyGrid, truth: Pose2D, points: OrientedPoints, *, scale: int | None = None
-) -> Picture:
+) -> Image:
     """Draw a scan with its normals where it was taken, on a sheet with a trace of the map.
 
     Parameters
@@ -57,7 +54,7 @@ def draw_scan(
     return ring(draw_surface(sheet, there, scale=scale), grid.info, truth)
 
 
-def ring(image: Picture, info: GridInfo, pose: Pose2D) -> Picture:
+def ring(image: Image, info: GridInfo, pose: Pose2D) -> Image:
     """Mark a pose by a ring, which leaves visible what is in it, and a line along theta.
 
     Parameters
@@ -81,7 +78,7 @@ def ring(image: Picture, info: GridInfo, pose: Pose2D) -> Picture:
     return image
 
 
-def cross(image: Picture, info: GridInfo, xy: FloatArray) -> Picture:
+def cross(image: Image, info: GridInfo, xy: FloatArray) -> Image:
     """Mark a position (2,), metres in the grid frame, by an oblique cross; returns `image`."""
     canvas = Canvas(image, image.shape[1] / (info.width * info.resolution))
     arm = 0.8 * marker_size(canvas) / canvas.px_per_m * np.array((1.0, 1.0))
@@ -99,7 +96,7 @@ def draw_comparison(
     *,
     scale: int,
     columns: int = 3,
-) -> Picture:
+) -> Image:
     """Draw the map and each method's likelihood, as Figs. 1, 2 and 5 have it.
 
     Parameters
@@ -138,7 +135,7 @@ def draw_fields(
     *,
     window: tuple[float, float, float, float],
     scale: int = 9,
-) -> Picture:
+) -> Image:
     """Draw what CBML and CBML-O make of a map, Fig. 4, and what comes of it near a pose.
 
     Parameters
@@ -186,7 +183,7 @@ def draw_fields(
     return mosaic(lettered(panels), columns=3)
 
 
-def _likelihood(stack: Likelihood, grid: OccupancyGrid, truth: Pose2D, scale: int) -> Picture:
+def _likelihood(stack: Likelihood, grid: OccupancyGrid, truth: Pose2D, scale: int) -> Image:
     """One method's panel: its likelihood, the true pose, the maximum if it is elsewhere."""
     best = np.where(grid.free, stack.values.max(axis=0), -np.inf)
     row, column = np.unravel_index(int(best.argmax()), best.shape)
@@ -196,7 +193,7 @@ def _likelihood(stack: Likelihood, grid: OccupancyGrid, truth: Pose2D, scale: in
     return cross(panel, stack.grid, at) if elsewhere else panel
 
 
-def lettered(panels: Sequence[tuple[str, Picture]]) -> list[tuple[str, Picture]]:
+def lettered(panels: Sequence[tuple[str, Image]]) -> list[tuple[str, Image]]:
     """Put (a), (b), ... before the captions, and a thin frame on each panel.
 
     Examples
@@ -210,7 +207,7 @@ def lettered(panels: Sequence[tuple[str, Picture]]) -> list[tuple[str, Picture]]
     ]
 
 
-def framed(picture: Picture) -> Picture:
+def framed(picture: Image) -> Image:
     """Replace the outermost pixels by a thin line."""
     out = picture.copy()
     cv2.rectangle(out, (0, 0), (out.shape[1] - 1, out.shape[0] - 1), _FRAME, 1)

@@ -6,7 +6,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from imgloc.draw.canvas import INK, PALETTE, PAPER, SHADE, Picture, text, text_width
+from imgloc.output.canvas import INK, PALETTE, PAPER, SHADE, Image, text, text_width
 
 _SIDE, _LEFT, _BELOW, _TOP = 520, 70, 60, 40
 
@@ -29,7 +29,7 @@ class _Bin(Protocol):
     def right(self) -> _Share: ...
 
 
-def draw_reliability(groups: Mapping[str, Sequence[_Bin]]) -> Picture:
+def draw_reliability(groups: Mapping[str, Sequence[_Bin]]) -> Image:
     """Draw the share of right hypotheses over their mass, with 95 % intervals.
 
     Parameters
