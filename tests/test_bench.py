@@ -12,8 +12,6 @@ from imgloc.experiments.bench import answer_summary, answer_times, as_row, in_tu
 from imgloc.experiments.bench_cases import PAIR_HEADINGS, added, gathered, stack_cases, vote_cases
 from imgloc.experiments.bench_engines import engine_rows, seen, tiled
 from imgloc.experiments.bench_outside import floors, growth, memory
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.scanpoints import scan_points, scan_xy
 from imgloc.geometry import uniform_thetas
 from imgloc.io.maps import save_map
@@ -24,6 +22,8 @@ from imgloc.likelihood.engines import ENGINES
 from imgloc.likelihood.ght import ght
 from imgloc.pipeline import prepare
 from imgloc.report.bench import bench_tables
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
 
 
 @pytest.fixture(scope="module")

@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError, ScanError
-from imgloc.experiments.cost import bytes_of
-from imgloc.experiments.evaluate import PAPER_STEPS_DEG, evaluate, method_options
-from imgloc.experiments.poses import sample_free_poses, sample_sensor_poses
-from imgloc.experiments.runs import Trial, pose_errors, run_trials
-from imgloc.experiments.scansets import Sensor, fine_image, sample_set, simulate_set
-from imgloc.experiments.simulate import simulate_scans
-from imgloc.experiments.summary import Tolerance, summarise
-from imgloc.experiments.worlds import WORLDS, render
+from imgloc.evaluate import (
+    PAPER_STEPS_DEG,
+    Tolerance,
+    Trial,
+    bytes_of,
+    evaluate,
+    method_options,
+    pose_errors,
+    run_trials,
+    summarise,
+)
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import cell_of, compose, theta_bin, transform_poses
 from imgloc.io.bundled import bundled_maps
@@ -22,6 +25,16 @@ from imgloc.io.scanset import ScanSet
 from imgloc.likelihood.posterior import calibrated, posterior
 from imgloc.model import LaserScan, Likelihood, OccupancyGrid, Pose2D
 from imgloc.pipeline import ALL_METHODS, METHODS, likelihood, localize, prepare
+from imgloc.simulate import (
+    Sensor,
+    fine_image,
+    sample_free_poses,
+    sample_sensor_poses,
+    sample_set,
+    simulate_scans,
+    simulate_set,
+)
+from imgloc.worlds import WORLDS, render
 
 
 def room(origin: Pose2D | None = None) -> OccupancyGrid:

@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imgloc.calibrate import disturbed_set, sweep
 from imgloc.errors import ConfigError
-from imgloc.experiments.calibrate import disturbed_set, sweep
-from imgloc.experiments.scansets import Sensor
 from imgloc.features.budget import (
     MIB,
     UNKNOWN_RAM,
@@ -27,6 +26,7 @@ from imgloc.geometry import uniform_thetas
 from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.pipeline import ALL_METHODS, METHODS, Options, answer_bytes, localize
 from imgloc.search.branch_and_bound import best_poses
+from imgloc.simulate import Sensor
 
 FIXED = fused_bytes((1, 1), 1.0)  # what is assumed whatever the sizes
 

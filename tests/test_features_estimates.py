@@ -11,11 +11,9 @@ import pytest
 from command import ROOT
 from test_features_budget import office, peak
 
+from imgloc.atlas import atlas_poses
+from imgloc.calibrate import disturbed_set
 from imgloc.cli.atlas import _scans
-from imgloc.experiments.atlas import atlas_poses
-from imgloc.experiments.calibrate import disturbed_set
-from imgloc.experiments.finegrid import fine_factor, refine_grid
-from imgloc.experiments.scansets import Sensor, simulate_set
 from imgloc.features.estimates import (
     check_bytes,
     load_bytes,
@@ -26,6 +24,7 @@ from imgloc.features.estimates import (
 from imgloc.io.images import image_size
 from imgloc.io.mapcheck import check_map
 from imgloc.io.scans import scans_size
+from imgloc.simulate import Sensor, fine_factor, refine_grid, simulate_set
 
 LOADS = """
 import sys

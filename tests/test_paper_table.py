@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
+from imgloc.evaluate import evaluate, method_options, share
 from imgloc.experiments.claims import ORDER, claims, growth_claims, time_claims
 from imgloc.experiments.complexity_types import Complexity, Fit, Sample
-from imgloc.experiments.evaluate import evaluate, method_options
-from imgloc.experiments.index import Index
 from imgloc.experiments.paper import Row, gain, table
 from imgloc.experiments.paper_trials import STEPS_DEG, Outcome, place, stack_of
 from imgloc.experiments.ratios import Ratio
-from imgloc.experiments.shares import share
 from imgloc.geometry import uniform_thetas
+from imgloc.index import Index
 
 
 @pytest.fixture(scope="module")

@@ -19,13 +19,13 @@ from imgloc.experiments.reliability import (
     reliability,
     summary,
 )
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.model import Hypothesis, Localization, Pose2D
 from imgloc.output.canvas import PALETTE
 from imgloc.pipeline import prepare
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
 
 
 def answer(verdict, *told):

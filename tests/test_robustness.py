@@ -16,9 +16,6 @@ from imgloc.experiments.conditions import CONDITIONS, upside_down
 from imgloc.experiments.exhaustive import exhaustive, joined, score_level
 from imgloc.experiments.recorded import cut_set
 from imgloc.experiments.robustness import Trial, recorded_row, robustness, row_of, tied
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.simulate import simulate
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.pyramid import Level
 from imgloc.geometry import compose
 from imgloc.io.maps import save_map
@@ -30,6 +27,8 @@ from imgloc.search.fused import Modes
 from imgloc.search.fused_options import FusedOptions
 from imgloc.search.proposals import propose_all
 from imgloc.search.rescore import Evidence, EvidenceModel
+from imgloc.simulate import Sensor, simulate, simulate_set
+from imgloc.worlds import WORLDS, render
 
 
 def test_all_poses_are_tried_and_the_best_come_first():

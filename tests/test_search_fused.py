@@ -9,8 +9,6 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from imgloc.experiments.simulate import sample_free_poses, simulate
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import scan_xy, thin
@@ -20,6 +18,8 @@ from imgloc.search.fused import _first_look, search_fused
 from imgloc.search.fused_options import FusedOptions
 from imgloc.search.rescore import rescore
 from imgloc.search.vote_proposals import propose_votes
+from imgloc.simulate import sample_free_poses, simulate
+from imgloc.worlds import WORLDS, render
 
 INF, NAN = float("inf"), float("nan")
 OPTIONS = FusedOptions()

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.pyramid import Level
 from imgloc.model import GridInfo, OccupancyGrid
 from imgloc.pipeline import ALL_METHODS, Options, localize, prepare
 from imgloc.search.fused_options import FusedOptions
 from imgloc.search.priors import Prior, clearance, near
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
 
 # One row, 1 m cells: the sensor may be in the second and third.
 CELLS = np.array([[False, True, True, False]])

@@ -7,8 +7,6 @@ import pytest
 from places import ANGLES, POSES, answer_of, facts, features_of, scan_of
 
 from imgloc.errors import ConfigError
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.explain import explain
 from imgloc.features.budget import fused_bytes
 from imgloc.geometry import uniform_thetas
@@ -20,6 +18,8 @@ from imgloc.search.fused_options import FusedOptions
 from imgloc.search.priors import Prior
 from imgloc.search.trust import Trust
 from imgloc.searches import probability_of
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
 
 
 @pytest.fixture(scope="module")

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError, MapError
-from imgloc.experiments.finegrid import refine_grid
-from imgloc.experiments.simulate import sample_free_poses, simulate, simulate_scans
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.geometry import cell_of
 from imgloc.model import OccupancyGrid, Pose2D
+from imgloc.simulate import refine_grid, sample_free_poses, simulate, simulate_scans
+from imgloc.worlds import WORLDS, render
 
 
 def box_grid(height=40, width=60, resolution=0.1):

@@ -7,10 +7,10 @@ import sys
 import pytest
 from command import ROOT
 
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
 
 
 def run_tool(*words):

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
-from imgloc.experiments.worlds import NICHE, NICHES, WORLDS, World, render
 from imgloc.geometry import cell_of, transform_points
 from imgloc.io.maps import load_map
 from imgloc.model import Pose2D
+from imgloc.worlds import NICHE, NICHES, WORLDS, World, render
 
 MAPS = Path(__file__).resolve().parents[1] / "maps"
 

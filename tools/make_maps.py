@@ -1,4 +1,4 @@
-"""Draw the bundled maps: the worlds of imgloc.experiments.worlds at 10 cm per cell.
+"""Draw the bundled maps: the worlds of imgloc.worlds at 10 cm per cell.
 
 The files in maps/ are made by this and by nothing else; a test compares them. Run it after
 a change of a world:
@@ -10,11 +10,11 @@ a change of a world:
 import argparse
 from pathlib import Path
 
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.io.maps import save_map
 from imgloc.io.output import encode_png, write_bytes_atomic
 from imgloc.output.canvas import draw_map
 from imgloc.output.pictures import mosaic
+from imgloc.worlds import WORLDS, render
 
 RESOLUTION = 0.1
 """Side of a cell of the bundled maps, metres: the paper's."""

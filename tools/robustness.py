@@ -25,11 +25,11 @@ from imgloc.errors import ConfigError, ImglocError
 from imgloc.experiments.conditions import CONDITIONS
 from imgloc.experiments.recorded import scans_beside
 from imgloc.experiments.robustness import Row, recorded_row, robustness
-from imgloc.experiments.worlds import WORLDS
 from imgloc.io.maps import load_map
 from imgloc.io.output import write_text_atomic
 from imgloc.pipeline import prepare
 from imgloc.report.robustness import robustness_table
+from imgloc.worlds import WORLDS
 
 QUICK = ("visibility", "curved")
 POINTS, POINTS_RECORDED = 5.0, 2.0  # that localize may lie behind the oracle

@@ -21,12 +21,12 @@ from imgloc.draw.reliability import draw_reliability
 from imgloc.errors import ConfigError, ImglocError
 from imgloc.experiments.recorded import scans_beside
 from imgloc.experiments.reliability import Judged, judged, reliability, summary
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.io.maps import load_map
 from imgloc.io.output import encode_png, write_bytes_atomic
 from imgloc.methods import Options
 from imgloc.pipeline import prepare
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
 
 
 def main() -> int:

@@ -113,8 +113,8 @@ def check_simulation(
 
     They are simulated `at_once`, by default all, and as many as `sets` times `count` are kept.
     """
-    from imgloc.experiments.finegrid import FINE, fine_factor
     from imgloc.features.estimates import simulate_bytes
+    from imgloc.simulate import FINE, fine_factor
 
     height, width = grid.occupied.shape
     factor = round(grid.resolution / FINE) if world else fine_factor(grid)

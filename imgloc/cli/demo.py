@@ -29,7 +29,7 @@ _OUT = Path("imgloc-demo.png")
 
 
 class DemoMap(StrEnum):
-    """The bundled maps; spelled out, as :mod:`imgloc.experiments.worlds` loads OpenCV."""
+    """The bundled maps; spelled out, as :mod:`imgloc.worlds` loads OpenCV."""
 
     DOUBLE_WALL = "double_wall"
     VISIBILITY = "visibility"
@@ -73,11 +73,11 @@ def demo(
 
     from imgloc.cli import answers
     from imgloc.cli.budgets import check_answer, check_simulation, fixed_budget
-    from imgloc.experiments.simulate import simulate_scans
     from imgloc.io.files import display
     from imgloc.io.maps import load_map
     from imgloc.model import LaserScan, Pose2D
     from imgloc.pipeline import Options, localize, prepare
+    from imgloc.simulate import simulate_scans
 
     workers = count_threads(threads)
     memory_budget = fixed_budget(memory_budget)

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 
 from imgloc.experiments.bench import in_turns
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.fields import bmap
 from imgloc.features.raycast import cast_rays, distance_image
 from imgloc.features.surface import surface_points
@@ -21,6 +20,7 @@ from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.correlate import correlate
 from imgloc.likelihood.engines import ENGINES
 from imgloc.model import FloatArray, OccupancyGrid
+from imgloc.worlds import WORLDS, render
 
 SIZES = (125, 250, 500, 1000)
 """Cells along a side of the map."""

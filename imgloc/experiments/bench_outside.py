@@ -70,7 +70,7 @@ def growth(world: str, times: Sequence[int], repeats: int) -> tuple[Mapping[str,
     Parameters
     ----------
     world : str
-        Of :data:`imgloc.experiments.worlds.WORLDS`.
+        Of :data:`imgloc.worlds.WORLDS`.
     times : sequence of int
         Tiles along each side.
     repeats : int
@@ -172,8 +172,8 @@ _GROW = (
     _PEAK
     + """
 import numpy as np
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.worlds import WORLDS, render
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
 from imgloc.model import OccupancyGrid
 from imgloc.pipeline import localize, prepare
 world, side, repeats = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])

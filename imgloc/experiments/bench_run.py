@@ -16,13 +16,13 @@ from imgloc.experiments.bench_engines import engine_rows, engine_summary
 from imgloc.experiments.bench_outside import floors, growth, memory
 from imgloc.experiments.complexity import fit_exponent
 from imgloc.experiments.recorded import scans_beside
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.model import OccupancyGrid
 from imgloc.pipeline import prepare
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
 
 PARTS = ("costs", "engines", "localize", "growth")
 """What is measured by default."""

@@ -26,7 +26,7 @@ from imgloc.experiments.complexity_types import (
     Fit,
     Sample,
 )
-from imgloc.experiments.worlds import WORLDS
+from imgloc.worlds import WORLDS
 
 __all__ = [
     "AXES", "BASE", "METHODS", "PAPER", "QUANTITIES", "Complexity", "Fit", "Sample", "draw",
@@ -48,7 +48,7 @@ def measure(
     Parameters
     ----------
     world : str
-        Of :data:`imgloc.experiments.worlds.WORLDS`.
+        Of :data:`imgloc.worlds.WORLDS`.
     methods : tuple of str
         Some of :data:`METHODS`.
     axes : mapping of str to tuple of float

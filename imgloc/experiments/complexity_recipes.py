@@ -9,8 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.experiments.complexity_types import BASE
-from imgloc.experiments.simulate import sample_free_poses, simulate
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.fields import bmap, vmap
 from imgloc.features.raydistance import ray_cells, ray_distances
 from imgloc.features.scanpoints import scan_points
@@ -23,6 +21,8 @@ from imgloc.likelihood.ght import ght, ght_v
 from imgloc.likelihood.projections import project
 from imgloc.likelihood.work import pixels_added, votes_cast
 from imgloc.model import Float32Array, FloatArray, OccupancyGrid, OrientedPoints
+from imgloc.simulate import sample_free_poses, simulate
+from imgloc.worlds import WORLDS, render
 
 SIGMA = 0.1
 """Metres, of the blurred maps."""

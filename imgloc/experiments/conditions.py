@@ -6,8 +6,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from imgloc.experiments.scansets import Sensor
 from imgloc.model import LaserScan, Pose2D
+from imgloc.simulate import Sensor
 
 
 @dataclass(frozen=True)

@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from imgloc.errors import ConfigError
+from imgloc.evaluate import share
 from imgloc.experiments.recorded import scans_beside
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.shares import share
 from imgloc.io.maps import load_map
 from imgloc.methods import Options
 from imgloc.model import LaserScan
 from imgloc.pipeline import prepare
+from imgloc.simulate import Sensor, simulate_set
 from imgloc.which import Fit, choose, fit
 
 Asked = tuple[str, LaserScan]

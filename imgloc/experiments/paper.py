@@ -11,7 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.experiments.index import FLOOR, Index, performance_index
+from imgloc.evaluate import Z95, Share, share
 from imgloc.experiments.paper_trials import (
     OPTIONS,
     STEPS_DEG,
@@ -21,7 +21,7 @@ from imgloc.experiments.paper_trials import (
     truth_of,
     try_method,
 )
-from imgloc.experiments.shares import Z95, Share, share
+from imgloc.index import FLOOR, Index, performance_index
 
 PLACES: Mapping[str, str] = MappingProxyType(
     {"visibility": "Fig. 2", "large": "Fig. 5", "curved": "curved env."}

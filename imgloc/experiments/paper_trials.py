@@ -11,19 +11,19 @@ from types import MappingProxyType
 
 import numpy as np
 
-from imgloc.experiments.evaluate import PAPER_STEPS_DEG, method_options
-from imgloc.experiments.index import density_in_stack, global_maximum
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.worlds import WORLDS, render
+from imgloc.evaluate import PAPER_STEPS_DEG, method_options
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import cell_of, theta_bin, uniform_thetas
+from imgloc.index import density_in_stack, global_maximum
 from imgloc.io.scanset import ScanSet
 from imgloc.likelihood.beam import temperature
 from imgloc.likelihood.ght import ght_v
 from imgloc.likelihood.uncertainty import Uncertainty
 from imgloc.model import Float32Array, FloatArray, LaserScan, Pose2D
 from imgloc.pipeline import METHODS
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
 
 CELL = 0.1
 """Side of a cell of the pose space, metres: the paper's."""
@@ -47,7 +47,7 @@ class Outcome:
     Parameters
     ----------
     density : float
-        Relative density at the true pose, see :mod:`imgloc.experiments.index`.
+        Relative density at the true pose, see :mod:`imgloc.index`.
     bare : float or None
         For ``beam``: the same if its readings are taken for independent.
     exact, near : bool

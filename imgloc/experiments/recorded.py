@@ -4,10 +4,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from imgloc.errors import ConfigError
-from imgloc.experiments.scansets import sample_set
 from imgloc.io.files import display
 from imgloc.io.scans import load_scans
 from imgloc.io.scanset import ScanSet
+from imgloc.simulate import sample_set
 
 
 def scans_beside(path: Path, n: int, seed: int, range_max: float) -> ScanSet:
@@ -20,7 +20,7 @@ def scans_beside(path: Path, n: int, seed: int, range_max: float) -> ScanSet:
     n : int
         How many; all if there are fewer.
     seed : int
-        Of :func:`~imgloc.experiments.scansets.sample_set`.
+        Of :func:`~imgloc.simulate.sample_set`.
     range_max : float
         Metres.
 

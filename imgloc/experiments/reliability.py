@@ -5,8 +5,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from imgloc.experiments.runs import pose_errors
-from imgloc.experiments.shares import Share, share
+from imgloc.evaluate import Share, pose_errors, share
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import wrap
 from imgloc.io.scanset import ScanSet

@@ -14,17 +14,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from imgloc.errors import ConfigError
+from imgloc.evaluate import Share, pose_errors, share
 from imgloc.experiments.conditions import CONDITIONS, Condition, upside_down
 from imgloc.experiments.exhaustive import exhaustive
-from imgloc.experiments.runs import pose_errors
-from imgloc.experiments.scansets import simulate_set
-from imgloc.experiments.shares import Share, share
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import base_of, compose
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.pipeline import Options, localize, prepare
+from imgloc.simulate import simulate_set
+from imgloc.worlds import WORLDS, render
 
 TOLERANCE = (0.5, float(np.deg2rad(10.0)))
 """Metres and radians within which a pose is right."""
@@ -102,7 +101,7 @@ def robustness(
     seed : int
         Of the poses and the noise.
     worlds, conditions : sequence of str
-        Some of :data:`~imgloc.experiments.worlds.WORLDS` and of
+        Some of :data:`~imgloc.worlds.WORLDS` and of
         :data:`~imgloc.experiments.conditions.CONDITIONS`.
     threads : int
         No result depends on it.

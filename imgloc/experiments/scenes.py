@@ -7,12 +7,12 @@ from types import MappingProxyType
 import numpy as np
 
 from imgloc.experiments.paper_trials import CELL, stack_of
-from imgloc.experiments.simulate import simulate
-from imgloc.experiments.worlds import NICHES, WORLDS, render
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import compose, uniform_thetas
 from imgloc.model import FloatArray, LaserScan, Likelihood, OrientedPoints, Pose2D
+from imgloc.simulate import simulate
+from imgloc.worlds import NICHES, WORLDS, render
 
 ANGLES = np.deg2rad(np.arange(-90, 91))
 """Of the sensor of Sec. VI: 181 rays over 180 degrees."""

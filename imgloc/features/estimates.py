@@ -73,7 +73,7 @@ def scans_bytes(
 
 
 def poses_bytes(cells: int, places: int, headings: int) -> int:
-    """Peak of :func:`imgloc.experiments.atlas.atlas_poses`, besides the map.
+    """Peak of :func:`imgloc.atlas.atlas_poses`, besides the map.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def poses_bytes(cells: int, places: int, headings: int) -> int:
 
 
 def simulate_bytes(cells: int, fine_cells: int, readings: int, *, kept: int = 0) -> int:
-    """Peak of :func:`imgloc.experiments.simulate.simulate_scans`, besides the map.
+    """Peak of :func:`imgloc.simulate.simulate_scans`, besides the map.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 Votes and correlations count evidence in a unit of their own, and eq. 2 counts readings as if
 each knew nothing of the others. What both are worth is measured: by the index S of eq. 12 on
-scans whose poses are known, see :mod:`imgloc.experiments.calibrate`.
+scans whose poses are known, see :mod:`imgloc.calibrate`.
 """
 
 from collections.abc import Mapping

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
+from imgloc.evaluate import Share
 from imgloc.experiments.robustness import Row
-from imgloc.experiments.shares import Share
 
 
 def robustness_table(rows: Sequence[Row]) -> str:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from imgloc.errors import ConfigError, MapError
-from imgloc.experiments.runs import pose_errors
+from imgloc.evaluate import pose_errors
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import cell_of, compose, inside
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D

@@ -16,16 +16,16 @@ import cv2
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.experiments.index import FLOOR, Index, index_of
-from imgloc.experiments.runs import cell_of_pose
-from imgloc.experiments.scansets import Sensor, simulate_set
+from imgloc.evaluate import cell_of_pose
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import inside
+from imgloc.index import FLOOR, Index, index_of
 from imgloc.io.scanset import ScanSet
 from imgloc.likelihood.calibration import LOG_METHODS, Calibration, scale
 from imgloc.likelihood.posterior import smoothed
 from imgloc.model import Float32Array, FloatArray, LaserScan, Likelihood, OccupancyGrid, Pose2D
 from imgloc.pipeline import Options, likelihood
+from imgloc.simulate import Sensor, simulate_set
 
 SIGMAS_XY = (0.0, 0.1, 0.2)
 """Metres tried."""
@@ -64,7 +64,7 @@ class Sweep:
 
 
 @dataclass(frozen=True)
-class Fit:
+class CalibrationFit:
     """A calibration with its index on the scans that it was fitted to, and the bare stack's."""
 
     calibration: Calibration
@@ -84,7 +84,7 @@ def disturbed_set(
     Parameters
     ----------
     grid, n, seed, sensor, fine
-        See :func:`~imgloc.experiments.scansets.simulate_set`.
+        See :func:`~imgloc.simulate.simulate_set`.
     """
     outliers, dropped = max(0.1, sensor.outliers), max(0.1, sensor.dropped)
     kinds = (
@@ -127,7 +127,7 @@ def sweep(
         Of one of the paper's methods. ``beam`` has a sigma of its own for the cells: of it only
         the temperature is measured.
     floor : float
-        See :mod:`imgloc.experiments.index`.
+        See :mod:`imgloc.index`.
     advance : callable
         Called after each trial.
 
@@ -213,7 +213,7 @@ def check_trials(count: int) -> None:
         )
 
 
-def fit(sweeps: Sequence[Sweep]) -> Fit:
+def fit(sweeps: Sequence[Sweep]) -> CalibrationFit:
     """Choose the smoothing and temperature with the greatest S over all trials of all maps.
 
     Of the temperatures whose S is within one standard error of the greatest, the highest is taken:
@@ -237,7 +237,7 @@ def fit(sweeps: Sequence[Sweep]) -> Fit:
     logs, floor = np.concatenate([s.logs for s in sweeps]), sweeps[0].floor
     error = index_of(logs[:, c, e], floor).standard_error
     hottest = int(np.argmax(mean[c] >= mean[c, e] - error))
-    return Fit(
+    return CalibrationFit(
         Calibration(sigma_xy, sigma_theta, float(1 / EXPONENTS[hottest])),
         index_of(logs[:, c, hottest], floor),
         index_of(np.concatenate([s.bare for s in sweeps]), floor),

@@ -1,0 +1,670 @@
+"""How well and at what cost a method locates scans whose poses are known: `evaluate`.
+
+>>> from imgloc.simulate import Sensor, simulate_set
+>>> from imgloc.worlds import WORLDS, render
+>>> from imgloc.pipeline import prepare
+>>> grid = render(WORLDS["curved"](), 0.1)
+>>> scans = simulate_set(grid, 2, 0, Sensor(rays=61))
+>>> result = evaluate(prepare(grid), scans, method_options("ght-v"))
+>>> result.summary.trials, result.lattice.poses_box, 0 < result.summary.index.value < 11
+(2, 249600, True)
+"""
+
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from math import nan, sqrt
+from typing import Any
+
+import numpy as np
+
+from imgloc.errors import ConfigError
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.scanpoints import scan_points
+from imgloc.geometry import (
+    cell_of,
+    centre_of,
+    compose,
+    inside,
+    inverse,
+    theta_bin,
+    uniform_thetas,
+    wrap,
+)
+from imgloc.index import (
+    FLOOR,
+    Index,
+    density_at,
+    density_in_cell,
+    density_in_stack,
+    global_maximum,
+    performance_index,
+)
+from imgloc.io.scanset import ScanSet
+from imgloc.likelihood.posterior import LOG_METHODS
+from imgloc.model import VERDICTS, FloatArray, LaserScan, Likelihood, Localization, Pose2D
+from imgloc.pipeline import (
+    FUSED,
+    Options,
+    effective,
+    found_in_stack,
+    in_map_frame,
+    likelihood,
+    localize,
+)
+from imgloc.search.trust import judge
+from imgloc.searches import NOTHING, probability_of
+
+Z95 = 1.959964
+"""Quantile of the normal distribution for intervals of 95 %."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """Share of trials in which something happened, with Wilson's interval.
+
+    Parameters
+    ----------
+    hits, trials : int
+    value : float
+        hits / trials; NaN without trials.
+    low, high : float
+        Ends of the interval.
+    """
+
+    hits: int
+    trials: int
+    value: float
+    low: float
+    high: float
+
+
+def share(happened: Iterable[bool], z: float = Z95) -> Share:
+    """Count and give Wilson's interval, which is sensible at 0 and at 1 too.
+
+    Parameters
+    ----------
+    happened : iterable of bool
+        One for each trial.
+    z : float
+        Half-width in standard deviations; 95 % by default.
+
+    Examples
+    --------
+    >>> s = share([True] * 8 + [False] * 2)
+    >>> s.hits, round(s.low, 3), round(s.high, 3)
+    (8, 0.49, 0.943)
+    >>> share([]).low, share([]).high
+    (0.0, 1.0)
+    """
+    outcomes = [bool(h) for h in happened]
+    hits, n = sum(outcomes), len(outcomes)
+    if n == 0:
+        return Share(0, 0, nan, 0.0, 1.0)
+    p, square = hits / n, z * z / n
+    middle = (p + square / 2) / (1 + square)
+    half = z * sqrt(p * (1 - p) / n + square / (4 * n)) / (1 + square)
+    return Share(hits, n, p, max(0.0, middle - half), min(1.0, middle + half))
+
+
+PAIR_METHODS = frozenset({"ght", "ght-v"})
+"""Methods whose work is counted in pairs of points, not in poses and readings."""
+LISTED = 5
+"""Hypotheses of an answer that are compared with the true pose."""
+_FUSED_STEP_DEG = 3.0  # of the cells in which the answer of `fused`, which has none, is compared
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What one scan has shown.
+
+    Parameters
+    ----------
+    free, box : float
+        Relative density, ``p V``, at the true pose; over free cells and over the whole box.
+        Of a stack as it is, as in the paper.
+    calibrated : float
+        The same over free cells of the calibrated posterior; of ``fused``, which has no cells,
+        that of the lattice's cell.
+    outside : bool
+        The true pose is not in a free cell of the map, so that `free` is 0.
+    exact, near : bool
+        The global maximum over free cells is the cell of the true pose; is it or a next one
+        (of the 27).
+    errors : (M, 2) float array
+        Metres and radians from the true pose to each of at most `LISTED` hypotheses.
+    verdict : str
+    ms : float
+        Time of the whole answer.
+    stack_ms : float
+        Time of the likelihood stack alone; NaN where there is none.
+    stack_bytes : int
+    work : int
+        Poses times readings, or pairs of points; 0 without a stack.
+    """
+
+    free: float
+    box: float
+    calibrated: float
+    outside: bool
+    exact: bool
+    near: bool
+    errors: FloatArray
+    verdict: str
+    ms: float
+    stack_ms: float
+    stack_bytes: int
+    work: int
+
+
+def headings(options: Options) -> int:
+    """Number of headings of the lattice in which cells of poses are compared."""
+    step = np.deg2rad(_FUSED_STEP_DEG) if options.theta_step is None else options.theta_step
+    return len(uniform_thetas(float(step)))
+
+
+def run_trials(features: MapFeatures, scans: ScanSet, options: Options) -> Iterator[Trial]:
+    """Locate scan after scan with one method and compare with the true poses.
+
+    Parameters
+    ----------
+    features : MapFeatures
+        What is not computed yet is so within the time of the first trial.
+    scans : ScanSet
+        With poses of the sensor in the map frame.
+    options : Options
+        See :func:`method_options`.
+
+    Yields
+    ------
+    Trial
+        One for each scan.
+
+    Raises
+    ------
+    ConfigError
+        If an option is out of its range, or the stack over the memory budget.
+    """
+    poses = np.empty((0, 3)) if scans.poses is None else scans.poses
+    for scan, pose in zip(scans.scans, poses, strict=True):
+        trial = _trial_fused if options.method == FUSED else _trial_stack
+        yield trial(features, scan, Pose2D(*pose), options)
+
+
+def _trial_fused(features: MapFeatures, scan: LaserScan, truth: Pose2D, options: Options) -> Trial:
+    """The default method: hypotheses are all that it says."""
+    start = time.perf_counter()
+    answer = localize(features, scan, options)
+    ms = 1e3 * (time.perf_counter() - start)
+    n, lattice = headings(options), features.lattice
+    at = cell_of_pose(features, truth, n)
+    found = None if answer.pose is None else cell_of_pose(features, answer.pose, n)
+    cells = np.count_nonzero(features.free), lattice.height * lattice.width
+    volumes = [count * lattice.resolution**2 * 2 * np.pi for count in cells]
+    on_map = bool(inside(np.array(at[1:]), lattice))
+    free = on_map and bool(features.free[at[1:]])
+    poses = np.array([(h.pose.x, h.pose.y, h.pose.theta) for h in answer.hypotheses[:LISTED]])
+    return Trial(
+        free=density_at(answer, truth, volumes[0]) if free else 0.0,
+        box=density_at(answer, truth, volumes[1]) if on_map else 0.0,
+        calibrated=_on_lattice(features, answer, at, n) if free else 0.0,
+        outside=not free,
+        exact=found == at,
+        near=found is not None and _next_to(found, at, n),
+        errors=pose_errors(poses, truth),
+        verdict=answer.verdict,
+        ms=ms,
+        stack_ms=float("nan"),
+        stack_bytes=0,
+        work=0,
+    )
+
+
+def _trial_stack(features: MapFeatures, scan: LaserScan, truth: Pose2D, options: Options) -> Trial:
+    """One of the paper's methods: the whole stack is looked at."""
+    start = time.perf_counter()
+    stack = likelihood(features, scan, options)
+    between = time.perf_counter()
+    directions = scan.directions
+    enough = directions >= max(1, options.trust.readings)
+    answer = found_in_stack(features, scan, stack, options) if enough else NOTHING
+    end = time.perf_counter()
+    n, log = len(stack.thetas), stack.method in LOG_METHODS
+    at, found = cell_of_pose(features, truth, n), global_maximum(stack.values, features.free)
+    free = bool(inside(np.array(at[1:]), stack.grid)) and bool(features.free[at[1:]])
+    probability = probability_of(features, scan, stack, options)
+    poses = np.array([(h.pose.x, h.pose.y, h.pose.theta) for h in answer.hypotheses[:LISTED]])
+    return Trial(
+        free=density_in_stack(stack.values, at, features.free, log=log),
+        box=density_in_stack(stack.values, at, log=log),
+        calibrated=density_in_stack(probability, at, features.free),
+        outside=not free,
+        exact=found == at,
+        near=_next_to(found, at, n),
+        errors=pose_errors(poses, compose(inverse(features.grid.origin), truth)),
+        verdict=judge(directions, answer.mass, answer.elsewhere, options.trust),
+        ms=1e3 * (end - start),
+        stack_ms=1e3 * (between - start),
+        stack_bytes=stack.values.nbytes,
+        work=_work(features, scan, stack),
+    )
+
+
+def _on_lattice(
+    features: MapFeatures, answer: Localization, at: tuple[int, int, int], n: int
+) -> float:
+    """Relative density of an answer in a cell of free space."""
+    lattice = features.lattice
+    to_grid = replace(lattice, origin=inverse(lattice.origin))
+    local = replace(answer, hypotheses=tuple(in_map_frame(h, to_grid) for h in answer.hypotheses))
+    x, y = centre_of(np.array(at[1:]), lattice.resolution)
+    thetas = uniform_thetas(2 * np.pi / n)
+    poses = n * int(np.count_nonzero(features.free))
+    side = lattice.resolution
+    return density_in_cell(local, Pose2D(x, y, thetas[at[0]]), side, 2 * np.pi / n, poses)
+
+
+def _work(features: MapFeatures, scan: LaserScan, stack: Likelihood) -> int:
+    """Pairs of points that may vote, or poses of the box times the readings that count."""
+    if stack.method in ("cbml", "beam"):
+        return stack.values.size * int(scan.valid.sum())
+    oriented = int(scan_points(scan.ranges, scan.angles, scan.valid).valid.sum())
+    if stack.method in PAIR_METHODS:
+        return oriented * int(features.surface.valid.sum())
+    return stack.values.size * oriented
+
+
+def pose_errors(poses: FloatArray, truth: Pose2D) -> FloatArray:
+    """Distances in metres and angles in radians, (M, 2), from poses (M, 3) to the true one.
+
+    Examples
+    --------
+    >>> pose_errors(np.array([[3.0, 4.0, 3.0]]), Pose2D(0, 0, -3.0)).round(3).tolist()
+    [[5.0, 0.283]]
+    """
+    poses = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
+    away = np.hypot(poses[:, 0] - truth.x, poses[:, 1] - truth.y)
+    return np.column_stack((away, np.abs(wrap(poses[:, 2] - truth.theta))))
+
+
+def cell_of_pose(features: MapFeatures, pose: Pose2D, n: int) -> tuple[int, int, int]:
+    """Cell ``(theta, row, col)`` of a pose of the map frame; may lie off the map."""
+    local = compose(inverse(features.grid.origin), pose)
+    row, col = cell_of(np.array([local.x, local.y]), features.lattice.resolution).tolist()
+    return int(theta_bin(local.theta, n)), row, col
+
+
+def _next_to(a: tuple[int, int, int], b: tuple[int, int, int], n: int) -> bool:
+    """Whether no coordinate differs by more than one, theta around the circle."""
+    turn = abs(a[0] - b[0])
+    return min(turn, n - turn) <= 1 and max(abs(a[1] - b[1]), abs(a[2] - b[2])) <= 1
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Median and 99th percentile of the trials; NaN where nothing was measured."""
+
+    median: float
+    p99: float
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What it took; the only part of a summary that two runs do not share.
+
+    Parameters
+    ----------
+    ms : Spread
+        The whole answer for a scan.
+    stack_ms : Spread
+        Of that, the likelihood stack.
+    ns_per_unit : float
+        Median over the trials: nanoseconds per pose and reading, or per pair of points.
+    first_ms : float
+        An answer that found no features of the map ready.
+    max_rss_bytes : int or None
+        The process's greatest so far, by all that it has done; None where it is not known.
+    """
+
+    ms: Spread
+    stack_ms: Spread
+    ns_per_unit: float
+    first_ms: float
+    max_rss_bytes: int | None
+
+
+def cost_of(trials: Sequence[Trial], first_ms: float = float("nan")) -> Cost:
+    """Make a :class:`Cost` of the trials' times."""
+    return Cost(
+        ms=_spread([t.ms for t in trials]),
+        stack_ms=_spread([t.stack_ms for t in trials]),
+        ns_per_unit=_spread([1e6 * t.stack_ms / t.work for t in trials if t.work]).median,
+        first_ms=first_ms,
+        max_rss_bytes=max_rss_bytes(),
+    )
+
+
+def bytes_of(features: MapFeatures) -> int:
+    """Bytes of the arrays that the features of a map hold by now, without the map itself.
+
+    Examples
+    --------
+    >>> from imgloc.model import OccupancyGrid
+    >>> wall = np.eye(10, dtype=bool)
+    >>> features = MapFeatures(OccupancyGrid(wall, ~wall, 0.1))
+    >>> before = bytes_of(features)
+    >>> before, features.bmap.shape, bytes_of(features) > 400
+    (0, (10, 10), True)
+    """
+    given = {f.name for f in fields(features)}
+    return sum(_nbytes(value) for key, value in vars(features).items() if key not in given)
+
+
+def _nbytes(value: Any) -> int:
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    if is_dataclass(value):
+        return sum(_nbytes(getattr(value, f.name)) for f in fields(value))
+    if isinstance(value, tuple | list):
+        return sum(map(_nbytes, value))
+    return 0
+
+
+def max_rss_bytes() -> int | None:
+    """Greatest resident memory of this process so far; None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(peak if sys.platform == "darwin" else 1024 * peak)
+
+
+def _spread(values: Sequence[float]) -> Spread:
+    if not len(values) or np.isnan(values).any():
+        return Spread(float("nan"), float("nan"))
+    median, p99 = np.percentile(values, (50, 99))
+    return Spread(float(median), float(p99))
+
+
+PERCENTILES = (50, 90, 95)
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """A hypothesis is right if it is nearer than this to the true pose: metres and radians."""
+
+    position: float
+    heading: float
+
+
+TOLERANCES = (Tolerance(0.25, 0.25), Tolerance(0.5, float(np.deg2rad(10.0))))
+"""Those that are always reported; the second is that of Cartographer's comparison."""
+
+
+@dataclass(frozen=True)
+class Success:
+    """Shares of right answers under one tolerance.
+
+    Parameters
+    ----------
+    tolerance : Tolerance
+    at_1, at_5 : Share
+        The first hypothesis is right; one of the first five is.
+    unique_wrong : Share
+        The verdict is ``unique`` and the first hypothesis is wrong.
+    """
+
+    tolerance: Tolerance
+    at_1: Share
+    at_5: Share
+    unique_wrong: Share
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One method on one map.
+
+    Parameters
+    ----------
+    method : str
+    trials : int
+    index, index_box : Index
+        S, eq. 12, over poses in free cells and over the whole box of the map.
+    index_calibrated : Index
+        S of the calibrated posterior over free cells; of ``fused`` on the lattice of poses.
+    outside : int
+        Trials whose true pose is in no free cell.
+    exact, near : Share
+        The global maximum is in the cell of the true pose; in it or one next to it.
+    success : tuple of Success
+    position, heading : dict
+        Percentiles of the first hypothesis' error, metres and radians; infinite where so many
+        scans have no answer.
+    verdicts : dict of Share
+    unit : str or None
+        What `ns_per_unit` counts.
+    work : int
+        Units of the median trial.
+    stack_bytes, features_bytes : int
+        Of the arrays themselves: the likelihood stack, and what the method keeps of the map.
+    cost : Cost
+    """
+
+    method: str
+    trials: int
+    index: Index
+    index_box: Index
+    index_calibrated: Index
+    outside: int
+    exact: Share
+    near: Share
+    success: tuple[Success, ...]
+    position: dict[str, float]
+    heading: dict[str, float]
+    verdicts: dict[str, Share]
+    unit: str | None
+    work: int
+    stack_bytes: int
+    features_bytes: int
+    cost: Cost
+
+
+def summarise(
+    trials: Sequence[Trial],
+    method: str,
+    *,
+    tolerances: Sequence[Tolerance] = TOLERANCES,
+    floor: float = FLOOR,
+    features_bytes: int = 0,
+    first_ms: float = float("nan"),
+) -> Summary:
+    """Make numbers of the trials of one method on one map.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        At least one.
+    method : str
+    tolerances : sequence of Tolerance
+    floor : float
+        See :mod:`imgloc.index`.
+    features_bytes : int
+        See :func:`bytes_of`.
+    first_ms : float
+
+    Raises
+    ------
+    ConfigError
+        If `floor` is out of its range.
+    """
+    first = np.array([t.errors[0] if len(t.errors) else (np.inf, np.inf) for t in trials])
+    has_stack = any(t.stack_bytes for t in trials)
+    return Summary(
+        method=method,
+        trials=len(trials),
+        index=performance_index([t.free for t in trials], floor),
+        index_box=performance_index([t.box for t in trials], floor),
+        index_calibrated=performance_index([t.calibrated for t in trials], floor),
+        outside=sum(t.outside for t in trials),
+        exact=share(t.exact for t in trials),
+        near=share(t.near for t in trials),
+        success=tuple(_success(trials, tolerance) for tolerance in tolerances),
+        position=_percentiles(first[:, 0]),
+        heading=_percentiles(first[:, 1]),
+        verdicts={v: share(t.verdict == v for t in trials) for v in VERDICTS},
+        unit=None
+        if not has_stack
+        else "pair of points"
+        if method in PAIR_METHODS
+        else "pose and reading",
+        work=int(np.median([t.work for t in trials])),
+        stack_bytes=max(t.stack_bytes for t in trials),
+        features_bytes=features_bytes,
+        cost=cost_of(trials, first_ms),
+    )
+
+
+def right(trial: Trial, tolerance: Tolerance, first: int) -> bool:
+    """Whether one of the `first` hypotheses is nearer than the tolerance to the true pose."""
+    errors = trial.errors[:first]
+    return bool(np.any((errors[:, 0] < tolerance.position) & (errors[:, 1] < tolerance.heading)))
+
+
+def _success(trials: Sequence[Trial], tolerance: Tolerance) -> Success:
+    wrong = [t.verdict == "unique" and not right(t, tolerance, 1) for t in trials]
+    return Success(
+        tolerance,
+        share(right(t, tolerance, 1) for t in trials),
+        share(right(t, tolerance, LISTED) for t in trials),
+        share(wrong),
+    )
+
+
+def _percentiles(errors: FloatArray) -> dict[str, float]:
+    """Without interpolation: half of infinity is of no use."""
+    values = np.percentile(errors, PERCENTILES, method="inverted_cdf")
+    return {f"p{q}": float(v) for q, v in zip(PERCENTILES, values, strict=True)}
+
+
+PAPER_STEPS_DEG = {"cbml": 3.0, "cbml-o": 3.0, "ght": 30.0, "ght-v": 30.0, "beam": 3.0}
+"""Steps of the headings in Sec. VI, degrees; the beam model, its reference, gets the finer one."""
+_MIXTURE = 20  # hypotheses of `fused` that its density is made of
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """The poses that are told apart.
+
+    Parameters
+    ----------
+    cell : float
+        Metres.
+    theta_step : float
+        Radians.
+    poses, poses_box : int
+        In free cells, and in all.
+    log_poses : float
+        S of a method that puts everything into the right free cell.
+    """
+
+    cell: float
+    theta_step: float
+    poses: int
+    poses_box: int
+    log_poses: float
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Results of one method on one map, with what decided them."""
+
+    lattice: Lattice
+    summary: Summary
+    parameters: dict[str, object]
+
+
+def method_options(method: str, theta_step: float | None = None, threads: int = 1) -> Options:
+    """Options of an experiment: the paper's step of the headings unless another is given.
+
+    Parameters
+    ----------
+    method : str
+    theta_step : float, optional
+        Radians; for ``fused`` that of its endpoint correlation.
+    threads : int
+
+    Examples
+    --------
+    >>> round(np.rad2deg(method_options("ght-v").theta_step))
+    30
+    """
+    options = Options(method=method, threads=threads, top=LISTED)
+    if method == FUSED:
+        options = replace(options, top=_MIXTURE)
+        if theta_step is not None:
+            options = replace(options, fused=replace(options.fused, theta_step=theta_step))
+        return options
+    default = np.deg2rad(PAPER_STEPS_DEG.get(method, 3.0))
+    return replace(options, theta_step=float(default if theta_step is None else theta_step))
+
+
+def evaluate(
+    features: MapFeatures,
+    scans: ScanSet,
+    options: Options,
+    *,
+    tolerances: Sequence[Tolerance] = TOLERANCES,
+    floor: float = FLOOR,
+    advance: Callable[[], None] = lambda: None,
+) -> Evaluation:
+    """Measure a method. Everything but ``summary.cost`` is the same in every run.
+
+    Parameters
+    ----------
+    features : MapFeatures
+        Fresh ones, if their bytes and the time of the first answer are to be this method's.
+    scans : ScanSet
+        With poses of the sensor in the map frame. The first one is located once more than the
+        others, before the clock counts.
+    options : Options
+        See :func:`method_options`.
+    tolerances : sequence of Tolerance
+    floor : float
+        See :mod:`imgloc.index`.
+    advance : callable
+        Called after each trial.
+
+    Raises
+    ------
+    ConfigError
+        If there are no scans or no poses, or an option is out of its range.
+    """
+    if not len(scans) or scans.poses is None:
+        raise ConfigError("expected at least one scan, and the true pose of each")
+    first = next(run_trials(features, scans, options)).ms
+    trials = []
+    for trial in run_trials(features, scans, options):
+        trials.append(trial)
+        advance()
+    summary = summarise(
+        trials,
+        options.method,
+        tolerances=tolerances,
+        floor=floor,
+        features_bytes=bytes_of(features),
+        first_ms=first,
+    )
+    return Evaluation(_lattice(features, options), summary, effective(options, features))
+
+
+def _lattice(features: MapFeatures, options: Options) -> Lattice:
+    n, free = headings(options), int(np.count_nonzero(features.free))
+    return Lattice(
+        cell=features.lattice.resolution,
+        theta_step=2 * np.pi / n,
+        poses=n * free,
+        poses_box=n * features.free.size,
+        log_poses=float(np.log(n * free)),
+    )
