@@ -11,9 +11,8 @@ import pytest
 from command import ROOT
 from test_features_budget import office, peak
 
-from imgloc.atlas import atlas_poses
+from imgloc.atlas import atlas_poses, simulate_at
 from imgloc.calibrate import disturbed_set
-from imgloc.cli.atlas import _scans
 from imgloc.features.estimates import (
     check_bytes,
     load_bytes,
@@ -72,7 +71,7 @@ def test_the_fine_image_is_as_large_as_said() -> None:
 def test_the_scans_of_an_atlas_take_no_more_than_estimated(step: float, rays: int) -> None:
     grid = office(4, 0.1)
     poses = atlas_poses(grid, step, 4, 0.2)
-    taken = peak(lambda: _scans(Path("x"), grid, poses, Sensor(rays=rays), 0))
+    taken = peak(lambda: simulate_at(grid, poses, Sensor(rays=rays), 0))
     cells, factor = grid.occupied.size, fine_factor(grid)
     some = min(len(poses), 1000)
     need = simulate_bytes(cells, factor**2 * cells, some * rays, kept=len(poses) * rays)

@@ -9,7 +9,6 @@ import sys
 import pytest
 from command import ROOT
 
-from imgloc.cli.answers import to_json
 from imgloc.experiments.complexity import AXES, Complexity
 from imgloc.experiments.paper import table
 from imgloc.experiments.paper_trials import STEPS_DEG
@@ -17,6 +16,7 @@ from imgloc.experiments.ratios import PAIRS
 from imgloc.experiments.reproduce import TIMED_QUICK, Reproduction, as_dict, figure, steps
 from imgloc.experiments.scenes import SETTINGS, scene
 from imgloc.io.output import encode_png
+from imgloc.output.json import to_json
 
 TOOL = ROOT / "tools" / "reproduce_paper.py"
 NOTHING = Complexity("curved", (), ())

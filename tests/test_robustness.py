@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from command import ROOT
 
-from imgloc.cli.priors import Mounting
+from imgloc.cli.options import Mounting
 from imgloc.errors import ConfigError
 from imgloc.experiments import robustness as room
 from imgloc.experiments.conditions import CONDITIONS, upside_down

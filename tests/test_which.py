@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows
 
-from imgloc.cli.which import find_maps, names_of
 from imgloc.errors import ConfigError
 from imgloc.io.maps import save_map
 from imgloc.model import Localization, OccupancyGrid
 from imgloc.pipeline import Options, prepare
 from imgloc.simulate import Sensor, simulate_set
-from imgloc.which import LUCK, Fit, choose, fit, unknown_evidence
+from imgloc.which import LUCK, Fit, choose, find_maps, fit, names_of, unknown_evidence
 from imgloc.worlds import WORLDS, render
 
 EMPTY = Localization((), "unique", 0.0, 1.0)

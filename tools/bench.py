@@ -16,9 +16,9 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from imgloc.cli.answers import to_json
 from imgloc.errors import ImglocError
 from imgloc.experiments.bench_run import LARGE, PARTS, run_bench
+from imgloc.output.json import to_json
 from imgloc.report.bench import bench_tables
 
 

@@ -16,9 +16,9 @@ from pathlib import Path
 import cv2
 
 from imgloc.cli.console import progress
-from imgloc.cli.which import find_maps, names_of
 from imgloc.errors import ImglocError
 from imgloc.experiments.naming import ask_all, naming_shares, scans_of
+from imgloc.which import find_maps, names_of
 
 SURE = (0.5, 0.9)
 """Probabilities that a map needs to be named, for which the shares are given."""

@@ -16,13 +16,13 @@ from pathlib import Path
 
 import cv2
 
-from imgloc.cli.answers import to_json
 from imgloc.cli.console import progress
 from imgloc.errors import ConfigError, ImglocError, OutputError
 from imgloc.experiments.paper import PLACES
 from imgloc.experiments.reproduce import QUICK, Reproduction, as_dict, reproduce, steps
 from imgloc.experiments.scenes import SETTINGS
 from imgloc.io.output import refuse_existing, write_bytes_atomic, write_text_atomic
+from imgloc.output.json import to_json
 from imgloc.report.paper import render_report
 
 FILES = ("results.json", "report.html", *(f"{name}.png" for name in (*SETTINGS, "complexity")))

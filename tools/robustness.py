@@ -18,15 +18,15 @@ from pathlib import Path
 
 import cv2
 
-from imgloc.cli.answers import to_json
 from imgloc.cli.console import progress
-from imgloc.cli.files import check_target
+from imgloc.cli.inputs import check_target
 from imgloc.errors import ConfigError, ImglocError
 from imgloc.experiments.conditions import CONDITIONS
 from imgloc.experiments.recorded import scans_beside
 from imgloc.experiments.robustness import Row, recorded_row, robustness
 from imgloc.io.maps import load_map
 from imgloc.io.output import write_text_atomic
+from imgloc.output.json import to_json
 from imgloc.pipeline import prepare
 from imgloc.report.robustness import robustness_table
 from imgloc.worlds import WORLDS

@@ -14,9 +14,8 @@ from pathlib import Path
 
 import cv2
 
-from imgloc.cli.answers import to_json
 from imgloc.cli.console import progress
-from imgloc.cli.files import check_target
+from imgloc.cli.inputs import check_target
 from imgloc.draw.reliability import draw_reliability
 from imgloc.errors import ConfigError, ImglocError
 from imgloc.experiments.recorded import scans_beside
@@ -24,6 +23,7 @@ from imgloc.experiments.reliability import Judged, judged, reliability, summary
 from imgloc.io.maps import load_map
 from imgloc.io.output import encode_png, write_bytes_atomic
 from imgloc.methods import Options
+from imgloc.output.json import to_json
 from imgloc.pipeline import prepare
 from imgloc.simulate import Sensor, simulate_set
 from imgloc.worlds import WORLDS, render

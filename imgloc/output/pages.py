@@ -4,12 +4,13 @@ What it says is here, how it is laid out in ``templates/explain.html``.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from imgloc import __version__
 from imgloc.explain import Check, Explanation
-from imgloc.geometry import rotate_covariance
+from imgloc.geometry import base_of, rotate_covariance
 from imgloc.layers import Layer
 from imgloc.model import Hypothesis, Pose2D
 from imgloc.output.pictures import draw_likelihood
@@ -22,6 +23,7 @@ from imgloc.output.svg import (
     draw_scan,
     window,
 )
+from imgloc.output.tables import difference
 from imgloc.search.explain import KINDS
 
 HEADLINES = {
@@ -59,7 +61,12 @@ _LAYERS = {
 
 
 def render_explanation(
-    e: Explanation, title: str, facts: Sequence[tuple[str, str]] = (), version: str = ""
+    e: Explanation,
+    title: str,
+    *,
+    truth: Pose2D | None = None,
+    mount: Pose2D | None = None,
+    version: str = __version__,
 ) -> str:
     """Write the page.
 
@@ -68,8 +75,10 @@ def render_explanation(
     e : Explanation
     title : str
         What was localized where.
-    facts : sequence of (str, str)
-        More to be listed beside the pose, names and values.
+    truth : Pose2D, optional
+        True pose of the sensor in the map frame, to state the error.
+    mount : Pose2D, optional
+        Pose of the sensor on the robot, to state the robot's.
     version : str
         Of imgloc.
 
@@ -87,7 +96,7 @@ def render_explanation(
         mark=MARKS[answer.verdict],
         headline=HEADLINES[answer.verdict],
         why=why(e),
-        facts=_facts(e, facts),
+        facts=_facts(e, truth, mount),
         kinds={kind: KIND_WORDS[kind] for kind in KINDS},
         overview=draw_overview(e.grid, poses, e.fits[0].rays if e.fits else None),
         cards=list(zip(e.fits, views, strict=True)),
@@ -100,16 +109,23 @@ def render_explanation(
     )
 
 
-def _facts(e: Explanation, more: Sequence[tuple[str, str]]) -> list[tuple[str, str]]:
+def _facts(e: Explanation, truth: Pose2D | None, mount: Pose2D | None) -> list[tuple[str, str]]:
     """The pose, how sure, and the scan as it came."""
     rows: list[tuple[str, str]] = []
+    pose = e.answer.pose
     if e.fits:
         sure = e.answer.verdict in ("unique", "ambiguous")
         rows.append(("Pose of the sensor" if sure else "Best guess", describe(e.fits[0].pose)))
         rows.append(("Probability", percent(e.fits[0].hypothesis.mass)))
         rows.append(("Elsewhere", f"{percent(e.answer.elsewhere)}: at none of the poses found"))
         rows.append(("Readings explained", f"{percent(e.answer.explained)} of {e.readings} scored"))
-    rows += more
+    if pose is not None and mount is not None:
+        rows.append(("Pose of the robot", describe(base_of(pose, mount))))
+    if truth is not None:
+        rows.append(("True pose of the sensor", describe(truth)))
+    if pose is not None and truth is not None:
+        away, turned = difference(pose, truth)
+        rows.append(("Error", f"{away:.3f} m, {math.degrees(turned):.2f}°"))
     used = ", ".join(f"{n} {key.replace('_', ' ')}" for key, n in e.scan.counts.items() if n)
     rows.append(("Readings", used or "none"))
     prior = e.answer.parameters.get("prior")

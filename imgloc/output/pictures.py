@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from imgloc.atlas import Spot
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import compose, inverse, transform_points, transform_poses
@@ -313,26 +314,14 @@ def _with_legend(
     return out
 
 
-def draw_atlas(
-    grid: OccupancyGrid,
-    poses: Sequence[Pose2D],
-    kinds: Sequence[str],
-    twins: Sequence[Pose2D | None],
-    *,
-    step: float,
-    headings: int,
-) -> Image:
+def draw_atlas(grid: OccupancyGrid, spots: Sequence[Spot], *, step: float, headings: int) -> Image:
     """Draw where a single scan is enough.
 
     Parameters
     ----------
     grid : OccupancyGrid
-    poses : sequence of Pose2D
-        Map frame.
-    kinds : sequence of str
-        One of :data:`ATLAS_COLOURS` for each pose.
-    twins : sequence of Pose2D or None
-        Where else an ambiguous scan fits; a thin line leads there.
+    spots : sequence of Spot
+        Map frame; from an ambiguous one a thin line leads to its twin.
     step : float
         Metres between places.
     headings : int
@@ -344,12 +333,13 @@ def draw_atlas(
     """
     canvas = map_canvas(grid)
     to_grid = inverse(grid.origin)
-    local = [compose(to_grid, p) for p in poses]
+    local = [compose(to_grid, spot.pose) for spot in spots]
+    kinds = [spot.kind for spot in spots]
     lines = [
         ((a.x, a.y), (b.x, b.y))
-        for a, kind, twin in zip(local, kinds, twins, strict=True)
-        if kind == "ambiguous" and twin is not None
-        for b in (compose(to_grid, twin),)
+        for a, spot in zip(local, spots, strict=True)
+        if spot.kind == "ambiguous" and spot.twin is not None
+        for b in (compose(to_grid, spot.twin),)
     ]
     if lines:
         layer = canvas.image.copy()
@@ -393,7 +383,11 @@ def _key(width: int, kinds: Sequence[str]) -> Image:
 
 
 def mosaic(
-    pictures: Sequence[tuple[str, Image]], columns: int | None = None, gap: int = 16
+    pictures: Sequence[tuple[str, Image]],
+    columns: int | None = None,
+    gap: int = 16,
+    *,
+    top: bool = False,
 ) -> Image:
     """Lay pictures out on a white sheet, each with its caption below.
 
@@ -405,6 +399,8 @@ def mosaic(
         Images in a row; by default as many as make the sheet about as wide as 4 : 3.
     gap : int
         Pixels between pictures and around them.
+    top : bool
+        Align the upper edges of a row, not the lower.
 
     Returns
     -------
@@ -438,9 +434,9 @@ def mosaic(
         y = sum(high[:row]) + gap * (row + 1)
         x = sum(wide[:column]) + gap * (column + 1)
         h, w = picture.shape[:2]
-        top = y + high[row] - caption - h
+        start = y if top else y + high[row] - caption - h
         left = x + (wide[column] - w) // 2
-        out[top : top + h, left : left + w] = picture
+        out[start : start + h, left : left + w] = picture
         centre = x + (wide[column] - text_width(label)) // 2
         text(out, label, centre, y + high[row] - 8)
     return out

@@ -1,7 +1,5 @@
 """`imgloc map`: what is in a map, what may be wrong with it, what it looks like."""
 
-import json
-import math
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from imgloc.cli.console import emit, quiet_libraries, say
-from imgloc.cli.files import check_target, files_of
+from imgloc.cli.inputs import check_image, check_target, files_of, load_grid
 from imgloc.cli.options import (
     AllowLossy,
     AsJson,
@@ -17,15 +15,16 @@ from imgloc.cli.options import (
     MapPath,
     MemoryBudget,
     Reading,
+    check_range,
     console,
+    fixed_budget,
+    numbers,
     reading,
     with_options,
 )
-from imgloc.cli.values import check_range, numbers
 from imgloc.errors import ConfigError, MapError
 
 if TYPE_CHECKING:
-    from imgloc.io.mapcheck import MapReport
     from imgloc.model import OccupancyGrid
 
 
@@ -55,59 +54,17 @@ def check(
     A map without walls or without free space is reported, not refused; a file that cannot be read
     exits with 3.
     """
-    from imgloc.cli.budgets import check_image
     from imgloc.features.estimates import check_bytes
     from imgloc.io.mapcheck import check_map
+    from imgloc.output.json import report_row, to_json
+    from imgloc.output.tables import report_text
 
-    check_image(map_path, reading, memory_budget, check_bytes)
+    check_image(map_path, reading, fixed_budget(memory_budget), check_bytes)
     with quiet_libraries():
         report = check_map(map_path, **reading)
-    emit(json.dumps(_as_row(report), allow_nan=False) if as_json else _as_text(report))
+    emit(to_json(report_row(report)) if as_json else report_text(report))
     if strict and report.warnings:
         raise typer.Exit(MapError.exit_code)
-
-
-def _as_row(report: "MapReport") -> dict[str, Any]:
-    """Return the report as JSON knows it."""
-    width, height = report.size
-    origin = report.origin
-    return {
-        **{key: getattr(report, key) for key in ("path", "image", "kind", "width", "height")},
-        "resolution": report.resolution,
-        "size": {"width": width, "height": height},
-        "free_area": report.area,
-        "origin": {"x": origin.x, "y": origin.y, "theta": origin.theta},
-        **{key: getattr(report, key) for key in ("mode", "semantics", "negate")},
-        "occupied_thresh": report.occupied_thresh,
-        "free_thresh": report.free_thresh,
-        "shares": report.shares,
-        "greys": [{"value": value, "cells": cells} for value, cells in report.greys],
-        "grey_levels": report.grey_levels,
-        "semantics_differ": report.semantics_differ,
-        "warnings": [{"code": w.code, "text": w.text} for w in report.warnings],
-    }
-
-
-def _as_text(report: "MapReport") -> str:
-    width, height = report.size
-    o = report.origin
-    shares = ", ".join(f"{key} {100 * share:.1f} %" for key, share in report.shares.items())
-    greys = ", ".join(f"{value:g} ({cells:,})" for value, cells in report.greys)
-    more = report.grey_levels - len(report.greys)
-    lines = [
-        report.path,
-        f"  image       {report.image} ({report.kind})",
-        f"  cells       {report.width:,} x {report.height:,} of {report.resolution:g} m: "
-        f"{width:.1f} x {height:.1f} m, {report.area:.1f} m2 free",
-        f"  origin      x {o.x:g} m, y {o.y:g} m, yaw {math.degrees(o.theta):.2f} deg",
-        f"  read as     {report.mode}, {report.semantics}, negate {report.negate}, "
-        f"occupied_thresh {report.occupied_thresh:g}, free_thresh {report.free_thresh:g}",
-        f"  classes     {shares}",
-        f"  greys       {greys}" + (f" and {more:,} more" if more else ""),
-        f"  nav2/ros1   {report.semantics_differ:,} cells are read differently",
-        f"  warnings    {len(report.warnings) or 'none'}",
-    ]
-    return "\n".join(lines + [f"    {w}" for w in report.warnings])
 
 
 @with_options(reading, console)
@@ -153,18 +110,15 @@ def show(
     for option, value in (("--sigma", sigma), ("--cell", cell)):
         if value is not None and what not in (Subject.BMAP, Subject.VMAP):
             raise ConfigError(f"{option}: only --what bmap and --what vmap are blurred")
-    from imgloc.cli.budgets import fixed_budget
-    from imgloc.cli.loading import load_grid
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.io.files import display
-    from imgloc.io.maps import require_usable
     from imgloc.output.pictures import draw
 
-    memory_budget = fixed_budget(memory_budget)
-    grid = load_grid(map_path, memory_budget, allow_lossy=allow_lossy, **reading)
+    grid = load_grid(
+        map_path, fixed_budget(memory_budget),
+        allow_lossy=allow_lossy, usable=what != Subject.MAP, **reading,
+    )  # fmt: skip
     features = MapFeatures(grid, cell=cell or grid.resolution, sigma=sigma or 0.1)
-    if what != Subject.MAP:
-        require_usable(grid, display(map_path))
     if at is not None:
         _check_point(grid, at)
     picture = draw(features, what=what.value, at=at)
