@@ -16,7 +16,8 @@ from imgloc.evaluate import pose_errors, share
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import cell_of, compose, inside
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
-from imgloc.pipeline import Options, localize, prepare
+from imgloc.options import Options
+from imgloc.pipeline import localize, prepare
 from imgloc.search.priors import clearance as roomy
 from imgloc.simulate import Sensor, ray_angles, refine_grid, simulate
 

@@ -21,10 +21,10 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import inside
 from imgloc.index import FLOOR, Index, index_of
 from imgloc.io.scanset import ScanSet
-from imgloc.likelihood.calibration import LOG_METHODS, Calibration, scale
 from imgloc.likelihood.posterior import smoothed
 from imgloc.model import Float32Array, FloatArray, LaserScan, Likelihood, OccupancyGrid, Pose2D
-from imgloc.pipeline import Options, likelihood
+from imgloc.options import LOG_METHODS, Calibration, Options, scale
+from imgloc.pipeline import likelihood
 from imgloc.simulate import Sensor, simulate_set
 
 SIGMAS_XY = (0.0, 0.1, 0.2)

@@ -6,8 +6,8 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import transform_poses
 from imgloc.likelihood.draws import draw_near, draw_poses
 from imgloc.model import FloatArray, LaserScan, Localization
-from imgloc.pipeline import FUSED, Options, likelihood, localize
-from imgloc.searches import probability_of
+from imgloc.options import FUSED, Options
+from imgloc.pipeline import likelihood, localize, posterior_of
 
 
 def sample_poses(
@@ -50,7 +50,7 @@ def sample_poses(
         answer = localize(features, scan, options)
         return draw_near(answer, features.free, lattice, count, rng)
     stack = likelihood(features, scan, options)
-    probability = probability_of(features, scan, stack, options)
+    probability = posterior_of(features, scan, stack, options)
     if probability.any():
         poses = draw_poses(probability, stack.thetas, lattice, count, rng)
         return transform_poses(features.grid.origin, poses)

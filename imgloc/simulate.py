@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError, MapError, ScanError
-from imgloc.features.raycast import cast_rays, distance_image
+from imgloc.features.distance import distance_image
+from imgloc.features.raycast import cast_rays
 from imgloc.geometry import cell_of, inside, transform_poses
 from imgloc.io.bundled import bundled_maps
 from imgloc.io.scanset import ScanSet

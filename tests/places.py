@@ -7,7 +7,8 @@ import numpy as np
 
 from imgloc.geometry import wrap
 from imgloc.model import LaserScan, OccupancyGrid
-from imgloc.pipeline import Options, localize, prepare
+from imgloc.options import Options
+from imgloc.pipeline import localize, prepare
 from imgloc.simulate import simulate
 from imgloc.worlds import WORLDS, render
 

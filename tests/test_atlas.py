@@ -17,8 +17,8 @@ from imgloc.atlas import TOP, Spot, atlas_poses, survey
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.io.atlasrows import COLUMNS, Journal, as_csv
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
+from imgloc.options import Options
 from imgloc.output.pictures import ATLAS_COLOURS, draw_atlas
-from imgloc.pipeline import Options
 from imgloc.simulate import ray_angles, simulate
 
 

@@ -10,10 +10,10 @@ from imgloc.errors import ConfigError
 from imgloc.evaluate import cell_of_pose
 from imgloc.index import density_in_stack, performance_index
 from imgloc.io.scanset import ScanSet
-from imgloc.likelihood.calibration import Calibration
 from imgloc.likelihood.posterior import calibrated
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
-from imgloc.pipeline import METHODS, Options, likelihood, prepare
+from imgloc.options import METHODS, Calibration, Options
+from imgloc.pipeline import likelihood, prepare
 from imgloc.simulate import Sensor, simulate_set
 
 

@@ -19,8 +19,8 @@ from imgloc.cli.options import EngineName, MethodName, ModeName, SemanticsName
 from imgloc.errors import ConfigError, MapError, OutputError, ScanError
 from imgloc.io.mapyaml import MODES
 from imgloc.io.occupancy import SEMANTICS
-from imgloc.likelihood.engines import ENGINES
-from imgloc.pipeline import ALL_METHODS
+from imgloc.likelihood.correlate import ENGINES
+from imgloc.options import ALL_METHODS
 from imgloc.worlds import WORLDS
 
 COMMANDS = (

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from places import answer_of, features_of, room_with_a_post, scan_of
 
-from imgloc.explain import explain
+from imgloc.explain import KINDS, RayFit, explain
 from imgloc.model import Hypothesis, LaserScan, OccupancyGrid, Pose2D
+from imgloc.options import Options
 from imgloc.output.canvas import INK, PAPER, SHADE
 from imgloc.output.pages import HEADLINES, render_explanation
 from imgloc.output.svg import (
@@ -26,8 +27,7 @@ from imgloc.output.svg import (
     map_image,
     window,
 )
-from imgloc.pipeline import Options, localize, prepare
-from imgloc.search.explain import KINDS, RayFit
+from imgloc.pipeline import localize, prepare
 
 VOID = {"meta", "img", "br"}
 LOOSE = {"p", "li", "td", "th", "tr", "dt", "dd"}  # HTML closes them by itself
@@ -268,8 +268,8 @@ def test_the_page_says_what_the_answer_says(why) -> None:
         for kind, n in fit.rays.counts.items():
             if n and kind == "agrees":
                 assert f"agrees {n} " in page.text
-    assert f"Misfit {why.misfit:.3f} nats per reading." in page.text
-    assert f"Temperature {why.temperature:.2f}" in page.text
+    assert f"Misfit {why.answer.evidence.misfit:.3f} nats per reading." in page.text
+    assert f"Temperature {why.answer.evidence.temperature.value:.2f}" in page.text
     margin = why.fits[0].hypothesis.log_likelihood - why.fits[1].hypothesis.log_likelihood
     assert f"the second is {margin:.1f} nats behind" in page.text
     assert page.text.count("this decides") == 1

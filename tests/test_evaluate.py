@@ -24,7 +24,8 @@ from imgloc.io.maps import load_map
 from imgloc.io.scanset import ScanSet
 from imgloc.likelihood.posterior import calibrated, posterior
 from imgloc.model import LaserScan, Likelihood, OccupancyGrid, Pose2D
-from imgloc.pipeline import ALL_METHODS, METHODS, likelihood, localize, prepare
+from imgloc.options import ALL_METHODS, METHODS
+from imgloc.pipeline import likelihood, localize, prepare
 from imgloc.simulate import (
     Sensor,
     fine_image,

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imgloc.features.distance import signed_distance
-from imgloc.features.lattice import any_of_blocks, blocks, coarse_info
-from imgloc.features.pyramid import pyramid
+from imgloc.features.pyramid import any_of_blocks, blocks, coarse_info, pyramid
 from imgloc.geometry import cell_of
 from imgloc.model import GridInfo, Pose2D
 

@@ -14,7 +14,8 @@ from imgloc.index import (
     performance_index,
 )
 from imgloc.model import Hypothesis, Localization, OccupancyGrid, Pose2D
-from imgloc.pipeline import METHODS, Options, likelihood, prepare
+from imgloc.options import METHODS, Options
+from imgloc.pipeline import likelihood, prepare
 from imgloc.simulate import Sensor, simulate_set
 
 # Two headings, two rows, three columns; the sums are 20 over the box and 16 over `FREE`.

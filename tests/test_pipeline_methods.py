@@ -12,7 +12,8 @@ from imgloc.features.budget import stack_bytes
 from imgloc.geometry import cell_of, uniform_thetas, wrap
 from imgloc.likelihood.posterior import posterior
 from imgloc.model import VERDICTS
-from imgloc.pipeline import ALL_METHODS, METHODS, Options, likelihood, localize, prepare
+from imgloc.options import ALL_METHODS, METHODS, Options
+from imgloc.pipeline import likelihood, localize, prepare
 from imgloc.worlds import WORLDS
 
 

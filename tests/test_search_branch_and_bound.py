@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.pooled import pooled_maps
+from imgloc.features.pyramid import pooled_maps
 from imgloc.geometry import centre_of, uniform_thetas
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
@@ -17,7 +17,7 @@ from imgloc.likelihood.cbml import cbml
 from imgloc.model import BoolArray, Float32Array, FloatArray
 from imgloc.search.bounds import Bounds
 from imgloc.search.branch_and_bound import Best, best_poses
-from imgloc.search.peaks import separated
+from imgloc.search.hypotheses import separated
 
 DRAWN = st.fixed_dictionaries(
     {

@@ -15,9 +15,9 @@ from imgloc.worlds import WORLDS, render
 
 def run_tool(*words):
     return subprocess.run(
-        [sys.executable, ROOT / "tools" / "measure_which.py", *map(str, words)],
+        [sys.executable, "-m", "tools.trust", "which", *map(str, words)],
         capture_output=True, text=True, check=False,
-        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"},
+        cwd=ROOT, env={"PATH": "/usr/bin:/bin"},
     )  # fmt: skip
 
 

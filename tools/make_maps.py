@@ -3,8 +3,8 @@
 The files in maps/ are made by this and by nothing else; a test compares them. Run it after
 a change of a world:
 
-    python tools/make_maps.py            # into maps/, beside this folder
-    python tools/make_maps.py --picture worlds.png
+    python -m tools.make_maps            # into maps/, beside this folder
+    python -m tools.make_maps --picture worlds.png
 """
 
 import argparse

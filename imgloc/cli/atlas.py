@@ -79,15 +79,16 @@ def atlas(
     check_range("--range-max", range_max, 0.01, 10_000, "metres")
 
     from imgloc.atlas import AT_ONCE, TOP, Spot, atlas_poses, simulate_at, summarise, survey
-    from imgloc.features.estimates import poses_bytes
+    from imgloc.features.budget import poses_bytes
     from imgloc.io.atlasrows import Journal, as_csv
     from imgloc.io.cache import cache_key
     from imgloc.io.files import display
     from imgloc.io.output import write_text_atomic
+    from imgloc.options import Options
     from imgloc.output.json import to_json
     from imgloc.output.pictures import Picture, draw_atlas
     from imgloc.output.tables import atlas_text
-    from imgloc.pipeline import Options, prepare
+    from imgloc.pipeline import prepare
     from imgloc.simulate import fine_image, is_world
 
     budget, name = fixed_budget(memory_budget), display(map_path)

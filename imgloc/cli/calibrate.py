@@ -92,9 +92,10 @@ def calibrate(
     from imgloc.calibrate import check_trials, disturbed_set, fit, sweep
     from imgloc.io.calibration import calibration_path, save_calibrations
     from imgloc.io.files import display
+    from imgloc.options import Options
     from imgloc.output.json import plain, to_json
     from imgloc.output.tables import calibration_table
-    from imgloc.pipeline import Options, prepare
+    from imgloc.pipeline import prepare
     from imgloc.simulate import fine_image, is_world, simulate_set
 
     paths = [find_map(given) for given in maps]

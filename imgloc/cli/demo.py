@@ -58,9 +58,10 @@ def demo(
     from imgloc.io.files import display
     from imgloc.io.maps import load_map
     from imgloc.model import LaserScan, Pose2D
+    from imgloc.options import Options
     from imgloc.output.pictures import Picture, draw, mosaic
     from imgloc.output.tables import answer_text
-    from imgloc.pipeline import Options, likelihood, localize, prepare
+    from imgloc.pipeline import likelihood, localize, prepare
     from imgloc.simulate import simulate_scans
 
     taken = resources()

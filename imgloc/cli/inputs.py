@@ -13,9 +13,8 @@ from imgloc.errors import ConfigError, MapError, OutputError
 if TYPE_CHECKING:
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.io.scans import ScanSet
-    from imgloc.methods import Options
     from imgloc.model import LaserScan, OccupancyGrid
-    from imgloc.search.priors import Prior
+    from imgloc.options import Options, Prior
 
 COARSER = "crop the map, use a larger --cell or --theta-step-deg"
 
@@ -137,7 +136,7 @@ def load_grid(
 
     `usable` asks for walls and free cells; `held` are bytes of the budget that other maps take.
     """
-    from imgloc.features.estimates import load_bytes
+    from imgloc.features.budget import load_bytes
     from imgloc.io.files import display
     from imgloc.io.maps import load_map, require_usable
 
@@ -151,13 +150,13 @@ def load_grid(
 
 def load_set(path: Path, budget: int) -> "ScanSet":
     """Load scans, which are read only if they take no more than the budget."""
-    from imgloc.features.estimates import scans_bytes
+    from imgloc.features.budget import scans_bytes
     from imgloc.io.files import display
     from imgloc.io.scans import load_scans, scans_size
 
     size = scans_size(path)
     check_memory(
-        scans_bytes(**vars(size)),
+        scans_bytes(size.scans, size.numbers, size.file_bytes, text=size.text),
         budget,
         f"{display(path)}: a file of up to {size.scans:,} scans and {size.numbers:,} numbers",
         "take fewer scans, in several files",
@@ -168,7 +167,7 @@ def load_set(path: Path, budget: int) -> "ScanSet":
 
 def held_bytes(scans: "Sequence[LaserScan]") -> int:
     """Bytes of scans that are held in memory; a few out of many hold the array of all."""
-    from imgloc.features.estimates import scans_bytes
+    from imgloc.features.budget import scans_bytes
 
     arrays = [a if a.base is None else a.base for s in scans for a in (s.ranges, s.angles)]
     return scans_bytes(len(scans), 0) + sum({id(a): a.nbytes for a in arrays}.values())
@@ -183,7 +182,7 @@ def check_simulation(
 
     They are simulated `at_once`, by default all, and as many as `sets` times `count` are kept.
     """
-    from imgloc.features.estimates import simulate_bytes
+    from imgloc.features.budget import simulate_bytes
     from imgloc.simulate import FINE, fine_factor
 
     height, width = grid.occupied.shape
@@ -209,20 +208,11 @@ def check_answer(
 
     The budget, that of the options, is for all of several processes, which share nothing.
     """
-    from imgloc.features.budget import MIB, prepare_bytes, surface_count
-    from imgloc.features.estimates import PROCESS
-    from imgloc.features.mapfeatures import VOTERS
+    from imgloc.features.budget import MIB, PROCESS
     from imgloc.pipeline import answer_bytes
 
     (rows, columns), lattice = features.grid.occupied.shape, features.lattice
-    points = surface_count(features.grid)
-    held = prepare_bytes(
-        (rows, columns),
-        points=points,
-        n_psi=features.n_psi,
-        factor=features.factor,
-        voters=points if options.method == "ght-v" else VOTERS,
-    )
+    held = features.bytes_for(options.method)
     answer = answer_bytes(features, options)
     what = (
         f"{name}: {options.method} on {lattice.height} x {lattice.width} cells of "
@@ -263,6 +253,7 @@ def open_features(
     from imgloc.features.store import load_features
     from imgloc.pipeline import prepare
 
+    parameters["memory_budget"] = options.memory_budget
     features = prepare(grid, name, **parameters)
     check_answer(features, options, name, hint=hint, scans=scans)
     return features if folder is None else load_features(grid, folder, parameters)
@@ -280,25 +271,26 @@ def prior_of(known: Known, grid: "OccupancyGrid", *, allow_lossy: bool = False) 
     """Make the prior of a map; its region may be a JPEG if the map may."""
     from imgloc.geometry import compose, inverse
     from imgloc.model import Pose2D
+    from imgloc.options import Prior
     from imgloc.search import priors
 
-    prior, to_grid = priors.Prior(), inverse(grid.origin)
+    prior, to_grid = Prior(), inverse(grid.origin)
     if known.near is not None:
         x, y, yaw, *rest = known.near
         radius, tolerance = (*rest, *(RADIUS, TOLERANCE)[len(rest) :])
         at = compose(to_grid, Pose2D(x, y, yaw))
         disc = priors.near(grid.info, at.x, at.y, radius)
         about = {"x": x, "y": y, "theta": yaw, "radius": radius, "tolerance": tolerance}
-        prior &= priors.Prior(disc, (at.theta, tolerance), {"near": about})
+        prior &= Prior(disc, (at.theta, tolerance), {"near": about})
     if known.heading is not None:
         yaw, tolerance = (*known.heading, TOLERANCE)[:2]
         about = {"theta": yaw, "tolerance": tolerance}
-        prior &= priors.Prior(None, (yaw + to_grid.theta, tolerance), {"heading": about})
+        prior &= Prior(None, (yaw + to_grid.theta, tolerance), {"heading": about})
     if known.region is not None:
         cells = _region(known.region, grid, allow_lossy)
-        prior &= priors.Prior(cells, None, {"region": {"cells": int(cells.sum())}})
+        prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})
     if known.clearance:
-        prior &= priors.Prior(
+        prior &= Prior(
             priors.clearance(grid, known.clearance), None, {"clearance": known.clearance}
         )
     return prior

@@ -49,8 +49,8 @@ from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
     from imgloc.features.mapfeatures import MapFeatures
-    from imgloc.methods import Options
     from imgloc.model import LaserScan
+    from imgloc.options import Options
 
 _MIRRORED = 3  # doubtful scans that are looked at mirrored
 
@@ -224,7 +224,7 @@ def localize(
 
 
 def _options(method: MethodName, step_deg: float | None) -> "Options":
-    from imgloc.pipeline import Options
+    from imgloc.options import Options
 
     options = Options(method=method.value)
     if step_deg is None:

@@ -75,7 +75,7 @@ def sample(
     from imgloc.io.calibration import calibration_path, load_calibrations
     from imgloc.io.files import display
     from imgloc.io.output import write_text_atomic
-    from imgloc.pipeline import Options
+    from imgloc.options import Options
     from imgloc.sample import sample_poses
 
     taken = resources()

@@ -29,7 +29,7 @@ from imgloc.cli.options import (
 from imgloc.errors import ConfigError, MapError
 
 if TYPE_CHECKING:
-    from imgloc.which import Fit
+    from imgloc.model import Localization
 
 FAILED_ROWS = 5
 
@@ -66,9 +66,10 @@ def which(
     check_range("--sure", sure, 0.5, 1, "a probability")
 
     from imgloc.io.files import display
+    from imgloc.options import Options
     from imgloc.output.json import choice_row, to_json
     from imgloc.output.tables import CHOICE_HEADER, choice_line
-    from imgloc.pipeline import Options, check_options
+    from imgloc.pipeline import check_options
     from imgloc.which import choose, find_maps, fit, names_of
 
     taken = resources()
@@ -77,7 +78,7 @@ def which(
     scans = [cut_scan(scan, range_max, flipped=flipped) for scan in recorded]
     options = Options(top=20, threads=taken.threads, memory_budget=taken.memory_budget)
     folder = cache_folder(None, wanted=not no_cache)
-    fits: list[dict[str, Fit]] = [{} for _ in scans]
+    fits: list[dict[str, Localization]] = [{} for _ in scans]
     names, failed = names_of(paths, maps_dir), list[MapError | ConfigError]()
     with progress("which", len(paths) * len(scans), lines=False) as advance:
         for path, name in zip(paths, names, strict=True):

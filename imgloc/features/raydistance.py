@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.features.lattice import blocks
+from imgloc.features.pyramid import blocks
 from imgloc.model import BoolArray, Float32Array, FloatArray
 
 _CM = 100.0
@@ -21,17 +21,6 @@ _MAX_CM = np.iinfo(np.uint16).max
 # sample counts from a little below, so that rays a pixel apart do not miss a one-pixel wall.
 _WALL, _SURFACE, _HIT = 255, 127.5, 100
 _JOINT = 90  # free cells beside two occupied ones that touch at a corner; see _watertight
-
-
-def ray_distances_bytes(shape: tuple[int, int], n_psi: int) -> int:
-    """Bytes of the stack that :func:`ray_distances` returns for a map of this shape.
-
-    Examples
-    --------
-    >>> ray_distances_bytes((400, 500), 360) / 1e6
-    144.0
-    """
-    return shape[0] * shape[1] * n_psi * np.dtype(np.uint16).itemsize
 
 
 def ray_cells(shape: tuple[int, int], n_psi: int) -> int:
@@ -73,7 +62,7 @@ def ray_distances(
         Metres, at most 655.35. Where nothing is hit within it, the value is `max_range`.
     factor : int
         Rays start at the centres of blocks of `factor` x `factor` cells, as of
-        :func:`~imgloc.features.lattice.blocks`; walls keep the cells of the map.
+        :func:`~imgloc.features.pyramid.blocks`; walls keep the cells of the map.
     threads : int
         Directions computed at a time; the result does not depend on it.
 

@@ -18,8 +18,8 @@ import imgloc
 from imgloc.errors import ConfigError
 from imgloc.io.files import PathLike, display
 from imgloc.io.output import write_text_atomic
-from imgloc.likelihood.calibration import DEFAULTS, Calibration
 from imgloc.model import OccupancyGrid
+from imgloc.options import DEFAULTS, Calibration
 
 LOG = logging.getLogger(__name__)
 

@@ -7,12 +7,12 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from imgloc.geometry import base_of
-from imgloc.model import Localization, Pose2D
+from imgloc.model import Evidence, Localization, Pose2D
 
 if TYPE_CHECKING:
     from imgloc.evaluate import Evaluation
     from imgloc.io.mapcheck import MapReport
-    from imgloc.which import Choice, Fit
+    from imgloc.which import Choice
 
 SURE = ("unique", "ambiguous")
 """Verdicts under which there is a pose to be named; the others list what fits best at most."""
@@ -82,6 +82,7 @@ def answer_row(
         "base_pose": None if pose is None or mount is None else base_of(pose, mount),
         "hypotheses": hypotheses,
         "elsewhere": answer.elsewhere,
+        "evidence": _evidence_row(answer.evidence),
         "complete": answer.complete,
         "entropy": answer.entropy,
         "explained": answer.explained,
@@ -92,17 +93,30 @@ def answer_row(
     return dict(plain(row))
 
 
-def choice_row(choice: "Choice", fits: "Mapping[str, Fit]", index: int = 0) -> dict[str, Any]:
+def _evidence_row(evidence: Evidence) -> dict[str, Any]:
+    t = evidence.temperature
+    return {
+        "readings": evidence.readings,
+        "misfit": evidence.misfit,
+        "temperature": t.value,
+        **{name: getattr(t, name) for name in ("base", "strain", "crowding", "cell")},
+        **{name: getattr(evidence, name) for name in ("found", "listed", "unlisted")},
+    }
+
+
+def choice_row(
+    choice: "Choice", fits: Mapping[str, Localization], index: int = 0
+) -> dict[str, Any]:
     """Return the row of `imgloc which` of one scan: each map with its pose in it."""
     maps = [
         {
             "map": name,
             "probability": share,
             "log_evidence": choice.log_evidence.get(name),
-            "misfit": fits[name].misfit,
-            "verdict": fits[name].answer.verdict,
-            "pose": fits[name].answer.pose,
-            "explained": fits[name].answer.explained,
+            "misfit": fits[name].evidence.misfit,
+            "verdict": fits[name].verdict,
+            "pose": fits[name].pose,
+            "explained": fits[name].explained,
         }
         for name, share in choice.probability.items()
     ]

@@ -9,10 +9,9 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from imgloc import __version__
-from imgloc.explain import Check, Explanation
+from imgloc.explain import KINDS, Explanation, Layer
 from imgloc.geometry import base_of, rotate_covariance
-from imgloc.layers import Layer
-from imgloc.model import Hypothesis, Pose2D
+from imgloc.model import Check, Hypothesis, Pose2D
 from imgloc.output.pictures import draw_likelihood
 from imgloc.output.svg import (
     ENVIRONMENT,
@@ -24,7 +23,6 @@ from imgloc.output.svg import (
     window,
 )
 from imgloc.output.tables import difference
-from imgloc.search.explain import KINDS
 
 HEADLINES = {
     "unique": "One pose explains this scan.",
@@ -101,8 +99,7 @@ def render_explanation(
         overview=draw_overview(e.grid, poses, e.fits[0].rays if e.fits else None),
         cards=list(zip(e.fits, views, strict=True)),
         layers=[_layer(e, layer) for layer in e.layers],
-        checks=[(check.holds, *question(check)) for check in e.checks],
-        rest=1 - answer.elsewhere - sum(f.hypothesis.mass for f in e.fits),
+        checks=[(check.holds, *question(check)) for check in answer.evidence.checks],
         margin=_margin(e),
         times=", ".join(f"{key} {ms:.0f} ms" for key, ms in answer.timings_ms.items()),
         parameters=flat(answer.parameters),
@@ -118,7 +115,12 @@ def _facts(e: Explanation, truth: Pose2D | None, mount: Pose2D | None) -> list[t
         rows.append(("Pose of the sensor" if sure else "Best guess", describe(e.fits[0].pose)))
         rows.append(("Probability", percent(e.fits[0].hypothesis.mass)))
         rows.append(("Elsewhere", f"{percent(e.answer.elsewhere)}: at none of the poses found"))
-        rows.append(("Readings explained", f"{percent(e.answer.explained)} of {e.readings} scored"))
+        rows.append(
+            (
+                "Readings explained",
+                f"{percent(e.answer.explained)} of {e.answer.evidence.readings} scored",
+            )
+        )
     if pose is not None and mount is not None:
         rows.append(("Pose of the robot", describe(base_of(pose, mount))))
     if truth is not None:
@@ -145,7 +147,7 @@ def _layer(e: Explanation, layer: Layer) -> tuple[str, str, str]:
 
 def why(e: Explanation) -> str:
     """One or two sentences: the reason for a verdict, with its numbers."""
-    answer, trust = e.answer, e.options.trust
+    answer, evidence, trust = e.answer, e.answer.evidence, e.options.trust
     if answer.verdict == "invalid":
         left = [
             f"{n} {key.replace('_', ' ')}" for key, n in e.scan.counts.items() if key != "valid"
@@ -162,10 +164,10 @@ def why(e: Explanation) -> str:
     best = e.fits[0]
     if answer.verdict == "no-match":
         return (
-            f"Even at the best pose found the readings fall {e.misfit:.2f} nats each short of a "
-            f"perfect fit. The chance that the scan was taken at none of the poses found is "
-            f"{percent(answer.elsewhere)}; more than {percent(e.checks[-1].limit)} is no match. "
-            "The poses below are best guesses, not to be trusted."
+            f"Even at the best pose found the readings fall {evidence.misfit:.2f} nats each short "
+            "of a perfect fit. The chance that the scan was taken at none of the poses found is "
+            f"{percent(answer.elsewhere)}; more than {percent(evidence.checks[-1].limit)} is no "
+            "match. The poses below are best guesses, not to be trusted."
         )
     share = percent(best.hypothesis.mass)
     needed = percent(trust.mass)
@@ -240,7 +242,7 @@ def _margin(e: Explanation) -> str:
     if len(e.fits) < 2:
         return ". There is no second pose."
     margin = e.fits[0].hypothesis.log_likelihood - e.fits[1].hypothesis.log_likelihood
-    worth = margin / e.temperature
+    worth = margin / e.answer.evidence.temperature.value
     return (
         f": the second is {margin:.1f} nats behind, worth {worth:.2f}: it is "
         f"{likely(math.exp(min(worth, 99)))}."

@@ -1,7 +1,7 @@
 """Pictures of answers: likelihood stacks, ranked hypotheses, the atlas of a map."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -9,10 +9,9 @@ import numpy as np
 from imgloc.atlas import Spot
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_xy
-from imgloc.geometry import compose, inverse, transform_points, transform_poses
+from imgloc.geometry import compose, in_grid_frame, inverse, transform_points, transform_poses
 from imgloc.io.files import PathLike
 from imgloc.io.output import encode_png, write_bytes_atomic
-from imgloc.likelihood.posterior import LOG_METHODS
 from imgloc.model import (
     BoolArray,
     FloatArray,
@@ -23,6 +22,7 @@ from imgloc.model import (
     OccupancyGrid,
     Pose2D,
 )
+from imgloc.options import LOG_METHODS
 from imgloc.output.canvas import (
     INK,
     PALETTE,
@@ -41,11 +41,11 @@ from imgloc.output.canvas import (
     text_width,
 )
 from imgloc.output.features import draw_feature
-from imgloc.pipeline import in_map_frame
 
 _WALL: Colour = (70, 110, 200)
 _TRUTH: Colour = (60, 20, 220)
 _ROW = 24  # pixels of a line of the legend
+_TOP = 6  # hypotheses that are drawn at most
 # Okabe and Ito's colours: told apart by colour-blind readers, and in grey by their lightness.
 ATLAS_COLOURS: Mapping[str, Colour] = {
     "unique": (178, 114, 0),
@@ -146,9 +146,9 @@ def draw(
         )
     if isinstance(answer, Localization):
         points = np.zeros((0, 2)) if scan is None else scan_xy(scan)[scan.valid]
-        there = replace(grid.info, origin=to_grid)
-        hypotheses = [in_map_frame(h, there) for h in answer.hypotheses]
-        return Picture(draw_hypotheses(grid, points, hypotheses, truth=local))
+        hypotheses = [in_grid_frame(h, grid.info) for h in answer.hypotheses]
+        note = _not_drawn(answer) if hypotheses else ""
+        return Picture(draw_hypotheses(grid, points, hypotheses, truth=local, note=note))
     if answer is not None:
         raise TypeError(f"expected a Localization or a Likelihood to draw, got {answer!r}")
     if features is None and what == "map":
@@ -211,8 +211,9 @@ def draw_hypotheses(
     hypotheses: Sequence[Hypothesis],
     *,
     truth: Pose2D | None = None,
-    top: int = 6,
+    top: int = _TOP,
     scale: int | None = None,
+    note: str = "",
 ) -> Image:
     """Draw where a scan may have been taken: the scan laid on the map at each hypothesis.
 
@@ -229,6 +230,8 @@ def draw_hypotheses(
         Draw no more than so many.
     scale : int, optional
         Pixels per cell.
+    note : str
+        A last line of the legend.
 
     Returns
     -------
@@ -249,7 +252,15 @@ def draw_hypotheses(
     if truth is not None:
         _cross(canvas, truth.x, truth.y, 1.5 * size)
     scale_bar(canvas)
-    return _with_legend(canvas.image, shown, grid.origin, truth)
+    return _with_legend(canvas.image, shown, grid.origin, truth, note)
+
+
+def _not_drawn(answer: Localization) -> str:
+    """What a picture of an answer leaves out, in words."""
+    more = answer.evidence.found - min(_TOP, len(answer.hypotheses))
+    mass = answer.evidence.unlisted + sum(h.mass for h in answer.hypotheses[_TOP:])
+    other = f"{more} other poses: {100 * mass:.1f} %, " if more > 0 else ""
+    return f"{other}elsewhere: {100 * answer.elsewhere:.1f} %"
 
 
 def _cross(canvas: Canvas, x: float, y: float, arm: float) -> None:
@@ -280,7 +291,11 @@ def _ellipse(pose: Pose2D, covariance: FloatArray) -> FloatArray:
 
 
 def _with_legend(
-    image: Image, shown: Sequence[tuple[Hypothesis, Colour]], origin: Pose2D, truth: Pose2D | None
+    image: Image,
+    shown: Sequence[tuple[Hypothesis, Colour]],
+    origin: Pose2D,
+    truth: Pose2D | None,
+    note: str,
 ) -> Image:
     """Put a line per hypothesis below a picture: mark, bar and share of mass, pose."""
     poses = [h.pose for h, _ in shown] + ([truth] if truth is not None else [])
@@ -291,7 +306,9 @@ def _with_legend(
     lines += [(f"{x:.2f}", f"{y:.2f}", f"{np.rad2deg(theta):.1f}") for x, y, theta in table]
     ends = 272 + np.cumsum([24 + max(text_width(line[k]) for line in lines) for k in range(3)])
     height, width = image.shape[:2]
-    out = np.full((height + _ROW * len(lines) + 14, max(width, ends[-1] + 14), 3), 255, np.uint8)
+    rows = len(lines) + bool(note)
+    wide = max(width, int(ends[-1]) + 14, 44 + text_width(note) + 14)
+    out = np.full((height + _ROW * rows + 14, wide, 3), 255, np.uint8)
     out[:height, :width] = image
     base = height + 21
     for k, line in enumerate(lines):
@@ -311,6 +328,7 @@ def _with_legend(
         y = base + len(poses) * _ROW
         _cross(Canvas(out, 1.0), 23, len(out) - y + 4.5, 5)
         text(out, "true pose", 44, y)
+    text(out, note, 44, base + len(lines) * _ROW)
     return out
 
 

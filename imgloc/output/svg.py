@@ -14,13 +14,13 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from imgloc.features.lattice import any_of_blocks
+from imgloc.explain import RayFit
+from imgloc.features.pyramid import any_of_blocks
 from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import rotation
 from imgloc.io.output import encode_png
 from imgloc.model import BoolArray, FloatArray, Hypothesis, LaserScan, OccupancyGrid, Pose2D
 from imgloc.output.canvas import INK, PAPER, SHADE, Image, round_length
-from imgloc.search.explain import RayFit
 
 #: Shapes of the ends of rays, drawn around the point.
 SHAPES = {

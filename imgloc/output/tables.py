@@ -16,7 +16,7 @@ from imgloc.output.json import SURE
 
 if TYPE_CHECKING:
     from imgloc.io.mapcheck import MapReport
-    from imgloc.which import Choice, Fit
+    from imgloc.which import Choice
 
 _WIDE = 1000  # characters of a line at most: a table is as wide as its cells, wherever it goes
 _LISTED = 3  # maps that a line of `imgloc which` names
@@ -137,6 +137,12 @@ def answer_text(
             f"  trust      {100 * answer.explained:.0f} % of the rays explained, "
             f"entropy {answer.entropy:.3f} nats"
         )
+        found, listed = answer.evidence.found, answer.evidence.listed
+        rest = f" and {found - listed} not listed with {_percent(answer.evidence.unlisted)}"
+        lines.append(
+            f"  poses      {listed} listed{rest if found > listed else ''}, "
+            f"elsewhere {_percent(answer.elsewhere)}"
+        )
     lines += [f"  readings   {counts}", f"  time       {times}"]
     if answer.hypotheses:
         lines += ["", _hypotheses(answer)]
@@ -172,14 +178,14 @@ CHOICE_HEADER = f"{'index':>6}  {'verdict':<24} {'probability':>11} {'none':>7} 
 """What stands above the lines of :func:`choice_line`."""
 
 
-def choice_line(index: int, choice: "Choice", fits: "Mapping[str, Fit]") -> str:
+def choice_line(index: int, choice: "Choice", fits: Mapping[str, Localization]) -> str:
     """Return one line for one scan: the pose in the map that is named, else the candidates."""
     if choice.verdict == "invalid":
         return f"{index:>6}  {choice.verdict:<24} {'-':>11} {'-':>7}  too few readings"
     name = next(iter(choice.probability))
-    pose = fits[name].answer.pose
+    pose = fits[name].pose
     if choice.verdict == name and pose is not None:
-        more = f"{pose_words(pose)} ({fits[name].answer.verdict})"
+        more = f"{pose_words(pose)} ({fits[name].verdict})"
     else:
         some = list(choice.probability.items())[:_LISTED]
         more = ", ".join(f"{other} {_percent(share)}" for other, share in some)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.stride_tricks import sliding_window_view
 
-from imgloc.features.pooled import PooledMaps
+from imgloc.features.pyramid import PooledMaps
 from imgloc.likelihood.slices import cell_offsets, over_slices
 from imgloc.model import FloatArray, IntArray
 from imgloc.search.lookups import sums_under

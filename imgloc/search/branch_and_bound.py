@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.features.pooled import PooledMaps
+from imgloc.features.pyramid import PooledMaps
 from imgloc.geometry import centre_of
 from imgloc.likelihood.slices import check_arguments, finite_points
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 from imgloc.search.bounds import Bounds
-from imgloc.search.peaks import separated
+from imgloc.search.hypotheses import separated
 
 _CHUNK = 2048  # blocks of the top level opened before the threshold is looked at again
 _PATHS = 64  # blocks that are descended first, to have a threshold
@@ -52,13 +52,13 @@ def best_poses(
 
     For ``count=1`` that is the argmax of the stack over the wanted poses, the first in
     (theta, row, col) order if there are several. For more it is what
-    :func:`imgloc.search.peaks.separated` picks from all poses sorted in that way: the best,
+    :func:`imgloc.search.hypotheses.separated` picks from all poses sorted in that way: the best,
     then the best of those that are not its neighbours, and so on.
 
     Parameters
     ----------
     pooled : PooledMaps
-        Of :func:`imgloc.features.pooled.pooled_maps`; it also says which poses are wanted.
+        Of :func:`imgloc.features.pyramid.pooled_maps`; it also says which poses are wanted.
     xy : (N, 2) float array
         Scan points, sensor frame, metres. Points that are not finite are left out.
     thetas : (K,) float array
@@ -86,7 +86,7 @@ def best_poses(
 
     Examples
     --------
-    >>> from imgloc.features.pooled import pooled_maps
+    >>> from imgloc.features.pyramid import pooled_maps
     >>> bmap = np.zeros((4, 4), dtype=np.float32)
     >>> bmap[:, 3] = 1  # a wall on the right
     >>> pooled = pooled_maps(bmap, np.ones((4, 4), bool), 1.0, top=1)
