@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 
-from imgloc.draw import mosaic
-from imgloc.draw.answers import draw_hypotheses, draw_likelihood
-from imgloc.draw.canvas import INK, PALETTE, PAPER, SHADE, TURQUOISE, Canvas, wheel
-from imgloc.draw.features import draw_field, draw_surface, draw_visibility
-from imgloc.draw.maps import draw_map
 from imgloc.model import GridInfo, Hypothesis, Likelihood, OccupancyGrid, OrientedPoints, Pose2D
+from imgloc.output.canvas import INK, PALETTE, PAPER, SHADE, TURQUOISE, Canvas, draw_map, wheel
+from imgloc.output.features import draw_field, draw_surface, draw_visibility
+from imgloc.output.pictures import draw_hypotheses, draw_likelihood, mosaic
 
 
 def close(colour, other, tolerance=12):

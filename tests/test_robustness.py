@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from command import ROOT
 
-from imgloc.cli.priors import Mounting
+from imgloc.cli.options import Mounting
 from imgloc.errors import ConfigError
 from imgloc.features.pyramid import Level
 from imgloc.geometry import compose
