@@ -72,9 +72,7 @@ def test_the_direction_of_oblique_walls(degrees, thickness):
         near = inner & (side > thickness / 2 - 0.3) & (side < thickness / 2 + 1.5)
         off = np.rad2deg(wrap(angle_of(field)[near] - normal))
         assert np.abs(off).max() < 8
-        assert (
-            np.median(np.abs(off)) < 3
-        )  # at 3 degrees the steps are wide
+        assert np.median(np.abs(off)) < 3  # at 3 degrees the steps are wide
         assert abs(off.mean()) < 1.6  # of the differences that Sobel takes
 
 
