@@ -29,7 +29,8 @@ if TYPE_CHECKING:
         OrientedPoints,
         Pose2D,
     )
-    from imgloc.pipeline import ALL_METHODS, METHODS, Options, localize, prepare
+    from imgloc.options import ALL_METHODS, METHODS, Options
+    from imgloc.pipeline import localize, prepare
 
 __version__ = "0.1.0"
 

@@ -1,4 +1,9 @@
-"""Why an answer is what it is: every number behind a verdict, and what each ray says.
+"""Why an answer is what it is: what each ray says, and the likelihoods that proposed.
+
+The paper lets a pair of a scan point and a map point vote only if their normals agree (Alg. 4)
+and the map lets the ray through (Alg. 5, l. 5). The same two vetoes, asked of a pose that has
+been found already, tell somebody who looks at it why it is right, or wrong. The numbers behind
+the verdict are the answer's own evidence.
 
 >>> from imgloc.model import LaserScan, OccupancyGrid
 >>> from imgloc.pipeline import localize, prepare
@@ -6,37 +11,98 @@
 >>> features = prepare(OccupancyGrid(wall, ~wall, 0.1))
 >>> blind = LaserScan(np.full(20, np.inf), np.linspace(0, 3, 20), range_max=9.0)
 >>> why = explain(features, blind, localize(features, blind))
->>> [(check.name, check.value, check.holds) for check in why.checks]
+>>> [(check.name, check.value, check.holds) for check in why.answer.evidence.checks]
 [('readings', 0.0, False)]
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
+from skimage.measure import block_reduce
 
+from imgloc.errors import ConfigError
+from imgloc.features.budget import MIB, check_budget
+from imgloc.features.distance import DistanceField
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.scanpoints import scan_xy, thin
-from imgloc.geometry import inverse
-from imgloc.layers import Layer, layers_of
-from imgloc.likelihood.calibration import DEFAULTS
-from imgloc.methods import FUSED, Options
+from imgloc.features.pyramid import coarse_info
+from imgloc.features.raycast import cast_rays
+from imgloc.features.scanpoints import scan_points, scan_xy, thin
+from imgloc.geometry import in_grid_frame, transform_points, uniform_thetas, wrap
+from imgloc.likelihood.correlate import correlate
 from imgloc.model import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    GridInfo,
     Hypothesis,
+    IntArray,
     LaserScan,
+    Likelihood,
     Localization,
     OccupancyGrid,
+    OrientedPoints,
     Pose2D,
 )
-from imgloc.pipeline import in_map_frame
-from imgloc.search.explain import RayFit, explain_rays
+from imgloc.options import FUSED, LOG_METHODS, EvidenceModel, Options
+from imgloc.pipeline import likelihood, settle
+from imgloc.search.priors import around, pyramid_levels
 from imgloc.search.rescore import rescore
-from imgloc.search.trust import DOUBT, crowding
-from imgloc.searches import misfit_of, settle
+from imgloc.search.votes import cast_votes, vote_cell
+
+#: What a ray can be, in the order in which they are counted.
+KINDS = ("agrees", "orientation", "visibility", "unexplained", "no_return", "invalid")
+
+_TOLERANCE = np.deg2rad(30.0)  # between normals; more if one of them is uncertain
+_GRAZING = np.deg2rad(10.0)  # a surface along the ray may turn away by so much
+_NEAR = 0.1  # metres: points so little farther than the nearest are asked, too
+_SIDE = 1400  # cells that the picture of a likelihood has at most along a side
+_WORK = 10**10  # readings x headings x cells of the correlation that is drawn, at most
+_CHUNK = 1 << 24  # cells of its stack at a time
 
 
 @dataclass(frozen=True)
-class Fit:
+class RayFit:
+    """What became of N rays at a pose.
+
+    Parameters
+    ----------
+    kind : (N,) str array
+        One of :data:`KINDS` each:
+
+        - ``agrees``: ends on a surface that faces it, met no wall before;
+        - ``orientation``: ends on a surface that faces elsewhere;
+        - ``visibility``: passes through a mapped wall;
+        - ``unexplained``: ends where the map has no surface;
+        - ``no_return``, ``invalid``: not a distance, no say.
+    end : (N, 2) float array
+        Where it ends, grid frame, metres; NaN where it is not a distance.
+    wall : (N,) float32 array
+        Metres along the ray to the first mapped wall that it passes through, inf without.
+    """
+
+    kind: npt.NDArray[np.str_]
+    end: FloatArray
+    wall: Float32Array
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """How many rays there are of each kind."""
+        return {kind: int(np.count_nonzero(self.kind == kind)) for kind in KINDS}
+
+
+@dataclass(frozen=True)
+class Layer:
+    """The maximum over theta of a likelihood, as a stack of one; or why there is none."""
+
+    name: str
+    about: str
+    likelihood: Likelihood | None
+
+
+@dataclass(frozen=True)
+class HypothesisFit:
     """One hypothesis and the scan laid on the map there.
 
     Parameters
@@ -60,23 +126,8 @@ class Fit:
 
 
 @dataclass(frozen=True)
-class Check:
-    """One question of the verdict: `value` must be at least, or at most, `limit`."""
-
-    name: str
-    value: float
-    limit: float
-    at_least: bool
-
-    @property
-    def holds(self) -> bool:
-        """Whether it is answered with yes."""
-        return self.value >= self.limit if self.at_least else self.value <= self.limit
-
-
-@dataclass(frozen=True)
 class Explanation:
-    """Everything that there is to say about one answer.
+    """One answer, and what its :class:`~imgloc.model.Evidence` does not say.
 
     Parameters
     ----------
@@ -84,17 +135,8 @@ class Explanation:
     scan : LaserScan
     answer : Localization
     options : Options
-    fits : tuple of Fit
+    fits : tuple of HypothesisFit
         The hypotheses, best first.
-    readings : int
-        How many were scored.
-    misfit : float
-        Nats per reading that the best pose lacks, NaN without one.
-    temperature : float
-        What evidence was divided by, NaN without a pose.
-    checks : tuple of Check
-        The questions of the verdict, up to the first that is answered with no: that one
-        decided. All answered with yes is ``unique``.
     layers : tuple of Layer
     """
 
@@ -102,11 +144,7 @@ class Explanation:
     scan: LaserScan
     answer: Localization
     options: Options
-    fits: tuple[Fit, ...]
-    readings: int
-    misfit: float
-    temperature: float
-    checks: tuple[Check, ...]
+    fits: tuple[HypothesisFit, ...]
     layers: tuple[Layer, ...]
 
 
@@ -128,73 +166,250 @@ def explain(
     Explanation
     """
     options = options or Options()
-    grid = features.grid
-    there = replace(grid.info, origin=inverse(grid.origin))
-    local = [in_map_frame(h, there) for h in answer.hypotheses]
-    fits: tuple[Fit, ...] = ()
-    misfit, readings = float("nan"), 0
-    if local:
+    local = [in_grid_frame(h, features.grid.info) for h in answer.hypotheses]
+    score = np.array([h.log_likelihood for h in local])
+    if local and options.method != FUSED:  # of votes, say: what its readings say there
         poses = np.array([(h.pose.x, h.pose.y, h.pose.theta) for h in local])
-        rays = thin(scan.valid, options.fused.rays)
-        seen = scan.ranges[rays], scan.angles[rays]
-        if options.method == FUSED:
-            score = rescore(poses, *seen, features.field, features.walls, options.fused.model)
-        else:
-            score, _ = settle(features, scan, poses, options)
-        misfit, readings = misfit_of(score, options), len(rays)
-        found = max(1 - answer.elsewhere, 1e-12)
-        fits = tuple(
-            Fit(
-                given.pose,
-                h,
-                explain_rays(
-                    h.pose,
-                    scan,
-                    features.surface,
-                    features.field,
-                    features.walls,
-                    options.fused.model,
-                ),
-                float(total) / readings,
-                min(1.0, h.mass / found),
-            )
-            for given, h, total in zip(answer.hypotheses, local, score.log_likelihood, strict=True)
+        score = settle(features, scan, poses, options)[0].log_likelihood
+    fits = tuple(
+        HypothesisFit(
+            given.pose,
+            h,
+            explain_rays(
+                h.pose,
+                scan,
+                features.surface,
+                features.field,
+                features.walls,
+                options.fused.model,
+            ),
+            float(total) / answer.evidence.readings,
+            min(1.0, h.mass / max(1 - answer.elsewhere, 1e-12)),
         )
-    layers = tuple(layers_of(features, scan, options)) if answer.verdict != "invalid" else ()
-    return Explanation(
-        grid=grid,
-        scan=scan,
-        answer=answer,
-        options=options,
-        fits=fits,
-        readings=readings,
-        misfit=misfit,
-        temperature=_temperature(scan, options, misfit, features.grid.resolution),
-        checks=tuple(_checks(scan, answer, options)),
-        layers=layers,
+        for given, h, total in zip(answer.hypotheses, local, score, strict=True)
     )
+    layers = tuple(layers_of(features, scan, options)) if answer.verdict != "invalid" else ()
+    return Explanation(features.grid, scan, answer, options, fits, layers)
 
 
-def _temperature(scan: LaserScan, options: Options, misfit: float, cell: float) -> float:
-    """What made masses of the scores."""
-    if options.method == FUSED:
-        if not np.isfinite(misfit):
-            return float("nan")
-        rays = thin(scan.valid, options.fused.rays)
-        return options.trust.temperature_at(misfit, crowding(scan_xy(scan)[rays]), cell)
-    how = options.calibration or DEFAULTS[options.method]
-    return how.temperature_at(options.method, max(1, int(scan.valid.sum())))
+def explain_rays(
+    pose: Pose2D,
+    scan: LaserScan,
+    surface: OrientedPoints,
+    field: DistanceField,
+    walls: Float32Array,
+    model: EvidenceModel,
+) -> RayFit:
+    """Say what each ray of a scan says about a pose.
+
+    Parameters
+    ----------
+    pose : Pose2D
+        Of the sensor, grid frame.
+    scan : LaserScan
+    surface : OrientedPoints
+        Of the map, grid frame.
+    field, walls, model
+        As in :func:`~imgloc.search.rescore.rescore`, whose questions about surface and wall
+        these are. That of the normals is not part of its score.
+
+    Examples
+    --------
+    One wall, seen from its front, and then as if from behind it:
+
+    >>> from imgloc.features.mapfeatures import MapFeatures
+    >>> from imgloc.model import OccupancyGrid
+    >>> wall = np.zeros((40, 40), bool)
+    >>> wall[:, 20:30] = True
+    >>> f = MapFeatures(OccupancyGrid(wall, ~wall, 0.1))
+    >>> scan = LaserScan([1.0, 0.4, np.inf], [0.0, 0.0, 0.5], range_max=9.0)
+    >>> for x in (1.0, 1.6):
+    ...     fit = explain_rays(
+    ...         Pose2D(x, 2.0), scan, f.surface, f.field, f.walls, EvidenceModel()
+    ...     )
+    ...     fit.kind.tolist()
+    ['agrees', 'unexplained', 'no_return']
+    ['visibility', 'agrees', 'no_return']
+    """
+    used = np.flatnonzero(scan.valid)
+    kind = np.full(len(scan.ranges), "invalid", dtype="<U11")
+    kind[scan.no_return] = "no_return"
+    end = np.full((len(kind), 2), np.nan)
+    wall = np.full(len(kind), np.inf, dtype=np.float32)
+    if len(used) == 0:
+        return RayFit(kind, end, wall)
+    end[used] = transform_points(pose, scan_xy(scan)[used])
+    ranges, angles = scan.ranges[used], scan.angles[used]
+    here = np.array([[pose.x, pose.y, pose.theta]])
+    evidence = rescore(here, ranges, angles, field, walls, model)
+    on_surface, crossed = evidence.on_surface[0], evidence.crossed[0]
+    kind[used] = np.where(on_surface, "agrees", "unexplained")
+    kind[used[crossed]] = "visibility"
+    wall[used[crossed]] = cast_rays(
+        walls, here[0, :2], pose.theta + angles[crossed], ranges[crossed], field.resolution
+    )
+    asked = np.flatnonzero(on_surface & ~crossed)
+    points = scan_points(scan.ranges, scan.angles, scan.valid).select(asked)
+    faces = faced(
+        end[used[asked]],
+        wrap(pose.theta + angles[asked]),
+        wrap(pose.theta + points.alpha),
+        np.where(points.valid, points.sigma_alpha, np.inf),
+        surface,
+        reach=2 * max(model.sigmas) + 2 * field.resolution,
+    )
+    kind[used[asked[~faces]]] = "orientation"
+    return RayFit(kind, end, wall)
 
 
-def _checks(scan: LaserScan, answer: Localization, options: Options) -> Iterator[Check]:
-    """The questions of :func:`~imgloc.search.trust.judge`, in its order."""
-    best = answer.hypotheses[0].mass if answer.hypotheses else 0.0
-    for check in (
-        Check("readings", float(scan.directions), options.trust.readings, True),
-        Check("elsewhere", answer.elsewhere, DOUBT, False),
-        Check("mass", best, options.trust.mass, True),
-        *([] if answer.complete else [Check("complete", 0.0, 1.0, True)]),
-    ):
-        yield check
-        if not check.holds:
+def faced(
+    end: FloatArray,
+    psi: FloatArray,
+    alpha: FloatArray,
+    sigma: FloatArray,
+    surface: OrientedPoints,
+    *,
+    reach: float,
+) -> BoolArray:
+    """Whether a ray ends on a surface that faces it.
+
+    Asked are the surface points about as near as the nearest. One of them must face the sensor
+    and have the normal of the scan there, within 30 degrees or two standard deviations. Where
+    no normal is known there is nothing to object to.
+
+    Parameters
+    ----------
+    end : (N, 2) float array
+        Where the rays end, metres, grid frame.
+    psi : (N,) float array
+        Where they go, radians.
+    alpha, sigma : (N,) float arrays
+        Normals of the scan there and their standard deviations, inf for one not known.
+    surface : OrientedPoints
+        Grid frame.
+    reach : float
+        How far to look, metres.
+
+    Returns
+    -------
+    (N,) bool array
+
+    Examples
+    --------
+    >>> wall = OrientedPoints([[1.0, 0.0]], [np.pi], [0.1], [True])
+    >>> ends, known = np.array([[1.0, 0.0], [1.1, 0.0], [2.0, 0.0]]), np.full(3, 0.1)
+    >>> normals = np.array([3.0, 1.6, 1.6])
+    >>> faced(ends, np.zeros(3), normals, known, wall, reach=0.5).tolist()
+    [True, False, True]
+    >>> faced(ends, np.full(3, np.pi), normals, np.full(3, np.inf), wall, reach=0.5).tolist()
+    [False, False, True]
+    """
+    surface = surface.select(np.asarray(surface.valid & np.isfinite(surface.alpha)))
+    ray, point = _pairs(end, surface.xy, reach)
+    away = np.linalg.norm(end[ray] - surface.xy[point], axis=1)
+    nearest = np.full(len(end), np.inf)
+    np.minimum.at(nearest, ray, away)
+    close = away <= np.minimum(nearest[ray] + _NEAR, reach)
+    ray, point = ray[close], point[close]
+    normal = surface.alpha[point]
+    facing = np.cos(normal - psi[ray]) < np.sin(_GRAZING)
+    known = np.isfinite(sigma[ray])
+    doubt = 2 * np.hypot(np.where(known, sigma[ray], 0.0), surface.sigma_alpha[point])
+    turned = np.abs(wrap(np.where(known, alpha[ray], normal) - normal))
+    agrees = facing & (turned <= np.maximum(_TOLERANCE, doubt))
+    asked, good = np.zeros(len(end), np.bool_), np.zeros(len(end), np.bool_)
+    asked[ray] = True
+    good[ray[agrees]] = True
+    return good | ~asked
+
+
+def _pairs(a: FloatArray, b: FloatArray, reach: float) -> tuple[IntArray, IntArray]:
+    """Indices of all pairs of a point of `a` and one of `b` with about `reach` or less in x."""
+    order = np.argsort(b[:, 0], kind="stable")
+    low = np.searchsorted(b[order, 0], a[:, 0] - reach)
+    count = np.searchsorted(b[order, 0], a[:, 0] + reach, side="right") - low
+    first = np.repeat(low - np.cumsum(count) + count, count)
+    return np.repeat(np.arange(len(a)), count), order[first + np.arange(count.sum())]
+
+
+def layers_of(features: MapFeatures, scan: LaserScan, options: Options) -> Iterator[Layer]:
+    """Yield the likelihoods of what proposed, or the stack itself of another method.
+
+    Parameters
+    ----------
+    features : MapFeatures
+    scan : LaserScan
+        With at least one valid reading.
+    options : Options
+        What a picture may take of memory is said there, too.
+    """
+    if options.method != FUSED:
+        try:
+            stack = likelihood(features, scan, options)
+        except ConfigError as error:  # branch and bound does without the stack
+            yield Layer(options.method, f"Left out: {error}.", None)
             return
+        about = f"{len(stack.thetas)} headings, cells of {stack.grid.resolution:.2g} m"
+        yield _layer(options.method, about, stack.values.max(axis=0), stack.grid, options.method)
+        return
+    yield _endpoints(features, scan, options)
+    votes = cast_votes(features, scan, options.fused, options.prior, options.threads)
+    cell = vote_cell(features.grid.info, options.fused)
+    about = (
+        f"{len(votes)} headings, cells of {cell:.2g} m, at most {options.fused.few_rays} readings"
+    )
+    lattice = GridInfo(votes.shape[1], votes.shape[2], cell, features.grid.origin)
+    best = votes.max(axis=0)
+    allowed = around(options.prior, best.shape, cell, features.grid.resolution)
+    if allowed is not None:
+        best *= allowed
+    yield _layer("ght-v", about, best, lattice, "ght-v")
+
+
+def _endpoints(features: MapFeatures, scan: LaserScan, options: Options) -> Layer:
+    """Endpoint correlation on the finest level of the pyramid that is worth the time."""
+    prior, fused = options.prior, options.fused
+    few = thin(scan.valid, fused.few_rays)
+    thetas = uniform_thetas(2 * fused.theta_step)
+    thetas = thetas[prior.headings(thetas, fused.theta_step)]
+    levels = pyramid_levels(prior, features.pyramid, features.grid.resolution)
+    work = [len(few) * len(thetas) * level.image.size for level in levels]
+    level = levels[next((k for k, w in enumerate(work) if w <= _WORK), len(levels) - 1)]
+    at_once = max(1, _CHUNK // level.image.size)
+    best = np.zeros(level.image.shape, dtype=np.float32)
+    name = "cbml"
+    try:
+        check_budget(
+            12 * level.image.size * min(at_once, max(1, len(thetas))) + 64 * MIB,
+            options.memory_budget,
+            "the picture of the endpoint correlation",
+            "use larger cells",
+        )
+    except ConfigError as error:
+        return Layer(name, f"Left out: {error}.", None)
+    for start in range(0, len(thetas), at_once):
+        stack = correlate(
+            level.image,
+            scan_xy(scan)[few],
+            thetas[start : start + at_once],
+            level.resolution,
+            engine="shift",
+            threads=options.threads,
+            where=level.free,
+        )
+        np.maximum(best, stack.max(axis=0), out=best)
+    about = f"{len(thetas)} headings, cells of {level.resolution:.2g} m, {len(few)} readings"
+    height, width = level.free.shape
+    info = GridInfo(height, width, level.resolution, features.grid.origin)
+    return _layer(name, about, best, info, name)
+
+
+def _layer(name: str, about: str, best: Float32Array, info: GridInfo, method: str) -> Layer:
+    """A picture's worth of a maximum over theta: blocks of cells keep their maximum."""
+    factor = -(-max(best.shape) // _SIDE)
+    if method in LOG_METHODS:  # blocks that stick out are filled with zeros
+        best = np.exp(best - max(float(best.max()), -1e30))
+    if factor > 1:
+        best = np.asarray(block_reduce(best, factor, np.max))
+        info = coarse_info(info, factor)
+    return Layer(name, about, Likelihood(best[None], np.zeros(1), info, method))

@@ -1,10 +1,12 @@
 """SE(2), angles, and the one place where cells, grid frame and map frame meet."""
 
+from dataclasses import replace
+
 import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.model import FloatArray, GridInfo, IntArray, Pose2D
+from imgloc.model import FloatArray, GridInfo, Hypothesis, IntArray, Pose2D
 
 MIN_THETA_STEP = 1e-4
 """Radians: 63 thousand headings. A smaller step is a mistake, of units say."""
@@ -112,6 +114,20 @@ def rotate_covariance(covariance: FloatArray, theta: float) -> FloatArray:
     R = np.eye(3)
     R[:2, :2] = rotation(theta)
     return np.asarray(R @ covariance @ R.T)
+
+
+def in_map_frame(hypothesis: Hypothesis, grid: GridInfo) -> Hypothesis:
+    """Take a hypothesis from the grid frame to the map frame: origin and its yaw."""
+    return replace(
+        hypothesis,
+        pose=compose(grid.origin, hypothesis.pose),
+        covariance=rotate_covariance(hypothesis.covariance, grid.origin.theta),
+    )
+
+
+def in_grid_frame(hypothesis: Hypothesis, grid: GridInfo) -> Hypothesis:
+    """Take a hypothesis from the map frame to the grid frame."""
+    return in_map_frame(hypothesis, replace(grid, origin=inverse(grid.origin)))
 
 
 def cell_of(xy: FloatArray, resolution: float) -> IntArray:

@@ -81,7 +81,7 @@ class GridInfo:
         return self.height, self.width
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class OccupancyGrid:
     """A map: which cells are occupied, which are free; a cell that is neither is unknown.
 
@@ -96,6 +96,12 @@ class OccupancyGrid:
         Side of a cell, metres.
     origin : Pose2D
         Pose of the lower-left corner of cell ``[0, 0]`` in the map frame.
+
+    Examples
+    --------
+    >>> wall = np.eye(4, dtype=bool)
+    >>> OccupancyGrid(wall, ~wall, 0.5)
+    <OccupancyGrid 4 x 4 cells of 0.5 m: 2 x 2 m, 25.0% occupied, 75.0% free>
     """
 
     occupied: BoolArray
@@ -117,6 +123,14 @@ class OccupancyGrid:
         if not np.isfinite(self.resolution) or self.resolution <= 0:
             raise ValueError(f"resolution must be positive, got {self.resolution}")
 
+    def __repr__(self) -> str:
+        height, width = self.occupied.shape
+        metres = f"{width * self.resolution:.4g} x {height * self.resolution:.4g} m"
+        shares = f"{self.occupied.mean():.1%} occupied, {self.free.mean():.1%} free"
+        return (
+            f"<OccupancyGrid {width} x {height} cells of {self.resolution:g} m: {metres}, {shares}>"
+        )
+
     @property
     def info(self) -> GridInfo:
         """The lattice of this grid."""
@@ -129,7 +143,7 @@ class OccupancyGrid:
         return ~(self.occupied | self.free)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LaserScan:
     """One 2-D scan, kept as recorded; which readings count is derived (REP 117).
 
@@ -145,8 +159,13 @@ class LaserScan:
         A reading is valid iff it is finite and range_min < r < range_max.
     stamp : float
         Seconds; NaN when unknown.
-    T_base_laser : Pose2D
-        Where the sensor sits on the robot.
+    T_base_laser : Pose2D, optional
+        Where the sensor sits on the robot, if that is known; answers then know the robot's pose.
+
+    Examples
+    --------
+    >>> LaserScan([1.0, 2.0, np.inf], [-0.5, 0.0, 0.5], range_max=9.0)
+    <LaserScan of 3 rays, 2 valid: -28.65 to 28.65 deg, 1 to 2 m of at most 9>
     """
 
     ranges: FloatArray
@@ -154,7 +173,7 @@ class LaserScan:
     range_min: float = 0.0
     range_max: float = float("inf")
     stamp: float = float("nan")
-    T_base_laser: Pose2D = field(default_factory=lambda: Pose2D(0.0, 0.0, 0.0))
+    T_base_laser: Pose2D | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ranges", _frozen(self.ranges, np.float64))
@@ -167,6 +186,16 @@ class LaserScan:
         if not np.isfinite(self.angles).all():
             i = int(np.argmin(np.isfinite(self.angles)))
             raise ValueError(f"angles must be finite, angles[{i}] is {self.angles[i]}")
+
+    def __repr__(self) -> str:
+        seen, n = self.ranges[self.valid], len(self.ranges)
+        about = f"<LaserScan of {n} rays, {len(seen)} valid"
+        if n:
+            low, high = np.rad2deg([self.angles.min(), self.angles.max()])
+            about += f": {low:.4g} to {high:.4g} deg"
+        if len(seen):
+            about += f", {seen.min():.4g} to {seen.max():.4g} m of at most {self.range_max:g}"
+        return about + ">"
 
     @property
     def valid(self) -> BoolArray:
@@ -223,7 +252,7 @@ class LaserScan:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class OrientedPoints:
     """Points of a surface with its directed normals.
 
@@ -259,6 +288,9 @@ class OrientedPoints:
                 f"{self.sigma_alpha.shape} and valid {self.valid.shape} must agree in length"
             )
 
+    def __repr__(self) -> str:
+        return f"<OrientedPoints: {len(self)}, of {int(self.valid.sum())} the normal is known>"
+
     def __len__(self) -> int:
         return len(self.xy)
 
@@ -269,7 +301,7 @@ class OrientedPoints:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Likelihood:
     """A likelihood for every pose of a lattice, as a stack of images.
 
@@ -300,6 +332,13 @@ class Likelihood:
                 f"{(len(self.thetas), *self.grid.shape)}"
             )
 
+    def __repr__(self) -> str:
+        k, height, width = self.values.shape
+        return (
+            f"<Likelihood {self.method}: {k} headings x {height} x {width} cells of "
+            f"{self.grid.resolution:g} m>"
+        )
+
 
 @dataclass(frozen=True)
 class Hypothesis:
@@ -327,6 +366,93 @@ class Hypothesis:
 
 
 @dataclass(frozen=True)
+class Temperature:
+    """What evidence was divided by, and why: ``(base + strain) * crowding * cell``.
+
+    Parameters
+    ----------
+    base : float
+        Where map and scan agree perfectly; of a stack its calibrated temperature. NaN without
+        a pose.
+    strain : float
+        Added for the misfit.
+    crowding : float
+        Factor for readings on the same patch of wall, at least 1.
+    cell : float
+        Factor for the cells of the map, at least 1.
+
+    Examples
+    --------
+    >>> Temperature(1.5, 3.0, crowding=2.0).value
+    9.0
+    """
+
+    base: float = math.nan
+    strain: float = 0.0
+    crowding: float = 1.0
+    cell: float = 1.0
+
+    @property
+    def value(self) -> float:
+        """The product."""
+        return (self.base + self.strain) * (self.crowding * self.cell)
+
+
+@dataclass(frozen=True)
+class Check:
+    """One question of the verdict: `value` must be at least, or at most, `limit`."""
+
+    name: str
+    value: float
+    limit: float
+    at_least: bool
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is answered with yes."""
+        return self.value >= self.limit if self.at_least else self.value <= self.limit
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What an answer rests on.
+
+    Parameters
+    ----------
+    readings : int
+        How many were scored.
+    best : float
+        Log-likelihood of a reading that fits perfectly, nats.
+    misfit : float
+        Nats per reading that the best pose lacks; NaN without a pose.
+    temperature : Temperature
+        What made masses of the log-likelihoods.
+    log_volume : (L,) float array
+        Of each listed hypothesis: logarithm of its volume as a share of that of all poses.
+    checks : tuple of Check
+        The questions of the verdict, up to the first that is answered with no: that one
+        decided. All answered with yes is ``unique``.
+    found, listed : int
+        Modes that were found, and how many of them are listed.
+    unlisted : float
+        Mass of those that are not.
+    """
+
+    readings: int = 0
+    best: float = math.nan
+    misfit: float = math.nan
+    temperature: Temperature = field(default_factory=Temperature)
+    log_volume: FloatArray = field(default_factory=lambda: np.empty(0))
+    checks: tuple[Check, ...] = ()
+    found: int = 0
+    listed: int = 0
+    unlisted: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "log_volume", _frozen(self.log_volume, np.float64))
+
+
+@dataclass(frozen=True)
 class Localization:
     """The answer for one scan.
 
@@ -351,6 +477,10 @@ class Localization:
         False if a time budget ended the search early.
     elsewhere : float
         Probability that the true pose is none of those found; a part of what the masses lack.
+    evidence : Evidence
+        What masses and verdict rest on.
+    T_base_laser : Pose2D, optional
+        Of the scan: where its sensor sits on the robot.
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -362,6 +492,8 @@ class Localization:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     complete: bool = True
     elsewhere: float = 1.0
+    evidence: Evidence = field(default_factory=Evidence)
+    T_base_laser: Pose2D | None = None
 
     @property
     def pose(self) -> Pose2D | None:

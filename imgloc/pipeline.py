@@ -1,4 +1,4 @@
-"""The recipe: a map becomes features, a scan becomes a likelihood, peaks become an answer.
+"""The recipe: a map becomes features, a scan becomes poses, and the poses an answer.
 
 >>> import numpy as np
 >>> from imgloc.model import LaserScan, OccupancyGrid
@@ -14,50 +14,54 @@
 """
 
 import time
-from dataclasses import asdict, fields, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.features.budget import (
     check_budget,
-    default_budget,
     exact_bytes,
     fused_bytes,
     stack_bytes,
 )
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.geometry import compose, rotate_covariance, uniform_thetas
+from imgloc.features.pyramid import block_masks
+from imgloc.features.scanpoints import scan_xy, thin
+from imgloc.geometry import centre_of, in_map_frame, uniform_thetas
 from imgloc.io.maps import require_usable
-from imgloc.likelihood.calibration import DEFAULTS
-from imgloc.methods import (
-    ALL_METHODS,
-    FUSED,
-    METHODS,
-    Method,
-    Options,
-    check_method,
-    headings_of,
-    likelihood,
+from imgloc.likelihood.draws import entropy
+from imgloc.likelihood.posterior import calibrated
+from imgloc.likelihood.stacks import stack_of
+from imgloc.model import (
+    Evidence,
+    Float32Array,
+    FloatArray,
+    Hypothesis,
+    IntArray,
+    LaserScan,
+    Likelihood,
+    Localization,
+    OccupancyGrid,
+    Temperature,
 )
-from imgloc.model import GridInfo, Hypothesis, LaserScan, Localization, OccupancyGrid
-from imgloc.search.priors import Prior
-from imgloc.search.trust import Trust, judge
-from imgloc.searches import (
-    NOTHING,
-    Found,
-    exact_thetas,
-    find_exact,
-    find_fused,
-    find_stack,
-    found_in_stack,
-)
+from imgloc.options import ALL_METHODS, DEFAULTS, FUSED, METHODS, Options, Prior
+from imgloc.search.branch_and_bound import Best, best_poses
+from imgloc.search.hypotheses import as_hypotheses, covariances, masses, modes
+from imgloc.search.peaks import peaks_of_posterior
+from imgloc.search.priors import on_lattice, pyramid_levels, standing
+from imgloc.search.proposals import propose_endpoints
+from imgloc.search.refine import refine
+from imgloc.search.rescore import Scores, rescore, shortlist
+from imgloc.search.trust import crowding, judge
+from imgloc.search.votes import propose_votes
 
-__all__ = [
-    "ALL_METHODS", "FUSED", "METHODS", "Found", "Method", "Options", "Trust", "answer_bytes",
-    "check_method", "check_options", "effective", "found_in_stack", "in_map_frame", "likelihood",
-    "localize", "prepare",
-]  # fmt: skip
+MODES = 20
+"""Poses that are looked for, however few are listed: no verdict depends on the list's length."""
+
+_LAST = 20  # proposals that get the second look when time is up
 
 
 def prepare(grid: OccupancyGrid, name: str = "map", **parameters: float) -> MapFeatures:
@@ -75,13 +79,20 @@ def prepare(grid: OccupancyGrid, name: str = "map", **parameters: float) -> MapF
     ------
     MapError
         If the map has no walls or no free cells.
+    TypeError
+        If `grid` is none: a path, say, that :func:`imgloc.load_map` should read first.
     """
+    _expect(grid, OccupancyGrid, "grid", "load_map(path) reads one")
     require_usable(grid, name)
     return MapFeatures(grid, **parameters)  # type: ignore[arg-type]
 
 
 def localize(
-    features: MapFeatures, scan: LaserScan, options: Options | None = None
+    features: MapFeatures,
+    scan: LaserScan,
+    options: Options | None = None,
+    *,
+    stack: Likelihood | None = None,
 ) -> Localization:
     """Find every pose that fits a scan, and say how much to trust each.
 
@@ -91,6 +102,8 @@ def localize(
         Of :func:`prepare`.
     scan : LaserScan
     options : Options, optional
+    stack : Likelihood, optional
+        Of :func:`likelihood` with the same arguments, if it is there already.
 
     Returns
     -------
@@ -104,34 +117,430 @@ def localize(
     ConfigError
         If an option is out of its range, the memory budget too small, or no pose in which a
         sensor can be is in the prior.
+    TypeError
+        If an argument is of another kind.
     """
-    options = options or Options()
+    options = Options() if options is None else options
     check_options(features, options)
+    _expect(scan, LaserScan, "scan", "load_scans(path)[k] is one")
     start = time.perf_counter()
-    directions = scan.directions
-    found = NOTHING
-    if directions >= max(1, options.trust.readings):
-        if options.method == FUSED:
-            search = find_fused
-        else:
-            search = find_exact if options.exact else find_stack
-        found = search(features, scan, options)
+    if scan.directions < max(1, options.trust.readings):
+        found = NOTHING
+    elif options.method == FUSED:
+        # Propose, refine, score, separate; weigh.
+        found = weigh(features, scan, find_modes(features, scan, options), options)
+    elif options.exact:
+        found = find_exact(features, scan, options)
+    else:
+        stack = likelihood(features, scan, options) if stack is None else stack
+        found = find_in_stack(features, scan, stack, options)
+    # Judge.
+    elsewhere = 1.0
+    if len(found.poses):
+        elsewhere = options.trust.mass_elsewhere(found.misfit, found.lead)
+    mass = (1 - elsewhere) * found.share
+    verdict, checks = judge(scan.directions, mass, elsewhere, options.trust, found.complete)
+    top = slice(0, options.top)
+    listed = as_hypotheses(
+        found.poses[top], found.log_likelihood[top], mass[top], found.covariance[top]
+    )
+    hypotheses = tuple(in_map_frame(h, features.grid.info) for h in listed)
     elapsed = 1e3 * (time.perf_counter() - start)
-    top = found.hypotheses[: options.top]
-    verdict = judge(directions, found.mass, found.elsewhere, options.trust)
-    if verdict == "unique" and not found.complete:
-        verdict = "ambiguous"  # what was not looked at may fit as well
+    whole = np.append(mass, elsewhere) if len(mass) else mass
     return Localization(
-        hypotheses=tuple(in_map_frame(h, features.grid.info) for h in top),
+        hypotheses=hypotheses,
         verdict=verdict,
-        entropy=found.entropy,
+        entropy=entropy(whole) if found.entropy is None else found.entropy,
         explained=found.explained,
         counts=scan.counts,
         timings_ms={"localize": elapsed},
         parameters=effective(options, features),
         complete=found.complete,
-        elsewhere=found.elsewhere,
+        elsewhere=elsewhere,
+        evidence=Evidence(
+            readings=found.readings,
+            best=options.fused.model.best,
+            misfit=found.misfit,
+            temperature=found.temperature,
+            log_volume=_log_volumes(hypotheses, features),
+            checks=checks,
+            found=len(mass),
+            listed=len(hypotheses),
+            unlisted=float(mass[len(hypotheses) :].sum()),
+        ),
+        T_base_laser=scan.T_base_laser,
     )
+
+
+@dataclass(frozen=True)
+class Modes:
+    """What the search found, best first: C separated poses of the grid frame.
+
+    `rays` are the readings that were scored; `complete` says whether the search came to its end.
+    """
+
+    poses: FloatArray
+    scores: Scores
+    rays: IntArray
+    complete: bool = True
+
+
+def find_modes(
+    features: MapFeatures, scan: LaserScan, options: Options, *, more: FloatArray | None = None
+) -> Modes:
+    """Search for all poses that fit a scan, by the default method.
+
+    Endpoint correlation and GHT-V votes fail differently, so that both propose; the score that
+    decides is a third one. Most proposals are dropped after a look with a few rays.
+
+    Parameters
+    ----------
+    features : MapFeatures
+    scan : LaserScan
+        With at least one valid reading.
+    options : Options
+        When its time is up, only the best proposals so far are followed.
+    more : (M, 3) float array, optional
+        Proposals of another source, grid frame.
+
+    Returns
+    -------
+    Modes
+        May be empty.
+    """
+    fused, prior, xy = options.fused, options.prior, scan_xy(scan)
+    few, many = thin(scan.valid, fused.few_rays), thin(scan.valid, fused.rays)
+    deadline = time.monotonic() + (np.inf if options.time_budget is None else options.time_budget)
+
+    endpoints, _ = propose_endpoints(
+        levels := pyramid_levels(prior, features.pyramid, features.grid.resolution),
+        xy[few],
+        theta_step=fused.theta_step,
+        keep=fused.keep[: len(levels)],
+        skip=fused.skip,
+        prior=prior,
+        threads=options.threads,
+    )
+    proposals = [endpoints, np.empty((0, 3)) if more is None else more]
+    late = time.monotonic() > deadline
+    if not late:
+        proposals.insert(1, propose_votes(features, scan, fused, prior, options.threads))
+        late = time.monotonic() > deadline
+    if late:
+        proposals[0] = endpoints[: fused.second_look]
+    if options.exact:
+        proposals.append(exact_poses(features, scan, options)[0])
+
+    poses = refine(np.concatenate(proposals), xy[few], features.field, sigmas=(0.2, 0.1))
+    poses = standing(poses, prior, features)
+    poses = shortlist(poses, scan, few, features, fused)
+    late = late or time.monotonic() > deadline
+    if late:
+        poses = poses[:_LAST]
+    poses = refine(poses, xy[many], features.field, sigmas=(0.1, 0.05))
+    poses = standing(poses, prior, features)
+
+    scores = rescore(
+        poses,
+        scan.ranges[many],
+        scan.angles[many],
+        features.field,
+        features.walls,
+        fused.model,
+    )
+    distance, angle = fused.separation
+    apart = modes(poses, scores.log_likelihood, distance=distance, angle=angle)
+    return Modes(poses[apart], scores.select(apart), many, complete=not late)
+
+
+@dataclass(frozen=True)
+class Found:
+    """M separated poses of the grid frame, best first, and what they are worth.
+
+    Parameters
+    ----------
+    poses : (M, 3) float array
+    log_likelihood : (M,) float array
+    share : (M,) float array
+        Mass of each if the true pose is one of them.
+    covariance : (L, 3, 3) float array
+        Of as many as are listed, at least.
+    misfit, explained : float
+        Nats per reading that the best pose lacks, and the share of the readings it explains.
+    temperature : Temperature
+        What made shares of the log-likelihoods.
+    readings : int
+        How many decided about the misfit.
+    lead : float
+        Share of the best, as far as it says something about the true pose being none of them.
+    entropy : float, optional
+        Of a whole posterior, nats.
+    complete : bool
+        The search came to its end.
+    """
+
+    poses: FloatArray
+    log_likelihood: FloatArray
+    share: FloatArray
+    covariance: FloatArray
+    misfit: float = float("nan")
+    explained: float = 0.0
+    temperature: Temperature = field(default_factory=Temperature)
+    readings: int = 0
+    lead: float = 1.0
+    entropy: float | None = None
+    complete: bool = True
+
+
+NOTHING = Found(np.empty((0, 3)), np.empty(0), np.empty(0), np.empty((0, 3, 3)))
+
+
+def weigh(features: MapFeatures, scan: LaserScan, found: Modes, options: Options) -> Found:
+    """What separated, scored poses are worth: shares and covariances."""
+    if len(found.poses) == 0:
+        return replace(NOTHING, complete=found.complete)
+    xy, score, trust = scan_xy(scan)[found.rays], found.scores.log_likelihood, options.trust
+    misfit = misfit_of(found.scores, options)
+    temperature = trust.temperature_at(misfit, crowding(xy), features.grid.resolution)
+    share = masses(score, temperature.value)
+    return Found(
+        found.poses,
+        score,
+        share,
+        _covariances(features, found.poses, xy, options, 2 * min(options.fused.model.sigmas)),
+        misfit=misfit,
+        explained=float(found.scores.explained[0]),
+        temperature=temperature,
+        readings=len(found.rays),
+        lead=float(share[0]),
+        complete=found.complete,
+    )
+
+
+def find_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Found:
+    """The best poses of CBML's stack without the stack.
+
+    Shares are among at least :data:`MODES` of them, each score raised to the calibrated power,
+    as if every mode were equally wide.
+    """
+    poses, best = exact_poses(features, scan, options)
+    if len(poses) == 0:
+        return NOTHING
+    how = options.calibration or DEFAULTS["cbml"]
+    temperature = how.temperature_at("cbml", int(scan.valid.sum()))
+    score = best.scores.astype(np.float64)
+    xy = scan_xy(scan)[thin(scan.valid, options.fused.rays)]
+    return Found(
+        poses,
+        score,
+        masses(np.log(score), temperature),
+        _covariances(features, poses, xy, options, features.lattice.resolution),
+        temperature=Temperature(temperature),
+        **settled(features, scan, poses[:1], options),
+    )
+
+
+def exact_poses(
+    features: MapFeatures, scan: LaserScan, options: Options
+) -> tuple[FloatArray, Best]:
+    """Best separated poses (M, 3) of CBML's score, grid frame, by branch and bound."""
+    prior, pooled = options.prior, features.pooled
+    # The headings of the stack that it does without.
+    thetas = replace(options, method="cbml").thetas
+    wanted = np.flatnonzero(prior.headings(thetas, np.pi / len(thetas)))
+    if prior.cells is not None:
+        where = on_lattice(prior, features.free, features.factor)
+        pooled = replace(pooled, where=block_masks(where, pooled.top))
+    distance, angle = options.fused.separation
+    best = best_poses(
+        pooled,
+        scan_xy(scan)[scan.valid],
+        thetas[wanted],
+        count=max(options.top, MODES),
+        distance=distance,
+        angle=angle,
+        threads=options.threads,
+    )
+    cells = best.cells.copy()
+    cells[:, 0] = wanted[cells[:, 0]]
+    xy = centre_of(cells[:, 1:], features.lattice.resolution)
+    return np.column_stack((xy, thetas[cells[:, 0]])), Best(cells, best.scores)
+
+
+def find_in_stack(
+    features: MapFeatures, scan: LaserScan, stack: Likelihood, options: Options
+) -> Found:
+    """Modes of the posterior of a full stack: mass and moments of the peaks of each.
+
+    The highest peak comes first, the paper's global maximum; a lower one that is broader may
+    hold more mass.
+    """
+    probability = posterior_of(features, scan, stack, options)
+    poses, share, covariance, peaks = peaks_of_posterior(
+        probability,
+        stack.thetas,
+        stack.grid.resolution,
+        # More peaks than modes: some are neighbours on the slope of one.
+        n=4 * max(options.top, MODES),
+        separation=options.fused.separation,
+    )
+    if len(poses) == 0:
+        return NOTHING
+    how = options.calibration or DEFAULTS[stack.method]
+    uniform = 1 / (len(stack.thetas) * np.count_nonzero(features.free))
+    with np.errstate(divide="ignore"):
+        score = np.log(probability[tuple(peaks.T)].astype(np.float64) / uniform)
+    return Found(
+        poses,
+        score,
+        share,
+        covariance,
+        temperature=Temperature(how.temperature_at(stack.method, int(scan.valid.sum()))),
+        entropy=entropy(probability),
+        # Votes are spread where walls are few, too: no share says anything of the scan.
+        **settled(features, scan, poses[:1], options),
+    )
+
+
+def settled(
+    features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Options
+) -> dict[str, Any]:
+    """Misfit, explained share and readings of the first pose after it has settled.
+
+    Trust is about the place, not about the cell.
+    """
+    scores, rays = settle(features, scan, poses, options)
+    return {
+        "misfit": misfit_of(scores, options),
+        "explained": float(scores.explained[0]),
+        "readings": len(rays),
+    }
+
+
+def settle(
+    features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Options
+) -> tuple[Scores, IntArray]:
+    """Scores of poses after they have settled, and the readings used."""
+    rays = thin(scan.valid, options.fused.rays)
+    poses = refine(poses, scan_xy(scan)[rays], features.field, sigmas=(0.3, 0.1, 0.05))
+    return rescore(
+        poses,
+        scan.ranges[rays],
+        scan.angles[rays],
+        features.field,
+        features.walls,
+        options.fused.model,
+    ), rays
+
+
+def misfit_of(scores: Scores, options: Options) -> float:
+    """Nats per reading that the best pose falls short of a perfect fit."""
+    per_reading = float(scores.log_likelihood[0]) / scores.crossed.shape[1]
+    return float(options.fused.model.best - per_reading)
+
+
+def _covariances(
+    features: MapFeatures, poses: FloatArray, xy: FloatArray, options: Options, sigma: float
+) -> FloatArray:
+    """Covariances of the poses that are listed."""
+    return covariances(
+        poses[: options.top],
+        xy,
+        features.field,
+        sigma=sigma,
+        correlated=options.trust.correlated,
+        extent=options.fused.separation,
+    )
+
+
+def _log_volumes(hypotheses: tuple[Hypothesis, ...], features: MapFeatures) -> FloatArray:
+    """Logarithm of the volume of each mode as a share of that of all poses."""
+    space = np.count_nonzero(features.free) * features.lattice.resolution**2 * 2 * np.pi
+    # An integral of a density that is no narrower than the score is sharp: the search's own
+    # rounding and a mode that is its own best pose cost as much in every map.
+    volumes = [0.5 * np.linalg.slogdet(2 * np.pi * h.covariance)[1] for h in hypotheses]
+    return np.asarray(np.array(volumes) - np.log(space))
+
+
+def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -> Likelihood:
+    """Compute the full stack of one of the paper's methods.
+
+    Parameters
+    ----------
+    features : MapFeatures
+    scan : LaserScan
+    options : Options or str
+        Or the name of a method alone.
+
+    Returns
+    -------
+    Likelihood
+        On the features' lattice of poses, in the grid frame.
+
+    Raises
+    ------
+    ConfigError
+        If the method is unknown, or the stack is larger than the memory budget.
+
+    Examples
+    --------
+    >>> walls = np.pad(np.zeros((8, 9), bool), 1, constant_values=True)
+    >>> scan = LaserScan([0.4, 0.5], [0.0, 1.0], range_max=9.0)
+    >>> likelihood(prepare(OccupancyGrid(walls, ~walls, 0.1)), scan, "cbml").values.shape
+    (120, 10, 11)
+    """
+    if isinstance(options, str):
+        options = Options(options)
+    _expect(features, MapFeatures, "features", "prepare(grid) makes them")
+    check_method(options.method, tuple(METHODS))
+    thetas, lattice = options.thetas, features.lattice
+    check_budget(
+        stack_bytes(
+            options.method,
+            lattice.shape,
+            len(thetas),
+            threads=options.threads,
+            n_rays=features.n_rays,
+        ),
+        options.memory_budget,
+        f"{options.method} on {len(thetas)} headings x {lattice.height} x {lattice.width} cells",
+        "use larger cells, a larger theta step, or the method 'fused'",
+    )
+    values = stack_of(
+        options.method,
+        features,
+        scan,
+        thetas,
+        engine=options.engine,
+        threads=options.threads,
+        memory_budget=options.memory_budget,
+    )
+    return Likelihood(values, thetas, lattice, options.method)
+
+
+def posterior_of(
+    features: MapFeatures, scan: LaserScan, stack: Likelihood, options: Options
+) -> Float32Array:
+    """The calibrated posterior (K, H, W) of a stack over the poses of the prior."""
+    return calibrated(
+        stack,
+        on_lattice(options.prior, features.free, features.factor),
+        int(scan.valid.sum()),
+        options.calibration,
+        headings=options.prior.headings(stack.thetas, np.pi / len(stack.thetas)),
+    )
+
+
+def check_method(name: str, known: Sequence[str]) -> None:
+    """Refuse a method that does not exist.
+
+    Raises
+    ------
+    ConfigError
+        Naming the methods that do.
+    """
+    if name not in known:
+        raise ConfigError(f"method must be one of {', '.join(known)}, got {name!r}")
 
 
 def check_options(features: MapFeatures, options: Options) -> None:
@@ -142,7 +551,11 @@ def check_options(features: MapFeatures, options: Options) -> None:
     ConfigError
         If an option is out of its range, the memory budget too small, or no pose in which a
         sensor can be is in the prior.
+    TypeError
+        If features or options are of another kind.
     """
+    _expect(features, MapFeatures, "features", "prepare(grid) makes them")
+    _expect(options, Options, "options", 'Options(method="...") makes them')
     if options.top < 1:
         raise ConfigError(f"top must be at least 1, got {options.top}")
     check_method(options.method, ALL_METHODS)
@@ -157,7 +570,7 @@ def check_options(features: MapFeatures, options: Options) -> None:
         shape, cell = features.lattice.shape, features.lattice.resolution
         check_budget(
             answer_bytes(features, options),
-            default_budget() if options.memory_budget is None else options.memory_budget,
+            options.memory_budget,
             f"{options.method} on {shape[0]} x {shape[1]} cells of {cell:g} m",
             "use larger cells",
         )
@@ -166,7 +579,8 @@ def check_options(features: MapFeatures, options: Options) -> None:
 def answer_bytes(features: MapFeatures, options: Options) -> int:
     """How many bytes :func:`localize` takes at most, besides the map's features."""
     shape, cell = features.lattice.shape, features.lattice.resolution
-    exact = exact_bytes(shape, cell, len(exact_thetas(options))) if options.exact else 0
+    headings = len(replace(options, method="cbml").thetas) if options.exact else 0
+    exact = exact_bytes(shape, cell, headings) if options.exact else 0
     if options.method == FUSED:
         fused = options.fused
         return exact + fused_bytes(
@@ -180,18 +594,9 @@ def answer_bytes(features: MapFeatures, options: Options) -> int:
     return exact or stack_bytes(
         options.method,
         shape,
-        len(headings_of(options)),
+        len(options.thetas),
         threads=options.threads,
         n_rays=features.n_rays,
-    )
-
-
-def in_map_frame(hypothesis: Hypothesis, grid: GridInfo) -> Hypothesis:
-    """Take a hypothesis from the grid frame to the map frame: origin and its yaw."""
-    return replace(
-        hypothesis,
-        pose=compose(grid.origin, hypothesis.pose),
-        covariance=rotate_covariance(hypothesis.covariance, grid.origin.theta),
     )
 
 
@@ -213,6 +618,19 @@ def effective(options: Options, features: MapFeatures) -> dict[str, object]:
         if not options.exact:  # they are the headings of branch and bound
             del out["theta_step"]
     about_map = {f.name: getattr(features, f.name) for f in fields(features)}
-    for name in ("grid", "max_bytes", "threads"):
+    for name in ("grid", "memory_budget", "threads"):
         del about_map[name]
     return out | {"map": about_map, "seed": None}
+
+
+def _expect(value: object, kind: type, name: str, hint: str) -> None:
+    """Refuse an argument of another kind: a grid for features, a string for options.
+
+    Raises
+    ------
+    TypeError
+    """
+    if not isinstance(value, kind):
+        raise TypeError(
+            f"{name} must be {kind.__name__}, got {type(value).__name__} {value!r:.40}: {hint}"
+        )

@@ -17,11 +17,13 @@ import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.scanpoints import thin
-from imgloc.model import FloatArray, LaserScan, Localization
-from imgloc.pipeline import FUSED, Options, localize
-from imgloc.search.trust import Trust
+from imgloc.model import LaserScan, Localization
+from imgloc.options import FUSED, Options, Trust
+from imgloc.pipeline import localize
+from imgloc.search.hypotheses import masses
 
+OPTIONS = Options(top=20)
+"""Evidence is summed over the modes that are listed."""
 LEAD = 0.4
 """Nats per reading by which an unknown building may fit better than the third best map.
 
@@ -34,46 +36,6 @@ Maps that fit better are alike, and a scan of one of them is not from none."""
 FEW = 5
 """Of fewer maps than this, one is named only if the scan is ``unique`` in it: too few to tell what
 fits by chance, and of chance there are mostly several places."""
-
-
-@dataclass(frozen=True)
-class Fit:
-    """How a scan fits a map.
-
-    Parameters
-    ----------
-    answer : Localization
-        In that map.
-    log_likelihood : (M,) float array
-        Of the modes, best first, nats.
-    log_volume : (M,) float array
-        Logarithm of the volume of each mode as a share of the map's.
-    readings : int
-        How many were scored.
-    best : float
-        Log-likelihood of a reading that fits perfectly, nats.
-    """
-
-    answer: Localization
-    log_likelihood: FloatArray
-    log_volume: FloatArray
-    readings: int
-    best: float
-
-    @property
-    def misfit(self) -> float:
-        """Nats per reading that the best mode falls short of a perfect fit; inf without one."""
-        if not len(self.log_likelihood):
-            return float("inf")
-        return float(self.best - self.log_likelihood[0] / self.readings)
-
-    def log_evidence(self, temperature: float) -> float:
-        """Logarithm of the mean likelihood over the poses of the map, nats; -inf without a mode."""
-        if not len(self.log_likelihood):
-            return float("-inf")
-        # The modes of the tempered likelihood are wider by the root of the temperature.
-        terms = self.log_likelihood / temperature + self.log_volume + 1.5 * np.log(temperature)
-        return float(np.logaddexp.reduce(terms))
 
 
 @dataclass(frozen=True)
@@ -102,12 +64,14 @@ class Choice:
     temperature: float
 
 
-def fit(features: MapFeatures, scan: LaserScan, options: Options | None = None) -> Fit:
-    """Locate a scan in a map, and keep what its evidence is made of.
+def which(
+    maps: Mapping[str, MapFeatures], scan: LaserScan, options: Options | None = None
+) -> Choice:
+    """Say from which of some maps a scan is: one of them, none, or undecided.
 
     Parameters
     ----------
-    features : MapFeatures
+    maps : mapping of str to MapFeatures
     scan : LaserScan
     options : Options, optional
         Of the method ``fused``.
@@ -115,32 +79,43 @@ def fit(features: MapFeatures, scan: LaserScan, options: Options | None = None) 
     Raises
     ------
     ConfigError
-        If the method is another one: the values of votes have no common scale.
+        If there are no maps, or the method is another one.
+
+    Examples
+    --------
+    >>> from imgloc.model import OccupancyGrid
+    >>> from imgloc.pipeline import prepare
+    >>> wall = np.pad(np.zeros((30, 40), bool), 2, constant_values=True)
+    >>> blind = LaserScan(np.full(20, np.inf), np.linspace(0, 3, 20), range_max=9.0)
+    >>> which({"hall": prepare(OccupancyGrid(wall, ~wall, 0.1))}, blind).verdict
+    'invalid'
     """
-    options = options or Options(top=20)
+    options = options or OPTIONS
+    return choose({name: fit(features, scan, options) for name, features in maps.items()})
+
+
+def fit(features: MapFeatures, scan: LaserScan, options: Options = OPTIONS) -> Localization:
+    """Locate a scan in one of the maps.
+
+    Raises
+    ------
+    ConfigError
+        If the method is not ``fused``: the values of votes have no common scale.
+    """
     if options.method != FUSED:
         raise ConfigError(f"maps are compared by the method {FUSED}, got {options.method}")
-    answer = localize(features, scan, options)
-    space = np.count_nonzero(features.free) * features.lattice.resolution**2 * 2 * np.pi
-    modes = answer.hypotheses
-    # An integral of a density that is no narrower than the score is sharp: the search's own
-    # rounding and a mode that is its own best pose cost as much in every map.
-    volumes = [0.5 * np.linalg.slogdet(2 * np.pi * h.covariance)[1] for h in modes]
-    return Fit(
-        answer,
-        np.array([h.log_likelihood for h in modes]),
-        np.array(volumes) - np.log(space),
-        max(1, len(thin(scan.valid, options.fused.rays))),
-        options.fused.model.best,
-    )
+    return localize(features, scan, options)
 
 
-def choose(fits: Mapping[str, Fit], trust: Trust | None = None, *, sure: float = 0.5) -> Choice:
+def choose(
+    fits: Mapping[str, Localization], trust: Trust | None = None, *, sure: float = 0.5
+) -> Choice:
     """Compare maps by how a scan fits them; all maps are equally likely beforehand.
 
     Parameters
     ----------
-    fits : mapping of str to Fit
+    fits : mapping of str to Localization
+        Of :func:`fit` in each map.
     trust : Trust, optional
     sure : float
         Probability that a map needs to be the verdict.
@@ -152,9 +127,11 @@ def choose(fits: Mapping[str, Fit], trust: Trust | None = None, *, sure: float =
 
     Examples
     --------
+    >>> from imgloc.model import Evidence, Hypothesis, Pose2D
     >>> def made(score):
-    ...     nothing = Localization((), "unique", 0.0, 1.0)
-    ...     return Fit(nothing, np.array([score]), np.array([-9.0]), 100, 1.5)
+    ...     pose = Hypothesis(Pose2D(0.0, 0.0), score, 1.0, np.eye(3))
+    ...     evidence = Evidence(100, 1.5, 1.5 - score / 100, log_volume=np.array([-9.0]))
+    ...     return Localization((pose,), "unique", 0.0, 1.0, evidence=evidence)
     >>> choose({"cellar": made(-150.0), "attic": made(140.0)}).verdict
     'attic'
     >>> choose({"cellar": made(60.0), "attic": made(61.0), "loft": made(58.0)}).verdict
@@ -163,26 +140,28 @@ def choose(fits: Mapping[str, Fit], trust: Trust | None = None, *, sure: float =
     if not fits:
         raise ConfigError("expected at least one map to choose from")
     trust = trust or Trust()
-    if all(f.answer.verdict == "invalid" for f in fits.values()):
+    if all(f.verdict == "invalid" for f in fits.values()):
         unknown = float("nan")
         return Choice("invalid", dict.fromkeys(fits, unknown), unknown, {}, trust.temperature)
-    best = min(fits.values(), key=lambda f: f.misfit)
-    if not np.isfinite(best.misfit):
+    found = [f for f in fits.values() if f.hypotheses]
+    if not found:
         return Choice("none", dict.fromkeys(fits, 0.0), 1.0, {}, trust.temperature)
-    temperature = trust.temperature_at(best.misfit)
-    evidence = {name: f.log_evidence(temperature) for name, f in fits.items()}
+    best = min(found, key=lambda f: f.evidence.misfit)
+    misfit = best.evidence.misfit
+    temperature = trust.temperature_at(misfit).value
+    evidence = {name: log_evidence(f, temperature) for name, f in fits.items()}
     top = max(evidence.values())
     order = sorted(evidence, key=lambda name: (-evidence[name], name))
     weights = np.exp([evidence[name] - top for name in order])
-    lead = LEAD * best.readings / temperature
+    lead = LEAD * best.evidence.readings / temperature
     other = np.exp(unknown_evidence(list(evidence.values()), lead) - top)
     # The chance of being elsewhere counts twins in one map; twins in two maps are no less twins.
-    share = np.exp((best.log_likelihood - best.log_likelihood[0]) / temperature)
-    elsewhere = trust.mass_elsewhere(best.misfit, float(1 / share.sum()))
+    share = masses(np.array([h.log_likelihood for h in best.hypotheses]), temperature)
+    elsewhere = trust.mass_elsewhere(misfit, float(share[0]))
     weights *= (1 - elsewhere) / (weights.sum() + other)
     none = float(1 - weights.sum())
     probability = dict(zip(order, weights.tolist(), strict=True))
-    known = len(fits) >= FEW or fits[order[0]].answer.verdict == "unique"
+    known = len(fits) >= FEW or fits[order[0]].verdict == "unique"
     verdict = order[0] if known and probability[order[0]] >= sure else "undecided"
     return Choice(
         "none" if none > 0.5 else verdict,
@@ -191,6 +170,16 @@ def choose(fits: Mapping[str, Fit], trust: Trust | None = None, *, sure: float =
         {name: evidence[name] - top for name in order},
         temperature,
     )
+
+
+def log_evidence(answer: Localization, temperature: float) -> float:
+    """Logarithm of the mean likelihood over the poses of a map, nats; -inf without a mode."""
+    if not answer.hypotheses:
+        return float("-inf")
+    # The modes of the tempered likelihood are wider by the root of the temperature.
+    score = np.array([h.log_likelihood for h in answer.hypotheses])
+    terms = score / temperature + answer.evidence.log_volume + 1.5 * np.log(temperature)
+    return float(np.logaddexp.reduce(terms))
 
 
 def unknown_evidence(evidence: Sequence[float], lead: float) -> float:

@@ -5,11 +5,12 @@ from functools import cache
 
 import numpy as np
 
-from imgloc.experiments.simulate import simulate
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.geometry import wrap
 from imgloc.model import LaserScan, OccupancyGrid
-from imgloc.pipeline import Options, localize, prepare
+from imgloc.options import Options
+from imgloc.pipeline import localize, prepare
+from imgloc.simulate import simulate
+from imgloc.worlds import WORLDS, render
 
 ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
 

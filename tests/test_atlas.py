@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from command import MAPS, call, command, rows
 
+from imgloc.atlas import TOP, atlas_poses, survey
 from imgloc.draw.atlas import COLOURS, draw_atlas
 from imgloc.errors import ConfigError, MapError, OutputError
-from imgloc.experiments.atlas import TOP, atlas_poses, survey
-from imgloc.experiments.simulate import ray_angles, simulate
 from imgloc.io.atlasrows import COLUMNS, Journal, as_csv
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
-from imgloc.pipeline import Options
+from imgloc.options import Options
+from imgloc.simulate import ray_angles, simulate
 
 
 def twin_rooms() -> OccupancyGrid:
@@ -178,19 +178,16 @@ def test_workers_do_not_outlive_a_run_that_is_killed(tmp_path: Path) -> None:
 
 
 def test_rows_that_are_there_are_not_computed_again(tmp_path: Path, monkeypatch) -> None:
-    from imgloc.experiments import atlas
-
     png = tmp_path / "a.png"
     stop = 5
 
     def interrupted(*args, **kwargs):
-        for k, spot in enumerate(atlas_survey(*args, **kwargs)):
+        for k, spot in enumerate(survey(*args, **kwargs)):
             if k == stop:
                 raise KeyboardInterrupt
             yield spot
 
-    atlas_survey = atlas.survey
-    monkeypatch.setattr(atlas, "survey", interrupted)
+    monkeypatch.setattr("imgloc.atlas.survey", interrupted)
     run = call(*ATLAS, "--out", png, "--workers", 1)
     assert run.code != 0
     journal = (tmp_path / "a.png.part").read_text().splitlines()

@@ -1,29 +1,38 @@
 """The benchmark: its references compute what the engines do, and its numbers are of its work."""
 
 import shutil
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError, ImglocError
-from imgloc.experiments.bench import answer_summary, answer_times, as_row, in_turns
-from imgloc.experiments.bench_cases import PAIR_HEADINGS, added, gathered, stack_cases, vote_cases
-from imgloc.experiments.bench_engines import engine_rows, seen, tiled
-from imgloc.experiments.bench_outside import floors, growth, memory
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.scanpoints import scan_points, scan_xy
 from imgloc.geometry import uniform_thetas
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.likelihood.cbml import cbml
-from imgloc.likelihood.engines import ENGINES
+from imgloc.likelihood.correlate import ENGINES
 from imgloc.likelihood.ght import ght
 from imgloc.pipeline import prepare
-from imgloc.report.bench import bench_tables
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
+from tools.bench.__main__ import bench_tables, main
+from tools.bench.measure import (
+    PAIR_HEADINGS,
+    added,
+    answer_summary,
+    answer_times,
+    as_row,
+    engine_rows,
+    gathered,
+    in_turns,
+    seen,
+    stack_cases,
+    tiled,
+    vote_cases,
+)
+from tools.bench.outside import floors, growth, memory
 
 
 @pytest.fixture(scope="module")
@@ -172,7 +181,7 @@ def test_rays_of_the_engines_are_as_many_and_as_long_as_said():
     ],
 )
 def test_the_tool_refuses_nonsense(words, expected, capsys):
-    assert tool().main(words) == 2
+    assert main(words) == 2
     assert capsys.readouterr() == ("", f"bench: error: {expected}\n")
 
 
@@ -183,7 +192,7 @@ def test_the_tool_prints_what_is_asked_for(tmp_path, capsys):
     save_map(path, grid)
     save_scans(path.with_name("scans.npz"), simulate_set(grid, 2, 0, Sensor(rays=31)))
     words = ["--parts", "localize", "--scans", "1", "--threads", "1", "--repeats", "1"]
-    assert tool().main([*words, "--sets", str(path)]) == 0
+    assert main([*words, "--sets", str(path)]) == 0
     out = capsys.readouterr().out
     assert "p99 / median" in out
     assert "| large |" in out
@@ -206,11 +215,3 @@ def test_the_tables_of_the_tool(case):
     tables = [part.splitlines() for part in text.split("\n\n")[1:-1]]
     for lines in tables:  # as many cells in each line
         assert len({line.count("|") for line in lines}) == 1
-
-
-def tool():
-    path = Path(__file__).resolve().parents[1] / "tools" / "bench.py"
-    spec = spec_from_file_location("bench", path)
-    module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module

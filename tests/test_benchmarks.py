@@ -9,24 +9,22 @@ import numpy as np
 import pytest
 from places import POSES, error, features_of, grid_of, scan_of
 
-from imgloc.features.contours import outlines
-from imgloc.features.distance import FAR, distance_field
+from imgloc.features.distance import FARTHEST, distance_field, distance_image
 from imgloc.features.pyramid import pyramid
-from imgloc.features.raycast import cast_rays, distance_image
+from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import scan_points, scan_xy
-from imgloc.features.surface import surface_points
+from imgloc.features.surface import outlines, surface_points
 from imgloc.features.visibility import visibility_frames
 from imgloc.geometry import centre_of, uniform_thetas
 from imgloc.likelihood.cbml import cbml_o
-from imgloc.likelihood.correlate import correlate
-from imgloc.likelihood.engines import ENGINES
-from imgloc.likelihood.flat import flat_stack
+from imgloc.likelihood.correlate import ENGINES, correlate
 from imgloc.likelihood.ght import ght, ght_v
+from imgloc.likelihood.shift import flat_stack
 from imgloc.likelihood.slices import cell_offsets
 from imgloc.model import Pose2D
+from imgloc.options import FusedOptions
 from imgloc.pipeline import localize
 from imgloc.search.branch_and_bound import best_poses
-from imgloc.search.fused_options import FusedOptions
 from imgloc.search.proposals import propose_endpoints
 from imgloc.search.refine import refine
 from imgloc.search.rescore import rescore
@@ -158,7 +156,7 @@ def test_distance_field(benchmark):
     field = benchmark(lambda: distance_field(grid.occupied, grid.resolution))
     distance = field.distance
     assert (distance[grid.occupied] < 0).all()
-    assert 0 < distance[~grid.occupied].min() < distance.max() <= FAR
+    assert 0 < distance[~grid.occupied].min() < distance.max() <= FARTHEST
 
 
 def test_pyramid(benchmark, features):

@@ -5,16 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
+from imgloc.calibrate import EXPONENTS, Sweep, densities, disturbed_set, fit, sweep
 from imgloc.errors import ConfigError
-from imgloc.experiments.calibrate import EXPONENTS, Sweep, densities, disturbed_set, fit, sweep
-from imgloc.experiments.index import density_in_stack, performance_index
-from imgloc.experiments.runs import cell_of_pose
-from imgloc.experiments.scansets import Sensor, simulate_set
+from imgloc.evaluate import cell_of_pose
+from imgloc.index import density_in_stack, performance_index
 from imgloc.io.scanset import ScanSet
-from imgloc.likelihood.calibration import Calibration
 from imgloc.likelihood.posterior import calibrated
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
-from imgloc.pipeline import METHODS, Options, likelihood, prepare
+from imgloc.options import METHODS, Calibration, Options
+from imgloc.pipeline import likelihood, prepare
+from imgloc.simulate import Sensor, simulate_set
 
 
 def room() -> OccupancyGrid:

@@ -17,11 +17,11 @@ from imgloc.cli.console import Group, emit
 from imgloc.cli.demo import DemoMap
 from imgloc.cli.options import EngineName, MethodName, ModeName, SemanticsName
 from imgloc.errors import ConfigError, MapError, OutputError, ScanError
-from imgloc.experiments.worlds import WORLDS
 from imgloc.io.maps import SEMANTICS
 from imgloc.io.mapyaml import MODES
-from imgloc.likelihood.engines import ENGINES
-from imgloc.pipeline import ALL_METHODS
+from imgloc.likelihood.correlate import ENGINES
+from imgloc.options import ALL_METHODS
+from imgloc.worlds import WORLDS
 
 COMMANDS = (
     ["demo"],

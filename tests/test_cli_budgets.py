@@ -148,14 +148,6 @@ def test_every_method_of_a_calibration_is_checked_before_the_first_one_runs(
     assert "Fit(" not in run.err  # nothing has been measured
 
 
-def test_a_table_of_draws_counts(folder: Path) -> None:
-    run = call(*words(SAMPLE, folder), "-n", 1_000_000, "--memory-budget", "150M")
-    assert (run.code, run.out) == (2, "")
-    assert "a table of 1,000,000 poses for each of 2 scans needs" in run.err
-    assert "draw fewer (-n)" in run.err
-    assert not list(folder.iterdir())
-
-
 def test_which_leaves_out_maps_that_need_more(folder: Path) -> None:
     for ending in (".yaml", ".png"):
         for name in ("curved", "large"):

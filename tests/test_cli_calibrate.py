@@ -9,7 +9,7 @@ from command import MAPS, call, rows
 
 from imgloc.io.calibration import load_calibrations
 from imgloc.io.maps import load_map
-from imgloc.likelihood.calibration import DEFAULTS
+from imgloc.options import DEFAULTS
 
 QUICK = ("--methods", "ght-v", "-n", 20, "--rays", 61, "--theta-step-deg", 15, "--threads", 1)
 

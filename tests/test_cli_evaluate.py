@@ -12,8 +12,8 @@ from command import MAPS, call, rows, spawn
 from imgloc.geometry import transform_poses
 from imgloc.io.maps import load_map, save_map
 from imgloc.io.scans import ScanSet, load_scans, save_scans
-from imgloc.likelihood.calibration import DEFAULTS
 from imgloc.model import OccupancyGrid, Pose2D
+from imgloc.options import DEFAULTS
 
 CURVED = MAPS / "curved.yaml"
 QUICK = ["--methods", "fused,ght-v", "--threads", 1]

@@ -10,7 +10,7 @@ from imgloc.geometry import compose, transform_poses
 from imgloc.io.maps import load_map, save_map
 from imgloc.io.scans import ScanSet, load_scans, save_scans
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
-from imgloc.pipeline import ALL_METHODS
+from imgloc.options import ALL_METHODS
 
 CURVED = MAPS / "curved.yaml"
 KEYS = [

@@ -15,12 +15,12 @@ from imgloc.draw.canvas import INK, PAPER, SHADE
 from imgloc.draw.explain import draw_covariance, draw_overview, draw_rays, draw_scan, window
 from imgloc.draw.marks import share_bar, swatch
 from imgloc.draw.svg import View, cells_picture, map_image, scale_bar
-from imgloc.explain import explain
+from imgloc.explain import KINDS, RayFit, explain
 from imgloc.model import Hypothesis, LaserScan, OccupancyGrid, Pose2D
-from imgloc.pipeline import Options, localize, prepare
+from imgloc.options import Options
+from imgloc.pipeline import localize, prepare
 from imgloc.report.explain import render_explanation
 from imgloc.report.verdicts import HEADLINES
-from imgloc.search.explain import KINDS, RayFit
 
 VOID = {"meta", "img", "br"}
 LOOSE = {"p", "li", "td", "th", "tr", "dt", "dd"}  # HTML closes them by itself
@@ -258,7 +258,7 @@ def test_the_page_says_what_the_answer_says(why) -> None:
         for kind, n in fit.rays.counts.items():
             if n and kind == "agrees":
                 assert f"agrees {n} " in page.text
-    assert f"Misfit {why.misfit:.3f} nats per reading." in page.text
+    assert f"Misfit {why.answer.evidence.misfit:.3f} nats per reading." in page.text
     assert f"Temperature {why.temperature:.2f}" in page.text
     margin = why.fits[0].hypothesis.log_likelihood - why.fits[1].hypothesis.log_likelihood
     assert f"the second is {margin:.1f} nats behind" in page.text

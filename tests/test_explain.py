@@ -8,12 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import POSES, answer_of, error, features_of, room_with_a_post, scan_of
 
-from imgloc.explain import explain
+from imgloc.explain import KINDS, RayFit, explain, explain_rays, faced
 from imgloc.features.raycast import cast_rays
-from imgloc.methods import ALL_METHODS
 from imgloc.model import LaserScan, OccupancyGrid, OrientedPoints, Pose2D
-from imgloc.pipeline import Options, localize, prepare
-from imgloc.search.explain import KINDS, RayFit, explain_rays, faced
+from imgloc.options import ALL_METHODS, Options
+from imgloc.pipeline import localize, prepare
 from imgloc.search.priors import Prior, near
 
 ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
@@ -119,16 +118,22 @@ def test_the_numbers_are_those_of_the_answer(method) -> None:
     masses = [f.before * (1 - answer.elsewhere) for f in why.fits]
     np.testing.assert_allclose(masses, [h.mass for h in answer.hypotheses])
     share = why.fits[0].before if method == "fused" else 1.0
-    assert options.trust.mass_elsewhere(why.misfit, share) == pytest.approx(answer.elsewhere)
-    assert why.misfit == pytest.approx(options.fused.model.best - why.fits[0].per_reading)
-    assert why.readings == 120
+    assert options.trust.mass_elsewhere(answer.evidence.misfit, share) == pytest.approx(
+        answer.elsewhere
+    )
+    assert answer.evidence.misfit == pytest.approx(
+        options.fused.model.best - why.fits[0].per_reading
+    )
+    assert answer.evidence.readings == 120
     if method == "fused":
         gap = [h.log_likelihood for h in answer.hypotheses]
-        np.testing.assert_allclose([f.per_reading * why.readings for f in why.fits], gap, rtol=1e-6)
-        odds = np.log(why.fits[0].before / why.fits[1].before) * why.temperature
+        np.testing.assert_allclose(
+            [f.per_reading * answer.evidence.readings for f in why.fits], gap, rtol=1e-6
+        )
+        odds = np.log(why.fits[0].before / why.fits[1].before) * answer.evidence.temperature.value
         assert odds == pytest.approx(gap[0] - gap[1])
     if answer.verdict == "unique":
-        assert all(check.holds for check in why.checks)
+        assert all(check.holds for check in answer.evidence.checks)
 
 
 def test_the_best_likelihood_of_a_picture_is_near_the_pose() -> None:
@@ -187,18 +192,16 @@ def test_the_check_that_fails_is_the_last_one(room) -> None:
     rng = np.random.default_rng(0)
     noise = LaserScan(rng.uniform(0.3, 3.0, 120), ANGLES, range_max=20.0)
     answer = localize(room, noise)
-    why = explain(room, noise, answer)
     assert answer.verdict == "no-match"
-    assert [c.name for c in why.checks] == ["readings", "elsewhere"]
-    assert [c.holds for c in why.checks] == [True, False]
-    assert why.checks[1].value == answer.elsewhere
+    assert [c.name for c in answer.evidence.checks] == ["readings", "elsewhere"]
+    assert [c.holds for c in answer.evidence.checks] == [True, False]
+    assert answer.evidence.checks[1].value == answer.elsewhere
     square = np.pad(np.zeros((30, 30), bool), 2, constant_values=True)
     twins = prepare(OccupancyGrid(square, ~square, 0.1))
     scan = seen_from(twins, (1.0, 1.3, 0.2))
     answer = localize(twins, scan)
-    why = explain(twins, scan, answer)
     assert answer.verdict == "ambiguous"
-    assert [c.holds for c in why.checks] == [True, True, False]
+    assert [c.holds for c in answer.evidence.checks] == [True, True, False]
 
 
 def test_the_origin_moves_the_pose_and_not_the_rays() -> None:
@@ -217,7 +220,8 @@ def test_the_origin_moves_the_pose_and_not_the_rays() -> None:
 
 def test_a_scan_of_nothing_has_no_fits(room) -> None:
     far = LaserScan(np.full(120, 70.0), ANGLES, range_max=80.0)
-    why = explain(room, far, localize(room, far))
+    answer = localize(room, far)
+    why = explain(room, far, answer)
     assert why.fits == ()
-    assert np.isnan(why.misfit)
-    assert [c.holds for c in why.checks] == [True, False]
+    assert np.isnan(answer.evidence.misfit)
+    assert [c.holds for c in answer.evidence.checks] == [True, False]

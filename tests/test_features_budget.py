@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imgloc.calibrate import disturbed_set, sweep
 from imgloc.errors import ConfigError
-from imgloc.experiments.calibrate import disturbed_set, sweep
-from imgloc.experiments.scansets import Sensor
 from imgloc.features.budget import (
     MIB,
     UNKNOWN_RAM,
@@ -17,16 +16,18 @@ from imgloc.features.budget import (
     check_budget,
     default_budget,
     exact_bytes,
+    features_bytes,
     fused_bytes,
-    prepare_bytes,
     stack_bytes,
     surface_count,
 )
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import uniform_thetas
 from imgloc.model import LaserScan, OccupancyGrid
-from imgloc.pipeline import ALL_METHODS, METHODS, Options, answer_bytes, localize
+from imgloc.options import ALL_METHODS, METHODS, Options
+from imgloc.pipeline import answer_bytes, localize
 from imgloc.search.branch_and_bound import best_poses
+from imgloc.simulate import Sensor
 
 FIXED = fused_bytes((1, 1), 1.0)  # what is assumed whatever the sizes
 
@@ -60,7 +61,8 @@ def test_preparing_takes_no_more_than_estimated() -> None:
     names = ("walls", "field", "standable", "pyramid", "surface", "visibility")
     features = MapFeatures(grid)
     taken = peak(lambda: [getattr(features, name) for name in names])
-    need = prepare_bytes(grid.occupied.shape, points=surface_count(grid), factor=2)
+    need = features.bytes_for("fused")
+    assert need == features_bytes(grid.occupied.shape, points=surface_count(grid), factor=2)
     assert taken <= need
     assert need <= 6 * taken
 
@@ -96,9 +98,7 @@ def test_features_and_answer_take_no_more_than_estimated(method: str, resolution
     grid = office(4, resolution)
     features, options = MapFeatures(grid, n_rays=48), Options(method=method, theta_step=np.pi / 6)
     taken = peak(lambda: localize(features, scan(), options))
-    points = surface_count(grid)
-    need = prepare_bytes(grid.occupied.shape, points=points, factor=features.factor, voters=points)
-    assert taken <= need + answer_bytes(features, options)
+    assert taken <= features.bytes_for(method) + answer_bytes(features, options)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -135,16 +135,35 @@ def test_the_exact_argmax_takes_no_more_than_estimated() -> None:
     assert need < stack_bytes("cbml", features.lattice.shape, len(thetas)) / 4
 
 
+def test_a_heading_of_the_exact_argmax_bounds_every_block() -> None:
+    features = MapFeatures(office(3, 0.1))
+    shape, blocks = features.lattice.shape, features.pooled.where[-1].size
+    few, more = (exact_bytes(shape, 0.1, n, readings=0) for n in (10, 11))
+    assert more - few == 32 * blocks
+
+
 def test_estimates_grow_with_everything() -> None:
     base = {"points": 1000, "n_psi": 72, "factor": 2}
-    least = prepare_bytes((500, 500), **base)
-    assert prepare_bytes((500, 500), **base, voters=10) < least
+    least = features_bytes((500, 500), **base)
+    assert features_bytes((500, 500), **base, voters=10) < least
     for change in ({"points": 10**6}, {"n_psi": 720}, {"factor": 1}):
-        assert prepare_bytes((500, 500), **{**base, **change}) > least
+        assert features_bytes((500, 500), **{**base, **change}) > least
     assert stack_bytes("ght", (500, 500), 36, threads=4) > stack_bytes("ght", (500, 500), 36)
     assert stack_bytes("beam", (99, 99), 9, n_rays=720) > stack_bytes("beam", (99, 99), 9)
     assert fused_bytes((5000, 5000), 0.1) > fused_bytes((500, 500), 0.1)
     assert isinstance(fused_bytes((500, 500), 0.1), int)
+
+
+def test_the_budget_of_the_options_is_that_of_the_ray_distances(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("imgloc.features.budget.available_bytes", lambda: 0)
+    features = MapFeatures(office(1, 0.1), n_rays=24)
+    with pytest.raises(ConfigError, match=r"24 directions x 50 x 50 cells, needs 1 MiB of memory"):
+        _ = features.ray_distances
+    allowed = Options(method="beam", theta_step=2 * np.pi / 24, memory_budget=1 << 42)
+    assert localize(features, scan(), allowed).hypotheses
+    assert len(MapFeatures(features.grid, n_rays=24, memory_budget=1 << 20).ray_distances) == 24
 
 
 def test_within_the_budget_nothing_happens() -> None:

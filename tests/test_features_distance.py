@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imgloc.features.distance import FAR, SLOPE, UNIT, distance_field, signed_distance
+from imgloc.features.distance import FARTHEST, SLOPE, UNIT, distance_field, signed_distance
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -26,7 +26,7 @@ def naive(occupied, resolution):
                 for c in range(padded.shape[1]):
                     if padded[r, c] != here:
                         best = min(best, math.hypot(r - 1 - row, c - 1 - column) - 0.5)
-            d = min(best * resolution, FAR)
+            d = min(best * resolution, FARTHEST)
             out[row, column] = -d if here else d
     return out
 
@@ -79,10 +79,10 @@ def test_far_away_is_cut_and_a_map_without_walls_is_far_everywhere():
     wall = np.zeros((3, 60), bool)
     wall[:, 0] = True
     got = signed_distance(wall, 0.1)
-    assert got.max() == FAR
+    assert got.max() == FARTHEST
     assert got[1, 39] == pytest.approx(3.85)
-    assert got[1, 45] == FAR
-    assert np.all(signed_distance(np.zeros((2, 3), bool), 0.1) == FAR)
+    assert got[1, 45] == FARTHEST
+    assert np.all(signed_distance(np.zeros((2, 3), bool), 0.1) == FARTHEST)
 
 
 def test_beyond_the_border_nothing_is_occupied():
@@ -125,7 +125,7 @@ def test_lookups_are_exact_along_a_straight_wall(side, data):
     n, thick = 24, 5
     wall = np.zeros((n, n), bool)
     wall[:, :thick] = True
-    far = min(n - 1.01, FAR / resolution + thick - 1.01)
+    far = min(n - 1.01, FARTHEST / resolution + thick - 1.01)
     across = data.draw(st.floats(1, far)) * resolution
     along = data.draw(st.floats(6, n - 6)) * resolution
     # Its surface is at x = 5 cells; turn wall and point so that it faces any of four ways.
@@ -153,8 +153,8 @@ def test_the_slope_at_the_edge_of_the_map_is_one(turns):
     c, s = round(math.cos(turns * math.pi / 2)), round(math.sin(turns * math.pi / 2))
     x, y = 4.25, 0.0  # from the middle of the map: in its last column, off the centre
     distance, gx, gy = field.lookup(4.5 + c * x - s * y, 4.5 + s * x + c * y)
-    assert distance == pytest.approx(min(5.75, FAR))
-    assert (gx, gy) == pytest.approx((0, 0))  # cut at FAR
+    assert distance == pytest.approx(min(5.75, FARTHEST))
+    assert (gx, gy) == pytest.approx((0, 0))  # cut at FARTHEST
     field = distance_field(np.ascontiguousarray(np.rot90(wall[:, 1:6], -turns)), 0.5)
     h, w = (9, 5) if turns % 2 == 0 else (5, 9)
     x, y = 1.125, 0.3
@@ -185,7 +185,7 @@ def test_thin_walls_are_inside_on_both_sides():
 )
 def test_off_the_map_is_far_and_flat(x, y):
     field = distance_field(np.ones((4, 6), bool), 0.1)
-    assert [v.tolist() for v in field.lookup([x], [y])] == [[FAR], [0], [0]]
+    assert [v.tolist() for v in field.lookup([x], [y])] == [[FARTHEST], [0], [0]]
     inside = field.lookup(0.599, 0.399)
     assert inside[0] < 0
 

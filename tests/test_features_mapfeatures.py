@@ -59,7 +59,7 @@ def test_lengths_are_positive_and_finite(features, name, value):
         dataclasses.replace(features, **{name: value})
 
 
-@pytest.mark.parametrize("name", ["n_psi", "n_rays", "max_bytes", "threads"])
+@pytest.mark.parametrize("name", ["n_psi", "n_rays", "memory_budget", "threads"])
 @pytest.mark.parametrize("value", [0, -3])
 def test_numbers_are_at_least_one(features, name, value):
     with pytest.raises(ConfigError, match=f"^{name} must be at least 1"):
@@ -67,7 +67,7 @@ def test_numbers_are_at_least_one(features, name, value):
 
 
 def test_too_large_a_stack_is_refused_with_its_size(features):
-    small = dataclasses.replace(features, max_bytes=24 * 30 * 8 * 2 - 1)
+    small = dataclasses.replace(features, memory_budget=24 * 30 * 8 * 2 - 1)
     with pytest.raises(ConfigError, match="8 directions x 24 x 30 cells"):
         _ = small.ray_distances
-    assert dataclasses.replace(features, max_bytes=24 * 30 * 8 * 2).ray_distances.shape[0] == 8
+    assert dataclasses.replace(features, memory_budget=24 * 30 * 8 * 2).ray_distances.shape[0] == 8

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
-from imgloc.features.raycast import cast_rays, distance_image
+from imgloc.features.distance import distance_image
+from imgloc.features.raycast import cast_rays
 
 INF = float("inf")
 

@@ -8,8 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
-from imgloc.features.raycast import cast_rays, distance_image
-from imgloc.features.raydistance import ray_distances, ray_distances_bytes
+from imgloc.features.budget import ray_distances_bytes
+from imgloc.features.distance import distance_image
+from imgloc.features.raycast import cast_rays
+from imgloc.features.raydistance import ray_distances
 
 
 def blobs(seed, height=24, width=31):

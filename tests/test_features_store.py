@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 from imgloc.features import mapfeatures
-from imgloc.features.arrays import KEPT, features_from_arrays, features_to_arrays
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.store import features_key, load_features, save_features
+from imgloc.features.store import (
+    KEPT,
+    features_from_arrays,
+    features_key,
+    features_to_arrays,
+    load_features,
+    save_features,
+)
 from imgloc.geometry import uniform_thetas
 from imgloc.io.cache import entry_path, store_entry
 from imgloc.model import OccupancyGrid, Pose2D
@@ -156,7 +162,7 @@ def test_arrays_of_another_map_are_refused(grid: OccupancyGrid, arrays: dict) ->
 
 def test_key_ignores_what_does_not_change_a_feature(grid: OccupancyGrid) -> None:
     key = features_key(MapFeatures(grid, **PARAMETERS))
-    assert key == features_key(MapFeatures(grid, **PARAMETERS, threads=7, max_bytes=1))
+    assert key == features_key(MapFeatures(grid, **PARAMETERS, threads=7, memory_budget=1))
     assert key == features_key(MapFeatures(replace(grid, origin=Pose2D(1, 2, 3)), **PARAMETERS))
     assert key != features_key(MapFeatures(grid, **PARAMETERS, sigma=0.2))
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from imgloc.features.transform import FARTHEST, distance_transform
+from imgloc.features.distance import FARTHEST_CELLS, distance_transform
 
 
 @pytest.fixture(autouse=True)
@@ -32,13 +32,13 @@ def test_far_from_a_single_wall_it_is_exact_and_then_capped(threads: int) -> Non
     image[17, 30] = 0
     rows, columns = np.indices(image.shape)
     squares = (rows - 17) ** 2 + (columns - 30) ** 2
-    expected = np.minimum(np.sqrt(squares), FARTHEST).astype(np.float32)
-    assert squares.max() > FARTHEST**2
+    expected = np.minimum(np.sqrt(squares), FARTHEST_CELLS).astype(np.float32)
+    assert squares.max() > FARTHEST_CELLS**2
     np.testing.assert_array_equal(distance_transform(image), expected)
 
 
 def test_without_a_wall_everything_is_far() -> None:
-    assert np.all(distance_transform(np.ones((4, 5), np.uint8)) == FARTHEST)
+    assert np.all(distance_transform(np.ones((4, 5), np.uint8)) == FARTHEST_CELLS)
 
 
 def test_the_argument_is_left_alone() -> None:

@@ -4,18 +4,19 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
-from imgloc.experiments.index import (
+from imgloc.evaluate import share
+from imgloc.geometry import cell_of, theta_bin
+from imgloc.index import (
     density_at,
     density_in_cell,
     density_in_stack,
     global_maximum,
     performance_index,
 )
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.shares import share
-from imgloc.geometry import cell_of, theta_bin
 from imgloc.model import Hypothesis, Localization, OccupancyGrid, Pose2D
-from imgloc.pipeline import METHODS, Options, likelihood, prepare
+from imgloc.options import METHODS, Options
+from imgloc.pipeline import likelihood, prepare
+from imgloc.simulate import Sensor, simulate_set
 
 # Two headings, two rows, three columns; the sums are 20 over the box and 16 over `FREE`.
 STACK = np.array([[[0, 1, 2], [3, 0, 4]], [[1, 1, 0], [2, 6, 0]]], dtype=np.float32)

@@ -14,8 +14,8 @@ from imgloc.io.calibration import (
     map_hash,
     save_calibrations,
 )
-from imgloc.likelihood.calibration import Calibration
 from imgloc.model import OccupancyGrid, Pose2D
+from imgloc.options import Calibration
 
 WALL = np.eye(4, dtype=bool)
 GRID = OccupancyGrid(WALL, ~WALL, 0.1)

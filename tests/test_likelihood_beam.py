@@ -6,7 +6,7 @@ import pytest
 from imgloc.errors import ConfigError
 from imgloc.features.raydistance import ray_distances
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihood.beam import beam, heading_sigma, temperature
+from imgloc.likelihood.beam import beam, heading_sigma
 
 NONE = np.zeros(0)
 
@@ -160,14 +160,6 @@ def test_any_shape_and_any_number_of_threads(shape):
     for row, col in cells:
         alone = beam(stack[:, row : row + 1, col : col + 1], *args[1:])
         np.testing.assert_array_equal(values[:, row, col], alone[:, 0, 0])
-
-
-def test_more_rays_know_no_more_than_a_dozen():
-    assert [temperature(n) for n in (0, 1, 12, 24, 1080)] == [1, 1, 1, 2, 90]
-    assert temperature(30, independent=10) == 3
-    for independent in (0.0, -1.0, np.nan, np.inf):
-        with pytest.raises(ConfigError, match="independent"):
-            temperature(30, independent)
 
 
 def test_the_deviation_of_a_heading_shrinks_with_their_step():

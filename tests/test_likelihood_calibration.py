@@ -10,11 +10,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from imgloc.errors import ConfigError
-from imgloc.likelihood.calibration import DEFAULTS, LOG_METHODS, Calibration
-from imgloc.likelihood.posterior import calibrated, posterior
-from imgloc.likelihood.smoothing import circular_kernel, smooth
+from imgloc.likelihood.posterior import calibrated, circular_kernel, posterior, smooth
 from imgloc.model import GridInfo, Likelihood
-from imgloc.pipeline import METHODS
+from imgloc.options import DEFAULTS, LOG_METHODS, METHODS, Calibration
 
 VOTES = sorted(set(METHODS) - LOG_METHODS)
 FREE = np.ones((5, 7), bool)
@@ -139,3 +137,9 @@ def test_a_circular_kernel_is_symmetric_and_sums_to_one(n, sigma):
 def test_values_out_of_range(values):
     with pytest.raises(ConfigError, match="must be finite and"):
         Calibration(*values)
+
+
+def test_more_rays_know_no_more_than_half_a_dozen() -> None:
+    how = DEFAULTS["beam"]
+    assert how.temperature_at("beam", 635) == pytest.approx(100)
+    assert how.temperature_at("beam", 1270) == pytest.approx(200)

@@ -6,9 +6,8 @@ from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihood.cbml import cbml, cbml_o
-from imgloc.likelihood.engines import ENGINES
-from imgloc.likelihood.projections import project
+from imgloc.likelihood.cbml import cbml, cbml_o, project
+from imgloc.likelihood.correlate import ENGINES
 from imgloc.model import OrientedPoints
 
 seeds = st.integers(0, 2**32 - 1)

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihood import engines, shift
-from imgloc.likelihood.correlate import correlate
-from imgloc.likelihood.engines import ENGINES, choose_engine
+from imgloc.likelihood import correlate as engines
+from imgloc.likelihood import shift
+from imgloc.likelihood.correlate import ENGINES, choose_engine, correlate
 from imgloc.likelihood.slices import cell_offsets
 from imgloc.likelihood.spectral import multiply_packed
 

@@ -7,10 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
-from imgloc.likelihood.ght import ght, ght_v
-from imgloc.likelihood.uncertainty import Uncertainty, blur, blur_of, turned_copies
-from imgloc.likelihood.votes import BLOCK_COLUMNS
+from imgloc.likelihood.ght import BLOCK_COLUMNS, ght, ght_v
 from imgloc.model import OrientedPoints
+from tools.paper.uncertainty import Uncertainty, blur, blur_of, turned_copies, vote_spread
 
 seeds = st.integers(0, 2**32 - 1)
 N_PSI = 24
@@ -95,7 +94,7 @@ UNCERTAINTIES = [
 @pytest.mark.parametrize("n_theta", [4, 24])
 def test_uncertain_votes_equal_the_loops(uncertainty, once, n_theta):
     surface, points, vis = random_case(3)
-    fast = ght_v(
+    fast = vote_spread(
         surface, relative(vis, surface.alpha), points, n_theta, SHAPE, 0.1,
         once=once, uncertainty=uncertainty,
     )  # fmt: skip
@@ -108,7 +107,7 @@ def test_uncertain_votes_without_visibility():
     surface, points, _ = random_case(4)
     uncertainty = Uncertainty(copies=7)
     np.testing.assert_allclose(
-        ght(surface, points, 8, SHAPE, 0.1, uncertainty=uncertainty),
+        vote_spread(surface, None, points, 8, SHAPE, 0.1, uncertainty=uncertainty),
         naive.ght_v_uncertain(surface, None, points, 8, SHAPE, 0.1, uncertainty),
         atol=1e-5,
     )
@@ -117,7 +116,9 @@ def test_uncertain_votes_without_visibility():
 def test_certain_votes_are_those_of_algorithm_4():
     surface, points, vis = random_case(5, m=40, n=20, spread=(1e-9, 1e-8))
     # At most 0.85 m times 2.5 times hypot(1/256, 1/256): less than half a cell of 0.1 m.
-    fast = ght_v(surface, relative(vis, surface.alpha), points, 12, SHAPE, 0.1, uncertainty=SHARP)
+    fast = vote_spread(
+        surface, relative(vis, surface.alpha), points, 12, SHAPE, 0.1, uncertainty=SHARP
+    )
     np.testing.assert_array_equal(fast, naive.ght_v(surface, vis, points, 12, SHAPE, 0.1))
 
 
@@ -125,8 +126,8 @@ def test_a_vote_is_spread_along_the_arc_around_its_map_point():
     # Seen 4 m ahead with a normal uncertain by 0.1 rad: poses 4 m from the wall point, on an arc
     # of 0.4 m (one sigma), each with the heading under which the point lies ahead.
     wall, scan = one(5.05, 3.05, np.pi), one(4.0, 0.0, np.pi, sigma=0.1)
-    stack = ght(
-        wall, scan, 72, (60, 60), 0.1, uncertainty=Uncertainty(0.0, 0.0, copies=101)
+    stack = vote_spread(
+        wall, None, scan, 72, (60, 60), 0.1, uncertainty=Uncertainty(0.0, 0.0, copies=101)
     ).astype(float)
     assert abs(stack.sum() - 1) < 0.05
     k, row, column = np.nonzero(stack)
@@ -147,8 +148,8 @@ def test_blur_stands_in_for_copies_that_are_not_cast():
     wall, scan = one(5.05, 3.05, np.pi), one(4.0, 0.0, np.pi, sigma=0.1)
     spreads = []
     for copies in (1, 3, 5, 9, 101):
-        stack = ght(
-            wall, scan, 4, (61, 60), 0.1, uncertainty=Uncertainty(0.0, 0.0, copies=copies)
+        stack = vote_spread(
+            wall, None, scan, 4, (61, 60), 0.1, uncertainty=Uncertainty(0.0, 0.0, copies=copies)
         ).sum(axis=(0, 2))
         y = (np.arange(61) + 0.5) * 0.1
         spreads.append(np.sqrt(np.average((y - 3.05) ** 2, weights=stack)))
@@ -157,7 +158,9 @@ def test_blur_stands_in_for_copies_that_are_not_cast():
 
 def test_range_and_map_noise_blur_in_x_and_y():
     wall, scan = one(2.05, 2.05, np.pi, 1e-9), one(0.5, 0.0, np.pi, 1e-9)
-    stack = ght(wall, scan, 1, (40, 40), 0.1, uncertainty=Uncertainty(0.12, 0.16, copies=1))[0]
+    stack = vote_spread(
+        wall, None, scan, 1, (40, 40), 0.1, uncertainty=Uncertainty(0.12, 0.16, copies=1)
+    )[0]
     assert abs(stack.sum() - 1) < 1e-4
     x = (np.arange(40) + 0.5) * 0.1
     for profile, middle in ((stack.sum(axis=0), 1.55), (stack.sum(axis=1), 2.05)):
@@ -171,8 +174,8 @@ def test_each_copy_of_a_vote_has_its_own_visibility():
     everything = np.full((72, 1), 9.0, dtype=np.float32)
     left_only = everything.copy()
     left_only[37:] = 0  # directions clockwise from the normal are blocked
-    full = ght_v(wall, everything, scan, 36, (60, 60), 0.1, **options)
-    half = ght_v(wall, left_only, scan, 36, (60, 60), 0.1, **options)
+    full = vote_spread(wall, everything, scan, 36, (60, 60), 0.1, **options)
+    half = vote_spread(wall, left_only, scan, 36, (60, 60), 0.1, **options)
     rows = np.nonzero(half)[1]
     assert rows.min() == 30
     assert 0.5 < half.sum() / full.sum() < 0.7  # the copy at 0 is on the left too
@@ -208,7 +211,9 @@ def test_any_number_of_threads_gives_the_same_bits(once):
     surface, points, vis = random_case(7, m=2000, n=60)
     vis = relative(vis, surface.alpha)
     first, *more = (
-        ght_v(surface, vis, points, 6, SHAPE, 0.1, threads=t, once=once, uncertainty=Uncertainty())
+        vote_spread(
+            surface, vis, points, 6, SHAPE, 0.1, threads=t, once=once, uncertainty=Uncertainty()
+        )
         for t in (1, 2, 5)
     )
     assert first.any()
@@ -219,13 +224,19 @@ def test_any_number_of_threads_gives_the_same_bits(once):
 def test_unknown_uncertainty_of_a_normal_is_a_great_one():
     wall = one(3.05, 3.05, 0.0)
     stacks = [
-        ght(wall, one(1.0, 0.0, np.pi, sigma), 36, (60, 60), 0.1, uncertainty=Uncertainty())
+        vote_spread(
+            wall, None, one(1.0, 0.0, np.pi, sigma), 36, (60, 60), 0.1, uncertainty=Uncertainty()
+        )
         for sigma in (np.nan, 0.5)
     ]
     np.testing.assert_array_equal(*stacks)
     nobody = wall.select(slice(0))
-    assert not ght(nobody, wall, 4, (3, 3), 0.1, uncertainty=Uncertainty(), once=True).any()
-    assert not ght(wall, nobody, 4, (3, 3), 0.1, uncertainty=Uncertainty(), once=True).any()
+    assert not vote_spread(
+        nobody, None, wall, 4, (3, 3), 0.1, uncertainty=Uncertainty(), once=True
+    ).any()
+    assert not vote_spread(
+        wall, None, nobody, 4, (3, 3), 0.1, uncertainty=Uncertainty(), once=True
+    ).any()
 
 
 @pytest.mark.parametrize(
@@ -248,13 +259,13 @@ def test_turning_the_map_turns_the_votes(seed, once):
     surface, points, vis = random_case(seed, m=40, n=12)
     vis = relative(vis, surface.alpha)
     options = {"once": once, "uncertainty": Uncertainty()}
-    stack = ght_v(surface, vis, points, 8, SHAPE, 0.1, **options)
+    stack = vote_spread(surface, vis, points, 8, SHAPE, 0.1, **options)
     x, y = surface.xy.T
     turned = OrientedPoints(
         np.stack((0.1 * SHAPE[0] - y, x), axis=1), surface.alpha + np.pi / 2,
         surface.sigma_alpha, surface.valid,
     )  # fmt: skip
-    again = ght_v(turned, vis, points, 8, SHAPE[::-1], 0.1, **options)
+    again = vote_spread(turned, vis, points, 8, SHAPE[::-1], 0.1, **options)
     np.testing.assert_allclose(
         np.roll(stack.swapaxes(1, 2)[..., ::-1], 2, axis=0), again, atol=1e-5
     )

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from imgloc.errors import ConfigError
-from imgloc.likelihood.posterior import LOG_METHODS, posterior
-from imgloc.pipeline import METHODS
+from imgloc.likelihood.posterior import posterior
+from imgloc.options import LOG_METHODS, METHODS
 
 VOTES = sorted(set(METHODS) - LOG_METHODS)
 stacks = arrays(np.float32, (3, 2, 4), elements=st.integers(-800, 800).map(lambda i: i / 8))

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
-from imgloc.experiments.naming import ask_all, naming_shares, scans_of
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
+from tools.trust.naming import ask_all, naming_shares, scans_of
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from imgloc.experiments.simulate import simulate
-from imgloc.experiments.worlds import NICHES, WORLDS, render
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import compose, theta_bin, uniform_thetas
 from imgloc.likelihood.cbml import cbml, cbml_o
 from imgloc.likelihood.ght import ght, ght_v
 from imgloc.model import Pose2D
+from imgloc.simulate import simulate
+from imgloc.worlds import NICHES, WORLDS, render
 
 RESOLUTION = 0.1
 ANGLES = np.deg2rad(np.arange(-90, 91))  # the sensor of Sec. VI: 181 rays, 180 degrees, 2 cm

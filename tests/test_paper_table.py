@@ -6,15 +6,24 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
-from imgloc.experiments.claims import ORDER, claims, growth_claims, time_claims
-from imgloc.experiments.complexity_types import Complexity, Fit, Sample
-from imgloc.experiments.evaluate import evaluate, method_options
-from imgloc.experiments.index import Index
-from imgloc.experiments.paper import Row, gain, table
-from imgloc.experiments.paper_trials import STEPS_DEG, Outcome, place, stack_of
-from imgloc.experiments.ratios import Ratio
-from imgloc.experiments.shares import share
+from imgloc.evaluate import evaluate, method_options, share
 from imgloc.geometry import uniform_thetas
+from imgloc.index import Index
+from tools.paper.claims import ORDER, claims, growth_claims, time_claims
+from tools.paper.complexity import Complexity, PowerLaw, Sample
+from tools.paper.table import (
+    PAIRS,
+    STEPS_DEG,
+    Outcome,
+    Ratio,
+    TableRow,
+    gain,
+    measure_ratios,
+    place,
+    stack_of,
+    table,
+    take_turns,
+)
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +123,7 @@ def made_up(world, s, error=0.1, hits=8):
     """Rows of the four methods with given indices."""
     some, every = share([True] * hits + [False] * (10 - hits)), share([True] * 10)
     return [
-        Row(
+        TableRow(
             world, method, 3.0, Index(value, error, 10, 0, 1e-3), None, None, 14.0,
             some, some, every, None, (1.0,) * 3,
         )
@@ -165,9 +174,9 @@ def grown(**changed):
         **{(m, a): p for m in ("ght", "ght-v")
            for a, p in (("A", 1), ("rho_m", 1), ("rho_theta", 0), ("n", 1))},
     }  # fmt: skip
-    fits = [Fit(m, a, "work", changed.get(f"{m}_{a}", p), None) for (m, a), p in said.items()]
-    fits += [Fit("beam", "rho_m", q, p, 3) for q, p in (("init_work", 2.0), ("traced", 3.0))]
-    fits.append(Fit("cbml", "rho_m", "init_work", changed.get("blur", 3.0), None))
+    fits = [PowerLaw(m, a, "work", changed.get(f"{m}_{a}", p), None) for (m, a), p in said.items()]
+    fits += [PowerLaw("beam", "rho_m", q, p, 3) for q, p in (("init_work", 2.0), ("traced", 3.0))]
+    fits.append(PowerLaw("cbml", "rho_m", "init_work", changed.get("blur", 3.0), None))
     votes = {"ght": 100, "ght-v": changed.get("votes", 80)}
     samples = tuple(Sample(m, "n", 90, 0, 0, 1, 1, work) for m, work in votes.items())
     return Complexity("curved", samples, tuple(fits))
@@ -189,3 +198,39 @@ def test_other_exponents_do_not(axis):
 )
 def test_what_is_beyond_the_paper_is_claimed_too(changed, told):
     assert [told in c.text for c in growth_claims(grown(**changed)) if not c.holds] == [True]
+
+
+# --- run times compared fairly: turns, medians, and who is compared with whom
+
+
+class Clock:
+    """A clock that runs put forward: each takes the next of its times."""
+
+    def __init__(self):
+        self.now, self.order = 0.0, []
+
+    def run(self, name, times):
+        left = iter(times)
+
+        def work():
+            self.order.append(name)
+            self.now += next(left)
+
+        return work
+
+
+def test_turns_change_who_comes_first_and_medians_are_taken():
+    clock = Clock()
+    runs = [clock.run("a", (1.0, 100.0, 3.0)), clock.run("b", (5.0, 5.0, 6.0))]
+    assert take_turns(runs, 3, clock=lambda: clock.now) == (3.0, 5.0)
+    assert "".join(clock.order) == "abbaab"
+
+
+def test_each_pair_is_measured_in_each_world():
+    taken = []
+    found = measure_ratios(2, 1, trials=3, worlds=("curved",), advance=lambda: taken.append(1))
+    assert [(r.world, r.method, r.rival, r.most) for r in found] == [("curved", *p) for p in PAIRS]
+    assert all(r.value > 0 and r.ms > 0 and r.rival_ms > 0 for r in found)
+    assert len(taken) == 2 * len(PAIRS)
+    claims = time_claims(found)
+    assert [c.holds for c in claims] == [r.value <= r.most for r in found]

@@ -8,12 +8,13 @@ import pytest
 from places import POSES, answer_of, error, facts, features_of, grid_of, scan_of
 
 from imgloc.errors import ConfigError
-from imgloc.experiments.worlds import WORLDS
 from imgloc.features.budget import stack_bytes
 from imgloc.geometry import cell_of, uniform_thetas, wrap
 from imgloc.likelihood.posterior import posterior
 from imgloc.model import VERDICTS
-from imgloc.pipeline import ALL_METHODS, METHODS, Options, likelihood, localize, prepare
+from imgloc.options import ALL_METHODS, METHODS, Options
+from imgloc.pipeline import likelihood, localize, prepare
+from imgloc.worlds import WORLDS
 
 
 @pytest.mark.parametrize("method", ALL_METHODS)

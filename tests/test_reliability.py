@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 from command import ROOT
 
-from imgloc.draw.canvas import PALETTE
-from imgloc.draw.reliability import draw_reliability
-from imgloc.experiments.reliability import (
+from imgloc.io.maps import save_map
+from imgloc.io.scans import save_scans
+from imgloc.model import Hypothesis, Localization, Pose2D
+from imgloc.pipeline import prepare
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
+from tools.trust.reliability import (
     Judged,
     count_verdicts,
+    draw_reliability,
     judge_answer,
     judged,
     mean_nees,
@@ -20,12 +25,6 @@ from imgloc.experiments.reliability import (
     reliability,
     summary,
 )
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.worlds import WORLDS, render
-from imgloc.io.maps import save_map
-from imgloc.io.scans import save_scans
-from imgloc.model import Hypothesis, Localization, Pose2D
-from imgloc.pipeline import prepare
 
 
 def answer(verdict, *told):
@@ -99,9 +98,10 @@ def test_simulated_scans_are_judged():
 
 
 def test_the_diagram_has_a_dot_where_mass_and_share_meet():
+    pytest.importorskip("matplotlib")
     told = [Judged(np.array([0.75]), np.array([k < 3]), "ambiguous", False, 0.0) for k in range(4)]
     image = draw_reliability({"simulated": reliability(told)[0]})
-    blue = (image == PALETTE[1]).all(axis=2)
+    blue = (image == (178, 114, 0)).all(axis=2)  # BGR
     assert blue[40 + 130, 70 + 390]  # 520 pixels a side, from (70, 40)
     assert not blue[40 + 390, 70 + 390]
 
@@ -123,9 +123,9 @@ def test_the_summary_counts_simulated_recorded_and_other_maps():
 
 def run_tool(*words):
     return subprocess.run(
-        [sys.executable, ROOT / "tools" / "trust.py", *map(str, words)],
+        [sys.executable, "-m", "tools.trust", "reliability", *map(str, words)],
         capture_output=True, text=True, check=False,
-        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"},
+        cwd=ROOT, env={"PATH": "/usr/bin:/bin"},
     )  # fmt: skip
 
 
@@ -145,6 +145,7 @@ def test_the_tool_refuses_in_one_line_before_it_measures(words, code, said):
 
 
 def test_the_tool_writes_numbers_and_a_picture(tmp_path):
+    pytest.importorskip("matplotlib")
     grid = render(WORLDS["curved"](), 0.1)
     save_map(tmp_path / "map.yaml", grid)
     save_scans(tmp_path / "scans.npz", simulate_set(grid, 2, 3, Sensor()))

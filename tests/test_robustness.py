@@ -11,25 +11,30 @@ from command import ROOT
 
 from imgloc.cli.priors import Mounting
 from imgloc.errors import ConfigError
-from imgloc.experiments import robustness as room
-from imgloc.experiments.conditions import CONDITIONS, upside_down
-from imgloc.experiments.exhaustive import exhaustive, joined, score_level
-from imgloc.experiments.recorded import cut_set
-from imgloc.experiments.robustness import Trial, recorded_row, robustness, row_of, tied
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.simulate import simulate
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.pyramid import Level
 from imgloc.geometry import compose
 from imgloc.io.maps import save_map
 from imgloc.io.scans import ScanSet, save_scans
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
-from imgloc.pipeline import Options, localize, prepare
-from imgloc.report.robustness import robustness_table
-from imgloc.search.fused import Modes
-from imgloc.search.fused_options import FusedOptions
+from imgloc.options import FusedOptions, Options
+from imgloc.pipeline import Modes, localize, prepare
 from imgloc.search.proposals import propose_all
-from imgloc.search.rescore import Evidence, EvidenceModel
+from imgloc.search.rescore import EvidenceModel, Scores
+from imgloc.simulate import Sensor, simulate, simulate_set
+from imgloc.worlds import WORLDS, render
+from tools.recorded import cut_set
+from tools.trust import robustness as room
+from tools.trust.exhaustive import exhaustive, joined, score_level
+from tools.trust.robustness import (
+    CONDITIONS,
+    RobustnessTrial,
+    recorded_row,
+    robustness,
+    robustness_table,
+    row_of,
+    tied,
+    upside_down,
+)
 
 
 def test_all_poses_are_tried_and_the_best_come_first():
@@ -70,22 +75,22 @@ def test_the_oracle_is_never_below_the_search(world, sensor):
     for scan in simulate_set(grid, 4, 7, sensor, render(WORLDS[world](), 0.01)).scans:
         best = exhaustive(features, scan, keep=3000)
         answer = localize(features, scan, Options())
-        assert best.evidence.log_likelihood[0] >= answer.hypotheses[0].log_likelihood
-        assert np.all(np.diff(best.evidence.log_likelihood) <= 0)
-        assert best.evidence.crossed.shape == (len(best.poses), len(best.rays))
+        assert best.scores.log_likelihood[0] >= answer.hypotheses[0].log_likelihood
+        assert np.all(np.diff(best.scores.log_likelihood) <= 0)
+        assert best.scores.crossed.shape == (len(best.poses), len(best.rays))
 
 
 def test_two_searches_are_joined_without_their_doubles():
     def found(*told):
         poses, score = np.array([t[:3] for t in told]), np.array([t[3] for t in told])
         seen = np.zeros((len(told), 2), bool)
-        return Modes(poses, Evidence(score, seen, seen), np.arange(2))
+        return Modes(poses, Scores(score, seen, seen), np.arange(2))
 
     a = found((1.0, 1.0, 0.0, 5.0), (9.0, 1.0, 0.0, 4.0))
     b = found((9.1, 1.0, 0.1, 6.0), (3.0, 3.0, 0.0, 1.0))
     both = joined(a, b, FusedOptions())
     assert both.poses.tolist() == [[9.1, 1.0, 0.1], [1.0, 1.0, 0.0], [3.0, 3.0, 0.0]]
-    assert both.evidence.log_likelihood.tolist() == [6, 5, 1]
+    assert both.scores.log_likelihood.tolist() == [6, 5, 1]
 
 
 def test_a_lattice_with_too_many_poses_gets_larger_cells():
@@ -131,10 +136,10 @@ def test_equal_scores_are_equally_right():
     row = row_of(
         "some",
         [
-            Trial((False, True), (True, False), unique=False),
-            Trial((False,), (True,), unique=True),
-            Trial((), (False, False), unique=False),
-            Trial((True,), (True,), unique=True),
+            RobustnessTrial((False, True), (True, False), unique=False),
+            RobustnessTrial((False,), (True,), unique=True),
+            RobustnessTrial((), (False, False), unique=False),
+            RobustnessTrial((True,), (True,), unique=True),
         ],
     )
     assert (row.localize.hits, row.oracle.hits) == (2, 3)
@@ -224,9 +229,9 @@ def recorded_set(tmp_path):
 
 def run_tool(*words):
     return subprocess.run(
-        [sys.executable, ROOT / "tools" / "robustness.py", "--threads", "1", *map(str, words)],
+        [sys.executable, "-m", "tools.trust", "robustness", "--threads", "1", *map(str, words)],
         capture_output=True, text=True, check=False,
-        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"},
+        cwd=ROOT, env={"PATH": "/usr/bin:/bin"},
     )  # fmt: skip
 
 

@@ -9,17 +9,17 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from imgloc.experiments.simulate import sample_free_poses, simulate
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import scan_xy, thin
 from imgloc.geometry import cell_of, inside, transform_poses, wrap
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
-from imgloc.search.fused import _first_look, search_fused
-from imgloc.search.fused_options import FusedOptions
-from imgloc.search.rescore import rescore
-from imgloc.search.vote_proposals import propose_votes
+from imgloc.options import FusedOptions, Options
+from imgloc.pipeline import find_modes
+from imgloc.search.rescore import rescore, shortlist
+from imgloc.search.votes import propose_votes
+from imgloc.simulate import sample_free_poses, simulate
+from imgloc.worlds import WORLDS, render
 
 INF, NAN = float("inf"), float("nan")
 OPTIONS = FusedOptions()
@@ -55,8 +55,8 @@ def moved(grid, change):
 
 def clear_answer(features, scan):
     """The best pose, where it is much better than the second."""
-    found = search_fused(features, scan, OPTIONS)
-    score = found.evidence.log_likelihood
+    found = find_modes(features, scan, Options())
+    score = found.scores.log_likelihood
     assume(len(score) == 1 or score[0] - score[1] > 20)
     return found.poses[0]
 
@@ -131,8 +131,8 @@ def test_what_is_returned(name):
     features = features_of(name)
     pose = (6.0, 5.0, 1.0)
     scan = scan_at(pose, name, angles=ANGLES[::2])
-    found = search_fused(features, scan, OPTIONS)
-    poses, evidence = found.poses, found.evidence
+    found = find_modes(features, scan, Options())
+    poses, evidence = found.poses, found.scores
     assert len(poses) == len(evidence.log_likelihood) == len(evidence.on_surface) > 0
     # Scored with the rays it names, best first.
     assert scan.valid[found.rays].all()
@@ -163,14 +163,14 @@ def test_what_is_returned(name):
 @settings(max_examples=2, deadline=None)
 def test_threads_and_repetition_change_nothing(seed, threads):
     scan = scan_at(poses_of(seed)[0])
-    first = search_fused(features_of(), scan, OPTIONS)
+    first = find_modes(features_of(), scan, Options())
     for found in (
-        search_fused(features_of(), scan, OPTIONS, threads=threads),
-        search_fused(MapFeatures(world()), scan, OPTIONS),
+        find_modes(features_of(), scan, Options(threads=threads)),
+        find_modes(MapFeatures(world()), scan, Options()),
     ):
         np.testing.assert_array_equal(found.poses, first.poses)
-        np.testing.assert_array_equal(found.evidence.log_likelihood, first.evidence.log_likelihood)
-        np.testing.assert_array_equal(found.evidence.crossed, first.evidence.crossed)
+        np.testing.assert_array_equal(found.scores.log_likelihood, first.scores.log_likelihood)
+        np.testing.assert_array_equal(found.scores.crossed, first.scores.crossed)
         np.testing.assert_array_equal(found.rays, first.rays)
 
 
@@ -246,7 +246,7 @@ def test_lost_readings_are_no_evidence(seed):
 def test_people_in_front_of_the_walls_do_not_move_the_answer():
     pose = np.array([6.0, 9.0, 0.5])
     ranges = simulate(truth(), [pose], ANGLES, seed=4, range_max=30.0, outliers=0.25)[0]
-    found = search_fused(features_of(), LaserScan(ranges, ANGLES, range_max=30.0), OPTIONS)
+    found = find_modes(features_of(), LaserScan(ranges, ANGLES, range_max=30.0), Options())
     assert_close(found.poses[0], pose)
 
 
@@ -262,16 +262,16 @@ def test_no_pose_stands_where_nobody_has_been():
     scan = LaserScan(ranges, ANGLES, range_max=20.0)
     votes = propose_votes(features, scan, OPTIONS)
     assert (np.hypot(*(votes[:, :2] - pose[:2] - (width, 0)).T) < 0.5).any()
-    found = search_fused(features, scan, OPTIONS)
+    found = find_modes(features, scan, Options())
     assert_close(found.poses[0], pose)
     assert np.hypot(*(found.poses[:, :2] - pose[:2] - (width, 0)).T).min() > 0.5
 
 
 def test_a_scan_that_fits_nowhere_on_the_map_finds_nothing():
     scan = LaserScan(np.full(len(ANGLES), 300.0), ANGLES)
-    found = search_fused(features_of(), scan, OPTIONS)
+    found = find_modes(features_of(), scan, Options())
     assert found.poses.shape == (0, 3)
-    assert found.evidence.log_likelihood.shape == (0,)
+    assert found.scores.log_likelihood.shape == (0,)
 
 
 def test_twins_get_one_second_look():
@@ -279,7 +279,7 @@ def test_twins_get_one_second_look():
     features, scan = features_of("corridor"), scan_at((6.0, 5.0, 1.0), "corridor")
     few = dataclasses.replace(OPTIONS, second_look=4, closer=0)
     all_looks, one_look = (
-        search_fused(features, scan, dataclasses.replace(few, twins=twins))
+        find_modes(features, scan, Options(fused=dataclasses.replace(few, twins=twins)))
         for twins in ((1e-9, 1e-9), (0.1, 0.05))
     )
     assert 1 <= len(all_looks.poses) < len(one_look.poses) <= 4
@@ -293,4 +293,4 @@ def test_two_layers_of_a_wall_have_a_maximum_each():
     rays = np.flatnonzero(scan.valid)[::3]
     for closer, expected in ((0, 2), (40, 3)):
         options = dataclasses.replace(OPTIONS, closer=closer)
-        assert len(_first_look(features, scan, rays, poses, options)) == expected
+        assert len(shortlist(poses, scan, rays, features, options)) == expected

@@ -10,8 +10,9 @@ from hypothesis.extra.numpy import arrays
 
 from imgloc.features.distance import distance_field
 from imgloc.geometry import rotate_covariance, transform_points
+from imgloc.likelihood.draws import entropy
 from imgloc.model import Pose2D
-from imgloc.search.hypotheses import as_hypotheses, covariances, entropy, masses, modes
+from imgloc.search.hypotheses import as_hypotheses, covariances, masses, modes
 
 scores = arrays(float, st.integers(1, 12), elements=st.floats(-2000, 2000))
 seeds = st.integers(0, 2**32 - 1)

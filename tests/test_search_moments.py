@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imgloc.geometry import uniform_thetas, wrap
-from imgloc.search.moments import peak_moments
-from imgloc.search.peaks import find_peaks
+from imgloc.search.peaks import find_peaks, peak_moments
 
 RESOLUTION = 0.2
 seeds = st.integers(0, 2**32 - 1)

@@ -8,8 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from imgloc.likelihood.posterior import smooth
 from imgloc.search import peaks as peaks_module
-from imgloc.search.peaks import find_peaks, first_in_cell, separated, smooth
+from imgloc.search.hypotheses import first_in_cell, separated
+from imgloc.search.peaks import find_peaks
 
 seeds = st.integers(0, 2**32 - 1)
 shapes = st.tuples(st.integers(1, 7), st.integers(1, 6), st.integers(1, 7))

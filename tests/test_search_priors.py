@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.pyramid import Level
 from imgloc.model import GridInfo, OccupancyGrid
-from imgloc.pipeline import ALL_METHODS, Options, localize, prepare
-from imgloc.search.fused_options import FusedOptions
-from imgloc.search.priors import Prior, clearance, near
+from imgloc.options import ALL_METHODS, FusedOptions, Options
+from imgloc.pipeline import localize, prepare
+from imgloc.search.priors import Prior, around, clearance, near, nearest, on_lattice, pyramid_levels
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
 
 # One row, 1 m cells: the sensor may be in the second and third.
 CELLS = np.array([[False, True, True, False]])
@@ -47,10 +47,10 @@ def test_both_must_allow_a_pose():
 
 def test_a_lattice_cell_stays_if_any_of_its_cells_does():
     free = np.array([[True, True]])
-    assert Prior(CELLS).lattice(free, 2).tolist() == [[True, True]]
-    assert Prior(np.array([[0, 0, 1, 0]], bool)).lattice(free, 2).tolist() == [[False, True]]
+    assert on_lattice(Prior(CELLS), free, 2).tolist() == [[True, True]]
+    assert on_lattice(Prior(np.array([[0, 0, 1, 0]], bool)), free, 2).tolist() == [[False, True]]
     levels = (Level(np.zeros((1, 2), np.uint8), free, 2.0),)
-    assert Prior(np.array([[0, 0, 1, 0]], bool)).levels(levels, 1.0)[0].free.tolist() == [
+    assert pyramid_levels(Prior(np.array([[0, 0, 1, 0]], bool)), levels, 1.0)[0].free.tolist() == [
         [False, True]
     ]
 
@@ -58,12 +58,12 @@ def test_a_lattice_cell_stays_if_any_of_its_cells_does():
 def test_around_covers_the_cells_and_their_neighbours():
     one = np.zeros((1, 12), bool)
     one[0, 6] = True  # x = 3.25 m at 0.5 m cells
-    assert Prior(one).around((1, 6), 1.0, 0.5).tolist() == [[0, 0, 1, 1, 1, 0]]
-    assert Prior().around((1, 6), 1.0, 0.5) is None
+    assert around(Prior(one), (1, 6), 1.0, 0.5).tolist() == [[0, 0, 1, 1, 1, 0]]
+    assert around(Prior(), (1, 6), 1.0, 0.5) is None
 
 
 def test_around_covers_map_cells_that_are_larger_than_its_own():
-    two = Prior(np.array([[False, False, True]])).around((5, 15), 0.2, 1.0)
+    two = around(Prior(np.array([[False, False, True]])), (5, 15), 0.2, 1.0)
     assert two[:, 10:].all()  # all of the metre that is in the set
     assert not two[:, :9].any()
 
@@ -72,7 +72,7 @@ def test_around_takes_no_more_memory_than_the_map():
     cells = np.ones((2000, 2000), bool)
     tracemalloc.start()
     try:
-        assert Prior(cells).around((500, 500), 0.2, 0.05).all()
+        assert around(Prior(cells), (500, 500), 0.2, 0.05).all()
         assert tracemalloc.get_traced_memory()[1] < cells.size
     finally:
         tracemalloc.stop()
@@ -81,19 +81,19 @@ def test_around_takes_no_more_memory_than_the_map():
 def test_what_is_just_outside_is_moved_to_the_nearest_cell_and_heading():
     prior = Prior(CELLS, (np.pi, 0.2))
     poses = [[0.9, 0.5, 3.0], [3.3, 0.9, np.pi - 0.3], [1.5, 0.5, -np.pi + 0.4], [1.2, 0.3, 3.1]]
-    moved = prior.nearest(np.array(poses), 1.0)
+    moved = nearest(prior, np.array(poses), 1.0)
     assert prior.admits(moved, 1.0).all()
     expected = [[1, 0.5, 3.0], [3, 0.9, np.pi - 0.2], [1.5, 0.5, -np.pi + 0.2], [1.2, 0.3, 3.1]]
     np.testing.assert_allclose(moved, expected, atol=1e-5)
     assert moved[3].tolist() == poses[3]  # to the last bit
-    assert Prior().nearest(np.array(poses), 1.0).tolist() == poses
+    assert nearest(Prior(), np.array(poses), 1.0).tolist() == poses
 
 
 def test_what_is_far_outside_is_left_out():
     prior = Prior(np.eye(1, 20, dtype=bool), (0.0, 0.2))
     poses = np.array([[0.55, 0.05, 0.0], [0.75, 0.05, 0.0], [0.05, 0.05, 0.5], [0.05, 0.05, 0.4]])
     np.testing.assert_allclose(
-        prior.nearest(poses, 0.1), [[0.1, 0.05, 0], [0.05, 0.05, 0.2]], atol=1e-5
+        nearest(prior, poses, 0.1), [[0.1, 0.05, 0], [0.05, 0.05, 0.2]], atol=1e-5
     )
 
 
@@ -101,7 +101,7 @@ def test_the_nearest_cell_is_the_nearest():
     rng = np.random.default_rng(0)
     cells = rng.random((40, 30)) < 0.01
     poses = np.column_stack((rng.uniform((-0.2, -0.2), (3.2, 4.2), (200, 2)), np.zeros(200)))
-    moved = Prior(cells).nearest(poses, 0.1)
+    moved = nearest(Prior(cells), poses, 0.1)
     at = np.argwhere(cells)
     away = np.sqrt(np.square(np.floor(poses[:, None, 1::-1] / 0.1) - at).sum(axis=2)).min(axis=1)
     assert len(moved) == np.count_nonzero(away <= 5)  # 0.5 m

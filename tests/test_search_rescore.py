@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imgloc.features.distance import distance_field
-from imgloc.features.raycast import cast_rays, distance_image
+from imgloc.features.distance import distance_field, distance_image
+from imgloc.features.raycast import cast_rays
 from imgloc.search.refine import endpoints
 from imgloc.search.rescore import EvidenceModel, rescore
 

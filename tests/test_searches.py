@@ -4,22 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from places import ANGLES, POSES, answer_of, facts, features_of, scan_of
+from places import ANGLES, POSES, answer_of, facts, features_of, grid_of, scan_of
 
 from imgloc.errors import ConfigError
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.explain import explain
 from imgloc.features.budget import fused_bytes
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihood.calibration import Calibration
-from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid
-from imgloc.pipeline import Options, check_options, found_in_stack, localize, prepare
+from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
+from imgloc.options import Calibration, FusedOptions, Options, Prior, Trust
+from imgloc.pipeline import check_options, likelihood, localize, posterior_of, prepare
 from imgloc.report.verdicts import question, why
-from imgloc.search.fused_options import FusedOptions
-from imgloc.search.priors import Prior
-from imgloc.search.trust import Trust
-from imgloc.searches import probability_of
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
 
 
 @pytest.fixture(scope="module")
@@ -99,17 +95,97 @@ def test_the_mass_of_a_neighbouring_peak_goes_to_its_owner():
     options = Options("cbml", calibration=Calibration(temperature=1 / 2))
     scan = LaserScan(np.full(120, 1.0), ANGLES, range_max=30.0)
     stack = _stack_of((5, 20, 20, 5), (5, 20, 24, 4), (20, 10, 50, 3))
-    found = found_in_stack(features, scan, stack, options)
-    p = probability_of(features, scan, stack, options).astype(float)
+    found = localize(features, scan, options, stack=stack)
+    p = posterior_of(features, scan, stack, options).astype(float)
     here, there = p[5, 20, 20] + p[5, 20, 24], p[20, 10, 50]
     assert len(found.hypotheses) == 2
-    assert found.mass[1] / found.mass[0] == pytest.approx(there / here)
-    assert found.mass.sum() == pytest.approx(1 - found.elsewhere)
+    mass = np.array([h.mass for h in found.hypotheses])
+    assert mass[1] / mass[0] == pytest.approx(there / here)
+    assert mass.sum() == pytest.approx(1 - found.elsewhere)
     # About the pose that is named: the neighbour's share is 0.4 m away from it.
     share = p[5, 20, 24] / here
     spread = [h.covariance[0, 0] for h in found.hypotheses]
     assert spread[0] - spread[1] == pytest.approx(share * 0.4**2)
     assert found.hypotheses[0].covariance[1, 1] == pytest.approx(spread[1])
+
+
+def test_the_log_likelihood_of_a_stack_is_relative_to_no_idea():
+    wall = np.zeros((40, 60), bool)
+    wall[0] = True
+    features = prepare(OccupancyGrid(wall, ~wall, 0.1))
+    options = Options("cbml", calibration=Calibration(temperature=1 / 2))
+    scan = LaserScan(np.full(120, 1.0), ANGLES, range_max=30.0)
+    stack = _stack_of((5, 20, 20, 5), (20, 10, 50, 3))
+    best, second = localize(features, scan, options, stack=stack).hypotheses
+    # 39 rows of 60 free cells, 36 headings: a pose is that often likelier than one among all.
+    p = posterior_of(features, scan, stack, options).astype(float)
+    poses = 36 * 39 * 60
+    assert best.log_likelihood == pytest.approx(np.log(p[5, 20, 20] * poses))
+    assert second.log_likelihood == pytest.approx(np.log(p[20, 10, 50] * poses))
+    assert best.log_likelihood > 10
+
+
+# --- what an answer carries
+
+
+@pytest.mark.parametrize("method", ["fused", "cbml", "ght-v"])
+def test_the_evidence_makes_the_masses(method):
+    features, scan = features_of("curved"), scan_of("curved")
+    options = Options(method, top=2)
+    answer = localize(features, scan, options)
+    evidence = answer.evidence
+    assert evidence.listed == len(answer.hypotheses) == min(2, evidence.found)
+    total = sum(h.mass for h in answer.hypotheses) + evidence.unlisted
+    if method == "fused":
+        assert total + answer.elsewhere == pytest.approx(1)
+        a, b = answer.hypotheses
+        gap = (a.log_likelihood - b.log_likelihood) / evidence.temperature.value
+        assert np.log(a.mass / b.mass) == pytest.approx(gap)
+        terms = evidence.temperature
+        assert terms.base == options.trust.temperature
+        assert terms.strain == pytest.approx(options.trust.strain * max(0, evidence.misfit))
+        assert terms.value == pytest.approx(
+            (terms.base + terms.strain) * terms.crowding * terms.cell
+        )
+        assert terms.cell == 1
+        best = answer.hypotheses[0].log_likelihood / evidence.readings
+        assert evidence.misfit == pytest.approx(evidence.best - best)
+    else:
+        assert total + answer.elsewhere <= 1 + 1e-6
+        assert (evidence.temperature.crowding, evidence.temperature.strain) == (1, 0)
+    # Moving the answer to the end of the list changes no more than the list.
+    more = localize(features, scan, replace(options, top=50))
+    assert more.evidence.unlisted == 0 or more.evidence.found > 50
+    assert more.evidence.found == evidence.found or method != "fused"
+    volume = np.linalg.slogdet(2 * np.pi * answer.hypotheses[0].covariance)[1] / 2
+    space = np.count_nonzero(features.free) * features.lattice.resolution**2 * 2 * np.pi
+    assert evidence.log_volume[0] == pytest.approx(volume - np.log(space))
+
+
+def test_the_mounting_travels_with_the_answer():
+    mount = Pose2D(0.2, 0.0, 0.1)
+    scan = replace(scan_of("curved"), T_base_laser=mount)
+    assert localize(features_of("curved"), scan).T_base_laser == mount
+
+
+def test_arguments_of_another_kind_are_named():
+    features, scan, grid = features_of("curved"), scan_of("curved"), grid_of("curved")
+    for call, says in (
+        (
+            lambda: localize(grid, scan),
+            r"features must be MapFeatures, got OccupancyGrid .*prepare",
+        ),
+        (lambda: localize(features, scan, "ght-v"), r"options must be Options, got str 'ght-v'"),
+        (lambda: localize(features, grid), r"scan must be LaserScan, got OccupancyGrid"),
+        (lambda: localize("map.png", scan), r"features must be MapFeatures, got str 'map.png'"),
+        (lambda: prepare("map.png"), r"grid must be OccupancyGrid, got str .*load_map"),
+        (lambda: likelihood(grid, scan, "cbml"), r"features must be MapFeatures"),
+    ):
+        with pytest.raises(TypeError, match=says):
+            call()
+    assert likelihood(features, scan, "ght-v").method == "ght-v"
+    with pytest.raises(ConfigError, match="method must be one of"):
+        likelihood(features, scan, "fused")
 
 
 def test_neighbouring_headings_are_joined_across_the_cut():
@@ -121,7 +197,7 @@ def test_neighbouring_headings_are_joined_across_the_cut():
     values[25, 20, 20], values[26, 20, 23] = 5, 4
     stack = Likelihood(values, uniform_thetas(2 * np.pi / 50), GridInfo(40, 60, 0.1), "cbml")
     features = prepare(OccupancyGrid(wall, ~wall, 0.1))
-    (only,) = found_in_stack(features, scan, stack, Options("cbml")).hypotheses
+    (only,) = localize(features, scan, Options("cbml"), stack=stack).hypotheses
     assert only.covariance[2, 2] < np.deg2rad(8) ** 2
 
 
@@ -136,8 +212,8 @@ def test_an_answer_out_of_time_is_never_unique():
     assert late.hypotheses[0].mass > 0.9
     assert late.verdict == "ambiguous"
     reason = explain(features, scan, late)
-    assert [c.holds for c in reason.checks] == [True, True, True, False]
-    assert question(reason.checks[-1])[1] == "out of time"
+    assert [c.holds for c in late.evidence.checks] == [True, True, True, False]
+    assert question(late.evidence.checks[-1])[1] == "out of time"
     assert why(reason).startswith("Of those looked at")
 
 

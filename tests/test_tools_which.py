@@ -7,17 +7,17 @@ import sys
 import pytest
 from command import ROOT
 
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
 
 
 def run_tool(*words):
     return subprocess.run(
-        [sys.executable, ROOT / "tools" / "measure_which.py", *map(str, words)],
+        [sys.executable, "-m", "tools.trust", "which", *map(str, words)],
         capture_output=True, text=True, check=False,
-        env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin"},
+        cwd=ROOT, env={"PATH": "/usr/bin:/bin"},
     )  # fmt: skip
 
 

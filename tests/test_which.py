@@ -9,25 +9,27 @@ from command import MAPS, call, rows
 
 from imgloc.cli.which import find_maps, names_of
 from imgloc.errors import ConfigError
-from imgloc.experiments.scansets import Sensor, simulate_set
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.io.maps import save_map
-from imgloc.model import Localization, OccupancyGrid
-from imgloc.pipeline import Options, prepare
-from imgloc.which import LUCK, Fit, choose, fit, unknown_evidence
+from imgloc.model import Evidence, Hypothesis, Localization, OccupancyGrid, Pose2D
+from imgloc.options import Options
+from imgloc.pipeline import prepare
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.which import LUCK, choose, fit, log_evidence, unknown_evidence
+from imgloc.worlds import WORLDS, render
 
-EMPTY = Localization((), "unique", 0.0, 1.0)
 
-
-def made(*scores: float, log_volume: float = -10.0) -> Fit:
-    """A fit of 100 readings, each worth 1.5 nats at best."""
-    return Fit(EMPTY, np.array(scores), np.full(len(scores), log_volume), 100, 1.5)
+def made(*scores: float, log_volume: float = -10.0) -> Localization:
+    """An answer by 100 readings, each worth 1.5 nats at best."""
+    hypotheses = tuple(Hypothesis(Pose2D(0, 0), s, 0.5, np.eye(3)) for s in scores)
+    misfit = 1.5 - scores[0] / 100 if scores else np.nan
+    evidence = Evidence(100, 1.5, misfit, log_volume=np.full(len(scores), log_volume))
+    return Localization(hypotheses, "unique", 0.0, 1.0, evidence=evidence)
 
 
 def test_evidence_is_a_sum_over_modes() -> None:
-    assert made(120.0, 120.0).log_evidence(1.0) == pytest.approx(120 - 10 + np.log(2))
-    assert made(120.0).log_evidence(4.0) == pytest.approx(30 - 10 + 1.5 * np.log(4))
-    assert made().log_evidence(1.0) == -np.inf
+    assert log_evidence(made(120.0, 120.0), 1.0) == pytest.approx(120 - 10 + np.log(2))
+    assert log_evidence(made(120.0), 4.0) == pytest.approx(30 - 10 + 1.5 * np.log(4))
+    assert log_evidence(made(), 1.0) == -np.inf
 
 
 def test_of_two_maps_that_fit_alike_the_smaller_is_likelier() -> None:
@@ -47,7 +49,7 @@ def test_probabilities_and_none_sum_to_one() -> None:
 
 
 def test_of_few_maps_only_one_in_which_the_place_is_unique_is_named() -> None:
-    twins = replace(made(140.0), answer=Localization((), "ambiguous", 0.0, 1.0))
+    twins = replace(made(140.0), verdict="ambiguous")
     others = {f"other {k}": made(-60.0) for k in range(4)}
     assert choose({"a": twins}).verdict == "undecided"
     assert choose({"a": made(140.0)}).verdict == "a"
@@ -104,7 +106,7 @@ def test_the_order_of_the_maps_does_not_matter() -> None:
 
 
 def test_a_scan_that_is_invalid_everywhere_says_nothing_of_its_map() -> None:
-    blind = Fit(Localization((), "invalid", 0.0, 0.0), np.empty(0), np.empty(0), 1, 1.5)
+    blind = Localization((), "invalid", 0.0, 0.0)
     choice = choose({"a": blind, "b": blind})
     assert choice.verdict == "invalid"
     assert list(choice.probability) == ["a", "b"]
@@ -127,7 +129,7 @@ def test_of_four_other_worlds_none_is_named() -> None:
     sensor = Sensor(range_max=20.0)
     simulated = simulate_set(render(WORLDS["curved"](), 0.1), 20, 0, sensor).scans
     scans = [simulated[k] for k in (6, 15)]  # of the others, one fits better than the next
-    fits: list[dict[str, Fit]] = [{} for _ in scans]
+    fits: list[dict[str, Localization]] = [{} for _ in scans]
     for name, world in WORLDS.items():
         features = prepare(render(world(), 0.1))
         for scan, found in zip(scans, fits, strict=True):

@@ -1,20 +1,20 @@
-"""Draw the bundled maps: the worlds of imgloc.experiments.worlds at 10 cm per cell.
+"""Draw the bundled maps: the worlds of imgloc.worlds at 10 cm per cell.
 
 The files in maps/ are made by this and by nothing else; a test compares them. Run it after
 a change of a world:
 
-    python tools/make_maps.py            # into maps/, beside this folder
-    python tools/make_maps.py --picture worlds.png
+    python -m tools.make_maps            # into maps/, beside this folder
+    python -m tools.make_maps --picture worlds.png
 """
 
 import argparse
 from pathlib import Path
 
 from imgloc.draw import draw_map, mosaic
-from imgloc.experiments.worlds import WORLDS, render
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
 from imgloc.io.maps import save_map
+from imgloc.worlds import WORLDS, render
 
 RESOLUTION = 0.1
 """Side of a cell of the bundled maps, metres: the paper's."""

@@ -26,9 +26,9 @@ from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from imgloc.experiments.atlas import Spot
-    from imgloc.experiments.scansets import Sensor
+    from imgloc.atlas import Spot
     from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
+    from imgloc.simulate import Sensor
 
 _MOST = 20_000
 _AT_ONCE = 1000  # scans that are simulated at a time
@@ -74,6 +74,7 @@ def atlas(
     check_range("--step", step, 0.02, 1000, "metres")
     check_range("--range-max", range_max, 0.01, 10_000, "metres")
 
+    from imgloc.atlas import TOP, atlas_poses, survey
     from imgloc.cli.answers import to_json
     from imgloc.cli.budgets import (
         check_answer,
@@ -85,13 +86,13 @@ def atlas(
     from imgloc.cli.loading import load_usable
     from imgloc.cli.pictures import write_picture
     from imgloc.draw.atlas import draw_atlas
-    from imgloc.experiments.atlas import TOP, atlas_poses, survey
-    from imgloc.experiments.scansets import is_world
     from imgloc.io.atlasrows import Journal, as_csv
     from imgloc.io.cache import cache_key
     from imgloc.io.files import display, write_text_atomic
     from imgloc.model import Pose2D
-    from imgloc.pipeline import Options, prepare
+    from imgloc.options import Options
+    from imgloc.pipeline import prepare
+    from imgloc.simulate import is_world
 
     memory_budget = fixed_budget(memory_budget)
     grid = load_usable(map_path, memory_budget, allow_lossy=allow_lossy, **reading)
@@ -154,10 +155,8 @@ def _scans(
     """A simulated scan at each pose, grid frame."""
     import numpy as np
 
-    from imgloc.experiments.finegrid import refine_grid
-    from imgloc.experiments.scansets import fine_image
-    from imgloc.experiments.simulate import ray_angles, simulate
     from imgloc.model import LaserScan, Pose2D
+    from imgloc.simulate import fine_image, ray_angles, refine_grid, simulate
 
     fine = fine_image(path, grid) or refine_grid(grid)
     angles = ray_angles(sensor.rays, sensor.fov)
@@ -187,8 +186,8 @@ def _row(spot: "Spot") -> list[object]:
 
 def _numbers(rows: Sequence[Sequence[object]], about: dict[str, object]) -> dict[str, object]:
     """Shares of the poses, and of the places: of the free area."""
-    from imgloc.experiments.atlas import KINDS
-    from imgloc.experiments.shares import share
+    from imgloc.atlas import KINDS
+    from imgloc.evaluate import share
 
     places: dict[tuple[object, object], list[bool]] = {}
     for row in rows:

@@ -10,9 +10,10 @@ if TYPE_CHECKING:
 
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.io.images import ImageSize
-    from imgloc.methods import Options
     from imgloc.model import LaserScan, OccupancyGrid
+    from imgloc.options import Options
 
+_MARK = 1000  # bytes per pose that is drawn on a map, as rows, polygons and lines
 COARSER = "crop the map, use a larger --cell or --theta-step-deg"
 
 
@@ -64,13 +65,13 @@ def check_image(
 
 def check_scans(path: "Path", memory_budget: int | None) -> None:
     """Check the memory that reading scans takes, as the headers or the lines of their file say."""
-    from imgloc.features.estimates import scans_bytes
+    from imgloc.features.budget import scans_bytes
     from imgloc.io.files import display
     from imgloc.io.scans import scans_size
 
     size = scans_size(path)
     check_memory(
-        scans_bytes(**vars(size)),
+        scans_bytes(size.scans, size.numbers, size.file_bytes, text=size.text),
         memory_budget,
         f"{display(path)}: a file of up to {size.scans:,} scans and {size.numbers:,} numbers",
         "take fewer scans, in several files",
@@ -82,7 +83,7 @@ def held_bytes(scans: "Sequence[LaserScan]") -> int:
 
     A few scans out of many hold the array of all.
     """
-    from imgloc.features.estimates import scans_bytes
+    from imgloc.features.budget import scans_bytes
 
     arrays = [a if a.base is None else a.base for s in scans for a in (s.ranges, s.angles)]
     return scans_bytes(len(scans), 0) + sum({id(a): a.nbytes for a in arrays}.values())
@@ -92,7 +93,7 @@ def check_poses(
     grid: "OccupancyGrid", name: str, step: float, headings: int, memory_budget: int | None
 ) -> None:
     """Check the memory that looking for the poses of an atlas takes."""
-    from imgloc.features.estimates import poses_bytes
+    from imgloc.features.budget import poses_bytes
 
     height, width = grid.occupied.shape
     places = round(height * grid.resolution / step + 1) * round(width * grid.resolution / step + 1)
@@ -113,8 +114,8 @@ def check_simulation(
 
     They are simulated `at_once`, by default all, and as many as `sets` times `count` are kept.
     """
-    from imgloc.experiments.finegrid import FINE, fine_factor
-    from imgloc.features.estimates import simulate_bytes
+    from imgloc.features.budget import simulate_bytes
+    from imgloc.simulate import FINE, fine_factor
 
     height, width = grid.occupied.shape
     factor = round(grid.resolution / FINE) if world else fine_factor(grid)
@@ -140,20 +141,11 @@ def check_answer(
 
     The budget, that of the options, is for all of several processes, which share nothing.
     """
-    from imgloc.features.budget import MIB, prepare_bytes, surface_count
-    from imgloc.features.estimates import PROCESS
-    from imgloc.features.mapfeatures import VOTERS
+    from imgloc.features.budget import MIB, PROCESS
     from imgloc.pipeline import answer_bytes
 
     (rows, columns), lattice = features.grid.occupied.shape, features.lattice
-    points = surface_count(features.grid)
-    held = prepare_bytes(
-        (rows, columns),
-        points=points,
-        n_psi=features.n_psi,
-        factor=features.factor,
-        voters=points if options.method == "ght-v" else VOTERS,
-    )
+    held = features.bytes_for(options.method)
     answer = answer_bytes(features, options)
     what = (
         f"{name}: {options.method} on {lattice.height} x {lattice.width} cells of "
@@ -169,39 +161,22 @@ def check_answer(
     check_memory(need + kept, options.memory_budget, what, hint)
 
 
-def check_draws(count: int, scans: int, name: str, memory_budget: int | None) -> None:
-    """Check the memory that `count` poses for each of some scans take as text."""
-    from imgloc.features.estimates import POSE_TEXT
-
-    check_memory(
-        POSE_TEXT * count * scans,
-        memory_budget,
-        f"{name}: a table of {count:,} poses for each of {scans:,} scans",
-        "draw fewer (-n), or from one scan (--index)",
-    )
-
-
 def check_picture(
     features: "MapFeatures", what: str, name: str, memory_budget: int | None, *, marks: int = 0
 ) -> None:
     """Check the memory that drawing a map or one of its features takes."""
     from imgloc.draw.canvas import default_scale
-    from imgloc.features.budget import surface_count
-    from imgloc.features.estimates import picture_bytes
+    from imgloc.features.budget import features_bytes, picture_bytes, surface_count
 
     coarse = what in ("bmap", "vmap")
     info = features.lattice if coarse else features.grid.info
     (height, width), scale = info.shape, default_scale(info)
     points = 0 if what in ("map", "distance") else surface_count(features.grid)
+    seen = features.n_psi if what == "visibility" else 0
     check_memory(
-        picture_bytes(
-            what,
-            info.shape,
-            height * width * scale**2,
-            points=points,
-            n_psi=features.n_psi,
-            marks=marks,
-        ),
+        features_bytes((0, 0), points=points, n_psi=max(1, seen))
+        + picture_bytes(height * width, height * width * scale**2, points=points, n_psi=seen)
+        + _MARK * marks,
         memory_budget,
         f"{name}: a picture ({what}) of {scale * height} x {scale * width} pixels",
         "use a larger --cell" if coarse else "crop the map",

@@ -28,9 +28,9 @@ from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from imgloc.experiments.calibrate import Fit
-    from imgloc.experiments.scansets import Sensor
+    from imgloc.calibrate import CalibrationFit
     from imgloc.model import OccupancyGrid
+    from imgloc.simulate import Sensor
 
 _STACKS = [name.value for name in MethodName if name != MethodName.FUSED]
 _COLUMNS = ("method", "scans", "sigma m", "sigma deg", "exponent", "S +- s.e.", "S of the stack")
@@ -93,13 +93,14 @@ def calibrate(
     import cv2
     import numpy as np
 
+    from imgloc.calibrate import check_trials, disturbed_set, fit, sweep
     from imgloc.cli import answers, tables
     from imgloc.cli.budgets import check_answer, check_simulation, fixed_budget
-    from imgloc.experiments.calibrate import check_trials, disturbed_set, fit, sweep
-    from imgloc.experiments.scansets import fine_image, is_world, simulate_set
     from imgloc.io.calibration import calibration_path, save_calibrations
     from imgloc.io.files import display
-    from imgloc.pipeline import Options, prepare
+    from imgloc.options import Options
+    from imgloc.pipeline import prepare
+    from imgloc.simulate import fine_image, is_world, simulate_set
 
     paths = [find_map(given) for given in maps]
     targets = [calibration_path(path) for path in paths]
@@ -144,7 +145,7 @@ def calibrate(
         simulate(grid, count, seed, laser, fine_image(path, grid))
         for path, grid in zip(paths, grids, strict=True)
     ]
-    fits: dict[str, Fit] = {}
+    fits: dict[str, CalibrationFit] = {}
     for method, options in plans.items():
         sweeps = []
         with progress(method, count * len(maps), lines=False) as advance:
@@ -176,7 +177,7 @@ def calibrate(
         say(f"wrote {display(target)}")
 
 
-def _row(method: str, fit: "Fit") -> list[str]:
+def _row(method: str, fit: "CalibrationFit") -> list[str]:
     import numpy as np
 
     how = fit.calibration

@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from imgloc.draw.canvas import Picture
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.model import LaserScan, Localization, Pose2D
-    from imgloc.pipeline import Options
+    from imgloc.options import Options
 
 _OUT = Path("imgloc-demo.png")
 
 
 class DemoMap(StrEnum):
-    """The bundled maps; spelled out, as :mod:`imgloc.experiments.worlds` loads OpenCV."""
+    """The bundled maps; spelled out, as :mod:`imgloc.worlds` loads OpenCV."""
 
     DOUBLE_WALL = "double_wall"
     VISIBILITY = "visibility"
@@ -70,14 +70,16 @@ def demo(
         check_target(out, ".png", force=force, inputs=maps.glob("*.png"))
 
     import cv2
+    import numpy as np
 
     from imgloc.cli import answers
     from imgloc.cli.budgets import check_answer, check_simulation, fixed_budget
-    from imgloc.experiments.simulate import simulate_scans
     from imgloc.io.files import display
     from imgloc.io.maps import load_map
-    from imgloc.model import LaserScan, Pose2D
-    from imgloc.pipeline import Options, localize, prepare
+    from imgloc.model import Pose2D
+    from imgloc.options import Options
+    from imgloc.pipeline import localize, prepare
+    from imgloc.simulate import simulate_set
 
     workers = count_threads(threads)
     memory_budget = fixed_budget(memory_budget)
@@ -91,9 +93,8 @@ def demo(
     check_simulation(grid, name.value, 1, 181, memory_budget, hint=hint)
     for each in (options, cbml):
         check_answer(features, each, name.value, hint=hint)
-    ranges, angles, poses = simulate_scans(grid, 1, seed)
-    scan = LaserScan(ranges[0], angles, range_max=30.0)
-    truth = Pose2D(*poses[0])  # the origin of a bundled map is 0: grid frame and map frame agree
+    simulated = simulate_set(grid, 1, seed)
+    scan, truth = simulated.scans[0], Pose2D(*np.asarray(simulated.poses)[0])
     answer = localize(features, scan, options)
     LOG.info("map %s, seed %d", display(path), seed)
     emit(answers.as_text(f"map {name.value}, seed {seed}", answer, truth))

@@ -30,7 +30,7 @@ from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from imgloc.experiments.scansets import Sensor
+    from imgloc.simulate import Sensor
 
 _METHODS = ",".join(MethodName)
 
@@ -117,8 +117,8 @@ def evaluate(
 
     from imgloc.cli import answers, tables
     from imgloc.cli.budgets import check_answer, fixed_budget
-    from imgloc.experiments import evaluate as experiment
-    from imgloc.experiments.summary import TOLERANCES, Tolerance
+    from imgloc.evaluate import TOLERANCES, Tolerance, method_options
+    from imgloc.evaluate import evaluate as measure
     from imgloc.io.calibration import calibration_path, load_calibrations
     from imgloc.io.files import display
     from imgloc.pipeline import prepare
@@ -146,7 +146,7 @@ def evaluate(
         plans = []
         for method in chosen:
             step, side = steps.get(method), cells.get(method, 0.1)
-            options = experiment.method_options(
+            options = method_options(
                 method, None if step is None else float(np.deg2rad(step)), workers
             )
             options = replace(
@@ -160,7 +160,7 @@ def evaluate(
         for method, side, options in plans:
             features = prepare(grid, display(path), cell=side, threads=workers)
             with progress(f"{name}: {method}", len(trials), lines=False) as advance:
-                result = experiment.evaluate(
+                result = measure(
                     features, trials, options, tolerances=within, floor=floor, advance=advance
                 )
             LOG.info("%s: %s: S %.2f", name, method, result.summary.index.value)

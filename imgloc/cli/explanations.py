@@ -10,7 +10,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import base_of
 from imgloc.io.files import write_text_atomic
 from imgloc.model import LaserScan, Localization, Pose2D
-from imgloc.pipeline import Options
+from imgloc.options import Options
 from imgloc.report.explain import render_explanation
 from imgloc.report.explain_numbers import describe
 

@@ -7,8 +7,8 @@ from imgloc.cli.console import LOG
 
 if TYPE_CHECKING:
     from imgloc.features.mapfeatures import MapFeatures
-    from imgloc.methods import Options
     from imgloc.model import LaserScan
+    from imgloc.options import Options
 
 MIRRORED = 3
 """Doubtful scans that are looked at mirrored."""

@@ -33,7 +33,8 @@ def load_grid(
     ConfigError
         If it would take more than the budget.
     """
-    from imgloc.io.maps import load_bytes, load_map
+    from imgloc.features.budget import load_bytes
+    from imgloc.io.maps import load_map
 
     check_image(path, reading, memory_budget, load_bytes, held=held)
     with quiet_libraries():

@@ -33,7 +33,7 @@ from imgloc.errors import ConfigError
 if TYPE_CHECKING:
     from imgloc.io.scans import ScanSet
     from imgloc.model import Pose2D
-    from imgloc.pipeline import Options
+    from imgloc.options import Options
 
 
 @with_options(known, mounting, reading, console)
@@ -222,7 +222,7 @@ def _options(
 ) -> "Options":
     import numpy as np
 
-    from imgloc.pipeline import Options
+    from imgloc.options import Options
 
     options = Options(method=method.value, top=top, engine=engine.value, threads=threads)
     if step_deg is None:

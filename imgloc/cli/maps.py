@@ -58,7 +58,8 @@ def check(
     exits with 3.
     """
     from imgloc.cli.budgets import check_image
-    from imgloc.io.mapcheck import check_bytes, check_map
+    from imgloc.features.budget import check_bytes
+    from imgloc.io.mapcheck import check_map
 
     check_image(map_path, reading, memory_budget, check_bytes)
     with quiet_libraries():

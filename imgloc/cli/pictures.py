@@ -9,11 +9,10 @@ import numpy as np
 from imgloc.draw import draw_hypotheses
 from imgloc.draw.canvas import Picture
 from imgloc.features.scanpoints import scan_xy
-from imgloc.geometry import compose, inverse
+from imgloc.geometry import compose, in_map_frame, inverse
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
 from imgloc.model import Hypothesis, LaserScan, Localization, OccupancyGrid, Pose2D
-from imgloc.pipeline import in_map_frame
 
 
 def picture_name(path: Path, index: int, many: bool) -> Path:

@@ -10,8 +10,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from imgloc.features.mapfeatures import MapFeatures
-    from imgloc.methods import Options
     from imgloc.model import LaserScan, OccupancyGrid
+    from imgloc.options import Options
 
 
 def cache_folder(given: "Path | None", *, wanted: bool) -> "Path | None":
@@ -51,6 +51,7 @@ def open_features(
     from imgloc.features.store import load_features
     from imgloc.pipeline import prepare
 
+    parameters["memory_budget"] = options.memory_budget
     features = prepare(grid, name, **parameters)
     check_answer(features, options, name, hint=hint, scans=scans)
     return features if folder is None else load_features(grid, folder, parameters)

@@ -12,7 +12,7 @@ from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
     from imgloc.model import LaserScan, OccupancyGrid, Pose2D
-    from imgloc.search.priors import Prior
+    from imgloc.options import Prior
 
 RADIUS, TOLERANCE = 2.0, 0.8
 """How far from --near a robot may be, and turned how far, unless stated: metres, radians."""
@@ -86,25 +86,26 @@ def prior_of(known: Known, grid: "OccupancyGrid", *, allow_lossy: bool = False) 
     """
     from imgloc.geometry import compose, inverse
     from imgloc.model import Pose2D
+    from imgloc.options import Prior
     from imgloc.search import priors
 
-    prior, to_grid = priors.Prior(), inverse(grid.origin)
+    prior, to_grid = Prior(), inverse(grid.origin)
     if known.near is not None:
         x, y, yaw, *rest = known.near
         radius, tolerance = (*rest, *(RADIUS, TOLERANCE)[len(rest) :])
         at = compose(to_grid, Pose2D(x, y, yaw))
         disc = priors.near(grid.info, at.x, at.y, radius)
         about = {"x": x, "y": y, "theta": yaw, "radius": radius, "tolerance": tolerance}
-        prior &= priors.Prior(disc, (at.theta, tolerance), {"near": about})
+        prior &= Prior(disc, (at.theta, tolerance), {"near": about})
     if known.heading is not None:
         yaw, tolerance = (*known.heading, TOLERANCE)[:2]
         about = {"theta": yaw, "tolerance": tolerance}
-        prior &= priors.Prior(None, (yaw + to_grid.theta, tolerance), {"heading": about})
+        prior &= Prior(None, (yaw + to_grid.theta, tolerance), {"heading": about})
     if known.region is not None:
         cells = _region(known.region, grid, allow_lossy)
-        prior &= priors.Prior(cells, None, {"region": {"cells": int(cells.sum())}})
+        prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})
     if known.clearance:
-        prior &= priors.Prior(
+        prior &= Prior(
             priors.clearance(grid, known.clearance), None, {"clearance": known.clearance}
         )
     return prior

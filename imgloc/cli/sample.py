@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.model import FloatArray, LaserScan
-    from imgloc.pipeline import Options
+    from imgloc.options import Options
 
 _MOST = 10_000_000  # poses in all
 _LISTED = 20  # hypotheses of fused that are drawn from
@@ -84,12 +84,12 @@ def sample(
     import cv2
     import numpy as np
 
-    from imgloc.cli.budgets import check_draws, fixed_budget
+    from imgloc.cli.budgets import fixed_budget
     from imgloc.cli.loading import load_set, load_usable
     from imgloc.cli.prepared import open_features
     from imgloc.io.calibration import calibration_path, load_calibrations
     from imgloc.io.files import display, write_text_atomic
-    from imgloc.pipeline import Options
+    from imgloc.options import Options
 
     workers = count_threads(threads)
     memory_budget = fixed_budget(memory_budget)
@@ -101,7 +101,6 @@ def sample(
     chosen = range(len(scans)) if index is None else range(index, index + 1)
     if count * len(chosen) > _MOST:
         raise ConfigError(f"-n: {count:,} poses of {len(chosen):,} scans are more than {_MOST:,}")
-    check_draws(count, len(chosen), display(scans_path), memory_budget)
     options = Options(
         method=method.value, top=_LISTED, threads=workers, memory_budget=memory_budget
     )
@@ -137,14 +136,14 @@ def _draw(
     from imgloc.geometry import transform_poses
     from imgloc.likelihood.draws import draw_near, draw_poses
     from imgloc.model import Localization
-    from imgloc.pipeline import FUSED, likelihood, localize
-    from imgloc.searches import probability_of
+    from imgloc.options import FUSED
+    from imgloc.pipeline import likelihood, localize, posterior_of
 
     lattice = features.lattice
     enough = scan.directions >= options.trust.readings
     if enough and options.method != FUSED:
         stack = likelihood(features, scan, options)
-        probability = probability_of(features, scan, stack, options)
+        probability = posterior_of(features, scan, stack, options)
         if probability.any():
             poses = draw_poses(probability, stack.thetas, lattice, count, rng)
             return transform_poses(features.grid.origin, poses)

@@ -7,7 +7,7 @@ import typer
 from imgloc.cli.values import check_range, check_yaw, numbers
 
 if TYPE_CHECKING:
-    from imgloc.experiments.scansets import Sensor
+    from imgloc.simulate import Sensor
 
 
 def sensor(
@@ -50,8 +50,8 @@ def sensor(
         check_yaw("--mount", mount[2])
     import numpy as np
 
-    from imgloc.experiments.scansets import Sensor
     from imgloc.model import Pose2D
+    from imgloc.simulate import Sensor
 
     return Sensor(
         rays=rays,

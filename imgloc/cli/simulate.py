@@ -23,7 +23,7 @@ from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from imgloc.experiments.scansets import Sensor
+    from imgloc.simulate import Sensor
 
 _MAX_READINGS = 10_000_000  # about 1.5 GB while they are simulated
 
@@ -60,9 +60,9 @@ def simulate(
         )
     from imgloc.cli.budgets import check_simulation, fixed_budget
     from imgloc.cli.loading import load_usable
-    from imgloc.experiments.scansets import simulate_set
     from imgloc.io.files import display
     from imgloc.io.scans import save_scans
+    from imgloc.simulate import simulate_set
 
     memory_budget = fixed_budget(memory_budget)
     grid = load_usable(map_path, memory_budget, allow_lossy=allow_lossy, **reading)

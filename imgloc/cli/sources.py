@@ -10,9 +10,9 @@ from imgloc.cli.options import cut_scan
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from imgloc.experiments.scansets import Sensor
     from imgloc.io.scanset import ScanSet
     from imgloc.model import OccupancyGrid
+    from imgloc.simulate import Sensor
 
 _MAX_SCANS = 100_000
 
@@ -28,7 +28,7 @@ def check_sources(
     ConfigError
         Naming the option.
     """
-    from imgloc.experiments.scansets import Sensor
+    from imgloc.simulate import Sensor
 
     if scans is None:
         if flipped:
@@ -69,8 +69,8 @@ def simulated(
         If that would take more than the budget, bytes; None is half of what is there.
     """
     from imgloc.cli.budgets import check_simulation
-    from imgloc.experiments.scansets import fine_image, is_world, simulate_set
     from imgloc.io.files import display
+    from imgloc.simulate import fine_image, is_world, simulate_set
 
     world = is_world(path, grid)
     check_simulation(grid, display(path), count, sensor.rays, memory_budget, world=world)
@@ -93,8 +93,8 @@ def recorded(
     ConfigError
         If that would take more than the budget, bytes; None is half of what is there.
     """
-    from imgloc.experiments.scansets import sample_set
     from imgloc.io.files import display
+    from imgloc.simulate import sample_set
 
     chosen = sample_set(load_set(path, memory_budget), sample, sample_seed, display(path))
     scans = tuple(cut_scan(scan, range_max, flipped=flipped) for scan in chosen.scans)

@@ -24,7 +24,8 @@ from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError, MapError
 
 if TYPE_CHECKING:
-    from imgloc.which import Choice, Fit
+    from imgloc.model import Localization
+    from imgloc.which import Choice
 
 FAILED_ROWS = 5
 _LISTED = 3
@@ -73,7 +74,8 @@ def which(
     from imgloc.cli.loading import load_grid, load_set
     from imgloc.cli.prepared import cache_folder, keep_features, open_features
     from imgloc.io.files import display
-    from imgloc.pipeline import Options, check_options
+    from imgloc.options import Options
+    from imgloc.pipeline import check_options
     from imgloc.which import choose, fit
 
     workers = count_threads(threads)
@@ -84,7 +86,7 @@ def which(
     scans = [cut_scan(scan, range_max, flipped=flipped) for scan in recorded]
     options = Options(top=20, threads=workers, memory_budget=memory_budget)
     folder = cache_folder(None, wanted=not no_cache)
-    fits: list[dict[str, Fit]] = [{} for _ in scans]
+    fits: list[dict[str, Localization]] = [{} for _ in scans]
     names, failed = names_of(paths, maps_dir), list[MapError | ConfigError]()
     with progress("which", len(paths) * len(scans), lines=False) as advance:
         for path, name in zip(paths, names, strict=True):
@@ -160,7 +162,7 @@ def names_of(paths: Iterable[Path], folder: Path) -> list[str]:
     return names if len(set(names)) == len(names) else [path.as_posix() for path in full]
 
 
-def _as_json(index: int, choice: "Choice", fits: "dict[str, Fit]") -> str:
+def _as_json(index: int, choice: "Choice", fits: "dict[str, Localization]") -> str:
     """One line of JSON: the verdict, and each map with its pose in it."""
     from imgloc.cli.answers import as_pose, to_json
 
@@ -175,10 +177,10 @@ def _as_json(index: int, choice: "Choice", fits: "dict[str, Fit]") -> str:
                     "map": name,
                     "probability": share,
                     "log_evidence": choice.log_evidence.get(name),
-                    "misfit": fits[name].misfit,
-                    "verdict": fits[name].answer.verdict,
-                    "pose": as_pose(fits[name].answer.pose),
-                    "explained": fits[name].answer.explained,
+                    "misfit": fits[name].evidence.misfit,
+                    "verdict": fits[name].verdict,
+                    "pose": as_pose(fits[name].pose),
+                    "explained": fits[name].explained,
                 }
                 for name, share in choice.probability.items()
             ],
@@ -186,16 +188,16 @@ def _as_json(index: int, choice: "Choice", fits: "dict[str, Fit]") -> str:
     )
 
 
-def _as_line(index: int, choice: "Choice", fits: "dict[str, Fit]") -> str:
+def _as_line(index: int, choice: "Choice", fits: "dict[str, Localization]") -> str:
     """One line of text: the pose in the map that is named, else the candidates."""
     from imgloc.cli.answers import describe
 
     if choice.verdict == "invalid":
         return f"{index:>6}  {choice.verdict:<24} {'-':>11} {'-':>7}  too few readings"
     name = next(iter(choice.probability))
-    pose = fits[name].answer.pose
+    pose = fits[name].pose
     if choice.verdict == name and pose is not None:
-        more = f"{describe(pose)} ({fits[name].answer.verdict})"
+        more = f"{describe(pose)} ({fits[name].verdict})"
     else:
         some = list(choice.probability.items())[:_LISTED]
         more = ", ".join(f"{other} {100 * share:.1f} %" for other, share in some)

@@ -10,10 +10,10 @@ import numpy as np
 
 from imgloc.draw.marks import marks
 from imgloc.draw.svg import View, map_image, number, path, robot, scale_bar
+from imgloc.explain import RayFit
 from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import rotation
 from imgloc.model import BoolArray, FloatArray, Hypothesis, LaserScan, OccupancyGrid, Pose2D
-from imgloc.search.explain import RayFit
 
 _ORDER = ("unexplained", "agrees", "orientation", "visibility")  # drawn one over the other
 _FAR = 60.0  # metres; readings farther off do not widen a picture

@@ -1,8 +1,8 @@
 """Marks for what rays say: a shape for each kind, so that colour is not all that tells them."""
 
 from imgloc.draw.svg import number
+from imgloc.explain import KINDS, RayFit
 from imgloc.model import FloatArray
-from imgloc.search.explain import KINDS, RayFit
 
 #: Shapes of the ends of rays, drawn around the point.
 SHAPES = {

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from imgloc.draw.canvas import INK, PAPER, SHADE, Picture
-from imgloc.features.lattice import any_of_blocks
+from imgloc.features.pyramid import any_of_blocks
 from imgloc.io.images import encode_png
 from imgloc.model import FloatArray, OccupancyGrid, Pose2D
 

@@ -1,7 +1,8 @@
 """How many bytes something will take, known before they are taken, and how many there are.
 
-The factors below are peaks, measured with :mod:`tracemalloc`; the tests measure them again.
-An estimate is an upper bound that is rarely more than a few times too high.
+One number is the budget of everything: the features of a map, an answer, and what is beside them.
+The factors below are upper bounds of peaks, measured with :mod:`tracemalloc`; the tests measure
+them again. They are rarely more than a few times too high.
 """
 
 import os
@@ -10,20 +11,20 @@ from pathlib import Path
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.features.mapfeatures import VOTERS
-from imgloc.features.pooled import default_top
+from imgloc.features.pyramid import default_top
+from imgloc.io.images import ImageSize
 from imgloc.model import OccupancyGrid
 
 MIB = 1 << 20
 #: What is assumed to be available where the system does not say.
 UNKNOWN_RAM = 4 << 30
+#: Another process before it does anything: Python, NumPy, OpenCV.
+PROCESS = 96 * MIB
+#: Surface points that vote for proposals at most.
+VOTERS = 100_000
 
 _POSE = 20  # bytes per pose of a stack: itself, its posterior, and the search for peaks
-_PADDED = 10  # bytes per cell of the lattice, for each of which there may be eight of margin
 _FIXED = 64 * MIB  # buffers whose size depends neither on the map nor on the scan
-_RAY, _RAYS = 130, 1 << 21  # bytes per ray of the visibility map, and how many at a time
-_SIDE = 240  # bytes per surface point, twice that of a side of a cell: behind walls are some, too
-_LINE, _LINES = 600, 50_000  # bytes per line fitted to the surface, and how many at a time
 
 
 def available_bytes(
@@ -64,13 +65,13 @@ def default_budget() -> int:
     return available_bytes() // 2
 
 
-def check_budget(need: int, budget: int, what: str, hint: str) -> None:
+def check_budget(need: int, budget: int | None, what: str, hint: str) -> None:
     """Refuse to start something that would take more memory than it may.
 
     Parameters
     ----------
     need, budget : int
-        Bytes.
+        Bytes; a budget of None is :func:`default_budget`.
     what : str
         What takes them, with its sizes, as the subject of a sentence.
     hint : str
@@ -89,6 +90,7 @@ def check_budget(need: int, budget: int, what: str, hint: str) -> None:
     imgloc.errors.ConfigError: a stack of 120 headings needs 3072 MiB of memory, the budget is \
 1024 MiB: use larger cells
     """
+    budget = default_budget() if budget is None else budget
     if need > budget:
         raise ConfigError(
             f"{what} needs {-(-need // MIB)} MiB of memory, the budget is {budget // MIB} MiB: "
@@ -111,7 +113,7 @@ def surface_count(grid: OccupancyGrid) -> int:
     return int(np.count_nonzero(across) + np.count_nonzero(along))
 
 
-def prepare_bytes(
+def features_bytes(
     shape: tuple[int, int], *, points: int, n_psi: int = 72, factor: int = 1, voters: int = VOTERS
 ) -> int:
     """Peak of computing what a method uses of a map, besides the map itself.
@@ -131,15 +133,26 @@ def prepare_bytes(
 
     Examples
     --------
-    >>> round(prepare_bytes((10_000, 10_000), points=100_000, factor=2) / 2**30, 1)
+    >>> round(features_bytes((10_000, 10_000), points=100_000, factor=2) / 2**30, 1)
     2.2
     """
-    cells = shape[0] * shape[1]
-    voters = min(points, voters)
+    cells, voters = shape[0] * shape[1], min(points, voters)
     held = 14 * cells + 3 * cells // factor**2 + 25 * points + 4 * n_psi * voters
-    lines = _SIDE * points + _LINE * min(points, _LINES)
-    passing = max(9 * cells, lines, _RAY * min(voters * n_psi, _RAYS))
-    return held + passing
+    # One at a time: images of the map, outlines and the lines fitted to them in a band of rows,
+    # rays of the visibility map.
+    lines = 120 * points + 1200 * min(points, 1 << 17)
+    return held + max(9 * cells, lines, 130 * min(voters * n_psi, 1 << 21))
+
+
+def ray_distances_bytes(shape: tuple[int, int], n_psi: int) -> int:
+    """Of the stack of :func:`imgloc.features.raydistance.ray_distances`.
+
+    Examples
+    --------
+    >>> ray_distances_bytes((400, 500), 360) / 1e6
+    144.0
+    """
+    return 2 * shape[0] * shape[1] * n_psi
 
 
 def stack_bytes(
@@ -166,13 +179,13 @@ def stack_bytes(
     2360
     """
     cells = shape[0] * shape[1]
-    stack = 4 * cells * n_thetas
+    votes = 4 * (threads - 1) * cells * n_thetas
     extra = {
         "cbml": 8 * cells,  # the image and its multiples
         "cbml-o": 96 * cells,  # the field and its projections on 32 directions
-        "ght": (threads - 1) * stack,
-        "ght-v": (threads - 1) * stack,
-        "beam": 2 * n_rays * cells,
+        "ght": votes,
+        "ght-v": votes,
+        "beam": ray_distances_bytes(shape, n_rays),
     }
     return _POSE * cells * n_thetas + extra.get(method, 0) + _FIXED
 
@@ -190,20 +203,18 @@ def fused_bytes(
 
     Parameters
     ----------
-    shape : (int, int)
-        Rows and columns of the lattice of poses.
-    resolution : float
-        Its cells, metres.
+    shape, resolution
+        Rows and columns of the lattice of poses, and its cells in metres.
     n_thetas : int
         Headings of the endpoint correlation, of which the coarsest level takes every second.
     vote_cell, vote_headings, vote_cells
-        Of :class:`imgloc.search.fused_options.FusedOptions`.
+        Of :class:`imgloc.options.FusedOptions`.
     """
     cells = shape[0] * shape[1]
     coarse = min(n_thetas // 2 * cells // 16, max(1 << 22, cells // 16))  # some headings at a time
     votes = min(vote_cells, vote_headings * cells * resolution**2 / vote_cell**2)
     # Beside the votes: the finest level in a margin as wide as the map, for readings that long.
-    return int(4 * 3 * coarse + _POSE * votes + _PADDED * cells) + _FIXED
+    return int(12 * coarse + _POSE * votes + 10 * cells) + _FIXED
 
 
 def exact_bytes(
@@ -213,17 +224,64 @@ def exact_bytes(
 
     Parameters
     ----------
-    shape : (int, int)
-        Rows and columns of the lattice of poses.
-    resolution : float
-        Its cells, metres.
-    n_thetas : int
-        Number of headings.
+    shape, resolution, n_thetas
+        Rows and columns of the lattice of poses, its cells in metres, and its headings.
     readings : int
         Number of scan points.
     """
-    cells = shape[0] * shape[1]
     top = default_top(resolution)
-    blocks = ((shape[0] >> top) + 1) * ((shape[1] >> top) + 1)
+    blocks = -(-shape[0] >> top) * -(-shape[1] >> top)
     # The maps with their margins twice, the bounds of all blocks, offsets of all readings.
-    return 2 * (top + 5) * cells + 32 * n_thetas * blocks + 120 * n_thetas * readings + _FIXED
+    maps = 2 * (top + 5) * shape[0] * shape[1]
+    return maps + n_thetas * (32 * blocks + 120 * readings) + _FIXED
+
+
+def load_bytes(size: ImageSize) -> int:
+    """Peak of :func:`imgloc.io.maps.load_map`, with the map; samples may be written as text.
+
+    Examples
+    --------
+    >>> load_bytes(ImageSize(10_000, 10_000, 2_665_308, grey=True)) // 2**20
+    683
+    """
+    pixel = 7 if size.grey else 26
+    return pixel * size.width * size.height + 4 * size.file_bytes + 6 * MIB
+
+
+def check_bytes(size: ImageSize) -> int:
+    """Peak of :func:`imgloc.io.mapcheck.check_map`."""
+    return load_bytes(size) + 10 * size.width * size.height
+
+
+def scans_bytes(scans: int, numbers: int, file_bytes: int = 0, *, text: bool = False) -> int:
+    """Peak of :func:`imgloc.io.scans.load_scans` for so many scans and numbers in a file.
+
+    Examples
+    --------
+    >>> scans_bytes(100, 100 * 360 + 360, 200_000) // 2**20
+    1
+    """
+    return 1700 * scans + (150 if text else 24) * numbers + (16 if text else 1) * file_bytes
+
+
+def simulate_bytes(cells: int, fine_cells: int, readings: int, *, kept: int = 0) -> int:
+    """Peak of simulating so many readings at once on a map and a finer image of it.
+
+    `kept` are the readings of all that are simulated, if not at once.
+
+    Examples
+    --------
+    >>> simulate_bytes(10**6, 16 * 10**6, 181 * 100) // 2**20
+    163
+    """
+    return 24 * cells + 9 * fine_cells + 180 * readings + 24 * kept
+
+
+def poses_bytes(cells: int, places: int, headings: int) -> int:
+    """Peak of choosing the poses of an atlas: the map's cells, places of the raster, headings."""
+    return 14 * cells + (32 + 50 * headings) * places
+
+
+def picture_bytes(cells: int, pixels: int, *, points: int = 0, n_psi: int = 0) -> int:
+    """Peak of drawing so many cells on so many pixels, with surface points and what they see."""
+    return 100 * cells + 16 * pixels + (500 + 24 * n_psi) * points

@@ -10,15 +10,68 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.features.transform import distance_transform
 from imgloc.model import BoolArray, Float32Array
 
 #: Metres; what is farther from a wall than this, or off the map, counts as this far.
-FAR = 4.0
+FARTHEST = 4.0
 #: Steps in which a field keeps distances, metres, and slopes, metres per metre.
-UNIT, SLOPE = FAR / 32000, 1 / 16000
+UNIT, SLOPE = FARTHEST / 32000, 1 / 16000
 
 _BAND = 1024  # rows that are computed at a time: a large map takes no more memory than its field
+FARTHEST_CELLS = 512.0
+"""Cells; what is farther counts as this far."""
+
+
+def distance_transform(image: npt.NDArray[np.uint8]) -> Float32Array:
+    """Distance from the centre of every cell to the nearest centre of a cell that is 0.
+
+    OpenCV's result differs in its last bits with the number of threads, with the version and
+    even with where the image lies in memory, which the refinement of a pose would show. The
+    square of a distance between cells is a whole number: rounded to that, it is exact.
+
+    Parameters
+    ----------
+    image : (H, W) uint8 array
+
+    Returns
+    -------
+    (H, W) float32 array
+        Cells, at most `FARTHEST_CELLS`, up to which OpenCV's errors are small enough to be rounded
+        off; that everywhere if no cell is 0.
+
+    Examples
+    --------
+    >>> distance_transform(np.array([[0, 1, 1], [1, 1, 1]], np.uint8)).tolist()[0]
+    [0.0, 1.0, 2.0]
+    """
+    out = np.asarray(cv2.distanceTransform(image, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
+    np.minimum(out, np.float32(FARTHEST_CELLS), out=out)
+    np.multiply(out, out, out=out)
+    np.rint(out, out=out)
+    return np.asarray(np.sqrt(out, out=out), dtype=np.float32)
+
+
+def distance_image(occupied: BoolArray) -> Float32Array:
+    """Distance from the centre of every cell to the nearest centre of an occupied cell.
+
+    Parameters
+    ----------
+    occupied : (H, W) bool array
+        Row 0 is the lowest y.
+
+    Returns
+    -------
+    (H, W) float32 array
+        Cells, exact up to 512 and never more; 0 on occupied cells, 512 everywhere if none is
+        occupied.
+
+    Examples
+    --------
+    >>> distance_image(np.array([[True, False, False]])).tolist()
+    [[0.0, 1.0, 2.0]]
+    """
+    free = np.logical_not(occupied).astype(np.uint8)
+    return distance_transform(free)
 
 
 @dataclass(frozen=True)
@@ -64,7 +117,7 @@ class DistanceField:
         distance, gx, gy : (...) float32 arrays
             Metres, negative inside walls, and metres per metre. The distance is the one at the
             centre of the point's cell plus the gradient times the offset from it: exact along
-            straight walls. Off the map it is :data:`FAR`, with no gradient.
+            straight walls. Off the map it is :data:`FARTHEST`, with no gradient.
         """
         u = np.asarray(x, dtype=np.float32) / np.float32(self.resolution)
         v = np.asarray(y, dtype=np.float32) / np.float32(self.resolution)
@@ -96,7 +149,7 @@ def signed_distance(occupied: BoolArray, resolution: float) -> Float32Array:
     Returns
     -------
     (H, W) float32 array
-        Metres, negative in occupied cells, at most :data:`FAR`. Beyond the border of the map
+        Metres, negative in occupied cells, at most :data:`FARTHEST`. Beyond the border of the map
         nothing is occupied.
 
     Notes
@@ -115,11 +168,11 @@ def signed_distance(occupied: BoolArray, resolution: float) -> Float32Array:
     """
     wall = np.pad(occupied, 1).astype(np.uint8)
     if not occupied.any():
-        return np.full(occupied.shape, FAR, dtype=np.float32)
+        return np.full(occupied.shape, FARTHEST, dtype=np.float32)
     outside, inside = distance_transform(1 - wall), distance_transform(wall)
     # One of the two is 0 everywhere; the border lies half a cell before the other's centre.
     cells = (outside - inside - np.where(wall > 0, -0.5, 0.5))[1:-1, 1:-1]
-    return np.asarray(np.clip(cells * resolution, -FAR, FAR), dtype=np.float32)
+    return np.asarray(np.clip(cells * resolution, -FARTHEST, FARTHEST), dtype=np.float32)
 
 
 def distance_field(occupied: BoolArray, resolution: float) -> DistanceField:
@@ -143,8 +196,8 @@ def distance_field(occupied: BoolArray, resolution: float) -> DistanceField:
     height, width = occupied.shape
     table = np.zeros((height * width + 1, 4), dtype=np.int16)
     cells = table[:-1].reshape(height, width, 4)
-    # Rows farther than this change neither a distance up to FAR nor its slope.
-    margin = int(np.ceil(FAR / resolution)) + 2
+    # Rows farther than this change neither a distance up to FARTHEST nor its slope.
+    margin = int(np.ceil(FARTHEST / resolution)) + 2
     for top in range(0, height, _BAND):
         low, high = max(0, top - margin), min(height, top + _BAND + margin)
         here = slice(top - low, min(height, top + _BAND) - low)
@@ -163,6 +216,6 @@ def distance_field(occupied: BoolArray, resolution: float) -> DistanceField:
             # Half of a one-sided difference: at an edge the cell is its own neighbour.
             slope[np.s_[:, [0, -1]] if column == 1 else np.s_[[0, -1], :]] *= 2
             rows[..., column] = np.rint(slope[here])
-    table[-1, 0] = round(FAR / UNIT)
+    table[-1, 0] = round(FARTHEST / UNIT)
     table.flags.writeable = False
     return DistanceField(table, height, width, resolution)

@@ -9,19 +9,30 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.features.distance import DistanceField, distance_field
+from imgloc.features.budget import (
+    VOTERS,
+    check_budget,
+    features_bytes,
+    ray_distances_bytes,
+    surface_count,
+)
+from imgloc.features.distance import DistanceField, distance_field, distance_image
 from imgloc.features.fields import bmap, vmap
-from imgloc.features.lattice import any_of_blocks, coarse_info
-from imgloc.features.pooled import PooledMaps, pooled_maps
-from imgloc.features.pyramid import Level, pyramid
-from imgloc.features.raycast import distance_image
-from imgloc.features.raydistance import ray_distances, ray_distances_bytes
+from imgloc.features.pyramid import (
+    Level,
+    PooledMaps,
+    any_of_blocks,
+    coarse_info,
+    pooled_maps,
+    pyramid,
+)
+from imgloc.features.raydistance import ray_distances
 from imgloc.features.surface import surface_points
 from imgloc.features.visibility import visibility_frames
 from imgloc.model import BoolArray, Float32Array, GridInfo, OccupancyGrid, OrientedPoints
 
-VOTERS, VOTER_SPACING = 100_000, 0.25
-"""Surface points that vote for proposals at most, and metres of wall to each: votes find places."""
+VOTER_SPACING = 0.25
+"""Metres of wall to each surface point that votes for proposals: votes find places."""
 
 COARSE_CELLS = 1 << 17
 """With more cells than this at four times `cell`, the search starts at eight times."""
@@ -50,8 +61,9 @@ class MapFeatures:
         Directions of the ray-distance stack.
     max_range : float
         What the ray-distance stack says where nothing is hit, metres.
-    max_bytes : int
-        The ray-distance stack is refused when it would be larger.
+    memory_budget : int, optional
+        Bytes; a ray-distance stack that would be larger is refused. None is half of the RAM
+        that is available.
     threads : int
         Used for the ray-distance stack; no result depends on it.
 
@@ -77,7 +89,7 @@ class MapFeatures:
     horizon: float = 30.0
     n_rays: int = 360
     max_range: float = 30.0
-    max_bytes: int = 2 << 30
+    memory_budget: int | None = None
     threads: int = 1
 
     def __post_init__(self) -> None:
@@ -85,9 +97,9 @@ class MapFeatures:
             length = getattr(self, name)
             if not 0 < length < np.inf:
                 raise ConfigError(f"{name} must be a positive number of metres, got {length}")
-        for name in ("n_psi", "n_rays", "max_bytes", "threads"):
+        for name in ("n_psi", "n_rays", "memory_budget", "threads"):
             number = getattr(self, name)
-            if number < 1:
+            if number is not None and number < 1:
                 raise ConfigError(f"{name} must be at least 1, got {number}")
 
     @cached_property
@@ -190,33 +202,61 @@ class MapFeatures:
             )
         )
 
-    @cached_property
+    @property
     def ray_distances(self) -> npt.NDArray[np.uint16]:
         """``r_m`` of eq. 2, (n_rays, H, W) uint16 centimetres.
 
         Raises
         ------
         ConfigError
-            If the stack would take more than `max_bytes`.
+            If the stack would take more than `memory_budget`.
         """
-        height, width = self.lattice.shape
-        need = ray_distances_bytes((height, width), self.n_rays)
-        if need > self.max_bytes:
-            raise ConfigError(
-                f"ray distances of {self.n_rays} directions x {height} x {width} cells need "
-                f"{need / 2**20:.0f} MiB, the budget is {self.max_bytes / 2**20:.0f} MiB: "
-                "use fewer directions or coarser cells"
+        return self.ray_distances_within(self.memory_budget)
+
+    def ray_distances_within(self, memory_budget: int | None) -> npt.NDArray[np.uint16]:
+        """:attr:`ray_distances` within another budget than the map's own."""
+        if "_ray_distances" not in vars(self):
+            height, width = self.lattice.shape
+            check_budget(
+                ray_distances_bytes((height, width), self.n_rays),
+                memory_budget,
+                f"a stack of ray distances, {self.n_rays} directions x {height} x {width} cells,",
+                "use fewer directions or coarser cells, or a larger memory budget",
             )
-        stack = ray_distances(
-            self.grid.occupied,
-            self.grid.resolution,
-            self.n_rays,
-            self.max_range,
-            factor=self.factor,
-            threads=self.threads,
+        return self._ray_distances
+
+    @cached_property
+    def _ray_distances(self) -> npt.NDArray[np.uint16]:
+        return _read_only(
+            ray_distances(
+                self.grid.occupied,
+                self.grid.resolution,
+                self.n_rays,
+                self.max_range,
+                factor=self.factor,
+                threads=self.threads,
+            )
         )
-        stack.flags.writeable = False
-        return stack
+
+    def bytes_for(self, method: str) -> int:
+        """Peak of computing what a method uses of the map, besides the map itself.
+
+        Examples
+        --------
+        >>> wall = np.eye(100, dtype=bool)
+        >>> features = MapFeatures(OccupancyGrid(wall, ~wall, 0.1))
+        >>> features.bytes_for("ght-v") // 2**20
+        3
+        """
+        height, width = self.grid.occupied.shape
+        points = surface_count(self.grid)
+        return features_bytes(
+            (height, width),
+            points=points,
+            n_psi=self.n_psi,
+            factor=self.factor,
+            voters=points if method == "ght-v" else VOTERS,
+        )
 
 
 def _read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:

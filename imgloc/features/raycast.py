@@ -9,37 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.features.transform import distance_transform
-from imgloc.model import BoolArray, Float32Array
+from imgloc.model import Float32Array
 
 # A ray that stops on a cell border belongs to the cell behind it: it is pushed this far over
 # the border, in cells. float32 resolves it on images of up to 65,536 cells a side.
 _NUDGE = np.float32(1 / 128)
 _DIAGONAL = np.float32(np.sqrt(2))
 _STALE = 0.5  # share of ended rays among those that are carried on
-
-
-def distance_image(occupied: BoolArray) -> Float32Array:
-    """Distance from the centre of every cell to the nearest centre of an occupied cell.
-
-    Parameters
-    ----------
-    occupied : (H, W) bool array
-        Row 0 is the lowest y.
-
-    Returns
-    -------
-    (H, W) float32 array
-        Cells, exact up to 512 and never more; 0 on occupied cells, 512 everywhere if none is
-        occupied.
-
-    Examples
-    --------
-    >>> distance_image(np.array([[True, False, False]])).tolist()
-    [[0.0, 1.0, 2.0]]
-    """
-    free = np.logical_not(occupied).astype(np.uint8)
-    return distance_transform(free)
 
 
 def cast_rays(
@@ -54,7 +30,7 @@ def cast_rays(
     Parameters
     ----------
     distance : (H, W) float32 array
-        The :func:`distance_image` of the map, in cells.
+        The :func:`~imgloc.features.distance.distance_image` of the map, in cells.
     origins : (..., 2) array
         Where the rays start, x and y in metres in the grid frame.
     angles : (...) array
@@ -82,6 +58,7 @@ def cast_rays(
 
     Examples
     --------
+    >>> from imgloc.features.distance import distance_image
     >>> wall = np.zeros((3, 8), dtype=bool)
     >>> wall[:, 6] = True
     >>> cast_rays(distance_image(wall), [0.15, 0.15], [0.0, np.pi], 5.0, 0.1).round(2).tolist()

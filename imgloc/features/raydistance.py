@@ -10,9 +10,9 @@ from concurrent.futures import ThreadPoolExecutor
 import cv2
 import numpy as np
 import numpy.typing as npt
+from skimage.measure import block_reduce
 
 from imgloc.errors import ConfigError
-from imgloc.features.lattice import blocks
 from imgloc.model import BoolArray, Float32Array, FloatArray
 
 _CM = 100.0
@@ -21,17 +21,6 @@ _MAX_CM = np.iinfo(np.uint16).max
 # sample counts from a little below, so that rays a pixel apart do not miss a one-pixel wall.
 _WALL, _SURFACE, _HIT = 255, 127.5, 100
 _JOINT = 90  # free cells beside two occupied ones that touch at a corner; see _watertight
-
-
-def ray_distances_bytes(shape: tuple[int, int], n_psi: int) -> int:
-    """Bytes of the stack that :func:`ray_distances` returns for a map of this shape.
-
-    Examples
-    --------
-    >>> ray_distances_bytes((400, 500), 360) / 1e6
-    144.0
-    """
-    return shape[0] * shape[1] * n_psi * np.dtype(np.uint16).itemsize
 
 
 def ray_cells(shape: tuple[int, int], n_psi: int) -> int:
@@ -72,8 +61,8 @@ def ray_distances(
     max_range : float
         Metres, at most 655.35. Where nothing is hit within it, the value is `max_range`.
     factor : int
-        Rays start at the centres of blocks of `factor` x `factor` cells, as of
-        :func:`~imgloc.features.lattice.blocks`; walls keep the cells of the map.
+        Rays start at the centres of blocks of `factor` x `factor` cells; walls keep the
+        cells of the map.
     threads : int
         Directions computed at a time; the result does not depend on it.
 
@@ -114,7 +103,7 @@ def ray_distances(
     if not (np.isfinite(resolution) and resolution > 0):
         raise ConfigError(f"resolution must be positive and finite, got {resolution}")
 
-    solid = np.asarray(blocks(occupied, factor).all(axis=(1, 3)))
+    solid = np.asarray(block_reduce(occupied, factor, np.all))
     stack = np.empty((n_psi, *solid.shape), np.uint16)
     image = _watertight(occupied)
     limit = np.uint16(round(max_range * _CM))

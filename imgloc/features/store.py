@@ -1,14 +1,23 @@
-"""The features of a map, kept in the map cache."""
+"""The features of a map as named arrays, and back; kept in the map cache.
+
+Kept is what takes longer to compute than to read: surface, visibility, endpoint pyramid,
+distances, the vector field and the max-pooled maps. The blurred map, the free cells and those
+a robot can stand in take a millisecond.
+"""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from imgloc.features.arrays import MAX_BYTES, features_from_arrays, features_to_arrays
+import numpy as np
+import numpy.typing as npt
+
+from imgloc.features.distance import DistanceField
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.pyramid import Level, PooledMaps, block_masks, default_top, margin_of
 from imgloc.io.cache import (
     cache_key,
     discard_entry,
@@ -18,9 +27,208 @@ from imgloc.io.cache import (
     store_entry,
 )
 from imgloc.io.files import PathLike
-from imgloc.model import OccupancyGrid
+from imgloc.model import OccupancyGrid, OrientedPoints
 
-_NO_MATTER = ("grid", "max_bytes", "threads")  # do not change a feature
+Array = npt.NDArray[Any]
+
+#: Features that are kept, those first that save most time per byte.
+KEPT = ("surface", "visibility", "voters_visibility", "pyramid", "vmap", "pooled", "walls", "field")
+#: Bytes of an entry; what does not fit is computed anew each time.
+MAX_BYTES = 1 << 30
+
+_SURFACE = ("xy", "alpha", "sigma_alpha", "valid")
+_POOLED = ("images", "coarse", "quads")
+_NO_MATTER = ("grid", "memory_budget", "threads")  # do not change a feature
+
+
+def features_to_arrays(
+    features: MapFeatures, names: Iterable[str] | None = None, *, max_bytes: int = MAX_BYTES
+) -> dict[str, Array]:
+    """Return features as named arrays.
+
+    Parameters
+    ----------
+    features : MapFeatures
+    names : iterable of str, optional
+        Which of :data:`KEPT`; they are computed if they have not been. By default those that
+        have been computed so far.
+    max_bytes : int
+        Features that do not fit any more are left out.
+
+    Returns
+    -------
+    dict of str to array
+        ``"walls"`` for the feature of that name, ``"surface.xy"`` for a part of one.
+    """
+    wanted = set(vars(features)) if names is None else set(names)
+    out: dict[str, Array] = {}
+    room = max_bytes
+    for name in KEPT:
+        if name not in wanted or (name == "voters_visibility" and _shared(features)):
+            continue
+        parts = _parts(name, getattr(features, name))
+        size = sum(array.nbytes for array in parts.values())
+        if size <= room:
+            room -= size
+            out |= parts
+    return out
+
+
+def features_from_arrays(
+    grid: OccupancyGrid, arrays: Mapping[str, Array], parameters: Mapping[str, Any]
+) -> MapFeatures:
+    """Make features of which some need not be computed any more.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        The map that they belong to.
+    arrays : mapping of str to array
+        Of :func:`features_to_arrays`. What is not there is computed when it is asked for.
+    parameters : mapping
+        Of :class:`~imgloc.features.mapfeatures.MapFeatures`.
+
+    Raises
+    ------
+    ValueError
+        If an array is of no feature, or its type or shape is not that of this map's.
+
+    Examples
+    --------
+    >>> walls = np.eye(9, dtype=bool)
+    >>> grid = OccupancyGrid(walls, ~walls, 0.1)
+    >>> arrays = features_to_arrays(MapFeatures(grid, n_psi=36), ["surface", "walls"])
+    >>> sorted(arrays)
+    ['surface.alpha', 'surface.sigma_alpha', 'surface.valid', 'surface.xy', 'walls']
+    >>> features_from_arrays(grid, arrays, {"n_psi": 36}).walls.shape
+    (9, 9)
+    """
+    features = MapFeatures(grid, **parameters)
+    rest = dict(arrays)
+    made = vars(features)
+    for name in KEPT:
+        prefix = f"{name}."
+        parts = {k: rest.pop(k) for k in tuple(rest) if k == name or k.startswith(prefix)}
+        if parts:
+            parts = {k.removeprefix(prefix): _read_only(v) for k, v in parts.items()}
+            # Where functools.cached_property would put it.
+            made[name] = _BUILDERS[name](features, parts)
+    if rest:
+        raise ValueError(f"{', '.join(sorted(rest))}: no such feature")
+    return features
+
+
+def _parts(name: str, value: Any) -> dict[str, Array]:
+    """A feature as named arrays."""
+    if name == "surface":
+        return {f"{name}.{part}": getattr(value, part) for part in _SURFACE}
+    if name == "pooled":
+        return {f"{name}.{part}": getattr(value, part) for part in _POOLED}
+    if name == "pyramid":
+        images = {f"{name}.image{i}": level.image for i, level in enumerate(value)}
+        return images | {f"{name}.free{i}": level.free for i, level in enumerate(value)}
+    return {name: value.table if name == "field" else value}
+
+
+def _take(
+    parts: dict[str, Array], name: str, dtype: npt.DTypeLike, shape: tuple[int, ...]
+) -> Array:
+    """The array `name`, after a look at its type and shape."""
+    array = parts.get(name)
+    if array is None or array.dtype != dtype or array.shape != shape:
+        found = "nothing" if array is None else f"{array.dtype} {array.shape}"
+        raise ValueError(f"{name}: got {found}, expected {np.dtype(dtype)} {shape}")
+    return array
+
+
+def _surface(_: MapFeatures, parts: dict[str, Array]) -> OrientedPoints:
+    n = len(parts["xy"]) if "xy" in parts and parts["xy"].ndim else 0
+    return OrientedPoints(
+        _take(parts, "xy", np.float64, (n, 2)),
+        _take(parts, "alpha", np.float64, (n,)),
+        _take(parts, "sigma_alpha", np.float64, (n,)),
+        _take(parts, "valid", np.bool_, (n,)),
+    )
+
+
+def _visibility(features: MapFeatures, parts: dict[str, Array]) -> Array:
+    if "surface" not in vars(features):
+        raise ValueError("visibility without its surface")
+    shape = (features.n_psi, len(features.surface))
+    return _take(parts, "visibility", np.float32, shape)
+
+
+def _shared(features: MapFeatures) -> bool:
+    """Whether all surface points vote: their visibility is kept once."""
+    return features.voters is features.surface
+
+
+def _voters_visibility(features: MapFeatures, parts: dict[str, Array]) -> Array:
+    if "surface" not in vars(features):
+        raise ValueError("visibility without its surface")
+    shape = (features.n_psi, len(features.voters))
+    return _take(parts, "voters_visibility", np.float32, shape)
+
+
+def _pyramid(features: MapFeatures, parts: dict[str, Array]) -> tuple[Level, ...]:
+    levels = []
+    height, width = features.lattice.shape
+    resolution = features.lattice.resolution
+    for i in range((len(parts) + 1) // 2):
+        image = _take(parts, f"image{i}", np.uint8, (height, width))
+        free = _take(parts, f"free{i}", np.bool_, (height, width))
+        levels.append(Level(image, free, resolution))
+        height, width, resolution = -(-height // 2), -(-width // 2), 2 * resolution
+    return tuple(levels)
+
+
+def _vmap(features: MapFeatures, parts: dict[str, Array]) -> Array:
+    return _take(parts, "vmap", np.float32, (2, *features.lattice.shape))
+
+
+def _walls(features: MapFeatures, parts: dict[str, Array]) -> Array:
+    return _take(parts, "walls", np.float32, features.grid.occupied.shape)
+
+
+def _field(features: MapFeatures, parts: dict[str, Array]) -> DistanceField:
+    height, width = features.grid.occupied.shape
+    table = _take(parts, "field", np.int16, (height * width + 1, 4))
+    return DistanceField(table, height, width, features.grid.resolution)
+
+
+def _pooled(features: MapFeatures, parts: dict[str, Array]) -> PooledMaps:
+    info = features.lattice
+    top = default_top(info.resolution)
+    margin = margin_of(info.shape, info.resolution, top, features.max_range)
+    side = 1 << top
+    phases = (side * side, -(-info.height // side) + 1, -(-info.width // side) + 1)
+    rows, columns = info.height + 2 * margin, info.width + margin
+    return PooledMaps(
+        _take(parts, "images", np.uint8, (top - 1, rows, columns)),
+        _take(parts, "coarse", np.uint8, phases),
+        _take(parts, "quads", np.uint32, phases),
+        tuple(_read_only(mask) for mask in block_masks(features.free, top)),
+        margin,
+        info.resolution,
+    )
+
+
+_BUILDERS: Mapping[str, Callable[[MapFeatures, dict[str, Array]], object]] = {
+    "surface": _surface,
+    "visibility": _visibility,
+    "voters_visibility": _voters_visibility,
+    "pyramid": _pyramid,
+    "vmap": _vmap,
+    "pooled": _pooled,
+    "walls": _walls,
+    "field": _field,
+}
+
+
+def _read_only(array: Array) -> Array:
+    out = array.view()
+    out.flags.writeable = False
+    return out
 
 
 def features_key(features: MapFeatures) -> str:

@@ -4,7 +4,8 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.features.raycast import cast_rays, distance_image
+from imgloc.features.distance import distance_image
+from imgloc.features.raycast import cast_rays
 from imgloc.geometry import theta_bin
 from imgloc.model import BoolArray, Float32Array, FloatArray, OrientedPoints
 

@@ -17,8 +17,8 @@ import numpy as np
 import imgloc
 from imgloc.errors import ConfigError
 from imgloc.io.files import PathLike, display, write_text_atomic
-from imgloc.likelihood.calibration import DEFAULTS, Calibration
 from imgloc.model import OccupancyGrid
+from imgloc.options import DEFAULTS, Calibration
 
 LOG = logging.getLogger(__name__)
 

@@ -10,9 +10,6 @@ from imgloc.errors import ConfigError
 from imgloc.geometry import theta_bin, wrap
 from imgloc.model import BoolArray, Float32Array, FloatArray
 
-#: What a scan is worth on a lattice, in independent readings; see :func:`temperature`.
-INDEPENDENT_READINGS = 12.0
-
 _CM = 100.0
 _REACH = 127  # steps that the table of log densities reaches in front of the reading
 _BLOCK = 1 << 17  # pixels worked on at a time, so that they stay in the second-level cache
@@ -85,7 +82,9 @@ def beam(
 
         p(rho | r) = hit N(rho - r; sigma^2) + (short [rho < r] + 1 - hit - short) / span
 
-    The sum takes the readings for independent, which they are not: see :func:`temperature`.
+    The sum takes the readings for independent, which they are not: the pose at the centre of a
+    cell is beside the true one for all of them alike. What it is worth is in
+    :mod:`imgloc.options`.
 
     For one heading and one beam: subtract the reading from the image of distances, look the
     log-density up, add. psi is theta + phi rounded to the nearest direction of the stack.
@@ -172,49 +171,6 @@ def heading_sigma(n_thetas: int) -> float:
     1.732
     """
     return float(2 * np.pi / n_thetas / np.sqrt(3))
-
-
-def temperature(readings: int, independent: float = INDEPENDENT_READINGS) -> float:
-    """How often eq. 2 counts the same evidence: p(x | z) is ``exp(L / temperature)``.
-
-    Eq. 2 multiplies the readings as if each knew nothing of the others. But the pose at the
-    centre of a cell is beside the true one for all of them alike, and so is a wall of the map;
-    more rays do not make that better. A posterior of the bare sum puts everything on one cell,
-    too often the wrong one.
-
-    Parameters
-    ----------
-    readings : int
-        How many readings the sum has: the valid ones, with those without a return if they
-        count.
-    independent : float
-        How many independent readings a scan is worth on a lattice.
-
-    Returns
-    -------
-    float
-        At least 1.
-
-    Notes
-    -----
-    Found by the index S of eq. 12 over the free cells of the five bundled worlds, rendered at
-    10 cm, headings 3 degrees apart, for simulated scans of 181 rays over half a circle, cast on
-    a rendering at 1 cm: the parameters of :func:`beam` one at a time on 5 scans of each world,
-    the choice again on 15 (10 in ``large``) and on as many of another seed. S = 13.2 and 13.1
-    of 15.0 possible; a temperature of 1 has 7.8 and 7.9. The maximum is flat: temperatures from
-    10 to 18, shares of hits from 0.5 to 0.97 and :func:`heading_sigma` from 0 to 1.5 times its
-    value, each with its best temperature, are within 0.15 nats. With every third and every
-    sixth ray the best temperature was 6 and 4; on full circles 10 for 181 rays, 4 for 61; at
-    1 degree 16 to 24 (``visibility``, ``curved``). It grows with the number of readings.
-
-    Examples
-    --------
-    >>> temperature(180), temperature(5)
-    (15.0, 1.0)
-    """
-    if not 0 < independent < np.inf:
-        raise ConfigError(f"independent must be a positive number of readings, got {independent}")
-    return max(1.0, readings / independent)
 
 
 def _hit_table(

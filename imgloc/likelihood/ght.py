@@ -4,17 +4,27 @@ Each scan point is put into the frame of its own surface once, ``q_i = R(-alpha_
 pose of a pair is then ``t = p_j - R(alpha_j) q_i``: no trigonometry for each pair. And the
 direction from p_j to t, seen from the normal of p_j, is that of ``-q_i`` whatever j is, so
 that the visibility test of Alg. 5 compares one row of `visibility` with ``|p_i|``.
-The arithmetic is in :mod:`imgloc.likelihood.votes`, the two options of Sec. VII are there and
-in :mod:`imgloc.likelihood.uncertainty`.
+
+Pairs are worked on in blocks that fit the cache. Everything is element by element in double
+precision, without a matrix product, so that a vote does not depend on the block its pair is in.
 """
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
+import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.likelihood.slices import check_arguments, output_stack
-from imgloc.likelihood.uncertainty import Uncertainty, vote_spread
-from imgloc.likelihood.votes import vote
-from imgloc.model import Float32Array, OrientedPoints
+from imgloc.geometry import theta_bin
+from imgloc.likelihood.slices import check_arguments, output_stack, over_slices
+from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, OrientedPoints
+
+# Pairs of a block: 512 KB of float64 for each of its two buffers; calls cost, misses too.
+BLOCK_PAIRS = 1 << 16
+BLOCK_COLUMNS = 1 << 13
+# Points this many cells off cast no vote; the bound keeps the conversion to integers defined.
+OFF_CELLS = 2.0**29
 
 
 def ght(
@@ -25,7 +35,6 @@ def ght(
     resolution: float,
     *,
     once: bool = False,
-    uncertainty: Uncertainty | None = None,
     threads: int = 1,
     out: Float32Array | None = None,
 ) -> Float32Array:
@@ -48,9 +57,6 @@ def ght(
     once : bool
         At most one vote of each scan point in a cell, Sec. VII. A wall casts many votes in
         the cells along it; this counts the scan points that a pose explains.
-    uncertainty : Uncertainty, optional
-        Spread each vote over the poses that eq. 8 allows for, given the errors of its terms.
-        With `once` too, a scan point adds no more than 1 to a cell, before the blur.
     threads : int
         Number of threads. Each beyond the first needs a stack of its own; the result does not
         depend on their number.
@@ -60,8 +66,7 @@ def ght(
     Returns
     -------
     (K, H, W) float32 array
-        Votes ``L[theta, y, x]``; a vote off the lattice is lost. Whole numbers, unless there
-        is an `uncertainty`.
+        Votes ``L[theta, y, x]``, whole numbers; a vote off the lattice is lost.
 
     Raises
     ------
@@ -79,7 +84,7 @@ def ght(
     >>> np.argwhere(ght(wall, scan, 4, (1, 3), 1.0)).tolist()
     [[0, 0, 0]]
     """
-    return _vote(surface, None, points, n_theta, shape, resolution, once, uncertainty, threads, out)
+    return _vote(surface, None, points, n_theta, shape, resolution, once, threads, out)
 
 
 def ght_v(
@@ -91,7 +96,6 @@ def ght_v(
     resolution: float,
     *,
     once: bool = False,
-    uncertainty: Uncertainty | None = None,
     threads: int = 1,
     out: Float32Array | None = None,
 ) -> Float32Array:
@@ -103,7 +107,7 @@ def ght_v(
         ``visibility[b, j]`` is the distance in metres from surface point j to the nearest
         obstacle in the direction ``2 pi b / n_psi`` counted **from its normal**; infinite when
         there is none. The pair (i, j) votes iff ``visibility[b, j] > |p_i|``.
-    surface, points, n_theta, shape, resolution, once, uncertainty, threads, out
+    surface, points, n_theta, shape, resolution, once, threads, out
         As in :func:`ght`.
 
     Returns
@@ -134,9 +138,7 @@ def ght_v(
             f"visibility must be (n_psi, {len(surface)}), a column for each surface point, "
             f"got {visibility.shape}"
         )
-    return _vote(
-        surface, visibility, points, n_theta, shape, resolution, once, uncertainty, threads, out
-    )
+    return _vote(surface, visibility, points, n_theta, shape, resolution, once, threads, out)
 
 
 def _vote(
@@ -147,7 +149,6 @@ def _vote(
     shape: tuple[int, int],
     resolution: float,
     once: bool,
-    uncertainty: Uncertainty | None,
     threads: int,
     out: Float32Array | None,
 ) -> Float32Array:
@@ -158,10 +159,223 @@ def _vote(
         raise ConfigError(f"the lattice of votes must not be empty, got {(n_theta, *shape)}")
     out = output_stack(out, (n_theta, height, width))
     out.fill(0)
-    if uncertainty is None:
-        vote(surface, visibility, points, resolution, out, once=once, threads=threads)
-    else:
-        vote_spread(
-            surface, visibility, points, resolution, uncertainty, out, once=once, threads=threads
-        )
+    vote(surface, visibility, points, resolution, out, once=once, threads=threads)
     return out
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """What the pairs need, in cells and bins: columns for map points, rows for scan points."""
+
+    x: FloatArray  # (M,) p_j, columns of the lattice
+    y: FloatArray
+    c: FloatArray  # (M,) of alpha_j
+    s: FloatArray
+    u: FloatArray  # (M,) alpha_j in bins, plus a half to round and K to stay positive
+    qx: FloatArray  # (N, 1) q_i
+    qy: FloatArray
+    w: FloatArray  # (N, 1) alpha_i in bins
+    psi: IntArray  # (N,) row of `visibility`
+    rho: Float32Array  # (N, 1) metres
+    visibility: Float32Array | None  # (n_psi, M)
+    weights: Float32Array | None = None  # (N,) of a vote of each scan point; None: 1
+
+
+def _usable(points: OrientedPoints, resolution: float) -> npt.NDArray[np.bool_]:
+    """(N,) bool: points that may vote. NaN is not near."""
+    near = np.all(np.abs(points.xy) < OFF_CELLS * resolution, axis=1)
+    return np.asarray(points.valid & near & np.isfinite(points.alpha))
+
+
+def _bins(alpha: FloatArray, n: int, offset: float) -> FloatArray:
+    """Angles in units of 2 pi / n plus an offset, wrapped to [0, n)."""
+    bins = (alpha * (n / (2 * np.pi)) + offset) % n
+    return np.where(bins < n, bins, 0.0)  # -1e-20 % n is n
+
+
+def pair_up(
+    surface: OrientedPoints,
+    visibility: Float32Array | None,
+    points: OrientedPoints,
+    n_theta: int,
+    resolution: float,
+    weights: Float32Array | None = None,
+) -> Pairs:
+    """Drop the points that cannot vote and compute what does not depend on the pair."""
+    kept = _usable(surface, resolution)
+    if not kept.all():
+        surface = surface.select(kept)
+        visibility = None if visibility is None else visibility[:, kept]
+    voters = _usable(points, resolution)
+    points = points.select(voters)
+    c, s = np.cos(points.alpha), np.sin(points.alpha)
+    x, y = points.xy.T
+    qx, qy = c * x + s * y, c * y - s * x  # R(-alpha_i) p_i
+    n_psi = 1 if visibility is None else len(visibility)
+    distance = np.hypot(x, y)
+    rho = distance.astype(np.float32)
+    # Rounded down, vis > rho in float32 says the same as in float64.
+    rho = np.where(rho > distance, np.nextafter(rho, np.float32(0)), rho)
+    return Pairs(
+        x=surface.xy[:, 0] / resolution,
+        y=surface.xy[:, 1] / resolution,
+        c=np.cos(surface.alpha),
+        s=np.sin(surface.alpha),
+        # The sum may round up to the next turn.
+        u=np.minimum(_bins(surface.alpha, n_theta, 0.5) + n_theta, np.nextafter(2 * n_theta, 0)),
+        qx=qx[:, None] / resolution,
+        qy=qy[:, None] / resolution,
+        w=_bins(points.alpha, n_theta, 0.0)[:, None],
+        psi=theta_bin(np.arctan2(-qy, -qx), n_psi),
+        rho=rho[:, None],
+        visibility=visibility,
+        weights=None if weights is None else weights[voters],
+    )
+
+
+def block_shape(n: int, m: int, once: bool = False) -> tuple[int, int]:
+    """Rows and columns of the blocks that n scan points by m map points are cut into."""
+    # Evenly: a narrow block costs as many calls as a wide one.
+    columns = m if once else -(-m // max(1, -(-m // BLOCK_COLUMNS)))
+    return min(n, max(1, BLOCK_PAIRS // max(1, columns))), columns
+
+
+def blocks_of(n: int, m: int, once: bool = False) -> list[tuple[slice, slice]]:
+    """Cut the pairs of n scan points and m map points into blocks that fit the cache.
+
+    With `once`, all votes of a scan point are in one block, whatever its size.
+
+    Examples
+    --------
+    >>> blocks_of(9, 8192)
+    [(slice(0, 8, None), slice(0, 8192, None)), (slice(8, 9, None), slice(0, 8192, None))]
+    >>> blocks_of(2, 8200)
+    [(slice(0, 2, None), slice(0, 4100, None)), (slice(0, 2, None), slice(4100, 8200, None))]
+    """
+    rows, columns = block_shape(n, m, once)
+    return [
+        (slice(i, min(i + rows, n)), slice(j, min(j + columns, m)))
+        for i in range(0, n, max(1, rows))
+        for j in range(0, m, max(1, columns))
+    ]
+
+
+class Voter:
+    """The buffers of one thread, and the votes of a block of pairs.
+
+    With `once`, a scan point casts one vote in a cell, however many map points ask for it.
+    """
+
+    def __init__(self, pairs: Pairs, stack: Float32Array, once: bool = False) -> None:
+        self.once = once
+        rows, columns = block_shape(len(pairs.w), len(pairs.x), once)
+        size = rows * columns
+        self.pairs, self.stack = pairs, stack.reshape(-1)
+        self.n_theta, self.height, self.width = stack.shape
+        self.integer = np.int32 if stack.size < 2**31 else np.int64
+        self.unsigned = np.dtype(f"u{np.dtype(self.integer).itemsize}")
+        self.floats = np.empty((2, size))
+        self.integers = np.empty((3, size), dtype=self.integer)
+        self.bools = np.empty((2, size), dtype=np.bool_)
+
+    def cast(self, i: slice, j: slice) -> None:
+        """Cast the votes of the scan points `i` with the map points `j`."""
+        g = self.pairs
+        block = (i.stop - i.start, j.stop - j.start)
+        size = block[0] * block[1]
+        value, spare = self.floats[:, :size].reshape(2, *block)
+        row, column, flat = self.integers[:, :size].reshape(3, *block)
+        keep, test = self.bools[:, :size].reshape(2, *block)
+        c, s, qx, qy = g.c[j], g.s[j], g.qx[i], g.qy[i]
+
+        if g.visibility is None:
+            keep.fill(True)
+        else:
+            for seen, psi, rho in zip(keep, g.psi[i].tolist(), g.rho[i], strict=True):
+                np.greater(g.visibility[psi, j], rho, out=seen)  # Alg. 5, l. 5
+
+        # Alg. 5, l. 4: t = p_j - R(alpha_j) q_i
+        np.multiply(c, qx, out=value)
+        np.multiply(s, qy, out=spare)
+        np.subtract(value, spare, out=value)
+        np.subtract(g.x[j], value, out=value)
+        self._cells(value, self.width, column, keep, test)
+        np.multiply(s, qx, out=value)
+        np.multiply(c, qy, out=spare)
+        np.add(value, spare, out=value)
+        np.subtract(g.y[j], value, out=value)
+        self._cells(value, self.height, row, keep, test)
+
+        # Alg. 5, l. 3: theta = alpha_j - alpha_i, in bins 0 .. 2 K - 1, wrapped by taking the
+        # smaller of k and k - K as unsigned numbers. Then the place in the stack.
+        np.subtract(g.u[j], g.w[i], out=value)
+        np.copyto(flat, value, casting="unsafe")
+        np.multiply(row, self.width, out=row)
+        np.add(column, row, out=column)
+        np.subtract(flat, self.n_theta, out=row)
+        k = flat.view(self.unsigned)
+        np.minimum(k, row.view(self.unsigned), out=k)
+        np.multiply(flat, self.height * self.width, out=flat)
+        np.add(flat, column, out=flat)
+        chosen = flat.reshape(-1).take(np.flatnonzero(keep))
+        if g.weights is None and not self.once:
+            # Alg. 5, l. 6. Since NumPy 1.25 as fast as bincount, which needs a stack of its own.
+            np.add.at(self.stack, chosen, np.float32(1))
+            return
+        counts = np.count_nonzero(keep, axis=1)
+        weights = np.ones(len(counts), np.float32) if g.weights is None else g.weights[i]
+        if self.once:
+            # One scan point at a time: with an index repeated, += adds once (Sec. VII).
+            for cells, weight in zip(
+                np.split(chosen, np.cumsum(counts)[:-1]), weights, strict=True
+            ):
+                self.stack[cells] += weight
+        else:
+            np.add.at(self.stack, chosen, np.repeat(weights, counts))
+
+    @staticmethod
+    def _cells(
+        value: FloatArray, size: int, out: IntArray, keep: BoolArray, test: BoolArray
+    ) -> None:
+        """The cells of coordinates along one axis; off the lattice is a miss."""
+        np.greater_equal(value, 0, out=test)
+        np.logical_and(keep, test, out=keep)
+        np.less(value, size, out=test)
+        np.logical_and(keep, test, out=keep)
+        np.copyto(out, value, casting="unsafe")  # truncation is floor where it matters
+
+
+def vote(
+    surface: OrientedPoints,
+    visibility: Float32Array | None,
+    points: OrientedPoints,
+    resolution: float,
+    out: Float32Array,
+    *,
+    weights: Float32Array | None = None,
+    once: bool = False,
+    threads: int = 1,
+) -> None:
+    """Add the votes of all pairs to a stack (K, H, W): Alg. 5, Alg. 4 without visibility.
+
+    `weights` (N,) say what a vote of each scan point counts. As long as the sums are exact in
+    float32 (whole numbers, or few binary places), the number of threads changes nothing.
+    """
+    pairs = pair_up(surface, visibility, points, len(out), resolution, weights)
+    blocks = blocks_of(len(pairs.w), len(pairs.x), once)
+    # A stack costs about as much as half a vote for each of its cells.
+    threads = min(threads, 1 + 2 * len(pairs.w) * len(pairs.x) // out.size)
+    spare: list[Float32Array] = []
+
+    def work(share: Sequence[tuple[slice, slice]]) -> None:
+        stack = out
+        if share and share[0] != blocks[0]:
+            stack = np.zeros_like(out)
+            spare.append(stack)
+        voter = Voter(pairs, stack, once)
+        for i, j in share:
+            voter.cast(i, j)
+
+    over_slices(work, blocks, threads)
+    for stack in spare:  # whole numbers: their order does not matter
+        np.add(out, stack, out=out)

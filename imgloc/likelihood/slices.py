@@ -13,7 +13,7 @@ from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 Unit = TypeVar("Unit")
 
 # Beyond this a shift misses every map; the bound keeps the cast to integers defined.
-FAR = 2.0**30
+MAX_OFFSET = 2.0**30
 
 
 def cell_offsets(xy: FloatArray, thetas: FloatArray, resolution: float) -> IntArray:
@@ -45,7 +45,7 @@ def cell_offsets(xy: FloatArray, thetas: FloatArray, resolution: float) -> IntAr
     c, s = np.cos(thetas)[:, None] / resolution, np.sin(thetas)[:, None] / resolution
     x, y = np.asarray(xy, dtype=np.float64).T
     d = np.stack((s * x + c * y, c * x - s * y), axis=-1)
-    return np.asarray(np.floor(np.clip(d, -FAR, FAR) + 0.5), dtype=np.int64)
+    return np.asarray(np.floor(np.clip(d, -MAX_OFFSET, MAX_OFFSET) + 0.5), dtype=np.int64)
 
 
 def check_arguments(resolution: float, threads: int) -> None:

@@ -11,10 +11,9 @@ from imgloc.draw.explain import (
     window,
 )
 from imgloc.draw.marks import share_bar, swatch
-from imgloc.explain import Explanation, Fit
+from imgloc.explain import KINDS, Explanation, HypothesisFit, Layer
 from imgloc.io.images import encode_png
-from imgloc.layers import Layer
-from imgloc.methods import FUSED
+from imgloc.options import FUSED
 from imgloc.report.explain_numbers import describe, numbers, short, spread
 from imgloc.report.explain_style import EXPLAIN_STYLE
 from imgloc.report.style import STYLE
@@ -27,7 +26,6 @@ from imgloc.report.verdicts import (
     percent,
     why,
 )
-from imgloc.search.explain import KINDS
 
 _LAYERS = {
     "cbml": "Where the ends of the readings fall on walls (CBML)",
@@ -100,7 +98,12 @@ def _facts(e: Explanation, more: Sequence[tuple[str, str]]) -> str:
         rows.append(("Pose of the sensor" if sure else "Best guess", describe(e.fits[0].pose)))
         rows.append(("Probability", percent(e.fits[0].hypothesis.mass)))
         rows.append(("Elsewhere", f"{percent(e.answer.elsewhere)}: at none of the poses found"))
-        rows.append(("Readings explained", f"{percent(e.answer.explained)} of {e.readings} scored"))
+        rows.append(
+            (
+                "Readings explained",
+                f"{percent(e.answer.explained)} of {e.answer.evidence.readings} scored",
+            )
+        )
     rows += more
     used = ", ".join(f"{n} {key.replace('_', ' ')}" for key, n in counts.items() if n)
     rows.append(("Readings", used or "none"))
@@ -164,7 +167,7 @@ def _places(e: Explanation) -> Iterator[str]:
         )
 
 
-def _counts(fit: Fit) -> str:
+def _counts(fit: HypothesisFit) -> str:
     total = max(1, len(fit.rays.kind))
     rows = "".join(
         f"<tr><td>{swatch(kind)} {KIND_NAMES[kind]}<td>{n}<td>{100 * n / total:.0f} %</tr>"

@@ -8,18 +8,19 @@ import numpy as np
 from imgloc.draw.explain import draw_covariance
 from imgloc.explain import Explanation
 from imgloc.geometry import rotate_covariance
-from imgloc.methods import FUSED
 from imgloc.model import Pose2D
+from imgloc.options import FUSED
 from imgloc.report.verdicts import likely, percent, question
 
 
 def numbers(e: Explanation) -> Iterator[str]:
     """The questions of the verdict, and what they are computed from."""
+    evidence = e.answer.evidence
     yield "<h2>The numbers behind the verdict</h2>"
     lines = []
-    for k, check in enumerate(e.checks, start=1):
+    for k, check in enumerate(evidence.checks, start=1):
         ask, found, needed = question(check)
-        decided = k == len(e.checks)
+        decided = k == len(evidence.checks)
         mark = "<td class=ok>✓" if check.holds else "<td class=ko>✗"
         lines.append(
             f"<tr{' class=decided' if decided else ''}>{mark}<td>{ask}<td>{found}<td>{needed}"
@@ -49,31 +50,33 @@ def numbers(e: Explanation) -> Iterator[str]:
 
 def _reasons(e: Explanation) -> Iterator[str]:
     """How the numbers come about, as sentences of HTML."""
+    evidence = e.answer.evidence
     trust, model = e.options.trust, e.options.fused.model
     yield (
-        f"<b>Misfit {e.misfit:.3f} nats per reading.</b> A reading that ends exactly on a wall "
-        f"scores {model.best:.3f}; those of the best pose score "
-        f"{minus(e.fits[0].per_reading, 3)} on average, of {e.readings} readings."
+        f"<b>Misfit {evidence.misfit:.3f} nats per reading.</b> A reading that ends exactly on "
+        f"a wall scores {model.best:.3f}; those of the best pose score "
+        f"{minus(e.fits[0].per_reading, 3)} on average, of {evidence.readings} readings."
     )
     if e.options.method == FUSED:
         yield (
-            f"<b>Temperature {e.temperature:.2f}</b> = {trust.temperature:g} + {trust.strain:g} × "
-            "misfit. Errors of neighbouring readings are not independent, so differences of "
-            "log-likelihood are divided by this before they become probabilities" + _margin(e)
+            f"<b>Temperature {evidence.temperature.value:.2f}</b> = {trust.temperature:g} + "
+            f"{trust.strain:g} × misfit. Errors of neighbouring readings are not independent, so "
+            "differences of log-likelihood are divided by this before they become probabilities"
+            + _margin(e)
         )
     elif e.options.exact:
         yield (
-            f"<b>Temperature {e.temperature:.2f}.</b> Logarithms of scores are divided by it; "
-            "probabilities are shares of the separated poses that score best."
+            f"<b>Temperature {evidence.temperature.value:.2f}.</b> Logarithms of scores are "
+            "divided by it; probabilities are shares of the separated poses that score best."
         )
     else:
         yield (
-            f"<b>Temperature {e.temperature:.2f}.</b> The stack's (log-)values are divided by it; "
-            "its log-likelihoods are relative to all poses being equally probable."
+            f"<b>Temperature {evidence.temperature.value:.2f}.</b> The stack's (log-)values are "
+            "divided by it; its log-likelihoods are relative to all poses being equally probable."
         )
     constant, per_nat, per_share = trust.elsewhere
     share = 1 - e.fits[0].before if e.options.method == FUSED else 0.0
-    odds = constant + per_nat * max(0.0, e.misfit) + per_share * share
+    odds = constant + per_nat * max(0.0, evidence.misfit) + per_share * share
     yield (
         f"<b>Elsewhere {percent(e.answer.elsewhere)}.</b> Log-odds {minus(constant, 1)} "
         f"+ {per_nat:g} × misfit + {per_share:g} × {share:.3f} (what the best does not hold) "
@@ -85,7 +88,7 @@ def _margin(e: Explanation) -> str:
     if len(e.fits) < 2:
         return ". There is no second pose."
     margin = e.fits[0].hypothesis.log_likelihood - e.fits[1].hypothesis.log_likelihood
-    worth = margin / e.temperature
+    worth = margin / e.answer.evidence.temperature.value
     return (
         f": the second is {margin:.1f} nats behind, worth {worth:.2f}: it is "
         f"{likely(math.exp(min(worth, 99)))}."

@@ -2,7 +2,8 @@
 
 import math
 
-from imgloc.explain import Check, Explanation
+from imgloc.explain import Explanation
+from imgloc.model import Check
 
 HEADLINES = {
     "unique": "One pose explains this scan.",
@@ -32,6 +33,7 @@ KIND_NOTES = {
 
 def why(e: Explanation) -> str:
     """One or two sentences: the reason for a verdict, with its numbers."""
+    evidence = e.answer.evidence
     answer, trust = e.answer, e.options.trust
     if answer.verdict == "invalid":
         left = [
@@ -49,9 +51,10 @@ def why(e: Explanation) -> str:
     best = e.fits[0]
     if answer.verdict == "no-match":
         return (
-            f"Even at the best pose found the readings fall {e.misfit:.2f} nats each short of a "
-            f"perfect fit. The chance that the scan was taken at none of the poses found is "
-            f"{percent(answer.elsewhere)}; more than {percent(e.checks[-1].limit)} is no match. "
+            f"Even at the best pose found the readings fall {evidence.misfit:.2f} nats each short "
+            f"of a perfect fit. The chance that the scan was taken at none of the poses found is "
+            f"{percent(answer.elsewhere)}; "
+            f"more than {percent(evidence.checks[-1].limit)} is no match. "
             "The poses below are best guesses, not to be trusted."
         )
     share = percent(best.hypothesis.mass)

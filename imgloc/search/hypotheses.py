@@ -4,12 +4,9 @@ import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.features.distance import DistanceField
-from imgloc.likelihood.draws import entropy
+from imgloc.geometry import wrap
 from imgloc.model import FloatArray, Hypothesis, IntArray, Pose2D
-from imgloc.search.peaks import separated
 from imgloc.search.refine import normal_equations
-
-__all__ = ["as_hypotheses", "covariances", "entropy", "masses", "modes"]
 
 
 def masses(log_likelihood: FloatArray, temperature: float) -> FloatArray:
@@ -31,6 +28,75 @@ def masses(log_likelihood: FloatArray, temperature: float) -> FloatArray:
         return np.empty(0)
     weight = np.exp((log_likelihood - log_likelihood.max()) / temperature)
     return np.asarray(weight / weight.sum())
+
+
+def first_in_cell(poses: FloatArray, distance: float, angle: float) -> IntArray:
+    """Indices, in order, of the poses (M, 3) that are the first in their cell of pose space.
+
+    Parameters
+    ----------
+    poses : (M, 3) float array
+        Metres, metres, radians.
+    distance, angle : float
+        Sides of a cell, metres and radians; those of the headings all fit the circle.
+
+    Examples
+    --------
+    >>> poses = np.array([[0.01, 0, 3.1], [0.02, 0, 3.1], [0.01, 0, 3.1 - 2 * np.pi]])
+    >>> first_in_cell(poses, 0.1, 0.2).tolist()
+    [0]
+    """
+    turn = max(1, round(2 * np.pi / angle))
+    x, y = np.floor(poses[:, :2] / distance).T
+    heading = np.floor(poses[:, 2] * (turn / (2 * np.pi))) % turn
+    order = np.lexsort((x, y, heading))  # stable: the first of a cell comes first
+    cells = np.stack((x, y, heading))[:, order]
+    new = np.any(np.diff(cells, axis=1, prepend=np.nan) != 0, axis=0)
+    return np.sort(order[new])
+
+
+def separated(
+    poses: FloatArray, n: int, *, distance: float, angle: float
+) -> tuple[IntArray, IntArray]:
+    """Pick poses, best first, that are not another one's neighbour.
+
+    Parameters
+    ----------
+    poses : (M, 3) float array
+        Best first: metres, metres, radians.
+    n : int
+        At most so many.
+    distance, angle : float
+        Two poses are neighbours if they are closer than both, metres and radians.
+
+    Returns
+    -------
+    picked : (K,) int array
+        Indices of the picked poses.
+    owner : (M,) int array
+        For each pose the position in `picked` of the pose it is a neighbour of, or -1.
+
+    Examples
+    --------
+    >>> poses = np.array([[0, 0, 3.1], [0.1, 0, -3.1], [5, 0, 0.0]])
+    >>> [a.tolist() for a in separated(poses, 9, distance=0.5, angle=0.2)]
+    [[0, 2], [0, 0, 1]]
+    """
+    owner = np.full(len(poses), -1, dtype=np.int64)
+    x, y, theta = np.ascontiguousarray(poses.T)
+    theta = wrap(theta)
+    picked: list[int] = []
+    for i in range(len(poses)):
+        if len(picked) == n:
+            break
+        if owner[i] >= 0:
+            continue
+        near = np.square(x - x[i]) + np.square(y - y[i]) < distance * distance
+        turn = np.abs(theta - theta[i])
+        near &= np.minimum(turn, 2 * np.pi - turn) < angle
+        owner[near & (owner < 0)] = len(picked)
+        picked.append(i)
+    return np.asarray(picked, dtype=np.int64), owner
 
 
 def modes(

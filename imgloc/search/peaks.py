@@ -1,4 +1,4 @@
-"""Peaks of a stack (theta, y, x), with theta circular."""
+"""Peaks of a stack (theta, y, x), with theta circular, and the modes of a posterior."""
 
 from collections.abc import Iterator
 
@@ -7,10 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.geometry import wrap
-from imgloc.likelihood.smoothing import smooth
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
-
-__all__ = ["find_peaks", "first_in_cell", "separated", "smooth"]
+from imgloc.search.hypotheses import separated
 
 _FEW = 4096  # peaks sorted at a time
 
@@ -100,70 +98,112 @@ def _falling(scores: Float32Array) -> Iterator[IntArray]:
     yield rest[np.argsort(-scores[rest], kind="stable")]
 
 
-def first_in_cell(poses: FloatArray, distance: float, angle: float) -> IntArray:
-    """Indices, in order, of the poses (M, 3) that are the first in their cell of pose space.
+def peaks_of_posterior(
+    probability: Float32Array,
+    thetas: FloatArray,
+    resolution: float,
+    *,
+    n: int,
+    separation: tuple[float, float],
+) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
+    """Modes of a posterior: its peaks, each with the peaks beside it.
 
     Parameters
     ----------
-    poses : (M, 3) float array
-        Metres, metres, radians.
-    distance, angle : float
-        Sides of a cell, metres and radians; those of the headings all fit the circle.
-
-    Examples
-    --------
-    >>> poses = np.array([[0.01, 0, 3.1], [0.02, 0, 3.1], [0.01, 0, 3.1 - 2 * np.pi]])
-    >>> first_in_cell(poses, 0.1, 0.2).tolist()
-    [0]
-    """
-    turn = max(1, round(2 * np.pi / angle))
-    x, y = np.floor(poses[:, :2] / distance).T
-    heading = np.floor(poses[:, 2] * (turn / (2 * np.pi))) % turn
-    order = np.lexsort((x, y, heading))  # stable: the first of a cell comes first
-    cells = np.stack((x, y, heading))[:, order]
-    new = np.any(np.diff(cells, axis=1, prepend=np.nan) != 0, axis=0)
-    return np.sort(order[new])
-
-
-def separated(
-    poses: FloatArray, n: int, *, distance: float, angle: float
-) -> tuple[IntArray, IntArray]:
-    """Pick poses, best first, that are not another one's neighbour.
-
-    Parameters
-    ----------
-    poses : (M, 3) float array
-        Best first: metres, metres, radians.
+    probability : (K, H, W) float32 array
+        Sums to 1.
+    thetas : (K,) float array
+        Uniform headings.
+    resolution : float
+        Side of a cell, metres.
     n : int
-        At most so many.
-    distance, angle : float
-        Two poses are neighbours if they are closer than both, metres and radians.
+        At most so many peaks are looked for.
+    separation : (float, float)
+        Peaks nearer than this, metres and radians, are of one mode.
 
     Returns
     -------
-    picked : (K,) int array
-        Indices of the picked poses.
-    owner : (M,) int array
-        For each pose the position in `picked` of the pose it is a neighbour of, or -1.
-
-    Examples
-    --------
-    >>> poses = np.array([[0, 0, 3.1], [0.1, 0, -3.1], [5, 0, 0.0]])
-    >>> [a.tolist() for a in separated(poses, 9, distance=0.5, angle=0.2)]
-    [[0, 2], [0, 0, 1]]
+    poses : (M, 3), mass : (M,), covariance : (M, 3, 3) float arrays
+        Grid frame, the highest peak first.
+    peaks : (M, 3) int array
+        Cells ``(theta, row, col)``.
     """
-    owner = np.full(len(poses), -1, dtype=np.int64)
-    x, y, theta = np.ascontiguousarray(poses.T)
-    theta = wrap(theta)
-    picked: list[int] = []
-    for i in range(len(poses)):
-        if len(picked) == n:
-            break
-        if owner[i] >= 0:
-            continue
-        near = np.square(x - x[i]) + np.square(y - y[i]) < distance * distance
-        turn = np.abs(theta - theta[i])
-        near &= np.minimum(turn, 2 * np.pi - turn) < angle
-        owner[near & (owner < 0)] = len(picked)
-        picked.append(i)
-    return np.asarray(picked, dtype=np.int64), owner
+    peaks = find_peaks(probability, n, radius=2)
+    poses, mass, covariance = peak_moments(probability, peaks, thetas, resolution)
+    if len(poses) == 0:
+        return poses, mass, covariance, peaks
+    distance, angle = separation
+    best, owner = separated(poses, len(poses), distance=distance, angle=angle)
+    mass, covariance = _joined(poses, mass, covariance, best[owner])
+    return poses[best], mass[best], covariance[best], peaks[best]
+
+
+def peak_moments(
+    probability: Float32Array,
+    peaks: IntArray,
+    thetas: FloatArray,
+    resolution: float,
+    *,
+    radius: int = 2,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean, mass and covariance of the posterior around each peak.
+
+    Parameters
+    ----------
+    probability : (K, H, W) float32 array
+        Sums to 1.
+    peaks : (M, 3) int array
+        ``(theta, row, col)``, best first. A cell that lies in the window of two peaks counts
+        for the first.
+    thetas : (K,) float array
+        Uniform headings.
+    resolution : float
+        Side of a cell, metres.
+    radius : int
+        The window reaches so many cells and headings to every side.
+
+    Returns
+    -------
+    poses : (M, 3), mass : (M,), covariance : (M, 3, 3) float arrays
+        Grid frame. Means over the window, yaw on the circle; the covariance holds the
+        variance of a uniform draw within a cell, so that it is never zero.
+    """
+    n, height, width = probability.shape
+    step = 2 * np.pi / n
+    taken = np.zeros(probability.shape, dtype=bool)
+    floor = np.diag(np.square([resolution, resolution, step]) / 12)
+    poses, mass, covariance = [], [], []
+    reach = min(radius, (n - 1) // 2)
+    for k, r, c in peaks.tolist():
+        ks = np.arange(k - reach, k + reach + 1)
+        rows = np.arange(max(0, r - radius), min(height, r + radius + 1))
+        columns = np.arange(max(0, c - radius), min(width, c + radius + 1))
+        window = np.ix_(ks % n, rows, columns)
+        w = np.where(taken[window], 0, probability[window]).astype(np.float64).ravel()
+        taken[window] = True
+        total = w.sum()
+        w = w / total if total > 0 else np.full(w.size, 1 / w.size)
+        dk, y, x = (g.ravel() for g in np.meshgrid(ks - k, rows, columns, indexing="ij"))
+        offset = np.column_stack(((x - c) * resolution, (y - r) * resolution, dk * step))
+        mean = w @ offset
+        centred = offset - mean
+        centre = ((c + 0.5) * resolution, (r + 0.5) * resolution, thetas[k])
+        poses.append(mean + centre)
+        mass.append(total)
+        covariance.append((centred * w[:, None]).T @ centred + floor)
+    out = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
+    out[:, 2] = wrap(out[:, 2])
+    return out, np.asarray(mass, dtype=np.float64), np.asarray(covariance).reshape(-1, 3, 3)
+
+
+def _joined(
+    poses: FloatArray, mass: FloatArray, covariance: FloatArray, owner: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Mass (M,) and covariance (M, 3, 3) of each pose with those of which it is the owner."""
+    offset = poses - poses[owner]
+    offset[:, 2] = wrap(offset[:, 2])
+    second = covariance + offset[:, :, None] * offset[:, None, :]
+    total, out = np.zeros_like(mass), np.zeros_like(covariance)
+    np.add.at(total, owner, mass)
+    np.add.at(out, owner, (mass / total[owner])[:, None, None] * second)
+    return total, out

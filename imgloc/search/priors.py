@@ -4,17 +4,17 @@ A prior is a set of poses, all equally likely; the others have no probability at
 the true pose that it excludes can therefore make an ambiguous scan unique.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.features.lattice import any_of_blocks
-from imgloc.features.pyramid import Level
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.pyramid import Level, any_of_blocks
 from imgloc.geometry import cell_of, inside, wrap
 from imgloc.model import BoolArray, FloatArray, GridInfo, IntArray, OccupancyGrid
+from imgloc.options import Prior
 
 SLIP = (0.5, float(np.deg2rad(15.0)))
 """How far outside a set a pose can be that a refinement has taken there from a place in it."""
@@ -22,125 +22,81 @@ _REACH = 100  # cells: the same on maps finer than 5 mm
 _LOOKS = 1 << 18  # cells looked at in one go
 
 
-@dataclass(frozen=True)
-class Prior:
-    """A set of poses.
+def nearest(prior: Prior, poses: FloatArray, resolution: float) -> FloatArray:
+    """The poses (C, 3), grid frame, those beside the set moved to where it begins.
 
-    Parameters
-    ----------
-    cells : (H, W) bool array or None
-        Cells of the map in which the sensor may be; None is all of them.
-    heading : (float, float) or None
-        Heading in the grid frame and how far it may be off, radians; None is all of them.
-    about : mapping
-        What it was made of, as plain values, for the record.
+    A scan that settles a few centimetres beside what is known of its place is no scan of
+    another place. Poses farther out than :data:`SLIP` are left out.
 
     Examples
     --------
-    >>> prior = Prior(np.array([[True, False]]), (0.0, 0.5))
-    >>> prior.admits(np.array([[0.5, 0.5, 6.0], [1.5, 0.5, 0], [0.5, 0.5, 1]]), 1.0).tolist()
-    [True, False, False]
+    >>> prior = Prior(np.array([[True, False, False]]), (0.0, 0.5))
+    >>> found = nearest(prior, np.array([[0.45, 0.1, 0.6], [1.7, 0.1, -0.1]]), 0.4)
+    >>> found.round(3).tolist()
+    [[0.4, 0.1, 0.5]]
     """
+    poses = np.array(poses, dtype=np.float64)
+    if prior.heading is not None:
+        poses = poses[prior.headings(poses[:, 2], SLIP[1])]
+        centre, tolerance = prior.heading
+        turned = ~prior.headings(poses[:, 2])
+        turn = np.clip(wrap(poses[turned, 2] - centre), -tolerance, tolerance)
+        poses[turned, 2] = wrap(centre + turn)
+    if prior.cells is None:
+        return poses
+    beside = np.flatnonzero(~prior.admits(poses, resolution))
+    cells = _nearest_cells(prior.cells, cell_of(poses[beside, :2], resolution), resolution)
+    # Not on the edge itself, which may belong to the next cell.
+    low = (cells[:, ::-1] + 1e-6) * resolution
+    high = (cells[:, ::-1] + 1 - 1e-6) * resolution
+    poses[beside, :2] = np.clip(poses[beside, :2], low, high)
+    return poses[prior.admits(poses, resolution)]
 
-    cells: BoolArray | None = None
-    heading: tuple[float, float] | None = None
-    about: Mapping[str, object] = field(default_factory=dict)
 
-    def __and__(self, other: "Prior") -> "Prior":
-        """The poses that both allow; of two headings the intersection must be one of them.
+def standing(poses: FloatArray, prior: Prior, features: MapFeatures) -> FloatArray:
+    """The poses at which a sensor can be and may be, moved there if they are just beside."""
+    poses = nearest(prior, poses, features.grid.resolution)
+    cells = cell_of(poses[:, :2], features.grid.resolution)
+    on_map = inside(cells, features.grid.info)
+    poses, cells = poses[on_map], cells[on_map]
+    return poses[features.standable[cells[:, 0], cells[:, 1]]]
 
-        Raises
-        ------
-        ConfigError
-            If both state a heading.
-        """
-        if self.heading is not None and other.heading is not None:
-            raise ConfigError("the heading is given twice: by a pose and on its own")
-        given = [c for c in (self.cells, other.cells) if c is not None]
-        cells = np.logical_and.reduce(given) if given else None
-        heading = self.heading if self.heading is not None else other.heading
-        return Prior(cells, heading, {**self.about, **other.about})
 
-    def admits(self, poses: FloatArray, resolution: float) -> BoolArray:
-        """Which poses (C, 3), grid frame, are in the set: (C,) bool."""
-        ok = self.headings(poses[:, 2])
-        if self.cells is not None:
-            at = cell_of(poses[:, :2], resolution)
-            height, width = self.cells.shape
-            on_map = inside(at, GridInfo(height, width, resolution))
-            row, col = at[on_map].T
-            ok[on_map] &= self.cells[row, col]
-            ok &= on_map
-        return ok
+def on_lattice(prior: Prior, free: BoolArray, factor: int) -> BoolArray:
+    """`free` without the lattice cells that hold no cell of the set, (H', W') bool."""
+    if prior.cells is None:
+        return free
+    return np.asarray(free & any_of_blocks(prior.cells, factor))
 
-    def nearest(self, poses: FloatArray, resolution: float) -> FloatArray:
-        """The poses (C, 3), grid frame, those beside the set moved to where it begins.
 
-        A scan that settles a few centimetres beside what is known of its place is no scan of
-        another place. Poses farther out than :data:`SLIP` are left out.
+def around(
+    prior: Prior, shape: tuple[int, int], cell: float, resolution: float
+) -> BoolArray | None:
+    """Cells of another lattice, `cell` metres, that lie in the set or touch it."""
+    if prior.cells is None:
+        return None
+    sides = zip(prior.cells.shape, shape, strict=True)
+    row, column = (
+        np.minimum((np.arange(n) + 0.5) * (resolution / cell), most - 1).astype(np.intp)
+        for n, most in sides
+    )
+    # Rows and columns that meet in one lattice cell are neighbours: no list of cells is made.
+    first, left = (np.flatnonzero(np.diff(at, prepend=-1)) for at in (row, column))
+    some = np.logical_or.reduceat(np.logical_or.reduceat(prior.cells, first), left, axis=1)
+    out = np.zeros(shape, np.uint8)
+    out[np.ix_(row[first], column[left])] = some
+    side = 2 * int(np.ceil(resolution / (2 * cell))) + 1  # of map cells larger than these
+    return np.asarray(cv2.dilate(out, np.ones((side, side), np.uint8)) > 0)
 
-        Examples
-        --------
-        >>> prior = Prior(np.array([[True, False, False]]), (0.0, 0.5))
-        >>> found = prior.nearest(np.array([[0.45, 0.1, 0.6], [1.7, 0.1, -0.1]]), 0.4)
-        >>> found.round(3).tolist()
-        [[0.4, 0.1, 0.5]]
-        """
-        poses = np.array(poses, dtype=np.float64)
-        if self.heading is not None:
-            poses = poses[self.headings(poses[:, 2], SLIP[1])]
-            centre, tolerance = self.heading
-            turned = ~self.headings(poses[:, 2])
-            turn = np.clip(wrap(poses[turned, 2] - centre), -tolerance, tolerance)
-            poses[turned, 2] = wrap(centre + turn)
-        if self.cells is None:
-            return poses
-        beside = np.flatnonzero(~self.admits(poses, resolution))
-        cells = _nearest_cells(self.cells, cell_of(poses[beside, :2], resolution), resolution)
-        # Not on the edge itself, which may belong to the next cell.
-        low = (cells[:, ::-1] + 1e-6) * resolution
-        high = (cells[:, ::-1] + 1 - 1e-6) * resolution
-        poses[beside, :2] = np.clip(poses[beside, :2], low, high)
-        return poses[self.admits(poses, resolution)]
 
-    def headings(self, thetas: FloatArray, slack: float = 0.0) -> BoolArray:
-        """Which headings are in the set, or less than `slack` beside it: bool, as `thetas`."""
-        if self.heading is None:
-            return np.ones(np.shape(thetas), bool)
-        centre, tolerance = self.heading
-        return np.asarray(np.abs(wrap(thetas - centre)) <= tolerance + slack + 1e-9)
-
-    def lattice(self, free: BoolArray, factor: int) -> BoolArray:
-        """`free` without the lattice cells that hold no cell of the set, (H', W') bool."""
-        if self.cells is None:
-            return free
-        return np.asarray(free & any_of_blocks(self.cells, factor))
-
-    def around(self, shape: tuple[int, int], cell: float, resolution: float) -> BoolArray | None:
-        """Cells of another lattice, `cell` metres, that lie in the set or touch it."""
-        if self.cells is None:
-            return None
-        sides = zip(self.cells.shape, shape, strict=True)
-        row, column = (
-            np.minimum((np.arange(n) + 0.5) * (resolution / cell), most - 1).astype(np.intp)
-            for n, most in sides
-        )
-        # Rows and columns that meet in one lattice cell are neighbours: no list of cells is made.
-        first, left = (np.flatnonzero(np.diff(at, prepend=-1)) for at in (row, column))
-        some = np.logical_or.reduceat(np.logical_or.reduceat(self.cells, first), left, axis=1)
-        out = np.zeros(shape, np.uint8)
-        out[np.ix_(row[first], column[left])] = some
-        side = 2 * int(np.ceil(resolution / (2 * cell))) + 1  # of map cells larger than these
-        return np.asarray(cv2.dilate(out, np.ones((side, side), np.uint8)) > 0)
-
-    def levels(self, levels: tuple[Level, ...], resolution: float) -> tuple[Level, ...]:
-        """A pyramid whose free cells are those of the set."""
-        if self.cells is None:
-            return levels
-        return tuple(
-            replace(level, free=self.lattice(level.free, round(level.resolution / resolution)))
-            for level in levels
-        )
+def pyramid_levels(prior: Prior, levels: tuple[Level, ...], resolution: float) -> tuple[Level, ...]:
+    """A pyramid whose free cells are those of the set."""
+    if prior.cells is None:
+        return levels
+    return tuple(
+        replace(level, free=on_lattice(prior, level.free, round(level.resolution / resolution)))
+        for level in levels
+    )
 
 
 def near(info: GridInfo, x: float, y: float, radius: float) -> BoolArray:

@@ -18,8 +18,8 @@ from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.correlate import correlate
 from imgloc.likelihood.slices import cell_offsets
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
+from imgloc.options import Prior
 from imgloc.search.lookups import sums_under
-from imgloc.search.priors import Prior
 
 _CHUNK_CELLS = 1 << 19  # of the exhaustive level's stack: 2 MB at a time
 _FIRST_CELLS = 1 << 18  # of its first piece

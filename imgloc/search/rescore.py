@@ -14,55 +14,23 @@ eq. 2 is that too short a reading is no surprise and too long a one is. The hit 
 a wide sigma: the score is sharp where map and scan agree, and forgiving where the map is old.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from imgloc.features.distance import DistanceField
+from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
-from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
+from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, LaserScan
+from imgloc.options import EvidenceModel, FusedOptions
+from imgloc.search.hypotheses import first_in_cell, modes
 from imgloc.search.refine import endpoints
 
-
-@dataclass(frozen=True)
-class EvidenceModel:
-    """The parameters of the score.
-
-    Parameters
-    ----------
-    sigmas : sequence of float
-        Standard deviations of an endpoint's distance from its surface, metres, equally
-        probable for every reading.
-    hit : float
-        Share of the readings that come from mapped surfaces.
-    span : float
-        Metres over which the readings that do not come from the map are spread.
-    absent : float
-        Probability that a mapped wall is not there any more.
-    margin : float
-        Metres by which a reading may pass a wall at no cost, besides half a cell.
-    displaced : float
-        How far beyond that a wall may be drawn in a wrong place, metres: the chance falls
-        like a Gaussian of this scale, down to `absent`.
-    """
-
-    sigmas: Sequence[float] = (0.05, 0.2)
-    hit: float = 0.8
-    span: float = 10.0
-    absent: float = 0.1
-    margin: float = 0.1
-    displaced: float = 0.1
-
-    @property
-    def best(self) -> float:
-        """Log-density of a reading that ends on a surface exactly, nats."""
-        peak = self.hit * np.mean(1 / (np.sqrt(2 * np.pi) * np.asarray(self.sigmas)))
-        return float(np.log(peak + (1 - self.hit) / self.span))
+_BATCH = 256  # proposals that are scored at a time
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Scores:
     """What :func:`rescore` found for C poses and N readings.
 
     Parameters
@@ -79,9 +47,9 @@ class Evidence:
     on_surface: BoolArray
     crossed: BoolArray
 
-    def select(self, index: IntArray) -> "Evidence":
-        """The evidence of the poses at `index`."""
-        return Evidence(self.log_likelihood[index], self.on_surface[index], self.crossed[index])
+    def select(self, index: IntArray) -> "Scores":
+        """The scores of the poses at `index`."""
+        return Scores(self.log_likelihood[index], self.on_surface[index], self.crossed[index])
 
     @property
     def explained(self) -> FloatArray:
@@ -96,7 +64,7 @@ def rescore(
     field: DistanceField,
     walls: Float32Array,
     model: EvidenceModel,
-) -> Evidence:
+) -> Scores:
     """Evaluate the score of the module's head for some poses.
 
     Parameters
@@ -125,7 +93,7 @@ def rescore(
     density *= np.float32(model.absent) + np.float32(1 - model.absent) * shifted
     log_likelihood = np.log(density).sum(axis=1, dtype=np.float64)
     on_surface = np.abs(distance) < 2 * max(model.sigmas)
-    return Evidence(log_likelihood, on_surface, shifted < model.absent)
+    return Scores(log_likelihood, on_surface, shifted < model.absent)
 
 
 def bound(
@@ -161,3 +129,40 @@ def _endpoint_density(
         peak = model.hit / (len(model.sigmas) * sigma * np.sqrt(2 * np.pi))
         density += np.float32(peak) * np.exp(distance * distance * np.float32(-0.5 / sigma**2))
     return density, distance
+
+
+def shortlist(
+    poses: FloatArray,
+    scan: LaserScan,
+    rays: IntArray,
+    features: MapFeatures,
+    options: FusedOptions,
+) -> FloatArray:
+    """The best places with a few rays, and the best poses: those that get the second look.
+
+    Scored in the order of what they can reach at most, until none that is left can be among
+    the places: the same ones as if all had been scored. Of poses that have met, the first stands
+    for all.
+    """
+    ranges, angles, field = scan.ranges[rays], scan.angles[rays], features.field
+    most = bound(poses, ranges, angles, field, options.model)
+    order = np.argsort(-most, kind="stable")
+    order = order[first_in_cell(poses[order], *options.same)]
+    distance, angle = options.twins
+    seen, score = np.empty(0, np.int64), np.empty(0)
+    best = seen
+    start, size = 0, _BATCH
+    while start < len(order):
+        part = order[start : start + size]
+        start, size = start + size, 2 * size
+        scores = rescore(poses[part], ranges, angles, field, features.walls, options.model)
+        seen, score = np.append(seen, part), np.append(score, scores.log_likelihood)
+        by_index = np.argsort(seen)
+        seen, score = seen[by_index], score[by_index]
+        best = modes(poses[seen], score, distance=distance, angle=angle, most=options.second_look)
+        rest = most[order[start : start + 1]]
+        if len(best) == options.second_look and (rest < score[best[-1]]).all():
+            break
+    distance, angle = options.same
+    close = modes(poses[seen], score, distance=distance, angle=angle, most=options.closer)
+    return poses[seen[np.concatenate((best, np.setdiff1d(close, best)))]]

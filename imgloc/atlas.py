@@ -1,0 +1,158 @@
+"""Where on a map is one scan enough? A scan simulated at every place, located, and judged."""
+
+import multiprocessing
+import os
+import threading
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from imgloc.errors import ConfigError, MapError
+from imgloc.evaluate import pose_errors
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.geometry import cell_of, compose, inside
+from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
+from imgloc.options import Options
+from imgloc.pipeline import localize, prepare
+from imgloc.search.priors import clearance as roomy
+
+KINDS = ("unique", "ambiguous", "no-match", "wrong")
+"""What became of a scan: ``unique`` and right, ``wrong`` is unique but elsewhere."""
+NEAR = (0.5, float(np.deg2rad(15.0)))
+"""A hypothesis this near the true pose is it, metres and radians."""
+TOP = 10
+
+
+@dataclass(frozen=True)
+class Spot:
+    """One pose of the atlas, map frame, and what its scan says."""
+
+    pose: Pose2D
+    kind: str  #: one of :data:`KINDS`
+    mass: float  #: of the true pose; 0 if it is not among the hypotheses
+    error: float  #: metres from the true pose to the best hypothesis; NaN without one
+    turn: float  #: the same in radians
+    twin: Pose2D | None  #: the best hypothesis that is not the true pose
+    twin_mass: float
+
+
+def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: float) -> FloatArray:
+    """Poses (N, 3), grid frame, at the centres of squares of `step` metres that are free there.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+    step : float
+        Metres between places.
+    headings : int
+        Evenly spaced, the first along x.
+    clearance : float
+        Metres from what is not free.
+
+    Raises
+    ------
+    ConfigError
+        If there is to be no heading, or the step is not positive.
+    MapError
+        If no place has the clearance.
+
+    Examples
+    --------
+    >>> free = np.ones((4, 6), bool)
+    >>> atlas_poses(OccupancyGrid(~free, free, 1.0), 2.0, 1, 0.0)[:, :2].tolist()
+    [[1.0, 1.0], [3.0, 1.0], [5.0, 1.0], [1.0, 3.0], [3.0, 3.0], [5.0, 3.0]]
+    """
+    if not (np.isfinite(step) and step > 0 and headings >= 1):
+        raise ConfigError(f"expected a positive step and a heading or more, got {step}, {headings}")
+    info = grid.info
+    y = np.arange(step / 2, info.height * info.resolution, step)
+    x = np.arange(step / 2, info.width * info.resolution, step)
+    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    cells = cell_of(places, info.resolution)
+    on_map = inside(cells, info)
+    places, cells = places[on_map], cells[on_map]
+    places = places[roomy(grid, clearance)[cells[:, 0], cells[:, 1]]]
+    if not len(places):
+        raise MapError(
+            f"no place on a raster of {step:g} m is {clearance:g} m away from what is not free; "
+            "expected some, hint: a smaller step or clearance"
+        )
+    theta = np.arange(headings) * (2 * np.pi / headings)
+    return np.column_stack((places.repeat(headings, axis=0), np.tile(theta, len(places))))
+
+
+def survey(
+    grid: OccupancyGrid,
+    scans: Iterable[tuple[Pose2D, LaserScan]],
+    options: Options,
+    *,
+    workers: int = 1,
+) -> Iterator[Spot]:
+    """Locate scan after scan and compare with the true poses, in the order given.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+    scans : iterable of (Pose2D, LaserScan)
+        Poses of the sensor in the grid frame.
+    options : Options
+        Of each worker.
+    workers : int
+        Processes; no result depends on it.
+    """
+    if workers == 1:
+        features = prepare(grid)
+        yield from (_spot(features, pose, scan, options) for pose, scan in scans)
+        return
+    # No fork: this process may have threads.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context, _start, (grid, options)) as pool:
+        yield from pool.map(_work, scans, chunksize=4)
+
+
+_HERE: dict[str, tuple[MapFeatures, Options]] = {}
+
+
+def _start(grid: OccupancyGrid, options: Options) -> None:
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    cv2.setNumThreads(1)
+    _HERE["map"] = prepare(grid), options
+
+
+def _end_with_parent() -> None:
+    """A worker waits for tasks for ever, even from a parent that was killed."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _work(task: tuple[Pose2D, LaserScan]) -> Spot:
+    features, options = _HERE["map"]
+    return _spot(features, *task, options)
+
+
+def _spot(features: MapFeatures, pose: Pose2D, scan: LaserScan, options: Options) -> Spot:
+    truth = compose(features.grid.origin, pose)
+    answer = localize(features, scan, options)
+    poses = np.array([(h.pose.x, h.pose.y, h.pose.theta) for h in answer.hypotheses])
+    errors = pose_errors(poses.reshape(-1, 3), truth)
+    right = np.all(errors <= NEAR, axis=1)
+    mass = np.array([h.mass for h in answer.hypotheses])
+    kind = "no-match" if answer.verdict == "invalid" else answer.verdict
+    if kind == "unique" and not right[0]:
+        kind = "wrong"
+    others = np.flatnonzero(~right)
+    twin = answer.hypotheses[others[0]] if len(others) else None
+    return Spot(
+        truth,
+        kind,
+        float(mass[right].sum()),
+        float(errors[0, 0]) if len(errors) else float("nan"),
+        float(errors[0, 1]) if len(errors) else float("nan"),
+        None if twin is None else twin.pose,
+        0.0 if twin is None else float(twin.mass),
+    )

@@ -1,0 +1,232 @@
+"""Fit what a stack is worth: the smoothing and temperature with the greatest S, eq. 12.
+
+Each trial's stack is computed once, blurred once for each pair of sigmas, and turned into a
+histogram of its logarithms, from which the index of every temperature follows; no more than
+one trial's stack is kept.
+
+Scans are simulated in the map itself, where every wall is where the map has it. A real map has
+errors and a real place has people: two thirds of the scans are disturbed, so that what is fitted
+does not believe a scan more than it deserves there.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from imgloc.errors import ConfigError
+from imgloc.evaluate import cell_of_pose
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.geometry import inside
+from imgloc.index import FLOOR, Index, index_of
+from imgloc.io.scanset import ScanSet
+from imgloc.likelihood.posterior import smoothed
+from imgloc.model import Float32Array, FloatArray, LaserScan, Likelihood, OccupancyGrid, Pose2D
+from imgloc.options import LOG_METHODS, Calibration, Options, scale
+from imgloc.pipeline import likelihood
+from imgloc.simulate import Sensor, simulate_set
+
+SIGMAS_XY = (0.0, 0.1, 0.2)
+"""Metres tried."""
+SIGMAS_THETA = tuple(float(np.deg2rad(deg)) for deg in (0.0, 5.0, 10.0, 15.0))
+"""Radians tried."""
+EXPONENTS = np.geomspace(0.25, 256.0, 61)
+"""1 / temperature tried, in steps of an eighth."""
+LEAST = 20
+"""Trials, of all maps together, below which nothing is fitted: a few lucky scans promise all."""
+_BINS = 8192
+_WALLS = 0.1  # metres by which walls are displaced
+_SHARED = 10.0  # readings over which they are so alike
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """Logarithms of the relative density at the true pose, with the floor mixed in, nats."""
+
+    method: str
+    configurations: tuple[tuple[float, float], ...]  #: sigma_xy [m] and sigma_theta [rad]
+    logs: FloatArray  #: (n, C, E) by trial, configuration and exponent
+    bare: FloatArray  #: (n,) of the stacks as they are, as in the paper
+    floor: float = FLOOR
+
+
+@dataclass(frozen=True)
+class CalibrationFit:
+    """A calibration with its index on the scans that it was fitted to, and the bare stack's."""
+
+    calibration: Calibration
+    index: Index
+    bare: Index
+
+
+def disturbed_set(
+    grid: OccupancyGrid, n: int, seed: int, sensor: Sensor, fine: OccupancyGrid | None = None
+) -> ScanSet:
+    """Simulate scans of which one third is as the sensor says and two thirds are worse.
+
+    Of each three scans the second has 50 % of its rays stopped by something that the map does not
+    show. The third has 10 % of these, 10 % dropped, and walls that are not where the map has them:
+    an error of 10 cm that neighbouring readings share.
+
+    Parameters
+    ----------
+    grid, n, seed, sensor, fine
+        See :func:`~imgloc.simulate.simulate_set`.
+    """
+    outliers, dropped = max(0.1, sensor.outliers), max(0.1, sensor.dropped)
+    kinds = (
+        sensor,
+        replace(sensor, outliers=max(0.5, sensor.outliers)),
+        replace(sensor, outliers=outliers, dropped=dropped),
+    )
+    sets = [simulate_set(grid, n, seed, kind, fine) for kind in kinds]
+    rng = np.random.default_rng(seed)
+    moved = [_displaced(scan, rng) for scan in sets[2].scans]
+    thirds = (sets[0].scans, sets[1].scans, moved)
+    scans = tuple(thirds[k % 3][k] for k in range(n))
+    return ScanSet(scans, poses=sets[0].poses)  # the same ones in all
+
+
+def _displaced(scan: LaserScan, rng: np.random.Generator) -> LaserScan:
+    """The scan of a place whose walls differ from the map's by an error that varies slowly."""
+    noise = rng.standard_normal((1, len(scan.ranges)))
+    error = cv2.GaussianBlur(noise, (0, 0), _SHARED, borderType=cv2.BORDER_REFLECT)[0]
+    error *= _WALLS * np.sqrt(2 * np.sqrt(np.pi) * _SHARED)  # what the blur has taken
+    return replace(scan, ranges=np.maximum(scan.ranges + error, 1e-3))
+
+
+def sweep(
+    features: MapFeatures,
+    scans: ScanSet,
+    options: Options,
+    *,
+    floor: float = FLOOR,
+    advance: Callable[[], None] = lambda: None,
+) -> Sweep:
+    """Measure every smoothing and temperature on scans whose poses are known.
+
+    Parameters
+    ----------
+    features : MapFeatures
+    scans : ScanSet
+        With poses of the sensor in the map frame.
+    options : Options
+        Of one of the paper's methods. ``beam`` has a sigma of its own for the cells: of it only
+        the temperature is measured.
+    floor : float
+        See :mod:`imgloc.index`.
+    advance : callable
+        Called after each trial.
+
+    Raises
+    ------
+    ConfigError
+        If there are no scans, no poses, or an option is out of its range.
+    """
+    if not len(scans) or scans.poses is None:
+        raise ConfigError("expected at least one scan, and the true pose of each")
+    log = options.method in LOG_METHODS
+    configurations = (
+        ((0.0, 0.0),) if log else tuple((xy, th) for xy in SIGMAS_XY for th in SIGMAS_THETA)
+    )
+    logs = np.empty((len(scans), len(configurations), len(EXPONENTS)))
+    bare = np.empty(len(scans))
+    for i, (scan, pose) in enumerate(zip(scans.scans, scans.poses, strict=True)):
+        stack = likelihood(features, scan, options)
+        powers = EXPONENTS / scale(options.method, int(scan.valid.sum()))
+        at = cell_of_pose(features, Pose2D(*pose), len(stack.thetas))
+        for c, (sigma_xy, sigma_theta) in enumerate(configurations):
+            image = replace(stack, values=smoothed(stack, Calibration(sigma_xy, sigma_theta)))
+            density = densities(image, at, features, powers)
+            logs[i, c] = np.log((1 - floor) * density + floor)
+        density = densities(stack, at, features, np.ones(1))
+        bare[i] = np.log((1 - floor) * density[0] + floor)
+        advance()
+    return Sweep(options.method, configurations, logs, bare, floor)
+
+
+def densities(
+    stack: Likelihood, at: tuple[int, int, int], features: MapFeatures, powers: FloatArray
+) -> FloatArray:
+    """Relative densities (E,) of the pose cell `at` over free cells, for each power of a stack.
+
+    From a histogram of ``log max L - log L``, whose bins are finer the nearer to the maximum.
+    """
+    log = stack.method in LOG_METHODS
+    images = stack.values.reshape(len(stack.thetas), -1)
+    free = np.flatnonzero(features.free)
+    top = max(float(image[free].max(initial=-np.inf)) for image in images)
+    if not log and top <= 0:
+        return np.ones(len(powers))  # it says nothing
+    if not (bool(inside(np.array(at[1:]), stack.grid)) and features.free[at[1:]]):
+        return np.zeros(len(powers))
+
+    def below(values: Float32Array) -> FloatArray:
+        if log:
+            return np.asarray(top - values, dtype=np.float64)
+        return np.asarray(-np.log(values[values > 0] / np.float64(top)))
+
+    # Beyond 40 nats of the flattest power nothing counts; what is -inf is beyond.
+    farthest = 40.0 / float(powers[0])
+    width = np.sqrt(farthest) / (_BINS - 1)
+    counts, sums = np.zeros(_BINS), np.zeros(_BINS)
+    for image in images:
+        depth = np.minimum(below(image[free]), farthest)
+        bins = (np.sqrt(depth) / width).astype(np.int64)
+        counts += np.bincount(bins, minlength=_BINS)
+        sums += np.bincount(bins, weights=depth, minlength=_BINS)
+    here = below(stack.values[at].reshape(1))
+    if not len(here):
+        return np.zeros(len(powers))
+    poses = len(images) * len(free)
+    some = counts > 0
+    mean = sums[some] / counts[some]
+    totals = np.exp(-powers[:, None] * mean) @ counts[some]
+    return np.asarray(np.exp(-powers * here) * (poses / totals))
+
+
+def check_trials(count: int) -> None:
+    """Refuse to fit to too few trials.
+
+    Raises
+    ------
+    ConfigError
+        If there are fewer than :data:`LEAST`.
+    """
+    if count < LEAST:
+        raise ConfigError(
+            f"got {count} in all, expected at least {LEAST} scans to fit to: fewer make a method "
+            "too sure of itself"
+        )
+
+
+def fit(sweeps: Sequence[Sweep]) -> CalibrationFit:
+    """Choose the smoothing and temperature with the greatest S over all trials of all maps.
+
+    Of the temperatures whose S is within one standard error of the greatest, the highest is taken:
+    a real map agrees less with its scans than a simulated one, and a posterior that claims too
+    much misleads where one that claims too little only says less. Each map counts alike.
+
+    Parameters
+    ----------
+    sweeps : sequence of Sweep
+        Of one method; one for each map.
+
+    Raises
+    ------
+    ConfigError
+        If there are fewer than :data:`LEAST` trials.
+    """
+    check_trials(sum(len(s.bare) for s in sweeps))
+    mean = np.mean([s.logs.mean(axis=0) for s in sweeps], axis=0)
+    c, e = np.unravel_index(int(mean.argmax()), mean.shape)
+    sigma_xy, sigma_theta = sweeps[0].configurations[c]
+    logs, floor = np.concatenate([s.logs for s in sweeps]), sweeps[0].floor
+    error = index_of(logs[:, c, e], floor).standard_error
+    hottest = int(np.argmax(mean[c] >= mean[c, e] - error))
+    return CalibrationFit(
+        Calibration(sigma_xy, sigma_theta, float(1 / EXPONENTS[hottest])),
+        index_of(logs[:, c, hottest], floor),
+        index_of(np.concatenate([s.bare for s in sweeps]), floor),
+    )

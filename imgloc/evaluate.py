@@ -1,0 +1,510 @@
+"""How well and at what cost a method locates scans whose poses are known: `evaluate`.
+
+>>> from imgloc.simulate import Sensor, simulate_set
+>>> from imgloc.worlds import WORLDS, render
+>>> from imgloc.pipeline import prepare
+>>> grid = render(WORLDS["curved"](), 0.1)
+>>> scans = simulate_set(grid, 2, 0, Sensor(rays=61))
+>>> result = evaluate(prepare(grid), scans, method_options("ght-v"))
+>>> result.summary.trials, result.lattice.poses_box, 0 < result.summary.index.value < 11
+(2, 249600, True)
+"""
+
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from math import nan, sqrt
+from typing import Any
+
+import numpy as np
+
+from imgloc.errors import ConfigError
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.scanpoints import scan_points
+from imgloc.geometry import (
+    cell_of,
+    centre_of,
+    compose,
+    in_grid_frame,
+    inside,
+    inverse,
+    theta_bin,
+    uniform_thetas,
+    wrap,
+)
+from imgloc.index import (
+    FLOOR,
+    Index,
+    density_at,
+    density_in_cell,
+    density_in_stack,
+    global_maximum,
+    performance_index,
+)
+from imgloc.io.scanset import ScanSet
+from imgloc.model import VERDICTS, FloatArray, LaserScan, Likelihood, Localization, Pose2D
+from imgloc.options import FUSED, LOG_METHODS, Options
+from imgloc.pipeline import effective, likelihood, localize, posterior_of
+
+Z95 = 1.959964
+"""Quantile of the normal distribution for intervals of 95 %."""
+PAPER_STEPS_DEG = {"cbml": 3.0, "cbml-o": 3.0, "ght": 30.0, "ght-v": 30.0, "beam": 3.0}
+"""Steps of the headings in Sec. VI, degrees; the beam model, its reference, gets the finer one."""
+PAIR_METHODS = frozenset({"ght", "ght-v"})
+"""Methods whose work is counted in pairs of points, not in poses and readings."""
+LISTED = 5
+"""Hypotheses of an answer that are compared with the true pose."""
+PERCENTILES = (50, 90, 95)
+_MIXTURE = 20  # hypotheses of `fused` that its density is made of
+_FUSED_STEP_DEG = 3.0  # of the cells in which the answer of `fused`, which has none, is compared
+
+
+@dataclass(frozen=True)
+class Share:
+    """Share of trials in which something happened, with Wilson's interval."""
+
+    hits: int
+    trials: int
+    value: float  #: hits / trials; NaN without trials
+    low: float
+    high: float
+
+
+def share(happened: Iterable[bool], z: float = Z95) -> Share:
+    """Count and give Wilson's interval of `z` standard deviations, sensible at 0 and 1 too.
+
+    Examples
+    --------
+    >>> s = share([True] * 8 + [False] * 2)
+    >>> s.hits, round(s.low, 3), round(s.high, 3)
+    (8, 0.49, 0.943)
+    >>> share([]).low, share([]).high
+    (0.0, 1.0)
+    """
+    outcomes = [bool(h) for h in happened]
+    hits, n = sum(outcomes), len(outcomes)
+    if n == 0:
+        return Share(0, 0, nan, 0.0, 1.0)
+    p, square = hits / n, z * z / n
+    middle = (p + square / 2) / (1 + square)
+    half = z * sqrt(p * (1 - p) / n + square / (4 * n)) / (1 + square)
+    return Share(hits, n, p, max(0.0, middle - half), min(1.0, middle + half))
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """A hypothesis is right if it is nearer than this to the true pose: metres and radians."""
+
+    position: float
+    heading: float
+
+
+TOLERANCES = (Tolerance(0.25, 0.25), Tolerance(0.5, float(np.deg2rad(10.0))))
+"""Those that are always reported; the second is that of Cartographer's comparison."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What one scan has shown; densities are relative ones, ``p V``, at the true pose."""
+
+    free: float  #: over free cells, of a stack as it is, as in the paper
+    box: float  #: the same over the whole box of the map
+    calibrated: float  #: over free cells, of the posterior; of ``fused`` that of the lattice's cell
+    outside: bool  #: the true pose is not in a free cell of the map, so that `free` is 0
+    exact: bool  #: the global maximum over free cells is the cell of the true pose
+    near: bool  #: it is that cell or one next to it, of the 27
+    errors: FloatArray  #: (M, 2) metres and radians to each of at most :data:`LISTED` hypotheses
+    verdict: str
+    ms: float  #: of the whole answer
+    stack_ms: float  #: of the likelihood stack alone; NaN where there is none
+    stack_bytes: int
+    work: int  #: poses times readings, or pairs of points; 0 without a stack
+
+
+@dataclass(frozen=True)
+class Success:
+    """Shares of right answers under one tolerance."""
+
+    tolerance: Tolerance
+    at_1: Share  #: the first hypothesis is right
+    at_5: Share  #: one of the first five is
+    unique_wrong: Share  #: the verdict is ``unique`` and the first hypothesis is wrong
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Median and 99th percentile of the trials; NaN where nothing was measured."""
+
+    median: float
+    p99: float
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What it took; the only part of a summary that two runs do not share."""
+
+    ms: Spread  #: the whole answer for a scan
+    stack_ms: Spread  #: of that, the likelihood stack
+    ns_per_unit: float  #: median over the trials, see `Summary.unit`
+    first_ms: float  #: an answer that found no features of the map ready
+    max_rss_bytes: int | None  #: the process's greatest so far; None where it is not known
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One method on one map."""
+
+    method: str
+    trials: int
+    index: Index  #: S, eq. 12, over poses in free cells
+    index_box: Index  #: S over the whole box of the map
+    index_calibrated: Index  #: S of the posterior over free cells; of ``fused`` on the lattice
+    outside: int  #: trials whose true pose is in no free cell
+    exact: Share  #: the global maximum is in the cell of the true pose
+    near: Share  #: it is in that cell or one next to it
+    success: tuple[Success, ...]
+    position: dict[str, float]  #: percentiles of the first hypothesis' error, metres
+    heading: dict[str, float]  #: the same in radians; infinite where so many have no answer
+    verdicts: dict[str, Share]
+    unit: str | None  #: what `Cost.ns_per_unit` counts
+    work: int  #: units of the median trial
+    stack_bytes: int  #: of the likelihood stack itself
+    features_bytes: int  #: of what the method keeps of the map
+    cost: Cost
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """The poses that are told apart."""
+
+    cell: float  #: metres
+    theta_step: float  #: radians
+    poses: int  #: in free cells
+    poses_box: int  #: in all
+    log_poses: float  #: S of a method that puts everything into the right free cell
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Results of one method on one map, with what decided them."""
+
+    lattice: Lattice
+    summary: Summary
+    parameters: dict[str, object]
+
+
+def method_options(method: str, theta_step: float | None = None, threads: int = 1) -> Options:
+    """Options of an experiment: the paper's step of the headings unless another is given.
+
+    Parameters
+    ----------
+    method : str
+    theta_step : float, optional
+        Radians; for ``fused`` that of its endpoint correlation.
+    threads : int
+
+    Examples
+    --------
+    >>> round(np.rad2deg(method_options("ght-v").theta_step))
+    30
+    """
+    options = Options(method=method, threads=threads, top=LISTED)
+    if method == FUSED:
+        options = replace(options, top=_MIXTURE)
+        if theta_step is not None:
+            options = replace(options, fused=replace(options.fused, theta_step=theta_step))
+        return options
+    default = np.deg2rad(PAPER_STEPS_DEG.get(method, 3.0))
+    return replace(options, theta_step=float(default if theta_step is None else theta_step))
+
+
+def evaluate(
+    features: MapFeatures,
+    scans: ScanSet,
+    options: Options,
+    *,
+    tolerances: Sequence[Tolerance] = TOLERANCES,
+    floor: float = FLOOR,
+    advance: Callable[[], None] = lambda: None,
+) -> Evaluation:
+    """Measure a method. Everything but ``summary.cost`` is the same in every run.
+
+    Parameters
+    ----------
+    features : MapFeatures
+        Fresh ones, if their bytes and the time of the first answer are to be this method's.
+    scans : ScanSet
+        With poses of the sensor in the map frame. The first one is located once more than the
+        others, before the clock counts.
+    options : Options
+        See :func:`method_options`.
+    tolerances : sequence of Tolerance
+    floor : float
+        See :mod:`imgloc.index`.
+    advance : callable
+        Called after each trial.
+
+    Raises
+    ------
+    ConfigError
+        If there are no scans or no poses, or an option is out of its range.
+    """
+    if not len(scans) or scans.poses is None:
+        raise ConfigError("expected at least one scan, and the true pose of each")
+    first = next(run_trials(features, scans, options)).ms
+    trials = []
+    for trial in run_trials(features, scans, options):
+        trials.append(trial)
+        advance()
+    summary = summarise(
+        trials,
+        options.method,
+        tolerances=tolerances,
+        floor=floor,
+        features_bytes=bytes_of(features),
+        first_ms=first,
+    )
+    n, free = headings(options), int(np.count_nonzero(features.free))
+    lattice = Lattice(
+        cell=features.lattice.resolution,
+        theta_step=2 * np.pi / n,
+        poses=n * free,
+        poses_box=n * features.free.size,
+        log_poses=float(np.log(n * free)),
+    )
+    return Evaluation(lattice, summary, effective(options, features))
+
+
+def headings(options: Options) -> int:
+    """Number of headings of the lattice in which cells of poses are compared."""
+    step = np.deg2rad(_FUSED_STEP_DEG) if options.theta_step is None else options.theta_step
+    return len(uniform_thetas(float(step)))
+
+
+def run_trials(features: MapFeatures, scans: ScanSet, options: Options) -> Iterator[Trial]:
+    """Locate scan after scan with one method and compare with the true poses.
+
+    The stack of a scan is measured and dropped before the next one is computed.
+
+    Parameters
+    ----------
+    features : MapFeatures
+        What is not computed yet is so within the time of the first trial.
+    scans : ScanSet
+        With poses of the sensor in the map frame.
+    options : Options
+        See :func:`method_options`.
+
+    Raises
+    ------
+    ConfigError
+        If an option is out of its range, or the stack over the memory budget.
+    """
+    poses = np.empty((0, 3)) if scans.poses is None else scans.poses
+    for scan, pose in zip(scans.scans, poses, strict=True):
+        yield _trial(features, scan, Pose2D(*pose), options)
+
+
+def _trial(features: MapFeatures, scan: LaserScan, truth: Pose2D, options: Options) -> Trial:
+    start = time.perf_counter()
+    # Hypotheses are all that the default method says; of the paper's, the whole stack is looked at.
+    stack = None if options.method == FUSED else likelihood(features, scan, options)
+    between = time.perf_counter()
+    answer = localize(features, scan, options, stack=stack)
+    end = time.perf_counter()
+    n = headings(options) if stack is None else len(stack.thetas)
+    at = cell_of_pose(features, truth, n)
+    on_map = bool(inside(np.array(at[1:]), features.lattice))
+    free = on_map and bool(features.free[at[1:]])
+    if stack is None:
+        found = None if answer.pose is None else cell_of_pose(features, answer.pose, n)
+        cells = np.count_nonzero(features.free), features.free.size
+        volumes = [count * features.lattice.resolution**2 * 2 * np.pi for count in cells]
+        densities = (
+            density_at(answer, truth, volumes[0]) if free else 0.0,
+            density_at(answer, truth, volumes[1]) if on_map else 0.0,
+            _on_lattice(features, answer, at, n) if free else 0.0,
+        )
+    else:
+        found, log = global_maximum(stack.values, features.free), stack.method in LOG_METHODS
+        posterior = posterior_of(features, scan, stack, options)
+        densities = (
+            density_in_stack(stack.values, at, features.free, log=log),
+            density_in_stack(stack.values, at, log=log),
+            density_in_stack(posterior, at, features.free),
+        )
+    poses = np.array([(h.pose.x, h.pose.y, h.pose.theta) for h in answer.hypotheses[:LISTED]])
+    return Trial(
+        *densities,
+        outside=not free,
+        exact=found == at,
+        near=found is not None and _next_to(found, at, n),
+        errors=pose_errors(poses, truth),
+        verdict=answer.verdict,
+        ms=1e3 * (end - start),
+        stack_ms=nan if stack is None else 1e3 * (between - start),
+        stack_bytes=0 if stack is None else stack.values.nbytes,
+        work=0 if stack is None else _work(features, scan, stack),
+    )
+
+
+def _on_lattice(
+    features: MapFeatures, answer: Localization, at: tuple[int, int, int], n: int
+) -> float:
+    """Relative density of an answer in a cell of free space."""
+    lattice, step = features.lattice, 2 * np.pi / n
+    local = tuple(in_grid_frame(h, lattice) for h in answer.hypotheses)
+    x, y = centre_of(np.array(at[1:]), lattice.resolution)
+    centre = Pose2D(x, y, uniform_thetas(step)[at[0]])
+    poses = n * int(np.count_nonzero(features.free))
+    answer = replace(answer, hypotheses=local)
+    return density_in_cell(answer, centre, lattice.resolution, step, poses)
+
+
+def _work(features: MapFeatures, scan: LaserScan, stack: Likelihood) -> int:
+    """Pairs of points that may vote, or poses of the box times the readings that count."""
+    if stack.method in ("cbml", "beam"):
+        return stack.values.size * int(scan.valid.sum())
+    oriented = int(scan_points(scan.ranges, scan.angles, scan.valid).valid.sum())
+    if stack.method in PAIR_METHODS:
+        return oriented * int(features.surface.valid.sum())
+    return stack.values.size * oriented
+
+
+def pose_errors(poses: FloatArray, truth: Pose2D) -> FloatArray:
+    """Distances in metres and angles in radians, (M, 2), from poses (M, 3) to the true one.
+
+    Examples
+    --------
+    >>> pose_errors(np.array([[3.0, 4.0, 3.0]]), Pose2D(0, 0, -3.0)).round(3).tolist()
+    [[5.0, 0.283]]
+    """
+    poses = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
+    away = np.hypot(poses[:, 0] - truth.x, poses[:, 1] - truth.y)
+    return np.column_stack((away, np.abs(wrap(poses[:, 2] - truth.theta))))
+
+
+def cell_of_pose(features: MapFeatures, pose: Pose2D, n: int) -> tuple[int, int, int]:
+    """Cell ``(theta, row, col)`` of a pose of the map frame; may lie off the map."""
+    local = compose(inverse(features.grid.origin), pose)
+    row, col = cell_of(np.array([local.x, local.y]), features.lattice.resolution).tolist()
+    return int(theta_bin(local.theta, n)), row, col
+
+
+def _next_to(a: tuple[int, int, int], b: tuple[int, int, int], n: int) -> bool:
+    """Whether no coordinate differs by more than one, theta around the circle."""
+    turn = abs(a[0] - b[0])
+    return min(turn, n - turn) <= 1 and max(abs(a[1] - b[1]), abs(a[2] - b[2])) <= 1
+
+
+def summarise(
+    trials: Sequence[Trial],
+    method: str,
+    *,
+    tolerances: Sequence[Tolerance] = TOLERANCES,
+    floor: float = FLOOR,
+    features_bytes: int = 0,
+    first_ms: float = nan,
+) -> Summary:
+    """Make numbers of the trials, at least one, of one method on one map.
+
+    `tolerances` and `floor` as of :func:`evaluate`, the others as in :class:`Summary`.
+
+    Raises
+    ------
+    ConfigError
+        If `floor` is out of its range.
+    """
+    first = np.array([t.errors[0] if len(t.errors) else (np.inf, np.inf) for t in trials])
+    unit = "pair of points" if method in PAIR_METHODS else "pose and reading"
+    return Summary(
+        method=method,
+        trials=len(trials),
+        index=performance_index([t.free for t in trials], floor),
+        index_box=performance_index([t.box for t in trials], floor),
+        index_calibrated=performance_index([t.calibrated for t in trials], floor),
+        outside=sum(t.outside for t in trials),
+        exact=share(t.exact for t in trials),
+        near=share(t.near for t in trials),
+        success=tuple(_success(trials, tolerance) for tolerance in tolerances),
+        position=_percentiles(first[:, 0]),
+        heading=_percentiles(first[:, 1]),
+        verdicts={v: share(t.verdict == v for t in trials) for v in VERDICTS},
+        unit=unit if any(t.stack_bytes for t in trials) else None,
+        work=int(np.median([t.work for t in trials])),
+        stack_bytes=max(t.stack_bytes for t in trials),
+        features_bytes=features_bytes,
+        cost=Cost(
+            ms=_spread([t.ms for t in trials]),
+            stack_ms=_spread([t.stack_ms for t in trials]),
+            ns_per_unit=_spread([1e6 * t.stack_ms / t.work for t in trials if t.work]).median,
+            first_ms=first_ms,
+            max_rss_bytes=_max_rss_bytes(),
+        ),
+    )
+
+
+def right(trial: Trial, tolerance: Tolerance, first: int) -> bool:
+    """Whether one of the `first` hypotheses is nearer than the tolerance to the true pose."""
+    errors = trial.errors[:first]
+    return bool(np.any((errors[:, 0] < tolerance.position) & (errors[:, 1] < tolerance.heading)))
+
+
+def _success(trials: Sequence[Trial], tolerance: Tolerance) -> Success:
+    wrong = [t.verdict == "unique" and not right(t, tolerance, 1) for t in trials]
+    return Success(
+        tolerance,
+        share(right(t, tolerance, 1) for t in trials),
+        share(right(t, tolerance, LISTED) for t in trials),
+        share(wrong),
+    )
+
+
+def _percentiles(errors: FloatArray) -> dict[str, float]:
+    """Without interpolation: half of infinity is of no use."""
+    values = np.percentile(errors, PERCENTILES, method="inverted_cdf")
+    return {f"p{q}": float(v) for q, v in zip(PERCENTILES, values, strict=True)}
+
+
+def _spread(values: Sequence[float]) -> Spread:
+    if not len(values) or np.isnan(values).any():
+        return Spread(nan, nan)
+    median, p99 = np.percentile(values, (50, 99))
+    return Spread(float(median), float(p99))
+
+
+def bytes_of(features: MapFeatures) -> int:
+    """Bytes of the arrays that the features of a map hold by now, without the map itself.
+
+    Examples
+    --------
+    >>> from imgloc.model import OccupancyGrid
+    >>> wall = np.eye(10, dtype=bool)
+    >>> features = MapFeatures(OccupancyGrid(wall, ~wall, 0.1))
+    >>> before = bytes_of(features)
+    >>> before, features.bmap.shape, bytes_of(features) > 400
+    (0, (10, 10), True)
+    """
+    given = {f.name for f in fields(features)}
+    return sum(_nbytes(value) for key, value in vars(features).items() if key not in given)
+
+
+def _nbytes(value: Any) -> int:
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    if is_dataclass(value):
+        return sum(_nbytes(getattr(value, f.name)) for f in fields(value))
+    if isinstance(value, tuple | list):
+        return sum(map(_nbytes, value))
+    return 0
+
+
+def _max_rss_bytes() -> int | None:
+    """Greatest resident memory of this process so far; None where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(peak if sys.platform == "darwin" else 1024 * peak)

@@ -1,1 +1,0 @@
-"""Simulated sensors and the experiments of the paper."""

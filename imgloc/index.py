@@ -1,0 +1,238 @@
+"""The paper's performance index S, eq. 12: how much a method knows about the true pose.
+
+``S = mean_k log p(x_k | z_k) + log V``, nats. The densities are relative ones here, ``p V``,
+so that 1 stands for "no idea" and S = 0 for a method that knows nothing. On a lattice of N
+poses ``p V`` is ``L[k*] N / sum(L)``, where k* is the cell of the true pose; its logarithm is
+at most ``log N``. A density that has no cells, see :func:`density_at`, may say more.
+
+Zeros: a method that gives the true pose no probability at all would have S = -inf. Every
+density is mixed with a small share of the uniform one, :data:`FLOOR`; it stays a density, a
+trial costs at most ``-log(floor)`` nats, and the trials that hit the floor are counted.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from imgloc.errors import ConfigError
+from imgloc.geometry import wrap
+from imgloc.model import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    Hypothesis,
+    IntArray,
+    Localization,
+    Pose2D,
+)
+
+FLOOR = 1e-3
+"""Share of the uniform density in every density: a trial counts -6.9 nats or more."""
+
+
+_SAMPLES = 24  # along each side of where a Gaussian and a cell meet: 0.4 sigmas or less
+
+
+@dataclass(frozen=True)
+class Index:
+    """S of some trials, nats."""
+
+    value: float  #: NaN without trials
+    standard_error: float  #: from the scatter of the trials; NaN with fewer than two
+    trials: int
+    floored: int  #: trials whose density was below the floor
+    floor: float
+
+
+def performance_index(densities: Sequence[float], floor: float = FLOOR) -> Index:
+    """Average the logarithms of relative densities: eq. 12.
+
+    Parameters
+    ----------
+    densities : (n,) floats
+        ``p(x_k | z_k) V`` of each trial, 0 or more.
+    floor : float
+        Share of the uniform density that is mixed in, 0 < floor < 1.
+
+    Raises
+    ------
+    ConfigError
+        If `floor` is out of its range.
+    ValueError
+        If a density is negative or not finite.
+
+    Examples
+    --------
+    >>> S = performance_index([4.0, 0.0], floor=0.5)  # log(0.5 * 4 + 0.5), log(0.5)
+    >>> round(S.value, 4), S.floored
+    (0.1116, 1)
+    """
+    if not 0 < floor < 1:
+        raise ConfigError(f"floor must be a share between 0 and 1, got {floor}")
+    p = np.asarray(densities, dtype=np.float64)
+    if not (np.isfinite(p).all() and (p >= 0).all()):
+        raise ValueError("densities must be finite and not negative")
+    return index_of(np.log((1 - floor) * p + floor), floor)
+
+
+def index_of(logs: FloatArray, floor: float) -> Index:
+    """Average logarithms (n,) of relative densities into which `floor` is mixed already."""
+    n = len(logs)
+    return Index(
+        value=float(logs.mean()) if n else float("nan"),
+        standard_error=float(logs.std(ddof=1) / np.sqrt(n)) if n > 1 else float("nan"),
+        trials=n,
+        floored=int((logs < np.log((1 - floor) * floor + floor)).sum()),
+        floor=floor,
+    )
+
+
+def density_in_stack(
+    values: Float32Array,
+    cell: tuple[int, int, int],
+    where: BoolArray | None = None,
+    *,
+    log: bool = False,
+) -> float:
+    """Relative density ``L[k*] N / sum(L)`` that a stack gives to one of its cells.
+
+    Parameters
+    ----------
+    values : (K, H, W) float32 array
+        Likelihoods up to a factor; negative ones (CBML-O) count as 0.
+    cell : (int, int, int)
+        ``(theta, row, col)`` of the true pose.
+    where : (H, W) bool array, optional
+        The pose space: free cells, say. By default all of the box.
+    log : bool
+        `values` are log-likelihoods, up to a summand.
+
+    Returns
+    -------
+    float
+        1 if the stack is 0 everywhere: it says nothing. 0 for a cell outside the pose space.
+
+    Examples
+    --------
+    >>> stack = np.array([[[1, 3, -2, 4]]], dtype=np.float32)
+    >>> density_in_stack(stack, (0, 0, 1))
+    1.5
+    >>> density_in_stack(stack, (0, 0, 1), np.array([[True, True, True, False]]))
+    2.25
+    """
+    k, row, col = cell
+    n_theta, height, width = values.shape
+    if not (0 <= k < n_theta and 0 <= row < height and 0 <= col < width):
+        return 0.0
+    if where is not None and not where[row, col]:
+        return 0.0
+    space: slice | IntArray = slice(None) if where is None else np.flatnonzero(where)
+    cells = height * width if where is None else np.count_nonzero(where)
+    top = max(float(image.ravel()[space].max()) for image in values) if log else 0.0
+
+    def likelihoods(image: Float32Array) -> FloatArray:
+        inside = image.ravel()[space].astype(np.float64)
+        return np.exp(inside - top) if log else np.maximum(inside, 0.0)
+
+    total = sum(float(likelihoods(image).sum()) for image in values)  # no copy of the stack
+    if total <= 0:
+        return 1.0
+    at = float(values[cell])
+    share = (np.exp(at - top) if log else max(at, 0.0)) / total
+    return float(share * n_theta * cells)
+
+
+def density_at(answer: Localization, pose: Pose2D, volume: float) -> float:
+    """Relative density ``p(pose | scan) V`` of an answer made of hypotheses.
+
+    Each hypothesis is a Gaussian of its mass, mean and covariance, theta being taken the short
+    way round; what mass they leave is spread evenly over the pose space.
+
+    Parameters
+    ----------
+    answer : Localization
+        Without hypotheses it is the uniform density: 1.
+    pose : Pose2D
+        In the map frame, as the hypotheses.
+    volume : float
+        Of the pose space, m² rad.
+
+    Examples
+    --------
+    >>> one = Hypothesis(Pose2D(1, 2, 3), 0.0, 0.6, np.diag([0.01, 0.01, 0.01]))
+    >>> answer = Localization((one,), "ambiguous", 0.0, 1.0)
+    >>> round(density_at(answer, Pose2D(1, 2, 3), 10.0), 2)  # 0.6 * 10 / (2 pi 0.01)^1.5 + 0.4
+    381.36
+    """
+    total = max(0.0, 1.0 - sum(h.mass for h in answer.hypotheses)) / volume
+    for h in answer.hypotheses:
+        d = np.array([[pose.x - h.pose.x, pose.y - h.pose.y, wrap(pose.theta - h.pose.theta)]])
+        total += float(_gaussian(h, d)[0])
+    return float(total * volume)
+
+
+def density_in_cell(
+    answer: Localization, pose: Pose2D, cell: float, theta_step: float, poses: int
+) -> float:
+    """Relative density ``p N`` of a cell: what :func:`density_at` says, as a stack would say it.
+
+    Parameters
+    ----------
+    answer : Localization
+    pose : Pose2D
+        Centre of the cell, whose sides are along the axes of the frame of the answer.
+    cell, theta_step, poses : float and int
+        Its sides, metres and radians, and N, the cells of the pose space.
+
+    Examples
+    --------
+    >>> one = Hypothesis(Pose2D(1, 2, 3), 0.0, 0.9, np.diag([1e-4, 1e-4, 1e-4]))
+    >>> answer = Localization((one,), "unique", 0.0, 1.0)
+    >>> round(density_in_cell(answer, Pose2D(1, 2, 3), 0.1, 0.1, 1000), 1)  # 0.9 * 1000 + 0.1
+    900.1
+    """
+    half = np.array([cell, cell, theta_step]) / 2
+    share = max(0.0, 1.0 - sum(h.mass for h in answer.hypotheses)) / poses
+    for h in answer.hypotheses:
+        middle = np.array([h.pose.x - pose.x, h.pose.y - pose.y, wrap(h.pose.theta - pose.theta)])
+        # A Gaussian may be much smaller than the cell: sampled where the two meet.
+        reach = 5 * np.sqrt(np.diag(h.covariance))
+        low, high = np.maximum(-half, middle - reach), np.minimum(half, middle + reach)
+        if (low < high).all():
+            steps = (np.arange(_SAMPLES)[:, None] + 0.5) / _SAMPLES * (high - low) + low
+            at = np.stack(np.meshgrid(*steps.T, indexing="ij"), axis=-1).reshape(-1, 3)
+            share += float(_gaussian(h, at - middle).mean() * np.prod(high - low))
+    return float(share * poses)
+
+
+def _gaussian(hypothesis: Hypothesis, d: FloatArray) -> FloatArray:
+    """Density (N,) of a hypothesis times its mass, at differences (N, 3) from its pose."""
+    exponent = -0.5 * np.einsum("ni,in->n", d, np.linalg.solve(hypothesis.covariance, d.T))
+    norm = np.sqrt(np.linalg.det(2 * np.pi * hypothesis.covariance))
+    return np.asarray(hypothesis.mass * np.exp(exponent) / norm)
+
+
+def global_maximum(values: Float32Array, where: BoolArray | None = None) -> tuple[int, int, int]:
+    """Cell ``(theta, row, col)`` of the greatest value; of equal ones the first in index order.
+
+    Parameters
+    ----------
+    values : (K, H, W) float32 array
+    where : (H, W) bool array, optional
+        Cells that count.
+
+    Examples
+    --------
+    >>> global_maximum(np.array([[[1, 9, 3]], [[5, 0, 5]]], np.float32), np.array([[1, 0, 1]]) > 0)
+    (1, 0, 0)
+    """
+    flat = np.arange(values[0].size) if where is None else np.flatnonzero(where)
+    best, at = -np.inf, (0, 0, 0)
+    for k, image in enumerate(values):
+        inside = image.ravel()[flat]
+        i = int(inside.argmax())
+        if inside[i] > best:
+            row, col = np.unravel_index(flat[i], image.shape)
+            best, at = float(inside[i]), (k, int(row), int(col))
+    return at

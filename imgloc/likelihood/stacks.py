@@ -1,0 +1,67 @@
+"""The stack of a method by its name: what of map and scan each algorithm takes."""
+
+from imgloc.errors import ConfigError
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.scanpoints import scan_points, scan_xy
+from imgloc.likelihood.beam import beam, heading_sigma
+from imgloc.likelihood.cbml import cbml, cbml_o
+from imgloc.likelihood.ght import ght, ght_v
+from imgloc.model import Float32Array, FloatArray, LaserScan
+
+
+def stack_of(
+    method: str,
+    features: MapFeatures,
+    scan: LaserScan,
+    thetas: FloatArray,
+    *,
+    engine: str = "auto",
+    threads: int = 1,
+    memory_budget: int | None = None,
+) -> Float32Array:
+    """Compute a method's values (K, H, W) on the features' lattice at some headings.
+
+    Parameters
+    ----------
+    method : str
+        A name of :data:`imgloc.options.METHODS`.
+    features : MapFeatures
+    scan : LaserScan
+    thetas : (K,) float array
+        Uniform over the circle and starting at 0, radians.
+    engine : str
+        Of the correlations, see :mod:`imgloc.likelihood.correlate`.
+    threads : int
+        No result depends on it.
+    memory_budget : int, optional
+        Bytes that the ray distances of ``beam`` may take; None is the map's own budget.
+
+    Raises
+    ------
+    ConfigError
+        If the method has no stack, or the ray distances are over the budget.
+    """
+    f, (shape, cell) = features, (features.lattice.shape, features.lattice.resolution)
+    if method == "cbml":
+        xy = scan_xy(scan)[scan.valid]
+        return cbml(f.bmap, xy, thetas, cell, engine=engine, threads=threads)
+    if method == "beam":
+        return beam(
+            f.ray_distances_within(memory_budget or f.memory_budget),
+            scan.ranges,
+            scan.angles,
+            scan.valid,
+            scan.no_return,
+            thetas,
+            sigma=cell / 2,
+            sigma_theta=heading_sigma(len(thetas)),
+            threads=threads,
+        )
+    points = scan_points(scan.ranges, scan.angles, scan.valid)
+    if method == "cbml-o":
+        return cbml_o(f.vmap, points, thetas, cell, engine=engine, threads=threads)
+    if method == "ght":
+        return ght(f.surface, points, len(thetas), shape, cell, threads=threads)
+    if method == "ght-v":
+        return ght_v(f.surface, f.visibility, points, len(thetas), shape, cell, threads=threads)
+    raise ConfigError(f"{method!r} has no stack")

@@ -1,0 +1,404 @@
+"""Everything that decides an answer, apart from the map and the scan: plain, frozen values.
+
+>>> Options(method="ght-v").top, Options(trust=Trust(mass=0.99)).method
+(5, 'fused')
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+
+import numpy as np
+
+from imgloc.errors import ConfigError
+from imgloc.geometry import cell_of, inside, uniform_thetas, wrap
+from imgloc.model import BoolArray, FloatArray, GridInfo, Temperature
+
+FUSED = "fused"
+
+
+@dataclass(frozen=True)
+class Method:
+    """One of the paper's algorithms: the step of its headings in degrees, and what it does."""
+
+    theta_step_deg: float
+    summary: str
+
+
+#: The paper's algorithms by name; change one word to swap them.
+METHODS: Mapping[str, Method] = MappingProxyType(
+    {
+        "cbml": Method(3.0, "correlation with the blurred map, Alg. 1 and 2"),
+        "cbml-o": Method(3.0, "correlation of vector fields, Alg. 3"),
+        "ght": Method(10.0, "Hough votes of pairs of oriented points, Alg. 4"),
+        "ght-v": Method(10.0, "Hough votes that the map lets through, Alg. 5"),
+        "beam": Method(3.0, "ray-traced ranges for every pose, eq. 2"),
+    }
+)
+#: Every name that `localize` takes.
+ALL_METHODS = (FUSED, *METHODS)
+
+
+LOG_METHODS = frozenset({"beam"})
+"""Stacks whose values are logarithms already."""
+FEW = 20.0
+"""Readings with which votes are worth half of what they are with very many: of 31, 61, 181 and
+721 rays the best exponents were as 0.5, 0.9, 1 and 1.1 (ght-v, ``visibility`` and ``curved``)."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What makes a probability of one method's stack.
+
+    Parameters
+    ----------
+    sigma_xy, sigma_theta : float
+        Of the Gaussian that models the uncertainty of eq. 8: metres and radians.
+    temperature : float
+        Votes and correlations are raised to the power ``1 / temperature``. Log-likelihoods,
+        which are sums over the readings, are divided by ``temperature * readings``.
+
+    Raises
+    ------
+    ConfigError
+        If a value is out of its range.
+    """
+
+    sigma_xy: float = 0.0
+    sigma_theta: float = 0.0
+    temperature: float = 1.0
+
+    def __post_init__(self) -> None:
+        for part in fields(self):
+            value = getattr(self, part.name)
+            least = "positive" if part.name == "temperature" else "not negative"
+            if not (np.isfinite(value) and value >= 0 and (value > 0 or least != "positive")):
+                raise ConfigError(f"{part.name} must be finite and {least}, got {value}")
+
+    def temperature_at(self, method: str, readings: int) -> float:
+        """Temperature for a scan with so many valid readings; more of them do not add more.
+
+        Parameters
+        ----------
+        method : str
+        readings : int
+            Valid ones.
+
+        Examples
+        --------
+        >>> Calibration(temperature=0.1).temperature_at("beam", 300)
+        30.0
+        >>> round(Calibration(temperature=0.1).temperature_at("ght", 20), 6)
+        0.2
+        """
+        return self.temperature * scale(method, readings)
+
+
+def scale(method: str, readings: int) -> float:
+    """What the number of readings does to a temperature.
+
+    Logarithms are sums over the readings, whose errors are shared: the pose is beside the centre
+    of its cell, the walls of the map are beside the true ones. Votes are compared with one
+    another, so that their number cancels, but few readings are a small sample.
+    """
+    n = float(max(1, readings))
+    return n if method in LOG_METHODS else 1 + FEW / n
+
+
+#: What is used for a map that has no calibration of its own: fitted jointly on bundled worlds (not
+#: ``large``), two thirds of the scans disturbed, by ``imgloc calibrate curved visibility corridor
+#: double_wall -n 12 --seed 1000 --dry-run``.
+DEFAULTS: Mapping[str, Calibration] = MappingProxyType(
+    {
+        "cbml": Calibration(temperature=1 / 11.3),
+        "cbml-o": Calibration(0.1, 0.0, 1 / 12.7),
+        "ght": Calibration(0.2, float(np.deg2rad(10.0)), 1 / 10.1),
+        "ght-v": Calibration(0.2, float(np.deg2rad(15.0)), 1 / 12.7),
+        "beam": Calibration(temperature=1 / 6.35),
+    }
+)
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A set of poses.
+
+    Parameters
+    ----------
+    cells : (H, W) bool array or None
+        Cells of the map in which the sensor may be; None is all of them.
+    heading : (float, float) or None
+        Heading in the grid frame and how far it may be off, radians; None is all of them.
+    about : mapping
+        What it was made of, as plain values, for the record.
+
+    Examples
+    --------
+    >>> prior = Prior(np.array([[True, False]]), (0.0, 0.5))
+    >>> prior.admits(np.array([[0.5, 0.5, 6.0], [1.5, 0.5, 0], [0.5, 0.5, 1]]), 1.0).tolist()
+    [True, False, False]
+    """
+
+    cells: BoolArray | None = None
+    heading: tuple[float, float] | None = None
+    about: Mapping[str, object] = field(default_factory=dict)
+
+    def __and__(self, other: "Prior") -> "Prior":
+        """The poses that both allow; of two headings the intersection must be one of them.
+
+        Raises
+        ------
+        ConfigError
+            If both state a heading.
+        """
+        if self.heading is not None and other.heading is not None:
+            raise ConfigError("the heading is given twice: by a pose and on its own")
+        given = [c for c in (self.cells, other.cells) if c is not None]
+        cells = np.logical_and.reduce(given) if given else None
+        heading = self.heading if self.heading is not None else other.heading
+        return Prior(cells, heading, {**self.about, **other.about})
+
+    def admits(self, poses: FloatArray, resolution: float) -> BoolArray:
+        """Which poses (C, 3), grid frame, are in the set: (C,) bool."""
+        ok = self.headings(poses[:, 2])
+        if self.cells is not None:
+            at = cell_of(poses[:, :2], resolution)
+            height, width = self.cells.shape
+            on_map = inside(at, GridInfo(height, width, resolution))
+            row, col = at[on_map].T
+            ok[on_map] &= self.cells[row, col]
+            ok &= on_map
+        return ok
+
+    def headings(self, thetas: FloatArray, slack: float = 0.0) -> BoolArray:
+        """Which headings are in the set, or less than `slack` beside it: bool, as `thetas`."""
+        if self.heading is None:
+            return np.ones(np.shape(thetas), bool)
+        centre, tolerance = self.heading
+        return np.asarray(np.abs(wrap(thetas - centre)) <= tolerance + slack + 1e-9)
+
+
+@dataclass(frozen=True)
+class EvidenceModel:
+    """The parameters of the score.
+
+    Parameters
+    ----------
+    sigmas : sequence of float
+        Standard deviations of an endpoint's distance from its surface, metres, equally
+        probable for every reading.
+    hit : float
+        Share of the readings that come from mapped surfaces.
+    span : float
+        Metres over which the readings that do not come from the map are spread.
+    absent : float
+        Probability that a mapped wall is not there any more.
+    margin : float
+        Metres by which a reading may pass a wall at no cost, besides half a cell.
+    displaced : float
+        How far beyond that a wall may be drawn in a wrong place, metres: the chance falls
+        like a Gaussian of this scale, down to `absent`.
+    """
+
+    sigmas: Sequence[float] = (0.05, 0.2)
+    hit: float = 0.8
+    span: float = 10.0
+    absent: float = 0.1
+    margin: float = 0.1
+    displaced: float = 0.1
+
+    @property
+    def best(self) -> float:
+        """Log-density of a reading that ends on a surface exactly, nats."""
+        peak = self.hit * np.mean(1 / (np.sqrt(2 * np.pi) * np.asarray(self.sigmas)))
+        return float(np.log(peak + (1 - self.hit) / self.span))
+
+
+@dataclass(frozen=True)
+class FusedOptions:
+    """What the search spends where.
+
+    Parameters
+    ----------
+    theta_step : float
+        Between the headings of the endpoint correlation, radians.
+    keep : tuple of int
+        Nodes kept by each level of the endpoint pyramid, finest first; as many as there are.
+    skip : int
+        All levels of the pyramid but the finest take every `skip`-th of the few rays.
+    vote_cell : float
+        Cell of the GHT-V votes, metres.
+    vote_cells : int
+        With more cells than this, headings and all, the votes of a map get larger ones.
+    vote_headings : int
+        Number of headings of the GHT-V votes.
+    vote_peaks : int
+        How many peaks of the votes become proposals.
+    few_rays, rays : int
+        Rays of the first look at all proposals, and of the second at the best.
+    second_look, closer : int
+        How many places get the second look, and how many poses, which may be of one place: between
+        two layers of a wall the score has several maxima.
+    twins, same : (float, float)
+        Proposals nearer than this, metres and radians, are of one place, and one pose.
+    separation : (float, float)
+        Two poses nearer than this, metres and radians, are one hypothesis.
+    model : EvidenceModel
+        The score.
+    """
+
+    theta_step: float = float(np.deg2rad(1.0))
+    keep: tuple[int, ...] = (3000, 8000, 8000, 16000)
+    skip: int = 2
+    vote_cell: float = 0.25
+    vote_cells: int = 4_000_000
+    vote_headings: int = 24
+    vote_peaks: int = 100
+    few_rays: int = 64
+    rays: int = 180
+    second_look: int = 80
+    closer: int = 40
+    twins: tuple[float, float] = (0.1, float(np.deg2rad(3.0)))
+    same: tuple[float, float] = (0.02, float(np.deg2rad(0.7)))
+    separation: tuple[float, float] = (0.5, float(np.deg2rad(15.0)))
+    model: EvidenceModel = field(default_factory=EvidenceModel)
+
+
+@dataclass(frozen=True)
+class Trust:
+    """What turns evidence into probabilities and a verdict.
+
+    Parameters
+    ----------
+    readings : int
+        With valid readings in fewer directions than this a scan is ``invalid``.
+    temperature : float
+        What evidence is divided by where map and scan agree perfectly: neighbouring readings
+        are not independent.
+    strain : float
+        Growth of the temperature per nat of misfit.
+    crowded : float
+        Growth of the temperature per reading on the same patch of wall, of :func:`crowding`, from
+        where this makes more than 1 of it: they share the errors of the map, so that a scan of a
+        corner with hundreds of readings says no more than one with a few.
+    fine : float
+        Cell of a map, metres, above which the temperature grows in proportion: all readings on a
+        wall share the error of its place, up to half a cell.
+    elsewhere : (float, float, float)
+        Log-odds that the true pose is none of the hypotheses: constant, per nat of misfit, per
+        share of the mass that the best hypothesis does not hold. A logistic regression on
+        simulated scans in the bundled worlds, a third of them disturbed, against scans from
+        other worlds; the constant is lowered by 2, as most scans are of their map.
+    mass : float
+        Mass that the best pose needs to be ``unique``.
+    correlated : float
+        How many neighbouring readings share one error, for the covariances.
+    """
+
+    readings: int = 10
+    temperature: float = 1.5
+    strain: float = 15.0
+    crowded: float = 0.36
+    fine: float = 0.1
+    elsewhere: tuple[float, float, float] = (-5.1, 1.8, 3.9)
+    mass: float = 0.9
+    correlated: float = 2.9
+
+    def temperature_at(
+        self, misfit: float, crowding: float = 1.0, cell: float = 0.0
+    ) -> Temperature:
+        """Temperature for a misfit in nats per reading, readings per patch, and a map's cell.
+
+        Examples
+        --------
+        >>> Trust(temperature=2.0, strain=10.0, crowded=0.5).temperature_at(0.5).value
+        7.0
+        >>> Trust(temperature=2.0, strain=10.0, crowded=0.5).temperature_at(0.5, 6.0).value
+        21.0
+        >>> Trust(temperature=2.0, strain=10.0).temperature_at(0.5, cell=0.2).value
+        14.0
+        """
+        return Temperature(
+            self.temperature,
+            self.strain * max(0.0, misfit),
+            max(1.0, self.crowded * crowding),
+            max(1.0, cell / self.fine),
+        )
+
+    def mass_elsewhere(self, misfit: float, best: float) -> float:
+        """Probability that the true pose is none of the hypotheses.
+
+        A scan of another place fits badly, and it fits several poses equally badly.
+
+        Parameters
+        ----------
+        misfit : float
+            Of the best pose, nats per reading.
+        best : float
+            Mass of the best pose among the hypotheses, 0..1.
+
+        Examples
+        --------
+        >>> Trust().mass_elsewhere(0.1, 1.0) < 0.01, Trust().mass_elsewhere(2.0, 0.2) > 0.5
+        (True, True)
+        """
+        constant, per_nat, per_share = self.elsewhere
+        odds = constant + per_nat * max(0.0, misfit) + per_share * (1 - best)
+        return float(1 / (1 + np.exp(-odds)))
+
+
+@dataclass(frozen=True)
+class Options:
+    """Everything that decides an answer, apart from the map and the scan.
+
+    Parameters
+    ----------
+    method : str
+        ``fused`` or a name of :data:`METHODS`.
+    top : int
+        How many hypotheses are listed.
+    theta_step : float or None
+        Step of the headings of a stack, radians, and of branch and bound, whose own are those
+        of ``cbml``; None takes the method's own.
+    engine : str
+        Of the correlations, see :mod:`imgloc.likelihood.correlate`.
+    threads : int
+        No result depends on it.
+    memory_budget : int, optional
+        Bytes that an answer may take besides the map's features; None is half of the RAM that
+        is available.
+    time_budget : float, optional
+        Seconds for the search of ``fused``; what is found by then is the answer, marked as not
+        complete. Such an answer depends on the machine.
+    exact : bool
+        Branch and bound: with ``cbml`` find its best poses without its stack, with ``fused``
+        have them as further proposals.
+    prior : Prior
+        The poses that may be.
+    fused : FusedOptions
+    trust : Trust
+    calibration : Calibration, optional
+        What makes a probability of a stack; None takes the method's default. ``fused`` has none.
+    """
+
+    method: str = FUSED
+    top: int = 5
+    theta_step: float | None = None
+    engine: str = "auto"
+    threads: int = 1
+    memory_budget: int | None = None
+    time_budget: float | None = None
+    exact: bool = False
+    prior: Prior = field(default_factory=Prior)
+    fused: FusedOptions = field(default_factory=FusedOptions)
+    trust: Trust = field(default_factory=Trust)
+    calibration: Calibration | None = None
+
+    @property
+    def thetas(self) -> FloatArray:
+        """Headings of the method's stack, radians; of ``fused``, those of branch and bound."""
+        step = self.theta_step
+        if step is None:
+            of = "cbml" if self.method == FUSED else self.method
+            step = float(np.deg2rad(METHODS[of].theta_step_deg))
+        return uniform_thetas(step)

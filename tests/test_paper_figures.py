@@ -1,0 +1,143 @@
+"""Figs. 1, 2, 4 and 5: what their stacks show, and that the panels show it."""
+
+import cv2
+import numpy as np
+import pytest
+
+from imgloc.geometry import cell_of
+from imgloc.model import OccupancyGrid, OrientedPoints, Pose2D
+from tools.paper.figures import (
+    SETTINGS,
+    cross,
+    draw_comparison,
+    draw_fields,
+    draw_scan,
+    figure,
+    lettered,
+    ring,
+    scene,
+)
+
+RED, BLUE = (60, 20, 220), (178, 114, 0)
+
+
+@pytest.fixture(scope="module")
+def scenes():
+    return {name: scene(name, threads=2) for name in ("fig1", "fig2", "fig4")}
+
+
+def best(likelihood, x, y, radius=0.2):
+    """Greatest value over theta near a position, as a share of that of the whole stack."""
+    image = likelihood.values.max(axis=0)
+    row, col = cell_of(np.array((x, y)), likelihood.grid.resolution)
+    reach = round(radius / likelihood.grid.resolution)
+    near = image[row - reach : row + reach + 1, col - reach : col + reach + 1]
+    return float(near.max() / image.max())
+
+
+@pytest.mark.parametrize("name", ["fig1", "fig2"])
+def test_the_true_pose_is_high_in_every_panel(scenes, name):
+    s = scenes[name]
+    for caption, stack in s.stacks:
+        assert best(stack, s.truth.x, s.truth.y) > 0.75, caption
+
+
+def test_fig_2_only_visibility_tells_the_rooms_apart(scenes):
+    s = scenes["fig2"]
+    width, height = 19.4, 13.3  # the rooms are each other's, turned by half a circle
+    shares = {caption: best(stack, 15.6, 7.4, 0.4) for caption, stack in s.stacks}
+    assert width > s.truth.x
+    assert height > s.truth.y
+    assert all(shares[c] > 0.75 for c in shares if c.startswith(("CBML", "GHT,")))
+    assert shares["GHT-V, 12 deg"] < 0.6
+
+
+def test_fig_4_cbml_prefers_a_place_between_the_walls_view(scenes):
+    s = scenes["fig4"]
+    (_, cbml), (_, cbml_o) = s.stacks
+    ahead = s.truth.x + 0.3  # half of the gap between the two walls
+    assert best(cbml, ahead, s.truth.y, 0.05) > best(cbml, s.truth.x - 0.05, s.truth.y, 0.05)
+    assert best(cbml_o, ahead, s.truth.y, 0.05) < 0.5
+
+
+def test_panels_get_letters_in_order():
+    one = np.zeros((2, 2, 3), np.uint8)
+    assert [c for c, _ in lettered([("a map", one), ("CBML", one)])] == ["(a) a map", "(b) CBML"]
+
+
+def test_panels_get_a_frame_and_keep_what_is_in_it():
+    (_, framed), *_ = lettered([("a map", np.full((5, 7, 3), 9, np.uint8))])
+    assert (framed[1:-1, 1:-1] == 9).all()
+    assert (framed[[0, -1]] != 9).all()
+    assert (framed[:, [0, -1]] != 9).all()
+
+
+def test_a_cross_lies_on_its_position():
+    info = OccupancyGrid(np.zeros((20, 40), bool), np.ones((20, 40), bool), 0.1).info
+    image = cross(np.zeros((200, 400, 3), np.uint8), info, np.array((3.0, 0.5)))
+    rows, columns = np.nonzero((image == BLUE).all(axis=2))
+    assert abs(columns.mean() - 300) < 1
+    assert abs(rows.mean() - 150) < 1  # row 0 is at the top
+
+
+def test_a_ring_leaves_what_is_in_it():
+    image = np.full((200, 200, 3), 7, np.uint8)
+    info = OccupancyGrid(np.zeros((20, 20), bool), np.ones((20, 20), bool), 0.1).info
+    drawn = ring(image, info, Pose2D(1.0, 1.0, 0.0))
+    assert drawn is image
+    assert (image[100, 100] == 7).all()  # the pose itself
+    red = (image == RED).all(axis=2)
+    rows, columns = np.nonzero(red)
+    assert abs(rows.mean() - 100) < 2
+    assert columns.max() - 100 > 100 - columns.min()  # the nose points along +x
+
+
+def test_a_scan_lies_where_it_was_taken():
+    grid = OccupancyGrid(np.zeros((40, 40), bool), np.ones((40, 40), bool), 0.1)
+    point = OrientedPoints(np.array([[1.0, 0.0]]), np.array([np.pi]), np.ones(1), np.ones(1, bool))
+    nothing = point.select(np.empty(0, int))
+    empty = draw_scan(grid, Pose2D(2.0, 1.0, np.pi / 2), nothing, scale=10)
+    drawn = draw_scan(grid, Pose2D(2.0, 1.0, np.pi / 2), point, scale=10)
+    rows, columns = np.nonzero((empty != drawn).any(axis=2))
+    assert abs(rows.mean() - 200) < 15  # y = 2, row 0 at the top
+    assert abs(columns.mean() - 200) < 8
+
+
+def test_a_scan_lies_on_a_trace_of_the_map():
+    wall = np.zeros((40, 40), bool)
+    wall[5] = True
+    grid = OccupancyGrid(wall, ~wall, 0.1)
+    none = OrientedPoints(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty(0, bool))
+    image = draw_scan(grid, Pose2D(2.0, 3.0, 0.0), none, scale=10)
+    assert 200 < image[400 - 55, 200].min() < 255  # pale
+    assert (image[400 - 155, 200] == 255).all()
+
+
+def test_fields_have_arrows_and_six_panels(scenes):
+    image = draw_fields(scenes["fig4"], window=(21.0, 20.0, 27.0, 26.0))
+    assert image.shape[1] > 2.5 * 60 * 9  # three panels of 60 cells
+    saturation = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)[..., 1]
+    assert (saturation > 100).mean() > 0.02  # directions are colours
+
+
+def test_comparisons_mark_the_pose_in_each_panel(scenes):
+    s, f = scenes["fig2"], scenes["fig2"].features
+    image = draw_comparison(f.grid, s.truth, s.points, s.stacks, scale=2)
+    red = (image == RED).all(axis=2).astype(np.uint8)
+    count = cv2.connectedComponents(cv2.dilate(red, np.ones((5, 5), np.uint8)))[0] - 1
+    assert count == 2 + len(s.stacks)
+
+
+def test_a_maximum_is_marked_where_it_is_not_the_true_pose(scenes):
+    s, f = scenes["fig2"], scenes["fig2"].features
+    marked = []
+    for truth in (s.truth, Pose2D(s.truth.x + 2.0, s.truth.y, s.truth.theta)):
+        image = draw_comparison(f.grid, truth, s.points, s.stacks, scale=2)
+        blue = (image == BLUE).all(axis=2).astype(np.uint8)
+        marked.append(cv2.connectedComponents(cv2.dilate(blue, np.ones((5, 5), np.uint8)))[0] - 1)
+    assert marked == [0, len(s.stacks)]
+
+
+def test_figures_are_named_after_the_papers():
+    assert list(SETTINGS) == ["fig1", "fig2", "fig4", "fig5"]
+    assert figure("fig4").ndim == 3

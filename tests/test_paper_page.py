@@ -1,0 +1,172 @@
+"""The page of the paper's experiment, from plain values that are made up."""
+
+import copy
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from tools.paper.claims import Claim
+from tools.paper.page import costs, formula, render_report, templates
+
+tables = templates().get_template("tables.html").module
+PNG = b"\x89PNG not really"
+
+
+def share(value):
+    return {"hits": 0, "trials": 10, "value": value, "low": value - 0.1, "high": value + 0.1}
+
+
+def row(world, method, s, **more):
+    return {
+        "place": "Fig. 2", "world": world, "method": method, "step_deg": 3.0, "log_poses": 14.9,
+        "index": {"value": s, "standard_error": 0.02, "floored": 0}, "bare": None, "gain": None,
+        "interval": [s - 0.04, s + 0.04], "exact": share(0.2), "wide": share(0.3),
+        "near": share(0.4), "paper": None, "cost": {"ms": 12.34}, **more,
+    }  # fmt: skip
+
+
+def fit(method, quantity, axis, exponent):
+    return {
+        "method": method, "quantity": quantity, "axis": axis, "exponent": exponent, "paper": 1,
+    }  # fmt: skip
+
+
+ROWS = [
+    row("visibility", "cbml", -0.001, paper=-0.47),
+    row("visibility", "ght-v once", 3.5, gain={"value": 0.123, "standard_error": 0.01}),
+    row("visibility", "beam", 12.9, bare={"value": 7.77, "floored": 3}),
+]
+SAMPLES = [
+    {"method": m, "axis": axis, "value": v, "storage": 83200, "init_work": 1, "work": 165_280_000}
+    for m in ("cbml", "ght")
+    for axis, v in (("A", 208.0), ("A", 416.0), ("n", 90.0))
+]
+TIMES = [{**{k: s[k] for k in ("method", "axis", "value")}, "init_s": 0.00123, "run_s": None}
+         for s in SAMPLES]  # fmt: skip
+RESULTS = {
+    "version": "9.9", "n": 10, "seed": 5, "table": ROWS,
+    "claims": [{"text": "work grows with rho_m^2", "holds": False, "found": "rho_m^1.98"}],
+    "complexity": {
+        "world": "curved", "samples": SAMPLES,
+        "fits": [fit("cbml", "storage", "A", -1e-9)],
+    },
+    "cost": {
+        "claims": [{"text": "CBML-O is as fast", "holds": True, "found": "1.20 x"}],
+        "ratios": [{"world": "visibility", "method": "cbml-o", "rival": "cbml", "most": 1.3,
+                    "ms": 12.0, "rival_ms": 10.0, "value": 1.2}],
+        "complexity": {
+            "samples": TIMES,
+            "fits": [fit("beam", "run_s", "n", 0.98)],
+        },
+    },
+}  # fmt: skip
+
+
+class Page(HTMLParser):
+    """Collects tags, sources and text, and checks that what is opened is closed."""
+
+    VOID = ("meta", "img", "br", "path", "circle")
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.sources, self.text, self.closed = [], [], "", []
+        self.feed(re.sub(r"\s*\n\s*", " ", str(text)).replace("> <", "><"))
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.sources += [v for k, v in attrs if k in ("src", "href")]
+
+    def handle_endtag(self, tag):
+        self.closed.append(tag)
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def page():
+    return Page(render_report(RESULTS, {"fig1": PNG, "fig4": PNG, "complexity": PNG}))
+
+
+def test_the_page_needs_no_other_file(page):
+    assert page.tags.count("img") == 3
+    assert all(source.startswith("data:image/png;base64,") for source in page.sources)
+    assert not {"script", "link", "iframe"} & set(page.tags)
+    assert "url(" not in page.text
+    for tag in ("table", "figure", "div", "svg", "ul", "span", "sup", "sub", "p", "tr"):
+        assert page.tags.count(tag) == page.closed.count(tag), tag
+
+
+def test_the_page_says_what_was_run_and_captions_its_figures(page):
+    assert "imgloc 9.9 · 10 trials in each world · seed 5" in page.text
+    assert "Fig. 1. Not taking into account the orientation of surfaces" in page.text
+    assert "Fig. 4. Surface points (a)" in page.text
+    assert "Fig. 2. Visibility constraints" not in page.text  # not drawn
+
+
+def test_the_index_stands_beside_the_papers():
+    text = Page(tables.index_table(ROWS)).text
+    assert "0.00 ± 0.02" in text  # not -0.00
+    assert "−0.47" in text
+    assert "+0.12 ± 0.01" in text
+    assert "bare 7.77†3" in text
+    assert "visibility, 3°: 14.9" in text
+
+
+def test_the_maximum_has_three_lines_of_shares():
+    text = Page(tables.maximum_table(ROWS)).text
+    assert text.count("20 % [10, 30]30 % [20, 40]40 % [30, 50]") == len(ROWS)
+    assert text.count("its cell10 cm, 30°± 1 cell") == len(ROWS)
+
+
+def test_the_chart_has_a_dot_for_each_and_a_ring_for_the_papers():
+    svg = tables.index_chart(ROWS)
+    assert svg.count('class="dot"') == 3
+    assert svg.count('class="ring"') == 1
+    assert 'x="20"' in svg
+    broken = copy.deepcopy(ROWS)
+    broken[0]["interval"] = [float("nan")] * 2  # a single trial has none
+    assert tables.index_chart(broken).count('class="bar"') == 2
+
+
+def test_claims_are_ticked_or_crossed():
+    held, failed = (vars(Claim(t, t == "a < b", "x^-1.5")) for t in ("a < b", "c"))
+    assert re.sub(r"\n", "", tables.claim_list([held, failed])) == (
+        '<ul class="claims"><li class="yes">a &lt; b <span class="paper">(x<sup>-1.5</sup>)</span>'
+        '</li><li class="no">c <span class="paper">(x<sup>-1.5</sup>)</span></li></ul>'
+    )
+
+
+def test_formulas_are_raised_and_escaped():
+    assert formula("rho_theta^0, A^1.00; <i>") == (
+        "ρ<sub>θ</sub><sup>0</sup>, A<sup>1.00</sup>; &lt;i&gt;"
+    )
+
+
+def test_exponents_stand_beside_the_papers():
+    fits = RESULTS["complexity"]["fits"] + RESULTS["cost"]["complexity"]["fits"]
+    text = Page(tables.exponent_table(fits)).text
+    assert "storage: CBML0.00 (1)–" in text  # not measured along n
+    assert "run time: beam, eq. 2–0.98 (1)" in text
+
+
+def test_the_cost_of_one_copy_is_told_in_handy_units():
+    text = Page(tables.cost_table(costs(SAMPLES, TIMES))).text
+    assert "CBML1.2383–165.28" in text  # ms, kB, not timed, millions
+    assert text.count("165.28") == 2  # one copy only
+
+
+def test_ratios_stand_beside_the_times():
+    text = Page(tables.ratio_table(RESULTS["cost"]["ratios"])).text
+    assert text.strip() == "visibilityCBML-O / CBML12.0 / 10.0 ms1.20"
+
+
+@pytest.mark.parametrize("key", ["world", "method"])
+def test_names_are_escaped(key):
+    evil = copy.deepcopy(RESULTS)
+    for r in evil["table"]:
+        r[key] += "<b>x</b>&"
+    page = render_report(evil, {})
+    assert "<b>x</b>&" not in page
+    assert "&lt;b&gt;x&lt;/b&gt;&amp;" in page

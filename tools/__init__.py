@@ -1,0 +1,1 @@
+"""What measures imgloc, from a checkout: see tools/README.md."""

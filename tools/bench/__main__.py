@@ -1,0 +1,266 @@
+"""The benchmark: every method and engine beside plain references, timed in turns in one run.
+
+    python -m tools.bench                        # on a bundled world
+    python -m tools.bench --problem ../problem   # on maps A and B, with the floors in C
+    python -m tools.bench --parts engines        # how far engine="auto" is from the best one
+    python -m tools.bench --parts localize --sets ../data/*/map.yaml   # on recorded scans, too
+    python -m tools.bench --parts memory         # of the command on large maps, up to 25 hectares
+
+Prints Markdown: medians over the repeats with their spread. Compare ratios, not times, between
+machines.
+"""
+
+import argparse
+import os
+import platform
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from imgloc.cli.answers import to_json
+from imgloc.errors import ConfigError, ImglocError
+from imgloc.io.maps import load_map
+from imgloc.io.scans import load_scans
+from imgloc.io.scanset import ScanSet
+from imgloc.likelihood.correlate import ENGINES
+from imgloc.model import OccupancyGrid
+from imgloc.pipeline import prepare
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
+from tools.bench.measure import (
+    answer_times,
+    as_row,
+    engine_rows,
+    engine_summary,
+    in_turns,
+    stack_cases,
+    vote_cases,
+)
+from tools.bench.outside import floors, growth, memory
+from tools.paper.complexity import fit_exponent
+from tools.recorded import scans_beside
+
+PARTS = ("costs", "engines", "localize", "growth")
+"""What is measured by default."""
+LARGE = "memory"
+"""What takes gigabytes, and is measured if it is asked for."""
+SIDES = (4_000, 10_000)
+"""Cells along a side of the large maps, of 5 cm."""
+BOUND_SCANS = 10
+"""Scans of branch and bound, which is faster or slower as they are more or less clear."""
+
+Row = Mapping[str, Any]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse the command line, measure, print."""
+    parser = argparse.ArgumentParser(
+        "tools.bench", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--problem", type=Path, help="folder with mapA, mapB and scans_10m.npz")
+    parser.add_argument(
+        "--sets", type=Path, nargs="*", default=[], help="maps with a scans.npz beside them"
+    )
+    parser.add_argument("--range-max", type=float, default=20.0, help="metres, of their scans")
+    parser.add_argument(
+        "--parts", default=",".join(PARTS), help=f"with commas between; {LARGE} is not a default"
+    )
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--scans", type=int, default=50, help="answers of localize")
+    parser.add_argument("--json", action="store_true")
+    given = parser.parse_args(arguments)
+    try:
+        results = run_bench(
+            given.problem,
+            sets=given.sets,
+            range_max=given.range_max,
+            parts=tuple(given.parts.split(",")),
+            repeats=given.repeats,
+            threads=given.threads,
+            scans=given.scans,
+        )
+    except ImglocError as error:
+        print(f"bench: error: {error}", file=sys.stderr)
+        return error.exit_code
+    print(to_json(results) if given.json else bench_tables(results))
+    return 0
+
+
+def run_bench(
+    problem: Path | None,
+    *,
+    sets: Sequence[Path] = (),
+    parts: tuple[str, ...] = PARTS,
+    repeats: int,
+    threads: int,
+    scans: int,
+    range_max: float = 20.0,
+) -> dict[str, Any]:
+    """Measure, as one set of plain values.
+
+    Parameters
+    ----------
+    problem : Path, optional
+        Folder with mapA, mapB, ``scans_10m.npz`` and the floors in C; by default the bundled
+        world ``large`` is the only map.
+    sets : sequence of Path
+        Maps with recorded scans beside them, for the answers.
+    parts : tuple of str
+        Of :data:`PARTS`: stacks and votes beside plain references and C; engines beside
+        ``auto``; answers; answers as the map grows. And :data:`LARGE`: memory of large maps.
+    repeats, threads : int
+    scans : int
+        Answers of `localize` on each map.
+    range_max : float
+        Of recorded scans, metres.
+
+    Raises
+    ------
+    ConfigError
+        If a number is less than 1 or there is no such part.
+    ScanError
+        If a set has no scans with poses.
+    """
+    for name, number in (("repeats", repeats), ("threads", threads), ("scans", scans)):
+        if number < 1:
+            raise ConfigError(f"{name} must be at least 1, got {number}")
+    for part in parts:
+        if part not in (*PARTS, LARGE):
+            raise ConfigError(f"a part is one of {', '.join((*PARTS, LARGE))}, got {part!r}")
+    cv2.setNumThreads(1)  # what has threads says so
+    out: dict[str, Any] = {
+        "machine": {
+            "processor": platform.processor() or platform.machine(), "cores": os.cpu_count(),
+            "python": platform.python_version(), "numpy": np.__version__, "opencv": cv2.__version__,
+        }
+    }  # fmt: skip
+    maps = _maps(problem, scans)
+    recorded = {
+        path.parent.name: (load_map(path), scans_beside(path, scans, 0, range_max)) for path in sets
+    }
+    if "costs" in parts:
+        name, (grid, told) = next(iter(maps.items()))
+        features, scan = prepare(grid), told.scans[0]
+        timings = (
+            *in_turns(stack_cases(features, told.scans[:BOUND_SCANS], threads), repeats),
+            *in_turns(vote_cases(features, scan, threads), repeats),
+        )
+        out |= {
+            "map": name, "surface_points": len(features.surface),
+            "readings": int(scan.valid.sum()), "costs": [as_row(t) for t in timings],
+            "floors": {} if problem is None else floors(problem),
+        }  # fmt: skip
+    if "engines" in parts:
+        rows = engine_rows(repeats=repeats)
+        out |= {"engines": rows, "auto_over_best": engine_summary(rows)}
+    if "localize" in parts:
+        out["localize"] = {
+            name: answer_times(grid, s.scans[:scans], threads, repeats)
+            for name, (grid, s) in (maps | recorded).items()
+        }
+    if "growth" in parts:
+        grown = growth("large", (1, 2, 4), repeats)
+        areas = [row["area"] for row in grown]
+        out["growth"] = grown
+        out["exponents"] = {
+            key: fit_exponent(areas, [row[key] for row in grown]) for key in ("ms", "rss_mib")
+        }
+    if LARGE in parts:
+        out["memory"] = memory(*(maps["B"] if "B" in maps else _world(0.05, 1)), SIDES)
+    return out
+
+
+def _maps(problem: Path | None, count: int) -> dict[str, tuple[OccupancyGrid, ScanSet]]:
+    if problem is None:
+        return {"large": _world(0.1, count)}
+    scans = load_scans(problem / "scans_10m.npz")
+    return {k: (load_map(problem / f"map{k}.yaml"), scans) for k in ("A", "B")}
+
+
+def _world(resolution: float, count: int) -> tuple[OccupancyGrid, ScanSet]:
+    grid = render(WORLDS["large"](), resolution)
+    return grid, simulate_set(grid, count, 0, Sensor(range_max=10.0))
+
+
+def bench_tables(results: Mapping[str, Any]) -> str:
+    """A Markdown table of each part that was measured by :func:`run_bench`.
+
+    Examples
+    --------
+    >>> row = {"side": 4000, "cell": 0.05, "seconds": 5.31, "rss_mib": 565.2}
+    >>> print(bench_tables({"machine": {"cores": 2}, "memory": [row]}))
+    cores 2
+    <BLANKLINE>
+    | cells a side | of m | imgloc localize, s | peak MiB |
+    |---:|---:|---:|---:|
+    | 4000 | 0.05 | 5.3 | 565 |
+    """
+    parts = [", ".join(f"{key} {value}" for key, value in results["machine"].items())]
+    for key, (head, cells) in _TABLES.items():
+        if key in results:
+            found = results[key]
+            rows = [{"name": k, **r} for k, r in found.items()] if key == "localize" else found
+            parts.append(_table(head, map(cells, rows)))
+    for key, title in _TITLES.items():
+        if key in results:
+            said = ", ".join(f"{name} {_number(v)}" for name, v in results[key].items())
+            parts.append(f"{title}: {said or 'not measured'}")
+    return "\n\n".join(parts)
+
+
+_NAMES = (*ENGINES, "auto")
+_TABLES: Mapping[str, tuple[str, Callable[[Row], Sequence[object]]]] = {
+    "costs": (
+        "case | ns per | ms | spread",
+        lambda r: (
+            r["case"], f"{r['ns']:.4f} {r['unit']}", f"{r['ms']:.2f}", f"{100 * r['spread']:.0f} %"
+        ),
+    ),
+    "engines": (
+        f"cells | reach | rays | {', ms | '.join(_NAMES)}, ms | best | auto / best",
+        lambda r: (
+            r["size"], r["reach"], r["rays"], *(f"{r['ms'][name]:.2f}" for name in _NAMES),
+            r["best"], f"{r['ratio']:.2f}",
+        ),
+    ),
+    "localize": (
+        "localize on | ms | p99 / median | prepare, s",
+        lambda r: (
+            r["name"], f"{r['median_ms']:.0f}", f"{r['p99_over_median']:.2f}",
+            f"{r['prepare_s']:.2f}",
+        ),
+    ),
+    "growth": (
+        "area, m² | ms | prepare, s | peak MiB",
+        lambda r: (
+            f"{r['area']:.0f}", f"{r['ms']:.0f}", f"{r['prepare_s']:.2f}", f"{r['rss_mib']:.0f}"
+        ),
+    ),
+    "memory": (
+        "cells a side | of m | imgloc localize, s | peak MiB",
+        lambda r: (r["side"], f"{r['cell']:g}", f"{r['seconds']:.1f}", f"{r['rss_mib']:.0f}"),
+    ),
+}  # fmt: skip
+_TITLES = {
+    "auto_over_best": "auto / best",
+    "floors": "the same in C, ns",
+    "exponents": "exponents of growth in the area",
+}
+
+
+def _table(head: str, rows: Iterable[Sequence[object]]) -> str:
+    lines = [f"| {head} |", "|" + "---:|" * (head.count("|") + 1)]
+    return "\n".join(lines + [f"| {' | '.join(map(str, row))} |" for row in rows])
+
+
+def _number(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:.4g}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,400 @@
+"""What the benchmark times in its own process: likelihoods, engines, answers.
+
+Every case is a function without arguments that does a known amount of work. All cases of a
+group take turns, so that a busy moment of the machine is in the times of all of them.
+
+>>> row, = engine_rows(sizes=(40,), reaches=(10,), rays=(16,), headings=2, repeats=1)
+>>> row["size"], sorted(row["ms"])
+(40, ['auto', 'dft', 'filter2d', 'shift'])
+"""
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import cv2
+import numpy as np
+
+from imgloc.errors import ConfigError
+from imgloc.features.distance import distance_image
+from imgloc.features.fields import bmap
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.raycast import cast_rays
+from imgloc.features.scanpoints import scan_points, scan_xy
+from imgloc.features.surface import surface_points
+from imgloc.geometry import uniform_thetas
+from imgloc.likelihood.cbml import cbml, cbml_o, project
+from imgloc.likelihood.correlate import ENGINES, correlate
+from imgloc.likelihood.ght import ght, ght_v
+from imgloc.likelihood.slices import cell_offsets
+from imgloc.model import Float32Array, FloatArray, LaserScan, OccupancyGrid
+from imgloc.options import Options
+from imgloc.pipeline import localize, prepare
+from imgloc.search.branch_and_bound import best_poses
+from imgloc.worlds import WORLDS, render
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How long a case took.
+
+    Parameters
+    ----------
+    name, unit : str
+    work : float
+        Units of work of one call: poses times readings, pairs, or 1.
+    seconds : tuple of float
+        Of each repeat.
+    """
+
+    name: str
+    unit: str
+    work: float
+    seconds: tuple[float, ...]
+
+    @property
+    def median(self) -> float:
+        """Median of the repeats, seconds."""
+        return float(np.median(self.seconds))
+
+    @property
+    def cost(self) -> float:
+        """Nanoseconds per unit of work."""
+        return 1e9 * self.median / self.work
+
+
+Case = tuple[str, str, float, Callable[[], object]]
+"""Name, unit, units of work of a call, the call."""
+
+
+def in_turns(
+    cases: Sequence[Case], repeats: int, clock: Callable[[], float] = time.perf_counter
+) -> tuple[Timing, ...]:
+    """Time cases, each in turn, after one call of each that does not count.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+    repeats : int
+    clock : callable
+        Says what time it is, seconds. That of the process does not run while others do, but
+        runs twice as fast for two threads.
+
+    Raises
+    ------
+    ConfigError
+        If there is to be no repeat.
+
+    Examples
+    --------
+    >>> one, = in_turns([("nothing", "call", 1, lambda: None)], 3)
+    >>> one.name, len(one.seconds)
+    ('nothing', 3)
+    """
+    if repeats < 1:
+        raise ConfigError(f"repeats must be at least 1, got {repeats}")
+    for *_, call in cases:
+        call()
+    seconds: dict[str, list[float]] = {name: [] for name, *_ in cases}
+    for _ in range(repeats):
+        for name, _, _, call in cases:
+            start = clock()
+            call()
+            seconds[name].append(clock() - start)
+    return tuple(Timing(name, unit, work, tuple(seconds[name])) for name, unit, work, _ in cases)
+
+
+def answer_times(
+    grid: OccupancyGrid, scans: Sequence[LaserScan], threads: int, repeats: int = 1
+) -> dict[str, float]:
+    """How long answers take, see :func:`answer_summary`.
+
+    What a scan takes is the median of `repeats` answers to it: the tail is that of the scans, not
+    of what else the machine had to do.
+
+    Raises
+    ------
+    ConfigError
+        If there is no scan.
+    """
+    if not scans:
+        raise ConfigError("scans must be at least 1, got 0")
+    features, options = prepare(grid, threads=threads), Options(threads=threads)
+    cv2.setNumThreads(threads)
+
+    def taken(scan: LaserScan) -> float:
+        start = time.perf_counter()
+        localize(features, scan, options)
+        return 1e3 * (time.perf_counter() - start)
+
+    first = taken(scans[0])
+    turns = [[taken(scan) for scan in scans] for _ in range(repeats)]
+    cv2.setNumThreads(1)
+    return answer_summary([first, *np.median(turns, axis=0).tolist()])
+
+
+def answer_summary(ms: Sequence[float]) -> dict[str, float]:
+    """What answers take, and what the first one took longer: computing the map's features.
+
+    Parameters
+    ----------
+    ms : sequence of float
+        Of the answers to a scan, to the same one again, to others.
+
+    Returns
+    -------
+    dict
+        ``median_ms`` and ``p99_over_median`` of all but the first, ``prepare_s`` in seconds.
+
+    Examples
+    --------
+    >>> answer_summary([1020.0, 20.0, 20.0, 30.0])
+    {'median_ms': 20.0, 'p99_over_median': 1.49, 'prepare_s': 1.0}
+    """
+    median, high = (float(v) for v in np.percentile(ms[1:], (50, 99)))
+    return {
+        "median_ms": median, "p99_over_median": high / median, "prepare_s": (ms[0] - ms[1]) / 1e3,
+    }  # fmt: skip
+
+
+def as_row(timing: Timing) -> dict[str, object]:
+    """A timing as plain values."""
+    spread = (max(timing.seconds) - min(timing.seconds)) / timing.median
+    return {
+        "case": timing.name, "unit": timing.unit, "ns": timing.cost,
+        "ms": 1e3 * timing.median, "spread": spread,
+    }  # fmt: skip
+
+
+HEADINGS = 120
+PAIR_HEADINGS = 36
+
+
+def stack_cases(features: MapFeatures, scans: Sequence[LaserScan], threads: int) -> list[Case]:
+    """The stacks of CBML and CBML-O by every engine, and plain references; branch and bound.
+
+    A stack costs the same for any scan, so that one will do; branch and bound takes them all.
+    """
+    scan, seen = scans[0], [scan_xy(s)[s.valid] for s in scans]
+    thetas = uniform_thetas(2 * np.pi / HEADINGS)
+    cell, xy = features.lattice.resolution, scan_xy(scan)[scan.valid]
+    points = scan_points(scan.ranges, scan.angles, scan.valid)
+    bmap, vmap, free = features.bmap, features.vmap, features.free
+    pooled, projections = features.pooled, project(vmap)
+    out = np.empty((HEADINGS, *bmap.shape), np.float32)
+    work = out.size * len(xy)
+    slow = uniform_thetas(np.pi)  # two headings of what takes long
+    few = work * len(slow) / HEADINGS
+
+    def stack(engine: str, workers: int) -> Callable[[], object]:
+        return lambda: cbml(bmap, xy, thetas, cell, engine=engine, threads=workers, out=out)
+
+    def oriented(engine: str, workers: int) -> Callable[[], object]:
+        return lambda: cbml_o(
+            vmap, points, thetas, cell, engine=engine, threads=workers, out=out,
+            projections=projections,
+        )  # fmt: skip
+
+    unit = "pose and reading"
+    cases: list[Case] = [
+        ("Alg. 1 in NumPy", unit, few, lambda: gathered(bmap, xy, slow, cell)),
+        ("cbml filter2d", unit, few, lambda: cbml(bmap, xy, slow, cell, engine="filter2d")),
+    ]
+    for engine in ("shift", "dft", "auto"):
+        cases.append((f"cbml {engine}", unit, work, stack(engine, 1)))
+        cases.append((f"cbml-o {engine}", unit, work, oriented(engine, 1)))
+    if threads > 1:
+        cases.append((f"cbml auto, {threads} threads", unit, work, stack("auto", threads)))
+        cases.append((f"cbml-o auto, {threads} threads", unit, work, oriented("auto", threads)))
+    cases.append(
+        (
+            "cbml auto, free cells, argmax", unit, work,
+            lambda: int(cbml(bmap, xy, thetas, cell, where=free, out=out).argmax()),
+        )
+    )  # fmt: skip
+    every = out.size * sum(map(len, seen))
+    cases.append(
+        (
+            f"branch and bound, {len(scans)} scans", unit, every,
+            lambda: [best_poses(pooled, one, thetas) for one in seen],
+        )
+    )  # fmt: skip
+    return cases
+
+
+def vote_cases(features: MapFeatures, scan: LaserScan, threads: int) -> list[Case]:
+    """The votes of GHT and GHT-V, and Alg. 4 as one ``np.add.at``."""
+    points = scan_points(scan.ranges, scan.angles, scan.valid)
+    surface, visibility = features.surface, features.visibility
+    shape, cell = features.lattice.shape, features.lattice.resolution
+    pairs = int(points.valid.sum()) * int(surface.valid.sum())
+    args = points, PAIR_HEADINGS, shape, cell
+    out = np.empty((PAIR_HEADINGS, *shape), dtype=np.float32)
+    cases: list[Case] = [
+        ("Alg. 4 by np.add.at", "pair", pairs, lambda: added(features, scan)),
+        ("ght", "pair", pairs, lambda: ght(surface, *args, out=out)),
+        ("ght-v", "pair", pairs, lambda: ght_v(surface, visibility, *args, out=out)),
+    ]
+    if threads > 1:
+        many = threads
+        cases.append(
+            (
+                f"ght-v, {many} threads", "pair", pairs,
+                lambda: ght_v(surface, visibility, *args, threads=many, out=out),
+            )
+        )  # fmt: skip
+    return cases
+
+
+def gathered(bmap: Float32Array, xy: FloatArray, thetas: FloatArray, cell: float) -> FloatArray:
+    """Alg. 1 in NumPy: for each heading and reading the map under all poses, added up."""
+    height, width = bmap.shape
+    out = np.zeros((len(thetas), height, width))
+    rows, columns = np.indices((height, width))
+    for total, offsets in zip(out, cell_offsets(xy, thetas, cell), strict=True):
+        for dr, dc in offsets:
+            r, c = rows + dr, columns + dc
+            on = (r >= 0) & (r < height) & (c >= 0) & (c < width)
+            total[on] += bmap[r[on], c[on]]  # Alg. 1, l. 5-6
+    return out
+
+
+def added(features: MapFeatures, scan: LaserScan) -> FloatArray:
+    """Alg. 4 in NumPy: where each pair of points votes, all at once, into one stack."""
+    points = scan_points(scan.ranges, scan.angles, scan.valid)
+    s = features.surface.select(np.flatnonzero(features.surface.valid))
+    p = points.select(np.flatnonzero(points.valid))
+    height, width = features.lattice.shape
+    out = np.zeros((PAIR_HEADINGS, height, width))
+    theta = s.alpha[:, None] - p.alpha  # Alg. 4, l. 4
+    c, si = np.cos(theta), np.sin(theta)
+    x = s.xy[:, :1] - (c * p.xy[:, 0] - si * p.xy[:, 1])  # Alg. 4, l. 5
+    y = s.xy[:, 1:] - (si * p.xy[:, 0] + c * p.xy[:, 1])
+    k = np.floor(theta * (PAIR_HEADINGS / (2 * np.pi)) + 0.5).astype(int) % PAIR_HEADINGS
+    col, row = (np.floor(v / features.lattice.resolution).astype(int) for v in (x, y))
+    on = (col >= 0) & (col < width) & (row >= 0) & (row < height)
+    np.add.at(out, (k[on], row[on], col[on]), 1.0)
+    return out
+
+
+SIZES = (125, 250, 500, 1000)
+"""Cells along a side of the map."""
+REACHES = (25, 100, 300)
+"""Cells that the sensor sees."""
+RAYS = (32, 181, 720)
+
+_CELL = 0.1
+_SECONDS = 0.1  # that an engine is timed for in all its repeats, if one takes less
+_MOST = 50  # repeats
+_HOPELESS = 3.0  # times as slow as another: timed twice only
+
+
+def engine_rows(
+    sizes: Sequence[int] = SIZES,
+    reaches: Sequence[int] = REACHES,
+    rays: Sequence[int] = RAYS,
+    *,
+    headings: int = 8,
+    repeats: int = 5,
+) -> tuple[Mapping[str, Any], ...]:
+    """Time CBML's correlation by every engine, for each size of map, reach and number of rays.
+
+    Parameters
+    ----------
+    sizes, reaches, rays : sequences of int
+        Cells, cells, readings.
+    headings : int
+        Of each stack. With few of them the choice, made once a stack, weighs more.
+    repeats : int
+        In turns, at least so many; the least time of an engine counts, on one thread.
+
+    Returns
+    -------
+    tuple of mappings
+        ``size``, ``reach``, ``rays``, ``ms`` of each engine and of ``auto``, the ``best``
+        engine, and ``ratio``: auto's time to the best's.
+
+    Raises
+    ------
+    ConfigError
+        If there is to be no repeat.
+    """
+    rows: list[Mapping[str, Any]] = []
+    thetas = uniform_thetas(2 * np.pi / headings) + 0.1  # none of them along the walls
+    for size in sizes:
+        grid = tiled(size)
+        surface = surface_points(grid.occupied, grid.free, _CELL)
+        image = np.rint(255 * bmap(surface.xy, (size, size), _CELL, _CELL)).astype(np.uint8)
+        out = np.empty((headings, size, size), dtype=np.float32)
+        for reach, n in product(reaches, rays):
+            xy = seen(grid, reach, n)
+            calls = {
+                engine: lambda engine=engine, xy=xy, image=image, out=out: correlate(
+                    image, xy, thetas, _CELL, engine=engine, out=out
+                )
+                for engine in (*ENGINES, "auto")
+            }
+            ms = _least(calls, repeats)
+            best = min(ENGINES, key=ms.__getitem__)
+            about = {"size": size, "reach": reach, "rays": n, "ms": ms, "best": best}
+            rows.append(about | {"ratio": ms["auto"] / ms[best]})
+    return tuple(rows)
+
+
+def engine_summary(rows: Sequence[Mapping[str, Any]]) -> Mapping[str, float]:
+    """Median and worst ratio of the time of ``auto`` to that of the best engine.
+
+    Examples
+    --------
+    >>> engine_summary([{"ratio": 1.0}, {"ratio": 1.4}, {"ratio": 1.1}])
+    {'median': 1.1, 'worst': 1.4, 'within 20 %': 0.6666666666666666}
+    """
+    ratio = np.array([row["ratio"] for row in rows])
+    return {
+        "median": float(np.median(ratio)),
+        "worst": float(ratio.max()),
+        "within 20 %": float((ratio <= 1.2).mean()),
+    }
+
+
+def tiled(size: int) -> OccupancyGrid:
+    """The world ``large``, repeated or cut to `size` cells a side."""
+    one = render(WORLDS["large"](), _CELL)
+    height, width = one.occupied.shape
+    times = (-(-size // height), -(-size // width))
+    occupied, free = (np.tile(v, times)[:size, :size] for v in (one.occupied, one.free))
+    return OccupancyGrid(occupied, free, _CELL)
+
+
+def seen(grid: OccupancyGrid, reach: int, rays: int) -> FloatArray:
+    """Points (rays, 2) that a sensor around the middle of a map sees, metres.
+
+    A ray that meets no wall within `reach` cells ends there, so that there are as many points as
+    rays and as long ones as said.
+    """
+    height, width = grid.occupied.shape
+    row, column = np.nonzero(grid.free)
+    at = int(np.hypot(row - height / 2, column - width / 2).argmin())
+    start = (np.array([column[at], row[at]]) + 0.5) * _CELL
+    angles = np.linspace(-np.pi, np.pi, rays, endpoint=False)
+    length = reach * _CELL
+    ranges = cast_rays(distance_image(grid.occupied), start, angles, length, _CELL)
+    ranges = np.minimum(ranges, length)
+    return np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles)))
+
+
+def _least(calls: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Least milliseconds of processor time of each call, taken in turns."""
+
+    def least(names: Iterable[str], turns: int) -> dict[str, float]:
+        cases = [(name, "call", 1.0, calls[name]) for name in names]
+        return {t.name: min(t.seconds) for t in in_turns(cases, turns, time.process_time)}
+
+    seconds = least(calls, min(2, repeats))
+    fastest = min(seconds.values())
+    near = [name for name, value in seconds.items() if value <= _HOPELESS * fastest]
+    turns = max(repeats, min(_MOST, int(_SECONDS / fastest)))
+    seconds |= least(near, turns)
+    return {name: 1e3 * value for name, value in seconds.items()}

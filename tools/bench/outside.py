@@ -1,0 +1,196 @@
+"""What the benchmark measures outside its own process: floors in C, growth, memory."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from imgloc.errors import ImglocError
+from imgloc.io.maps import save_map
+from imgloc.io.scans import save_scans
+from imgloc.io.scanset import ScanSet
+from imgloc.model import OccupancyGrid
+from tools.bench.measure import HEADINGS, PAIR_HEADINGS
+
+
+def floors(problem: Path) -> Mapping[str, float | str]:
+    """What hand-written C takes, ns per unit of work, on one thread; or why it is not known.
+
+    Parameters
+    ----------
+    problem : Path
+        Folder with ``floor/cbml.c``, ``floor/ght.c``, ``mapA.pgm`` and ``scans_10m.txt``.
+    """
+    compiler = shutil.which("cc")
+    out: dict[str, float | str] = {}
+    for name, arguments, pattern in (
+        ("cbml", ("0.1", "0.1", str(HEADINGS), "0", "10", "1"), r"([\d.]+) ns per pose"),
+        ("ght", ("0.1", str(PAIR_HEADINGS), "2", "10"), r"([\d.]+) ns/pair"),
+        ("ght-v", ("0.1", str(PAIR_HEADINGS), "12", "10"), r"([\d.]+) ns/pair"),
+    ):
+        source = problem / "floor" / f"{name.removesuffix('-v')}.c"
+        if compiler is None or not source.exists():
+            out[name] = "no C compiler" if compiler is None else f"no {source.name}"
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            program = Path(folder) / name
+            flags = ["-O3", "-march=native", "-ffast-math", "-w"]
+            build = [compiler, *flags, str(source), "-o", str(program), "-lm", "-lpthread"]
+            built = subprocess.run(build, check=False, capture_output=True, text=True)  # noqa: S603
+            if built.returncode:
+                out[name] = f"not compiled: {_last_line(built.stderr)}"
+                continue
+            command = [str(program), str(problem / "mapA.pgm"), str(problem / "scans_10m.txt")]
+            done = subprocess.run(  # noqa: S603
+                [*command, *arguments], check=False, capture_output=True, text=True
+            )
+        found = re.search(pattern, done.stdout)
+        if found:
+            out[name] = float(found[1])
+        elif done.returncode:
+            out[name] = f"ended with {done.returncode}: {_last_line(done.stderr)}"
+        else:
+            out[name] = f"not understood: {done.stdout[:80]!r}"
+    return out
+
+
+def _last_line(text: str) -> str:
+    return (text.strip().splitlines() or ["it did not say why"])[-1]
+
+
+def growth(world: str, times: Sequence[int], repeats: int) -> tuple[Mapping[str, float], ...]:
+    """Time and memory of `localize` on a world tiled 1, 4, 16 ... times, each in a fresh process.
+
+    Parameters
+    ----------
+    world : str
+        Of :data:`imgloc.worlds.WORLDS`.
+    times : sequence of int
+        Tiles along each side.
+    repeats : int
+        Answers, of which the median counts.
+
+    Returns
+    -------
+    tuple of mappings
+        ``area`` in m², ``ms`` of an answer, ``prepare_s``, ``rss_mib`` at the peak, NaN where the
+        system does not tell.
+
+    Raises
+    ------
+    ImglocError
+        If a process fails.
+    """
+    rows = []
+    for side in times:
+        command = [sys.executable, "-c", _GROW, world, str(side), str(repeats)]
+        rows.append(_measured(command, f"localize on {world}, {side} x {side} times"))
+    return tuple(rows)
+
+
+def memory(
+    grid: OccupancyGrid, scans: ScanSet, sides: Sequence[int]
+) -> tuple[Mapping[str, float], ...]:
+    """Peak of the command ``imgloc localize``, from file to answer, on maps of some sizes.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        The map is this one, repeated and cut.
+    scans : ScanSet
+        The first one is looked for.
+    sides : sequence of int
+        Cells along a side of the maps.
+
+    Returns
+    -------
+    tuple of mappings
+        ``side``, ``cell`` in metres, ``rss_mib`` at the peak and ``seconds`` of the whole command,
+        which keeps no cache and may take any amount of memory.
+
+    Raises
+    ------
+    ImglocError
+        If the command fails.
+    """
+    rows: list[Mapping[str, float]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        scan, yaml = Path(folder) / "scan.npz", Path(folder) / "map.yaml"
+        save_scans(scan, ScanSet(scans.scans[:1]))
+        for side in sides:
+            times = [-(-side // n) for n in grid.occupied.shape]
+            occupied, free = (np.tile(v, times)[:side, :side] for v in (grid.occupied, grid.free))
+            large = OccupancyGrid(occupied.copy(), free.copy(), grid.resolution)
+            save_map(yaml, large, force=True)
+            given = ["localize", str(yaml), str(scan), "--no-cache", "--memory-budget", "64G"]
+            command = [sys.executable, "-c", _PEAK + _COMMAND, *given]
+            found = _measured(command, f"imgloc {' '.join(given)}")
+            rows.append({"side": side, "cell": grid.resolution, **found})
+    return tuple(rows)
+
+
+def _measured(command: Sequence[str], what: str) -> Mapping[str, float]:
+    """What a Python process prints last, as JSON."""
+    done = subprocess.run(command, check=False, capture_output=True, text=True)  # noqa: S603
+    if done.returncode:
+        raise ImglocError(f"{what} ended with {done.returncode}: {_last_line(done.stderr)}")
+    found: Mapping[str, float] = json.loads(_last_line(done.stdout))
+    return found
+
+
+# ru_maxrss begins with what the parent had, macOS gives it in bytes, Windows has none.
+_PEAK = """
+import json, re, sys, time
+from pathlib import Path
+def peak():
+    status = Path("/proc/self/status")
+    if status.exists():
+        return int(re.search(r"VmHWM:\\s+(\\d+)", status.read_text())[1]) / 1024
+    try:
+        import resource
+    except ImportError:
+        return float("nan")
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most / (1024 * 1024 if sys.platform == "darwin" else 1024)
+"""
+_COMMAND = """
+import atexit
+start = time.perf_counter()
+def tell():
+    print(json.dumps({"rss_mib": peak(), "seconds": time.perf_counter() - start}))
+atexit.register(tell)
+from imgloc.cli import main
+main()
+"""
+_GROW = (
+    _PEAK
+    + """
+import numpy as np
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
+from imgloc.model import OccupancyGrid
+from imgloc.pipeline import localize, prepare
+world, side, repeats = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+one = render(WORLDS[world](), 0.1)
+scans = simulate_set(one, repeats + 1, 0, Sensor(range_max=10.0))
+grid = OccupancyGrid(np.tile(one.occupied, (side, side)), np.tile(one.free, (side, side)), 0.1)
+features = prepare(grid)
+start = time.perf_counter()
+localize(features, scans.scans[0])
+first = time.perf_counter() - start
+seconds = []
+for scan in scans.scans[1:]:
+    start = time.perf_counter()
+    localize(features, scan)
+    seconds.append(time.perf_counter() - start)
+area = grid.occupied.size * 0.01
+print(json.dumps({"area": area, "ms": 1e3 * float(np.median(seconds)),
+                  "prepare_s": first - float(np.median(seconds)), "rss_mib": peak()}))
+"""
+)

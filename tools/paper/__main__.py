@@ -1,0 +1,230 @@
+"""Run the paper's experiment again: its table, Figs. 1, 2, 4 and 5, and its appendix.
+
+Writes results.json, the figures as PNG and one self-contained report.html into a folder:
+
+    python -m tools.paper --out paper            # 100 trials in each world
+    python -m tools.paper --out paper --quick    # a few, in under a minute
+
+Everything but times is the same for the same -n and --seed, whatever the threads. The exit
+code is 1 if the order of the methods or a counted exponent is not the paper's.
+"""
+
+import argparse
+import os
+import platform
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from imgloc import __version__
+from imgloc.cli.answers import to_json
+from imgloc.cli.console import progress
+from imgloc.errors import ConfigError, ImglocError, OutputError
+from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
+from imgloc.io.images import encode_png
+from tools.paper.claims import Claim, claims, growth_claims, time_claims
+from tools.paper.complexity import AXES, TIMES, Complexity, draw, measure
+from tools.paper.figures import SETTINGS, figure
+from tools.paper.page import render_report
+from tools.paper.table import PAIRS, PLACES, STEPS_DEG, Ratio, TableRow, measure_ratios, table
+
+FILES = ("results.json", "report.html", *(f"{name}.png" for name in (*SETTINGS, "complexity")))
+QUICK = 3
+"""Trials in each world of the quick form."""
+TIMED, TIMED_QUICK = (8, 3), (2, 1)
+"""Scans of each world whose run times are compared, and repeats."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse the command line, run, write the files; return the exit code."""
+    parser = argparse.ArgumentParser(
+        "tools.paper", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--out", type=Path, required=True, help="folder, made if need be")
+    parser.add_argument("--quick", action="store_true", help=f"{QUICK} trials, time nothing twice")
+    parser.add_argument("-n", type=int, help="trials in each world (default: 100)")
+    parser.add_argument(
+        "--worlds", nargs="+", choices=tuple(PLACES), default=tuple(PLACES), metavar="WORLD",
+        help="of the table (default: visibility large curved)",
+    )  # fmt: skip
+    parser.add_argument("--seed", type=int, default=0, help="of everything random (default: 0)")
+    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--force", action="store_true", help="overwrite files in --out")
+    given = parser.parse_args(arguments)
+    try:
+        return run(given)
+    except ImglocError as error:
+        print(f"paper: error: {error}", file=sys.stderr)
+        return error.exit_code
+
+
+def run(given: argparse.Namespace) -> int:
+    """Do what the command line asks for."""
+    n = given.n if given.n is not None else QUICK if given.quick else 100
+    if n < 2 or given.seed < 0 or given.threads < 1:
+        raise ConfigError(
+            f"-n {n}, --seed {given.seed} and --threads {given.threads}: expected at least "
+            "2 trials, a seed of 0 or more, 1 thread or more"
+        )
+    try:
+        given.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{given.out}: cannot be made: {error.strerror}") from None
+    if not given.force:
+        for name in FILES:  # now, not after minutes of work
+            refuse_existing(given.out / name)
+    cv2.setNumThreads(given.threads)
+    worlds = tuple(dict.fromkeys(given.worlds))
+    total = steps(n, worlds, quick=given.quick)
+    with progress("the paper's experiment", total, lines=False) as advance:
+        found = reproduce(
+            n, given.seed, worlds=worlds, quick=given.quick, threads=given.threads, advance=advance
+        )
+    results = as_dict(found)
+    for name, png in found.pictures.items():
+        write_bytes_atomic(given.out / f"{name}.png", png, force=given.force)
+    write_text_atomic(given.out / "results.json", to_json(results) + "\n", force=given.force)
+    page = render_report(results, found.pictures)  # last, when all the rest is there
+    write_text_atomic(given.out / "report.html", page, force=given.force)
+    for row in found.rows:
+        paper = "" if row.paper is None else f", the paper's {row.paper:.2f}"
+        print(f"{row.world} {row.method}: S {row.index.value:.2f}{paper}")
+    for claim in (*found.claims, *found.time_claims):
+        print(f"{'holds' if claim.holds else 'FAILS'}: {claim.text} ({claim.found})")
+    print(given.out / "report.html")
+    return 0 if found.holds else 1
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """What was measured and drawn.
+
+    Parameters
+    ----------
+    n, seed : int
+    rows : tuple of TableRow
+    ratios : tuple of Ratio
+    claims, time_claims : tuple of Claim
+        Those about the index, the maxima and counted work; and those about times, which are
+        this machine's.
+    complexity : Complexity
+    pictures : mapping of str to bytes
+        PNG files by name.
+    """
+
+    n: int
+    seed: int
+    rows: tuple[TableRow, ...]
+    ratios: tuple[Ratio, ...]
+    claims: tuple[Claim, ...]
+    time_claims: tuple[Claim, ...]
+    complexity: Complexity
+    pictures: Mapping[str, bytes]
+
+    @property
+    def holds(self) -> bool:
+        """Whether all that is firm in what the paper says is so here; times apart."""
+        return all(claim.holds for claim in self.claims if claim.firm)
+
+
+def steps(n: int, worlds: Sequence[str] = tuple(PLACES), *, quick: bool = False) -> int:
+    """How often `advance` is called by :func:`reproduce`."""
+    stacks = sum(len(setting.steps) for setting in SETTINGS.values())
+    timed, _ = TIMED_QUICK if quick else TIMED
+    in_turns = (n * len(STEPS_DEG) + min(timed, n) * len(PAIRS)) * len(worlds)
+    return in_turns + stacks + sum(map(len, AXES.values()))
+
+
+def reproduce(
+    n: int = 100,
+    seed: int = 0,
+    *,
+    worlds: Sequence[str] = tuple(PLACES),
+    quick: bool = False,
+    threads: int = 1,
+    advance: Callable[[], None] = lambda: None,
+) -> Reproduction:
+    """Run the experiment of Sec. VI, draw Figs. 1, 2, 4 and 5, measure the appendix.
+
+    Parameters
+    ----------
+    n : int
+        Trials in each world.
+    seed : int
+        Of everything random.
+    worlds : sequence of str
+        Of the table and the run times; some of :data:`~tools.paper.table.PLACES`.
+    quick : bool
+        Only count the work of the appendix, time little.
+    threads : int
+        No number but the times depends on it.
+    advance : callable
+        Called :func:`steps` times.
+
+    Raises
+    ------
+    ConfigError
+        If `n` is less than 1, or there is no such world.
+    """
+    rows = table(n, seed, worlds=worlds, threads=threads, advance=advance)
+    timed, repeats = TIMED_QUICK if quick else TIMED
+    ratios = measure_ratios(min(timed, n), repeats, seed, trials=n, worlds=worlds, advance=advance)
+    pictures = {name: encode_png(figure(name, threads, advance)) for name in SETTINGS}
+    grown = measure(repeats=0 if quick else 3, seed=seed, progress=lambda _: advance())
+    with suppress(ConfigError):  # without matplotlib the table of exponents says it all
+        pictures["complexity"] = encode_png(draw(grown))
+    said = claims(rows) + growth_claims(grown)
+    return Reproduction(n, seed, rows, ratios, said, time_claims(ratios), grown, pictures)
+
+
+def as_dict(reproduction: Reproduction) -> dict[str, Any]:
+    """Everything but the pictures as plain values, for ``results.json`` and the report.
+
+    Two runs differ only in what is under ``cost``.
+    """
+    grown = reproduction.complexity
+    samples, fits = [asdict(s) for s in grown.samples], [asdict(f) for f in grown.fits]
+    keys = ("method", "axis", "value")
+    return {
+        "paper": "A. Censi, A comparison of algorithms for likelihood approximation in "
+        "Bayesian localization",
+        "version": __version__,
+        "libraries": {
+            "python": platform.python_version(), "numpy": np.__version__, "opencv": cv2.__version__,
+        },
+        "n": reproduction.n,
+        "seed": reproduction.seed,
+        "holds": reproduction.holds,
+        "claims": [asdict(claim) for claim in reproduction.claims],
+        "table": [_row(row) for row in reproduction.rows],
+        "complexity": {
+            "world": grown.world,
+            "samples": [{k: v for k, v in s.items() if k not in TIMES} for s in samples],
+            "fits": [f for f in fits if f["quantity"] not in TIMES],
+        },
+        "cost": {
+            "claims": [asdict(claim) for claim in reproduction.time_claims],
+            "ratios": [asdict(ratio) for ratio in reproduction.ratios],
+            "complexity": {
+                "samples": [{k: s[k] for k in (*keys, *TIMES)} for s in samples],
+                "fits": [f for f in fits if f["quantity"] in TIMES],
+            },
+        },
+    }  # fmt: skip
+
+
+def _row(row: TableRow) -> dict[str, Any]:
+    out = asdict(row)
+    del out["ms"]
+    out["cost"] = {"ms": row.median_ms}
+    return {"place": PLACES[row.world], **out, "interval": list(row.interval)}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,261 @@
+"""Figs. 1, 2, 4 and 5: a world, a pose in it, a scan, each method's stack, and their panels."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+import cv2
+import numpy as np
+
+from imgloc.draw import draw_field, draw_likelihood, draw_map, draw_surface, mosaic
+from imgloc.draw.canvas import PAPER, Canvas, Picture
+from imgloc.draw.maps import marker_size
+from imgloc.draw.scalars import draw_bmap
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.scanpoints import scan_points
+from imgloc.geometry import compose, transform_points, uniform_thetas
+from imgloc.model import (
+    FloatArray,
+    GridInfo,
+    LaserScan,
+    Likelihood,
+    OccupancyGrid,
+    OrientedPoints,
+    Pose2D,
+)
+from imgloc.simulate import simulate
+from imgloc.worlds import NICHES, WORLDS, render
+from tools.paper.table import CELL, stack_of
+
+ANGLES = np.deg2rad(np.arange(-90, 91))
+"""Of the sensor of Sec. VI: 181 rays over 180 degrees."""
+WINDOW_FIG_4 = (21.0, 20.0, 27.0, 26.0)
+"""The part of the map that Fig. 4 shows: least x and y, greatest x and y, metres."""
+_REACH = 60.0  # metres; farther than any wall
+_TRUTH = (60, 20, 220)
+_MAXIMUM = (178, 114, 0)
+_FRAME = (205, 199, 193)
+_APART = 0.3  # metres from the true pose at which a maximum is marked
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Where a figure's scan is taken, and which stacks are computed.
+
+    Parameters
+    ----------
+    world : str
+    truth : Pose2D
+        Grid frame.
+    steps : tuple of (str, float)
+        Methods with the step of their headings in degrees; in the order of the panels.
+    angles : (N,) float array
+        Of the rays.
+    sigma : float
+        Of the kernel that blurs the map, metres.
+    seed : int
+        Of the noise.
+    """
+
+    world: str
+    truth: Pose2D
+    steps: tuple[tuple[str, float], ...]
+    angles: FloatArray
+    sigma: float = 0.05
+    seed: int = 1
+
+
+_FINE = (("cbml", 6.0), ("cbml-o", 6.0), ("ght", 12.0), ("ght-v", 12.0))
+_WIDE = (("cbml", 30.0), ("cbml-o", 30.0), ("ght", 30.0), ("ght-v", 30.0))
+_INSIDE = Pose2D(1.65, 0.05, float(np.deg2rad(198)))  # of a niche
+# All headings but the true one are left out of Fig. 4: it is about a false maximum beside it.
+_ONE = (("cbml", 360.0), ("cbml-o", 360.0))
+SETTINGS: Mapping[str, Setting] = MappingProxyType(
+    {
+        "fig1": Setting("double_wall", compose(Pose2D(*NICHES[0]), _INSIDE), _FINE, ANGLES),
+        "fig2": Setting("visibility", Pose2D(4.35, 6.55, np.pi / 2), _FINE, ANGLES, seed=2),
+        "fig4": Setting("large", Pose2D(22.05, 25.05, 0.0), _ONE, ANGLES[45:-45], 0.25, seed=3),
+        "fig5": Setting(
+            "large",
+            Pose2D(12.0, 20.0, float(np.deg2rad(15))),
+            (*_WIDE, ("cbml", 3.0), ("cbml-o", 3.0)),
+            ANGLES,
+            seed=4,
+        ),
+    }
+)
+"""The settings of the figures; that they show what the paper says is tested."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A setting, computed: the scan's points in the sensor's frame, stacks with captions."""
+
+    truth: Pose2D
+    features: MapFeatures
+    points: OrientedPoints
+    stacks: tuple[tuple[str, Likelihood], ...]
+
+
+def scene(name: str, *, threads: int = 1, advance: Callable[[], None] = lambda: None) -> Scene:
+    """Compute what a figure of :data:`SETTINGS` shows; `advance` is called after each stack."""
+    setting = SETTINGS[name]
+    truth, world = setting.truth, WORLDS[setting.world]()
+    features = MapFeatures(
+        render(world, CELL), cell=CELL, sigma=setting.sigma, horizon=_REACH, threads=threads
+    )
+    ranges = simulate(
+        render(world, 0.01), [(truth.x, truth.y, truth.theta)], setting.angles,
+        seed=setting.seed, range_max=_REACH,
+    )[0]  # fmt: skip
+    scan = LaserScan(ranges, setting.angles, range_max=_REACH)
+    stacks = []
+    for method, step in setting.steps:
+        thetas = uniform_thetas(np.deg2rad(step))
+        values = stack_of(method, features, scan, thetas, threads)
+        heading = f"{step:g} deg" if step < 360 else "true heading"
+        stacks.append(
+            (f"{method.upper()}, {heading}", Likelihood(values, thetas, features.lattice, method))
+        )
+        advance()
+    points = scan_points(scan.ranges, scan.angles, scan.valid)
+    return Scene(truth, features, points, tuple(stacks))
+
+
+def figure(name: str, threads: int = 1, advance: Callable[[], None] = lambda: None) -> Picture:
+    """Compute and draw a figure of :data:`SETTINGS`, (H, W, 3) BGR."""
+    s = scene(name, threads=threads, advance=advance)
+    if name == "fig4":
+        return draw_fields(s, window=WINDOW_FIG_4)
+    return draw_comparison(
+        s.features.grid, s.truth, s.points, s.stacks, scale=1 if name == "fig5" else 3
+    )
+
+
+def draw_comparison(
+    grid: OccupancyGrid,
+    truth: Pose2D,
+    points: OrientedPoints,
+    stacks: Sequence[tuple[str, Likelihood]],
+    *,
+    scale: int,
+) -> Picture:
+    """Draw the map and each method's likelihood, as Figs. 1, 2 and 5 have it.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+    truth : Pose2D
+        Grid frame; a red ring in every panel. A blue cross is a maximum that is elsewhere.
+    points : OrientedPoints
+        Of the scan, sensor frame.
+    stacks : sequence of (str, Likelihood)
+        Captions and stacks. The scan stands between the second and the third.
+    scale : int
+        Pixels per cell.
+    """
+    panels = [("Map, true pose", ring(draw_map(grid, scale=scale), grid.info, truth))]
+    panels += [(caption, _likelihood(stack, grid, truth, scale)) for caption, stack in stacks]
+    panels.insert(3, ("Scan with its normals", draw_scan(grid, truth, points, scale=scale)))
+    return mosaic(lettered(panels), columns=3)
+
+
+def draw_fields(s: Scene, *, window: tuple[float, float, float, float], scale: int = 9) -> Picture:
+    """Draw what CBML and CBML-O make of a part of a map, Fig. 4, and what comes of it near a pose.
+
+    Parameters
+    ----------
+    s : Scene
+    window : (float, float, float, float)
+        As :data:`WINDOW_FIG_4`.
+    scale : int
+        Pixels per cell.
+    """
+    grid, cell = s.features.grid, s.features.grid.resolution
+    x0, y0, x1, y1 = (round(v / cell) for v in window)
+    part = np.s_[y0:y1, x0:x1]
+    info = replace(grid.info, height=y1 - y0, width=x1 - x0)
+    shift = np.array((x0, y0)) * cell
+    local = s.features.surface.xy - shift
+    seen = np.all((local >= 0) & (local <= np.array((x1 - x0, y1 - y0)) * cell), axis=1)
+    near = s.features.surface.select(seen)
+    near = OrientedPoints(near.xy - shift, near.alpha, near.sigma_alpha, near.valid)
+    here = Pose2D(s.truth.x - float(shift[0]), s.truth.y - float(shift[1]), s.truth.theta)
+    cut = OccupancyGrid(grid.occupied[part], grid.free[part], cell)
+    panels = [
+        ("Map: surface points, true pose", ring(draw_surface(cut, near, scale=scale), info, here)),
+        ("bmap", draw_bmap(s.features.bmap[part], info, scale=scale)),
+        ("Vector field", draw_field(s.features.vmap[:, *part], cell, scale=scale)),
+    ]
+    for caption, stack in s.stacks:
+        shown = Likelihood(stack.values[:, *part], stack.thetas, info, stack.method)
+        panels.append((caption, _likelihood(shown, cut, here, scale)))
+    panels.insert(3, ("Scan with its normals", draw_scan(cut, here, s.points, scale=scale)))
+    return mosaic(lettered(panels), columns=3)
+
+
+def draw_scan(
+    grid: OccupancyGrid, truth: Pose2D, points: OrientedPoints, *, scale: int | None = None
+) -> Picture:
+    """Draw a scan (sensor frame) with its normals at its true pose (grid frame), on a pale map."""
+    there = OrientedPoints(
+        transform_points(truth, points.xy), points.alpha + truth.theta, points.sigma_alpha,
+        points.valid,
+    )  # fmt: skip
+    # Walls are drawn as what is unknown, pale: the scan is what is to be seen.
+    sheet = OccupancyGrid(np.zeros_like(grid.occupied), ~grid.occupied, grid.resolution)
+    return ring(draw_surface(sheet, there, scale=scale), grid.info, truth)
+
+
+def _likelihood(stack: Likelihood, grid: OccupancyGrid, truth: Pose2D, scale: int) -> Picture:
+    """One method's panel: its likelihood, the true pose, the maximum if it is elsewhere."""
+    best = np.where(grid.free, stack.values.max(axis=0), -np.inf)
+    row, column = np.unravel_index(int(best.argmax()), best.shape)
+    at = np.array((column + 0.5, row + 0.5)) * stack.grid.resolution
+    panel = ring(draw_likelihood(stack, grid=grid, scale=scale), stack.grid, truth)
+    elsewhere = np.hypot(*(at - (truth.x, truth.y))) > _APART
+    return cross(panel, stack.grid, at) if elsewhere else panel
+
+
+def ring(image: Picture, info: GridInfo, pose: Pose2D) -> Picture:
+    """Mark a pose (grid frame) of a lattice by a ring and a line along theta; returns `image`.
+
+    It leaves visible what is in it.
+    """
+    canvas = Canvas(image, image.shape[1] / (info.width * info.resolution))
+    radius = 1.6 * marker_size(canvas) / canvas.px_per_m
+    turn = np.linspace(0, 2 * np.pi, 49)
+    circle = np.array((pose.x, pose.y)) + radius * np.column_stack((np.cos(turn), np.sin(turn)))
+    ahead = np.array((np.cos(pose.theta), np.sin(pose.theta))) * radius
+    nose = np.array((pose.x, pose.y)) + np.stack((ahead, 2.2 * ahead))
+    for colour, thickness in ((PAPER, 5), (_TRUTH, 2)):
+        canvas.lines(circle[None], colour, thickness)
+        canvas.lines(nose[None], colour, thickness)
+    return image
+
+
+def cross(image: Picture, info: GridInfo, xy: FloatArray) -> Picture:
+    """Mark a position (2,), metres in the grid frame, by an oblique cross; returns `image`."""
+    canvas = Canvas(image, image.shape[1] / (info.width * info.resolution))
+    arm = 0.8 * marker_size(canvas) / canvas.px_per_m
+    strokes = np.stack([xy + np.outer((-arm, arm), turn) for turn in ((1, 1), (1, -1))])
+    for colour, thickness in ((PAPER, 5), (_MAXIMUM, 2)):
+        canvas.lines(strokes, colour, thickness)
+    return image
+
+
+def lettered(panels: Sequence[tuple[str, Picture]]) -> list[tuple[str, Picture]]:
+    """Put (a), (b), ... before the captions, and a thin frame on each panel.
+
+    Examples
+    --------
+    >>> one = np.zeros((1, 1, 3), np.uint8)
+    >>> [caption for caption, _ in lettered([("map", one), ("CBML", one)])]
+    ['(a) map', '(b) CBML']
+    """
+    out = []
+    for letter, (caption, picture) in zip("abcdefghijkl", panels, strict=False):
+        framed, (height, width) = picture.copy(), picture.shape[:2]
+        cv2.rectangle(framed, (0, 0), (width - 1, height - 1), _FRAME, 1)
+        out.append((f"({letter}) {caption}", framed))
+    return out

@@ -1,0 +1,51 @@
+"""Scans that were recorded in a map, with the true pose of each."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from imgloc.errors import ConfigError
+from imgloc.io.files import display
+from imgloc.io.scans import load_scans
+from imgloc.io.scanset import ScanSet
+from imgloc.simulate import sample_set
+
+
+def scans_beside(path: Path, n: int, seed: int, range_max: float) -> ScanSet:
+    """Pick scans of the file ``scans.npz`` beside a map, as a shorter reach would have them.
+
+    Parameters
+    ----------
+    path : Path
+        Of the map.
+    n : int
+        How many; all if there are fewer.
+    seed : int
+        Of :func:`~imgloc.simulate.sample_set`.
+    range_max : float
+        Metres.
+
+    Raises
+    ------
+    ScanError
+        If there is no such file, it is no set of scans, or they have no poses.
+    ConfigError
+        If `n` is less than 1 or the reach not positive.
+    """
+    if n < 1:
+        raise ConfigError(f"n must be at least 1, got {n}")
+    file = path.with_name("scans.npz")
+    return cut_set(sample_set(load_scans(file), n, seed, display(file)), range_max)
+
+
+def cut_set(scans: ScanSet, range_max: float) -> ScanSet:
+    """The scans as a sensor with a shorter reach would have recorded them.
+
+    Raises
+    ------
+    ConfigError
+        If the reach is not positive.
+    """
+    if not range_max > 0:
+        raise ConfigError(f"the reach must be positive, got {range_max:g} m")
+    cut = (replace(s, range_max=min(s.range_max, range_max)) for s in scans.scans)
+    return replace(scans, scans=tuple(cut))

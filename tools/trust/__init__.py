@@ -1,0 +1,1 @@
+"""Can answers be trusted? Masses and verdicts, conditions beside an oracle, names of maps."""

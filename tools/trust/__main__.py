@@ -1,0 +1,217 @@
+"""Can answers be trusted? Each of three measurements says its part.
+
+    python -m tools.trust reliability -n 100                          # scans in each world
+    python -m tools.trust reliability --sets ../data/*/map.yaml       # and recorded ones
+    python -m tools.trust robustness --out robustness.json            # 20 scans in five worlds
+    python -m tools.trust robustness --quick                          # 3 in two
+    python -m tools.trust robustness --sets ../data/*/map.yaml        # recorded scans instead
+    python -m tools.trust which maps ../data --same fr079,fr079_half  # names of maps
+
+`python -m tools.trust NAME --help` says more.
+"""
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import cv2
+
+from imgloc.cli.answers import to_json
+from imgloc.cli.console import progress
+from imgloc.cli.files import check_target
+from imgloc.cli.which import find_maps, names_of
+from imgloc.errors import ConfigError, ImglocError
+from imgloc.io.files import write_bytes_atomic, write_text_atomic
+from imgloc.io.images import encode_png
+from imgloc.io.maps import load_map
+from imgloc.options import Options
+from imgloc.pipeline import prepare
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.worlds import WORLDS, render
+from tools.plots import blank
+from tools.recorded import scans_beside
+from tools.trust.naming import ask_all, naming_shares, scans_of
+from tools.trust.reliability import Judged, draw_reliability, judged, reliability, summary
+from tools.trust.robustness import (
+    CONDITIONS,
+    RobustnessRow,
+    recorded_row,
+    robustness,
+    robustness_table,
+)
+
+QUICK = ("visibility", "curved")
+POINTS, POINTS_RECORDED = 5.0, 2.0  # that localize may lie behind the oracle
+SURE = (0.5, 0.9)
+"""Probabilities that a map needs to be named, for which the shares are given."""
+
+RELIABILITY = """Masses, verdicts and covariances of `imgloc localize` against true poses.
+
+Scans of each world are also asked of the next one, where nothing is right. Prints a JSON object;
+--picture PNG draws the reliability diagram."""
+ROBUSTNESS = """How robust is `imgloc localize`? Success in many conditions, beside the oracle's.
+
+The oracle is the same score, ranked at every pose 0.1 m and 1 degree apart (0.2 m on very large
+maps); the best are refined, and join what localize finds. Prints a Markdown table. Right is within
+0.5 m and 10 degrees; poses within 0.1 nat of the best are equals, and `ties` are the scans that
+have some. Exits with 1 where localize is more than 5 points (2 on recorded scans) behind."""
+WHICH = """How often does `imgloc which` name the right map? Over the maps of some folders.
+
+Scans are those recorded beside a map (scans.npz, with poses), or simulated in it. Each is asked
+of all maps, and again with its own map left out, when `none` or `undecided` are the answers to
+give. Maps of one building, named with --same, count as one. Prints a JSON object."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse the command line, measure, print; return the exit code."""
+    raw = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser("tools.trust", description=__doc__, formatter_class=raw)
+    tools = parser.add_subparsers(dest="tool", required=True)
+    threads = os.cpu_count() or 1
+
+    one = tools.add_parser("reliability", description=RELIABILITY, formatter_class=raw)
+    one.set_defaults(run=run_reliability)
+    one.add_argument("-n", type=int, default=100, help="scans of each world or set")
+    one.add_argument("--seed", type=int, default=7)
+    one.add_argument("--sets", type=Path, nargs="*", default=[], help="maps with scans.npz")
+    one.add_argument("--range-max", type=float, default=20.0, help="of recorded scans, metres")
+    one.add_argument("--picture", type=Path, help="PNG to write")
+    one.add_argument("--force", action="store_true", help="overwrite --picture")
+
+    one = tools.add_parser("robustness", description=ROBUSTNESS, formatter_class=raw)
+    one.set_defaults(run=run_robustness)
+    one.add_argument("--out", type=Path, help="JSON file to write, too")
+    one.add_argument("-n", type=int, help="scans in each world or set (default: 20)")
+    one.add_argument("--seed", type=int, default=100, help="of poses and noise (default: 100)")
+    one.add_argument("--worlds", help="with commas between (default: all five)")
+    one.add_argument("--conditions", help="with commas between (default: all)")
+    one.add_argument("--sets", type=Path, nargs="+", help="maps with a scans.npz beside them")
+    one.add_argument("--range-max", type=float, default=20.0, help="of recorded scans, metres")
+    one.add_argument("--quick", action="store_true", help="-n 3 --worlds visibility,curved")
+    one.add_argument("--threads", type=int, default=threads)
+    one.add_argument("--force", action="store_true", help="overwrite --out")
+
+    one = tools.add_parser("which", description=WHICH, formatter_class=raw)
+    one.set_defaults(run=run_which)
+    one.add_argument("folders", type=Path, nargs="+", help="folders of maps")
+    one.add_argument("-n", type=int, default=200, help="scans, spread over the maps")
+    one.add_argument("--seed", type=int, default=0)
+    one.add_argument("--range-max", type=float, default=20.0, help="metres")
+    one.add_argument("--same", action="append", default=[], help="names of one building")
+
+    given = parser.parse_args(arguments)
+    try:
+        code: int = given.run(given)
+    except ImglocError as error:
+        print(f"{given.tool}: error: {error}", file=sys.stderr)
+        return error.exit_code
+    return code
+
+
+def run_reliability(given: argparse.Namespace) -> int:
+    """Measure, print and draw."""
+    if given.picture is not None:
+        check_target(given.picture, ".png", force=given.force)
+        blank(1, 1)  # if it cannot be drawn, say so now
+    n, cores = given.n, os.cpu_count() or 1
+    if n < 1:
+        raise ConfigError(f"n must be at least 1, got {n}")
+    sets = {path: scans_beside(path, n, given.seed, given.range_max) for path in given.sets}
+    cv2.setNumThreads(cores)
+    options = Options(threads=cores)
+    maps = {name: prepare(render(world(), 0.1)) for name, world in WORLDS.items()}
+    scans = {
+        name: simulate_set(f.grid, n, given.seed, Sensor(), render(WORLDS[name](), 0.01))
+        for name, f in maps.items()
+    }
+    simulated: dict[str, list[Judged]] = {}
+    recorded: dict[str, list[Judged]] = {}
+    away: list[Judged] = []
+    names = list(maps)
+    total = 2 * n * len(maps) + sum(map(len, sets.values()))
+    with progress("trust", total, lines=False) as advance:
+        for k, name in enumerate(names):
+            simulated[name] = list(judged(maps[name], scans[name], options, advance))
+            other = names[(k + 1) % len(names)]
+            away += judged(maps[name], scans[other], options, advance)
+        for path, chosen in sets.items():
+            features = prepare(load_map(path), path.parent.name)
+            recorded[path.parent.name] = list(judged(features, chosen, options, advance))
+    rows, numbers = summary(simulated, recorded, away)
+    print(to_json({"n": n, "seed": given.seed, "range_max": given.range_max} | numbers))
+    if given.picture is not None:
+        told = [a for some in recorded.values() for a in some]
+        groups = {"simulated": rows} | ({"recorded": reliability(told)[0]} if told else {})
+        write_bytes_atomic(given.picture, encode_png(draw_reliability(groups)), force=given.force)
+    return 0
+
+
+def run_robustness(given: argparse.Namespace) -> int:
+    """Measure, print the table; 1 where localize is too far behind the oracle."""
+    if given.n is None:
+        given.n = 3 if given.quick else 20
+    if given.threads < 1:
+        raise ConfigError(f"--threads: got {given.threads}, expected at least 1")
+    cv2.setNumThreads(given.threads)
+    if given.out is not None:
+        check_target(given.out, ".json", force=given.force)
+    about, rows = _recorded(given) if given.sets else _simulated(given)
+    if given.out is not None:
+        results = {"n": given.n, "seed": given.seed, **about, "rows": list(map(asdict, rows))}
+        write_text_atomic(given.out, to_json(results) + "\n", force=given.force)
+    print(robustness_table(rows))
+    most = POINTS_RECORDED if given.sets else POINTS
+    return 0 if all(row.behind <= most for row in rows) else 1
+
+
+def _simulated(given: argparse.Namespace) -> tuple[dict[str, object], tuple[RobustnessRow, ...]]:
+    """A row for each condition, and what was asked."""
+    worlds = QUICK if given.quick else tuple(WORLDS)
+    worlds = worlds if given.worlds is None else tuple(given.worlds.split(","))
+    conditions = tuple(CONDITIONS if given.conditions is None else given.conditions.split(","))
+    with progress("robustness", given.n * len(worlds) * len(conditions), lines=False) as advance:
+        rows = robustness(
+            given.n, given.seed, worlds=worlds, conditions=conditions, threads=given.threads,
+            advance=advance,
+        )  # fmt: skip
+    return {"worlds": worlds}, rows
+
+
+def _recorded(given: argparse.Namespace) -> tuple[dict[str, object], tuple[RobustnessRow, ...]]:
+    """A row for each recorded set, and what was asked."""
+    sets = [scans_beside(path, given.n, given.seed, given.range_max) for path in given.sets]
+    names = [path.parent.name for path in given.sets]
+    rows = []
+    with progress("robustness", sum(map(len, sets)), lines=False) as advance:
+        for name, path, scans in zip(names, given.sets, sets, strict=True):
+            features = prepare(load_map(path), name, threads=given.threads)
+            rows.append(recorded_row(name, features, scans, threads=given.threads, advance=advance))
+    return {"sets": names, "range_max": given.range_max}, tuple(rows)
+
+
+def run_which(given: argparse.Namespace) -> int:
+    """Ask each scan of all maps, and count."""
+    maps = {
+        name: path
+        for folder in given.folders
+        for path, name in zip(find_maps(folder), names_of(find_maps(folder), folder), strict=True)
+    }
+    buildings = {name: group for group in given.same for name in group.split(",")}
+    asked = scans_of(maps, given.n, given.seed, given.range_max)
+    cv2.setNumThreads(cores := os.cpu_count() or 1)
+    with progress("which", len(maps) * len(asked), lines=False) as advance:
+        fits = ask_all(maps, asked, threads=cores, advance=advance)
+    out: dict[str, object] = {"seed": given.seed, "scans": len(asked), "maps": len(maps)}
+    for sure in SURE:
+        shares = naming_shares(asked, fits, sure=sure, buildings=buildings)
+        out[f"named with {sure:g} or more"] = shares
+    print(json.dumps(out, indent=1))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

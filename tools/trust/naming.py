@@ -1,0 +1,103 @@
+"""How often is the right map named? `imgloc which`, asked with scans whose map is known."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from imgloc.errors import ConfigError
+from imgloc.evaluate import share
+from imgloc.io.maps import load_map
+from imgloc.model import LaserScan, Localization
+from imgloc.options import Options
+from imgloc.pipeline import prepare
+from imgloc.simulate import Sensor, simulate_set
+from imgloc.which import choose, fit
+from tools.recorded import scans_beside
+
+Asked = tuple[str, LaserScan]
+"""The name of a map, and a scan taken in it."""
+
+
+def scans_of(
+    maps: Mapping[str, Path], n: int, seed: int, range_max: float = 20.0
+) -> tuple[Asked, ...]:
+    """Scans taken in the maps, at least `n` in all, unless fewer have been recorded.
+
+    Those recorded beside a map (scans.npz, with poses), if there are any; else simulated ones.
+
+    Parameters
+    ----------
+    maps : mapping of str to path
+    n, seed : int
+    range_max : float
+        Metres.
+
+    Raises
+    ------
+    ConfigError
+        If `n` is less than 1, or there is no map.
+    """
+    if n < 1:
+        raise ConfigError(f"n must be at least 1, got {n}")
+    if not maps:
+        raise ConfigError("there is no map to take scans in")
+    each = -(-n // len(maps))
+    asked: list[Asked] = []
+    for name, path in maps.items():
+        if path.with_name("scans.npz").exists():
+            found = scans_beside(path, each, seed, range_max)
+        else:
+            found = simulate_set(load_map(path), each, seed, Sensor(range_max=range_max))
+        asked += [(name, scan) for scan in found.scans]
+    return tuple(asked)
+
+
+def ask_all(
+    maps: Mapping[str, Path],
+    asked: Sequence[Asked],
+    *,
+    threads: int,
+    advance: Callable[[], object] = lambda: None,
+) -> tuple[dict[str, Localization], ...]:
+    """How well each scan fits each map, by its name."""
+    fits: tuple[dict[str, Localization], ...] = tuple({} for _ in asked)
+    for name, path in maps.items():
+        features = prepare(load_map(path), threads=threads)
+        for (_, scan), found in zip(asked, fits, strict=True):
+            found[name] = fit(features, scan, Options(top=20, threads=threads))
+            advance()
+    return fits
+
+
+def naming_shares(
+    asked: Sequence[Asked],
+    fits: Sequence[Mapping[str, Localization]],
+    *,
+    sure: float,
+    buildings: Mapping[str, str],
+) -> dict[str, Any]:
+    """Shares of the scans whose map is named, whose is not but another, and of silence.
+
+    Parameters
+    ----------
+    asked, fits
+        Of :func:`scans_of` and :func:`ask_all`.
+    sure : float
+        Probability that a map needs to be named.
+    buildings : mapping of str to str
+        Names of maps that count as one: those of equal value.
+    """
+    right, wrong, silent = [], [], []
+    for (name, _), found in zip(asked, fits, strict=True):
+        home = {m for m in found if buildings.get(m, m) == buildings.get(name, name)}
+        verdict = choose(found, sure=sure).verdict
+        away = {m: f for m, f in found.items() if m not in home}
+        right.append(verdict in home)
+        wrong.append(verdict in away)
+        silent.append(not away or choose(away, sure=sure).verdict not in away)
+    return {
+        "right": vars(share(right)),
+        "wrong": vars(share(wrong)),
+        "silent without its map": vars(share(silent)),
+        "not right": [k for k, yes in enumerate(right) if not yes],
+    }
