@@ -14,7 +14,8 @@ from imgloc.errors import ConfigError
 from imgloc.features.pyramid import Level
 from imgloc.geometry import compose
 from imgloc.io.maps import save_map
-from imgloc.io.scans import ScanSet, save_scans
+from imgloc.io.scans import save_scans
+from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import FusedOptions, Options
 from imgloc.pipeline import Modes, localize, prepare

@@ -7,7 +7,7 @@ from imgloc.cli.budgets import check_image, check_scans
 from imgloc.cli.console import quiet_libraries
 
 if TYPE_CHECKING:
-    from imgloc.io.scans import ScanSet
+    from imgloc.io.scanset import ScanSet
     from imgloc.model import OccupancyGrid
 
 

@@ -31,7 +31,7 @@ from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from imgloc.io.scans import ScanSet
+    from imgloc.io.scanset import ScanSet
     from imgloc.model import Pose2D
     from imgloc.options import Options
 
