@@ -208,9 +208,7 @@ def cbml_o(
     vectors = unit_vectors(directions)[direction].transpose(0, 2, 1)  # Alg. 3, l. 4
     finish = finishing(1.0, wanted)
     if engine == "dft":
-        spectral_stack(
-            field, offsets, vectors, threads, view, half_turn=-1, exact=False, finish=finish
-        )
+        spectral_stack(field, offsets, vectors, threads, view, exact=False, finish=finish)
     else:
         filter2d_stack(field, offsets, vectors, threads, view, exact=False, finish=finish)
     return out

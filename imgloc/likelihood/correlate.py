@@ -158,9 +158,7 @@ def correlate(
         return out
     field = image[None]
     if engine == "dft":
-        spectral_stack(
-            field, offsets, weights, threads, view, half_turn=1, exact=integers, finish=finish
-        )
+        spectral_stack(field, offsets, weights, threads, view, exact=integers, finish=finish)
     else:
         filter2d_stack(field, offsets, weights, threads, view, exact=integers, finish=finish)
     return out
@@ -258,9 +256,10 @@ def choose_engine(
         shift = _shift_seconds(offsets, shape, tiles, itemsize, which)
     plane = float((height + rows) * (width + columns))
     # One transform back, half a transform forth (two headings share it) and a product.
-    dft = DFT_SECONDS_PER_STEP * plane * np.log2(plane + 1) * (1.2 + 0.8 * components)
+    dft = DFT_SECONDS_PER_STEP * plane * np.log2(plane + 1) * (1.6 + 0.4 * components)
     single, double = (
-        dft * size / 4 * (DFT_BEYOND_CACHE if plane * size > DFT_CACHE else 1) for size in (4, 8)
+        dft * size / 4 * (DFT_BEYOND_CACHE if components * plane * size > DFT_CACHE else 1)
+        for size in (4, 8)
     )
     return "shift" if shift < single or (shift < double and doubtful()) else "dft"
 
