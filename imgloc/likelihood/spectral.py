@@ -53,10 +53,7 @@ class Spectrum:
         return [np.zeros(self.shape, dtype=self.dtype) for _ in range(2)]
 
     def transform(
-        self,
-        offsets: IntArray,
-        weights: Float32Array,
-        scratch: list[npt.NDArray[np.floating]],
+        self, offsets: IntArray, weights: Float32Array, scratch: list[npt.NDArray[np.floating]]
     ) -> None:
         """Draw the scan, (n, 2) offsets of weights (1, n), and transform it into `scratch`."""
         plane = scratch[1]
@@ -65,11 +62,7 @@ class Spectrum:
         cv2.dft(plane, plane)  # in place: what is in the cache is half of the work
 
     def correlate(
-        self,
-        scratch: list[npt.NDArray[np.floating]],
-        out: Float32Array,
-        *,
-        half_turn: bool = False,
+        self, scratch: list[npt.NDArray[np.floating]], out: Float32Array, *, half_turn: bool = False
     ) -> None:
         """Write the correlation with the scan last transformed into `out` (H, W).
 
@@ -110,10 +103,7 @@ class VectorSpectrum:
         return [np.zeros((*self.shape, 2), dtype=np.float32) for _ in range(2)]
 
     def transform(
-        self,
-        offsets: IntArray,
-        weights: Float32Array,
-        scratch: list[npt.NDArray[np.floating]],
+        self, offsets: IntArray, weights: Float32Array, scratch: list[npt.NDArray[np.floating]]
     ) -> None:
         """Draw the scan, (n, 2) offsets of vectors (2, n), and transform it into `scratch`."""
         plane = scratch[1]
@@ -123,11 +113,7 @@ class VectorSpectrum:
         cv2.dft(plane, plane)
 
     def correlate(
-        self,
-        scratch: list[npt.NDArray[np.floating]],
-        out: Float32Array,
-        *,
-        half_turn: bool = False,
+        self, scratch: list[npt.NDArray[np.floating]], out: Float32Array, *, half_turn: bool = False
     ) -> None:
         """Write the correlation with the scan last transformed into `out` (H, W).
 
@@ -197,22 +183,8 @@ def spectral_stack(
 ) -> None:
     """Write the correlation of each heading's scan with the image, summed over components.
 
-    Parameters
-    ----------
-    image : (C, H, W) array
-        One image, or the two components of a vector field.
-    offsets : (K, N, 2) int array
-        (rows, columns) from a pose to each point.
-    weights : (K, C, N) float32 array
-        What each point counts in each component.
-    threads : int
-        Number of threads, over pairs of opposite headings.
-    out : (K, H, W) float32 array
-        Overwritten.
-    exact : bool
-        Whether the sums are integers, to be recovered by rounding; not of a vector field.
-    finish : callable
-        Called with each slice.
+    The parameters are those of :func:`imgloc.likelihood.kernels.filter2d_stack`, but that sums of
+    a vector field cannot be exact, and that a thread takes pairs of opposite headings.
     """
     _, height, width = image.shape
     near = np.all(np.abs(offsets) < (height, width), axis=2)  # the others miss from every pose
