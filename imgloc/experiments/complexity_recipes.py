@@ -12,7 +12,7 @@ from imgloc.experiments.complexity_types import BASE
 from imgloc.experiments.simulate import sample_free_poses, simulate
 from imgloc.experiments.worlds import WORLDS, render
 from imgloc.features.fields import bmap, vmap
-from imgloc.features.raydistance import ray_cells, ray_distances
+from imgloc.features.raydistance import ray_distances
 from imgloc.features.scanpoints import scan_points
 from imgloc.features.surface import surface_points
 from imgloc.features.visibility import visibility_frames
@@ -21,7 +21,7 @@ from imgloc.likelihood.beam import beam
 from imgloc.likelihood.cbml import cbml, cbml_o, project
 from imgloc.likelihood.ght import ght, ght_v
 from imgloc.model import Float32Array, FloatArray, OccupancyGrid, OrientedPoints
-from tools.paper.work import pixels_added, votes_cast
+from tools.paper.work import pixels_added, ray_cells, votes_cast
 
 SIGMA = 0.1
 """Metres, of the blurred maps."""

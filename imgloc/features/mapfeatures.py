@@ -279,7 +279,7 @@ class MapFeatures:
             voters=points if method == "ght-v" else VOTERS,
         )
         gradients = 48 if method == "cbml-o" and self.vmap_from == "image" else 0
-        return need + gradients * height * width
+        return need + gradients * int(height * width)
 
 
 def _read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -155,8 +155,8 @@ def correlate(
     if engine == "remap":
         upright = scan(cell_offsets(points, np.zeros(1), resolution)[0])
         remap_stack(
-            image, headings, lambda turned, _: [turned.astype(wide.dtype, copy=False)], upright, limit,
-            threads, view, finish,
+            image, headings, lambda turned, _: [turned.astype(wide.dtype, copy=False)], upright,
+            limit, threads, view, finish,
         )  # fmt: skip
         return out
     field = image[None]
