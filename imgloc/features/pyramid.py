@@ -79,14 +79,12 @@ def pyramid(
         :func:`~imgloc.features.distance.signed_distance`, metres.
     free : (H, W) bool array
         Cells in which a robot can be.
-    resolution : float
-        Side of a cell of the map, metres.
-    cell : float
-        Side of a cell of the finest level, metres; rounded to a multiple of `resolution`.
+    resolution, cell : float
+        Sides of a cell of the map and of the finest level, a multiple of it, metres.
     sigma : float
         How far an endpoint may lie from its surface, metres.
     levels : int
-        Number of levels, at least 1.
+        At least 1.
 
     Examples
     --------

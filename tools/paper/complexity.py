@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.features.fields import bmap, vmap
-from imgloc.features.raydistance import ray_cells, ray_distances
+from imgloc.features.raydistance import ray_distances
 from imgloc.features.scanpoints import scan_points
 from imgloc.features.surface import surface_points
 from imgloc.features.visibility import visibility_frames
@@ -27,7 +27,7 @@ from imgloc.likelihood.ght import ght, ght_v
 from imgloc.model import Float32Array, FloatArray, OccupancyGrid, OrientedPoints
 from imgloc.simulate import sample_free_poses, simulate
 from imgloc.worlds import WORLDS, render
-from tools.paper.work import pixels_added, votes_cast
+from tools.paper.work import pixels_added, ray_cells, votes_cast
 from tools.plots import COLOURS, blank
 
 METHODS = ("cbml", "cbml-o", "ght", "ght-v", "beam")
