@@ -19,7 +19,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgloc.cli.answers import to_json
 from imgloc.cli.console import progress
 from imgloc.errors import ConfigError, ImglocError
 from imgloc.evaluate import Share, share
@@ -29,6 +28,7 @@ from imgloc.features.visibility import WAYS
 from imgloc.index import Index, performance_index
 from imgloc.io.files import refuse_existing, write_text_atomic
 from imgloc.likelihood.correlate import ENGINES
+from imgloc.output.json import to_json
 from tools.paper.page import templates
 from tools.paper.table import PLACES, Gain, Outcome, gain, place, truth_of, try_method
 
@@ -76,23 +76,9 @@ def compare(
 ) -> tuple[OperationRow, ...]:
     """Try every operation of :data:`OPERATIONS` on the scans of the paper's table.
 
-    Parameters
-    ----------
-    n : int
-        Scans in each world.
-    seed : int
-        Of the poses and the noise.
-    worlds, methods : sequence of str
-        Some of :data:`~tools.paper.table.PLACES` and of :data:`OPERATIONS`.
-    threads : int
-        No number but the times depends on it.
-    advance : callable
-        Called for each scan, world and method.
-
-    Raises
-    ------
-    ConfigError
-        If there are fewer than two scans.
+    `n` scans (two at least) in each world; `seed` of the poses and the noise; `worlds` and
+    `methods` some of :data:`~tools.paper.table.PLACES` and of :data:`OPERATIONS`. No number but the
+    times depends on `threads`. `advance` is called for each scan, world and method.
 
     Examples
     --------
