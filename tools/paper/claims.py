@@ -92,9 +92,8 @@ def _beyond(grown: Complexity) -> tuple[Claim, ...]:
         for method, quantity in (("beam", "init_work"), ("beam", "traced"), ("cbml", "init_work"))
     )
     work = {(s.method, s.axis, s.value): s.work for s in grown.samples}
-    shares = [
-        work["ght-v", *at] / votes for (method, *at), votes in work.items() if method == "ght"
-    ]
+    ght = [(axis, value) for method, axis, value in work if method == "ght"]
+    shares = [work["ght-v", axis, value] / work["ght", axis, value] for axis, value in ght]
     return (
         Claim(
             "beyond the paper: the ray-distance stack's init grows with rho_m^2, a cell and "
