@@ -180,8 +180,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(f"{len(chosen)} of {len(every)} mutants, kept in {journal}", file=sys.stderr)
     with tempfile.TemporaryDirectory() as temporary, journal.open("a", encoding="utf-8") as log:
         free: SimpleQueue[Path] = SimpleQueue()
-        for k in map(str, range(given.workers)):
-            copy = Path(temporary, k, "checkout")
+        for name in map(str, range(given.workers)):
+            copy = Path(temporary, name, "checkout")
             shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".*", "__pycache__"))
             if (ROOT.parent / "shared").is_dir():  # real data, beside the checkout
                 (copy.parent / "shared").symlink_to(ROOT.parent / "shared")
