@@ -3,27 +3,31 @@
 import multiprocessing
 import os
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
 
 from imgloc.errors import ConfigError, MapError
-from imgloc.evaluate import pose_errors
+from imgloc.evaluate import pose_errors, share
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import cell_of, compose, inside
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import localize, prepare
 from imgloc.search.priors import clearance as roomy
+from imgloc.simulate import Sensor, ray_angles, refine_grid, simulate
 
 KINDS = ("unique", "ambiguous", "no-match", "wrong")
 """What became of a scan: ``unique`` and right, ``wrong`` is unique but elsewhere."""
 NEAR = (0.5, float(np.deg2rad(15.0)))
 """A hypothesis this near the true pose is it, metres and radians."""
 TOP = 10
+AT_ONCE = 1000
+"""Scans that are simulated at a time."""
 
 
 @dataclass(frozen=True)
@@ -37,6 +41,20 @@ class Spot:
     turn: float  #: the same in radians
     twin: Pose2D | None  #: the best hypothesis that is not the true pose
     twin_mass: float
+
+    @property
+    def row(self) -> list[object]:
+        """Values of :data:`imgloc.io.atlasrows.COLUMNS`."""
+        twin = (None,) * 3 if self.twin is None else (self.twin.x, self.twin.y, self.twin.theta)
+        pose = (self.pose.x, self.pose.y, self.pose.theta)
+        return [*pose, self.kind, self.mass, self.error, self.turn, *twin, self.twin_mass]
+
+    @classmethod
+    def of(cls, row: Sequence[Any]) -> "Spot":
+        """The spot of a row; what a journal could not hold is NaN again."""
+        mass, error, turn = (float("nan") if v is None else float(v) for v in row[4:7])
+        twin = None if row[7] is None else Pose2D(*row[7:10])
+        return cls(Pose2D(*row[:3]), str(row[3]), mass, error, turn, twin, float(row[10]))
 
 
 def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: float) -> FloatArray:
@@ -82,6 +100,46 @@ def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: floa
         )
     theta = np.arange(headings) * (2 * np.pi / headings)
     return np.column_stack((places.repeat(headings, axis=0), np.tile(theta, len(places))))
+
+
+def simulate_at(
+    grid: OccupancyGrid,
+    poses: FloatArray,
+    sensor: Sensor,
+    seed: int,
+    fine: OccupancyGrid | None = None,
+) -> list[tuple[Pose2D, LaserScan]]:
+    """Simulate a scan at each pose (N, 3), grid frame, some at a time.
+
+    Rays are cast in `fine`, by default the map redrawn at 1 cm.
+    """
+    fine = fine or refine_grid(grid)
+    angles = ray_angles(sensor.rays, sensor.fov)
+    ranges = [
+        simulate(
+            fine, part, angles, sigma=sensor.sigma, range_max=sensor.range_max,
+            seed=seed + k, outliers=sensor.outliers, dropped=sensor.dropped,
+        )
+        for k, part in enumerate(np.array_split(poses, -(-len(poses) // AT_ONCE)))
+    ]  # fmt: skip
+    return [
+        (Pose2D(*pose), LaserScan(r, angles, range_max=sensor.range_max))
+        for pose, r in zip(poses, np.concatenate(ranges), strict=True)
+    ]
+
+
+def summarise(spots: Sequence[Spot], step: float) -> dict[str, Any]:
+    """Shares of the poses, and of the places, `step` metres apart: of the free area."""
+    places: dict[tuple[float, float], list[bool]] = {}
+    for spot in spots:
+        places.setdefault((spot.pose.x, spot.pose.y), []).append(spot.kind == "unique")
+    return {
+        "poses": len(spots),
+        "places": len(places),
+        "area": len(places) * step**2,
+        **{kind: vars(share(spot.kind == kind for spot in spots)) for kind in KINDS},
+        "unique_area": vars(share(all(flags) for flags in places.values())),
+    }
 
 
 def survey(

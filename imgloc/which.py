@@ -10,13 +10,16 @@ chance. The best of many that fit by chance leads the third by as much as the be
 tail of their evidence is about exponential, whose upper spacings do not depend on their number.
 """
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.io.files import display
 from imgloc.model import LaserScan, Localization
 from imgloc.options import FUSED, Options, Trust
 from imgloc.pipeline import localize
@@ -36,6 +39,10 @@ Maps that fit better are alike, and a scan of one of them is not from none."""
 FEW = 5
 """Of fewer maps than this, one is named only if the scan is ``unique`` in it: too few to tell what
 fits by chance, and of chance there are mostly several places."""
+
+
+NO_MAP = ("none", "undecided", "invalid")
+"""Verdicts that name no map."""
 
 
 @dataclass(frozen=True)
@@ -204,3 +211,42 @@ def unknown_evidence(evidence: Sequence[float], lead: float) -> float:
     """
     third = sorted(evidence)[-3] if len(evidence) > 2 else float("-inf")
     return min(third + lead, LUCK)
+
+
+def find_maps(folder: Path) -> list[Path]:
+    """YAML files of maps in a folder and below, in order of their names.
+
+    Raises
+    ------
+    ConfigError
+        If it is no folder, or holds none.
+    """
+    if not folder.is_dir():
+        raise ConfigError(f"{display(folder)}: expected a folder of maps")
+    paths = sorted({*folder.rglob("*.yaml"), *folder.rglob("*.yml")})
+    if not paths:
+        raise ConfigError(f"{display(folder)}: no map, expected map_server YAML files (*.yaml)")
+    return paths
+
+
+def names_of(paths: Iterable[Path], folder: Path) -> list[str]:
+    """Names of maps in a folder, each other than all others and than the verdicts without a map.
+
+    Examples
+    --------
+    >>> names_of([Path("a/attic.yaml"), Path("a/cellar/map.yaml")], Path("a"))
+    ['attic', 'cellar']
+    >>> names_of([Path("a/b.yaml"), Path("a/b/map.yaml"), Path("a/none.yaml")], Path("a"))
+    ['b.yaml', 'b/map.yaml', 'none.yaml']
+    """
+    full = [path.relative_to(folder) for path in paths]
+    short = [
+        path.parent if path.stem == "map" and path.parent != Path() else path.with_suffix("")
+        for path in full
+    ]
+    taken = Counter([*(name.as_posix() for name in short), *NO_MAP])
+    names = [
+        (path if taken[name.as_posix()] > 1 else name).as_posix()
+        for path, name in zip(full, short, strict=True)
+    ]
+    return names if len(set(names)) == len(names) else [path.as_posix() for path in full]

@@ -14,13 +14,17 @@ import numpy as np
 import pytest
 from command import MAPS, call, command, rows
 
-from imgloc.atlas import TOP, atlas_poses, survey
-from imgloc.draw.atlas import COLOURS, draw_atlas
+from imgloc.atlas import TOP, Spot, atlas_poses, survey
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.io.atlasrows import COLUMNS, Journal, as_csv
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options
+from imgloc.output.pictures import ATLAS_COLOURS, draw_atlas
 from imgloc.simulate import ray_angles, simulate
+
+
+def spot(pose: Pose2D, kind: str, twin: Pose2D | None = None) -> Spot:
+    return Spot(pose, kind, 0.5, 0.0, 0.0, twin, 0.0)
 
 
 def twin_rooms() -> OccupancyGrid:
@@ -156,8 +160,8 @@ def test_a_wedge_points_along_its_heading() -> None:
     grid = OccupancyGrid(~free, free, 0.1, Pose2D(1.0, 0.0, np.pi / 2))
     # In the map frame, whose x is the grid's -y: heading 0 is down in the picture.
     pose = Pose2D(0.0, 1.0, 0.0)
-    image = draw_atlas(grid, [pose], ["unique"], [None], step=1.0, headings=4)
-    blue = (image[:320] == COLOURS["unique"]).all(axis=2)  # 16 pixels a cell
+    image = draw_atlas(grid, [spot(pose, "unique")], step=1.0, headings=4)
+    blue = (image[:320] == ATLAS_COLOURS["unique"]).all(axis=2)  # 16 pixels a cell
     y, x = np.nonzero(blue)
     assert abs(x.mean() - 160) < 5
     assert y.mean() > 165 + 20
@@ -166,12 +170,14 @@ def test_a_wedge_points_along_its_heading() -> None:
 def test_the_legend_counts(tmp_path: Path) -> None:
     free = np.ones((30, 30), bool)
     grid = OccupancyGrid(~free, free, 0.1)
-    poses = [Pose2D(1.0, 1.0), Pose2D(2.0, 1.0)]
-    kinds = ["ambiguous", "wrong"]
-    image = draw_atlas(grid, poses, kinds, [Pose2D(2.0, 2.0), None], step=0.5, headings=1)
+    spots = [
+        spot(Pose2D(1.0, 1.0), "ambiguous", Pose2D(2.0, 2.0)),
+        spot(Pose2D(2.0, 1.0), "wrong"),
+    ]
+    image = draw_atlas(grid, spots, step=0.5, headings=1)
     legend = image[480:]
-    assert (legend == COLOURS["wrong"]).all(axis=2).any()
-    assert not (legend == COLOURS["no-match"]).all(axis=2).any()
+    assert (legend == ATLAS_COLOURS["wrong"]).all(axis=2).any()
+    assert not (legend == ATLAS_COLOURS["no-match"]).all(axis=2).any()
 
 
 ATLAS = ("atlas", MAPS / "curved.yaml", "--step", 3, "--headings", 2, "--rays", 61)

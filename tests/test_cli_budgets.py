@@ -43,8 +43,6 @@ def words(command: list[object], folder: Path) -> list[object]:
     ("command", "budget", "expected"),
     [
         (SIMULATE, "10M", ["simulating 2 scans of 181 rays on 1300 x 1600 cells", "fewer scans"]),
-        (SHOW, "10M", ["a picture (bmap) of 910 x 1120 pixels", "a larger --cell"]),
-        ([*SHOW, "--what", "map"], "10M", ["a picture (map) of", "crop the map"]),
         (EVALUATE, "15M", ["simulating 1 scans of 181 rays on", "cells needs"]),
         (EVALUATE, "100M", ["cbml on 130 x 160 cells of 0.1 m", "a larger --cell"]),
         (LOCALIZE, "60M", ["fused on 130 x 160 cells of 0.1 m", "features of 130 x 160 cells"]),

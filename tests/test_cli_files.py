@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from command import MAPS, call, rows, untimed
 
-from imgloc.cli.files import check_target, files_of, find_map
+from imgloc.cli.inputs import check_target, files_of
+from imgloc.cli.options import find_map
 from imgloc.errors import ConfigError, OutputError
 
 

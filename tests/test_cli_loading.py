@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from command import MAPS, ROOT, call
 
-from imgloc.cli.budgets import held_bytes
+from imgloc.cli.inputs import held_bytes
 from imgloc.io.images import image_size
 from imgloc.io.scans import load_scans, scans_size
 

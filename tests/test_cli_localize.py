@@ -21,6 +21,7 @@ KEYS = [
     "base_pose",
     "hypotheses",
     "elsewhere",
+    "evidence",
     "complete",
     "entropy",
     "explained",

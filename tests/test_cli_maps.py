@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows
 
-from imgloc.cli.maps import Subject
-from imgloc.draw.scalars import draw_bmap, draw_distance
 from imgloc.io.maps import bundled_maps
 from imgloc.model import GridInfo
+from imgloc.output.features import SUBJECTS, draw_bmap, draw_distance
 
 
 @pytest.fixture
@@ -61,7 +60,7 @@ def test_check_and_show_work_without_walls(tmp_path: Path) -> None:
     assert "none of its 400 cells is occupied" in err
 
 
-@pytest.mark.parametrize("what", [s.value for s in Subject])
+@pytest.mark.parametrize("what", SUBJECTS)
 def test_show_draws_every_subject(what: str, grey: Path, tmp_path: Path) -> None:
     out = tmp_path / f"{what}.png"
     code, text, err = call("map", "show", grey, "--what", what, "--out", out)

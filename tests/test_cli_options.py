@@ -9,7 +9,7 @@ import pytest
 import typer
 from command import MAPS, call, rows, untimed
 
-from imgloc.cli.values import byte_count, some_numbers
+from imgloc.cli.options import byte_count, numbers
 from imgloc.geometry import base_of
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
@@ -288,10 +288,10 @@ def test_no_bytes(text: str) -> None:
 
 
 def test_some_numbers_are_enough() -> None:
-    assert some_numbers(3, 5)("1,2,3,4") == (1.0, 2.0, 3.0, 4.0)
+    assert numbers(3, 5)("1,2,3,4") == (1.0, 2.0, 3.0, 4.0)
     for wrong in ("1,2", "1,2,3,4,5,6", "1,2,x"):
         with pytest.raises(typer.BadParameter, match="3 to 5"):
-            some_numbers(3, 5)(wrong)
+            numbers(3, 5)(wrong)
 
 
 def test_opencv_is_not_asked_to_read_a_mask(tmp_path: Path, scans: Path) -> None:

@@ -3,17 +3,10 @@
 import numpy as np
 import pytest
 
-from imgloc.draw import (
-    draw_field,
-    draw_hypotheses,
-    draw_likelihood,
-    draw_map,
-    draw_surface,
-    draw_visibility,
-    mosaic,
-)
-from imgloc.draw.canvas import INK, PALETTE, PAPER, SHADE, TURQUOISE, Canvas, wheel
 from imgloc.model import GridInfo, Hypothesis, Likelihood, OccupancyGrid, OrientedPoints, Pose2D
+from imgloc.output.canvas import INK, PALETTE, PAPER, SHADE, TURQUOISE, Canvas, draw_map, wheel
+from imgloc.output.features import draw_field, draw_surface, draw_visibility
+from imgloc.output.pictures import draw_hypotheses, draw_likelihood, mosaic
 
 
 def close(colour, other, tolerance=12):

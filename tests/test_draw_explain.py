@@ -11,16 +11,23 @@ import numpy as np
 import pytest
 from places import answer_of, features_of, room_with_a_post, scan_of
 
-from imgloc.draw.canvas import INK, PAPER, SHADE
-from imgloc.draw.explain import draw_covariance, draw_overview, draw_rays, draw_scan, window
-from imgloc.draw.marks import share_bar, swatch
-from imgloc.draw.svg import View, cells_picture, map_image, scale_bar
 from imgloc.explain import KINDS, RayFit, explain
 from imgloc.model import Hypothesis, LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options
+from imgloc.output.canvas import INK, PAPER, SHADE
+from imgloc.output.pages import HEADLINES, render_explanation
+from imgloc.output.svg import (
+    View,
+    cells_picture,
+    draw_covariance,
+    draw_overview,
+    draw_rays,
+    draw_scan,
+    macro,
+    map_image,
+    window,
+)
 from imgloc.pipeline import localize, prepare
-from imgloc.report.explain import render_explanation
-from imgloc.report.verdicts import HEADLINES
 
 VOID = {"meta", "img", "br"}
 LOOSE = {"p", "li", "td", "th", "tr", "dt", "dd"}  # HTML closes them by itself
@@ -123,7 +130,7 @@ def test_the_image_of_a_map_is_cut_to_the_view_and_put_in_its_place() -> None:
 
 @pytest.mark.parametrize(("width", "label", "px"), [(20, "5 m", 50), (3, "50 cm", 100 / 3)])
 def test_the_bar_is_as_long_as_it_says(width: float, label: str, px: float) -> None:
-    bar = ET.fromstring(scale_bar(View(0, 0, width, width, 200.0)))
+    bar = ET.fromstring(macro("rule", view=View(0, 0, width, width, 200.0)))
     assert bar.find("text").text == label
     length = float(re.search(r"h(\d+\.?\d*)", bar.find("path").get("d"))[1])
     assert length == pytest.approx(px, abs=0.06)
@@ -136,7 +143,7 @@ def test_each_ray_is_drawn_in_its_kind_and_place() -> None:
         ("visibility", 3.0, 1.0, 0.5),
         ("no_return", np.nan, np.nan, np.inf),
     )
-    root = ET.fromstring(draw_rays(grid, hypothesis(), fit, view, "1"))
+    root = ET.fromstring(draw_rays(grid, Pose2D(1.0, 1.0), fit, view, "1"))
     paths = {p.get("class"): p.get("d") for p in root.iter("path") if p.get("class")}
     assert numbers_of(paths["ray agrees"]) == [100, 300, 200, 300]
     assert numbers_of(paths["ray visibility"]) == [100, 300, 300, 300]
@@ -148,7 +155,7 @@ def test_each_ray_is_drawn_in_its_kind_and_place() -> None:
 
 
 def test_marks_differ_in_shape_and_not_only_in_colour() -> None:
-    shapes = {re.sub('class="[^"]*"', "", swatch(kind)) for kind in KINDS}
+    shapes = {re.sub('class="[^"]*"', "", macro("swatch", kind=kind)) for kind in KINDS}
     assert len(shapes) == 5  # four marks; what is only counted has a box
 
 
@@ -156,7 +163,7 @@ def test_views_have_one_size_and_hold_pose_and_rays() -> None:
     fits = [fit_of(("agrees", 3, 1, np.inf)), fit_of(("agrees", 1, 9, np.inf))]
     poses = [Pose2D(1, 1), Pose2D(1, 1)]
     views = window(poses, fits, 100.0)
-    assert views[0].box == views[1].box
+    assert (views[0].px, views[0].tall) == (views[1].px, views[1].tall)
     for view, fit in zip(views, fits, strict=True):
         for x, y in [(1, 1), *fit.end.tolist()]:
             assert 0 < x - view.x < view.width
@@ -167,8 +174,8 @@ def test_views_have_one_size_and_hold_pose_and_rays() -> None:
 
 def test_the_overview_numbers_every_hypothesis_where_it_is() -> None:
     grid = room_with_a_post()
-    some = [hypothesis(1.0, 1.0), hypothesis(3.5, 2.0, np.pi / 2)]
-    root = ET.fromstring(draw_overview(grid, some, [fit_of(("agrees", 2, 2, np.inf))] * 2))
+    some = [Pose2D(1.0, 1.0), Pose2D(3.5, 2.0, np.pi / 2)]
+    root = ET.fromstring(draw_overview(grid, some, fit_of(("agrees", 2, 2, np.inf))))
     robots = {
         g.find("text").text: g for g in root.iter("g") if (g.get("class") or "").startswith("robot")
     }
@@ -185,7 +192,7 @@ def test_the_overview_numbers_every_hypothesis_where_it_is() -> None:
 )
 def test_the_axes_are_those_of_the_map_frame(yaw: float, along: tuple[float, float]) -> None:
     grid = replace(room_with_a_post(), origin=Pose2D(0.0, 0.0, yaw))
-    root = ET.fromstring(draw_overview(grid, [], []))
+    root = ET.fromstring(draw_overview(grid, []))
     axes = next(g for g in root.iter("g") if g.get("class") == "axes")
     x0, y0, x1, y1 = numbers_of(axes.find("path").get("d"))[:4]
     # The picture lies as the image does: the map's x axis is turned back by the origin's yaw.
@@ -223,7 +230,10 @@ def test_a_scan_is_drawn_with_forward_up_and_left_at_the_left() -> None:
 
 def test_the_bar_of_shares_is_full() -> None:
     fit = fit_of(*[("agrees", 0, 0, np.inf)] * 3, ("no_return", np.nan, np.nan, np.inf))
-    boxes = [(r.get("class"), float(r.get("width"))) for r in ET.fromstring(share_bar(fit))]
+    boxes = [
+        (r.get("class"), float(r.get("width")))
+        for r in ET.fromstring(macro("share_bar", counts=fit.counts))
+    ]
     assert [name for name, _ in boxes] == list(KINDS)
     assert dict(boxes)["agrees"] == 75
     assert sum(width for _, width in boxes) == pytest.approx(100)
@@ -259,7 +269,7 @@ def test_the_page_says_what_the_answer_says(why) -> None:
             if n and kind == "agrees":
                 assert f"agrees {n} " in page.text
     assert f"Misfit {why.answer.evidence.misfit:.3f} nats per reading." in page.text
-    assert f"Temperature {why.temperature:.2f}" in page.text
+    assert f"Temperature {why.answer.evidence.temperature.value:.2f}" in page.text
     margin = why.fits[0].hypothesis.log_likelihood - why.fits[1].hypothesis.log_likelihood
     assert f"the second is {margin:.1f} nats behind" in page.text
     assert page.text.count("this decides") == 1
@@ -284,10 +294,10 @@ def test_deviations_are_along_and_across_the_heading(why) -> None:
 
 def test_names_are_text_and_not_html(why) -> None:
     evil = '<script>alert("1")</script> & <b>'
-    text = render_explanation(why, evil, [(evil, evil)], evil)
+    text = render_explanation(why, evil, version=evil)
     page = Page(text)
     assert "script" not in page.tags
-    assert page.text.count(evil) == 5  # title twice, a fact's name and value, the version
+    assert page.text.count(evil) == 3  # title twice, the version
 
 
 def test_too_few_readings_are_explained() -> None:

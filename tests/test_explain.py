@@ -11,9 +11,9 @@ from places import POSES, answer_of, error, features_of, room_with_a_post, scan_
 from imgloc.explain import KINDS, RayFit, explain, explain_rays, faced
 from imgloc.features.raycast import cast_rays
 from imgloc.model import LaserScan, OccupancyGrid, OrientedPoints, Pose2D
-from imgloc.options import ALL_METHODS, Options
+from imgloc.options import ALL_METHODS, Options, Prior
 from imgloc.pipeline import localize, prepare
-from imgloc.search.priors import Prior, near
+from imgloc.search.priors import near
 
 ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
 

@@ -9,8 +9,8 @@ import sys
 import pytest
 from command import ROOT
 
-from imgloc.cli.answers import to_json
 from imgloc.io.images import encode_png
+from imgloc.output.json import to_json
 from tools.paper.__main__ import TIMED_QUICK, Reproduction, as_dict, steps
 from tools.paper.complexity import AXES, Complexity
 from tools.paper.figures import SETTINGS, figure, scene

@@ -8,9 +8,9 @@ import pytest
 from imgloc.errors import ConfigError
 from imgloc.features.pyramid import Level
 from imgloc.model import GridInfo, OccupancyGrid
-from imgloc.options import ALL_METHODS, FusedOptions, Options
+from imgloc.options import ALL_METHODS, FusedOptions, Options, Prior
 from imgloc.pipeline import localize, prepare
-from imgloc.search.priors import Prior, around, clearance, near, nearest, on_lattice, pyramid_levels
+from imgloc.search.priors import around, clearance, near, nearest, on_lattice, pyramid_levels
 from imgloc.simulate import Sensor, simulate_set
 from imgloc.worlds import WORLDS, render
 

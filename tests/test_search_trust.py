@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imgloc.model import VERDICTS
-from imgloc.search.trust import Trust, crowding, judge
+from imgloc.options import Trust
+from imgloc.search.trust import crowding, judge
 
 TRUST = Trust(
     readings=10, temperature=2.0, strain=3.0, elsewhere=(-4.0, 1.5, 2.0), mass=0.9, correlated=1.0

@@ -12,8 +12,8 @@ from imgloc.features.budget import fused_bytes
 from imgloc.geometry import uniform_thetas
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
 from imgloc.options import Calibration, FusedOptions, Options, Prior, Trust
+from imgloc.output.pages import question, why
 from imgloc.pipeline import check_options, likelihood, localize, posterior_of, prepare
-from imgloc.report.verdicts import question, why
 from imgloc.simulate import Sensor, simulate_set
 from imgloc.worlds import WORLDS, render
 

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows
 
-from imgloc.cli.which import find_maps, names_of
 from imgloc.errors import ConfigError
 from imgloc.io.maps import save_map
 from imgloc.model import Evidence, Hypothesis, Localization, OccupancyGrid, Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import prepare
 from imgloc.simulate import Sensor, simulate_set
-from imgloc.which import LUCK, choose, fit, log_evidence, unknown_evidence
+from imgloc.which import LUCK, choose, find_maps, fit, log_evidence, names_of, unknown_evidence
 from imgloc.worlds import WORLDS, render
 
 

@@ -10,10 +10,11 @@ a change of a world:
 import argparse
 from pathlib import Path
 
-from imgloc.draw import draw_map, mosaic
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
 from imgloc.io.maps import save_map
+from imgloc.output.canvas import draw_map
+from imgloc.output.pictures import mosaic
 from imgloc.worlds import WORLDS, render
 
 RESOLUTION = 0.1

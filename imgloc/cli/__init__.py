@@ -1,6 +1,6 @@
 """The command line: parses, calls and prints. What it calls is imported when a command runs."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 import typer
@@ -12,7 +12,7 @@ from imgloc.cli.console import Group, emit
 from imgloc.cli.demo import demo
 from imgloc.cli.evaluate import evaluate
 from imgloc.cli.localize import localize
-from imgloc.cli.maps import check, show
+from imgloc.cli.map import check, show
 from imgloc.cli.options import examples
 from imgloc.cli.sample import sample
 from imgloc.cli.simulate import simulate
@@ -36,9 +36,6 @@ app = typer.Typer(
         "imgloc localize office.yaml scans.npz --json > answers.jsonl",
     ),
 )
-maps = typer.Typer(no_args_is_help=True, rich_markup_mode=None, context_settings=_OPTIONS)
-
-
 _HELP = """Where am I on this map?
 
 Finds the pose of a 2-D laser scan in a map that is an image, without an initial guess, and says
@@ -64,69 +61,60 @@ def root(
     """Options of the program itself."""
 
 
-app.command(epilog=examples("imgloc demo", "imgloc demo --map corridor --seed 4"))(demo)
-app.command(
-    epilog=examples(
+_COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
+    demo: ("imgloc demo", "imgloc demo --map corridor --seed 4"),
+    localize: (
         "imgloc localize office.yaml scans.npz",
         "imgloc localize office.yaml scans.npz --index 3 --picture answer.png",
         "imgloc localize office.png scan.csv --resolution 0.05 --origin -12.5,-8,0",
         "imgloc localize office.yaml scans.npz --json --strict > answers.jsonl",
         "imgloc localize office.yaml scans.npz --method ght-v --theta-step-deg 5",
-    )
-)(localize)
-maps.command(epilog=examples("imgloc map check office.yaml", "imgloc map check a.yaml --json"))(
-    check
-)
-maps.command(
-    epilog=examples(
-        "imgloc map show office.yaml --out office-view.png",
-        "imgloc map show office.yaml --what surface --out normals.png",
-        "imgloc map show office.yaml --what visibility --at 3.5,2 --out fan.png",
-    )
-)(show)
-app.add_typer(maps, name="map", help="Look at a map: what is in it, what may be wrong with it.")
-app.command(
-    epilog=examples(
+    ),
+    simulate: (
         "imgloc simulate office.yaml -n 100 --out scans.npz",
         "imgloc simulate office.yaml -n 20 --rays 360 --fov-deg 360 --outliers 0.2 --out hard.npz",
-    )
-)(simulate)
-app.command(
-    epilog=examples(
+    ),
+    evaluate: (
         "imgloc evaluate curved visibility large --methods cbml,cbml-o,ght,ght-v,beam",
         "imgloc evaluate office.yaml -n 50 --methods fused --range-max 10 --tolerance 0.3,10",
         "imgloc evaluate office.yaml --scans scans.npz --sample 60 --json > results.jsonl",
         "imgloc evaluate a.yaml b.yaml --scans a.npz --scans b.npz --methods fused,ght-v",
         "imgloc evaluate curved --methods ght,ght-v --theta-step-deg ght=10 --cell 0.2",
-    )
-)(evaluate)
-app.command(
-    epilog=examples(
+    ),
+    calibrate: (
         "imgloc calibrate office.yaml",
         "imgloc calibrate office.yaml --methods ght-v,beam --rays 360 --fov-deg 360 --range-max 12",
         "imgloc calibrate floor1.yaml floor2.yaml -n 15 --json",
         "imgloc calibrate curved visibility --dry-run",
-    )
-)(calibrate)
-app.command(
-    epilog=examples(
+    ),
+    sample: (
         "imgloc sample office.yaml scans.npz --out particles.csv",
         "imgloc sample office.yaml scans.npz --index 3 -n 2000 --seed 7 --method beam --out a.csv",
-    )
-)(sample)
-app.command(
-    epilog=examples(
+    ),
+    atlas: (
         "imgloc atlas office.yaml --out atlas.png",
         "imgloc atlas office.yaml --out atlas.png --csv atlas.csv --rays 360 --fov-deg 360",
         "imgloc atlas visibility --out atlas.png --range-max 5 --json",
-    )
-)(atlas)
-app.command(
-    epilog=examples(
+    ),
+    which: (
         "imgloc which floors scans.npz",
         "imgloc which floors scan.csv --range-max 20 --json",
-    )
-)(which)
+    ),
+}
+_MAP: dict[Callable[..., None], tuple[str, ...]] = {
+    check: ("imgloc map check office.yaml", "imgloc map check a.yaml --json"),
+    show: (
+        "imgloc map show office.yaml --out office-view.png",
+        "imgloc map show office.yaml --what surface --out normals.png",
+        "imgloc map show office.yaml --what visibility --at 3.5,2 --out fan.png",
+    ),
+}
+
+maps = typer.Typer(no_args_is_help=True, rich_markup_mode=None, context_settings=_OPTIONS)
+for group, commands in ((app, _COMMANDS), (maps, _MAP)):
+    for command, lines in commands.items():
+        group.command(epilog=examples(*lines))(command)
+app.add_typer(maps, name="map", help="Look at a map: what is in it, what may be wrong with it.")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

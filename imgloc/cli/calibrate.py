@@ -1,5 +1,6 @@
 """`imgloc calibrate`: what the evidence of each method is worth in a map."""
 
+import math
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,36 +8,35 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from imgloc.cli.console import LOG, emit, progress, say
-from imgloc.cli.files import check_target, find_map
-from imgloc.cli.loading import load_usable
-from imgloc.cli.methodlists import for_each, methods_of
+from imgloc.cli.inputs import check_answer, check_simulation, check_target, load_grid
 from imgloc.cli.options import (
     AllowLossy,
     AsJson,
+    Cell,
     Force,
-    MemoryBudget,
     MethodName,
     Reading,
-    Threads,
+    Take,
+    check_range,
     console,
-    count_threads,
+    find_map,
+    for_each,
+    methods_of,
     reading,
+    resources,
+    sensor,
     with_options,
 )
-from imgloc.cli.sensor import sensor
-from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from imgloc.calibrate import CalibrationFit
     from imgloc.model import OccupancyGrid
     from imgloc.simulate import Sensor
 
 _STACKS = [name.value for name in MethodName if name != MethodName.FUSED]
-_COLUMNS = ("method", "scans", "sigma m", "sigma deg", "exponent", "S +- s.e.", "S of the stack")
 
 
-@with_options(sensor, reading, console)
+@with_options(sensor, reading, resources, console)
 def calibrate(
     maps: Annotated[
         list[Path],
@@ -47,6 +47,7 @@ def calibrate(
     ],
     sensor: "Sensor",
     reading: Reading,
+    resources: Take,
     methods: Annotated[str, typer.Option(metavar="NAMES", help="With commas between.")] = ",".join(
         _STACKS
     ),
@@ -64,7 +65,7 @@ def calibrate(
         list[str] | None,
         typer.Option(metavar="[METHOD=]DEG", help="Step of the headings. [default: the method's]"),
     ] = None,
-    cell: Annotated[float, typer.Option(metavar="M", help="Cell of the poses, metres.")] = 0.1,
+    cell: Cell = 0.1,
     clean: Annotated[
         bool,
         typer.Option("--clean", help="Disturb no scan. [default: two thirds are, as by people]"),
@@ -73,8 +74,6 @@ def calibrate(
         bool, typer.Option("--dry-run", help="Store nothing, only show what would be.")
     ] = False,
     as_json: AsJson = False,
-    threads: Threads = None,
-    memory_budget: MemoryBudget = None,
     force: Force = False,
     allow_lossy: AllowLossy = False,
 ) -> None:
@@ -90,15 +89,12 @@ def calibrate(
     check_range("--range-max", range_max, 0.01, 10_000, "metres")
     check_range("--cell", cell, 0.001, 10, "metres")
 
-    import cv2
-    import numpy as np
-
     from imgloc.calibrate import check_trials, disturbed_set, fit, sweep
-    from imgloc.cli import answers, tables
-    from imgloc.cli.budgets import check_answer, check_simulation, fixed_budget
     from imgloc.io.calibration import calibration_path, save_calibrations
     from imgloc.io.files import display
     from imgloc.options import Options
+    from imgloc.output.json import plain, to_json
+    from imgloc.output.tables import calibration_table
     from imgloc.pipeline import prepare
     from imgloc.simulate import fine_image, is_world, simulate_set
 
@@ -114,30 +110,25 @@ def calibrate(
             )
         check_target(target, ".json", force=force)
     check_trials(count * len(paths))
-    workers = count_threads(threads)
-    memory_budget = fixed_budget(memory_budget)
-    cv2.setNumThreads(workers)
+    taken = resources()
+    budget = taken.memory_budget
     laser = replace(sensor, range_max=range_max)
     grids: list[OccupancyGrid] = []
     for path in paths:
         held = sum(grid.occupied.nbytes + grid.free.nbytes for grid in grids)
-        grids.append(
-            load_usable(path, memory_budget, allow_lossy=allow_lossy, held=held, **reading)
-        )
-    plans = {}
-    for method in chosen:
-        step = steps.get(method)
-        plans[method] = Options(
+        grids.append(load_grid(path, budget, allow_lossy=allow_lossy, held=held, **reading))
+    plans = {
+        method: Options(
             method=method,
-            theta_step=None if step is None else float(np.deg2rad(step)),
-            threads=workers,
-            memory_budget=memory_budget,
+            theta_step=math.radians(steps[method]) if method in steps else None,
+            threads=taken.threads,
+            memory_budget=budget,
         )
+        for method in chosen
+    }
     for path, grid in zip(paths, grids, strict=True):
         name, world = display(path), is_world(path, grid)
-        check_simulation(
-            grid, name, count, sensor.rays, memory_budget, world=world, sets=3 * len(grids)
-        )
+        check_simulation(grid, name, count, sensor.rays, budget, world=world, sets=3 * len(grids))
         for options in plans.values():
             check_answer(prepare(grid, name, cell=cell), options, name)
     simulate = simulate_set if clean else disturbed_set
@@ -145,12 +136,12 @@ def calibrate(
         simulate(grid, count, seed, laser, fine_image(path, grid))
         for path, grid in zip(paths, grids, strict=True)
     ]
-    fits: dict[str, CalibrationFit] = {}
+    fits = {}
     for method, options in plans.items():
         sweeps = []
         with progress(method, count * len(maps), lines=False) as advance:
             for path, grid, scans in zip(paths, grids, sets, strict=True):
-                features = prepare(grid, display(path), cell=cell, threads=workers)
+                features = prepare(grid, display(path), cell=cell, threads=taken.threads)
                 sweeps.append(sweep(features, scans, options, advance=advance))
         fits[method] = fit(sweeps)
         LOG.info("%s: %s", method, asdict(fits[method].calibration))
@@ -166,27 +157,11 @@ def calibrate(
     if as_json:
         fitted = {method: asdict(f.calibration) for method, f in fits.items()}
         more = {"theta_step_deg": steps, "index": index}
-        emit(answers.to_json({"methods": fitted, "about": about | more}))
+        emit(to_json({"methods": fitted, "about": about | more}))
     else:
-        emit(tables.as_plain(_COLUMNS, [_row(m, f) for m, f in fits.items()], left=1))
+        emit(calibration_table(fits))
     for target, grid in [] if dry_run else zip(targets, grids, strict=True):
-        fitted_here = {method: f.calibration for method, f in fits.items()}
-        each = {m: {"theta_step_deg": steps.get(m), "index": index[m]} for m in fits}
-        plain = answers.plain({m: about | more for m, more in each.items()})
-        save_calibrations(target, grid, fitted_here, plain, force=force)
+        each = {m: about | {"theta_step_deg": steps.get(m), "index": index[m]} for m in fits}
+        calibrations = {method: f.calibration for method, f in fits.items()}
+        save_calibrations(target, grid, calibrations, plain(each), force=force)
         say(f"wrote {display(target)}")
-
-
-def _row(method: str, fit: "CalibrationFit") -> list[str]:
-    import numpy as np
-
-    how = fit.calibration
-    return [
-        method,
-        str(fit.index.trials),
-        f"{how.sigma_xy:g}",
-        f"{np.rad2deg(how.sigma_theta):.3g}",
-        f"{1 / how.temperature:.3g}",
-        f"{fit.index.value:.2f} +- {fit.index.standard_error:.2f}",
-        f"{fit.bare.value:.2f} +- {fit.bare.standard_error:.2f}",
-    ]

@@ -1,6 +1,7 @@
 """`imgloc evaluate`: how often, how precisely and how fast each method finds known poses."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -8,34 +9,35 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from imgloc.cli.console import LOG, emit, progress
-from imgloc.cli.files import find_map
-from imgloc.cli.loading import load_usable
-from imgloc.cli.methodlists import for_each, methods_of, number_of
+from imgloc.cli.inputs import check_answer, check_simulation, cut_scan, load_grid, load_set
 from imgloc.cli.options import (
     AllowLossy,
     AsJson,
     Flipped,
-    MemoryBudget,
     MethodName,
     Reading,
-    Threads,
+    Take,
+    check_range,
     console,
-    count_threads,
+    find_map,
+    for_each,
+    methods_of,
+    number_of,
     reading,
+    resources,
+    sensor,
     with_options,
 )
-from imgloc.cli.sensor import sensor
-from imgloc.cli.sources import check_sources, recorded, short_name, simulated
-from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
     from imgloc.simulate import Sensor
 
 _METHODS = ",".join(MethodName)
+_MAX_SCANS = 100_000
 
 
-@with_options(sensor, reading, console)
+@with_options(sensor, reading, resources, console)
 def evaluate(
     maps: Annotated[
         list[Path],
@@ -45,6 +47,7 @@ def evaluate(
     ],
     sensor: "Sensor",
     reading: Reading,
+    resources: Take,
     methods: Annotated[str, typer.Option(metavar="NAMES", help="With commas between.")] = _METHODS,
     count: Annotated[
         int | None,
@@ -91,8 +94,6 @@ def evaluate(
         typer.Option(metavar="P", help="Share of the uniform density mixed into each, for S."),
     ] = 1e-3,
     as_json: AsJson = False,
-    threads: Threads = None,
-    memory_budget: MemoryBudget = None,
     allow_lossy: AllowLossy = False,
 ) -> None:
     """Measure methods on scans whose poses are known: simulated at random, or recorded.
@@ -110,73 +111,91 @@ def evaluate(
     check_range("--range-max", range_max, 1e-3, 10_000 if scans is None else 1e6, "metres")
     check_range("--floor", floor, 1e-12, 0.5, "a share")
     tolerances = [_tolerance(text) for text in tolerance or ()]
-    check_sources(maps, scans, count, sample, sensor, flipped=flipped)
+    _check_sources(maps, scans, count, sample, sensor, flipped=flipped)
 
-    import cv2
-    import numpy as np
-
-    from imgloc.cli import answers, tables
-    from imgloc.cli.budgets import check_answer, fixed_budget
     from imgloc.evaluate import TOLERANCES, Tolerance, method_options
     from imgloc.evaluate import evaluate as measure
     from imgloc.io.calibration import calibration_path, load_calibrations
     from imgloc.io.files import display
+    from imgloc.output.json import evaluation_row, to_json
+    from imgloc.output.tables import evaluation_tables
     from imgloc.pipeline import prepare
+    from imgloc.simulate import fine_image, is_world, sample_set, simulate_set
 
-    workers = count_threads(threads)
-    memory_budget = fixed_budget(memory_budget)
-    cv2.setNumThreads(workers)
-    within = (*TOLERANCES, *(Tolerance(m, float(np.deg2rad(deg))) for m, deg in tolerances))
-    table: list[Mapping[str, Any]] = []
+    taken = resources()
+    budget = taken.memory_budget
+    within = (*TOLERANCES, *(Tolerance(m, math.radians(deg)) for m, deg in tolerances))
+    table: list[dict[str, Any]] = []
     for k, given in enumerate(maps):
-        path, name = find_map(given), short_name(given)
-        grid = load_usable(path, memory_budget, allow_lossy=allow_lossy, **reading)
+        path = find_map(given)
+        # The folder of a map.yaml says more than its name.
+        name = display(
+            given.parent.name if given.stem == "map" and given.parent.name else given.stem
+        )
+        grid = load_grid(path, budget, allow_lossy=allow_lossy, **reading)
         calibrations = load_calibrations(calibration_path(path), grid)
         source: dict[str, object] = {"map": display(path)}
         if scans is None:
             laser = replace(sensor, range_max=30.0 if range_max is None else range_max)
-            trials = simulated(path, grid, count or 100, seed, laser, memory_budget)
+            n, world = count or 100, is_world(path, grid)
+            check_simulation(grid, display(path), n, sensor.rays, budget, world=world)
+            # In a bundled map on its walls, not on its cells.
+            trials = simulate_set(grid, n, seed, laser, fine_image(path, grid))
             source |= {"seed": seed, "sensor": asdict(laser)}
         else:
-            trials = recorded(
-                scans[k], sample, sample_seed, range_max, memory_budget, flipped=flipped
-            )
+            picked = sample_set(load_set(scans[k], budget), sample, sample_seed, display(scans[k]))
+            cut = tuple(cut_scan(scan, range_max, flipped=flipped) for scan in picked.scans)
+            trials = replace(picked, scans=cut)
             source |= {"scans": display(scans[k]), "sample": sample, "sample_seed": sample_seed}
             source |= {"range_max": range_max, "flipped": flipped}
         plans = []
         for method in chosen:
             step, side = steps.get(method), cells.get(method, 0.1)
             options = method_options(
-                method, None if step is None else float(np.deg2rad(step)), workers
+                method, None if step is None else math.radians(step), taken.threads
             )
-            options = replace(
-                options, calibration=calibrations.get(method), memory_budget=memory_budget
-            )
+            options = replace(options, calibration=calibrations.get(method), memory_budget=budget)
             # All of them before the first one takes its time.
             check_answer(
                 prepare(grid, display(path), cell=side), options, display(path), scans=trials.scans
             )
             plans.append((method, side, options))
         for method, side, options in plans:
-            features = prepare(grid, display(path), cell=side, threads=workers)
+            features = prepare(grid, display(path), cell=side, threads=taken.threads)
             with progress(f"{name}: {method}", len(trials), lines=False) as advance:
                 result = measure(
                     features, trials, options, tolerances=within, floor=floor, advance=advance
                 )
             LOG.info("%s: %s: S %.2f", name, method, result.summary.index.value)
-            row = {
-                "map": name,
-                **asdict(result.summary),
-                "lattice": asdict(result.lattice),
-                "source": source,
-                "parameters": result.parameters,
-            }
-            table.append(row)
+            table.append(evaluation_row(name, result, source))
             if as_json:
-                emit(answers.to_json(row))
+                emit(to_json(table[-1]))
         del features  # before the next map is loaded
     if not as_json:
-        emit(tables.evaluation(table))
+        emit(evaluation_tables(table))
+
+
+def _check_sources(
+    maps: Sequence[Path], scans: Sequence[Path] | None, count: int | None, sample: int | None,
+    sensor: "Sensor", *, flipped: bool,
+) -> None:  # fmt: skip
+    """Refuse options that would be ignored."""
+    from imgloc.simulate import Sensor
+
+    if scans is None:
+        if flipped:
+            raise ConfigError("--flipped: expected --scans; simulated sensors are upright")
+        if sample is not None:
+            raise ConfigError("--sample: expected --scans to take from; -n is for simulated scans")
+        if (count or 0) > _MAX_SCANS:
+            raise ConfigError(f"-n: got {count:,}, expected at most {_MAX_SCANS:,} scans")
+        return
+    if len(scans) != len(maps):
+        raise ConfigError(f"--scans: got {len(scans)} for {len(maps)} maps, expected one each")
+    if count is not None:
+        raise ConfigError("-n: recorded scans are not simulated; use --sample")
+    if sensor != Sensor():
+        raise ConfigError("--scans: options of a simulated sensor do not go with recorded scans")
 
 
 def _tolerance(text: str) -> tuple[float, float]:

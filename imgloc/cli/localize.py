@@ -1,5 +1,7 @@
 """`imgloc localize`: the poses of scans in a map."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,42 +9,60 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress
-from imgloc.cli.files import check_target, files_of
-from imgloc.cli.hints import MIRRORED, hint_at_mirrored
+from imgloc.cli.inputs import (
+    cache_folder,
+    check_target,
+    choose,
+    cut_scan,
+    files_of,
+    keep_features,
+    load_grid,
+    load_set,
+    numbered,
+    open_features,
+    prior_of,
+)
 from imgloc.cli.options import (
     AllowLossy,
     AsJson,
+    Cell,
+    Cut,
     EngineName,
     Force,
+    Index,
+    Known,
     MapPath,
-    MemoryBudget,
     MethodName,
+    Mounting,
     Reading,
     ScansPath,
-    Threads,
+    Take,
+    check_range,
     console,
-    count_threads,
-    cut_scan,
+    known,
+    mounting,
     reading,
+    resources,
     with_options,
 )
-from imgloc.cli.priors import Known, Mounting, known, mounting, prior_of
-from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from imgloc.io.scanset import ScanSet
-    from imgloc.model import Pose2D
+    from imgloc.features.mapfeatures import MapFeatures
+    from imgloc.model import LaserScan
     from imgloc.options import Options
 
+_MIRRORED = 3  # doubtful scans that are looked at mirrored
 
-@with_options(known, mounting, reading, console)
+
+@with_options(known, mounting, reading, resources, console)
 def localize(
     map_path: MapPath,
     scans_path: ScansPath,
     known: Known,
     mounting: Mounting,
     reading: Reading,
+    resources: Take,
     method: Annotated[
         MethodName,
         typer.Option(help="How: fused searches and re-scores, the others are the paper's stacks."),
@@ -63,21 +83,16 @@ def localize(
             help="Say why, ray by ray, on a page of its own; several scans: NAME-0003.html.",
         ),
     ] = None,
-    index: Annotated[
-        int | None, typer.Option("--index", min=0, metavar="I", help="Only scan I, counted from 0.")
-    ] = None,
+    index: Index = None,
     strict: Annotated[
         bool, typer.Option("--strict", help="Exit with 6 unless every scan is unique.")
     ] = False,
-    range_max: Annotated[
-        float | None,
-        typer.Option(metavar="M", help="Cut readings at M metres: there, no return."),
-    ] = None,
+    range_max: Cut = None,
     theta_step_deg: Annotated[
         float | None,
         typer.Option(metavar="DEG", help="Step of the headings. [default: the method's own]"),
     ] = None,
-    cell: Annotated[float, typer.Option(metavar="M", help="Cell of the poses, metres.")] = 0.1,
+    cell: Cell = 0.1,
     engine: Annotated[
         EngineName, typer.Option(help="Of the correlations of cbml and cbml-o.")
     ] = EngineName.AUTO,
@@ -89,8 +104,6 @@ def localize(
             "proposals.",
         ),
     ] = False,
-    threads: Threads = None,
-    memory_budget: MemoryBudget = None,
     time_budget: Annotated[
         float | None,
         typer.Option(
@@ -131,121 +144,105 @@ def localize(
     if explain is not None:
         check_target(explain, ".html", force=force)
 
-    import cv2
-
-    from imgloc.cli import answers
-    from imgloc.cli.budgets import fixed_budget
-    from imgloc.cli.explanations import write_explanation
-    from imgloc.cli.loading import load_grid, load_set
-    from imgloc.cli.pictures import picture_name, write_hypotheses
-    from imgloc.cli.prepared import cache_folder, keep_features, open_features
+    from imgloc.explain import explain as reasons
     from imgloc.io.calibration import calibration_path, load_calibrations
-    from imgloc.io.files import display
+    from imgloc.io.files import display, write_text_atomic
+    from imgloc.model import Pose2D
+    from imgloc.output.json import answer_row, to_json
+    from imgloc.output.pages import render_explanation
+    from imgloc.output.pictures import draw
+    from imgloc.output.tables import answer_header, answer_line, answer_text
     from imgloc.pipeline import check_options
     from imgloc.pipeline import localize as locate
 
-    workers = count_threads(threads)
-    memory_budget = fixed_budget(memory_budget)
-    cv2.setNumThreads(workers)
-    options = _options(method, top, theta_step_deg, engine, workers)
-    grid = load_grid(map_path, memory_budget, allow_lossy=allow_lossy, **reading)
+    taken = resources()
+    grid = load_grid(
+        map_path, taken.memory_budget, allow_lossy=allow_lossy, usable=False, **reading
+    )
+    options = _options(method, theta_step_deg)
     options = replace(
         options,
-        memory_budget=memory_budget,
+        top=top,
+        engine=engine.value,
+        threads=taken.threads,
+        memory_budget=taken.memory_budget,
         time_budget=time_budget,
         exact=exact_argmax,
         prior=prior_of(known, grid, allow_lossy=allow_lossy),
         calibration=load_calibrations(calibration_path(map_path), grid).get(method.value),
     )
     folder = cache_folder(cache, wanted=not no_cache)
-    scans = load_set(scans_path, memory_budget)
+    scans = load_set(scans_path, taken.memory_budget)
     features = open_features(
-        grid, display(map_path), folder, options, scans=scans.scans, cell=cell, threads=workers
-    )
-    chosen = _choose(scans, index, display(scans_path))
+        grid, display(map_path), folder, options,
+        scans=scans.scans, cell=cell, threads=taken.threads,
+    )  # fmt: skip
+    chosen = choose(len(scans), index, display(scans_path))
     many, mount = len(chosen) > 1, mounting.pose
-    targets = {k: picture_name(picture, k, many) for k in chosen} if picture is not None else {}
+    targets, pages = numbered(picture, chosen), numbered(explain, chosen)
     for target in targets.values():
         check_target(target, ".png", force=force, inputs=inputs)
-    pages = {k: picture_name(explain, k, many) for k in chosen} if explain is not None else {}
     for page in pages.values():
         check_target(page, ".html", force=force)
     LOG.info("%s: %d x %d cells of %g m", display(map_path), *grid.info.shape, grid.resolution)
     LOG.info("%s: %d of %d scans", display(scans_path), len(chosen), len(scans))
     check_options(features, options)
     if many and not as_json:
-        emit(answers.header(mount))
+        emit(answer_header(mount))
     doubtful = []
     with progress("localize", len(chosen)) as advance:
         for k in chosen:
             scan = mounting.mount(cut_scan(scans[k], range_max))
             answer = locate(features, scan, options)
-            truth = _truth(scans, k)
+            truth = None if scans.poses is None else Pose2D(*scans.poses[k])
             if answer.verdict != "unique":
-                doubtful.append(k)
+                doubtful.append(scan)
             LOG.info("scan %d: %s, %s", k, answer.verdict, dict(answer.timings_ms))
             if k in targets:
-                write_hypotheses(targets[k], grid, scan, answer, truth, force=force)
+                draw(grid, answer, scan, truth=truth).save(targets[k], force=force)
                 LOG.info("wrote %s", display(targets[k]))
             if k in pages:
-                write_explanation(
-                    pages[k],
-                    features,
-                    scan,
-                    answer,
-                    options,
-                    title=f"{display(scans_path.name)}, scan {k}, on {display(map_path.name)}",
-                    truth=truth,
-                    mount=mount,
-                    force=force,
-                )
+                why = reasons(features, scan, answer, options)
+                title = f"{display(scans_path.name)}, scan {k}, on {display(map_path.name)}"
+                html = render_explanation(why, title, truth=truth, mount=mount)
+                write_text_atomic(pages[k], html, force=force)
                 LOG.info("wrote %s", display(pages[k]))
             advance()
             if as_json:
                 about = {"range_max": scan.range_max, **mounting.about}
-                emit(answers.as_json(k, answer, about, mount))
+                emit(to_json(answer_row(answer, k, about, mount)))
             elif many:
-                emit(answers.as_line(k, answer, mount))
+                emit(answer_line(k, answer, mount))
             else:
-                emit(answers.as_text(f"scan {k}", answer, truth, mount))
-    if folder is not None:
-        keep_features(features, folder)
+                emit(answer_text(f"scan {k}", answer, truth, mount))
+    keep_features(features, folder)
     if method == MethodName.FUSED and time_budget is None and 2 * len(doubtful) > len(chosen):
-        few = [mounting.mount(cut_scan(scans[k], range_max)) for k in doubtful[:MIRRORED]]
-        hint_at_mirrored(few, features, options, flipped=mounting.flipped)
+        _hint_at_mirrored(doubtful[:_MIRRORED], features, options, flipped=mounting.flipped)
     if strict and doubtful:
         raise typer.Exit(NOT_UNIQUE)
 
 
-def _options(
-    method: MethodName, top: int, step_deg: float | None, engine: EngineName, threads: int
-) -> "Options":
-    import numpy as np
-
+def _options(method: MethodName, step_deg: float | None) -> "Options":
     from imgloc.options import Options
 
-    options = Options(method=method.value, top=top, engine=engine.value, threads=threads)
+    options = Options(method=method.value)
     if step_deg is None:
         return options
-    step = float(np.deg2rad(step_deg))
+    step = math.radians(step_deg)
     if method == MethodName.FUSED:
         return replace(options, fused=replace(options.fused, theta_step=step))
     return replace(options, theta_step=step)
 
 
-def _choose(scans: "ScanSet", index: int | None, name: str) -> range:
-    """Indices of the scans asked for."""
-    if index is None:
-        return range(len(scans))
-    if index >= len(scans):
-        raise ConfigError(
-            f"--index: got {index}, expected 0 to {len(scans) - 1}: {name} has {len(scans)} scans"
+def _hint_at_mirrored(
+    doubtful: Sequence["LaserScan"], features: "MapFeatures", options: "Options", *, flipped: bool
+) -> None:
+    """Say so if all of some doubtful scans would fit at one place if they were mirrored."""
+    from imgloc.pipeline import localize as locate
+
+    if all(locate(features, scan.flipped, options).verdict == "unique" for scan in doubtful):
+        LOG.warning(
+            "scans like these fit at one place if they are mirrored: is the sensor upside down? "
+            "%s --flipped",
+            "Leave out" if flipped else "Try",
         )
-    return range(index, index + 1)
-
-
-def _truth(scans: "ScanSet", k: int) -> "Pose2D | None":
-    """Pose recorded with scan `k`, in the map frame."""
-    from imgloc.model import Pose2D
-
-    return None if scans.poses is None else Pose2D(*scans.poses[k])

@@ -1,10 +1,12 @@
-"""Options that several commands have, and the checks of their values."""
+"""Options that several commands have: how they are declared, parsed and checked."""
 
 import functools
 import inspect
+import math
 import os
-from collections.abc import Callable
-from dataclasses import replace
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypedDict, TypeVar
@@ -12,14 +14,16 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict, TypeVar
 import typer
 
 from imgloc.cli.console import configure
-from imgloc.cli.files import find_map
-from imgloc.cli.values import byte_count, check_yaw, numbers
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from imgloc.model import LaserScan
+    from imgloc.model import LaserScan, Pose2D
+    from imgloc.simulate import Sensor
 
 F = TypeVar("F", bound=Callable[..., None])
+_UNITS = {"": 0, "K": 10, "M": 20, "G": 30, "T": 40}
+RADIUS, TOLERANCE = 2.0, 0.8
+"""How far from --near a robot may be, and turned how far, unless stated: metres, radians."""
 
 
 class MethodName(StrEnum):
@@ -57,16 +61,62 @@ class SemanticsName(StrEnum):
     ROS1 = "ros1"
 
 
-class Reading(TypedDict):
-    """Keywords of :func:`imgloc.io.maps.load_map`, but for `allow_lossy`."""
+def byte_count(text: str) -> int:
+    """Parse a number of bytes, with a unit of powers of 1024 or none.
 
-    resolution: float | None
-    origin: tuple[float, float, float] | None
-    mode: str | None
-    semantics: str
-    occupied_thresh: float | None
-    free_thresh: float | None
-    negate: bool | None
+    Examples
+    --------
+    >>> byte_count("512M") == 512 * 1024**2, byte_count("1.5GiB") == 3 * 2**29
+    (True, True)
+    """
+    found = re.fullmatch(r"(\d+(?:\.\d*)?)\s*([KMGT]?)(?:i?B)?", text.strip(), re.IGNORECASE)
+    if found is None:
+        raise typer.BadParameter(f"got {text!r}, expected a number of bytes such as 512M or 2G")
+    return int(float(found[1]) * (1 << _UNITS[found[2].upper()]))
+
+
+def numbers(least: int, most: int | None = None) -> Callable[[str], tuple[float, ...]]:
+    """Return a parser of `least` to `most` finite numbers with commas between them.
+
+    Examples
+    --------
+    >>> numbers(3)("1,-2.5,0"), numbers(1, 2)("0.5")
+    ((1.0, -2.5, 0.0), (0.5,))
+    """
+    most = least if most is None else most
+    count = f"{least}" if least == most else f"{least} to {most}"
+
+    def parse(text: str) -> tuple[float, ...]:
+        try:
+            values = tuple(float(word) for word in text.split(","))
+        except ValueError:
+            values = ()
+        if not least <= len(values) <= most or not all(map(math.isfinite, values)):
+            raise typer.BadParameter(f"got {text!r}, expected {count} numbers with commas between")
+        return values
+
+    return parse
+
+
+def find_map(path: str | Path) -> Path:
+    """The file of a bundled map that is called by its name, or `path` itself.
+
+    Examples
+    --------
+    >>> find_map("curved").name, find_map("office").name
+    ('curved.yaml', 'office')
+    """
+    path = Path(path)
+    if path.name != str(path) or path.suffix or path.exists():
+        return path
+    from imgloc.errors import MapError
+    from imgloc.io.maps import bundled_maps
+
+    try:
+        bundled = bundled_maps() / f"{path}.yaml"
+    except MapError:
+        return path
+    return bundled if bundled.is_file() else path
 
 
 MapPath = Annotated[
@@ -80,18 +130,21 @@ MapPath = Annotated[
 ScansPath = Annotated[
     Path, typer.Argument(metavar="SCANS", help="Scans: .npz, .csv, .jsonl, .ndjson or .json.")
 ]
+Index = Annotated[
+    int | None, typer.Option("--index", min=0, metavar="I", help="Only scan I, counted from 0.")
+]
+Cut = Annotated[
+    float | None, typer.Option(metavar="M", help="Cut readings at M metres: there, no return.")
+]
+Reach = Annotated[float, typer.Option(metavar="M", help="Reach of the sensor, metres.")]
+Seed = Annotated[int, typer.Option(min=0, metavar="N", help="Seed of everything random.")]
+Cell = Annotated[float, typer.Option(metavar="M", help="Cell of the poses, metres.")]
 Flipped = Annotated[
     bool,
     typer.Option("--flipped", help="The sensor is upside down: its angles run clockwise."),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite output files that exist.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable: a JSON object a line.")]
-Threads = Annotated[
-    int | None,
-    typer.Option(
-        min=1, metavar="N", help="Threads; no result depends on it. [default: all processors]"
-    ),
-]
 MemoryBudget = Annotated[
     Any,
     typer.Option(
@@ -101,6 +154,18 @@ MemoryBudget = Annotated[
     ),
 ]
 AllowLossy = Annotated[bool, typer.Option("--allow-lossy", help="Accept a JPEG as the map.")]
+
+
+class Reading(TypedDict):
+    """Keywords of :func:`imgloc.io.maps.load_map`, but for `allow_lossy`."""
+
+    resolution: float | None
+    origin: tuple[float, float, float] | None
+    mode: str | None
+    semantics: str
+    occupied_thresh: float | None
+    free_thresh: float | None
+    negate: bool | None
 
 
 def reading(
@@ -115,20 +180,16 @@ def reading(
     ] = None,
     mode: Annotated[ModeName | None, typer.Option(help="How greys are read.")] = None,
     semantics: Annotated[
-        SemanticsName,
-        typer.Option(help="Whose thresholds and transparency."),
+        SemanticsName, typer.Option(help="Whose thresholds and transparency.")
     ] = SemanticsName.NAV2,
     occupied_thresh: Annotated[
-        float | None,
-        typer.Option(metavar="P", help="Occupied from here on, 0..1."),
+        float | None, typer.Option(metavar="P", help="Occupied from here on, 0..1.")
     ] = None,
     free_thresh: Annotated[
-        float | None,
-        typer.Option(metavar="P", help="Free up to here, 0..1."),
+        float | None, typer.Option(metavar="P", help="Free up to here, 0..1.")
     ] = None,
     negate: Annotated[
-        bool | None,
-        typer.Option("--negate/--no-negate", help="White is a wall."),
+        bool | None, typer.Option("--negate/--no-negate", help="White is a wall.")
     ] = None,
 ) -> Reading:
     """Options that say how a map is read; they override its YAML."""
@@ -145,12 +206,275 @@ def reading(
     )
 
 
+@dataclass(frozen=True)
+class Resources:
+    """What a command may take to its end: threads, and bytes of memory."""
+
+    threads: int
+    memory_budget: int
+
+
+Take = Callable[[], Resources]
+
+
+def resources(
+    threads: Annotated[
+        int | None,
+        typer.Option(
+            min=1, metavar="N", help="Threads; no result depends on it. [default: all processors]"
+        ),
+    ] = None,
+    memory_budget: MemoryBudget = None,
+) -> Take:
+    """Options of what a command may take; call the result when its work begins."""
+
+    def take() -> Resources:
+        import cv2
+
+        cv2.setNumThreads(count_threads(threads))
+        return Resources(count_threads(threads), fixed_budget(memory_budget))
+
+    return take
+
+
+def fixed_budget(memory_budget: int | None) -> int:
+    """Bytes that a command may take to its end: by default half of what is there at its start."""
+    from imgloc.features.budget import default_budget
+
+    return default_budget() if memory_budget is None else memory_budget
+
+
+def count_threads(wanted: int | None) -> int:
+    """Return `wanted`, or the number of processors that this process may use."""
+    if wanted is not None:
+        return wanted
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def console(
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say what is done.")] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
 ) -> None:
     """Options about what is said on standard error."""
     configure(verbose=verbose, debug=debug)
+
+
+@dataclass(frozen=True)
+class Known:
+    """What the options say of the pose, map frame; None where they say nothing."""
+
+    near: tuple[float, ...] | None
+    heading: tuple[float, ...] | None
+    region: Path | None
+    clearance: float | None
+
+
+def known(
+    near: Annotated[
+        Any,
+        typer.Option(
+            metavar="X,Y,YAW[,R[,T]]",
+            parser=numbers(3, 5),
+            help="Only poses within R metres of a pose in the map frame and turned from it by at "
+            f"most T radians. [default: R = {RADIUS:g}, T = {TOLERANCE:g}]",
+        ),
+    ] = None,
+    heading: Annotated[
+        Any,
+        typer.Option(
+            metavar="YAW[,T]",
+            parser=numbers(1, 2),
+            help="Only poses with this heading in the map frame (a compass), up to T radians. "
+            f"[default: T = {TOLERANCE:g}]",
+        ),
+    ] = None,
+    region: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PNG", help="Only poses in the white part of an image as large as the map's."
+        ),
+    ] = None,
+    clearance: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Only poses at least M metres from what is not free: the robot's size.",
+        ),
+    ] = None,
+) -> Known:
+    """Options of the prior."""
+    if near is not None and len(near) > 3:
+        check_range("--near, R", near[3], 0.01, 1e6, "metres")
+    for option, given, yaw, tolerance in (("--near", near, 2, 4), ("--heading", heading, 0, 1)):
+        if given is not None:
+            check_yaw(option, given[yaw])
+            if len(given) > tolerance:
+                check_range(f"{option}, T", given[tolerance], 0.001, 3.2, "radians")
+    check_range("--clearance", clearance, 0, 1000, "metres")
+    return Known(near, heading, region, clearance)
+
+
+@dataclass(frozen=True)
+class Mounting:
+    """How the sensor sits on the robot."""
+
+    sensor: tuple[float, float, float] | None
+    flipped: bool
+
+    @property
+    def pose(self) -> "Pose2D | None":
+        """Pose of the sensor on the robot, if it was given."""
+        from imgloc.model import Pose2D
+
+        return None if self.sensor is None else Pose2D(*self.sensor)
+
+    @property
+    def about(self) -> dict[str, object]:
+        """What was given, for the record."""
+        return {"sensor": self.pose, "flipped": self.flipped}
+
+    def mount(self, scan: "LaserScan") -> "LaserScan":
+        """The scan as that of a sensor that is mounted upright, with the mounting pose given."""
+        scan = scan.flipped if self.flipped else scan
+        return scan if self.pose is None else replace(scan, T_base_laser=self.pose)
+
+
+def mounting(
+    sensor: Annotated[
+        Any,
+        typer.Option(
+            metavar="X,Y,YAW",
+            parser=numbers(3),
+            help="Pose of the sensor on the robot (metres, radians): poses of the robot's base are "
+            "given too.",
+        ),
+    ] = None,
+    flipped: Flipped = False,
+) -> Mounting:
+    """Options of the mounting."""
+    if sensor is not None:
+        check_yaw("--sensor", sensor[2])
+    return Mounting(sensor, flipped)
+
+
+def sensor(
+    rays: Annotated[int, typer.Option(min=1, metavar="N", help="Readings of a scan.")] = 181,
+    fov_deg: Annotated[
+        float, typer.Option(metavar="DEG", help="Angle that a scan covers, degrees.")
+    ] = 180.0,
+    sigma: Annotated[
+        float, typer.Option(metavar="M", help="Standard deviation of a reading's noise, metres.")
+    ] = 0.02,
+    outliers: Annotated[
+        float,
+        typer.Option(metavar="P", help="Share of the rays that something unmapped stops, 0..1."),
+    ] = 0.0,
+    dropped: Annotated[
+        float, typer.Option(metavar="P", help="Share of the rays that give no measurement, 0..1.")
+    ] = 0.0,
+    clearance: Annotated[
+        float,
+        typer.Option(
+            metavar="M", help="Least distance of the robot from what is not free, metres."
+        ),
+    ] = 0.3,
+    mount: Annotated[
+        Any,
+        typer.Option(
+            metavar="X,Y,YAW",
+            parser=numbers(3),
+            help="Pose of the sensor on the robot: metres, metres, radians. [default: 0,0,0]",
+        ),
+    ] = None,
+) -> "Sensor":
+    """Options of a simulated sensor, but for its reach."""
+    check_range("--fov-deg", fov_deg, 0.01, 360, "degrees")
+    check_range("--sigma", sigma, 0, 10, "metres")
+    check_range("--outliers", outliers, 0, 1, "a share")
+    check_range("--dropped", dropped, 0, 1, "a share")
+    check_range("--clearance", clearance, 0, 1000, "metres")
+    if mount is not None:
+        check_yaw("--mount", mount[2])
+    from imgloc.model import Pose2D
+    from imgloc.simulate import Sensor
+
+    return Sensor(
+        rays=rays,
+        fov=math.radians(fov_deg),
+        sigma=sigma,
+        outliers=outliers,
+        dropped=dropped,
+        clearance=clearance,
+        mount=Pose2D(*(mount or (0.0, 0.0, 0.0))),
+    )
+
+
+def check_yaw(option: str, yaw: float) -> None:
+    """Refuse an angle that was meant in degrees."""
+    if abs(yaw) > 2 * math.pi + 1e-6:
+        raise ConfigError(
+            f"{option}: got a yaw of {yaw:g}, expected radians, -6.2832 to 6.2832; are these "
+            "degrees? multiply them by pi / 180"
+        )
+
+
+def check_range(option: str, value: float | None, low: float, high: float, unit: str) -> None:
+    """Refuse a value that is not in ``low..high``; None, an option not given, passes."""
+    if value is not None and not low <= value <= high:  # NaN fails both
+        raise ConfigError(f"{option}: got {value:g}, expected {unit}, {low:g} to {high:g}")
+
+
+def methods_of(text: str, known: Sequence[str]) -> list[str]:
+    """Names of methods with commas between, each once, in the order given.
+
+    Examples
+    --------
+    >>> methods_of("ght, beam,ght", ["beam", "ght"])
+    ['ght', 'beam']
+    """
+    names = [name.strip() for name in text.split(",")]
+    for name in names:
+        if name not in known:
+            raise ConfigError(
+                f"--methods: got {name!r}, expected {','.join(known)} or some of them"
+            )
+    return list(dict.fromkeys(names))
+
+
+def for_each(
+    option: str,
+    texts: Sequence[str] | None,
+    methods: Sequence[str],
+    low: float,
+    high: float,
+    unit: str,
+) -> dict[str, float]:
+    """Values by method of an option given as VALUE, for all, or METHOD=VALUE.
+
+    Examples
+    --------
+    >>> for_each("--cell", ["ght=0.2", "0.1"], ["ght", "beam"], 0, 1, "metres")
+    {'ght': 0.2, 'beam': 0.1}
+    """
+    out: dict[str, float] = {}
+    for text in sorted(texts or (), key=lambda t: "=" in t):  # those for one method win
+        name, _, number = text.rpartition("=")
+        if name and name not in methods:
+            raise ConfigError(f"{option}: got {text!r}, {name!r} is not one of --methods")
+        value = number_of(option, number)
+        check_range(option, value, low, high, unit)
+        out |= dict.fromkeys([name] if name else methods, value)
+    return out
+
+
+def number_of(option: str, text: str) -> float:
+    """Parse a number; the error names the option."""
+    try:
+        return float(text)
+    except ValueError:
+        raise ConfigError(f"{option}: got {text!r}, expected a number") from None
 
 
 def with_options(*groups: Callable[..., Any]) -> Callable[[F], Callable[..., None]]:
@@ -188,30 +512,3 @@ def with_options(*groups: Callable[..., Any]) -> Callable[[F], Callable[..., Non
 def examples(*lines: str) -> str:
     """Format examples for the end of a help text, one a line."""
     return "\b\nExamples:\n" + "\n".join("  " + line for line in lines)
-
-
-def count_threads(wanted: int | None) -> int:
-    """Return `wanted`, or the number of processors that this process may use."""
-    if wanted is not None:
-        return wanted
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def cut_scan(scan: "LaserScan", range_max: float | None, *, flipped: bool = False) -> "LaserScan":
-    """Return the scan that a sensor with a shorter reach, or one upright, would have recorded.
-
-    Raises
-    ------
-    ConfigError
-        If it would not reach beyond `range_min`.
-    """
-    scan = scan.flipped if flipped else scan
-    if range_max is None or range_max >= scan.range_max:
-        return scan
-    if range_max <= scan.range_min:
-        raise ConfigError(
-            f"--range-max: got {range_max:g}, expected more than range_min, {scan.range_min:g} m"
-        )
-    return replace(scan, range_max=range_max)

@@ -7,19 +7,22 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from imgloc.cli.console import say
-from imgloc.cli.files import check_target
+from imgloc.cli.inputs import check_simulation, check_target, load_grid
 from imgloc.cli.options import (
     AllowLossy,
     Force,
     MapPath,
     MemoryBudget,
+    Reach,
     Reading,
+    Seed,
+    check_range,
     console,
+    fixed_budget,
     reading,
+    sensor,
     with_options,
 )
-from imgloc.cli.sensor import sensor
-from imgloc.cli.values import check_range
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -37,10 +40,8 @@ def simulate(
     count: Annotated[
         int, typer.Option("-n", "--count", min=1, metavar="N", help="Number of scans.")
     ] = 100,
-    range_max: Annotated[
-        float, typer.Option(metavar="M", help="Reach of the sensor, metres.")
-    ] = 30.0,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of everything random.")] = 0,
+    range_max: Reach = 30.0,
+    seed: Seed = 0,
     memory_budget: MemoryBudget = None,
     force: Force = False,
     allow_lossy: AllowLossy = False,
@@ -58,15 +59,13 @@ def simulate(
             f"{count:,} scans of {rays:,} rays are {count * rays:,} readings, expected at most "
             f"{_MAX_READINGS:,}; simulate several files with different seeds"
         )
-    from imgloc.cli.budgets import check_simulation, fixed_budget
-    from imgloc.cli.loading import load_usable
     from imgloc.io.files import display
     from imgloc.io.scans import save_scans
     from imgloc.simulate import simulate_set
 
-    memory_budget = fixed_budget(memory_budget)
-    grid = load_usable(map_path, memory_budget, allow_lossy=allow_lossy, **reading)
-    check_simulation(grid, display(map_path), count, rays, memory_budget)
+    budget = fixed_budget(memory_budget)
+    grid = load_grid(map_path, budget, allow_lossy=allow_lossy, **reading)
+    check_simulation(grid, display(map_path), count, rays, budget)
     scans = simulate_set(grid, count, seed, replace(sensor, range_max=range_max))
     save_scans(out, scans, force=force)
     say(f"wrote {display(out)}: {count} scans of {rays} readings, with their poses")

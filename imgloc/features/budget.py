@@ -12,7 +12,6 @@ import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.features.pyramid import default_top
-from imgloc.io.images import ImageSize
 from imgloc.model import OccupancyGrid
 
 MIB = 1 << 20
@@ -234,23 +233,6 @@ def exact_bytes(
     # The maps with their margins twice, the bounds of all blocks, offsets of all readings.
     maps = 2 * (top + 5) * shape[0] * shape[1]
     return maps + n_thetas * (32 * blocks + 120 * readings) + _FIXED
-
-
-def load_bytes(size: ImageSize) -> int:
-    """Peak of :func:`imgloc.io.maps.load_map`, with the map; samples may be written as text.
-
-    Examples
-    --------
-    >>> load_bytes(ImageSize(10_000, 10_000, 2_665_308, grey=True)) // 2**20
-    683
-    """
-    pixel = 7 if size.grey else 26
-    return pixel * size.width * size.height + 4 * size.file_bytes + 6 * MIB
-
-
-def check_bytes(size: ImageSize) -> int:
-    """Peak of :func:`imgloc.io.mapcheck.check_map`."""
-    return load_bytes(size) + 10 * size.width * size.height
 
 
 def scans_bytes(scans: int, numbers: int, file_bytes: int = 0, *, text: bool = False) -> int:

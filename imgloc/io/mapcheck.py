@@ -9,13 +9,14 @@ import numpy.typing as npt
 from skimage.measure import label
 
 from imgloc.io.files import PathLike, display
-from imgloc.io.images import MAX_PIXELS, MapImage, read_image
+from imgloc.io.images import MAX_PIXELS, ImageSize, MapImage, read_image
 from imgloc.io.maps import (
     MAX_SIDE,
     MapSettings,
     Reading,
     channel_sum,
     grid_of,
+    load_bytes,
     resolve_settings,
 )
 from imgloc.model import OccupancyGrid, Pose2D
@@ -23,6 +24,7 @@ from imgloc.model import OccupancyGrid, Pose2D
 _MANY_GREYS = 16
 _HUGE_CELLS = 16_000_000
 _MOST = 10  # greys, and parts, that are listed
+_CHECKED = 10  # bytes per pixel, more than loading takes
 
 
 class MapWarning(NamedTuple):
@@ -150,6 +152,11 @@ def check_map(path: PathLike, **reading: Unpack[Reading]) -> MapReport:
             *_about_greys(settings, image, sums, grid, len(levels)),
         ),
     )
+
+
+def check_bytes(size: ImageSize) -> int:
+    """Peak of :func:`check_map`, bytes; see :func:`imgloc.io.maps.load_bytes`."""
+    return load_bytes(size) + _CHECKED * size.width * size.height
 
 
 def _read_differently(image: MapImage, settings: MapSettings) -> int:

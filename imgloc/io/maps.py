@@ -24,7 +24,7 @@ from imgloc.io.files import (
     write_bytes_atomic,
     write_text_atomic,
 )
-from imgloc.io.images import MAX_PIXELS, MapImage, encode_png, read_image
+from imgloc.io.images import MAX_PIXELS, ImageSize, MapImage, encode_png, read_image
 from imgloc.io.mapyaml import MODES, RESOLUTION_RANGE, MapYaml, load_map_yaml
 from imgloc.model import OccupancyGrid, Pose2D
 
@@ -35,6 +35,10 @@ OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
 YAML_ENDINGS = (".yaml", ".yml")
 UNKNOWN = -1
 Int8Array = npt.NDArray[np.int8]
+
+# Bytes that were measured to be taken at most: per pixel, as it is decoded and read as occupied
+# or free; per byte of the file, whose samples may be written as text; and for tables of greys.
+_GREY, _COLOURED, _TEXT, _TABLES = 7, 26, 4, 6 << 20
 
 
 class Reading(TypedDict, total=False):
@@ -139,6 +143,23 @@ def load_map(
             f"{MAX_SIDE:,} a side; crop or downsample the map"
         )
     return grid_of(image, settings)
+
+
+def load_bytes(size: ImageSize) -> int:
+    """Peak of :func:`load_map`, with the map itself, bytes.
+
+    Parameters
+    ----------
+    size : ImageSize
+        Of :func:`~imgloc.io.images.image_size`.
+
+    Examples
+    --------
+    >>> load_bytes(ImageSize(10_000, 10_000, 2_665_308, grey=True)) // 2**20
+    683
+    """
+    pixel = _GREY if size.grey else _COLOURED
+    return pixel * size.width * size.height + _TEXT * size.file_bytes + _TABLES
 
 
 def require_usable(grid: OccupancyGrid, name: str) -> None:

@@ -21,13 +21,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgloc.cli.answers import to_json
 from imgloc.errors import ConfigError, ImglocError
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.likelihood.correlate import ENGINES
 from imgloc.model import OccupancyGrid
+from imgloc.output.json import to_json
 from imgloc.pipeline import prepare
 from imgloc.simulate import Sensor, simulate_set
 from imgloc.worlds import WORLDS, render

@@ -7,10 +7,6 @@ from types import MappingProxyType
 import cv2
 import numpy as np
 
-from imgloc.draw import draw_field, draw_likelihood, draw_map, draw_surface, mosaic
-from imgloc.draw.canvas import PAPER, Canvas, Picture
-from imgloc.draw.maps import marker_size
-from imgloc.draw.scalars import draw_bmap
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import compose, transform_points, uniform_thetas
@@ -23,6 +19,9 @@ from imgloc.model import (
     OrientedPoints,
     Pose2D,
 )
+from imgloc.output.canvas import PAPER, Canvas, Image, draw_map, marker_size
+from imgloc.output.features import draw_bmap, draw_field, draw_surface
+from imgloc.output.pictures import draw_likelihood, mosaic
 from imgloc.simulate import simulate
 from imgloc.worlds import NICHES, WORLDS, render
 from tools.paper.table import CELL, stack_of
@@ -122,7 +121,7 @@ def scene(name: str, *, threads: int = 1, advance: Callable[[], None] = lambda: 
     return Scene(truth, features, points, tuple(stacks))
 
 
-def figure(name: str, threads: int = 1, advance: Callable[[], None] = lambda: None) -> Picture:
+def figure(name: str, threads: int = 1, advance: Callable[[], None] = lambda: None) -> Image:
     """Compute and draw a figure of :data:`SETTINGS`, (H, W, 3) BGR."""
     s = scene(name, threads=threads, advance=advance)
     if name == "fig4":
@@ -139,7 +138,7 @@ def draw_comparison(
     stacks: Sequence[tuple[str, Likelihood]],
     *,
     scale: int,
-) -> Picture:
+) -> Image:
     """Draw the map and each method's likelihood, as Figs. 1, 2 and 5 have it.
 
     Parameters
@@ -160,7 +159,7 @@ def draw_comparison(
     return mosaic(lettered(panels), columns=3)
 
 
-def draw_fields(s: Scene, *, window: tuple[float, float, float, float], scale: int = 9) -> Picture:
+def draw_fields(s: Scene, *, window: tuple[float, float, float, float], scale: int = 9) -> Image:
     """Draw what CBML and CBML-O make of a part of a map, Fig. 4, and what comes of it near a pose.
 
     Parameters
@@ -196,7 +195,7 @@ def draw_fields(s: Scene, *, window: tuple[float, float, float, float], scale: i
 
 def draw_scan(
     grid: OccupancyGrid, truth: Pose2D, points: OrientedPoints, *, scale: int | None = None
-) -> Picture:
+) -> Image:
     """Draw a scan (sensor frame) with its normals at its true pose (grid frame), on a pale map."""
     there = OrientedPoints(
         transform_points(truth, points.xy), points.alpha + truth.theta, points.sigma_alpha,
@@ -207,7 +206,7 @@ def draw_scan(
     return ring(draw_surface(sheet, there, scale=scale), grid.info, truth)
 
 
-def _likelihood(stack: Likelihood, grid: OccupancyGrid, truth: Pose2D, scale: int) -> Picture:
+def _likelihood(stack: Likelihood, grid: OccupancyGrid, truth: Pose2D, scale: int) -> Image:
     """One method's panel: its likelihood, the true pose, the maximum if it is elsewhere."""
     best = np.where(grid.free, stack.values.max(axis=0), -np.inf)
     row, column = np.unravel_index(int(best.argmax()), best.shape)
@@ -217,7 +216,7 @@ def _likelihood(stack: Likelihood, grid: OccupancyGrid, truth: Pose2D, scale: in
     return cross(panel, stack.grid, at) if elsewhere else panel
 
 
-def ring(image: Picture, info: GridInfo, pose: Pose2D) -> Picture:
+def ring(image: Image, info: GridInfo, pose: Pose2D) -> Image:
     """Mark a pose (grid frame) of a lattice by a ring and a line along theta; returns `image`.
 
     It leaves visible what is in it.
@@ -234,7 +233,7 @@ def ring(image: Picture, info: GridInfo, pose: Pose2D) -> Picture:
     return image
 
 
-def cross(image: Picture, info: GridInfo, xy: FloatArray) -> Picture:
+def cross(image: Image, info: GridInfo, xy: FloatArray) -> Image:
     """Mark a position (2,), metres in the grid frame, by an oblique cross; returns `image`."""
     canvas = Canvas(image, image.shape[1] / (info.width * info.resolution))
     arm = 0.8 * marker_size(canvas) / canvas.px_per_m
@@ -244,7 +243,7 @@ def cross(image: Picture, info: GridInfo, xy: FloatArray) -> Picture:
     return image
 
 
-def lettered(panels: Sequence[tuple[str, Picture]]) -> list[tuple[str, Picture]]:
+def lettered(panels: Sequence[tuple[str, Image]]) -> list[tuple[str, Image]]:
     """Put (a), (b), ... before the captions, and a thin frame on each panel.
 
     Examples

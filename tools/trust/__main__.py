@@ -20,17 +20,17 @@ from pathlib import Path
 
 import cv2
 
-from imgloc.cli.answers import to_json
 from imgloc.cli.console import progress
-from imgloc.cli.files import check_target
-from imgloc.cli.which import find_maps, names_of
+from imgloc.cli.inputs import check_target
 from imgloc.errors import ConfigError, ImglocError
 from imgloc.io.files import write_bytes_atomic, write_text_atomic
 from imgloc.io.images import encode_png
 from imgloc.io.maps import load_map
 from imgloc.options import Options
+from imgloc.output.json import to_json
 from imgloc.pipeline import prepare
 from imgloc.simulate import Sensor, simulate_set
+from imgloc.which import find_maps, names_of
 from imgloc.worlds import WORLDS, render
 from tools.plots import blank
 from tools.recorded import scans_beside

@@ -1,17 +1,80 @@
-"""Pictures of what is computed from a map: surfaces, vector fields, visibility."""
+"""Images of what is computed from a map: surfaces, vector fields, visibility."""
+
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.draw.canvas import INK, PALETTE, Picture, sheet, wheel
-from imgloc.draw.maps import map_canvas, marker_size, scale_bar
+from imgloc.errors import MapError
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.geometry import inverse, transform_points
 from imgloc.model import Float32Array, FloatArray, GridInfo, IntArray, OccupancyGrid, OrientedPoints
+from imgloc.output.canvas import (
+    INK,
+    PALETTE,
+    Image,
+    draw_map,
+    map_canvas,
+    marker_size,
+    scale_bar,
+    sheet,
+    wheel,
+)
+
+#: What :func:`draw_feature` draws.
+SUBJECTS = ("map", "bmap", "vmap", "surface", "visibility", "distance")
+
+
+def draw_feature(features: MapFeatures, what: str, at: tuple[float, float] | None = None) -> Image:
+    """Draw a map, or one of its features.
+
+    Parameters
+    ----------
+    features : MapFeatures
+    what : str
+        One of :data:`SUBJECTS`.
+    at : (float, float), optional
+        For ``visibility``: of the surface point nearest to here, metres, map frame; by default
+        of the one that sees most.
+
+    Raises
+    ------
+    ValueError
+        If `what` is another word.
+    MapError
+        If what a surface point sees is asked of a map without a surface.
+    """
+    grid, lattice = features.grid, features.lattice
+    if what == "map":
+        return draw_map(grid)
+    if what == "bmap":
+        return draw_bmap(features.bmap, lattice)
+    if what == "vmap":
+        return draw_field(features.vmap, lattice.resolution)
+    if what == "surface":
+        return draw_surface(grid, features.surface)
+    if what == "distance":
+        return draw_distance(features.walls * grid.resolution, grid.info)
+    if what != "visibility":
+        raise ValueError(f"cannot draw {what!r}, expected one of {', '.join(SUBJECTS)}")
+    surface = features.surface
+    if len(surface) == 0:
+        raise MapError("the map has no surface: no occupied cell borders on a free one")
+    horizon = min(features.horizon, float(np.hypot(*grid.occupied.shape)) * grid.resolution)
+    vis = np.minimum(replace(features, horizon=horizon).visibility, horizon)
+    if at is None:
+        best = int(np.argmax((np.asarray(vis, dtype=np.float64) ** 2).sum(axis=0)))
+    else:
+        there = transform_points(inverse(grid.origin), np.array([at]))
+        best = int(np.argmin(np.hypot(*(surface.xy - there).T)))
+    alpha = float(np.nan_to_num(surface.alpha[best]))
+    return draw_visibility(grid, surface.xy[best], vis[:, best], horizon=horizon, alpha=alpha)
 
 
 def draw_surface(
     grid: OccupancyGrid, surface: OrientedPoints, *, scale: int | None = None
-) -> Picture:
+) -> Image:
     """Draw surface points with their directed normals, coloured by direction.
 
     Parameters
@@ -41,7 +104,7 @@ def draw_surface(
 
 def draw_field(
     vmap: Float32Array, resolution: float, *, scale: int | None = None, step: int | None = None
-) -> Picture:
+) -> Image:
     """Draw a blurred vector field (Fig. 4c): colour is direction, saturation is intensity.
 
     Parameters
@@ -78,6 +141,68 @@ def draw_field(
     return canvas.image
 
 
+def draw_bmap(bmap: npt.ArrayLike, grid: GridInfo, *, scale: int | None = None) -> Image:
+    """Draw a blurred map (Fig. 3): white at 0, black at 1.
+
+    Parameters
+    ----------
+    bmap : (H, W) array
+        0..1.
+    grid : GridInfo
+        Its lattice.
+    scale : int, optional
+        Pixels per cell.
+
+    Returns
+    -------
+    (H * scale, W * scale, 3) uint8 array
+
+    Examples
+    --------
+    >>> draw_bmap([[0.0, 1.0]], GridInfo(1, 2, 0.1), scale=1)[..., 0].tolist()
+    [[255, 56]]
+    """
+    share = np.clip(np.asarray(bmap, dtype=np.float64), 0, 1)[..., None]
+    canvas = sheet(np.rint(255 + share * (np.array(INK) - 255)).astype(np.uint8), grid, scale)
+    scale_bar(canvas)
+    return canvas.image
+
+
+def draw_distance(distance: npt.ArrayLike, grid: GridInfo, *, scale: int | None = None) -> Image:
+    """Draw distances to the nearest wall: dark at the walls, bright far from them.
+
+    Parameters
+    ----------
+    distance : (H, W) array
+        Metres; 0 in walls.
+    grid : GridInfo
+        Its lattice.
+    scale : int, optional
+        Pixels per cell.
+
+    Returns
+    -------
+    (H * scale, W * scale, 3) uint8 array
+        Every full metre is a fine line.
+
+    Examples
+    --------
+    >>> draw_distance([[0.0, 0.1, 0.2]], GridInfo(1, 3, 0.1), scale=2).shape
+    (2, 6, 3)
+    """
+    metres = np.asarray(distance, dtype=np.float64)
+    grey = np.rint(255 * metres / max(float(metres.max()), 1e-12)).astype(np.uint8)
+    colours = np.asarray(cv2.applyColorMap(grey, cv2.COLORMAP_VIRIDIS), dtype=np.uint8)
+    floor = np.floor(metres)
+    steps = np.pad(floor, ((0, 1), (0, 1)), mode="edge")
+    line = (floor != steps[1:, :-1]) | (floor != steps[:-1, 1:])
+    colours[line] = np.rint(0.6 * colours[line] + 0.4 * 255)
+    colours[metres <= 0] = INK
+    canvas = sheet(colours, grid, scale)
+    scale_bar(canvas)
+    return canvas.image
+
+
 def draw_visibility(
     grid: OccupancyGrid,
     xy: npt.ArrayLike,
@@ -86,7 +211,7 @@ def draw_visibility(
     horizon: float,
     alpha: float = 0.0,
     scale: int | None = None,
-) -> Picture:
+) -> Image:
     """Draw what one point of a surface sees: the array ``vis_j`` of Sec. V as a fan.
 
     Parameters

@@ -1,4 +1,4 @@
-"""The sheet that pictures are drawn on: cells and metres to pixels, colours, text.
+"""The sheet that pictures are drawn on: cells and metres to pixels, colours, text, the map.
 
 Row 0 of a grid is the lowest y and row 0 of a picture is at the top: the flip happens here
 and nowhere else.
@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.model import FloatArray, GridInfo
+from imgloc.model import FloatArray, GridInfo, OccupancyGrid
 
-Picture = npt.NDArray[np.uint8]
+Image = npt.NDArray[np.uint8]
 """(H, W, 3) uint8, blue-green-red as OpenCV has it, row 0 at the top."""
 Colour = tuple[int, int, int]
 
@@ -47,7 +47,7 @@ class Canvas:
     [[-0.5, 39.5], [29.5, -0.5]]
     """
 
-    image: Picture
+    image: Image
     px_per_m: float
 
     def pixels(self, xy: FloatArray) -> FloatArray:
@@ -92,24 +92,20 @@ class Canvas:
         self.dots(np.array([[x, y]]), PAPER, 0.45 * size)
 
 
-def default_scale(grid: GridInfo) -> int:
-    """Pixels per cell that enlarge a small grid to 1000 pixels a side or more."""
-    return max(1, min(16, -(-_SIDE // max(grid.shape))))
-
-
 def sheet(cells: npt.NDArray[np.uint8], grid: GridInfo, scale: int | None) -> Canvas:
     """Draw the cells (H, W, 3) of a grid as squares of `scale` pixels, upside up.
 
     By default small grids are enlarged to 1000 pixels a side or more.
     """
-    scale = default_scale(grid) if scale is None else scale
+    if scale is None:
+        scale = max(1, min(16, -(-_SIDE // max(grid.shape))))
     up = np.ascontiguousarray(cells[::-1])
     size = (grid.width * scale, grid.height * scale)
     image = cv2.resize(up, size, interpolation=cv2.INTER_NEAREST)
     return Canvas(np.asarray(image, dtype=np.uint8), scale / grid.resolution)
 
 
-def text(image: Picture, message: str, x: int, y: int, colour: Colour = INK, size: int = 13) -> int:
+def text(image: Image, message: str, x: int, y: int, colour: Colour = INK, size: int = 13) -> int:
     """Write `message` with its baseline's left end at pixel (x, y) and return its width."""
     scale = size / 22
     cv2.putText(image, message, (x, y), _FONT, scale, colour, 1, cv2.LINE_AA)
@@ -121,7 +117,7 @@ def text_width(message: str, size: int = 13) -> int:
     return int(cv2.getTextSize(message, _FONT, size / 22, 1)[0][0])
 
 
-def wheel(direction: npt.ArrayLike, strength: npt.ArrayLike) -> Picture:
+def wheel(direction: npt.ArrayLike, strength: npt.ArrayLike) -> Image:
     """Colours (..., 3) of directions in radians, from white at strength 0 to full at 1."""
     hue = np.rint(np.asarray(direction) / (2 * np.pi) * 180).astype(np.int64) % 180
     saturation = np.rint(255 * np.broadcast_to(strength, hue.shape))
@@ -131,3 +127,88 @@ def wheel(direction: npt.ArrayLike, strength: npt.ArrayLike) -> Picture:
         return hsv
     bgr = cv2.cvtColor(hsv.reshape(-1, 1, 3), cv2.COLOR_HSV2BGR)
     return np.asarray(bgr, dtype=np.uint8).reshape(hsv.shape)
+
+
+def draw_map(
+    grid: OccupancyGrid, *, scale: int | None = None, faded: bool = False, bar: bool = True
+) -> Image:
+    """Draw a map: walls dark, free space white, unknown space grey, and a scale bar.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+    scale : int, optional
+        Pixels per cell; by default small maps are enlarged to 1000 pixels or more.
+    faded : bool
+        Paint walls in a middle grey, as a background.
+    bar : bool
+        Draw a scale bar.
+
+    Returns
+    -------
+    (H * scale, W * scale, 3) uint8 array
+
+    Examples
+    --------
+    >>> wall = np.eye(3, dtype=bool)
+    >>> draw_map(OccupancyGrid(wall, ~wall, 0.1), scale=1, bar=False)[..., 0].tolist()
+    [[255, 255, 56], [255, 56, 255], [56, 255, 255]]
+    """
+    colours = np.array([SHADE, PAPER, (146, 140, 134) if faded else INK], dtype=np.uint8)
+    classes = np.where(grid.occupied, 2, grid.free.astype(np.int64))
+    canvas = sheet(colours[classes], grid.info, scale)
+    if bar:
+        scale_bar(canvas)
+    return canvas.image
+
+
+def map_canvas(grid: OccupancyGrid, scale: int | None = None) -> Canvas:
+    """Return a canvas with the faded map, to draw on."""
+    image = draw_map(grid, scale=scale, faded=True, bar=False)
+    return Canvas(image, image.shape[1] / (grid.occupied.shape[1] * grid.resolution))
+
+
+def marker_size(canvas: Canvas) -> float:
+    """Radius of a robot in pixels: 0.25 m, but never too small to see nor very large."""
+    side = max(canvas.image.shape[:2])
+    return float(np.clip(0.25 * canvas.px_per_m, max(5.0, side / 160), max(9.0, side / 80)))
+
+
+def scale_bar(canvas: Canvas) -> None:
+    """Draw a bar of a round length, at most a fifth of the width.
+
+    It stands as close to the lower left corner as it can without covering anything darker
+    than unknown space.
+    """
+    height, width = canvas.image.shape[:2]
+    if width < 120 or height < 60:
+        return
+    length = round_length(0.2 * width / canvas.px_per_m)
+    label = f"{length:g} m"
+    px = round(length * canvas.px_per_m)
+    wide, high = max(px, text_width(label)) + 14, 32
+    ink = cv2.integral((canvas.image.min(axis=2) < SHADE[2]).astype(np.uint8))
+    y0, x0 = np.mgrid[5 : height - high - 4 : 3, 5 : width - wide - 4 : 3]
+    y1, x1 = y0 + high, x0 + wide
+    covered = ink[y1, x1] - ink[y0, x1] - ink[y1, x0] + ink[y0, x0]
+    away = np.hypot(x0, height - high - y0)
+    best = int(np.argmin(covered + away / (1 + away.max())))
+    top, left = int(y0.flat[best]), int(x0.flat[best])
+    box = canvas.image[top : top + high, left : left + wide]
+    box[:] = np.rint(0.15 * box + 0.85 * 255)
+    x, y = left + (wide - px) // 2, top + high - 7
+    canvas.image[y - 1 : y + 1, x : x + px + 1] = INK
+    canvas.image[y - 5 : y + 1, [x, x + px]] = INK
+    text(canvas.image, label, left + (wide - text_width(label)) // 2, y - 8)
+
+
+def round_length(longest: float) -> float:
+    """The greatest of 1, 2, 5, 10, 20 ... that is no more than `longest`.
+
+    Examples
+    --------
+    >>> round_length(0.3), round_length(70.0)
+    (0.2, 50.0)
+    """
+    decade = float(10.0 ** np.floor(np.log10(longest)))
+    return decade * max(k for k in (1, 2, 5) if k * decade <= longest * (1 + 1e-9))

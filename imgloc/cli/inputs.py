@@ -1,0 +1,323 @@
+"""What the commands read, the same way in each: maps, scans, priors, within the memory."""
+
+import contextlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from imgloc.cli.console import LOG, quiet_libraries
+from imgloc.cli.options import RADIUS, TOLERANCE, Known
+from imgloc.errors import ConfigError, MapError, OutputError
+
+if TYPE_CHECKING:
+    from imgloc.features.mapfeatures import MapFeatures
+    from imgloc.io.images import ImageSize
+    from imgloc.io.scanset import ScanSet
+    from imgloc.model import LaserScan, OccupancyGrid
+    from imgloc.options import Options, Prior
+
+COARSER = "crop the map, use a larger --cell or --theta-step-deg"
+
+
+def files_of(map_path: Path) -> list[Path]:
+    """The files that a map is read from: its YAML and the image that this names, or an image."""
+    from imgloc.io.maps import YAML_ENDINGS
+    from imgloc.io.mapyaml import load_map_yaml
+
+    files = [map_path]
+    if map_path.suffix.lower() in YAML_ENDINGS:
+        with contextlib.suppress(MapError):  # said when the map is loaded
+            files.append(load_map_yaml(map_path).image)
+    return files
+
+
+def check_target(path: Path, ending: str, *, force: bool, inputs: Iterable[Path] = ()) -> None:
+    """Refuse an output file before the work that it is to hold.
+
+    Its name must have an `ending`. With `force` an existing file may be replaced, but for those
+    among `inputs`, which the command reads.
+    """
+    from imgloc.io.files import display, refuse_existing
+
+    if path.suffix.lower() != ending:
+        raise ConfigError(f"{display(path)}: expected a name that ends in {ending}")
+    if not path.parent.is_dir():
+        raise OutputError(f"{display(path)}: there is no folder {display(path.parent)}")
+    if not force:
+        refuse_existing(path)
+    for source in inputs:
+        with contextlib.suppress(OSError):
+            if path.samefile(source):
+                raise OutputError(
+                    f"{display(path)}: is read by this command and will not be overwritten, not "
+                    "even with --force; expected another name"
+                )
+
+
+def numbered(path: Path | None, indices: Sequence[int]) -> dict[int, Path]:
+    """Names of the files of some scans: the name itself for one, NAME-0003 and so on for several.
+
+    Examples
+    --------
+    >>> numbered(Path("a.png"), [3]), numbered(None, [1])
+    ({3: PosixPath('a.png')}, {})
+    >>> [p.name for p in numbered(Path("a.png"), [0, 12]).values()]
+    ['a-0000.png', 'a-0012.png']
+    """
+    if path is None:
+        return {}
+    if len(indices) == 1:
+        return {indices[0]: path}
+    return {k: path.with_name(f"{path.stem}-{k:04d}{path.suffix}") for k in indices}
+
+
+def choose(count: int, index: int | None, name: str) -> range:
+    """Indices of the scans asked for, of `count` in the file called `name`."""
+    if index is None:
+        return range(count)
+    if index >= count:
+        raise ConfigError(
+            f"--index: got {index}, expected 0 to {count - 1}: {name} has {count} scans"
+        )
+    return range(index, index + 1)
+
+
+def cut_scan(scan: "LaserScan", range_max: float | None, *, flipped: bool = False) -> "LaserScan":
+    """Return the scan that a sensor with a shorter reach, or one upright, would have recorded."""
+    scan = scan.flipped if flipped else scan
+    if range_max is None or range_max >= scan.range_max:
+        return scan
+    if range_max <= scan.range_min:
+        raise ConfigError(
+            f"--range-max: got {range_max:g}, expected more than range_min, {scan.range_min:g} m"
+        )
+    return replace(scan, range_max=range_max)
+
+
+def check_memory(need: int, budget: int, what: str, hint: str) -> None:
+    """Say how much `what` takes at most; refuse it if it is more than the budget, bytes."""
+    from imgloc.features.budget import MIB, check_budget
+
+    LOG.info("%s: at most %d MiB, the budget is %d MiB", what, -(-need // MIB), budget // MIB)
+    check_budget(need, budget, what, f"{hint}, or raise --memory-budget")
+
+
+def check_image(
+    path: Path, reading: Mapping[str, Any], budget: int, need: "Callable[[ImageSize], int]",
+    *, held: int = 0,
+) -> None:  # fmt: skip
+    """Check the memory that looking at the image of a map takes, as its header says.
+
+    That is what `need` says of its size, and what other maps that are `held` at the same time take.
+    """
+    from imgloc.features.budget import MIB
+    from imgloc.io.files import display
+    from imgloc.io.images import image_size
+    from imgloc.io.maps import resolve_settings
+
+    image = resolve_settings(path, **reading).image
+    size = image_size(image)
+    beside = f" beside {-(-held // MIB)} MiB of other maps" if held else ""
+    check_memory(
+        held + need(size),
+        budget,
+        f"{display(image)}: an image of {size.width} x {size.height} pixels{beside}",
+        "crop the map",
+    )
+
+
+def load_grid(
+    path: Path, budget: int, *, allow_lossy: bool, held: int = 0, usable: bool = True,
+    **reading: Any,
+) -> "OccupancyGrid":  # fmt: skip
+    """Load a map, whose image is decoded only if that takes no more than the budget.
+
+    `usable` asks for walls and free cells; `held` are bytes of the budget that other maps take.
+    """
+    from imgloc.io.files import display
+    from imgloc.io.maps import load_bytes, load_map, require_usable
+
+    check_image(path, reading, budget, load_bytes, held=held)
+    with quiet_libraries():
+        grid = load_map(path, **reading, allow_lossy=allow_lossy)
+    if usable:
+        require_usable(grid, display(path))
+    return grid
+
+
+def load_set(path: Path, budget: int) -> "ScanSet":
+    """Load scans, which are read only if they take no more than the budget."""
+    from imgloc.features.budget import scans_bytes
+    from imgloc.io.files import display
+    from imgloc.io.scans import load_scans, scans_size
+
+    size = scans_size(path)
+    check_memory(
+        scans_bytes(size.scans, size.numbers, size.file_bytes, text=size.text),
+        budget,
+        f"{display(path)}: a file of up to {size.scans:,} scans and {size.numbers:,} numbers",
+        "take fewer scans, in several files",
+    )
+    with quiet_libraries():
+        return load_scans(path)
+
+
+def held_bytes(scans: "Sequence[LaserScan]") -> int:
+    """Bytes of scans that are held in memory; a few out of many hold the array of all."""
+    from imgloc.features.budget import scans_bytes
+
+    arrays = [a if a.base is None else a.base for s in scans for a in (s.ranges, s.angles)]
+    return scans_bytes(len(scans), 0) + sum({id(a): a.nbytes for a in arrays}.values())
+
+
+def check_simulation(
+    grid: "OccupancyGrid", name: str, count: int, rays: int, budget: int,
+    *, world: bool = False, at_once: int | None = None, sets: int = 1,
+    hint: str = "simulate fewer scans, crop the map",
+) -> None:  # fmt: skip
+    """Check the memory that simulating scans takes; those of a bundled `world` on its walls.
+
+    They are simulated `at_once`, by default all, and as many as `sets` times `count` are kept.
+    """
+    from imgloc.features.budget import simulate_bytes
+    from imgloc.simulate import FINE, fine_factor
+
+    height, width = grid.occupied.shape
+    factor = round(grid.resolution / FINE) if world else fine_factor(grid)
+    need = simulate_bytes(
+        height * width,
+        height * width * factor**2,
+        min(count, at_once or count) * rays,
+        kept=sets * count * rays,
+    )
+    what = (
+        f"{name}: simulating {count:,} scans of {rays:,} rays "
+        f"on {factor * height} x {factor * width} cells"
+    )
+    check_memory(need, budget, what, hint)
+
+
+def check_answer(
+    features: "MapFeatures", options: "Options", name: str,
+    *, hint: str = COARSER, workers: int = 1, scans: "Sequence[LaserScan]" = (),
+) -> None:  # fmt: skip
+    """Check the memory that an answer, the features it needs and the scans take together.
+
+    The budget, that of the options, is for all of several processes, which share nothing.
+    """
+    from imgloc.features.budget import MIB, PROCESS
+    from imgloc.pipeline import answer_bytes
+
+    (rows, columns), lattice = features.grid.occupied.shape, features.lattice
+    held = features.bytes_for(options.method)
+    answer = answer_bytes(features, options)
+    what = (
+        f"{name}: {options.method} on {lattice.height} x {lattice.width} cells of "
+        f"{lattice.resolution:g} m ({-(-answer // MIB)} MiB) with features of "
+        f"{rows} x {columns} cells ({-(-held // MIB)} MiB)"
+    )
+    need = held + answer
+    if workers > 1:
+        need = workers * (need + PROCESS + 2 * rows * columns)
+        what, hint = f"{what} in each of {workers} processes", f"use fewer --workers, {hint}"
+    if (kept := held_bytes(scans)) >= MIB:
+        what = f"{what} and {len(scans):,} scans ({-(-kept // MIB)} MiB)"
+    check_memory(need + kept, options.memory_budget or 0, what, hint)
+
+
+def cache_folder(given: Path | None, *, wanted: bool) -> Path | None:
+    """Where prepared maps are kept: the folder given, else the user's; None for nowhere."""
+    from imgloc.io.cache import cache_folder
+
+    if not wanted:
+        return None
+    try:
+        return given or cache_folder()
+    except OutputError as error:  # nothing but time is lost
+        LOG.warning("%s", error)
+        return None
+
+
+def open_features(
+    grid: "OccupancyGrid", name: str, folder: Path | None, options: "Options",
+    *, hint: str = COARSER, scans: "Sequence[LaserScan]" = (), **parameters: Any,
+) -> "MapFeatures":  # fmt: skip
+    """Prepare a map, with what the cache in `folder` has of it, to answer as `options` say.
+
+    It is refused if its features, an answer and the `scans` would take more than the options'
+    budget; `hint` is what to change.
+    """
+    from imgloc.features.store import load_features
+    from imgloc.pipeline import prepare
+
+    parameters["memory_budget"] = options.memory_budget
+    features = prepare(grid, name, **parameters)
+    check_answer(features, options, name, hint=hint, scans=scans)
+    return features if folder is None else load_features(grid, folder, parameters)
+
+
+def keep_features(features: "MapFeatures", folder: Path | None) -> None:
+    """Keep in the cache what has been computed of a map and is not there yet."""
+    from imgloc.features.store import save_features
+
+    if folder is not None and save_features(features, folder):
+        LOG.info("kept the prepared map in %s", folder)
+
+
+def prior_of(known: Known, grid: "OccupancyGrid", *, allow_lossy: bool = False) -> "Prior":
+    """Make the prior of a map; its region may be a JPEG if the map may."""
+    from imgloc.geometry import compose, inverse
+    from imgloc.model import Pose2D
+    from imgloc.options import Prior
+    from imgloc.search import priors
+
+    prior, to_grid = Prior(), inverse(grid.origin)
+    if known.near is not None:
+        x, y, yaw, *rest = known.near
+        radius, tolerance = (*rest, *(RADIUS, TOLERANCE)[len(rest) :])
+        at = compose(to_grid, Pose2D(x, y, yaw))
+        disc = priors.near(grid.info, at.x, at.y, radius)
+        about = {"x": x, "y": y, "theta": yaw, "radius": radius, "tolerance": tolerance}
+        prior &= Prior(disc, (at.theta, tolerance), {"near": about})
+    if known.heading is not None:
+        yaw, tolerance = (*known.heading, TOLERANCE)[:2]
+        about = {"theta": yaw, "tolerance": tolerance}
+        prior &= Prior(None, (yaw + to_grid.theta, tolerance), {"heading": about})
+    if known.region is not None:
+        cells = _region(known.region, grid, allow_lossy)
+        prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})
+    if known.clearance:
+        prior &= Prior(
+            priors.clearance(grid, known.clearance), None, {"clearance": known.clearance}
+        )
+    return prior
+
+
+def _region(path: Path, grid: "OccupancyGrid", allow_lossy: bool) -> Any:
+    """The white pixels of an image that are not transparent, row 0 lowest."""
+    from imgloc.io.files import display
+    from imgloc.io.images import image_size, read_image
+
+    size = image_size(path)[:2]  # of which there is memory enough if it is that of the map
+    if size[::-1] != grid.occupied.shape:
+        height, width = grid.occupied.shape
+        raise ConfigError(
+            f"{display(path)}: {size[0]} x {size[1]} pixels, expected {width} x {height} as the map"
+        )
+    read = read_image(path, allow_lossy=allow_lossy)
+    image = read.pixels
+    size = image_size(path)[:2]  # of which there is memory enough if it is that of the map
+    if size[::-1] != grid.occupied.shape:
+        height, width = grid.occupied.shape
+        raise ConfigError(
+            f"{display(path)}: {size[0]} x {size[1]} pixels, expected {width} x {height} as the map"
+        )
+    read = read_image(path, allow_lossy=allow_lossy)
+    image = read.pixels
+    # The darkest channel decides, alpha being one of them: neither colour nor nothing is white.
+    grey = image if image.ndim == 2 else image.min(axis=2)
+    cells = grey[::-1] > read.white // 2
+    if not cells.any():
+        raise ConfigError(f"{display(path)}: no white pixel, expected white where the robot may be")
+    return cells

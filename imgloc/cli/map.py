@@ -1,0 +1,137 @@
+"""`imgloc map`: what is in a map, what may be wrong with it, what it looks like."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from imgloc.cli.console import emit, quiet_libraries, say
+from imgloc.cli.inputs import check_image, check_target, files_of, load_grid
+from imgloc.cli.options import (
+    AllowLossy,
+    AsJson,
+    Force,
+    MapPath,
+    MemoryBudget,
+    Reading,
+    check_range,
+    console,
+    fixed_budget,
+    numbers,
+    reading,
+    with_options,
+)
+from imgloc.errors import ConfigError, MapError
+
+if TYPE_CHECKING:
+    from imgloc.model import OccupancyGrid
+
+
+class Subject(StrEnum):
+    """What `imgloc map show` draws."""
+
+    MAP = "map"
+    BMAP = "bmap"
+    VMAP = "vmap"
+    SURFACE = "surface"
+    VISIBILITY = "visibility"
+    DISTANCE = "distance"
+
+
+@with_options(reading, console)
+def check(
+    map_path: MapPath,
+    reading: Reading,
+    as_json: AsJson = False,
+    strict: Annotated[
+        bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")
+    ] = False,
+    memory_budget: MemoryBudget = None,
+) -> None:
+    """Report what is in a map, and what is likely to be wrong with it.
+
+    A map without walls or without free space is reported, not refused; a file that cannot be read
+    exits with 3.
+    """
+    from imgloc.io.mapcheck import check_bytes, check_map
+    from imgloc.output.json import report_row, to_json
+    from imgloc.output.tables import report_text
+
+    check_image(map_path, reading, fixed_budget(memory_budget), check_bytes)
+    with quiet_libraries():
+        report = check_map(map_path, **reading)
+    emit(to_json(report_row(report)) if as_json else report_text(report))
+    if strict and report.warnings:
+        raise typer.Exit(MapError.exit_code)
+
+
+@with_options(reading, console)
+def show(
+    map_path: MapPath,
+    out: Annotated[Path, typer.Option(metavar="PNG", help="Picture to write.", show_default=False)],
+    reading: Reading,
+    what: Annotated[
+        Subject,
+        typer.Option(
+            help="The map as it is read; blurred (bmap); normals, blurred (vmap); surface points "
+            "with normals; what one surface point sees; distance to the nearest wall."
+        ),
+    ] = Subject.MAP,
+    at: Annotated[
+        Any,
+        typer.Option(
+            metavar="X,Y",
+            parser=numbers(2),
+            help="For visibility: near here, metres, map frame. [default: what sees most]",
+        ),
+    ] = None,
+    sigma: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Blur of bmap and vmap, standard deviation, metres. [default: 0.1]",
+        ),
+    ] = None,
+    cell: Annotated[
+        float | None, typer.Option(metavar="M", help="Cell of bmap and vmap, metres.")
+    ] = None,
+    memory_budget: MemoryBudget = None,
+    force: Force = False,
+    allow_lossy: AllowLossy = False,
+) -> None:
+    """Draw a map, or what is computed from it, into a PNG."""
+    check_target(out, ".png", force=force, inputs=files_of(map_path))
+    check_range("--sigma", sigma, 0.001, 100, "metres")
+    check_range("--cell", cell, 0.001, 10, "metres")
+    if at is not None and what != Subject.VISIBILITY:
+        raise ConfigError("--at: only --what visibility is drawn at a point")
+    for option, value in (("--sigma", sigma), ("--cell", cell)):
+        if value is not None and what not in (Subject.BMAP, Subject.VMAP):
+            raise ConfigError(f"{option}: only --what bmap and --what vmap are blurred")
+    from imgloc.features.mapfeatures import MapFeatures
+    from imgloc.io.files import display
+    from imgloc.output.pictures import draw
+
+    grid = load_grid(
+        map_path, fixed_budget(memory_budget),
+        allow_lossy=allow_lossy, usable=what != Subject.MAP, **reading,
+    )  # fmt: skip
+    features = MapFeatures(grid, cell=cell or grid.resolution, sigma=sigma or 0.1)
+    if at is not None:
+        _check_point(grid, at)
+    picture = draw(features, what=what.value, at=at)
+    picture.save(out, force=force)
+    height, width = picture.image.shape[:2]
+    say(f"wrote {display(out)}: {what.value}, {width} x {height} pixels")
+
+
+def _check_point(grid: "OccupancyGrid", at: tuple[float, float]) -> None:
+    """Refuse a point that is not on the map, metres, map frame."""
+    import numpy as np
+
+    from imgloc.geometry import cell_of, inside, inverse, transform_points
+
+    there = transform_points(inverse(grid.origin), np.array([at]))
+    if not inside(cell_of(there, grid.resolution), grid.info).all():
+        raise ConfigError(f"--at: {at[0]:g},{at[1]:g} is not on the map, expected a point of it")

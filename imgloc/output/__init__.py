@@ -1,0 +1,1 @@
+"""What leaves the program: rows of JSON, tables, pictures and pages."""

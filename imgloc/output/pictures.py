@@ -1,0 +1,460 @@
+"""Pictures of answers: likelihood stacks, ranked hypotheses, the atlas of a map."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from imgloc.atlas import Spot
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.scanpoints import scan_xy
+from imgloc.geometry import compose, in_grid_frame, inverse, transform_points, transform_poses
+from imgloc.io.files import PathLike, write_bytes_atomic
+from imgloc.io.images import encode_png
+from imgloc.model import (
+    BoolArray,
+    FloatArray,
+    Hypothesis,
+    LaserScan,
+    Likelihood,
+    Localization,
+    OccupancyGrid,
+    Pose2D,
+)
+from imgloc.options import LOG_METHODS
+from imgloc.output.canvas import (
+    INK,
+    PALETTE,
+    PAPER,
+    SHADE,
+    TURQUOISE,
+    Canvas,
+    Colour,
+    Image,
+    draw_map,
+    map_canvas,
+    marker_size,
+    scale_bar,
+    sheet,
+    text,
+    text_width,
+)
+from imgloc.output.features import draw_feature
+
+_WALL: Colour = (70, 110, 200)
+_TRUTH: Colour = (60, 20, 220)
+_ROW = 24  # pixels of a line of the legend
+_TOP = 6  # hypotheses that are drawn at most
+# Okabe and Ito's colours: told apart by colour-blind readers, and in grey by their lightness.
+ATLAS_COLOURS: Mapping[str, Colour] = {
+    "unique": (178, 114, 0),
+    "ambiguous": (0, 159, 230),
+    "no-match": (190, 190, 190),
+    "wrong": (0, 0, 0),
+}
+_MEANINGS = {
+    "unique": "one scan is enough",
+    "ambiguous": "several places fit",
+    "no-match": "not recognized",
+    "wrong": "wrong, but sure",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture to look at, in a notebook too, and to save.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8 array
+        Blue-green-red as OpenCV has it, row 0 at the top.
+    """
+
+    image: Image
+
+    def save(self, path: PathLike, *, force: bool = False) -> None:
+        """Write it as PNG, whole or not at all.
+
+        Raises
+        ------
+        OutputError
+            If the file exists (without `force`) or cannot be written.
+        """
+        write_bytes_atomic(path, encode_png(self.image), force=force)
+
+    def _repr_png_(self) -> bytes:
+        return encode_png(self.image)
+
+
+def draw(
+    place: OccupancyGrid | MapFeatures,
+    answer: Localization | Likelihood | None = None,
+    scan: LaserScan | None = None,
+    *,
+    truth: Pose2D | None = None,
+    what: str = "map",
+    at: tuple[float, float] | None = None,
+) -> Picture:
+    """Draw a map, what is computed from it, or an answer on it.
+
+    Parameters
+    ----------
+    place : OccupancyGrid or MapFeatures
+        The map; for another `what` than ``map`` its features.
+    answer : Localization or Likelihood, optional
+        Hypotheses, in the map frame, or a likelihood stack.
+    scan : LaserScan, optional
+        Laid on the map at each hypothesis.
+    truth : Pose2D, optional
+        True pose of the sensor in the map frame.
+    what : str
+        Without an answer: one of :data:`imgloc.output.features.SUBJECTS`.
+    at : (float, float), optional
+        For ``visibility``: near here, metres, map frame; by default what sees most.
+
+    Returns
+    -------
+    Picture
+
+    Raises
+    ------
+    TypeError
+        If an argument is of another type.
+    ValueError
+        If `what` is not known, or needs features.
+    MapError
+        If the map has no surface that could be drawn.
+
+    Examples
+    --------
+    >>> wall = np.pad(np.zeros((30, 40), bool), 2, constant_values=True)
+    >>> draw(OccupancyGrid(wall, ~wall, 0.1)).image.shape
+    (544, 704, 3)
+    """
+    features = place if isinstance(place, MapFeatures) else None
+    grid = place if features is None else features.grid
+    if not isinstance(grid, OccupancyGrid):
+        raise TypeError(f"expected an OccupancyGrid or MapFeatures to draw, got {place!r}")
+    if scan is not None and not (isinstance(scan, LaserScan) and isinstance(answer, Localization)):
+        raise TypeError("a scan is drawn at the poses of an answer: expected both")
+    to_grid = inverse(grid.origin)
+    local = None if truth is None else compose(to_grid, truth)
+    if isinstance(answer, Likelihood):
+        return Picture(
+            draw_likelihood(answer, grid=grid, truth=local, log=answer.method in LOG_METHODS)
+        )
+    if isinstance(answer, Localization):
+        points = np.zeros((0, 2)) if scan is None else scan_xy(scan)[scan.valid]
+        hypotheses = [in_grid_frame(h, grid.info) for h in answer.hypotheses]
+        note = _not_drawn(answer) if hypotheses else ""
+        return Picture(draw_hypotheses(grid, points, hypotheses, truth=local, note=note))
+    if answer is not None:
+        raise TypeError(f"expected a Localization or a Likelihood to draw, got {answer!r}")
+    if features is None and what == "map":
+        return Picture(draw_map(grid))
+    if features is None:
+        raise ValueError(f"{what!r} is drawn of the features of a map: use imgloc.prepare")
+    return Picture(draw_feature(features, what, at))
+
+
+def draw_likelihood(
+    likelihood: Likelihood,
+    *,
+    grid: OccupancyGrid | None = None,
+    truth: Pose2D | None = None,
+    scale: int | None = None,
+    log: bool = False,
+) -> Image:
+    """Draw a likelihood as the paper does (caption of Fig. 1): its maximum over theta.
+
+    Linearly normalised, black is the highest likelihood and white the lowest; turquoise is a
+    likelihood of exactly 0. Values below 0 (CBML-O has them) count as 0.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+    grid : OccupancyGrid, optional
+        Map whose walls and unknown space are laid over the picture.
+    truth : Pose2D, optional
+        True pose in the grid frame, marked red.
+    scale : int, optional
+        Pixels per cell of the likelihood.
+    log : bool
+        The values are log-likelihoods (the beam model's): ``exp(L - max L)`` is drawn.
+
+    Returns
+    -------
+    (H * scale, W * scale, 3) uint8 array
+    """
+    best = likelihood.values.max(axis=0).astype(np.float64)
+    if log:
+        best = np.exp(best - max(best.max(), -1e300))  # -inf everywhere is 0 everywhere
+    best = np.maximum(np.nan_to_num(best, nan=0.0), 0)
+    top = best.max()
+    grey = np.rint(255 * (1 - best / top if top > 0 else np.ones_like(best)))
+    image = np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
+    image[best == 0] = TURQUOISE
+    canvas = sheet(image, likelihood.grid, scale)
+    if grid is not None:
+        free, occupied = _under(canvas, grid)
+        canvas.image[~(free | occupied)] = SHADE
+        canvas.image[occupied] = _WALL
+    if truth is not None:
+        canvas.robot(truth.x, truth.y, truth.theta, _TRUTH, marker_size(canvas))
+    return canvas.image
+
+
+def draw_hypotheses(
+    grid: OccupancyGrid,
+    scan_xy: FloatArray,
+    hypotheses: Sequence[Hypothesis],
+    *,
+    truth: Pose2D | None = None,
+    top: int = _TOP,
+    scale: int | None = None,
+    note: str = "",
+) -> Image:
+    """Draw where a scan may have been taken: the scan laid on the map at each hypothesis.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+    scan_xy : (N, 2) float array
+        Points of the scan in the sensor's frame, metres.
+    hypotheses : sequence of Hypothesis
+        Best first, in the grid frame. With each comes the ellipse of two standard deviations.
+    truth : Pose2D, optional
+        True pose in the grid frame, marked with a cross.
+    top : int
+        Draw no more than so many.
+    scale : int, optional
+        Pixels per cell.
+    note : str
+        A last line of the legend.
+
+    Returns
+    -------
+    (H', W', 3) uint8 array
+        The map, and below it a legend with the mass and the pose, in the map frame, of each.
+    """
+    canvas = map_canvas(grid, scale)
+    size = marker_size(canvas)
+    shown = [(h, PALETTE[k % len(PALETTE)]) for k, h in enumerate(hypotheses[:top])]
+    for hypothesis, colour in reversed(shown):
+        canvas.dots(transform_points(hypothesis.pose, scan_xy), colour, max(1.2, 0.28 * size))
+    for hypothesis, colour in reversed(shown):
+        pose = hypothesis.pose
+        ellipse = _ellipse(pose, hypothesis.covariance)
+        canvas.polygon(ellipse, colour, 0.25)
+        canvas.lines(ellipse[None], colour)
+        canvas.robot(pose.x, pose.y, pose.theta, colour, size)
+    if truth is not None:
+        _cross(canvas, truth.x, truth.y, 1.5 * size)
+    scale_bar(canvas)
+    return _with_legend(canvas.image, shown, grid.origin, truth, note)
+
+
+def _not_drawn(answer: Localization) -> str:
+    """What a picture of an answer leaves out, in words."""
+    more = answer.evidence.found - min(_TOP, len(answer.hypotheses))
+    mass = answer.evidence.unlisted + sum(h.mass for h in answer.hypotheses[_TOP:])
+    other = f"{more} other poses: {100 * mass:.1f} %, " if more > 0 else ""
+    return f"{other}elsewhere: {100 * answer.elsewhere:.1f} %"
+
+
+def _cross(canvas: Canvas, x: float, y: float, arm: float) -> None:
+    """Mark a true position with a cross whose arms span `arm` pixels along either axis."""
+    a = arm / canvas.px_per_m
+    ends = np.array([[(-a, -a), (a, a)], [(-a, a), (a, -a)]]) + np.array((x, y))
+    canvas.lines(ends, PAPER, 4)
+    canvas.lines(ends, INK, 2)
+
+
+def _under(canvas: Canvas, grid: OccupancyGrid) -> tuple[BoolArray, BoolArray]:
+    """Which pixels of a canvas lie over free and which over occupied cells of a map."""
+    height, width = canvas.image.shape[:2]
+    cell = canvas.px_per_m * grid.resolution
+    row = np.floor((height - 0.5 - np.arange(height)) / cell).astype(np.int64) + 1
+    column = np.floor((np.arange(width) + 0.5) / cell).astype(np.int64) + 1
+    last = np.array(grid.occupied.shape) + 1
+    index = np.ix_(np.minimum(row, last[0]), np.minimum(column, last[1]))
+    return np.pad(grid.free, 1)[index], np.pad(grid.occupied, 1)[index]
+
+
+def _ellipse(pose: Pose2D, covariance: FloatArray) -> FloatArray:
+    """Outline (64, 2) of two standard deviations of x and y."""
+    values, vectors = np.linalg.eigh(np.asarray(covariance)[:2, :2])
+    s = np.linspace(0, 2 * np.pi, 64)
+    circle = np.column_stack((np.cos(s), np.sin(s))) * 2 * np.sqrt(np.maximum(values, 0))
+    return np.asarray(circle @ vectors.T + (pose.x, pose.y))
+
+
+def _with_legend(
+    image: Image,
+    shown: Sequence[tuple[Hypothesis, Colour]],
+    origin: Pose2D,
+    truth: Pose2D | None,
+    note: str,
+) -> Image:
+    """Put a line per hypothesis below a picture: mark, bar and share of mass, pose."""
+    poses = [h.pose for h, _ in shown] + ([truth] if truth is not None else [])
+    if not poses:
+        return image
+    table = transform_poses(origin, np.array([(p.x, p.y, p.theta) for p in poses]))
+    lines = [("x / m", "y / m", "theta / deg")]
+    lines += [(f"{x:.2f}", f"{y:.2f}", f"{np.rad2deg(theta):.1f}") for x, y, theta in table]
+    ends = 272 + np.cumsum([24 + max(text_width(line[k]) for line in lines) for k in range(3)])
+    height, width = image.shape[:2]
+    rows = len(lines) + bool(note)
+    wide = max(width, int(ends[-1]) + 14, 44 + text_width(note) + 14)
+    out = np.full((height + _ROW * rows + 14, wide, 3), 255, np.uint8)
+    out[:height, :width] = image
+    base = height + 21
+    for k, line in enumerate(lines):
+        y = base + k * _ROW
+        for end, word in zip(ends.tolist(), line, strict=True):
+            text(out, word, end - text_width(word), y)
+    text(out, "mass", 266 - text_width("mass"), base)
+    for k, (hypothesis, colour) in enumerate(shown, start=1):
+        y = base + k * _ROW
+        Canvas(out, 1.0).robot(22, len(out) - y + 4.5, 0.0, colour, 5.5)
+        text(out, str(k), 44, y)
+        out[y - 10 : y + 1, 68:188] = SHADE
+        out[y - 10 : y + 1, 68 : 68 + round(120 * min(1.0, max(0.0, hypothesis.mass)))] = colour
+        share = f"{100 * hypothesis.mass:.1f} %"
+        text(out, share, 266 - text_width(share), y)
+    if truth is not None:
+        y = base + len(poses) * _ROW
+        _cross(Canvas(out, 1.0), 23, len(out) - y + 4.5, 5)
+        text(out, "true pose", 44, y)
+    text(out, note, 44, base + len(lines) * _ROW)
+    return out
+
+
+def draw_atlas(grid: OccupancyGrid, spots: Sequence[Spot], *, step: float, headings: int) -> Image:
+    """Draw where a single scan is enough.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+    spots : sequence of Spot
+        Map frame; from an ambiguous one a thin line leads to its twin.
+    step : float
+        Metres between places.
+    headings : int
+        Of each place: each gets a wedge that points along it.
+
+    Returns
+    -------
+    (H, W, 3) uint8 array
+    """
+    canvas = map_canvas(grid)
+    to_grid = inverse(grid.origin)
+    local = [compose(to_grid, spot.pose) for spot in spots]
+    kinds = [spot.kind for spot in spots]
+    lines = [
+        ((a.x, a.y), (b.x, b.y))
+        for a, spot in zip(local, spots, strict=True)
+        if spot.kind == "ambiguous" and spot.twin is not None
+        for b in (compose(to_grid, spot.twin),)
+    ]
+    if lines:
+        layer = canvas.image.copy()
+        canvas.lines(np.array(lines), ATLAS_COLOURS["ambiguous"])
+        cv2.addWeighted(canvas.image, 0.25, layer, 0.75, 0, dst=canvas.image)
+    half = min(np.pi / headings, np.pi / 2) * 0.94
+    arc = np.linspace(-half, half, 9)
+    for pose, kind in zip(local, kinds, strict=True):
+        rim = 0.46 * step * np.column_stack((np.cos(arc + pose.theta), np.sin(arc + pose.theta)))
+        canvas.polygon(np.vstack(((0.0, 0.0), rim)) + (pose.x, pose.y), ATLAS_COLOURS[kind])
+    scale_bar(canvas)
+    return np.vstack((canvas.image, _key(canvas.image.shape[1], kinds)))
+
+
+def _key(width: int, kinds: Sequence[str]) -> Image:
+    """A strip below the map: colours, what they mean, and how many poses have them."""
+    entries = [
+        (kind, f"{label}: {100 * kinds.count(kind) / max(1, len(kinds)):.1f} %")
+        for kind, label in _MEANINGS.items()
+        if kind in kinds or kind in ("unique", "ambiguous")
+    ]
+    line, gap, box = 26, 24, 14
+    rows: list[list[tuple[str, str]]] = [[]]
+    used = gap
+    for entry in entries:
+        need = box + 8 + text_width(entry[1], 14) + gap
+        if used + need > width and rows[-1]:
+            rows.append([])
+            used = gap
+        rows[-1].append(entry)
+        used += need
+    strip = np.full((line * len(rows) + 14, width, 3), PAPER, np.uint8)
+    for i, row in enumerate(rows):
+        x, y = gap, 10 + line * i
+        for kind, words in row:
+            cv2.rectangle(strip, (x, y), (x + box, y + box), ATLAS_COLOURS[kind], cv2.FILLED)
+            cv2.rectangle(strip, (x, y), (x + box, y + box), INK, 1)
+            x += box + 8
+            x += text(strip, words, x, y + box - 2, size=14) + gap
+    return strip
+
+
+def mosaic(
+    pictures: Sequence[tuple[str, Image]],
+    columns: int | None = None,
+    gap: int = 16,
+    *,
+    top: bool = False,
+) -> Image:
+    """Lay pictures out on a white sheet, each with its caption below.
+
+    Parameters
+    ----------
+    pictures : sequence of (str, (H, W, 3) uint8 array)
+        Captions and pictures, of any sizes.
+    columns : int, optional
+        Images in a row; by default as many as make the sheet about as wide as 4 : 3.
+    gap : int
+        Pixels between pictures and around them.
+    top : bool
+        Align the upper edges of a row, not the lower.
+
+    Returns
+    -------
+    (H, W, 3) uint8 array
+
+    Raises
+    ------
+    ValueError
+        If there are no pictures.
+
+    Examples
+    --------
+    >>> mosaic([("(a)", np.zeros((20, 30, 3), np.uint8))] * 2, columns=2).shape
+    (78, 108, 3)
+    """
+    if not pictures:
+        raise ValueError("a mosaic needs at least one picture")
+    caption = 26
+    n = len(pictures)
+    cells = [(max(p.shape[1], text_width(c)), p.shape[0] + caption) for c, p in pictures]
+    if columns is None:
+        area = float(np.mean([w / h for w, h in cells]))
+        columns = max(1, min(n, round((n * 4 / 3 / area) ** 0.5)))
+    rows = -(-n // columns)
+    wide = [max(w for w, _ in cells[k::columns]) for k in range(min(columns, n))]
+    high = [max(h for _, h in cells[k * columns : (k + 1) * columns]) for k in range(rows)]
+    sheet = np.full((sum(high) + gap * (rows + 1), sum(wide) + gap * (len(wide) + 1), 3), 255)
+    out = sheet.astype(np.uint8)
+    for k, (label, picture) in enumerate(pictures):
+        row, column = divmod(k, columns)
+        y = sum(high[:row]) + gap * (row + 1)
+        x = sum(wide[:column]) + gap * (column + 1)
+        h, w = picture.shape[:2]
+        start = y if top else y + high[row] - caption - h
+        left = x + (wide[column] - w) // 2
+        out[start : start + h, left : left + w] = picture
+        centre = x + (wide[column] - text_width(label)) // 2
+        text(out, label, centre, y + high[row] - 8)
+    return out

@@ -1,0 +1,330 @@
+"""Drawings of an explanation as SVG: rays on the map, all hypotheses, a covariance, a scan.
+
+Lines stay sharp in print; the map's cells are an image. Colours and shapes both say what a ray
+is, so that neither the colour-blind nor a grey printer loses anything. Here is what is drawn where;
+how it is written is in ``templates/svg.html``, and the style sheet of the page has the colours.
+"""
+
+import base64
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from imgloc.explain import RayFit
+from imgloc.features.pyramid import any_of_blocks
+from imgloc.features.scanpoints import scan_xy
+from imgloc.geometry import rotation
+from imgloc.io.images import encode_png
+from imgloc.model import BoolArray, FloatArray, Hypothesis, LaserScan, OccupancyGrid, Pose2D
+from imgloc.output.canvas import INK, PAPER, SHADE, Image, round_length
+
+#: Shapes of the ends of rays, drawn around the point.
+SHAPES = {
+    "agrees": "h0",
+    "orientation": "m0-4.2l4.2 4.2l-4.2 4.2l-4.2-4.2z",
+    "visibility": "m-3.4-3.4l6.8 6.8m0-6.8l-6.8 6.8",
+    "unexplained": "m-3 0a3 3 0 1 0 6 0a3 3 0 1 0-6 0",
+}
+_ORDER = ("unexplained", "agrees", "orientation", "visibility")  # drawn one over the other
+_FAR = 60.0  # metres; readings farther off do not widen a picture
+_SIDE = 1400  # pixels that the image of the map has at most along a side
+
+
+def number(value: float) -> str:
+    """A coordinate, to a tenth of a pixel.
+
+    Examples
+    --------
+    >>> number(3.04), number(-0.02), number(12.5)
+    ('3', '0', '12.5')
+    """
+    return f"{round(float(value), 1) + 0.0:g}" if abs(value) < 1e5 else f"{value:.0f}"
+
+
+#: Of all templates; whatever is put into one is escaped.
+ENVIRONMENT = Environment(
+    loader=PackageLoader("imgloc.output"),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+ENVIRONMENT.filters["n"] = number
+ENVIRONMENT.globals["shapes"] = SHAPES
+
+
+def macro(name: str, /, **values: Any) -> Markup:
+    """Render a macro of ``templates/svg.html``."""
+    rendered: Markup = getattr(ENVIRONMENT.get_template("svg.html").module, name)(**values)
+    return rendered
+
+
+@dataclass(frozen=True)
+class View:
+    """A window of the grid frame, and the width in pixels that it is drawn at.
+
+    Parameters
+    ----------
+    x, y : float
+        Lower left corner, metres.
+    width, height : float
+        Metres.
+    px : float
+        Width of the drawing, pixels.
+
+    Examples
+    --------
+    >>> view = View(1.0, 0.0, 4.0, 2.0, 400.0)
+    >>> view.pixels(np.array([[1.0, 2.0], [5.0, 0.0]])).tolist(), view.tall
+    ([[0.0, 0.0], [400.0, 200.0]], 200.0)
+    """
+
+    x: float
+    y: float
+    width: float
+    height: float
+    px: float
+
+    @property
+    def scale(self) -> float:
+        """Pixels per metre."""
+        return self.px / self.width
+
+    @property
+    def tall(self) -> float:
+        """Height of the drawing, pixels."""
+        return self.height * self.scale
+
+    @property
+    def rule(self) -> tuple[str, float]:
+        """A round length that fits into the lower left corner: its name and its pixels."""
+        length = round_length(0.25 * self.width)
+        unit = next(u for u in ((1.0, "m"), (0.01, "cm"), (0.0, "mm")) if length >= u[0])[1]
+        factor = {"m": 1, "cm": 100, "mm": 1000}[unit]
+        return f"{factor * length:g} {unit}", length * self.scale
+
+    def pixels(self, xy: FloatArray) -> FloatArray:
+        """Positions (N, 2) in metres as (N, 2) pixels from the upper left corner."""
+        corner = np.array([self.x, self.y + self.height])
+        return np.asarray((xy - corner) * (self.scale, -self.scale)) + 0.0  # no -0
+
+    def at(self, x: float, y: float) -> tuple[float, float]:
+        """One position in metres as pixels."""
+        (px, py), *_ = self.pixels(np.array([[x, y]])).tolist()
+        return px, py
+
+
+def path(lines: FloatArray) -> str:
+    """Polylines (N, P, 2) in pixels as the ``d`` of a path; of one point each, dots.
+
+    Examples
+    --------
+    >>> path(np.array([[[0, 0], [1.5, 2]]])), path(np.array([[[3, 4]]]))
+    ('M0 0L1.5 2', 'M3 4h0')
+    """
+    parts = []
+    for line in np.asarray(lines).tolist():
+        words = [f"{number(x)} {number(y)}" for x, y in line]
+        parts.append(f"M{'L'.join(words)}" + ("h0" if len(words) == 1 else ""))
+    return "".join(parts)
+
+
+def marks(kind: str, at: FloatArray) -> str:
+    """The ``d`` of a path with the shape of a kind at each of the points (N, 2), pixels."""
+    return "".join(f"M{number(x)} {number(y)}{SHAPES[kind]}" for x, y in at.tolist())
+
+
+def data_of(picture: Image) -> str:
+    """A picture as the text of a ``data:image/png;base64`` address."""
+    return base64.b64encode(encode_png(picture)).decode("ascii")
+
+
+def map_image(grid: OccupancyGrid, view: View) -> Markup:
+    """The cells of a map within a view as an image; what is off the map stays empty."""
+    cell = grid.resolution
+    low = np.floor(np.array([view.y, view.x]) / cell).astype(int)
+    high = np.ceil(np.array([view.y + view.height, view.x + view.width]) / cell).astype(int)
+    low, high = np.maximum(low, 0), np.minimum(high, grid.occupied.shape)
+    if (high <= low).any():
+        return Markup()
+    factor = -(-int((high - low).max()) // _SIDE)
+    picture = cells_picture(grid, np.s_[low[0] : high[0], low[1] : high[1]], factor)
+    height, width = np.array(picture.shape[:2]) * factor * cell * view.scale
+    x, bottom = view.at(low[1] * cell, low[0] * cell)
+    return macro("cells", x=x, y=bottom - height, width=width, height=height, png=data_of(picture))
+
+
+def cells_picture(grid: OccupancyGrid, window: tuple[slice, slice], factor: int = 1) -> Image:
+    """A pixel for each block of cells: a wall if there is any in it, however thin."""
+    occupied, free = (any_of_blocks(cells[window], factor) for cells in (grid.occupied, grid.free))
+    colours = np.array([SHADE, PAPER, INK], dtype=np.uint8)
+    return np.asarray(colours[np.where(occupied, 2, free.astype(np.int64))][::-1])
+
+
+def window(poses: Sequence[Pose2D], fits: Sequence[RayFit], px: float) -> list[View]:
+    """Views of one size and `px` pixels wide, each around a pose and the ends of the rays there."""
+    boxes = []
+    for pose, fit in zip(poses, fits, strict=True):
+        centre = np.array([[pose.x, pose.y]])
+        end = fit.end[np.isfinite(fit.end).all(axis=1)]
+        points = np.concatenate((centre, end[_near(end - centre)]))
+        boxes.append((points.min(axis=0), points.max(axis=0)))
+    size = np.max([high - low for low, high in boxes], axis=0) * 1.08 + 1.0
+    size = np.maximum(size, 0.7 * size.max())  # neither a ribbon nor a pillar
+    width, height = size.tolist()
+    corners = [((low + high - size) / 2).tolist() for low, high in boxes]
+    return [View(x, y, width, height, px) for x, y in corners]
+
+
+def _near(away: FloatArray) -> BoolArray:
+    """Which of the vectors (N, 2) are worth a wider picture, (N,) bool."""
+    distance = np.linalg.norm(away, axis=1)
+    return np.asarray(distance <= max(_FAR, 1.5 * float(np.min(distance, initial=np.inf))))
+
+
+def draw_rays(grid: OccupancyGrid, pose: Pose2D, fit: RayFit, view: View, name: str) -> Markup:
+    """The scan on the map at a pose: each ray in the colour of what it says.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+    pose : Pose2D
+        Grid frame.
+    fit : RayFit
+        Its rays.
+    view : View
+    name : str
+        Label of the robot; that of the best pose is "1".
+    """
+    start = np.array([view.at(pose.x, pose.y)])
+    ends = {kind: view.pixels(fit.end[fit.kind == kind]) for kind in _ORDER}
+    rays = [
+        (kind, path(np.stack((np.broadcast_to(start, at.shape), at), axis=1)))
+        for kind, at in ends.items()
+    ]
+    through = fit.kind == "visibility"
+    reach = np.linalg.norm(ends["visibility"] - start, axis=1)
+    share = fit.wall[through] * view.scale / np.maximum(reach, 1e-9)
+    hole = start + (ends["visibility"] - start) * np.minimum(share, 1)[:, None]
+    said = ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in fit.counts.items())
+    return macro(
+        "rays",
+        view=view,
+        grid=map_image(grid, view),
+        pose=pose,
+        name=name,
+        paths=rays,
+        beyond=path(np.stack((hole, ends["visibility"]), axis=1)),
+        ends=[(kind, marks(kind, at)) for kind, at in ends.items()],
+        label=f"Scan at hypothesis {name}: {said}",
+    )
+
+
+def draw_overview(
+    grid: OccupancyGrid, poses: Sequence[Pose2D], best: RayFit | None = None, px: float = 1000.0
+) -> Markup:
+    """The whole map with every pose on it, the ends of the rays at the best one, and axes.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+    poses : sequence of Pose2D
+        Best first, grid frame.
+    best : RayFit, optional
+    px : float
+        Width, pixels.
+    """
+    view = _known_part(grid, poses, px)
+    height, width = (n * grid.resolution for n in grid.occupied.shape)
+    (x, y), (x1, y1) = view.at(0, height), view.at(width, 0)
+    ends = ""
+    if best is not None:
+        ends = marks("agrees", view.pixels(best.end[np.isfinite(best.end).all(axis=1)]))
+    return macro(
+        "overview",
+        view=view,
+        grid=map_image(grid, view),
+        frame=(x, y, x1 - x, y1 - y),
+        ends=ends,
+        poses=poses,
+        axes=_axes(grid, view),
+        label=f"The map with {len(poses)} hypotheses",
+    )
+
+
+def _known_part(grid: OccupancyGrid, poses: Sequence[Pose2D], px: float) -> View:
+    """A view of all that is known of a map, as wide as `px` but not much taller than wide."""
+    known = ~grid.unknown
+    rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+    cells = np.array([(columns[0], rows[0]), (columns[-1] + 1, rows[-1] + 1)]) * grid.resolution
+    points = np.concatenate((cells, np.array([(p.x, p.y) for p in poses]).reshape(-1, 2)))
+    low, high = points.min(axis=0), points.max(axis=0)
+    around = 0.03 * float((high - low).max())
+    x, y = (low - around).tolist()
+    width, height = (high - low + 2 * around).tolist()
+    return View(x, y, width, height, min(px, 0.72 * px * width / height))
+
+
+def _axes(grid: OccupancyGrid, view: View) -> list[tuple[str, str, float, float]]:
+    """Where x and y of the map frame point, in the lower right corner: name, path, its place."""
+    centre = np.array([view.px - 52, view.tall - 52])
+    axes = []
+    for axis, turn in (("x", 0.0), ("y", np.pi / 2)):
+        along = rotation(turn - grid.origin.theta)[:, 0] * (1, -1)
+        side = along[::-1] * (1, -1)
+        tip, back = centre + 32 * along, centre + 24 * along
+        head = np.array([[back + 4 * side, tip, back - 4 * side]])
+        x, y = (centre + 43 * along + (0, 4)).tolist()
+        axes.append((axis, path(np.array([[centre, tip]])) + path(head), x, y))
+    return axes
+
+
+def draw_covariance(hypothesis: Hypothesis, px: float = 190.0) -> Markup:
+    """One and two standard deviations of the position, and two of the heading as a wedge.
+
+    It has a scale of its own: the ellipse is mostly too small to be seen on the map.
+    """
+    theta = hypothesis.pose.theta
+    values, vectors = np.linalg.eigh(hypothesis.covariance[:2, :2])
+    s = np.linspace(0, 2 * np.pi, 73)
+    circle = np.column_stack((np.cos(s), np.sin(s)))
+    unit = (circle * np.sqrt(np.maximum(values, 0))) @ vectors.T
+    reach = 2.6 * float(np.sqrt(max(values.max(), 1e-12)))
+    view = View(-reach, -reach, 2 * reach, 2 * reach, px)
+    turn = min(2 * float(np.sqrt(max(hypothesis.covariance[2, 2], 0.0))), np.pi)
+    arc = theta + np.linspace(-turn, turn, 25)
+    wedge = np.vstack(((0.0, 0.0), 0.9 * reach * np.column_stack((np.cos(arc), np.sin(arc)))))
+    nose = 0.9 * reach * np.array([[0.0, 0.0], [np.cos(theta), np.sin(theta)]])
+    lines = {"wedge": wedge, "two": 2 * unit, "one": unit, "nose": nose}
+    paths = [
+        (kind, path(view.pixels(xy)[None]) + ("Z" if kind == "wedge" else ""))
+        for kind, xy in lines.items()
+    ]
+    return macro("covariance", view=view, paths=paths)
+
+
+def draw_scan(scan: LaserScan, px: float = 300.0) -> Markup:
+    """A scan as the sensor sees it, forward up: its points, and the rays without a return."""
+    ahead = rotation(np.pi / 2)
+    points = scan_xy(scan)[scan.valid] @ ahead.T
+    near = points[_near(points)]
+    reach = float(np.max(np.linalg.norm(near, axis=1), initial=1.0))
+    angles = scan.angles[scan.no_return] + np.pi / 2
+    out = reach * np.column_stack((np.cos(angles), np.sin(angles)))
+    drawn = np.concatenate((np.zeros((1, 2)), near, 1.05 * out))
+    low, high = drawn.min(axis=0), drawn.max(axis=0)
+    around = 0.06 * float((high - low).max()) + 0.05
+    (x, y), (width, height) = (low - around).tolist(), (high - low + 2 * around).tolist()
+    view = View(x, y, width, height, px)
+    return macro(
+        "scan",
+        view=view,
+        missed=path(np.stack((view.pixels(0.97 * out), view.pixels(1.05 * out)), axis=1)),
+        ends=marks("agrees", view.pixels(points)),
+        pose=Pose2D(0.0, 0.0, np.pi / 2),
+        label=f"The scan: {scan.counts['valid']} valid readings",
+    )

@@ -1,0 +1,325 @@
+"""Results as text for people: tables, and lines that stand below each other."""
+
+import io
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from imgloc.geometry import base_of
+from imgloc.model import Localization, Pose2D
+from imgloc.output.json import SURE
+
+if TYPE_CHECKING:
+    from imgloc.io.mapcheck import MapReport
+    from imgloc.which import Choice
+
+_WIDE = 1000  # characters of a line at most: a table is as wide as its cells, wherever it goes
+_LISTED = 3  # maps that a line of `imgloc which` names
+
+
+def as_plain(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 0) -> str:
+    """Format a table; no cell is ever cut.
+
+    Parameters
+    ----------
+    columns : sequence of str
+        Headings.
+    rows : sequence of sequence of str
+        As many cells as there are headings.
+    left : int
+        So many columns are flush left, the others right.
+
+    Examples
+    --------
+    >>> print(as_plain(("a", "b"), [("x", "1")], left=1))
+    +---+---+
+    | a | b |
+    +---+---+
+    | x | 1 |
+    +---+---+
+    """
+    table = Table(box=box.ASCII2)
+    for k, name in enumerate(columns):
+        table.add_column(Text(name), justify="left" if k < left else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*map(Text, row))  # Text: what is in brackets is not markup
+    console = Console(file=io.StringIO(), width=_WIDE, color_system=None)
+    with console.capture() as captured:
+        console.print(table)
+    return "\n".join(line.rstrip() for line in captured.get().splitlines())
+
+
+def pose_words(pose: Pose2D) -> str:
+    """Return a pose in words.
+
+    Examples
+    --------
+    >>> pose_words(Pose2D(1.0, -2.0, 0.5))
+    'x 1.000 m, y -2.000 m, theta 28.65 deg'
+    """
+    return f"x {pose.x:.3f} m, y {pose.y:.3f} m, theta {math.degrees(pose.theta):.2f} deg"
+
+
+def difference(a: Pose2D, b: Pose2D) -> tuple[float, float]:
+    """Distance in metres and angle in radians, 0..pi, between two poses."""
+    return math.hypot(a.x - b.x, a.y - b.y), abs(Pose2D(0.0, 0.0, a.theta - b.theta).theta)
+
+
+def answer_header(mount: Pose2D | None = None) -> str:
+    """Return what stands above the lines of :func:`answer_line`."""
+    place = f"{'x / m':>10} {'y / m':>10} {'theta / deg':>12}"
+    base = f"  {'base x':>10} {'base y':>10} {'base theta':>12}"
+    return (
+        f"{'index':>6}  {'verdict':<10} {place} {'mass':>8} {'explained':>10}"
+        f"{'' if mount is None else base}"
+    )
+
+
+def answer_line(index: int, answer: Localization, mount: Pose2D | None = None) -> str:
+    """Return one line for one scan, to be written as soon as it is known.
+
+    Parameters
+    ----------
+    index : int
+        Of the scan in its file.
+    answer : Localization
+    mount : Pose2D, optional
+        Pose of the sensor on the robot, to state the robot's.
+    """
+    mass = explained = "-"
+    place = base = f"{'-':>10} {'-':>10} {'-':>12}"
+    if answer.pose is not None:
+        mass, explained = _percent(answer.hypotheses[0].mass), _percent(answer.explained)
+        place = _place(answer.pose)
+        base = place if mount is None else _place(base_of(answer.pose, mount))
+    line = f"{index:>6}  {answer.verdict:<10} {place} {mass:>8} {explained:>10}"
+    return (
+        line + ("" if mount is None else f"  {base}") + ("" if answer.complete else "  out of time")
+    )
+
+
+def answer_text(
+    title: str, answer: Localization, truth: Pose2D | None = None, mount: Pose2D | None = None
+) -> str:
+    """Return what is known about one scan, with a table of its hypotheses.
+
+    Parameters
+    ----------
+    title : str
+    answer : Localization
+    truth : Pose2D, optional
+        True pose in the map frame, to state the error.
+    mount : Pose2D, optional
+        Pose of the sensor on the robot, to state the robot's.
+    """
+    counts = ", ".join(f"{n} {key.replace('_', ' ')}" for key, n in answer.counts.items())
+    times = ", ".join(f"{key} {ms:.0f} ms" for key, ms in answer.timings_ms.items())
+    lines = [f"{title}: {answer.verdict}" + ("" if answer.complete else ", out of time")]
+    if answer.pose is not None:
+        sure = answer.verdict in SURE
+        lines.append(f"  {'pose      ' if sure else 'best guess'} {pose_words(answer.pose)}")
+        if not sure:
+            lines.append("             not to be trusted: the map does not explain the scan there")
+        if mount is not None:
+            lines.append(f"  base       {pose_words(base_of(answer.pose, mount))}")
+    if truth is not None:
+        lines.append(f"  truth      {pose_words(truth)}")
+    if truth is not None and answer.pose is not None:
+        away, turned = difference(answer.pose, truth)
+        lines.append(f"  error      {away:.3f} m, {math.degrees(turned):.2f} deg")
+    if answer.pose is not None:
+        lines.append(
+            f"  trust      {100 * answer.explained:.0f} % of the rays explained, "
+            f"entropy {answer.entropy:.3f} nats"
+        )
+        found, listed = answer.evidence.found, answer.evidence.listed
+        rest = f" and {found - listed} not listed with {_percent(answer.evidence.unlisted)}"
+        lines.append(
+            f"  poses      {listed} listed{rest if found > listed else ''}, "
+            f"elsewhere {_percent(answer.elsewhere)}"
+        )
+    lines += [f"  readings   {counts}", f"  time       {times}"]
+    if answer.hypotheses:
+        lines += ["", _hypotheses(answer)]
+    return "\n".join(lines)
+
+
+def _hypotheses(answer: Localization) -> str:
+    columns = ("#", "mass", "x / m", "y / m", "theta / deg", "+- xy / m", "+- deg", "log L")
+    rows = []
+    for k, h in enumerate(answer.hypotheses, start=1):
+        xy, turn = h.covariance[0, 0] + h.covariance[1, 1], h.covariance[2, 2]
+        row = (
+            str(k),
+            _percent(h.mass),
+            *_place(h.pose).split(),
+            f"{math.sqrt(max(0.0, xy)):.3f}",
+            f"{math.degrees(math.sqrt(max(0.0, turn))):.2f}",
+            f"{h.log_likelihood:.1f}",
+        )
+        rows.append(row)
+    return as_plain(columns, rows)
+
+
+def _place(pose: Pose2D) -> str:
+    return f"{pose.x:10.3f} {pose.y:10.3f} {math.degrees(pose.theta):12.2f}"
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
+
+
+CHOICE_HEADER = f"{'index':>6}  {'verdict':<24} {'probability':>11} {'none':>7}  pose or next best"
+"""What stands above the lines of :func:`choice_line`."""
+
+
+def choice_line(index: int, choice: "Choice", fits: Mapping[str, Localization]) -> str:
+    """Return one line for one scan: the pose in the map that is named, else the candidates."""
+    if choice.verdict == "invalid":
+        return f"{index:>6}  {choice.verdict:<24} {'-':>11} {'-':>7}  too few readings"
+    name = next(iter(choice.probability))
+    pose = fits[name].pose
+    if choice.verdict == name and pose is not None:
+        more = f"{pose_words(pose)} ({fits[name].verdict})"
+    else:
+        some = list(choice.probability.items())[:_LISTED]
+        more = ", ".join(f"{other} {_percent(share)}" for other, share in some)
+    probability, none = _percent(choice.probability[name]), _percent(choice.none)
+    return f"{index:>6}  {choice.verdict:<24} {probability:>11} {none:>7}  {more}"
+
+
+def report_text(report: "MapReport") -> str:
+    """Return what is in a map, and what is likely to be wrong with it."""
+    width, height = report.size
+    o = report.origin
+    shares = ", ".join(f"{key} {_percent(share)}" for key, share in report.shares.items())
+    greys = ", ".join(f"{value:g} ({cells:,})" for value, cells in report.greys)
+    more = report.grey_levels - len(report.greys)
+    lines = [
+        report.path,
+        f"  image       {report.image} ({report.kind})",
+        f"  cells       {report.width:,} x {report.height:,} of {report.resolution:g} m: "
+        f"{width:.1f} x {height:.1f} m, {report.area:.1f} m2 free",
+        f"  origin      x {o.x:g} m, y {o.y:g} m, yaw {math.degrees(o.theta):.2f} deg",
+        f"  read as     {report.mode}, {report.semantics}, negate {report.negate}, "
+        f"occupied_thresh {report.occupied_thresh:g}, free_thresh {report.free_thresh:g}",
+        f"  classes     {shares}",
+        f"  greys       {greys}" + (f" and {more:,} more" if more else ""),
+        f"  nav2/ros1   {report.semantics_differ:,} cells are read differently",
+        f"  warnings    {len(report.warnings) or 'none'}",
+    ]
+    return "\n".join(lines + [f"    {w}" for w in report.warnings])
+
+
+def atlas_text(summary: Mapping[str, Any]) -> str:
+    """Return the shares of :func:`imgloc.atlas.summarise`."""
+    lines = [
+        f"{summary['poses']} poses at {summary['places']} places, {summary['area']:.1f} m²",
+    ]
+    for key, words in (
+        ("unique", "one scan is enough"),
+        ("unique_area", "whatever the heading (share of the free area)"),
+        ("ambiguous", "several places fit"),
+        ("no-match", "not recognized"),
+        ("wrong", "wrong, but sure"),
+    ):
+        s = summary[key]
+        lines.append(
+            f"{_percent(s['value']):>8} [{100 * s['low']:.1f}, {100 * s['high']:.1f}]  {words}"
+        )
+    return "\n".join(lines)
+
+
+def calibration_table(fits: Mapping[str, Any]) -> str:
+    """Return the fits of :func:`imgloc.calibrate.fit` by the name of the method."""
+    columns = ("method", "scans", "sigma m", "sigma deg", "exponent", "S +- s.e.", "S of the stack")
+    rows = [
+        (
+            method,
+            str(fit.index.trials),
+            f"{fit.calibration.sigma_xy:g}",
+            f"{math.degrees(fit.calibration.sigma_theta):.3g}",
+            f"{1 / fit.calibration.temperature:.3g}",
+            _estimate(vars(fit.index)),
+            _estimate(vars(fit.bare)),
+        )
+        for method, fit in fits.items()
+    ]
+    return as_plain(columns, rows, left=1)
+
+
+def evaluation_tables(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return three tables of rows of :func:`imgloc.output.json.evaluation_row`."""
+    parts = (
+        ("Index S (eq. 12, nats) and global maximum, over free cells [95 % interval]", _index),
+        ("Right answers, % [95 % interval]", _success),
+        ("Errors of the first hypothesis, and cost", _cost),
+    )
+    return "\n\n".join(
+        f"{title}\n{as_plain(list(cells[0]), [list(c.values()) for c in cells], left=2)}"
+        for title, cells in ((t, [_head(row) | make(row) for row in rows]) for t, make in parts)
+    )
+
+
+def _head(row: Mapping[str, Any]) -> dict[str, str]:
+    return {"map": row["map"], "method": row["method"], "n": str(row["trials"])}
+
+
+def _index(row: Mapping[str, Any]) -> dict[str, str]:
+    step = row["lattice"]["theta_step"]
+    return {
+        "cell": f"{row['lattice']['cell']:g} m {math.degrees(step):.3g} deg",
+        "S +- s.e.": _estimate(row["index"]),
+        "S calibrated": _estimate(row["index_calibrated"]),
+        "S max": f"{row['lattice']['log_poses']:.2f}",
+        "S box +- s.e.": _estimate(row["index_box"]),
+        "floored": str(row["index"]["floored"]),
+        "outside": str(row["outside"]),
+        "maximum %": _share(row["exact"]),
+        "within 1 cell %": _share(row["near"]),
+    }
+
+
+def _success(row: Mapping[str, Any]) -> dict[str, str]:
+    out: dict[str, str] = {}
+    for s in row["success"]:
+        near = f"{s['tolerance']['position']:g} m {math.degrees(s['tolerance']['heading']):.3g} deg"
+        out |= {f"{near} @1": _share(s["at_1"]), f"{near} @5": _share(s["at_5"])}
+    out["unique"] = _share(row["verdicts"]["unique"])
+    out["unique, wrong"] = _share(row["success"][-1]["unique_wrong"])
+    return out
+
+
+def _cost(row: Mapping[str, Any]) -> dict[str, str]:
+    cost = row["cost"]
+    unit = {None: "", "pair of points": " pair", "pose and reading": " pose,ray"}[row["unit"]]
+    names = tuple(row["position"])
+    degrees = [math.degrees(row["heading"][q]) for q in names]
+    return {
+        "m " + " ".join(names): " ".join(_number(row["position"][q], 2) for q in names),
+        "deg " + " ".join(names): " ".join(_number(d, 1) for d in degrees),
+        "ms p50 p99": " ".join(_number(cost["ms"][q], 0) for q in ("median", "p99")),
+        "stack ms": _number(cost["stack_ms"]["median"], 1),
+        "ns per": _number(cost["ns_per_unit"], 3) + unit,
+        "first ms": _number(cost["first_ms"], 0),
+        "stack MiB": f"{row['stack_bytes'] / 2**20:.1f}",
+        "features MiB": f"{row['features_bytes'] / 2**20:.1f}",
+    }
+
+
+def _estimate(index: Mapping[str, Any]) -> str:
+    return f"{_number(index['value'], 2)} +- {_number(index['standard_error'], 2)}"
+
+
+def _share(share: Mapping[str, Any]) -> str:
+    low, high = 100 * share["low"], 100 * share["high"]
+    return f"{100 * share['value']:.1f} [{low:2.0f}, {high:3.0f}]"
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
