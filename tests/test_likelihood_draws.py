@@ -7,10 +7,7 @@ from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
 from imgloc.geometry import cell_of, inverse, theta_bin, transform_poses, uniform_thetas, wrap
-from imgloc.likelihood.draws import draw_near
-from imgloc.likelihood.draws import draw_poses
-from imgloc.likelihood.draws import entropy
-from imgloc.likelihood.draws import marginal_theta
+from imgloc.likelihood.draws import draw_near, draw_poses, entropy
 from imgloc.model import GridInfo, Hypothesis, Localization, Pose2D
 
 GRID = GridInfo(2, 3, 0.5, Pose2D(7.0, -3.0, 1.0))
@@ -28,13 +25,6 @@ def test_entropy_of_a_stack_and_of_its_marginals():
     assert entropy(certain) == 0
 
 
-<<<<<<< HEAD
-def test_marginals():
-    assert marginal_theta(P).tolist() == [0.5, 0.25, 0, 0.25]
-
-
-=======
->>>>>>> ops
 def test_draws_have_the_shares_of_the_posterior():
     poses = draw_poses(P, THETAS, GRID, 20_000, np.random.default_rng(3))
     cells = cell_of(poses[:, :2], 0.5)
