@@ -32,28 +32,14 @@ AT_ONCE = 1000
 
 @dataclass(frozen=True)
 class Spot:
-    """One pose of the atlas, map frame, and what its scan says.
-
-    Parameters
-    ----------
-    pose : Pose2D
-    kind : str
-        One of :data:`KINDS`.
-    mass : float
-        Of the true pose; 0 if it is not among the hypotheses.
-    error, turn : float
-        From the true pose to the best hypothesis, metres and radians; NaN without one.
-    twin : Pose2D or None
-        The best hypothesis that is not the true pose.
-    twin_mass : float
-    """
+    """One pose of the atlas, map frame, and what its scan says."""
 
     pose: Pose2D
-    kind: str
-    mass: float
-    error: float
-    turn: float
-    twin: Pose2D | None
+    kind: str  #: one of :data:`KINDS`
+    mass: float  #: of the true pose; 0 if it is not among the hypotheses
+    error: float  #: metres from the true pose to the best hypothesis; NaN without one
+    turn: float  #: the same in radians
+    twin: Pose2D | None  #: the best hypothesis that is not the true pose
     twin_mass: float
 
     @property

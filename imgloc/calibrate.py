@@ -42,24 +42,12 @@ _SHARED = 10.0  # readings over which they are so alike
 
 @dataclass(frozen=True)
 class Sweep:
-    """Logarithms of the relative density at the true pose, with the floor mixed in, nats.
-
-    Parameters
-    ----------
-    method : str
-    configurations : tuple of (float, float)
-        sigma_xy [m] and sigma_theta [rad].
-    logs : (n, C, E) float array
-        By trial, configuration and exponent.
-    bare : (n,) float array
-        Of the stacks as they are, as in the paper.
-    floor : float
-    """
+    """Logarithms of the relative density at the true pose, with the floor mixed in, nats."""
 
     method: str
-    configurations: tuple[tuple[float, float], ...]
-    logs: FloatArray
-    bare: FloatArray
+    configurations: tuple[tuple[float, float], ...]  #: sigma_xy [m] and sigma_theta [rad]
+    logs: FloatArray  #: (n, C, E) by trial, configuration and exponent
+    bare: FloatArray  #: (n,) of the stacks as they are, as in the paper
     floor: float = FLOOR
 
 

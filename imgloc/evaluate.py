@@ -62,27 +62,17 @@ _FUSED_STEP_DEG = 3.0  # of the cells in which the answer of `fused`, which has 
 
 @dataclass(frozen=True)
 class Share:
-    """Share of trials in which something happened, with Wilson's interval from `low` to `high`.
-
-    `value` is hits / trials, NaN without trials.
-    """
+    """Share of trials in which something happened, with Wilson's interval."""
 
     hits: int
     trials: int
-    value: float
+    value: float  #: hits / trials; NaN without trials
     low: float
     high: float
 
 
 def share(happened: Iterable[bool], z: float = Z95) -> Share:
-    """Count and give Wilson's interval, which is sensible at 0 and at 1 too.
-
-    Parameters
-    ----------
-    happened : iterable of bool
-        One for each trial.
-    z : float
-        Half-width in standard deviations; 95 % by default.
+    """Count and give Wilson's interval of `z` standard deviations, sensible at 0 and 1 too.
 
     Examples
     --------
@@ -116,62 +106,30 @@ TOLERANCES = (Tolerance(0.25, 0.25), Tolerance(0.5, float(np.deg2rad(10.0))))
 
 @dataclass(frozen=True)
 class Trial:
-    """What one scan has shown.
+    """What one scan has shown; densities are relative ones, ``p V``, at the true pose."""
 
-    Parameters
-    ----------
-    free, box : float
-        Relative density, ``p V``, at the true pose; over free cells and over the whole box.
-        Of a stack as it is, as in the paper.
-    calibrated : float
-        The same over free cells of the calibrated posterior; of ``fused``, which has no cells,
-        that of the lattice's cell.
-    outside : bool
-        The true pose is not in a free cell of the map, so that `free` is 0.
-    exact, near : bool
-        The global maximum over free cells is the cell of the true pose; is it or a next one
-        (of the 27).
-    errors : (M, 2) float array
-        Metres and radians from the true pose to each of at most `LISTED` hypotheses.
-    verdict : str
-    ms, stack_ms : float
-        Time of the whole answer, and of the likelihood stack alone; NaN where there is none.
-    stack_bytes : int
-    work : int
-        Poses times readings, or pairs of points; 0 without a stack.
-    """
-
-    free: float
-    box: float
-    calibrated: float
-    outside: bool
-    exact: bool
-    near: bool
-    errors: FloatArray
+    free: float  #: over free cells, of a stack as it is, as in the paper
+    box: float  #: the same over the whole box of the map
+    calibrated: float  #: over free cells, of the posterior; of ``fused`` that of the lattice's cell
+    outside: bool  #: the true pose is not in a free cell of the map, so that `free` is 0
+    exact: bool  #: the global maximum over free cells is the cell of the true pose
+    near: bool  #: it is that cell or one next to it, of the 27
+    errors: FloatArray  #: (M, 2) metres and radians to each of at most :data:`LISTED` hypotheses
     verdict: str
-    ms: float
-    stack_ms: float
+    ms: float  #: of the whole answer
+    stack_ms: float  #: of the likelihood stack alone; NaN where there is none
     stack_bytes: int
-    work: int
+    work: int  #: poses times readings, or pairs of points; 0 without a stack
 
 
 @dataclass(frozen=True)
 class Success:
-    """Shares of right answers under one tolerance.
-
-    Parameters
-    ----------
-    tolerance : Tolerance
-    at_1, at_5 : Share
-        The first hypothesis is right; one of the first five is.
-    unique_wrong : Share
-        The verdict is ``unique`` and the first hypothesis is wrong.
-    """
+    """Shares of right answers under one tolerance."""
 
     tolerance: Tolerance
-    at_1: Share
-    at_5: Share
-    unique_wrong: Share
+    at_1: Share  #: the first hypothesis is right
+    at_5: Share  #: one of the first five is
+    unique_wrong: Share  #: the verdict is ``unique`` and the first hypothesis is wrong
 
 
 @dataclass(frozen=True)
@@ -184,89 +142,47 @@ class Spread:
 
 @dataclass(frozen=True)
 class Cost:
-    """What it took; the only part of a summary that two runs do not share.
+    """What it took; the only part of a summary that two runs do not share."""
 
-    Parameters
-    ----------
-    ms, stack_ms : Spread
-        The whole answer for a scan; of that, the likelihood stack.
-    ns_per_unit : float
-        Median over the trials: nanoseconds per pose and reading, or per pair of points.
-    first_ms : float
-        An answer that found no features of the map ready.
-    max_rss_bytes : int or None
-        The process's greatest so far, by all that it has done; None where it is not known.
-    """
-
-    ms: Spread
-    stack_ms: Spread
-    ns_per_unit: float
-    first_ms: float
-    max_rss_bytes: int | None
+    ms: Spread  #: the whole answer for a scan
+    stack_ms: Spread  #: of that, the likelihood stack
+    ns_per_unit: float  #: median over the trials, see `Summary.unit`
+    first_ms: float  #: an answer that found no features of the map ready
+    max_rss_bytes: int | None  #: the process's greatest so far; None where it is not known
 
 
 @dataclass(frozen=True)
 class Summary:
-    """One method on one map.
-
-    Parameters
-    ----------
-    method : str
-    trials : int
-    index, index_box : Index
-        S, eq. 12, over poses in free cells and over the whole box of the map.
-    index_calibrated : Index
-        S of the calibrated posterior over free cells; of ``fused`` on the lattice of poses.
-    outside : int
-        Trials whose true pose is in no free cell.
-    exact, near : Share
-        The global maximum is in the cell of the true pose; in it or one next to it.
-    success : tuple of Success
-    position, heading : dict
-        Percentiles of the first hypothesis' error, metres and radians; infinite where so many
-        scans have no answer.
-    verdicts : dict of Share
-    unit : str or None
-        What `ns_per_unit` counts.
-    work : int
-        Units of the median trial.
-    stack_bytes, features_bytes : int
-        Of the arrays themselves: the likelihood stack, and what the method keeps of the map.
-    cost : Cost
-    """
+    """One method on one map."""
 
     method: str
     trials: int
-    index: Index
-    index_box: Index
-    index_calibrated: Index
-    outside: int
-    exact: Share
-    near: Share
+    index: Index  #: S, eq. 12, over poses in free cells
+    index_box: Index  #: S over the whole box of the map
+    index_calibrated: Index  #: S of the posterior over free cells; of ``fused`` on the lattice
+    outside: int  #: trials whose true pose is in no free cell
+    exact: Share  #: the global maximum is in the cell of the true pose
+    near: Share  #: it is in that cell or one next to it
     success: tuple[Success, ...]
-    position: dict[str, float]
-    heading: dict[str, float]
+    position: dict[str, float]  #: percentiles of the first hypothesis' error, metres
+    heading: dict[str, float]  #: the same in radians; infinite where so many have no answer
     verdicts: dict[str, Share]
-    unit: str | None
-    work: int
-    stack_bytes: int
-    features_bytes: int
+    unit: str | None  #: what `Cost.ns_per_unit` counts
+    work: int  #: units of the median trial
+    stack_bytes: int  #: of the likelihood stack itself
+    features_bytes: int  #: of what the method keeps of the map
     cost: Cost
 
 
 @dataclass(frozen=True)
 class Lattice:
-    """The poses that are told apart, in cells of metres and steps of radians.
+    """The poses that are told apart."""
 
-    `poses` are those in free cells, `poses_box` all; `log_poses` is the S of a method that puts
-    everything into the right free cell.
-    """
-
-    cell: float
-    theta_step: float
-    poses: int
-    poses_box: int
-    log_poses: float
+    cell: float  #: metres
+    theta_step: float  #: radians
+    poses: int  #: in free cells
+    poses_box: int  #: in all
+    log_poses: float  #: S of a method that puts everything into the right free cell
 
 
 @dataclass(frozen=True)

@@ -20,12 +20,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from skimage.measure import block_reduce
 
 from imgloc.errors import ConfigError
 from imgloc.features.budget import MIB, check_budget
 from imgloc.features.distance import DistanceField
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.pyramid import blocks, coarse_info
+from imgloc.features.pyramid import coarse_info
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import scan_points, scan_xy, thin
 from imgloc.geometry import in_grid_frame, transform_points, uniform_thetas, wrap
@@ -409,6 +410,6 @@ def _layer(name: str, about: str, best: Float32Array, info: GridInfo, method: st
     if method in LOG_METHODS:  # blocks that stick out are filled with zeros
         best = np.exp(best - max(float(best.max()), -1e30))
     if factor > 1:
-        best = np.asarray(blocks(best, factor).max(axis=(1, 3)))
+        best = np.asarray(block_reduce(best, factor, np.max))
         info = coarse_info(info, factor)
     return Layer(name, about, Likelihood(best[None], np.zeros(1), info, method))

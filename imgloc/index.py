@@ -36,24 +36,12 @@ _SAMPLES = 24  # along each side of where a Gaussian and a cell meet: 0.4 sigmas
 
 @dataclass(frozen=True)
 class Index:
-    """S of some trials.
+    """S of some trials, nats."""
 
-    Parameters
-    ----------
-    value : float
-        S, nats; NaN without trials.
-    standard_error : float
-        Of `value`, from the scatter of the trials; NaN with fewer than two.
-    trials : int
-    floored : int
-        Trials whose density was below the floor.
-    floor : float
-    """
-
-    value: float
-    standard_error: float
+    value: float  #: NaN without trials
+    standard_error: float  #: from the scatter of the trials; NaN with fewer than two
     trials: int
-    floored: int
+    floored: int  #: trials whose density was below the floor
     floor: float
 
 

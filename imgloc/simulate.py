@@ -1,8 +1,7 @@
 """Scans of a laser that is not there: random poses, cast rays, noise.
 
 A scan must not know the cells of the map in which it is to be located: rays are cast on a
-much finer image than the map, :func:`refine_grid` of it or a
-world's polygons rendered at 1 cm.
+much finer image than the map, :func:`refine_grid` of it or a world's polygons rendered at 1 cm.
 """
 
 from dataclasses import dataclass, field
@@ -16,125 +15,15 @@ from imgloc.errors import ConfigError, MapError, ScanError
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
 from imgloc.geometry import cell_of, inside, transform_poses
-from imgloc.io.bundled import bundled_maps
+from imgloc.io.maps import bundled_maps
 from imgloc.io.scanset import ScanSet
 from imgloc.model import BoolArray, Float32Array, FloatArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.worlds import WORLDS, render
 
-_DRAWS = 100  # of n poses each, before a mounting pose counts as impossible
-
-
-def sample_free_poses(grid: OccupancyGrid, n: int, seed: int, clearance: float = 0.3) -> FloatArray:
-    """Draw poses uniformly from the free space of a map, in the grid frame.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-    n : int
-        Number of poses.
-    seed : int
-        Seed of the random generator.
-    clearance : float
-        Metres to the nearest cell that is not free; the border of the map counts as such.
-
-    Returns
-    -------
-    (n, 3) float array
-        x and y in metres, continuous, and theta in [0, 2 pi).
-
-    Raises
-    ------
-    MapError
-        If no cell is free with that clearance.
-
-    Examples
-    --------
-    >>> free = np.zeros((9, 9), dtype=bool)
-    >>> free[2:7, 2:7] = True
-    >>> pose = sample_free_poses(OccupancyGrid(~free, free, 0.1), 1, seed=1, clearance=0.2)
-    >>> bool(np.all((pose[:, :2] > 0.4) & (pose[:, :2] < 0.5)))
-    True
-    """
-    taken = np.pad(~grid.free, 1, constant_values=True).astype(np.uint8)
-    # Grown by one cell, so that the distance is from the square of a cell to the next square.
-    grown = cv2.dilate(taken, np.ones((3, 3), dtype=np.uint8)) > 0
-    room = distance_image(grown)[1:-1, 1:-1] * grid.resolution
-    rows, columns = np.nonzero(grid.free & (room >= clearance - 1e-6))
-    if not len(rows):
-        raise MapError(
-            f"no free cell of the map is {clearance} m away from everything that is not free; "
-            "expected some free space, hint: a smaller clearance or another free_thresh"
-        )
-    rng = np.random.default_rng(seed)
-    pick = rng.integers(len(rows), size=n)
-    cells = np.column_stack((columns[pick], rows[pick]))
-    xy = (cells + rng.random((n, 2))) * grid.resolution
-    return np.column_stack((xy, rng.uniform(0, 2 * np.pi, n)))
-
-
-def sample_sensor_poses(
-    grid: OccupancyGrid, n: int, seed: int, mount: Pose2D, clearance: float = 0.3
-) -> FloatArray:
-    """Draw poses of a sensor that is mounted on a robot, in the grid frame.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-    n : int
-        Number of poses.
-    seed : int
-        Draws the poses of the robot, as :func:`sample_free_poses` does.
-    mount : Pose2D
-        Of the sensor on the robot. A robot whose sensor is not in a free cell is drawn again.
-    clearance : float
-        Of the robot, see :func:`sample_free_poses`.
-
-    Returns
-    -------
-    (n, 3) float array
-        Poses of the **sensor**, ``robot ⊕ mount``; theta in [0, 2 pi).
-
-    Raises
-    ------
-    MapError
-        If no robot has the clearance, or next to none has its sensor in a free cell.
-
-    Examples
-    --------
-    >>> grid = OccupancyGrid(np.zeros((20, 20), bool), np.ones((20, 20), bool), 1.0)
-    >>> robot = sample_free_poses(grid, 1, seed=1)[0]
-    >>> sensor = sample_sensor_poses(grid, 1, 1, Pose2D(0.2, 0.0, np.pi))[0]
-    >>> round(float(np.hypot(*(sensor - robot)[:2])), 6)
-    0.2
-    """
-    found = np.empty((0, 3))
-    seeds = (seed, *np.random.SeedSequence(seed).generate_state(_DRAWS).tolist())
-    for draw in seeds:
-        robots = sample_free_poses(grid, n, int(draw), clearance)
-        # robot ⊕ mount: the mount, turned by the robot's heading
-        c, s = np.cos(robots[:, 2]), np.sin(robots[:, 2])
-        sensors = np.column_stack(
-            (
-                robots[:, 0] + c * mount.x - s * mount.y,
-                robots[:, 1] + s * mount.x + c * mount.y,
-                (robots[:, 2] + mount.theta) % (2 * np.pi),
-            )
-        )
-        cells = cell_of(sensors[:, :2], grid.resolution)
-        on_map = inside(cells, grid.info)
-        row, column = cells[on_map].T
-        found = np.concatenate((found, sensors[on_map][grid.free[row, column]]))
-        if len(found) >= n:
-            return found[:n]
-    raise MapError(
-        f"a sensor mounted at ({mount.x:g}, {mount.y:g}) m is hardly ever in a free cell of "
-        "the map; expected metres on the robot"
-    )
-
-
 FINE = 0.01
 """Cells on which scans are simulated, metres."""
 _MAX_CELLS = 16_000_000
+_DRAWS = 100  # of n poses each, before a mounting pose counts as impossible
 
 # Blurred by 0.7 cells, a straight wall of one cell is worth 0.57 at its centre and 0.20 one cell
 # off. Raised to 0.8 its outline at 0.5 is again half a cell off, as it was; so with gaps.
@@ -142,253 +31,13 @@ _BLUR = 0.7
 _THIN, _THIN_VALUE = 0.6, 0.8
 
 
-def refine_grid(
-    grid: OccupancyGrid, resolution: float = FINE, *, max_cells: int = _MAX_CELLS
-) -> OccupancyGrid:
-    """Redraw a map with smaller cells and smooth outlines, so that walls have no stairs.
-
-    The occupancy image is blurred by 0.7 cells, enlarged bilinearly and cut at one half; walls
-    and gaps that are one cell thin are kept.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-    resolution : float
-        Side of a cell wanted, metres. The side of the map's cells is divided by a whole
-        number that comes closest to it.
-    max_cells : int
-        No more cells than this: a large map is refined less.
-
-    Returns
-    -------
-    OccupancyGrid
-        Same place, same origin; `grid` itself if its cells need not be smaller.
-
-    Examples
-    --------
-    >>> coarse = OccupancyGrid(np.eye(4, dtype=bool), ~np.eye(4, dtype=bool), 0.1)
-    >>> refine_grid(coarse, 0.02).occupied.shape
-    (20, 20)
-    """
-    height, width = grid.occupied.shape
-    factor = fine_factor(grid, resolution, max_cells=max_cells)
-    if factor == 1:
-        return grid
-    size = (width * factor, height * factor)
-    occupied = cv2.resize(_smooth(grid.occupied), size, interpolation=cv2.INTER_LINEAR) >= 0.5
-    free = cv2.resize(grid.free.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0
-    # Along a wall, part of an occupied cell may come out as not occupied: it is free there.
-    known = cv2.resize((~grid.unknown).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
-    return OccupancyGrid(
-        occupied, (free | (known > 0)) & ~occupied, grid.resolution / factor, grid.origin
-    )
-
-
-def fine_factor(
-    grid: OccupancyGrid, resolution: float = FINE, *, max_cells: int = _MAX_CELLS
-) -> int:
-    """How many cells of :func:`refine_grid` lie along a cell of the map.
-
-    Examples
-    --------
-    >>> fine_factor(OccupancyGrid(np.eye(4, dtype=bool), ~np.eye(4, dtype=bool), 0.1), 0.02)
-    5
-    """
-    most = int((max_cells / grid.occupied.size) ** 0.5)
-    return max(1, min(round(grid.resolution / resolution), most))
-
-
-def _smooth(occupied: BoolArray) -> Float32Array:
-    """Blurred occupancy whose outline at 0.5 keeps walls and gaps of a single cell."""
-    image = np.asarray(occupied, dtype=np.float32)
-    out = cv2.GaussianBlur(image, (0, 0), _BLUR, borderType=cv2.BORDER_REPLICATE)
-    out[occupied & (out < _THIN)] = _THIN_VALUE
-    out[~occupied & (out > 1 - _THIN)] = 1 - _THIN_VALUE
-    return np.asarray(out, dtype=np.float32)
-
-
-def simulate(
-    grid: OccupancyGrid,
-    poses: npt.ArrayLike,
-    angles: npt.ArrayLike,
-    *,
-    sigma: float = 0.02,
-    range_max: float = 30.0,
-    seed: int = 0,
-    outliers: float = 0.0,
-    dropped: float = 0.0,
-) -> FloatArray:
-    """Simulate what a laser reads at given poses: a draw from ``p(z | x)`` of eq. 2.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        On which rays are cast: finer than the map in which the scan is to be located, see
-        :func:`refine_grid`.
-    poses : (N, 3) array
-        Of the sensor in the grid frame: metres, metres, radians.
-    angles : (B,) array
-        Of the rays in the sensor's frame, radians.
-    sigma : float
-        Standard deviation of the noise of a reading, metres.
-    range_max : float
-        Metres; what is farther gives no return.
-    seed : int
-        Seed of the noise.
-    outliers : float
-        Share of the rays, 0..1, that are stopped by something that the map does not show,
-        anywhere between the sensor and the wall (or `range_max`).
-    dropped : float
-        Share of the rays, 0..1, that give no measurement at all, NaN.
-
-    Returns
-    -------
-    (N, B) float array
-        Metres; +inf where nothing is met within `range_max`, NaN where dropped (REP 117).
-
-    Raises
-    ------
-    ConfigError
-        If a parameter is out of its range.
-
-    Examples
-    --------
-    >>> wall = np.zeros((20, 40), dtype=bool)
-    >>> wall[:, 30] = True
-    >>> grid = OccupancyGrid(wall, ~wall, 0.1)
-    >>> simulate(grid, [(1.0, 1.0, 0.0)], [0.0, np.pi], sigma=0.0).round(3).tolist()
-    [[2.0, inf]]
-    """
-    if not (np.isfinite(sigma) and sigma >= 0):
-        raise ConfigError(f"sigma must be finite and not negative, got {sigma}")
-    if not (np.isfinite(range_max) and range_max > 0):
-        raise ConfigError(f"range_max must be positive and finite, got {range_max}")
-    if not (0 <= outliers <= 1 and 0 <= dropped <= 1):
-        raise ConfigError(f"outliers {outliers} and dropped {dropped} are shares between 0 and 1")
-    at = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
-    psi = at[:, 2:] + np.asarray(angles, dtype=np.float64)
-    distance = distance_image(grid.occupied)
-    # A little farther than the sensor reaches: noise may bring a wall into its reach.
-    reach = range_max + 5 * sigma
-    ranges = cast_rays(distance, at[:, None, :2], psi, reach, grid.resolution)
-    out = np.asarray(ranges, dtype=np.float64)
-    # Drawn whether used or not: a scan with outliers differs from one without in them alone.
-    rng = np.random.default_rng(seed)
-    noise, blocked, where, lost = (
-        rng.standard_normal(out.shape), rng.random(out.shape), rng.random(out.shape),
-        rng.random(out.shape),
-    )  # fmt: skip
-    out = np.where(blocked < outliers, where * np.minimum(out, range_max), out)
-    out = np.maximum(out + sigma * noise, 1e-3)  # never 0, which would mean "too close"
-    out[out > range_max] = np.inf
-    out[lost < dropped] = np.nan
-    return out
-
-
-def ray_angles(rays: int, fov: float) -> FloatArray:
-    """Angles (rays,) of a sensor's rays, centred about forward, radians.
-
-    With a full circle the last ray is one step short of the first.
-
-    Raises
-    ------
-    ConfigError
-        If there is no ray, or `fov` is not in (0, 2 pi].
-
-    Examples
-    --------
-    >>> np.rad2deg(ray_angles(3, np.pi)).tolist(), np.rad2deg(ray_angles(2, 2 * np.pi)).tolist()
-    ([-90.0, 0.0, 90.0], [-180.0, 0.0])
-    """
-    if rays < 1 or not 0 < fov <= 2 * np.pi + 1e-9:
-        raise ConfigError(f"rays {rays} must be at least 1 and fov {fov} in (0, 2 pi]")
-    full = fov > 2 * np.pi * (1 - 1e-9)
-    return np.linspace(-fov / 2, fov / 2, rays, endpoint=not full)
-
-
-def simulate_scans(
-    grid: OccupancyGrid,
-    n: int,
-    seed: int,
-    *,
-    rays: int = 181,
-    fov: float = np.pi,
-    sigma: float = 0.02,
-    range_max: float = 30.0,
-    outliers: float = 0.0,
-    dropped: float = 0.0,
-    clearance: float = 0.3,
-    mount: Pose2D | None = None,
-    fine: OccupancyGrid | None = None,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Simulate scans at random free poses of a map; the defaults are the sensor of Sec. VI.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map, from whose free space the poses are drawn.
-    n : int
-        Number of scans.
-    seed : int
-        Seed of everything random: the same seed gives the same scans, and poses that do not
-        depend on the sensor.
-    rays : int
-        Readings of a scan.
-    fov : float
-        Angle between the first and the last ray, radians, see :func:`ray_angles`.
-    sigma, range_max, outliers, dropped : float
-        See :func:`simulate`.
-    clearance : float
-        Of the robot, see :func:`sample_free_poses`.
-    mount : Pose2D, optional
-        Of the sensor on the robot, whose poses are what is drawn; by default they are one.
-    fine : OccupancyGrid, optional
-        Image on which rays are cast, with the same lower-left corner. By default the map
-        redrawn at 1 cm; for a bundled world ``render(world, 0.01)`` is the truth itself.
-
-    Returns
-    -------
-    ranges : (n, rays) float array
-        Metres, +inf for no return, NaN for dropped.
-    angles : (rays,) float array
-        Radians, in the sensor's frame.
-    poses : (n, 3) float array
-        Of the sensor in the grid frame.
-
-    Raises
-    ------
-    MapError
-        If no pose has the clearance.
-    ConfigError
-        If a parameter is out of its range.
-    """
-    angles = ray_angles(rays, fov)
-    seeds = np.random.SeedSequence(seed).generate_state(2)
-    poses = sample_sensor_poses(grid, n, int(seeds[0]), mount or Pose2D(0.0, 0.0), clearance)
-    ranges = simulate(
-        refine_grid(grid) if fine is None else fine, poses, angles,
-        sigma=sigma, range_max=range_max, seed=int(seeds[1]), outliers=outliers, dropped=dropped,
-    )  # fmt: skip
-    return ranges, angles, poses
-
-
 @dataclass(frozen=True)
 class Sensor:
     """A simulated laser; the defaults are that of Sec. VI, with a reach of 30 m.
 
-    Parameters
-    ----------
-    rays : int
-    fov : float
-        Radians, see :func:`simulate_scans`.
-    sigma, range_max : float
-        Noise of a reading and reach, metres.
-    outliers, dropped : float
-        Shares of the rays, see :func:`simulate`.
-    clearance : float
-        Of the robot, metres.
-    mount : Pose2D
-        Of the sensor on the robot.
+    `fov` is in radians, see :func:`ray_angles`; `sigma` (noise of a reading), `range_max` and
+    `clearance` (of the robot) in metres; `outliers` and `dropped` are shares of the rays, see
+    :func:`simulate`; `mount` is the pose of the sensor on the robot.
     """
 
     rays: int = 181
@@ -402,19 +51,27 @@ class Sensor:
 
 
 def simulate_set(
-    grid: OccupancyGrid, n: int, seed: int, sensor: Sensor, fine: OccupancyGrid | None = None
+    grid: OccupancyGrid,
+    n: int,
+    seed: int,
+    sensor: Sensor | None = None,
+    fine: OccupancyGrid | None = None,
 ) -> ScanSet:
     """Simulate scans at random free poses; the poses of the set are the sensor's, map frame.
 
     Parameters
     ----------
     grid : OccupancyGrid
+        The map, from whose free space the poses are drawn.
     n : int
+        Number of scans.
     seed : int
-        Of everything random.
-    sensor : Sensor
+        Of everything random: the same seed gives the same scans, and poses that depend on the
+        sensor's mount and clearance alone.
+    sensor : Sensor, optional
     fine : OccupancyGrid, optional
-        On which rays are cast, see :func:`simulate_scans`.
+        Image on which rays are cast, with the same lower-left corner. By default the map
+        redrawn at 1 cm; for a bundled world ``render(world, 0.01)`` is the truth itself.
 
     Raises
     ------
@@ -422,13 +79,22 @@ def simulate_set(
         If no pose has the clearance.
     ConfigError
         If a parameter of the sensor or the seed is out of its range.
+
+    Examples
+    --------
+    >>> scans = simulate_set(render(WORLDS["curved"](), 0.1), 2, seed=0)
+    >>> scans.scans[0].ranges.shape, scans.poses.shape
+    ((181,), (2, 3))
     """
     _check_seed(seed)
-    ranges, angles, poses = simulate_scans(
-        grid, n, seed,
-        rays=sensor.rays, fov=sensor.fov, sigma=sensor.sigma, range_max=sensor.range_max,
-        outliers=sensor.outliers, dropped=sensor.dropped, clearance=sensor.clearance,
-        mount=sensor.mount, fine=fine,
+    sensor = sensor or Sensor()
+    angles = ray_angles(sensor.rays, sensor.fov)
+    seeds = np.random.SeedSequence(seed).generate_state(2)
+    poses = sample_free_poses(grid, n, int(seeds[0]), sensor.clearance, sensor.mount)
+    ranges = simulate(
+        refine_grid(grid) if fine is None else fine, poses, angles,
+        sigma=sensor.sigma, range_max=sensor.range_max, seed=int(seeds[1]),
+        outliers=sensor.outliers, dropped=sensor.dropped,
     )  # fmt: skip
     scans = tuple(
         LaserScan(r, angles, range_max=sensor.range_max, T_base_laser=sensor.mount) for r in ranges
@@ -466,6 +132,240 @@ def sample_set(scans: ScanSet, n: int | None, seed: int, name: str = "scans") ->
 def _check_seed(seed: int) -> None:
     if seed < 0:
         raise ConfigError(f"the seed must be at least 0, got {seed}")
+
+
+def simulate(
+    grid: OccupancyGrid,
+    poses: npt.ArrayLike,
+    angles: npt.ArrayLike,
+    *,
+    sigma: float = 0.02,
+    range_max: float = 30.0,
+    seed: int = 0,
+    outliers: float = 0.0,
+    dropped: float = 0.0,
+) -> FloatArray:
+    """Simulate what a laser reads at given poses: a draw from ``p(z | x)`` of eq. 2.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        On which rays are cast: finer than the map in which the scan is to be located, see
+        :func:`refine_grid`.
+    poses : (N, 3) array
+        Of the sensor in the grid frame: metres, metres, radians.
+    angles : (B,) array
+        Of the rays in the sensor's frame, radians.
+    sigma : float
+        Standard deviation of the noise of a reading, metres.
+    range_max : float
+        Metres; what is farther gives no return.
+    seed : int
+        Of the noise.
+    outliers, dropped : float
+        Shares of the rays, 0..1: stopped by something that the map does not show, anywhere
+        between the sensor and the wall (or `range_max`); without any measurement at all.
+
+    Returns
+    -------
+    (N, B) float array
+        Metres; +inf where nothing is met within `range_max`, NaN where dropped (REP 117).
+
+    Raises
+    ------
+    ConfigError
+        If a parameter is out of its range.
+
+    Examples
+    --------
+    >>> wall = np.zeros((20, 40), dtype=bool)
+    >>> wall[:, 30] = True
+    >>> grid = OccupancyGrid(wall, ~wall, 0.1)
+    >>> simulate(grid, [(1.0, 1.0, 0.0)], [0.0, np.pi], sigma=0.0).round(3).tolist()
+    [[2.0, inf]]
+    """
+    if not (np.isfinite(sigma) and sigma >= 0):
+        raise ConfigError(f"sigma must be finite and not negative, got {sigma}")
+    if not (np.isfinite(range_max) and range_max > 0):
+        raise ConfigError(f"range_max must be positive and finite, got {range_max}")
+    if not (0 <= outliers <= 1 and 0 <= dropped <= 1):
+        raise ConfigError(f"outliers {outliers} and dropped {dropped} are shares between 0 and 1")
+    at = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
+    psi = at[:, 2:] + np.asarray(angles, dtype=np.float64)
+    distance = distance_image(grid.occupied)
+    # A little farther than the sensor reaches: noise may bring a wall into its reach.
+    reach = range_max + 5 * sigma
+    ranges = cast_rays(distance, at[:, None, :2], psi, reach, grid.resolution)
+    out = np.asarray(ranges, dtype=np.float64)
+    # Drawn whether used or not: a scan with outliers differs from one without in them alone.
+    rng = np.random.default_rng(seed)
+    noise = rng.standard_normal(out.shape)
+    blocked, where, lost = (rng.random(out.shape) for _ in range(3))
+    out = np.where(blocked < outliers, where * np.minimum(out, range_max), out)
+    out = np.maximum(out + sigma * noise, 1e-3)  # never 0, which would mean "too close"
+    out[out > range_max] = np.inf
+    out[lost < dropped] = np.nan
+    return out
+
+
+def ray_angles(rays: int, fov: float) -> FloatArray:
+    """Angles (rays,) of a sensor's rays, centred about forward, radians.
+
+    With a full circle the last ray is one step short of the first.
+
+    Raises
+    ------
+    ConfigError
+        If there is no ray, or `fov` is not in (0, 2 pi].
+
+    Examples
+    --------
+    >>> np.rad2deg(ray_angles(3, np.pi)).tolist(), np.rad2deg(ray_angles(2, 2 * np.pi)).tolist()
+    ([-90.0, 0.0, 90.0], [-180.0, 0.0])
+    """
+    if rays < 1 or not 0 < fov <= 2 * np.pi + 1e-9:
+        raise ConfigError(f"rays {rays} must be at least 1 and fov {fov} in (0, 2 pi]")
+    full = fov > 2 * np.pi * (1 - 1e-9)
+    return np.linspace(-fov / 2, fov / 2, rays, endpoint=not full)
+
+
+def sample_free_poses(
+    grid: OccupancyGrid,
+    n: int,
+    seed: int,
+    clearance: float = 0.3,
+    mount: Pose2D | None = None,
+) -> FloatArray:
+    """Draw poses (n, 3) uniformly from the free space of a map, in the grid frame.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+    n : int
+    seed : int
+        Of the random generator.
+    clearance : float
+        Metres from the robot to the nearest cell that is not free, or to the map's border.
+    mount : Pose2D, optional
+        Of the sensor on the robot: then the poses are the **sensor's**, ``robot ⊕ mount``. A
+        robot whose sensor is not in a free cell is drawn again.
+
+    Returns
+    -------
+    (n, 3) float array
+        x and y in metres, continuous, and theta in [0, 2 pi).
+
+    Raises
+    ------
+    MapError
+        If no cell is free with that clearance, or next to no sensor is in a free cell.
+
+    Examples
+    --------
+    >>> free = np.zeros((9, 9), dtype=bool)
+    >>> free[2:7, 2:7] = True
+    >>> grid = OccupancyGrid(~free, free, 0.1)
+    >>> robot = sample_free_poses(grid, 1, seed=1, clearance=0.2)
+    >>> bool(np.all((robot[:, :2] > 0.4) & (robot[:, :2] < 0.5)))
+    True
+    >>> sensor = sample_free_poses(grid, 1, 1, 0.2, Pose2D(0.1, 0.0))
+    >>> round(float(np.hypot(*(sensor - robot)[0, :2])), 6)
+    0.1
+    """
+    taken = np.pad(~grid.free, 1, constant_values=True).astype(np.uint8)
+    # Grown by one cell, so that the distance is from the square of a cell to the next square.
+    grown = cv2.dilate(taken, np.ones((3, 3), dtype=np.uint8)) > 0
+    room = distance_image(grown)[1:-1, 1:-1] * grid.resolution
+    rows, columns = np.nonzero(grid.free & (room >= clearance - 1e-6))
+    if not len(rows):
+        raise MapError(
+            f"no free cell of the map is {clearance} m away from everything that is not free; "
+            "expected some free space, hint: a smaller clearance or another free_thresh"
+        )
+
+    def robots(draw: int) -> FloatArray:
+        rng = np.random.default_rng(draw)
+        pick = rng.integers(len(rows), size=n)
+        cells = np.column_stack((columns[pick], rows[pick]))
+        xy = (cells + rng.random((n, 2))) * grid.resolution
+        return np.column_stack((xy, rng.uniform(0, 2 * np.pi, n)))
+
+    if mount is None:
+        return robots(seed)
+    found = np.empty((0, 3))
+    for draw in (seed, *np.random.SeedSequence(seed).generate_state(_DRAWS).tolist()):
+        sensors = robots(int(draw))
+        # robot ⊕ mount: the mount, turned by the robot's heading
+        c, s = np.cos(sensors[:, 2]), np.sin(sensors[:, 2])
+        sensors[:, 0] += c * mount.x - s * mount.y
+        sensors[:, 1] += s * mount.x + c * mount.y
+        sensors[:, 2] = (sensors[:, 2] + mount.theta) % (2 * np.pi)
+        cells = cell_of(sensors[:, :2], grid.resolution)
+        on_map = inside(cells, grid.info)
+        row, column = cells[on_map].T
+        found = np.concatenate((found, sensors[on_map][grid.free[row, column]]))
+        if len(found) >= n:
+            return found[:n]
+    raise MapError(
+        f"a sensor mounted at ({mount.x:g}, {mount.y:g}) m is hardly ever in a free cell of "
+        "the map; expected metres on the robot"
+    )
+
+
+def refine_grid(
+    grid: OccupancyGrid, resolution: float = FINE, *, max_cells: int = _MAX_CELLS
+) -> OccupancyGrid:
+    """Redraw a map with smaller cells and smooth outlines, so that walls have no stairs.
+
+    The occupancy image is blurred by 0.7 cells, enlarged bilinearly and cut at one half; walls
+    and gaps that are one cell thin are kept.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+    resolution : float
+        Side of a cell wanted, metres. The side of the map's cells is divided by a whole
+        number that comes closest to it.
+    max_cells : int
+        No more cells than this: a large map is refined less.
+
+    Returns
+    -------
+    OccupancyGrid
+        Same place, same origin; `grid` itself if its cells need not be smaller.
+
+    Examples
+    --------
+    >>> coarse = OccupancyGrid(np.eye(4, dtype=bool), ~np.eye(4, dtype=bool), 0.1)
+    >>> refine_grid(coarse, 0.02).occupied.shape
+    (20, 20)
+    """
+    height, width = grid.occupied.shape
+    factor = fine_factor(grid, resolution, max_cells=max_cells)
+    if factor == 1:
+        return grid
+    size = (width * factor, height * factor)
+    occupied = cv2.resize(_smooth(grid.occupied), size, interpolation=cv2.INTER_LINEAR) >= 0.5
+    # Along a wall, part of an occupied cell may come out as not occupied: it is free there.
+    known = cv2.resize((~grid.unknown).astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+    return OccupancyGrid(occupied, (known > 0) & ~occupied, grid.resolution / factor, grid.origin)
+
+
+def fine_factor(
+    grid: OccupancyGrid, resolution: float = FINE, *, max_cells: int = _MAX_CELLS
+) -> int:
+    """How many cells of :func:`refine_grid` lie along a cell of the map."""
+    most = int((max_cells / grid.occupied.size) ** 0.5)
+    return max(1, min(round(grid.resolution / resolution), most))
+
+
+def _smooth(occupied: BoolArray) -> Float32Array:
+    """Blurred occupancy whose outline at 0.5 keeps walls and gaps of a single cell."""
+    image = np.asarray(occupied, dtype=np.float32)
+    out = cv2.GaussianBlur(image, (0, 0), _BLUR, borderType=cv2.BORDER_REPLICATE)
+    out[occupied & (out < _THIN)] = _THIN_VALUE
+    out[~occupied & (out > 1 - _THIN)] = 1 - _THIN_VALUE
+    return np.asarray(out, dtype=np.float32)
 
 
 def fine_image(path: Path, grid: OccupancyGrid) -> OccupancyGrid | None:

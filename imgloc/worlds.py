@@ -23,27 +23,13 @@ _SHIFT = 8  # fractional bits of the corner coordinates that cv2 draws
 
 @dataclass(frozen=True)
 class World:
-    """A world made of polygons; the origin is its lower-left corner, y points up.
+    """A world made of polygons; the origin is its lower-left corner, y points up."""
 
-    Parameters
-    ----------
-    name : str
-        Also the stem of its map file.
-    size : (float, float)
-        Width and height, metres.
-    rooms : tuple of (N, 2) float arrays
-        Free space; overlapping rooms open into each other.
-    blocks : tuple of (N, 2) float arrays
-        Solid parts inside the rooms.
-    shell : float
-        Thickness of the walls around the rooms, metres. What lies beyond is unknown.
-    """
-
-    name: str
-    size: tuple[float, float]
-    rooms: tuple[FloatArray, ...]
-    blocks: tuple[FloatArray, ...] = ()
-    shell: float = 0.2
+    name: str  #: also the stem of its map file
+    size: tuple[float, float]  #: width and height, metres
+    rooms: tuple[FloatArray, ...]  #: (N, 2) free space; overlapping rooms open into each other
+    blocks: tuple[FloatArray, ...] = ()  #: (N, 2) solid parts inside the rooms
+    shell: float = 0.2  #: of the walls around, metres. What lies beyond is unknown.
 
 
 def render(world: World, resolution: float) -> OccupancyGrid:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from PIL import Image
 
 
 class BadFile(NamedTuple):
@@ -132,6 +133,11 @@ def _image_faults() -> dict[str, tuple[bytes, str]]:
         "lossy.jpg": (jpeg, "JPEG"),
         "half.jpg": (jpeg[: len(jpeg) // 2], "truncated JPEG"),
         "huge.jpg": (_with_jpeg_size(jpeg, 60000), "pixels, expected at most"),
+        "lossy.webp": (_pillow("WEBP"), "lossy WebP"),
+        "half.webp": (_pillow("WEBP", lossless=True)[:-40], "truncated WebP"),
+        "half.tif": (_pillow("TIFF")[:-300], "truncated TIFF"),
+        "pages.tif": (_pillow("TIFF", save_all=True, append_images=[_PAGE]), "several images"),
+        "floats.tif": (_pillow("TIFF", "F"), "of type F"),
         "truncated.bmp": (encode(".bmp", room())[:1500], "truncated BMP"),
         "truncated.pgm": (encode(".pgm", room())[:1500], "truncated"),
         "huge.pgm": (b"P5\n60000 60000\n255\n", "pixels, expected at most"),
@@ -145,6 +151,15 @@ def _image_faults() -> dict[str, tuple[bytes, str]]:
         "all_free.png": (encode(".png", np.full((20, 20), 254, np.uint8)), "is occupied"),
         "all_wall.png": (encode(".png", np.zeros((20, 20), np.uint8)), "is free"),
     }
+
+
+_PAGE = Image.fromarray(room())
+
+
+def _pillow(kind: str, mode: str = "L", **options: Any) -> bytes:
+    buffer = io.BytesIO()
+    _PAGE.convert(mode).save(buffer, kind, **options)
+    return buffer.getvalue()
 
 
 def _with_jpeg_size(jpeg: bytes, side: int) -> bytes:

@@ -214,3 +214,51 @@ def visibility(points, n_psi, horizon):
             psi = angle_bin(phi((p_i[0] - p_j[0], p_i[1] - p_j[1])), n_psi)  # l. 4
             vis[j, psi] = min(d, vis[j, psi])  # l. 5
     return vis
+
+
+def at(image, row, col, replicate):
+    """A cell of an image; beyond its border the nearest one, or 0."""
+    height, width = image.shape
+    if replicate:
+        return image[min(max(row, 0), height - 1), min(max(col, 0), width - 1)]
+    return image[row, col] if 0 <= row < height and 0 <= col < width else 0.0
+
+
+def blurred(image, sigma, replicate=False):
+    """A sampled Gaussian of sum 1 laid on every cell, four deviations to either side."""
+    radius = (round(8 * sigma + 1) | 1) // 2
+    g = [math.exp(-(d**2) / (2 * sigma**2)) for d in range(-radius, radius + 1)]
+    g = [w / sum(g) for w in g]
+    for axis in (0, 1):
+        out = np.zeros(image.shape)
+        for row, col in np.ndindex(image.shape):
+            for d, w in zip(range(-radius, radius + 1), g, strict=True):
+                r, c = (row + d, col) if axis == 0 else (row, col + d)
+                out[row, col] += w * at(image, r, c, replicate)
+        image = out
+    return image
+
+
+def vmap_of_image(occupied, free, resolution, sigma, factor=1):
+    """Gradient, the tensor's axis, the gradient's sign: the field of imgloc.features.gradients."""
+    wall = blurred(occupied.astype(float), 1.0, replicate=True)
+    gradient = np.zeros((2, *wall.shape))
+    for row, col in np.ndindex(wall.shape):
+        for d, weight in ((-1, 1), (0, 2), (1, 1)):
+            for side in (-1, 1):
+                gradient[0, row, col] -= side * weight * at(wall, row + d, col + side, True) / 8
+                gradient[1, row, col] -= side * weight * at(wall, row + side, col + d, True) / 8
+    xx, xy, yy = (blurred(gradient[a] * gradient[b], 2.0) for a, b in ((0, 0), (0, 1), (1, 1)))
+    field = np.zeros((2, *(-(-n // factor) for n in wall.shape)))
+    for row, col in np.ndindex(wall.shape):
+        if not any(at(free, row + i, col + j, False) for i in (-1, 0, 1) for j in (-1, 0, 1)):
+            continue
+        tensor = np.array([[xx[row, col], xy[row, col]], [xy[row, col], yy[row, col]]])
+        axis = np.linalg.eigh(tensor)[1][:, -1]  # of the greater eigenvalue
+        signed = axis @ gradient[:, row, col]
+        field[:, row // factor, col // factor] += signed * axis / factor**2
+    left = math.sqrt(max(0.0, (sigma / resolution) ** 2 - 1)) / factor
+    if left > 0.1:
+        field = np.stack([blurred(component, left) for component in field])
+    peak = np.hypot(*field).max()
+    return field / peak if peak > 0 else field

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from places import POSES, error, features_of, grid_of, scan_of
 
-from imgloc.features.contours import outlines
 from imgloc.features.distance import FARTHEST, distance_field, distance_image
 from imgloc.features.pyramid import pyramid
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import scan_points, scan_xy
-from imgloc.features.surface import surface_points
+from imgloc.features.surface import outlines, surface_points
 from imgloc.features.visibility import visibility_frames
 from imgloc.geometry import centre_of, uniform_thetas
 from imgloc.likelihood.cbml import cbml_o

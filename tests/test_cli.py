@@ -17,8 +17,8 @@ from imgloc.cli.console import Group, emit
 from imgloc.cli.demo import DemoMap
 from imgloc.cli.options import EngineName, MethodName, ModeName, SemanticsName
 from imgloc.errors import ConfigError, MapError, OutputError, ScanError
+from imgloc.io.maps import SEMANTICS
 from imgloc.io.mapyaml import MODES
-from imgloc.io.occupancy import SEMANTICS
 from imgloc.likelihood.correlate import ENGINES
 from imgloc.options import ALL_METHODS
 from imgloc.worlds import WORLDS

@@ -11,7 +11,8 @@ from command import MAPS, call, rows, spawn
 
 from imgloc.geometry import transform_poses
 from imgloc.io.maps import load_map, save_map
-from imgloc.io.scans import ScanSet, load_scans, save_scans
+from imgloc.io.scans import load_scans, save_scans
+from imgloc.io.scanset import ScanSet
 from imgloc.model import OccupancyGrid, Pose2D
 from imgloc.options import DEFAULTS
 

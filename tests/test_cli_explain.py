@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from command import MAPS, call, spawn
 
-from imgloc.io.scans import ScanSet, save_scans
+from imgloc.io.scans import save_scans
+from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan
 
 CURVED = MAPS / "curved.yaml"

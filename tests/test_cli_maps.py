@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows
 
-from imgloc.io.bundled import bundled_maps
+from imgloc.io.maps import bundled_maps
 from imgloc.model import GridInfo
 from imgloc.output.features import SUBJECTS, draw_bmap, draw_distance
 

@@ -11,7 +11,8 @@ from command import MAPS, call, rows, untimed
 
 from imgloc.cli.options import byte_count, numbers
 from imgloc.geometry import base_of
-from imgloc.io.output import encode_png, write_bytes_atomic
+from imgloc.io.files import write_bytes_atomic
+from imgloc.io.images import encode_png
 from imgloc.io.scans import load_scans
 from imgloc.model import Pose2D
 

@@ -8,7 +8,8 @@ from command import MAPS, call
 
 from imgloc.geometry import compose, wrap
 from imgloc.io.maps import load_map, save_map
-from imgloc.io.scans import ScanSet, load_scans, save_scans
+from imgloc.io.scans import load_scans, save_scans
+from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 
 CURVED = MAPS / "curved.yaml"

@@ -19,8 +19,7 @@ from imgloc.evaluate import (
 )
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import cell_of, compose, theta_bin, transform_poses
-from imgloc.io.bundled import bundled_maps
-from imgloc.io.maps import load_map
+from imgloc.io.maps import bundled_maps, load_map
 from imgloc.io.scanset import ScanSet
 from imgloc.likelihood.posterior import calibrated, posterior
 from imgloc.model import LaserScan, Likelihood, OccupancyGrid, Pose2D
@@ -29,10 +28,10 @@ from imgloc.pipeline import likelihood, localize, prepare
 from imgloc.simulate import (
     Sensor,
     fine_image,
+    refine_grid,
     sample_free_poses,
-    sample_sensor_poses,
     sample_set,
-    simulate_scans,
+    simulate,
     simulate_set,
 )
 from imgloc.worlds import WORLDS, render
@@ -271,24 +270,23 @@ def test_simulated_sets_are_in_the_map_frame() -> None:
 def test_a_mounted_sensor_sees_from_where_it_is() -> None:
     grid, mount = room(), Pose2D(0.2, -0.1, np.pi / 2)
     robots = sample_free_poses(grid, 30, 6)
-    sensors = sample_sensor_poses(grid, 30, 6, mount)
+    sensors = sample_free_poses(grid, 30, 6, mount=mount)
     for robot, sensor in zip(robots, sensors, strict=True):  # clearance: none is in a wall
         assert pose_errors(sensor, compose(Pose2D(*robot), mount)).max() < 1e-9
-    np.testing.assert_array_equal(sample_sensor_poses(grid, 30, 6, Pose2D(0, 0)), robots)
+    np.testing.assert_array_equal(sample_free_poses(grid, 30, 6, mount=Pose2D(0, 0)), robots)
     kept = simulate_set(grid, 2, 3, Sensor(rays=5, mount=mount))
     assert kept[0].T_base_laser == mount
-    ranges, angles, poses = simulate_scans(grid, 2, 3, rays=5, mount=mount)
-    np.testing.assert_array_equal(kept[1].ranges, ranges[1])
     assert kept.poses is not None
-    assert pose_errors(np.array(kept.poses[1]), Pose2D(*poses[1])).max() < 1e-9
-    assert len(angles) == 5
+    exact = simulate(refine_grid(grid), kept.poses, kept[1].angles, sigma=0.0)
+    np.testing.assert_allclose(kept[1].ranges, exact[1], atol=0.1)  # five sigma: seen from there
+    assert len(kept[1].angles) == 5
 
 
 def test_sensors_in_walls_are_drawn_again() -> None:
     grid, mount = room(), Pose2D(1.0, 0.0)
-    sensors = sample_sensor_poses(grid, 200, 2, mount)
+    sensors = sample_free_poses(grid, 200, 2, mount=mount)
     row, col = cell_of(sensors[:, :2], 0.1).T
     assert len(sensors) == 200
     assert grid.free[row, col].all()
     with pytest.raises(Exception, match=r"mounted at \(90, 0\) m"):
-        sample_sensor_poses(grid, 2, 2, Pose2D(90, 0))
+        sample_free_poses(grid, 2, 2, mount=Pose2D(90, 0))

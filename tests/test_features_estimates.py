@@ -14,17 +14,17 @@ from test_features_budget import office, peak
 from imgloc.atlas import atlas_poses, simulate_at
 from imgloc.calibrate import disturbed_set
 from imgloc.features.budget import (
-    check_bytes,
-    load_bytes,
     poses_bytes,
     scans_bytes,
     simulate_bytes,
 )
-from imgloc.io.images import image_size
-from imgloc.io.mapcheck import check_map
+from imgloc.io.images import ImageSize, image_size
+from imgloc.io.mapcheck import check_bytes, check_map
+from imgloc.io.maps import load_bytes
 from imgloc.io.scans import scans_size
 from imgloc.simulate import Sensor, fine_factor, refine_grid, simulate_set
 
+TABLES = load_bytes(ImageSize(0, 0, 0, grey=True))
 LOADS = """
 import sys
 sys.path.insert(0, sys.argv[1])
@@ -98,11 +98,10 @@ def test_checking_a_map_takes_no_more_than_estimated(name: str, tmp_path: Path) 
         images = {"b.png": np.dstack([grey] * 3), "c.png": np.dstack([wide] * 4)}
         image = images.get(name, np.dstack([grey] * 3) if "ppm" in name else grey)
         path.write_bytes(cv2.imencode(path.suffix, image)[1])
-    width, height, length = image_size(path)
+    size = image_size(path)
     taken = peak(lambda: check_map(path, resolution=0.05))
-    need = check_bytes(width * height, length)
-    assert length == path.stat().st_size
-    assert taken <= need <= 3 * taken + check_bytes(0, 0)
+    assert size.file_bytes == path.stat().st_size
+    assert taken <= check_bytes(size) <= 3 * taken + TABLES
 
 
 def image_of(grey: np.ndarray, name: str) -> bytes:
@@ -130,11 +129,11 @@ def test_loading_a_map_takes_no_more_than_estimated(name: str, tmp_path: Path) -
     paths = [tmp_path / f"{which}{name}" for which in ("small", "large")]
     for path, image in zip(paths, (grey[:9, :9], grey), strict=True):
         path.write_bytes(image_of(image, name))
-    width, height, length = image_size(paths[1])
-    assert (width, height, length) == (side, side, paths[1].stat().st_size)
+    size = image_size(paths[1])
+    grey = not any(sign in name for sign in ("rgb", "P3"))
+    assert size == (side, side, paths[1].stat().st_size, grey)
     taken = resident("maps", "load_map", *paths, resolution=0.05)
-    need = load_bytes(width * height, length)
-    assert taken <= need <= 4.5 * taken + load_bytes(0, 0)
+    assert taken <= load_bytes(size) <= 4.5 * taken + TABLES
 
 
 def write_scans(path: Path, count: int, rays: int, kind: str) -> None:

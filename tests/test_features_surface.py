@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imgloc.features import surface
-from imgloc.features.surface import surface_points
+from imgloc.features.surface import outlines, surface_points
 from imgloc.geometry import wrap
 
 
@@ -182,16 +182,50 @@ def blobs(seed, size=48):
     return cv2.GaussianBlur(noise, (0, 0), 2.0) > 0.52
 
 
-@pytest.mark.parametrize("group", [30, 100, 1000])
-def test_fitting_in_parts_changes_nothing(monkeypatch, group):
-    occupied = blobs(5, 80)
-    whole = surface_points(occupied, ~occupied, 0.05)
-    lengths = surface._contours(occupied)[2]
-    assert lengths.min() < 30 < 100 < lengths.max()  # whole contours, and parts of one
-    monkeypatch.setattr(surface, "_GROUP", group)
-    parts = surface_points(occupied, ~occupied, 0.05)
-    for name in ("xy", "alpha", "sigma_alpha", "valid"):
-        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
+def test_corners_hold_together():
+    _, size = outlines(np.eye(3, dtype=bool))
+    assert size.tolist() == [13]  # twelve sides of cells, and back
+
+
+def test_the_wall_is_on_the_right_of_its_outline():
+    x, y = (outlines(np.array([[True]]))[0] - 0.5).T
+    assert (x[:-1] * y[1:] - x[1:] * y[:-1] < 0).all()  # clockwise around a wall
+
+
+@pytest.mark.parametrize("shape", [(0, 4), (3, 0), (2, 3)])
+def test_nothing_has_no_outline(shape):
+    vertices, size = outlines(np.zeros(shape, bool))
+    assert vertices.shape == (0, 2)
+    assert size.tolist() == []
+
+
+@pytest.mark.parametrize(("limit", "value", "bands"), [("_SIDES", 400, 4), ("_CELLS", 1800, 4)])
+def test_bands_of_rows_sample_the_same_surface(monkeypatch, limit, value, bands):
+    occupied = np.pad(blobs(5, 80), 6, mode="reflect").T[::-1]  # a view
+    whole = surface_points(occupied, ~occupied, 1.0)
+    monkeypatch.setattr(surface, limit, value)
+    assert len(surface._bands(occupied)) >= bands
+    parts = surface_points(occupied, ~occupied, 1.0)
+    assert len(parts) == pytest.approx(len(whole), abs=40)
+    # Elsewhere on the same lines, a cell apart at most, across the seams too.
+    for one, other in ((whole, parts), (parts, whole)):
+        off = other.xy[None] - one.xy[:, None]
+        turn = np.abs(wrap(other.alpha[None] - one.alpha[:, None]))
+        alike = turn < np.deg2rad(15)
+        near = np.where(alike, np.hypot(*np.moveaxis(off, -1, 0)), np.inf)
+        assert (near.min(axis=1) < 0.9).mean() > 0.97
+        normal = np.stack((np.cos(one.alpha), np.sin(one.alpha)), axis=-1)[:, None]
+        across = np.abs((off * normal).sum(axis=-1))[np.arange(len(one)), near.argmin(axis=1)]
+        assert np.median(across) < 0.02
+        assert np.quantile(across, 0.95) < 0.25
+
+
+def test_bands_cover_every_row_once(monkeypatch):
+    monkeypatch.setattr(surface, "_SIDES", 50)
+    occupied = blobs(2, 60)
+    cuts = surface._bands(occupied)
+    assert [row for band in cuts for row in range(*band)] == list(range(60))
+    assert len(cuts) > 3
 
 
 def test_a_surface_takes_little_memory():

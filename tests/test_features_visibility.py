@@ -1,21 +1,17 @@
-"""The visibility map of GHT-V: Alg. 6, and the same by casting rays."""
+"""The visibility map of GHT-V: by casting rays and by unwrapping the image, beside Alg. 6."""
 
+import cv2
 import naive_visibility as naive
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
 from imgloc.features.surface import surface_points
-from imgloc.features.visibility import (
-    visibility_frames,
-    visibility_image,
-    visibility_points,
-    visibility_relative,
-)
+from imgloc.features.visibility import WAYS, unwrapped, visibility_frames
 from imgloc.geometry import wrap
 from imgloc.model import OrientedPoints
+
+both = pytest.mark.parametrize("by", WAYS)
 
 
 def wall_point(x, y, alpha):
@@ -28,25 +24,17 @@ def room(height=40, width=60, thickness=2):
     return occupied
 
 
-@settings(max_examples=30, deadline=None)
-@given(st.integers(0, 1000), st.integers(1, 13), st.floats(0.5, 6.0))
-def test_points_equal_the_listing(seed, n_psi, horizon):
-    rng = np.random.default_rng(seed)
-    xy = rng.uniform(0, 6, (25, 2))[rng.integers(0, 25, rng.integers(0, 25))]  # some coincide
-    np.testing.assert_allclose(
-        visibility_points(xy, n_psi, horizon), naive.visibility(xy, n_psi, horizon), rtol=1e-6
-    )
+def absolute(occupied, points, resolution, n_psi, horizon, by="march"):
+    """(M, n_psi) in directions of the grid, for normals that are such directions."""
+    vis = visibility_frames(occupied, points, resolution, n_psi, horizon, by=by)
+    turn = np.rint(points.alpha * n_psi / (2 * np.pi)).astype(int)
+    return np.stack([np.roll(column, k) for column, k in zip(vis.T, turn, strict=True)])
 
 
-def test_psi_goes_from_the_point_to_what_it_sees():
-    # The other point lies above: psi = 90 deg is entry 1 of 4 for the lower one.
-    vis = visibility_points(np.array([[0.0, 0.0], [0.0, 2.0]]), 4, np.inf)
-    np.testing.assert_array_equal(vis, [[np.inf, 2, np.inf, np.inf], [np.inf] * 3 + [2]])
-
-
-def test_image_distances_are_from_the_surface_along_psi():
+@both
+def test_image_distances_are_from_the_surface_along_psi(by):
     occupied = room(40, 60, 2)  # free: x 2..58, y 2..38
-    vis = visibility_image(occupied, wall_point(0.2, 2.0, 0.0), 0.1, 8, 30.0)
+    vis = absolute(occupied, wall_point(0.2, 2.0, 0.0), 0.1, 8, 30.0, by)
     assert vis.dtype == np.float32
     expected = [5.6, 1.8 * np.sqrt(2), 0, 0, 0, 0, 0, 1.8 * np.sqrt(2)]
     np.testing.assert_allclose(vis[0], expected, atol=0.06)
@@ -55,7 +43,7 @@ def test_image_distances_are_from_the_surface_along_psi():
 def test_psi_is_absolute_in_the_image_version_and_relative_in_frames():
     occupied = room(40, 60, 2)
     top = wall_point(3.0, 3.8, -np.pi / 2)  # looks down
-    vis = visibility_image(occupied, top, 0.1, 4, 30.0)
+    vis = absolute(occupied, top, 0.1, 4, 30.0)
     np.testing.assert_allclose(vis[0], [0, 0, 0, 3.6], atol=0.01)
     frames = visibility_frames(occupied, top, 0.1, 8, 30.0)
     assert frames.shape == (8, 1)
@@ -67,10 +55,11 @@ def test_psi_is_absolute_in_the_image_version_and_relative_in_frames():
     np.testing.assert_allclose(nearer[[1, 7], 0], [1.0 * np.sqrt(2), 3.6 * np.sqrt(2)], atol=0.06)
 
 
-def test_an_intervening_wall_stops_the_view():
+@both
+def test_an_intervening_wall_stops_the_view(by):
     occupied = room(40, 60, 2)
     occupied[:, 30] = True
-    vis = visibility_image(occupied, wall_point(0.2, 2.0, 0.0), 0.1, 4, 30.0)
+    vis = absolute(occupied, wall_point(0.2, 2.0, 0.0), 0.1, 4, 30.0, by)
     np.testing.assert_allclose(vis[0], [2.8, 0, 0, 0], atol=0.01)
 
 
@@ -78,65 +67,108 @@ def test_nothing_within_the_horizon_is_infinite_and_behind_is_zero():
     occupied = np.zeros((20, 60), bool)
     occupied[:, :2] = True
     surface = wall_point(0.2, 1.0, 0.0)
-    np.testing.assert_array_equal(
-        visibility_image(occupied, surface, 0.1, 4, 3.0)[0], [np.inf, 0, 0, 0]
-    )
+    np.testing.assert_array_equal(absolute(occupied, surface, 0.1, 4, 3.0)[0], [np.inf, 0, 0, 0])
     occupied[:, 40:] = True  # 3.8 m away
-    assert np.isinf(visibility_image(occupied, surface, 0.1, 4, 3.7)[0, 0])
-    assert visibility_image(occupied, surface, 0.1, 4, 3.9)[0, 0] == pytest.approx(3.8, abs=0.01)
+    assert np.isinf(absolute(occupied, surface, 0.1, 4, 3.7)[0, 0])
+    assert absolute(occupied, surface, 0.1, 4, 3.9)[0, 0] == pytest.approx(3.8, abs=0.01)
 
 
 def test_points_without_a_normal_see_nothing():
     surface = OrientedPoints([[2.0, 2.0]], [np.nan], [np.inf], [False])
-    assert not visibility_image(room(), surface, 0.1, 6, 9.0).any()
-    assert not visibility_frames(room(), surface, 0.1, 6, 9.0).any()
+    for by in WAYS:
+        assert not visibility_frames(room(), surface, 0.1, 6, 9.0, by=by).any()
 
 
-def test_unknown_cells_are_transparent():
+@both
+def test_unknown_cells_are_transparent(by):
     # Only `occupied` is passed: nothing else can stop a ray. A wall behind unknown space counts.
     occupied = room(40, 60, 2)
-    vis = visibility_image(occupied, wall_point(5.8, 2.0, np.pi), 0.1, 2, 30.0)
+    vis = absolute(occupied, wall_point(5.8, 2.0, np.pi), 0.1, 2, 30.0, by)
     np.testing.assert_allclose(vis[0], [0, 5.6], atol=0.01)
 
 
-def test_relative_turns_each_row_by_its_own_normal():
-    vis = np.arange(8, dtype=np.float32).reshape(2, 4)
-    out = visibility_relative(vis, np.array([-np.pi / 2, np.pi]))
-    np.testing.assert_array_equal(out, [[3, 6], [0, 7], [1, 4], [2, 5]])
-    assert out.flags.c_contiguous
-
-
-def test_frames_equal_relative_for_normals_on_the_directions():
+def test_rows_from_the_normal_on():
     occupied = room()
     surface = surface_points(occupied, ~occupied, 0.1)
-    snapped = np.round(surface.alpha / (np.pi / 2)) * (np.pi / 2)
-    surface = OrientedPoints(surface.xy, wrap(snapped), surface.sigma_alpha, surface.valid)
-    absolute = visibility_image(occupied, surface, 0.1, 36, 20.0)
     frames = visibility_frames(occupied, surface, 0.1, 36, 20.0)
     assert frames.flags.c_contiguous
-    np.testing.assert_allclose(visibility_relative(absolute, surface.alpha), frames, atol=2e-3)
     assert not frames[9:28].any()  # a quarter turn or more from the normal
     assert (frames[:9] > 0).all()
 
 
-def test_both_versions_agree_in_a_round_room():
+def test_turning_the_map_by_a_quarter_turns_the_view():
+    occupied = room(30, 50)
+    occupied[10:20, 20:23] = True
+    surface = surface_points(occupied, ~occupied, 0.1)
+    x, y = surface.xy.T
+    turned = OrientedPoints(
+        np.stack((3.0 - y, x), axis=1), wrap(surface.alpha + np.pi / 2),
+        surface.sigma_alpha, surface.valid,
+    )  # fmt: skip
+    other = np.rot90(occupied, 1, axes=(1, 0))
+    for by, share in (("march", 0.99), ("polar", 0.99)):
+        one = visibility_frames(occupied, surface, 0.1, 24, 9.0, by=by)
+        two = visibility_frames(other, turned, 0.1, 24, 9.0, by=by)
+        assert (np.abs(one - two) < 0.05).mean() > share
+
+
+@both
+def test_a_round_room(by):
     # From a circle of radius R, at angle beta from the normal, the far wall is 2 R cos(beta) away.
     y, x = np.mgrid[:120, :120] + 0.5
     occupied = np.hypot(x - 60, y - 60) > 50
     surface = surface_points(occupied, ~occupied, 0.1)
     n_psi = 24
-    by_image = visibility_image(occupied, surface, 0.1, n_psi, 20.0)
-    by_points = visibility_points(surface.xy, n_psi, 20.0)
+    vis = visibility_frames(occupied, surface, 0.1, n_psi, 20.0, by=by).T
     out = surface.xy - 6.0
     inward = np.arctan2(-out[:, 1], -out[:, 0])
-    beta = wrap(np.arange(n_psi) * (2 * np.pi / n_psi) - inward[:, None])
-    seen = np.abs(beta) < np.deg2rad(60)
+    psi = np.arange(n_psi) * (2 * np.pi / n_psi)
+    beta = wrap(psi + (surface.alpha - inward)[:, None])
+    seen = (np.abs(beta) < np.deg2rad(60)) & (np.abs(wrap(psi)) < np.deg2rad(80))
     truth = 10 * np.cos(beta)
-    assert np.abs(by_image - truth)[seen].max() < 0.25
-    # A bin of Alg. 6 holds the nearest point within half a bin, +-7.5 deg.
+    assert np.abs(vis - truth)[seen].max() < 0.25
+    # A bin of Alg. 6 holds the nearest point within half a bin, +-7.5 deg, of the grid.
+    by_points = naive.visibility(surface.xy, n_psi, 20.0)
+    beta = wrap(psi - inward[:, None])
+    seen = np.abs(beta) < np.deg2rad(60)
     nearest = 10 * np.cos(np.abs(beta) + np.pi / n_psi)
-    assert (by_points - truth)[seen].max() < 0.25
-    assert (by_points - nearest)[seen].min() > -0.25
+    assert np.abs(by_points - nearest)[seen].max() < 0.6
+
+
+@both
+def test_what_is_seen_is_what_a_walk_along_the_ray_meets(by):
+    noise = np.random.default_rng(3).random((90, 110)).astype(np.float32)
+    occupied = np.pad(cv2.GaussianBlur(noise, (0, 0), 4.0) > 0.51, 3, constant_values=True)
+    surface = surface_points(occupied, ~occupied, 1.0)
+    surface = surface.select(np.arange(0, len(surface), 9))
+    n_psi = 12
+    vis = visibility_frames(occupied, surface, 1.0, n_psi, 60.0, by=by)
+    off, total, wrong = [], 0, 0
+    for j in range(len(surface)):
+        for k in (10, 11, 0, 1, 2):  # within 60 degrees of the normal
+            angle = surface.alpha[j] + k * 2 * np.pi / n_psi
+            normal = np.array([np.cos(surface.alpha[j]), np.sin(surface.alpha[j])])
+            starts = [surface.xy[j] + step * normal for step in (0.5, 1.0, 1.5)]
+            clear = [not occupied[int(y), int(x)] for x, y in starts]
+            first = clear.index(True)
+            seen = naive.ray(occupied, *starts[first], angle, 60.0)
+            seen += (first + 1) / 2 * np.cos(angle - surface.alpha[j])
+            total += 1
+            if np.isinf(vis[k, j]) or seen > 60.0:
+                wrong += not (np.isinf(vis[k, j]) and seen > 59.0)
+            else:
+                off.append(vis[k, j] - seen)
+                wrong += abs(off[-1]) > 1.0  # the tolerance: one cell
+    assert total > 200
+    assert np.median(np.abs(off)) < 0.15
+    assert wrong <= 0.06 * total  # rays that pass a corner on the other side
+
+
+def test_unwrapping_is_that_of_opencv():
+    image = np.random.default_rng(0).integers(0, 256, (30, 40), dtype=np.uint8)
+    ours = unwrapped(image, np.array([[20.5, 15.5]]), np.arange(8)[:, None] * np.pi / 4, 10.0)
+    theirs = cv2.warpPolar(image, (20, 8), (20.0, 15.0), 10.0, cv2.INTER_LINEAR)
+    assert np.abs(ours[:, :20].astype(int) - theirs).max() <= 6  # positions in steps of 1/32
 
 
 def test_rays_of_fitted_points_do_not_start_inside_their_wall():
@@ -149,18 +181,14 @@ def test_rays_of_fitted_points_do_not_start_inside_their_wall():
     assert (front > 7).all()
 
 
-@pytest.mark.parametrize(("n_psi", "horizon"), [(0, 1.0), (4, 0.0), (4, float("nan"))])
+@pytest.mark.parametrize(
+    ("n_psi", "horizon"), [(0, 1.0), (4, 0.0), (4, float("nan")), (4, float("inf"))]
+)
 def test_wrong_parameters(n_psi, horizon):
-    with pytest.raises(ConfigError, match=r"n_psi|horizon"):
-        visibility_points(np.zeros((2, 2)), n_psi, horizon)
-    with pytest.raises(ConfigError, match=r"n_psi|horizon"):
-        visibility_image(room(), wall_point(1, 1, 0.0), 0.1, n_psi, horizon)
     with pytest.raises(ConfigError, match=r"n_psi|horizon"):
         visibility_frames(room(), wall_point(1, 1, 0.0), 0.1, n_psi, horizon)
 
 
-def test_wrong_shapes():
-    with pytest.raises(ConfigError, match="one normal per point"):
-        visibility_relative(np.zeros((3, 4), np.float32), np.zeros(2))
-    with pytest.raises(ConfigError, match="horizon must be finite"):
-        visibility_image(room(), wall_point(1, 1, 0.0), 0.1, 4, np.inf)
+def test_there_is_no_other_way():
+    with pytest.raises(ConfigError, match="one of march, polar, got 'rays'"):
+        visibility_frames(room(), wall_point(1, 1, 0.0), 0.1, 4, 1.0, by="rays")

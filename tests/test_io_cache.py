@@ -2,6 +2,9 @@
 
 import logging
 import os
+import subprocess
+import sys
+import time
 import zipfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -12,8 +15,10 @@ import pytest
 import imgloc
 from imgloc.errors import OutputError
 from imgloc.io.cache import (
+    cache_folder,
+    cache_info,
     cache_key,
-    default_folder,
+    clear_cache,
     entry_names,
     entry_path,
     load_entry,
@@ -223,21 +228,183 @@ def test_only_keys_are_file_names(tmp_path: Path, key: str) -> None:
         entry_path(tmp_path, key)
 
 
-def test_default_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_cache_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert default_folder() == tmp_path / "imgloc"
+    assert cache_folder() == tmp_path / "imgloc"
     monkeypatch.setenv("HOME", str(tmp_path / "me"))
     monkeypatch.setenv("USERPROFILE", str(tmp_path / "me"))
     for value in ("", "relative"):
         monkeypatch.setenv("XDG_CACHE_HOME", value)
-        assert default_folder() == tmp_path / "me" / ".cache" / "imgloc"
+        assert cache_folder() == tmp_path / "me" / ".cache" / "imgloc"
 
 
-def test_default_folder_without_a_home(monkeypatch: pytest.MonkeyPatch) -> None:
-    def lost() -> Path:
-        raise RuntimeError("Could not determine home directory.")
-
+def test_cache_folder_without_a_home(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setattr(Path, "home", lost)
+    monkeypatch.setattr(os.path, "expanduser", lambda path: path)
     with pytest.raises(OutputError, match="--cache"):
-        default_folder()
+        cache_folder()
+
+
+# ---- limit, orphans, clearing --------------------------------------------------------------
+
+ONE = {"a": np.zeros(10_000, np.uint8)}
+SIZE = 10_700  # bytes of its entry, at most
+
+
+def keys(count: int) -> list[str]:
+    return [cache_key(grid(), {"number": i}) for i in range(count)]
+
+
+def used(path: Path, seconds_ago: float) -> None:
+    os.utime(path, (time.time() - seconds_ago,) * 2)
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def test_what_was_used_longest_ago_makes_room(tmp_path: Path) -> None:
+    *old, new = keys(4)
+    for age, key in enumerate(old):
+        store_entry(tmp_path, key, ONE)
+        used(entry_path(tmp_path, key), 30 - 10 * age)
+    assert load_entry(tmp_path, old[0]) is not None  # is now the one that was used last
+    assert store_entry(tmp_path, new, ONE, limit=3 * SIZE)
+    assert names(tmp_path) == {f"{key}.npz" for key in (old[0], old[2], new)}
+    assert load_entry(tmp_path, old[1]) is None
+
+
+def test_an_entry_over_the_limit_is_not_stored_and_costs_no_other(tmp_path: Path) -> None:
+    small, large = keys(2)
+    store_entry(tmp_path, small, ONE)
+    assert not store_entry(tmp_path, large, {"a": np.zeros(40_000, np.uint8)}, limit=3 * SIZE)
+    assert names(tmp_path) == {f"{small}.npz"}
+    assert not store_entry(tmp_path, small, ONE, limit=0)
+
+
+def test_the_limit_is_an_option_of_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.delenv("IMGLOC_CACHE_MIB", raising=False)
+    assert cache_info(tmp_path).limit == 2048 << 20
+    monkeypatch.setenv("IMGLOC_CACHE_MIB", "1")
+    a, b = keys(2)
+    for key in (a, b):
+        assert store_entry(tmp_path, key, {"a": np.zeros(600 << 10, np.uint8)})
+    assert names(tmp_path) == {f"{b}.npz"}
+    monkeypatch.setenv("IMGLOC_CACHE_MIB", "a lot")
+    assert cache_info(tmp_path).limit == 2048 << 20
+    assert "IMGLOC_CACHE_MIB: got 'a lot', expected a whole number of MiB" in caplog.text
+
+
+@pytest.mark.parametrize(("ago", "kept"), [(3700, False), (3500, True)])
+def test_orphans_are_removed_when_nobody_can_be_at_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ago: float, kept: bool
+) -> None:
+    monkeypatch.setattr(imgloc, "__version__", "0.0.0+old")
+    old = entry_path(tmp_path, cache_key(grid(), {}))
+    store_entry(tmp_path, old.stem, ONE)
+    monkeypatch.undo()
+    other_code = entry_path(tmp_path, cache_key(grid(), {}, code="yesterday"))
+    store_entry(tmp_path, other_code.stem, ONE)
+    torn = tmp_path / ".imgloc-cache-0123456789abcdef.tmp"  # of a writer that was killed
+    torn.write_bytes(b"PK")
+    mine = entry_path(tmp_path, cache_key(grid(), {}))
+    store_entry(tmp_path, mine.stem, ONE)
+    orphans = (old, other_code, torn)
+    for path in (*orphans, mine):
+        used(path, ago)
+    new = entry_path(tmp_path, cache_key(grid(), {"number": 1}))
+    assert store_entry(tmp_path, new.stem, ONE)
+    assert names(tmp_path) == {p.name for p in (mine, new, *(orphans if kept else ()))}
+
+
+def test_only_what_this_program_wrote_is_counted_and_removed(tmp_path: Path) -> None:
+    key, other = keys(2)
+    np.savez(tmp_path / f"{'0' * 40}.npz", ranges=np.zeros(9))  # named by a digest, as ours
+    (tmp_path / f"{'1' * 40}.npz").write_text("PK")
+    (tmp_path / f"{'2' * 40}.npz").mkdir()
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / ".imgloc-0123456789abcdef.tmp").write_text("a result that is being written")
+    elsewhere = tmp_path / "elsewhere"
+    store_entry(elsewhere, other, ONE)
+    (tmp_path / f"{other}.npz").symlink_to(elsewhere / f"{other}.npz")
+    theirs = names(tmp_path)
+    for path in tmp_path.iterdir():
+        if path.is_file():
+            used(path, 10_000)
+    store_entry(tmp_path, key, ONE, limit=SIZE)
+    (tmp_path / ".imgloc-cache-0123456789abcdef.tmp").write_bytes(bytes(500))
+    info = cache_info(tmp_path)
+    size = entry_path(tmp_path, key).stat().st_size
+    assert info == (1, size + 500, info.limit, tmp_path)
+    assert clear_cache(tmp_path) == 2
+    assert names(tmp_path) == theirs
+    assert (elsewhere / f"{other}.npz").exists()
+    assert cache_info(tmp_path)[:2] == (0, 0)
+    assert clear_cache(tmp_path) == 0
+
+
+def test_the_folder_of_the_user_by_default(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert cache_info() == (0, 0, cache_info().limit, tmp_path / "imgloc")
+    assert clear_cache() == 0
+    assert not names(tmp_path)
+    store_entry(cache_folder(), KEY, ONE)
+    assert cache_info().entries == 1
+    assert clear_cache() == 1
+
+
+BUSY = """
+import sys, logging
+import numpy as np
+from imgloc.io.cache import cache_info, load_entry, store_entry
+folder, which = sys.argv[1], int(sys.argv[2])
+complaints = []
+handler = logging.Handler()
+handler.emit = lambda record: complaints.append(record.getMessage())
+logging.getLogger("imgloc").addHandler(handler)
+keys = [f"{i:040x}" for i in range(6)]
+for i in range(150):
+    key = keys[(i * (which + 1)) % 6]
+    arrays = load_entry(folder, key)
+    if arrays is None:
+        stored = store_entry(folder, key, {"a": np.full(20_000, int(key, 16))}, limit=500_000)
+        assert stored, complaints
+    else:
+        assert (arrays["a"] == int(key, 16)).all()
+    cache_info(folder)
+assert not complaints, complaints[:3]
+"""
+
+
+def test_processes_that_evict_one_another_only_miss(tmp_path: Path) -> None:
+    # Six entries of 160 kB where three have room: each process removes what others read.
+    root = str(Path(imgloc.__file__).parents[1])
+    runs = [
+        subprocess.Popen(
+            [sys.executable, "-c", BUSY, tmp_path, str(which)],
+            env={**os.environ, "PYTHONPATH": root}, stderr=subprocess.PIPE, text=True,
+        )
+        for which in range(3)
+    ]  # fmt: skip
+    ends = [(run.communicate(timeout=120)[1], run.returncode) for run in runs]
+    assert ends == [("", 0)] * 3
+    assert 1 <= cache_info(tmp_path).entries <= 4
+    assert not [name for name in names(tmp_path) if name.endswith(".tmp")]
+
+
+def test_an_entry_that_goes_while_it_is_looked_for_is_a_miss(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    store_entry(tmp_path, KEY, ONE)
+    real = os.path.lexists
+
+    def evicted(path: Path) -> bool:
+        was_there = real(path)
+        Path(path).unlink(missing_ok=True)
+        return was_there
+
+    monkeypatch.setattr(os.path, "lexists", evicted)
+    assert load_entry(tmp_path, KEY) is None
+    assert not caplog.records

@@ -1,5 +1,6 @@
 """Image files: pixels as stored on every OpenCV, damage refused. `field-notes` section 4."""
 
+import io
 import struct
 import zlib
 
@@ -9,11 +10,11 @@ import pytest
 from badfiles import chunk, encode, png, room
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 from imgloc.errors import MapError
 from imgloc.io.files import display
 from imgloc.io.images import decode_image, read_image
-from imgloc.io.netpbm import decode_netpbm
 
 EXIF_ROTATED = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
 PALETTE = chunk(b"PLTE", bytes([0, 255, 0, 9, 8, 7]))
@@ -120,7 +121,7 @@ def test_netpbm_honours_maxval_and_line_endings(data: bytes, expected: object, w
 
 def test_crlf_header_is_where_cv2_shifts_the_image() -> None:
     data = b"P5\r\n4 1\r\n255\r\n" + bytes([1, 2, 3, 4])
-    assert decode_netpbm(data, "c.pgm")[0].tolist() == [[1, 2, 3, 4]]
+    assert decode_image(data, "c.pgm").pixels.tolist() == [[1, 2, 3, 4]]
     theirs = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     assert theirs is None or theirs.tolist() != [[1, 2, 3, 4]]
 
@@ -162,7 +163,7 @@ def test_size_is_refused_on_the_header_alone() -> None:
     data = encode(".png", room())
     assert decode_image(data, "a.png", max_pixels=2000).pixels.shape == (40, 50)
     with pytest.raises(MapError, match=r"a\.png: 50 x 40 = 2,000 pixels, expected at most 1,999"):
-        decode_image(data[:40], "a.png", max_pixels=1999)  # nothing but the header is there
+        decode_image(data[:48], "a.png", max_pixels=1999)  # no pixels are there
 
 
 def test_file_longer_than_its_pixels_could_need_is_not_read(tmp_path) -> None:
@@ -195,13 +196,101 @@ def test_null_byte_in_a_name() -> None:
         read_image("a\0b.png")
 
 
+def saved(kind: str, image: Image.Image, **options: object) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, kind, **options)
+    return buffer.getvalue()
+
+
+def noise(mode: str) -> Image.Image:
+    rng = np.random.default_rng(len(mode))
+    if mode == "I;16":
+        return Image.fromarray(rng.integers(0, 65536, (9, 7), np.uint16))
+    return Image.fromarray(rng.integers(0, 256, (9, 7, 3), np.uint8)).convert(mode)
+
+
+@pytest.mark.parametrize("mode", ["1", "L", "I;16", "P", "LA", "RGB", "RGBA"])
+@pytest.mark.parametrize("compression", [None, "packbits", "tiff_lzw", "tiff_adobe_deflate"])
+def test_tiff_pixels_are_as_stored(mode: str, compression: str | None) -> None:
+    drawn = noise(mode)
+    image = decode_image(saved("TIFF", drawn, compression=compression), "a.tif")
+    as_read = {"1": "L", "P": "RGB", "LA": "RGBA"}.get(mode, mode)
+    expected = np.asarray(drawn if as_read == mode else drawn.convert(as_read))
+    order = ([2, 1, 0], [2, 1, 0, 3])[expected.shape[-1] - 3] if expected.ndim == 3 else None
+    np.testing.assert_array_equal(image.pixels, expected if order is None else expected[..., order])
+    assert image.white == (65535 if mode == "I;16" else 255)
+    assert (image.kind, image.lossy) == ("tiff", False)
+
+
+def test_16_bit_colours_keep_all_bits() -> None:
+    wide = np.random.default_rng(0).integers(0, 65536, (9, 7, 3), np.uint16)
+    for ending in (".png", ".tif"):
+        image = decode_image(encode(ending, wide), f"a{ending}")
+        np.testing.assert_array_equal(image.pixels, wide)
+        assert image.white == 65535
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB", "RGBA"])
+def test_lossless_webp_is_as_stored_and_lossy_is_refused(mode: str) -> None:
+    drawn = noise(mode)
+    image = decode_image(saved("WEBP", drawn, lossless=True), "a.webp")
+    expected = np.asarray(drawn.convert("RGB"))[..., ::-1]
+    np.testing.assert_array_equal(image.pixels[..., :3], expected)
+    extended = saved("WEBP", drawn, lossless=True, exif=b"Exif\0\0" + EXIF_ROTATED)
+    np.testing.assert_array_equal(decode_image(extended, "a.webp").pixels, image.pixels)
+    lossy = saved("WEBP", drawn)
+    with pytest.raises(MapError, match=r"is a lossy WebP.*--allow-lossy"):
+        decode_image(lossy, "a.webp")
+    allowed = decode_image(lossy, "a.webp", allow_lossy=True)
+    assert (allowed.kind, allowed.lossy) == ("webp", True)
+
+
+WIDTH = struct.Struct("<HHII")  # an entry of a TIFF: tag 256, type, one value of
+WIDE_TIFF = saved("TIFF", noise("L"), tiffinfo={256: 7})
+for _kind in (3, 4):
+    WIDE_TIFF = WIDE_TIFF.replace(WIDTH.pack(256, _kind, 1, 7), WIDTH.pack(256, 4, 1, 100_007))
+PAGES = {"save_all": True, "append_images": [noise("RGB").rotate(180)]}
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        (saved("TIFF", noise("L"), compression="jpeg"), "is a TIFF of JPEGs"),
+        (saved("TIFF", noise("L").convert("F")), "TIFF of type F"),
+        (saved("TIFF", noise("CMYK")), "TIFF of type CMYK"),
+        (saved("JPEG", noise("CMYK")), "JPEG of type CMYK"),
+        (saved("TIFF", noise("L"), tiffinfo={274: 6}), "orientation 6, expected 1"),
+        (saved("TIFF", noise("I;16"), tiffinfo={262: 0}), "0 is white"),
+        (saved("TIFF", noise("RGB"), **PAGES), "several images"),
+        (saved("WEBP", noise("RGB"), lossless=True, **PAGES), "several images"),
+        (saved("PNG", noise("RGB"), **PAGES), "animated PNG"),
+        (WIDE_TIFF, "100,007 x 9 = 900,063 pixels, expected at most 10,000"),
+    ],
+)
+def test_what_pillow_accepts_and_a_map_must_not_be(data: bytes, expected: str) -> None:
+    with pytest.raises(MapError, match=expected):
+        decode_image(data, "a.img", max_pixels=10_000)
+
+
+def test_pillow_alone_would_make_walls_of_missing_rows() -> None:
+    data = png(8, 8, 8, 0, [b"\xff" * 8] * 3)
+    assert np.asarray(Image.open(io.BytesIO(data)))[3:].max() == 0
+    with pytest.raises(MapError, match="truncated PNG: 27 of 72 bytes"):
+        decode_image(data, "a.png")
+
+
 GOOD = {ending: encode(ending, room()[:12, :12]) for ending in (".png", ".pgm", ".bmp", ".jpg")}
+GOOD[".tif"] = saved("TIFF", Image.fromarray(room()[:12, :12]), compression="tiff_adobe_deflate")
+GOOD[".webp"] = saved("WEBP", Image.fromarray(room()[:12, :12]), lossless=True)
 
 
 @given(st.sampled_from(sorted(GOOD)), st.data())
 def test_every_truncation_is_refused(ending: str, data: st.DataObject) -> None:
     good = GOOD[ending]
     end = data.draw(st.integers(0, len(good) - 1))
+    if ending == ".tif" and end >= len(good) - 4:
+        assert decode_image(good[:end], "t.img").pixels.tolist() == room()[:12, :12].tolist()
+        return  # only the place of a next image, of which there is none, is cut
     with pytest.raises(MapError, match=r"^t\.img: "):
         decode_image(good[:end], "t.img", allow_lossy=True)
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from imgloc.errors import OutputError
-from imgloc.io.output import encode_png, write_bytes_atomic, write_text_atomic
+from imgloc.io.files import write_bytes_atomic, write_text_atomic
+from imgloc.io.images import encode_png
 
 resource = pytest.importorskip("resource", reason="limits on file size are a Unix matter")
 

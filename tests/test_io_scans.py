@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError, OutputError, ScanError
 from imgloc.io.npz import read_npz, write_npz
-from imgloc.io.scans import ScanSet, load_scans, save_scans
+from imgloc.io.scans import load_scans, save_scans
+from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan
 
 ANGLES = np.linspace(-1.5, 1.5, 4)

@@ -9,7 +9,7 @@ import sys
 import pytest
 from command import ROOT
 
-from imgloc.io.output import encode_png
+from imgloc.io.images import encode_png
 from imgloc.output.json import to_json
 from tools.paper.__main__ import TIMED_QUICK, Reproduction, as_dict, steps
 from tools.paper.complexity import AXES, Complexity

@@ -14,12 +14,13 @@ from imgloc.errors import ConfigError
 from imgloc.features.pyramid import Level
 from imgloc.geometry import compose
 from imgloc.io.maps import save_map
-from imgloc.io.scans import ScanSet, save_scans
+from imgloc.io.scans import save_scans
+from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
-from imgloc.options import FusedOptions, Options
+from imgloc.options import EvidenceModel, FusedOptions, Options
 from imgloc.pipeline import Modes, localize, prepare
 from imgloc.search.proposals import propose_all
-from imgloc.search.rescore import EvidenceModel, Scores
+from imgloc.search.rescore import Scores
 from imgloc.simulate import Sensor, simulate, simulate_set
 from imgloc.worlds import WORLDS, render
 from tools.recorded import cut_set

@@ -15,8 +15,7 @@ from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
 from imgloc.likelihood.cbml import cbml
 from imgloc.model import BoolArray, Float32Array, FloatArray
-from imgloc.search.bounds import Bounds
-from imgloc.search.branch_and_bound import Best, best_poses
+from imgloc.search.branch_and_bound import Best, _Bounds, best_poses
 from imgloc.search.hypotheses import separated
 
 DRAWN = st.fixed_dictionaries(
@@ -106,7 +105,7 @@ def test_a_block_is_bounded_and_no_more_than_by_its_own_points(drawn: dict) -> N
     ends = [(0, 0), *((0, -n % side) for n in bmap.shape)]
     k, h, w = np.pad(stack, ends).shape
     best = np.pad(stack, ends).reshape(k, h // side, side, w // side, side).max(axis=(2, 4))
-    top = Bounds(pooled, xy, thetas).of_top(threads=1)
+    top = _Bounds(pooled, xy, thetas).of_top(threads=1)
     assert (top >= best).all()
     assert (top[:, ~pooled.where[-1]] == 0).all()
 

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from imgloc.features.distance import distance_field, distance_image
 from imgloc.features.raycast import cast_rays
+from imgloc.options import EvidenceModel
 from imgloc.search.refine import endpoints
-from imgloc.search.rescore import EvidenceModel, rescore
+from imgloc.search.rescore import rescore
 
 RESOLUTION = 0.1
 seeds = st.integers(0, 2**32 - 1)

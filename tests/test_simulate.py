@@ -6,7 +6,7 @@ import pytest
 from imgloc.errors import ConfigError, MapError
 from imgloc.geometry import cell_of
 from imgloc.model import OccupancyGrid, Pose2D
-from imgloc.simulate import refine_grid, sample_free_poses, simulate, simulate_scans
+from imgloc.simulate import Sensor, refine_grid, sample_free_poses, simulate, simulate_set
 from imgloc.worlds import WORLDS, render
 
 
@@ -108,23 +108,24 @@ def test_no_room_is_an_error_that_says_so():
 
 def test_the_seed_decides_everything():
     grid = box_grid()
-    one, again, other = (simulate_scans(grid, 3, seed, outliers=0.1) for seed in (1, 1, 2))
-    for a, b in zip(one, again, strict=True):
-        np.testing.assert_array_equal(a, b)
-    assert not np.array_equal(one[0], other[0])
-    assert not np.array_equal(one[2], other[2])
-    np.testing.assert_array_equal(one[2], simulate_scans(grid, 3, 1, rays=7)[2])
+    one, again, other = (simulate_set(grid, 3, seed, Sensor(outliers=0.1)) for seed in (1, 1, 2))
+    for a, b, c in zip(one.scans, again.scans, other.scans, strict=True):
+        np.testing.assert_array_equal(a.ranges, b.ranges)
+        assert not np.array_equal(a.ranges, c.ranges)
+    np.testing.assert_array_equal(one.poses, again.poses)
+    assert not np.array_equal(one.poses, other.poses)
+    np.testing.assert_array_equal(one.poses, simulate_set(grid, 3, 1, Sensor(rays=7)).poses)
 
 
 def test_the_sensor_of_the_paper_is_the_default():
-    ranges, angles, poses = simulate_scans(box_grid(), 2, 0)
-    assert ranges.shape == (2, 181)
-    assert poses.shape == (2, 3)
-    np.testing.assert_allclose(np.rad2deg(angles), np.arange(-90, 91))
+    scans = simulate_set(box_grid(), 2, 0)
+    assert [scan.ranges.shape for scan in scans.scans] == [(181,)] * 2
+    assert scans.poses.shape == (2, 3)
+    np.testing.assert_allclose(np.rad2deg(scans.scans[0].angles), np.arange(-90, 91))
 
 
 def test_a_full_circle_has_no_ray_twice():
-    angles = simulate_scans(box_grid(), 1, 0, rays=360, fov=2 * np.pi)[1]
+    angles = simulate_set(box_grid(), 1, 0, Sensor(rays=360, fov=2 * np.pi)).scans[0].angles
     np.testing.assert_allclose(np.diff(angles), np.deg2rad(1.0))
     assert angles[-1] == pytest.approx(np.pi - np.deg2rad(1.0))
 
@@ -132,7 +133,9 @@ def test_a_full_circle_has_no_ray_twice():
 def test_scans_on_the_polygons_do_not_know_the_cells():
     world = WORLDS["curved"]()
     grid, fine = render(world, 0.1), render(world, 0.01)
-    scans, angles, poses = simulate_scans(grid, 4, 5, sigma=0.0, fine=fine)
+    found = simulate_set(grid, 4, 5, Sensor(sigma=0.0), fine)
+    scans, angles = np.array([scan.ranges for scan in found.scans]), found.scans[0].angles
+    poses = np.asarray(found.poses)
     np.testing.assert_array_equal(scans, simulate(fine, poses, angles, sigma=0.0))
     cells = simulate(grid, poses, angles, sigma=0.0)
     guess = simulate(refine_grid(grid), poses, angles, sigma=0.0)
@@ -155,7 +158,7 @@ def test_scans_on_the_polygons_do_not_know_the_cells():
 )
 def test_nonsense_is_refused(changes, match):
     with pytest.raises(ConfigError, match=match):
-        simulate_scans(box_grid(), 1, 0, **changes)
+        simulate_set(box_grid(), 1, 0, Sensor(**changes))
 
 
 @pytest.mark.parametrize("thickness", [1, 2, 3, 5])

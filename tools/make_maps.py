@@ -10,8 +10,9 @@ a change of a world:
 import argparse
 from pathlib import Path
 
+from imgloc.io.files import write_bytes_atomic
+from imgloc.io.images import encode_png
 from imgloc.io.maps import save_map
-from imgloc.io.output import encode_png, write_bytes_atomic
 from imgloc.output.canvas import draw_map
 from imgloc.output.pictures import mosaic
 from imgloc.worlds import WORLDS, render

@@ -82,8 +82,7 @@ def atlas(
     from imgloc.features.budget import poses_bytes
     from imgloc.io.atlasrows import Journal, as_csv
     from imgloc.io.cache import cache_key
-    from imgloc.io.files import display
-    from imgloc.io.output import write_text_atomic
+    from imgloc.io.files import display, write_text_atomic
     from imgloc.options import Options
     from imgloc.output.json import to_json
     from imgloc.output.pictures import Picture, draw_atlas

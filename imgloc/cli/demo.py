@@ -49,20 +49,22 @@ def demo(
     likelihood of CBML, which takes one side of a wall for the other, and the scan at each
     hypothesis of the answer.
     """
-    from imgloc.io.bundled import bundled_maps
+    from imgloc.io.maps import bundled_maps
 
     maps = bundled_maps()
     if out is not None:
         check_target(out, ".png", force=force, inputs=maps.glob("*.png"))
 
+    import numpy as np
+
     from imgloc.io.files import display
     from imgloc.io.maps import load_map
-    from imgloc.model import LaserScan, Pose2D
+    from imgloc.model import Pose2D
     from imgloc.options import Options
     from imgloc.output.pictures import Picture, draw, mosaic
     from imgloc.output.tables import answer_text
     from imgloc.pipeline import likelihood, localize, prepare
-    from imgloc.simulate import simulate_scans
+    from imgloc.simulate import simulate_set
 
     taken = resources()
     path = maps / f"{name.value}.yaml"
@@ -74,9 +76,8 @@ def demo(
     check_simulation(grid, name.value, 1, 181, taken.memory_budget, hint=hint)
     for each in (options, cbml):
         check_answer(features, each, name.value, hint=hint)
-    ranges, angles, poses = simulate_scans(grid, 1, seed)
-    scan = LaserScan(ranges[0], angles, range_max=30.0)
-    truth = Pose2D(*poses[0])  # the origin of a bundled map is 0: grid frame and map frame agree
+    simulated = simulate_set(grid, 1, seed)
+    scan, truth = simulated.scans[0], Pose2D(*np.asarray(simulated.poses)[0])
     answer = localize(features, scan, options)
     LOG.info("map %s, seed %d", display(path), seed)
     emit(answer_text(f"map {name.value}, seed {seed}", answer, truth))

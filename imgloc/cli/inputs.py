@@ -12,6 +12,7 @@ from imgloc.errors import ConfigError, MapError, OutputError
 
 if TYPE_CHECKING:
     from imgloc.features.mapfeatures import MapFeatures
+    from imgloc.io.images import ImageSize
     from imgloc.io.scans import ScanSet
     from imgloc.model import LaserScan, OccupancyGrid
     from imgloc.options import Options, Prior
@@ -21,7 +22,7 @@ COARSER = "crop the map, use a larger --cell or --theta-step-deg"
 
 def files_of(map_path: Path) -> list[Path]:
     """The files that a map is read from: its YAML and the image that this names, or an image."""
-    from imgloc.io.mapsettings import YAML_ENDINGS
+    from imgloc.io.maps import YAML_ENDINGS
     from imgloc.io.mapyaml import load_map_yaml
 
     files = [map_path]
@@ -37,8 +38,7 @@ def check_target(path: Path, ending: str, *, force: bool, inputs: Iterable[Path]
     Its name must have an `ending`. With `force` an existing file may be replaced, but for those
     among `inputs`, which the command reads.
     """
-    from imgloc.io.files import display
-    from imgloc.io.output import refuse_existing
+    from imgloc.io.files import display, refuse_existing
 
     if path.suffix.lower() != ending:
         raise ConfigError(f"{display(path)}: expected a name that ends in {ending}")
@@ -104,26 +104,25 @@ def check_memory(need: int, budget: int, what: str, hint: str) -> None:
 
 
 def check_image(
-    path: Path, reading: Mapping[str, Any], budget: int, need: Callable[[int, int], int],
+    path: Path, reading: Mapping[str, Any], budget: int, need: "Callable[[ImageSize], int]",
     *, held: int = 0,
 ) -> None:  # fmt: skip
     """Check the memory that looking at the image of a map takes, as its header says.
 
-    That is what `need` says of its pixels and the bytes of its file, and what other maps that are
-    `held` at the same time take.
+    That is what `need` says of its size, and what other maps that are `held` at the same time take.
     """
     from imgloc.features.budget import MIB
     from imgloc.io.files import display
     from imgloc.io.images import image_size
-    from imgloc.io.mapsettings import resolve_settings
+    from imgloc.io.maps import resolve_settings
 
     image = resolve_settings(path, **reading).image
-    width, height, file_bytes = image_size(image)
+    size = image_size(image)
     beside = f" beside {-(-held // MIB)} MiB of other maps" if held else ""
     check_memory(
-        held + need(width * height, file_bytes),
+        held + need(size),
         budget,
-        f"{display(image)}: an image of {width} x {height} pixels{beside}",
+        f"{display(image)}: an image of {size.width} x {size.height} pixels{beside}",
         "crop the map",
     )
 
@@ -136,9 +135,8 @@ def load_grid(
 
     `usable` asks for walls and free cells; `held` are bytes of the budget that other maps take.
     """
-    from imgloc.features.budget import load_bytes
     from imgloc.io.files import display
-    from imgloc.io.maps import load_map, require_usable
+    from imgloc.io.maps import load_bytes, load_map, require_usable
 
     check_image(path, reading, budget, load_bytes, held=held)
     with quiet_libraries():
@@ -228,14 +226,14 @@ def check_answer(
     check_memory(need + kept, options.memory_budget or 0, what, hint)
 
 
-def cache_folder(given: Path | None, *, wanted: bool) -> Path | None:
+def kept_in(given: Path | None, *, wanted: bool) -> Path | None:
     """Where prepared maps are kept: the folder given, else the user's; None for nowhere."""
-    from imgloc.io.cache import default_folder
+    from imgloc.io.cache import cache_folder
 
     if not wanted:
         return None
     try:
-        return given or default_folder()
+        return given or cache_folder()
     except OutputError as error:  # nothing but time is lost
         LOG.warning("%s", error)
         return None

@@ -10,12 +10,12 @@ import typer
 
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress
 from imgloc.cli.inputs import (
-    cache_folder,
     check_target,
     choose,
     cut_scan,
     files_of,
     keep_features,
+    kept_in,
     load_grid,
     load_set,
     numbered,
@@ -146,8 +146,7 @@ def localize(
 
     from imgloc.explain import explain as reasons
     from imgloc.io.calibration import calibration_path, load_calibrations
-    from imgloc.io.files import display
-    from imgloc.io.output import write_text_atomic
+    from imgloc.io.files import display, write_text_atomic
     from imgloc.model import Pose2D
     from imgloc.output.json import answer_row, to_json
     from imgloc.output.pages import render_explanation
@@ -172,7 +171,7 @@ def localize(
         prior=prior_of(known, grid, allow_lossy=allow_lossy),
         calibration=load_calibrations(calibration_path(map_path), grid).get(method.value),
     )
-    folder = cache_folder(cache, wanted=not no_cache)
+    folder = kept_in(cache, wanted=not no_cache)
     scans = load_set(scans_path, taken.memory_budget)
     features = open_features(
         grid, display(map_path), folder, options,

@@ -54,8 +54,7 @@ def check(
     A map without walls or without free space is reported, not refused; a file that cannot be read
     exits with 3.
     """
-    from imgloc.features.budget import check_bytes
-    from imgloc.io.mapcheck import check_map
+    from imgloc.io.mapcheck import check_bytes, check_map
     from imgloc.output.json import report_row, to_json
     from imgloc.output.tables import report_text
 

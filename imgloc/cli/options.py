@@ -110,7 +110,7 @@ def find_map(path: str | Path) -> Path:
     if path.name != str(path) or path.suffix or path.exists():
         return path
     from imgloc.errors import MapError
-    from imgloc.io.bundled import bundled_maps
+    from imgloc.io.maps import bundled_maps
 
     try:
         bundled = bundled_maps() / f"{path}.yaml"

@@ -73,8 +73,7 @@ def sample(
     import numpy as np
 
     from imgloc.io.calibration import calibration_path, load_calibrations
-    from imgloc.io.files import display
-    from imgloc.io.output import write_text_atomic
+    from imgloc.io.files import display, write_text_atomic
     from imgloc.options import Options
     from imgloc.sample import sample_poses
 

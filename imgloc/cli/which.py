@@ -7,9 +7,9 @@ import typer
 
 from imgloc.cli.console import LOG, emit, progress, say
 from imgloc.cli.inputs import (
-    cache_folder,
     cut_scan,
     keep_features,
+    kept_in,
     load_grid,
     load_set,
     open_features,
@@ -77,7 +77,7 @@ def which(
     recorded = load_set(scans_path, taken.memory_budget).scans
     scans = [cut_scan(scan, range_max, flipped=flipped) for scan in recorded]
     options = Options(top=20, threads=taken.threads, memory_budget=taken.memory_budget)
-    folder = cache_folder(None, wanted=not no_cache)
+    folder = kept_in(None, wanted=not no_cache)
     fits: list[dict[str, Localization]] = [{} for _ in scans]
     names, failed = names_of(paths, maps_dir), list[MapError | ConfigError]()
     with progress("which", len(paths) * len(scans), lines=False) as advance:

@@ -137,8 +137,9 @@ def features_bytes(
     """
     cells, voters = shape[0] * shape[1], min(points, voters)
     held = 14 * cells + 3 * cells // factor**2 + 25 * points + 4 * n_psi * voters
-    # One at a time: images of the map, lines fitted to the surface, rays of the visibility map.
-    lines = 240 * points + 600 * min(points, 50_000)
+    # One at a time: images of the map, outlines and the lines fitted to them in a band of rows,
+    # rays of the visibility map.
+    lines = 120 * points + 1200 * min(points, 1 << 17)
     return held + max(9 * cells, lines, 130 * min(voters * n_psi, 1 << 21))
 
 
@@ -232,22 +233,6 @@ def exact_bytes(
     # The maps with their margins twice, the bounds of all blocks, offsets of all readings.
     maps = 2 * (top + 5) * shape[0] * shape[1]
     return maps + n_thetas * (32 * blocks + 120 * readings) + _FIXED
-
-
-def load_bytes(pixels: int, file_bytes: int) -> int:
-    """Peak of :func:`imgloc.io.maps.load_map`, with the map; samples may be written as text.
-
-    Examples
-    --------
-    >>> load_bytes(10_000 * 10_000, 2_665_308) // 2**20
-    1923
-    """
-    return 20 * pixels + 4 * file_bytes + 6 * MIB
-
-
-def check_bytes(pixels: int, file_bytes: int) -> int:
-    """Peak of :func:`imgloc.io.mapcheck.check_map`, of whatever channels."""
-    return load_bytes(pixels, file_bytes) + 8 * pixels
 
 
 def scans_bytes(scans: int, numbers: int, file_bytes: int = 0, *, text: bool = False) -> int:

@@ -18,6 +18,7 @@ from imgloc.features.budget import (
 )
 from imgloc.features.distance import DistanceField, distance_field, distance_image
 from imgloc.features.fields import bmap, vmap
+from imgloc.features.gradients import SOURCES, vmap_of_image
 from imgloc.features.pyramid import (
     Level,
     PooledMaps,
@@ -28,7 +29,7 @@ from imgloc.features.pyramid import (
 )
 from imgloc.features.raydistance import ray_distances
 from imgloc.features.surface import surface_points
-from imgloc.features.visibility import visibility_frames
+from imgloc.features.visibility import WAYS, visibility_frames
 from imgloc.model import BoolArray, Float32Array, GridInfo, OccupancyGrid, OrientedPoints
 
 VOTER_SPACING = 0.25
@@ -53,10 +54,16 @@ class MapFeatures:
         Of the kernel K that blurs bmap and vmap, metres.
     sigma_endpoint : float
         How far an endpoint may lie from its wall in the pyramid, metres.
+    vmap_from : {"contours", "image"}
+        Whether the vector field of CBML-O is of the normals of the surface points
+        (:func:`~imgloc.features.fields.vmap`) or of the gradients of the image
+        (:func:`~imgloc.features.gradients.vmap_of_image`).
     n_psi : int
         Directions of the visibility map, measured from the normal.
     horizon : float
         How far the visibility map sees, metres.
+    visibility_by : {"march", "polar"}
+        How the visibility map is computed, see :mod:`imgloc.features.visibility`.
     n_rays : int
         Directions of the ray-distance stack.
     max_range : float
@@ -85,8 +92,10 @@ class MapFeatures:
     cell: float = 0.1
     sigma: float = 0.1
     sigma_endpoint: float = 0.15
+    vmap_from: str = "contours"
     n_psi: int = 72
     horizon: float = 30.0
+    visibility_by: str = "march"
     n_rays: int = 360
     max_range: float = 30.0
     memory_budget: int | None = None
@@ -101,6 +110,12 @@ class MapFeatures:
             number = getattr(self, name)
             if number is not None and number < 1:
                 raise ConfigError(f"{name} must be at least 1, got {number}")
+
+        for name, known in (("visibility_by", WAYS), ("vmap_from", SOURCES)):
+            if getattr(self, name) not in known:
+                raise ConfigError(
+                    f"{name} must be one of {', '.join(known)}, got {getattr(self, name)!r}"
+                )
 
     @cached_property
     def lattice(self) -> GridInfo:
@@ -166,9 +181,14 @@ class MapFeatures:
     @cached_property
     def vmap(self) -> Float32Array:
         """Blurred vector field of CBML-O, (2, H, W) float32, no vector longer than 1."""
-        return _read_only(
-            vmap(self.surface, self.lattice.shape, self.lattice.resolution, self.sigma)
-        )
+        grid, cell = self.grid, self.lattice.resolution
+        if self.vmap_from == "image":
+            field = vmap_of_image(
+                grid.occupied, grid.free, grid.resolution, self.sigma, factor=self.factor
+            )
+        else:
+            field = vmap(self.surface, self.lattice.shape, cell, self.sigma)
+        return _read_only(field)
 
     @cached_property
     def visibility(self) -> Float32Array:
@@ -198,6 +218,7 @@ class MapFeatures:
                 self.grid.resolution,
                 self.n_psi,
                 self.horizon,
+                by=self.visibility_by,
                 distance=self.walls,
             )
         )

@@ -1,6 +1,6 @@
 """Maps at coarser cells, for searches that start coarse.
 
-Blocks of cells are seen as two more axes. The *pyramid* is for endpoints: a fit is not lost before
+The *pyramid* is for endpoints: a fit is not lost before
 it has been looked at closely. The *pooled* maps are for branch and bound: the image of level h
 holds in each cell the maximum of the 2^h x 2^h cells that begin there, so that the sum of it under
 a scan placed at the first pose of a block bounds the score of every pose of the block (Hess et al.
@@ -8,11 +8,11 @@ a scan placed at the first pose of a block bounds the score of every pose of the
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from skimage.measure import block_reduce
 
 from imgloc.errors import ConfigError
 from imgloc.model import BoolArray, Float32Array, GridInfo
@@ -24,33 +24,13 @@ BLOCK = 1.6
 _LEVELS = 255  # as likelihood/cbml.py rounds bmap
 
 
-def blocks(image: npt.NDArray[Any], factor: int) -> npt.NDArray[Any]:
-    """Cut an image into blocks of `factor` x `factor` cells.
-
-    Returns
-    -------
-    (H', factor, W', factor) array
-        Reduce over axes 1 and 3. Blocks that stick out are filled with zeros (no wall, not
-        free).
-
-    Examples
-    --------
-    >>> blocks(np.arange(6).reshape(2, 3), 2).sum(axis=(1, 3)).tolist()
-    [[8, 7]]
-    """
-    height, width = image.shape
-    rows, columns = -height % factor, -width % factor
-    padded = np.pad(image, ((0, rows), (0, columns))) if rows or columns else image
-    return padded.reshape((height + rows) // factor, factor, (width + columns) // factor, factor)
-
-
 def any_of_blocks(mask: BoolArray, factor: int) -> BoolArray:
-    """Coarser mask (H', W'): whether any cell of each block is set."""
-    return np.asarray(blocks(mask, factor).any(axis=(1, 3)))
+    """Coarser mask (H', W'): whether any cell of each block is set; beyond the map none is."""
+    return np.asarray(block_reduce(mask, factor, np.any))
 
 
 def coarse_info(grid: GridInfo, factor: int) -> GridInfo:
-    """The lattice of :func:`blocks`: same corner, cells `factor` times as large."""
+    """The lattice of blocks of cells: same corner, cells `factor` times as large."""
     return GridInfo(
         -(-grid.height // factor),
         -(-grid.width // factor),
@@ -119,12 +99,12 @@ def pyramid(
     rows = factor * max(1, _BAND // factor)
     bands = [distance[top : top + rows] for top in range(0, len(distance), rows)]
     image = np.concatenate([_fit(band, factor, sigma) for band in bands])
-    mask = np.asarray(blocks(free, factor).any(axis=(1, 3)))
+    mask = any_of_blocks(free, factor)
     out = [Level(image, mask, resolution * factor)]
     for _ in range(levels - 1):
         last = out[-1]
-        image = np.asarray(blocks(last.image, 2).max(axis=(1, 3)))
-        mask = np.asarray(blocks(last.free, 2).any(axis=(1, 3)))
+        image = np.asarray(block_reduce(last.image, 2, np.max))
+        mask = any_of_blocks(last.free, 2)
         out.append(Level(image, mask, 2 * last.resolution))
     return tuple(out)
 
@@ -132,7 +112,7 @@ def pyramid(
 def _fit(distance: Float32Array, factor: int, sigma: float) -> npt.NDArray[np.uint8]:
     """How well an endpoint in each block fits, from the distances of some rows of cells."""
     fit = np.exp(distance * distance * np.float32(-0.5 / sigma**2)) * np.float32(255)
-    return np.asarray(np.rint(blocks(fit, factor).mean(axis=(1, 3))), dtype=np.uint8)
+    return np.asarray(np.rint(block_reduce(fit, factor, np.mean)), dtype=np.uint8)
 
 
 @dataclass(frozen=True)

@@ -10,17 +10,17 @@ from concurrent.futures import ThreadPoolExecutor
 import cv2
 import numpy as np
 import numpy.typing as npt
+from skimage.measure import block_reduce
 
 from imgloc.errors import ConfigError
-from imgloc.features.pyramid import blocks
 from imgloc.model import BoolArray, Float32Array, FloatArray
 
 _CM = 100.0
 _MAX_CM = np.iinfo(np.uint16).max
 # Grey levels: the surface of a wall is where the interpolated occupancy passes one half; a
 # sample counts from a little below, so that rays a pixel apart do not miss a one-pixel wall.
-_WALL, _SURFACE, _HIT = 255, 127.5, 100
-_JOINT = 90  # free cells beside two occupied ones that touch at a corner; see _watertight
+_WALL, SURFACE, HIT = 255, 127.5, 100
+_JOINT = 90  # free cells beside two occupied ones that touch at a corner; see watertight
 
 
 def ray_cells(shape: tuple[int, int], n_psi: int) -> int:
@@ -61,8 +61,8 @@ def ray_distances(
     max_range : float
         Metres, at most 655.35. Where nothing is hit within it, the value is `max_range`.
     factor : int
-        Rays start at the centres of blocks of `factor` x `factor` cells, as of
-        :func:`~imgloc.features.pyramid.blocks`; walls keep the cells of the map.
+        Rays start at the centres of blocks of `factor` x `factor` cells; walls keep the
+        cells of the map.
     threads : int
         Directions computed at a time; the result does not depend on it.
 
@@ -103,9 +103,9 @@ def ray_distances(
     if not (np.isfinite(resolution) and resolution > 0):
         raise ConfigError(f"resolution must be positive and finite, got {resolution}")
 
-    solid = np.asarray(blocks(occupied, factor).all(axis=(1, 3)))
+    solid = np.asarray(block_reduce(occupied, factor, np.all))
     stack = np.empty((n_psi, *solid.shape), np.uint16)
-    image = _watertight(occupied)
+    image = watertight(occupied)
     limit = np.uint16(round(max_range * _CM))
 
     def direction(k: int) -> None:
@@ -125,7 +125,7 @@ def ray_distances(
     return stack
 
 
-def _watertight(occupied: BoolArray) -> npt.NDArray[np.uint8]:
+def watertight(occupied: BoolArray) -> npt.NDArray[np.uint8]:
     """Occupancy as grey levels, with the gaps of diagonal walls one pixel wide filled.
 
     Between two occupied cells that touch at a corner the interpolated occupancy is one half
@@ -217,14 +217,14 @@ def _look(
 
 def _next_hit(canvas: npt.NDArray[np.uint8]) -> Float32Array:
     """For each pixel the row, with fraction, of the first surface at or below it; else far."""
-    wall = canvas >= _HIT
+    wall = canvas >= HIT
     far = np.float32(4 * np.iinfo(np.uint16).max)
     rows = np.arange(len(canvas), dtype=np.float32)[:, None]
     hit = np.where(wall, rows, far)
     row, col = np.divmod(np.flatnonzero(wall[1:] > wall[:-1]), canvas.shape[1])
     before, after = canvas[row, col].astype(np.float32), canvas[row + 1, col].astype(np.float32)
     # Between the two samples, where the interpolated occupancy passes one half.
-    hit[row + 1, col] -= np.clip((after - _SURFACE) / (after - before), 0, 1)
+    hit[row + 1, col] -= np.clip((after - SURFACE) / (after - before), 0, 1)
     # Row by row this is a vector operation; np.minimum.accumulate takes three times as long.
     for i in range(len(hit) - 2, -1, -1):
         np.minimum(hit[i], hit[i + 1], out=hit[i])

@@ -238,7 +238,7 @@ def features_key(features: MapFeatures) -> str:
     """
     names = [f.name for f in fields(features) if f.name not in _NO_MATTER]
     parameters: dict[str, object] = {name: getattr(features, name) for name in names}
-    return cache_key(features.grid, parameters | {"code": _code()})
+    return cache_key(features.grid, parameters, code=_code())
 
 
 def load_features(

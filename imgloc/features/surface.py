@@ -5,11 +5,11 @@ occupied cell: the iso-contour of the occupancy image. Its two sides are two sur
 opposite normals, however thin the wall, which is what Fig. 4 of the paper depends on.
 """
 
-from collections.abc import Iterator
+import itertools
 
 import numpy as np
+from skimage.measure import find_contours
 
-from imgloc.features.contours import outlines
 from imgloc.geometry import wrap
 from imgloc.model import BoolArray, FloatArray, IntArray, OrientedPoints
 
@@ -24,8 +24,11 @@ _CORNER = 0.45
 # Free space begins at most this far (cells) in front of a surface: maps made by counting hits
 # have single unknown cells between a wall and the room.
 _REACH = 1.5
-_GROUP = 50_000  # points that are fitted at a time
-_HALO = max(_WINDOWS) + min(_WINDOWS)  # how far along its contour a fit looks
+# A map is worked on in bands of rows with so many sides between occupied and other cells, or so
+# many cells: find_contours keeps hundreds of bytes for each vertex, and a copy of the image in
+# double precision. The rows around a band are traced with it, as far as a fit looks along them.
+_SIDES, _CELLS = 1 << 17, 1 << 24
+_HALO = 2 * max(_WINDOWS)
 
 
 def surface_points(
@@ -56,7 +59,7 @@ def surface_points(
 
     Notes
     -----
-    The polygons of :func:`~imgloc.features.contours.outlines` are resampled to one point per cell;
+    The polygons of :func:`skimage.measure.find_contours` are resampled to one point per cell;
     each point gets the line fitted to the widest window around it that is still a digital
     straight line. Where none is (corners), the windows that end at the point are tried too,
     so that a corner keeps the two normals of its walls instead of their mean (the filter of
@@ -80,33 +83,83 @@ def surface_points(
     if not (np.isfinite(resolution) and resolution > 0):
         raise ValueError(f"resolution must be positive, got {resolution}")
 
-    points, start, length = _contours(occupied)
-    if len(points) == 0:
-        empty = np.zeros(0)
-        return OrientedPoints(np.zeros((0, 2)), empty, empty, np.zeros(0, np.bool_))
-    parts = [
-        _facing(free, *_fit_part(points, start, length, a, b)) for a, b in _groups(start, length)
-    ]
+    parts = [_surface_of(occupied, free, top, bottom) for top, bottom in _bands(occupied)]
     points, alpha, sigma = (np.concatenate(column) for column in zip(*parts, strict=True))
     return OrientedPoints(points * resolution, alpha, sigma, sigma <= max_sigma)
 
 
-def _contours(occupied: BoolArray) -> tuple[FloatArray, IntArray, IntArray]:
-    """Return the boundary points (N, 2) as (x, y) in cells, one per cell of arc length.
+def _bands(occupied: BoolArray) -> list[tuple[int, int]]:
+    """Cut the rows into bands of bounded work: first row, and the one after the last."""
+    height, width = occupied.shape
+    sides = np.zeros(height, np.int64)
+    for row in range(height):  # by row: the differences of a whole map would be another map
+        sides[row] = np.count_nonzero(occupied[row, 1:] != occupied[row, :-1])
+        sides[row] += np.count_nonzero(occupied[row] != occupied[row - 1]) if row else 0
+    part = np.maximum(np.cumsum(sides) // _SIDES, np.arange(height) // max(1, _CELLS // width))
+    cuts = [0, *(np.flatnonzero(np.diff(part)) + 1).tolist(), height]
+    return list(itertools.pairwise(cuts))
+
+
+def _surface_of(
+    occupied: BoolArray, free: BoolArray, top: int, bottom: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points in cells, normals and their deviations, of the surface in some rows."""
+    low, high = max(0, top - _HALO), min(len(occupied), bottom + _HALO)
+    vertices, size = outlines(occupied[low:high])
+    vertices[:, 1] += low
+    points, start, length = _resampled(vertices, size)
+    if (low, high) == (0, len(occupied)):
+        mine = np.ones(len(points), np.bool_)
+    else:
+        mine = (points[:, 1] >= top) & (points[:, 1] < bottom)
+    points, alpha, sigma = (part[mine] for part in _fit(points, start, length))
+    return _facing(free, points, alpha, sigma)
+
+
+def outlines(occupied: BoolArray) -> tuple[FloatArray, IntArray]:
+    """Outline every wall and every hole in one, closed polygons with the wall on their right.
+
+    Parameters
+    ----------
+    occupied : (H, W) bool array
+        Nothing is occupied beyond its edge. Cells that touch at a corner hold together.
+
+    Returns
+    -------
+    vertices : (N, 2) float array
+        (x, y) in cells, cell ``[0, 0]`` reaching from 0 to 1: midpoints of the sides between
+        an occupied and another cell, polygon after polygon. The first vertex of each polygon
+        is its last, too.
+    size : (M,) int array
+        Number of vertices of each polygon.
+
+    Examples
+    --------
+    >>> vertices, size = outlines(np.array([[False, True]]))
+    >>> vertices.tolist(), size.tolist()
+    ([[1.5, 1.0], [2.0, 0.5], [1.5, 0.0], [1.0, 0.5], [1.5, 1.0]], [5])
+    """
+    found = find_contours(
+        np.pad(occupied, 1).astype(np.float64), 0.5,
+        fully_connected="high", positive_orientation="high",
+    )  # fmt: skip
+    vertices = np.concatenate([np.zeros((0, 2)), *found])[:, ::-1] - 0.5
+    return vertices, np.array([len(polygon) for polygon in found], np.int64)
+
+
+def _resampled(vertices: FloatArray, size: IntArray) -> tuple[FloatArray, IntArray, IntArray]:
+    """Points (N, 2) along polygons, one per cell of arc length.
 
     The second and third arrays (N,) hold, for each point, the index of the first point of
-    its contour and the number of points in it. Contours are closed and keep the wall on
-    their right.
+    its polygon and the number of points in it.
     """
-    vertices, size = outlines(occupied)
     if len(size) == 0:
         none = np.zeros(0, np.int64)
         return np.zeros((0, 2)), none, none
-
-    # One arc length over all contours, so that one interpolation resamples them all.
+    # One arc length over all polygons, so that one interpolation resamples them all.
     first = np.cumsum(size) - size
     step = np.hypot(*np.diff(vertices, axis=0, prepend=vertices[:1]).T)
-    step[first] = 1.0  # apart from the contour before it
+    step[first] = 1.0  # apart from the polygon before it
     arc = np.cumsum(step)
     perimeter = arc[first + size - 1] - arc[first]
     count = np.maximum(np.round(perimeter).astype(np.int64), 4)
@@ -115,33 +168,6 @@ def _contours(occupied: BoolArray) -> tuple[FloatArray, IntArray, IntArray]:
     at = np.repeat(arc[first], count) + rank * np.repeat(perimeter / count, count)
     xy = np.column_stack([np.interp(at, arc, vertices[:, axis]) for axis in (0, 1)])
     return xy, start, np.repeat(count, count)
-
-
-def _groups(start: IntArray, length: IntArray) -> Iterator[tuple[int, int]]:
-    """Cut the points into groups: of whole contours, or a part of one that is longer."""
-    first = 0
-    while first < len(start):
-        end = min(first + _GROUP, len(start))
-        if length[first] > _GROUP:
-            end = min(end, int(start[first] + length[first]))
-        elif start[end - 1] + length[end - 1] > end:
-            end = int(start[end - 1])
-        yield first, end
-        first = end
-
-
-def _fit_part(
-    points: FloatArray, start: IntArray, length: IntArray, a: int, b: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Fit a line at each point of a group; see :func:`_fit`."""
-    if length[a] <= _GROUP:
-        return _fit(points[a:b], start[a:b] - a, length[a:b])
-    # A part of a contour, with its neighbours, as a contour of its own.
-    index = start[a] + (np.arange(a - _HALO, b + _HALO) - start[a]) % length[a]
-    n = len(index)
-    fits = _fit(points[index], np.zeros(n, np.int64), np.full(n, n))
-    inner = slice(_HALO, n - _HALO)
-    return fits[0][inner], fits[1][inner], fits[2][inner]
 
 
 def _facing(

@@ -1,73 +1,38 @@
-"""The visibility map of GHT-V: how far one sees from each surface point in each direction."""
+"""The visibility map of GHT-V: how far one sees from each surface point in each direction.
 
+Two ways to compute it. ``march`` casts the rays, exactly; ``polar`` unwraps the image around each
+point, so that every ray is a row, and looks for the first wall along it.
+"""
+
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
-from imgloc.geometry import theta_bin
+from imgloc.features.raydistance import HIT, SURFACE, watertight
 from imgloc.model import BoolArray, Float32Array, FloatArray, OrientedPoints
 
-_PAIRS = 1 << 21  # pairs of points, or rays, worked on at a time
+WAYS = ("march", "polar")
+
+_PAIRS = 1 << 21  # rays cast at a time
 _OFF = (0.5, 1.0, 1.5)  # cells in front of a surface point where its rays may start
+_STEP = 0.5  # cells between the samples along an unwrapped ray
+_SAMPLES, _MOST_ROWS = 1 << 21, (1 << 15) - 2  # unwrapped at a time; cv2.remap's limit
 
 
-def visibility_points(xy: FloatArray, n_psi: int, horizon: float) -> Float32Array:
-    """Visibility map from the surface points alone: Alg. 6.
-
-    Parameters
-    ----------
-    xy : (M, 2) float array
-        Surface points in the grid frame, metres.
-    n_psi : int
-        Number of directions; ``psi_k = 2 pi k / n_psi`` in the grid frame, and a point lies
-        in the nearest.
-    horizon : float
-        Radius rho of the ball, metres; inf for all pairs. Less than the sensor's reach leaves
-        some constraints unused, no more.
-
-    Returns
-    -------
-    (M, n_psi) float32 array
-        ``vis[j, k]``, metres from point j to the nearest point in direction psi_k; inf where
-        there is none within the horizon.
-
-    Raises
-    ------
-    ConfigError
-        If n_psi or horizon is not positive.
-
-    Notes
-    -----
-    The listing stores the direction from p_i to p_j with p_j. Alg. 5 and the definition of
-    ``vis_j[psi]``, "the distance from p_j to the nearest obstacle in direction psi", need the
-    opposite one, which is what is done here. The points do not shut out a ray that passes
-    between two of them, so n_psi must be coarse: for a map :func:`visibility_image` is
-    the better choice, and faster.
-
-    Examples
-    --------
-    >>> visibility_points(np.array([[0.0, 0.0], [3.0, 0.0], [5.0, 0.0]]), 2, 4.0).tolist()
-    [[3.0, inf], [2.0, 3.0], [inf, 2.0]]
-    """
-    _check(n_psi, horizon)
-    xy = np.asarray(xy, np.float64).reshape(-1, 2)
-    vis = np.full((len(xy), n_psi), np.inf, np.float32)
-    rows = max(1, _PAIRS // max(1, len(xy)))
-    for first in range(0, len(xy), rows):  # Alg. 6, l. 1
-        away = xy[None] - xy[first : first + rows, None]
-        d = np.hypot(away[..., 0], away[..., 1])  # l. 3
-        at, other = np.nonzero((d <= horizon) & (d > 0))  # l. 2
-        psi = theta_bin(np.arctan2(away[at, other, 1], away[at, other, 0]), n_psi)  # l. 4
-        np.minimum.at(vis, (first + at, psi), d[at, other].astype(np.float32))  # l. 5
-    return vis
-
-
-def visibility_image(
-    occupied: BoolArray, surface: OrientedPoints, resolution: float, n_psi: int, horizon: float
+def visibility_frames(
+    occupied: BoolArray,
+    surface: OrientedPoints,
+    resolution: float,
+    n_psi: int,
+    horizon: float,
+    *,
+    by: str = "march",
+    distance: Float32Array | None = None,
 ) -> Float32Array:
-    """Visibility map by casting rays in the image of the map.
+    """Distance to the nearest wall in each direction from the normal, as GHT-V reads it (Alg. 6).
 
     Parameters
     ----------
@@ -78,154 +43,126 @@ def visibility_image(
     resolution : float
         Side of a cell, metres.
     n_psi : int
-        Number of directions; ``psi_k = 2 pi k / n_psi`` in the grid frame.
+        Number of directions; ``psi_k = 2 pi k / n_psi`` is measured from the normal,
+        counter-clockwise.
     horizon : float
-        Metres, finite.
-
-    Returns
-    -------
-    (M, n_psi) float32 array
-        ``vis[j, k]``, metres from point j to the nearest wall in direction psi_k; inf where
-        there is none within the horizon, 0 in directions behind the surface. Points without
-        a normal see nothing: 0.
-
-    Raises
-    ------
-    ConfigError
-        If n_psi or horizon is out of its range.
-
-    Examples
-    --------
-    The wall on the left of a corridor sees the one on its right:
-
-    >>> corridor = np.zeros((3, 12), bool)
-    >>> corridor[:, [0, 11]] = True
-    >>> wall = OrientedPoints([[0.1, 0.15]], [0.0], [0.1], [True])
-    >>> visibility_image(corridor, wall, 0.1, 2, 5.0).round(2).tolist()
-    [[1.0, 0.0]]
-    """
-    psi = np.arange(n_psi) * (2 * np.pi / max(n_psi, 1))
-    angles = np.broadcast_to(psi, (len(surface), n_psi))
-    _check(n_psi, horizon, finite=True)
-    return _cast(occupied, surface, resolution, angles, horizon, distance_image(occupied))
-
-
-def visibility_frames(
-    occupied: BoolArray,
-    surface: OrientedPoints,
-    resolution: float,
-    n_psi: int,
-    horizon: float,
-    *,
-    distance: Float32Array | None = None,
-) -> Float32Array:
-    """Visibility map with each point's normal as its direction 0, as GHT-V reads it.
-
-    Parameters
-    ----------
-    occupied, surface, resolution, n_psi, horizon
-        As for :func:`visibility_image`; here ``psi_k = 2 pi k / n_psi`` is measured from the
-        normal, counter-clockwise.
+        Metres, finite. Less than the sensor's reach leaves some constraints unused, no more.
+    by : {"march", "polar"}
+        How to compute it. ``polar`` is within a cell of ``march`` but for rays that graze a wall.
     distance : (H, W) float32 array, optional
-        :func:`~imgloc.features.raycast.distance_image` of `occupied`, if it is there already.
+        :func:`~imgloc.features.distance.distance_image` of `occupied`, if it is there already.
 
     Returns
     -------
     (n_psi, M) float32 array
-        ``vis[k, j]``, C-contiguous: one row per direction. Rows a quarter turn or more from the
-        normal are 0.
+        ``vis[k, j]``, C-contiguous: metres from point j to the nearest wall in direction psi_k;
+        inf where there is none within the horizon. Rows a quarter turn or more from the normal
+        are 0. Points without a normal see nothing: 0.
 
     Raises
     ------
     ConfigError
-        If n_psi or horizon is out of its range.
+        If n_psi, horizon or `by` is out of its range.
 
     Notes
     -----
-    Equal to ``visibility_relative(visibility_image(...), surface.alpha)`` without rounding the
-    normals to directions of the grid.
+    The listing stores the direction from p_i to p_j with p_j. Alg. 5 and the definition of
+    ``vis_j[psi]``, "the distance from p_j to the nearest obstacle in direction psi", need the
+    opposite one, which is what is done here.
 
     Examples
     --------
+    The wall on the right of a corridor sees the one on its left:
+
     >>> corridor = np.zeros((3, 12), bool)
     >>> corridor[:, [0, 11]] = True
     >>> wall = OrientedPoints([[1.1, 0.15]], [np.pi], [0.1], [True])
     >>> visibility_frames(corridor, wall, 0.1, 4, 5.0).round(2).tolist()
     [[1.0], [0.0], [0.0], [0.0]]
     """
-    _check(n_psi, horizon, finite=True)
-    psi = np.arange(n_psi) * (2 * np.pi / n_psi)
-    out = np.empty((n_psi, len(surface)), np.float32)
-    distance = distance_image(occupied) if distance is None else distance
-    rows = max(1, _PAIRS // n_psi)
-    for first in range(0, len(surface), rows):
-        some = surface.select(np.arange(first, min(first + rows, len(surface))))
-        angles = some.alpha[:, None] + psi
-        out[:, first : first + rows] = _cast(
-            occupied, some, resolution, angles, horizon, distance
-        ).T
-    return out
-
-
-def visibility_relative(vis: Float32Array, alpha: FloatArray) -> Float32Array:
-    """Turn a visibility map so that direction 0 is each point's normal.
-
-    Parameters
-    ----------
-    vis : (M, n_psi) float32 array
-        Directions ``psi_k = 2 pi k / n_psi`` of the grid frame.
-    alpha : (M,) float array
-        Normals, radians; where NaN, direction 0 stays where it is.
-
-    Returns
-    -------
-    (n_psi, M) float32 array
-        ``[k, j]`` is the entry of `vis` for point j nearest to direction alpha_j + psi_k.
-
-    Raises
-    ------
-    ConfigError
-        If there is not one normal per point.
-
-    Examples
-    --------
-    >>> vis = np.array([[1, 2, 3, 4]], np.float32)
-    >>> visibility_relative(vis, np.array([np.pi / 2]))[:, 0].tolist()
-    [2.0, 3.0, 4.0, 1.0]
-    """
-    if vis.ndim != 2 or np.shape(alpha) != vis.shape[:1]:
-        raise ConfigError(f"one normal per point: vis {vis.shape}, alpha {np.shape(alpha)}")
-    n_psi = vis.shape[1]
-    turned = theta_bin(np.nan_to_num(alpha), n_psi)[None] + np.arange(n_psi)[:, None]
-    return np.ascontiguousarray(vis[np.arange(len(vis)), turned % n_psi])
-
-
-def _cast(
-    occupied: BoolArray,
-    surface: OrientedPoints,
-    resolution: float,
-    angles: npt.NDArray[np.float64],
-    horizon: float,
-    distance: Float32Array,
-) -> Float32Array:
-    """Distance (M, n_psi) seen from each point at `angles` (M, n_psi) of the grid frame."""
+    if n_psi < 1:
+        raise ConfigError(f"n_psi must be at least 1, got {n_psi}")
+    if not 0 < horizon < np.inf:
+        raise ConfigError(f"horizon must be positive and finite, got {horizon}")
+    if by not in WAYS:
+        raise ConfigError(f"visibility must be by one of {', '.join(WAYS)}, got {by!r}")
     occupied = np.asarray(occupied, np.bool_)
-    with np.errstate(invalid="ignore"):
-        cosine = np.cos(angles - surface.alpha[:, None])
-        front = cosine > 1e-9  # NaN is not
     normal = np.column_stack((np.cos(surface.alpha), np.sin(surface.alpha)))
     off = _first_clear(occupied, surface.xy, normal, resolution)
     origin = surface.xy + off[:, None] * normal
-    vis = np.zeros(angles.shape, np.float32)
-    rows = max(1, _PAIRS // angles.shape[1])
-    for first in range(0, len(surface), rows):
-        at, psi = np.nonzero(front[first : first + rows])
-        at += first
-        seen = cast_rays(distance, origin[at], angles[at, psi], horizon, resolution)
-        # From the surface itself: the ray started off[j] in front of it.
-        seen += (off[at] * cosine[at, psi]).astype(np.float32)
-        vis[at, psi] = np.where(seen <= horizon, seen, np.inf)
+    psi = np.arange(n_psi) * (2 * np.pi / n_psi)
+    front = np.flatnonzero(np.cos(psi) > 1e-9)
+    known = np.flatnonzero(np.isfinite(surface.alpha))
+    vis = np.zeros((n_psi, len(surface)), np.float32)
+    if by == "march":
+        distance = distance_image(occupied) if distance is None else distance
+        rows = max(1, _PAIRS // n_psi)
+        for first in range(0, len(known), rows):
+            some = known[first : first + rows]
+            rays = surface.alpha[some] + psi[front, None]
+            vis[np.ix_(front, some)] = cast_rays(distance, origin[some], rays, horizon, resolution)
+    else:
+        image, reach = watertight(occupied), min(horizon / resolution, np.hypot(*occupied.shape))
+        rows = max(1, min(_SAMPLES // int(reach / _STEP + 1), _MOST_ROWS) // max(1, len(front)))
+        for first in range(0, len(known), rows):
+            some = known[first : first + rows]
+            rays = surface.alpha[some] + psi[front, None]
+            cells = _first_wall(unwrapped(image, origin[some] / resolution, rays, reach))
+            vis[np.ix_(front, some)] = resolution * cells.reshape(rays.shape)
+    # From the surface itself: the ray started off[j] in front of it.
+    vis[np.ix_(front, known)] += np.outer(np.cos(psi[front]), off[known]).astype(np.float32)
+    vis[vis > horizon] = np.inf
     return vis
+
+
+def unwrapped(
+    image: npt.NDArray[np.uint8], origin: FloatArray, rays: FloatArray, reach: float
+) -> npt.NDArray[np.uint8]:
+    """Polar images around points: a row for each ray, a column for each half cell along it.
+
+    What :func:`cv2.warpPolar` does, but for a fan of rays that may begin at any angle, as the
+    normals do, and for many points at a time: it would unwrap the whole circle, in rows that are
+    fine enough for every normal, thirty times as many samples.
+
+    Parameters
+    ----------
+    image : (H, W) uint8 array
+    origin : (M, 2) float array
+        (x, y) in cells, cell ``[0, 0]`` reaching from 0 to 1.
+    rays : (K, M) float array
+        Directions from each point, radians.
+    reach : float
+        Cells.
+
+    Returns
+    -------
+    (K * M, N) uint8 array
+        0 beyond the image.
+
+    Examples
+    --------
+    >>> image = np.array([[0, 100, 200, 0]], np.uint8)
+    >>> unwrapped(image, np.array([[0.5, 0.5]]), np.zeros((1, 1)), 2.0).tolist()
+    [[0, 50, 100, 150, 200]]
+    """
+    rho = np.arange(int(reach / _STEP) + 1, dtype=np.float32) * np.float32(_STEP)
+    x, y = (
+        (start - 0.5).astype(np.float32)[:, None] + way.astype(np.float32)[..., None] * rho
+        for start, way in ((origin[:, 0], np.cos(rays)), (origin[:, 1], np.sin(rays)))
+    )
+    shape = rays.size, len(rho)
+    out = cv2.remap(image, x.reshape(shape), y.reshape(shape), cv2.INTER_LINEAR)
+    return np.asarray(out, dtype=np.uint8)
+
+
+def _first_wall(polar: npt.NDArray[np.uint8]) -> Float32Array:
+    """Cells along each row (ray) to where it enters the first wall; inf if it meets none."""
+    ray, first = np.arange(len(polar)), (polar >= HIT).argmax(axis=1)
+    after, before = (polar[ray, np.maximum(first - k, 0)].astype(np.float32) for k in (0, 1))
+    # Between the two samples, where the interpolated occupancy passes one half.
+    back = np.clip((after - SURFACE) / np.maximum(after - before, 1), 0, 1)
+    cells = (first - np.where(first > 0, back, 0)) * np.float32(_STEP)
+    return np.where(after >= HIT, cells, np.float32(np.inf))
 
 
 def _first_clear(
@@ -243,12 +180,3 @@ def _first_clear(
         row, col = np.clip(cells + 1, 0, limit).T
         off[~padded[row, col]] = step
     return off * resolution
-
-
-def _check(n_psi: int, horizon: float, *, finite: bool = False) -> None:
-    if n_psi < 1:
-        raise ConfigError(f"n_psi must be at least 1, got {n_psi}")
-    if not horizon > 0:
-        raise ConfigError(f"horizon must be positive, got {horizon}")
-    if finite and not np.isfinite(horizon):
-        raise ConfigError(f"horizon must be finite, got {horizon}")

@@ -1,8 +1,9 @@
 """Arrays that took a while to compute, kept on disk under a key that says from what.
 
-An entry is a folder's file, an NPZ without compression. It is written beside its place and
-renamed, so that processes that share a folder see whole entries only; and it is read with
-suspicion: whatever is wrong with it, the caller gets None and computes the arrays again.
+An entry is an NPZ without compression. It is written beside its place and renamed, so that
+processes that share a folder see whole entries only; and it is read with suspicion: whatever is
+wrong with it, also that another process has just removed it, the caller gets None and computes the
+arrays again. A folder holds no more than a limit: the entries that were used longest ago go first.
 """
 
 import contextlib
@@ -12,64 +13,120 @@ import logging
 import os
 import re
 import secrets
-import tokenize
+import sys
+import time
 import zipfile
-import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+import platformdirs
 
 import imgloc
-from imgloc.errors import ImglocError, OutputError
-from imgloc.io.files import PathLike, display, refuse_irregular
+from imgloc.errors import OutputError
+from imgloc.io.files import PathLike, display, open_file
 from imgloc.model import OccupancyGrid
 
 LOG = logging.getLogger(__name__)
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 
-_FORMAT = 1  # of an entry
-_KEY = re.compile(r"[0-9a-f]{40}")
-_NAME = "key.npy"
-# What reading a file that is not what it says can end in.
-_DAMAGE = (
-    ImglocError,
-    OSError,
-    ValueError,
-    EOFError,
-    KeyError,
-    MemoryError,
-    RuntimeError,
-    SyntaxError,
-    TypeError,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
+LIMIT_MIB = 2048
+"""MiB that the entries of a folder may take, unless the environment has ``IMGLOC_CACHE_MIB``."""
+
+_FORMAT = 2  # of an entry
+_MAKER = 8  # digits of a key that name the version of the program
+_NAME = re.compile(r"[0-9a-f]{40}\.npz|\.imgloc-cache-[0-9a-f]{16}\.tmp")
+_HEAD = 37  # bytes in which an archive says that its first member is key.npy
+# Nobody writes this long, and a version that has not been used for so long is not used beside this.
+_ORPHANED = 3600.0  # seconds
 
 
-def default_folder() -> Path:
-    """The user's cache folder: ``$XDG_CACHE_HOME/imgloc`` or ``~/.cache/imgloc``.
+class CacheInfo(NamedTuple):
+    """What a folder of the cache holds, and how much it may: bytes."""
+
+    entries: int
+    bytes: int
+    limit: int
+    folder: Path
+
+
+class _File(NamedTuple):
+    path: Path
+    bytes: int
+    used: float  # seconds, as time.time()
+
+
+def cache_folder() -> Path:
+    """The user's cache folder for this program: on Linux ``$XDG_CACHE_HOME/imgloc``.
 
     Raises
     ------
     OutputError
         If the user has no home.
     """
-    base = os.environ.get("XDG_CACHE_HOME", "")
-    if os.path.isabs(base):  # noqa: PTH117  # the specification: ignore a relative one
-        return Path(base) / "imgloc"
-    try:
-        return Path.home() / ".cache" / "imgloc"
-    except RuntimeError:
-        raise OutputError("no home folder for the map cache: pass --cache DIR") from None
+    with contextlib.suppress(RuntimeError):
+        folder = platformdirs.user_cache_path("imgloc", appauthor=False)
+        if folder.is_absolute():
+            return folder
+    raise OutputError(
+        "no home folder (or absolute XDG_CACHE_HOME) for the map cache: pass --cache DIR"
+    )
 
 
-def cache_key(grid: OccupancyGrid, parameters: Mapping[str, object]) -> str:
+def cache_limit() -> int:
+    """Bytes that a folder may take: :data:`LIMIT_MIB`, or what the environment says."""
+    given = os.environ.get("IMGLOC_CACHE_MIB", "")
+    if given and not given.isdecimal():
+        LOG.warning("IMGLOC_CACHE_MIB: got %r, expected a whole number of MiB", given)
+    return (int(given) if given.isdecimal() else LIMIT_MIB) << 20
+
+
+def cache_info(folder: PathLike | None = None) -> CacheInfo:
+    """Look at what is in the cache.
+
+    Parameters
+    ----------
+    folder : path, optional
+        Need not exist; default the user's.
+
+    Raises
+    ------
+    OutputError
+        As :func:`cache_folder`.
+    """
+    folder = cache_folder() if folder is None else Path(folder)
+    files = list(_files(folder))
+    entries = sum(file.path.suffix == ".npz" for file in files)
+    return CacheInfo(entries, sum(file.bytes for file in files), cache_limit(), folder)
+
+
+def clear_cache(folder: PathLike | None = None) -> int:
+    """Remove what this program keeps in the cache, of any version, and nothing else.
+
+    Parameters
+    ----------
+    folder : path, optional
+        Need not exist; default the user's.
+
+    Returns
+    -------
+    int
+        Number of files removed.
+
+    Raises
+    ------
+    OutputError
+        As :func:`cache_folder`.
+    """
+    folder = cache_folder() if folder is None else Path(folder)
+    return sum(_removed(file.path) for file in _files(folder))
+
+
+def cache_key(grid: OccupancyGrid, parameters: Mapping[str, object], *, code: str = "") -> str:
     """Name what is computed from a map with `parameters`, by this version of the program.
 
     Parameters
@@ -79,6 +136,9 @@ def cache_key(grid: OccupancyGrid, parameters: Mapping[str, object]) -> str:
         are in the grid frame.
     parameters : mapping
         Everything else that decides the arrays: numbers, texts, None.
+    code : str
+        What tells versions of the code apart beside the number of the version. Entries of
+        other versions are removed when they have not been used for an hour.
 
     Returns
     -------
@@ -92,30 +152,25 @@ def cache_key(grid: OccupancyGrid, parameters: Mapping[str, object]) -> str:
     >>> cache_key(grid, {"sigma": 0.1}) == cache_key(grid, {"sigma": 0.2})
     False
     """
+    # The same call of another version of a library may round in another way.
+    maker = [_FORMAT, imgloc.__version__, np.__version__, cv2.__version__, code]
     about = {
-        "format": _FORMAT,
-        "imgloc": imgloc.__version__,
-        # The same call of another version may round in another way.
-        "libraries": [np.__version__, cv2.__version__],
         "shape": grid.occupied.shape,
         "resolution": float(grid.resolution).hex(),
         "parameters": dict(parameters),
     }
-    digest = hashlib.blake2b(json.dumps(about, sort_keys=True).encode(), digest_size=20)
+    made_by, digest = (
+        hashlib.blake2b(json.dumps(said, sort_keys=True).encode(), digest_size=size)
+        for said, size in ((maker, _MAKER // 2), (about, 20 - _MAKER // 2))
+    )
     for mask in (grid.occupied, grid.free):
         digest.update(np.packbits(mask).tobytes())
-    return digest.hexdigest()
+    return made_by.hexdigest() + digest.hexdigest()
 
 
 def entry_path(folder: PathLike, key: str) -> Path:
-    """The file of an entry.
-
-    Raises
-    ------
-    ValueError
-        If `key` is not one of :func:`cache_key`.
-    """
-    if not _KEY.fullmatch(key):
+    """The file of an entry; ValueError if `key` is not one of :func:`cache_key`."""
+    if not _NAME.fullmatch(f"{key}.npz"):
         raise ValueError(f"not a key of the cache: {key!r}")
     return Path(folder) / f"{key}.npz"
 
@@ -140,19 +195,14 @@ def load_entry(folder: PathLike, key: str) -> dict[str, npt.NDArray[Any]] | None
     if not os.path.lexists(path):
         return None
     try:
-        refuse_irregular(path, error=OutputError, what="cache entry")
-        with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
-            if members[:1] and members[0].filename != _NAME:
-                raise ValueError("the entry does not say what it holds")
-            arrays = {m.filename.removesuffix(".npy"): _read(archive, m) for m in members}
-        if str(arrays.pop(_NAME.removesuffix(".npy"))) != key:
-            raise ValueError("the entry is another one's")
-    except FileNotFoundError:
-        return None  # another process has removed it since
-    except _DAMAGE as e:
-        discard_entry(path, e)
+        with open_file(path, limit=sys.maxsize, error=OutputError, what="cache entry") as (file, _):
+            arrays = _read(file, key)
+    except Exception as e:  # a file that is not what it says can end in anything
+        if not isinstance(e.__context__, FileNotFoundError):  # another process has removed it since
+            discard_entry(path, e)
         return None
+    with contextlib.suppress(OSError):
+        os.utime(path)  # the time of its use
     return arrays
 
 
@@ -161,13 +211,13 @@ def entry_names(folder: PathLike, key: str) -> frozenset[str]:
     try:
         with zipfile.ZipFile(entry_path(folder, key)) as archive:
             names = archive.namelist()
-    except _DAMAGE:
+    except (OSError, ValueError, RuntimeError, zipfile.BadZipFile):
         return frozenset()
-    return frozenset(name.removesuffix(".npy") for name in names if name != _NAME)
+    return frozenset(name.removesuffix(".npy") for name in names) - {"key"}
 
 
-def store_entry(folder: PathLike, key: str, arrays: Arrays) -> bool:
-    """Write an entry, in place of the one that may be there.
+def store_entry(folder: PathLike, key: str, arrays: Arrays, *, limit: int | None = None) -> bool:
+    """Write an entry, in place of the one that may be there, and tidy the folder.
 
     Failing to is not an error, as nothing but time is lost: a warning is logged.
 
@@ -179,52 +229,100 @@ def store_entry(folder: PathLike, key: str, arrays: Arrays) -> bool:
         Of :func:`cache_key`.
     arrays : mapping of str to array
         Of numbers; objects are refused.
+    limit : int, optional
+        Bytes that the folder may take; default :func:`cache_limit`. More is not stored, and to make
+        room the entries that were used longest ago are removed.
 
     Returns
     -------
     bool
         Whether it was written.
     """
-    path = entry_path(folder, key)
-    temporary = path.with_name(f".imgloc-{secrets.token_hex(8)}.tmp")
+    path, limit = entry_path(folder, key), cache_limit() if limit is None else limit
+    temporary = path.with_name(f".imgloc-cache-{secrets.token_hex(8)}.tmp")
+    content: dict[str, Any] = {"key": np.array(key)}
+    content |= {name: np.asarray(array, order="C") for name, array in arrays.items()}
+    if (size := sum(array.nbytes for array in content.values())) > limit:
+        LOG.info("%s: %d MiB are more than the cache may hold", display(path), size >> 20)
+        return False
     try:
+        if any(array.dtype.hasobject for array in content.values()):
+            raise ValueError("objects are not stored")
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         # No fsync, which takes longer than computing the arrays: members carry checksums,
         # and an entry that a power failure has torn is computed again.
-        with zipfile.ZipFile(temporary, "x", zipfile.ZIP_STORED) as archive:
-            for name, array in {_NAME.removesuffix(".npy"): np.array(key), **arrays}.items():
-                with archive.open(zipfile.ZipInfo(f"{name}.npy"), "w", force_zip64=True) as file:
-                    np.lib.format.write_array(
-                        file, np.asarray(array, order="C"), allow_pickle=False
-                    )
+        with temporary.open("xb") as file:
+            np.savez(file, **content)
         temporary.replace(path)
     except (OSError, ValueError) as e:
         LOG.warning("%s: the map cache cannot be written: %s", display(path), _reason(e))
         return False
     finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
+        _removed(temporary)
+    _tidy(path, limit)
     return True
 
 
 def discard_entry(path: Path, error: BaseException) -> None:
     """Log that an entry cannot be used and why, and remove it if it is a file."""
     LOG.warning("%s: bad cache entry, built anew: %s", display(path), _reason(error))
-    with contextlib.suppress(OSError):
-        if path.is_file() and not path.is_symlink():
-            path.unlink()
+    if path.is_file() and not path.is_symlink():
+        _removed(path)
 
 
-def _read(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> npt.NDArray[Any]:
-    """One array; nothing is inflated, so that it cannot be larger than the file."""
-    if member.compress_type != zipfile.ZIP_STORED:
-        raise ValueError(f"{member.filename} is compressed")
-    with archive.open(member) as file:
-        array = np.lib.format.read_array(file, allow_pickle=False)
-        if file.read(1):
-            raise ValueError(f"{member.filename} is longer than its header says")
-    array.flags.writeable = False
-    return np.asarray(array)
+def _files(folder: Path) -> Iterator[_File]:
+    """Files in `folder` that this program has written: entries, and what is left of some."""
+    with contextlib.suppress(OSError), os.scandir(folder) as there:
+        for item in there:
+            with contextlib.suppress(OSError):  # gone since
+                if _NAME.fullmatch(item.name) and item.is_file(follow_symlinks=False):
+                    about, path = item.stat(follow_symlinks=False), Path(item.path)
+                    if path.suffix == ".tmp" or _is_entry(path):
+                        yield _File(path, about.st_size, about.st_mtime)
+
+
+def _is_entry(path: Path) -> bool:
+    """Whether a file begins as one of :func:`store_entry`: others name files by digests, too."""
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    return head.startswith(b"PK\3\4") and head.endswith(b"key.npy")
+
+
+def _tidy(stored: Path, limit: int) -> None:
+    """Remove orphans from the folder of an entry, and of the rest what is beyond `limit` bytes."""
+    now, rest = time.time(), []
+    for file in _files(stored.parent):
+        ours = file.path.name[:_MAKER] == stored.name[:_MAKER]
+        if not ours and now - file.used >= _ORPHANED:
+            _removed(file.path)
+        elif file.path.suffix == ".npz":  # else somebody is writing it
+            rest.append(file)
+    total = sum(file.bytes for file in rest)
+    for file in sorted(rest, key=lambda file: file.used):
+        if total > limit and file.path != stored and _removed(file.path):
+            total -= file.bytes
+
+
+def _removed(path: Path) -> bool:
+    """Remove a file; whether that was done, and not by another process."""
+    try:
+        path.unlink()
+    except OSError:
+        return False
+    return True
+
+
+def _read(file: BinaryIO, key: str) -> dict[str, npt.NDArray[Any]]:
+    """Arrays of an entry; nothing is inflated, so that they cannot be larger than the file."""
+    with np.load(file, allow_pickle=False) as archive:
+        if any(member.compress_type != zipfile.ZIP_STORED for member in archive.zip.infolist()):
+            raise ValueError("it is compressed")
+        if archive.files[:1] != ["key"] or str(archive["key"]) != key:
+            raise ValueError("the entry is another one's")
+        arrays: dict[str, npt.NDArray[Any]] = {name: archive[name] for name in archive.files[1:]}
+    for array in arrays.values():
+        array.flags.writeable = False
+    return arrays
 
 
 def _reason(error: BaseException) -> str:

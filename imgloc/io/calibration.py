@@ -16,8 +16,7 @@ import numpy as np
 
 import imgloc
 from imgloc.errors import ConfigError
-from imgloc.io.files import PathLike, display
-from imgloc.io.output import write_text_atomic
+from imgloc.io.files import PathLike, display, write_text_atomic
 from imgloc.model import OccupancyGrid
 from imgloc.options import DEFAULTS, Calibration
 
@@ -82,7 +81,7 @@ def save_calibrations(
     Raises
     ------
     OutputError
-        As :func:`~imgloc.io.output.write_bytes_atomic`.
+        As :func:`~imgloc.io.files.write_bytes_atomic`.
     """
     kept: dict[str, Calibration] = {}
     kept_about: dict[str, object] = {}

@@ -1,15 +1,18 @@
-"""Reading bytes from disk without hanging, crashing or filling the memory."""
+"""Bytes from and onto disk: nothing hangs, nothing is half written, no file of others is lost."""
 
 import contextlib
 import os
+import secrets
 import stat
 from collections.abc import Iterator
 from io import BufferedReader
 from pathlib import Path
 
-from imgloc.errors import ImglocError
+from imgloc.errors import ImglocError, OutputError
 
 PathLike = str | os.PathLike[str]
+TEMPORARY = ".imgloc-{}.tmp"
+"""Name of a file that is being written, with 16 random hexadecimal digits."""
 
 
 def display(path: PathLike | bytes) -> str:
@@ -24,11 +27,14 @@ def display(path: PathLike | bytes) -> str:
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
-def read_file(path: PathLike, *, limit: int, error: type[ImglocError], what: str) -> bytes:
-    """Return the bytes of the regular file at `path`.
+@contextlib.contextmanager
+def open_file(
+    path: PathLike, *, limit: int, error: type[ImglocError], what: str
+) -> Iterator[tuple[BufferedReader, int]]:
+    """Open a regular file that is not empty for reading; yield it and its length.
 
     Pipes, devices and folders are refused before anything is read (a FIFO would block, and
-    ``/dev/zero`` never ends); so is a file of more than `limit` bytes.
+    ``/dev/zero`` never ends).
 
     Parameters
     ----------
@@ -44,24 +50,7 @@ def read_file(path: PathLike, *, limit: int, error: type[ImglocError], what: str
     Raises
     ------
     ImglocError
-        Of class `error`: missing, not a regular file, unreadable or too long.
-    """
-    with open_file(path, limit=limit, error=error, what=what) as (file, size):
-        data = file.read(size + 1)  # room for all that is asked for is taken at once
-        if len(data) > size:  # files under /proc claim a size of 0
-            data += file.read(limit + 1 - len(data))
-    if len(data) > limit:
-        raise error(f"{display(path)}: expected a {what} of at most {limit:,} bytes")
-    return data
-
-
-@contextlib.contextmanager
-def open_file(
-    path: PathLike, *, limit: int, error: type[ImglocError], what: str
-) -> Iterator[tuple[BufferedReader, int]]:
-    """Open the regular file at `path`, to read some of it; and say how many bytes it has.
-
-    Parameters and errors are those of :func:`read_file`.
+        Of class `error`: missing, not a regular file, empty, unreadable or too long.
     """
     name = display(path)
     with os.fdopen(_open_regular(path, error, what), "rb") as file:
@@ -76,14 +65,19 @@ def open_file(
             raise error(f"{name}: cannot be read: {e.strerror}") from None
 
 
-def refuse_irregular(path: PathLike, *, error: type[ImglocError], what: str) -> None:
-    """Refuse a path that :func:`read_file` could not read, without reading it.
+def read_file(path: PathLike, *, limit: int, error: type[ImglocError], what: str) -> bytes:
+    """Return the bytes of a regular file; parameters and errors are those of :func:`open_file`."""
+    with open_file(path, limit=limit, error=error, what=what) as (file, size):
+        data = file.read(size + 1)  # room for all that is asked for is taken at once
+        if len(data) > size:  # files under /proc claim a size of 0
+            data += file.read(limit + 1 - len(data))
+    if len(data) > limit:
+        raise error(f"{display(path)}: expected a {what} of at most {limit:,} bytes")
+    return data
 
-    Raises
-    ------
-    ImglocError
-        Of class `error`.
-    """
+
+def refuse_irregular(path: PathLike, *, error: type[ImglocError], what: str) -> None:
+    """Raise `error` for a path that :func:`read_file` could not open, without reading it."""
     os.close(_open_regular(path, error, what))
 
 
@@ -119,3 +113,88 @@ def _neighbour_hint(path: PathLike) -> str:
         if there:
             return f"; beside it there is {', '.join(there[:3])}"
     return ""
+
+
+def refuse_existing(path: PathLike) -> None:
+    """Raise :class:`OutputError` if there is something at `path`, be it a dangling link."""
+    if os.path.lexists(path):
+        raise OutputError(f"{display(path)}: exists already; pass --force to overwrite it")
+
+
+def write_bytes_atomic(path: PathLike, data: bytes, *, force: bool = False) -> None:
+    """Write `data` to `path` so that a reader sees the old file or the new one, never half.
+
+    The bytes go to a temporary file in the same folder, are flushed to the disk, and the
+    file is then given its name in one step.
+
+    Parameters
+    ----------
+    path : path
+        Its folder must exist.
+    data : bytes
+        The whole content.
+    force : bool
+        Replace an existing regular file. Without it an existing one is an error, also if
+        it appears while this function runs.
+
+    Raises
+    ------
+    OutputError
+        The file exists, the folder does not, the disk is full, or permission is missing.
+    """
+    name = display(path)
+    target = Path(path)
+    if not force:
+        refuse_existing(target)
+    elif os.path.lexists(target) and not stat.S_ISREG(target.lstat().st_mode):
+        raise OutputError(f"{name}: is not a regular file and will not be replaced")
+    temporary = target.with_name(TEMPORARY.format(secrets.token_hex(8)))
+    try:
+        try:
+            # Mode 0o666 under the user's umask, as any other program creates its files.
+            with temporary.open("xb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            if force:
+                temporary.replace(target)
+            else:
+                _name_if_new(temporary, target)
+        finally:
+            with contextlib.suppress(OSError, ValueError):
+                temporary.unlink(missing_ok=True)
+    except FileExistsError:
+        raise OutputError(f"{name}: exists already; pass --force to overwrite it") from None
+    except FileNotFoundError:
+        folder = display(target.parent)
+        raise OutputError(f"{name}: cannot be written: there is no folder {folder}") from None
+    except (OSError, ValueError) as e:
+        reason = (e.strerror if isinstance(e, OSError) else None) or str(e)
+        raise OutputError(f"{name}: cannot be written: {reason}") from None
+    _sync_folder(target.parent)
+
+
+def write_text_atomic(path: PathLike, text: str, *, force: bool = False) -> None:
+    """Write `text` as UTF-8, in all else as :func:`write_bytes_atomic`."""
+    write_bytes_atomic(path, text.encode("utf-8", "surrogateescape"), force=force)
+
+
+def _name_if_new(temporary: Path, target: Path) -> None:
+    """Give the file its name unless something has that name: rename would overwrite."""
+    try:
+        target.hardlink_to(temporary)
+    except FileExistsError:
+        raise
+    except (OSError, NotImplementedError):  # a file system without hard links
+        refuse_existing(target)
+        temporary.rename(target)
+
+
+def _sync_folder(folder: Path) -> None:
+    """Flush the rename itself; file systems that cannot are not an error."""
+    with contextlib.suppress(OSError):
+        fd = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(fd)
+        finally:
+            os.close(fd)

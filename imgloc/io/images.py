@@ -1,55 +1,71 @@
-"""Image files to arrays: the pixels as stored, or a clear refusal.
+"""Image files to arrays: the pixels as stored, or a clear refusal; and arrays to PNG.
 
-Nothing here knows what a map is; :mod:`imgloc.io.occupancy` gives the pixels their meaning.
+Pillow decodes. What it lets pass and a map must not be is refused here: rows that are missing,
+several images in one, compression that alters greys. PGM and PPM are read here, because Pillow
+scales samples to 255 or 65535 (which `mode: raw` must not), ignores those above maxval and what
+follows the image, and shifts an image whose header ends in CRLF. What pixels mean is said in
+:mod:`imgloc.io.maps`.
 """
 
-from collections.abc import Callable
+import contextlib
+import io
+import re
+import struct
+import warnings
+import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, BinaryIO, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from PIL import BmpImagePlugin, JpegImagePlugin, PngImagePlugin, TiffImagePlugin, WebPImagePlugin
+from PIL.ImageFile import ImageFile
 
-from imgloc.errors import MapError
-from imgloc.io.containers import (
-    BMP_MAGIC,
-    JPEG_MAGIC,
-    PNG_MAGIC,
-    Container,
-    bmp_size,
-    jpeg_size,
-    open_bmp,
-    open_jpeg,
-    open_png,
-    png_size,
-)
-from imgloc.io.files import PathLike, display, open_file, read_file
-from imgloc.io.netpbm import decode_netpbm, is_netpbm, netpbm_header
+from imgloc.errors import MapError, OutputError
+from imgloc.io.files import PathLike, display, open_file
+
+Pixels = npt.NDArray[Any]  # uint8 or uint16
 
 MAX_PIXELS = 128_000_000
-_HEAD = 4 << 20  # bytes in which the size is found, after comments and thumbnails
-_KNOWN = "PNG, PGM, PPM, BMP or JPEG"
+"""Of a map, unless said otherwise: more than the 10,000 x 10,000 that are worked with."""
+
+_HEAD = 1 << 16  # bytes in which the header of a PGM ends, comments and all
+_KNOWN = "PNG, PGM, PPM, TIFF, BMP, WebP or JPEG"
+# The readers themselves, and not Image.open: that says of damage only that it knows no such
+# image, and its limit on pixels is global.
+_READERS: dict[bytes, tuple[str, type[ImageFile]]] = {
+    b"\x89PNG\r\n\x1a\n": ("PNG", PngImagePlugin.PngImageFile),
+    b"\xff\xd8\xff": ("JPEG", JpegImagePlugin.JpegImageFile),
+    b"BM": ("BMP", BmpImagePlugin.BmpImageFile),
+    b"RIFF": ("WebP", WebPImagePlugin.WebPImageFile),
+    **dict.fromkeys(
+        (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), ("TIFF", TiffImagePlugin.TiffImageFile)
+    ),
+}
 # Formats that people do try, for the message only.
 _OTHERS = {
     b"GIF8": "GIF",
-    b"II*\0": "TIFF",
-    b"MM\0*": "TIFF",
-    b"RIFF": "WebP",
     b"%PDF": "PDF",
     b"<svg": "SVG",
     b"<?xm": "XML or SVG",
     b"PK\x03\x04": "zip",
     b"imag": "YAML",
 }
-_FORMATS: dict[
-    bytes,
-    tuple[str, Callable[[bytes, str], tuple[int, int]], Callable[[bytes, str], Container]],
-] = {
-    PNG_MAGIC: ("png", png_size, open_png),
-    JPEG_MAGIC: ("jpeg", jpeg_size, open_jpeg),
-    BMP_MAGIC: ("bmp", bmp_size, open_bmp),
-}
+_PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by colour type
+_PNG_END = (0, b"IEND", b"\xaeB`\x82")  # length, name, checksum
+# Adam7: (first column, first row, column step, row step) of each pass.
+_ADAM7 = (
+    (0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4),
+    (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2),
+)  # fmt: skip
+_BMP_PLAIN = (None, 0, 3)  # 3: with masks of the bits of each colour
+_GREY_MODES = ("1", "L", "I;16", "I;16B")  # of Pillow
+_TIFF_ORIENTATION, _TIFF_PHOTOMETRIC = 274, 262
+_SPACE = rb"(?:[ \t\r\n\v\f]|#[^\r\n]*[\r\n])"
+_NETPBM = re.compile(rb"P([2356])" + (_SPACE + rb"+(\d{1,9})") * 3)
+_NETPBM_KIND = re.compile(rb"P[1-7Ff](?=[ \t\r\n\v\f#])")
 
 
 @dataclass(frozen=True)
@@ -63,12 +79,15 @@ class MapImage:
     white : int
         The sample value that means white: 255, 65535, or the maxval of a PGM.
     kind : str
-        ``png``, ``pgm``, ``bmp`` or ``jpeg``.
+        ``png``, ``pgm``, ``tiff``, ``bmp``, ``webp`` or ``jpeg``.
+    lossy : bool
+        Whether compression has altered the pixels.
     """
 
-    pixels: npt.NDArray[Any]
+    pixels: Pixels
     white: int
     kind: str
+    lossy: bool = False
 
     @property
     def channels(self) -> int:
@@ -79,45 +98,43 @@ class MapImage:
 def read_image(
     path: PathLike, *, max_pixels: int = MAX_PIXELS, allow_lossy: bool = False
 ) -> MapImage:
-    """Read an image file; see :func:`decode_image`.
+    """Read an image file.
 
     Raises
     ------
     MapError
         Missing, not a regular file, longer than `max_pixels` could need, or refused by
-        :func:`decode_image`.
+        :func:`decode_image`, whose parameters these are.
     """
-    data = read_file(path, limit=_longest(max_pixels), error=MapError, what="map image")
-    return decode_image(data, display(path), max_pixels=max_pixels, allow_lossy=allow_lossy)
+    with open_file(path, limit=_longest(max_pixels), error=MapError, what="map image") as (file, _):
+        return _decode(file, display(path), max_pixels, allow_lossy)
 
 
-def image_size(path: PathLike, *, max_pixels: int = MAX_PIXELS) -> tuple[int, int, int]:
-    """Width and height of an image as its header says, pixels, and the length of its file, bytes.
+class ImageSize(NamedTuple):
+    """What the header of an image says: pixels, bytes of the file, whether it is only grey."""
 
-    No more than the first 4 MiB are read, which have the header of any image of a map.
+    width: int
+    height: int
+    file_bytes: int
+    grey: bool
+
+
+def image_size(path: PathLike, *, max_pixels: int = MAX_PIXELS) -> ImageSize:
+    """Look at the header of an image file, and nothing else of it.
 
     Raises
     ------
     MapError
         Missing, not a regular file, too large, of an unknown format, or the header is damaged.
     """
-    longest, name = _longest(max_pixels), display(path)
-    with open_file(path, limit=longest, error=MapError, what="map image") as (file, length):
-        data = file.read(_HEAD)
-    if is_netpbm(data):
-        _, width, height, _, _ = netpbm_header(data, name)
+    limit, name = _longest(max_pixels), display(path)
+    with open_file(path, limit=limit, error=MapError, what="map image") as (file, length):
+        image = _opened(file, name, max_pixels)
+    if isinstance(image, _Netpbm):
+        grey = image.number in (2, 5)
     else:
-        size = next((how[1] for magic, how in _FORMATS.items() if data.startswith(magic)), None)
-        if size is None:
-            raise _unknown(data, name)
-        width, height = size(data, name)
-    check_size(width, height, max_pixels, name)
-    return width, height, max(length, len(data))
-
-
-def _longest(max_pixels: int) -> int:
-    """Bytes of a file: 16-bit RGBA takes 8 a pixel, the samples of a text PPM up to 12."""
-    return 12 * max_pixels + 65536
+        grey = image.mode in _GREY_MODES and "transparency" not in image.info
+    return ImageSize(*image.size, length, grey)
 
 
 def decode_image(
@@ -134,103 +151,342 @@ def decode_image(
     max_pixels : int
         Larger images are refused on the evidence of their header, before decoding.
     allow_lossy : bool
-        Accept JPEG, whose greys differ from those that were drawn. A truncated JPEG is
-        refused in any case: the missing part would be a grey area of the map.
-
-    Returns
-    -------
-    MapImage
+        Accept JPEG and lossy WebP, whose greys differ from those that were drawn. A truncated
+        one is refused in any case: the missing part would be a grey area of the map.
 
     Raises
     ------
     MapError
-        Unknown format, too large, truncated, damaged, lossy, or 16-bit samples that can
-        only be meant as 8-bit ones.
+        Unknown format, too large, truncated, damaged, animated, several images in one, lossy,
+        or 16-bit samples that can only be meant as 8-bit ones.
 
     Examples
     --------
     >>> decode_image(b"P2\n2 1\n100\n0 100\n", "x.pgm").white
     100
     """
-    if is_netpbm(data):
-        _, width, height, _, _ = netpbm_header(data, name)
-        check_size(width, height, max_pixels, name)
-        pixels, white = decode_netpbm(data, name)
-        return _checked(MapImage(pixels, white, "pgm"), name)
-    for magic, (kind, size, unpack) in _FORMATS.items():
-        if data.startswith(magic):
-            width, height = size(data, name)
-            check_size(width, height, max_pixels, name)
-            container = unpack(data, name)
-            if kind == "jpeg" and not allow_lossy:
-                raise MapError(
-                    f"{name}: is a JPEG, whose compression alters the greys of walls and "
-                    "unknown space; expected a PNG or PGM; export the map again, or pass "
-                    "--allow-lossy"
-                )
-            pixels = _decode(container, name)
-            return _checked(MapImage(pixels, int(np.iinfo(pixels.dtype).max), kind), name)
-    raise _unknown(data, name)
+    return _decode(io.BytesIO(data), name, max_pixels, allow_lossy)
 
 
-def _unknown(data: bytes, name: str) -> MapError:
-    found = next((kind for magic, kind in _OTHERS.items() if data.startswith(magic)), None)
-    return MapError(
-        f"{name}: not an image that can be read "
-        f"({'it looks like ' + found if found else 'unknown content'}), expected {_KNOWN}"
-    )
+def encode_png(image: npt.NDArray[np.generic]) -> bytes:
+    r"""Encode a picture as PNG, in memory.
 
-
-def check_size(width: int, height: int, max_pixels: int, name: str) -> None:
-    """Refuse an image of more than `max_pixels` pixels.
+    Parameters
+    ----------
+    image : (H, W) or (H, W, 3) uint8 array
+        Top row first; grey or BGR.
 
     Raises
     ------
-    MapError
-        With both sizes.
+    ValueError
+        Another shape or type.
+    OutputError
+        OpenCV cannot encode it.
+
+    Examples
+    --------
+    >>> encode_png(np.zeros((2, 3), np.uint8))[:4]
+    b'\x89PNG'
     """
+    shaped = image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)
+    if image.dtype != np.uint8 or not shaped or 0 in image.shape:
+        raise ValueError(f"image {image.shape} {image.dtype} must be uint8, grey or BGR")
+    try:
+        ok, buffer = cv2.imencode(".png", np.ascontiguousarray(image))
+    except cv2.error as e:
+        raise OutputError(f"a picture of {image.shape} cannot be encoded: {e}") from None
+    if not ok:
+        raise OutputError(f"a picture of {image.shape} cannot be encoded")
+    return buffer.tobytes()
+
+
+def _longest(max_pixels: int) -> int:
+    """Bytes of a file: 16-bit RGBA takes 8 a pixel, the samples of a text PPM up to 12."""
+    return 12 * max_pixels + 65536
+
+
+class _Netpbm(NamedTuple):
+    """Header of a PGM or PPM: its number (``P5`` is 5), maxval, and where samples begin."""
+
+    number: int
+    size: tuple[int, int]
+    maxval: int
+    start: int
+
+
+def _opened(file: BinaryIO, name: str, max_pixels: int) -> ImageFile | _Netpbm:
+    """Look at the header of a file; refuse what is no image, or of more than `max_pixels`."""
+    head = file.read(_HEAD)
+    file.seek(0)
+    found = next((how for magic, how in _READERS.items() if head.startswith(magic)), None)
+    if _NETPBM_KIND.match(head):
+        image: ImageFile | _Netpbm = _netpbm_header(head, name)
+    elif found is not None:
+        kind, reader = found
+        with _explained(name, kind):
+            image = reader(file)
+    else:
+        other = next((kind for magic, kind in _OTHERS.items() if head.startswith(magic)), None)
+        raise MapError(
+            f"{name}: not an image that can be read "
+            f"({'it looks like ' + other if other else 'unknown content'}), expected {_KNOWN}"
+        )
+    width, height = image.size
     if width * height > max_pixels:
         raise MapError(
             f"{name}: {width:,} x {height:,} = {width * height:,} pixels, expected at most "
-            f"{max_pixels:,}; crop or downsample the map, or raise --max-pixels"
+            f"{max_pixels:,}; crop or downsample the map"
         )
+    return image
 
 
-def _decode(container: Container, name: str) -> npt.NDArray[Any]:
-    # IMREAD_UNCHANGED: GRAYSCALE would drop alpha, weigh the colours, keep only the high
-    # byte of 16 bits and rotate by EXIF.
+@contextlib.contextmanager
+def _explained(name: str, kind: str) -> Iterator[None]:
+    """Turn whatever Pillow makes of damage into one error."""
     try:
-        pixels: npt.NDArray[Any] | None = cv2.imdecode(
-            np.frombuffer(container.data, np.uint8), cv2.IMREAD_UNCHANGED
-        )
-    except (cv2.error, MemoryError) as e:
-        reason = str(e).strip().splitlines()[0] if str(e) else "out of memory"
-        raise MapError(f"{name}: cannot be decoded: {reason}") from None
-    if pixels is None:
-        raise MapError(f"{name}: damaged: its pixels cannot be decoded; copy the file again")
-    if pixels.shape[:2] != (container.height, container.width):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # metadata; what spoils pixels is an error
+            yield
+    except MapError:
+        raise
+    except Exception as e:  # decoders of hostile bytes raise anything
+        reason = " ".join(str(e).split()) or type(e).__name__
         raise MapError(
-            f"{name}: decoded as {pixels.shape[1]} x {pixels.shape[0]} pixels, expected "
-            f"{container.width} x {container.height}"
+            f"{name}: damaged or truncated {kind} ({reason}); copy the file again"
+        ) from None
+
+
+def _decode(file: BinaryIO, name: str, max_pixels: int, allow_lossy: bool) -> MapImage:
+    image = _opened(file, name, max_pixels)
+    if isinstance(image, _Netpbm):
+        found = MapImage(_netpbm_pixels(file, image, name), image.maxval, "pgm")
+    else:
+        found = _decode_with_pillow(file, image, name)
+    if found.lossy and not allow_lossy:
+        kind = {"jpeg": "a JPEG", "webp": "a lossy WebP"}.get(found.kind, "a TIFF of JPEGs")
+        raise MapError(
+            f"{name}: is {kind}, whose compression alters the greys of walls and unknown space; "
+            "expected a PNG or PGM; export the map again, or pass --allow-lossy"
         )
-    if pixels.dtype not in (np.uint8, np.uint16):
-        raise MapError(f"{name}: samples of type {pixels.dtype}, expected 8 or 16 bits")
-    if container.data.startswith(BMP_MAGIC) and pixels.ndim == 3 and pixels.shape[2] == 4:
-        return np.ascontiguousarray(pixels[:, :, :3])  # the fourth byte of a BMP is padding
-    if container.transparent_grey is not None and pixels.ndim == 2:
-        opaque = np.where(pixels == container.transparent_grey, 0, np.iinfo(pixels.dtype).max)
-        return np.dstack((pixels, pixels, pixels, opaque.astype(pixels.dtype)))
-    return pixels
-
-
-def _checked(image: MapImage, name: str) -> MapImage:
-    """Refuse 16-bit images that use a sliver of their range: all of it would be black."""
-    if image.white > 4095:
-        top = int(image.pixels[..., :3].max() if image.channels > 1 else image.pixels.max())
-        if 0 < top <= min(4095, image.white // 16):
+    if found.white > 4095:
+        # A sliver of 16 bits: all of it would be black.
+        top = int(found.pixels[..., :3].max() if found.channels > 1 else found.pixels.max())
+        if 0 < top <= min(4095, found.white // 16):
             raise MapError(
-                f"{name}: 16-bit image with samples 0..{top} of a declared {image.white:,}: "
+                f"{name}: 16-bit image with samples 0..{top} of a declared {found.white:,}: "
                 "all black as stored; expected samples up to the maximum; save it as 8-bit, "
                 "or scale the samples"
             )
-    return image
+    return found
+
+
+def _decode_with_pillow(file: BinaryIO, image: ImageFile, name: str) -> MapImage:
+    kind, size = image.format or "", image.size
+    kind = "WebP" if kind == "WEBP" else kind
+    depth, lossy = 8, kind == "JPEG"
+    with _explained(name, kind):
+        if kind == "PNG":
+            image.verify()  # checksums
+            depth = _check_png(file, name, size)
+            file.seek(0)
+            image = PngImagePlugin.PngImageFile(file)
+        elif getattr(image, "n_frames", 1) > 1:
+            raise MapError(f"{name}: {kind} with several images, expected a single one")
+        elif kind == "BMP" and image.info.get("compression") not in _BMP_PLAIN:
+            raise MapError(f"{name}: is a compressed BMP, expected a plain one; convert it to PNG")
+        elif isinstance(image, TiffImagePlugin.TiffImageFile):
+            lossy = image.info.get("compression") in ("jpeg", "tiff_jpeg", "webp")
+            _check_tiff(image, name)
+        elif kind == "WebP":
+            lossy = not _is_lossless_webp(file)
+        if kind == "JPEG":
+            _check_jpeg_end(file, name)
+            file.seek(0)
+        deep = ";16" in str(image.tile[0].args if image.tile else "")
+        image.load()
+        pixels = _pixels(image, name, depth)
+        if deep and pixels.dtype == np.uint8:  # Pillow keeps the high bytes of colours
+            file.seek(0)
+            wide = cv2.imdecode(np.frombuffer(file.read(), np.uint8), cv2.IMREAD_UNCHANGED)
+            if wide is None or wide.dtype != np.uint16 or wide.shape[:2] != pixels.shape[:2]:
+                raise MapError(f"{name}: cannot be decoded; save it as grey, or with 8 bits")
+            pixels = wide
+    return MapImage(pixels, int(np.iinfo(pixels.dtype).max), kind.lower(), lossy)
+
+
+def _pixels(image: ImageFile, name: str, depth: int) -> Pixels:
+    """Samples of a loaded image, BGR; `depth` is that of a grey PNG in the file."""
+    mode, clear = image.mode, image.info.get("transparency")
+    if mode in ("P", "PA") or (mode == "RGB" and clear is not None):
+        alpha = mode == "PA" or clear is not None
+        stored = np.asarray(image.convert("RGBA" if alpha else "RGB"))
+    elif mode in (*_GREY_MODES, "LA", "RGB", "RGBA"):
+        stored = np.asarray(image)
+    else:
+        raise MapError(f"{name}: {image.format} of type {mode}, expected grey or colours")
+    if mode == "1":
+        stored = stored.astype(np.uint8) * 255
+    elif mode.startswith("I;16"):
+        stored = stored.astype(np.uint16, copy=False)
+    if stored.ndim == 2 and isinstance(clear, int):
+        # Pillow gives this grey as it is in the file, where 2 bits have 3 for white.
+        opaque = np.where(stored == clear * {2: 85, 4: 17}.get(depth, 1), 0, ~stored.dtype.type(0))
+        return np.dstack((stored, stored, stored, opaque.astype(stored.dtype)))
+    if stored.ndim == 2:
+        return stored
+    order = {2: [0, 0, 0, 1], 3: [2, 1, 0], 4: [2, 1, 0, 3]}[stored.shape[2]]
+    if image.format == "BMP":
+        order = order[:3]  # the fourth byte of a BMP is padding
+    return np.ascontiguousarray(stored[..., order])
+
+
+def _check_png(file: BinaryIO, name: str, size: tuple[int, int]) -> int:
+    """Refuse a PNG without all of its rows (Pillow would make walls of them); return its depth.
+
+    The checksums have been verified.
+    """
+    file.seek(8)
+    inflater, total, expected, depth = zlib.decompressobj(), 0, 0, 8
+    while True:
+        length, kind = struct.unpack(">I4s", file.read(8))
+        if kind == b"IEND":
+            break
+        after = file.tell() + length + 4
+        body = file.read(length) if kind in (b"IHDR", b"IDAT") else b""
+        file.seek(after)
+        if kind == b"IHDR":
+            depth, colour, interlaced = body[8], body[9], body[12]
+            expected = _png_bytes(size, _PNG_CHANNELS[colour] * depth, bool(interlaced))
+        elif kind == b"acTL":
+            raise MapError(f"{name}: is an animated PNG, expected a single image")
+        elif kind == b"IDAT":
+            try:
+                while body and total <= expected:
+                    total += len(inflater.decompress(body, 1 << 20))
+                    body = inflater.unconsumed_tail
+            except zlib.error as e:
+                raise MapError(f"{name}: damaged PNG data ({e}); copy the file again") from None
+        elif kind != b"PLTE" and kind[:1].isupper():
+            raise MapError(f"{name}: PNG chunk {kind.decode('latin-1')!r} is not known")
+    if (length, kind, file.read(4)) != _PNG_END:
+        raise MapError(f"{name}: damaged PNG: wrong checksum of its end; copy the file again")
+    while total < expected and (tail := inflater.decompress(b"", 1 << 20)):
+        total += len(tail)
+    if total < expected:
+        raise MapError(
+            f"{name}: truncated PNG: {total:,} of {expected:,} bytes of pixels; copy the file again"
+        )
+    return depth
+
+
+def _png_bytes(size: tuple[int, int], bits: int, interlaced: bool) -> int:
+    """Length of the inflated data, with `bits` a pixel: each row has a filter byte in front."""
+    total = 0
+    for x, y, dx, dy in _ADAM7 if interlaced else ((0, 0, 1, 1),):
+        columns, rows = -(-(size[0] - x) // dx), -(-(size[1] - y) // dy)
+        if columns > 0 and rows > 0:
+            total += rows * (1 + -(-columns * bits // 8))
+    return total
+
+
+def _check_jpeg_end(file: BinaryIO, name: str) -> None:
+    """Refuse a JPEG without an end after its (last) scan: the rows before may all be there."""
+    file.seek(0)
+    data = file.read()
+    if data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
+        raise MapError(
+            f"{name}: truncated JPEG: no end marker in {len(data):,} bytes; copy the file again"
+        )
+
+
+def _check_tiff(image: TiffImagePlugin.TiffImageFile, name: str) -> None:
+    """Refuse a TIFF whose rows are not stored from the top, or whose 16-bit white is 0."""
+    turned = image.tag_v2.get(_TIFF_ORIENTATION, 1)
+    if turned != 1:
+        raise MapError(f"{name}: TIFF of orientation {turned}, expected 1: save it upright")
+    if image.mode.startswith("I;16") and image.tag_v2.get(_TIFF_PHOTOMETRIC) == 0:
+        raise MapError(f"{name}: 16-bit TIFF in which 0 is white, expected black; save it anew")
+
+
+def _is_lossless_webp(file: BinaryIO) -> bool:
+    file.seek(12)
+    while len(head := file.read(8)) == 8:
+        kind, length = struct.unpack("<4sI", head)
+        if kind in (b"VP8 ", b"VP8L"):
+            return bool(kind == b"VP8L")
+        file.seek(length + length % 2, io.SEEK_CUR)
+    return False
+
+
+def _netpbm_header(head: bytes, name: str) -> _Netpbm:
+    match = _NETPBM.match(head)
+    if match is None:
+        kind = head[:2].decode("latin-1")
+        if kind not in ("P2", "P3", "P5", "P6"):
+            raise MapError(
+                f"{name}: is a Netpbm {kind} file, expected PGM (P2, P5) or PPM (P3, P6)"
+            )
+        raise MapError(f"{name}: damaged {kind} header, expected width, height and maxval")
+    number, width, height, maxval = map(int, match.groups())
+    if width < 1 or height < 1:
+        raise MapError(f"{name}: image of {width} x {height} pixels, expected at least 1 x 1")
+    if not 1 <= maxval <= 65535:
+        raise MapError(f"{name}: maxval {maxval}, expected 1..65535")
+    return _Netpbm(number, (width, height), maxval, match.end())
+
+
+def _netpbm_pixels(file: BinaryIO, header: _Netpbm, name: str) -> Pixels:
+    """Samples as stored; fewer, more, or some above maxval are refused."""
+    (width, height), maxval = header.size, header.maxval
+    channels = 3 if header.number in (3, 6) else 1
+    count = width * height * channels
+    file.seek(header.start)
+    samples = (
+        _text_samples(file.read(), count, name)
+        if header.number < 4
+        else _binary_samples(file, count, np.dtype(np.uint8 if maxval < 256 else ">u2"), name)
+    )
+    if len(samples) != count:
+        raise MapError(
+            f"{name}: truncated: {len(samples):,} samples, expected {count:,} "
+            f"({width} x {height} x {channels}); copy the file again"
+        )
+    if int(samples.max()) > maxval or int(samples.min()) < 0:
+        raise MapError(f"{name}: sample {int(samples.max())}, expected 0..{maxval} (maxval)")
+    pixels = samples.astype(np.uint8 if maxval < 256 else np.uint16, copy=False)
+    if channels == 1:
+        return pixels.reshape(height, width)
+    return np.ascontiguousarray(pixels.reshape(height, width, 3)[:, :, ::-1])
+
+
+def _text_samples(text: bytes, count: int, name: str) -> npt.NDArray[Any]:
+    body = re.sub(rb"#[^\r\n]*", b"", text)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # NumPy only warns when it meets something else
+        try:
+            samples = np.fromstring(body.decode("ascii"), dtype=np.int64, sep=" ")
+        except (DeprecationWarning, ValueError, OverflowError):
+            raise MapError(f"{name}: damaged: expected decimal numbers only") from None
+    if len(samples) > count:
+        raise MapError(f"{name}: {len(samples):,} samples, expected {count:,}")
+    return samples
+
+
+def _binary_samples(
+    file: BinaryIO, count: int, dtype: np.dtype[Any], name: str
+) -> npt.NDArray[Any]:
+    """Read samples from the end of the header on; no more than white space may follow them."""
+    start, size = file.tell(), count * dtype.itemsize
+    length = file.seek(0, io.SEEK_END)
+    file.seek(start)
+    # One white-space byte ends the header; a header written with CRLF ends in two, and its
+    # line feed would be read as the first pixel and shift the whole image.
+    crlf = file.read(2) == b"\r\n" and length - start >= size + 2
+    file.seek(start + 1 + crlf)
+    body, extra = file.read(size), length - (start + 1 + crlf) - size
+    if extra > 0 and file.read(_HEAD).strip():
+        raise MapError(
+            f"{name}: {extra:,} bytes follow the image, expected its end: the header "
+            "does not belong to this data, or the file holds several images"
+        )
+    return np.frombuffer(body, dtype, count=len(body) // dtype.itemsize)

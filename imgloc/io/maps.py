@@ -1,27 +1,75 @@
-"""Map files to :class:`~imgloc.model.OccupancyGrid` and back."""
+"""Map files to :class:`~imgloc.model.OccupancyGrid` and back.
 
+What the greys of an image mean follows Nav2 (map_io) or ROS 1 (map_server); `imgloc map check`
+counts the cells that they read differently.
+"""
+
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
+import numpy.typing as npt
 import yaml
 
 from imgloc.errors import ConfigError, MapError
-from imgloc.io.files import PathLike, display
-from imgloc.io.images import MAX_PIXELS, MapImage, read_image
-from imgloc.io.mapsettings import (
-    FREE_THRESH,
-    OCCUPIED_THRESH,
-    YAML_ENDINGS,
-    MapSettings,
-    resolve_settings,
+from imgloc.io.files import (
+    PathLike,
+    display,
+    refuse_existing,
+    refuse_irregular,
+    write_bytes_atomic,
+    write_text_atomic,
 )
-from imgloc.io.occupancy import classify, occupancy
-from imgloc.io.output import encode_png, refuse_existing, write_bytes_atomic
+from imgloc.io.images import MAX_PIXELS, ImageSize, MapImage, encode_png, read_image
+from imgloc.io.mapyaml import MODES, RESOLUTION_RANGE, MapYaml, load_map_yaml
 from imgloc.model import OccupancyGrid, Pose2D
 
 MAX_SIDE = 32_767
 """Cells a side: the limit of Nav2 (map_io) and of ``cv2.remap``."""
+SEMANTICS = ("nav2", "ros1")
+OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
+YAML_ENDINGS = (".yaml", ".yml")
+UNKNOWN = -1
+Int8Array = npt.NDArray[np.int8]
+
+# Bytes that were measured to be taken at most: per pixel, as it is decoded and read as occupied
+# or free; per byte of the file, whose samples may be written as text; and for tables of greys.
+_GREY, _COLOURED, _TEXT, _TABLES = 7, 26, 4, 6 << 20
+
+
+class Reading(TypedDict, total=False):
+    """How a map is to be read: options of :func:`load_map`, which documents them."""
+
+    resolution: float | None
+    origin: Pose2D | Sequence[float] | None
+    mode: str | None
+    semantics: str
+    occupied_thresh: float | None
+    free_thresh: float | None
+    negate: bool | None
+    max_pixels: int
+
+
+@dataclass(frozen=True)
+class MapSettings:
+    """How an image is to be read as a map: its YAML, overridden by options, with defaults.
+
+    `yaml` is None for a bare image.
+    """
+
+    image: Path
+    resolution: float
+    origin: Pose2D
+    mode: str
+    semantics: str
+    negate: bool
+    occupied_thresh: float
+    free_thresh: float
+    yaml: MapYaml | None = None
 
 
 def load_map(
@@ -52,7 +100,7 @@ def load_map(
     origin : Pose2D or (x, y, yaw), optional
         Pose of the lower-left corner in the map frame, m and rad; (0, 0, 0) for an image.
     mode : {'trinary', 'scale', 'raw'}, optional
-        Default trinary; see :func:`imgloc.io.occupancy.occupancy`.
+        Default trinary; see :func:`occupancy`.
     semantics : {'nav2', 'ros1'}
         Whose reading of thresholds and transparency.
     occupied_thresh, free_thresh : float, optional
@@ -62,7 +110,7 @@ def load_map(
     max_pixels : int
         Larger images are refused before they are decoded.
     allow_lossy : bool
-        Accept JPEG.
+        Accept JPEG and lossy WebP.
 
     Returns
     -------
@@ -77,7 +125,15 @@ def load_map(
         An argument is out of its range.
     """
     settings = resolve_settings(
-        path, resolution, origin, mode, semantics, occupied_thresh, free_thresh, negate, max_pixels
+        path,
+        resolution=resolution,
+        origin=origin,
+        mode=mode,
+        semantics=semantics,
+        occupied_thresh=occupied_thresh,
+        free_thresh=free_thresh,
+        negate=negate,
+        max_pixels=max_pixels,
     )
     image = read_image(settings.image, max_pixels=max_pixels, allow_lossy=allow_lossy)
     height, width = image.pixels.shape[:2]
@@ -89,23 +145,21 @@ def load_map(
     return grid_of(image, settings)
 
 
-def grid_of(image: MapImage, settings: MapSettings) -> OccupancyGrid:
-    """Read the pixels of `image` as `settings` says; see :func:`load_map`."""
-    values = occupancy(
-        image,
-        mode=settings.mode,
-        semantics=settings.semantics,
-        negate=settings.negate,
-        occupied_thresh=settings.occupied_thresh,
-        free_thresh=settings.free_thresh,
-    )
-    occupied, free = classify(
-        np.ascontiguousarray(values[::-1]),
-        mode=settings.mode,
-        occupied_thresh=settings.occupied_thresh,
-        free_thresh=settings.free_thresh,
-    )
-    return OccupancyGrid(occupied, free, settings.resolution, settings.origin)
+def load_bytes(size: ImageSize) -> int:
+    """Peak of :func:`load_map`, with the map itself, bytes.
+
+    Parameters
+    ----------
+    size : ImageSize
+        Of :func:`~imgloc.io.images.image_size`.
+
+    Examples
+    --------
+    >>> load_bytes(ImageSize(10_000, 10_000, 2_665_308, grey=True)) // 2**20
+    683
+    """
+    pixel = _GREY if size.grey else _COLOURED
+    return pixel * size.width * size.height + _TEXT * size.file_bytes + _TABLES
 
 
 def require_usable(grid: OccupancyGrid, name: str) -> None:
@@ -116,12 +170,12 @@ def require_usable(grid: OccupancyGrid, name: str) -> None:
     MapError
         If `grid` has no occupied or no free cell.
     """
-    cells = grid.occupied.size
     for what, found in (("occupied", grid.occupied.any()), ("free", grid.free.any())):
         if not found:
             raise MapError(
-                f"{name}: none of its {cells:,} cells is {what}, expected walls and free space; "
-                "look at the greys with 'imgloc map check', and at negate and the thresholds"
+                f"{name}: none of its {grid.occupied.size:,} cells is {what}, expected walls and "
+                "free space; look at the greys with 'imgloc map check', and at negate and the "
+                "thresholds"
             )
 
 
@@ -174,5 +228,194 @@ def save_map(path_yaml: PathLike, grid: OccupancyGrid, *, force: bool = False) -
         allow_unicode=True,
     )
     write_bytes_atomic(png, encode_png(pixels[::-1]), force=force)
-    write_bytes_atomic(target, text.encode("utf-8"), force=force)
+    write_text_atomic(target, text, force=force)
     return png
+
+
+def bundled_maps() -> Path:
+    """Folder of the maps that come with imgloc.
+
+    An installed wheel holds them in ``imgloc/maps``; a checkout, and an editable install of
+    it, in ``maps`` beside the package.
+
+    Raises
+    ------
+    MapError
+        If the installation lacks them.
+
+    Examples
+    --------
+    >>> (bundled_maps() / "double_wall.yaml").is_file()
+    True
+    """
+    package = Path(str(files("imgloc")))
+    for folder in (package / "maps", package.parent / "maps"):
+        if (folder / "double_wall.yaml").is_file():
+            return folder
+    raise MapError(f"{package / 'maps'}: the bundled maps are missing; reinstall imgloc")
+
+
+def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
+    """Combine a map's YAML, if `path` is one, with options (which win) and defaults.
+
+    Raises
+    ------
+    MapError, ConfigError
+        As :func:`load_map`, of which `reading` are options.
+    """
+    given: dict[str, Any] = {key: value for key, value in reading.items() if value is not None}
+    _check_options(given)
+    name, file = display(path), Path(path)
+    said = load_map_yaml(path) if file.suffix.lower() in YAML_ENDINGS else None
+    if said is None:
+        refuse_irregular(path, error=MapError, what="map YAML or image")
+        if "resolution" not in given:
+            raise MapError(f"{name}: resolution: missing{_resolution_hint(file)}")
+    written = said or MapYaml(file, file, origin=Pose2D(0.0, 0.0, 0.0))
+
+    def value(key: str, default: Any) -> Any:
+        read = getattr(written, key)
+        return given.get(key, default if read is None else read)
+
+    origin = value("origin", None)
+    if value("resolution", None) is None:
+        raise MapError(f"{name}: resolution: missing, expected metres per cell, as 0.05")
+    if origin is None:
+        raise MapError(f"{name}: origin: missing, expected [x, y, yaw] in metres and radians")
+    low, high = value("free_thresh", FREE_THRESH), value("occupied_thresh", OCCUPIED_THRESH)
+    if not 0 <= low < high <= 1:
+        raise (ConfigError if given.keys() & {"free_thresh", "occupied_thresh"} else MapError)(
+            f"{name}: free_thresh {low} and occupied_thresh {high}, expected "
+            "0 <= free_thresh < occupied_thresh <= 1"
+        )
+    return MapSettings(
+        image=written.image,
+        resolution=float(value("resolution", None)),
+        origin=origin if isinstance(origin, Pose2D) else Pose2D(*map(float, origin)),
+        mode=value("mode", "trinary"),
+        semantics=given.get("semantics", "nav2"),
+        negate=value("negate", False),
+        occupied_thresh=high,
+        free_thresh=low,
+        yaml=said,
+    )
+
+
+def _check_options(given: dict[str, Any]) -> None:
+    """Raise ConfigError for an option that is out of its range."""
+    low, high = RESOLUTION_RANGE
+    resolution, origin = given.get("resolution", low), given.get("origin", (0, 0, 0))
+    if not low <= resolution <= high:
+        raise ConfigError(f"--resolution: got {resolution}, expected metres, {low} to {high:g}")
+    for key, known in (("mode", MODES), ("semantics", SEMANTICS)):
+        if given.get(key, known[0]) not in known:
+            raise ConfigError(f"--{key}: got {given[key]!r}, expected one of {', '.join(known)}")
+    if given.get("max_pixels", 1) < 1:
+        raise ConfigError(f"max_pixels: got {given['max_pixels']}, expected at least 1")
+    if not isinstance(origin, Pose2D):
+        numbers = [float(v) for v in origin]
+        if len(numbers) != 3 or not all(math.isfinite(v) for v in numbers):
+            raise ConfigError(f"--origin: got {numbers}, expected x, y, yaw in metres and radians")
+
+
+def _resolution_hint(path: Path) -> str:
+    beside = [path.with_suffix(e) for e in YAML_ENDINGS if path.with_suffix(e).is_file()]
+    if beside:
+        return f"; give {display(beside[0])} instead of the image, or pass --resolution"
+    return ", expected metres per cell; pass --resolution, or the map's YAML"
+
+
+def grid_of(image: MapImage, settings: MapSettings) -> OccupancyGrid:
+    """Read the pixels of `image` as `settings` says; see :func:`load_map`."""
+    values = np.ascontiguousarray(occupancy(image, settings)[::-1])
+    # As in AMCL, 100 is a wall, 0 is free, and what lies between is unknown; but raw values are
+    # occupancies in per cent, and the thresholds have not been spent on them.
+    low, high = 0.0, 100.0
+    if settings.mode == "raw":
+        low, high = 100 * settings.free_thresh, 100 * settings.occupied_thresh
+    return OccupancyGrid(
+        values >= high, (values >= 0) & (values <= low), settings.resolution, settings.origin
+    )
+
+
+def occupancy(image: MapImage, settings: MapSettings) -> Int8Array:
+    r"""Occupancy of every pixel, as map_server would publish it.
+
+    With ``occ = (white - mean of the channels) / white`` (its complement under `negate`):
+
+    ============================ ===================================== =======================
+    \                            ``nav2`` (map_io)                     ``ros1`` (map_server)
+    ============================ ===================================== =======================
+    occupied / free              occ >= / <= its threshold             occ > / < its threshold
+    trinary, transparent pixel   unknown                               alpha is averaged in as
+                                                                       a colour channel
+    scale, between, r in (0, 1)  round(100 r); transparent: unknown    1 + 98 r; unknown only if
+                                                                       alpha is 0
+    raw                          the sample itself, above 100 unknown  same, after `negate`
+    ============================ ===================================== =======================
+
+    Colours are averaged, not weighed as luma: a pure green wall (0, 255, 0) is as dark as
+    ``85`` for ROS and occupied, where luma would make it unknown.
+
+    Parameters
+    ----------
+    image : MapImage
+        Top row first.
+    settings : MapSettings
+
+    Returns
+    -------
+    values : (H, W) int8 array
+        Top row first; 0 free, 100 occupied, -1 unknown.
+
+    Examples
+    --------
+    >>> image = MapImage(np.array([[0, 205, 254]], np.uint8), 255, "png")
+    >>> settings = MapSettings(Path(), 0.05, Pose2D(0, 0), "trinary", "nav2", False, 0.65, 0.196)
+    >>> occupancy(image, settings).tolist()
+    [[100, -1, 0]]
+    """
+    pixels, white, mode = image.pixels, image.white, settings.mode
+    ros1 = settings.semantics == "ros1"
+    averaged: npt.NDArray[Any] = pixels
+    if image.channels == 4 and not (ros1 and mode == "trinary"):
+        averaged = pixels[:, :, :3]
+    sums, channels = channel_sum(averaged)
+    # Everything depends on the sum of the channels alone: decide once per possible sum.
+    full = channels * white
+    levels = np.arange(full + 1, dtype=np.float64)
+    if mode == "raw":
+        stored = np.floor((full - levels if settings.negate and ros1 else levels) / channels)
+        table = np.where(stored <= 100, stored, UNKNOWN).astype(np.int8)
+    else:
+        occ = levels / full if settings.negate else (full - levels) / full
+        table = _thresholded(occ, settings)
+    values: Int8Array = table[sums]
+    if image.channels == 4 and mode != "raw":
+        alpha = pixels[:, :, 3]
+        if not ros1:
+            values[alpha < white] = UNKNOWN
+        elif mode == "scale":
+            values[(alpha == 0) & (values != 0) & (values != 100)] = UNKNOWN
+    return values
+
+
+def channel_sum(pixels: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], int]:
+    """Return the sum over the channels of (H, W) or (H, W, C) samples, and C."""
+    if pixels.ndim == 2:
+        return pixels, 1
+    wide = np.uint32 if pixels.dtype == np.uint16 else np.uint16
+    return pixels.sum(axis=2, dtype=wide), int(pixels.shape[2])
+
+
+def _thresholded(occ: npt.NDArray[np.float64], settings: MapSettings) -> Int8Array:
+    """Value of each occupancy in 0..1, trinary or scale."""
+    low, high, ros1 = settings.free_thresh, settings.occupied_thresh, settings.semantics == "ros1"
+    table = np.full(occ.shape, UNKNOWN, np.int8)
+    if settings.mode == "scale":
+        r = np.clip((occ - low) / (high - low), 0.0, 1.0)
+        # ROS 1 stores the double in a signed byte: truncation.
+        table[:] = 1 + 98 * r if ros1 else np.round(100 * r)
+    table[occ > high if ros1 else occ >= high] = 100
+    table[occ < low if ros1 else occ <= low] = 0
+    return table

@@ -6,10 +6,9 @@ from pathlib import Path
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.csvscans import read_csv
 from imgloc.io.entries import text_size
-from imgloc.io.files import PathLike, display
+from imgloc.io.files import PathLike, display, write_bytes_atomic
 from imgloc.io.jsonscans import read_jsonl
 from imgloc.io.npz import npz_size, read_npz, write_npz
-from imgloc.io.output import write_bytes_atomic
 from imgloc.io.scanset import ScanSet, ScansSize
 
 __all__ = ["READERS", "ScanSet", "load_scans", "save_scans", "scans_size"]

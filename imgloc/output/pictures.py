@@ -10,8 +10,8 @@ from imgloc.atlas import Spot
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import compose, in_grid_frame, inverse, transform_points, transform_poses
-from imgloc.io.files import PathLike
-from imgloc.io.output import encode_png, write_bytes_atomic
+from imgloc.io.files import PathLike, write_bytes_atomic
+from imgloc.io.images import encode_png
 from imgloc.model import (
     BoolArray,
     FloatArray,

@@ -18,7 +18,7 @@ from imgloc.explain import RayFit
 from imgloc.features.pyramid import any_of_blocks
 from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import rotation
-from imgloc.io.output import encode_png
+from imgloc.io.images import encode_png
 from imgloc.model import BoolArray, FloatArray, Hypothesis, LaserScan, OccupancyGrid, Pose2D
 from imgloc.output.canvas import INK, PAPER, SHADE, Image, round_length
 

@@ -25,7 +25,8 @@ import numpy as np
 from imgloc import __version__
 from imgloc.cli.console import progress
 from imgloc.errors import ConfigError, ImglocError, OutputError
-from imgloc.io.output import encode_png, refuse_existing, write_bytes_atomic, write_text_atomic
+from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
+from imgloc.io.images import encode_png
 from imgloc.output.json import to_json
 from tools.paper.claims import Claim, claims, growth_claims, time_claims
 from tools.paper.complexity import AXES, TIMES, Complexity, draw, measure

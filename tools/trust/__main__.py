@@ -23,8 +23,9 @@ import cv2
 from imgloc.cli.console import progress
 from imgloc.cli.inputs import check_target
 from imgloc.errors import ConfigError, ImglocError
+from imgloc.io.files import write_bytes_atomic, write_text_atomic
+from imgloc.io.images import encode_png
 from imgloc.io.maps import load_map
-from imgloc.io.output import encode_png, write_bytes_atomic, write_text_atomic
 from imgloc.options import Options
 from imgloc.output.json import to_json
 from imgloc.pipeline import prepare

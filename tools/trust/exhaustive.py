@@ -10,10 +10,11 @@ the best of both is never below the search; nothing proves that no other pose is
 from dataclasses import fields, replace
 
 import numpy as np
+from skimage.measure import block_reduce
 
 from imgloc.features.distance import signed_distance
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.pyramid import Level, any_of_blocks, blocks
+from imgloc.features.pyramid import Level, any_of_blocks
 from imgloc.features.scanpoints import scan_xy, thin
 from imgloc.geometry import uniform_thetas
 from imgloc.model import LaserScan
@@ -108,7 +109,7 @@ def score_level(features: MapFeatures, model: EvidenceModel, factor: int) -> Lev
         peak = model.hit / (len(model.sigmas) * sigma * np.sqrt(2 * np.pi))
         density += peak * np.exp(-0.5 * (distance / sigma) ** 2)
     gain = np.log(density / ((1 - model.hit) / model.span))
-    image = blocks(gain, factor).mean(axis=(1, 3))
+    image = block_reduce(gain, factor, np.mean)
     scaled = np.rint(255 * image / max(float(image.max()), 1e-9)).astype(np.uint8)
     free = any_of_blocks(features.grid.free, factor)
     return Level(scaled, free, factor * features.grid.resolution)
