@@ -101,9 +101,8 @@ def test_json_has_the_documented_keys_and_the_right_poses(scans: Path) -> None:
 
 
 def test_the_same_bytes_for_every_run_and_number_of_threads(scans: Path) -> None:
-    once, again, two = (
-        spawn("localize", CURVED, scans, "--json", "--threads", n) for n in (1, 1, 2)
-    )
+    words = ("localize", CURVED, scans, "--json", "--threads")
+    once, again, two = spawn(*words, 1), call(*words, 1), call(*words, 2)
     assert once.code == 0
     assert len(rows(once.out)) == 3
     assert untimed(once.out) == untimed(again.out) == untimed(two.out)
