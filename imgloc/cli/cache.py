@@ -2,13 +2,13 @@
 
 import typer
 
+from imgloc.cli import options as opt
 from imgloc.cli.console import emit, say
-from imgloc.cli.options import AsJson, console, with_options
 
 _MIB = 1 << 20
 
 
-def cache(context: typer.Context, as_json: AsJson = False) -> None:
+def cache(context: typer.Context, as_json: opt.AsJson = False) -> None:
     """Show where prepared maps are kept, how many there are and what they take."""
     if context.invoked_subcommand is not None:
         return
@@ -25,7 +25,7 @@ def cache(context: typer.Context, as_json: AsJson = False) -> None:
     emit(f"size     {info.bytes / _MIB:,.1f} MiB, at most {info.limit / _MIB:,.0f} MiB")
 
 
-@with_options(console)
+@opt.with_options(opt.console)
 def clear() -> None:
     """Remove all prepared maps; they are prepared anew when they are needed."""
     from imgloc.io.cache import cache_info, clear_cache
