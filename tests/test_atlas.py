@@ -5,6 +5,7 @@ import json
 import os
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -103,6 +104,48 @@ def test_a_journal_goes_on_after_a_cut_line(tmp_path: Path) -> None:
     last.close()
     with pytest.raises(OutputError, match="another map or other options"):
         Journal(path, {"step": 2})
+
+
+def test_no_stop_loses_a_whole_row(tmp_path: Path) -> None:
+    path, key = tmp_path / "a.part", {"step": 1}
+    journal = Journal(path, key)
+    for value in (1.0, 2.0):
+        journal.add([value])
+    journal.close()
+    content = path.read_bytes()
+    for end in range(len(content) + 1):
+        path.write_bytes(content[:end])
+        again = Journal(path, key)  # and is killed before it adds a row: nothing is closed
+        rows = max(0, content[:end].count(b"\n") - 1)
+        assert again.rows == [[1.0], [2.0]][:rows]
+        kept = path.read_bytes()
+        assert kept == b"".join(content.splitlines(True)[: 1 + rows])
+        again.close()
+
+
+def test_a_journal_that_is_killed_while_it_starts_again_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "a.part"
+    journal = Journal(path, {"step": 1})
+    for value in range(500):
+        journal.add([value])
+    journal.close()
+    content = path.read_bytes()
+    code = (
+        "import os, sys; from pathlib import Path; from imgloc.io.atlasrows import Journal\n"
+        "journal = Journal(Path(sys.argv[1]), {'step': 1}); os._exit(len(journal.rows) != 500)"
+    )
+    run = [sys.executable, "-c", code, str(path)]
+    assert subprocess.run(run, check=False, cwd=Path(__file__).parents[1]).returncode == 0
+    assert path.read_bytes() == content
+
+
+def test_a_file_of_something_else_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "a.part"
+    for content in (b"half of a download", b'{"step": 2}\n[1]\n', b'{"step": 1}\nno row\n'):
+        path.write_bytes(content)
+        with pytest.raises(OutputError, match=r"another map|go on from"):
+            Journal(path, {"step": 1})
+        assert path.read_bytes() == content
 
 
 def test_csv_has_named_columns() -> None:

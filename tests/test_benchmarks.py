@@ -17,7 +17,7 @@ from imgloc.features.surface import outlines, surface_points
 from imgloc.features.visibility import visibility_frames
 from imgloc.geometry import centre_of, uniform_thetas
 from imgloc.likelihood.cbml import cbml_o
-from imgloc.likelihood.correlate import ENGINES, correlate
+from imgloc.likelihood.correlate import EXACT, correlate
 from imgloc.likelihood.ght import ght, ght_v
 from imgloc.likelihood.shift import flat_stack
 from imgloc.likelihood.slices import cell_offsets
@@ -66,7 +66,7 @@ def argmax(stack):
     return np.unravel_index(int(stack.argmax()), stack.shape)
 
 
-@pytest.mark.parametrize("engine", [*ENGINES, "auto"])
+@pytest.mark.parametrize("engine", [*EXACT, "auto"])
 def test_correlate(benchmark, engine, image, xy):
     stack = benchmark(lambda: correlate(image, xy, THETAS, 0.2, engine=engine))
     assert stack.max() <= 255 * len(xy)

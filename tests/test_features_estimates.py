@@ -130,8 +130,8 @@ def test_loading_a_map_takes_no_more_than_estimated(name: str, tmp_path: Path) -
     for path, image in zip(paths, (grey[:9, :9], grey), strict=True):
         path.write_bytes(image_of(image, name))
     size = image_size(paths[1])
-    grey = not any(sign in name for sign in ("rgb", "P3"))
-    assert size == (side, side, paths[1].stat().st_size, grey)
+    grey_only = not any(sign in name for sign in ("rgb", "P3"))
+    assert size == (side, side, paths[1].stat().st_size, grey_only)
     taken = resident("maps", "load_map", *paths, resolution=0.05)
     assert taken <= load_bytes(size) <= 4.5 * taken + TABLES
 

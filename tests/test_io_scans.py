@@ -1,6 +1,8 @@
 """Scan files: NPZ, CSV, JSON lines; what is kept as recorded and what is refused."""
 
+import io
 import json
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError, OutputError, ScanError
-from imgloc.io.npz import read_npz, write_npz
-from imgloc.io.scans import load_scans, save_scans
+from imgloc.io.scans import load_scans, read_npz, save_scans, write_npz
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan
 
@@ -120,7 +121,10 @@ def test_save_and_load_give_the_same_scans(tmp_path: Path) -> None:
 
 
 def test_equal_scans_are_equal_bytes() -> None:
-    assert write_npz(a_set()) == write_npz(a_set())
+    data = write_npz(a_set())
+    assert data == write_npz(a_set())
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:  # at any time of the day
+        assert {member.date_time for member in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
 
 
 def test_save_refuses(tmp_path: Path) -> None:

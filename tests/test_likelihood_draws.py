@@ -12,8 +12,6 @@ from imgloc.likelihood.draws import (
     draw_poses,
     entropy,
     marginal_theta,
-    marginal_xy,
-    mass_of,
 )
 from imgloc.model import GridInfo, Hypothesis, Localization, Pose2D
 
@@ -25,7 +23,7 @@ P[0, 0, 0], P[1, 0, 0], P[3, 1, 2] = 0.5, 0.25, 0.25
 
 def test_entropy_of_a_stack_and_of_its_marginals():
     assert entropy(P) == pytest.approx(1.5 * np.log(2))
-    assert entropy(marginal_xy(P)) == pytest.approx(-0.75 * np.log(0.75) - 0.25 * np.log(0.25))
+    assert entropy(P.sum(axis=0)) == pytest.approx(-0.75 * np.log(0.75) - 0.25 * np.log(0.25))
     assert entropy(np.full((4, 2, 3), 1 / 24, np.float32)) == pytest.approx(np.log(24), rel=1e-6)
     certain = np.zeros((4, 2, 3), np.float32)
     certain[2, 1, 1] = 1
@@ -33,22 +31,7 @@ def test_entropy_of_a_stack_and_of_its_marginals():
 
 
 def test_marginals():
-    assert marginal_xy(P).tolist() == [[0.75, 0, 0], [0, 0, 0.25]]
     assert marginal_theta(P).tolist() == [0.5, 0.25, 0, 0.25]
-
-
-def test_the_mass_of_a_region():
-    corner = np.array([[True, True, False], [False, False, False]])
-    assert mass_of(P, THETAS) == 1
-    assert mass_of(P, THETAS, where=corner) == 0.75
-    assert mass_of(P, THETAS, where=~corner) == 0.25
-    assert mass_of(P, THETAS, heading=(0.1, 0.2)) == 0.5
-    assert mass_of(P, THETAS, where=corner, heading=(np.pi / 2, 0.1)) == 0.25
-    # A window that goes across -pi, and one across 0.
-    assert mass_of(P, THETAS, heading=(-np.pi / 2 + 2 * np.pi, 0.1)) == 0.25
-    assert mass_of(P, THETAS, heading=(-0.8, 0.9)) == 0.75
-    with pytest.raises(ConfigError, match="expected"):
-        mass_of(P, THETAS, where=corner.T)
 
 
 def test_draws_have_the_shares_of_the_posterior():

@@ -13,7 +13,7 @@ from imgloc.errors import ConfigError, MapError, OutputError
 if TYPE_CHECKING:
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.io.images import ImageSize
-    from imgloc.io.scans import ScanSet
+    from imgloc.io.scanset import ScanSet
     from imgloc.model import LaserScan, OccupancyGrid
     from imgloc.options import Options, Prior
 

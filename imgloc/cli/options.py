@@ -44,6 +44,7 @@ class EngineName(StrEnum):
     FILTER2D = "filter2d"
     SHIFT = "shift"
     DFT = "dft"
+    REMAP = "remap"
 
 
 class ModeName(StrEnum):

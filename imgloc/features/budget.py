@@ -262,8 +262,3 @@ def simulate_bytes(cells: int, fine_cells: int, readings: int, *, kept: int = 0)
 def poses_bytes(cells: int, places: int, headings: int) -> int:
     """Peak of choosing the poses of an atlas: the map's cells, places of the raster, headings."""
     return 14 * cells + (32 + 50 * headings) * places
-
-
-def picture_bytes(cells: int, pixels: int, *, points: int = 0, n_psi: int = 0) -> int:
-    """Peak of drawing so many cells on so many pixels, with surface points and what they see."""
-    return 100 * cells + 16 * pixels + (500 + 24 * n_psi) * points

@@ -40,6 +40,8 @@ def _plain(value: object) -> object:
 class Journal:
     """Rows as they come, in a file that only grows, so that a survey can go on after a stop.
 
+    Whole rows stay in the file whenever the program is stopped, also while it starts again.
+
     Parameters
     ----------
     path : Path
@@ -53,32 +55,37 @@ class Journal:
     """
 
     def __init__(self, path: Path, key: Mapping[str, object]) -> None:
-        self.path, self.key = path, json.dumps(key, sort_keys=True)
+        self.path, head = path, (json.dumps(key, sort_keys=True) + "\n").encode()
         self.rows: list[list[object]] = []
         name = display(path)
         try:
-            if path.exists():
-                lines = path.read_text("utf-8").splitlines(keepends=True)
-                if not lines or lines[0].strip() != self.key:
+            self._file = path.open("r+b" if path.exists() else "x+b")
+            try:
+                content = self._file.read()
+                if not content.startswith(head) and not head.startswith(content):
                     raise OutputError(
                         f"{name}: begun with another map or other options; remove it, or go on "
                         "with those"
                     )
-                # A stop may have cut the last line.
-                whole = [line for line in lines if line.endswith("\n")]
-                self.rows = [json.loads(line) for line in whole[1:]]
-                self._file = path.open("w", encoding="utf-8")
-                self._file.writelines(whole)
-            else:
-                self._file = path.open("x", encoding="utf-8")
-                self._file.write(self.key + "\n")
+                # A stop may have cut the last line, be it the first: no more than that goes.
+                whole = content[: content.rfind(b"\n") + 1]
+                self.rows = [json.loads(line) for line in whole[len(head) :].splitlines()]
+                self._file.seek(len(whole))
+                self._file.truncate()
+                if not whole:
+                    self._file.write(head)
+                    self._file.flush()
+            except BaseException:
+                self._file.close()
+                raise
         except (OSError, ValueError) as error:
             raise OutputError(f"{name}: cannot be used to go on from: {error}") from None
 
     def add(self, row: Sequence[object]) -> None:
         """Append a row, at once."""
         self.rows.append(list(row))
-        self._file.write(json.dumps([None if _plain(v) == "" else v for v in row]) + "\n")
+        line = json.dumps([None if _plain(v) == "" else v for v in row])
+        self._file.write(f"{line}\n".encode())
         self._file.flush()
 
     def close(self) -> None:

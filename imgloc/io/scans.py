@@ -1,26 +1,39 @@
-"""Scan files: the format follows from the ending of the name."""
+"""Scan files: the format follows from the ending of the name; NPZ is the one that is written.
 
-from collections.abc import Callable
+An NPZ is read by its headers first: an archive of 2 MB may claim arrays of 2 GB.
+"""
+
+import contextlib
+import io
+import math
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
 
 from imgloc.errors import ConfigError, ScanError
-from imgloc.io.csvscans import read_csv
-from imgloc.io.entries import text_size
-from imgloc.io.files import PathLike, display, write_bytes_atomic
-from imgloc.io.jsonscans import read_jsonl
-from imgloc.io.npz import npz_size, read_npz, write_npz
-from imgloc.io.scanset import ScanSet, ScansSize
+from imgloc.io.files import PathLike, display, open_file, read_file, write_bytes_atomic
+from imgloc.io.scanset import (
+    MAX_READINGS,
+    ScanSet,
+    ScansSize,
+    check_angles,
+    check_finite,
+    check_limits,
+    numbers,
+)
+from imgloc.io.textscans import read_csv, read_jsonl, text_size
+from imgloc.model import FloatArray, LaserScan
 
-__all__ = ["READERS", "ScanSet", "load_scans", "save_scans", "scans_size"]
-
-READERS: dict[str, Callable[[PathLike], ScanSet]] = {
-    ".npz": read_npz,
-    ".csv": read_csv,
-    ".jsonl": read_jsonl,
-    ".ndjson": read_jsonl,
-    ".json": read_jsonl,
-}
-"""Reader of each ending, in lower case."""
+_SPACING = ("angle_min", "angle_increment")
+_LIMITS = (("range_min", 0.0), ("range_max", math.inf))
+_BESIDE = ("poses", "stamps", "odom")
+_KEYS = ("ranges", "angles", "range_min", "range_max", *_SPACING, *_BESIDE)
+_MAX_BYTES = 16 * MAX_READINGS
 
 
 def load_scans(path: PathLike) -> ScanSet:
@@ -29,11 +42,10 @@ def load_scans(path: PathLike) -> ScanSet:
     Parameters
     ----------
     path : path
-        ``.npz`` (:func:`~imgloc.io.npz.read_npz`), ``.csv``
-        (:func:`~imgloc.io.csvscans.read_csv`), ``.jsonl``, ``.ndjson`` or ``.json``
-        (:func:`~imgloc.io.jsonscans.read_jsonl`). Ranges are metres, angles radians in the
-        sensor's frame, counter-clockwise, 0 forward. Ranges are kept as recorded; NaN, +inf
-        and codes are what :class:`~imgloc.model.LaserScan` says they are.
+        ``.npz`` (:func:`read_npz`), ``.csv`` (:func:`~imgloc.io.textscans.read_csv`), ``.jsonl``,
+        ``.ndjson`` or ``.json`` (:func:`~imgloc.io.textscans.read_jsonl`). Ranges are metres,
+        angles radians in the sensor's frame, counter-clockwise, 0 forward. Ranges are kept as
+        recorded; NaN, +inf and codes are what :class:`~imgloc.model.LaserScan` says they are.
 
     Returns
     -------
@@ -56,17 +68,7 @@ def scans_size(path: PathLike) -> ScansSize:
     ScanError
         As :func:`load_scans`, but for what only the numbers show.
     """
-    return npz_size(path) if _reader(path) is read_npz else text_size(path)
-
-
-def _reader(path: PathLike) -> Callable[[PathLike], ScanSet]:
-    reader = READERS.get(Path(path).suffix.lower())
-    if reader is None:
-        raise ScanError(
-            f"{display(path)}: ending {display(Path(path).suffix)!r} is no scan format, "
-            f"expected {', '.join(READERS)}"
-        )
-    return reader
+    return _npz_size(path) if _reader(path) is read_npz else text_size(path)
 
 
 def save_scans(path: PathLike, scans: ScanSet, *, force: bool = False) -> None:
@@ -82,3 +84,211 @@ def save_scans(path: PathLike, scans: ScanSet, *, force: bool = False) -> None:
     if Path(path).suffix.lower() != ".npz":
         raise ConfigError(f"{display(path)}: expected a name that ends in .npz")
     write_bytes_atomic(path, write_npz(scans), force=force)
+
+
+def read_npz(path: PathLike) -> ScanSet:
+    """Read scans from an NPZ.
+
+    Keys: ``ranges`` (N, B) or (B,); ``angles`` (B,) or (N, B), or else ``angle_min`` and
+    ``angle_increment``; optionally ``range_min`` (default 0) and ``range_max`` (default
+    infinite), one number or (N,); ``poses`` (N, 3), ``stamps`` (N,), ``odom`` (N, 3). Other
+    keys are not read.
+
+    Raises
+    ------
+    ScanError
+        Damaged archive, missing key, pickled or non-numeric array, more than MAX_READINGS,
+        shapes that do not agree, angles that are not finite radians.
+    """
+    name = display(path)
+    data = read_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file")
+    return _scan_set(_members(data, name), name)
+
+
+def write_npz(scans: ScanSet) -> bytes:
+    """Return the bytes of an NPZ that :func:`read_npz` reads back.
+
+    Raises
+    ------
+    ConfigError
+        If there are no scans, or they differ in their number of readings.
+    """
+    lengths = {len(scan.ranges) for scan in scans.scans}
+    if len(lengths) != 1:
+        raise ConfigError(f"scans of {sorted(lengths)} readings cannot be one array in an NPZ")
+    arrays: dict[str, Any] = {"ranges": np.stack([scan.ranges for scan in scans.scans])}
+    for key in ("angles", "range_min", "range_max"):
+        values = np.stack([getattr(scan, key) for scan in scans.scans])
+        arrays[key] = values[0] if (values == values[0]).all() else values
+    beside = {key: getattr(scans, key) for key in _BESIDE}
+    arrays |= {key: value for key, value in beside.items() if value is not None}
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)  # all members are stamped 1980
+    return buffer.getvalue()
+
+
+_READERS: dict[str, Callable[[PathLike], ScanSet]] = {
+    ".npz": read_npz,
+    ".csv": read_csv,
+    ".jsonl": read_jsonl,
+    ".ndjson": read_jsonl,
+    ".json": read_jsonl,
+}
+
+
+def _reader(path: PathLike) -> Callable[[PathLike], ScanSet]:
+    reader = _READERS.get(Path(path).suffix.lower())
+    if reader is None:
+        raise ScanError(
+            f"{display(path)}: ending {display(Path(path).suffix)!r} is no scan format, "
+            f"expected {', '.join(_READERS)}"
+        )
+    return reader
+
+
+def _npz_size(path: PathLike) -> ScansSize:
+    """How much :func:`read_npz` would read, as the headers of the arrays say."""
+    name, shapes = display(path), dict[str, tuple[int, ...]]()
+    with (
+        open_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file") as (file, length),
+        _explained(name),
+        zipfile.ZipFile(file) as archive,
+    ):
+        for info in archive.infolist():
+            key = info.filename.removesuffix(".npy")
+            if key in _KEYS:
+                with archive.open(info) as member:
+                    shapes[key] = _check_header(member, info.file_size, name, key)
+    ranges = shapes.get("ranges", ())
+    total = sum(math.prod(shape) for shape in shapes.values())
+    return ScansSize(ranges[0] if len(ranges) == 2 else 1, total, length)
+
+
+def _members(data: bytes, name: str) -> dict[str, FloatArray]:
+    """The arrays of an archive, each by its header first."""
+    arrays: dict[str, FloatArray] = {}
+    with _explained(name), zipfile.ZipFile(io.BytesIO(data)) as archive:
+        # The end record counts the members; zipfile does not compare, and a damaged
+        # entry can swallow those after it.
+        end = data.rfind(b"PK\5\6")
+        if int.from_bytes(data[end + 10 : end + 12], "little") not in (
+            len(archive.infolist()),
+            0xFFFF,  # ZIP64 counts elsewhere
+        ):
+            raise zipfile.BadZipFile("members are missing")
+        for info in archive.infolist():
+            key = info.filename.removesuffix(".npy")
+            if key not in _KEYS:
+                # Not read; but opening compares the name with the one at the data, so
+                # that a damaged "range_max" is not taken for somebody else's array.
+                archive.open(info).close()
+                continue
+            if key in arrays:
+                raise ScanError(f"{name}: {key}: in the archive twice, expected once")
+            with archive.open(info) as file:
+                _check_header(file, info.file_size, name, key)
+            with archive.open(info) as file:
+                value = np.lib.format.read_array(file, allow_pickle=False)
+            arrays[key] = numbers(value, name, key, ndim=(0, 1, 2))
+    return arrays
+
+
+@contextlib.contextmanager
+def _explained(name: str) -> Iterator[None]:
+    """Say of an archive that cannot be opened what is wrong with it."""
+    try:
+        yield
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as e:
+        raise ScanError(f"{name}: damaged NPZ ({e}); copy the file again") from None
+    except (RuntimeError, NotImplementedError, ValueError) as e:
+        # Encrypted, compressed in an unknown way, or offsets that lead out of the file.
+        raise ScanError(f"{name}: NPZ that cannot be opened: {e}") from None
+
+
+def _check_header(file: IO[bytes], size: int, name: str, key: str) -> tuple[int, ...]:
+    """Check type and shape of a member before its data are inflated; return the shape."""
+    read = {
+        (1, 0): np.lib.format.read_array_header_1_0,
+        (2, 0): np.lib.format.read_array_header_2_0,
+    }
+    try:
+        version = np.lib.format.read_magic(file)
+        shape, _, dtype = read[version](file)
+    except (ValueError, KeyError, SyntaxError, TypeError, tokenize.TokenError):
+        raise ScanError(f"{name}: {key}: damaged header, expected a NumPy array") from None
+    if dtype.hasobject:
+        raise ScanError(
+            f"{name}: {key}: holds pickled objects, which are never loaded; expected numbers "
+            "(save rows of equal length, padded with NaN)"
+        )
+    if dtype.kind not in "fiu":
+        raise ScanError(f"{name}: {key}: got type {dtype}, expected numbers")
+    count = math.prod(shape)
+    if count < 0 or count > MAX_READINGS:
+        raise ScanError(
+            f"{name}: {key}: {' x '.join(map(str, shape))} numbers, expected at most "
+            f"{MAX_READINGS:,}"
+        )
+    if file.tell() + count * dtype.itemsize != size:
+        raise ScanError(
+            f"{name}: {key}: {size:,} bytes, expected {file.tell() + count * dtype.itemsize:,} "
+            f"for shape {shape}; copy the file again"
+        )
+    return tuple(shape)
+
+
+def _scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
+    """Check that the shapes agree, and cut the arrays into scans."""
+    if "ranges" not in arrays:
+        raise ScanError(f"{name}: ranges: missing, expected an array (scans, readings)")
+    ranges = np.atleast_2d(arrays["ranges"])
+    n = len(ranges)
+    if not ranges.size:
+        raise ScanError(f"{name}: ranges: got shape {ranges.shape}, expected at least one reading")
+    angles = _angles(arrays, ranges.shape, name)
+    limits = []
+    for key, default in _LIMITS:
+        value = arrays.get(key, np.array(default))
+        if value.size != 1 and value.shape != (n,):
+            raise ScanError(
+                f"{name}: {key}: got shape {value.shape}, expected one number or {(n,)}"
+            )
+        limits.append(np.broadcast_to(value.ravel(), (n,)).tolist())
+    for low, high in zip(*limits, strict=True):
+        check_limits(low, high, name)
+    beside: dict[str, FloatArray] = {}
+    for key in _BESIDE:
+        if key not in arrays:
+            continue
+        value, shape = arrays[key], (n,) if key == "stamps" else (n, 3)
+        if n == 1 and value.shape == shape[1:]:
+            value = value.reshape(shape)
+        if value.shape != shape:
+            raise ScanError(f"{name}: {key}: got shape {value.shape}, expected {shape}")
+        if key != "stamps":
+            check_finite(value, name, key)
+        beside[key] = value
+    stamps = beside.get("stamps", np.full(n, np.nan)).tolist()
+    columns = zip(ranges, angles, *limits, stamps, strict=True)
+    return ScanSet(tuple(LaserScan(*column) for column in columns), **beside)
+
+
+def _angles(arrays: dict[str, FloatArray], shape: tuple[int, int], name: str) -> FloatArray:
+    """Angles of each reading of ranges of this shape."""
+    n, readings = shape
+    angles = arrays.get("angles")
+    if angles is None:
+        if not all(key in arrays and arrays[key].size == 1 for key in _SPACING):
+            raise ScanError(
+                f"{name}: angles: missing, expected {readings} angles in radians "
+                "(or the numbers angle_min and angle_increment)"
+            )
+        first, step = (arrays[key].item() for key in _SPACING)
+        angles = first + np.arange(readings, dtype=np.float64) * step
+    if angles.shape not in ((readings,), shape):
+        raise ScanError(
+            f"{name}: angles: got shape {angles.shape}, expected {(readings,)}: "
+            f"ranges are {n} scans of {readings} readings"
+        )
+    check_angles(angles, name)
+    return np.broadcast_to(angles, shape)

@@ -1,4 +1,4 @@
-"""A set of scans, and the checks that every scan format shares."""
+"""A set of scans, and the checks that every scan format shares; all raise ScanError."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,15 +27,14 @@ class ScansSize:
         Ranges, angles, and what was recorded beside them.
     file_bytes : int
         Length of the file.
-    text, ascii_only : bool
-        Whether it is a text, and one without any other characters.
+    text : bool
+        Whether it is a text.
     """
 
     scans: int
     numbers: int
     file_bytes: int
     text: bool = False
-    ascii_only: bool = True
 
 
 @dataclass(frozen=True)
@@ -80,13 +79,7 @@ class ScanSet:
 
 
 def numbers(value: Any, name: str, key: str, *, ndim: Sequence[int]) -> FloatArray:
-    """Return `value` as a float array of one of the dimensions `ndim`.
-
-    Raises
-    ------
-    ScanError
-        If it is not numeric, is ragged, or has another dimension.
-    """
+    """Return `value` as a float array; it must be numeric, not ragged, of a dimension in `ndim`."""
     expected = f"numbers of dimension {' or '.join(map(str, ndim))}"
     try:
         array = np.asarray(value)
@@ -99,37 +92,24 @@ def numbers(value: Any, name: str, key: str, *, ndim: Sequence[int]) -> FloatArr
     return array.astype(np.float64)
 
 
-def check_angles(angles: FloatArray, name: str, key: str = "angles") -> None:
-    """Refuse angles that cannot be directions in radians.
-
-    Raises
-    ------
-    ScanError
-        If one is not finite, or more than two turns away from 0.
-    """
-    bad = ~np.isfinite(angles)
-    if bad.any():
-        where = tuple(int(i) for i in np.argwhere(bad)[0])
+def check_angles(angles: FloatArray, name: str) -> None:
+    """Refuse angles that cannot be directions in radians."""
+    bad = np.argwhere(~np.isfinite(angles))
+    if len(bad):
         raise ScanError(
-            f"{name}: {key}{list(where)}: got {angles[where]}, expected finite radians "
-            "(a reading without a direction has to be left out)"
+            f"{name}: angles{bad[0].tolist()}: got {angles[tuple(bad[0])]}, expected finite "
+            "radians (a reading without a direction has to be left out)"
         )
     if angles.size and float(np.abs(angles).max()) > _MAX_ANGLE:
         worst = float(angles.flat[int(np.abs(angles).argmax())])
         raise ScanError(
-            f"{name}: {key}: got {worst:g}, expected radians; are these degrees? "
+            f"{name}: angles: got {worst:g}, expected radians; are these degrees? "
             "multiply them by pi / 180"
         )
 
 
 def check_limits(range_min: float, range_max: float, name: str) -> None:
-    """Refuse limits between which no reading can lie.
-
-    Raises
-    ------
-    ScanError
-        Unless ``0 <= range_min < range_max``; range_max may be infinite.
-    """
+    """Refuse limits unless ``0 <= range_min < range_max``; range_max may be infinite."""
     if not (0 <= range_min < np.inf):
         raise ScanError(f"{name}: range_min: got {range_min:g}, expected metres, 0 or more")
     if not range_max > range_min:
@@ -140,13 +120,7 @@ def check_limits(range_min: float, range_max: float, name: str) -> None:
 
 
 def check_finite(array: npt.NDArray[Any], name: str, key: str) -> None:
-    """Refuse an array with an entry that is NaN or infinite.
-
-    Raises
-    ------
-    ScanError
-        Naming the first one.
-    """
+    """Refuse an array with an entry that is NaN or infinite."""
     bad = np.argwhere(~np.isfinite(array))
     if len(bad):
         raise ScanError(

@@ -1,12 +1,14 @@
 """CBML and CBML-O: the scan correlated with the blurred map (Secs. II and III)."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.likelihood.correlate import choose_engine, correlate
-from imgloc.likelihood.kernels import filter2d_stack
-from imgloc.likelihood.shift import merge_repeats, shift_stack, tiles_of
+from imgloc.likelihood.kernels import filter2d_stack, remap_stack
+from imgloc.likelihood.shift import Summable, merge_repeats, shift_stack, tiles_of
 from imgloc.likelihood.slices import (
     cell_offsets,
     check_arguments,
@@ -38,7 +40,7 @@ def cbml(
     """Correlate the scan with the blurred map: CBML, Alg. 1 in the order of Alg. 2.
 
     `bmap` is rounded to 256 levels, so that a reading counts in steps of 1/255 and the sums are
-    integers: every engine and any number of threads give the same bits.
+    integers: any number of threads and every engine but ``remap`` give the same bits.
 
     Parameters
     ----------
@@ -122,7 +124,7 @@ def cbml_o(
         changes a scalar product by 0.12 % where the normals agree.
     engine, threads, where, out
         As in :func:`imgloc.likelihood.correlate.correlate`. The engines agree up to the
-        rounding of the projections, 0.004 per reading.
+        rounding of the projections, 0.004 per reading; ``remap`` interpolates.
     projections : (directions // 2, H, W) int16 array, optional
         Of :func:`project`, to be reused from scan to scan. Only ``shift`` uses it.
 
@@ -185,6 +187,22 @@ def cbml_o(
         shift_stack(
             list(images), lambda k: merge_repeats(offsets[k], which[k]), limit, tiles, threads,
             view, finishing(VMAP_LEVELS, wanted),
+        )  # fmt: skip
+        return out
+    if engine == "remap":
+        upright = cell_offsets(usable.xy, np.zeros(1), resolution)[0]
+        facing = np.floor(usable.alpha * (directions / (2 * np.pi)) + 0.5).astype(int) % directions
+        scan = merge_repeats(upright, np.where(facing < half, facing, half - 1 - facing))
+
+        def turned_projections(image: Float32Array, theta: float) -> Sequence[Summable]:
+            c, s = np.float32(np.cos(theta)), np.float32(np.sin(theta))
+            x, y = image[..., 0], image[..., 1]
+            return list(project(np.stack((c * x + s * y, c * y - s * x)), directions))
+
+        limit = np.iinfo(np.int16).max // VMAP_LEVELS
+        remap_stack(
+            np.ascontiguousarray(np.moveaxis(field, 0, -1)), headings, turned_projections, scan,
+            limit, threads, view, finishing(VMAP_LEVELS, wanted),
         )  # fmt: skip
         return out
     vectors = unit_vectors(directions)[direction].transpose(0, 2, 1)  # Alg. 3, l. 4

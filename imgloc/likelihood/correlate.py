@@ -2,7 +2,8 @@
 
 Three engines compute the same stack. ``filter2d`` draws the scan as a kernel and is the one to
 read; ``shift`` adds shifted views, Alg. 2 as printed; ``dft`` multiplies spectra. Which one is
-fastest depends on the reach in cells and on the number of readings, so ``auto`` estimates.
+fastest depends on the reach in cells and on the number of readings, so ``auto`` estimates. A
+fourth, ``remap``, turns the image under the upright scan, and interpolates.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.likelihood.kernels import filter2d_stack
+from imgloc.likelihood.kernels import filter2d_stack, remap_stack
 from imgloc.likelihood.shift import (
     FLAT_CELLS,
     Summable,
@@ -34,7 +35,8 @@ from imgloc.likelihood.slices import (
 from imgloc.likelihood.spectral import needs_double, spectral_stack
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 
-ENGINES = ("filter2d", "shift", "dft")
+EXACT = ("filter2d", "shift", "dft")
+ENGINES = (*EXACT, "remap")
 
 # Measured on one core of a server CPU. Only their ratios matter, and only to `auto`.
 SHIFT_SECONDS_PER_BYTE = 2.9e-11
@@ -65,8 +67,8 @@ def correlate(
     Parameters
     ----------
     image : (H, W) uint8 or float32 array
-        Row 0 is the lowest y. Integers are summed exactly by every engine, so that the result
-        does not depend on the engine; floats agree up to rounding.
+        Row 0 is the lowest y. Integers are summed exactly by the engines of :data:`EXACT`, so that
+        the result does not depend on which; floats agree up to rounding.
     xy : (N, 2) float array
         Scan points, sensor frame, metres. Points that are not finite are left out.
     thetas : (K,) float array
@@ -75,7 +77,7 @@ def correlate(
         Side of a cell, metres.
     divisor : float
         What the sums are divided by.
-    engine : {"auto", "filter2d", "shift", "dft"}
+    engine : {"auto", "filter2d", "shift", "dft", "remap"}
         How to compute it.
     threads : int
         Number of threads, over headings. The result does not depend on it.
@@ -145,6 +147,15 @@ def correlate(
     if engine == "shift":
         _correlate_by_shift(wide, limit, offsets, tiles, threads, view, finish)
         return out
+    if engine == "remap":
+        upright = cell_offsets(points, np.zeros(1), resolution)[0]
+        once = np.zeros(len(upright), dtype=np.int64)
+        scan = merge_repeats(upright, once) if integers else (upright, once, once)
+        remap_stack(
+            image, headings, lambda turned, _: [turned.astype(wide.dtype, copy=False)], scan, limit,
+            threads, view, finish,
+        )  # fmt: skip
+        return out
     field = image[None]
     if engine == "dft":
         spectral_stack(
@@ -201,7 +212,8 @@ def choose_engine(
 ) -> str:
     """Return `engine`, or for ``"auto"`` the one of ``shift`` and ``dft`` with the lower cost.
 
-    ``filter2d`` is never chosen: OpenCV runs it as a DFT too, of the scan anew for each tile.
+    ``filter2d`` is never chosen: OpenCV runs it as a DFT too, of the scan anew for each tile; nor
+    is ``remap``, which interpolates.
 
     Parameters
     ----------

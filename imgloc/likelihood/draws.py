@@ -1,4 +1,4 @@
-"""What a posterior says, in fewer numbers: entropy, marginals, the mass of a region, samples.
+"""What a posterior says, in fewer numbers: entropy, headings, samples.
 
 Drawing poses from p(x | z) is what the paper's benchmark is for: a particle filter that has lost
 the robot puts its particles where the scan may have been taken (sensor resetting).
@@ -34,17 +34,6 @@ def entropy(mass: npt.NDArray[Any]) -> float:
     return float(abs(np.sum(positive * np.log(positive), dtype=np.float64)))
 
 
-def marginal_xy(probability: Float32Array) -> FloatArray:
-    """The probability of each place (H, W), whatever the heading.
-
-    Examples
-    --------
-    >>> marginal_xy(np.full((4, 1, 2), 0.125, dtype=np.float32)).tolist()
-    [[0.5, 0.5]]
-    """
-    return np.asarray(probability.sum(axis=0, dtype=np.float64))
-
-
 def marginal_theta(probability: Float32Array) -> FloatArray:
     """The probability of each heading (K,), wherever the place.
 
@@ -54,48 +43,6 @@ def marginal_theta(probability: Float32Array) -> FloatArray:
     [0.25, 0.25, 0.25, 0.25]
     """
     return np.asarray(probability.reshape(len(probability), -1).sum(axis=1, dtype=np.float64))
-
-
-def mass_of(
-    probability: Float32Array,
-    thetas: FloatArray,
-    *,
-    where: BoolArray | None = None,
-    heading: tuple[float, float] | None = None,
-) -> float:
-    """The probability of a region: that the robot is in this room and faces the door, say.
-
-    Parameters
-    ----------
-    probability : (K, H, W) float32 array
-    thetas : (K,) float array
-        Headings, radians.
-    where : (H, W) bool array, optional
-        The cells; by default all.
-    heading : (float, float), optional
-        Middle and half-width of a window of headings, radians; cells of headings whose middle is
-        in it count. By default all do.
-
-    Raises
-    ------
-    ConfigError
-        If `where` has another shape than the images.
-
-    Examples
-    --------
-    >>> p = np.full((4, 1, 2), 0.125, dtype=np.float32)
-    >>> thetas = np.deg2rad([0, 90, 180, 270])
-    >>> mass_of(p, thetas, where=np.array([[True, False]]), heading=(-0.2, 0.3))
-    0.125
-    """
-    if where is not None and where.shape != probability.shape[1:]:
-        raise ConfigError(f"region of {where.shape} cells, expected {probability.shape[1:]}")
-    chosen = probability
-    if heading is not None:
-        middle, half = heading
-        chosen = chosen[np.abs(wrap(thetas - middle)) <= half]
-    place = marginal_xy(chosen)
-    return float(place.sum() if where is None else place[where].sum())
 
 
 def draw_poses(

@@ -1,13 +1,19 @@
-"""The readable engine: the scan drawn as a kernel, the map filtered with it (eq. 3)."""
+"""The engines to read: the map filtered with the scan as a kernel (eq. 3), and the map turned.
 
-from collections.abc import Sequence
+Both take one image operation of OpenCV for what the other engines do by hand. ``filter2d`` draws
+the scan, turned to a heading, as a kernel. ``remap`` leaves the scan upright and turns the map
+under it: the same shifts serve every heading, at the price of two interpolations.
+"""
+
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.likelihood.shift import Summable, shift_sum, tiles_of
 from imgloc.likelihood.slices import Finish, over_slices
-from imgloc.model import Float32Array, IntArray
+from imgloc.model import Float32Array, FloatArray, IntArray
 
 
 def filter2d_stack(
@@ -65,3 +71,68 @@ def filter2d_stack(
             finish(out[k])
 
     over_slices(work, range(len(offsets)), threads)
+
+
+def remap_stack(
+    image: npt.NDArray[np.uint8] | Float32Array,
+    thetas: FloatArray,
+    summands: Callable[[Summable, float], Sequence[Summable]],
+    scan: tuple[IntArray, IntArray, IntArray],
+    limit: int,
+    threads: int,
+    out: Float32Array,
+    finish: Finish,
+) -> None:
+    """Turn the image by each heading, add its shifted views, and turn the sum back.
+
+    Exact for multiples of 90 degrees, but for readings on the border of two cells. In between,
+    readings are rounded to cells of the turned frame and values are interpolated linearly.
+
+    Parameters
+    ----------
+    image : (H, W, C) uint8 or float32 array
+    thetas : (K,) float array
+        Headings, radians.
+    summands : callable
+        The images to add up, from the turned one and the heading.
+    scan : tuple
+        ``offsets, which, powers`` of the upright scan, as for
+        :func:`~imgloc.likelihood.shift.shift_sum`, and `limit` too.
+    threads : int
+        Number of threads, over headings.
+    out : (K, H, W) float32 array
+        Overwritten.
+    finish : callable
+        Called with each slice.
+    """
+    height, width = image.shape[:2]
+
+    def work(share: Sequence[int]) -> None:
+        for k in share:
+            theta = float(thetas[k])
+            turn, (rows, columns) = _turn((height, width), theta)
+            turned = cv2.warpAffine(image, turn, (columns, rows), flags=cv2.INTER_LINEAR)
+            images, total = (
+                summands(turned, float(thetas[k])),
+                np.zeros((rows, columns), np.float32),
+            )
+            scratch = np.empty(rows * columns, dtype=images[0].dtype)
+            shift_sum(images, *scan, limit, tiles_of((rows, columns)), scratch, total)
+            flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            cv2.warpAffine(total, turn, (width, height), dst=out[k], flags=flags)
+            finish(out[k])
+
+    over_slices(work, range(len(thetas)), threads)
+
+
+def _turn(shape: tuple[int, int], theta: float) -> tuple[FloatArray, tuple[int, int]]:
+    """From (x, y) of an image to a scan's own frame at a heading, and rows and columns there.
+
+    Cells meet cells where the heading is a multiple of 90 degrees.
+    """
+    c, s = np.round((np.cos(theta), np.sin(theta)), 12)
+    ends = np.array([shape[1] - 1, shape[0] - 1])
+    size = np.ceil(np.round(np.abs([[c, s], [s, c]]) @ ends, 6)).astype(int) + 3
+    matrix = np.array([[c, s], [-s, c]])
+    shift = (size - 1) / 2 - matrix @ (ends / 2)
+    return np.column_stack((matrix, shift)), (int(size[1]), int(size[0]))

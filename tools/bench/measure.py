@@ -4,8 +4,8 @@ Every case is a function without arguments that does a known amount of work. All
 group take turns, so that a busy moment of the machine is in the times of all of them.
 
 >>> row, = engine_rows(sizes=(40,), reaches=(10,), rays=(16,), headings=2, repeats=1)
->>> row["size"], sorted(row["ms"])
-(40, ['auto', 'dft', 'filter2d', 'shift'])
+>>> row["size"], sorted(row["ms"]) == sorted((*ENGINES, "auto"))
+(40, True)
 """
 
 import time

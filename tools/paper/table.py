@@ -84,11 +84,16 @@ def thetas_of(method: str) -> FloatArray:
 
 
 def stack_of(
-    method: str, features: MapFeatures, scan: LaserScan, thetas: FloatArray, threads: int = 1
+    method: str,
+    features: MapFeatures,
+    scan: LaserScan,
+    thetas: FloatArray,
+    threads: int = 1,
+    engine: str = "auto",
 ) -> Float32Array:
-    """Likelihood stack (K, H, W) of a method of :data:`STEPS_DEG`."""
+    """Likelihood stack (K, H, W) of a method of :data:`STEPS_DEG`; `engine` of correlations."""
     if method not in OPTIONS:
-        return stacks.stack_of(method, features, scan, thetas, threads=threads)
+        return stacks.stack_of(method, features, scan, thetas, engine=engine, threads=threads)
     points = scan_points(scan.ranges, scan.angles, scan.valid)
     ours, shape = (features.surface, features.visibility, points), features.lattice.shape
     if method == "ght-v once":
@@ -97,18 +102,23 @@ def stack_of(
 
 
 def try_method(
-    method: str, features: MapFeatures, scan: LaserScan, truth: Pose2D, threads: int = 1
+    method: str,
+    features: MapFeatures,
+    scan: LaserScan,
+    truth: Pose2D,
+    threads: int = 1,
+    engine: str = "auto",
 ) -> Outcome:
     """Compute a method's stack and look where the true pose (grid frame) stands in it.
 
-    The log-likelihoods of ``beam`` are divided by
-    the temperature of :data:`imgloc.options.DEFAULTS`, as in an answer of ``imgloc localize``.
+    The log-likelihoods of ``beam`` are divided by the temperature of
+    :data:`imgloc.options.DEFAULTS`, as in an answer of ``imgloc localize``.
     """
     thetas = thetas_of(method)
     row, col = cell_of(np.array((truth.x, truth.y)), CELL).tolist()
     at = int(theta_bin(truth.theta, len(thetas))), row, col
     start = time.perf_counter()
-    stack = stack_of(method, features, scan, thetas, threads)
+    stack = stack_of(method, features, scan, thetas, threads, engine)
     ms = 1e3 * (time.perf_counter() - start)
     bare, log = None, method == "beam"
     if log:
