@@ -7,7 +7,8 @@ import pytest
 from command import MAPS, call, rows
 
 from imgloc.io.cache import cache_info
-from imgloc.io.scans import ScanSet, save_scans
+from imgloc.io.scans import save_scans
+from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan
 
 

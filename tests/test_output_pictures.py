@@ -19,7 +19,14 @@ from imgloc.model import (
     Pose2D,
 )
 from imgloc.output.canvas import INK, PALETTE, PAPER, SHADE, TURQUOISE, Canvas, draw_map, wheel
-from imgloc.output.features import SUBJECTS, draw_field, draw_surface, draw_visibility
+from imgloc.output.features import (
+    SUBJECTS,
+    draw_bmap,
+    draw_distance,
+    draw_field,
+    draw_surface,
+    draw_visibility,
+)
 from imgloc.output.pictures import (
     _not_drawn,
     draw,
@@ -361,3 +368,19 @@ def test_a_picture_is_saved_whole_and_never_over_another(tmp_path):
         picture.save(tmp_path / "a.png")
     picture.save(tmp_path / "a.png", force=True)
     assert [p.name for p in tmp_path.iterdir()] == ["a.png"]
+
+
+def test_distance_picture_is_dark_at_walls_with_a_line_each_metre() -> None:
+    metres = np.tile(np.arange(25) * 0.1, (3, 1))
+    picture = draw_distance(metres, GridInfo(3, 25, 0.1), scale=1)
+    grey = picture.astype(int).sum(axis=2)[1]
+    assert grey.argmin() == 0
+    assert grey[9] > grey[8]
+    assert grey[9] > grey[11]
+
+
+def test_blurred_map_is_upside_up() -> None:
+    picture = draw_bmap([[1.0, 1.0], [0.0, 0.5]], GridInfo(2, 2, 0.1), scale=1)
+    assert picture[1].max() < 60  # row 0 is the lowest y
+    assert picture[0, 0].tolist() == [255, 255, 255]
+    assert 100 < picture[0, 1, 0] < 200
