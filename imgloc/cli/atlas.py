@@ -10,6 +10,7 @@ from imgloc.cli.console import emit, progress, say
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
+    from imgloc.io.maps import Reading
     from imgloc.simulate import Sensor
 
 _MOST = 20_000
@@ -20,7 +21,7 @@ def atlas(
     map_path: opt.MapPath,
     out: Annotated[Path, opt.option("PNG", "Picture to write.", show_default=False)],
     sensor: "Sensor",
-    reading: opt.Reading,
+    reading: "Reading",
     csv: Annotated[Path | None, opt.option("CSV", "Write a row for each pose, too.")] = None,
     step: Annotated[float, opt.option("M", "Metres between places.")] = 0.5,
     headings: Annotated[int, opt.option("K", "Headings at each place.", min=1, max=72)] = 4,

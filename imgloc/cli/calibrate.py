@@ -13,6 +13,7 @@ from imgloc.cli.console import LOG, emit, progress, say
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
+    from imgloc.io.maps import Reading
     from imgloc.model import OccupancyGrid
     from imgloc.simulate import Sensor
 
@@ -29,7 +30,7 @@ def calibrate(
         ),
     ],
     sensor: "Sensor",
-    reading: opt.Reading,
+    reading: "Reading",
     resources: opt.Take,
     methods: Annotated[str, opt.option("NAMES", "With commas between.")] = ",".join(_STACKS),
     count: Annotated[

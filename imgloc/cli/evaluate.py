@@ -14,6 +14,7 @@ from imgloc.cli.console import LOG, emit, progress
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
+    from imgloc.io.maps import Reading
     from imgloc.simulate import Sensor
 
 _METHODS = ",".join(opt.MethodName)
@@ -29,7 +30,7 @@ def evaluate(
         ),
     ],
     sensor: "Sensor",
-    reading: opt.Reading,
+    reading: "Reading",
     resources: opt.Take,
     methods: Annotated[str, opt.option("NAMES", "With commas between.")] = _METHODS,
     count: Annotated[

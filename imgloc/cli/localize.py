@@ -15,6 +15,7 @@ from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
     from imgloc.features.mapfeatures import MapFeatures
+    from imgloc.io.maps import Reading
     from imgloc.model import LaserScan
     from imgloc.options import Options
 
@@ -27,7 +28,7 @@ def localize(
     scans_path: opt.ScansPath,
     known: opt.Known,
     mounting: opt.Mounting,
-    reading: opt.Reading,
+    reading: "Reading",
     resources: opt.Take,
     method: Annotated[
         opt.MethodName,

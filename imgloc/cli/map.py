@@ -12,6 +12,7 @@ from imgloc.cli.console import emit, quiet_libraries, say
 from imgloc.errors import ConfigError, MapError
 
 if TYPE_CHECKING:
+    from imgloc.io.maps import Reading
     from imgloc.model import OccupancyGrid
 
 
@@ -29,7 +30,7 @@ class Subject(StrEnum):
 @opt.with_options(opt.reading, opt.console)
 def check(
     map_path: opt.MapPath,
-    reading: opt.Reading,
+    reading: "Reading",
     as_json: opt.AsJson = False,
     strict: Annotated[bool, opt.flag("--strict", "Exit with 3 if there is any warning.")] = False,
     memory_budget: opt.MemoryBudget = None,
@@ -55,7 +56,7 @@ def check(
 def show(
     map_path: opt.MapPath,
     out: Annotated[Path, opt.option("PNG", "Picture to write.", show_default=False)],
-    reading: opt.Reading,
+    reading: "Reading",
     what: Annotated[
         Subject,
         typer.Option(

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -17,6 +17,7 @@ from imgloc.cli.console import configure
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
+    from imgloc.io.maps import Reading
     from imgloc.model import LaserScan, Pose2D
     from imgloc.simulate import Sensor
 
@@ -163,18 +164,6 @@ MemoryBudget = Annotated[
 AllowLossy = Annotated[bool, flag("--allow-lossy", "Accept a JPEG as the map.")]
 
 
-class Reading(TypedDict):
-    """Keywords of :func:`imgloc.io.maps.load_map`, but for `allow_lossy`."""
-
-    resolution: float | None
-    origin: tuple[float, float, float] | None
-    mode: str | None
-    semantics: str
-    occupied_thresh: float | None
-    free_thresh: float | None
-    negate: bool | None
-
-
 def reading(
     resolution: Annotated[float | None, option("M", "Metres per cell.")] = None,
     origin: Annotated[
@@ -192,19 +181,19 @@ def reading(
     occupied_thresh: Annotated[float | None, option("P", "Occupied from here on, 0..1.")] = None,
     free_thresh: Annotated[float | None, option("P", "Free up to here, 0..1.")] = None,
     negate: Annotated[bool | None, flag("--negate/--no-negate", "White is a wall.")] = None,
-) -> Reading:
+) -> "Reading":
     """Options that say how a map is read; they override its YAML."""
     if origin is not None:
         check_yaw("--origin", origin[2])
-    return Reading(
-        resolution=resolution,
-        origin=origin,
-        mode=None if mode is None else mode.value,
-        semantics=semantics.value,
-        occupied_thresh=occupied_thresh,
-        free_thresh=free_thresh,
-        negate=negate,
-    )
+    return {
+        "resolution": resolution,
+        "origin": origin,
+        "mode": None if mode is None else mode.value,
+        "semantics": semantics.value,
+        "occupied_thresh": occupied_thresh,
+        "free_thresh": free_thresh,
+        "negate": negate,
+    }
 
 
 @dataclass(frozen=True)

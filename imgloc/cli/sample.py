@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -10,6 +10,9 @@ from imgloc.cli import inputs
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, progress, say
 from imgloc.errors import ConfigError
+
+if TYPE_CHECKING:
+    from imgloc.io.maps import Reading
 
 _MOST = 10_000_000  # poses in all
 _LISTED = 20  # hypotheses of fused that are drawn from
@@ -19,7 +22,7 @@ _LISTED = 20  # hypotheses of fused that are drawn from
 def sample(
     map_path: opt.MapPath,
     scans_path: opt.ScansPath,
-    reading: opt.Reading,
+    reading: "Reading",
     resources: opt.Take,
     out: Annotated[Path, opt.option("CSV", "File to write.", show_default=False)],
     count: Annotated[int, opt.option("N", "Poses for each scan.", "-n", "--count", min=1)] = 500,

@@ -10,6 +10,7 @@ from imgloc.cli.console import say
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
+    from imgloc.io.maps import Reading
     from imgloc.simulate import Sensor
 
 _MAX_READINGS = 10_000_000  # about 1.5 GB while they are simulated
@@ -20,7 +21,7 @@ def simulate(
     map_path: opt.MapPath,
     out: Annotated[Path, opt.option("NPZ", "File to write.", show_default=False)],
     sensor: "Sensor",
-    reading: opt.Reading,
+    reading: "Reading",
     count: Annotated[int, opt.option("N", "Number of scans.", "-n", "--count", min=1)] = 100,
     range_max: opt.Reach = 30.0,
     seed: opt.Seed = 0,
