@@ -1,18 +1,22 @@
 """The command line as a whole: help, versions, exit codes, the end of a run that fails."""
 
+import ast
 import importlib
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
 from command import MAPS, ROOT, call, command, rows, spawn
 
 import imgloc
+from imgloc.cli import app
 from imgloc.cli.console import Group, emit
 from imgloc.cli.demo import DemoMap
 from imgloc.cli.options import EngineName, MethodName, ModeName, SemanticsName
@@ -31,6 +35,12 @@ COMMANDS = (
     ["map"],
     ["map", "check"],
     ["map", "show"],
+    ["sample"],
+    ["calibrate"],
+    ["atlas"],
+    ["which"],
+    ["cache"],
+    ["cache", "clear"],
 )
 
 
@@ -53,7 +63,7 @@ def test_help_has_examples_that_parse(words: list[str]) -> None:
 
 
 def test_help_imports_nothing_heavy() -> None:
-    heavy = ("numpy", "cv2", "skimage", "scipy", "yaml", "matplotlib", "imgloc.pipeline")
+    heavy = ("numpy", "cv2", "skimage", "scipy", "yaml", "jinja2", "PIL", "imgloc.pipeline")
     code = (
         f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
         "from imgloc.cli import main\n"
@@ -65,6 +75,26 @@ def test_help_imports_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
     assert done.stderr.decode().strip() == ""
+
+
+def options_of(command: Any) -> set[str]:
+    """Names of the options of a command and of all below it."""
+    own = {name for p in command.params for name in (*p.opts, *p.secondary_opts)}
+    below = getattr(command, "commands", {}).values()
+    return own.union({"--help"}, *map(options_of, below))
+
+
+def test_messages_name_only_options_that_exist() -> None:
+    known = options_of(typer.main.get_command(app))
+    assert {"--memory-budget", "--no-negate", "--what"} <= known
+    named: dict[str, str] = {}
+    for path in (ROOT / "imgloc").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                words = re.findall(r"(?<![\w-])--[a-z][a-z-]*", node.value)
+                named |= dict.fromkeys(words, f"{path.name}:{node.lineno}")
+    assert "--resolution" in named  # a hint of imgloc.io.maps
+    assert {word: where for word, where in named.items() if word not in known} == {}
 
 
 def test_import_imgloc_is_cheap_and_offers_every_public_name() -> None:

@@ -1,14 +1,25 @@
-"""`--memory-budget` of the commands: said with -v, refused before anything is done."""
+"""`--memory-budget` of the commands: said with -v, refused before anything is loaded or done."""
 
 import logging
+import os
 import re
 import shutil
+import struct
+import subprocess
+import sys
+import tracemalloc
+import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from command import MAPS, call, spawn
+from command import MAPS, ROOT, call, spawn
+
+from imgloc.cli.inputs import held_bytes
+from imgloc.io.images import image_size
+from imgloc.io.scans import load_scans, scans_size
 
 CURVED = MAPS / "curved.yaml"
 EVALUATE = ["evaluate", CURVED, "-n", 1, "--methods", "ght-v,cbml", "--threads", 1]
@@ -210,3 +221,204 @@ def test_the_default_budget_is_that_of_the_start(
     if command == EVALUATE:
         command = ["evaluate", CURVED, "--scans", folder.parent / "scans.npz", *EVALUATE[4:]]
     assert call(*words(command, folder)).code == 0
+
+
+# Every command that reads a map, {} is a folder with one and with scans.
+READERS: list[list[object]] = [
+    ["localize", "{}/m.yaml", "{}/s.npz", "--no-cache"],
+    ["sample", "{}/m.yaml", "{}/s.npz", "--out", "{}/o.csv"],
+    ["simulate", "{}/m.yaml", "--out", "{}/o.npz"],
+    ["map", "show", "{}/m.yaml", "--out", "{}/o.png"],
+    ["map", "check", "{}/m.yaml"],
+    ["atlas", "{}/m.yaml", "--out", "{}/o.png", "--step", 50, "--headings", 1],
+    ["calibrate", "{}/m.yaml", "--methods", "cbml", "--dry-run"],
+    ["evaluate", "{}/m.yaml", "--methods", "cbml"],
+    ["which", "{}", "{}/s.npz", "--no-cache"],
+]
+
+
+def damaged_png(side: int) -> bytes:
+    """A grey image by its header; what follows cannot be inflated."""
+    png = b"\x89PNG\r\n\x1a\n"
+    for kind, data in (
+        (b"IHDR", struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)),
+        (b"IDAT", b"no pixels"),
+        (b"IEND", b""),
+    ):
+        png += struct.pack(">I", len(data)) + kind + data
+        png += struct.pack(">I", zlib.crc32(kind + data))
+    return png
+
+
+@pytest.fixture
+def sources(tmp_path: Path) -> Callable[[bytes], Path]:
+    """Make a folder with a map of the image given, and with two scans and their poses."""
+
+    def make(image: bytes) -> Path:
+        run = call("simulate", CURVED, "-n", 2, "--rays", 61, "--out", tmp_path / "s.npz")
+        assert run.code == 0
+        (tmp_path / "m.png").write_bytes(image)
+        (tmp_path / "m.yaml").write_text("{image: m.png, resolution: 0.05, origin: [0, 0, 0]}")
+        return tmp_path
+
+    return make
+
+
+@pytest.mark.parametrize("command", READERS, ids=lambda command: " ".join(map(str, command[:2])))
+def test_no_command_decodes_an_image_over_the_budget(
+    command: list[object], sources: Callable[[bytes], Path]
+) -> None:
+    folder = sources(damaged_png(11_000))
+    before = sorted(folder.iterdir())
+    run = call(*words(command, folder), "--memory-budget", "500M")
+    assert (run.code, run.out) == (2, "")
+    found = re.search(r"m.png: an image of 11000 x 11000 pixels needs (\d+) MiB of memory", run.err)
+    assert found is not None
+    assert 700 < int(found[1]) < 2000
+    assert "the budget is 500 MiB: crop the map, or raise --memory-budget" in run.err
+    assert sorted(folder.iterdir()) == before
+    more = call(*words(command, folder), "--memory-budget", "2000M")
+    assert more.code == 3
+    assert "m.png: damaged PNG data" in more.err
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc")
+@pytest.mark.parametrize("command", READERS, ids=lambda command: " ".join(map(str, command[:2])))
+def test_a_refused_command_has_taken_no_memory(
+    command: list[object], sources: Callable[[bytes], Path]
+) -> None:
+    blank = cv2.imencode(".png", np.full((6000, 6000), 254, np.uint8))[1].tobytes()
+    folder = sources(blank)
+    start = (
+        "import atexit, sys\n"
+        "sys.path.insert(0, sys.argv.pop(1))\n"
+        "atexit.register(lambda: print(open('/proc/self/status').read()))\n"
+        "from imgloc.cli import main\n"
+        "main()"
+    )
+    call_of = [
+        sys.executable,
+        "-c",
+        start,
+        ROOT,
+        *words(command, folder),
+        "--memory-budget",
+        "50M",
+    ]
+    done = subprocess.run(list(map(str, call_of)), capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "6000 x 6000 pixels needs" in done.stderr
+    (peak,) = re.findall(r"VmHWM:\s+(\d+) kB", done.stdout)
+    assert int(peak) < 140 * 1024  # Python, NumPy and OpenCV; the image would be 200 MiB more
+
+
+def test_headers_are_read_without_the_rest(tmp_path: Path) -> None:
+    image, archive, text = (tmp_path / name for name in ("m.pgm", "s.npz", "s.csv"))
+    image.write_bytes(b"P5 20000 6000 255\n")
+    os.truncate(image, 120_000_018)  # the pixels take no room on the disk
+    np.savez_compressed(archive, ranges=np.ones((9000, 360)), angles=np.ones(360))
+    text.write_text("# angle_min=-1, angle_max=1\n" + "1.25,2.5,3.75\n" * 500_000)
+    tracemalloc.start()
+    try:
+        assert image_size(image) == (20_000, 6000, 120_000_018, True)
+        assert scans_size(archive).numbers == 9000 * 360 + 360
+        assert scans_size(text).numbers == 500_002 + 1_000_001
+        assert tracemalloc.get_traced_memory()[1] < 6 << 20
+    finally:
+        tracemalloc.stop()
+
+
+SCAN_READERS: list[list[object]] = [
+    ["localize", CURVED, "{}", "--no-cache", "--index", 0],
+    ["sample", CURVED, "{}", "--out", "{}.csv"],
+    ["evaluate", CURVED, "--scans", "{}", "--methods", "cbml"],
+    ["which", MAPS, "{}", "--no-cache"],
+]
+
+
+@pytest.mark.parametrize("command", SCAN_READERS, ids=lambda command: str(command[0]))
+@pytest.mark.parametrize("name", ["s.npz", "s.csv", "s.jsonl", "s.json"])
+def test_no_command_reads_scans_over_the_budget(
+    command: list[object], name: str, tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    if name == "s.npz":
+        np.savez(path, ranges=np.ones((1000, 999)), angles=np.linspace(-1, 1, 999))
+        data = bytearray(path.read_bytes())
+        data[5000] ^= 1  # a reading is not what its checksum says
+        path.write_bytes(data)
+        expected = "a file of up to 1,000 scans and 999,999 numbers needs 33 MiB"
+    else:
+        path.write_text("no, number, here\n" * 100_000)
+        expected = "a file of up to 100,001 scans and 300,001 numbers needs"
+    run = call(*words(command, path), "--memory-budget", "30M", "-v")
+    assert (run.code, run.out) == (2, "")
+    assert f"imgloc: {path}: a file of up to" in run.err
+    assert expected in run.err
+    assert run.err.endswith("take fewer scans, in several files, or raise --memory-budget\n")
+    assert list(tmp_path.iterdir()) == [path]
+    assert call(*words(command, path), "--memory-budget", "3G").code == 4
+
+
+def test_scans_that_are_held_count_beside_the_answer(tmp_path: Path) -> None:
+    path = tmp_path / "s.npz"
+    np.savez_compressed(path, ranges=np.ones((1000, 999)), angles=np.linspace(-1, 1, 999))
+    given = ("localize", CURVED, path, "--index", 0, "--no-cache", "--threads", 1)
+    run = call(*given, "--memory-budget", "60M")
+    found = re.search(r"\((\d+) MiB\) with .*\((\d+) MiB\) and 1,000 scans \((\d+) MiB\)", run.err)
+    assert found is not None
+    answer, features, scans = map(int, found.groups())
+    assert 8 <= scans <= 40
+    assert call(*given, "--memory-budget", f"{answer + features + 1}M").code == 2
+    assert call(*given, "--memory-budget", f"{answer + features + scans}M").code == 0
+
+
+def test_a_few_scans_out_of_many_hold_them_all(tmp_path: Path) -> None:
+    one = np.ones((500, 999))
+    np.savez(tmp_path / "s.npz", ranges=one, angles=one[0], poses=np.zeros((500, 3)))
+    scans = load_scans(tmp_path / "s.npz")
+    need = held_bytes(scans.scans[:2])
+    assert one.nbytes < need < one.nbytes + 20_000
+    assert held_bytes([scan.flipped for scan in scans.scans]) > 2 * one.nbytes
+    assert held_bytes(()) == 0
+
+
+def test_maps_that_are_held_count_beside_the_next(tmp_path: Path) -> None:
+    grey = np.full((1500, 1500), 254, np.uint8)
+    grey[700] = 0
+    paths = [tmp_path / f"{name}.yaml" for name in "ab"]
+    for path in paths:
+        path.with_suffix(".png").write_bytes(cv2.imencode(".png", grey)[1])
+        path.write_text(f"{{image: {path.stem}.png, resolution: 0.05, origin: [0, 0, 0]}}")
+    run = call("calibrate", *paths, "--dry-run", "--memory-budget", "25M", "-v")
+    assert run.code == 2
+    assert "a.png: an image of 1500 x 1500 pixels: at most 22 MiB" in run.err
+    assert "b.png: an image of 1500 x 1500 pixels beside 5 MiB of other maps needs 26" in run.err
+
+
+def test_which_leaves_out_an_image_that_is_too_large(sources: Callable[[bytes], Path]) -> None:
+    folder = sources(damaged_png(11_000))
+    for ending in (".yaml", ".png"):
+        (folder / f"curved{ending}").write_bytes((MAPS / f"curved{ending}").read_bytes())
+    given = ("which", folder, folder / "s.npz", "--no-cache", "--threads", 1)
+    run = call(*given, "--memory-budget", "500M")
+    assert run.code == 5
+    assert "left out: " in run.err
+    assert "m.png: an image of 11000 x 11000 pixels needs" in run.err
+    assert len(run.out.splitlines()) == 3
+
+
+def test_the_places_of_an_atlas_are_counted_before_they_are_looked_at(tmp_path: Path) -> None:
+    given = ("atlas", CURVED, "--out", tmp_path / "a.png", "--step", 0.02, "--headings", 72)
+    run = call(*given, "--memory-budget", "100M")
+    assert (run.code, run.out) == (2, "")
+    assert re.search(r"72 headings at up to \d\d\d,\d\d\d places on 130 x 160 cells needs", run.err)
+    assert "use a larger --step or fewer --headings, crop the map" in run.err
+
+
+def test_a_region_of_another_size_is_not_decoded(sources: Callable[[bytes], Path]) -> None:
+    folder = sources(damaged_png(11_000))
+    given = ("localize", CURVED, folder / "s.npz", "--no-cache", "--region", folder / "m.png")
+    run = call(*given, "--memory-budget", "500M")
+    assert run.code == 2
+    assert "m.png: 11000 x 11000 pixels, expected 160 x 130 as the map" in run.err

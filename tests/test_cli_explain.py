@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import MAPS, call, spawn
+from command import MAPS, call
 
 from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
@@ -75,9 +75,7 @@ def test_the_same_page_for_any_number_of_threads(scans: Path, tmp_path: Path) ->
     pages = []
     for n in (1, 2):
         out = tmp_path / f"{n}.html"
-        run = spawn(
-            "localize", CURVED, scans, "--index", 0, "--explain", out, "--threads", n
-        )  # fmt: skip
+        run = call("localize", CURVED, scans, "--index", 0, "--explain", out, "--threads", n)
         assert run.code == 0
         lines = out.read_text(encoding="utf-8").splitlines()
         pages.append([line for line in lines if "Time: localize" not in line])

@@ -100,10 +100,26 @@ def test_json_has_the_documented_keys_and_the_right_poses(scans: Path) -> None:
         assert answer["parameters"]["range_max"] == 30
 
 
+def test_the_evidence_is_in_the_json_and_in_the_text(scans: Path) -> None:
+    words = ("localize", CURVED, scans, "--index", 0, "--method", "fused", "--top", 1)
+    (answer,) = rows(call(*words, "--json").out)
+    evidence = answer["evidence"]
+    assert list(evidence) == [
+        "readings", "misfit", "temperature", "base", "strain", "crowding", "cell", "found",
+        "listed", "unlisted",
+    ]  # fmt: skip
+    t = (evidence["base"] + evidence["strain"]) * evidence["crowding"] * evidence["cell"]
+    assert evidence["temperature"] == pytest.approx(t)
+    assert evidence["listed"] == len(answer["hypotheses"]) == 1 < evidence["found"]
+    mass = answer["hypotheses"][0]["mass"]
+    assert mass + evidence["unlisted"] + answer["elsewhere"] == pytest.approx(1)
+    line = next(x for x in call(*words).out.splitlines() if x.startswith("  poses "))
+    assert f"1 listed and {evidence['found'] - 1} not listed with " in line
+
+
 def test_the_same_bytes_for_every_run_and_number_of_threads(scans: Path) -> None:
-    once, again, two = (
-        spawn("localize", CURVED, scans, "--json", "--threads", n) for n in (1, 1, 2)
-    )
+    words = ("localize", CURVED, scans, "--json", "--threads")
+    once, again, two = spawn(*words, 1), call(*words, 1), call(*words, 2)
     assert once.code == 0
     assert len(rows(once.out)) == 3
     assert untimed(once.out) == untimed(again.out) == untimed(two.out)

@@ -8,8 +8,7 @@ import pytest
 from command import MAPS, call, rows
 
 from imgloc.io.maps import bundled_maps
-from imgloc.model import GridInfo
-from imgloc.output.features import SUBJECTS, draw_bmap, draw_distance
+from imgloc.output.features import SUBJECTS
 
 
 @pytest.fixture
@@ -119,22 +118,6 @@ def test_show_blurs_as_it_is_told(grey: Path, tmp_path: Path) -> None:
         assert run.code == 0
         pictures.add(out.read_bytes())
     assert len(pictures) == 3  # 0.1 is the default
-
-
-def test_distance_picture_is_dark_at_walls_with_a_line_each_metre() -> None:
-    metres = np.tile(np.arange(25) * 0.1, (3, 1))
-    picture = draw_distance(metres, GridInfo(3, 25, 0.1), scale=1)
-    grey = picture.astype(int).sum(axis=2)[1]
-    assert grey.argmin() == 0
-    assert grey[9] > grey[8]
-    assert grey[9] > grey[11]
-
-
-def test_blurred_map_is_upside_up() -> None:
-    picture = draw_bmap([[1.0, 1.0], [0.0, 0.5]], GridInfo(2, 2, 0.1), scale=1)
-    assert picture[1].max() < 60  # row 0 is the lowest y
-    assert picture[0, 0].tolist() == [255, 255, 255]
-    assert 100 < picture[0, 1, 0] < 200
 
 
 def test_bundled_maps_are_those_of_the_checkout() -> None:

@@ -246,7 +246,7 @@ def test_the_second_run_starts_from_the_cache(scans: Path, tmp_path: Path) -> No
     two = call("localize", WORLD, scans, "--json", "--cache", folder, "-v")
     assert untimed(one.out) == untimed(two.out)
     assert "kept" not in two.err
-    assert entry.stat().st_ino == before  # not written again; the time is that of its use
+    assert entry.stat().st_ino == before  # used, not written anew
     assert untimed(call("localize", WORLD, scans, "--json", "--no-cache").out) == untimed(one.out)
 
 

@@ -13,7 +13,11 @@ from test_features_budget import office, peak
 
 from imgloc.atlas import atlas_poses, simulate_at
 from imgloc.calibrate import disturbed_set
-from imgloc.features.budget import poses_bytes, scans_bytes, simulate_bytes
+from imgloc.features.budget import (
+    poses_bytes,
+    scans_bytes,
+    simulate_bytes,
+)
 from imgloc.io.images import ImageSize, image_size
 from imgloc.io.mapcheck import check_bytes, check_map
 from imgloc.io.maps import load_bytes

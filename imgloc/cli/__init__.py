@@ -7,6 +7,7 @@ import typer
 
 from imgloc import __version__
 from imgloc.cli.atlas import atlas
+from imgloc.cli.cache import cache, clear
 from imgloc.cli.calibrate import calibrate
 from imgloc.cli.console import Group, emit
 from imgloc.cli.demo import demo
@@ -109,12 +110,21 @@ _MAP: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc map show office.yaml --what visibility --at 3.5,2 --out fan.png",
     ),
 }
+_CACHE: dict[Callable[..., None], tuple[str, ...]] = {clear: ("imgloc cache clear",)}
 
 maps = typer.Typer(no_args_is_help=True, rich_markup_mode=None, context_settings=_OPTIONS)
-for group, commands in ((app, _COMMANDS), (maps, _MAP)):
+kept = typer.Typer(
+    invoke_without_command=True,
+    rich_markup_mode=None,
+    context_settings=_OPTIONS,
+    epilog=examples("imgloc cache", "imgloc cache --json", "imgloc cache clear"),
+    callback=cache,
+)
+for group, commands in ((app, _COMMANDS), (maps, _MAP), (kept, _CACHE)):
     for command, lines in commands.items():
         group.command(epilog=examples(*lines))(command)
 app.add_typer(maps, name="map", help="Look at a map: what is in it, what may be wrong with it.")
+app.add_typer(kept, name="cache")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -4,67 +4,37 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
+from imgloc.cli import inputs
+from imgloc.cli import options as opt
 from imgloc.cli.console import emit, progress, say
-from imgloc.cli.inputs import (
-    check_answer,
-    check_memory,
-    check_simulation,
-    check_target,
-    files_of,
-    load_grid,
-)
-from imgloc.cli.options import (
-    AllowLossy,
-    AsJson,
-    Force,
-    MapPath,
-    MemoryBudget,
-    Reach,
-    Reading,
-    Seed,
-    check_range,
-    console,
-    count_threads,
-    fixed_budget,
-    reading,
-    sensor,
-    with_options,
-)
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
+    from imgloc.io.maps import Reading
     from imgloc.simulate import Sensor
 
 _MOST = 20_000
 
 
-@with_options(sensor, reading, console)
+@opt.with_options(opt.sensor, opt.reading, opt.console)
 def atlas(
-    map_path: MapPath,
-    out: Annotated[Path, typer.Option(metavar="PNG", help="Picture to write.", show_default=False)],
+    map_path: opt.MapPath,
+    out: Annotated[Path, opt.option("PNG", "Picture to write.", show_default=False)],
     sensor: "Sensor",
-    reading: Reading,
-    csv: Annotated[
-        Path | None, typer.Option(metavar="CSV", help="Write a row for each pose, too.")
-    ] = None,
-    step: Annotated[float, typer.Option(metavar="M", help="Metres between places.")] = 0.5,
-    headings: Annotated[
-        int, typer.Option(min=1, max=72, metavar="K", help="Headings at each place.")
-    ] = 4,
-    range_max: Reach = 30.0,
-    seed: Seed = 0,
+    reading: "Reading",
+    csv: Annotated[Path | None, opt.option("CSV", "Write a row for each pose, too.")] = None,
+    step: Annotated[float, opt.option("M", "Metres between places.")] = 0.5,
+    headings: Annotated[int, opt.option("K", "Headings at each place.", min=1, max=72)] = 4,
+    range_max: opt.Reach = 30.0,
+    seed: opt.Seed = 0,
     workers: Annotated[
         int | None,
-        typer.Option(
-            min=1, metavar="N", help="Processes; no result depends on it. [default: all processors]"
-        ),
+        opt.option("N", "Processes; no result depends on it. [default: all processors]", min=1),
     ] = None,
-    memory_budget: MemoryBudget = None,
-    as_json: AsJson = False,
-    force: Force = False,
-    allow_lossy: AllowLossy = False,
+    memory_budget: opt.MemoryBudget = None,
+    as_json: opt.AsJson = False,
+    force: opt.Force = False,
+    allow_lossy: opt.AllowLossy = False,
 ) -> None:
     """Draw where on this map, for this lidar, a single scan is enough.
 
@@ -72,11 +42,11 @@ def atlas(
     right one), ambiguous (several fit; lines lead to the twins), no-match, or wrong (unique, but
     elsewhere). An interrupted run goes on where it stopped: its rows are kept in PNG.part.
     """
-    check_target(out, ".png", force=force, inputs=files_of(map_path))
+    inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
     if csv is not None:
-        check_target(csv, ".csv", force=force)
-    check_range("--step", step, 0.02, 1000, "metres")
-    check_range("--range-max", range_max, 0.01, 10_000, "metres")
+        inputs.check_target(csv, ".csv", force=force)
+    opt.check_range("--step", step, 0.02, 1000, "metres")
+    opt.check_range("--range-max", range_max, 0.01, 10_000, "metres")
 
     from imgloc.atlas import AT_ONCE, TOP, Spot, atlas_poses, simulate_at, summarise, survey
     from imgloc.features.budget import poses_bytes
@@ -90,11 +60,11 @@ def atlas(
     from imgloc.pipeline import prepare
     from imgloc.simulate import fine_image, is_world
 
-    budget, name = fixed_budget(memory_budget), display(map_path)
-    grid = load_grid(map_path, budget, allow_lossy=allow_lossy, **reading)
+    budget, name = opt.fixed_budget(memory_budget), display(map_path)
+    grid = inputs.load_grid(map_path, budget, allow_lossy=allow_lossy, **reading)
     height, width = grid.occupied.shape
     places = round(height * grid.resolution / step + 1) * round(width * grid.resolution / step + 1)
-    check_memory(
+    inputs.check_memory(
         poses_bytes(height * width, places, headings),
         budget,
         f"{name}: {headings} headings at up to {places:,} places on {height} x {width} cells",
@@ -108,12 +78,12 @@ def atlas(
         )
     chosen = replace(sensor, range_max=range_max)
     options = Options(top=TOP, threads=1, memory_budget=budget)
-    processes = min(count_threads(workers), max(1, len(poses) // 8))
-    check_simulation(
+    processes = min(opt.count_threads(workers), max(1, len(poses) // 8))
+    inputs.check_simulation(
         grid, name, len(poses), sensor.rays, budget,
         world=is_world(map_path, grid), at_once=AT_ONCE, hint="use a larger --step, crop the map",
     )  # fmt: skip
-    check_answer(prepare(grid, name), options, name, hint="crop the map", workers=processes)
+    inputs.check_answer(prepare(grid, name), options, name, hint="crop the map", workers=processes)
     about = {"step": step, "headings": headings, "seed": seed, "sensor": repr(chosen)}
     journal = Journal(out.with_name(out.name + ".part"), {"map": cache_key(grid, about)} | about)
     done = len(journal.rows)

@@ -7,36 +7,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from imgloc.cli import inputs
+from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress, say
-from imgloc.cli.inputs import check_answer, check_simulation, check_target, load_grid
-from imgloc.cli.options import (
-    AllowLossy,
-    AsJson,
-    Cell,
-    Force,
-    MethodName,
-    Reading,
-    Take,
-    check_range,
-    console,
-    find_map,
-    for_each,
-    methods_of,
-    reading,
-    resources,
-    sensor,
-    with_options,
-)
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
+    from imgloc.io.maps import Reading
     from imgloc.model import OccupancyGrid
     from imgloc.simulate import Sensor
 
-_STACKS = [name.value for name in MethodName if name != MethodName.FUSED]
+_STACKS = [name.value for name in opt.MethodName if name != opt.MethodName.FUSED]
 
 
-@with_options(sensor, reading, resources, console)
+@opt.with_options(opt.sensor, opt.reading, opt.resources, opt.console)
 def calibrate(
     maps: Annotated[
         list[Path],
@@ -46,36 +30,30 @@ def calibrate(
         ),
     ],
     sensor: "Sensor",
-    reading: Reading,
-    resources: Take,
-    methods: Annotated[str, typer.Option(metavar="NAMES", help="With commas between.")] = ",".join(
-        _STACKS
-    ),
+    reading: "Reading",
+    resources: opt.Take,
+    methods: Annotated[str, opt.option("NAMES", "With commas between.")] = ",".join(_STACKS),
     count: Annotated[
-        int,
-        typer.Option("-n", "--count", min=1, max=10_000, metavar="N", help="Scans of each map."),
+        int, opt.option("N", "Scans of each map.", "-n", "--count", min=1, max=10_000)
     ] = 30,
     seed: Annotated[
-        int, typer.Option(min=0, metavar="N", help="Of what is simulated; evaluate with another.")
+        int, opt.option("N", "Of what is simulated; evaluate with another.", min=0)
     ] = 1000,
-    range_max: Annotated[
-        float, typer.Option(metavar="M", help="Reach of the simulated sensor.")
-    ] = 30.0,
+    range_max: Annotated[float, opt.option("M", "Reach of the simulated sensor.")] = 30.0,
     theta_step_deg: Annotated[
         list[str] | None,
-        typer.Option(metavar="[METHOD=]DEG", help="Step of the headings. [default: the method's]"),
+        opt.option("[METHOD=]DEG", "Step of the headings. [default: the method's]"),
     ] = None,
-    cell: Cell = 0.1,
+    cell: opt.Cell = 0.1,
     clean: Annotated[
-        bool,
-        typer.Option("--clean", help="Disturb no scan. [default: two thirds are, as by people]"),
+        bool, opt.flag("--clean", "Disturb no scan. [default: two thirds are, as by people]")
     ] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Store nothing, only show what would be.")
+        bool, opt.flag("--dry-run", "Store nothing, only show what would be.")
     ] = False,
-    as_json: AsJson = False,
-    force: Force = False,
-    allow_lossy: AllowLossy = False,
+    as_json: opt.AsJson = False,
+    force: opt.Force = False,
+    allow_lossy: opt.AllowLossy = False,
 ) -> None:
     """Fit the posterior of a map's methods on simulated scans, and keep it beside the map.
 
@@ -84,10 +62,10 @@ def calibrate(
     the map, where localize and evaluate find them. Without that file they use defaults. With
     --force what the file has of other methods is kept.
     """
-    chosen = methods_of(methods, _STACKS)
-    steps = for_each("--theta-step-deg", theta_step_deg, chosen, 0.05, 180, "degrees")
-    check_range("--range-max", range_max, 0.01, 10_000, "metres")
-    check_range("--cell", cell, 0.001, 10, "metres")
+    chosen = opt.methods_of(methods, _STACKS)
+    steps = opt.for_each("--theta-step-deg", theta_step_deg, chosen, 0.05, 180, "degrees")
+    opt.check_range("--range-max", range_max, 0.01, 10_000, "metres")
+    opt.check_range("--cell", cell, 0.001, 10, "metres")
 
     from imgloc.calibrate import check_trials, disturbed_set, fit, sweep
     from imgloc.io.calibration import calibration_path, save_calibrations
@@ -98,7 +76,7 @@ def calibrate(
     from imgloc.pipeline import prepare
     from imgloc.simulate import fine_image, is_world, simulate_set
 
-    paths = [find_map(given) for given in maps]
+    paths = [opt.find_map(given) for given in maps]
     targets = [calibration_path(path) for path in paths]
     if len(set(targets)) < len(targets):
         raise ConfigError("MAP...: the same map twice, or two that would share a file")
@@ -108,7 +86,7 @@ def calibrate(
                 f"{given}: of a bundled map it would be kept in {display(target)}, among the files "
                 f"of imgloc; give {display(path)} if that is meant, else --dry-run or a copy"
             )
-        check_target(target, ".json", force=force)
+        inputs.check_target(target, ".json", force=force)
     check_trials(count * len(paths))
     taken = resources()
     budget = taken.memory_budget
@@ -116,7 +94,7 @@ def calibrate(
     grids: list[OccupancyGrid] = []
     for path in paths:
         held = sum(grid.occupied.nbytes + grid.free.nbytes for grid in grids)
-        grids.append(load_grid(path, budget, allow_lossy=allow_lossy, held=held, **reading))
+        grids.append(inputs.load_grid(path, budget, allow_lossy=allow_lossy, held=held, **reading))
     plans = {
         method: Options(
             method=method,
@@ -128,9 +106,11 @@ def calibrate(
     }
     for path, grid in zip(paths, grids, strict=True):
         name, world = display(path), is_world(path, grid)
-        check_simulation(grid, name, count, sensor.rays, budget, world=world, sets=3 * len(grids))
+        inputs.check_simulation(
+            grid, name, count, sensor.rays, budget, world=world, sets=3 * len(grids)
+        )
         for options in plans.values():
-            check_answer(prepare(grid, name, cell=cell), options, name)
+            inputs.check_answer(prepare(grid, name, cell=cell), options, name)
     simulate = simulate_set if clean else disturbed_set
     sets = [
         simulate(grid, count, seed, laser, fine_image(path, grid))

@@ -7,11 +7,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
+from imgloc.cli import inputs
+from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit
-from imgloc.cli.inputs import check_answer, check_simulation, check_target
-from imgloc.cli.options import Force, Take, console, resources, with_options
 
 _OUT = Path("imgloc-demo.png")
 
@@ -26,22 +24,20 @@ class DemoMap(StrEnum):
     CORRIDOR = "corridor"
 
 
-@with_options(resources, console)
+@opt.with_options(opt.resources, opt.console)
 def demo(
-    resources: Take,
-    name: Annotated[DemoMap, typer.Option("--map", help="Bundled map.")] = DemoMap.DOUBLE_WALL,
-    seed: Annotated[
-        int, typer.Option(min=0, metavar="N", help="Seed of the pose and of the noise.")
-    ] = 0,
+    resources: opt.Take,
+    name: Annotated[DemoMap, opt.flag("--map", "Bundled map.")] = DemoMap.DOUBLE_WALL,
+    seed: Annotated[int, opt.option("N", "Seed of the pose and of the noise.", min=0)] = 0,
     out: Annotated[
         Path | None,
-        typer.Option(
-            metavar="PNG",
-            help="Picture to write. [default: imgloc-demo.png here, or the next free name]",
+        opt.option(
+            "PNG",
+            "Picture to write. [default: imgloc-demo.png here, or the next free name]",
             show_default=False,
         ),
     ] = None,
-    force: Force = False,
+    force: opt.Force = False,
 ) -> None:
     """Simulate a scan in a bundled map, localize it, draw the answer.
 
@@ -53,7 +49,7 @@ def demo(
 
     maps = bundled_maps()
     if out is not None:
-        check_target(out, ".png", force=force, inputs=maps.glob("*.png"))
+        inputs.check_target(out, ".png", force=force, inputs=maps.glob("*.png"))
 
     import numpy as np
 
@@ -73,9 +69,9 @@ def demo(
     cbml = replace(options, method="cbml")
     features = prepare(grid, name.value, threads=taken.threads)
     hint = "use another --map"
-    check_simulation(grid, name.value, 1, 181, taken.memory_budget, hint=hint)
+    inputs.check_simulation(grid, name.value, 1, 181, taken.memory_budget, hint=hint)
     for each in (options, cbml):
-        check_answer(features, each, name.value, hint=hint)
+        inputs.check_answer(features, each, name.value, hint=hint)
     simulated = simulate_set(grid, 1, seed)
     scan, truth = simulated.scans[0], Pose2D(*np.asarray(simulated.poses)[0])
     answer = localize(features, scan, options)

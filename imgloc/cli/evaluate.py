@@ -8,36 +8,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from imgloc.cli import inputs
+from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress
-from imgloc.cli.inputs import check_answer, check_simulation, cut_scan, load_grid, load_set
-from imgloc.cli.options import (
-    AllowLossy,
-    AsJson,
-    Flipped,
-    MethodName,
-    Reading,
-    Take,
-    check_range,
-    console,
-    find_map,
-    for_each,
-    methods_of,
-    number_of,
-    reading,
-    resources,
-    sensor,
-    with_options,
-)
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
+    from imgloc.io.maps import Reading
     from imgloc.simulate import Sensor
 
-_METHODS = ",".join(MethodName)
+_METHODS = ",".join(opt.MethodName)
 _MAX_SCANS = 100_000
 
 
-@with_options(sensor, reading, resources, console)
+@opt.with_options(opt.sensor, opt.reading, opt.resources, opt.console)
 def evaluate(
     maps: Annotated[
         list[Path],
@@ -46,55 +30,41 @@ def evaluate(
         ),
     ],
     sensor: "Sensor",
-    reading: Reading,
-    resources: Take,
-    methods: Annotated[str, typer.Option(metavar="NAMES", help="With commas between.")] = _METHODS,
+    reading: "Reading",
+    resources: opt.Take,
+    methods: Annotated[str, opt.option("NAMES", "With commas between.")] = _METHODS,
     count: Annotated[
-        int | None,
-        typer.Option("-n", "--count", min=1, metavar="N", help="Scans simulated. [default: 100]"),
+        int | None, opt.option("N", "Scans simulated. [default: 100]", "-n", "--count", min=1)
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, metavar="N", help="Seed of what is simulated.")] = 0,
+    seed: Annotated[int, opt.option("N", "Seed of what is simulated.", min=0)] = 0,
     range_max: Annotated[
         float | None,
-        typer.Option(
-            metavar="M",
-            help="Reach of the simulated sensor [default: 30]; cuts recorded readings.",
-        ),
+        opt.option("M", "Reach of the simulated sensor [default: 30]; cuts recorded readings."),
     ] = None,
     scans: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE", help="Recorded scans with poses; once for each MAP."),
+        list[Path] | None, opt.option("FILE", "Recorded scans with poses; once for each MAP.")
     ] = None,
     sample: Annotated[
-        int | None,
-        typer.Option(min=1, metavar="N", help="Of the recorded scans take N. [default: all]"),
+        int | None, opt.option("N", "Of the recorded scans take N. [default: all]", min=1)
     ] = None,
-    sample_seed: Annotated[
-        int, typer.Option(min=0, metavar="N", help="Seed that decides which.")
-    ] = 1,
-    flipped: Flipped = False,
+    sample_seed: Annotated[int, opt.option("N", "Seed that decides which.", min=0)] = 1,
+    flipped: opt.Flipped = False,
     tolerance: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="M,DEG", help="Report success within this too; the last rules unique, wrong."
-        ),
+        opt.option("M,DEG", "Report success within this too; the last rules unique, wrong."),
     ] = None,
     theta_step_deg: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="[METHOD=]DEG", help="Step of the headings. [default: as in the paper]"
-        ),
+        opt.option("[METHOD=]DEG", "Step of the headings. [default: as in the paper]"),
     ] = None,
     cell: Annotated[
-        list[str] | None,
-        typer.Option(metavar="[METHOD=]M", help="Cell of the poses, metres. [default: 0.1]"),
+        list[str] | None, opt.option("[METHOD=]M", "Cell of the poses, metres. [default: 0.1]")
     ] = None,
     floor: Annotated[
-        float,
-        typer.Option(metavar="P", help="Share of the uniform density mixed into each, for S."),
+        float, opt.option("P", "Share of the uniform density mixed into each, for S.")
     ] = 1e-3,
-    as_json: AsJson = False,
-    allow_lossy: AllowLossy = False,
+    as_json: opt.AsJson = False,
+    allow_lossy: opt.AllowLossy = False,
 ) -> None:
     """Measure methods on scans whose poses are known: simulated at random, or recorded.
 
@@ -105,11 +75,11 @@ def evaluate(
     its cells: 3 degrees (cbml, cbml-o, beam) and 30 (ght, ght-v).
     Everything but what is under "cost" is the same in every run.
     """
-    chosen = methods_of(methods, list(MethodName))
-    steps = for_each("--theta-step-deg", theta_step_deg, chosen, 0.05, 180, "degrees")
-    cells = for_each("--cell", cell, chosen, 0.001, 10, "metres")
-    check_range("--range-max", range_max, 1e-3, 10_000 if scans is None else 1e6, "metres")
-    check_range("--floor", floor, 1e-12, 0.5, "a share")
+    chosen = opt.methods_of(methods, list(opt.MethodName))
+    steps = opt.for_each("--theta-step-deg", theta_step_deg, chosen, 0.05, 180, "degrees")
+    cells = opt.for_each("--cell", cell, chosen, 0.001, 10, "metres")
+    opt.check_range("--range-max", range_max, 1e-3, 10_000 if scans is None else 1e6, "metres")
+    opt.check_range("--floor", floor, 1e-12, 0.5, "a share")
     tolerances = [_tolerance(text) for text in tolerance or ()]
     _check_sources(maps, scans, count, sample, sensor, flipped=flipped)
 
@@ -127,24 +97,26 @@ def evaluate(
     within = (*TOLERANCES, *(Tolerance(m, math.radians(deg)) for m, deg in tolerances))
     table: list[dict[str, Any]] = []
     for k, given in enumerate(maps):
-        path = find_map(given)
+        path = opt.find_map(given)
         # The folder of a map.yaml says more than its name.
         name = display(
             given.parent.name if given.stem == "map" and given.parent.name else given.stem
         )
-        grid = load_grid(path, budget, allow_lossy=allow_lossy, **reading)
+        grid = inputs.load_grid(path, budget, allow_lossy=allow_lossy, **reading)
         calibrations = load_calibrations(calibration_path(path), grid)
         source: dict[str, object] = {"map": display(path)}
         if scans is None:
             laser = replace(sensor, range_max=30.0 if range_max is None else range_max)
             n, world = count or 100, is_world(path, grid)
-            check_simulation(grid, display(path), n, sensor.rays, budget, world=world)
+            inputs.check_simulation(grid, display(path), n, sensor.rays, budget, world=world)
             # In a bundled map on its walls, not on its cells.
             trials = simulate_set(grid, n, seed, laser, fine_image(path, grid))
             source |= {"seed": seed, "sensor": asdict(laser)}
         else:
-            picked = sample_set(load_set(scans[k], budget), sample, sample_seed, display(scans[k]))
-            cut = tuple(cut_scan(scan, range_max, flipped=flipped) for scan in picked.scans)
+            picked = sample_set(
+                inputs.load_set(scans[k], budget), sample, sample_seed, display(scans[k])
+            )
+            cut = tuple(inputs.cut_scan(scan, range_max, flipped=flipped) for scan in picked.scans)
             trials = replace(picked, scans=cut)
             source |= {"scans": display(scans[k]), "sample": sample, "sample_seed": sample_seed}
             source |= {"range_max": range_max, "flipped": flipped}
@@ -156,7 +128,7 @@ def evaluate(
             )
             options = replace(options, calibration=calibrations.get(method), memory_budget=budget)
             # All of them before the first one takes its time.
-            check_answer(
+            inputs.check_answer(
                 prepare(grid, display(path), cell=side), options, display(path), scans=trials.scans
             )
             plans.append((method, side, options))
@@ -202,7 +174,7 @@ def _tolerance(text: str) -> tuple[float, float]:
     metres, comma, degrees = text.partition(",")
     if not comma:
         raise ConfigError(f"--tolerance: got {text!r}, expected metres and degrees, M,DEG")
-    values = number_of("--tolerance", metres), number_of("--tolerance", degrees)
-    check_range("--tolerance", values[0], 1e-6, 1e6, "metres")
-    check_range("--tolerance", values[1], 1e-6, 360, "degrees")
+    values = opt.number_of("--tolerance", metres), opt.number_of("--tolerance", degrees)
+    opt.check_range("--tolerance", values[0], 1e-6, 1e6, "metres")
+    opt.check_range("--tolerance", values[1], 1e-6, 360, "degrees")
     return values

@@ -226,7 +226,7 @@ def check_answer(
     check_memory(need + kept, options.memory_budget or 0, what, hint)
 
 
-def cache_folder(given: Path | None, *, wanted: bool) -> Path | None:
+def kept_in(given: Path | None, *, wanted: bool) -> Path | None:
     """Where prepared maps are kept: the folder given, else the user's; None for nowhere."""
     from imgloc.io.cache import cache_folder
 

@@ -8,121 +8,82 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from imgloc.cli import inputs
+from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress
-from imgloc.cli.inputs import (
-    cache_folder,
-    check_target,
-    choose,
-    cut_scan,
-    files_of,
-    keep_features,
-    load_grid,
-    load_set,
-    numbered,
-    open_features,
-    prior_of,
-)
-from imgloc.cli.options import (
-    AllowLossy,
-    AsJson,
-    Cell,
-    Cut,
-    EngineName,
-    Force,
-    Index,
-    Known,
-    MapPath,
-    MethodName,
-    Mounting,
-    Reading,
-    ScansPath,
-    Take,
-    check_range,
-    console,
-    known,
-    mounting,
-    reading,
-    resources,
-    with_options,
-)
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
     from imgloc.features.mapfeatures import MapFeatures
+    from imgloc.io.maps import Reading
     from imgloc.model import LaserScan
     from imgloc.options import Options
 
 _MIRRORED = 3  # doubtful scans that are looked at mirrored
 
 
-@with_options(known, mounting, reading, resources, console)
+@opt.with_options(opt.known, opt.mounting, opt.reading, opt.resources, opt.console)
 def localize(
-    map_path: MapPath,
-    scans_path: ScansPath,
-    known: Known,
-    mounting: Mounting,
-    reading: Reading,
-    resources: Take,
+    map_path: opt.MapPath,
+    scans_path: opt.ScansPath,
+    known: opt.Known,
+    mounting: opt.Mounting,
+    reading: "Reading",
+    resources: opt.Take,
     method: Annotated[
-        MethodName,
+        opt.MethodName,
         typer.Option(help="How: fused searches and re-scores, the others are the paper's stacks."),
-    ] = MethodName.FUSED,
-    top: Annotated[int, typer.Option(min=1, metavar="N", help="Hypotheses listed for a scan.")] = 5,
-    as_json: AsJson = False,
+    ] = opt.MethodName.FUSED,
+    top: Annotated[int, opt.option("N", "Hypotheses listed for a scan.", min=1)] = 5,
+    as_json: opt.AsJson = False,
     picture: Annotated[
         Path | None,
-        typer.Option(
-            metavar="PNG",
-            help="Draw the scan at each hypothesis; several scans: NAME-0003.png and so on.",
+        opt.option(
+            "PNG", "Draw the scan at each hypothesis; several scans: NAME-0003.png and so on."
         ),
     ] = None,
     explain: Annotated[
         Path | None,
-        typer.Option(
-            metavar="HTML",
-            help="Say why, ray by ray, on a page of its own; several scans: NAME-0003.html.",
+        opt.option(
+            "HTML", "Say why, ray by ray, on a page of its own; several scans: NAME-0003.html."
         ),
     ] = None,
-    index: Index = None,
+    index: opt.Index = None,
     strict: Annotated[
-        bool, typer.Option("--strict", help="Exit with 6 unless every scan is unique.")
+        bool, opt.flag("--strict", "Exit with 6 unless every scan is unique.")
     ] = False,
-    range_max: Cut = None,
+    range_max: opt.Cut = None,
     theta_step_deg: Annotated[
-        float | None,
-        typer.Option(metavar="DEG", help="Step of the headings. [default: the method's own]"),
+        float | None, opt.option("DEG", "Step of the headings. [default: the method's own]")
     ] = None,
-    cell: Cell = 0.1,
+    cell: opt.Cell = 0.1,
     engine: Annotated[
-        EngineName, typer.Option(help="Of the correlations of cbml and cbml-o.")
-    ] = EngineName.AUTO,
+        opt.EngineName, typer.Option(help="Of the correlations of cbml and cbml-o.")
+    ] = opt.EngineName.AUTO,
     exact_argmax: Annotated[
         bool,
-        typer.Option(
+        opt.flag(
             "--exact-argmax",
-            help="Branch and bound: the best poses of cbml without its stack; to fused, more "
-            "proposals.",
+            "Branch and bound: the best poses of cbml without its stack; to fused, more proposals.",
         ),
     ] = False,
     time_budget: Annotated[
         float | None,
-        typer.Option(
-            metavar="S",
-            help="Seconds for each scan: then the best so far, marked as not complete. Such "
+        opt.option(
+            "S",
+            "Seconds for each scan: then the best so far, marked as not complete. Such "
             "answers depend on the machine.",
         ),
     ] = None,
     cache: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR", help="Where prepared maps are kept. [default: the user's cache folder]"
-        ),
+        opt.option("DIR", "Where prepared maps are kept. [default: the user's cache folder]"),
     ] = None,
     no_cache: Annotated[
-        bool, typer.Option("--no-cache", help="Prepare the map anew and keep nothing.")
+        bool, opt.flag("--no-cache", "Prepare the map anew and keep nothing.")
     ] = False,
-    force: Force = False,
-    allow_lossy: AllowLossy = False,
+    force: opt.Force = False,
+    allow_lossy: opt.AllowLossy = False,
 ) -> None:
     """Find the pose of each scan in a map, without an initial guess.
 
@@ -130,19 +91,19 @@ def localize(
     best pose does not explain the scan), invalid (too few readings). Poses are those of the sensor,
     in the map frame. Look at the mass of the second hypothesis before trusting the first.
     """
-    check_range("--range-max", range_max, 1e-3, 1e6, "metres")
-    check_range("--theta-step-deg", theta_step_deg, 0.05, 180, "degrees")
-    check_range("--cell", cell, 0.001, 10, "metres")
-    check_range("--time-budget", time_budget, 0.001, 1e6, "seconds")
+    opt.check_range("--range-max", range_max, 1e-3, 1e6, "metres")
+    opt.check_range("--theta-step-deg", theta_step_deg, 0.05, 180, "degrees")
+    opt.check_range("--cell", cell, 0.001, 10, "metres")
+    opt.check_range("--time-budget", time_budget, 0.001, 1e6, "seconds")
     if cache is not None and no_cache:
         raise ConfigError("--cache and --no-cache: expected one of them")
-    if engine != EngineName.AUTO and method not in (MethodName.CBML, MethodName.CBML_O):
+    if engine != opt.EngineName.AUTO and method not in (opt.MethodName.CBML, opt.MethodName.CBML_O):
         raise ConfigError(f"--engine: {method.value} does not correlate; use cbml or cbml-o")
-    inputs = [*files_of(map_path), *([] if known.region is None else [known.region])]
+    read = [*inputs.files_of(map_path), *([] if known.region is None else [known.region])]
     if picture is not None:
-        check_target(picture, ".png", force=force, inputs=inputs)
+        inputs.check_target(picture, ".png", force=force, inputs=read)
     if explain is not None:
-        check_target(explain, ".html", force=force)
+        inputs.check_target(explain, ".html", force=force)
 
     from imgloc.explain import explain as reasons
     from imgloc.io.calibration import calibration_path, load_calibrations
@@ -156,7 +117,7 @@ def localize(
     from imgloc.pipeline import localize as locate
 
     taken = resources()
-    grid = load_grid(
+    grid = inputs.load_grid(
         map_path, taken.memory_budget, allow_lossy=allow_lossy, usable=False, **reading
     )
     options = _options(method, theta_step_deg)
@@ -168,22 +129,22 @@ def localize(
         memory_budget=taken.memory_budget,
         time_budget=time_budget,
         exact=exact_argmax,
-        prior=prior_of(known, grid, allow_lossy=allow_lossy),
+        prior=inputs.prior_of(known, grid, allow_lossy=allow_lossy),
         calibration=load_calibrations(calibration_path(map_path), grid).get(method.value),
     )
-    folder = cache_folder(cache, wanted=not no_cache)
-    scans = load_set(scans_path, taken.memory_budget)
-    features = open_features(
+    folder = inputs.kept_in(cache, wanted=not no_cache)
+    scans = inputs.load_set(scans_path, taken.memory_budget)
+    features = inputs.open_features(
         grid, display(map_path), folder, options,
         scans=scans.scans, cell=cell, threads=taken.threads,
     )  # fmt: skip
-    chosen = choose(len(scans), index, display(scans_path))
+    chosen = inputs.choose(len(scans), index, display(scans_path))
     many, mount = len(chosen) > 1, mounting.pose
-    targets, pages = numbered(picture, chosen), numbered(explain, chosen)
+    targets, pages = inputs.numbered(picture, chosen), inputs.numbered(explain, chosen)
     for target in targets.values():
-        check_target(target, ".png", force=force, inputs=inputs)
+        inputs.check_target(target, ".png", force=force, inputs=read)
     for page in pages.values():
-        check_target(page, ".html", force=force)
+        inputs.check_target(page, ".html", force=force)
     LOG.info("%s: %d x %d cells of %g m", display(map_path), *grid.info.shape, grid.resolution)
     LOG.info("%s: %d of %d scans", display(scans_path), len(chosen), len(scans))
     check_options(features, options)
@@ -192,7 +153,7 @@ def localize(
     doubtful = []
     with progress("localize", len(chosen)) as advance:
         for k in chosen:
-            scan = mounting.mount(cut_scan(scans[k], range_max))
+            scan = mounting.mount(inputs.cut_scan(scans[k], range_max))
             answer = locate(features, scan, options)
             truth = None if scans.poses is None else Pose2D(*scans.poses[k])
             if answer.verdict != "unique":
@@ -215,21 +176,21 @@ def localize(
                 emit(answer_line(k, answer, mount))
             else:
                 emit(answer_text(f"scan {k}", answer, truth, mount))
-    keep_features(features, folder)
-    if method == MethodName.FUSED and time_budget is None and 2 * len(doubtful) > len(chosen):
+    inputs.keep_features(features, folder)
+    if method == opt.MethodName.FUSED and time_budget is None and 2 * len(doubtful) > len(chosen):
         _hint_at_mirrored(doubtful[:_MIRRORED], features, options, flipped=mounting.flipped)
     if strict and doubtful:
         raise typer.Exit(NOT_UNIQUE)
 
 
-def _options(method: MethodName, step_deg: float | None) -> "Options":
+def _options(method: opt.MethodName, step_deg: float | None) -> "Options":
     from imgloc.options import Options
 
     options = Options(method=method.value)
     if step_deg is None:
         return options
     step = math.radians(step_deg)
-    if method == MethodName.FUSED:
+    if method == opt.MethodName.FUSED:
         return replace(options, fused=replace(options.fused, theta_step=step))
     return replace(options, theta_step=step)
 

@@ -6,25 +6,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from imgloc.cli import inputs
+from imgloc.cli import options as opt
 from imgloc.cli.console import emit, quiet_libraries, say
-from imgloc.cli.inputs import check_image, check_target, files_of, load_grid
-from imgloc.cli.options import (
-    AllowLossy,
-    AsJson,
-    Force,
-    MapPath,
-    MemoryBudget,
-    Reading,
-    check_range,
-    console,
-    fixed_budget,
-    numbers,
-    reading,
-    with_options,
-)
 from imgloc.errors import ConfigError, MapError
 
 if TYPE_CHECKING:
+    from imgloc.io.maps import Reading
     from imgloc.model import OccupancyGrid
 
 
@@ -39,15 +27,13 @@ class Subject(StrEnum):
     DISTANCE = "distance"
 
 
-@with_options(reading, console)
+@opt.with_options(opt.reading, opt.console)
 def check(
-    map_path: MapPath,
-    reading: Reading,
-    as_json: AsJson = False,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Exit with 3 if there is any warning.")
-    ] = False,
-    memory_budget: MemoryBudget = None,
+    map_path: opt.MapPath,
+    reading: "Reading",
+    as_json: opt.AsJson = False,
+    strict: Annotated[bool, opt.flag("--strict", "Exit with 3 if there is any warning.")] = False,
+    memory_budget: opt.MemoryBudget = None,
 ) -> None:
     """Report what is in a map, and what is likely to be wrong with it.
 
@@ -58,7 +44,7 @@ def check(
     from imgloc.output.json import report_row, to_json
     from imgloc.output.tables import report_text
 
-    check_image(map_path, reading, fixed_budget(memory_budget), check_bytes)
+    inputs.check_image(map_path, reading, opt.fixed_budget(memory_budget), check_bytes)
     with quiet_libraries():
         report = check_map(map_path, **reading)
     emit(to_json(report_row(report)) if as_json else report_text(report))
@@ -66,11 +52,11 @@ def check(
         raise typer.Exit(MapError.exit_code)
 
 
-@with_options(reading, console)
+@opt.with_options(opt.reading, opt.console)
 def show(
-    map_path: MapPath,
-    out: Annotated[Path, typer.Option(metavar="PNG", help="Picture to write.", show_default=False)],
-    reading: Reading,
+    map_path: opt.MapPath,
+    out: Annotated[Path, opt.option("PNG", "Picture to write.", show_default=False)],
+    reading: "Reading",
     what: Annotated[
         Subject,
         typer.Option(
@@ -80,30 +66,25 @@ def show(
     ] = Subject.MAP,
     at: Annotated[
         Any,
-        typer.Option(
-            metavar="X,Y",
-            parser=numbers(2),
-            help="For visibility: near here, metres, map frame. [default: what sees most]",
+        opt.option(
+            "X,Y",
+            "For visibility: near here, metres, map frame. [default: what sees most]",
+            parser=opt.numbers(2),
         ),
     ] = None,
     sigma: Annotated[
         float | None,
-        typer.Option(
-            metavar="M",
-            help="Blur of bmap and vmap, standard deviation, metres. [default: 0.1]",
-        ),
+        opt.option("M", "Blur of bmap and vmap, standard deviation, metres. [default: 0.1]"),
     ] = None,
-    cell: Annotated[
-        float | None, typer.Option(metavar="M", help="Cell of bmap and vmap, metres.")
-    ] = None,
-    memory_budget: MemoryBudget = None,
-    force: Force = False,
-    allow_lossy: AllowLossy = False,
+    cell: Annotated[float | None, opt.option("M", "Cell of bmap and vmap, metres.")] = None,
+    memory_budget: opt.MemoryBudget = None,
+    force: opt.Force = False,
+    allow_lossy: opt.AllowLossy = False,
 ) -> None:
     """Draw a map, or what is computed from it, into a PNG."""
-    check_target(out, ".png", force=force, inputs=files_of(map_path))
-    check_range("--sigma", sigma, 0.001, 100, "metres")
-    check_range("--cell", cell, 0.001, 10, "metres")
+    inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
+    opt.check_range("--sigma", sigma, 0.001, 100, "metres")
+    opt.check_range("--cell", cell, 0.001, 10, "metres")
     if at is not None and what != Subject.VISIBILITY:
         raise ConfigError("--at: only --what visibility is drawn at a point")
     for option, value in (("--sigma", sigma), ("--cell", cell)):
@@ -113,8 +94,8 @@ def show(
     from imgloc.io.files import display
     from imgloc.output.pictures import draw
 
-    grid = load_grid(
-        map_path, fixed_budget(memory_budget),
+    grid = inputs.load_grid(
+        map_path, opt.fixed_budget(memory_budget),
         allow_lossy=allow_lossy, usable=what != Subject.MAP, **reading,
     )  # fmt: skip
     features = MapFeatures(grid, cell=cell or grid.resolution, sigma=sigma or 0.1)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -17,6 +17,7 @@ from imgloc.cli.console import configure
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
+    from imgloc.io.maps import Reading
     from imgloc.model import LaserScan, Pose2D
     from imgloc.simulate import Sensor
 
@@ -120,6 +121,16 @@ def find_map(path: str | Path) -> Path:
     return bundled if bundled.is_file() else path
 
 
+def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
+    """Declare an option: what stands for its value in the help, and what it is."""
+    return typer.Option(*names, metavar=metavar, help=text, **more)
+
+
+def flag(names: str, text: str) -> Any:
+    """Declare an option without a value."""
+    return typer.Option(names, help=text)
+
+
 MapPath = Annotated[
     Path,
     typer.Argument(
@@ -131,80 +142,58 @@ MapPath = Annotated[
 ScansPath = Annotated[
     Path, typer.Argument(metavar="SCANS", help="Scans: .npz, .csv, .jsonl, .ndjson or .json.")
 ]
-Index = Annotated[
-    int | None, typer.Option("--index", min=0, metavar="I", help="Only scan I, counted from 0.")
-]
-Cut = Annotated[
-    float | None, typer.Option(metavar="M", help="Cut readings at M metres: there, no return.")
-]
-Reach = Annotated[float, typer.Option(metavar="M", help="Reach of the sensor, metres.")]
-Seed = Annotated[int, typer.Option(min=0, metavar="N", help="Seed of everything random.")]
-Cell = Annotated[float, typer.Option(metavar="M", help="Cell of the poses, metres.")]
+Index = Annotated[int | None, option("I", "Only scan I, counted from 0.", "--index", min=0)]
+Cut = Annotated[float | None, option("M", "Cut readings at M metres: there, no return.")]
+Reach = Annotated[float, option("M", "Reach of the sensor, metres.")]
+Seed = Annotated[int, option("N", "Seed of everything random.", min=0)]
+Cell = Annotated[float, option("M", "Cell of the poses, metres.")]
 Flipped = Annotated[
     bool,
-    typer.Option("--flipped", help="The sensor is upside down: its angles run clockwise."),
+    flag("--flipped", "The sensor is upside down: its angles run clockwise."),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite output files that exist.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Machine-readable: a JSON object a line.")]
+Force = Annotated[bool, flag("--force", "Overwrite output files that exist.")]
+AsJson = Annotated[bool, flag("--json", "Machine-readable: a JSON object a line.")]
 MemoryBudget = Annotated[
     Any,
-    typer.Option(
-        metavar="BYTES",
+    option(
+        "BYTES",
+        "Refuse to take more memory, such as 512M or 2G. [default: half of what is available]",
         parser=byte_count,
-        help="Refuse to take more memory, such as 512M or 2G. [default: half of what is available]",
     ),
 ]
-AllowLossy = Annotated[bool, typer.Option("--allow-lossy", help="Accept a JPEG as the map.")]
-
-
-class Reading(TypedDict):
-    """Keywords of :func:`imgloc.io.maps.load_map`, but for `allow_lossy`."""
-
-    resolution: float | None
-    origin: tuple[float, float, float] | None
-    mode: str | None
-    semantics: str
-    occupied_thresh: float | None
-    free_thresh: float | None
-    negate: bool | None
+AllowLossy = Annotated[bool, flag("--allow-lossy", "Accept a JPEG as the map.")]
 
 
 def reading(
-    resolution: Annotated[float | None, typer.Option(metavar="M", help="Metres per cell.")] = None,
+    resolution: Annotated[float | None, option("M", "Metres per cell.")] = None,
     origin: Annotated[
         Any,
-        typer.Option(
-            metavar="X,Y,YAW",
+        option(
+            "X,Y,YAW",
+            "Pose of the lower-left corner in the map frame: metres, metres, radians.",
             parser=numbers(3),
-            help="Pose of the lower-left corner in the map frame: metres, metres, radians.",
         ),
     ] = None,
     mode: Annotated[ModeName | None, typer.Option(help="How greys are read.")] = None,
     semantics: Annotated[
         SemanticsName, typer.Option(help="Whose thresholds and transparency.")
     ] = SemanticsName.NAV2,
-    occupied_thresh: Annotated[
-        float | None, typer.Option(metavar="P", help="Occupied from here on, 0..1.")
-    ] = None,
-    free_thresh: Annotated[
-        float | None, typer.Option(metavar="P", help="Free up to here, 0..1.")
-    ] = None,
-    negate: Annotated[
-        bool | None, typer.Option("--negate/--no-negate", help="White is a wall.")
-    ] = None,
-) -> Reading:
+    occupied_thresh: Annotated[float | None, option("P", "Occupied from here on, 0..1.")] = None,
+    free_thresh: Annotated[float | None, option("P", "Free up to here, 0..1.")] = None,
+    negate: Annotated[bool | None, flag("--negate/--no-negate", "White is a wall.")] = None,
+) -> "Reading":
     """Options that say how a map is read; they override its YAML."""
     if origin is not None:
         check_yaw("--origin", origin[2])
-    return Reading(
-        resolution=resolution,
-        origin=origin,
-        mode=None if mode is None else mode.value,
-        semantics=semantics.value,
-        occupied_thresh=occupied_thresh,
-        free_thresh=free_thresh,
-        negate=negate,
-    )
+    return {
+        "resolution": resolution,
+        "origin": origin,
+        "mode": None if mode is None else mode.value,
+        "semantics": semantics.value,
+        "occupied_thresh": occupied_thresh,
+        "free_thresh": free_thresh,
+        "negate": negate,
+    }
 
 
 @dataclass(frozen=True)
@@ -221,9 +210,7 @@ Take = Callable[[], Resources]
 def resources(
     threads: Annotated[
         int | None,
-        typer.Option(
-            min=1, metavar="N", help="Threads; no result depends on it. [default: all processors]"
-        ),
+        option("N", "Threads; no result depends on it. [default: all processors]", min=1),
     ] = None,
     memory_budget: MemoryBudget = None,
 ) -> Take:
@@ -256,7 +243,7 @@ def count_threads(wanted: int | None) -> int:
 
 def console(
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say what is done.")] = False,
-    debug: Annotated[bool, typer.Option("--debug", help="Show tracebacks of errors.")] = False,
+    debug: Annotated[bool, flag("--debug", "Show tracebacks of errors.")] = False,
 ) -> None:
     """Options about what is said on standard error."""
     configure(verbose=verbose, debug=debug)
@@ -275,34 +262,29 @@ class Known:
 def known(
     near: Annotated[
         Any,
-        typer.Option(
-            metavar="X,Y,YAW[,R[,T]]",
-            parser=numbers(3, 5),
-            help="Only poses within R metres of a pose in the map frame and turned from it by at "
+        option(
+            "X,Y,YAW[,R[,T]]",
+            "Only poses within R metres of a pose in the map frame and turned from it by at "
             f"most T radians. [default: R = {RADIUS:g}, T = {TOLERANCE:g}]",
+            parser=numbers(3, 5),
         ),
     ] = None,
     heading: Annotated[
         Any,
-        typer.Option(
-            metavar="YAW[,T]",
-            parser=numbers(1, 2),
-            help="Only poses with this heading in the map frame (a compass), up to T radians. "
+        option(
+            "YAW[,T]",
+            "Only poses with this heading in the map frame (a compass), up to T radians. "
             f"[default: T = {TOLERANCE:g}]",
+            parser=numbers(1, 2),
         ),
     ] = None,
     region: Annotated[
         Path | None,
-        typer.Option(
-            metavar="PNG", help="Only poses in the white part of an image as large as the map's."
-        ),
+        option("PNG", "Only poses in the white part of an image as large as the map's."),
     ] = None,
     clearance: Annotated[
         float | None,
-        typer.Option(
-            metavar="M",
-            help="Only poses at least M metres from what is not free: the robot's size.",
-        ),
+        option("M", "Only poses at least M metres from what is not free: the robot's size."),
     ] = None,
 ) -> Known:
     """Options of the prior."""
@@ -345,11 +327,11 @@ class Mounting:
 def mounting(
     sensor: Annotated[
         Any,
-        typer.Option(
-            metavar="X,Y,YAW",
-            parser=numbers(3),
-            help="Pose of the sensor on the robot (metres, radians): poses of the robot's base are "
+        option(
+            "X,Y,YAW",
+            "Pose of the sensor on the robot (metres, radians): poses of the robot's base are "
             "given too.",
+            parser=numbers(3),
         ),
     ] = None,
     flipped: Flipped = False,
@@ -361,32 +343,24 @@ def mounting(
 
 
 def sensor(
-    rays: Annotated[int, typer.Option(min=1, metavar="N", help="Readings of a scan.")] = 181,
-    fov_deg: Annotated[
-        float, typer.Option(metavar="DEG", help="Angle that a scan covers, degrees.")
-    ] = 180.0,
-    sigma: Annotated[
-        float, typer.Option(metavar="M", help="Standard deviation of a reading's noise, metres.")
-    ] = 0.02,
+    rays: Annotated[int, option("N", "Readings of a scan.", min=1)] = 181,
+    fov_deg: Annotated[float, option("DEG", "Angle that a scan covers, degrees.")] = 180.0,
+    sigma: Annotated[float, option("M", "Standard deviation of a reading's noise, metres.")] = 0.02,
     outliers: Annotated[
-        float,
-        typer.Option(metavar="P", help="Share of the rays that something unmapped stops, 0..1."),
+        float, option("P", "Share of the rays that something unmapped stops, 0..1.")
     ] = 0.0,
     dropped: Annotated[
-        float, typer.Option(metavar="P", help="Share of the rays that give no measurement, 0..1.")
+        float, option("P", "Share of the rays that give no measurement, 0..1.")
     ] = 0.0,
     clearance: Annotated[
-        float,
-        typer.Option(
-            metavar="M", help="Least distance of the robot from what is not free, metres."
-        ),
+        float, option("M", "Least distance of the robot from what is not free, metres.")
     ] = 0.3,
     mount: Annotated[
         Any,
-        typer.Option(
-            metavar="X,Y,YAW",
+        option(
+            "X,Y,YAW",
+            "Pose of the sensor on the robot: metres, metres, radians. [default: 0,0,0]",
             parser=numbers(3),
-            help="Pose of the sensor on the robot: metres, metres, radians. [default: 0,0,0]",
         ),
     ] = None,
 ) -> "Sensor":

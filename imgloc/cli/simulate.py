@@ -4,55 +4,38 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
+from imgloc.cli import inputs
+from imgloc.cli import options as opt
 from imgloc.cli.console import say
-from imgloc.cli.inputs import check_simulation, check_target, load_grid
-from imgloc.cli.options import (
-    AllowLossy,
-    Force,
-    MapPath,
-    MemoryBudget,
-    Reach,
-    Reading,
-    Seed,
-    check_range,
-    console,
-    fixed_budget,
-    reading,
-    sensor,
-    with_options,
-)
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
+    from imgloc.io.maps import Reading
     from imgloc.simulate import Sensor
 
 _MAX_READINGS = 10_000_000  # about 1.5 GB while they are simulated
 
 
-@with_options(sensor, reading, console)
+@opt.with_options(opt.sensor, opt.reading, opt.console)
 def simulate(
-    map_path: MapPath,
-    out: Annotated[Path, typer.Option(metavar="NPZ", help="File to write.", show_default=False)],
+    map_path: opt.MapPath,
+    out: Annotated[Path, opt.option("NPZ", "File to write.", show_default=False)],
     sensor: "Sensor",
-    reading: Reading,
-    count: Annotated[
-        int, typer.Option("-n", "--count", min=1, metavar="N", help="Number of scans.")
-    ] = 100,
-    range_max: Reach = 30.0,
-    seed: Seed = 0,
-    memory_budget: MemoryBudget = None,
-    force: Force = False,
-    allow_lossy: AllowLossy = False,
+    reading: "Reading",
+    count: Annotated[int, opt.option("N", "Number of scans.", "-n", "--count", min=1)] = 100,
+    range_max: opt.Reach = 30.0,
+    seed: opt.Seed = 0,
+    memory_budget: opt.MemoryBudget = None,
+    force: opt.Force = False,
+    allow_lossy: opt.AllowLossy = False,
 ) -> None:
     """Simulate scans at random free poses of a map.
 
     Writes an NPZ with the keys ranges, angles, range_min, range_max and poses: the true pose of the
     sensor for each scan, in the map frame (metres, metres, radians).
     """
-    check_target(out, ".npz", force=force)
-    check_range("--range-max", range_max, 0.01, 10_000, "metres")
+    inputs.check_target(out, ".npz", force=force)
+    opt.check_range("--range-max", range_max, 0.01, 10_000, "metres")
     rays = sensor.rays
     if count * rays > _MAX_READINGS:
         raise ConfigError(
@@ -63,9 +46,9 @@ def simulate(
     from imgloc.io.scans import save_scans
     from imgloc.simulate import simulate_set
 
-    budget = fixed_budget(memory_budget)
-    grid = load_grid(map_path, budget, allow_lossy=allow_lossy, **reading)
-    check_simulation(grid, display(map_path), count, rays, budget)
+    budget = opt.fixed_budget(memory_budget)
+    grid = inputs.load_grid(map_path, budget, allow_lossy=allow_lossy, **reading)
+    inputs.check_simulation(grid, display(map_path), count, rays, budget)
     scans = simulate_set(grid, count, seed, replace(sensor, range_max=range_max))
     save_scans(out, scans, force=force)
     say(f"wrote {display(out)}: {count} scans of {rays} readings, with their poses")

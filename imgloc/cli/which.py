@@ -5,27 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from imgloc.cli import inputs
+from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress, say
-from imgloc.cli.inputs import (
-    cache_folder,
-    cut_scan,
-    keep_features,
-    load_grid,
-    load_set,
-    open_features,
-)
-from imgloc.cli.options import (
-    AllowLossy,
-    AsJson,
-    Cut,
-    Flipped,
-    ScansPath,
-    Take,
-    check_range,
-    console,
-    resources,
-    with_options,
-)
 from imgloc.errors import ConfigError, MapError
 
 if TYPE_CHECKING:
@@ -34,24 +16,22 @@ if TYPE_CHECKING:
 FAILED_ROWS = 5
 
 
-@with_options(resources, console)
+@opt.with_options(opt.resources, opt.console)
 def which(
     maps_dir: Annotated[
         Path,
         typer.Argument(metavar="MAPS_DIR", help="Folder with map_server YAML files, at any depth."),
     ],
-    scans_path: ScansPath,
-    resources: Take,
-    range_max: Cut = None,
-    flipped: Flipped = False,
-    sure: Annotated[
-        float, typer.Option(metavar="P", help="Probability that a map needs to be named.")
-    ] = 0.5,
-    as_json: AsJson = False,
+    scans_path: opt.ScansPath,
+    resources: opt.Take,
+    range_max: opt.Cut = None,
+    flipped: opt.Flipped = False,
+    sure: Annotated[float, opt.option("P", "Probability that a map needs to be named.")] = 0.5,
+    as_json: opt.AsJson = False,
     no_cache: Annotated[
-        bool, typer.Option("--no-cache", help="Prepare the maps anew and keep nothing.")
+        bool, opt.flag("--no-cache", "Prepare the maps anew and keep nothing.")
     ] = False,
-    allow_lossy: AllowLossy = False,
+    allow_lossy: opt.AllowLossy = False,
 ) -> None:
     """Say which of the maps in a folder each scan is from: one of them, none, or undecided.
 
@@ -62,8 +42,8 @@ def which(
     A scan with too few readings is invalid. A map that cannot be used is reported and left out;
     the exit code is then 5.
     """
-    check_range("--range-max", range_max, 1e-3, 1e6, "metres")
-    check_range("--sure", sure, 0.5, 1, "a probability")
+    opt.check_range("--range-max", range_max, 1e-3, 1e6, "metres")
+    opt.check_range("--sure", sure, 0.5, 1, "a probability")
 
     from imgloc.io.files import display
     from imgloc.options import Options
@@ -74,17 +54,19 @@ def which(
 
     taken = resources()
     paths = find_maps(maps_dir)
-    recorded = load_set(scans_path, taken.memory_budget).scans
-    scans = [cut_scan(scan, range_max, flipped=flipped) for scan in recorded]
+    recorded = inputs.load_set(scans_path, taken.memory_budget).scans
+    scans = [inputs.cut_scan(scan, range_max, flipped=flipped) for scan in recorded]
     options = Options(top=20, threads=taken.threads, memory_budget=taken.memory_budget)
-    folder = cache_folder(None, wanted=not no_cache)
+    folder = inputs.kept_in(None, wanted=not no_cache)
     fits: list[dict[str, Localization]] = [{} for _ in scans]
     names, failed = names_of(paths, maps_dir), list[MapError | ConfigError]()
     with progress("which", len(paths) * len(scans), lines=False) as advance:
         for path, name in zip(paths, names, strict=True):
             try:
-                grid = load_grid(path, taken.memory_budget, allow_lossy=allow_lossy, usable=False)
-                features = open_features(
+                grid = inputs.load_grid(
+                    path, taken.memory_budget, allow_lossy=allow_lossy, usable=False
+                )
+                features = inputs.open_features(
                     grid, display(path), folder, options,
                     hint="crop the map", scans=scans, threads=taken.threads,
                 )  # fmt: skip
@@ -96,7 +78,7 @@ def which(
             for scan, found in zip(scans, fits, strict=True):
                 found[name] = fit(features, scan, options)
                 advance()
-            keep_features(features, folder)
+            inputs.keep_features(features, folder)
             del features  # before the next map's are loaded
             LOG.info("%s: %d scans located", display(path), len(scans))
     if len(failed) == len(paths):

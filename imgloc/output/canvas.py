@@ -144,10 +144,6 @@ def draw_map(
     bar : bool
         Draw a scale bar.
 
-    Returns
-    -------
-    (H * scale, W * scale, 3) uint8 array
-
     Examples
     --------
     >>> wall = np.eye(3, dtype=bool)

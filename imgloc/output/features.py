@@ -1,4 +1,8 @@
-"""Images of what is computed from a map: surfaces, vector fields, visibility."""
+"""Pictures of what is computed from a map: surfaces, blurred maps, visibility, distances.
+
+Each is an :data:`~imgloc.output.canvas.Image` of (H * scale, W * scale, 3) pixels; without a
+`scale`, pixels per cell, small maps are enlarged.
+"""
 
 from dataclasses import replace
 
@@ -84,11 +88,6 @@ def draw_surface(
     surface : OrientedPoints
         In the grid frame; points without a normal are drawn as black dots.
     scale : int, optional
-        Pixels per cell.
-
-    Returns
-    -------
-    (H * scale, W * scale, 3) uint8 array
     """
     canvas = map_canvas(grid, scale)
     points = surface.select(surface.valid)
@@ -114,13 +113,8 @@ def draw_field(
     resolution : float
         Side of a cell, metres.
     scale : int, optional
-        Pixels per cell.
     step : int, optional
         Cells between arrows; by default arrows are about 14 pixels apart.
-
-    Returns
-    -------
-    (H * scale, W * scale, 3) uint8 array
     """
     x, y = (np.asarray(v, dtype=np.float64) for v in vmap)
     strength = np.hypot(x, y)
@@ -151,11 +145,6 @@ def draw_bmap(bmap: npt.ArrayLike, grid: GridInfo, *, scale: int | None = None) 
     grid : GridInfo
         Its lattice.
     scale : int, optional
-        Pixels per cell.
-
-    Returns
-    -------
-    (H * scale, W * scale, 3) uint8 array
 
     Examples
     --------
@@ -169,7 +158,7 @@ def draw_bmap(bmap: npt.ArrayLike, grid: GridInfo, *, scale: int | None = None) 
 
 
 def draw_distance(distance: npt.ArrayLike, grid: GridInfo, *, scale: int | None = None) -> Image:
-    """Draw distances to the nearest wall: dark at the walls, bright far from them.
+    """Draw distances to the nearest wall: dark at the walls, a fine line at each full metre.
 
     Parameters
     ----------
@@ -178,12 +167,6 @@ def draw_distance(distance: npt.ArrayLike, grid: GridInfo, *, scale: int | None 
     grid : GridInfo
         Its lattice.
     scale : int, optional
-        Pixels per cell.
-
-    Returns
-    -------
-    (H * scale, W * scale, 3) uint8 array
-        Every full metre is a fine line.
 
     Examples
     --------
@@ -227,11 +210,6 @@ def draw_visibility(
     alpha : float
         Direction of bin 0, radians: the normal, if `vis` is relative to it.
     scale : int, optional
-        Pixels per cell.
-
-    Returns
-    -------
-    (H * scale, W * scale, 3) uint8 array
     """
     canvas = map_canvas(grid, scale)
     reach = np.minimum(np.asarray(vis, dtype=np.float64), horizon)

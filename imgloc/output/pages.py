@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from imgloc import __version__
-from imgloc.explain import KINDS, Explanation, Layer
+from imgloc.explain import Explanation, Layer
 from imgloc.geometry import base_of, rotate_covariance
 from imgloc.model import Check, Hypothesis, Pose2D
 from imgloc.output.pictures import draw_likelihood
@@ -29,32 +29,6 @@ HEADLINES = {
     "ambiguous": "Several poses explain this scan.",
     "no-match": "No pose on this map explains this scan.",
     "invalid": "Too few readings to say anything.",
-}
-MARKS = {"unique": "✓", "ambiguous": "?", "no-match": "✗", "invalid": "–"}
-#: Name and meaning of each kind of ray.
-KIND_WORDS = {
-    "agrees": ("agrees", "ends on a mapped surface that faces the sensor"),
-    "orientation": (
-        "vetoed by orientation",
-        "ends on a surface, but the scan and the map say that it faces elsewhere",
-    ),
-    "visibility": (
-        "vetoed by visibility",
-        "passes through a mapped wall (dashed beyond it)",
-    ),
-    "unexplained": (
-        "unexplained",
-        "ends where the map has no surface: somebody is there, or it is the wrong pose",
-    ),
-    "no_return": ("no return", "met nothing within reach; counted, not drawn"),
-    "invalid": ("invalid", "not a distance: too close, or NaN; counted, not drawn"),
-}
-_LAYERS = {
-    "cbml": "Where the ends of the readings fall on walls (CBML)",
-    "cbml-o": "Where the ends and their normals fit (CBML-O)",
-    "ght": "Where pairs of oriented points vote (GHT)",
-    "ght-v": "Where pairs of oriented points vote, if the map lets the ray through (GHT-V)",
-    "beam": "Where the ranges fit (the beam model, eq. 2)",
 }
 
 
@@ -91,11 +65,9 @@ def render_explanation(
         e=e,
         title=title,
         version=version,
-        mark=MARKS[answer.verdict],
         headline=HEADLINES[answer.verdict],
         why=why(e),
         facts=_facts(e, truth, mount),
-        kinds={kind: KIND_WORDS[kind] for kind in KINDS},
         overview=draw_overview(e.grid, poses, e.fits[0].rays if e.fits else None),
         cards=list(zip(e.fits, views, strict=True)),
         layers=[_layer(e, layer) for layer in e.layers],
@@ -138,11 +110,11 @@ def _facts(e: Explanation, truth: Pose2D | None, mount: Pose2D | None) -> list[t
 
 
 def _layer(e: Explanation, layer: Layer) -> tuple[str, str, str]:
-    """Title, text and PNG of a likelihood."""
+    """Name, text and PNG of a likelihood."""
     png = ""
     if layer.likelihood is not None:
         png = data_of(draw_likelihood(layer.likelihood, grid=e.grid))
-    return _LAYERS[layer.name], layer.about, png
+    return layer.name, layer.about, png
 
 
 def why(e: Explanation) -> str:

@@ -182,10 +182,6 @@ def draw_likelihood(
         Pixels per cell of the likelihood.
     log : bool
         The values are log-likelihoods (the beam model's): ``exp(L - max L)`` is drawn.
-
-    Returns
-    -------
-    (H * scale, W * scale, 3) uint8 array
     """
     best = likelihood.values.max(axis=0).astype(np.float64)
     if log:
@@ -217,6 +213,8 @@ def draw_hypotheses(
 ) -> Image:
     """Draw where a scan may have been taken: the scan laid on the map at each hypothesis.
 
+    A legend below has the mass and the pose, in the map frame, of each.
+
     Parameters
     ----------
     grid : OccupancyGrid
@@ -232,11 +230,6 @@ def draw_hypotheses(
         Pixels per cell.
     note : str
         A last line of the legend.
-
-    Returns
-    -------
-    (H', W', 3) uint8 array
-        The map, and below it a legend with the mass and the pose, in the map frame, of each.
     """
     canvas = map_canvas(grid, scale)
     size = marker_size(canvas)
@@ -344,10 +337,6 @@ def draw_atlas(grid: OccupancyGrid, spots: Sequence[Spot], *, step: float, headi
         Metres between places.
     headings : int
         Of each place: each gets a wedge that points along it.
-
-    Returns
-    -------
-    (H, W, 3) uint8 array
     """
     canvas = map_canvas(grid)
     to_grid = inverse(grid.origin)
@@ -419,10 +408,6 @@ def mosaic(
         Pixels between pictures and around them.
     top : bool
         Align the upper edges of a row, not the lower.
-
-    Returns
-    -------
-    (H, W, 3) uint8 array
 
     Raises
     ------

@@ -276,6 +276,40 @@ def test_the_page_says_what_the_answer_says(why) -> None:
     assert "fused.model.hit 0.8" in page.text
 
 
+@pytest.mark.parametrize(("crowding", "cell"), [(None, None), (2.0, 1.25)])
+def test_the_temperature_on_the_page_is_the_product_of_its_terms(why, crowding, cell) -> None:
+    evidence = why.answer.evidence
+    if crowding:
+        t = replace(evidence.temperature, crowding=crowding, cell=cell)
+        evidence = replace(evidence, temperature=t)
+    page = render_explanation(replace(why, answer=replace(why.answer, evidence=evidence)), "x")
+    number = r"([\d.]+)"
+    found = re.search(
+        rf"Temperature {number} = \({number} \+ {number} × misfit\)"
+        rf" × {number} \(.*?\) × {number} \(cells of the map\)",
+        Page(page).text,
+    )
+    value, base, strain, *factors = map(float, found.groups())
+    assert factors == [crowding or 1.0, cell or 1.0]  # those of this scan are 1
+    assert value == pytest.approx(evidence.temperature.value, abs=0.006)
+    assert (base + strain * evidence.misfit) * np.prod(factors) == pytest.approx(value, abs=0.006)
+    if not crowding:  # and it is what the masses were made with
+        best, second = (fit.hypothesis for fit in why.fits[:2])
+        margin = best.log_likelihood - second.log_likelihood
+        assert np.log(best.mass / second.mass) == pytest.approx(margin / value, rel=0.01)
+
+
+def test_what_is_not_listed_is_on_the_page(why) -> None:
+    def text_of(**counts):
+        evidence = replace(why.answer.evidence, **counts)
+        shown = replace(why, answer=replace(why.answer, evidence=evidence))
+        return Page(render_explanation(shown, "x")).text
+
+    said = "9 poses were found. Those that are not listed hold 10 % together."
+    assert said in text_of(found=9, listed=2, unlisted=0.1)
+    assert "poses were found" not in text_of(found=2, listed=2)
+
+
 def test_the_log_odds_on_the_page_are_those_of_elsewhere(why) -> None:
     found = re.search(r"Log-odds .*? = (−?[\d.]+)\.", Page(render_explanation(why, "x")).text)
     odds = np.log(why.answer.elsewhere / (1 - why.answer.elsewhere))

@@ -1,12 +1,39 @@
 """Pictures: right way up, right colours, right places."""
 
+import cv2
 import numpy as np
 import pytest
 
-from imgloc.model import GridInfo, Hypothesis, Likelihood, OccupancyGrid, OrientedPoints, Pose2D
+from imgloc.errors import OutputError
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.geometry import compose
+from imgloc.model import (
+    Evidence,
+    GridInfo,
+    Hypothesis,
+    LaserScan,
+    Likelihood,
+    Localization,
+    OccupancyGrid,
+    OrientedPoints,
+    Pose2D,
+)
 from imgloc.output.canvas import INK, PALETTE, PAPER, SHADE, TURQUOISE, Canvas, draw_map, wheel
-from imgloc.output.features import draw_field, draw_surface, draw_visibility
-from imgloc.output.pictures import draw_hypotheses, draw_likelihood, mosaic
+from imgloc.output.features import (
+    SUBJECTS,
+    draw_bmap,
+    draw_distance,
+    draw_field,
+    draw_surface,
+    draw_visibility,
+)
+from imgloc.output.pictures import (
+    _not_drawn,
+    draw,
+    draw_hypotheses,
+    draw_likelihood,
+    mosaic,
+)
 
 
 def close(colour, other, tolerance=12):
@@ -271,3 +298,89 @@ def test_drawing_leaves_its_inputs_alone_and_gives_the_same_bytes():
     assert np.all(points == 1)
     assert first.dtype == np.uint8
     assert first.flags.c_contiguous
+
+
+def answer(*hypotheses, found=0, unlisted=0.0):
+    evidence = Evidence(found=found, listed=len(hypotheses), unlisted=unlisted)
+    return Localization(tuple(hypotheses), "ambiguous", 0.0, 1.0, elsewhere=0.1, evidence=evidence)
+
+
+def test_one_call_draws_an_answer_in_the_map_frame():
+    origin = Pose2D(-7.0, 9.0, np.pi / 2)
+    at = compose(origin, Pose2D(4.0, 1.0, 0.0))
+    scan = LaserScan([1.0], [np.pi / 2], range_max=9.0)  # one point, on the left
+    picture = draw(room(origin=origin), answer(hypothesis(at.x, at.y, at.theta)), scan).image
+    px = picture.shape[1] / 6.0
+    assert close(picture[round((4.0 - 2.0) * px), round(4.0 * px)], PALETTE[0])
+    same = draw(MapFeatures(room(origin=origin)), answer(hypothesis(at.x, at.y, at.theta)), scan)
+    np.testing.assert_array_equal(same.image, picture)
+    crossed = draw(room(origin=origin), answer(hypothesis(at.x, at.y, at.theta)), truth=at).image
+    assert close(crossed[round((4.0 - 1.0) * px), round(4.0 * px)], INK)
+
+
+def test_one_call_draws_a_map_a_likelihood_and_every_feature():
+    grid, lattice = room(), stack(np.ones((1, 40, 60)))
+    np.testing.assert_array_equal(draw(grid).image, draw_map(grid))
+    shown = draw(grid, lattice, truth=Pose2D(1, 1)).image
+    np.testing.assert_array_equal(shown, draw_likelihood(lattice, grid=grid, truth=Pose2D(1, 1)))
+    features = MapFeatures(grid)
+    pictures = [draw(features, what=what).image for what in SUBJECTS]
+    assert len({p.tobytes() for p in pictures}) == len(SUBJECTS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "words"),
+    [
+        (("map.png",), TypeError, "OccupancyGrid or MapFeatures"),
+        ((room(), "fused"), TypeError, "Localization or a Likelihood"),
+        ((room(), None, LaserScan([1.0], [0.0])), TypeError, "expected both"),
+    ],
+)
+def test_what_cannot_be_drawn_is_said(arguments, error, words):
+    with pytest.raises(error, match=words):
+        draw(*arguments)
+    with pytest.raises(ValueError, match=r"use imgloc\.prepare"):
+        draw(room(), what="bmap")
+    with pytest.raises(ValueError, match="expected one of map, bmap"):
+        draw(MapFeatures(room()), what="walls")
+
+
+def test_a_legend_says_what_is_left_out():
+    def text_rows(*given, **more):
+        return draw(room(), answer(*given, **more)).image.shape[0]
+
+    seven = [hypothesis(1 + k / 2, 1, 0, 0.1) for k in range(7)]
+    assert _not_drawn(answer(*seven, found=9, unlisted=0.05)) == (
+        "3 other poses: 15.0 %, elsewhere: 10.0 %"
+    )
+    assert _not_drawn(answer(seven[0], found=1)) == "elsewhere: 10.0 %"
+    assert text_rows(seven[0]) == text_rows(*seven[:2]) - 24
+    assert draw(room(), answer()).image.shape == draw_map(room()).shape  # nothing to be said
+
+
+def test_a_picture_is_saved_whole_and_never_over_another(tmp_path):
+    picture = draw(room())
+    picture.save(tmp_path / "a.png")
+    data = (tmp_path / "a.png").read_bytes()
+    assert data == picture._repr_png_()
+    np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(data, np.uint8), 1), picture.image)
+    with pytest.raises(OutputError, match="exists already"):
+        picture.save(tmp_path / "a.png")
+    picture.save(tmp_path / "a.png", force=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.png"]
+
+
+def test_distance_picture_is_dark_at_walls_with_a_line_each_metre() -> None:
+    metres = np.tile(np.arange(25) * 0.1, (3, 1))
+    picture = draw_distance(metres, GridInfo(3, 25, 0.1), scale=1)
+    grey = picture.astype(int).sum(axis=2)[1]
+    assert grey.argmin() == 0
+    assert grey[9] > grey[8]
+    assert grey[9] > grey[11]
+
+
+def test_blurred_map_is_upside_up() -> None:
+    picture = draw_bmap([[1.0, 1.0], [0.0, 0.5]], GridInfo(2, 2, 0.1), scale=1)
+    assert picture[1].max() < 60  # row 0 is the lowest y
+    assert picture[0, 0].tolist() == [255, 255, 255]
+    assert 100 < picture[0, 1, 0] < 200
