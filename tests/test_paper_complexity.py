@@ -6,7 +6,6 @@ from functools import cache
 import naive
 import numpy as np
 import pytest
-from imgloc.experiments import complexity
 
 from imgloc.errors import ConfigError
 from imgloc.features.raydistance import _rotate, ray_distances
