@@ -71,9 +71,10 @@ def mutants_of(path: str, source: bytes) -> list[Mutant]:
         return starts[node.lineno - 1] + node.col_offset, last
 
     def add(node: ast.expr, start: int, end: int, text: str) -> None:
-        first, last = span(node)
+        first, last = max(span(node)[0], start - 30), min(span(node)[1], end + 30)
         new = source[first:start] + text.encode() + source[end:last]
-        said = [re.sub(r"\s+", " ", part.decode())[:60] for part in (source[first:last], new)]
+        parts = (part.decode(errors="ignore") for part in (source[first:last], new))
+        said = (re.sub(r"\s+", " ", part) for part in parts)
         mutant = Mutant(path, node.lineno, start, end, text, " -> ".join(said))
         with contextlib.suppress(SyntaxError):
             compile(mutated(source, mutant), path, "exec", dont_inherit=True)
