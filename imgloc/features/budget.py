@@ -64,19 +64,8 @@ def default_budget() -> int:
 def check_budget(need: int, budget: int | None, what: str, hint: str) -> None:
     """Refuse to start something that would take more memory than it may.
 
-    Parameters
-    ----------
-    need, budget : int
-        Bytes; a budget of None is :func:`default_budget`.
-    what : str
-        What takes them, with its sizes, as the subject of a sentence.
-    hint : str
-        What to change.
-
-    Raises
-    ------
-    ConfigError
-        If `need` is more than `budget`.
+    `need` and `budget` are bytes; a budget of None is :func:`default_budget`. The ConfigError says
+    `what` takes them, with its sizes, as the subject of a sentence, and as a `hint` what to change.
 
     Examples
     --------

@@ -50,8 +50,7 @@ def features_to_arrays(
     ----------
     features : MapFeatures
     names : iterable of str, optional
-        Which of :data:`KEPT`; they are computed if they have not been. By default those that
-        have been computed so far.
+        Which of :data:`KEPT`, computed if need be; by default those computed so far.
     max_bytes : int
         Features that do not fit any more are left out.
 
@@ -226,13 +225,7 @@ def load_features(
 
 
 def save_features(features: MapFeatures, folder: PathLike, *, max_bytes: int = MAX_BYTES) -> bool:
-    """Keep what has been computed so far, if the cache in `folder` does not have it all.
-
-    Returns
-    -------
-    bool
-        Whether something was written.
-    """
+    """Keep what has been computed so far; return whether something had to be written."""
     key = features_key(features)
     arrays = features_to_arrays(features, max_bytes=max_bytes)
     if not arrays or arrays.keys() <= entry_names(folder, key):
