@@ -151,15 +151,7 @@ def survey(
 ) -> Iterator[Spot]:
     """Locate scan after scan and compare with the true poses, in the order given.
 
-    Parameters
-    ----------
-    grid : OccupancyGrid
-    scans : iterable of (Pose2D, LaserScan)
-        Poses of the sensor in the grid frame.
-    options : Options
-        Of each worker.
-    workers : int
-        Processes; no result depends on it.
+    Poses are the sensor's, in the grid frame. `workers` are processes; no result depends on them.
     """
     if workers == 1:
         features = prepare(grid)

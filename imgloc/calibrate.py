@@ -69,10 +69,7 @@ def disturbed_set(
     show. The third has 10 % of these, 10 % dropped, and walls that are not where the map has them:
     an error of 10 cm that neighbouring readings share.
 
-    Parameters
-    ----------
-    grid, n, seed, sensor, fine
-        See :func:`~imgloc.simulate.simulate_set`.
+    The arguments are those of :func:`imgloc.simulate.simulate_set`.
     """
     outliers, dropped = max(0.1, sensor.outliers), max(0.1, sensor.dropped)
     kinds = (
@@ -187,13 +184,7 @@ def densities(
 
 
 def check_trials(count: int) -> None:
-    """Refuse to fit to too few trials.
-
-    Raises
-    ------
-    ConfigError
-        If there are fewer than :data:`LEAST`.
-    """
+    """Refuse, by a ConfigError, to fit to fewer trials than :data:`LEAST`."""
     if count < LEAST:
         raise ConfigError(
             f"got {count} in all, expected at least {LEAST} scans to fit to: fewer make a method "

@@ -197,12 +197,7 @@ class Evaluation:
 def method_options(method: str, theta_step: float | None = None, threads: int = 1) -> Options:
     """Options of an experiment: the paper's step of the headings unless another is given.
 
-    Parameters
-    ----------
-    method : str
-    theta_step : float, optional
-        Radians; for ``fused`` that of its endpoint correlation.
-    threads : int
+    `theta_step` in radians; for ``fused`` it is that of its endpoint correlation.
 
     Examples
     --------
@@ -285,21 +280,8 @@ def headings(options: Options) -> int:
 def run_trials(features: MapFeatures, scans: ScanSet, options: Options) -> Iterator[Trial]:
     """Locate scan after scan with one method and compare with the true poses.
 
-    The stack of a scan is measured and dropped before the next one is computed.
-
-    Parameters
-    ----------
-    features : MapFeatures
-        What is not computed yet is so within the time of the first trial.
-    scans : ScanSet
-        With poses of the sensor in the map frame.
-    options : Options
-        See :func:`method_options`.
-
-    Raises
-    ------
-    ConfigError
-        If an option is out of its range, or the stack over the memory budget.
+    The arguments are those of :func:`evaluate`. Features that are not computed yet are so within
+    the time of the first trial; the stack of a scan is dropped before the next one is computed.
     """
     poses = np.empty((0, 3)) if scans.poses is None else scans.poses
     for scan, pose in zip(scans.scans, poses, strict=True):

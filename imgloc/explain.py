@@ -103,48 +103,25 @@ class Layer:
 
 @dataclass(frozen=True)
 class HypothesisFit:
-    """One hypothesis and the scan laid on the map there.
+    """One hypothesis and the scan laid on the map there."""
 
-    Parameters
-    ----------
-    pose : Pose2D
-        Map frame.
-    hypothesis : Hypothesis
-        The same in the grid frame.
-    rays : RayFit
-    per_reading : float
-        Score of the readings at the pose, nats each; of a stack's pose, after it has settled.
-    before : float
-        Its mass if the true pose is one of those found.
-    """
-
-    pose: Pose2D
-    hypothesis: Hypothesis
+    pose: Pose2D  #: map frame
+    hypothesis: Hypothesis  #: the same in the grid frame
     rays: RayFit
+    #: score of the readings at the pose, nats each; of a stack's pose, after it has settled
     per_reading: float
-    before: float
+    before: float  #: its mass if the true pose is one of those found
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """One answer, and what its :class:`~imgloc.model.Evidence` does not say.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-    scan : LaserScan
-    answer : Localization
-    options : Options
-    fits : tuple of HypothesisFit
-        The hypotheses, best first.
-    layers : tuple of Layer
-    """
+    """One answer, and what its :class:`~imgloc.model.Evidence` does not say."""
 
     grid: OccupancyGrid
     scan: LaserScan
     answer: Localization
     options: Options
-    fits: tuple[HypothesisFit, ...]
+    fits: tuple[HypothesisFit, ...]  #: the hypotheses, best first
     layers: tuple[Layer, ...]
 
 

@@ -17,20 +17,10 @@ import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.geometry import wrap
-from imgloc.model import (
-    BoolArray,
-    Float32Array,
-    FloatArray,
-    Hypothesis,
-    IntArray,
-    Localization,
-    Pose2D,
-)
+from imgloc.model import BoolArray, Float32Array, FloatArray, Hypothesis, Localization, Pose2D
 
 FLOOR = 1e-3
 """Share of the uniform density in every density: a trial counts -6.9 nats or more."""
-
-
 _SAMPLES = 24  # along each side of where a Gaussian and a cell meet: 0.4 sigmas or less
 
 
@@ -127,20 +117,16 @@ def density_in_stack(
         return 0.0
     if where is not None and not where[row, col]:
         return 0.0
-    space: slice | IntArray = slice(None) if where is None else np.flatnonzero(where)
-    cells = height * width if where is None else np.count_nonzero(where)
-    top = max(float(image.ravel()[space].max()) for image in values) if log else 0.0
+    space = np.ones((height, width), dtype=bool) if where is None else where
+    top = max(float(image[space].max()) for image in values) if log else 0.0
 
-    def likelihoods(image: Float32Array) -> FloatArray:
-        inside = image.ravel()[space].astype(np.float64)
-        return np.exp(inside - top) if log else np.maximum(inside, 0.0)
+    def likelihoods(some: Float32Array) -> FloatArray:
+        exact = some.astype(np.float64)
+        return np.exp(exact - top) if log else np.maximum(exact, 0.0)
 
-    total = sum(float(likelihoods(image).sum()) for image in values)  # no copy of the stack
-    if total <= 0:
-        return 1.0
-    at = float(values[cell])
-    share = (np.exp(at - top) if log else max(at, 0.0)) / total
-    return float(share * n_theta * cells)
+    total = sum(float(likelihoods(image[space]).sum()) for image in values)  # no copy of the stack
+    share = float(likelihoods(values[cell])) / total if total > 0 else 0.0
+    return float(share * n_theta * np.count_nonzero(space)) if total > 0 else 1.0
 
 
 def density_at(answer: Localization, pose: Pose2D, volume: float) -> float:
@@ -149,14 +135,8 @@ def density_at(answer: Localization, pose: Pose2D, volume: float) -> float:
     Each hypothesis is a Gaussian of its mass, mean and covariance, theta being taken the short
     way round; what mass they leave is spread evenly over the pose space.
 
-    Parameters
-    ----------
-    answer : Localization
-        Without hypotheses it is the uniform density: 1.
-    pose : Pose2D
-        In the map frame, as the hypotheses.
-    volume : float
-        Of the pose space, m² rad.
+    `pose` is in the map frame, as the hypotheses; without any the density is uniform: 1. `volume`
+    is that of the pose space, m² rad.
 
     Examples
     --------
@@ -177,13 +157,8 @@ def density_in_cell(
 ) -> float:
     """Relative density ``p N`` of a cell: what :func:`density_at` says, as a stack would say it.
 
-    Parameters
-    ----------
-    answer : Localization
-    pose : Pose2D
-        Centre of the cell, whose sides are along the axes of the frame of the answer.
-    cell, theta_step, poses : float and int
-        Its sides, metres and radians, and N, the cells of the pose space.
+    `pose` is the centre of the cell, whose sides are along the axes of the frame of the answer:
+    `cell` metres and `theta_step` radians. `poses` is N, the cells of the pose space.
 
     Examples
     --------
@@ -216,11 +191,7 @@ def _gaussian(hypothesis: Hypothesis, d: FloatArray) -> FloatArray:
 def global_maximum(values: Float32Array, where: BoolArray | None = None) -> tuple[int, int, int]:
     """Cell ``(theta, row, col)`` of the greatest value; of equal ones the first in index order.
 
-    Parameters
-    ----------
-    values : (K, H, W) float32 array
-    where : (H, W) bool array, optional
-        Cells that count.
+    Of (K, H, W) values, in the cells that count.
 
     Examples
     --------
@@ -228,11 +199,7 @@ def global_maximum(values: Float32Array, where: BoolArray | None = None) -> tupl
     (1, 0, 0)
     """
     flat = np.arange(values[0].size) if where is None else np.flatnonzero(where)
-    best, at = -np.inf, (0, 0, 0)
-    for k, image in enumerate(values):
-        inside = image.ravel()[flat]
-        i = int(inside.argmax())
-        if inside[i] > best:
-            row, col = np.unravel_index(flat[i], image.shape)
-            best, at = float(inside[i]), (k, int(row), int(col))
-    return at
+    best = [int(image.ravel()[flat].argmax()) for image in values]
+    k = int(np.argmax([image.ravel()[flat[i]] for image, i in zip(values, best, strict=True)]))
+    row, col = np.unravel_index(flat[best[k]], values.shape[1:])
+    return k, int(row), int(col)

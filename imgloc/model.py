@@ -369,28 +369,18 @@ class Hypothesis:
 class Temperature:
     """What evidence was divided by, and why: ``(base + strain) * crowding * cell``.
 
-    Parameters
-    ----------
-    base : float
-        Where map and scan agree perfectly; of a stack its calibrated temperature. NaN without
-        a pose.
-    strain : float
-        Added for the misfit.
-    crowding : float
-        Factor for readings on the same patch of wall, at least 1.
-    cell : float
-        Factor for the cells of the map, at least 1.
-
     Examples
     --------
     >>> Temperature(1.5, 3.0, crowding=2.0).value
     9.0
     """
 
+    #: where map and scan agree perfectly; of a stack its calibrated temperature. NaN without a
+    #: pose.
     base: float = math.nan
-    strain: float = 0.0
-    crowding: float = 1.0
-    cell: float = 1.0
+    strain: float = 0.0  #: added for the misfit
+    crowding: float = 1.0  #: factor for readings on the same patch of wall, at least 1
+    cell: float = 1.0  #: factor for the cells of the map, at least 1
 
     @property
     def value(self) -> float:
@@ -415,38 +405,21 @@ class Check:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What an answer rests on.
+    """What an answer rests on."""
 
-    Parameters
-    ----------
-    readings : int
-        How many were scored.
-    best : float
-        Log-likelihood of a reading that fits perfectly, nats.
-    misfit : float
-        Nats per reading that the best pose lacks; NaN without a pose.
-    temperature : Temperature
-        What made masses of the log-likelihoods.
-    log_volume : (L,) float array
-        Of each listed hypothesis: logarithm of its volume as a share of that of all poses.
-    checks : tuple of Check
-        The questions of the verdict, up to the first that is answered with no: that one
-        decided. All answered with yes is ``unique``.
-    found, listed : int
-        Modes that were found, and how many of them are listed.
-    unlisted : float
-        Mass of those that are not.
-    """
-
-    readings: int = 0
-    best: float = math.nan
-    misfit: float = math.nan
+    readings: int = 0  #: how many were scored
+    best: float = math.nan  #: log-likelihood of a reading that fits perfectly, nats
+    misfit: float = math.nan  #: nats per reading that the best pose lacks; NaN without a pose
+    #: what made masses of the log-likelihoods
     temperature: Temperature = field(default_factory=Temperature)
+    #: (L,) Of each listed hypothesis: logarithm of its volume as a share of that of all poses
     log_volume: FloatArray = field(default_factory=lambda: np.empty(0))
+    #: the questions of the verdict, up to the first that is answered with no: that one decided. All
+    #: answered with yes is ``unique``.
     checks: tuple[Check, ...] = ()
-    found: int = 0
+    found: int = 0  #: modes that were found, and how many of them are listed
     listed: int = 0
-    unlisted: float = 0.0
+    unlisted: float = 0.0  #: mass of those that are not
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "log_volume", _frozen(self.log_volume, np.float64))

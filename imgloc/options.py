@@ -50,22 +50,17 @@ FEW = 20.0
 class Calibration:
     """What makes a probability of one method's stack.
 
-    Parameters
-    ----------
-    sigma_xy, sigma_theta : float
-        Of the Gaussian that models the uncertainty of eq. 8: metres and radians.
-    temperature : float
-        Votes and correlations are raised to the power ``1 / temperature``. Log-likelihoods,
-        which are sums over the readings, are divided by ``temperature * readings``.
-
     Raises
     ------
     ConfigError
         If a value is out of its range.
     """
 
+    #: of the Gaussian that models the uncertainty of eq. 8: metres and radians.
     sigma_xy: float = 0.0
     sigma_theta: float = 0.0
+    #: votes and correlations are raised to the power ``1 / temperature``. Log-likelihoods, which
+    #: are sums over the readings, are divided by ``temperature * readings``.
     temperature: float = 1.0
 
     def __post_init__(self) -> None:
@@ -180,31 +175,18 @@ class Prior:
 
 @dataclass(frozen=True)
 class EvidenceModel:
-    """The parameters of the score.
+    """The parameters of the score."""
 
-    Parameters
-    ----------
-    sigmas : sequence of float
-        Standard deviations of an endpoint's distance from its surface, metres, equally
-        probable for every reading.
-    hit : float
-        Share of the readings that come from mapped surfaces.
-    span : float
-        Metres over which the readings that do not come from the map are spread.
-    absent : float
-        Probability that a mapped wall is not there any more.
-    margin : float
-        Metres by which a reading may pass a wall at no cost, besides half a cell.
-    displaced : float
-        How far beyond that a wall may be drawn in a wrong place, metres: the chance falls
-        like a Gaussian of this scale, down to `absent`.
-    """
-
+    #: standard deviations of an endpoint's distance from its surface, metres, equally probable for
+    #: every reading
     sigmas: Sequence[float] = (0.05, 0.2)
-    hit: float = 0.8
-    span: float = 10.0
-    absent: float = 0.1
+    hit: float = 0.8  #: share of the readings that come from mapped surfaces
+    span: float = 10.0  #: metres over which the readings that do not come from the map are spread
+    absent: float = 0.1  #: probability that a mapped wall is not there any more
+    #: metres by which a reading may pass a wall at no cost, besides half a cell
     margin: float = 0.1
+    #: how far beyond that a wall may be drawn in a wrong place, metres: the chance falls like a
+    #: Gaussian of this scale, down to `absent`
     displaced: float = 0.1
 
     @property
@@ -216,93 +198,55 @@ class EvidenceModel:
 
 @dataclass(frozen=True)
 class FusedOptions:
-    """What the search spends where.
+    """What the search spends where."""
 
-    Parameters
-    ----------
-    theta_step : float
-        Between the headings of the endpoint correlation, radians.
-    keep : tuple of int
-        Nodes kept by each level of the endpoint pyramid, finest first; as many as there are.
-    skip : int
-        All levels of the pyramid but the finest take every `skip`-th of the few rays.
-    vote_cell : float
-        Cell of the GHT-V votes, metres.
-    vote_cells : int
-        With more cells than this, headings and all, the votes of a map get larger ones.
-    vote_headings : int
-        Number of headings of the GHT-V votes.
-    vote_peaks : int
-        How many peaks of the votes become proposals.
-    few_rays, rays : int
-        Rays of the first look at all proposals, and of the second at the best.
-    second_look, closer : int
-        How many places get the second look, and how many poses, which may be of one place: between
-        two layers of a wall the score has several maxima.
-    twins, same : (float, float)
-        Proposals nearer than this, metres and radians, are of one place, and one pose.
-    separation : (float, float)
-        Two poses nearer than this, metres and radians, are one hypothesis.
-    model : EvidenceModel
-        The score.
-    """
-
+    #: between the headings of the endpoint correlation, radians
     theta_step: float = float(np.deg2rad(1.0))
+    #: nodes kept by each level of the endpoint pyramid, finest first; as many as there are
     keep: tuple[int, ...] = (3000, 8000, 8000, 16000)
-    skip: int = 2
-    vote_cell: float = 0.25
+    skip: int = 2  #: all levels of the pyramid but the finest take every `skip`-th of the few rays
+    vote_cell: float = 0.25  #: cell of the GHT-V votes, metres
+    #: with more cells than this, headings and all, the votes of a map get larger ones
     vote_cells: int = 4_000_000
-    vote_headings: int = 24
-    vote_peaks: int = 100
-    few_rays: int = 64
+    vote_headings: int = 24  #: number of headings of the GHT-V votes
+    vote_peaks: int = 100  #: how many peaks of the votes become proposals
+    few_rays: int = 64  #: rays of the first look at all proposals, and of the second at the best
     rays: int = 180
+    #: how many places get the second look, and how many poses, which may be of one place: between
+    #: two layers of a wall the score has several maxima
     second_look: int = 80
     closer: int = 40
+    #: proposals nearer than this, metres and radians, are of one place, and one pose
     twins: tuple[float, float] = (0.1, float(np.deg2rad(3.0)))
     same: tuple[float, float] = (0.02, float(np.deg2rad(0.7)))
+    #: two poses nearer than this, metres and radians, are one hypothesis
     separation: tuple[float, float] = (0.5, float(np.deg2rad(15.0)))
-    model: EvidenceModel = field(default_factory=EvidenceModel)
+    model: EvidenceModel = field(default_factory=EvidenceModel)  #: the score
 
 
 @dataclass(frozen=True)
 class Trust:
-    """What turns evidence into probabilities and a verdict.
+    """What turns evidence into probabilities and a verdict."""
 
-    Parameters
-    ----------
-    readings : int
-        With valid readings in fewer directions than this a scan is ``invalid``.
-    temperature : float
-        What evidence is divided by where map and scan agree perfectly: neighbouring readings
-        are not independent.
-    strain : float
-        Growth of the temperature per nat of misfit.
-    crowded : float
-        Growth of the temperature per reading on the same patch of wall, of :func:`crowding`, from
-        where this makes more than 1 of it: they share the errors of the map, so that a scan of a
-        corner with hundreds of readings says no more than one with a few.
-    fine : float
-        Cell of a map, metres, above which the temperature grows in proportion: all readings on a
-        wall share the error of its place, up to half a cell.
-    elsewhere : (float, float, float)
-        Log-odds that the true pose is none of the hypotheses: constant, per nat of misfit, per
-        share of the mass that the best hypothesis does not hold. A logistic regression on
-        simulated scans in the bundled worlds, a third of them disturbed, against scans from
-        other worlds; the constant is lowered by 2, as most scans are of their map.
-    mass : float
-        Mass that the best pose needs to be ``unique``.
-    correlated : float
-        How many neighbouring readings share one error, for the covariances.
-    """
-
-    readings: int = 10
+    readings: int = 10  #: with valid readings in fewer directions than this a scan is ``invalid``
+    #: what evidence is divided by where map and scan agree perfectly: neighbouring readings are not
+    #: independent
     temperature: float = 1.5
-    strain: float = 15.0
+    strain: float = 15.0  #: growth of the temperature per nat of misfit
+    #: growth of the temperature per reading on the same patch of wall, of :func:`crowding`, from
+    #: where this makes more than 1 of it: they share the errors of the map, so that a scan of a
+    #: corner with hundreds of readings says no more than one with a few
     crowded: float = 0.36
+    #: cell of a map, metres, above which the temperature grows in proportion: all readings on a
+    #: wall share the error of its place, up to half a cell
     fine: float = 0.1
+    #: log-odds that the true pose is none of the hypotheses: constant, per nat of misfit, per share
+    #: of the mass that the best hypothesis does not hold. A logistic regression on simulated scans
+    #: in the bundled worlds, a third of them disturbed, against scans from other worlds; the
+    #: constant is lowered by 2, as most scans are of their map.
     elsewhere: tuple[float, float, float] = (-5.1, 1.8, 3.9)
-    mass: float = 0.9
-    correlated: float = 2.9
+    mass: float = 0.9  #: mass that the best pose needs to be ``unique``
+    correlated: float = 2.9  #: how many neighbouring readings share one error, for the covariances
 
     def temperature_at(
         self, misfit: float, crowding: float = 1.0, cell: float = 0.0

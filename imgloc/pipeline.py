@@ -255,41 +255,22 @@ def find_modes(
 
 @dataclass(frozen=True)
 class Found:
-    """M separated poses of the grid frame, best first, and what they are worth.
+    """M separated poses of the grid frame, best first, and what they are worth."""
 
-    Parameters
-    ----------
-    poses : (M, 3) float array
-    log_likelihood : (M,) float array
-    share : (M,) float array
-        Mass of each if the true pose is one of them.
-    covariance : (L, 3, 3) float array
-        Of as many as are listed, at least.
-    misfit, explained : float
-        Nats per reading that the best pose lacks, and the share of the readings it explains.
-    temperature : Temperature
-        What made shares of the log-likelihoods.
-    readings : int
-        How many decided about the misfit.
-    lead : float
-        Share of the best, as far as it says something about the true pose being none of them.
-    entropy : float, optional
-        Of a whole posterior, nats.
-    complete : bool
-        The search came to its end.
-    """
-
-    poses: FloatArray
-    log_likelihood: FloatArray
-    share: FloatArray
-    covariance: FloatArray
+    poses: FloatArray  #: (M, 3)
+    log_likelihood: FloatArray  #: (M,)
+    share: FloatArray  #: (M,) Mass of each if the true pose is one of them
+    covariance: FloatArray  #: (L, 3, 3) Of as many as are listed, at least
+    #: nats per reading that the best pose lacks, and the share of the readings it explains
     misfit: float = float("nan")
     explained: float = 0.0
+    #: what made shares of the log-likelihoods
     temperature: Temperature = field(default_factory=Temperature)
-    readings: int = 0
+    readings: int = 0  #: how many decided about the misfit
+    #: share of the best, as far as it says something about the true pose being none of them
     lead: float = 1.0
-    entropy: float | None = None
-    complete: bool = True
+    entropy: float | None = None  #: of a whole posterior, nats
+    complete: bool = True  #: the search came to its end
 
 
 NOTHING = Found(np.empty((0, 3)), np.empty(0), np.empty(0), np.empty((0, 3, 3)))

@@ -47,28 +47,16 @@ NO_MAP = ("none", "undecided", "invalid")
 
 @dataclass(frozen=True)
 class Choice:
-    """Probabilities of the maps.
+    """Probabilities of the maps."""
 
-    Parameters
-    ----------
-    verdict : str
-        The name of a map, ``none``, ``undecided``, or ``invalid``: the scan has too few
-        readings to say anything, and no probability is known (NaN).
-    probability : mapping of str to float
-        Of each map, best first; with `none` they sum to 1.
-    none : float
-        That the scan is from none of them: it fits badly, or no better than it may fit any map.
-    log_evidence : mapping of str to float
-        Nats, relative to the best map's.
-    temperature : float
-        Common to all maps: that of the one that fits best.
-    """
-
+    #: the name of a map, ``none``, ``undecided``, or ``invalid``: the scan has too few readings to
+    #: say anything, and no probability is known (NaN)
     verdict: str
-    probability: Mapping[str, float]
+    probability: Mapping[str, float]  #: of each map, best first; with `none` they sum to 1
+    #: that the scan is from none of them: it fits badly, or no better than it may fit any map
     none: float
-    log_evidence: Mapping[str, float]
-    temperature: float
+    log_evidence: Mapping[str, float]  #: nats, relative to the best map's
+    temperature: float  #: common to all maps: that of the one that fits best
 
 
 def which(

@@ -29,7 +29,8 @@ def test_features_are_those_of_the_functions(features):
     surface = surface_points(grid.occupied, grid.free, 0.1)
     np.testing.assert_array_equal(features.surface.xy, surface.xy)
     np.testing.assert_array_equal(features.bmap, bmap(surface.xy, (24, 30), 0.1, 0.15))
-    np.testing.assert_array_equal(features.vmap, vmap(surface, (24, 30), 0.1, 0.15))
+    by_normals = dataclasses.replace(features, vmap_from="contours").vmap
+    np.testing.assert_array_equal(by_normals, vmap(surface, (24, 30), 0.1, 0.15))
     np.testing.assert_array_equal(
         features.visibility, visibility_frames(grid.occupied, surface, 0.1, 12, 30.0)
     )

@@ -195,3 +195,13 @@ def test_real_scans_have_normals_almost_everywhere(shared, name):
         assert points.valid.mean() > 0.8
         facing = np.einsum("ij,ji->i", points.xy, [np.cos(points.alpha), np.sin(points.alpha)])
         assert (facing[points.valid] <= 1e-9).all()
+
+
+@pytest.mark.parametrize(("gap_deg", "known"), [(0.95, False), (1.01, True)])
+def test_a_normal_is_known_to_within_30_degrees(gap_deg, known):
+    # Four rays to a wall 1 m ahead, h apart on it: sigma is 2 cm / (h root 5).
+    angles = np.deg2rad(gap_deg * np.array([-1.5, -0.5, 0.5, 1.5]))
+    points = scan_points(1 / np.cos(angles), angles, every(angles))
+    np.testing.assert_allclose(points.sigma_alpha, 0.02 / np.deg2rad(gap_deg) / 5**0.5, rtol=0.01)
+    assert points.valid.tolist() == 4 * [known]
+    assert (points.sigma_alpha.max() < np.pi / 6) == known

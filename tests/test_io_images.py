@@ -14,7 +14,7 @@ from PIL import Image
 
 from imgloc.errors import MapError
 from imgloc.io.files import display
-from imgloc.io.images import decode_image, read_image
+from imgloc.io.images import decode_image, image_size, read_image
 
 EXIF_ROTATED = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
 PALETTE = chunk(b"PLTE", bytes([0, 255, 0, 9, 8, 7]))
@@ -157,6 +157,14 @@ def test_bmp_padding_is_not_alpha() -> None:
     header += struct.pack("<IiiHHIIiiII", 40, 2, 1, 1, 32, 0, 8, 0, 0, 0, 0)
     image = decode_image(header + bytes([1, 2, 3, 0, 4, 5, 6, 0]), "b.bmp")
     assert image.pixels.tolist() == [[[1, 2, 3], [4, 5, 6]]]
+    # 5, 6 and 5 bits of a pixel.
+    header = header[:28] + struct.pack("<HI", 16, 3) + header[34:]
+    masks = struct.pack("<3I", 0xF800, 0x07E0, 0x001F)
+    header = header[:10] + struct.pack("<I", 66) + header[14:]
+    image = decode_image(header + masks + struct.pack("<HH", 0xFFFF, 0xF800), "c.bmp")
+    assert image.pixels.tolist() == [[[255, 255, 255], [0, 0, 255]]]
+    with pytest.raises(MapError, match="compressed BMP"):
+        decode_image(header[:28] + struct.pack("<HI", 8, 1) + header[34:] + bytes(2000), "d.bmp")
 
 
 def test_size_is_refused_on_the_header_alone() -> None:
@@ -222,12 +230,25 @@ def test_tiff_pixels_are_as_stored(mode: str, compression: str | None) -> None:
     assert (image.kind, image.lossy) == ("tiff", False)
 
 
-def test_16_bit_colours_keep_all_bits() -> None:
-    wide = np.random.default_rng(0).integers(0, 65536, (9, 7, 3), np.uint16)
+def test_16_bit_colours_keep_all_bits(tmp_path) -> None:
+    wide = np.random.default_rng(0).integers(0, 65536, (90, 70, 3), np.uint16)
     for ending in (".png", ".tif"):
-        image = decode_image(encode(ending, wide), f"a{ending}")
+        (tmp_path / f"a{ending}").write_bytes(encode(ending, wide))
+        image = read_image(tmp_path / f"a{ending}")
         np.testing.assert_array_equal(image.pixels, wide)
         assert image.white == 65535
+        half = encode(ending, wide)
+        with pytest.raises(MapError, match="truncated"):
+            decode_image(half[: len(half) // 2], "half")
+
+
+def test_files_of_every_format_are_read_as_their_bytes(tmp_path) -> None:
+    for ending, data in GOOD.items():
+        path = tmp_path / f"a{ending}"
+        path.write_bytes(data)
+        image, known = read_image(path, allow_lossy=True), decode_image(data, "a", allow_lossy=True)
+        np.testing.assert_array_equal(image.pixels, known.pixels)
+        assert image_size(path)[:3] == (12, 12, len(data))
 
 
 @pytest.mark.parametrize("mode", ["L", "RGB", "RGBA"])

@@ -270,6 +270,20 @@ def test_report_of_a_healthy_map(write) -> None:
     assert report.warnings == ()
 
 
+def test_free_space_falls_into_parts_between_which_one_cannot_go(write) -> None:
+    image = np.full((6, 20), 254, np.uint8)
+    image[:, [7, 12]] = 0
+    image[5, 13:] = 205
+    image[4, 19], image[4, 18], image[3, 19] = 254, 0, 0  # a cell that only a corner joins
+    report = check_map(write(encode(".png", image)), resolution=0.5)
+    assert report.free_parts == (42 * 0.25, 32 * 0.25, 24 * 0.25, 0.25)
+    assert sum(report.free_parts) == pytest.approx(report.area)
+    dots = np.zeros((24, 24), np.uint8)
+    dots[::2, ::2] = 254
+    assert check_map(write(encode(".png", dots)), resolution=1.0).free_parts == (1.0,) * 10
+    assert check_map(write(row(0, 205))).free_parts == ()
+
+
 def test_grey_205_trap(write) -> None:
     path = write(encode(".png", room()), "free_thresh: 0.25")
     assert "800 cells of grey 205" in codes(path)["grey-205"]

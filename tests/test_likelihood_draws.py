@@ -1,4 +1,4 @@
-"""Entropy, marginals, regions and draws of a posterior, against sums written out."""
+"""Entropy and draws of a posterior, against sums written out."""
 
 import numpy as np
 import pytest
@@ -7,12 +7,7 @@ from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
 from imgloc.geometry import cell_of, inverse, theta_bin, transform_poses, uniform_thetas, wrap
-from imgloc.likelihood.draws import (
-    draw_near,
-    draw_poses,
-    entropy,
-    marginal_theta,
-)
+from imgloc.likelihood.draws import draw_near, draw_poses, entropy
 from imgloc.model import GridInfo, Hypothesis, Localization, Pose2D
 
 GRID = GridInfo(2, 3, 0.5, Pose2D(7.0, -3.0, 1.0))
@@ -28,10 +23,6 @@ def test_entropy_of_a_stack_and_of_its_marginals():
     certain = np.zeros((4, 2, 3), np.float32)
     certain[2, 1, 1] = 1
     assert entropy(certain) == 0
-
-
-def test_marginals():
-    assert marginal_theta(P).tolist() == [0.5, 0.25, 0, 0.25]
 
 
 def test_draws_have_the_shares_of_the_posterior():

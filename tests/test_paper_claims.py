@@ -22,8 +22,9 @@ ANGLES = np.deg2rad(np.arange(-90, 91))  # the sensor of Sec. VI: 181 rays, 180 
 
 
 @cache
-def features_of(name, sigma=0.05):
-    return MapFeatures(render(WORLDS[name](), RESOLUTION), sigma=sigma, horizon=60.0)
+def features_of(name, sigma=0.05, vmap_from="image"):
+    grid = render(WORLDS[name](), RESOLUTION)
+    return MapFeatures(grid, sigma=sigma, horizon=60.0, vmap_from=vmap_from)
 
 
 @cache
@@ -85,12 +86,15 @@ def test_fig_2_only_ght_v_knows_what_can_be_seen(x, y, deg):
     assert ratio["ght-v"] < 0.5  # 0.27 to 0.36
 
 
+# The two sides of a wall of two cells cancel in part, which leaves the maximum in front of it;
+# contours, rounded to cells, are farther apart.
+@pytest.mark.parametrize(("source", "off"), [("contours", 0.11), ("image", 0.21)])
 @pytest.mark.parametrize(("x", "y"), [(22.05, 25.05), (21.55, 12.55)])
-def test_fig_4_cbml_merges_double_walls_and_cbml_o_does_not(x, y):
+def test_fig_4_cbml_merges_double_walls_and_cbml_o_does_not(x, y, source, off):
     # The wall ahead is the first of two, at 24.2 m; the middle of both is at 24.6 m.
     narrow = np.deg2rad(np.arange(-45, 46))
     points = scan_at("large", Pose2D(x, y, 0.0), seed=3, angles=narrow)
-    features = features_of("large", sigma=0.25)
+    features = features_of("large", 0.25, source)
     row, column = int(y / RESOLUTION), int(x / RESOLUTION)
     ahead = slice(column - 5, column + 15)
     plain = cbml(features.bmap, points.xy, np.zeros(1), RESOLUTION)[0, row, ahead]
@@ -98,7 +102,7 @@ def test_fig_4_cbml_merges_double_walls_and_cbml_o_does_not(x, y):
     shift = (np.array([plain.argmax(), oriented.argmax()]) - 5) * RESOLUTION
     merged = 5 + round(0.4 / RESOLUTION)
     assert abs(shift[0] - 0.4) < 0.11  # a false maximum, between the walls
-    assert abs(shift[1]) < 0.11
+    assert abs(shift[1]) < off
     assert plain[merged] > 1.1 * plain[5]  # 1.26
     assert oriented[merged] < 0.2 * oriented[5]  # -0.11
 
@@ -106,12 +110,13 @@ def test_fig_4_cbml_merges_double_walls_and_cbml_o_does_not(x, y):
 POSES_FIG_5 = [(12.0, 20.0, 15), (30.0, 6.0, 105), (40.0, 20.0, 195), (12.0, 10.0, 40)]
 
 
+@pytest.mark.parametrize(("source", "least"), [("contours", 100), ("image", 50)])
 @pytest.mark.parametrize(("x", "y", "deg"), POSES_FIG_5)
-def test_fig_5_wide_theta_bins_ruin_cbml_far_away_and_not_ght(x, y, deg):
+def test_fig_5_wide_theta_bins_ruin_cbml_far_away_and_not_ght(x, y, deg, source, least):
     true = Pose2D(x, y, np.deg2rad(deg))
     points = scan_at("large", true, seed=4)
     assert np.median(np.hypot(*points.xy.T)) > 8
-    results = stacks(features_of("large"), points, 30, 30)
+    results = stacks(features_of("large", vmap_from=source), points, 30, 30)
     thetas = uniform_thetas(np.deg2rad(3))
     results["cbml, 3 deg"] = cbml(features_of("large").bmap, points.xy, thetas, RESOLUTION)
     share, better = {}, {}
@@ -120,6 +125,6 @@ def test_fig_5_wide_theta_bins_ruin_cbml_far_away_and_not_ght(x, y, deg):
         share[method], better[method] = here / float(stack.max()), int((stack > here).sum())
     for method in ("cbml", "cbml-o"):
         assert share[method] < 0.85  # 0.23 to 0.73
-        assert better[method] > 100  # 248 to 52931 poses are thought likelier than the true one
+        assert better[method] > least  # 62 to 52931 poses are thought likelier than the true one
     for method in ("ght", "ght-v", "cbml, 3 deg"):
         assert share[method] > 0.95  # 1: the true pose is the maximum

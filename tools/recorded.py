@@ -11,18 +11,9 @@ from imgloc.simulate import sample_set
 
 
 def scans_beside(path: Path, n: int, seed: int, range_max: float) -> ScanSet:
-    """Pick scans of the file ``scans.npz`` beside a map, as a shorter reach would have them.
+    """Pick `n` scans of the file ``scans.npz`` beside a map, as a shorter reach would have them.
 
-    Parameters
-    ----------
-    path : Path
-        Of the map.
-    n : int
-        How many; all if there are fewer.
-    seed : int
-        Of :func:`~imgloc.simulate.sample_set`.
-    range_max : float
-        Metres.
+    See :func:`imgloc.simulate.sample_set`; all if there are fewer.
 
     Raises
     ------
@@ -38,13 +29,7 @@ def scans_beside(path: Path, n: int, seed: int, range_max: float) -> ScanSet:
 
 
 def cut_set(scans: ScanSet, range_max: float) -> ScanSet:
-    """The scans as a sensor with a shorter reach would have recorded them.
-
-    Raises
-    ------
-    ConfigError
-        If the reach is not positive.
-    """
+    """The scans as a sensor of a shorter reach, metres, would have recorded them."""
     if not range_max > 0:
         raise ConfigError(f"the reach must be positive, got {range_max:g} m")
     cut = (replace(s, range_max=min(s.range_max, range_max)) for s in scans.scans)

@@ -34,10 +34,7 @@ def available_bytes(
     On Linux what the kernel says is available, or what the container's limit leaves if that
     is less; elsewhere half of the RAM; :data:`UNKNOWN_RAM` if that is not known either.
 
-    Parameters
-    ----------
-    meminfo, cgroup : path
-        Where Linux says so.
+    `meminfo` and `cgroup` are where Linux says so.
     """
     free = []
     try:
@@ -117,18 +114,9 @@ def features_bytes(
 ) -> int:
     """Peak of computing what a method uses of a map, besides the map itself.
 
-    Parameters
-    ----------
-    shape : (int, int)
-        Rows and columns of the map.
-    points : int
-        Number of surface points, see :func:`surface_count`.
-    n_psi : int
-        Directions of the visibility map.
-    factor : int
-        Cells of the map along a cell of the lattice of poses.
-    voters : int
-        Surface points that vote at most: all of them in the method ``ght-v``.
+    Rows and columns of the map, surface points (:func:`surface_count`), directions of the
+    visibility map, cells of the map along a cell of the lattice of poses, and the surface points
+    that vote at most: all of them in the method ``ght-v``.
 
     Examples
     --------
@@ -159,18 +147,8 @@ def stack_bytes(
 ) -> int:
     """Peak of `localize` with one of the paper's methods: its stack, and what it becomes.
 
-    Parameters
-    ----------
-    method : str
-        A name of :data:`imgloc.pipeline.METHODS`.
-    shape : (int, int)
-        Rows and columns of the lattice of poses.
-    n_thetas : int
-        Number of headings.
-    threads : int
-        Each beyond the first has votes of its own in GHT and GHT-V.
-    n_rays : int
-        Directions of the ray-distance stack of ``beam``.
+    `shape` is that of the lattice of poses. Each thread beyond the first has votes of its own in
+    GHT and GHT-V; `n_rays` are the directions of the ray-distance stack of ``beam``.
 
     Examples
     --------
@@ -200,14 +178,9 @@ def fused_bytes(
 ) -> int:
     """Peak of `localize` with the default method, besides the features.
 
-    Parameters
-    ----------
-    shape, resolution
-        Rows and columns of the lattice of poses, and its cells in metres.
-    n_thetas : int
-        Headings of the endpoint correlation, of which the coarsest level takes every second.
-    vote_cell, vote_headings, vote_cells
-        Of :class:`imgloc.options.FusedOptions`.
+    `shape` and `resolution` (metres) are of the lattice of poses, `n_thetas` the headings of the
+    endpoint correlation, of which the coarsest level takes every second; the rest is of
+    :class:`imgloc.options.FusedOptions`.
     """
     cells = shape[0] * shape[1]
     coarse = min(n_thetas // 2 * cells // 16, max(1 << 22, cells // 16))  # some headings at a time
@@ -219,15 +192,7 @@ def fused_bytes(
 def exact_bytes(
     shape: tuple[int, int], resolution: float, n_thetas: int, *, readings: int = 360
 ) -> int:
-    """Peak of :func:`imgloc.search.branch_and_bound.best_poses` for one pose, and its maps.
-
-    Parameters
-    ----------
-    shape, resolution, n_thetas
-        Rows and columns of the lattice of poses, its cells in metres, and its headings.
-    readings : int
-        Number of scan points.
-    """
+    """Peak of :func:`imgloc.search.branch_and_bound.best_poses` for one pose, and its maps."""
     top = default_top(resolution)
     blocks = -(-shape[0] >> top) * -(-shape[1] >> top)
     # The maps with their margins twice, the bounds of all blocks, offsets of all readings.

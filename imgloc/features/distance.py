@@ -76,24 +76,15 @@ def distance_image(occupied: BoolArray) -> Float32Array:
 
 @dataclass(frozen=True)
 class DistanceField:
-    """Signed distance and its gradient, one 8-byte row per cell, for lookups by the million.
+    """Signed distance and its gradient, one 8-byte row per cell, for lookups by the million."""
 
-    Parameters
-    ----------
-    table : (H * W + 1, 4) int16 array
-        Distance at the centre of the cell in units of :data:`UNIT`, its derivatives in x and y
-        in units of :data:`SLOPE`, and a spare column that keeps a row aligned. The last row
-        stands for "off the map".
-    height, width : int
-        Rows and columns.
-    resolution : float
-        Side of a cell, metres.
-    """
-
+    #: (H * W + 1, 4) Distance at the centre of the cell in units of :data:`UNIT`, its derivatives
+    #: in x and y in units of :data:`SLOPE`, and a spare column that keeps a row aligned. The last
+    #: row stands for "off the map".
     table: npt.NDArray[np.int16]
-    height: int
+    height: int  #: rows and columns
     width: int
-    resolution: float
+    resolution: float  #: side of a cell, metres
 
     def index(self, x: Float32Array, y: Float32Array) -> npt.NDArray[np.int32]:
         """Rows of `table` for points given in cells; the last row for points off the map."""

@@ -72,6 +72,7 @@ def vmap_of_image(
         for product in (gx * gx, gy * gy, gx * gy)
     )
     axis = 0.5 * np.arctan2(2 * xy, xx - yy)  # of the greater eigenvalue
+    del wall, xx, yy, xy
     nx, ny = np.cos(axis), np.sin(axis)
     length = gx * nx + gy * ny  # its sign directs the axis
     length *= cv2.dilate(free.astype(np.uint8), np.ones((3, 3), np.uint8))  # towards free space

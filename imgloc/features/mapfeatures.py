@@ -54,10 +54,10 @@ class MapFeatures:
         Of the kernel K that blurs bmap and vmap, metres.
     sigma_endpoint : float
         How far an endpoint may lie from its wall in the pyramid, metres.
-    vmap_from : {"contours", "image"}
-        Whether the vector field of CBML-O is of the normals of the surface points
-        (:func:`~imgloc.features.fields.vmap`) or of the gradients of the image
-        (:func:`~imgloc.features.gradients.vmap_of_image`).
+    vmap_from : {"image", "contours"}
+        Whether the vector field of CBML-O is of the gradients of the image
+        (:func:`~imgloc.features.gradients.vmap_of_image`) or of the normals of the surface
+        points (:func:`~imgloc.features.fields.vmap`).
     n_psi : int
         Directions of the visibility map, measured from the normal.
     horizon : float
@@ -92,7 +92,7 @@ class MapFeatures:
     cell: float = 0.1
     sigma: float = 0.1
     sigma_endpoint: float = 0.15
-    vmap_from: str = "contours"
+    vmap_from: str = "image"
     n_psi: int = 72
     horizon: float = 30.0
     visibility_by: str = "march"
@@ -271,13 +271,15 @@ class MapFeatures:
         """
         height, width = self.grid.occupied.shape
         points = surface_count(self.grid)
-        return features_bytes(
+        need = features_bytes(
             (height, width),
             points=points,
             n_psi=self.n_psi,
             factor=self.factor,
             voters=points if method == "ght-v" else VOTERS,
         )
+        gradients = 48 if method == "cbml-o" and self.vmap_from == "image" else 0
+        return need + gradients * int(height * width)
 
 
 def _read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:

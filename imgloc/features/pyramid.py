@@ -41,21 +41,11 @@ def coarse_info(grid: GridInfo, factor: int) -> GridInfo:
 
 @dataclass(frozen=True)
 class Level:
-    """One level of the pyramid.
+    """One level of the pyramid."""
 
-    Parameters
-    ----------
-    image : (H, W) uint8 array
-        How well an endpoint in this cell fits the map, 0..255.
-    free : (H, W) bool array
-        Whether a free cell of the map lies in this cell.
-    resolution : float
-        Side of a cell, metres. All levels share the corner of cell ``[0, 0]``.
-    """
-
-    image: npt.NDArray[np.uint8]
-    free: BoolArray
-    resolution: float
+    image: npt.NDArray[np.uint8]  #: (H, W) How well an endpoint in this cell fits the map, 0..255
+    free: BoolArray  #: (H, W) Whether a free cell of the map lies in this cell
+    resolution: float  #: side of a cell, metres. All levels share the corner of cell ``[0, 0]``.
 
 
 def pyramid(
@@ -79,14 +69,12 @@ def pyramid(
         :func:`~imgloc.features.distance.signed_distance`, metres.
     free : (H, W) bool array
         Cells in which a robot can be.
-    resolution : float
-        Side of a cell of the map, metres.
-    cell : float
-        Side of a cell of the finest level, metres; rounded to a multiple of `resolution`.
+    resolution, cell : float
+        Sides of a cell of the map and of the finest level, a multiple of it, metres.
     sigma : float
         How far an endpoint may lie from its surface, metres.
     levels : int
-        Number of levels, at least 1.
+        At least 1.
 
     Examples
     --------
@@ -117,33 +105,23 @@ def _fit(distance: Float32Array, factor: int, sigma: float) -> npt.NDArray[np.ui
 
 @dataclass(frozen=True)
 class PooledMaps:
-    """A blurred map max-pooled over blocks of 1, 2, 4 ... 2^top cells a side.
+    """A blurred map max-pooled over blocks of 1, 2, 4 ... 2^top cells a side."""
 
-    Parameters
-    ----------
-    images : (top - 1, H + 2 margin, margin + W) uint8 array
-        Level h holds the maxima over 2^h x 2^h cells; cell ``[r, c]`` of the map is at
-        ``[margin + r, margin + c]``. A row's right margin is the left one of the next row.
-    coarse : (side^2, H', W') uint8 array
-        The top level, ``side = 2^top``, cut into its phases: the maximum over the cells that
-        begin at ``[r, c]`` is at ``[r % side * side + c % side, 1 + r // side, 1 + c // side]``.
-    quads : (side^2, H', W') uint32 array
-        In the same order the four quarters of those cells, as the four bytes of a word, so
-        that one lookup serves the four blocks that a block of the top level is made of.
-    where : tuple of bool arrays
-        For each level 0 .. top which blocks hold a pose that is wanted; level 0 is (H, W).
-    margin : int
-        Empty cells around the map in `images`.
-    resolution : float
-        Side of a cell, metres.
-    """
-
+    #: (top - 1, H + 2 margin, margin + W) Level h holds the maxima over 2^h x 2^h cells; cell ``[r,
+    #: c]`` of the map is at ``[margin + r, margin + c]``. A row's right margin is the left one of
+    #: the next row.
     images: npt.NDArray[np.uint8]
+    #: (side^2, H', W') The top level, ``side = 2^top``, cut into its phases: the maximum over the
+    #: cells that begin at ``[r, c]`` is at ``[r % side * side + c % side, 1 + r // side, 1 + c //
+    #: side]``
     coarse: npt.NDArray[np.uint8]
+    #: (side^2, H', W') In the same order the four quarters of those cells, as the four bytes of a
+    #: word, so that one lookup serves the four blocks that a block of the top level is made of
     quads: npt.NDArray[np.uint32]
+    #: for each level 0 .. top which blocks hold a pose that is wanted; level 0 is (H, W).
     where: tuple[BoolArray, ...]
-    margin: int
-    resolution: float
+    margin: int  #: empty cells around the map in `images`
+    resolution: float  #: side of a cell, metres
 
     @property
     def shape(self) -> tuple[int, int]:

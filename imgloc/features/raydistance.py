@@ -23,21 +23,6 @@ _WALL, SURFACE, HIT = 255, 127.5, 100
 _JOINT = 90  # free cells beside two occupied ones that touch at a corner; see watertight
 
 
-def ray_cells(shape: tuple[int, int], n_psi: int) -> int:
-    """Count the pixels that :func:`ray_distances` walks over: those of the turned maps.
-
-    A ray tracer walks over every cell between each cell and the wall, in each direction.
-
-    Examples
-    --------
-    >>> ray_cells((10, 20), 4)  # two turned maps, each with a margin, walked both ways
-    1056
-    """
-    turns, ways = (n_psi // 2, 2) if n_psi % 2 == 0 else (n_psi, 1)
-    sizes = (_canvas_size(shape, 2 * np.pi * k / n_psi) for k in range(turns))
-    return ways * sum(along * across for along, across in sizes)
-
-
 def ray_distances(
     occupied: BoolArray,
     resolution: float,
@@ -144,7 +129,7 @@ def watertight(occupied: BoolArray) -> npt.NDArray[np.uint8]:
     return image
 
 
-def _canvas_size(shape: tuple[int, int], psi: float) -> tuple[int, int]:
+def canvas_size(shape: tuple[int, int], psi: float) -> tuple[int, int]:
     """Rows and columns of the map turned by `psi`, with a margin."""
     height, width = shape
     c, s = np.round((np.cos(psi), np.sin(psi)), 12)
@@ -160,7 +145,7 @@ def _rotate(image: npt.NDArray[np.uint8], psi: float) -> tuple[npt.NDArray[np.ui
     """
     height, width = image.shape
     c, s = np.round((np.cos(psi), np.sin(psi)), 12)
-    along, across = _canvas_size((height, width), psi)
+    along, across = canvas_size((height, width), psi)
     turn = np.array([[-s, c, 0.0], [c, s, 0.0]])
     centre = np.array([(width - 1) / 2, (height - 1) / 2])
     turn[:, 2] = np.array([(across - 1) / 2, (along - 1) / 2]) - turn[:, :2] @ centre

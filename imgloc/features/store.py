@@ -6,7 +6,7 @@ a robot can stand in take a millisecond.
 """
 
 import hashlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
@@ -112,7 +112,7 @@ def features_from_arrays(
         if parts:
             parts = {k.removeprefix(prefix): _read_only(v) for k, v in parts.items()}
             # Where functools.cached_property would put it.
-            made[name] = _BUILDERS[name](features, parts)
+            made[name] = _build(features, name, parts)
     if rest:
         raise ValueError(f"{', '.join(sorted(rest))}: no such feature")
     return features
@@ -141,88 +141,53 @@ def _take(
     return array
 
 
-def _surface(_: MapFeatures, parts: dict[str, Array]) -> OrientedPoints:
-    n = len(parts["xy"]) if "xy" in parts and parts["xy"].ndim else 0
-    return OrientedPoints(
-        _take(parts, "xy", np.float64, (n, 2)),
-        _take(parts, "alpha", np.float64, (n,)),
-        _take(parts, "sigma_alpha", np.float64, (n,)),
-        _take(parts, "valid", np.bool_, (n,)),
-    )
-
-
-def _visibility(features: MapFeatures, parts: dict[str, Array]) -> Array:
-    if "surface" not in vars(features):
-        raise ValueError("visibility without its surface")
-    shape = (features.n_psi, len(features.surface))
-    return _take(parts, "visibility", np.float32, shape)
-
-
 def _shared(features: MapFeatures) -> bool:
     """Whether all surface points vote: their visibility is kept once."""
     return features.voters is features.surface
 
 
-def _voters_visibility(features: MapFeatures, parts: dict[str, Array]) -> Array:
-    if "surface" not in vars(features):
-        raise ValueError("visibility without its surface")
-    shape = (features.n_psi, len(features.voters))
-    return _take(parts, "voters_visibility", np.float32, shape)
-
-
-def _pyramid(features: MapFeatures, parts: dict[str, Array]) -> tuple[Level, ...]:
-    levels = []
-    height, width = features.lattice.shape
-    resolution = features.lattice.resolution
-    for i in range((len(parts) + 1) // 2):
-        image = _take(parts, f"image{i}", np.uint8, (height, width))
-        free = _take(parts, f"free{i}", np.bool_, (height, width))
-        levels.append(Level(image, free, resolution))
-        height, width, resolution = -(-height // 2), -(-width // 2), 2 * resolution
-    return tuple(levels)
-
-
-def _vmap(features: MapFeatures, parts: dict[str, Array]) -> Array:
-    return _take(parts, "vmap", np.float32, (2, *features.lattice.shape))
-
-
-def _walls(features: MapFeatures, parts: dict[str, Array]) -> Array:
-    return _take(parts, "walls", np.float32, features.grid.occupied.shape)
-
-
-def _field(features: MapFeatures, parts: dict[str, Array]) -> DistanceField:
-    height, width = features.grid.occupied.shape
-    table = _take(parts, "field", np.int16, (height * width + 1, 4))
-    return DistanceField(table, height, width, features.grid.resolution)
-
-
-def _pooled(features: MapFeatures, parts: dict[str, Array]) -> PooledMaps:
-    info = features.lattice
-    top = default_top(info.resolution)
-    margin = margin_of(info.shape, info.resolution, top, features.max_range)
-    side = 1 << top
-    phases = (side * side, -(-info.height // side) + 1, -(-info.width // side) + 1)
-    rows, columns = info.height + 2 * margin, info.width + margin
-    return PooledMaps(
-        _take(parts, "images", np.uint8, (top - 1, rows, columns)),
-        _take(parts, "coarse", np.uint8, phases),
-        _take(parts, "quads", np.uint32, phases),
-        tuple(_read_only(mask) for mask in block_masks(features.free, top)),
-        margin,
-        info.resolution,
-    )
-
-
-_BUILDERS: Mapping[str, Callable[[MapFeatures, dict[str, Array]], object]] = {
-    "surface": _surface,
-    "visibility": _visibility,
-    "voters_visibility": _voters_visibility,
-    "pyramid": _pyramid,
-    "vmap": _vmap,
-    "pooled": _pooled,
-    "walls": _walls,
-    "field": _field,
-}
+def _build(features: MapFeatures, name: str, parts: dict[str, Array]) -> object:
+    """A feature of its arrays."""
+    lattice, shape = features.lattice, features.grid.info.shape
+    if name == "surface":
+        n = len(parts["xy"]) if "xy" in parts and parts["xy"].ndim else 0
+        return OrientedPoints(
+            _take(parts, "xy", np.float64, (n, 2)),
+            _take(parts, "alpha", np.float64, (n,)),
+            _take(parts, "sigma_alpha", np.float64, (n,)),
+            _take(parts, "valid", np.bool_, (n,)),
+        )
+    if name in ("visibility", "voters_visibility"):
+        if "surface" not in vars(features):
+            raise ValueError("visibility without its surface")
+        points = features.surface if name == "visibility" else features.voters
+        return _take(parts, name, np.float32, (features.n_psi, len(points)))
+    if name == "pyramid":
+        levels, (height, width), resolution = [], lattice.shape, lattice.resolution
+        for i in range((len(parts) + 1) // 2):
+            image = _take(parts, f"image{i}", np.uint8, (height, width))
+            free = _take(parts, f"free{i}", np.bool_, (height, width))
+            levels.append(Level(image, free, resolution))
+            height, width, resolution = -(-height // 2), -(-width // 2), 2 * resolution
+        return tuple(levels)
+    if name == "field":
+        table = _take(parts, "field", np.int16, (shape[0] * shape[1] + 1, 4))
+        return DistanceField(table, *shape, features.grid.resolution)
+    if name == "pooled":
+        top = default_top(lattice.resolution)
+        margin = margin_of(lattice.shape, lattice.resolution, top, features.max_range)
+        side = 1 << top
+        phases = (side * side, -(-lattice.height // side) + 1, -(-lattice.width // side) + 1)
+        rows, columns = lattice.height + 2 * margin, lattice.width + margin
+        return PooledMaps(
+            _take(parts, "images", np.uint8, (top - 1, rows, columns)),
+            _take(parts, "coarse", np.uint8, phases),
+            _take(parts, "quads", np.uint32, phases),
+            tuple(_read_only(mask) for mask in block_masks(features.free, top)),
+            margin,
+            lattice.resolution,
+        )
+    return _take(parts, name, np.float32, shape if name == "walls" else (2, *lattice.shape))
 
 
 def _read_only(array: Array) -> Array:

@@ -249,6 +249,8 @@ def _explained(name: str, kind: str) -> Iterator[None]:
             yield
     except MapError:
         raise
+    except MemoryError:
+        raise MapError(f"{name}: cannot be decoded: out of memory") from None
     except Exception as e:  # decoders of hostile bytes raise anything
         reason = " ".join(str(e).split()) or type(e).__name__
         raise MapError(
@@ -302,15 +304,14 @@ def _decode_with_pillow(file: BinaryIO, image: ImageFile, name: str) -> MapImage
         if kind == "JPEG":
             _check_jpeg_end(file, name)
             file.seek(0)
-        deep = ";16" in str(image.tile[0].args if image.tile else "")
-        image.load()
-        pixels = _pixels(image, name, depth)
-        if deep and pixels.dtype == np.uint8:  # Pillow keeps the high bytes of colours
-            file.seek(0)
+        wide, stored = None, str(image.tile and image.tile[0].args)
+        if kind in ("PNG", "TIFF") and image.mode in ("RGB", "RGBA") and ";16" in stored:
+            file.seek(0)  # Pillow keeps the high bytes only
             wide = cv2.imdecode(np.frombuffer(file.read(), np.uint8), cv2.IMREAD_UNCHANGED)
-            if wide is None or wide.dtype != np.uint16 or wide.shape[:2] != pixels.shape[:2]:
+            if wide is None or wide.dtype != np.uint16 or wide.shape[1::-1] != size:
                 raise MapError(f"{name}: cannot be decoded; save it as grey, or with 8 bits")
-            pixels = wide
+        image.load()
+        pixels = _pixels(image, name, depth) if wide is None else wide
     return MapImage(pixels, int(np.iinfo(pixels.dtype).max), kind.lower(), lossy)
 
 

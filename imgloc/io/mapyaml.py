@@ -101,12 +101,12 @@ def parse_map_yaml(data: bytes, path: Path) -> MapYaml:
     return MapYaml(
         path,
         path.parent / image,
-        None if values.get("resolution") is None else _resolution(name, values),
+        _number_in(name, "resolution", values, RESOLUTION_RANGE, "metres per cell, 0.001 to 10"),
         None if origin is None else _origin(name, values),
         mode,
         None if negate is None else bool(negate),
-        _thresh(name, "occupied_thresh", values),
-        _thresh(name, "free_thresh", values),
+        _number_in(name, "occupied_thresh", values, (0, 1), "an occupancy from 0 to 1"),
+        _number_in(name, "free_thresh", values, (0, 1), "an occupancy from 0 to 1"),
         tuple(str(k) for k in values if k not in _KEYS),
     )
 
@@ -136,24 +136,24 @@ def _plain_mapping(data: bytes, name: str) -> dict[Any, Any]:
 
 
 def _refuse_cleverness(text: str, name: str) -> None:
+    """Refuse what a map does not need and what would make more of a text than it shows."""
     depth = documents = 0
     for event in yaml.parse(text, Loader=yaml.SafeLoader):
-        line = event.start_mark.line + 1 if event.start_mark else 0
-        if isinstance(event, yaml.AliasEvent):
-            raise MapError(
-                f"{name}: line {line}: YAML alias *{event.anchor}, expected plain values"
-            )
-        if isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent) and event.tag:
-            raise MapError(f"{name}: line {line}: YAML tag {event.tag}, expected plain values")
         documents += isinstance(event, yaml.DocumentStartEvent)
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > 8:
-            raise MapError(f"{name}: line {line}: nested too deeply, expected plain values")
+        found = "nested too deeply" if depth > 8 else ""
+        if isinstance(event, yaml.AliasEvent):
+            found = f"YAML alias *{event.anchor}"
+        elif isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent) and event.tag:
+            found = f"YAML tag {event.tag}"
+        elif isinstance(event, yaml.ScalarEvent) and event.value == "<<":
+            found = "merge key <<"
+        line = event.start_mark.line + 1 if event.start_mark else 0
+        if found:
+            raise MapError(f"{name}: line {line}: {found}, expected plain values")
         if documents > 1:
             raise MapError(f"{name}: line {line}: a second document, expected one map")
-        if isinstance(event, yaml.ScalarEvent) and event.value == "<<":
-            raise MapError(f"{name}: line {line}: merge key <<, expected plain values")
 
 
 def _fail(name: str, key: str, values: dict[Any, Any], expected: str) -> NoReturn:
@@ -174,20 +174,15 @@ def _number(value: Any) -> float:
     return float(value) if abs(value) < 1e300 else math.inf
 
 
-def _resolution(name: str, values: dict[Any, Any]) -> float:
-    value = _number(values["resolution"])
-    low, high = RESOLUTION_RANGE
-    if not low <= value <= high:
-        _fail(name, "resolution", values, f"metres per cell, {low} to {high:g}")
-    return value
-
-
-def _thresh(name: str, key: str, values: dict[Any, Any]) -> float | None:
+def _number_in(
+    name: str, key: str, values: dict[Any, Any], limits: tuple[float, float], expected: str
+) -> float | None:
+    """The number of a key, within limits; None if there is none."""
     if values.get(key) is None:
         return None
     value = _number(values[key])
-    if not 0 <= value <= 1:
-        _fail(name, key, values, "an occupancy from 0 to 1")
+    if not limits[0] <= value <= limits[1]:
+        _fail(name, key, values, expected)
     return value
 
 

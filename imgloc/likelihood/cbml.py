@@ -63,10 +63,8 @@ def cbml(
 
     Raises
     ------
-    ConfigError
-        If `engine`, `threads` or `resolution` is out of its range.
     ValueError
-        If an array has a wrong shape, or `bmap` leaves 0..1.
+        If `bmap` leaves 0..1; for the rest see :func:`~imgloc.likelihood.correlate.correlate`.
 
     Examples
     --------
@@ -208,9 +206,7 @@ def cbml_o(
     vectors = unit_vectors(directions)[direction].transpose(0, 2, 1)  # Alg. 3, l. 4
     finish = finishing(1.0, wanted)
     if engine == "dft":
-        spectral_stack(
-            field, offsets, vectors, threads, view, half_turn=-1, exact=False, finish=finish
-        )
+        spectral_stack(field, offsets, vectors, threads, view, exact=False, finish=finish)
     else:
         filter2d_stack(field, offsets, vectors, threads, view, exact=False, finish=finish)
     return out
@@ -232,13 +228,6 @@ def project(vmap: Float32Array, directions: int = 64) -> npt.NDArray[np.int16]:
         ``127 (vx cos a + vy sin a)`` for a = 2 pi d / directions, rounded. The other half of the
         circle is the negative of this one. ``H * W * directions`` bytes.
 
-    Raises
-    ------
-    ConfigError
-        If `directions` is not an even number of at least 2.
-    ValueError
-        If `vmap` is not a pair of images of magnitude 0..1.
-
     Examples
     --------
     >>> vmap = np.array([[[1.0]], [[0.0]]], dtype=np.float32)
@@ -254,13 +243,7 @@ def project(vmap: Float32Array, directions: int = 64) -> npt.NDArray[np.int16]:
 
 
 def check_directions(directions: int) -> None:
-    """Refuse a number of directions that is not even and positive.
-
-    Raises
-    ------
-    ConfigError
-        If it is not.
-    """
+    """Raise a ConfigError for a number of directions that is not even and positive."""
     if directions < 2 or directions % 2:
         raise ConfigError(f"directions must be an even number of at least 2, got {directions}")
 
@@ -272,13 +255,7 @@ def unit_vectors(directions: int) -> Float32Array:
 
 
 def checked_field(vmap: Float32Array) -> Float32Array:
-    """Return `vmap` as float32 after checking its shape and magnitude.
-
-    Raises
-    ------
-    ValueError
-        If it is not a pair of images of magnitude 0..1.
-    """
+    """Return `vmap` as float32, a pair of images of magnitude 0..1, or raise a ValueError."""
     field = np.asarray(vmap, dtype=np.float32)
     if field.ndim != 3 or field.shape[0] != 2:
         raise ValueError(f"vmap must have shape (2, H, W), got {field.shape}")

@@ -23,7 +23,6 @@ from imgloc.likelihood.shift import (
     tiles_of,
 )
 from imgloc.likelihood.slices import (
-    Finish,
     cell_offsets,
     check_arguments,
     check_where,
@@ -144,46 +143,28 @@ def correlate(
         finishing(divisor)(view)
         return out
     finish = finishing(divisor, wanted)
+    once = np.zeros(len(points), dtype=np.int64)
+
+    def scan(cells: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+        """Each distinct offset of integers once."""
+        return merge_repeats(cells, once) if integers else (cells, once, once)
+
     if engine == "shift":
-        _correlate_by_shift(wide, limit, offsets, tiles, threads, view, finish)
+        shift_stack([wide], lambda k: scan(offsets[k]), limit, tiles, threads, view, finish)
         return out
     if engine == "remap":
-        upright = cell_offsets(points, np.zeros(1), resolution)[0]
-        once = np.zeros(len(upright), dtype=np.int64)
-        scan = merge_repeats(upright, once) if integers else (upright, once, once)
+        upright = scan(cell_offsets(points, np.zeros(1), resolution)[0])
         remap_stack(
-            image, headings, lambda turned, _: [turned.astype(wide.dtype, copy=False)], scan, limit,
-            threads, view, finish,
+            image, headings, lambda turned, _: [turned.astype(wide.dtype, copy=False)], upright,
+            limit, threads, view, finish,
         )  # fmt: skip
         return out
     field = image[None]
     if engine == "dft":
-        spectral_stack(
-            field, offsets, weights, threads, view, half_turn=1, exact=integers, finish=finish
-        )
+        spectral_stack(field, offsets, weights, threads, view, exact=integers, finish=finish)
     else:
         filter2d_stack(field, offsets, weights, threads, view, exact=integers, finish=finish)
     return out
-
-
-def _correlate_by_shift(
-    image: Summable,
-    limit: int,
-    offsets: IntArray,
-    tiles: Sequence[Tile],
-    threads: int,
-    out: Float32Array,
-    finish: Finish,
-) -> None:
-    """Alg. 2 on one image, each distinct offset of integers once."""
-    once = np.zeros(offsets.shape[1], dtype=np.int64)
-
-    def scan(k: int) -> tuple[IntArray, IntArray, IntArray]:
-        if image.dtype == np.float32:
-            return offsets[k], once, once
-        return merge_repeats(offsets[k], once)
-
-    shift_stack([image], scan, limit, tiles, threads, out, finish)
 
 
 def _summable(image: npt.NDArray[np.uint8] | Float32Array, points: int) -> tuple[Summable, int]:
@@ -219,18 +200,13 @@ def choose_engine(
     ----------
     engine : str
         One of :data:`ENGINES` or ``"auto"``.
-    offsets : (K, N, 2) int array
-        Of :func:`~imgloc.likelihood.slices.cell_offsets`.
-    shape : (int, int)
-        Rows and columns.
-    tiles : sequence of Tile
-        Where the shift engine would compute.
-    itemsize : int
-        Bytes of a cell of the shift engine's sums.
+    offsets, shape, tiles, itemsize
+        (K, N, 2) of the readings, rows and columns of the image, where the shift engine would
+        compute, and the bytes of a cell of its sums.
     flat : bool
         Whether :func:`~imgloc.likelihood.shift.flat_stack` would compute them: :func:`is_flat`.
     components : int
-        Correlations to add up: 1 for a scalar image, 2 for a vector field (``dft`` only).
+        1 for a scalar image, 2 for a vector field (``dft`` only).
     which : (K, N) int array, optional
         Image that each reading takes its values from, if there are several (``shift`` only).
     doubtful : callable
@@ -258,9 +234,10 @@ def choose_engine(
         shift = _shift_seconds(offsets, shape, tiles, itemsize, which)
     plane = float((height + rows) * (width + columns))
     # One transform back, half a transform forth (two headings share it) and a product.
-    dft = DFT_SECONDS_PER_STEP * plane * np.log2(plane + 1) * (1.2 + 0.8 * components)
+    dft = DFT_SECONDS_PER_STEP * plane * np.log2(plane + 1) * (1.6 + 0.4 * components)
     single, double = (
-        dft * size / 4 * (DFT_BEYOND_CACHE if plane * size > DFT_CACHE else 1) for size in (4, 8)
+        dft * size / 4 * (DFT_BEYOND_CACHE if components * plane * size > DFT_CACHE else 1)
+        for size in (4, 8)
     )
     return "shift" if shift < single or (shift < double and doubtful()) else "dft"
 

@@ -1,4 +1,4 @@
-"""What a posterior says, in fewer numbers: entropy, headings, samples.
+"""What a posterior says, in fewer numbers: its entropy, and poses drawn from it.
 
 Drawing poses from p(x | z) is what the paper's benchmark is for: a particle filter that has lost
 the robot puts its particles where the scan may have been taken (sensor resetting).
@@ -32,17 +32,6 @@ def entropy(mass: npt.NDArray[Any]) -> float:
     """
     positive = mass[mass > 0]
     return float(abs(np.sum(positive * np.log(positive), dtype=np.float64)))
-
-
-def marginal_theta(probability: Float32Array) -> FloatArray:
-    """The probability of each heading (K,), wherever the place.
-
-    Examples
-    --------
-    >>> marginal_theta(np.full((4, 1, 2), 0.125, dtype=np.float32)).tolist()
-    [0.25, 0.25, 0.25, 0.25]
-    """
-    return np.asarray(probability.reshape(len(probability), -1).sum(axis=1, dtype=np.float64))
 
 
 def draw_poses(
@@ -88,7 +77,7 @@ def draw_poses(
     if n < 0:
         raise ConfigError(f"the number of poses to draw must not be negative, got {n}")
     # By heading first: a sum over a whole stack at a time would need a copy of it in float64.
-    by_heading = np.cumsum(marginal_theta(probability))
+    by_heading = np.cumsum(probability.reshape(len(probability), -1).sum(axis=1, dtype=np.float64))
     if not (len(by_heading) and by_heading[-1] > 0):
         raise ConfigError("no pose has a positive probability to be drawn with")
     shares = rng.random((n, 2))

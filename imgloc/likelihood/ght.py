@@ -68,13 +68,6 @@ def ght(
     (K, H, W) float32 array
         Votes ``L[theta, y, x]``, whole numbers; a vote off the lattice is lost.
 
-    Raises
-    ------
-    ConfigError
-        If `n_theta`, `shape`, `resolution` or `threads` is out of its range.
-    ValueError
-        If `out` has a wrong shape or type.
-
     Examples
     --------
     A wall point that faces left, seen two metres ahead:
@@ -84,12 +77,14 @@ def ght(
     >>> np.argwhere(ght(wall, scan, 4, (1, 3), 1.0)).tolist()
     [[0, 0, 0]]
     """
-    return _vote(surface, None, points, n_theta, shape, resolution, once, threads, out)
+    return ght_v(
+        surface, None, points, n_theta, shape, resolution, once=once, threads=threads, out=out
+    )
 
 
 def ght_v(
     surface: OrientedPoints,
-    visibility: Float32Array,
+    visibility: Float32Array | None,
     points: OrientedPoints,
     n_theta: int,
     shape: tuple[int, int],
@@ -103,17 +98,12 @@ def ght_v(
 
     Parameters
     ----------
-    visibility : (n_psi, M) float32 array
+    visibility : (n_psi, M) float32 array or None
         ``visibility[b, j]`` is the distance in metres from surface point j to the nearest
         obstacle in the direction ``2 pi b / n_psi`` counted **from its normal**; infinite when
-        there is none. The pair (i, j) votes iff ``visibility[b, j] > |p_i|``.
+        there is none. The pair (i, j) votes iff ``visibility[b, j] > |p_i|``; all do without.
     surface, points, n_theta, shape, resolution, once, threads, out
-        As in :func:`ght`.
-
-    Returns
-    -------
-    (K, H, W) float32 array
-        Votes ``L[theta, y, x]``.
+        As in :func:`ght`, and so is what is returned.
 
     Raises
     ------
@@ -132,31 +122,17 @@ def ght_v(
     >>> float(ght_v(wall, pane, scan, 4, (1, 3), 1.0).sum())
     0.0
     """
-    visibility = np.asarray(visibility, dtype=np.float32)
-    if visibility.ndim != 2 or not visibility.shape[0] or visibility.shape[1] != len(surface):
-        raise ValueError(
-            f"visibility must be (n_psi, {len(surface)}), a column for each surface point, "
-            f"got {visibility.shape}"
-        )
-    return _vote(surface, visibility, points, n_theta, shape, resolution, once, threads, out)
-
-
-def _vote(
-    surface: OrientedPoints,
-    visibility: Float32Array | None,
-    points: OrientedPoints,
-    n_theta: int,
-    shape: tuple[int, int],
-    resolution: float,
-    once: bool,
-    threads: int,
-    out: Float32Array | None,
-) -> Float32Array:
-    """Alg. 5, and Alg. 4 without visibility."""
     check_arguments(resolution, threads)
     height, width = shape
     if n_theta < 1 or height < 1 or width < 1:
         raise ConfigError(f"the lattice of votes must not be empty, got {(n_theta, *shape)}")
+    if visibility is not None:
+        visibility = np.asarray(visibility, dtype=np.float32)
+        if visibility.ndim != 2 or not len(visibility) or visibility.shape[1] != len(surface):
+            raise ValueError(
+                f"visibility must be (n_psi, {len(surface)}), a column for each surface point, "
+                f"got {visibility.shape}"
+            )
     out = output_stack(out, (n_theta, height, width))
     out.fill(0)
     vote(surface, visibility, points, resolution, out, once=once, threads=threads)
@@ -234,7 +210,10 @@ def pair_up(
 
 
 def block_shape(n: int, m: int, once: bool = False) -> tuple[int, int]:
-    """Rows and columns of the blocks that n scan points by m map points are cut into."""
+    """Rows and columns of the blocks that n scan points by m map points are cut into.
+
+    With `once`, all votes of a scan point are in one block, whatever its size.
+    """
     # Evenly: a narrow block costs as many calls as a wide one.
     columns = m if once else -(-m // max(1, -(-m // BLOCK_COLUMNS)))
     return min(n, max(1, BLOCK_PAIRS // max(1, columns))), columns
@@ -242,8 +221,6 @@ def block_shape(n: int, m: int, once: bool = False) -> tuple[int, int]:
 
 def blocks_of(n: int, m: int, once: bool = False) -> list[tuple[slice, slice]]:
     """Cut the pairs of n scan points and m map points into blocks that fit the cache.
-
-    With `once`, all votes of a scan point are in one block, whatever its size.
 
     Examples
     --------

@@ -90,20 +90,16 @@ def remap_stack(
 
     Parameters
     ----------
-    image : (H, W, C) uint8 or float32 array
+    image : (H, W) or (H, W, C) uint8 or float32 array
     thetas : (K,) float array
         Headings, radians.
     summands : callable
         The images to add up, from the turned one and the heading.
-    scan : tuple
-        ``offsets, which, powers`` of the upright scan, as for
-        :func:`~imgloc.likelihood.shift.shift_sum`, and `limit` too.
-    threads : int
-        Number of threads, over headings.
-    out : (K, H, W) float32 array
-        Overwritten.
-    finish : callable
-        Called with each slice.
+    scan, limit
+        ``offsets, which, powers`` of the upright scan and what else
+        :func:`~imgloc.likelihood.shift.shift_sum` takes.
+    threads, out, finish
+        As in :func:`filter2d_stack`.
     """
     height, width = image.shape[:2]
 

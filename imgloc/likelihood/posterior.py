@@ -24,19 +24,12 @@ def calibrated(
     Parameters
     ----------
     stack : Likelihood
-    free : (H, W) bool array
-        The pose space.
     readings : int
         Valid ones of the scan.
     calibration : Calibration, optional
         By default that of :data:`~imgloc.options.DEFAULTS`.
-    headings : (K,) bool array, optional
-        The headings of the pose space; by default all.
-
-    Returns
-    -------
-    (K, H, W) float32 array
-        As :func:`posterior`.
+    free, headings
+        As for :func:`posterior`, whose result it is.
 
     Examples
     --------
@@ -150,9 +143,7 @@ def posterior(
 def smooth(
     values: Float32Array, sigma_px: float, sigma_bins: float, *, border: int = cv2.BORDER_CONSTANT
 ) -> Float32Array:
-    """Blur a stack with a Gaussian in x, y and, circularly, in theta.
-
-    The uncertainty of eq. 8, which a vote for a single cell ignores.
+    """Blur a stack with a Gaussian in x, y and, circularly, in theta: the uncertainty of eq. 8.
 
     Parameters
     ----------
@@ -194,12 +185,7 @@ def smooth(
 def circular_kernel(n: int, sigma: float) -> Float32Array:
     """Weights (n,) of the headings ``0, 1, ... n - 1`` steps away, around the circle; sum 1.
 
-    Parameters
-    ----------
-    n : int
-        Headings.
-    sigma : float
-        In headings.
+    `sigma` is in headings.
 
     Examples
     --------

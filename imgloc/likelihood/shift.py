@@ -159,8 +159,6 @@ def shift_sum(
     out : (H, W) float32 array
         Zero on entry.
 
-    Notes
-    -----
     Exact for integer images while the sums stay below 2**24.
     """
     height, width = images[0].shape
@@ -211,17 +209,7 @@ def flat_stack(
 ) -> None:
     """Write ``out[k, r, c] = sum_i image[r + dr_ki, c + dc_ki]``.
 
-    Parameters
-    ----------
-    image : (H, W) uint8, uint16 or float32 array
-    limit : int
-        How often the type of the image can hold its largest value.
-    offsets : (K, N, 2) int array
-        (dr, dc) of each point; what it brings from outside the image is 0.
-    out : (K, H, W) float32 array
-        Overwritten.
-    where : (H, W) bool array, optional
-        Poses that are wanted; the others come out 0.
+    The parameters are as in :func:`shift_sum`; poses that are not wanted (`where`) come out 0.
 
     Examples
     --------

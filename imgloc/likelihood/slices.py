@@ -49,13 +49,7 @@ def cell_offsets(xy: FloatArray, thetas: FloatArray, resolution: float) -> IntAr
 
 
 def check_arguments(resolution: float, threads: int) -> None:
-    """Refuse a resolution or a number of threads that cannot be meant.
-
-    Raises
-    ------
-    ConfigError
-        If `resolution` is not positive and finite or `threads` is less than 1.
-    """
+    """Raise a ConfigError for a resolution or a number of threads that cannot be meant."""
     if not (np.isfinite(resolution) and resolution > 0):
         raise ConfigError(f"resolution must be a positive number of metres, got {resolution}")
     if threads < 1:
@@ -63,13 +57,7 @@ def check_arguments(resolution: float, threads: int) -> None:
 
 
 def check_where(where: BoolArray | None, shape: tuple[int, int]) -> None:
-    """Refuse a mask of poses that does not fit the image.
-
-    Raises
-    ------
-    ValueError
-        If `where` is not a bool array of `shape`.
-    """
+    """Raise a ValueError for a mask of poses that is not a bool array of `shape`."""
     if where is not None and (where.shape != shape or where.dtype != np.bool_):
         raise ValueError(f"where must be bool {shape}, got {where.dtype} {where.shape}")
 
@@ -99,12 +87,8 @@ def output_stack(out: Float32Array | None, shape: tuple[int, int, int]) -> Float
     """Return `out` after checking it, or a new uninitialised stack.
 
     Reusing a stack saves the page faults of a new one, which for tens of megabytes cost about
-    as much as the cheap engines.
-
-    Raises
-    ------
-    ValueError
-        If `out` is not a writable float32 array of `shape` with contiguous rows.
+    as much as the cheap engines. One that is not a writable float32 array of `shape` with
+    contiguous rows is a ValueError.
     """
     if out is None:
         return np.empty(shape, dtype=np.float32)
@@ -169,13 +153,7 @@ def over_slices(
 
 
 def finite_points(xy: npt.ArrayLike) -> FloatArray:
-    """Return the points (N, 2) that are finite; a lost reading casts no vote.
-
-    Raises
-    ------
-    ValueError
-        If `xy` is not a list of pairs.
-    """
+    """Return the points (N, 2) that are finite; a lost reading casts no vote."""
     points = np.asarray(xy, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2:
         raise ValueError(f"points must have shape (N, 2), got {points.shape}")

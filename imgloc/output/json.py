@@ -149,6 +149,7 @@ def report_row(report: "MapReport") -> dict[str, Any]:
         "resolution": report.resolution,
         "size": {"width": width, "height": height},
         "free_area": report.area,
+        "free_parts": report.free_parts,
         "origin": plain(report.origin),
         **{key: getattr(report, key) for key in ("mode", "semantics", "negate")},
         "occupied_thresh": report.occupied_thresh,

@@ -200,6 +200,7 @@ def report_text(report: "MapReport") -> str:
     shares = ", ".join(f"{key} {_percent(share)}" for key, share in report.shares.items())
     greys = ", ".join(f"{value:g} ({cells:,})" for value, cells in report.greys)
     more = report.grey_levels - len(report.greys)
+    parts = ", ".join(f"{area:.1f}" for area in report.free_parts)
     lines = [
         report.path,
         f"  image       {report.image} ({report.kind})",
@@ -209,6 +210,7 @@ def report_text(report: "MapReport") -> str:
         f"  read as     {report.mode}, {report.semantics}, negate {report.negate}, "
         f"occupied_thresh {report.occupied_thresh:g}, free_thresh {report.free_thresh:g}",
         f"  classes     {shares}",
+        f"  free parts  {parts or 'no'} m2",
         f"  greys       {greys}" + (f" and {more:,} more" if more else ""),
         f"  nav2/ros1   {report.semantics_differ:,} cells are read differently",
         f"  warnings    {len(report.warnings) or 'none'}",

@@ -33,17 +33,10 @@ _QUARTERS = np.array([(0, 0, 0), (0, 0, 1), (0, 1, 0), (0, 1, 1)])
 
 @dataclass(frozen=True)
 class Best:
-    """The best poses of a lattice, best first.
+    """The best poses of a lattice, best first."""
 
-    Parameters
-    ----------
-    cells : (M, 3) int array
-        ``(theta, row, col)`` indices, as into a stack.
-    scores : (M,) float32 array
-        The values that the stack of :func:`imgloc.likelihood.cbml.cbml` has there.
-    """
-
-    cells: IntArray
+    cells: IntArray  #: (M, 3) ``(theta, row, col)`` indices, as into a stack
+    #: (M,) The values that the stack of :func:`imgloc.likelihood.cbml.cbml` has there
     scores: Float32Array
 
 

@@ -31,20 +31,12 @@ _BATCH = 256  # proposals that are scored at a time
 
 @dataclass(frozen=True)
 class Scores:
-    """What :func:`rescore` found for C poses and N readings.
+    """What :func:`rescore` found for C poses and N readings."""
 
-    Parameters
-    ----------
-    log_likelihood : (C,) float array
-        Nats.
-    on_surface : (C, N) bool array
-        Readings that end within two standard deviations, of the wider sigma, of a surface.
-    crossed : (C, N) bool array
-        Readings that pass through a mapped wall: more likely than not it is gone.
-    """
-
-    log_likelihood: FloatArray
+    log_likelihood: FloatArray  #: (C,) Nats
+    #: (C, N) Readings that end within two standard deviations, of the wider sigma, of a surface
     on_surface: BoolArray
+    #: (C, N) Readings that pass through a mapped wall: more likely than not it is gone
     crossed: BoolArray
 
     def select(self, index: IntArray) -> "Scores":

@@ -11,6 +11,7 @@ group take turns, so that a busy moment of the machine is in the times of all of
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -26,7 +27,7 @@ from imgloc.features.scanpoints import scan_points, scan_xy
 from imgloc.features.surface import surface_points
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.cbml import cbml, cbml_o, project
-from imgloc.likelihood.correlate import ENGINES, correlate
+from imgloc.likelihood.correlate import ENGINES, EXACT, correlate
 from imgloc.likelihood.ght import ght, ght_v
 from imgloc.likelihood.slices import cell_offsets
 from imgloc.model import Float32Array, FloatArray, LaserScan, OccupancyGrid
@@ -38,21 +39,12 @@ from imgloc.worlds import WORLDS, render
 
 @dataclass(frozen=True)
 class Timing:
-    """How long a case took.
-
-    Parameters
-    ----------
-    name, unit : str
-    work : float
-        Units of work of one call: poses times readings, pairs, or 1.
-    seconds : tuple of float
-        Of each repeat.
-    """
+    """How long a case took."""
 
     name: str
     unit: str
-    work: float
-    seconds: tuple[float, ...]
+    work: float  #: units of one call: poses times readings, pairs, or 1
+    seconds: tuple[float, ...]  #: of each repeat
 
     @property
     def median(self) -> float:
@@ -109,15 +101,10 @@ def in_turns(
 def answer_times(
     grid: OccupancyGrid, scans: Sequence[LaserScan], threads: int, repeats: int = 1
 ) -> dict[str, float]:
-    """How long answers take, see :func:`answer_summary`.
+    """How long answers take, see :func:`answer_summary`; ConfigError without a scan.
 
     What a scan takes is the median of `repeats` answers to it: the tail is that of the scans, not
     of what else the machine had to do.
-
-    Raises
-    ------
-    ConfigError
-        If there is no scan.
     """
     if not scans:
         raise ConfigError("scans must be at least 1, got 0")
@@ -138,15 +125,7 @@ def answer_times(
 def answer_summary(ms: Sequence[float]) -> dict[str, float]:
     """What answers take, and what the first one took longer: computing the map's features.
 
-    Parameters
-    ----------
-    ms : sequence of float
-        Of the answers to a scan, to the same one again, to others.
-
-    Returns
-    -------
-    dict
-        ``median_ms`` and ``p99_over_median`` of all but the first, ``prepare_s`` in seconds.
+    `ms` are of the answers to a scan, to the same one again, to others.
 
     Examples
     --------
@@ -177,74 +156,51 @@ def stack_cases(features: MapFeatures, scans: Sequence[LaserScan], threads: int)
 
     A stack costs the same for any scan, so that one will do; branch and bound takes them all.
     """
-    scan, seen = scans[0], [scan_xy(s)[s.valid] for s in scans]
-    thetas = uniform_thetas(2 * np.pi / HEADINGS)
-    cell, xy = features.lattice.resolution, scan_xy(scan)[scan.valid]
+    scan, every = scans[0], [scan_xy(s)[s.valid] for s in scans]
+    thetas, cell, xy = uniform_thetas(2 * np.pi / HEADINGS), features.lattice.resolution, every[0]
     points = scan_points(scan.ranges, scan.angles, scan.valid)
-    bmap, vmap, free = features.bmap, features.vmap, features.free
-    pooled, projections = features.pooled, project(vmap)
-    out = np.empty((HEADINGS, *bmap.shape), np.float32)
-    work = out.size * len(xy)
+    image, vmap, pooled = features.bmap, features.vmap, features.pooled
+    out = np.empty((HEADINGS, *image.shape), np.float32)
+    plain = partial(cbml, image, xy, thetas, cell, out=out)
+    oriented = partial(cbml_o, vmap, points, thetas, cell, projections=project(vmap), out=out)
+    unit, work = "pose and reading", out.size * len(xy)
     slow = uniform_thetas(np.pi)  # two headings of what takes long
     few = work * len(slow) / HEADINGS
-
-    def stack(engine: str, workers: int) -> Callable[[], object]:
-        return lambda: cbml(bmap, xy, thetas, cell, engine=engine, threads=workers, out=out)
-
-    def oriented(engine: str, workers: int) -> Callable[[], object]:
-        return lambda: cbml_o(
-            vmap, points, thetas, cell, engine=engine, threads=workers, out=out,
-            projections=projections,
-        )  # fmt: skip
-
-    unit = "pose and reading"
-    cases: list[Case] = [
-        ("Alg. 1 in NumPy", unit, few, lambda: gathered(bmap, xy, slow, cell)),
-        ("cbml filter2d", unit, few, lambda: cbml(bmap, xy, slow, cell, engine="filter2d")),
-    ]
+    cases: list[Case] = [("Alg. 1 in NumPy", unit, few, partial(gathered, image, xy, slow, cell))]
+    for engine in ENGINES:
+        if engine not in ("shift", "dft"):
+            call = partial(cbml, image, xy, slow, cell, engine=engine)
+            cases.append((f"cbml {engine}", unit, few, call))
     for engine in ("shift", "dft", "auto"):
-        cases.append((f"cbml {engine}", unit, work, stack(engine, 1)))
-        cases.append((f"cbml-o {engine}", unit, work, oriented(engine, 1)))
+        cases.append((f"cbml {engine}", unit, work, partial(plain, engine=engine)))
+        cases.append((f"cbml-o {engine}", unit, work, partial(oriented, engine=engine)))
     if threads > 1:
-        cases.append((f"cbml auto, {threads} threads", unit, work, stack("auto", threads)))
-        cases.append((f"cbml-o auto, {threads} threads", unit, work, oriented("auto", threads)))
-    cases.append(
-        (
-            "cbml auto, free cells, argmax", unit, work,
-            lambda: int(cbml(bmap, xy, thetas, cell, where=free, out=out).argmax()),
-        )
-    )  # fmt: skip
-    every = out.size * sum(map(len, seen))
-    cases.append(
-        (
-            f"branch and bound, {len(scans)} scans", unit, every,
-            lambda: [best_poses(pooled, one, thetas) for one in seen],
-        )
-    )  # fmt: skip
+        more = f"auto, {threads} threads"
+        cases.append((f"cbml {more}", unit, work, partial(plain, threads=threads)))
+        cases.append((f"cbml-o {more}", unit, work, partial(oriented, threads=threads)))
+    best = partial(plain, where=features.free)
+    cases.append(("cbml auto, free cells, argmax", unit, work, lambda: int(best().argmax())))
+    name, work = f"branch and bound, {len(scans)} scans", out.size * sum(map(len, every))
+    cases.append((name, unit, work, lambda: [best_poses(pooled, one, thetas) for one in every]))
     return cases
 
 
 def vote_cases(features: MapFeatures, scan: LaserScan, threads: int) -> list[Case]:
     """The votes of GHT and GHT-V, and Alg. 4 as one ``np.add.at``."""
     points = scan_points(scan.ranges, scan.angles, scan.valid)
-    surface, visibility = features.surface, features.visibility
-    shape, cell = features.lattice.shape, features.lattice.resolution
+    surface, shape = features.surface, features.lattice.shape
     pairs = int(points.valid.sum()) * int(surface.valid.sum())
-    args = points, PAIR_HEADINGS, shape, cell
+    args = points, PAIR_HEADINGS, shape, features.lattice.resolution
     out = np.empty((PAIR_HEADINGS, *shape), dtype=np.float32)
+    visible = partial(ght_v, surface, features.visibility, *args, out=out)
     cases: list[Case] = [
-        ("Alg. 4 by np.add.at", "pair", pairs, lambda: added(features, scan)),
-        ("ght", "pair", pairs, lambda: ght(surface, *args, out=out)),
-        ("ght-v", "pair", pairs, lambda: ght_v(surface, visibility, *args, out=out)),
+        ("Alg. 4 by np.add.at", "pair", pairs, partial(added, features, scan)),
+        ("ght", "pair", pairs, partial(ght, surface, *args, out=out)),
+        ("ght-v", "pair", pairs, visible),
     ]
     if threads > 1:
-        many = threads
-        cases.append(
-            (
-                f"ght-v, {many} threads", "pair", pairs,
-                lambda: ght_v(surface, visibility, *args, threads=many, out=out),
-            )
-        )  # fmt: skip
+        many = partial(visible, threads=threads)
+        cases.append((f"ght-v, {threads} threads", "pair", pairs, many))
     return cases
 
 
@@ -315,11 +271,6 @@ def engine_rows(
     tuple of mappings
         ``size``, ``reach``, ``rays``, ``ms`` of each engine and of ``auto``, the ``best``
         engine, and ``ratio``: auto's time to the best's.
-
-    Raises
-    ------
-    ConfigError
-        If there is to be no repeat.
     """
     rows: list[Mapping[str, Any]] = []
     thetas = uniform_thetas(2 * np.pi / headings) + 0.1  # none of them along the walls
@@ -337,7 +288,7 @@ def engine_rows(
                 for engine in (*ENGINES, "auto")
             }
             ms = _least(calls, repeats)
-            best = min(ENGINES, key=ms.__getitem__)
+            best = min(EXACT, key=ms.__getitem__)  # those that `auto` chooses from
             about = {"size": size, "reach": reach, "rays": n, "ms": ms, "best": best}
             rows.append(about | {"ratio": ms["auto"] / ms[best]})
     return tuple(rows)

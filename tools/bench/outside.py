@@ -65,27 +65,11 @@ def _last_line(text: str) -> str:
 
 
 def growth(world: str, times: Sequence[int], repeats: int) -> tuple[Mapping[str, float], ...]:
-    """Time and memory of `localize` on a world tiled 1, 4, 16 ... times, each in a fresh process.
+    """Time and memory of `localize` on a world tiled along each side, each in a fresh process.
 
-    Parameters
-    ----------
-    world : str
-        Of :data:`imgloc.worlds.WORLDS`.
-    times : sequence of int
-        Tiles along each side.
-    repeats : int
-        Answers, of which the median counts.
-
-    Returns
-    -------
-    tuple of mappings
-        ``area`` in m², ``ms`` of an answer, ``prepare_s``, ``rss_mib`` at the peak, NaN where the
-        system does not tell.
-
-    Raises
-    ------
-    ImglocError
-        If a process fails.
+    Of `repeats` answers the median counts. Says ``area`` in m², ``ms`` of an answer, ``prepare_s``
+    and ``rss_mib`` at the peak, NaN where the system does not tell; raises ImglocError if a
+    process fails.
     """
     rows = []
     for side in times:
@@ -99,25 +83,9 @@ def memory(
 ) -> tuple[Mapping[str, float], ...]:
     """Peak of the command ``imgloc localize``, from file to answer, on maps of some sizes.
 
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map is this one, repeated and cut.
-    scans : ScanSet
-        The first one is looked for.
-    sides : sequence of int
-        Cells along a side of the maps.
-
-    Returns
-    -------
-    tuple of mappings
-        ``side``, ``cell`` in metres, ``rss_mib`` at the peak and ``seconds`` of the whole command,
-        which keeps no cache and may take any amount of memory.
-
-    Raises
-    ------
-    ImglocError
-        If the command fails.
+    The maps are `grid`, repeated and cut to `sides` cells; the first scan is looked for. Says
+    ``side``, ``cell`` in metres, ``rss_mib`` at the peak and ``seconds`` of the whole command,
+    which keeps no cache and may take any amount of memory; raises ImglocError if it fails.
     """
     rows: list[Mapping[str, float]] = []
     with tempfile.TemporaryDirectory() as folder:

@@ -103,29 +103,16 @@ def run(given: argparse.Namespace) -> int:
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What was measured and drawn.
-
-    Parameters
-    ----------
-    n, seed : int
-    rows : tuple of TableRow
-    ratios : tuple of Ratio
-    claims, time_claims : tuple of Claim
-        Those about the index, the maxima and counted work; and those about times, which are
-        this machine's.
-    complexity : Complexity
-    pictures : mapping of str to bytes
-        PNG files by name.
-    """
+    """What was measured and drawn."""
 
     n: int
     seed: int
     rows: tuple[TableRow, ...]
     ratios: tuple[Ratio, ...]
-    claims: tuple[Claim, ...]
-    time_claims: tuple[Claim, ...]
+    claims: tuple[Claim, ...]  #: about the index, the maxima and counted work
+    time_claims: tuple[Claim, ...]  #: about times, which are this machine's
     complexity: Complexity
-    pictures: Mapping[str, bytes]
+    pictures: Mapping[str, bytes]  #: PNG files by name
 
     @property
     def holds(self) -> bool:
@@ -152,25 +139,10 @@ def reproduce(
 ) -> Reproduction:
     """Run the experiment of Sec. VI, draw Figs. 1, 2, 4 and 5, measure the appendix.
 
-    Parameters
-    ----------
-    n : int
-        Trials in each world.
-    seed : int
-        Of everything random.
-    worlds : sequence of str
-        Of the table and the run times; some of :data:`~tools.paper.table.PLACES`.
-    quick : bool
-        Only count the work of the appendix, time little.
-    threads : int
-        No number but the times depends on it.
-    advance : callable
-        Called :func:`steps` times.
-
-    Raises
-    ------
-    ConfigError
-        If `n` is less than 1, or there is no such world.
+    `n` trials in each of the `worlds` (some of :data:`~tools.paper.table.PLACES`), of the table and
+    the run times; `seed` of everything random. If `quick`, only count the work of the appendix and
+    time little. No number but the times depends on `threads`. `advance` is called :func:`steps`
+    times. ConfigError if `n` is less than 1, or there is no such world.
     """
     rows = table(n, seed, worlds=worlds, threads=threads, advance=advance)
     timed, repeats = TIMED_QUICK if quick else TIMED

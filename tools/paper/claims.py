@@ -38,56 +38,39 @@ class Claim:
 def claims(rows: Sequence[TableRow]) -> tuple[Claim, ...]:
     """Hold the paper's order, its intervals and its share of maxima against a table.
 
-    Parameters
-    ----------
-    rows : sequence of TableRow
-        Of :func:`~tools.paper.table.table`, with all of :data:`ORDER` in each world.
+    Of the table there are all of :data:`ORDER` in each world.
     """
-    by, worlds = _by(rows)
-    out = []
+    by, out = {(r.world, r.method): r for r in rows}, []
+    worlds = list(dict.fromkeys(r.world for r in rows))
     for world in worlds:
         s = [by[world, m].index.value for m in ORDER]
-        out.append(
-            Claim(
-                f"{world}: S of CBML < CBML-O < GHT < GHT-V",
-                all(a < b for a, b in pairwise(s)),
-                ", ".join(f"{v:.2f}" for v in s),
-            )
-        )
+        found = ", ".join(f"{v:.2f}" for v in s)
+        rising = all(a < b for a, b in pairwise(s))
+        out.append(Claim(f"{world}: S of CBML < CBML-O < GHT < GHT-V", rising, found))
         for low, high in (("cbml", "cbml-o"), ("cbml-o", "ght-v")):
             a, b = by[world, low].interval, by[world, high].interval
-            out.append(
-                Claim(
-                    f"{world}: the intervals of {low.upper()} and {high.upper()} do not overlap",
-                    a[1] < b[0],
-                    f"up to {a[1]:.2f}, from {b[0]:.2f}",
-                )
-            )
+            said = f"the intervals of {low.upper()} and {high.upper()} do not overlap"
+            found = f"up to {a[1]:.2f}, from {b[0]:.2f}"
+            out.append(Claim(f"{world}: {said}", a[1] < b[0], found))
     best = max((by[w, "ght-v"] for w in worlds), key=lambda r: r.exact.value)
-    out.append(
-        Claim(
-            "GHT-V is greatest at the true pose in 70 % of the trials or more in some world",
-            best.exact.value >= MAXIMUM,
-            f"{best.world}: {100 * best.exact.value:.0f} % in its cell, "
-            f"{100 * best.near.value:.0f} % in its cell or one next to it",
-            firm=False,
-        )
+    said = "GHT-V is greatest at the true pose in 70 % of the trials or more in some world"
+    found = (
+        f"{best.world}: {100 * best.exact.value:.0f} % in its cell, "
+        f"{100 * best.near.value:.0f} % in its cell or one next to it"
     )
-    return tuple(out)
+    return (*out, Claim(said, best.exact.value >= MAXIMUM, found, firm=False))
 
 
 def time_claims(ratios: Sequence[Ratio]) -> tuple[Claim, ...]:
     """Hold the run times that the appendix calls nearly equal against those measured."""
-    return tuple(
-        Claim(
-            f"{r.world}: {r.method.upper()} takes at most {r.most:g} x the time of "
-            f"{r.rival.upper()}",
-            r.value <= r.most,
-            f"{r.value:.2f} x",
-            firm=False,
+    out = []
+    for r in ratios:
+        said = f"takes at most {r.most:g} x the time of {r.rival.upper()}"
+        found = f"{r.value:.2f} x"
+        out.append(
+            Claim(f"{r.world}: {r.method.upper()} {said}", r.value <= r.most, found, firm=False)
         )
-        for r in ratios
-    )
+    return tuple(out)
 
 
 def growth_claims(grown: Complexity) -> tuple[Claim, ...]:
@@ -95,14 +78,10 @@ def growth_claims(grown: Complexity) -> tuple[Claim, ...]:
     out = []
     for method, powers in EXPONENTS.items():
         found = {axis: grown.exponent(method, axis, "work") for axis in powers}
-        out.append(
-            Claim(
-                f"{method.upper()}: the work of a scan grows with "
-                + ", ".join(f"{axis}^{power:g}" for axis, power in powers.items()),
-                all(abs(found[axis] - power) <= WITHIN for axis, power in powers.items()),
-                ", ".join(f"{axis}^{_signless(power)}" for axis, power in found.items()),
-            )
-        )
+        said = ", ".join(f"{axis}^{power:g}" for axis, power in powers.items())
+        told = ", ".join(f"{axis}^{_signless(power)}" for axis, power in found.items())
+        near = all(abs(found[axis] - power) <= WITHIN for axis, power in powers.items())
+        out.append(Claim(f"{method.upper()}: the work of a scan grows with {said}", near, told))
     return (*out, *_beyond(grown))
 
 
@@ -113,11 +92,8 @@ def _beyond(grown: Complexity) -> tuple[Claim, ...]:
         for method, quantity in (("beam", "init_work"), ("beam", "traced"), ("cbml", "init_work"))
     )
     work = {(s.method, s.axis, s.value): s.work for s in grown.samples}
-    shares = [
-        work["ght-v", axis, value] / votes
-        for (method, axis, value), votes in work.items()
-        if method == "ght"
-    ]
+    ght = [(axis, value) for method, axis, value in work if method == "ght"]
+    shares = [work["ght-v", axis, value] / work["ght", axis, value] for axis, value in ght]
     return (
         Claim(
             "beyond the paper: the ray-distance stack's init grows with rho_m^2, a cell and "
@@ -142,7 +118,3 @@ def _beyond(grown: Complexity) -> tuple[Claim, ...]:
 def _signless(power: float) -> str:
     """Two digits, without the sign of a zero."""
     return f"{power:.2f}".replace("-0.00", "0.00")
-
-
-def _by(rows: Sequence[TableRow]) -> tuple[dict[tuple[str, str], TableRow], tuple[str, ...]]:
-    return {(r.world, r.method): r for r in rows}, tuple(dict.fromkeys(r.world for r in rows))

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.features.fields import bmap, vmap
-from imgloc.features.raydistance import ray_cells, ray_distances
+from imgloc.features.raydistance import ray_distances
 from imgloc.features.scanpoints import scan_points
 from imgloc.features.surface import surface_points
 from imgloc.features.visibility import visibility_frames
@@ -27,7 +27,7 @@ from imgloc.likelihood.ght import ght, ght_v
 from imgloc.model import Float32Array, FloatArray, OccupancyGrid, OrientedPoints
 from imgloc.simulate import sample_free_poses, simulate
 from imgloc.worlds import WORLDS, render
-from tools.paper.work import pixels_added, votes_cast
+from tools.paper.work import pixels_added, ray_cells, votes_cast
 from tools.plots import COLOURS, blank
 
 METHODS = ("cbml", "cbml-o", "ght", "ght-v", "beam")
@@ -65,38 +65,20 @@ PAPER: Mapping[str, Mapping[str, Mapping[str, float]]] = {
 
 @dataclass(frozen=True)
 class Sample:
-    """One method, measured at one point of one axis.
+    """One method, measured at one point of one axis; times are NaN if not timed.
 
-    Parameters
-    ----------
-    method, axis : str
-        Of :data:`METHODS` and :data:`AXES`.
-    value : float
-        m^2 for ``A``, cells per metre, headings, readings.
-    init_s : float
-        Seconds to prepare the map; NaN if not timed. The surface points, which all but ``beam``
-        need, are the init of ``ght`` alone.
-    run_s : float
-        Seconds for a scan; NaN if not timed.
-    storage : int
-        Bytes of the arrays that a scan is compared with.
-    init_work : int
-        Image pixels walked over (filter taps, for the blurred maps); rays, for ``ght-v``.
-    work : int
-        Of a scan: pixels added, for ``cbml``, ``cbml-o`` and ``beam``; votes, for the others.
-    traced : int
-        For ``beam``: cells that a ray tracer would walk over from all free cells.
+    The surface points, which all but ``beam`` need, are the init of ``ght`` alone.
     """
 
-    method: str
-    axis: str
-    value: float
-    init_s: float
-    run_s: float
-    storage: int
-    init_work: int
-    work: int
-    traced: int = 0
+    method: str  #: of :data:`METHODS`
+    axis: str  #: of :data:`AXES`
+    value: float  #: m^2 for ``A``, cells per metre, headings, readings
+    init_s: float  #: seconds to prepare the map
+    run_s: float  #: seconds for a scan
+    storage: int  #: bytes of the arrays that a scan is compared with
+    init_work: int  #: pixels walked over (filter taps, for blurred maps); rays, for ``ght-v``
+    work: int  #: of a scan: votes, for ``ght`` and ``ght-v``; pixels added, for the others
+    traced: int = 0  #: for ``beam``: cells that a ray tracer would walk over from all free cells
 
 
 @dataclass(frozen=True)

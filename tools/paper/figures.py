@@ -39,29 +39,14 @@ _APART = 0.3  # metres from the true pose at which a maximum is marked
 
 @dataclass(frozen=True)
 class Setting:
-    """Where a figure's scan is taken, and which stacks are computed.
-
-    Parameters
-    ----------
-    world : str
-    truth : Pose2D
-        Grid frame.
-    steps : tuple of (str, float)
-        Methods with the step of their headings in degrees; in the order of the panels.
-    angles : (N,) float array
-        Of the rays.
-    sigma : float
-        Of the kernel that blurs the map, metres.
-    seed : int
-        Of the noise.
-    """
+    """Where a figure's scan is taken, and which stacks are computed."""
 
     world: str
-    truth: Pose2D
-    steps: tuple[tuple[str, float], ...]
-    angles: FloatArray
-    sigma: float = 0.05
-    seed: int = 1
+    truth: Pose2D  #: grid frame
+    steps: tuple[tuple[str, float], ...]  #: methods with their steps of headings, degrees
+    angles: FloatArray  #: (N,) of the rays
+    sigma: float = 0.05  #: of the kernel that blurs the map, metres
+    seed: int = 1  #: of the noise
 
 
 _FINE = (("cbml", 6.0), ("cbml-o", 6.0), ("ght", 12.0), ("ght-v", 12.0))

@@ -76,23 +76,9 @@ def compare(
 ) -> tuple[OperationRow, ...]:
     """Try every operation of :data:`OPERATIONS` on the scans of the paper's table.
 
-    Parameters
-    ----------
-    n : int
-        Scans in each world.
-    seed : int
-        Of the poses and the noise.
-    worlds, methods : sequence of str
-        Some of :data:`~tools.paper.table.PLACES` and of :data:`OPERATIONS`.
-    threads : int
-        No number but the times depends on it.
-    advance : callable
-        Called for each scan, world and method.
-
-    Raises
-    ------
-    ConfigError
-        If there are fewer than two scans.
+    `n` scans (two at least) in each world; `seed` of the poses and the noise; `worlds` and
+    `methods` some of :data:`~tools.paper.table.PLACES` and of :data:`OPERATIONS`. No number but the
+    times depends on `threads`. `advance` is called for each scan, world and method.
 
     Examples
     --------

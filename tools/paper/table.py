@@ -46,29 +46,14 @@ WIDE_DEG = 30.0
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the stack of one scan gives.
+    """What the stack of one scan gives."""
 
-    Parameters
-    ----------
-    density : float
-        Relative density at the true pose, see :mod:`imgloc.index`.
-    bare : float or None
-        For ``beam``: the same if its readings are taken for independent.
-    exact, near : bool
-        The maximum is the cell of the true pose; that or one next to it (of the 27).
-    wide : bool
-        The maximum and the true pose share a cell, or would if headings were
-        :data:`WIDE_DEG` apart.
-    ms : float
-        Time of the stack.
-    """
-
-    density: float
-    bare: float | None
-    exact: bool
-    near: bool
-    wide: bool
-    ms: float
+    density: float  #: relative density at the true pose, see :mod:`imgloc.index`
+    bare: float | None  #: for ``beam``: the same if its readings are taken for independent
+    exact: bool  #: the maximum is the cell of the true pose
+    near: bool  #: it is that cell or one next to it, of the 27
+    wide: bool  #: they share a cell, or would if headings were :data:`WIDE_DEG` apart
+    ms: float  #: time of the stack
 
 
 def place(world: str, n: int, seed: int, threads: int = 1) -> tuple[MapFeatures, ScanSet]:
@@ -170,43 +155,20 @@ class Gain:
 
 @dataclass(frozen=True)
 class TableRow:
-    """One method in one world.
-
-    Parameters
-    ----------
-    world, method : str
-    step_deg : float
-        Between headings.
-    index : Index
-        S over the poses in free cells.
-    bare : Index or None
-        For ``beam``: S if its readings are taken for independent, as eq. 2 has them.
-    gain : Gain or None
-        For an option of GHT-V, if plain GHT-V is in the table too.
-    log_poses : float
-        The greatest S that there can be: everything in the right cell.
-    exact, wide, near : Share
-        The global maximum is the cell of the true pose; it would be if headings were 30 degrees
-        apart; it is that cell or one next to it.
-    paper : float or None
-        The paper's S in the world that this one stands for.
-    ms : (n,) tuple of float
-        Times of the likelihood stacks, one for each trial; they differ from run to run. The map
-        is prepared within the first.
-    """
+    """One method in one world."""
 
     world: str
     method: str
-    step_deg: float
-    index: Index
-    bare: Index | None
-    gain: Gain | None
-    log_poses: float
-    exact: Share
-    wide: Share
-    near: Share
-    paper: float | None
-    ms: tuple[float, ...]
+    step_deg: float  #: between headings
+    index: Index  #: S over the poses in free cells
+    bare: Index | None  #: for ``beam``: S if its readings are independent, as eq. 2 has them
+    gain: Gain | None  #: for an option of GHT-V, if plain GHT-V is in the table too
+    log_poses: float  #: the greatest S that there can be: everything in the right cell
+    exact: Share  #: the global maximum is the cell of the true pose
+    wide: Share  #: it would be if headings were 30 degrees apart
+    near: Share  #: it is that cell or one next to it
+    paper: float | None  #: the paper's S in the world that this one stands for
+    ms: tuple[float, ...]  #: times of the stacks; the map is prepared within the first
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -320,26 +282,15 @@ PAIRS = (("cbml-o", "cbml", 1.3), ("ght-v", "ght", 1.1))
 
 @dataclass(frozen=True)
 class Ratio:
-    """CPU time of a method over that of its rival.
-
-    Parameters
-    ----------
-    world, method, rival : str
-    most : float
-        The ratio that still counts as the same.
-    ms, rival_ms : float
-        Medians over the scans of the medians of the repeats.
-    value : float
-        Median over the scans of the ratios of those medians.
-    """
+    """CPU time of a method over that of its rival."""
 
     world: str
     method: str
     rival: str
-    most: float
-    ms: float
+    most: float  #: the ratio that still counts as the same
+    ms: float  #: median over the scans of the medians of the repeats
     rival_ms: float
-    value: float
+    value: float  #: median over the scans of the ratios of those medians
 
 
 def measure_ratios(
@@ -353,19 +304,9 @@ def measure_ratios(
 ) -> tuple[Ratio, ...]:
     """Compare the methods of :data:`PAIRS` in each world.
 
-    Parameters
-    ----------
-    n : int
-        Scans of each world.
-    repeats : int
-        How often each stack is computed; who comes first changes from time to time.
-    seed : int
-        That of the table.
-    trials : int, optional
-        Those of the table, `n` or more: then the scans are the first of the table's.
-    worlds : sequence of str
-    advance : callable
-        Called ``n * len(worlds) * len(PAIRS)`` times.
+    On `n` scans of each world, the first of the table's if `seed` and `trials` are the table's.
+    Each stack is computed `repeats` times; who comes first changes from time to time. `advance` is
+    called ``n * len(worlds) * len(PAIRS)`` times.
 
     Examples
     --------

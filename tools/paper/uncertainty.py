@@ -35,27 +35,14 @@ LEAST_OCTAVE, GREATEST_OCTAVE = -8, -1
 class Uncertainty:
     """What the terms of eq. 8 are uncertain by; sigma_alpha comes with the points.
 
-    Parameters
-    ----------
-    sigma_range : float
-        Of a reading, metres.
-    sigma_surface : float
-        Of the place of a surface point, metres: for one point per cell of the map, the cell's
-        side over the square root of 12.
-    copies : int
-        Greatest number of headings that a pair votes for; odd. The time grows with it. Fewer
-        copies are made up for by a wider blur in x and y, not in theta: let them be no further
-        apart, 5 sigma_alpha / (copies - 1), than the headings of the stack.
-
-    Raises
-    ------
-    ConfigError
-        If a parameter is out of its range.
+    Fewer `copies` are made up for by a wider blur in x and y, not in theta: let them be no further
+    apart, 5 sigma_alpha / (copies - 1), than the headings of the stack.
     """
 
-    sigma_range: float = 0.02
+    sigma_range: float = 0.02  #: of a reading, metres
+    #: of a surface point, metres: of one per cell the cell's side over the square root of 12
     sigma_surface: float = 0.03
-    copies: int = 15
+    copies: int = 15  #: most headings that a pair votes for; odd. The time grows with it
 
     def __post_init__(self) -> None:
         for name in ("sigma_range", "sigma_surface"):
@@ -68,24 +55,13 @@ class Uncertainty:
 
 @dataclass(frozen=True)
 class Copies:
-    """The scan points that vote in place of the scan's own.
+    """The scan points that vote in place of the scan's own."""
 
-    Parameters
-    ----------
-    index : (N',) int array
-        Which scan point each is a copy of.
-    turn : (N',) float array
-        What its normal is turned by, radians.
-    weight : (N',) float32 array
-        What its votes count; about 1 over all copies of a point.
-    blur : (N',) int array
-        0 for copies a cell apart; g for those ``2**g`` cells apart, which need a blur of half
-        as much (all up to a factor of 1.4).
-    """
-
-    index: IntArray
-    turn: FloatArray
-    weight: Float32Array
+    index: IntArray  #: (N',) which scan point each is a copy of
+    turn: FloatArray  #: (N',) what its normal is turned by, radians
+    weight: Float32Array  #: (N',) what its votes count; about 1 over all copies of a point
+    #: (N',) 0 for copies a cell apart; g for those ``2**g`` cells apart, which need a blur of half
+    #: as much (all up to a factor of 1.4)
     blur: IntArray
 
 
@@ -94,24 +70,10 @@ def turned_copies(
 ) -> Copies:
     """Choose the headings that each scan point votes for.
 
-    Parameters
-    ----------
-    sigma : (N,) float array
-        ``hypot(sigma_alpha_i, sigma_alpha_j)``, radians.
-    distance : (N,) float array
-        ``|p_i|``, metres.
-    step : float
-        Between headings of the stack, radians.
-    resolution : float
-        Side of a cell of the stack, metres.
-    most : int
-        Greatest number of copies of a point, odd.
-
-    Returns
-    -------
-    Copies
-        Point after point. Neighbours are no more than about a heading and a cell apart, as far
-        as `most` allows.
+    `sigma` (N,) is ``hypot(sigma_alpha_i, sigma_alpha_j)``, radians, and `distance` (N,) ``|p_i|``,
+    metres; `step` and `resolution` are those of the stack; `most` copies of a point, odd. They come
+    point after point, neighbours no more than about a heading and a cell apart as far as `most`
+    allows.
 
     Examples
     --------

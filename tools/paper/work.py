@@ -6,6 +6,7 @@ without a counter in anybody's inner loop.
 
 import numpy as np
 
+from imgloc.features.raydistance import canvas_size
 from imgloc.likelihood.ght import pair_up
 from imgloc.likelihood.slices import cell_offsets, finite_points
 from imgloc.model import Float32Array, FloatArray, OrientedPoints
@@ -78,3 +79,18 @@ def votes_cast(
         int(np.count_nonzero(pairs.visibility[psi] > rho))  # Alg. 5, l. 5
         for psi, rho in zip(pairs.psi.ravel().tolist(), pairs.rho.ravel(), strict=True)
     )
+
+
+def ray_cells(shape: tuple[int, int], n_psi: int) -> int:
+    """Count the pixels of the turned maps, over which `ray_distances` walks.
+
+    A ray tracer walks over every cell between each cell and the wall, in each direction.
+
+    Examples
+    --------
+    >>> ray_cells((10, 20), 4)  # two turned maps, each with a margin, walked both ways
+    1056
+    """
+    turns, ways = (n_psi // 2, 2) if n_psi % 2 == 0 else (n_psi, 1)
+    sizes = (canvas_size(shape, 2 * np.pi * k / n_psi) for k in range(turns))
+    return ways * sum(along * across for along, across in sizes)

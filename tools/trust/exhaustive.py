@@ -52,10 +52,8 @@ def exhaustive(
         With at least one valid reading.
     options : FusedOptions, optional
         Of the search that is compared: its rays, its step of headings and its model.
-    keep : int
-        How many poses are refined.
-    most : int
-        How many poses are ranked.
+    keep, most : int
+        How many poses are refined, and ranked.
     threads : int
         The result does not depend on it.
 

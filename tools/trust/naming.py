@@ -24,18 +24,7 @@ def scans_of(
     """Scans taken in the maps, at least `n` in all, unless fewer have been recorded.
 
     Those recorded beside a map (scans.npz, with poses), if there are any; else simulated ones.
-
-    Parameters
-    ----------
-    maps : mapping of str to path
-    n, seed : int
-    range_max : float
-        Metres.
-
-    Raises
-    ------
-    ConfigError
-        If `n` is less than 1, or there is no map.
+    ConfigError if `n` is less than 1, or there is no map.
     """
     if n < 1:
         raise ConfigError(f"n must be at least 1, got {n}")

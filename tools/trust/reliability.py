@@ -25,25 +25,13 @@ LEAST = 0.01
 
 @dataclass(frozen=True)
 class Judged:
-    """One answer, compared with the true pose.
+    """One answer, compared with the true pose."""
 
-    Parameters
-    ----------
-    mass : (M,) float array
-        Of the hypotheses with :data:`LEAST` or more.
-    right : (M,) bool array
-    verdict : str
-    wrong : bool
-        ``unique``, and elsewhere.
-    nees : float
-        Normalised squared error of the best pose, where it is ``unique`` and right; else NaN.
-    """
-
-    mass: FloatArray
-    right: BoolArray
+    mass: FloatArray  #: (M,) of the hypotheses with :data:`LEAST` or more
+    right: BoolArray  #: (M,)
     verdict: str
-    wrong: bool
-    nees: float
+    wrong: bool  #: ``unique``, and elsewhere
+    nees: float  #: normalised squared error of the best pose if ``unique`` and right; else NaN
 
 
 @dataclass(frozen=True)
@@ -63,17 +51,7 @@ def judged(
     options: Options | None = None,
     advance: Callable[[], None] = lambda: None,
 ) -> Iterator[Judged]:
-    """Locate scans whose poses are known.
-
-    Parameters
-    ----------
-    features : MapFeatures
-    scans : ScanSet
-        With poses, map frame.
-    options : Options, optional
-    advance : callable
-        Called after each.
-    """
+    """Locate scans whose poses (map frame) are known; `advance` is called after each."""
     truth = np.empty((0, 3)) if scans.poses is None else scans.poses
     for scan, pose in zip(scans.scans, truth, strict=True):
         yield judge_answer(localize(features, scan, options), Pose2D(*pose))
@@ -104,16 +82,7 @@ def judge_answer(answer: Localization, truth: Pose2D) -> Judged:
 def reliability(answers: Sequence[Judged], bins: int = 10) -> tuple[tuple[Bin, ...], float]:
     """Sort hypotheses by their mass and count how many are right.
 
-    Parameters
-    ----------
-    answers : sequence of Judged
-    bins : int
-
-    Returns
-    -------
-    bins : tuple of Bin
-    ece : float
-        Expected calibration error: the mean distance of mass and share, weighted by counts.
+    Also the expected calibration error: the mean distance of mass and share, weighted by counts.
 
     Examples
     --------

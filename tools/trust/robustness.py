@@ -36,20 +36,11 @@ LISTED = 20
 
 @dataclass(frozen=True)
 class Condition:
-    """What is different.
-
-    Parameters
-    ----------
-    sensor : Sensor
-    cell : float
-        Of the map, metres.
-    flipped : bool
-        The sensor hangs upside down, and says so.
-    """
+    """What is different."""
 
     sensor: Sensor = field(default_factory=Sensor)
-    cell: float = 0.1
-    flipped: bool = False
+    cell: float = 0.1  #: of the map, metres
+    flipped: bool = False  #: the sensor hangs upside down, and says so
 
 
 CONDITIONS: Mapping[str, Condition] = MappingProxyType(
@@ -86,47 +77,28 @@ def upside_down(scan: LaserScan) -> LaserScan:
 
 @dataclass(frozen=True)
 class RobustnessTrial:
-    """One scan: of the poses that score best, is any right, and is the first.
+    """One scan: of the poses within :data:`TIE` of the best score, best first, which are right."""
 
-    Parameters
-    ----------
-    localize, oracle : tuple of bool
-        For each pose within :data:`TIE` of the best score, best first: is it right? Empty
-        without a pose.
-    unique : bool
-        The verdict.
-    """
-
-    localize: tuple[bool, ...]
+    localize: tuple[bool, ...]  #: empty without a pose
     oracle: tuple[bool, ...]
-    unique: bool
+    unique: bool  #: the verdict
 
 
 @dataclass(frozen=True)
 class RobustnessRow:
-    """One condition over all worlds.
+    """One condition over all worlds: shares of the scans.
 
-    Parameters
-    ----------
-    condition : str
-    localize, oracle : Share
-        Scans for which the first pose, or one within :data:`TIE` of its score, is right.
-    localize_first, oracle_first : Share
-        Scans for which the first pose is right.
-    ties : Share
-        Scans for which several poses of the oracle are within :data:`TIE`, one of them right.
-    unique, wrong : Share
-        Verdict ``unique``; and ``unique`` although the first pose is not right.
+    `localize` and `oracle` count a right pose that is the first or within :data:`TIE` of it.
     """
 
     condition: str
     localize: Share
     oracle: Share
-    localize_first: Share
+    localize_first: Share  #: the first pose is right
     oracle_first: Share
-    ties: Share
-    unique: Share
-    wrong: Share
+    ties: Share  #: several poses of the oracle are within :data:`TIE`, one of them right
+    unique: Share  #: the verdict
+    wrong: Share  #: ``unique`` although the first pose is not right
 
     @property
     def behind(self) -> float:

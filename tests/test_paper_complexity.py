@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
-from imgloc.features.raydistance import _rotate, ray_cells, ray_distances
+from imgloc.features.raydistance import _rotate, ray_distances
 from imgloc.features.surface import surface_points
 from imgloc.features.visibility import visibility_frames
 from imgloc.model import OrientedPoints
 from tools.paper import complexity
-from tools.paper.work import pixels_added, votes_cast
+from tools.paper.work import pixels_added, ray_cells, votes_cast
 
 
 @cache

@@ -1,7 +1,12 @@
 """Shares of scans whose map is named, for scans whose map is known."""
 
+import json
+import subprocess
+import sys
+
 import numpy as np
 import pytest
+from command import ROOT
 
 from imgloc.errors import ConfigError
 from imgloc.io.maps import save_map
@@ -57,3 +62,55 @@ def test_recorded_scans_come_before_simulated_ones(maps):
 def test_nothing_to_ask(maps, n, some, said):
     with pytest.raises(ConfigError, match=said):
         scans_of(maps if some else {}, n, 0)
+
+
+# --- the command
+
+
+def run_tool(*words):
+    return subprocess.run(
+        [sys.executable, "-m", "tools.trust", "which", *map(str, words)],
+        capture_output=True, text=True, check=False,
+        cwd=ROOT, env={"PATH": "/usr/bin:/bin"},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two maps, one of them with scans beside it, and a map that is another name of one."""
+    out = tmp_path_factory.mktemp("maps")
+    for name in ("curved", "corridor"):
+        (out / name).mkdir()
+        grid = render(WORLDS[name](), 0.1)
+        save_map(out / name / "map.yaml", grid)
+    save_scans(out / "corridor" / "scans.npz", simulate_set(grid, 3, 3, Sensor()))
+    return out
+
+
+def test_recorded_and_simulated_scans_are_asked_of_all_maps(folder):
+    done = run_tool(folder, "-n", 2)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert (found["scans"], found["maps"]) == (2, 2)
+    named = found["named with 0.5 or more"]
+    assert (named["right"]["hits"], named["wrong"]["hits"]) == (2, 0)
+    assert named["not right"] == []
+    assert named["silent without its map"]["trials"] == 2
+
+
+def test_two_maps_of_one_building_count_as_one(folder):
+    done = run_tool(folder, "-n", 2, "--same", "curved,corridor")
+    named = json.loads(done.stdout)["named with 0.5 or more"]
+    assert named["right"]["hits"] == 2
+    assert named["silent without its map"]["hits"] == 2  # none is left
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [(("-n", 0), 2, "at least 1"), (("--range-max", 0), 2, "reach"), (("nowhere",), 2, "nowhere")],
+)
+def test_refusals_are_one_line(folder, words, code, said):
+    done = run_tool(folder, *words)
+    assert (done.returncode, done.stdout) == (code, "")
+    assert done.stderr.count("\n") == 1
+    assert said in done.stderr
