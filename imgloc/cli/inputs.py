@@ -159,8 +159,7 @@ def load_set(path: Path, budget: int) -> "ScanSet":
         f"{display(path)}: a file of up to {size.scans:,} scans and {size.numbers:,} numbers",
         "take fewer scans, in several files",
     )
-    with quiet_libraries():
-        return load_scans(path)
+    return load_scans(path)
 
 
 def held_bytes(scans: "Sequence[LaserScan]") -> int:
