@@ -5,6 +5,7 @@ counts the cells that they read differently.
 """
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -19,8 +20,8 @@ from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import (
     PathLike,
     display,
+    open_regular,
     refuse_existing,
-    refuse_irregular,
     write_bytes_atomic,
     write_text_atomic,
 )
@@ -268,7 +269,7 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
     name, file = display(path), Path(path)
     said = load_map_yaml(path) if file.suffix.lower() in YAML_ENDINGS else None
     if said is None:
-        refuse_irregular(path, error=MapError, what="map YAML or image")
+        os.close(open_regular(path, MapError, "map YAML or image"))
         if "resolution" not in given:
             raise MapError(f"{name}: resolution: missing{_resolution_hint(file)}")
     written = said or MapYaml(file, file, origin=Pose2D(0.0, 0.0, 0.0))

@@ -30,9 +30,9 @@ from imgloc.io.textscans import read_csv, read_jsonl, text_size
 from imgloc.model import FloatArray, LaserScan
 
 _SPACING = ("angle_min", "angle_increment")
-_LIMITS = (("range_min", 0.0), ("range_max", math.inf))
+_LIMITS = {"range_min": 0.0, "range_max": math.inf}
 _BESIDE = ("poses", "stamps", "odom")
-_KEYS = ("ranges", "angles", "range_min", "range_max", *_SPACING, *_BESIDE)
+_KEYS = ("ranges", "angles", *_LIMITS, *_SPACING, *_BESIDE)
 _MAX_BYTES = 16 * MAX_READINGS
 
 
@@ -61,13 +61,7 @@ def load_scans(path: PathLike) -> ScanSet:
 
 
 def scans_size(path: PathLike) -> ScansSize:
-    """How much :func:`load_scans` would load, at most; nothing of it is kept in memory.
-
-    Raises
-    ------
-    ScanError
-        As :func:`load_scans`, but for what only the numbers show.
-    """
+    """How much :func:`load_scans` would load, at most; errors are those that headers show."""
     return _npz_size(path) if _reader(path) is read_npz else text_size(path)
 
 
@@ -77,7 +71,8 @@ def save_scans(path: PathLike, scans: ScanSet, *, force: bool = False) -> None:
     Raises
     ------
     ConfigError
-        `path` does not end in ``.npz``, or the scans differ in their number of readings.
+        `path` does not end in ``.npz``, there are no scans, or they differ in their number of
+        readings.
     OutputError
         The file exists (without `force`) or cannot be written.
     """
@@ -106,22 +101,15 @@ def read_npz(path: PathLike) -> ScanSet:
 
 
 def write_npz(scans: ScanSet) -> bytes:
-    """Return the bytes of an NPZ that :func:`read_npz` reads back.
-
-    Raises
-    ------
-    ConfigError
-        If there are no scans, or they differ in their number of readings.
-    """
+    """Return the bytes of an NPZ that :func:`read_npz` reads back; see :func:`save_scans`."""
     lengths = {len(scan.ranges) for scan in scans.scans}
     if len(lengths) != 1:
         raise ConfigError(f"scans of {sorted(lengths)} readings cannot be one array in an NPZ")
     arrays: dict[str, Any] = {"ranges": np.stack([scan.ranges for scan in scans.scans])}
-    for key in ("angles", "range_min", "range_max"):
+    for key in ("angles", *_LIMITS):
         values = np.stack([getattr(scan, key) for scan in scans.scans])
         arrays[key] = values[0] if (values == values[0]).all() else values
-    beside = {key: getattr(scans, key) for key in _BESIDE}
-    arrays |= {key: value for key, value in beside.items() if value is not None}
+    arrays |= {key: value for key in _BESIDE if (value := getattr(scans, key)) is not None}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)  # all members are stamped 1980
     return buffer.getvalue()
@@ -171,10 +159,8 @@ def _members(data: bytes, name: str) -> dict[str, FloatArray]:
         # The end record counts the members; zipfile does not compare, and a damaged
         # entry can swallow those after it.
         end = data.rfind(b"PK\5\6")
-        if int.from_bytes(data[end + 10 : end + 12], "little") not in (
-            len(archive.infolist()),
-            0xFFFF,  # ZIP64 counts elsewhere
-        ):
+        count = int.from_bytes(data[end + 10 : end + 12], "little")
+        if count not in (len(archive.infolist()), 0xFFFF):  # ZIP64 counts elsewhere
             raise zipfile.BadZipFile("members are missing")
         for info in archive.infolist():
             key = info.filename.removesuffix(".npy")
@@ -207,13 +193,10 @@ def _explained(name: str) -> Iterator[None]:
 
 def _check_header(file: IO[bytes], size: int, name: str, key: str) -> tuple[int, ...]:
     """Check type and shape of a member before its data are inflated; return the shape."""
-    read = {
-        (1, 0): np.lib.format.read_array_header_1_0,
-        (2, 0): np.lib.format.read_array_header_2_0,
-    }
+    form = np.lib.format
+    read = {(1, 0): form.read_array_header_1_0, (2, 0): form.read_array_header_2_0}
     try:
-        version = np.lib.format.read_magic(file)
-        shape, _, dtype = read[version](file)
+        shape, _, dtype = read[form.read_magic(file)](file)
     except (ValueError, KeyError, SyntaxError, TypeError, tokenize.TokenError):
         raise ScanError(f"{name}: {key}: damaged header, expected a NumPy array") from None
     if dtype.hasobject:
@@ -224,15 +207,13 @@ def _check_header(file: IO[bytes], size: int, name: str, key: str) -> tuple[int,
     if dtype.kind not in "fiu":
         raise ScanError(f"{name}: {key}: got type {dtype}, expected numbers")
     count = math.prod(shape)
-    if count < 0 or count > MAX_READINGS:
+    if not 0 <= count <= MAX_READINGS:
+        found = " x ".join(map(str, shape))
+        raise ScanError(f"{name}: {key}: {found} numbers, expected at most {MAX_READINGS:,}")
+    if (expected := file.tell() + count * dtype.itemsize) != size:
         raise ScanError(
-            f"{name}: {key}: {' x '.join(map(str, shape))} numbers, expected at most "
-            f"{MAX_READINGS:,}"
-        )
-    if file.tell() + count * dtype.itemsize != size:
-        raise ScanError(
-            f"{name}: {key}: {size:,} bytes, expected {file.tell() + count * dtype.itemsize:,} "
-            f"for shape {shape}; copy the file again"
+            f"{name}: {key}: {size:,} bytes, expected {expected:,} for shape {shape}; "
+            "copy the file again"
         )
     return tuple(shape)
 
@@ -247,7 +228,7 @@ def _scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
         raise ScanError(f"{name}: ranges: got shape {ranges.shape}, expected at least one reading")
     angles = _angles(arrays, ranges.shape, name)
     limits = []
-    for key, default in _LIMITS:
+    for key, default in _LIMITS.items():
         value = arrays.get(key, np.array(default))
         if value.size != 1 and value.shape != (n,):
             raise ScanError(
@@ -257,9 +238,7 @@ def _scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
     for low, high in zip(*limits, strict=True):
         check_limits(low, high, name)
     beside: dict[str, FloatArray] = {}
-    for key in _BESIDE:
-        if key not in arrays:
-            continue
+    for key in [key for key in _BESIDE if key in arrays]:
         value, shape = arrays[key], (n,) if key == "stamps" else (n, 3)
         if n == 1 and value.shape == shape[1:]:
             value = value.reshape(shape)

@@ -18,58 +18,34 @@ _MAX_ANGLE = 4 * np.pi
 
 @dataclass(frozen=True)
 class ScansSize:
-    """How much a file of scans holds at most, known before it is read.
-
-    Parameters
-    ----------
-    scans : int
-    numbers : int
-        Ranges, angles, and what was recorded beside them.
-    file_bytes : int
-        Length of the file.
-    text : bool
-        Whether it is a text.
-    """
+    """How much a file of scans holds at most, known before it is read."""
 
     scans: int
-    numbers: int
+    numbers: int  #: ranges, angles, and what was recorded beside them
     file_bytes: int
-    text: bool = False
+    text: bool = False  #: whether the file is one
 
 
 @dataclass(frozen=True)
 class ScanSet:
-    """Scans, with what was recorded beside them.
+    """Scans, with what was recorded beside them."""
 
-    Parameters
-    ----------
-    scans : tuple of LaserScan
-        In the order of the file.
-    poses : (N, 3) float array or None
-        Known pose of the **sensor** in the map frame (x, y in metres, theta in radians).
-    stamps : (N,) float array or None
-        Seconds.
-    odom : (N, 3) float array or None
-        Pose of the sensor in the odometry's frame.
-    """
-
-    scans: tuple[LaserScan, ...]
+    scans: tuple[LaserScan, ...]  #: in the order of the file
+    #: (N, 3), known pose of the **sensor** in the map frame (x, y in metres, theta in radians)
     poses: FloatArray | None = None
-    stamps: FloatArray | None = None
-    odom: FloatArray | None = None
+    stamps: FloatArray | None = None  #: (N,), seconds
+    odom: FloatArray | None = None  #: (N, 3), pose of the sensor in the odometry's frame
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scans", tuple(self.scans))
         n = len(self.scans)
         for key, shape in (("poses", (n, 3)), ("stamps", (n,)), ("odom", (n, 3))):
-            value = getattr(self, key)
-            if value is None:
-                continue
-            array = np.array(value, dtype=np.float64)
-            array.flags.writeable = False
-            object.__setattr__(self, key, array)
-            if array.shape != shape:
-                raise ValueError(f"{key} {array.shape} must be {shape}: one per scan")
+            if getattr(self, key) is not None:
+                array = np.array(getattr(self, key), dtype=np.float64)
+                if array.shape != shape:
+                    raise ValueError(f"{key} {array.shape} must be {shape}: one per scan")
+                array.flags.writeable = False
+                object.__setattr__(self, key, array)
 
     def __len__(self) -> int:
         return len(self.scans)
@@ -94,14 +70,10 @@ def numbers(value: Any, name: str, key: str, *, ndim: Sequence[int]) -> FloatArr
 
 def check_angles(angles: FloatArray, name: str) -> None:
     """Refuse angles that cannot be directions in radians."""
-    bad = np.argwhere(~np.isfinite(angles))
-    if len(bad):
-        raise ScanError(
-            f"{name}: angles{bad[0].tolist()}: got {angles[tuple(bad[0])]}, expected finite "
-            "radians (a reading without a direction has to be left out)"
-        )
-    if angles.size and float(np.abs(angles).max()) > _MAX_ANGLE:
-        worst = float(angles.flat[int(np.abs(angles).argmax())])
+    hint = "finite radians (a reading without a direction has to be left out)"
+    check_finite(angles, name, "angles", hint)
+    worst = angles.flat[np.abs(angles).argmax()] if angles.size else 0.0
+    if abs(worst) > _MAX_ANGLE:
         raise ScanError(
             f"{name}: angles: got {worst:g}, expected radians; are these degrees? "
             "multiply them by pi / 180"
@@ -119,10 +91,9 @@ def check_limits(range_min: float, range_max: float, name: str) -> None:
         )
 
 
-def check_finite(array: npt.NDArray[Any], name: str, key: str) -> None:
+def check_finite(
+    array: npt.NDArray[Any], name: str, key: str, expected: str = "a finite number"
+) -> None:
     """Refuse an array with an entry that is NaN or infinite."""
-    bad = np.argwhere(~np.isfinite(array))
-    if len(bad):
-        raise ScanError(
-            f"{name}: {key}{bad[0].tolist()}: got {array[tuple(bad[0])]}, expected a finite number"
-        )
+    for at in np.argwhere(~np.isfinite(array))[:1]:
+        raise ScanError(f"{name}: {key}{at.tolist()}: got {array[tuple(at)]}, expected {expected}")

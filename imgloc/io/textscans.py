@@ -53,7 +53,7 @@ def read_csv(path: PathLike) -> ScanSet:
     name = display(path)
     settings: dict[str, float] = {}
     columns: list[str] = []
-    rows: list[tuple[int, list[float]]] = []
+    rows: list[tuple[str, list[float]]] = []
     for line, text in _lines(path):
         where = f"{name}: line {line}"
         if text.startswith("#"):
@@ -67,11 +67,10 @@ def read_csv(path: PathLike) -> ScanSet:
             columns = [cell.strip("\"'").lower() for cell in cells]
             continue
         row = [_number_of(cell, f"{where}: column {i + 1}") for i, cell in enumerate(cells)]
-        if rows and len(row) != len(rows[0][1]):
-            raise ScanError(f"{where}: {len(row)} numbers, expected {len(rows[0][1])} as before")
-        if columns and len(row) != len(columns):
-            raise ScanError(f"{where}: {len(row)} numbers, expected {len(columns)}: one per name")
-        rows.append((line, row))
+        for before, why in ((rows and rows[0][1], " as before"), (columns, ": one per name")):
+            if before and len(row) != len(before):
+                raise ScanError(f"{where}: {len(row)} numbers, expected {len(before)}{why}")
+        rows.append((where, row))
     if not rows:
         raise ScanError(f"{name}: holds no scan, expected one per line")
     table = np.array([row for _, row in rows])
@@ -86,13 +85,10 @@ def read_csv(path: PathLike) -> ScanSet:
         raise ScanError(f"{name}: columns {named}, expected all of x, y, theta or none")
     ranges = np.delete(table, list(beside.values()), axis=1)
     entries: list[_Entry] = []
-    for k, (line, row) in enumerate(rows):
-        entry: dict[str, Any] = {**settings, "ranges": ranges[k]}
-        if "stamp" in beside:
-            entry["stamp"] = row[beside["stamp"]]
-        if place:
-            entry["pose"] = [row[i] for i in place]
-        entries.append((f"{name}: line {line}", entry))
+    for (where, row), values in zip(rows, ranges, strict=True):
+        stamp = row[beside["stamp"]] if "stamp" in beside else None
+        pose = [row[i] for i in place] or None
+        entries.append((where, {**settings, "ranges": values, "stamp": stamp, "pose": pose}))
     return _collected(entries, name)
 
 
@@ -116,8 +112,7 @@ def read_jsonl(path: PathLike) -> ScanSet:
         items = whole if isinstance(whole, list) else [whole]
         entries = [(f"{name}: scan {i}", item) for i, item in enumerate(items)]
     else:
-        places = [(f"{name}: line {line}", text) for line, text in lines]
-        entries = [(where, _json(text, where)) for where, text in places]
+        entries = [(where := f"{name}: line {i}", _json(text, where)) for i, text in lines]
     for where, entry in entries:
         if not isinstance(entry, dict):
             raise ScanError(f"{where}: got {type(entry).__name__}, expected an object with ranges")
@@ -125,19 +120,12 @@ def read_jsonl(path: PathLike) -> ScanSet:
 
 
 def text_size(path: PathLike) -> ScansSize:
-    """How much a text may hold: a scan on each line or in each brace, numbers between commas.
-
-    Raises
-    ------
-    ScanError
-        Missing, not a regular file, or too long.
-    """
-    lines, braces, commas = 1, 0, 0
+    """How much a text may hold: a scan on each line or in each brace, numbers between commas."""
+    counts = np.array([1, 0, 0])
     with open_file(path, limit=_LIMIT, error=ScanError, what="scan file") as (file, length):
         while block := file.read(_BLOCK):
-            lines += block.count(b"\n")
-            braces += block.count(b"{")
-            commas += block.count(b",")
+            counts += [block.count(mark) for mark in (b"\n", b"{", b",")]
+    lines, braces, commas = counts.tolist()
     return ScansSize(max(lines, braces), lines + commas, length, text=True)
 
 
@@ -181,7 +169,7 @@ def _plain(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
     plain = dict(entry)
     if isinstance(entry.get("ranges"), list):
         plain["ranges"] = [
-            _number_of(v or "", f"{where}: ranges[{i}]") if v is None or isinstance(v, str) else v
+            _number_of(v or "", f"{where}: ranges[{i}]") if isinstance(v, str | None) else v
             for i, v in enumerate(entry["ranges"])
         ]
     for key in ("range_min", "range_max"):
