@@ -5,17 +5,15 @@ what was fitted on the old one is not used.
 """
 
 import contextlib
-import hashlib
 import json
 import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import imgloc
 from imgloc.errors import ConfigError
+from imgloc.io.cache import cells_digest
 from imgloc.io.files import PathLike, display, write_text_atomic
 from imgloc.model import OccupancyGrid
 from imgloc.options import DEFAULTS, Calibration
@@ -44,16 +42,13 @@ def map_hash(grid: OccupancyGrid) -> str:
 
     Examples
     --------
+    >>> import numpy as np
     >>> wall = np.eye(3, dtype=bool)
     >>> here, finer = (OccupancyGrid(wall, ~wall, side) for side in (0.1, 0.05))
     >>> len(map_hash(here)), map_hash(here) == map_hash(finer)
     (40, False)
     """
-    about = [grid.occupied.shape, float(grid.resolution).hex()]
-    digest = hashlib.blake2b(json.dumps(about).encode(), digest_size=20)
-    for mask in (grid.occupied, grid.free):
-        digest.update(np.packbits(mask).tobytes())
-    return digest.hexdigest()
+    return cells_digest(grid, [grid.occupied.shape, float(grid.resolution).hex()], 20)
 
 
 def save_calibrations(
@@ -74,7 +69,7 @@ def save_calibrations(
     calibrations : mapping of str to Calibration
         By method.
     about : mapping of str to mapping
-        By method: what decided them, as plain values: seed, number of trials, sensor ...
+        By method, what decided them, as plain values: seed, number of trials, sensor ...
     force : bool
         Change a file that exists. One that is damaged or of another map is replaced.
 
@@ -84,20 +79,17 @@ def save_calibrations(
         As :func:`~imgloc.io.files.write_bytes_atomic`.
     """
     kept: dict[str, Calibration] = {}
-    kept_about: dict[str, object] = {}
+    said: Any = None
     if force and Path(path).is_file():
         with contextlib.suppress(*_UNUSABLE):
-            old = _content(Path(path))
-            kept = _parse(old, grid)
-            said = json.loads(json.dumps(old.get("about")), parse_constant=lambda _: None)
-            if isinstance(said, dict):
-                kept_about = {name: said[name] for name in kept if name in said}
+            kept, said = _read(Path(path), grid)
+    old = {name: said[name] for name in kept if name in said} if isinstance(said, dict) else {}
     content = {
         "format": _FORMAT,
         "imgloc": imgloc.__version__,
         "map_hash": map_hash(grid),
         "methods": {name: vars(fitted) for name, fitted in {**kept, **calibrations}.items()},
-        "about": {**kept_about, **about},
+        "about": {**old, **about},
     }
     write_text_atomic(path, json.dumps(content, indent=2, allow_nan=False) + "\n", force=force)
 
@@ -105,24 +97,16 @@ def save_calibrations(
 def load_calibrations(path: PathLike, grid: OccupancyGrid) -> dict[str, Calibration]:
     """Read what was fitted on a map, if it was on this one.
 
-    A file that is damaged or of another map is not used; a warning is logged that says why.
-
-    Parameters
-    ----------
-    path : path
-        Need not exist.
-    grid : OccupancyGrid
-
     Returns
     -------
     dict of str to Calibration
-        By method. Empty if there is nothing to be used: the defaults hold.
+        By method. Empty if there is nothing to be used, and the defaults hold: there is no
+        file, or it is damaged or of another map; then a warning is logged that says why.
     """
-    file = Path(path)
-    if not file.is_file():
+    if not Path(path).is_file():
         return {}
     try:
-        return _parse(_content(file), grid)
+        return _read(Path(path), grid)[0]
     except _UNUSABLE as e:
         LOG.warning(
             "%s: not used, the defaults are: %s; make it anew with `imgloc calibrate`",
@@ -131,15 +115,13 @@ def load_calibrations(path: PathLike, grid: OccupancyGrid) -> dict[str, Calibrat
         return {}
 
 
-def _content(file: Path) -> Any:
+def _read(file: Path, grid: OccupancyGrid) -> tuple[dict[str, Calibration], Any]:
+    """Calibrations by method, and what the file says about them; one of `_UNUSABLE` if not."""
     with file.open("rb") as stream:
         text = stream.read(_MOST + 1)
     if len(text) > _MOST:
         raise ValueError(f"over {_MOST} bytes")
-    return json.loads(text)
-
-
-def _parse(content: Any, grid: OccupancyGrid) -> dict[str, Calibration]:
+    content = json.loads(text)
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
         raise ValueError(f"expected an object with format {_FORMAT}")
     if content.get("map_hash") != map_hash(grid):
@@ -147,14 +129,13 @@ def _parse(content: Any, grid: OccupancyGrid) -> dict[str, Calibration]:
     methods = content.get("methods")
     if not isinstance(methods, dict) or not set(methods) <= set(DEFAULTS):
         raise ValueError(f"methods: expected an object with keys of {', '.join(DEFAULTS)}")
-    return {name: _calibration(name, values) for name, values in methods.items()}
-
-
-def _calibration(name: str, values: Any) -> Calibration:
-    names = vars(Calibration()).keys()
-    if not isinstance(values, dict) or values.keys() != names:
-        raise ValueError(f"methods.{name}: expected an object with {', '.join(names)}")
-    for key, value in values.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ValueError(f"methods.{name}.{key}: got {value!r}, expected a number")
-    return Calibration(**{key: float(value) for key, value in values.items()})
+    found, names = dict[str, Calibration](), vars(Calibration()).keys()
+    for name, values in methods.items():
+        if not isinstance(values, dict) or values.keys() != names:
+            raise ValueError(f"methods.{name}: expected an object with {', '.join(names)}")
+        for key, value in values.items():
+            if isinstance(value, bool) or not isinstance(value, int | float):
+                raise ValueError(f"methods.{name}.{key}: got {value!r}, expected a number")
+        found[name] = Calibration(**{key: float(value) for key, value in values.items()})
+    # NaN and infinity, which JSON has not, are not written again.
+    return found, json.loads(json.dumps(content.get("about")), parse_constant=lambda _: None)
