@@ -46,13 +46,9 @@ _READERS: dict[bytes, tuple[str, type[ImageFile]]] = {
 }
 # Formats that people do try, for the message only.
 _OTHERS = {
-    b"GIF8": "GIF",
-    b"%PDF": "PDF",
-    b"<svg": "SVG",
-    b"<?xm": "XML or SVG",
-    b"PK\x03\x04": "zip",
+    b"GIF8": "GIF", b"%PDF": "PDF", b"<svg": "SVG", b"<?xm": "XML or SVG", b"PK\x03\x04": "zip",
     b"imag": "YAML",
-}
+}  # fmt: skip
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by colour type
 _PNG_END = (0, b"IEND", b"\xaeB`\x82")  # length, name, checksum
 # Adam7: (first column, first row, column step, row step) of each pass.
@@ -70,24 +66,12 @@ _NETPBM_KIND = re.compile(rb"P[1-7Ff](?=[ \t\r\n\v\f#])")
 
 @dataclass(frozen=True)
 class MapImage:
-    """The pixels of an image file, as stored.
+    """The pixels of an image file, as stored."""
 
-    Parameters
-    ----------
-    pixels : (H, W), (H, W, 3) or (H, W, 4) array of uint8 or uint16
-        Top row first; grey, BGR or BGRA.
-    white : int
-        The sample value that means white: 255, 65535, or the maxval of a PGM.
-    kind : str
-        ``png``, ``pgm``, ``tiff``, ``bmp``, ``webp`` or ``jpeg``.
-    lossy : bool
-        Whether compression has altered the pixels.
-    """
-
-    pixels: Pixels
-    white: int
-    kind: str
-    lossy: bool = False
+    pixels: Pixels  #: (H, W), (H, W, 3) or (H, W, 4), top row first; grey, BGR or BGRA
+    white: int  #: the sample value that means white: 255, 65535, or the maxval of a PGM
+    kind: str  #: ``png``, ``pgm``, ``tiff``, ``bmp``, ``webp`` or ``jpeg``
+    lossy: bool = False  #: whether compression has altered the pixels
 
     @property
     def channels(self) -> int:
@@ -98,16 +82,9 @@ class MapImage:
 def read_image(
     path: PathLike, *, max_pixels: int = MAX_PIXELS, allow_lossy: bool = False
 ) -> MapImage:
-    """Read an image file.
-
-    Raises
-    ------
-    MapError
-        Missing, not a regular file, longer than `max_pixels` could need, or refused by
-        :func:`decode_image`, whose parameters these are.
-    """
+    """Read an image file that is no longer than `max_pixels` could need; see `decode_image`."""
     with open_file(path, limit=_longest(max_pixels), error=MapError, what="map image") as (file, _):
-        return _decode(file, display(path), max_pixels, allow_lossy)
+        return decode_image(file, display(path), max_pixels=max_pixels, allow_lossy=allow_lossy)
 
 
 class ImageSize(NamedTuple):
@@ -120,13 +97,7 @@ class ImageSize(NamedTuple):
 
 
 def image_size(path: PathLike, *, max_pixels: int = MAX_PIXELS) -> ImageSize:
-    """Look at the header of an image file, and nothing else of it.
-
-    Raises
-    ------
-    MapError
-        Missing, not a regular file, too large, of an unknown format, or the header is damaged.
-    """
+    """Look at the header of an image file, and nothing else of it; errors as in `read_image`."""
     limit, name = _longest(max_pixels), display(path)
     with open_file(path, limit=limit, error=MapError, what="map image") as (file, length):
         image = _opened(file, name, max_pixels)
@@ -138,14 +109,14 @@ def image_size(path: PathLike, *, max_pixels: int = MAX_PIXELS) -> ImageSize:
 
 
 def decode_image(
-    data: bytes, name: str, *, max_pixels: int = MAX_PIXELS, allow_lossy: bool = False
+    data: bytes | BinaryIO, name: str, *, max_pixels: int = MAX_PIXELS, allow_lossy: bool = False
 ) -> MapImage:
     r"""Decode an image without interpreting it: no luma, no orientation, no rescaling.
 
     Parameters
     ----------
-    data : bytes
-        The whole file.
+    data : bytes or file
+        The whole of it.
     name : str
         For messages.
     max_pixels : int
@@ -165,7 +136,28 @@ def decode_image(
     >>> decode_image(b"P2\n2 1\n100\n0 100\n", "x.pgm").white
     100
     """
-    return _decode(io.BytesIO(data), name, max_pixels, allow_lossy)
+    file = io.BytesIO(data) if isinstance(data, bytes) else data
+    image = _opened(file, name, max_pixels)
+    if isinstance(image, _Netpbm):
+        found = MapImage(_netpbm_pixels(file, image, name), image.maxval, "pgm")
+    else:
+        found = _decode_with_pillow(file, image, name)
+    if found.lossy and not allow_lossy:
+        kind = {"jpeg": "a JPEG", "webp": "a lossy WebP"}.get(found.kind, "a TIFF of JPEGs")
+        raise MapError(
+            f"{name}: is {kind}, whose compression alters the greys of walls and unknown space; "
+            "expected a PNG or PGM; export the map again, or pass --allow-lossy"
+        )
+    if found.white > 4095:
+        # A sliver of 16 bits: all of it would be black.
+        top = int(found.pixels[..., :3].max() if found.channels > 1 else found.pixels.max())
+        if 0 < top <= min(4095, found.white // 16):
+            raise MapError(
+                f"{name}: 16-bit image with samples 0..{top} of a declared {found.white:,}: "
+                "all black as stored; expected samples up to the maximum; save it as 8-bit, "
+                "or scale the samples"
+            )
+    return found
 
 
 def encode_png(image: npt.NDArray[np.generic]) -> bytes:
@@ -174,12 +166,10 @@ def encode_png(image: npt.NDArray[np.generic]) -> bytes:
     Parameters
     ----------
     image : (H, W) or (H, W, 3) uint8 array
-        Top row first; grey or BGR.
+        Top row first; grey or BGR. Anything else is a ValueError.
 
     Raises
     ------
-    ValueError
-        Another shape or type.
     OutputError
         OpenCV cannot encode it.
 
@@ -256,30 +246,6 @@ def _explained(name: str, kind: str) -> Iterator[None]:
         raise MapError(
             f"{name}: damaged or truncated {kind} ({reason}); copy the file again"
         ) from None
-
-
-def _decode(file: BinaryIO, name: str, max_pixels: int, allow_lossy: bool) -> MapImage:
-    image = _opened(file, name, max_pixels)
-    if isinstance(image, _Netpbm):
-        found = MapImage(_netpbm_pixels(file, image, name), image.maxval, "pgm")
-    else:
-        found = _decode_with_pillow(file, image, name)
-    if found.lossy and not allow_lossy:
-        kind = {"jpeg": "a JPEG", "webp": "a lossy WebP"}.get(found.kind, "a TIFF of JPEGs")
-        raise MapError(
-            f"{name}: is {kind}, whose compression alters the greys of walls and unknown space; "
-            "expected a PNG or PGM; export the map again, or pass --allow-lossy"
-        )
-    if found.white > 4095:
-        # A sliver of 16 bits: all of it would be black.
-        top = int(found.pixels[..., :3].max() if found.channels > 1 else found.pixels.max())
-        if 0 < top <= min(4095, found.white // 16):
-            raise MapError(
-                f"{name}: 16-bit image with samples 0..{top} of a declared {found.white:,}: "
-                "all black as stored; expected samples up to the maximum; save it as 8-bit, "
-                "or scale the samples"
-            )
-    return found
 
 
 def _decode_with_pillow(file: BinaryIO, image: ImageFile, name: str) -> MapImage:

@@ -43,7 +43,7 @@ _GREY, _COLOURED, _TEXT, _TABLES = 7, 26, 4, 6 << 20
 
 
 class Reading(TypedDict, total=False):
-    """How a map is to be read: options of :func:`load_map`, which documents them."""
+    """How a map is to be read: parameters of :func:`load_map`, which documents them."""
 
     resolution: float | None
     origin: Pose2D | Sequence[float] | None
@@ -74,17 +74,7 @@ class MapSettings:
 
 
 def load_map(
-    path: PathLike,
-    *,
-    resolution: float | None = None,
-    origin: Pose2D | Sequence[float] | None = None,
-    mode: str | None = None,
-    semantics: str = "nav2",
-    occupied_thresh: float | None = None,
-    free_thresh: float | None = None,
-    negate: bool | None = None,
-    max_pixels: int = MAX_PIXELS,
-    allow_lossy: bool = False,
+    path: PathLike, *, allow_lossy: bool = False, **reading: Unpack[Reading]
 ) -> OccupancyGrid:
     """Load a map.
 
@@ -96,6 +86,8 @@ def load_map(
     path : path
         A map_server YAML (the image is found relative to it), or an image; then
         `resolution` is needed, as it is never guessed.
+    allow_lossy : bool
+        Accept JPEG and lossy WebP.
     resolution : float, optional
         Metres per cell, 0.001 to 10; overrides the YAML, as do the next ones.
     origin : Pose2D or (x, y, yaw), optional
@@ -103,15 +95,13 @@ def load_map(
     mode : {'trinary', 'scale', 'raw'}, optional
         Default trinary; see :func:`occupancy`.
     semantics : {'nav2', 'ros1'}
-        Whose reading of thresholds and transparency.
+        Whose reading of thresholds and transparency; default nav2.
     occupied_thresh, free_thresh : float, optional
         Occupancies, ``0 <= free_thresh < occupied_thresh <= 1``; default 0.65 and 0.196.
     negate : bool, optional
         White is occupied; default False.
     max_pixels : int
-        Larger images are refused before they are decoded.
-    allow_lossy : bool
-        Accept JPEG and lossy WebP.
+        Larger images are refused before they are decoded; default 128,000,000.
 
     Returns
     -------
@@ -125,18 +115,9 @@ def load_map(
     ConfigError
         An argument is out of its range.
     """
-    settings = resolve_settings(
-        path,
-        resolution=resolution,
-        origin=origin,
-        mode=mode,
-        semantics=semantics,
-        occupied_thresh=occupied_thresh,
-        free_thresh=free_thresh,
-        negate=negate,
-        max_pixels=max_pixels,
-    )
-    image = read_image(settings.image, max_pixels=max_pixels, allow_lossy=allow_lossy)
+    settings = resolve_settings(path, **reading)
+    most = reading.get("max_pixels", MAX_PIXELS)
+    image = read_image(settings.image, max_pixels=most, allow_lossy=allow_lossy)
     height, width = image.pixels.shape[:2]
     if max(height, width) > MAX_SIDE:
         raise MapError(
@@ -147,12 +128,7 @@ def load_map(
 
 
 def load_bytes(size: ImageSize) -> int:
-    """Peak of :func:`load_map`, with the map itself, bytes.
-
-    Parameters
-    ----------
-    size : ImageSize
-        Of :func:`~imgloc.io.images.image_size`.
+    """Peak of :func:`load_map`, with the map itself, bytes; see :func:`~.images.image_size`.
 
     Examples
     --------
@@ -164,13 +140,7 @@ def load_bytes(size: ImageSize) -> int:
 
 
 def require_usable(grid: OccupancyGrid, name: str) -> None:
-    """Refuse a map in which nothing can be localized.
-
-    Raises
-    ------
-    MapError
-        If `grid` has no occupied or no free cell.
-    """
+    """Raise MapError if `grid` has no occupied or no free cell: nothing can be localized."""
     for what, found in (("occupied", grid.occupied.any()), ("free", grid.free.any())):
         if not found:
             raise MapError(
@@ -209,40 +179,28 @@ def save_map(path_yaml: PathLike, grid: OccupancyGrid, *, force: bool = False) -
     if target.suffix.lower() not in YAML_ENDINGS:
         raise ConfigError(f"{display(path_yaml)}: expected a name that ends in .yaml")
     png = target.with_suffix(".png")
-    if not force:
-        refuse_existing(target)
-        refuse_existing(png)
+    for file in () if force else (target, png):
+        refuse_existing(file)
     pixels = np.full(grid.occupied.shape, 205, np.uint8)
     pixels[grid.free] = 254
     pixels[grid.occupied] = 0
-    text = yaml.safe_dump(
-        {
-            "image": png.name,
-            "resolution": float(grid.resolution),
-            "origin": [grid.origin.x, grid.origin.y, grid.origin.theta],
-            "negate": 0,
-            "occupied_thresh": OCCUPIED_THRESH,
-            "free_thresh": FREE_THRESH,
-            "mode": "trinary",
-        },
-        sort_keys=False,
-        allow_unicode=True,
-    )
+    said = {
+        "image": png.name,
+        "resolution": float(grid.resolution),
+        "origin": [grid.origin.x, grid.origin.y, grid.origin.theta],
+        "negate": 0,
+        "occupied_thresh": OCCUPIED_THRESH,
+        "free_thresh": FREE_THRESH,
+        "mode": "trinary",
+    }
+    text = yaml.safe_dump(said, sort_keys=False, allow_unicode=True)
     write_bytes_atomic(png, encode_png(pixels[::-1]), force=force)
     write_text_atomic(target, text, force=force)
     return png
 
 
 def bundled_maps() -> Path:
-    """Folder of the maps that come with imgloc.
-
-    An installed wheel holds them in ``imgloc/maps``; a checkout, and an editable install of
-    it, in ``maps`` beside the package.
-
-    Raises
-    ------
-    MapError
-        If the installation lacks them.
+    """Folder of the maps that come with imgloc; MapError if the installation lacks them.
 
     Examples
     --------
@@ -250,7 +208,7 @@ def bundled_maps() -> Path:
     True
     """
     package = Path(str(files("imgloc")))
-    for folder in (package / "maps", package.parent / "maps"):
+    for folder in (package / "maps", package.parent / "maps"):  # of a wheel, of a checkout
         if (folder / "double_wall.yaml").is_file():
             return folder
     raise MapError(f"{package / 'maps'}: the bundled maps are missing; reinstall imgloc")
@@ -264,6 +222,8 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
     MapError, ConfigError
         As :func:`load_map`, of which `reading` are options.
     """
+    if strange := reading.keys() - Reading.__annotations__.keys():
+        raise TypeError(f"unexpected arguments: {', '.join(sorted(strange))}")
     given: dict[str, Any] = {key: value for key, value in reading.items() if value is not None}
     _check_options(given)
     name, file = display(path), Path(path)
@@ -271,7 +231,11 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
     if said is None:
         os.close(open_regular(path, MapError, "map YAML or image"))
         if "resolution" not in given:
-            raise MapError(f"{name}: resolution: missing{_resolution_hint(file)}")
+            hint = ", expected metres per cell; pass --resolution, or the map's YAML"
+            for beside in map(file.with_suffix, reversed(YAML_ENDINGS)):
+                if beside.is_file():
+                    hint = f"; give {display(beside)} instead of the image, or pass --resolution"
+            raise MapError(f"{name}: resolution: missing{hint}")
     written = said or MapYaml(file, file, origin=Pose2D(0.0, 0.0, 0.0))
 
     def value(key: str, default: Any) -> Any:
@@ -319,13 +283,6 @@ def _check_options(given: dict[str, Any]) -> None:
             raise ConfigError(f"--origin: got {numbers}, expected x, y, yaw in metres and radians")
 
 
-def _resolution_hint(path: Path) -> str:
-    beside = [path.with_suffix(e) for e in YAML_ENDINGS if path.with_suffix(e).is_file()]
-    if beside:
-        return f"; give {display(beside[0])} instead of the image, or pass --resolution"
-    return ", expected metres per cell; pass --resolution, or the map's YAML"
-
-
 def grid_of(image: MapImage, settings: MapSettings) -> OccupancyGrid:
     """Read the pixels of `image` as `settings` says; see :func:`load_map`."""
     values = np.ascontiguousarray(occupancy(image, settings)[::-1])
@@ -358,16 +315,10 @@ def occupancy(image: MapImage, settings: MapSettings) -> Int8Array:
     Colours are averaged, not weighed as luma: a pure green wall (0, 255, 0) is as dark as
     ``85`` for ROS and occupied, where luma would make it unknown.
 
-    Parameters
-    ----------
-    image : MapImage
-        Top row first.
-    settings : MapSettings
-
     Returns
     -------
     values : (H, W) int8 array
-        Top row first; 0 free, 100 occupied, -1 unknown.
+        Top row first, as in `image`; 0 free, 100 occupied, -1 unknown.
 
     Examples
     --------
