@@ -41,17 +41,8 @@ class Journal:
     """Rows as they come, in a file that only grows, so that a survey can go on after a stop.
 
     Whole rows stay in the file whenever the program is stopped, also while it starts again.
-
-    Parameters
-    ----------
-    path : Path
-    key : mapping
-        What decides the rows; a journal of anything else is refused.
-
-    Raises
-    ------
-    OutputError
-        If there is a journal of another survey, or it cannot be read or written.
+    OutputError if there is a journal of a survey with another `key` (what decides the rows), or
+    it cannot be read or written.
     """
 
     def __init__(self, path: Path, key: Mapping[str, object]) -> None:

@@ -88,23 +88,17 @@ def clear_cache(folder: PathLike | None = None) -> int:
 
 
 def cache_key(grid: OccupancyGrid, parameters: Mapping[str, object], *, code: str = "") -> str:
-    """Name what is computed from a map with `parameters`, by this version of the program.
+    """Name what is computed from a map by this version of the program: 40 hexadecimal digits.
 
     Parameters
     ----------
     grid : OccupancyGrid
-        Its cells and resolution count. Where the map lies in the world does not: features
-        are in the grid frame.
+        Its cells and resolution count, but not its origin: features are in the grid frame.
     parameters : mapping
         Everything else that decides the arrays: numbers, texts, None.
     code : str
         What tells versions of the code apart beside the number of the version. Entries of
         other versions are removed when they have not been used for an hour.
-
-    Returns
-    -------
-    str
-        40 hexadecimal digits.
 
     Examples
     --------
@@ -140,13 +134,9 @@ def entry_path(folder: PathLike, key: str) -> Path:
 
 
 def load_entry(folder: PathLike, key: str) -> dict[str, npt.NDArray[Any]] | None:
-    """Read the entry of a :func:`cache_key` in a folder, which need not exist.
+    """Read an entry: None if there is none, or a damaged one, which is removed with a warning.
 
-    Returns
-    -------
-    dict of str to array, or None
-        None if there is no entry, or a damaged one, which is removed with a warning. The
-        caller checks shapes and types: they are those of whoever stored the entry.
+    The caller checks shapes and types: they are those of whoever stored the entry.
     """
     path = entry_path(folder, key)
     if not os.path.lexists(path):
@@ -176,18 +166,9 @@ def entry_names(folder: PathLike, key: str) -> frozenset[str]:
 def store_entry(folder: PathLike, key: str, arrays: Arrays, *, limit: int | None = None) -> bool:
     """Write an entry, in place of the one that may be there, and tidy the folder.
 
-    Failing to is not an error, as nothing but time is lost: a warning is logged.
-
-    Parameters
-    ----------
-    folder : path
-        Made if it does not exist, for the user alone.
-    key : str
-        Of :func:`cache_key`.
-    arrays : mapping of str to array
-        Of numbers; objects are refused.
-    limit : int, optional
-        Bytes that the folder may take; default :func:`cache_limit`. More is not stored.
+    Failing to is not an error, as nothing but time is lost: a warning is logged. `folder` is made
+    if it does not exist, for the user alone, and holds at most `limit` bytes, by default those of
+    :func:`cache_limit`. Arrays of objects are refused.
 
     Returns
     -------

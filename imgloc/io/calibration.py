@@ -64,19 +64,12 @@ def save_calibrations(
     Parameters
     ----------
     path : path
-        Of :func:`calibration_path`, where it is found again.
+        Of :func:`calibration_path`; errors are those of :func:`~.files.write_bytes_atomic`.
     grid : OccupancyGrid
-    calibrations : mapping of str to Calibration
-        By method.
-    about : mapping of str to mapping
-        By method, what decided them, as plain values: seed, number of trials, sensor ...
+    calibrations, about : mapping
+        By method; `about` is what decided them, as plain values: seed, trials, sensor ...
     force : bool
         Change a file that exists. One that is damaged or of another map is replaced.
-
-    Raises
-    ------
-    OutputError
-        As :func:`~imgloc.io.files.write_bytes_atomic`.
     """
     kept: dict[str, Calibration] = {}
     said: Any = None

@@ -87,13 +87,7 @@ def read_npz(path: PathLike) -> ScanSet:
     Keys: ``ranges`` (N, B) or (B,); ``angles`` (B,) or (N, B), or else ``angle_min`` and
     ``angle_increment``; optionally ``range_min`` (default 0) and ``range_max`` (default
     infinite), one number or (N,); ``poses`` (N, 3), ``stamps`` (N,), ``odom`` (N, 3). Other
-    keys are not read.
-
-    Raises
-    ------
-    ScanError
-        Damaged archive, missing key, pickled or non-numeric array, more than MAX_READINGS,
-        shapes that do not agree, angles that are not finite radians.
+    keys are not read. Arrays of objects are refused, as are more than MAX_READINGS.
     """
     name = display(path)
     data = read_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file")
@@ -116,22 +110,19 @@ def write_npz(scans: ScanSet) -> bytes:
 
 
 _READERS: dict[str, Callable[[PathLike], ScanSet]] = {
-    ".npz": read_npz,
-    ".csv": read_csv,
-    ".jsonl": read_jsonl,
-    ".ndjson": read_jsonl,
+    ".npz": read_npz, ".csv": read_csv, ".jsonl": read_jsonl, ".ndjson": read_jsonl,
     ".json": read_jsonl,
-}
+}  # fmt: skip
 
 
 def _reader(path: PathLike) -> Callable[[PathLike], ScanSet]:
-    reader = _READERS.get(Path(path).suffix.lower())
-    if reader is None:
-        raise ScanError(
-            f"{display(path)}: ending {display(Path(path).suffix)!r} is no scan format, "
-            f"expected {', '.join(_READERS)}"
-        )
-    return reader
+    ending = Path(path).suffix
+    if ending.lower() in _READERS:
+        return _READERS[ending.lower()]
+    known = ", ".join(_READERS)
+    raise ScanError(
+        f"{display(path)}: ending {display(ending)!r} is no scan format, expected {known}"
+    )
 
 
 def _npz_size(path: PathLike) -> ScansSize:
@@ -226,7 +217,21 @@ def _scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
     n = len(ranges)
     if not ranges.size:
         raise ScanError(f"{name}: ranges: got shape {ranges.shape}, expected at least one reading")
-    angles = _angles(arrays, ranges.shape, name)
+    readings, angles = ranges.shape[1], arrays.get("angles")
+    if angles is None:
+        if not all(key in arrays and arrays[key].size == 1 for key in _SPACING):
+            raise ScanError(
+                f"{name}: angles: missing, expected {readings} angles in radians "
+                "(or the numbers angle_min and angle_increment)"
+            )
+        first, step = (arrays[key].item() for key in _SPACING)
+        angles = first + np.arange(readings, dtype=np.float64) * step
+    if angles.shape not in ((readings,), ranges.shape):
+        raise ScanError(
+            f"{name}: angles: got shape {angles.shape}, expected {(readings,)}: "
+            f"ranges are {n} scans of {readings} readings"
+        )
+    check_angles(angles, name)
     limits = []
     for key, default in _LIMITS.items():
         value = arrays.get(key, np.array(default))
@@ -248,26 +253,5 @@ def _scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
             check_finite(value, name, key)
         beside[key] = value
     stamps = beside.get("stamps", np.full(n, np.nan)).tolist()
-    columns = zip(ranges, angles, *limits, stamps, strict=True)
+    columns = zip(ranges, np.broadcast_to(angles, ranges.shape), *limits, stamps, strict=True)
     return ScanSet(tuple(LaserScan(*column) for column in columns), **beside)
-
-
-def _angles(arrays: dict[str, FloatArray], shape: tuple[int, int], name: str) -> FloatArray:
-    """Angles of each reading of ranges of this shape."""
-    n, readings = shape
-    angles = arrays.get("angles")
-    if angles is None:
-        if not all(key in arrays and arrays[key].size == 1 for key in _SPACING):
-            raise ScanError(
-                f"{name}: angles: missing, expected {readings} angles in radians "
-                "(or the numbers angle_min and angle_increment)"
-            )
-        first, step = (arrays[key].item() for key in _SPACING)
-        angles = first + np.arange(readings, dtype=np.float64) * step
-    if angles.shape not in ((readings,), shape):
-        raise ScanError(
-            f"{name}: angles: got shape {angles.shape}, expected {(readings,)}: "
-            f"ranges are {n} scans of {readings} readings"
-        )
-    check_angles(angles, name)
-    return np.broadcast_to(angles, shape)

@@ -44,11 +44,6 @@ def read_csv(path: PathLike) -> ScanSet:
     is optional; columns called ``stamp``, ``x``, ``y``, ``theta`` are the stamp and the known
     pose of the sensor, all others are ranges in order. A file with the two columns ``angle``
     and ``range`` is one scan, one reading a line. Empty cells are NaN.
-
-    Raises
-    ------
-    ScanError
-        Naming the line.
     """
     name = display(path)
     settings: dict[str, float] = {}
@@ -100,11 +95,6 @@ def read_jsonl(path: PathLike) -> ScanSet:
     ``header.stamp`` with ``sec`` and ``nanosec``), ``pose`` and ``odom`` as [x, y, theta] or
     an object of these names. In ranges, null is NaN, and "inf", "-inf", "nan" may be strings.
     A ``.json`` file may also be one such object, or an array of them.
-
-    Raises
-    ------
-    ScanError
-        Naming the line and the key.
     """
     name, lines = display(path), _lines(path)
     if str(path).lower().endswith(".json"):
