@@ -18,7 +18,7 @@ import time
 import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -90,15 +90,9 @@ def clear_cache(folder: PathLike | None = None) -> int:
 def cache_key(grid: OccupancyGrid, parameters: Mapping[str, object], *, code: str = "") -> str:
     """Name what is computed from a map by this version of the program: 40 hexadecimal digits.
 
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        Its cells and resolution count, but not its origin: features are in the grid frame.
-    parameters : mapping
-        Everything else that decides the arrays: numbers, texts, None.
-    code : str
-        What tells versions of the code apart beside the number of the version. Entries of
-        other versions are removed when they have not been used for an hour.
+    Cells and resolution count, but not the origin: features are in the grid frame. `parameters`
+    is all else that decides the arrays (numbers, texts, None), and `code` tells versions apart
+    beside their number. Entries of other versions go when they have not been used for an hour.
 
     Examples
     --------
@@ -142,12 +136,22 @@ def load_entry(folder: PathLike, key: str) -> dict[str, npt.NDArray[Any]] | None
     if not os.path.lexists(path):
         return None
     try:
-        with open_file(path, limit=sys.maxsize, error=OutputError, what="cache entry") as (file, _):
-            arrays = _read(file, key)
+        with (
+            open_file(path, limit=sys.maxsize, error=OutputError, what="cache entry") as (file, _),
+            np.load(file, allow_pickle=False) as archive,
+        ):
+            # Nothing is inflated, so that arrays cannot be larger than the file.
+            if any(member.compress_type != zipfile.ZIP_STORED for member in archive.zip.infolist()):
+                raise ValueError("it is compressed")
+            if archive.files[:1] != ["key"] or str(archive["key"]) != key:
+                raise ValueError("the entry is another one's")
+            arrays = {name: np.asarray(archive[name]) for name in archive.files[1:]}
     except Exception as e:  # a file that is not what it says can end in anything
         if not isinstance(e.__context__, FileNotFoundError):  # another process has removed it since
             discard_entry(path, e)
         return None
+    for array in arrays.values():
+        array.flags.writeable = False
     with contextlib.suppress(OSError):
         os.utime(path)  # the time of its use
     return arrays
@@ -246,19 +250,6 @@ def _removed(path: Path) -> bool:
     except OSError:
         return False
     return True
-
-
-def _read(file: BinaryIO, key: str) -> dict[str, npt.NDArray[Any]]:
-    """Arrays of an entry; nothing is inflated, so that they cannot be larger than the file."""
-    with np.load(file, allow_pickle=False) as archive:
-        if any(member.compress_type != zipfile.ZIP_STORED for member in archive.zip.infolist()):
-            raise ValueError("it is compressed")
-        if archive.files[:1] != ["key"] or str(archive["key"]) != key:
-            raise ValueError("the entry is another one's")
-        arrays: dict[str, npt.NDArray[Any]] = {name: archive[name] for name in archive.files[1:]}
-    for array in arrays.values():
-        array.flags.writeable = False
-    return arrays
 
 
 def _reason(error: BaseException) -> str:

@@ -61,15 +61,9 @@ def save_calibrations(
 ) -> None:
     """Write what was fitted on a map, beside what the file has of its other methods.
 
-    Parameters
-    ----------
-    path : path
-        Of :func:`calibration_path`; errors are those of :func:`~.files.write_bytes_atomic`.
-    grid : OccupancyGrid
-    calibrations, about : mapping
-        By method; `about` is what decided them, as plain values: seed, trials, sensor ...
-    force : bool
-        Change a file that exists. One that is damaged or of another map is replaced.
+    `calibrations` and `about` (what decided them, as plain values: seed, trials, sensor ...) are by
+    method. With `force` a file that exists is changed, and one that is damaged or of another map
+    replaced; without, it is an OutputError, as is what cannot be written.
     """
     kept: dict[str, Calibration] = {}
     said: Any = None
@@ -88,13 +82,10 @@ def save_calibrations(
 
 
 def load_calibrations(path: PathLike, grid: OccupancyGrid) -> dict[str, Calibration]:
-    """Read what was fitted on a map, if it was on this one.
+    """Read what was fitted on a map, by method.
 
-    Returns
-    -------
-    dict of str to Calibration
-        By method. Empty if there is nothing to be used, and the defaults hold: there is no
-        file, or it is damaged or of another map; then a warning is logged that says why.
+    Empty, for the defaults to hold, if there is no file, or it is damaged or of another map; then
+    a warning is logged that says why.
     """
     if not Path(path).is_file():
         return {}

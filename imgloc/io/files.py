@@ -31,13 +31,7 @@ def display(path: PathLike | bytes) -> str:
 def open_file(
     path: PathLike, *, limit: int, error: type[ImglocError], what: str
 ) -> Iterator[tuple[BufferedReader, int]]:
-    """Open a file for reading, of 1 to `limit` bytes; yield it and its length.
-
-    Raises
-    ------
-    ImglocError
-        Of class `error`: as :func:`open_regular`, or empty, unreadable or too long.
-    """
+    """Open a file for reading, of 1 to `limit` bytes, as :func:`open_regular`; yield its length."""
     name = display(path)
     with os.fdopen(open_regular(path, error, what), "rb") as file:
         size = os.fstat(file.fileno()).st_size
@@ -66,21 +60,7 @@ def open_regular(path: PathLike, error: type[ImglocError], what: str) -> int:
     """Open a regular file for reading; return its descriptor.
 
     Pipes, devices and folders are refused before anything is read (a FIFO would block, and
-    ``/dev/zero`` never ends).
-
-    Parameters
-    ----------
-    path : path
-        Any path, also one whose name is not valid UTF-8.
-    error : type
-        The class of :class:`ImglocError` to raise.
-    what : str
-        What the file should be, for the message: ``"map image"``.
-
-    Raises
-    ------
-    ImglocError
-        Of class `error`: missing, not a regular file, or unreadable.
+    ``/dev/zero`` never ends): `error` is raised, which says that `what` was expected.
     """
     name = display(path)
     try:
@@ -119,21 +99,14 @@ def refuse_existing(path: PathLike) -> None:
 def write_bytes_atomic(path: PathLike, data: bytes, *, force: bool = False) -> None:
     """Write `data` to `path` so that a reader sees the old file or the new one, never half.
 
-    The bytes go to a temporary file in the same folder, which must exist, are flushed to the
-    disk, and the file is then given its name in one step.
-
-    Parameters
-    ----------
-    path : path
-    data : bytes
-    force : bool
-        Replace an existing regular file. Without it an existing one is an error, also if
-        it appears while this function runs.
+    The bytes go to a temporary file in the same folder, are flushed to the disk, and the file is
+    then given its name in one step.
 
     Raises
     ------
     OutputError
-        The file exists, the folder does not, the disk is full, or permission is missing.
+        The file exists (without `force`; also if it appears while this function runs) or is not
+        a regular one, the folder does not exist, the disk is full, or permission is missing.
     """
     name = display(path)
     target = Path(path)

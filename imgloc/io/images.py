@@ -116,9 +116,7 @@ def decode_image(
     Parameters
     ----------
     data : bytes or file
-        The whole of it.
-    name : str
-        For messages.
+        The whole of it; `name` is for messages.
     max_pixels : int
         Larger images are refused on the evidence of their header, before decoding.
     allow_lossy : bool
@@ -161,17 +159,9 @@ def decode_image(
 
 
 def encode_png(image: npt.NDArray[np.generic]) -> bytes:
-    r"""Encode a picture as PNG, in memory.
+    r"""Encode a picture, (H, W) or (H, W, 3) uint8, top row first, grey or BGR, as PNG in memory.
 
-    Parameters
-    ----------
-    image : (H, W) or (H, W, 3) uint8 array
-        Top row first; grey or BGR. Anything else is a ValueError.
-
-    Raises
-    ------
-    OutputError
-        OpenCV cannot encode it.
+    ValueError for another shape or type, OutputError if OpenCV cannot.
 
     Examples
     --------
@@ -408,11 +398,10 @@ def _netpbm_pixels(file: BinaryIO, header: _Netpbm, name: str) -> Pixels:
     channels = 3 if header.number in (3, 6) else 1
     count = width * height * channels
     file.seek(header.start)
-    samples = (
-        _text_samples(file.read(), count, name)
-        if header.number < 4
-        else _binary_samples(file, count, np.dtype(np.uint8 if maxval < 256 else ">u2"), name)
-    )
+    if header.number < 4:
+        samples = _text_samples(file.read(), count, name)
+    else:
+        samples = _binary_samples(file, count, np.dtype(np.uint8 if maxval < 256 else ">u2"), name)
     if len(samples) != count:
         raise MapError(
             f"{name}: truncated: {len(samples):,} samples, expected {count:,} "
@@ -448,9 +437,9 @@ def _binary_samples(
     file.seek(start)
     # One white-space byte ends the header; a header written with CRLF ends in two, and its
     # line feed would be read as the first pixel and shift the whole image.
-    crlf = file.read(2) == b"\r\n" and length - start >= size + 2
-    file.seek(start + 1 + crlf)
-    body, extra = file.read(size), length - (start + 1 + crlf) - size
+    start += 2 if file.read(2) == b"\r\n" and length - start >= size + 2 else 1
+    file.seek(start)
+    body, extra = file.read(size), length - start - size
     if extra > 0 and file.read(_HEAD).strip():
         raise MapError(
             f"{name}: {extra:,} bytes follow the image, expected its end: the header "

@@ -57,10 +57,7 @@ class Reading(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class MapSettings:
-    """How an image is to be read as a map: its YAML, overridden by options, with defaults.
-
-    `yaml` is None for a bare image.
-    """
+    """How an image is to be read as a map: its YAML, overridden by options, with defaults."""
 
     image: Path
     resolution: float
@@ -70,7 +67,7 @@ class MapSettings:
     negate: bool
     occupied_thresh: float
     free_thresh: float
-    yaml: MapYaml | None = None
+    yaml: MapYaml | None = None  #: None for a bare image
 
 
 def load_map(
@@ -170,10 +167,8 @@ def save_map(path_yaml: PathLike, grid: OccupancyGrid, *, force: bool = False) -
 
     Raises
     ------
-    OutputError
-        A file exists, or cannot be written.
-    ConfigError
-        `path_yaml` is not named as a YAML.
+    ConfigError, OutputError
+        `path_yaml` is not named as a YAML; a file exists, or cannot be written.
     """
     target = Path(path_yaml)
     if target.suffix.lower() not in YAML_ENDINGS:
@@ -215,13 +210,7 @@ def bundled_maps() -> Path:
 
 
 def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
-    """Combine a map's YAML, if `path` is one, with options (which win) and defaults.
-
-    Raises
-    ------
-    MapError, ConfigError
-        As :func:`load_map`, of which `reading` are options.
-    """
+    """Combine a map's YAML, if `path` is one, with options of `load_map` (which win), defaults."""
     if strange := reading.keys() - Reading.__annotations__.keys():
         raise TypeError(f"unexpected arguments: {', '.join(sorted(strange))}")
     given: dict[str, Any] = {key: value for key, value in reading.items() if value is not None}
@@ -297,7 +286,7 @@ def grid_of(image: MapImage, settings: MapSettings) -> OccupancyGrid:
 
 
 def occupancy(image: MapImage, settings: MapSettings) -> Int8Array:
-    r"""Occupancy of every pixel, as map_server would publish it.
+    r"""Occupancy of every pixel, as map_server would publish it: 0 free, 100 occupied, -1 unknown.
 
     With ``occ = (white - mean of the channels) / white`` (its complement under `negate`):
 
@@ -314,11 +303,6 @@ def occupancy(image: MapImage, settings: MapSettings) -> Int8Array:
 
     Colours are averaged, not weighed as luma: a pure green wall (0, 255, 0) is as dark as
     ``85`` for ROS and occupied, where luma would make it unknown.
-
-    Returns
-    -------
-    values : (H, W) int8 array
-        Top row first, as in `image`; 0 free, 100 occupied, -1 unknown.
 
     Examples
     --------
