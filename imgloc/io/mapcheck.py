@@ -120,6 +120,9 @@ def check_map(path: PathLike, **reading: Unpack[Reading]) -> MapReport:
         name: float(np.count_nonzero(getattr(grid, name))) / sums.size
         for name in ("occupied", "free", "unknown")
     }
+    parts = label(grid.free, connectivity=1)
+    sizes = np.sort(_histogram(parts, int(parts.max()) + 1)[1:])[::-1]
+    del parts
     as_used = {key: value for key, value in vars(settings).items() if key not in ("image", "yaml")}
     return MapReport(
         path=display(path),
@@ -129,7 +132,7 @@ def check_map(path: PathLike, **reading: Unpack[Reading]) -> MapReport:
         height=grid.info.height,
         **as_used,
         shares=shares,
-        free_parts=_parts(grid),
+        free_parts=tuple(float(size) * grid.resolution**2 for size in sizes[:_MOST]),
         greys=tuple((round(int(i) / channels, 2), int(histogram[i])) for i in order),
         grey_levels=len(levels),
         semantics_differ=differ,
@@ -150,13 +153,6 @@ def _histogram(sums: npt.NDArray[Any], size: int) -> npt.NDArray[np.intp]:
     return np.asarray(np.sum([np.bincount(b.ravel(), minlength=size) for b in blocks], axis=0))
 
 
-def _parts(grid: OccupancyGrid) -> tuple[float, ...]:
-    """Areas of the parts of the free space, square metres, largest first."""
-    parts = label(grid.free, connectivity=1)
-    sizes = np.sort(_histogram(parts, int(parts.max()) + 1)[1:])[::-1]
-    return tuple(float(size) * grid.resolution**2 for size in sizes[:_MOST])
-
-
 def _warnings(
     settings: MapSettings,
     image: MapImage,
@@ -167,12 +163,11 @@ def _warnings(
 ) -> tuple[MapWarning, ...]:
     """Findings about the file, its frame and reading, and the greys (`sums` of channels)."""
     height, width = grid.occupied.shape
-    said, coloured = settings.yaml, image.channels > 1
+    said, clear, trap, tinted = settings.yaml, 0, 0, 0
     unknown_keys = said.unknown_keys if said else ()
-    clear = trap = tinted = 0
     if image.channels == 4:
         clear = int(np.count_nonzero(image.pixels[:, :, 3] < image.white))
-    if coloured:
+    if image.channels > 1:
         colours = image.pixels[:, :, :3]
         tinted = int(np.count_nonzero(colours.max(axis=2) != colours.min(axis=2)))
     if settings.mode != "raw":

@@ -33,6 +33,10 @@ MAX_SIDE = 32_767
 """Cells a side: the limit of Nav2 (map_io) and of ``cv2.remap``."""
 SEMANTICS = ("nav2", "ros1")
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
+_DEFAULTS: dict[str, Any] = {
+    "mode": "trinary", "semantics": "nav2", "negate": False,
+    "occupied_thresh": OCCUPIED_THRESH, "free_thresh": FREE_THRESH,
+}  # fmt: skip
 YAML_ENDINGS = (".yaml", ".yml")
 UNKNOWN = -1
 Int8Array = npt.NDArray[np.int8]
@@ -226,17 +230,12 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
                     hint = f"; give {display(beside)} instead of the image, or pass --resolution"
             raise MapError(f"{name}: resolution: missing{hint}")
     written = said or MapYaml(file, file, origin=Pose2D(0.0, 0.0, 0.0))
-
-    def value(key: str, default: Any) -> Any:
-        read = getattr(written, key)
-        return given.get(key, default if read is None else read)
-
-    origin = value("origin", None)
-    if value("resolution", None) is None:
+    used = _DEFAULTS | {k: v for k, v in vars(written).items() if v is not None} | given
+    if "resolution" not in used:
         raise MapError(f"{name}: resolution: missing, expected metres per cell, as 0.05")
-    if origin is None:
+    if "origin" not in used:
         raise MapError(f"{name}: origin: missing, expected [x, y, yaw] in metres and radians")
-    low, high = value("free_thresh", FREE_THRESH), value("occupied_thresh", OCCUPIED_THRESH)
+    low, high, origin = used["free_thresh"], used["occupied_thresh"], used["origin"]
     if not 0 <= low < high <= 1:
         raise (ConfigError if given.keys() & {"free_thresh", "occupied_thresh"} else MapError)(
             f"{name}: free_thresh {low} and occupied_thresh {high}, expected "
@@ -244,14 +243,10 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
         )
     return MapSettings(
         image=written.image,
-        resolution=float(value("resolution", None)),
+        resolution=float(used["resolution"]),
         origin=origin if isinstance(origin, Pose2D) else Pose2D(*map(float, origin)),
-        mode=value("mode", "trinary"),
-        semantics=given.get("semantics", "nav2"),
-        negate=value("negate", False),
-        occupied_thresh=high,
-        free_thresh=low,
         yaml=said,
+        **{key: used[key] for key in _DEFAULTS},
     )
 
 
@@ -312,7 +307,7 @@ def occupancy(image: MapImage, settings: MapSettings) -> Int8Array:
     [[100, -1, 0]]
     """
     pixels, white, mode = image.pixels, image.white, settings.mode
-    ros1 = settings.semantics == "ros1"
+    low, high, ros1 = settings.free_thresh, settings.occupied_thresh, settings.semantics == "ros1"
     averaged: npt.NDArray[Any] = pixels
     if image.channels == 4 and not (ros1 and mode == "trinary"):
         averaged = pixels[:, :, :3]
@@ -325,7 +320,13 @@ def occupancy(image: MapImage, settings: MapSettings) -> Int8Array:
         table = np.where(stored <= 100, stored, UNKNOWN).astype(np.int8)
     else:
         occ = levels / full if settings.negate else (full - levels) / full
-        table = _thresholded(occ, settings)
+        table = np.full(occ.shape, UNKNOWN, np.int8)
+        if mode == "scale":
+            r = np.clip((occ - low) / (high - low), 0.0, 1.0)
+            # ROS 1 stores the double in a signed byte: truncation.
+            table[:] = 1 + 98 * r if ros1 else np.round(100 * r)
+        table[occ > high if ros1 else occ >= high] = 100
+        table[occ < low if ros1 else occ <= low] = 0
     values: Int8Array = table[sums]
     if image.channels == 4 and mode != "raw":
         alpha = pixels[:, :, 3]
@@ -342,16 +343,3 @@ def channel_sum(pixels: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], int]:
         return pixels, 1
     wide = np.uint32 if pixels.dtype == np.uint16 else np.uint16
     return pixels.sum(axis=2, dtype=wide), int(pixels.shape[2])
-
-
-def _thresholded(occ: npt.NDArray[np.float64], settings: MapSettings) -> Int8Array:
-    """Value of each occupancy in 0..1, trinary or scale."""
-    low, high, ros1 = settings.free_thresh, settings.occupied_thresh, settings.semantics == "ros1"
-    table = np.full(occ.shape, UNKNOWN, np.int8)
-    if settings.mode == "scale":
-        r = np.clip((occ - low) / (high - low), 0.0, 1.0)
-        # ROS 1 stores the double in a signed byte: truncation.
-        table[:] = 1 + 98 * r if ros1 else np.round(100 * r)
-    table[occ > high if ros1 else occ >= high] = 100
-    table[occ < low if ros1 else occ <= low] = 0
-    return table

@@ -43,17 +43,13 @@ def _path(value: Any) -> str | None:
     return value if isinstance(value, str) and value.strip() and "\0" not in value else None
 
 
-def _mode(value: Any) -> str | None:
-    return value.lower() if isinstance(value, str) and value.lower() in MODES else None
-
-
 def _pose(value: list[float]) -> Pose2D | None:
     return Pose2D(*value) if abs(value[2]) <= 2 * math.pi + 1e-6 else None
 
 
 _CHECKS: tuple[tuple[str, Callable[[Any], Any], str], ...] = (
     ("image", _path, "the path of the image"),
-    ("mode", _mode, "trinary, scale or raw"),
+    ("mode", lambda v: m if (m := str(v).lower()) in MODES else None, "trinary, scale or raw"),
     ("negate", lambda v: bool(v) if v in (0, 1) else None, "0 or 1"),
     ("resolution", lambda v: _number_in(v, *RESOLUTION_RANGE), "metres per cell, 0.001 to 10"),
     ("origin", _triple, "[x, y, yaw] in metres and radians"),

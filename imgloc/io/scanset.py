@@ -1,6 +1,7 @@
 """A set of scans, and the checks that every scan format shares; all raise ScanError."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,9 @@ from imgloc.model import FloatArray, LaserScan
 
 MAX_READINGS = 50_000_000
 """Readings a scan file may hold: 400 MB as float64."""
+SPACING = ("angle_min", "angle_max", "angle_increment")
+# Where a scan stands in the file, for messages, and what is said of it (names of LaserScan).
+Entry = tuple[str, Mapping[str, Any]]
 # Twice around: whatever lies beyond was not meant in radians.
 _MAX_ANGLE = 4 * np.pi
 
@@ -97,3 +101,86 @@ def check_finite(
     """Refuse an array with an entry that is NaN or infinite."""
     for at in np.argwhere(~np.isfinite(array))[:1]:
         raise ScanError(f"{name}: {key}{at.tolist()}: got {array[tuple(at)]}, expected {expected}")
+
+
+def collect(entries: Sequence[Entry], name: str) -> ScanSet:
+    """Check each entry of the file `name` and make the set."""
+    if not entries:
+        raise ScanError(f"{name}: holds no scan, expected one per line")
+    scans = [_scan(entry, where) for where, entry in entries]
+    beside: dict[str, FloatArray | None] = {}
+    for key in ("pose", "odom"):
+        given = [(where, entry[key]) for where, entry in entries if entry.get(key) is not None]
+        if len(given) not in (0, len(scans)):
+            raise ScanError(
+                f"{name}: {key}: in {len(given)} of {len(scans)} scans, expected all or none"
+            )
+        poses = [_pose(value, where, key) for where, value in given]
+        beside[key] = np.array(poses) if poses else None
+    stamps = np.array([scan.stamp for scan in scans])
+    return ScanSet(
+        tuple(scans), beside["pose"], None if np.isnan(stamps).all() else stamps, beside["odom"]
+    )
+
+
+def _pose(value: Any, where: str, key: str) -> FloatArray:
+    pose = numbers(value, where, key, ndim=(1,))
+    if pose.shape != (3,):
+        raise ScanError(f"{where}: {key}: got {len(pose)} numbers, expected x, y, theta")
+    check_finite(pose, where, key)
+    return pose
+
+
+def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
+    if entry.get("ranges") is None:
+        raise ScanError(f"{where}: ranges: missing, expected a list of metres")
+    ranges = numbers(entry["ranges"], where, "ranges", ndim=(1,))
+    if not len(ranges):
+        raise ScanError(f"{where}: ranges: empty, expected at least one reading")
+    spaced = entry.get("angles") is None
+    given = {
+        key: scalar(entry[key], f"{where}: {key}")
+        for key in (*(SPACING if spaced else ()), "range_min", "range_max", "stamp")
+        if entry.get(key) is not None
+    }
+    if spaced:
+        angles = _spaced_angles(given, len(ranges), where)
+    else:
+        angles = numbers(entry["angles"], where, "angles", ndim=(1,))
+    if len(angles) != len(ranges):
+        raise ScanError(f"{where}: angles: got {len(angles)}, expected {len(ranges)} as in ranges")
+    check_angles(angles, where)
+    low, high = given.get("range_min", 0.0), given.get("range_max", math.inf)
+    check_limits(low, high, where)
+    return LaserScan(ranges, angles, low, high, given.get("stamp", math.nan))
+
+
+def scalar(value: Any, where: str) -> float:
+    """A JSON value that must be one number."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ScanError(f"{where}: got {str(value)[:40]!r}, expected a number")
+    try:
+        return float(value)
+    except OverflowError:  # JSON writes integers of any length
+        raise ScanError(f"{where}: got a number of {len(str(value))} digits") from None
+
+
+def _spaced_angles(given: Mapping[str, float], count: int, where: str) -> FloatArray:
+    """Angles of `count` rays from the first one, and from their spacing or the last one."""
+    first, last = given.get("angle_min"), given.get("angle_max")
+    step = given.get("angle_increment")
+    if first is None or (step is None and last is None):
+        raise ScanError(
+            f"{where}: angles: missing, expected angles, or angle_min with "
+            "angle_increment or angle_max, in radians"
+        )
+    if step is None:
+        return np.linspace(first, last or 0.0, count)
+    angles = first + np.arange(count, dtype=np.float64) * step
+    # Drivers disagree on whether angle_max is the last ray or the one after it.
+    if last is not None and abs(last - angles[-1]) > 2.5 * abs(step):
+        raise ScanError(
+            f"{where}: angle_max: got {last:g}, expected {angles[-1]:g} = angle_min + "
+            f"{count - 1} x angle_increment; were readings left out?"
+        )
+    return np.asarray(angles)
