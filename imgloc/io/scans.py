@@ -17,22 +17,10 @@ import numpy as np
 
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.files import PathLike, display, open_file, read_file, write_bytes_atomic
-from imgloc.io.scanset import (
-    MAX_READINGS,
-    ScanSet,
-    ScansSize,
-    check_angles,
-    check_finite,
-    check_limits,
-    numbers,
-)
+from imgloc.io.scanset import KEYS, MAX_READINGS, ScanSet, ScansSize, numbers, scan_set
 from imgloc.io.textscans import read_csv, read_jsonl, text_size
-from imgloc.model import FloatArray, LaserScan
+from imgloc.model import FloatArray
 
-_SPACING = ("angle_min", "angle_increment")
-_LIMITS = {"range_min": 0.0, "range_max": math.inf}
-_BESIDE = ("poses", "stamps", "odom")
-_KEYS = ("ranges", "angles", *_LIMITS, *_SPACING, *_BESIDE)
 _MAX_BYTES = 16 * MAX_READINGS
 
 
@@ -91,7 +79,7 @@ def read_npz(path: PathLike) -> ScanSet:
     """
     name = display(path)
     data = read_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file")
-    return _scan_set(_members(data, name), name)
+    return scan_set(_members(data, name), name)
 
 
 def write_npz(scans: ScanSet) -> bytes:
@@ -100,10 +88,11 @@ def write_npz(scans: ScanSet) -> bytes:
     if len(lengths) != 1:
         raise ConfigError(f"scans of {sorted(lengths)} readings cannot be one array in an NPZ")
     arrays: dict[str, Any] = {"ranges": np.stack([scan.ranges for scan in scans.scans])}
-    for key in ("angles", *_LIMITS):
+    for key in ("angles", "range_min", "range_max"):
         values = np.stack([getattr(scan, key) for scan in scans.scans])
         arrays[key] = values[0] if (values == values[0]).all() else values
-    arrays |= {key: value for key in _BESIDE if (value := getattr(scans, key)) is not None}
+    beside = {"poses": scans.poses, "stamps": scans.stamps, "odom": scans.odom}
+    arrays |= {key: value for key, value in beside.items() if value is not None}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)  # all members are stamped 1980
     return buffer.getvalue()
@@ -135,7 +124,7 @@ def _npz_size(path: PathLike) -> ScansSize:
     ):
         for info in archive.infolist():
             key = info.filename.removesuffix(".npy")
-            if key in _KEYS:
+            if key in KEYS:
                 with archive.open(info) as member:
                     shapes[key] = _check_header(member, info.file_size, name, key)
     ranges = shapes.get("ranges", ())
@@ -155,7 +144,7 @@ def _members(data: bytes, name: str) -> dict[str, FloatArray]:
             raise zipfile.BadZipFile("members are missing")
         for info in archive.infolist():
             key = info.filename.removesuffix(".npy")
-            if key not in _KEYS:
+            if key not in KEYS:
                 # Not read; but opening compares the name with the one at the data, so
                 # that a damaged "range_max" is not taken for somebody else's array.
                 archive.open(info).close()
@@ -207,51 +196,3 @@ def _check_header(file: IO[bytes], size: int, name: str, key: str) -> tuple[int,
             "copy the file again"
         )
     return tuple(shape)
-
-
-def _scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
-    """Check that the shapes agree, and cut the arrays into scans."""
-    if "ranges" not in arrays:
-        raise ScanError(f"{name}: ranges: missing, expected an array (scans, readings)")
-    ranges = np.atleast_2d(arrays["ranges"])
-    n = len(ranges)
-    if not ranges.size:
-        raise ScanError(f"{name}: ranges: got shape {ranges.shape}, expected at least one reading")
-    readings, angles = ranges.shape[1], arrays.get("angles")
-    if angles is None:
-        if not all(key in arrays and arrays[key].size == 1 for key in _SPACING):
-            raise ScanError(
-                f"{name}: angles: missing, expected {readings} angles in radians "
-                "(or the numbers angle_min and angle_increment)"
-            )
-        first, step = (arrays[key].item() for key in _SPACING)
-        angles = first + np.arange(readings, dtype=np.float64) * step
-    if angles.shape not in ((readings,), ranges.shape):
-        raise ScanError(
-            f"{name}: angles: got shape {angles.shape}, expected {(readings,)}: "
-            f"ranges are {n} scans of {readings} readings"
-        )
-    check_angles(angles, name)
-    limits = []
-    for key, default in _LIMITS.items():
-        value = arrays.get(key, np.array(default))
-        if value.size != 1 and value.shape != (n,):
-            raise ScanError(
-                f"{name}: {key}: got shape {value.shape}, expected one number or {(n,)}"
-            )
-        limits.append(np.broadcast_to(value.ravel(), (n,)).tolist())
-    for low, high in zip(*limits, strict=True):
-        check_limits(low, high, name)
-    beside: dict[str, FloatArray] = {}
-    for key in [key for key in _BESIDE if key in arrays]:
-        value, shape = arrays[key], (n,) if key == "stamps" else (n, 3)
-        if n == 1 and value.shape == shape[1:]:
-            value = value.reshape(shape)
-        if value.shape != shape:
-            raise ScanError(f"{name}: {key}: got shape {value.shape}, expected {shape}")
-        if key != "stamps":
-            check_finite(value, name, key)
-        beside[key] = value
-    stamps = beside.get("stamps", np.full(n, np.nan)).tolist()
-    columns = zip(ranges, np.broadcast_to(angles, ranges.shape), *limits, stamps, strict=True)
-    return ScanSet(tuple(LaserScan(*column) for column in columns), **beside)

@@ -14,6 +14,10 @@ from imgloc.model import FloatArray, LaserScan
 MAX_READINGS = 50_000_000
 """Readings a scan file may hold: 400 MB as float64."""
 SPACING = ("angle_min", "angle_max", "angle_increment")
+_LIMITS = {"range_min": 0.0, "range_max": math.inf}
+_BESIDE = ("poses", "stamps", "odom")
+_STEPS = ("angle_min", "angle_increment")
+KEYS = ("ranges", "angles", *_LIMITS, *_STEPS, *_BESIDE)
 # Where a scan stands in the file, for messages, and what is said of it (names of LaserScan).
 Entry = tuple[str, Mapping[str, Any]]
 # Twice around: whatever lies beyond was not meant in radians.
@@ -72,10 +76,10 @@ def numbers(value: Any, name: str, key: str, *, ndim: Sequence[int]) -> FloatArr
     return array.astype(np.float64)
 
 
-def check_angles(angles: FloatArray, name: str) -> None:
+def _check_angles(angles: FloatArray, name: str) -> None:
     """Refuse angles that cannot be directions in radians."""
     hint = "finite radians (a reading without a direction has to be left out)"
-    check_finite(angles, name, "angles", hint)
+    _check_finite(angles, name, "angles", hint)
     worst = angles.flat[np.abs(angles).argmax()] if angles.size else 0.0
     if abs(worst) > _MAX_ANGLE:
         raise ScanError(
@@ -84,7 +88,7 @@ def check_angles(angles: FloatArray, name: str) -> None:
         )
 
 
-def check_limits(range_min: float, range_max: float, name: str) -> None:
+def _check_limits(range_min: float, range_max: float, name: str) -> None:
     """Refuse limits unless ``0 <= range_min < range_max``; range_max may be infinite."""
     if not (0 <= range_min < np.inf):
         raise ScanError(f"{name}: range_min: got {range_min:g}, expected metres, 0 or more")
@@ -95,7 +99,7 @@ def check_limits(range_min: float, range_max: float, name: str) -> None:
         )
 
 
-def check_finite(
+def _check_finite(
     array: npt.NDArray[Any], name: str, key: str, expected: str = "a finite number"
 ) -> None:
     """Refuse an array with an entry that is NaN or infinite."""
@@ -127,7 +131,7 @@ def _pose(value: Any, where: str, key: str) -> FloatArray:
     pose = numbers(value, where, key, ndim=(1,))
     if pose.shape != (3,):
         raise ScanError(f"{where}: {key}: got {len(pose)} numbers, expected x, y, theta")
-    check_finite(pose, where, key)
+    _check_finite(pose, where, key)
     return pose
 
 
@@ -140,7 +144,7 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
     spaced = entry.get("angles") is None
     given = {
         key: scalar(entry[key], f"{where}: {key}")
-        for key in (*(SPACING if spaced else ()), "range_min", "range_max", "stamp")
+        for key in (*(SPACING if spaced else ()), *_LIMITS, "stamp")
         if entry.get(key) is not None
     }
     if spaced:
@@ -149,9 +153,9 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
         angles = numbers(entry["angles"], where, "angles", ndim=(1,))
     if len(angles) != len(ranges):
         raise ScanError(f"{where}: angles: got {len(angles)}, expected {len(ranges)} as in ranges")
-    check_angles(angles, where)
-    low, high = given.get("range_min", 0.0), given.get("range_max", math.inf)
-    check_limits(low, high, where)
+    _check_angles(angles, where)
+    low, high = (given.get(key, default) for key, default in _LIMITS.items())
+    _check_limits(low, high, where)
     return LaserScan(ranges, angles, low, high, given.get("stamp", math.nan))
 
 
@@ -184,3 +188,51 @@ def _spaced_angles(given: Mapping[str, float], count: int, where: str) -> FloatA
             f"{count - 1} x angle_increment; were readings left out?"
         )
     return np.asarray(angles)
+
+
+def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
+    """Check that the shapes agree, and cut the arrays into scans."""
+    if "ranges" not in arrays:
+        raise ScanError(f"{name}: ranges: missing, expected an array (scans, readings)")
+    ranges = np.atleast_2d(arrays["ranges"])
+    n = len(ranges)
+    if not ranges.size:
+        raise ScanError(f"{name}: ranges: got shape {ranges.shape}, expected at least one reading")
+    readings, angles = ranges.shape[1], arrays.get("angles")
+    if angles is None:
+        if not all(key in arrays and arrays[key].size == 1 for key in _STEPS):
+            raise ScanError(
+                f"{name}: angles: missing, expected {readings} angles in radians "
+                "(or the numbers angle_min and angle_increment)"
+            )
+        first, step = (arrays[key].item() for key in _STEPS)
+        angles = first + np.arange(readings, dtype=np.float64) * step
+    if angles.shape not in ((readings,), ranges.shape):
+        raise ScanError(
+            f"{name}: angles: got shape {angles.shape}, expected {(readings,)}: "
+            f"ranges are {n} scans of {readings} readings"
+        )
+    _check_angles(angles, name)
+    limits = []
+    for key, default in _LIMITS.items():
+        value = arrays.get(key, np.array(default))
+        if value.size != 1 and value.shape != (n,):
+            raise ScanError(
+                f"{name}: {key}: got shape {value.shape}, expected one number or {(n,)}"
+            )
+        limits.append(np.broadcast_to(value.ravel(), (n,)).tolist())
+    for low, high in zip(*limits, strict=True):
+        _check_limits(low, high, name)
+    beside: dict[str, FloatArray] = {}
+    for key in [key for key in _BESIDE if key in arrays]:
+        value, shape = arrays[key], (n,) if key == "stamps" else (n, 3)
+        if n == 1 and value.shape == shape[1:]:
+            value = value.reshape(shape)
+        if value.shape != shape:
+            raise ScanError(f"{name}: {key}: got shape {value.shape}, expected {shape}")
+        if key != "stamps":
+            _check_finite(value, name, key)
+        beside[key] = value
+    stamps = beside.get("stamps", np.full(n, np.nan)).tolist()
+    columns = zip(ranges, np.broadcast_to(angles, ranges.shape), *limits, stamps, strict=True)
+    return ScanSet(tuple(LaserScan(*column) for column in columns), **beside)
