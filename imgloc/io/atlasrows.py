@@ -54,10 +54,8 @@ class Journal:
             try:
                 content = self._file.read()
                 if not content.startswith(head) and not head.startswith(content):
-                    raise OutputError(
-                        f"{name}: begun with another map or other options; remove it, or go on "
-                        "with those"
-                    )
+                    why = "begun with another map or other options; remove it, or go on with those"
+                    raise OutputError(f"{name}: {why}")
                 # A stop may have cut the last line, be it the first: no more than that goes.
                 whole = content[: content.rfind(b"\n") + 1]
                 self.rows = [json.loads(line) for line in whole[len(head) :].splitlines()]

@@ -21,7 +21,6 @@ from imgloc.options import DEFAULTS, Calibration
 LOG = logging.getLogger(__name__)
 
 _FORMAT = 1
-_ENDING = ".calibration.json"
 _MOST = 1 << 20  # bytes; what is longer is not such a file
 _UNUSABLE = (OSError, ValueError, RecursionError, ConfigError)
 
@@ -34,7 +33,7 @@ def calibration_path(map_path: PathLike) -> Path:
     >>> calibration_path("maps/office.yaml").name
     'office.calibration.json'
     """
-    return Path(map_path).with_suffix(_ENDING)
+    return Path(map_path).with_suffix(".calibration.json")
 
 
 def map_hash(grid: OccupancyGrid) -> str:
@@ -92,10 +91,8 @@ def load_calibrations(path: PathLike, grid: OccupancyGrid) -> dict[str, Calibrat
     try:
         return _read(Path(path), grid)[0]
     except _UNUSABLE as e:
-        LOG.warning(
-            "%s: not used, the defaults are: %s; make it anew with `imgloc calibrate`",
-            display(path), e,
-        )  # fmt: skip
+        hint = "make it anew with `imgloc calibrate`"
+        LOG.warning("%s: not used, the defaults are: %s; %s", display(path), e, hint)
         return {}
 
 

@@ -206,11 +206,11 @@ def _opened(file: BinaryIO, name: str, max_pixels: int) -> ImageFile | _Netpbm:
         with _explained(name, kind):
             image = reader(file)
     else:
-        other = next((kind for magic, kind in _OTHERS.items() if head.startswith(magic)), None)
-        raise MapError(
-            f"{name}: not an image that can be read "
-            f"({'it looks like ' + other if other else 'unknown content'}), expected {_KNOWN}"
+        like = (
+            f"it looks like {kind}" for magic, kind in _OTHERS.items() if head.startswith(magic)
         )
+        what = next(like, "unknown content")
+        raise MapError(f"{name}: not an image that can be read ({what}), expected {_KNOWN}")
     width, height = image.size
     if width * height > max_pixels:
         raise MapError(
@@ -254,7 +254,12 @@ def _decode_with_pillow(file: BinaryIO, image: ImageFile, name: str) -> MapImage
             raise MapError(f"{name}: is a compressed BMP, expected a plain one; convert it to PNG")
         elif isinstance(image, TiffImagePlugin.TiffImageFile):
             lossy = image.info.get("compression") in ("jpeg", "tiff_jpeg", "webp")
-            _check_tiff(image, name)
+            if (turned := image.tag_v2.get(_TIFF_ORIENTATION, 1)) != 1:
+                raise MapError(f"{name}: TIFF of orientation {turned}, expected 1: save it upright")
+            if image.mode.startswith("I;16") and image.tag_v2.get(_TIFF_PHOTOMETRIC) == 0:
+                raise MapError(
+                    f"{name}: 16-bit TIFF in which 0 is white, expected black; save it anew"
+                )
         elif kind == "WebP":
             lossy = not _is_lossless_webp(file)
         if kind == "JPEG":
@@ -338,12 +343,9 @@ def _check_png(file: BinaryIO, name: str, size: tuple[int, int]) -> int:
 
 def _png_bytes(size: tuple[int, int], bits: int, interlaced: bool) -> int:
     """Length of the inflated data, with `bits` a pixel: each row has a filter byte in front."""
-    total = 0
-    for x, y, dx, dy in _ADAM7 if interlaced else ((0, 0, 1, 1),):
-        columns, rows = -(-(size[0] - x) // dx), -(-(size[1] - y) // dy)
-        if columns > 0 and rows > 0:
-            total += rows * (1 + -(-columns * bits // 8))
-    return total
+    passes = _ADAM7 if interlaced else ((0, 0, 1, 1),)
+    parts = [(-(-(size[0] - x) // dx), -(-(size[1] - y) // dy)) for x, y, dx, dy in passes]
+    return sum(rows * (1 + -(-columns * bits // 8)) for columns, rows in parts if columns > 0)
 
 
 def _check_jpeg_end(file: BinaryIO, name: str) -> None:
@@ -354,15 +356,6 @@ def _check_jpeg_end(file: BinaryIO, name: str) -> None:
         raise MapError(
             f"{name}: truncated JPEG: no end marker in {len(data):,} bytes; copy the file again"
         )
-
-
-def _check_tiff(image: TiffImagePlugin.TiffImageFile, name: str) -> None:
-    """Refuse a TIFF whose rows are not stored from the top, or whose 16-bit white is 0."""
-    turned = image.tag_v2.get(_TIFF_ORIENTATION, 1)
-    if turned != 1:
-        raise MapError(f"{name}: TIFF of orientation {turned}, expected 1: save it upright")
-    if image.mode.startswith("I;16") and image.tag_v2.get(_TIFF_PHOTOMETRIC) == 0:
-        raise MapError(f"{name}: 16-bit TIFF in which 0 is white, expected black; save it anew")
 
 
 def _is_lossless_webp(file: BinaryIO) -> bool:
