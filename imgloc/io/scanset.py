@@ -31,7 +31,7 @@ class ScansSize:
     scans: int
     numbers: int  #: ranges, angles, and what was recorded beside them
     file_bytes: int
-    text: bool = False  #: whether the file is one
+    text: bool = False  #: whether it is a file of text
 
 
 @dataclass(frozen=True)
