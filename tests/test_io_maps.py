@@ -40,6 +40,12 @@ def row(*greys: int) -> bytes:
     return png(len(greys), 1, 8, 0, [bytes(greys)])
 
 
+@pytest.mark.parametrize("load", [load_map, check_map])
+def test_a_misspelt_argument_is_not_ignored(write, load) -> None:
+    with pytest.raises(TypeError, match="unexpected arguments: resoluton"):
+        load(write(row(0, 254)), resoluton=0.1)
+
+
 def test_row_0_is_the_lowest_and_columns_go_right(write) -> None:
     grid = load_map(write(encode(".png", np.array([[0, 205, 254], [254, 254, 0]], np.uint8))))
     assert classes(grid) == ["#?.", "..#"]

@@ -41,17 +41,8 @@ class Journal:
     """Rows as they come, in a file that only grows, so that a survey can go on after a stop.
 
     Whole rows stay in the file whenever the program is stopped, also while it starts again.
-
-    Parameters
-    ----------
-    path : Path
-    key : mapping
-        What decides the rows; a journal of anything else is refused.
-
-    Raises
-    ------
-    OutputError
-        If there is a journal of another survey, or it cannot be read or written.
+    OutputError if there is a journal of a survey with another `key` (what decides the rows), or
+    it cannot be read or written.
     """
 
     def __init__(self, path: Path, key: Mapping[str, object]) -> None:
@@ -63,10 +54,8 @@ class Journal:
             try:
                 content = self._file.read()
                 if not content.startswith(head) and not head.startswith(content):
-                    raise OutputError(
-                        f"{name}: begun with another map or other options; remove it, or go on "
-                        "with those"
-                    )
+                    why = "begun with another map or other options; remove it, or go on with those"
+                    raise OutputError(f"{name}: {why}")
                 # A stop may have cut the last line, be it the first: no more than that goes.
                 whole = content[: content.rfind(b"\n") + 1]
                 self.rows = [json.loads(line) for line in whole[len(head) :].splitlines()]

@@ -18,7 +18,7 @@ import time
 import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -54,20 +54,8 @@ class CacheInfo(NamedTuple):
     folder: Path
 
 
-class _File(NamedTuple):
-    path: Path
-    bytes: int
-    used: float  # seconds, as time.time()
-
-
 def cache_folder() -> Path:
-    """The user's cache folder for this program: on Linux ``$XDG_CACHE_HOME/imgloc``.
-
-    Raises
-    ------
-    OutputError
-        If the user has no home.
-    """
+    """The user's, on Linux ``$XDG_CACHE_HOME/imgloc``; OutputError if the user has no home."""
     with contextlib.suppress(RuntimeError):
         folder = platformdirs.user_cache_path("imgloc", appauthor=False)
         if folder.is_absolute():
@@ -86,64 +74,25 @@ def cache_limit() -> int:
 
 
 def cache_info(folder: PathLike | None = None) -> CacheInfo:
-    """Look at what is in the cache.
-
-    Parameters
-    ----------
-    folder : path, optional
-        Need not exist; default the user's.
-
-    Raises
-    ------
-    OutputError
-        As :func:`cache_folder`.
-    """
+    """Look at what is in `folder`, which need not exist; default :func:`cache_folder`."""
     folder = cache_folder() if folder is None else Path(folder)
     files = list(_files(folder))
-    entries = sum(file.path.suffix == ".npz" for file in files)
-    return CacheInfo(entries, sum(file.bytes for file in files), cache_limit(), folder)
+    entries = sum(path.suffix == ".npz" for path, _ in files)
+    return CacheInfo(entries, sum(about.st_size for _, about in files), cache_limit(), folder)
 
 
 def clear_cache(folder: PathLike | None = None) -> int:
-    """Remove what this program keeps in the cache, of any version, and nothing else.
-
-    Parameters
-    ----------
-    folder : path, optional
-        Need not exist; default the user's.
-
-    Returns
-    -------
-    int
-        Number of files removed.
-
-    Raises
-    ------
-    OutputError
-        As :func:`cache_folder`.
-    """
+    """Remove what this program, of any version, keeps in `folder`; return how many files."""
     folder = cache_folder() if folder is None else Path(folder)
-    return sum(_removed(file.path) for file in _files(folder))
+    return sum(_removed(path) for path, _ in _files(folder))
 
 
 def cache_key(grid: OccupancyGrid, parameters: Mapping[str, object], *, code: str = "") -> str:
-    """Name what is computed from a map with `parameters`, by this version of the program.
+    """Name what is computed from a map by this version of the program: 40 hexadecimal digits.
 
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        Its cells and resolution count. Where the map lies in the world does not: features
-        are in the grid frame.
-    parameters : mapping
-        Everything else that decides the arrays: numbers, texts, None.
-    code : str
-        What tells versions of the code apart beside the number of the version. Entries of
-        other versions are removed when they have not been used for an hour.
-
-    Returns
-    -------
-    str
-        40 hexadecimal digits.
+    Cells and resolution count, but not the origin: features are in the grid frame. `parameters`
+    is all else that decides the arrays (numbers, texts, None), and `code` tells versions apart
+    beside their number. Entries of other versions go when they have not been used for an hour.
 
     Examples
     --------
@@ -154,18 +103,21 @@ def cache_key(grid: OccupancyGrid, parameters: Mapping[str, object], *, code: st
     """
     # The same call of another version of a library may round in another way.
     maker = [_FORMAT, imgloc.__version__, np.__version__, cv2.__version__, code]
+    made_by = hashlib.blake2b(json.dumps(maker).encode(), digest_size=_MAKER // 2)
     about = {
         "shape": grid.occupied.shape,
         "resolution": float(grid.resolution).hex(),
         "parameters": dict(parameters),
     }
-    made_by, digest = (
-        hashlib.blake2b(json.dumps(said, sort_keys=True).encode(), digest_size=size)
-        for said, size in ((maker, _MAKER // 2), (about, 20 - _MAKER // 2))
-    )
+    return made_by.hexdigest() + cells_digest(grid, about, 20 - _MAKER // 2)
+
+
+def cells_digest(grid: OccupancyGrid, about: object, size: int) -> str:
+    """Digest, of so many bytes, of the cells of a map and of what `about` says (as JSON)."""
+    digest = hashlib.blake2b(json.dumps(about, sort_keys=True).encode(), digest_size=size)
     for mask in (grid.occupied, grid.free):
         digest.update(np.packbits(mask).tobytes())
-    return made_by.hexdigest() + digest.hexdigest()
+    return digest.hexdigest()
 
 
 def entry_path(folder: PathLike, key: str) -> Path:
@@ -176,31 +128,30 @@ def entry_path(folder: PathLike, key: str) -> Path:
 
 
 def load_entry(folder: PathLike, key: str) -> dict[str, npt.NDArray[Any]] | None:
-    """Read an entry.
+    """Read an entry: None if there is none, or a damaged one, which is removed with a warning.
 
-    Parameters
-    ----------
-    folder : path
-        Need not exist.
-    key : str
-        Of :func:`cache_key`.
-
-    Returns
-    -------
-    dict of str to array, or None
-        None if there is no entry, or a damaged one, which is removed with a warning. The
-        caller checks shapes and types: they are those of whoever stored the entry.
+    The caller checks shapes and types: they are those of whoever stored the entry.
     """
     path = entry_path(folder, key)
     if not os.path.lexists(path):
         return None
     try:
-        with open_file(path, limit=sys.maxsize, error=OutputError, what="cache entry") as (file, _):
-            arrays = _read(file, key)
+        with (
+            open_file(path, limit=sys.maxsize, error=OutputError, what="cache entry") as (file, _),
+            np.load(file, allow_pickle=False) as archive,
+        ):
+            # Nothing is inflated, so that arrays cannot be larger than the file.
+            if any(member.compress_type != zipfile.ZIP_STORED for member in archive.zip.infolist()):
+                raise ValueError("it is compressed")
+            if archive.files[:1] != ["key"] or str(archive["key"]) != key:
+                raise ValueError("the entry is another one's")
+            arrays = {name: np.asarray(archive[name]) for name in archive.files[1:]}
     except Exception as e:  # a file that is not what it says can end in anything
         if not isinstance(e.__context__, FileNotFoundError):  # another process has removed it since
             discard_entry(path, e)
         return None
+    for array in arrays.values():
+        array.flags.writeable = False
     with contextlib.suppress(OSError):
         os.utime(path)  # the time of its use
     return arrays
@@ -219,19 +170,9 @@ def entry_names(folder: PathLike, key: str) -> frozenset[str]:
 def store_entry(folder: PathLike, key: str, arrays: Arrays, *, limit: int | None = None) -> bool:
     """Write an entry, in place of the one that may be there, and tidy the folder.
 
-    Failing to is not an error, as nothing but time is lost: a warning is logged.
-
-    Parameters
-    ----------
-    folder : path
-        Made if it does not exist, for the user alone.
-    key : str
-        Of :func:`cache_key`.
-    arrays : mapping of str to array
-        Of numbers; objects are refused.
-    limit : int, optional
-        Bytes that the folder may take; default :func:`cache_limit`. More is not stored, and to make
-        room the entries that were used longest ago are removed.
+    Failing to is not an error, as nothing but time is lost: a warning is logged. `folder` is made
+    if it does not exist, for the user alone, and holds at most `limit` bytes, by default those of
+    :func:`cache_limit`. Arrays of objects are refused.
 
     Returns
     -------
@@ -270,15 +211,15 @@ def discard_entry(path: Path, error: BaseException) -> None:
         _removed(path)
 
 
-def _files(folder: Path) -> Iterator[_File]:
+def _files(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
     """Files in `folder` that this program has written: entries, and what is left of some."""
     with contextlib.suppress(OSError), os.scandir(folder) as there:
         for item in there:
             with contextlib.suppress(OSError):  # gone since
                 if _NAME.fullmatch(item.name) and item.is_file(follow_symlinks=False):
-                    about, path = item.stat(follow_symlinks=False), Path(item.path)
+                    path = Path(item.path)
                     if path.suffix == ".tmp" or _is_entry(path):
-                        yield _File(path, about.st_size, about.st_mtime)
+                        yield path, item.stat(follow_symlinks=False)
 
 
 def _is_entry(path: Path) -> bool:
@@ -291,16 +232,15 @@ def _is_entry(path: Path) -> bool:
 def _tidy(stored: Path, limit: int) -> None:
     """Remove orphans from the folder of an entry, and of the rest what is beyond `limit` bytes."""
     now, rest = time.time(), []
-    for file in _files(stored.parent):
-        ours = file.path.name[:_MAKER] == stored.name[:_MAKER]
-        if not ours and now - file.used >= _ORPHANED:
-            _removed(file.path)
-        elif file.path.suffix == ".npz":  # else somebody is writing it
-            rest.append(file)
-    total = sum(file.bytes for file in rest)
-    for file in sorted(rest, key=lambda file: file.used):
-        if total > limit and file.path != stored and _removed(file.path):
-            total -= file.bytes
+    for path, about in _files(stored.parent):
+        if path.name[:_MAKER] != stored.name[:_MAKER] and now - about.st_mtime >= _ORPHANED:
+            _removed(path)
+        elif path.suffix == ".npz":  # else somebody is writing it
+            rest.append((about.st_mtime, about.st_size, path))
+    total = sum(size for _, size, _ in rest)
+    for _, size, path in sorted(rest):
+        if total > limit and path != stored and _removed(path):
+            total -= size
 
 
 def _removed(path: Path) -> bool:
@@ -310,19 +250,6 @@ def _removed(path: Path) -> bool:
     except OSError:
         return False
     return True
-
-
-def _read(file: BinaryIO, key: str) -> dict[str, npt.NDArray[Any]]:
-    """Arrays of an entry; nothing is inflated, so that they cannot be larger than the file."""
-    with np.load(file, allow_pickle=False) as archive:
-        if any(member.compress_type != zipfile.ZIP_STORED for member in archive.zip.infolist()):
-            raise ValueError("it is compressed")
-        if archive.files[:1] != ["key"] or str(archive["key"]) != key:
-            raise ValueError("the entry is another one's")
-        arrays: dict[str, npt.NDArray[Any]] = {name: archive[name] for name in archive.files[1:]}
-    for array in arrays.values():
-        array.flags.writeable = False
-    return arrays
 
 
 def _reason(error: BaseException) -> str:

@@ -31,29 +31,9 @@ def display(path: PathLike | bytes) -> str:
 def open_file(
     path: PathLike, *, limit: int, error: type[ImglocError], what: str
 ) -> Iterator[tuple[BufferedReader, int]]:
-    """Open a regular file that is not empty for reading; yield it and its length.
-
-    Pipes, devices and folders are refused before anything is read (a FIFO would block, and
-    ``/dev/zero`` never ends).
-
-    Parameters
-    ----------
-    path : path
-        Any path, also one whose name is not valid UTF-8.
-    limit : int
-        Bytes; one more is an error.
-    error : type
-        The class of :class:`ImglocError` to raise.
-    what : str
-        What the file should be, for the message: ``"map image"``.
-
-    Raises
-    ------
-    ImglocError
-        Of class `error`: missing, not a regular file, empty, unreadable or too long.
-    """
+    """Open a file for reading, of 1 to `limit` bytes, as :func:`open_regular`; yield its length."""
     name = display(path)
-    with os.fdopen(_open_regular(path, error, what), "rb") as file:
+    with os.fdopen(open_regular(path, error, what), "rb") as file:
         size = os.fstat(file.fileno()).st_size
         if size > limit:
             raise error(f"{name}: {size:,} bytes, expected a {what} of at most {limit:,}")
@@ -76,13 +56,12 @@ def read_file(path: PathLike, *, limit: int, error: type[ImglocError], what: str
     return data
 
 
-def refuse_irregular(path: PathLike, *, error: type[ImglocError], what: str) -> None:
-    """Raise `error` for a path that :func:`read_file` could not open, without reading it."""
-    os.close(_open_regular(path, error, what))
+def open_regular(path: PathLike, error: type[ImglocError], what: str) -> int:
+    """Open a regular file for reading; return its descriptor.
 
-
-def _open_regular(path: PathLike, error: type[ImglocError], what: str) -> int:
-    """Open a regular file for reading; return its descriptor."""
+    Pipes, devices and folders are refused before anything is read (a FIFO would block, and
+    ``/dev/zero`` never ends): `error` is raised, which says that `what` was expected.
+    """
     name = display(path)
     try:
         # O_NONBLOCK: opening a FIFO without a writer would wait for one.
@@ -105,12 +84,8 @@ def _neighbour_hint(path: PathLike) -> str:
     """Name the files of the same stem that do exist: the usual slip is the ending."""
     wanted = Path(path)
     with contextlib.suppress(OSError):
-        there = sorted(
-            display(p.name)
-            for p in wanted.parent.iterdir()
-            if p.stem.lower() == wanted.stem.lower() and p.is_file()
-        )
-        if there:
+        same = (p for p in wanted.parent.iterdir() if p.stem.lower() == wanted.stem.lower())
+        if there := sorted(display(p.name) for p in same if p.is_file()):
             return f"; beside it there is {', '.join(there[:3])}"
     return ""
 
@@ -124,23 +99,14 @@ def refuse_existing(path: PathLike) -> None:
 def write_bytes_atomic(path: PathLike, data: bytes, *, force: bool = False) -> None:
     """Write `data` to `path` so that a reader sees the old file or the new one, never half.
 
-    The bytes go to a temporary file in the same folder, are flushed to the disk, and the
-    file is then given its name in one step.
-
-    Parameters
-    ----------
-    path : path
-        Its folder must exist.
-    data : bytes
-        The whole content.
-    force : bool
-        Replace an existing regular file. Without it an existing one is an error, also if
-        it appears while this function runs.
+    The bytes go to a temporary file in the same folder, are flushed to the disk, and the file is
+    then given its name in one step.
 
     Raises
     ------
     OutputError
-        The file exists, the folder does not, the disk is full, or permission is missing.
+        The file exists (without `force`; also if it appears while this function runs) or is not
+        a regular one, the folder does not exist, the disk is full, or permission is missing.
     """
     name = display(path)
     target = Path(path)
@@ -158,43 +124,29 @@ def write_bytes_atomic(path: PathLike, data: bytes, *, force: bool = False) -> N
                 os.fsync(file.fileno())
             if force:
                 temporary.replace(target)
-            else:
-                _name_if_new(temporary, target)
+            else:  # a rename would overwrite what has appeared since
+                try:
+                    target.hardlink_to(temporary)
+                except (OSError, NotImplementedError):  # it has, or there are no hard links
+                    refuse_existing(path)
+                    temporary.rename(target)
         finally:
             with contextlib.suppress(OSError, ValueError):
                 temporary.unlink(missing_ok=True)
-    except FileExistsError:
-        raise OutputError(f"{name}: exists already; pass --force to overwrite it") from None
     except FileNotFoundError:
         folder = display(target.parent)
         raise OutputError(f"{name}: cannot be written: there is no folder {folder}") from None
     except (OSError, ValueError) as e:
         reason = (e.strerror if isinstance(e, OSError) else None) or str(e)
         raise OutputError(f"{name}: cannot be written: {reason}") from None
-    _sync_folder(target.parent)
+    with contextlib.suppress(OSError):  # the rename itself, where the file system can flush it
+        fd = os.open(target.parent, os.O_RDONLY)
+        try:
+            os.fsync(fd)
+        finally:
+            os.close(fd)
 
 
 def write_text_atomic(path: PathLike, text: str, *, force: bool = False) -> None:
     """Write `text` as UTF-8, in all else as :func:`write_bytes_atomic`."""
     write_bytes_atomic(path, text.encode("utf-8", "surrogateescape"), force=force)
-
-
-def _name_if_new(temporary: Path, target: Path) -> None:
-    """Give the file its name unless something has that name: rename would overwrite."""
-    try:
-        target.hardlink_to(temporary)
-    except FileExistsError:
-        raise
-    except (OSError, NotImplementedError):  # a file system without hard links
-        refuse_existing(target)
-        temporary.rename(target)
-
-
-def _sync_folder(folder: Path) -> None:
-    """Flush the rename itself; file systems that cannot are not an error."""
-    with contextlib.suppress(OSError):
-        fd = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(fd)
-        finally:
-            os.close(fd)

@@ -46,13 +46,9 @@ _READERS: dict[bytes, tuple[str, type[ImageFile]]] = {
 }
 # Formats that people do try, for the message only.
 _OTHERS = {
-    b"GIF8": "GIF",
-    b"%PDF": "PDF",
-    b"<svg": "SVG",
-    b"<?xm": "XML or SVG",
-    b"PK\x03\x04": "zip",
+    b"GIF8": "GIF", b"%PDF": "PDF", b"<svg": "SVG", b"<?xm": "XML or SVG", b"PK\x03\x04": "zip",
     b"imag": "YAML",
-}
+}  # fmt: skip
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by colour type
 _PNG_END = (0, b"IEND", b"\xaeB`\x82")  # length, name, checksum
 # Adam7: (first column, first row, column step, row step) of each pass.
@@ -70,24 +66,12 @@ _NETPBM_KIND = re.compile(rb"P[1-7Ff](?=[ \t\r\n\v\f#])")
 
 @dataclass(frozen=True)
 class MapImage:
-    """The pixels of an image file, as stored.
+    """The pixels of an image file, as stored."""
 
-    Parameters
-    ----------
-    pixels : (H, W), (H, W, 3) or (H, W, 4) array of uint8 or uint16
-        Top row first; grey, BGR or BGRA.
-    white : int
-        The sample value that means white: 255, 65535, or the maxval of a PGM.
-    kind : str
-        ``png``, ``pgm``, ``tiff``, ``bmp``, ``webp`` or ``jpeg``.
-    lossy : bool
-        Whether compression has altered the pixels.
-    """
-
-    pixels: Pixels
-    white: int
-    kind: str
-    lossy: bool = False
+    pixels: Pixels  #: (H, W), (H, W, 3) or (H, W, 4), top row first; grey, BGR or BGRA
+    white: int  #: the sample value that means white: 255, 65535, or the maxval of a PGM
+    kind: str  #: ``png``, ``pgm``, ``tiff``, ``bmp``, ``webp`` or ``jpeg``
+    lossy: bool = False  #: whether compression has altered the pixels
 
     @property
     def channels(self) -> int:
@@ -98,16 +82,9 @@ class MapImage:
 def read_image(
     path: PathLike, *, max_pixels: int = MAX_PIXELS, allow_lossy: bool = False
 ) -> MapImage:
-    """Read an image file.
-
-    Raises
-    ------
-    MapError
-        Missing, not a regular file, longer than `max_pixels` could need, or refused by
-        :func:`decode_image`, whose parameters these are.
-    """
+    """Read an image file that is no longer than `max_pixels` could need; see `decode_image`."""
     with open_file(path, limit=_longest(max_pixels), error=MapError, what="map image") as (file, _):
-        return _decode(file, display(path), max_pixels, allow_lossy)
+        return decode_image(file, display(path), max_pixels=max_pixels, allow_lossy=allow_lossy)
 
 
 class ImageSize(NamedTuple):
@@ -120,13 +97,7 @@ class ImageSize(NamedTuple):
 
 
 def image_size(path: PathLike, *, max_pixels: int = MAX_PIXELS) -> ImageSize:
-    """Look at the header of an image file, and nothing else of it.
-
-    Raises
-    ------
-    MapError
-        Missing, not a regular file, too large, of an unknown format, or the header is damaged.
-    """
+    """Look at the header of an image file, and nothing else of it; errors as in `read_image`."""
     limit, name = _longest(max_pixels), display(path)
     with open_file(path, limit=limit, error=MapError, what="map image") as (file, length):
         image = _opened(file, name, max_pixels)
@@ -138,16 +109,14 @@ def image_size(path: PathLike, *, max_pixels: int = MAX_PIXELS) -> ImageSize:
 
 
 def decode_image(
-    data: bytes, name: str, *, max_pixels: int = MAX_PIXELS, allow_lossy: bool = False
+    data: bytes | BinaryIO, name: str, *, max_pixels: int = MAX_PIXELS, allow_lossy: bool = False
 ) -> MapImage:
     r"""Decode an image without interpreting it: no luma, no orientation, no rescaling.
 
     Parameters
     ----------
-    data : bytes
-        The whole file.
-    name : str
-        For messages.
+    data : bytes or file
+        The whole of it; `name` is for messages.
     max_pixels : int
         Larger images are refused on the evidence of their header, before decoding.
     allow_lossy : bool
@@ -165,23 +134,34 @@ def decode_image(
     >>> decode_image(b"P2\n2 1\n100\n0 100\n", "x.pgm").white
     100
     """
-    return _decode(io.BytesIO(data), name, max_pixels, allow_lossy)
+    file = io.BytesIO(data) if isinstance(data, bytes) else data
+    image = _opened(file, name, max_pixels)
+    if isinstance(image, _Netpbm):
+        found = MapImage(_netpbm_pixels(file, image, name), image.maxval, "pgm")
+    else:
+        found = _decode_with_pillow(file, image, name)
+    if found.lossy and not allow_lossy:
+        kind = {"jpeg": "a JPEG", "webp": "a lossy WebP"}.get(found.kind, "a TIFF of JPEGs")
+        raise MapError(
+            f"{name}: is {kind}, whose compression alters the greys of walls and unknown space; "
+            "expected a PNG or PGM; export the map again, or pass --allow-lossy"
+        )
+    if found.white > 4095:
+        # A sliver of 16 bits: all of it would be black.
+        top = int(found.pixels[..., :3].max() if found.channels > 1 else found.pixels.max())
+        if 0 < top <= min(4095, found.white // 16):
+            raise MapError(
+                f"{name}: 16-bit image with samples 0..{top} of a declared {found.white:,}: "
+                "all black as stored; expected samples up to the maximum; save it as 8-bit, "
+                "or scale the samples"
+            )
+    return found
 
 
 def encode_png(image: npt.NDArray[np.generic]) -> bytes:
-    r"""Encode a picture as PNG, in memory.
+    r"""Encode a picture, (H, W) or (H, W, 3) uint8, top row first, grey or BGR, as PNG in memory.
 
-    Parameters
-    ----------
-    image : (H, W) or (H, W, 3) uint8 array
-        Top row first; grey or BGR.
-
-    Raises
-    ------
-    ValueError
-        Another shape or type.
-    OutputError
-        OpenCV cannot encode it.
+    ValueError for another shape or type, OutputError if OpenCV cannot.
 
     Examples
     --------
@@ -226,11 +206,11 @@ def _opened(file: BinaryIO, name: str, max_pixels: int) -> ImageFile | _Netpbm:
         with _explained(name, kind):
             image = reader(file)
     else:
-        other = next((kind for magic, kind in _OTHERS.items() if head.startswith(magic)), None)
-        raise MapError(
-            f"{name}: not an image that can be read "
-            f"({'it looks like ' + other if other else 'unknown content'}), expected {_KNOWN}"
+        like = (
+            f"it looks like {kind}" for magic, kind in _OTHERS.items() if head.startswith(magic)
         )
+        what = next(like, "unknown content")
+        raise MapError(f"{name}: not an image that can be read ({what}), expected {_KNOWN}")
     width, height = image.size
     if width * height > max_pixels:
         raise MapError(
@@ -258,30 +238,6 @@ def _explained(name: str, kind: str) -> Iterator[None]:
         ) from None
 
 
-def _decode(file: BinaryIO, name: str, max_pixels: int, allow_lossy: bool) -> MapImage:
-    image = _opened(file, name, max_pixels)
-    if isinstance(image, _Netpbm):
-        found = MapImage(_netpbm_pixels(file, image, name), image.maxval, "pgm")
-    else:
-        found = _decode_with_pillow(file, image, name)
-    if found.lossy and not allow_lossy:
-        kind = {"jpeg": "a JPEG", "webp": "a lossy WebP"}.get(found.kind, "a TIFF of JPEGs")
-        raise MapError(
-            f"{name}: is {kind}, whose compression alters the greys of walls and unknown space; "
-            "expected a PNG or PGM; export the map again, or pass --allow-lossy"
-        )
-    if found.white > 4095:
-        # A sliver of 16 bits: all of it would be black.
-        top = int(found.pixels[..., :3].max() if found.channels > 1 else found.pixels.max())
-        if 0 < top <= min(4095, found.white // 16):
-            raise MapError(
-                f"{name}: 16-bit image with samples 0..{top} of a declared {found.white:,}: "
-                "all black as stored; expected samples up to the maximum; save it as 8-bit, "
-                "or scale the samples"
-            )
-    return found
-
-
 def _decode_with_pillow(file: BinaryIO, image: ImageFile, name: str) -> MapImage:
     kind, size = image.format or "", image.size
     kind = "WebP" if kind == "WEBP" else kind
@@ -298,7 +254,12 @@ def _decode_with_pillow(file: BinaryIO, image: ImageFile, name: str) -> MapImage
             raise MapError(f"{name}: is a compressed BMP, expected a plain one; convert it to PNG")
         elif isinstance(image, TiffImagePlugin.TiffImageFile):
             lossy = image.info.get("compression") in ("jpeg", "tiff_jpeg", "webp")
-            _check_tiff(image, name)
+            if (turned := image.tag_v2.get(_TIFF_ORIENTATION, 1)) != 1:
+                raise MapError(f"{name}: TIFF of orientation {turned}, expected 1: save it upright")
+            if image.mode.startswith("I;16") and image.tag_v2.get(_TIFF_PHOTOMETRIC) == 0:
+                raise MapError(
+                    f"{name}: 16-bit TIFF in which 0 is white, expected black; save it anew"
+                )
         elif kind == "WebP":
             lossy = not _is_lossless_webp(file)
         if kind == "JPEG":
@@ -382,12 +343,9 @@ def _check_png(file: BinaryIO, name: str, size: tuple[int, int]) -> int:
 
 def _png_bytes(size: tuple[int, int], bits: int, interlaced: bool) -> int:
     """Length of the inflated data, with `bits` a pixel: each row has a filter byte in front."""
-    total = 0
-    for x, y, dx, dy in _ADAM7 if interlaced else ((0, 0, 1, 1),):
-        columns, rows = -(-(size[0] - x) // dx), -(-(size[1] - y) // dy)
-        if columns > 0 and rows > 0:
-            total += rows * (1 + -(-columns * bits // 8))
-    return total
+    passes = _ADAM7 if interlaced else ((0, 0, 1, 1),)
+    parts = [(-(-(size[0] - x) // dx), -(-(size[1] - y) // dy)) for x, y, dx, dy in passes]
+    return sum(rows * (1 + -(-columns * bits // 8)) for columns, rows in parts if columns > 0)
 
 
 def _check_jpeg_end(file: BinaryIO, name: str) -> None:
@@ -398,15 +356,6 @@ def _check_jpeg_end(file: BinaryIO, name: str) -> None:
         raise MapError(
             f"{name}: truncated JPEG: no end marker in {len(data):,} bytes; copy the file again"
         )
-
-
-def _check_tiff(image: TiffImagePlugin.TiffImageFile, name: str) -> None:
-    """Refuse a TIFF whose rows are not stored from the top, or whose 16-bit white is 0."""
-    turned = image.tag_v2.get(_TIFF_ORIENTATION, 1)
-    if turned != 1:
-        raise MapError(f"{name}: TIFF of orientation {turned}, expected 1: save it upright")
-    if image.mode.startswith("I;16") and image.tag_v2.get(_TIFF_PHOTOMETRIC) == 0:
-        raise MapError(f"{name}: 16-bit TIFF in which 0 is white, expected black; save it anew")
 
 
 def _is_lossless_webp(file: BinaryIO) -> bool:
@@ -442,11 +391,10 @@ def _netpbm_pixels(file: BinaryIO, header: _Netpbm, name: str) -> Pixels:
     channels = 3 if header.number in (3, 6) else 1
     count = width * height * channels
     file.seek(header.start)
-    samples = (
-        _text_samples(file.read(), count, name)
-        if header.number < 4
-        else _binary_samples(file, count, np.dtype(np.uint8 if maxval < 256 else ">u2"), name)
-    )
+    if header.number < 4:
+        samples = _text_samples(file.read(), count, name)
+    else:
+        samples = _binary_samples(file, count, np.dtype(np.uint8 if maxval < 256 else ">u2"), name)
     if len(samples) != count:
         raise MapError(
             f"{name}: truncated: {len(samples):,} samples, expected {count:,} "
@@ -482,9 +430,9 @@ def _binary_samples(
     file.seek(start)
     # One white-space byte ends the header; a header written with CRLF ends in two, and its
     # line feed would be read as the first pixel and shift the whole image.
-    crlf = file.read(2) == b"\r\n" and length - start >= size + 2
-    file.seek(start + 1 + crlf)
-    body, extra = file.read(size), length - (start + 1 + crlf) - size
+    start += 2 if file.read(2) == b"\r\n" and length - start >= size + 2 else 1
+    file.seek(start)
+    body, extra = file.read(size), length - start - size
     if extra > 0 and file.read(_HEAD).strip():
         raise MapError(
             f"{name}: {extra:,} bytes follow the image, expected its end: the header "

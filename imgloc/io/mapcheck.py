@@ -1,6 +1,5 @@
 """`imgloc map check`: what is in a map, and what is likely to be wrong with it."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Unpack
 
@@ -25,6 +24,30 @@ _MANY_GREYS = 16
 _HUGE_CELLS = 16_000_000
 _MOST = 10  # greys, and parts, that are listed
 _CHECKED = 10  # bytes per pixel, more than loading takes
+_WARNINGS = {
+    "unknown-key": "{keys}: not a key of map_server, ignored (a slip?)",
+    "default-threshold": "the YAML lacks a threshold; occupied_thresh {occupied_thresh} and "
+    "free_thresh {free_thresh} are used",
+    "yaw": "the origin has a yaw of {origin.theta:.4f} rad; it is honoured here, but some "
+    "programs ignore it",
+    "side": "{width:,} x {height:,} cells: Nav2 and imgloc load at most {most:,} a side",
+    "huge": "{millions:.0f} million cells: expect long times and much memory",
+    "coarse": "{resolution:g} m per cell: poses can hardly be finer than that",
+    "lossy": "{lossy} alters greys near walls; export the map as PNG",
+    "transparent": "{clear:,} cells are not opaque: unknown for Nav2 (trinary and scale), "
+    "averaged as a colour by ROS 1 (trinary)",
+    "semantics": "{differ:,} cells differ between Nav2 and ROS 1; check --semantics "
+    "(now {semantics})",
+    "colour": "{tinted:,} cells are coloured; their channels are averaged",
+    "grey-205": "{trap:,} cells of grey 205, map_saver's unknown, count as free because "
+    "free_thresh is {free_thresh:g}; 0.196 keeps them unknown",
+    "no-walls": "no cell is occupied: nothing can be localized",
+    "mostly-occupied": "{occupied:.0%} of the cells are occupied; is negate right?",
+    "no-free": "no cell is free: nothing can be localized",
+    "many-greys": "{levels:,} grey levels; {unclear:,} of {cells:,} cells fall between the "
+    "thresholds (a resampled, smoothed or probabilistic map?)",
+}
+"""What may be found, in the order in which it is told."""
 
 
 class MapWarning(NamedTuple):
@@ -39,56 +62,27 @@ class MapWarning(NamedTuple):
 
 @dataclass(frozen=True)
 class MapReport:
-    """What :func:`check_map` found.
+    """What :func:`check_map` found."""
 
-    Parameters
-    ----------
-    path, image, kind : str
-        The file asked about, the image it leads to, and that image's format.
-    width, height : int
-        Cells.
-    resolution : float
-        Metres per cell.
-    origin : Pose2D
-        With its yaw.
-    mode, semantics : str
-        How the greys were read.
-    negate : bool
-        Whether white is occupied.
-    occupied_thresh, free_thresh : float
-        As used.
-    shares : dict
-        Of all cells: ``occupied``, ``free``, ``unknown``; they sum to 1.
-    free_parts : tuple of float
-        Square metres of the largest parts of the free space between which one cannot go (by
-        cells that share a side), at most ten.
-    greys : tuple of (value, count)
-        The most frequent grey values (mean of the colour channels), at most ten.
-    grey_levels : int
-        How many different values there are.
-    semantics_differ : int
-        Cells that Nav2 and ROS 1 would read differently.
-    warnings : tuple of MapWarning
-        Empty for a map without anything remarkable.
-    """
-
-    path: str
-    image: str
-    kind: str
-    width: int
+    path: str  #: the file asked about
+    image: str  #: the image it leads to
+    kind: str  #: that image's format
+    width: int  #: cells, as `height`
     height: int
-    resolution: float
+    resolution: float  #: metres per cell; this and the next as used, see ``MapSettings``
     origin: Pose2D
     mode: str
     semantics: str
     negate: bool
     occupied_thresh: float
     free_thresh: float
-    shares: dict[str, float]
+    shares: dict[str, float]  #: of all cells: ``occupied``, ``free``, ``unknown``; they sum to 1
+    #: square metres of the ten largest parts of the free space between which one cannot go (by
+    #: cells that share a side)
     free_parts: tuple[float, ...]
-    greys: tuple[tuple[float, int], ...]
-    grey_levels: int
-    semantics_differ: int
+    greys: tuple[tuple[float, int], ...]  #: ten most frequent means of the colours, with counts
+    grey_levels: int  #: how many different means there are
+    semantics_differ: int  #: cells that Nav2 and ROS 1 would read differently
     warnings: tuple[MapWarning, ...]
 
     @property
@@ -105,18 +99,15 @@ class MapReport:
 def check_map(path: PathLike, **reading: Unpack[Reading]) -> MapReport:
     """Look at a map that can be decoded, and report rather than refuse.
 
-    Parameters are those of :func:`imgloc.io.maps.load_map`; lossy images are accepted with a
-    warning.
-
-    Raises
-    ------
-    MapError, ConfigError
-        As :func:`~imgloc.io.maps.load_map`, but not for JPEG or too many cells a side.
+    Parameters and errors are those of :func:`imgloc.io.maps.load_map`; but for lossy images and
+    for too many cells a side, there is only a warning.
     """
     settings = resolve_settings(path, **reading)
     most = reading.get("max_pixels", MAX_PIXELS)
     image = read_image(settings.image, max_pixels=most, allow_lossy=True)
-    differ = _read_differently(image, settings)
+    one, other = (grid_of(image, replace(settings, semantics=s)) for s in ("nav2", "ros1"))
+    differ = int(np.count_nonzero((one.occupied != other.occupied) | (one.free != other.free)))
+    del one, other
     grid = grid_of(image, settings)
     # Alpha aside, row 0 at the bottom as in the grid.
     sums, channels = channel_sum(
@@ -126,30 +117,27 @@ def check_map(path: PathLike, **reading: Unpack[Reading]) -> MapReport:
     levels = np.flatnonzero(histogram)
     order = levels[np.argsort(-histogram[levels], kind="stable")][:_MOST]
     shares = {
-        name: float(np.count_nonzero(cells)) / grid.occupied.size
-        for name, cells in (("occupied", grid.occupied), ("free", grid.free))
+        name: float(np.count_nonzero(getattr(grid, name))) / sums.size
+        for name in ("occupied", "free", "unknown")
     }
+    parts = label(grid.free, connectivity=1)
+    sizes = np.sort(_histogram(parts, int(parts.max()) + 1)[1:])[::-1]
+    del parts
+    as_used = {key: value for key, value in vars(settings).items() if key not in ("image", "yaml")}
     return MapReport(
         path=display(path),
         image=display(settings.image),
         kind=image.kind,
         width=grid.info.width,
         height=grid.info.height,
-        resolution=settings.resolution,
-        origin=settings.origin,
-        mode=settings.mode,
-        semantics=settings.semantics,
-        negate=settings.negate,
-        occupied_thresh=settings.occupied_thresh,
-        free_thresh=settings.free_thresh,
-        shares=shares | {"unknown": float(np.count_nonzero(grid.unknown)) / grid.occupied.size},
-        free_parts=_parts(grid),
+        **as_used,
+        shares=shares,
+        free_parts=tuple(float(size) * grid.resolution**2 for size in sizes[:_MOST]),
         greys=tuple((round(int(i) / channels, 2), int(histogram[i])) for i in order),
         grey_levels=len(levels),
         semantics_differ=differ,
-        warnings=(
-            *_about_settings(settings, image, grid, differ),
-            *_about_greys(settings, image, sums, grid, len(levels)),
+        warnings=_warnings(
+            settings, image, sums, grid, shares, {"differ": differ, "levels": len(levels)}
         ),
     )
 
@@ -159,119 +147,58 @@ def check_bytes(size: ImageSize) -> int:
     return load_bytes(size) + _CHECKED * size.width * size.height
 
 
-def _read_differently(image: MapImage, settings: MapSettings) -> int:
-    """Count the cells of which Nav2 and ROS 1 would make something else."""
-    one, other = (grid_of(image, replace(settings, semantics=s)) for s in ("nav2", "ros1"))
-    return int(np.count_nonzero((one.occupied != other.occupied) | (one.free != other.free)))
-
-
 def _histogram(sums: npt.NDArray[Any], size: int) -> npt.NDArray[np.intp]:
     # By blocks: bincount makes an eight-byte copy of what it counts.
     blocks = np.array_split(sums, 1 + sums.size // 4_000_000)
     return np.asarray(np.sum([np.bincount(b.ravel(), minlength=size) for b in blocks], axis=0))
 
 
-def _parts(grid: OccupancyGrid) -> tuple[float, ...]:
-    """Areas of the parts of the free space, square metres, largest first."""
-    parts = label(grid.free, connectivity=1)
-    sizes = np.sort(_histogram(parts, int(parts.max()) + 1)[1:])[::-1]
-    return tuple(float(size) * grid.resolution**2 for size in sizes[:_MOST])
-
-
-def _about_settings(
-    settings: MapSettings, image: MapImage, grid: OccupancyGrid, differ: int
-) -> Iterator[MapWarning]:
-    """Findings about the file, its size, frame and reading; `differ` cells depend on it."""
-    height, width = grid.occupied.shape
-    said = settings.yaml
-    if said is not None and said.unknown_keys:
-        yield MapWarning(
-            "unknown-key",
-            f"{', '.join(said.unknown_keys)}: not a key of map_server, ignored (a slip?)",
-        )
-    if said is not None and (said.occupied_thresh is None or said.free_thresh is None):
-        yield MapWarning(
-            "default-threshold",
-            f"the YAML lacks a threshold; occupied_thresh {settings.occupied_thresh} and "
-            f"free_thresh {settings.free_thresh} are used",
-        )
-    if settings.origin.theta:
-        yield MapWarning(
-            "yaw",
-            f"the origin has a yaw of {settings.origin.theta:.4f} rad; it is honoured here, "
-            "but some programs ignore it",
-        )
-    if max(height, width) > MAX_SIDE:
-        yield MapWarning(
-            "side",
-            f"{width:,} x {height:,} cells: Nav2 and imgloc load at most {MAX_SIDE:,} a side",
-        )
-    if height * width > _HUGE_CELLS:
-        yield MapWarning(
-            "huge", f"{height * width / 1e6:.0f} million cells: expect long times and much memory"
-        )
-    if settings.resolution > 0.25:
-        yield MapWarning(
-            "coarse", f"{settings.resolution:g} m per cell: poses can hardly be finer than that"
-        )
-    if image.lossy:
-        kind = {"jpeg": "JPEG", "webp": "lossy WebP"}.get(image.kind, "JPEG in a TIFF")
-        yield MapWarning("lossy", f"{kind} alters greys near walls; export the map as PNG")
-    if image.channels == 4:
-        clear = int(np.count_nonzero(image.pixels[:, :, 3] < image.white))
-        if clear:
-            yield MapWarning(
-                "transparent",
-                f"{clear:,} cells are not opaque: unknown for Nav2 (trinary and scale), averaged "
-                "as a colour by ROS 1 (trinary)",
-            )
-    if differ:
-        yield MapWarning(
-            "semantics",
-            f"{differ:,} cells differ between Nav2 and ROS 1; check --semantics "
-            f"(now {settings.semantics})",
-        )
-
-
-def _about_greys(
+def _warnings(
     settings: MapSettings,
     image: MapImage,
     sums: npt.NDArray[Any],
     grid: OccupancyGrid,
-    levels: int,
-) -> Iterator[MapWarning]:
-    """Findings about the greys (`sums` of channels, of which `levels` differ) and the classes."""
+    shares: dict[str, float],
+    counts: dict[str, int],
+) -> tuple[MapWarning, ...]:
+    """Findings about the file, its frame and reading, and the greys (`sums` of channels)."""
+    height, width = grid.occupied.shape
+    said, clear, trap, tinted = settings.yaml, 0, 0, 0
+    unknown_keys = said.unknown_keys if said else ()
+    if image.channels == 4:
+        clear = int(np.count_nonzero(image.pixels[:, :, 3] < image.white))
     if image.channels > 1:
         colours = image.pixels[:, :, :3]
         tinted = int(np.count_nonzero(colours.max(axis=2) != colours.min(axis=2)))
-        if tinted:
-            yield MapWarning(
-                "colour", f"{tinted:,} cells are coloured; their channels are averaged"
-            )
     if settings.mode != "raw":
         # map_saver writes unknown as 205: occ = 0.196, just above its own free_thresh.
         full = image.white * min(image.channels, 3)
         is_205 = np.round(np.arange(full + 1) * (255 / full)) == 205
         trap = int(np.count_nonzero(is_205[sums] & grid.free))
-        if trap:
-            yield MapWarning(
-                "grey-205",
-                f"{trap:,} cells of grey 205, map_saver's unknown, count as free because "
-                f"free_thresh is {settings.free_thresh:g}; 0.196 keeps them unknown",
-            )
-    if not grid.occupied.any():
-        yield MapWarning("no-walls", "no cell is occupied: nothing can be localized")
-    elif float(grid.occupied.mean()) > 0.5:
-        yield MapWarning(
-            "mostly-occupied",
-            f"{grid.occupied.mean():.0%} of the cells are occupied; is negate right?",
-        )
-    if not grid.free.any():
-        yield MapWarning("no-free", "no cell is free: nothing can be localized")
-    if levels > _MANY_GREYS and settings.mode == "trinary":
-        unclear = int(np.count_nonzero(grid.unknown))
-        yield MapWarning(
-            "many-greys",
-            f"{levels:,} grey levels; {unclear:,} of {grid.occupied.size:,} cells fall between "
-            "the thresholds (a resampled, smoothed or probabilistic map?)",
-        )
+    found = {
+        "unknown-key": unknown_keys,
+        "default-threshold": said and None in (said.occupied_thresh, said.free_thresh),
+        "yaw": settings.origin.theta,
+        "side": max(height, width) > MAX_SIDE,
+        "huge": sums.size > _HUGE_CELLS,
+        "coarse": settings.resolution > 0.25,
+        "lossy": image.lossy,
+        "transparent": clear,
+        "semantics": counts["differ"],
+        "colour": tinted,
+        "grey-205": trap,
+        "no-walls": not shares["occupied"],
+        "mostly-occupied": shares["occupied"] > 0.5,
+        "no-free": not shares["free"],
+        "many-greys": counts["levels"] > _MANY_GREYS and settings.mode == "trinary",
+    }
+    values = {
+        **vars(settings), **counts, **shares, "height": height, "width": width, "most": MAX_SIDE,
+        "keys": ", ".join(unknown_keys), "clear": clear, "tinted": tinted, "trap": trap,
+        "cells": sums.size, "millions": sums.size / 1e6,
+        "lossy": {"jpeg": "JPEG", "webp": "lossy WebP"}.get(image.kind, "JPEG in a TIFF"),
+        "unclear": int(np.count_nonzero(grid.unknown)),
+    }  # fmt: skip
+    return tuple(
+        MapWarning(code, text.format_map(values)) for code, text in _WARNINGS.items() if found[code]
+    )

@@ -5,6 +5,7 @@ counts the cells that they read differently.
 """
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -19,8 +20,8 @@ from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import (
     PathLike,
     display,
+    open_regular,
     refuse_existing,
-    refuse_irregular,
     write_bytes_atomic,
     write_text_atomic,
 )
@@ -32,6 +33,10 @@ MAX_SIDE = 32_767
 """Cells a side: the limit of Nav2 (map_io) and of ``cv2.remap``."""
 SEMANTICS = ("nav2", "ros1")
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
+_DEFAULTS: dict[str, Any] = {
+    "mode": "trinary", "semantics": "nav2", "negate": False,
+    "occupied_thresh": OCCUPIED_THRESH, "free_thresh": FREE_THRESH,
+}  # fmt: skip
 YAML_ENDINGS = (".yaml", ".yml")
 UNKNOWN = -1
 Int8Array = npt.NDArray[np.int8]
@@ -42,7 +47,7 @@ _GREY, _COLOURED, _TEXT, _TABLES = 7, 26, 4, 6 << 20
 
 
 class Reading(TypedDict, total=False):
-    """How a map is to be read: options of :func:`load_map`, which documents them."""
+    """How a map is to be read: parameters of :func:`load_map`, which documents them."""
 
     resolution: float | None
     origin: Pose2D | Sequence[float] | None
@@ -56,10 +61,7 @@ class Reading(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class MapSettings:
-    """How an image is to be read as a map: its YAML, overridden by options, with defaults.
-
-    `yaml` is None for a bare image.
-    """
+    """How an image is to be read as a map: its YAML, overridden by options, with defaults."""
 
     image: Path
     resolution: float
@@ -69,21 +71,11 @@ class MapSettings:
     negate: bool
     occupied_thresh: float
     free_thresh: float
-    yaml: MapYaml | None = None
+    yaml: MapYaml | None = None  #: None for a bare image
 
 
 def load_map(
-    path: PathLike,
-    *,
-    resolution: float | None = None,
-    origin: Pose2D | Sequence[float] | None = None,
-    mode: str | None = None,
-    semantics: str = "nav2",
-    occupied_thresh: float | None = None,
-    free_thresh: float | None = None,
-    negate: bool | None = None,
-    max_pixels: int = MAX_PIXELS,
-    allow_lossy: bool = False,
+    path: PathLike, *, allow_lossy: bool = False, **reading: Unpack[Reading]
 ) -> OccupancyGrid:
     """Load a map.
 
@@ -95,6 +87,8 @@ def load_map(
     path : path
         A map_server YAML (the image is found relative to it), or an image; then
         `resolution` is needed, as it is never guessed.
+    allow_lossy : bool
+        Accept JPEG and lossy WebP.
     resolution : float, optional
         Metres per cell, 0.001 to 10; overrides the YAML, as do the next ones.
     origin : Pose2D or (x, y, yaw), optional
@@ -102,15 +96,13 @@ def load_map(
     mode : {'trinary', 'scale', 'raw'}, optional
         Default trinary; see :func:`occupancy`.
     semantics : {'nav2', 'ros1'}
-        Whose reading of thresholds and transparency.
+        Whose reading of thresholds and transparency; default nav2.
     occupied_thresh, free_thresh : float, optional
         Occupancies, ``0 <= free_thresh < occupied_thresh <= 1``; default 0.65 and 0.196.
     negate : bool, optional
         White is occupied; default False.
     max_pixels : int
-        Larger images are refused before they are decoded.
-    allow_lossy : bool
-        Accept JPEG and lossy WebP.
+        Larger images are refused before they are decoded; default 128,000,000.
 
     Returns
     -------
@@ -124,18 +116,9 @@ def load_map(
     ConfigError
         An argument is out of its range.
     """
-    settings = resolve_settings(
-        path,
-        resolution=resolution,
-        origin=origin,
-        mode=mode,
-        semantics=semantics,
-        occupied_thresh=occupied_thresh,
-        free_thresh=free_thresh,
-        negate=negate,
-        max_pixels=max_pixels,
-    )
-    image = read_image(settings.image, max_pixels=max_pixels, allow_lossy=allow_lossy)
+    settings = resolve_settings(path, **reading)
+    most = reading.get("max_pixels", MAX_PIXELS)
+    image = read_image(settings.image, max_pixels=most, allow_lossy=allow_lossy)
     height, width = image.pixels.shape[:2]
     if max(height, width) > MAX_SIDE:
         raise MapError(
@@ -146,12 +129,7 @@ def load_map(
 
 
 def load_bytes(size: ImageSize) -> int:
-    """Peak of :func:`load_map`, with the map itself, bytes.
-
-    Parameters
-    ----------
-    size : ImageSize
-        Of :func:`~imgloc.io.images.image_size`.
+    """Peak of :func:`load_map`, with the map itself, bytes; see :func:`~.images.image_size`.
 
     Examples
     --------
@@ -163,13 +141,7 @@ def load_bytes(size: ImageSize) -> int:
 
 
 def require_usable(grid: OccupancyGrid, name: str) -> None:
-    """Refuse a map in which nothing can be localized.
-
-    Raises
-    ------
-    MapError
-        If `grid` has no occupied or no free cell.
-    """
+    """Raise MapError if `grid` has no occupied or no free cell: nothing can be localized."""
     for what, found in (("occupied", grid.occupied.any()), ("free", grid.free.any())):
         if not found:
             raise MapError(
@@ -199,49 +171,35 @@ def save_map(path_yaml: PathLike, grid: OccupancyGrid, *, force: bool = False) -
 
     Raises
     ------
-    OutputError
-        A file exists, or cannot be written.
-    ConfigError
-        `path_yaml` is not named as a YAML.
+    ConfigError, OutputError
+        `path_yaml` is not named as a YAML; a file exists, or cannot be written.
     """
     target = Path(path_yaml)
     if target.suffix.lower() not in YAML_ENDINGS:
         raise ConfigError(f"{display(path_yaml)}: expected a name that ends in .yaml")
     png = target.with_suffix(".png")
-    if not force:
-        refuse_existing(target)
-        refuse_existing(png)
+    for file in () if force else (target, png):
+        refuse_existing(file)
     pixels = np.full(grid.occupied.shape, 205, np.uint8)
     pixels[grid.free] = 254
     pixels[grid.occupied] = 0
-    text = yaml.safe_dump(
-        {
-            "image": png.name,
-            "resolution": float(grid.resolution),
-            "origin": [grid.origin.x, grid.origin.y, grid.origin.theta],
-            "negate": 0,
-            "occupied_thresh": OCCUPIED_THRESH,
-            "free_thresh": FREE_THRESH,
-            "mode": "trinary",
-        },
-        sort_keys=False,
-        allow_unicode=True,
-    )
+    said = {
+        "image": png.name,
+        "resolution": float(grid.resolution),
+        "origin": [grid.origin.x, grid.origin.y, grid.origin.theta],
+        "negate": 0,
+        "occupied_thresh": OCCUPIED_THRESH,
+        "free_thresh": FREE_THRESH,
+        "mode": "trinary",
+    }
+    text = yaml.safe_dump(said, sort_keys=False, allow_unicode=True)
     write_bytes_atomic(png, encode_png(pixels[::-1]), force=force)
     write_text_atomic(target, text, force=force)
     return png
 
 
 def bundled_maps() -> Path:
-    """Folder of the maps that come with imgloc.
-
-    An installed wheel holds them in ``imgloc/maps``; a checkout, and an editable install of
-    it, in ``maps`` beside the package.
-
-    Raises
-    ------
-    MapError
-        If the installation lacks them.
+    """Folder of the maps that come with imgloc; MapError if the installation lacks them.
 
     Examples
     --------
@@ -249,40 +207,35 @@ def bundled_maps() -> Path:
     True
     """
     package = Path(str(files("imgloc")))
-    for folder in (package / "maps", package.parent / "maps"):
+    for folder in (package / "maps", package.parent / "maps"):  # of a wheel, of a checkout
         if (folder / "double_wall.yaml").is_file():
             return folder
     raise MapError(f"{package / 'maps'}: the bundled maps are missing; reinstall imgloc")
 
 
 def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
-    """Combine a map's YAML, if `path` is one, with options (which win) and defaults.
-
-    Raises
-    ------
-    MapError, ConfigError
-        As :func:`load_map`, of which `reading` are options.
-    """
+    """Combine a map's YAML, if `path` is one, with options of `load_map` (which win), defaults."""
+    if strange := reading.keys() - Reading.__annotations__.keys():
+        raise TypeError(f"unexpected arguments: {', '.join(sorted(strange))}")
     given: dict[str, Any] = {key: value for key, value in reading.items() if value is not None}
     _check_options(given)
     name, file = display(path), Path(path)
     said = load_map_yaml(path) if file.suffix.lower() in YAML_ENDINGS else None
     if said is None:
-        refuse_irregular(path, error=MapError, what="map YAML or image")
+        os.close(open_regular(path, MapError, "map YAML or image"))
         if "resolution" not in given:
-            raise MapError(f"{name}: resolution: missing{_resolution_hint(file)}")
+            hint = ", expected metres per cell; pass --resolution, or the map's YAML"
+            for beside in map(file.with_suffix, reversed(YAML_ENDINGS)):
+                if beside.is_file():
+                    hint = f"; give {display(beside)} instead of the image, or pass --resolution"
+            raise MapError(f"{name}: resolution: missing{hint}")
     written = said or MapYaml(file, file, origin=Pose2D(0.0, 0.0, 0.0))
-
-    def value(key: str, default: Any) -> Any:
-        read = getattr(written, key)
-        return given.get(key, default if read is None else read)
-
-    origin = value("origin", None)
-    if value("resolution", None) is None:
+    used = _DEFAULTS | {k: v for k, v in vars(written).items() if v is not None} | given
+    if "resolution" not in used:
         raise MapError(f"{name}: resolution: missing, expected metres per cell, as 0.05")
-    if origin is None:
+    if "origin" not in used:
         raise MapError(f"{name}: origin: missing, expected [x, y, yaw] in metres and radians")
-    low, high = value("free_thresh", FREE_THRESH), value("occupied_thresh", OCCUPIED_THRESH)
+    low, high, origin = used["free_thresh"], used["occupied_thresh"], used["origin"]
     if not 0 <= low < high <= 1:
         raise (ConfigError if given.keys() & {"free_thresh", "occupied_thresh"} else MapError)(
             f"{name}: free_thresh {low} and occupied_thresh {high}, expected "
@@ -290,14 +243,10 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
         )
     return MapSettings(
         image=written.image,
-        resolution=float(value("resolution", None)),
+        resolution=float(used["resolution"]),
         origin=origin if isinstance(origin, Pose2D) else Pose2D(*map(float, origin)),
-        mode=value("mode", "trinary"),
-        semantics=given.get("semantics", "nav2"),
-        negate=value("negate", False),
-        occupied_thresh=high,
-        free_thresh=low,
         yaml=said,
+        **{key: used[key] for key in _DEFAULTS},
     )
 
 
@@ -318,13 +267,6 @@ def _check_options(given: dict[str, Any]) -> None:
             raise ConfigError(f"--origin: got {numbers}, expected x, y, yaw in metres and radians")
 
 
-def _resolution_hint(path: Path) -> str:
-    beside = [path.with_suffix(e) for e in YAML_ENDINGS if path.with_suffix(e).is_file()]
-    if beside:
-        return f"; give {display(beside[0])} instead of the image, or pass --resolution"
-    return ", expected metres per cell; pass --resolution, or the map's YAML"
-
-
 def grid_of(image: MapImage, settings: MapSettings) -> OccupancyGrid:
     """Read the pixels of `image` as `settings` says; see :func:`load_map`."""
     values = np.ascontiguousarray(occupancy(image, settings)[::-1])
@@ -339,7 +281,7 @@ def grid_of(image: MapImage, settings: MapSettings) -> OccupancyGrid:
 
 
 def occupancy(image: MapImage, settings: MapSettings) -> Int8Array:
-    r"""Occupancy of every pixel, as map_server would publish it.
+    r"""Occupancy of every pixel, as map_server would publish it: 0 free, 100 occupied, -1 unknown.
 
     With ``occ = (white - mean of the channels) / white`` (its complement under `negate`):
 
@@ -357,17 +299,6 @@ def occupancy(image: MapImage, settings: MapSettings) -> Int8Array:
     Colours are averaged, not weighed as luma: a pure green wall (0, 255, 0) is as dark as
     ``85`` for ROS and occupied, where luma would make it unknown.
 
-    Parameters
-    ----------
-    image : MapImage
-        Top row first.
-    settings : MapSettings
-
-    Returns
-    -------
-    values : (H, W) int8 array
-        Top row first; 0 free, 100 occupied, -1 unknown.
-
     Examples
     --------
     >>> image = MapImage(np.array([[0, 205, 254]], np.uint8), 255, "png")
@@ -376,7 +307,7 @@ def occupancy(image: MapImage, settings: MapSettings) -> Int8Array:
     [[100, -1, 0]]
     """
     pixels, white, mode = image.pixels, image.white, settings.mode
-    ros1 = settings.semantics == "ros1"
+    low, high, ros1 = settings.free_thresh, settings.occupied_thresh, settings.semantics == "ros1"
     averaged: npt.NDArray[Any] = pixels
     if image.channels == 4 and not (ros1 and mode == "trinary"):
         averaged = pixels[:, :, :3]
@@ -389,7 +320,13 @@ def occupancy(image: MapImage, settings: MapSettings) -> Int8Array:
         table = np.where(stored <= 100, stored, UNKNOWN).astype(np.int8)
     else:
         occ = levels / full if settings.negate else (full - levels) / full
-        table = _thresholded(occ, settings)
+        table = np.full(occ.shape, UNKNOWN, np.int8)
+        if mode == "scale":
+            r = np.clip((occ - low) / (high - low), 0.0, 1.0)
+            # ROS 1 stores the double in a signed byte: truncation.
+            table[:] = 1 + 98 * r if ros1 else np.round(100 * r)
+        table[occ > high if ros1 else occ >= high] = 100
+        table[occ < low if ros1 else occ <= low] = 0
     values: Int8Array = table[sums]
     if image.channels == 4 and mode != "raw":
         alpha = pixels[:, :, 3]
@@ -406,16 +343,3 @@ def channel_sum(pixels: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], int]:
         return pixels, 1
     wide = np.uint32 if pixels.dtype == np.uint16 else np.uint16
     return pixels.sum(axis=2, dtype=wide), int(pixels.shape[2])
-
-
-def _thresholded(occ: npt.NDArray[np.float64], settings: MapSettings) -> Int8Array:
-    """Value of each occupancy in 0..1, trinary or scale."""
-    low, high, ros1 = settings.free_thresh, settings.occupied_thresh, settings.semantics == "ros1"
-    table = np.full(occ.shape, UNKNOWN, np.int8)
-    if settings.mode == "scale":
-        r = np.clip((occ - low) / (high - low), 0.0, 1.0)
-        # ROS 1 stores the double in a signed byte: truncation.
-        table[:] = 1 + 98 * r if ros1 else np.round(100 * r)
-    table[occ > high if ros1 else occ >= high] = 100
-    table[occ < low if ros1 else occ <= low] = 0
-    return table

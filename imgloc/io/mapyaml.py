@@ -2,9 +2,10 @@
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import yaml
 
@@ -15,56 +16,68 @@ from imgloc.model import Pose2D
 MAX_YAML_BYTES = 65_536
 MODES = ("trinary", "scale", "raw")
 RESOLUTION_RANGE = (0.001, 10.0)
-_KEYS = ("image", "resolution", "origin", "mode", "negate", "occupied_thresh", "free_thresh")
 # YAML 1.1, hence PyYAML, takes `5e-2` and `-.5` for strings.
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _COMMA = re.compile(r"[-+]?\d*,\d+")
 
 
+def _number(value: Any) -> float:
+    """Return a YAML scalar as a float, NaN if it is none."""
+    if isinstance(value, str) and _NUMBER.fullmatch(value.strip()):
+        return float(value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return math.nan
+    return float(value) if abs(value) < 1e300 else math.inf
+
+
+def _number_in(value: Any, low: float, high: float) -> float | None:
+    return number if low <= (number := _number(value)) <= high else None
+
+
+def _triple(value: Any) -> list[float] | None:
+    numbers = [_number(v) for v in value] if isinstance(value, list) else []
+    return numbers if len(numbers) == 3 and all(abs(n) < 1e9 for n in numbers) else None
+
+
+def _path(value: Any) -> str | None:
+    return value if isinstance(value, str) and value.strip() and "\0" not in value else None
+
+
+def _pose(value: list[float]) -> Pose2D | None:
+    return Pose2D(*value) if abs(value[2]) <= 2 * math.pi + 1e-6 else None
+
+
+_CHECKS: tuple[tuple[str, Callable[[Any], Any], str], ...] = (
+    ("image", _path, "the path of the image"),
+    ("mode", lambda v: m if (m := str(v).lower()) in MODES else None, "trinary, scale or raw"),
+    ("negate", lambda v: bool(v) if v in (0, 1) else None, "0 or 1"),
+    ("resolution", lambda v: _number_in(v, *RESOLUTION_RANGE), "metres per cell, 0.001 to 10"),
+    ("origin", _triple, "[x, y, yaw] in metres and radians"),
+    ("origin", _pose, "a yaw in radians, -6.2832 to 6.2832"),
+    ("occupied_thresh", lambda v: _number_in(v, 0, 1), "an occupancy from 0 to 1"),
+    ("free_thresh", lambda v: _number_in(v, 0, 1), "an occupancy from 0 to 1"),
+)
+"""Keys of the YAML: what makes a value of them, or None of a wrong one, and what is expected."""
+_KEYS = frozenset(key for key, _, _ in _CHECKS)
+
+
 @dataclass(frozen=True)
 class MapYaml:
-    """What a map's YAML says; None where it says nothing.
-
-    Parameters
-    ----------
-    path, image : Path
-        The YAML, and the image it names (relative to the YAML's folder).
-    resolution : float or None
-        Metres per cell.
-    origin : Pose2D or None
-        Pose of the lower-left corner of the lower-left pixel in the map frame.
-    mode : str or None
-        ``trinary``, ``scale`` or ``raw``.
-    negate : bool or None
-        Whether white is occupied.
-    occupied_thresh, free_thresh : float or None
-        Occupancies, 0..1.
-    unknown_keys : tuple of str
-        Keys that mean nothing here; often a slip of the pen.
-    """
+    """What a map's YAML says; None where it says nothing."""
 
     path: Path
-    image: Path
-    resolution: float | None = None
-    origin: Pose2D | None = None
-    mode: str | None = None
-    negate: bool | None = None
-    occupied_thresh: float | None = None
+    image: Path  #: relative to the YAML's folder
+    resolution: float | None = None  #: metres per cell
+    origin: Pose2D | None = None  #: of the lower-left corner of the lower-left pixel, map frame
+    mode: str | None = None  #: ``trinary``, ``scale`` or ``raw``
+    negate: bool | None = None  #: whether white is occupied
+    occupied_thresh: float | None = None  #: an occupancy, 0..1, as the next
     free_thresh: float | None = None
-    unknown_keys: tuple[str, ...] = ()
+    unknown_keys: tuple[str, ...] = ()  #: mean nothing here; often a slip of the pen
 
 
 def load_map_yaml(path: PathLike) -> MapYaml:
-    """Read a map's YAML.
-
-    At most 64 KB of plain YAML: aliases, tags, duplicate keys, several documents and deep
-    nesting are refused, as no map needs them.
-
-    Raises
-    ------
-    MapError
-        Naming the file, the key, the value, and what was expected.
-    """
+    """Read a map's YAML, of at most 64 KB; in all else as :func:`parse_map_yaml`."""
     data = read_file(path, limit=MAX_YAML_BYTES, error=MapError, what="map YAML")
     return parse_map_yaml(data, Path(path))
 
@@ -72,10 +85,13 @@ def load_map_yaml(path: PathLike) -> MapYaml:
 def parse_map_yaml(data: bytes, path: Path) -> MapYaml:
     r"""Parse the text of a map's YAML; `path` names it and anchors the image's path.
 
+    Aliases, tags, duplicate keys, several documents and deep nesting are refused, as no map
+    needs them.
+
     Raises
     ------
     MapError
-        As :func:`load_map_yaml`.
+        Naming the file, the key, the value, and what was expected.
 
     Examples
     --------
@@ -86,29 +102,20 @@ def parse_map_yaml(data: bytes, path: Path) -> MapYaml:
     """
     name = display(path)
     values = _plain_mapping(data, name)
-    image = values.get("image")
-    if not isinstance(image, str) or not image.strip() or "\0" in image:
-        _fail(name, "image", values, "the path of the image")
-    mode = values.get("mode")
-    if mode is not None:
-        mode = mode.lower() if isinstance(mode, str) else None
-        if mode not in MODES:
-            _fail(name, "mode", values, "trinary, scale or raw")
-    negate = values.get("negate")
-    if negate not in (None, 0, 1, False, True):
-        _fail(name, "negate", values, "0 or 1")
-    origin = values.get("origin")
-    return MapYaml(
-        path,
-        path.parent / image,
-        _number_in(name, "resolution", values, RESOLUTION_RANGE, "metres per cell, 0.001 to 10"),
-        None if origin is None else _origin(name, values),
-        mode,
-        None if negate is None else bool(negate),
-        _number_in(name, "occupied_thresh", values, (0, 1), "an occupancy from 0 to 1"),
-        _number_in(name, "free_thresh", values, (0, 1), "an occupancy from 0 to 1"),
-        tuple(str(k) for k in values if k not in _KEYS),
-    )
+    said: dict[str, Any] = {key: values.get(key) for key in _KEYS}
+    for key, convert, expected in _CHECKS:
+        if said[key] is None and key != "image":
+            continue
+        said[key] = convert(said[key])
+        if said[key] is None:
+            if key not in values:
+                raise MapError(f"{name}: {key}: missing, expected {expected}")
+            shown = repr(values[key])
+            shown = shown if len(shown) <= 60 else shown[:57] + "..."
+            hint = "; write a decimal point, not a comma" if _COMMA.search(shown) else ""
+            raise MapError(f"{name}: {key}: got {shown}, expected {expected}{hint}")
+    unknown = tuple(str(key) for key in values if key not in _KEYS)
+    return MapYaml(path, path.parent / said.pop("image"), unknown_keys=unknown, **said)
 
 
 def _plain_mapping(data: bytes, name: str) -> dict[Any, Any]:
@@ -154,43 +161,3 @@ def _refuse_cleverness(text: str, name: str) -> None:
             raise MapError(f"{name}: line {line}: {found}, expected plain values")
         if documents > 1:
             raise MapError(f"{name}: line {line}: a second document, expected one map")
-
-
-def _fail(name: str, key: str, values: dict[Any, Any], expected: str) -> NoReturn:
-    if key not in values:
-        raise MapError(f"{name}: {key}: missing, expected {expected}")
-    shown = repr(values[key])
-    shown = shown if len(shown) <= 60 else shown[:57] + "..."
-    hint = "; write a decimal point, not a comma" if _COMMA.search(shown) else ""
-    raise MapError(f"{name}: {key}: got {shown}, expected {expected}{hint}")
-
-
-def _number(value: Any) -> float:
-    """Return a YAML scalar as a float, NaN if it is none."""
-    if isinstance(value, str) and _NUMBER.fullmatch(value.strip()):
-        return float(value)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return math.nan
-    return float(value) if abs(value) < 1e300 else math.inf
-
-
-def _number_in(
-    name: str, key: str, values: dict[Any, Any], limits: tuple[float, float], expected: str
-) -> float | None:
-    """The number of a key, within limits; None if there is none."""
-    if values.get(key) is None:
-        return None
-    value = _number(values[key])
-    if not limits[0] <= value <= limits[1]:
-        _fail(name, key, values, expected)
-    return value
-
-
-def _origin(name: str, values: dict[Any, Any]) -> Pose2D:
-    value = values["origin"]
-    numbers = [_number(v) for v in value] if isinstance(value, list) else []
-    if len(numbers) != 3 or not all(abs(n) < 1e9 for n in numbers):
-        _fail(name, "origin", values, "[x, y, yaw] in metres and radians")
-    if abs(numbers[2]) > 2 * math.pi + 1e-6:
-        _fail(name, "origin", values, "a yaw in radians, -6.2832 to 6.2832")
-    return Pose2D(*numbers)

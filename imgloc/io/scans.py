@@ -17,22 +17,10 @@ import numpy as np
 
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.files import PathLike, display, open_file, read_file, write_bytes_atomic
-from imgloc.io.scanset import (
-    MAX_READINGS,
-    ScanSet,
-    ScansSize,
-    check_angles,
-    check_finite,
-    check_limits,
-    numbers,
-)
+from imgloc.io.scanset import KEYS, MAX_READINGS, ScanSet, ScansSize, numbers, scan_set
 from imgloc.io.textscans import read_csv, read_jsonl, text_size
-from imgloc.model import FloatArray, LaserScan
+from imgloc.model import FloatArray
 
-_SPACING = ("angle_min", "angle_increment")
-_LIMITS = (("range_min", 0.0), ("range_max", math.inf))
-_BESIDE = ("poses", "stamps", "odom")
-_KEYS = ("ranges", "angles", "range_min", "range_max", *_SPACING, *_BESIDE)
 _MAX_BYTES = 16 * MAX_READINGS
 
 
@@ -61,13 +49,7 @@ def load_scans(path: PathLike) -> ScanSet:
 
 
 def scans_size(path: PathLike) -> ScansSize:
-    """How much :func:`load_scans` would load, at most; nothing of it is kept in memory.
-
-    Raises
-    ------
-    ScanError
-        As :func:`load_scans`, but for what only the numbers show.
-    """
+    """How much :func:`load_scans` would load, at most; errors are those that headers show."""
     return _npz_size(path) if _reader(path) is read_npz else text_size(path)
 
 
@@ -77,7 +59,8 @@ def save_scans(path: PathLike, scans: ScanSet, *, force: bool = False) -> None:
     Raises
     ------
     ConfigError
-        `path` does not end in ``.npz``, or the scans differ in their number of readings.
+        `path` does not end in ``.npz``, there are no scans, or they differ in their number of
+        readings.
     OutputError
         The file exists (without `force`) or cannot be written.
     """
@@ -92,27 +75,15 @@ def read_npz(path: PathLike) -> ScanSet:
     Keys: ``ranges`` (N, B) or (B,); ``angles`` (B,) or (N, B), or else ``angle_min`` and
     ``angle_increment``; optionally ``range_min`` (default 0) and ``range_max`` (default
     infinite), one number or (N,); ``poses`` (N, 3), ``stamps`` (N,), ``odom`` (N, 3). Other
-    keys are not read.
-
-    Raises
-    ------
-    ScanError
-        Damaged archive, missing key, pickled or non-numeric array, more than MAX_READINGS,
-        shapes that do not agree, angles that are not finite radians.
+    keys are not read. Arrays of objects are refused, as are more than MAX_READINGS.
     """
     name = display(path)
     data = read_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file")
-    return _scan_set(_members(data, name), name)
+    return scan_set(_members(data, name), name)
 
 
 def write_npz(scans: ScanSet) -> bytes:
-    """Return the bytes of an NPZ that :func:`read_npz` reads back.
-
-    Raises
-    ------
-    ConfigError
-        If there are no scans, or they differ in their number of readings.
-    """
+    """Return the bytes of an NPZ that :func:`read_npz` reads back; see :func:`save_scans`."""
     lengths = {len(scan.ranges) for scan in scans.scans}
     if len(lengths) != 1:
         raise ConfigError(f"scans of {sorted(lengths)} readings cannot be one array in an NPZ")
@@ -120,7 +91,7 @@ def write_npz(scans: ScanSet) -> bytes:
     for key in ("angles", "range_min", "range_max"):
         values = np.stack([getattr(scan, key) for scan in scans.scans])
         arrays[key] = values[0] if (values == values[0]).all() else values
-    beside = {key: getattr(scans, key) for key in _BESIDE}
+    beside = {"poses": scans.poses, "stamps": scans.stamps, "odom": scans.odom}
     arrays |= {key: value for key, value in beside.items() if value is not None}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)  # all members are stamped 1980
@@ -128,22 +99,19 @@ def write_npz(scans: ScanSet) -> bytes:
 
 
 _READERS: dict[str, Callable[[PathLike], ScanSet]] = {
-    ".npz": read_npz,
-    ".csv": read_csv,
-    ".jsonl": read_jsonl,
-    ".ndjson": read_jsonl,
+    ".npz": read_npz, ".csv": read_csv, ".jsonl": read_jsonl, ".ndjson": read_jsonl,
     ".json": read_jsonl,
-}
+}  # fmt: skip
 
 
 def _reader(path: PathLike) -> Callable[[PathLike], ScanSet]:
-    reader = _READERS.get(Path(path).suffix.lower())
-    if reader is None:
-        raise ScanError(
-            f"{display(path)}: ending {display(Path(path).suffix)!r} is no scan format, "
-            f"expected {', '.join(_READERS)}"
-        )
-    return reader
+    ending = Path(path).suffix
+    if ending.lower() in _READERS:
+        return _READERS[ending.lower()]
+    known = ", ".join(_READERS)
+    raise ScanError(
+        f"{display(path)}: ending {display(ending)!r} is no scan format, expected {known}"
+    )
 
 
 def _npz_size(path: PathLike) -> ScansSize:
@@ -156,7 +124,7 @@ def _npz_size(path: PathLike) -> ScansSize:
     ):
         for info in archive.infolist():
             key = info.filename.removesuffix(".npy")
-            if key in _KEYS:
+            if key in KEYS:
                 with archive.open(info) as member:
                     shapes[key] = _check_header(member, info.file_size, name, key)
     ranges = shapes.get("ranges", ())
@@ -171,14 +139,12 @@ def _members(data: bytes, name: str) -> dict[str, FloatArray]:
         # The end record counts the members; zipfile does not compare, and a damaged
         # entry can swallow those after it.
         end = data.rfind(b"PK\5\6")
-        if int.from_bytes(data[end + 10 : end + 12], "little") not in (
-            len(archive.infolist()),
-            0xFFFF,  # ZIP64 counts elsewhere
-        ):
+        count = int.from_bytes(data[end + 10 : end + 12], "little")
+        if count not in (len(archive.infolist()), 0xFFFF):  # ZIP64 counts elsewhere
             raise zipfile.BadZipFile("members are missing")
         for info in archive.infolist():
             key = info.filename.removesuffix(".npy")
-            if key not in _KEYS:
+            if key not in KEYS:
                 # Not read; but opening compares the name with the one at the data, so
                 # that a damaged "range_max" is not taken for somebody else's array.
                 archive.open(info).close()
@@ -207,13 +173,10 @@ def _explained(name: str) -> Iterator[None]:
 
 def _check_header(file: IO[bytes], size: int, name: str, key: str) -> tuple[int, ...]:
     """Check type and shape of a member before its data are inflated; return the shape."""
-    read = {
-        (1, 0): np.lib.format.read_array_header_1_0,
-        (2, 0): np.lib.format.read_array_header_2_0,
-    }
+    form = np.lib.format
+    read = {(1, 0): form.read_array_header_1_0, (2, 0): form.read_array_header_2_0}
     try:
-        version = np.lib.format.read_magic(file)
-        shape, _, dtype = read[version](file)
+        shape, _, dtype = read[form.read_magic(file)](file)
     except (ValueError, KeyError, SyntaxError, TypeError, tokenize.TokenError):
         raise ScanError(f"{name}: {key}: damaged header, expected a NumPy array") from None
     if dtype.hasobject:
@@ -224,71 +187,12 @@ def _check_header(file: IO[bytes], size: int, name: str, key: str) -> tuple[int,
     if dtype.kind not in "fiu":
         raise ScanError(f"{name}: {key}: got type {dtype}, expected numbers")
     count = math.prod(shape)
-    if count < 0 or count > MAX_READINGS:
+    if not 0 <= count <= MAX_READINGS:
+        found = " x ".join(map(str, shape))
+        raise ScanError(f"{name}: {key}: {found} numbers, expected at most {MAX_READINGS:,}")
+    if (expected := file.tell() + count * dtype.itemsize) != size:
         raise ScanError(
-            f"{name}: {key}: {' x '.join(map(str, shape))} numbers, expected at most "
-            f"{MAX_READINGS:,}"
-        )
-    if file.tell() + count * dtype.itemsize != size:
-        raise ScanError(
-            f"{name}: {key}: {size:,} bytes, expected {file.tell() + count * dtype.itemsize:,} "
-            f"for shape {shape}; copy the file again"
+            f"{name}: {key}: {size:,} bytes, expected {expected:,} for shape {shape}; "
+            "copy the file again"
         )
     return tuple(shape)
-
-
-def _scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
-    """Check that the shapes agree, and cut the arrays into scans."""
-    if "ranges" not in arrays:
-        raise ScanError(f"{name}: ranges: missing, expected an array (scans, readings)")
-    ranges = np.atleast_2d(arrays["ranges"])
-    n = len(ranges)
-    if not ranges.size:
-        raise ScanError(f"{name}: ranges: got shape {ranges.shape}, expected at least one reading")
-    angles = _angles(arrays, ranges.shape, name)
-    limits = []
-    for key, default in _LIMITS:
-        value = arrays.get(key, np.array(default))
-        if value.size != 1 and value.shape != (n,):
-            raise ScanError(
-                f"{name}: {key}: got shape {value.shape}, expected one number or {(n,)}"
-            )
-        limits.append(np.broadcast_to(value.ravel(), (n,)).tolist())
-    for low, high in zip(*limits, strict=True):
-        check_limits(low, high, name)
-    beside: dict[str, FloatArray] = {}
-    for key in _BESIDE:
-        if key not in arrays:
-            continue
-        value, shape = arrays[key], (n,) if key == "stamps" else (n, 3)
-        if n == 1 and value.shape == shape[1:]:
-            value = value.reshape(shape)
-        if value.shape != shape:
-            raise ScanError(f"{name}: {key}: got shape {value.shape}, expected {shape}")
-        if key != "stamps":
-            check_finite(value, name, key)
-        beside[key] = value
-    stamps = beside.get("stamps", np.full(n, np.nan)).tolist()
-    columns = zip(ranges, angles, *limits, stamps, strict=True)
-    return ScanSet(tuple(LaserScan(*column) for column in columns), **beside)
-
-
-def _angles(arrays: dict[str, FloatArray], shape: tuple[int, int], name: str) -> FloatArray:
-    """Angles of each reading of ranges of this shape."""
-    n, readings = shape
-    angles = arrays.get("angles")
-    if angles is None:
-        if not all(key in arrays and arrays[key].size == 1 for key in _SPACING):
-            raise ScanError(
-                f"{name}: angles: missing, expected {readings} angles in radians "
-                "(or the numbers angle_min and angle_increment)"
-            )
-        first, step = (arrays[key].item() for key in _SPACING)
-        angles = first + np.arange(readings, dtype=np.float64) * step
-    if angles.shape not in ((readings,), shape):
-        raise ScanError(
-            f"{name}: angles: got shape {angles.shape}, expected {(readings,)}: "
-            f"ranges are {n} scans of {readings} readings"
-        )
-    check_angles(angles, name)
-    return np.broadcast_to(angles, shape)

@@ -1,6 +1,7 @@
 """A set of scans, and the checks that every scan format shares; all raise ScanError."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,64 +13,47 @@ from imgloc.model import FloatArray, LaserScan
 
 MAX_READINGS = 50_000_000
 """Readings a scan file may hold: 400 MB as float64."""
+SPACING = ("angle_min", "angle_max", "angle_increment")
+_LIMITS = {"range_min": 0.0, "range_max": math.inf}
+_BESIDE = ("poses", "stamps", "odom")
+_STEPS = ("angle_min", "angle_increment")
+KEYS = ("ranges", "angles", *_LIMITS, *_STEPS, *_BESIDE)
+# Where a scan stands in the file, for messages, and what is said of it (names of LaserScan).
+Entry = tuple[str, Mapping[str, Any]]
 # Twice around: whatever lies beyond was not meant in radians.
 _MAX_ANGLE = 4 * np.pi
 
 
 @dataclass(frozen=True)
 class ScansSize:
-    """How much a file of scans holds at most, known before it is read.
-
-    Parameters
-    ----------
-    scans : int
-    numbers : int
-        Ranges, angles, and what was recorded beside them.
-    file_bytes : int
-        Length of the file.
-    text : bool
-        Whether it is a text.
-    """
+    """How much a file of scans holds at most, known before it is read."""
 
     scans: int
-    numbers: int
+    numbers: int  #: ranges, angles, and what was recorded beside them
     file_bytes: int
-    text: bool = False
+    text: bool = False  #: whether it is a file of text
 
 
 @dataclass(frozen=True)
 class ScanSet:
-    """Scans, with what was recorded beside them.
+    """Scans, with what was recorded beside them."""
 
-    Parameters
-    ----------
-    scans : tuple of LaserScan
-        In the order of the file.
-    poses : (N, 3) float array or None
-        Known pose of the **sensor** in the map frame (x, y in metres, theta in radians).
-    stamps : (N,) float array or None
-        Seconds.
-    odom : (N, 3) float array or None
-        Pose of the sensor in the odometry's frame.
-    """
-
-    scans: tuple[LaserScan, ...]
+    scans: tuple[LaserScan, ...]  #: in the order of the file
+    #: (N, 3), known pose of the **sensor** in the map frame (x, y in metres, theta in radians)
     poses: FloatArray | None = None
-    stamps: FloatArray | None = None
-    odom: FloatArray | None = None
+    stamps: FloatArray | None = None  #: (N,), seconds
+    odom: FloatArray | None = None  #: (N, 3), pose of the sensor in the odometry's frame
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scans", tuple(self.scans))
         n = len(self.scans)
         for key, shape in (("poses", (n, 3)), ("stamps", (n,)), ("odom", (n, 3))):
-            value = getattr(self, key)
-            if value is None:
-                continue
-            array = np.array(value, dtype=np.float64)
-            array.flags.writeable = False
-            object.__setattr__(self, key, array)
-            if array.shape != shape:
-                raise ValueError(f"{key} {array.shape} must be {shape}: one per scan")
+            if getattr(self, key) is not None:
+                array = np.array(getattr(self, key), dtype=np.float64)
+                if array.shape != shape:
+                    raise ValueError(f"{key} {array.shape} must be {shape}: one per scan")
+                array.flags.writeable = False
+                object.__setattr__(self, key, array)
 
     def __len__(self) -> int:
         return len(self.scans)
@@ -92,23 +76,19 @@ def numbers(value: Any, name: str, key: str, *, ndim: Sequence[int]) -> FloatArr
     return array.astype(np.float64)
 
 
-def check_angles(angles: FloatArray, name: str) -> None:
+def _check_angles(angles: FloatArray, name: str) -> None:
     """Refuse angles that cannot be directions in radians."""
-    bad = np.argwhere(~np.isfinite(angles))
-    if len(bad):
-        raise ScanError(
-            f"{name}: angles{bad[0].tolist()}: got {angles[tuple(bad[0])]}, expected finite "
-            "radians (a reading without a direction has to be left out)"
-        )
-    if angles.size and float(np.abs(angles).max()) > _MAX_ANGLE:
-        worst = float(angles.flat[int(np.abs(angles).argmax())])
+    hint = "finite radians (a reading without a direction has to be left out)"
+    _check_finite(angles, name, "angles", hint)
+    worst = angles.flat[np.abs(angles).argmax()] if angles.size else 0.0
+    if abs(worst) > _MAX_ANGLE:
         raise ScanError(
             f"{name}: angles: got {worst:g}, expected radians; are these degrees? "
             "multiply them by pi / 180"
         )
 
 
-def check_limits(range_min: float, range_max: float, name: str) -> None:
+def _check_limits(range_min: float, range_max: float, name: str) -> None:
     """Refuse limits unless ``0 <= range_min < range_max``; range_max may be infinite."""
     if not (0 <= range_min < np.inf):
         raise ScanError(f"{name}: range_min: got {range_min:g}, expected metres, 0 or more")
@@ -119,10 +99,140 @@ def check_limits(range_min: float, range_max: float, name: str) -> None:
         )
 
 
-def check_finite(array: npt.NDArray[Any], name: str, key: str) -> None:
+def _check_finite(
+    array: npt.NDArray[Any], name: str, key: str, expected: str = "a finite number"
+) -> None:
     """Refuse an array with an entry that is NaN or infinite."""
-    bad = np.argwhere(~np.isfinite(array))
-    if len(bad):
+    for at in np.argwhere(~np.isfinite(array))[:1]:
+        raise ScanError(f"{name}: {key}{at.tolist()}: got {array[tuple(at)]}, expected {expected}")
+
+
+def collect(entries: Sequence[Entry], name: str) -> ScanSet:
+    """Check each entry of the file `name` and make the set."""
+    if not entries:
+        raise ScanError(f"{name}: holds no scan, expected one per line")
+    scans = [_scan(entry, where) for where, entry in entries]
+    beside: dict[str, FloatArray | None] = {}
+    for key in ("pose", "odom"):
+        given = [(where, entry[key]) for where, entry in entries if entry.get(key) is not None]
+        if len(given) not in (0, len(scans)):
+            raise ScanError(
+                f"{name}: {key}: in {len(given)} of {len(scans)} scans, expected all or none"
+            )
+        poses = [_pose(value, where, key) for where, value in given]
+        beside[key] = np.array(poses) if poses else None
+    stamps = np.array([scan.stamp for scan in scans])
+    return ScanSet(
+        tuple(scans), beside["pose"], None if np.isnan(stamps).all() else stamps, beside["odom"]
+    )
+
+
+def _pose(value: Any, where: str, key: str) -> FloatArray:
+    pose = numbers(value, where, key, ndim=(1,))
+    if pose.shape != (3,):
+        raise ScanError(f"{where}: {key}: got {len(pose)} numbers, expected x, y, theta")
+    _check_finite(pose, where, key)
+    return pose
+
+
+def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
+    if entry.get("ranges") is None:
+        raise ScanError(f"{where}: ranges: missing, expected a list of metres")
+    ranges = numbers(entry["ranges"], where, "ranges", ndim=(1,))
+    if not len(ranges):
+        raise ScanError(f"{where}: ranges: empty, expected at least one reading")
+    spaced = entry.get("angles") is None
+    given = {
+        key: scalar(entry[key], f"{where}: {key}")
+        for key in (*(SPACING if spaced else ()), *_LIMITS, "stamp")
+        if entry.get(key) is not None
+    }
+    if spaced:
+        angles = _spaced_angles(given, len(ranges), where)
+    else:
+        angles = numbers(entry["angles"], where, "angles", ndim=(1,))
+    if len(angles) != len(ranges):
+        raise ScanError(f"{where}: angles: got {len(angles)}, expected {len(ranges)} as in ranges")
+    _check_angles(angles, where)
+    low, high = (given.get(key, default) for key, default in _LIMITS.items())
+    _check_limits(low, high, where)
+    return LaserScan(ranges, angles, low, high, given.get("stamp", math.nan))
+
+
+def scalar(value: Any, where: str) -> float:
+    """A JSON value that must be one number."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ScanError(f"{where}: got {str(value)[:40]!r}, expected a number")
+    try:
+        return float(value)
+    except OverflowError:  # JSON writes integers of any length
+        raise ScanError(f"{where}: got a number of {len(str(value))} digits") from None
+
+
+def _spaced_angles(given: Mapping[str, float], count: int, where: str) -> FloatArray:
+    """Angles of `count` rays from the first one, and from their spacing or the last one."""
+    first, last = given.get("angle_min"), given.get("angle_max")
+    step = given.get("angle_increment")
+    if first is None or (step is None and last is None):
         raise ScanError(
-            f"{name}: {key}{bad[0].tolist()}: got {array[tuple(bad[0])]}, expected a finite number"
+            f"{where}: angles: missing, expected angles, or angle_min with "
+            "angle_increment or angle_max, in radians"
         )
+    if step is None:
+        return np.linspace(first, last or 0.0, count)
+    angles = first + np.arange(count, dtype=np.float64) * step
+    # Drivers disagree on whether angle_max is the last ray or the one after it.
+    if last is not None and abs(last - angles[-1]) > 2.5 * abs(step):
+        raise ScanError(
+            f"{where}: angle_max: got {last:g}, expected {angles[-1]:g} = angle_min + "
+            f"{count - 1} x angle_increment; were readings left out?"
+        )
+    return np.asarray(angles)
+
+
+def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
+    """Check that the shapes agree, and cut the arrays into scans."""
+    if "ranges" not in arrays:
+        raise ScanError(f"{name}: ranges: missing, expected an array (scans, readings)")
+    ranges = np.atleast_2d(arrays["ranges"])
+    n = len(ranges)
+    if not ranges.size:
+        raise ScanError(f"{name}: ranges: got shape {ranges.shape}, expected at least one reading")
+    readings, angles = ranges.shape[1], arrays.get("angles")
+    if angles is None:
+        if not all(key in arrays and arrays[key].size == 1 for key in _STEPS):
+            raise ScanError(
+                f"{name}: angles: missing, expected {readings} angles in radians "
+                "(or the numbers angle_min and angle_increment)"
+            )
+        first, step = (arrays[key].item() for key in _STEPS)
+        angles = first + np.arange(readings, dtype=np.float64) * step
+    if angles.shape not in ((readings,), ranges.shape):
+        raise ScanError(
+            f"{name}: angles: got shape {angles.shape}, expected {(readings,)}: "
+            f"ranges are {n} scans of {readings} readings"
+        )
+    _check_angles(angles, name)
+    limits = []
+    for key, default in _LIMITS.items():
+        value = arrays.get(key, np.array(default))
+        if value.size != 1 and value.shape != (n,):
+            raise ScanError(
+                f"{name}: {key}: got shape {value.shape}, expected one number or {(n,)}"
+            )
+        limits.append(np.broadcast_to(value.ravel(), (n,)).tolist())
+    for low, high in zip(*limits, strict=True):
+        _check_limits(low, high, name)
+    beside: dict[str, FloatArray] = {}
+    for key in [key for key in _BESIDE if key in arrays]:
+        value, shape = arrays[key], (n,) if key == "stamps" else (n, 3)
+        if n == 1 and value.shape == shape[1:]:
+            value = value.reshape(shape)
+        if value.shape != shape:
+            raise ScanError(f"{name}: {key}: got shape {value.shape}, expected {shape}")
+        if key != "stamps":
+            _check_finite(value, name, key)
+        beside[key] = value
+    stamps = beside.get("stamps", np.full(n, np.nan)).tolist()
+    columns = zip(ranges, np.broadcast_to(angles, ranges.shape), *limits, stamps, strict=True)
+    return ScanSet(tuple(LaserScan(*column) for column in columns), **beside)
