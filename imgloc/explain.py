@@ -153,12 +153,7 @@ def explain(
             given.pose,
             h,
             explain_rays(
-                h.pose,
-                scan,
-                features.surface,
-                features.field,
-                features.walls,
-                options.fused.model,
+                h.pose, scan, features.surface, features.field, features.walls, options.fused.model
             ),
             float(total) / answer.evidence.readings,
             min(1.0, h.mass / max(1 - answer.elsewhere, 1e-12)),

@@ -21,12 +21,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.features.budget import (
-    check_budget,
-    exact_bytes,
-    fused_bytes,
-    stack_bytes,
-)
+from imgloc.features.budget import check_budget, exact_bytes, fused_bytes, stack_bytes
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import block_masks
 from imgloc.features.scanpoints import scan_xy, thin
@@ -241,12 +236,7 @@ def find_modes(
     poses = standing(poses, prior, features)
 
     scores = rescore(
-        poses,
-        scan.ranges[many],
-        scan.angles[many],
-        features.field,
-        features.walls,
-        fused.model,
+        poses, scan.ranges[many], scan.angles[many], features.field, features.walls, fused.model
     )
     distance, angle = fused.separation
     apart = modes(poses, scores.log_likelihood, distance=distance, angle=angle)
@@ -573,11 +563,7 @@ def answer_bytes(features: MapFeatures, options: Options) -> int:
             vote_cells=fused.vote_cells,
         )
     return exact or stack_bytes(
-        options.method,
-        shape,
-        len(options.thetas),
-        threads=options.threads,
-        n_rays=features.n_rays,
+        options.method, shape, len(options.thetas), threads=options.threads, n_rays=features.n_rays
     )
 
 

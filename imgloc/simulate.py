@@ -230,11 +230,7 @@ def ray_angles(rays: int, fov: float) -> FloatArray:
 
 
 def sample_free_poses(
-    grid: OccupancyGrid,
-    n: int,
-    seed: int,
-    clearance: float = 0.3,
-    mount: Pose2D | None = None,
+    grid: OccupancyGrid, n: int, seed: int, clearance: float = 0.3, mount: Pose2D | None = None
 ) -> FloatArray:
     """Draw poses (n, 3) uniformly from the free space of a map, in the grid frame.
 

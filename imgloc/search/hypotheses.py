@@ -100,12 +100,7 @@ def separated(
 
 
 def modes(
-    poses: FloatArray,
-    score: FloatArray,
-    *,
-    distance: float,
-    angle: float,
-    most: int | None = None,
+    poses: FloatArray, score: FloatArray, *, distance: float, angle: float, most: int | None = None
 ) -> IntArray:
     """Indices of the best pose of each mode, best first, ties in index order; at most `most`.
 

@@ -124,11 +124,7 @@ def _endpoint_density(
 
 
 def shortlist(
-    poses: FloatArray,
-    scan: LaserScan,
-    rays: IntArray,
-    features: MapFeatures,
-    options: FusedOptions,
+    poses: FloatArray, scan: LaserScan, rays: IntArray, features: MapFeatures, options: FusedOptions
 ) -> FloatArray:
     """The best places with a few rays, and the best poses: those that get the second look.
 
