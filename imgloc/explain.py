@@ -147,7 +147,7 @@ def explain(
     score = np.array([h.log_likelihood for h in local])
     if local and options.method != FUSED:  # of votes, say: what its readings say there
         poses = np.array([(h.pose.x, h.pose.y, h.pose.theta) for h in local])
-        score = settle(features, scan, poses, options)[0].log_likelihood
+        score = settle(features, scan, poses, options).log_likelihood
     fits = tuple(
         HypothesisFit(
             given.pose,

@@ -339,10 +339,13 @@ class Options:
     calibration: Calibration | None = None
 
     @property
+    def step(self) -> float:
+        """Step of the headings of the method's stack; of ``fused``, of branch and bound."""
+        method = METHODS["cbml" if self.method == FUSED else self.method]
+        given = self.theta_step is not None
+        return self.theta_step if given else float(np.deg2rad(method.theta_step_deg))
+
+    @property
     def thetas(self) -> FloatArray:
-        """Headings of the method's stack, radians; of ``fused``, those of branch and bound."""
-        step = self.theta_step
-        if step is None:
-            of = "cbml" if self.method == FUSED else self.method
-            step = float(np.deg2rad(METHODS[of].theta_step_deg))
-        return uniform_thetas(step)
+        """Headings that are `step` or less apart, radians."""
+        return uniform_thetas(self.step)
