@@ -71,16 +71,11 @@ def disturbed_set(
 
     The arguments are those of :func:`imgloc.simulate.simulate_set`.
     """
-    outliers, dropped = max(0.1, sensor.outliers), max(0.1, sensor.dropped)
-    kinds = (
-        sensor,
-        replace(sensor, outliers=max(0.5, sensor.outliers)),
-        replace(sensor, outliers=outliers, dropped=dropped),
-    )
-    sets = [simulate_set(grid, n, seed, kind, fine) for kind in kinds]
+    crowd = replace(sensor, outliers=max(0.5, sensor.outliers))
+    worn = replace(sensor, outliers=max(0.1, sensor.outliers), dropped=max(0.1, sensor.dropped))
+    sets = [simulate_set(grid, n, seed, kind, fine) for kind in (sensor, crowd, worn)]
     rng = np.random.default_rng(seed)
-    moved = [_displaced(scan, rng) for scan in sets[2].scans]
-    thirds = (sets[0].scans, sets[1].scans, moved)
+    thirds = (sets[0].scans, sets[1].scans, [_displaced(scan, rng) for scan in sets[2].scans])
     scans = tuple(thirds[k % 3][k] for k in range(n))
     return ScanSet(scans, poses=sets[0].poses)  # the same ones in all
 
@@ -127,8 +122,7 @@ def sweep(
     configurations = (
         ((0.0, 0.0),) if log else tuple((xy, th) for xy in SIGMAS_XY for th in SIGMAS_THETA)
     )
-    logs = np.empty((len(scans), len(configurations), len(EXPONENTS)))
-    bare = np.empty(len(scans))
+    logs, bare = np.empty((len(scans), len(configurations), len(EXPONENTS))), np.empty(len(scans))
     for i, (scan, pose) in enumerate(zip(scans.scans, scans.poses, strict=True)):
         stack = likelihood(features, scan, options)
         powers = EXPONENTS / scale(options.method, int(scan.valid.sum()))
@@ -197,17 +191,8 @@ def fit(sweeps: Sequence[Sweep]) -> CalibrationFit:
 
     Of the temperatures whose S is within one standard error of the greatest, the highest is taken:
     a real map agrees less with its scans than a simulated one, and a posterior that claims too
-    much misleads where one that claims too little only says less. Each map counts alike.
-
-    Parameters
-    ----------
-    sweeps : sequence of Sweep
-        Of one method; one for each map.
-
-    Raises
-    ------
-    ConfigError
-        If there are fewer than :data:`LEAST` trials.
+    much misleads where one that claims too little only says less. Each map, with one sweep of the
+    method, counts alike. Fewer than :data:`LEAST` trials are a ConfigError.
     """
     check_trials(sum(len(s.bare) for s in sweeps))
     mean = np.mean([s.logs.mean(axis=0) for s in sweeps], axis=0)

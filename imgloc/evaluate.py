@@ -29,6 +29,7 @@ from imgloc.geometry import (
     in_grid_frame,
     inside,
     inverse,
+    poses_of,
     theta_bin,
     uniform_thetas,
     wrap,
@@ -232,11 +233,8 @@ def evaluate(
     scans : ScanSet
         With poses of the sensor in the map frame. The first one is located once more than the
         others, before the clock counts.
-    options : Options
-        See :func:`method_options`.
-    tolerances : sequence of Tolerance
-    floor : float
-        See :mod:`imgloc.index`.
+    options, floor
+        See :func:`method_options` and :mod:`imgloc.index`.
     advance : callable
         Called after each trial.
 
@@ -252,22 +250,18 @@ def evaluate(
     for trial in run_trials(features, scans, options):
         trials.append(trial)
         advance()
+    kept = bytes_of(features)
     summary = summarise(
         trials,
         options.method,
         tolerances=tolerances,
         floor=floor,
-        features_bytes=bytes_of(features),
+        features_bytes=kept,
         first_ms=first,
     )
-    n, free = headings(options), int(np.count_nonzero(features.free))
-    lattice = Lattice(
-        cell=features.lattice.resolution,
-        theta_step=2 * np.pi / n,
-        poses=n * free,
-        poses_box=n * features.free.size,
-        log_poses=float(np.log(n * free)),
-    )
+    n, cell = headings(options), features.lattice.resolution
+    poses = n * int(np.count_nonzero(features.free))
+    lattice = Lattice(cell, 2 * np.pi / n, poses, n * features.free.size, float(np.log(poses)))
     return Evaluation(lattice, summary, effective(options, features))
 
 
@@ -316,7 +310,7 @@ def _trial(features: MapFeatures, scan: LaserScan, truth: Pose2D, options: Optio
             density_in_stack(stack.values, at, log=log),
             density_in_stack(posterior, at, features.free),
         )
-    poses = np.array([(h.pose.x, h.pose.y, h.pose.theta) for h in answer.hypotheses[:LISTED]])
+    poses = poses_of(answer.hypotheses[:LISTED])
     return Trial(
         *densities,
         outside=not free,
@@ -336,11 +330,10 @@ def _on_lattice(
 ) -> float:
     """Relative density of an answer in a cell of free space."""
     lattice, step = features.lattice, 2 * np.pi / n
-    local = tuple(in_grid_frame(h, lattice) for h in answer.hypotheses)
+    answer = replace(answer, hypotheses=tuple(in_grid_frame(h, lattice) for h in answer.hypotheses))
     x, y = centre_of(np.array(at[1:]), lattice.resolution)
     centre = Pose2D(x, y, uniform_thetas(step)[at[0]])
     poses = n * int(np.count_nonzero(features.free))
-    answer = replace(answer, hypotheses=local)
     return density_in_cell(answer, centre, lattice.resolution, step, poses)
 
 
@@ -391,12 +384,8 @@ def summarise(
 ) -> Summary:
     """Make numbers of the trials, at least one, of one method on one map.
 
-    `tolerances` and `floor` as of :func:`evaluate`, the others as in :class:`Summary`.
-
-    Raises
-    ------
-    ConfigError
-        If `floor` is out of its range.
+    `tolerances` and `floor`, with its ConfigError, as of :func:`evaluate`, the others as in
+    :class:`Summary`.
     """
     first = np.array([t.errors[0] if len(t.errors) else (np.inf, np.inf) for t in trials])
     unit = "pair of points" if method in PAIR_METHODS else "pose and reading"
@@ -434,13 +423,10 @@ def right(trial: Trial, tolerance: Tolerance, first: int) -> bool:
 
 
 def _success(trials: Sequence[Trial], tolerance: Tolerance) -> Success:
-    wrong = [t.verdict == "unique" and not right(t, tolerance, 1) for t in trials]
-    return Success(
-        tolerance,
-        share(right(t, tolerance, 1) for t in trials),
-        share(right(t, tolerance, LISTED) for t in trials),
-        share(wrong),
-    )
+    at_1 = [right(t, tolerance, 1) for t in trials]
+    at_5 = share(right(t, tolerance, LISTED) for t in trials)
+    wrong = (t.verdict == "unique" and not ok for t, ok in zip(trials, at_1, strict=True))
+    return Success(tolerance, share(at_1), at_5, share(wrong))
 
 
 def _percentiles(errors: FloatArray) -> dict[str, float]:

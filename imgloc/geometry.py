@@ -1,5 +1,6 @@
 """SE(2), angles, and the one place where cells, grid frame and map frame meet."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -55,6 +56,12 @@ def theta_bin(theta: npt.ArrayLike, n: int) -> IntArray:
     [0, 0, 2]
     """
     return np.floor(np.asarray(theta) * (n / (2 * np.pi)) + 0.5).astype(np.int64) % n
+
+
+def poses_of(hypotheses: Iterable[Hypothesis]) -> FloatArray:
+    """Poses (M, 3) of hypotheses: metres, metres, radians, in their frame."""
+    poses = [(h.pose.x, h.pose.y, h.pose.theta) for h in hypotheses]
+    return np.array(poses, dtype=np.float64).reshape(-1, 3)
 
 
 def compose(a: Pose2D, b: Pose2D) -> Pose2D:

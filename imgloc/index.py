@@ -36,19 +36,12 @@ class Index:
 
 
 def performance_index(densities: Sequence[float], floor: float = FLOOR) -> Index:
-    """Average the logarithms of relative densities: eq. 12.
-
-    Parameters
-    ----------
-    densities : (n,) floats
-        ``p(x_k | z_k) V`` of each trial, 0 or more.
-    floor : float
-        Share of the uniform density that is mixed in, 0 < floor < 1.
+    """Average the logarithms of relative densities (n,), ``p(x_k | z_k) V`` of each trial: eq. 12.
 
     Raises
     ------
     ConfigError
-        If `floor` is out of its range.
+        If `floor`, the share of the uniform density that is mixed in, is not between 0 and 1.
     ValueError
         If a density is negative or not finite.
 
@@ -87,6 +80,9 @@ def density_in_stack(
 ) -> float:
     """Relative density ``L[k*] N / sum(L)`` that a stack gives to one of its cells.
 
+    It is 1 if the stack is 0 everywhere: it says nothing. It is 0 for a cell outside the pose
+    space.
+
     Parameters
     ----------
     values : (K, H, W) float32 array
@@ -98,11 +94,6 @@ def density_in_stack(
     log : bool
         `values` are log-likelihoods, up to a summand.
 
-    Returns
-    -------
-    float
-        1 if the stack is 0 everywhere: it says nothing. 0 for a cell outside the pose space.
-
     Examples
     --------
     >>> stack = np.array([[[1, 3, -2, 4]]], dtype=np.float32)
@@ -113,11 +104,9 @@ def density_in_stack(
     """
     k, row, col = cell
     n_theta, height, width = values.shape
-    if not (0 <= k < n_theta and 0 <= row < height and 0 <= col < width):
-        return 0.0
-    if where is not None and not where[row, col]:
-        return 0.0
     space = np.ones((height, width), dtype=bool) if where is None else where
+    if not (0 <= k < n_theta and 0 <= row < height and 0 <= col < width and space[row, col]):
+        return 0.0
     top = max(float(image[space].max()) for image in values) if log else 0.0
 
     def likelihoods(some: Float32Array) -> FloatArray:
@@ -125,8 +114,9 @@ def density_in_stack(
         return np.exp(exact - top) if log else np.maximum(exact, 0.0)
 
     total = sum(float(likelihoods(image[space]).sum()) for image in values)  # no copy of the stack
-    share = float(likelihoods(values[cell])) / total if total > 0 else 0.0
-    return float(share * n_theta * np.count_nonzero(space)) if total > 0 else 1.0
+    if not total > 0:
+        return 1.0
+    return float(float(likelihoods(values[cell])) / total * n_theta * np.count_nonzero(space))
 
 
 def density_at(answer: Localization, pose: Pose2D, volume: float) -> float:
@@ -189,9 +179,9 @@ def _gaussian(hypothesis: Hypothesis, d: FloatArray) -> FloatArray:
 
 
 def global_maximum(values: Float32Array, where: BoolArray | None = None) -> tuple[int, int, int]:
-    """Cell ``(theta, row, col)`` of the greatest value; of equal ones the first in index order.
+    """Cell ``(theta, row, col)`` of the greatest of (K, H, W) values in the cells that count.
 
-    Of (K, H, W) values, in the cells that count.
+    Of equal ones it is the first in index order.
 
     Examples
     --------

@@ -21,11 +21,9 @@ def sample_poses(
 
     Parameters
     ----------
-    features : MapFeatures
-    scan : LaserScan
+    features, scan
         With too few readings, or readings that say nothing, poses are drawn from everywhere.
-    count : int
-    rng : numpy.random.Generator
+    count, rng : int, numpy.random.Generator
     options : Options, optional
         ``fused`` draws around as many hypotheses as it may list, the others from their stack.
 

@@ -61,24 +61,19 @@ def simulate_set(
 
     Parameters
     ----------
-    grid : OccupancyGrid
-        The map, from whose free space the poses are drawn.
-    n : int
-        Number of scans.
+    grid, n
+        The map, from whose free space the poses are drawn, and the number of scans.
     seed : int
         Of everything random: the same seed gives the same scans, and poses that depend on the
         sensor's mount and clearance alone.
-    sensor : Sensor, optional
     fine : OccupancyGrid, optional
         Image on which rays are cast, with the same lower-left corner. By default the map
         redrawn at 1 cm; for a bundled world ``render(world, 0.01)`` is the truth itself.
 
     Raises
     ------
-    MapError
-        If no pose has the clearance.
-    ConfigError
-        If a parameter of the sensor or the seed is out of its range.
+    MapError, ConfigError
+        If no pose has the clearance; if a parameter of the sensor or the seed is out of its range.
 
     Examples
     --------
@@ -109,10 +104,8 @@ def sample_set(scans: ScanSet, n: int | None, seed: int, name: str = "scans") ->
 
     Raises
     ------
-    ScanError
-        If the set has no poses to compare with; `name` is what the message calls it.
-    ConfigError
-        If the seed is negative.
+    ScanError, ConfigError
+        If the set, called `name`, has no poses to compare with; if the seed is negative.
 
     Examples
     --------
@@ -156,12 +149,10 @@ def simulate(
         Of the sensor in the grid frame: metres, metres, radians.
     angles : (B,) array
         Of the rays in the sensor's frame, radians.
-    sigma : float
-        Standard deviation of the noise of a reading, metres.
+    sigma, seed : float, int
+        Standard deviation of the noise of a reading, metres, and the seed of all noise.
     range_max : float
         Metres; what is farther gives no return.
-    seed : int
-        Of the noise.
     outliers, dropped : float
         Shares of the rays, 0..1: stopped by something that the map does not show, anywhere
         between the sensor and the wall (or `range_max`); without any measurement at all.
@@ -211,12 +202,8 @@ def simulate(
 def ray_angles(rays: int, fov: float) -> FloatArray:
     """Angles (rays,) of a sensor's rays, centred about forward, radians.
 
-    With a full circle the last ray is one step short of the first.
-
-    Raises
-    ------
-    ConfigError
-        If there is no ray, or `fov` is not in (0, 2 pi].
+    With a full circle the last ray is one step short of the first. No ray, or a `fov` that is
+    not in (0, 2 pi], is a ConfigError.
 
     Examples
     --------
@@ -236,10 +223,6 @@ def sample_free_poses(
 
     Parameters
     ----------
-    grid : OccupancyGrid
-    n : int
-    seed : int
-        Of the random generator.
     clearance : float
         Metres from the robot to the nearest cell that is not free, or to the map's border.
     mount : Pose2D, optional
@@ -318,12 +301,9 @@ def refine_grid(
 
     Parameters
     ----------
-    grid : OccupancyGrid
-    resolution : float
-        Side of a cell wanted, metres. The side of the map's cells is divided by a whole
-        number that comes closest to it.
-    max_cells : int
-        No more cells than this: a large map is refined less.
+    resolution, max_cells : float, int
+        Side of a cell wanted, metres: that of the map's cells is divided by a whole number that
+        comes closest to it. No more cells than `max_cells`: a large map is refined less.
 
     Returns
     -------
@@ -365,20 +345,15 @@ def _smooth(occupied: BoolArray) -> Float32Array:
 
 
 def fine_image(path: Path, grid: OccupancyGrid) -> OccupancyGrid | None:
-    """The walls of a bundled world drawn at 1 cm; None for a map of which only cells are known.
-
-    Parameters
-    ----------
-    path : Path
-        Of the map. A copy of a bundled map elsewhere is any map.
-    grid : OccupancyGrid
-        As loaded: read at another resolution or origin it is not the world any more.
-    """
+    """The walls of a bundled world drawn at 1 cm; None for a map of which only cells are known."""
     return render(WORLDS[path.stem](), FINE) if is_world(path, grid) else None
 
 
 def is_world(path: Path, grid: OccupancyGrid) -> bool:
-    """Whether a map is a bundled one, as it is: more than its cells is known."""
+    """Whether a map is a bundled one, as it is: more than its cells is known.
+
+    A copy elsewhere is any map; read at another resolution or origin it is not the world any more.
+    """
     if path.stem not in WORLDS or path.resolve().parent != bundled_maps().resolve():
         return False
     width, height = (round(side / grid.resolution) for side in WORLDS[path.stem]().size)

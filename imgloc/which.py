@@ -39,8 +39,6 @@ Maps that fit better are alike, and a scan of one of them is not from none."""
 FEW = 5
 """Of fewer maps than this, one is named only if the scan is ``unique`` in it: too few to tell what
 fits by chance, and of chance there are mostly several places."""
-
-
 NO_MAP = ("none", "undecided", "invalid")
 """Verdicts that name no map."""
 
@@ -64,17 +62,10 @@ def which(
 ) -> Choice:
     """Say from which of some maps a scan is: one of them, none, or undecided.
 
-    Parameters
-    ----------
-    maps : mapping of str to MapFeatures
-    scan : LaserScan
-    options : Options, optional
-        Of the method ``fused``.
-
     Raises
     ------
     ConfigError
-        If there are no maps, or the method is another one.
+        If there are no maps, or the method is not ``fused``.
 
     Examples
     --------
@@ -90,14 +81,8 @@ def which(
 
 
 def fit(features: MapFeatures, scan: LaserScan, options: Options = OPTIONS) -> Localization:
-    """Locate a scan in one of the maps.
-
-    Raises
-    ------
-    ConfigError
-        If the method is not ``fused``: the values of votes have no common scale.
-    """
-    if options.method != FUSED:
+    """Locate a scan in one of the maps, by ``fused`` alone."""
+    if options.method != FUSED:  # the values of votes have no common scale
         raise ConfigError(f"maps are compared by the method {FUSED}, got {options.method}")
     return localize(features, scan, options)
 
@@ -107,18 +92,8 @@ def choose(
 ) -> Choice:
     """Compare maps by how a scan fits them; all maps are equally likely beforehand.
 
-    Parameters
-    ----------
-    fits : mapping of str to Localization
-        Of :func:`fit` in each map.
-    trust : Trust, optional
-    sure : float
-        Probability that a map needs to be the verdict.
-
-    Raises
-    ------
-    ConfigError
-        If there are no maps.
+    `fits` are those of :func:`fit` in each map, at least one; `sure` is the probability that a map
+    needs to be the verdict.
 
     Examples
     --------
@@ -158,13 +133,8 @@ def choose(
     probability = dict(zip(order, weights.tolist(), strict=True))
     known = len(fits) >= FEW or fits[order[0]].verdict == "unique"
     verdict = order[0] if known and probability[order[0]] >= sure else "undecided"
-    return Choice(
-        "none" if none > 0.5 else verdict,
-        probability,
-        none,
-        {name: evidence[name] - top for name in order},
-        temperature,
-    )
+    relative = {name: evidence[name] - top for name in order}
+    return Choice("none" if none > 0.5 else verdict, probability, none, relative, temperature)
 
 
 def log_evidence(answer: Localization, temperature: float) -> float:
@@ -180,17 +150,8 @@ def log_evidence(answer: Localization, temperature: float) -> float:
 def unknown_evidence(evidence: Sequence[float], lead: float) -> float:
     """Log-evidence of a building that is not among the maps, see the module's head.
 
-    Parameters
-    ----------
-    evidence : sequence of float
-        Log-evidence of the maps, nats, in any order.
-    lead : float
-        Over the third best, nats.
-
-    Returns
-    -------
-    float
-        Nats, at most :data:`LUCK`; -inf with fewer than three maps: nothing follows from two.
+    It leads the third best `evidence`, but is at most :data:`LUCK`; all in nats. With fewer than
+    three maps it is -inf: nothing follows from two.
 
     Examples
     --------
@@ -202,13 +163,7 @@ def unknown_evidence(evidence: Sequence[float], lead: float) -> float:
 
 
 def find_maps(folder: Path) -> list[Path]:
-    """YAML files of maps in a folder and below, in order of their names.
-
-    Raises
-    ------
-    ConfigError
-        If it is no folder, or holds none.
-    """
+    """YAML files of maps in a folder and below, in order of their names; none is a ConfigError."""
     if not folder.is_dir():
         raise ConfigError(f"{display(folder)}: expected a folder of maps")
     paths = sorted({*folder.rglob("*.yaml"), *folder.rglob("*.yml")})

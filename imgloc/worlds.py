@@ -35,22 +35,13 @@ class World:
 def render(world: World, resolution: float) -> OccupancyGrid:
     """Draw a world as an occupancy grid with its origin at (0, 0, 0).
 
-    Parameters
-    ----------
-    world : World
-    resolution : float
-        Side of a cell, metres. Cells wider than 1 cm are averaged from cells of about 1 cm:
-        one is known if at least half of it is, and occupied if no less of it is occupied
-        than free.
-
-    Returns
-    -------
-    OccupancyGrid
+    Cells wider than 1 cm are averaged from cells of about 1 cm: one is known if at least half of
+    it is, and occupied if no less of it is occupied than free.
 
     Raises
     ------
     ConfigError
-        If `resolution` is not positive and finite.
+        If `resolution`, the side of a cell in metres, is not positive and finite.
 
     Examples
     --------

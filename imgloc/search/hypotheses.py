@@ -12,10 +12,7 @@ from imgloc.search.refine import normal_equations
 def masses(log_likelihood: FloatArray, temperature: float) -> FloatArray:
     """Softmax of ``log_likelihood / temperature``: (M,) shares that sum to 1.
 
-    Raises
-    ------
-    ConfigError
-        If the temperature is not positive and finite.
+    A temperature that is not positive and finite is a ConfigError.
 
     Examples
     --------
@@ -33,12 +30,7 @@ def masses(log_likelihood: FloatArray, temperature: float) -> FloatArray:
 def first_in_cell(poses: FloatArray, distance: float, angle: float) -> IntArray:
     """Indices, in order, of the poses (M, 3) that are the first in their cell of pose space.
 
-    Parameters
-    ----------
-    poses : (M, 3) float array
-        Metres, metres, radians.
-    distance, angle : float
-        Sides of a cell, metres and radians; those of the headings all fit the circle.
+    The sides of a cell are `distance` metres and `angle` radians, made to fit the circle.
 
     Examples
     --------
@@ -129,11 +121,8 @@ def covariances(
 
     Parameters
     ----------
-    poses : (C, 3) float array
-        Refined, grid frame.
-    xy : (N, 2) float array
-        Scan points, sensor frame, metres.
-    field : DistanceField
+    poses, xy, field
+        As of :func:`~imgloc.search.refine.refine`, refined.
     sigma : float
         Width of the robust kernel, metres.
     correlated : float

@@ -84,12 +84,12 @@ def propose_endpoints(
         sums = _score(level, points, thetas, parents)
         sums[~_free_children(level, parents)] = -1
         best = _best(sums.ravel(), count)
-        nodes, scores = _children(parents[best >> 2], best & 3), sums.ravel()[best]
+        nodes, scores = parents[best >> 2] * (1, 2, 2), sums.ravel()[best]
+        nodes[:, 1:] += np.stack((best >> 1 & 1, best & 1), axis=1)  # of its four cells
     first = np.sort(np.unique(_key(*nodes.T // _BLOCK), return_index=True)[1])
     first = first[scores[first] > 0]
     nodes, scores = nodes[first], scores[first]
-    centres = (nodes[:, :0:-1] + 0.5) * levels[0].resolution
-    return np.column_stack((centres, thetas[nodes[:, 0]])), scores / (255.0 * len(xy))
+    return _poses(nodes, thetas, levels[0]), scores / (255.0 * len(xy))
 
 
 def propose_all(
@@ -97,26 +97,15 @@ def propose_all(
 ) -> FloatArray:
     """The best `keep` of all poses of one level, each heading tried: (M, 3), grid frame.
 
-    Parameters
-    ----------
-    level : Level
-    xy : (N, 2) float array
-        Scan points, sensor frame, metres.
-    theta_step : float
-        Largest step between headings, radians.
-    keep : int
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    (M, 3) float array
-        Best first.
+    They come best first. The other parameters are those of :func:`propose_endpoints`.
     """
     thetas = uniform_thetas(theta_step)
-    nodes = _exhaustive(level, xy, thetas, keep, threads)
-    centres = (nodes[:, :0:-1] + 0.5) * level.resolution
-    return np.column_stack((centres, thetas[nodes[:, 0]]))
+    return _poses(_exhaustive(level, xy, thetas, keep, threads), thetas, level)
+
+
+def _poses(nodes: IntArray, thetas: FloatArray, level: Level) -> FloatArray:
+    """Poses (M, 3), grid frame, at the centres of nodes."""
+    return np.column_stack(((nodes[:, :0:-1] + 0.5) * level.resolution, thetas[nodes[:, 0]]))
 
 
 def _rough(level: Level, points: int) -> Level:
@@ -127,8 +116,7 @@ def _rough(level: Level, points: int) -> Level:
     most, top = int(level.image.max()), np.iinfo(np.uint8).max // max(1, points)
     if not _FEWEST_LEVELS <= top < most:
         return level
-    image = np.rint(level.image * np.float32(top / most)).astype(np.uint8)
-    return replace(level, image=image)
+    return replace(level, image=np.rint(level.image * np.float32(top / most)).astype(np.uint8))
 
 
 def _exhaustive(
@@ -141,16 +129,10 @@ def _exhaustive(
     buffer = np.empty((chunk, *level.image.shape), np.float32)
     # A few headings first: what they reach spares a look at nearly all of the others.
     first = min(chunk, -(-_FIRST_CELLS // area))
-    edges = [0, *range(first, len(thetas), chunk), len(thetas)]
-    for start, stop in pairwise(edges):
+    for start, stop in pairwise([0, *range(first, len(thetas), chunk), len(thetas)]):
+        some, out = thetas[start:stop], buffer[: stop - start]
         stack = correlate(
-            level.image,
-            xy,
-            thetas[start:stop],
-            level.resolution,
-            threads=threads,
-            where=level.free,
-            out=buffer[: stop - start],
+            level.image, xy, some, level.resolution, threads=threads, where=level.free, out=out
         )
         # What is known to be reached by `keep` nodes already is all that can still matter.
         best = (
@@ -188,12 +170,6 @@ def _parents(nodes: IntArray, spread: IntArray, wanted: BoolArray) -> IntArray:
     key.sort()
     key = key[np.diff(key, prepend=-1) > 0]  # neighbouring headings meet
     return np.stack((key >> 40, key >> 20 & 0xFFFFF, key & 0xFFFFF), axis=1)
-
-
-def _children(parents: IntArray, which: IntArray) -> IntArray:
-    """One of the four cells of each node, one level down."""
-    k, r, c = parents.T
-    return np.stack((k, 2 * r + (which >> 1), 2 * c + (which & 1)), axis=1)
 
 
 def _free_children(level: Level, parents: IntArray) -> BoolArray:

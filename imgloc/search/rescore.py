@@ -65,21 +65,15 @@ def rescore(
         Grid frame.
     ranges, angles : (N,) float arrays
         Valid readings only.
-    field : DistanceField
-        Signed distance to the surfaces.
-    walls : (H, W) float32 array
-        :func:`~imgloc.features.raycast.distance_image` of the occupied cells, in cells.
-    model : EvidenceModel
+    field, walls : DistanceField, (H, W) float32 array
+        Signed distance to the surfaces; :func:`~imgloc.features.raycast.distance_image` of the
+        occupied cells, in cells.
     """
     density, distance = _endpoint_density(poses, ranges, angles, field, model)
     margin = model.margin + field.resolution / 2
-    seen = cast_rays(
-        walls,
-        poses[:, None, :2],
-        poses[:, 2:] + angles,
-        np.maximum(ranges - margin, 1e-3),
-        field.resolution,
-    )
+    reach = np.maximum(ranges - margin, 1e-3)
+    psi = poses[:, 2:] + angles
+    seen = cast_rays(walls, poses[:, None, :2], psi, reach, field.resolution)
     beyond = np.maximum(ranges - seen - margin, 0).astype(np.float32)  # 0 where nothing is met
     shifted = np.exp(-np.square(beyond / np.float32(model.displaced)))
     density *= np.float32(model.absent) + np.float32(1 - model.absent) * shifted
@@ -95,13 +89,7 @@ def bound(
     field: DistanceField,
     model: EvidenceModel,
 ) -> FloatArray:
-    """What :func:`rescore` cannot exceed, (C,) nats: the visibility constraint only takes away.
-
-    Parameters
-    ----------
-    poses, ranges, angles, field, model
-        As of :func:`rescore`.
-    """
+    """What :func:`rescore` cannot exceed, (C,) nats: the visibility constraint only takes away."""
     density, _ = _endpoint_density(poses, ranges, angles, field, model)
     return np.asarray(np.log(density).sum(axis=1, dtype=np.float64))
 
@@ -138,8 +126,7 @@ def shortlist(
     order = order[first_in_cell(poses[order], *options.same)]
     distance, angle = options.twins
     seen, score = np.empty(0, np.int64), np.empty(0)
-    best = seen
-    start, size = 0, _BATCH
+    best, start, size = seen, 0, _BATCH
     while start < len(order):
         part = order[start : start + size]
         start, size = start + size, 2 * size

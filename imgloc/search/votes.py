@@ -55,22 +55,15 @@ def cast_votes(
     points = scan_points(scan.ranges, scan.angles, scan.valid)
     usable = np.flatnonzero(points.valid)
     points = points.select(usable[thin(np.ones(len(usable), bool), options.few_rays)])
-    grid, cell = features.grid.info, vote_cell(features.grid.info, options)
-    shape = (
-        int(np.ceil(grid.height * grid.resolution / cell)),
-        int(np.ceil(grid.width * grid.resolution / cell)),
-    )
-    votes = ght_v(
-        features.voters,
-        features.voters_visibility,
-        points,
+    grid, cell, n = (
+        features.grid.info,
+        vote_cell(features.grid.info, options),
         options.vote_headings,
-        shape,
-        cell,
-        threads=threads,
     )
+    rows, columns = (int(np.ceil(side * grid.resolution / cell)) for side in grid.shape)
+    voters, visible = features.voters, features.voters_visibility
+    votes = ght_v(voters, visible, points, n, (rows, columns), cell, threads=threads)
     votes = smooth(votes, 1.0, 0.7)
     if prior is not None:
-        thetas = uniform_thetas(2 * np.pi / options.vote_headings)
-        votes[~prior.headings(thetas, np.pi / options.vote_headings)] = 0
+        votes[~prior.headings(uniform_thetas(2 * np.pi / n), np.pi / n)] = 0
     return votes
