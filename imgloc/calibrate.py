@@ -98,23 +98,9 @@ def sweep(
 ) -> Sweep:
     """Measure every smoothing and temperature on scans whose poses are known.
 
-    Parameters
-    ----------
-    features : MapFeatures
-    scans : ScanSet
-        With poses of the sensor in the map frame.
-    options : Options
-        Of one of the paper's methods. ``beam`` has a sigma of its own for the cells: of it only
-        the temperature is measured.
-    floor : float
-        See :mod:`imgloc.index`.
-    advance : callable
-        Called after each trial.
-
-    Raises
-    ------
-    ConfigError
-        If there are no scans, no poses, or an option is out of its range.
+    The method is one of the paper's; ``beam`` has a sigma of its own for the cells: of it only
+    the temperature is measured. The arguments and errors are those of
+    :func:`imgloc.evaluate.evaluate`.
     """
     if not len(scans) or scans.poses is None:
         raise ConfigError("expected at least one scan, and the true pose of each")
@@ -129,11 +115,10 @@ def sweep(
         at = cell_of_pose(features, Pose2D(*pose), len(stack.thetas))
         for c, (sigma_xy, sigma_theta) in enumerate(configurations):
             image = replace(stack, values=smoothed(stack, Calibration(sigma_xy, sigma_theta)))
-            density = densities(image, at, features, powers)
-            logs[i, c] = np.log((1 - floor) * density + floor)
-        density = densities(stack, at, features, np.ones(1))
-        bare[i] = np.log((1 - floor) * density[0] + floor)
+            logs[i, c] = densities(image, at, features, powers)
+        bare[i] = densities(stack, at, features, np.ones(1))[0]
         advance()
+    logs, bare = (np.log((1 - floor) * density + floor) for density in (logs, bare))
     return Sweep(options.method, configurations, logs, bare, floor)
 
 

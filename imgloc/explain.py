@@ -1,9 +1,8 @@
 """Why an answer is what it is: what each ray says, and the likelihoods that proposed.
 
-The paper lets a pair of a scan point and a map point vote only if their normals agree (Alg. 4)
-and the map lets the ray through (Alg. 5, l. 5). The same two vetoes, asked of a pose that has
-been found already, tell somebody who looks at it why it is right, or wrong. The numbers behind
-the verdict are the answer's own evidence.
+In the paper a scan point and a map point vote only if their normals agree (Alg. 4) and the map
+lets the ray through (Alg. 5, l. 5). The same two vetoes, asked of a pose that has been found
+already, tell why it is right, or wrong. The numbers behind the verdict are the answer's evidence.
 
 >>> from imgloc.model import LaserScan, OccupancyGrid
 >>> from imgloc.pipeline import localize, prepare
@@ -258,10 +257,10 @@ def faced(
     doubt = 2 * np.hypot(np.where(known, sigma[ray], 0.0), surface.sigma_alpha[point])
     turned = np.abs(wrap(np.where(known, alpha[ray], normal) - normal))
     agrees = facing & (turned <= np.maximum(_TOLERANCE, doubt))
-    asked, good = np.zeros(len(end), np.bool_), np.zeros(len(end), np.bool_)
-    asked[ray] = True
-    good[ray[agrees]] = True
-    return good | ~asked
+    out = np.ones(len(end), np.bool_)
+    out[ray] = False
+    out[ray[agrees]] = True
+    return out
 
 
 def _pairs(a: FloatArray, b: FloatArray, reach: float) -> tuple[IntArray, IntArray]:

@@ -43,7 +43,7 @@ from imgloc.model import (
     Temperature,
 )
 from imgloc.options import ALL_METHODS, DEFAULTS, FUSED, METHODS, Options, Prior
-from imgloc.search.branch_and_bound import Best, best_poses
+from imgloc.search.branch_and_bound import best_poses
 from imgloc.search.hypotheses import as_hypotheses, covariances, masses, modes
 from imgloc.search.peaks import peaks_of_posterior
 from imgloc.search.priors import on_lattice, pyramid_levels, standing
@@ -280,12 +280,11 @@ def find_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Foun
     Shares are among at least :data:`MODES` of them, each score raised to the calibrated power,
     as if every mode were equally wide.
     """
-    poses, best = exact_poses(features, scan, options)
+    poses, score = exact_poses(features, scan, options)
     if len(poses) == 0:
         return NOTHING
     how = options.calibration or DEFAULTS["cbml"]
     temperature = how.temperature_at("cbml", int(scan.valid.sum()))
-    score = best.scores.astype(np.float64)
     xy = scan_xy(scan)[thin(scan.valid, options.fused.rays)]
     return Found(
         poses,
@@ -299,8 +298,8 @@ def find_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Foun
 
 def exact_poses(
     features: MapFeatures, scan: LaserScan, options: Options
-) -> tuple[FloatArray, Best]:
-    """Best separated poses (M, 3) of CBML's score, grid frame, by branch and bound."""
+) -> tuple[FloatArray, FloatArray]:
+    """Best separated poses (M, 3) by CBML's score, grid frame, and their scores (M,), exactly."""
     prior, pooled, thetas = options.prior, features.pooled, options.thetas
     wanted = np.flatnonzero(prior.headings(thetas, np.pi / len(thetas)))
     if prior.cells is not None:
@@ -316,10 +315,8 @@ def exact_poses(
         angle=angle,
         threads=options.threads,
     )
-    cells = best.cells.copy()
-    cells[:, 0] = wanted[cells[:, 0]]
-    xy = centre_of(cells[:, 1:], features.lattice.resolution)
-    return np.column_stack((xy, thetas[cells[:, 0]])), Best(cells, best.scores)
+    xy = centre_of(best.cells[:, 1:], features.lattice.resolution)
+    return np.column_stack((xy, thetas[wanted[best.cells[:, 0]]])), best.scores.astype(np.float64)
 
 
 def find_in_stack(
@@ -342,15 +339,13 @@ def find_in_stack(
     if len(poses) == 0:
         return NOTHING
     how = options.calibration or DEFAULTS[stack.method]
+    temperature = how.temperature_at(stack.method, int(scan.valid.sum()))
     uniform = 1 / (len(stack.thetas) * np.count_nonzero(features.free))
     with np.errstate(divide="ignore"):
         score = np.log(probability[tuple(peaks.T)].astype(np.float64) / uniform)
     return Found(
-        poses,
-        score,
-        share,
-        covariance,
-        temperature=Temperature(how.temperature_at(stack.method, int(scan.valid.sum()))),
+        *(poses, score, share, covariance),
+        temperature=Temperature(temperature),
         entropy=entropy(probability),
         # Votes are spread where walls are few, too: no share says anything of the scan.
         **_fit(settle(features, scan, poses[:1], options), options),
@@ -438,13 +433,9 @@ def posterior_of(
     features: MapFeatures, scan: LaserScan, stack: Likelihood, options: Options
 ) -> Float32Array:
     """The calibrated posterior (K, H, W) of a stack over the poses of the prior."""
-    return calibrated(
-        stack,
-        on_lattice(options.prior, features.free, features.factor),
-        int(scan.valid.sum()),
-        options.calibration,
-        headings=options.prior.headings(stack.thetas, np.pi / len(stack.thetas)),
-    )
+    where = on_lattice(options.prior, features.free, features.factor)
+    headings = options.prior.headings(stack.thetas, np.pi / len(stack.thetas))
+    return calibrated(stack, where, int(scan.valid.sum()), options.calibration, headings=headings)
 
 
 def check_method(name: str, known: Sequence[str]) -> None:
@@ -468,13 +459,10 @@ def check_options(features: MapFeatures, options: Options) -> None:
     if prior is not None and not (prior & features.standable).any():
         raise ConfigError("the prior leaves no cell of the map in which a sensor can be")
     if options.exact or options.method == FUSED:
-        shape, cell = features.lattice.shape, features.lattice.resolution
-        check_budget(
-            answer_bytes(features, options),
-            options.memory_budget,
-            f"{options.method} on {shape[0]} x {shape[1]} cells of {cell:g} m",
-            "use larger cells",
-        )
+        (height, width), cell = features.lattice.shape, features.lattice.resolution
+        what = f"{options.method} on {height} x {width} cells of {cell:g} m"
+        need = answer_bytes(features, options)
+        check_budget(need, options.memory_budget, what, "use larger cells")
 
 
 def answer_bytes(features: MapFeatures, options: Options) -> int:

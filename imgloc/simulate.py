@@ -143,8 +143,7 @@ def simulate(
     Parameters
     ----------
     grid : OccupancyGrid
-        On which rays are cast: finer than the map in which the scan is to be located, see
-        :func:`refine_grid`.
+        Finer than the map in which the scan is to be located, see :func:`refine_grid`.
     poses : (N, 3) array
         Of the sensor in the grid frame: metres, metres, radians.
     angles : (B,) array
@@ -160,12 +159,8 @@ def simulate(
     Returns
     -------
     (N, B) float array
-        Metres; +inf where nothing is met within `range_max`, NaN where dropped (REP 117).
-
-    Raises
-    ------
-    ConfigError
-        If a parameter is out of its range.
+        Metres; +inf where nothing is met within `range_max`, NaN where dropped (REP 117). What is
+        out of its range, of the parameters, is a ConfigError.
 
     Examples
     --------
@@ -183,10 +178,8 @@ def simulate(
         raise ConfigError(f"outliers {outliers} and dropped {dropped} are shares between 0 and 1")
     at = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
     psi = at[:, 2:] + np.asarray(angles, dtype=np.float64)
-    distance = distance_image(grid.occupied)
-    # A little farther than the sensor reaches: noise may bring a wall into its reach.
-    reach = range_max + 5 * sigma
-    ranges = cast_rays(distance, at[:, None, :2], psi, reach, grid.resolution)
+    reach = range_max + 5 * sigma  # noise may bring a wall into the sensor's reach
+    ranges = cast_rays(distance_image(grid.occupied), at[:, None, :2], psi, reach, grid.resolution)
     out = np.asarray(ranges, dtype=np.float64)
     # Drawn whether used or not: a scan with outliers differs from one without in them alone.
     rng = np.random.default_rng(seed)
@@ -219,7 +212,9 @@ def ray_angles(rays: int, fov: float) -> FloatArray:
 def sample_free_poses(
     grid: OccupancyGrid, n: int, seed: int, clearance: float = 0.3, mount: Pose2D | None = None
 ) -> FloatArray:
-    """Draw poses (n, 3) uniformly from the free space of a map, in the grid frame.
+    """Draw poses (n, 3) uniformly from the free space of a map: metres, theta in [0, 2 pi).
+
+    They are in the grid frame, and not at the centres of cells.
 
     Parameters
     ----------
@@ -228,11 +223,6 @@ def sample_free_poses(
     mount : Pose2D, optional
         Of the sensor on the robot: then the poses are the **sensor's**, ``robot ⊕ mount``. A
         robot whose sensor is not in a free cell is drawn again.
-
-    Returns
-    -------
-    (n, 3) float array
-        x and y in metres, continuous, and theta in [0, 2 pi).
 
     Raises
     ------
@@ -273,12 +263,11 @@ def sample_free_poses(
         return robots(seed)
     found = np.empty((0, 3))
     for draw in (seed, *np.random.SeedSequence(seed).generate_state(_DRAWS).tolist()):
-        sensors = robots(int(draw))
+        x, y, theta = robots(int(draw)).T
         # robot ⊕ mount: the mount, turned by the robot's heading
-        c, s = np.cos(sensors[:, 2]), np.sin(sensors[:, 2])
-        sensors[:, 0] += c * mount.x - s * mount.y
-        sensors[:, 1] += s * mount.x + c * mount.y
-        sensors[:, 2] = (sensors[:, 2] + mount.theta) % (2 * np.pi)
+        x = x + (np.cos(theta) * mount.x - np.sin(theta) * mount.y)
+        y = y + (np.sin(theta) * mount.x + np.cos(theta) * mount.y)
+        sensors = np.column_stack((x, y, (theta + mount.theta) % (2 * np.pi)))
         cells = cell_of(sensors[:, :2], grid.resolution)
         on_map = inside(cells, grid.info)
         row, column = cells[on_map].T
@@ -297,18 +286,13 @@ def refine_grid(
     """Redraw a map with smaller cells and smooth outlines, so that walls have no stairs.
 
     The occupancy image is blurred by 0.7 cells, enlarged bilinearly and cut at one half; walls
-    and gaps that are one cell thin are kept.
+    and gaps that are one cell thin are kept. A map whose cells need not be smaller is returned.
 
     Parameters
     ----------
     resolution, max_cells : float, int
         Side of a cell wanted, metres: that of the map's cells is divided by a whole number that
         comes closest to it. No more cells than `max_cells`: a large map is refined less.
-
-    Returns
-    -------
-    OccupancyGrid
-        Same place, same origin; `grid` itself if its cells need not be smaller.
 
     Examples
     --------

@@ -54,19 +54,16 @@ def separated(
 
     Parameters
     ----------
-    poses : (M, 3) float array
-        Best first: metres, metres, radians.
-    n : int
-        At most so many.
+    poses, n : (M, 3) float array, int
+        Best first: metres, metres, radians; and how many to pick at most.
     distance, angle : float
         Two poses are neighbours if they are closer than both, metres and radians.
 
     Returns
     -------
-    picked : (K,) int array
-        Indices of the picked poses.
-    owner : (M,) int array
-        For each pose the position in `picked` of the pose it is a neighbour of, or -1.
+    picked, owner : (K,) and (M,) int arrays
+        Indices of the picked poses, and for each pose the position in `picked` of the one it is
+        a neighbour of, or -1.
 
     Examples
     --------

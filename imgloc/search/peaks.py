@@ -15,23 +15,15 @@ _FEW = 4096  # peaks sorted at a time
 def find_peaks(
     values: Float32Array, n: int, *, radius: int = 1, where: BoolArray | None = None
 ) -> IntArray:
-    """Local maxima of a stack, best first.
+    """Local maxima ``(theta, row, col)`` of a stack (K, H, W) above 0: (M, 3), the `n` best first.
 
     Parameters
     ----------
-    values : (K, H, W) float32 array
-    n : int
-        At most so many.
     radius : int
         A peak is the largest of the ``2 radius + 1`` cells and headings around it, theta
         wrapping around. Of equal neighbours the first in index order stays.
     where : (H, W) bool array, optional
         Cells that may hold a peak.
-
-    Returns
-    -------
-    (M, 3) int array
-        ``(theta, row, col)`` of values above 0.
 
     Examples
     --------
@@ -137,15 +129,11 @@ def peak_moments(
 
     Parameters
     ----------
-    probability : (K, H, W) float32 array
-        Sums to 1.
+    probability, thetas, resolution
+        (K, H, W), sums to 1; (K,) uniform headings, radians; side of a cell, metres.
     peaks : (M, 3) int array
         ``(theta, row, col)``, best first. A cell that lies in the window of two peaks counts
         for the first.
-    thetas : (K,) float array
-        Uniform headings.
-    resolution : float
-        Side of a cell, metres.
     radius : int
         The window reaches so many cells and headings to every side.
 

@@ -47,11 +47,9 @@ def propose_endpoints(
         Scan points, sensor frame, metres.
     theta_step : float
         Largest step between headings, radians; the coarsest level takes every second one.
-    keep : sequence of int
-        How many nodes each level keeps, finest first.
-    skip : int
-        All levels but the finest take every `skip`-th point: their cells are coarse, and
-        neighbouring points say nearly the same.
+    keep, skip : sequence of int, int
+        How many nodes each level keeps, finest first. All levels but the finest take every
+        `skip`-th point: their cells are coarse, and neighbouring points say nearly the same.
     prior : Prior, optional
         Whose headings are the only ones; its cells are in the levels' `free` already.
     threads : int
@@ -59,11 +57,10 @@ def propose_endpoints(
 
     Returns
     -------
-    poses : (M, 3) float array
+    poses, scores : (M, 3) and (M,) float arrays
         Grid frame, best first, at most ``keep[0]``, one per block of 2 x 2 cells and 2
-        headings; none that meets no wall at all.
-    scores : (M,) float array
-        Mean of the finest endpoint image under the points, 0..1.
+        headings; none that meets no wall at all. Scores are means of the finest endpoint image
+        under the points, 0..1.
     """
     if len(xy) == 0:
         return np.empty((0, 3)), np.empty(0)
@@ -78,10 +75,8 @@ def propose_endpoints(
     nodes[:, 0] = 2 * coarse[nodes[:, 0]]
     spread = np.array([-1, 0, 1])
     for level, count in zip(levels[-2::-1], keep[-2::-1], strict=True):
-        parents = _parents(nodes, spread, wanted)
-        spread = np.array([0])
-        points = xy if level is levels[0] else xy[::skip]
-        sums = _score(level, points, thetas, parents)
+        parents, spread = _parents(nodes, spread, wanted), np.array([0])
+        sums = _score(level, xy if level is levels[0] else xy[::skip], thetas, parents)
         sums[~_free_children(level, parents)] = -1
         best = _best(sums.ravel(), count)
         nodes, scores = parents[best >> 2] * (1, 2, 2), sums.ravel()[best]
