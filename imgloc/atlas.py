@@ -64,10 +64,8 @@ def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: floa
 
     Raises
     ------
-    ConfigError
-        If there is to be no heading, or the step is not positive.
-    MapError
-        If no place has the clearance.
+    ConfigError, MapError
+        If there is to be no heading, or the step is not positive; if no place has the clearance.
 
     Examples
     --------

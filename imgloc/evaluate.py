@@ -45,7 +45,7 @@ from imgloc.index import (
 )
 from imgloc.io.scanset import ScanSet
 from imgloc.model import VERDICTS, FloatArray, LaserScan, Likelihood, Localization, Pose2D
-from imgloc.options import FUSED, LOG_METHODS, Options
+from imgloc.options import FUSED, LOG_METHODS, FusedOptions, Options
 from imgloc.pipeline import effective, likelihood, localize, posterior_of
 
 Z95 = 1.959964
@@ -205,14 +205,12 @@ def method_options(method: str, theta_step: float | None = None, threads: int = 
     >>> round(np.rad2deg(method_options("ght-v").theta_step))
     30
     """
-    options = Options(method=method, threads=threads, top=LISTED)
     if method == FUSED:
-        options = replace(options, top=_MIXTURE)
-        if theta_step is not None:
-            options = replace(options, fused=replace(options.fused, theta_step=theta_step))
-        return options
+        fused = FusedOptions() if theta_step is None else FusedOptions(theta_step=theta_step)
+        return Options(method=method, threads=threads, top=_MIXTURE, fused=fused)
     default = np.deg2rad(PAPER_STEPS_DEG.get(method, 3.0))
-    return replace(options, theta_step=float(default if theta_step is None else theta_step))
+    step = float(default if theta_step is None else theta_step)
+    return Options(method=method, threads=threads, top=LISTED, theta_step=step)
 
 
 def evaluate(
@@ -250,14 +248,9 @@ def evaluate(
     for trial in run_trials(features, scans, options):
         trials.append(trial)
         advance()
-    kept = bytes_of(features)
+    kept, method = bytes_of(features), options.method
     summary = summarise(
-        trials,
-        options.method,
-        tolerances=tolerances,
-        floor=floor,
-        features_bytes=kept,
-        first_ms=first,
+        trials, method, tolerances=tolerances, floor=floor, features_bytes=kept, first_ms=first
     )
     n, cell = headings(options), features.lattice.resolution
     poses = n * int(np.count_nonzero(features.free))
@@ -310,13 +303,12 @@ def _trial(features: MapFeatures, scan: LaserScan, truth: Pose2D, options: Optio
             density_in_stack(stack.values, at, log=log),
             density_in_stack(posterior, at, features.free),
         )
-    poses = poses_of(answer.hypotheses[:LISTED])
     return Trial(
         *densities,
         outside=not free,
         exact=found == at,
         near=found is not None and _next_to(found, at, n),
-        errors=pose_errors(poses, truth),
+        errors=pose_errors(poses_of(answer.hypotheses[:LISTED]), truth),
         verdict=answer.verdict,
         ms=1e3 * (end - start),
         stack_ms=nan if stack is None else 1e3 * (between - start),
@@ -455,7 +447,7 @@ def bytes_of(features: MapFeatures) -> int:
     (0, (10, 10), True)
     """
     given = {f.name for f in fields(features)}
-    return sum(_nbytes(value) for key, value in vars(features).items() if key not in given)
+    return _nbytes([value for key, value in vars(features).items() if key not in given])
 
 
 def _nbytes(value: Any) -> int:

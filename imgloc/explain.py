@@ -47,8 +47,8 @@ from imgloc.model import (
 from imgloc.options import FUSED, LOG_METHODS, EvidenceModel, Options
 from imgloc.pipeline import likelihood, settle
 from imgloc.search.priors import around, pyramid_levels
+from imgloc.search.proposals import cast_votes, vote_cell
 from imgloc.search.rescore import rescore
-from imgloc.search.votes import cast_votes, vote_cell
 
 #: What a ray can be, in the order in which they are counted.
 KINDS = ("agrees", "orientation", "visibility", "unexplained", "no_return", "invalid")
@@ -127,13 +127,12 @@ def explain(
     score = np.array([h.log_likelihood for h in local])
     if local and options.method != FUSED:  # of votes, say: what its readings say there
         score = settle(features, scan, poses_of(local), options).log_likelihood
+    about = (features.surface, features.field, features.walls, options.fused.model)
     fits = tuple(
         HypothesisFit(
             given.pose,
             h,
-            explain_rays(
-                h.pose, scan, features.surface, features.field, features.walls, options.fused.model
-            ),
+            explain_rays(h.pose, scan, *about),
             float(total) / answer.evidence.readings,
             min(1.0, h.mass / max(1 - answer.elsewhere, 1e-12)),
         )
@@ -180,8 +179,7 @@ def explain_rays(
     used = np.flatnonzero(scan.valid)
     kind = np.full(len(scan.ranges), "invalid", dtype="<U11")
     kind[scan.no_return] = "no_return"
-    end = np.full((len(kind), 2), np.nan)
-    wall = np.full(len(kind), np.inf, dtype=np.float32)
+    end, wall = np.full((len(kind), 2), np.nan), np.full(len(kind), np.inf, dtype=np.float32)
     if len(used) == 0:
         return RayFit(kind, end, wall)
     end[used] = transform_points(pose, scan_xy(scan)[used])
@@ -301,13 +299,13 @@ def layers_of(features: MapFeatures, scan: LaserScan, options: Options) -> Itera
 def _endpoints(features: MapFeatures, scan: LaserScan, options: Options) -> Layer:
     """Endpoint correlation on the finest level of the pyramid that is worth the time."""
     prior, fused = options.prior, options.fused
-    few = thin(scan.valid, fused.few_rays)
+    few, threads = thin(scan.valid, fused.few_rays), options.threads
     thetas = uniform_thetas(2 * fused.theta_step)
     thetas = thetas[prior.headings(thetas, fused.theta_step)]
     levels = pyramid_levels(prior, features.pyramid, features.grid.resolution)
     work = [len(few) * len(thetas) * level.image.size for level in levels]
     level = levels[next((k for k, w in enumerate(work) if w <= _WORK), len(levels) - 1)]
-    at_once = max(1, _CHUNK // level.image.size)
+    xy, cell, at_once = scan_xy(scan)[few], level.resolution, max(1, _CHUNK // level.image.size)
     best = np.zeros(level.image.shape, dtype=np.float32)
     need = 12 * level.image.size * min(at_once, max(1, len(thetas))) + 64 * MIB
     what = "the picture of the endpoint correlation"
@@ -316,18 +314,19 @@ def _endpoints(features: MapFeatures, scan: LaserScan, options: Options) -> Laye
     except ConfigError as error:
         return Layer("cbml", f"Left out: {error}.", None)
     for start in range(0, len(thetas), at_once):
+        xy, some = scan_xy(scan)[few], thetas[start : start + at_once]
         stack = correlate(
             level.image,
-            scan_xy(scan)[few],
-            thetas[start : start + at_once],
+            xy,
+            some,
             level.resolution,
             engine="shift",
-            threads=options.threads,
+            threads=threads,
             where=level.free,
         )
         np.maximum(best, stack.max(axis=0), out=best)
-    about = f"{len(thetas)} headings, cells of {level.resolution:.2g} m, {len(few)} readings"
-    return _layer("cbml", about, best, level.resolution, features)
+    about = f"{len(thetas)} headings, cells of {cell:.2g} m, {len(few)} readings"
+    return _layer("cbml", about, best, cell, features)
 
 
 def _layer(

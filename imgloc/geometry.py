@@ -28,10 +28,7 @@ def wrap(angle: npt.ArrayLike) -> FloatArray:
 def uniform_thetas(step: float) -> FloatArray:
     """Headings ``0, step', 2 step', ...`` over the circle, with step' <= step dividing it.
 
-    Raises
-    ------
-    ConfigError
-        If `step` is not finite or below :data:`MIN_THETA_STEP`.
+    A step that is not finite, or below :data:`MIN_THETA_STEP`, is a ConfigError.
 
     Examples
     --------
@@ -39,10 +36,8 @@ def uniform_thetas(step: float) -> FloatArray:
     [0.0, 90.0, 180.0, 270.0]
     """
     if not MIN_THETA_STEP <= step < np.inf:
-        raise ConfigError(
-            f"the step between headings must be finite and at least {MIN_THETA_STEP} rad, "
-            f"got {step}"
-        )
+        least = f"finite and at least {MIN_THETA_STEP} rad"
+        raise ConfigError(f"the step between headings must be {least}, got {step}")
     n = max(1, int(np.ceil(2 * np.pi / step - 1e-9)))
     return np.arange(n, dtype=np.float64) * (2 * np.pi / n)
 

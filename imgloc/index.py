@@ -1,13 +1,12 @@
 """The paper's performance index S, eq. 12: how much a method knows about the true pose.
 
-``S = mean_k log p(x_k | z_k) + log V``, nats. The densities are relative ones here, ``p V``,
-so that 1 stands for "no idea" and S = 0 for a method that knows nothing. On a lattice of N
-poses ``p V`` is ``L[k*] N / sum(L)``, where k* is the cell of the true pose; its logarithm is
-at most ``log N``. A density that has no cells, see :func:`density_at`, may say more.
+``S = mean_k log p(x_k | z_k) + log V``, nats. The densities are relative ones here, ``p V``: 1
+stands for "no idea". On a lattice of N poses ``p V`` is ``L[k*] N / sum(L)``, where k* is the cell
+of the true pose; at most N. A density that has no cells, see :func:`density_at`, may say more.
 
-Zeros: a method that gives the true pose no probability at all would have S = -inf. Every
-density is mixed with a small share of the uniform one, :data:`FLOOR`; it stays a density, a
-trial costs at most ``-log(floor)`` nats, and the trials that hit the floor are counted.
+A method that gives the true pose no probability at all would have S = -inf. So every density is
+mixed with a small share of the uniform one, :data:`FLOOR`: it stays a density, a trial costs at
+most ``-log(floor)`` nats, and the trials that hit the floor are counted.
 """
 
 from collections.abc import Sequence
@@ -38,12 +37,8 @@ class Index:
 def performance_index(densities: Sequence[float], floor: float = FLOOR) -> Index:
     """Average the logarithms of relative densities (n,), ``p(x_k | z_k) V`` of each trial: eq. 12.
 
-    Raises
-    ------
-    ConfigError
-        If `floor`, the share of the uniform density that is mixed in, is not between 0 and 1.
-    ValueError
-        If a density is negative or not finite.
+    A `floor`, the share of the uniform density that is mixed in, that is not between 0 and 1 is a
+    ConfigError, a density that is negative or not finite a ValueError.
 
     Examples
     --------
@@ -86,13 +81,11 @@ def density_in_stack(
     Parameters
     ----------
     values : (K, H, W) float32 array
-        Likelihoods up to a factor; negative ones (CBML-O) count as 0.
+        Likelihoods up to a factor, negative ones (CBML-O) count as 0; with `log` log-likelihoods.
     cell : (int, int, int)
         ``(theta, row, col)`` of the true pose.
     where : (H, W) bool array, optional
         The pose space: free cells, say. By default all of the box.
-    log : bool
-        `values` are log-likelihoods, up to a summand.
 
     Examples
     --------

@@ -47,11 +47,10 @@ from imgloc.search.branch_and_bound import best_poses
 from imgloc.search.hypotheses import as_hypotheses, covariances, masses, modes
 from imgloc.search.peaks import peaks_of_posterior
 from imgloc.search.priors import on_lattice, pyramid_levels, standing
-from imgloc.search.proposals import propose_endpoints
+from imgloc.search.proposals import propose_endpoints, propose_votes
 from imgloc.search.refine import refine
 from imgloc.search.rescore import Scores, rescore, shortlist
 from imgloc.search.trust import crowding, judge
-from imgloc.search.votes import propose_votes
 
 MODES = 20
 """Poses that are looked for, however few are listed: no verdict depends on the list's length."""
@@ -239,11 +238,9 @@ class Found:
     log_likelihood: FloatArray  #: (M,)
     share: FloatArray  #: (M,) Mass of each if the true pose is one of them
     covariance: FloatArray  #: (L, 3, 3) Of as many as are listed, at least
-    #: nats per reading that the best pose lacks, and the share of the readings it explains
-    misfit: float = float("nan")
-    explained: float = 0.0
-    #: what made shares of the log-likelihoods
-    temperature: Temperature = field(default_factory=Temperature)
+    misfit: float = float("nan")  #: nats per reading that the best pose lacks
+    explained: float = 0.0  #: share of the readings that the best pose explains
+    temperature: Temperature = field(default_factory=Temperature)  #: what made shares of nats
     readings: int = 0  #: how many decided about the misfit
     #: share of the best, as far as it says something about the true pose being none of them
     lead: float = 1.0
@@ -374,14 +371,9 @@ def _covariances(
     features: MapFeatures, poses: FloatArray, xy: FloatArray, options: Options, sigma: float
 ) -> FloatArray:
     """Covariances of the poses that are listed."""
-    return covariances(
-        poses[: options.top],
-        xy,
-        features.field,
-        sigma=sigma,
-        correlated=options.trust.correlated,
-        extent=options.fused.separation,
-    )
+    listed, field, trust = poses[: options.top], features.field, options.trust
+    extent = options.fused.separation
+    return covariances(listed, xy, field, sigma=sigma, correlated=trust.correlated, extent=extent)
 
 
 def _log_volumes(hypotheses: tuple[Hypothesis, ...], features: MapFeatures) -> FloatArray:

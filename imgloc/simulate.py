@@ -57,12 +57,10 @@ def simulate_set(
     sensor: Sensor | None = None,
     fine: OccupancyGrid | None = None,
 ) -> ScanSet:
-    """Simulate scans at random free poses; the poses of the set are the sensor's, map frame.
+    """Simulate `n` scans at random free poses; the poses of the set are the sensor's, map frame.
 
     Parameters
     ----------
-    grid, n
-        The map, from whose free space the poses are drawn, and the number of scans.
     seed : int
         Of everything random: the same seed gives the same scans, and poses that depend on the
         sensor's mount and clearance alone.

@@ -4,10 +4,9 @@ The evidence of a map is the mean of the scan's likelihood over all poses in it:
 ``1 / V`` in front of an integral that is, mode by mode, the height of a Gaussian times its
 volume. A large map has more places that fit by chance, and pays for them with its V.
 
-A scan also fits maps that it is not from, somewhere. How well it may fit a building that is not
-among the maps is seen from them: at best two are of its building, so that the third best fits by
-chance. The best of many that fit by chance leads the third by as much as the best of few: the
-tail of their evidence is about exponential, whose upper spacings do not depend on their number.
+How well a scan may fit a building that is not among the maps is seen from them: at best two are of
+its building, so that the third best fits by chance. The best of many that do leads the third by as
+much as the best of few: upper spacings of a tail that is about exponential do not depend on them.
 """
 
 from collections import Counter
@@ -62,10 +61,7 @@ def which(
 ) -> Choice:
     """Say from which of some maps a scan is: one of them, none, or undecided.
 
-    Raises
-    ------
-    ConfigError
-        If there are no maps, or the method is not ``fused``.
+    No maps, or another method than ``fused``, are a ConfigError.
 
     Examples
     --------

@@ -4,8 +4,8 @@ Branch and bound (Hess et al. 2016): a block of poses whose bound, from a max-po
 below what is already known to be reached is left out with all its poses. Nothing here is an
 approximation: the result is that of the exhaustive search, ties included.
 
-No block is looked at by itself. The top level is summed as runs of memory, heading by heading;
-the finer ones are gathered with one call for hundreds of blocks.
+The top level is summed as runs of memory, heading by heading; the finer ones are gathered with one
+call for hundreds of blocks.
 """
 
 from collections.abc import Sequence
@@ -63,22 +63,17 @@ def best_poses(
         Scan points, sensor frame, metres. Points that are not finite are left out.
     thetas : (K,) float array
         Headings, radians.
-    count : int
-        At most so many poses. Far more than fit the map at the distance make the search exhaustive.
-    distance, angle : float
-        Two poses are neighbours if they are closer than both, metres and radians.
+    count, distance, angle : int, float, float
+        At most so many poses: far more than fit the map make the search exhaustive. Two poses are
+        neighbours if they are closer than both, metres and radians.
     threads : int
         The result does not depend on it.
 
     Returns
     -------
     Best
-        Only poses with a score above 0: a pose that no reading speaks for is no answer.
-
-    Raises
-    ------
-    ConfigError, ValueError
-        If `count`, `distance`, `angle` or `threads` is out of its range, or `xy` of a wrong shape.
+        Only poses with a score above 0: a pose that no reading speaks for is no answer. A number
+        out of its range is a ConfigError, `xy` of a wrong shape a ValueError.
 
     Examples
     --------

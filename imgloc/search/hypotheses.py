@@ -118,10 +118,8 @@ def covariances(
 
     Parameters
     ----------
-    poses, xy, field
-        As of :func:`~imgloc.search.refine.refine`, refined.
-    sigma : float
-        Width of the robust kernel, metres.
+    poses, xy, field, sigma
+        As of :func:`~imgloc.search.refine.refine`, refined; width of the robust kernel, metres.
     correlated : float
         How many neighbouring readings share their error: the staircase of a wall's cells.
     extent : (float, float)

@@ -31,8 +31,7 @@ def nearest(prior: Prior, poses: FloatArray, resolution: float) -> FloatArray:
     Examples
     --------
     >>> prior = Prior(np.array([[True, False, False]]), (0.0, 0.5))
-    >>> found = nearest(prior, np.array([[0.45, 0.1, 0.6], [1.7, 0.1, -0.1]]), 0.4)
-    >>> found.round(3).tolist()
+    >>> nearest(prior, np.array([[0.45, 0.1, 0.6], [1.7, 0.1, -0.1]]), 0.4).round(3).tolist()
     [[0.4, 0.1, 0.5]]
     """
     poses = np.array(poses, dtype=np.float64)
