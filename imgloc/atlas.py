@@ -26,8 +26,7 @@ KINDS = ("unique", "ambiguous", "no-match", "wrong")
 NEAR = (0.5, float(np.deg2rad(15.0)))
 """A hypothesis this near the true pose is it, metres and radians."""
 TOP = 10
-AT_ONCE = 1000
-"""Scans that are simulated at a time."""
+AT_ONCE = 1000  #: scans that are simulated at a time
 
 
 @dataclass(frozen=True)
@@ -103,18 +102,16 @@ def simulate_at(
     Rays are cast in `fine`, by default the map redrawn at 1 cm.
     """
     fine = fine or refine_grid(grid)
-    angles = ray_angles(sensor.rays, sensor.fov)
+    angles, range_max = ray_angles(sensor.rays, sensor.fov), sensor.range_max
     ranges = [
         simulate(
-            fine, part, angles, sigma=sensor.sigma, range_max=sensor.range_max,
+            fine, part, angles, sigma=sensor.sigma, range_max=range_max,
             seed=seed + k, outliers=sensor.outliers, dropped=sensor.dropped,
         )
         for k, part in enumerate(np.array_split(poses, -(-len(poses) // AT_ONCE)))
     ]  # fmt: skip
-    return [
-        (Pose2D(*pose), LaserScan(r, angles, range_max=sensor.range_max))
-        for pose, r in zip(poses, np.concatenate(ranges), strict=True)
-    ]
+    pairs = zip(poses, np.concatenate(ranges), strict=True)
+    return [(Pose2D(*pose), LaserScan(r, angles, range_max=range_max)) for pose, r in pairs]
 
 
 def summarise(spots: Sequence[Spot], step: float) -> dict[str, Any]:

@@ -27,12 +27,9 @@ from imgloc.options import LOG_METHODS, Calibration, Options, scale
 from imgloc.pipeline import likelihood
 from imgloc.simulate import Sensor, simulate_set
 
-SIGMAS_XY = (0.0, 0.1, 0.2)
-"""Metres tried."""
-SIGMAS_THETA = tuple(float(np.deg2rad(deg)) for deg in (0.0, 5.0, 10.0, 15.0))
-"""Radians tried."""
-EXPONENTS = np.geomspace(0.25, 256.0, 61)
-"""1 / temperature tried, in steps of an eighth."""
+SIGMAS_XY = (0.0, 0.1, 0.2)  #: metres tried
+SIGMAS_THETA = tuple(float(np.deg2rad(deg)) for deg in (0.0, 5.0, 10.0, 15.0))  #: radians tried
+EXPONENTS = np.geomspace(0.25, 256.0, 61)  #: 1 / temperature tried, in steps of an eighth
 LEAST = 20
 """Trials, of all maps together, below which nothing is fitted: a few lucky scans promise all."""
 _BINS = 8192
@@ -186,8 +183,6 @@ def fit(sweeps: Sequence[Sweep]) -> CalibrationFit:
     logs, floor = np.concatenate([s.logs for s in sweeps]), sweeps[0].floor
     error = index_of(logs[:, c, e], floor).standard_error
     hottest = int(np.argmax(mean[c] >= mean[c, e] - error))
-    return CalibrationFit(
-        Calibration(sigma_xy, sigma_theta, float(1 / EXPONENTS[hottest])),
-        index_of(logs[:, c, hottest], floor),
-        index_of(np.concatenate([s.bare for s in sweeps]), floor),
-    )
+    calibration = Calibration(sigma_xy, sigma_theta, float(1 / EXPONENTS[hottest]))
+    bare = index_of(np.concatenate([s.bare for s in sweeps]), floor)
+    return CalibrationFit(calibration, index_of(logs[:, c, hottest], floor), bare)

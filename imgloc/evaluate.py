@@ -48,14 +48,12 @@ from imgloc.model import VERDICTS, FloatArray, LaserScan, Likelihood, Localizati
 from imgloc.options import FUSED, LOG_METHODS, FusedOptions, Options
 from imgloc.pipeline import effective, likelihood, localize, posterior_of
 
-Z95 = 1.959964
-"""Quantile of the normal distribution for intervals of 95 %."""
+Z95 = 1.959964  #: quantile of the normal distribution for intervals of 95 %
 PAPER_STEPS_DEG = {"cbml": 3.0, "cbml-o": 3.0, "ght": 30.0, "ght-v": 30.0, "beam": 3.0}
 """Steps of the headings in Sec. VI, degrees; the beam model, its reference, gets the finer one."""
 PAIR_METHODS = frozenset({"ght", "ght-v"})
 """Methods whose work is counted in pairs of points, not in poses and readings."""
-LISTED = 5
-"""Hypotheses of an answer that are compared with the true pose."""
+LISTED = 5  #: hypotheses of an answer that are compared with the true pose
 PERCENTILES = (50, 90, 95)
 _MIXTURE = 20  # hypotheses of `fused` that its density is made of
 _FUSED_STEP_DEG = 3.0  # of the cells in which the answer of `fused`, which has none, is compared
@@ -298,11 +296,9 @@ def _trial(features: MapFeatures, scan: LaserScan, truth: Pose2D, options: Optio
     else:
         found, log = global_maximum(stack.values, features.free), stack.method in LOG_METHODS
         posterior = posterior_of(features, scan, stack, options)
-        densities = (
-            density_in_stack(stack.values, at, features.free, log=log),
-            density_in_stack(stack.values, at, log=log),
-            density_in_stack(posterior, at, features.free),
-        )
+        box = density_in_stack(stack.values, at, log=log)
+        inner = density_in_stack(stack.values, at, features.free, log=log)
+        densities = (inner, box, density_in_stack(posterior, at, features.free))
     return Trial(
         *densities,
         outside=not free,

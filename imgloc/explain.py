@@ -314,15 +314,9 @@ def _endpoints(features: MapFeatures, scan: LaserScan, options: Options) -> Laye
     except ConfigError as error:
         return Layer("cbml", f"Left out: {error}.", None)
     for start in range(0, len(thetas), at_once):
-        xy, some = scan_xy(scan)[few], thetas[start : start + at_once]
+        some = thetas[start : start + at_once]
         stack = correlate(
-            level.image,
-            xy,
-            some,
-            level.resolution,
-            engine="shift",
-            threads=threads,
-            where=level.free,
+            level.image, xy, some, cell, engine="shift", threads=threads, where=level.free
         )
         np.maximum(best, stack.max(axis=0), out=best)
     about = f"{len(thetas)} headings, cells of {cell:.2g} m, {len(few)} readings"

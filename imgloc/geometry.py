@@ -120,11 +120,8 @@ def rotate_covariance(covariance: FloatArray, theta: float) -> FloatArray:
 
 def in_map_frame(hypothesis: Hypothesis, grid: GridInfo) -> Hypothesis:
     """Take a hypothesis from the grid frame to the map frame: origin and its yaw."""
-    return replace(
-        hypothesis,
-        pose=compose(grid.origin, hypothesis.pose),
-        covariance=rotate_covariance(hypothesis.covariance, grid.origin.theta),
-    )
+    covariance = rotate_covariance(hypothesis.covariance, grid.origin.theta)
+    return replace(hypothesis, pose=compose(grid.origin, hypothesis.pose), covariance=covariance)
 
 
 def in_grid_frame(hypothesis: Hypothesis, grid: GridInfo) -> Hypothesis:

@@ -56,14 +56,10 @@ def performance_index(densities: Sequence[float], floor: float = FLOOR) -> Index
 
 def index_of(logs: FloatArray, floor: float) -> Index:
     """Average logarithms (n,) of relative densities into which `floor` is mixed already."""
-    n = len(logs)
-    return Index(
-        value=float(logs.mean()) if n else float("nan"),
-        standard_error=float(logs.std(ddof=1) / np.sqrt(n)) if n > 1 else float("nan"),
-        trials=n,
-        floored=int((logs < np.log((1 - floor) * floor + floor)).sum()),
-        floor=floor,
-    )
+    n, unknown = len(logs), float("nan")
+    error = float(logs.std(ddof=1) / np.sqrt(n)) if n > 1 else unknown
+    floored = int((logs < np.log((1 - floor) * floor + floor)).sum())
+    return Index(float(logs.mean()) if n else unknown, error, n, floored, floor)
 
 
 def density_in_stack(
@@ -115,11 +111,8 @@ def density_in_stack(
 def density_at(answer: Localization, pose: Pose2D, volume: float) -> float:
     """Relative density ``p(pose | scan) V`` of an answer made of hypotheses.
 
-    Each hypothesis is a Gaussian of its mass, mean and covariance, theta being taken the short
-    way round; what mass they leave is spread evenly over the pose space.
-
-    `pose` is in the map frame, as the hypotheses; without any the density is uniform: 1. `volume`
-    is that of the pose space, m² rad.
+    Each hypothesis is a Gaussian, theta being taken the short way round; what mass they leave is
+    spread evenly over the pose space, of `volume` m² rad. `pose` is in the map frame, as they are.
 
     Examples
     --------

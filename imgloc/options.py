@@ -35,12 +35,8 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "beam": Method(3.0, "ray-traced ranges for every pose, eq. 2"),
     }
 )
-#: Every name that `localize` takes.
-ALL_METHODS = (FUSED, *METHODS)
-
-
-LOG_METHODS = frozenset({"beam"})
-"""Stacks whose values are logarithms already."""
+ALL_METHODS = (FUSED, *METHODS)  #: every name that `localize` takes
+LOG_METHODS = frozenset({"beam"})  #: stacks whose values are logarithms already
 FEW = 20.0
 """Readings with which votes are worth half of what they are with very many: of 31, 61, 181 and
 721 rays the best exponents were as 0.5, 0.9, 1 and 1.1 (ght-v, ``visibility`` and ``curved``)."""
@@ -237,12 +233,8 @@ class Trust:
         >>> trust.temperature_at(0.5, cell=0.2).value
         14.0
         """
-        return Temperature(
-            self.temperature,
-            self.strain * max(0.0, misfit),
-            max(1.0, self.crowded * crowding),
-            max(1.0, cell / self.fine),
-        )
+        factors = max(1.0, self.crowded * crowding), max(1.0, cell / self.fine)
+        return Temperature(self.temperature, self.strain * max(0.0, misfit), *factors)
 
     def mass_elsewhere(self, misfit: float, best: float) -> float:
         """Probability that the true pose is none of the hypotheses.

@@ -302,16 +302,9 @@ def exact_poses(
     if prior.cells is not None:
         where = on_lattice(prior, features.free, features.factor)
         pooled = replace(pooled, where=block_masks(where, pooled.top))
-    distance, angle = options.fused.separation
-    best = best_poses(
-        pooled,
-        scan_xy(scan)[scan.valid],
-        thetas[wanted],
-        count=max(options.top, MODES),
-        distance=distance,
-        angle=angle,
-        threads=options.threads,
-    )
+    (distance, angle), n = options.fused.separation, max(options.top, MODES)
+    xy, some, threads = scan_xy(scan)[scan.valid], thetas[wanted], options.threads
+    best = best_poses(pooled, xy, some, count=n, distance=distance, angle=angle, threads=threads)
     xy = centre_of(best.cells[:, 1:], features.lattice.resolution)
     return np.column_stack((xy, thetas[wanted[best.cells[:, 0]]])), best.scores.astype(np.float64)
 
@@ -325,13 +318,10 @@ def find_in_stack(
     hold more mass.
     """
     probability = posterior_of(features, scan, stack, options)
+    n = 4 * max(options.top, MODES)  # more than modes: some are neighbours on the slope of one
+    cell, apart = stack.grid.resolution, options.fused.separation
     poses, share, covariance, peaks = peaks_of_posterior(
-        probability,
-        stack.thetas,
-        stack.grid.resolution,
-        # More peaks than modes: some are neighbours on the slope of one.
-        n=4 * max(options.top, MODES),
-        separation=options.fused.separation,
+        probability, stack.thetas, cell, n=n, separation=apart
     )
     if len(poses) == 0:
         return NOTHING
@@ -360,11 +350,8 @@ def _fit(scores: Scores, options: Options) -> dict[str, Any]:
     """Misfit, explained share and readings of the best pose, as :class:`Found` has them."""
     readings = scores.crossed.shape[1]
     per_reading = float(scores.log_likelihood[0]) / readings
-    return {
-        "misfit": float(options.fused.model.best - per_reading),
-        "explained": float(scores.explained[0]),
-        "readings": readings,
-    }
+    misfit, explained = float(options.fused.model.best - per_reading), float(scores.explained[0])
+    return {"misfit": misfit, "explained": explained, "readings": readings}
 
 
 def _covariances(
@@ -408,12 +395,10 @@ def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -
     check_method(options.method, tuple(METHODS))
     thetas, lattice = options.thetas, features.lattice
     method, threads, budget = options.method, options.threads, options.memory_budget
-    check_budget(
-        stack_bytes(method, lattice.shape, len(thetas), threads=threads, n_rays=features.n_rays),
-        budget,
-        f"{method} on {len(thetas)} headings x {lattice.height} x {lattice.width} cells",
-        "use larger cells, a larger theta step, or the method 'fused'",
-    )
+    n, shape = len(thetas), lattice.shape
+    need = stack_bytes(method, shape, n, threads=threads, n_rays=features.n_rays)
+    what = f"{method} on {n} headings x {shape[0]} x {shape[1]} cells"
+    check_budget(need, budget, what, "use larger cells, a larger theta step, or the method 'fused'")
     engine = options.engine
     values = stack_of(
         method, features, scan, thetas, engine=engine, threads=threads, memory_budget=budget

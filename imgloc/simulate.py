@@ -20,8 +20,7 @@ from imgloc.io.scanset import ScanSet
 from imgloc.model import BoolArray, Float32Array, FloatArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.worlds import WORLDS, render
 
-FINE = 0.01
-"""Cells on which scans are simulated, metres."""
+FINE = 0.01  #: cells on which scans are simulated, metres
 _MAX_CELLS = 16_000_000
 _DRAWS = 100  # of n poses each, before a mounting pose counts as impossible
 

@@ -24,22 +24,18 @@ from imgloc.options import FUSED, Options, Trust
 from imgloc.pipeline import localize
 from imgloc.search.hypotheses import masses
 
-OPTIONS = Options(top=20)
-"""Evidence is summed over the modes that are listed."""
+OPTIONS = Options(top=20)  #: evidence is summed over the modes that are listed
 LEAD = 0.4
 """Nats per reading by which an unknown building may fit better than the third best map.
-
 Chosen on 475 scans simulated in the bundled worlds and 84 recorded ones, with and without their own
 map: with less, more wrong maps are named, with more, more scans lose their own."""
 LUCK = 20.0
 """Log-evidence that an unknown building does not exceed, nats: of these scans one in forty did.
-
 Maps that fit better are alike, and a scan of one of them is not from none."""
 FEW = 5
 """Of fewer maps than this, one is named only if the scan is ``unique`` in it: too few to tell what
 fits by chance, and of chance there are mostly several places."""
-NO_MAP = ("none", "undecided", "invalid")
-"""Verdicts that name no map."""
+NO_MAP = ("none", "undecided", "invalid")  #: verdicts that name no map
 
 
 @dataclass(frozen=True)
@@ -179,13 +175,10 @@ def names_of(paths: Iterable[Path], folder: Path) -> list[str]:
     ['b.yaml', 'b/map.yaml', 'none.yaml']
     """
     full = [path.relative_to(folder) for path in paths]
-    short = [
-        path.parent if path.stem == "map" and path.parent != Path() else path.with_suffix("")
-        for path in full
-    ]
+    # a/map.yaml is called after its folder
+    inner = [path.stem == "map" and path.parent != Path() for path in full]
+    short = [p.parent if i else p.with_suffix("") for p, i in zip(full, inner, strict=True)]
     taken = Counter([*(name.as_posix() for name in short), *NO_MAP])
-    names = [
-        (path if taken[name.as_posix()] > 1 else name).as_posix()
-        for path, name in zip(full, short, strict=True)
-    ]
+    pairs = zip(full, short, strict=True)
+    names = [(p if taken[name.as_posix()] > 1 else name).as_posix() for p, name in pairs]
     return names if len(set(names)) == len(names) else [path.as_posix() for path in full]

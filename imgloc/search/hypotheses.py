@@ -21,9 +21,7 @@ def masses(log_likelihood: FloatArray, temperature: float) -> FloatArray:
     """
     if not (np.isfinite(temperature) and temperature > 0):
         raise ConfigError(f"temperature must be positive and finite, got {temperature}")
-    if len(log_likelihood) == 0:
-        return np.empty(0)
-    weight = np.exp((log_likelihood - log_likelihood.max()) / temperature)
+    weight = np.exp((log_likelihood - log_likelihood.max(initial=-np.inf)) / temperature)
     return np.asarray(weight / weight.sum())
 
 

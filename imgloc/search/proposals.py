@@ -261,11 +261,8 @@ def cast_votes(
     points = scan_points(scan.ranges, scan.angles, scan.valid)
     usable = np.flatnonzero(points.valid)
     points = points.select(usable[thin(np.ones(len(usable), bool), options.few_rays)])
-    grid, cell, n = (
-        features.grid.info,
-        vote_cell(features.grid.info, options),
-        options.vote_headings,
-    )
+    grid, n = features.grid.info, options.vote_headings
+    cell = vote_cell(grid, options)
     rows, columns = (int(np.ceil(side * grid.resolution / cell)) for side in grid.shape)
     voters, visible = features.voters, features.voters_visibility
     votes = ght_v(voters, visible, points, n, (rows, columns), cell, threads=threads)

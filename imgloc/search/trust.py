@@ -11,9 +11,7 @@ import numpy as np
 from imgloc.model import Check, FloatArray
 from imgloc.options import Trust
 
-#: With more probability elsewhere than this there is no match.
-DOUBT = 0.5
-
+DOUBT = 0.5  #: with more probability elsewhere than this there is no match
 _PATCH = 0.2  # metres
 
 
