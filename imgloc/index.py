@@ -18,8 +18,7 @@ from imgloc.errors import ConfigError
 from imgloc.geometry import wrap
 from imgloc.model import BoolArray, Float32Array, FloatArray, Hypothesis, Localization, Pose2D
 
-FLOOR = 1e-3
-"""Share of the uniform density in every density: a trial counts -6.9 nats or more."""
+FLOOR = 1e-3  #: share of the uniform density in every density: a trial counts -6.9 nats or more
 _SAMPLES = 24  # along each side of where a Gaussian and a cell meet: 0.4 sigmas or less
 
 

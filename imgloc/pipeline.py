@@ -54,7 +54,6 @@ from imgloc.search.trust import crowding, judge
 
 MODES = 20
 """Poses that are looked for, however few are listed: no verdict depends on the list's length."""
-
 _LAST = 20  # proposals that get the second look when time is up
 
 
