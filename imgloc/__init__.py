@@ -35,53 +35,24 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
-    "ALL_METHODS",
-    "METHODS",
-    "ConfigError",
-    "GridInfo",
-    "Hypothesis",
-    "ImglocError",
-    "LaserScan",
-    "Likelihood",
-    "Localization",
-    "MapError",
-    "MapReport",
-    "OccupancyGrid",
-    "Options",
-    "OrientedPoints",
-    "OutputError",
-    "Pose2D",
-    "ScanError",
-    "ScanSet",
-    "__version__",
-    "check_map",
-    "load_map",
-    "load_scans",
-    "localize",
-    "prepare",
-    "save_map",
-    "save_scans",
-]
+    "ALL_METHODS", "METHODS", "ConfigError", "GridInfo", "Hypothesis", "ImglocError",
+    "LaserScan", "Likelihood", "Localization", "MapError", "MapReport", "OccupancyGrid",
+    "Options", "OrientedPoints", "OutputError", "Pose2D", "ScanError", "ScanSet", "__version__",
+    "check_map", "load_map", "load_scans", "localize", "prepare", "save_map", "save_scans",
+]  # fmt: skip
 
 _HOMES = {
-    "imgloc.errors": ("ConfigError", "ImglocError", "MapError", "OutputError", "ScanError"),
-    "imgloc.io.mapcheck": ("MapReport", "check_map"),
-    "imgloc.io.maps": ("load_map", "save_map"),
-    "imgloc.io.scans": ("load_scans", "save_scans"),
-    "imgloc.io.scanset": ("ScanSet",),
-    "imgloc.model": (
-        "GridInfo",
-        "Hypothesis",
-        "LaserScan",
-        "Likelihood",
-        "Localization",
-        "OccupancyGrid",
-        "OrientedPoints",
-        "Pose2D",
-    ),
-    "imgloc.pipeline": ("ALL_METHODS", "METHODS", "Options", "localize", "prepare"),
+    "imgloc.errors": "ConfigError ImglocError MapError OutputError ScanError",
+    "imgloc.io.mapcheck": "MapReport check_map",
+    "imgloc.io.maps": "load_map save_map",
+    "imgloc.io.scans": "load_scans save_scans",
+    "imgloc.io.scanset": "ScanSet",
+    "imgloc.model": "GridInfo Hypothesis LaserScan Likelihood Localization OccupancyGrid "
+    "OrientedPoints Pose2D",
+    "imgloc.options": "ALL_METHODS METHODS Options",
+    "imgloc.pipeline": "localize prepare",
 }
-_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> Any:

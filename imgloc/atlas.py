@@ -14,7 +14,7 @@ import numpy as np
 from imgloc.errors import ConfigError, MapError
 from imgloc.evaluate import pose_errors, share
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.geometry import cell_of, compose, inside
+from imgloc.geometry import cell_of, compose, inside, poses_of
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import localize, prepare
@@ -26,8 +26,7 @@ KINDS = ("unique", "ambiguous", "no-match", "wrong")
 NEAR = (0.5, float(np.deg2rad(15.0)))
 """A hypothesis this near the true pose is it, metres and radians."""
 TOP = 10
-AT_ONCE = 1000
-"""Scans that are simulated at a time."""
+AT_ONCE = 1000  #: scans that are simulated at a time
 
 
 @dataclass(frozen=True)
@@ -60,22 +59,12 @@ class Spot:
 def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: float) -> FloatArray:
     """Poses (N, 3), grid frame, at the centres of squares of `step` metres that are free there.
 
-    Parameters
-    ----------
-    grid : OccupancyGrid
-    step : float
-        Metres between places.
-    headings : int
-        Evenly spaced, the first along x.
-    clearance : float
-        Metres from what is not free.
+    Headings are evenly spaced, the first along x; `clearance` is in metres from what is not free.
 
     Raises
     ------
-    ConfigError
-        If there is to be no heading, or the step is not positive.
-    MapError
-        If no place has the clearance.
+    ConfigError, MapError
+        If there is to be no heading, or the step is not positive; if no place has the clearance.
 
     Examples
     --------
@@ -86,8 +75,7 @@ def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: floa
     if not (np.isfinite(step) and step > 0 and headings >= 1):
         raise ConfigError(f"expected a positive step and a heading or more, got {step}, {headings}")
     info = grid.info
-    y = np.arange(step / 2, info.height * info.resolution, step)
-    x = np.arange(step / 2, info.width * info.resolution, step)
+    y, x = (np.arange(step / 2, side * info.resolution, step) for side in info.shape)
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     cells = cell_of(places, info.resolution)
     on_map = inside(cells, info)
@@ -114,18 +102,16 @@ def simulate_at(
     Rays are cast in `fine`, by default the map redrawn at 1 cm.
     """
     fine = fine or refine_grid(grid)
-    angles = ray_angles(sensor.rays, sensor.fov)
+    angles, range_max = ray_angles(sensor.rays, sensor.fov), sensor.range_max
     ranges = [
         simulate(
-            fine, part, angles, sigma=sensor.sigma, range_max=sensor.range_max,
+            fine, part, angles, sigma=sensor.sigma, range_max=range_max,
             seed=seed + k, outliers=sensor.outliers, dropped=sensor.dropped,
         )
         for k, part in enumerate(np.array_split(poses, -(-len(poses) // AT_ONCE)))
     ]  # fmt: skip
-    return [
-        (Pose2D(*pose), LaserScan(r, angles, range_max=sensor.range_max))
-        for pose, r in zip(poses, np.concatenate(ranges), strict=True)
-    ]
+    pairs = zip(poses, np.concatenate(ranges), strict=True)
+    return [(Pose2D(*pose), LaserScan(r, angles, range_max=range_max)) for pose, r in pairs]
 
 
 def summarise(spots: Sequence[Spot], step: float) -> dict[str, Any]:
@@ -188,21 +174,14 @@ def _work(task: tuple[Pose2D, LaserScan]) -> Spot:
 def _spot(features: MapFeatures, pose: Pose2D, scan: LaserScan, options: Options) -> Spot:
     truth = compose(features.grid.origin, pose)
     answer = localize(features, scan, options)
-    poses = np.array([(h.pose.x, h.pose.y, h.pose.theta) for h in answer.hypotheses])
-    errors = pose_errors(poses.reshape(-1, 3), truth)
+    errors = pose_errors(poses_of(answer.hypotheses), truth)
     right = np.all(errors <= NEAR, axis=1)
     mass = np.array([h.mass for h in answer.hypotheses])
     kind = "no-match" if answer.verdict == "invalid" else answer.verdict
     if kind == "unique" and not right[0]:
         kind = "wrong"
+    error, turn = errors[0].tolist() if len(errors) else (float("nan"), float("nan"))
     others = np.flatnonzero(~right)
     twin = answer.hypotheses[others[0]] if len(others) else None
-    return Spot(
-        truth,
-        kind,
-        float(mass[right].sum()),
-        float(errors[0, 0]) if len(errors) else float("nan"),
-        float(errors[0, 1]) if len(errors) else float("nan"),
-        None if twin is None else twin.pose,
-        0.0 if twin is None else float(twin.mass),
-    )
+    twin_pose, twin_mass = (None, 0.0) if twin is None else (twin.pose, float(twin.mass))
+    return Spot(truth, kind, float(mass[right].sum()), error, turn, twin_pose, twin_mass)

@@ -27,12 +27,9 @@ from imgloc.options import LOG_METHODS, Calibration, Options, scale
 from imgloc.pipeline import likelihood
 from imgloc.simulate import Sensor, simulate_set
 
-SIGMAS_XY = (0.0, 0.1, 0.2)
-"""Metres tried."""
-SIGMAS_THETA = tuple(float(np.deg2rad(deg)) for deg in (0.0, 5.0, 10.0, 15.0))
-"""Radians tried."""
-EXPONENTS = np.geomspace(0.25, 256.0, 61)
-"""1 / temperature tried, in steps of an eighth."""
+SIGMAS_XY = (0.0, 0.1, 0.2)  #: metres tried
+SIGMAS_THETA = tuple(float(np.deg2rad(deg)) for deg in (0.0, 5.0, 10.0, 15.0))  #: radians tried
+EXPONENTS = np.geomspace(0.25, 256.0, 61)  #: 1 / temperature tried, in steps of an eighth
 LEAST = 20
 """Trials, of all maps together, below which nothing is fitted: a few lucky scans promise all."""
 _BINS = 8192
@@ -71,16 +68,11 @@ def disturbed_set(
 
     The arguments are those of :func:`imgloc.simulate.simulate_set`.
     """
-    outliers, dropped = max(0.1, sensor.outliers), max(0.1, sensor.dropped)
-    kinds = (
-        sensor,
-        replace(sensor, outliers=max(0.5, sensor.outliers)),
-        replace(sensor, outliers=outliers, dropped=dropped),
-    )
-    sets = [simulate_set(grid, n, seed, kind, fine) for kind in kinds]
+    crowd = replace(sensor, outliers=max(0.5, sensor.outliers))
+    worn = replace(sensor, outliers=max(0.1, sensor.outliers), dropped=max(0.1, sensor.dropped))
+    sets = [simulate_set(grid, n, seed, kind, fine) for kind in (sensor, crowd, worn)]
     rng = np.random.default_rng(seed)
-    moved = [_displaced(scan, rng) for scan in sets[2].scans]
-    thirds = (sets[0].scans, sets[1].scans, moved)
+    thirds = (sets[0].scans, sets[1].scans, [_displaced(scan, rng) for scan in sets[2].scans])
     scans = tuple(thirds[k % 3][k] for k in range(n))
     return ScanSet(scans, poses=sets[0].poses)  # the same ones in all
 
@@ -103,23 +95,9 @@ def sweep(
 ) -> Sweep:
     """Measure every smoothing and temperature on scans whose poses are known.
 
-    Parameters
-    ----------
-    features : MapFeatures
-    scans : ScanSet
-        With poses of the sensor in the map frame.
-    options : Options
-        Of one of the paper's methods. ``beam`` has a sigma of its own for the cells: of it only
-        the temperature is measured.
-    floor : float
-        See :mod:`imgloc.index`.
-    advance : callable
-        Called after each trial.
-
-    Raises
-    ------
-    ConfigError
-        If there are no scans, no poses, or an option is out of its range.
+    The method is one of the paper's; ``beam`` has a sigma of its own for the cells: of it only
+    the temperature is measured. The arguments and errors are those of
+    :func:`imgloc.evaluate.evaluate`.
     """
     if not len(scans) or scans.poses is None:
         raise ConfigError("expected at least one scan, and the true pose of each")
@@ -127,19 +105,17 @@ def sweep(
     configurations = (
         ((0.0, 0.0),) if log else tuple((xy, th) for xy in SIGMAS_XY for th in SIGMAS_THETA)
     )
-    logs = np.empty((len(scans), len(configurations), len(EXPONENTS)))
-    bare = np.empty(len(scans))
+    logs, bare = np.empty((len(scans), len(configurations), len(EXPONENTS))), np.empty(len(scans))
     for i, (scan, pose) in enumerate(zip(scans.scans, scans.poses, strict=True)):
         stack = likelihood(features, scan, options)
         powers = EXPONENTS / scale(options.method, int(scan.valid.sum()))
         at = cell_of_pose(features, Pose2D(*pose), len(stack.thetas))
         for c, (sigma_xy, sigma_theta) in enumerate(configurations):
             image = replace(stack, values=smoothed(stack, Calibration(sigma_xy, sigma_theta)))
-            density = densities(image, at, features, powers)
-            logs[i, c] = np.log((1 - floor) * density + floor)
-        density = densities(stack, at, features, np.ones(1))
-        bare[i] = np.log((1 - floor) * density[0] + floor)
+            logs[i, c] = densities(image, at, features, powers)
+        bare[i] = densities(stack, at, features, np.ones(1))[0]
         advance()
+    logs, bare = (np.log((1 - floor) * density + floor) for density in (logs, bare))
     return Sweep(options.method, configurations, logs, bare, floor)
 
 
@@ -197,17 +173,8 @@ def fit(sweeps: Sequence[Sweep]) -> CalibrationFit:
 
     Of the temperatures whose S is within one standard error of the greatest, the highest is taken:
     a real map agrees less with its scans than a simulated one, and a posterior that claims too
-    much misleads where one that claims too little only says less. Each map counts alike.
-
-    Parameters
-    ----------
-    sweeps : sequence of Sweep
-        Of one method; one for each map.
-
-    Raises
-    ------
-    ConfigError
-        If there are fewer than :data:`LEAST` trials.
+    much misleads where one that claims too little only says less. Each map, with one sweep of the
+    method, counts alike. Fewer than :data:`LEAST` trials are a ConfigError.
     """
     check_trials(sum(len(s.bare) for s in sweeps))
     mean = np.mean([s.logs.mean(axis=0) for s in sweeps], axis=0)
@@ -216,8 +183,6 @@ def fit(sweeps: Sequence[Sweep]) -> CalibrationFit:
     logs, floor = np.concatenate([s.logs for s in sweeps]), sweeps[0].floor
     error = index_of(logs[:, c, e], floor).standard_error
     hottest = int(np.argmax(mean[c] >= mean[c, e] - error))
-    return CalibrationFit(
-        Calibration(sigma_xy, sigma_theta, float(1 / EXPONENTS[hottest])),
-        index_of(logs[:, c, hottest], floor),
-        index_of(np.concatenate([s.bare for s in sweeps]), floor),
-    )
+    calibration = Calibration(sigma_xy, sigma_theta, float(1 / EXPONENTS[hottest]))
+    bare = index_of(np.concatenate([s.bare for s in sweeps]), floor)
+    return CalibrationFit(calibration, index_of(logs[:, c, hottest], floor), bare)

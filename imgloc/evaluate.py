@@ -29,6 +29,7 @@ from imgloc.geometry import (
     in_grid_frame,
     inside,
     inverse,
+    poses_of,
     theta_bin,
     uniform_thetas,
     wrap,
@@ -44,17 +45,15 @@ from imgloc.index import (
 )
 from imgloc.io.scanset import ScanSet
 from imgloc.model import VERDICTS, FloatArray, LaserScan, Likelihood, Localization, Pose2D
-from imgloc.options import FUSED, LOG_METHODS, Options
+from imgloc.options import FUSED, LOG_METHODS, FusedOptions, Options
 from imgloc.pipeline import effective, likelihood, localize, posterior_of
 
-Z95 = 1.959964
-"""Quantile of the normal distribution for intervals of 95 %."""
+Z95 = 1.959964  #: quantile of the normal distribution for intervals of 95 %
 PAPER_STEPS_DEG = {"cbml": 3.0, "cbml-o": 3.0, "ght": 30.0, "ght-v": 30.0, "beam": 3.0}
 """Steps of the headings in Sec. VI, degrees; the beam model, its reference, gets the finer one."""
 PAIR_METHODS = frozenset({"ght", "ght-v"})
 """Methods whose work is counted in pairs of points, not in poses and readings."""
-LISTED = 5
-"""Hypotheses of an answer that are compared with the true pose."""
+LISTED = 5  #: hypotheses of an answer that are compared with the true pose
 PERCENTILES = (50, 90, 95)
 _MIXTURE = 20  # hypotheses of `fused` that its density is made of
 _FUSED_STEP_DEG = 3.0  # of the cells in which the answer of `fused`, which has none, is compared
@@ -204,14 +203,12 @@ def method_options(method: str, theta_step: float | None = None, threads: int = 
     >>> round(np.rad2deg(method_options("ght-v").theta_step))
     30
     """
-    options = Options(method=method, threads=threads, top=LISTED)
     if method == FUSED:
-        options = replace(options, top=_MIXTURE)
-        if theta_step is not None:
-            options = replace(options, fused=replace(options.fused, theta_step=theta_step))
-        return options
+        fused = FusedOptions() if theta_step is None else FusedOptions(theta_step=theta_step)
+        return Options(method=method, threads=threads, top=_MIXTURE, fused=fused)
     default = np.deg2rad(PAPER_STEPS_DEG.get(method, 3.0))
-    return replace(options, theta_step=float(default if theta_step is None else theta_step))
+    step = float(default if theta_step is None else theta_step)
+    return Options(method=method, threads=threads, top=LISTED, theta_step=step)
 
 
 def evaluate(
@@ -232,11 +229,8 @@ def evaluate(
     scans : ScanSet
         With poses of the sensor in the map frame. The first one is located once more than the
         others, before the clock counts.
-    options : Options
-        See :func:`method_options`.
-    tolerances : sequence of Tolerance
-    floor : float
-        See :mod:`imgloc.index`.
+    options, floor
+        See :func:`method_options` and :mod:`imgloc.index`.
     advance : callable
         Called after each trial.
 
@@ -252,22 +246,13 @@ def evaluate(
     for trial in run_trials(features, scans, options):
         trials.append(trial)
         advance()
+    kept, method = bytes_of(features), options.method
     summary = summarise(
-        trials,
-        options.method,
-        tolerances=tolerances,
-        floor=floor,
-        features_bytes=bytes_of(features),
-        first_ms=first,
+        trials, method, tolerances=tolerances, floor=floor, features_bytes=kept, first_ms=first
     )
-    n, free = headings(options), int(np.count_nonzero(features.free))
-    lattice = Lattice(
-        cell=features.lattice.resolution,
-        theta_step=2 * np.pi / n,
-        poses=n * free,
-        poses_box=n * features.free.size,
-        log_poses=float(np.log(n * free)),
-    )
+    n, cell = headings(options), features.lattice.resolution
+    poses = n * int(np.count_nonzero(features.free))
+    lattice = Lattice(cell, 2 * np.pi / n, poses, n * features.free.size, float(np.log(poses)))
     return Evaluation(lattice, summary, effective(options, features))
 
 
@@ -311,18 +296,15 @@ def _trial(features: MapFeatures, scan: LaserScan, truth: Pose2D, options: Optio
     else:
         found, log = global_maximum(stack.values, features.free), stack.method in LOG_METHODS
         posterior = posterior_of(features, scan, stack, options)
-        densities = (
-            density_in_stack(stack.values, at, features.free, log=log),
-            density_in_stack(stack.values, at, log=log),
-            density_in_stack(posterior, at, features.free),
-        )
-    poses = np.array([(h.pose.x, h.pose.y, h.pose.theta) for h in answer.hypotheses[:LISTED]])
+        box = density_in_stack(stack.values, at, log=log)
+        inner = density_in_stack(stack.values, at, features.free, log=log)
+        densities = (inner, box, density_in_stack(posterior, at, features.free))
     return Trial(
         *densities,
         outside=not free,
         exact=found == at,
         near=found is not None and _next_to(found, at, n),
-        errors=pose_errors(poses, truth),
+        errors=pose_errors(poses_of(answer.hypotheses[:LISTED]), truth),
         verdict=answer.verdict,
         ms=1e3 * (end - start),
         stack_ms=nan if stack is None else 1e3 * (between - start),
@@ -336,11 +318,10 @@ def _on_lattice(
 ) -> float:
     """Relative density of an answer in a cell of free space."""
     lattice, step = features.lattice, 2 * np.pi / n
-    local = tuple(in_grid_frame(h, lattice) for h in answer.hypotheses)
+    answer = replace(answer, hypotheses=tuple(in_grid_frame(h, lattice) for h in answer.hypotheses))
     x, y = centre_of(np.array(at[1:]), lattice.resolution)
     centre = Pose2D(x, y, uniform_thetas(step)[at[0]])
     poses = n * int(np.count_nonzero(features.free))
-    answer = replace(answer, hypotheses=local)
     return density_in_cell(answer, centre, lattice.resolution, step, poses)
 
 
@@ -391,12 +372,8 @@ def summarise(
 ) -> Summary:
     """Make numbers of the trials, at least one, of one method on one map.
 
-    `tolerances` and `floor` as of :func:`evaluate`, the others as in :class:`Summary`.
-
-    Raises
-    ------
-    ConfigError
-        If `floor` is out of its range.
+    `tolerances` and `floor`, with its ConfigError, as of :func:`evaluate`, the others as in
+    :class:`Summary`.
     """
     first = np.array([t.errors[0] if len(t.errors) else (np.inf, np.inf) for t in trials])
     unit = "pair of points" if method in PAIR_METHODS else "pose and reading"
@@ -434,13 +411,10 @@ def right(trial: Trial, tolerance: Tolerance, first: int) -> bool:
 
 
 def _success(trials: Sequence[Trial], tolerance: Tolerance) -> Success:
-    wrong = [t.verdict == "unique" and not right(t, tolerance, 1) for t in trials]
-    return Success(
-        tolerance,
-        share(right(t, tolerance, 1) for t in trials),
-        share(right(t, tolerance, LISTED) for t in trials),
-        share(wrong),
-    )
+    at_1 = [right(t, tolerance, 1) for t in trials]
+    at_5 = share(right(t, tolerance, LISTED) for t in trials)
+    wrong = (t.verdict == "unique" and not ok for t, ok in zip(trials, at_1, strict=True))
+    return Success(tolerance, share(at_1), at_5, share(wrong))
 
 
 def _percentiles(errors: FloatArray) -> dict[str, float]:
@@ -469,7 +443,7 @@ def bytes_of(features: MapFeatures) -> int:
     (0, (10, 10), True)
     """
     given = {f.name for f in fields(features)}
-    return sum(_nbytes(value) for key, value in vars(features).items() if key not in given)
+    return _nbytes([value for key, value in vars(features).items() if key not in given])
 
 
 def _nbytes(value: Any) -> int:

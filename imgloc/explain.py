@@ -1,9 +1,8 @@
 """Why an answer is what it is: what each ray says, and the likelihoods that proposed.
 
-The paper lets a pair of a scan point and a map point vote only if their normals agree (Alg. 4)
-and the map lets the ray through (Alg. 5, l. 5). The same two vetoes, asked of a pose that has
-been found already, tell somebody who looks at it why it is right, or wrong. The numbers behind
-the verdict are the answer's own evidence.
+In the paper a scan point and a map point vote only if their normals agree (Alg. 4) and the map
+lets the ray through (Alg. 5, l. 5). The same two vetoes, asked of a pose that has been found
+already, tell why it is right, or wrong. The numbers behind the verdict are the answer's evidence.
 
 >>> from imgloc.model import LaserScan, OccupancyGrid
 >>> from imgloc.pipeline import localize, prepare
@@ -29,7 +28,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import coarse_info
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import scan_points, scan_xy, thin
-from imgloc.geometry import in_grid_frame, transform_points, uniform_thetas, wrap
+from imgloc.geometry import in_grid_frame, poses_of, transform_points, uniform_thetas, wrap
 from imgloc.likelihood.correlate import correlate
 from imgloc.model import (
     BoolArray,
@@ -48,8 +47,8 @@ from imgloc.model import (
 from imgloc.options import FUSED, LOG_METHODS, EvidenceModel, Options
 from imgloc.pipeline import likelihood, settle
 from imgloc.search.priors import around, pyramid_levels
+from imgloc.search.proposals import cast_votes, vote_cell
 from imgloc.search.rescore import rescore
-from imgloc.search.votes import cast_votes, vote_cell
 
 #: What a ray can be, in the order in which they are counted.
 KINDS = ("agrees", "orientation", "visibility", "unexplained", "no_return", "invalid")
@@ -66,24 +65,15 @@ _CHUNK = 1 << 24  # cells of its stack at a time
 class RayFit:
     """What became of N rays at a pose.
 
-    Parameters
-    ----------
-    kind : (N,) str array
-        One of :data:`KINDS` each:
-
-        - ``agrees``: ends on a surface that faces it, met no wall before;
-        - ``orientation``: ends on a surface that faces elsewhere;
-        - ``visibility``: passes through a mapped wall;
-        - ``unexplained``: ends where the map has no surface;
-        - ``no_return``, ``invalid``: not a distance, no say.
-    end : (N, 2) float array
-        Where it ends, grid frame, metres; NaN where it is not a distance.
-    wall : (N,) float32 array
-        Metres along the ray to the first mapped wall that it passes through, inf without.
+    A ray that ``agrees`` ends on a surface that faces it, and met no wall before; the surface
+    faces elsewhere (``orientation``), the ray passes through a mapped wall (``visibility``), or
+    ends where the map has no surface (``unexplained``). ``no_return`` and ``invalid`` are not
+    distances and have no say.
     """
 
-    kind: npt.NDArray[np.str_]
-    end: FloatArray
+    kind: npt.NDArray[np.str_]  #: (N,) one of :data:`KINDS` each
+    end: FloatArray  #: (N, 2) where it ends, grid frame, metres; NaN where it is not a distance
+    #: (N,) metres along the ray to the first mapped wall that it passes through, inf without
     wall: Float32Array
 
     @property
@@ -130,36 +120,19 @@ def explain(
 ) -> Explanation:
     """Say why a scan was answered as it was.
 
-    Parameters
-    ----------
-    features : MapFeatures
-    scan : LaserScan
-    answer : Localization
-        Of :func:`imgloc.pipeline.localize` with the same features, scan and options.
-    options : Options, optional
-
-    Returns
-    -------
-    Explanation
+    `answer` is that of :func:`imgloc.pipeline.localize` with the same features, scan and options.
     """
     options = options or Options()
     local = [in_grid_frame(h, features.grid.info) for h in answer.hypotheses]
     score = np.array([h.log_likelihood for h in local])
     if local and options.method != FUSED:  # of votes, say: what its readings say there
-        poses = np.array([(h.pose.x, h.pose.y, h.pose.theta) for h in local])
-        score = settle(features, scan, poses, options)[0].log_likelihood
+        score = settle(features, scan, poses_of(local), options).log_likelihood
+    about = (features.surface, features.field, features.walls, options.fused.model)
     fits = tuple(
         HypothesisFit(
             given.pose,
             h,
-            explain_rays(
-                h.pose,
-                scan,
-                features.surface,
-                features.field,
-                features.walls,
-                options.fused.model,
-            ),
+            explain_rays(h.pose, scan, *about),
             float(total) / answer.evidence.readings,
             min(1.0, h.mass / max(1 - answer.elsewhere, 1e-12)),
         )
@@ -182,10 +155,7 @@ def explain_rays(
     Parameters
     ----------
     pose : Pose2D
-        Of the sensor, grid frame.
-    scan : LaserScan
-    surface : OrientedPoints
-        Of the map, grid frame.
+        Of the sensor, grid frame, as the `surface` of the map.
     field, walls, model
         As in :func:`~imgloc.search.rescore.rescore`, whose questions about surface and wall
         these are. That of the normals is not part of its score.
@@ -201,18 +171,15 @@ def explain_rays(
     >>> f = MapFeatures(OccupancyGrid(wall, ~wall, 0.1))
     >>> scan = LaserScan([1.0, 0.4, np.inf], [0.0, 0.0, 0.5], range_max=9.0)
     >>> for x in (1.0, 1.6):
-    ...     fit = explain_rays(
-    ...         Pose2D(x, 2.0), scan, f.surface, f.field, f.walls, EvidenceModel()
-    ...     )
-    ...     fit.kind.tolist()
+    ...     at, model = Pose2D(x, 2.0), EvidenceModel()
+    ...     explain_rays(at, scan, f.surface, f.field, f.walls, model).kind.tolist()
     ['agrees', 'unexplained', 'no_return']
     ['visibility', 'agrees', 'no_return']
     """
     used = np.flatnonzero(scan.valid)
     kind = np.full(len(scan.ranges), "invalid", dtype="<U11")
     kind[scan.no_return] = "no_return"
-    end = np.full((len(kind), 2), np.nan)
-    wall = np.full(len(kind), np.inf, dtype=np.float32)
+    end, wall = np.full((len(kind), 2), np.nan), np.full(len(kind), np.inf, dtype=np.float32)
     if len(used) == 0:
         return RayFit(kind, end, wall)
     end[used] = transform_points(pose, scan_xy(scan)[used])
@@ -248,7 +215,7 @@ def faced(
     *,
     reach: float,
 ) -> BoolArray:
-    """Whether a ray ends on a surface that faces it.
+    """Whether a ray ends on a surface that faces it: (N,) bool.
 
     Asked are the surface points about as near as the nearest. One of them must face the sensor
     and have the normal of the scan there, within 30 degrees or two standard deviations. Where
@@ -256,20 +223,14 @@ def faced(
 
     Parameters
     ----------
-    end : (N, 2) float array
-        Where the rays end, metres, grid frame.
-    psi : (N,) float array
-        Where they go, radians.
+    end, psi : (N, 2) and (N,) float arrays
+        Where the rays end, metres, grid frame, and where they go, radians.
     alpha, sigma : (N,) float arrays
         Normals of the scan there and their standard deviations, inf for one not known.
     surface : OrientedPoints
         Grid frame.
     reach : float
         How far to look, metres.
-
-    Returns
-    -------
-    (N,) bool array
 
     Examples
     --------
@@ -294,10 +255,10 @@ def faced(
     doubt = 2 * np.hypot(np.where(known, sigma[ray], 0.0), surface.sigma_alpha[point])
     turned = np.abs(wrap(np.where(known, alpha[ray], normal) - normal))
     agrees = facing & (turned <= np.maximum(_TOLERANCE, doubt))
-    asked, good = np.zeros(len(end), np.bool_), np.zeros(len(end), np.bool_)
-    asked[ray] = True
-    good[ray[agrees]] = True
-    return good | ~asked
+    out = np.ones(len(end), np.bool_)
+    out[ray] = False
+    out[ray[agrees]] = True
+    return out
 
 
 def _pairs(a: FloatArray, b: FloatArray, reach: float) -> tuple[IntArray, IntArray]:
@@ -312,81 +273,65 @@ def _pairs(a: FloatArray, b: FloatArray, reach: float) -> tuple[IntArray, IntArr
 def layers_of(features: MapFeatures, scan: LaserScan, options: Options) -> Iterator[Layer]:
     """Yield the likelihoods of what proposed, or the stack itself of another method.
 
-    Parameters
-    ----------
-    features : MapFeatures
-    scan : LaserScan
-        With at least one valid reading.
-    options : Options
-        What a picture may take of memory is said there, too.
+    The scan has at least one valid reading. What a picture may take of memory the options say.
     """
-    if options.method != FUSED:
+    method = options.method
+    if method != FUSED:
         try:
             stack = likelihood(features, scan, options)
         except ConfigError as error:  # branch and bound does without the stack
-            yield Layer(options.method, f"Left out: {error}.", None)
+            yield Layer(method, f"Left out: {error}.", None)
             return
         about = f"{len(stack.thetas)} headings, cells of {stack.grid.resolution:.2g} m"
-        yield _layer(options.method, about, stack.values.max(axis=0), stack.grid, options.method)
+        yield _layer(method, about, stack.values.max(axis=0), stack.grid.resolution, features)
         return
     yield _endpoints(features, scan, options)
     votes = cast_votes(features, scan, options.fused, options.prior, options.threads)
-    cell = vote_cell(features.grid.info, options.fused)
-    about = (
-        f"{len(votes)} headings, cells of {cell:.2g} m, at most {options.fused.few_rays} readings"
-    )
-    lattice = GridInfo(votes.shape[1], votes.shape[2], cell, features.grid.origin)
+    cell, few = vote_cell(features.grid.info, options.fused), options.fused.few_rays
+    about = f"{len(votes)} headings, cells of {cell:.2g} m, at most {few} readings"
     best = votes.max(axis=0)
     allowed = around(options.prior, best.shape, cell, features.grid.resolution)
     if allowed is not None:
         best *= allowed
-    yield _layer("ght-v", about, best, lattice, "ght-v")
+    yield _layer("ght-v", about, best, cell, features)
 
 
 def _endpoints(features: MapFeatures, scan: LaserScan, options: Options) -> Layer:
     """Endpoint correlation on the finest level of the pyramid that is worth the time."""
     prior, fused = options.prior, options.fused
-    few = thin(scan.valid, fused.few_rays)
+    few, threads = thin(scan.valid, fused.few_rays), options.threads
     thetas = uniform_thetas(2 * fused.theta_step)
     thetas = thetas[prior.headings(thetas, fused.theta_step)]
     levels = pyramid_levels(prior, features.pyramid, features.grid.resolution)
     work = [len(few) * len(thetas) * level.image.size for level in levels]
     level = levels[next((k for k, w in enumerate(work) if w <= _WORK), len(levels) - 1)]
-    at_once = max(1, _CHUNK // level.image.size)
+    xy, cell, at_once = scan_xy(scan)[few], level.resolution, max(1, _CHUNK // level.image.size)
     best = np.zeros(level.image.shape, dtype=np.float32)
-    name = "cbml"
+    need = 12 * level.image.size * min(at_once, max(1, len(thetas))) + 64 * MIB
+    what = "the picture of the endpoint correlation"
     try:
-        check_budget(
-            12 * level.image.size * min(at_once, max(1, len(thetas))) + 64 * MIB,
-            options.memory_budget,
-            "the picture of the endpoint correlation",
-            "use larger cells",
-        )
+        check_budget(need, options.memory_budget, what, "use larger cells")
     except ConfigError as error:
-        return Layer(name, f"Left out: {error}.", None)
+        return Layer("cbml", f"Left out: {error}.", None)
     for start in range(0, len(thetas), at_once):
+        some = thetas[start : start + at_once]
         stack = correlate(
-            level.image,
-            scan_xy(scan)[few],
-            thetas[start : start + at_once],
-            level.resolution,
-            engine="shift",
-            threads=options.threads,
-            where=level.free,
+            level.image, xy, some, cell, engine="shift", threads=threads, where=level.free
         )
         np.maximum(best, stack.max(axis=0), out=best)
-    about = f"{len(thetas)} headings, cells of {level.resolution:.2g} m, {len(few)} readings"
-    height, width = level.free.shape
-    info = GridInfo(height, width, level.resolution, features.grid.origin)
-    return _layer(name, about, best, info, name)
+    about = f"{len(thetas)} headings, cells of {cell:.2g} m, {len(few)} readings"
+    return _layer("cbml", about, best, cell, features)
 
 
-def _layer(name: str, about: str, best: Float32Array, info: GridInfo, method: str) -> Layer:
+def _layer(
+    method: str, about: str, best: Float32Array, cell: float, features: MapFeatures
+) -> Layer:
     """A picture's worth of a maximum over theta: blocks of cells keep their maximum."""
+    info = GridInfo(best.shape[0], best.shape[1], cell, features.grid.origin)
     factor = -(-max(best.shape) // _SIDE)
     if method in LOG_METHODS:  # blocks that stick out are filled with zeros
         best = np.exp(best - max(float(best.max()), -1e30))
     if factor > 1:
         best = np.asarray(block_reduce(best, factor, np.max))
         info = coarse_info(info, factor)
-    return Layer(name, about, Likelihood(best[None], np.zeros(1), info, method))
+    return Layer(method, about, Likelihood(best[None], np.zeros(1), info, method))

@@ -1,5 +1,6 @@
 """SE(2), angles, and the one place where cells, grid frame and map frame meet."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -27,10 +28,7 @@ def wrap(angle: npt.ArrayLike) -> FloatArray:
 def uniform_thetas(step: float) -> FloatArray:
     """Headings ``0, step', 2 step', ...`` over the circle, with step' <= step dividing it.
 
-    Raises
-    ------
-    ConfigError
-        If `step` is not finite or below :data:`MIN_THETA_STEP`.
+    A step that is not finite, or below :data:`MIN_THETA_STEP`, is a ConfigError.
 
     Examples
     --------
@@ -38,10 +36,8 @@ def uniform_thetas(step: float) -> FloatArray:
     [0.0, 90.0, 180.0, 270.0]
     """
     if not MIN_THETA_STEP <= step < np.inf:
-        raise ConfigError(
-            f"the step between headings must be finite and at least {MIN_THETA_STEP} rad, "
-            f"got {step}"
-        )
+        least = f"finite and at least {MIN_THETA_STEP} rad"
+        raise ConfigError(f"the step between headings must be {least}, got {step}")
     n = max(1, int(np.ceil(2 * np.pi / step - 1e-9)))
     return np.arange(n, dtype=np.float64) * (2 * np.pi / n)
 
@@ -55,6 +51,12 @@ def theta_bin(theta: npt.ArrayLike, n: int) -> IntArray:
     [0, 0, 2]
     """
     return np.floor(np.asarray(theta) * (n / (2 * np.pi)) + 0.5).astype(np.int64) % n
+
+
+def poses_of(hypotheses: Iterable[Hypothesis]) -> FloatArray:
+    """Poses (M, 3) of hypotheses: metres, metres, radians, in their frame."""
+    poses = [(h.pose.x, h.pose.y, h.pose.theta) for h in hypotheses]
+    return np.array(poses, dtype=np.float64).reshape(-1, 3)
 
 
 def compose(a: Pose2D, b: Pose2D) -> Pose2D:
@@ -118,11 +120,8 @@ def rotate_covariance(covariance: FloatArray, theta: float) -> FloatArray:
 
 def in_map_frame(hypothesis: Hypothesis, grid: GridInfo) -> Hypothesis:
     """Take a hypothesis from the grid frame to the map frame: origin and its yaw."""
-    return replace(
-        hypothesis,
-        pose=compose(grid.origin, hypothesis.pose),
-        covariance=rotate_covariance(hypothesis.covariance, grid.origin.theta),
-    )
+    covariance = rotate_covariance(hypothesis.covariance, grid.origin.theta)
+    return replace(hypothesis, pose=compose(grid.origin, hypothesis.pose), covariance=covariance)
 
 
 def in_grid_frame(hypothesis: Hypothesis, grid: GridInfo) -> Hypothesis:

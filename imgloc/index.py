@@ -1,13 +1,12 @@
 """The paper's performance index S, eq. 12: how much a method knows about the true pose.
 
-``S = mean_k log p(x_k | z_k) + log V``, nats. The densities are relative ones here, ``p V``,
-so that 1 stands for "no idea" and S = 0 for a method that knows nothing. On a lattice of N
-poses ``p V`` is ``L[k*] N / sum(L)``, where k* is the cell of the true pose; its logarithm is
-at most ``log N``. A density that has no cells, see :func:`density_at`, may say more.
+``S = mean_k log p(x_k | z_k) + log V``, nats. The densities are relative ones here, ``p V``: 1
+stands for "no idea". On a lattice of N poses ``p V`` is ``L[k*] N / sum(L)``, where k* is the cell
+of the true pose; at most N. A density that has no cells, see :func:`density_at`, may say more.
 
-Zeros: a method that gives the true pose no probability at all would have S = -inf. Every
-density is mixed with a small share of the uniform one, :data:`FLOOR`; it stays a density, a
-trial costs at most ``-log(floor)`` nats, and the trials that hit the floor are counted.
+A method that gives the true pose no probability at all would have S = -inf. So every density is
+mixed with a small share of the uniform one, :data:`FLOOR`: it stays a density, a trial costs at
+most ``-log(floor)`` nats, and the trials that hit the floor are counted.
 """
 
 from collections.abc import Sequence
@@ -19,8 +18,7 @@ from imgloc.errors import ConfigError
 from imgloc.geometry import wrap
 from imgloc.model import BoolArray, Float32Array, FloatArray, Hypothesis, Localization, Pose2D
 
-FLOOR = 1e-3
-"""Share of the uniform density in every density: a trial counts -6.9 nats or more."""
+FLOOR = 1e-3  #: share of the uniform density in every density: a trial counts -6.9 nats or more
 _SAMPLES = 24  # along each side of where a Gaussian and a cell meet: 0.4 sigmas or less
 
 
@@ -36,21 +34,10 @@ class Index:
 
 
 def performance_index(densities: Sequence[float], floor: float = FLOOR) -> Index:
-    """Average the logarithms of relative densities: eq. 12.
+    """Average the logarithms of relative densities (n,), ``p(x_k | z_k) V`` of each trial: eq. 12.
 
-    Parameters
-    ----------
-    densities : (n,) floats
-        ``p(x_k | z_k) V`` of each trial, 0 or more.
-    floor : float
-        Share of the uniform density that is mixed in, 0 < floor < 1.
-
-    Raises
-    ------
-    ConfigError
-        If `floor` is out of its range.
-    ValueError
-        If a density is negative or not finite.
+    A `floor`, the share of the uniform density that is mixed in, that is not between 0 and 1 is a
+    ConfigError, a density that is negative or not finite a ValueError.
 
     Examples
     --------
@@ -68,14 +55,10 @@ def performance_index(densities: Sequence[float], floor: float = FLOOR) -> Index
 
 def index_of(logs: FloatArray, floor: float) -> Index:
     """Average logarithms (n,) of relative densities into which `floor` is mixed already."""
-    n = len(logs)
-    return Index(
-        value=float(logs.mean()) if n else float("nan"),
-        standard_error=float(logs.std(ddof=1) / np.sqrt(n)) if n > 1 else float("nan"),
-        trials=n,
-        floored=int((logs < np.log((1 - floor) * floor + floor)).sum()),
-        floor=floor,
-    )
+    n, unknown = len(logs), float("nan")
+    error = float(logs.std(ddof=1) / np.sqrt(n)) if n > 1 else unknown
+    floored = int((logs < np.log((1 - floor) * floor + floor)).sum())
+    return Index(float(logs.mean()) if n else unknown, error, n, floored, floor)
 
 
 def density_in_stack(
@@ -87,21 +70,17 @@ def density_in_stack(
 ) -> float:
     """Relative density ``L[k*] N / sum(L)`` that a stack gives to one of its cells.
 
+    It is 1 if the stack is 0 everywhere: it says nothing. It is 0 for a cell outside the pose
+    space.
+
     Parameters
     ----------
     values : (K, H, W) float32 array
-        Likelihoods up to a factor; negative ones (CBML-O) count as 0.
+        Likelihoods up to a factor, negative ones (CBML-O) count as 0; with `log` log-likelihoods.
     cell : (int, int, int)
         ``(theta, row, col)`` of the true pose.
     where : (H, W) bool array, optional
         The pose space: free cells, say. By default all of the box.
-    log : bool
-        `values` are log-likelihoods, up to a summand.
-
-    Returns
-    -------
-    float
-        1 if the stack is 0 everywhere: it says nothing. 0 for a cell outside the pose space.
 
     Examples
     --------
@@ -113,11 +92,9 @@ def density_in_stack(
     """
     k, row, col = cell
     n_theta, height, width = values.shape
-    if not (0 <= k < n_theta and 0 <= row < height and 0 <= col < width):
-        return 0.0
-    if where is not None and not where[row, col]:
-        return 0.0
     space = np.ones((height, width), dtype=bool) if where is None else where
+    if not (0 <= k < n_theta and 0 <= row < height and 0 <= col < width and space[row, col]):
+        return 0.0
     top = max(float(image[space].max()) for image in values) if log else 0.0
 
     def likelihoods(some: Float32Array) -> FloatArray:
@@ -125,18 +102,16 @@ def density_in_stack(
         return np.exp(exact - top) if log else np.maximum(exact, 0.0)
 
     total = sum(float(likelihoods(image[space]).sum()) for image in values)  # no copy of the stack
-    share = float(likelihoods(values[cell])) / total if total > 0 else 0.0
-    return float(share * n_theta * np.count_nonzero(space)) if total > 0 else 1.0
+    if not total > 0:
+        return 1.0
+    return float(float(likelihoods(values[cell])) / total * n_theta * np.count_nonzero(space))
 
 
 def density_at(answer: Localization, pose: Pose2D, volume: float) -> float:
     """Relative density ``p(pose | scan) V`` of an answer made of hypotheses.
 
-    Each hypothesis is a Gaussian of its mass, mean and covariance, theta being taken the short
-    way round; what mass they leave is spread evenly over the pose space.
-
-    `pose` is in the map frame, as the hypotheses; without any the density is uniform: 1. `volume`
-    is that of the pose space, m² rad.
+    Each hypothesis is a Gaussian, theta being taken the short way round; what mass they leave is
+    spread evenly over the pose space, of `volume` m² rad. `pose` is in the map frame, as they are.
 
     Examples
     --------
@@ -189,9 +164,9 @@ def _gaussian(hypothesis: Hypothesis, d: FloatArray) -> FloatArray:
 
 
 def global_maximum(values: Float32Array, where: BoolArray | None = None) -> tuple[int, int, int]:
-    """Cell ``(theta, row, col)`` of the greatest value; of equal ones the first in index order.
+    """Cell ``(theta, row, col)`` of the greatest of (K, H, W) values in the cells that count.
 
-    Of (K, H, W) values, in the cells that count.
+    Of equal ones it is the first in index order.
 
     Examples
     --------

@@ -1,10 +1,9 @@
 """The types that flow through imgloc: frozen dataclasses over read-only NumPy arrays.
 
-Two frames occur. The **map frame** is the one of the map's YAML: poses that enter or leave
-the program are in it. The **grid frame** has its origin at the lower-left corner of cell
-``[0, 0]``, x along the columns and y along the rows, in metres; everything between input
-and output is in it. :mod:`imgloc.geometry` converts, in one place, so that an origin with a
-yaw is honoured everywhere.
+Poses that enter or leave the program are in the **map frame**, the one of the map's YAML;
+everything between is in the **grid frame**: origin at the lower-left corner of cell ``[0, 0]``, x
+along the columns, y along the rows, metres. :mod:`imgloc.geometry` converts, in one place, so
+that an origin with a yaw is honoured everywhere.
 """
 
 import math
@@ -26,11 +25,12 @@ FAR = 1e6
 VERDICTS = ("unique", "ambiguous", "no-match", "invalid")
 
 
-def _frozen(array: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-    """Return `array` as a read-only array of `dtype`, leaving the caller's own writable."""
-    out = np.asarray(array, dtype=dtype).view()
-    out.flags.writeable = False
-    return out
+def _freeze(record: Any, dtype: npt.DTypeLike, *names: str) -> None:
+    """Make fields read-only arrays of `dtype`, leaving the caller's own writable."""
+    for name in names:
+        array = np.asarray(getattr(record, name), dtype=dtype).view()
+        array.flags.writeable = False
+        object.__setattr__(record, name, array)
 
 
 @dataclass(frozen=True)
@@ -110,13 +110,10 @@ class OccupancyGrid:
     origin: Pose2D = field(default_factory=lambda: Pose2D(0.0, 0.0, 0.0))
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "occupied", _frozen(self.occupied, np.bool_))
-        object.__setattr__(self, "free", _frozen(self.free, np.bool_))
-        if self.occupied.ndim != 2 or self.occupied.shape != self.free.shape:
-            raise ValueError(
-                f"occupied {self.occupied.shape} and free {self.free.shape} "
-                "must be images of one shape"
-            )
+        _freeze(self, np.bool_, "occupied", "free")
+        occupied, free = self.occupied.shape, self.free.shape
+        if len(occupied) != 2 or occupied != free:
+            raise ValueError(f"occupied {occupied} and free {free} must be images of one shape")
         if np.any(self.occupied & self.free):
             row, column = np.argwhere(self.occupied & self.free)[0].tolist()
             raise ValueError(f"cell [{row}, {column}] is both occupied and free")
@@ -125,11 +122,10 @@ class OccupancyGrid:
 
     def __repr__(self) -> str:
         height, width = self.occupied.shape
+        cells = f"{width} x {height} cells of {self.resolution:g} m"
         metres = f"{width * self.resolution:.4g} x {height * self.resolution:.4g} m"
         shares = f"{self.occupied.mean():.1%} occupied, {self.free.mean():.1%} free"
-        return (
-            f"<OccupancyGrid {width} x {height} cells of {self.resolution:g} m: {metres}, {shares}>"
-        )
+        return f"<OccupancyGrid {cells}: {metres}, {shares}>"
 
     @property
     def info(self) -> GridInfo:
@@ -176,13 +172,10 @@ class LaserScan:
     T_base_laser: Pose2D | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "ranges", _frozen(self.ranges, np.float64))
-        object.__setattr__(self, "angles", _frozen(self.angles, np.float64))
-        if self.ranges.ndim != 1 or self.ranges.shape != self.angles.shape:
-            raise ValueError(
-                f"ranges {self.ranges.shape} and angles {self.angles.shape} "
-                "must be vectors of one length"
-            )
+        _freeze(self, np.float64, "ranges", "angles")
+        ranges, angles = self.ranges.shape, self.angles.shape
+        if len(ranges) != 1 or ranges != angles:
+            raise ValueError(f"ranges {ranges} and angles {angles} must be vectors of one length")
         if not np.isfinite(self.angles).all():
             i = int(np.argmin(np.isfinite(self.angles)))
             raise ValueError(f"angles must be finite, angles[{i}] is {self.angles[i]}")
@@ -200,12 +193,9 @@ class LaserScan:
     @property
     def valid(self) -> BoolArray:
         """(N,) bool: the readings that are distances to something."""
+        r = self.ranges
         with np.errstate(invalid="ignore"):
-            return (
-                np.isfinite(self.ranges)
-                & (self.ranges > self.range_min)
-                & (self.ranges < min(self.range_max, FAR))
-            )
+            return np.isfinite(r) & (r > self.range_min) & (r < min(self.range_max, FAR))
 
     @property
     def directions(self) -> int:
@@ -223,8 +213,7 @@ class LaserScan:
     def no_return(self) -> BoolArray:
         """(N,) bool: the rays that met nothing within `range_max`."""
         with np.errstate(invalid="ignore"):
-            far = min(self.range_max, FAR)
-            beyond = np.isfinite(self.ranges) & (self.ranges >= far)
+            beyond = np.isfinite(self.ranges) & (self.ranges >= min(self.range_max, FAR))
             return np.asarray(beyond | (self.ranges == np.inf), dtype=np.bool_)
 
     @property
@@ -275,14 +264,11 @@ class OrientedPoints:
     valid: BoolArray
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "xy", _frozen(self.xy, np.float64))
-        object.__setattr__(self, "alpha", _frozen(self.alpha, np.float64))
-        object.__setattr__(self, "sigma_alpha", _frozen(self.sigma_alpha, np.float64))
-        object.__setattr__(self, "valid", _frozen(self.valid, np.bool_))
+        _freeze(self, np.float64, "xy", "alpha", "sigma_alpha")
+        _freeze(self, np.bool_, "valid")
         n = len(self.xy)
-        if self.xy.shape != (n, 2) or not (
-            self.alpha.shape == self.sigma_alpha.shape == self.valid.shape == (n,)
-        ):
+        others = {self.alpha.shape, self.sigma_alpha.shape, self.valid.shape}
+        if self.xy.shape != (n, 2) or others != {(n,)}:
             raise ValueError(
                 f"xy {self.xy.shape}, alpha {self.alpha.shape}, sigma_alpha "
                 f"{self.sigma_alpha.shape} and valid {self.valid.shape} must agree in length"
@@ -324,20 +310,18 @@ class Likelihood:
     method: str
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "values", _frozen(self.values, np.float32))
-        object.__setattr__(self, "thetas", _frozen(self.thetas, np.float64))
-        if self.values.shape != (len(self.thetas), *self.grid.shape):
+        _freeze(self, np.float32, "values")
+        _freeze(self, np.float64, "thetas")
+        shape = (len(self.thetas), *self.grid.shape)
+        if self.values.shape != shape:
             raise ValueError(
-                f"values {self.values.shape} must be (thetas, rows, columns) = "
-                f"{(len(self.thetas), *self.grid.shape)}"
+                f"values {self.values.shape} must be (thetas, rows, columns) = {shape}"
             )
 
     def __repr__(self) -> str:
         k, height, width = self.values.shape
-        return (
-            f"<Likelihood {self.method}: {k} headings x {height} x {width} cells of "
-            f"{self.grid.resolution:g} m>"
-        )
+        cells = f"{height} x {width} cells of {self.grid.resolution:g} m"
+        return f"<Likelihood {self.method}: {k} headings x {cells}>"
 
 
 @dataclass(frozen=True)
@@ -362,7 +346,7 @@ class Hypothesis:
     covariance: FloatArray
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "covariance", _frozen(self.covariance, np.float64))
+        _freeze(self, np.float64, "covariance")
 
 
 @dataclass(frozen=True)
@@ -422,7 +406,7 @@ class Evidence:
     unlisted: float = 0.0  #: mass of those that are not
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "log_volume", _frozen(self.log_volume, np.float64))
+        _freeze(self, np.float64, "log_volume")
 
 
 @dataclass(frozen=True)

@@ -35,12 +35,8 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "beam": Method(3.0, "ray-traced ranges for every pose, eq. 2"),
     }
 )
-#: Every name that `localize` takes.
-ALL_METHODS = (FUSED, *METHODS)
-
-
-LOG_METHODS = frozenset({"beam"})
-"""Stacks whose values are logarithms already."""
+ALL_METHODS = (FUSED, *METHODS)  #: every name that `localize` takes
+LOG_METHODS = frozenset({"beam"})  #: stacks whose values are logarithms already
 FEW = 20.0
 """Readings with which votes are worth half of what they are with very many: of 31, 61, 181 and
 721 rays the best exponents were as 0.5, 0.9, 1 and 1.1 (ght-v, ``visibility`` and ``curved``)."""
@@ -48,13 +44,7 @@ FEW = 20.0
 
 @dataclass(frozen=True)
 class Calibration:
-    """What makes a probability of one method's stack.
-
-    Raises
-    ------
-    ConfigError
-        If a value is out of its range.
-    """
+    """What makes a probability of one method's stack; a ConfigError if it is out of its range."""
 
     #: of the Gaussian that models the uncertainty of eq. 8: metres and radians.
     sigma_xy: float = 0.0
@@ -66,18 +56,13 @@ class Calibration:
     def __post_init__(self) -> None:
         for part in fields(self):
             value = getattr(self, part.name)
-            least = "positive" if part.name == "temperature" else "not negative"
-            if not (np.isfinite(value) and value >= 0 and (value > 0 or least != "positive")):
+            positive = part.name == "temperature"
+            if not (np.isfinite(value) and (value > 0 if positive else value >= 0)):
+                least = "positive" if positive else "not negative"
                 raise ConfigError(f"{part.name} must be finite and {least}, got {value}")
 
     def temperature_at(self, method: str, readings: int) -> float:
         """Temperature for a scan with so many valid readings; more of them do not add more.
-
-        Parameters
-        ----------
-        method : str
-        readings : int
-            Valid ones.
 
         Examples
         --------
@@ -116,16 +101,7 @@ DEFAULTS: Mapping[str, Calibration] = MappingProxyType(
 
 @dataclass(frozen=True)
 class Prior:
-    """A set of poses.
-
-    Parameters
-    ----------
-    cells : (H, W) bool array or None
-        Cells of the map in which the sensor may be; None is all of them.
-    heading : (float, float) or None
-        Heading in the grid frame and how far it may be off, radians; None is all of them.
-    about : mapping
-        What it was made of, as plain values, for the record.
+    """A set of poses; None is all of them.
 
     Examples
     --------
@@ -134,18 +110,14 @@ class Prior:
     [True, False, False]
     """
 
-    cells: BoolArray | None = None
+    cells: BoolArray | None = None  #: (H, W) those of the map in which the sensor may be
+    #: in the grid frame, and how far it may be off, radians
     heading: tuple[float, float] | None = None
+    #: what it was made of, as plain values, for the record
     about: Mapping[str, object] = field(default_factory=dict)
 
     def __and__(self, other: "Prior") -> "Prior":
-        """The poses that both allow; of two headings the intersection must be one of them.
-
-        Raises
-        ------
-        ConfigError
-            If both state a heading.
-        """
+        """The poses that both allow; a ConfigError if both state a heading."""
         if self.heading is not None and other.heading is not None:
             raise ConfigError("the heading is given twice: by a pose and on its own")
         given = [c for c in (self.cells, other.cells) if c is not None]
@@ -255,31 +227,20 @@ class Trust:
 
         Examples
         --------
-        >>> Trust(temperature=2.0, strain=10.0, crowded=0.5).temperature_at(0.5).value
-        7.0
-        >>> Trust(temperature=2.0, strain=10.0, crowded=0.5).temperature_at(0.5, 6.0).value
-        21.0
-        >>> Trust(temperature=2.0, strain=10.0).temperature_at(0.5, cell=0.2).value
+        >>> trust = Trust(temperature=2.0, strain=10.0, crowded=0.5)
+        >>> [trust.temperature_at(0.5, crowding).value for crowding in (1.0, 6.0)]
+        [7.0, 21.0]
+        >>> trust.temperature_at(0.5, cell=0.2).value
         14.0
         """
-        return Temperature(
-            self.temperature,
-            self.strain * max(0.0, misfit),
-            max(1.0, self.crowded * crowding),
-            max(1.0, cell / self.fine),
-        )
+        factors = max(1.0, self.crowded * crowding), max(1.0, cell / self.fine)
+        return Temperature(self.temperature, self.strain * max(0.0, misfit), *factors)
 
     def mass_elsewhere(self, misfit: float, best: float) -> float:
         """Probability that the true pose is none of the hypotheses.
 
-        A scan of another place fits badly, and it fits several poses equally badly.
-
-        Parameters
-        ----------
-        misfit : float
-            Of the best pose, nats per reading.
-        best : float
-            Mass of the best pose among the hypotheses, 0..1.
+        A scan of another place fits badly, and it fits several poses equally badly. `misfit` is
+        that of the best pose, nats per reading, `best` its mass among the hypotheses, 0..1.
 
         Examples
         --------
@@ -339,10 +300,14 @@ class Options:
     calibration: Calibration | None = None
 
     @property
+    def step(self) -> float:
+        """Step of the headings of the method's stack; of ``fused``, of branch and bound."""
+        if self.theta_step is not None:
+            return self.theta_step
+        method = METHODS["cbml" if self.method == FUSED else self.method]
+        return float(np.deg2rad(method.theta_step_deg))
+
+    @property
     def thetas(self) -> FloatArray:
-        """Headings of the method's stack, radians; of ``fused``, those of branch and bound."""
-        step = self.theta_step
-        if step is None:
-            of = "cbml" if self.method == FUSED else self.method
-            step = float(np.deg2rad(METHODS[of].theta_step_deg))
-        return uniform_thetas(step)
+        """Headings that are `step` or less apart, radians."""
+        return uniform_thetas(self.step)

@@ -21,12 +21,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.features.budget import (
-    check_budget,
-    exact_bytes,
-    fused_bytes,
-    stack_bytes,
-)
+from imgloc.features.budget import check_budget, exact_bytes, fused_bytes, stack_bytes
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import block_masks
 from imgloc.features.scanpoints import scan_xy, thin
@@ -48,32 +43,25 @@ from imgloc.model import (
     Temperature,
 )
 from imgloc.options import ALL_METHODS, DEFAULTS, FUSED, METHODS, Options, Prior
-from imgloc.search.branch_and_bound import Best, best_poses
+from imgloc.search.branch_and_bound import best_poses
 from imgloc.search.hypotheses import as_hypotheses, covariances, masses, modes
 from imgloc.search.peaks import peaks_of_posterior
 from imgloc.search.priors import on_lattice, pyramid_levels, standing
-from imgloc.search.proposals import propose_endpoints
+from imgloc.search.proposals import propose_endpoints, propose_votes
 from imgloc.search.refine import refine
 from imgloc.search.rescore import Scores, rescore, shortlist
 from imgloc.search.trust import crowding, judge
-from imgloc.search.votes import propose_votes
 
 MODES = 20
 """Poses that are looked for, however few are listed: no verdict depends on the list's length."""
-
 _LAST = 20  # proposals that get the second look when time is up
 
 
 def prepare(grid: OccupancyGrid, name: str = "map", **parameters: float) -> MapFeatures:
     """Prepare a map: refuse one that is of no use, and wrap it into its features.
 
-    Parameters
-    ----------
-    grid : OccupancyGrid
-    name : str
-        What error messages call the map.
-    **parameters
-        Of :class:`~imgloc.features.mapfeatures.MapFeatures`.
+    `name` is what error messages call the map, `parameters` are those of
+    :class:`~imgloc.features.mapfeatures.MapFeatures`.
 
     Raises
     ------
@@ -126,24 +114,20 @@ def localize(
     start = time.perf_counter()
     if scan.directions < max(1, options.trust.readings):
         found = NOTHING
-    elif options.method == FUSED:
-        # Propose, refine, score, separate; weigh.
+    elif options.method == FUSED:  # propose, refine, score, separate; then weigh
         found = weigh(features, scan, find_modes(features, scan, options), options)
     elif options.exact:
         found = find_exact(features, scan, options)
     else:
         stack = likelihood(features, scan, options) if stack is None else stack
         found = find_in_stack(features, scan, stack, options)
-    # Judge.
     elsewhere = 1.0
     if len(found.poses):
         elsewhere = options.trust.mass_elsewhere(found.misfit, found.lead)
     mass = (1 - elsewhere) * found.share
     verdict, checks = judge(scan.directions, mass, elsewhere, options.trust, found.complete)
-    top = slice(0, options.top)
-    listed = as_hypotheses(
-        found.poses[top], found.log_likelihood[top], mass[top], found.covariance[top]
-    )
+    arrays = (found.poses, found.log_likelihood, mass, found.covariance)
+    listed = as_hypotheses(*(array[: options.top] for array in arrays))
     hypotheses = tuple(in_map_frame(h, features.grid.info) for h in listed)
     elapsed = 1e3 * (time.perf_counter() - start)
     whole = np.append(mass, elsewhere) if len(mass) else mass
@@ -174,15 +158,12 @@ def localize(
 
 @dataclass(frozen=True)
 class Modes:
-    """What the search found, best first: C separated poses of the grid frame.
-
-    `rays` are the readings that were scored; `complete` says whether the search came to its end.
-    """
+    """What the search found, best first: C separated poses of the grid frame; there may be none."""
 
     poses: FloatArray
     scores: Scores
-    rays: IntArray
-    complete: bool = True
+    rays: IntArray  #: the readings that were scored
+    complete: bool = True  #: the search came to its end
 
 
 def find_modes(
@@ -191,27 +172,21 @@ def find_modes(
     """Search for all poses that fit a scan, by the default method.
 
     Endpoint correlation and GHT-V votes fail differently, so that both propose; the score that
-    decides is a third one. Most proposals are dropped after a look with a few rays.
+    decides is a third one. Most proposals are dropped after a look with a few rays. When the
+    time of the `options` is up, only the best so far are followed.
 
     Parameters
     ----------
-    features : MapFeatures
-    scan : LaserScan
-        With at least one valid reading.
-    options : Options
-        When its time is up, only the best proposals so far are followed.
+    features, scan, options
+        As of :func:`localize`; with at least one valid reading.
     more : (M, 3) float array, optional
         Proposals of another source, grid frame.
-
-    Returns
-    -------
-    Modes
-        May be empty.
     """
     fused, prior, xy = options.fused, options.prior, scan_xy(scan)
     few, many = thin(scan.valid, fused.few_rays), thin(scan.valid, fused.rays)
     deadline = time.monotonic() + (np.inf if options.time_budget is None else options.time_budget)
 
+    # Propose.
     endpoints, _ = propose_endpoints(
         levels := pyramid_levels(prior, features.pyramid, features.grid.resolution),
         xy[few],
@@ -222,35 +197,36 @@ def find_modes(
         threads=options.threads,
     )
     proposals = [endpoints, np.empty((0, 3)) if more is None else more]
-    late = time.monotonic() > deadline
-    if not late:
+    if time.monotonic() <= deadline:
         proposals.insert(1, propose_votes(features, scan, fused, prior, options.threads))
-        late = time.monotonic() > deadline
-    if late:
+    if time.monotonic() > deadline:
         proposals[0] = endpoints[: fused.second_look]
     if options.exact:
         proposals.append(exact_poses(features, scan, options)[0])
 
+    # Refine: all with a few rays, then the best ones with more of them.
     poses = refine(np.concatenate(proposals), xy[few], features.field, sigmas=(0.2, 0.1))
     poses = standing(poses, prior, features)
     poses = shortlist(poses, scan, few, features, fused)
-    late = late or time.monotonic() > deadline
+    late = time.monotonic() > deadline
     if late:
         poses = poses[:_LAST]
     poses = refine(poses, xy[many], features.field, sigmas=(0.1, 0.05))
     poses = standing(poses, prior, features)
 
-    scores = rescore(
-        poses,
-        scan.ranges[many],
-        scan.angles[many],
-        features.field,
-        features.walls,
-        fused.model,
-    )
+    # Score, and separate.
+    scores = score_poses(features, scan, poses, many, options)
     distance, angle = fused.separation
     apart = modes(poses, scores.log_likelihood, distance=distance, angle=angle)
     return Modes(poses[apart], scores.select(apart), many, complete=not late)
+
+
+def score_poses(
+    features: MapFeatures, scan: LaserScan, poses: FloatArray, rays: IntArray, options: Options
+) -> Scores:
+    """Scores of poses (C, 3), grid frame, by some readings of a scan."""
+    ranges, angles, model = scan.ranges[rays], scan.angles[rays], options.fused.model
+    return rescore(poses, ranges, angles, features.field, features.walls, model)
 
 
 @dataclass(frozen=True)
@@ -261,11 +237,9 @@ class Found:
     log_likelihood: FloatArray  #: (M,)
     share: FloatArray  #: (M,) Mass of each if the true pose is one of them
     covariance: FloatArray  #: (L, 3, 3) Of as many as are listed, at least
-    #: nats per reading that the best pose lacks, and the share of the readings it explains
-    misfit: float = float("nan")
-    explained: float = 0.0
-    #: what made shares of the log-likelihoods
-    temperature: Temperature = field(default_factory=Temperature)
+    misfit: float = float("nan")  #: nats per reading that the best pose lacks
+    explained: float = 0.0  #: share of the readings that the best pose explains
+    temperature: Temperature = field(default_factory=Temperature)  #: what made shares of nats
     readings: int = 0  #: how many decided about the misfit
     #: share of the best, as far as it says something about the true pose being none of them
     lead: float = 1.0
@@ -281,20 +255,18 @@ def weigh(features: MapFeatures, scan: LaserScan, found: Modes, options: Options
     if len(found.poses) == 0:
         return replace(NOTHING, complete=found.complete)
     xy, score, trust = scan_xy(scan)[found.rays], found.scores.log_likelihood, options.trust
-    misfit = misfit_of(found.scores, options)
-    temperature = trust.temperature_at(misfit, crowding(xy), features.grid.resolution)
+    fit = _fit(found.scores, options)
+    temperature = trust.temperature_at(fit["misfit"], crowding(xy), features.grid.resolution)
     share = masses(score, temperature.value)
     return Found(
         found.poses,
         score,
         share,
         _covariances(features, found.poses, xy, options, 2 * min(options.fused.model.sigmas)),
-        misfit=misfit,
-        explained=float(found.scores.explained[0]),
         temperature=temperature,
-        readings=len(found.rays),
         lead=float(share[0]),
         complete=found.complete,
+        **fit,
     )
 
 
@@ -304,12 +276,11 @@ def find_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Foun
     Shares are among at least :data:`MODES` of them, each score raised to the calibrated power,
     as if every mode were equally wide.
     """
-    poses, best = exact_poses(features, scan, options)
+    poses, score = exact_poses(features, scan, options)
     if len(poses) == 0:
         return NOTHING
     how = options.calibration or DEFAULTS["cbml"]
     temperature = how.temperature_at("cbml", int(scan.valid.sum()))
-    score = best.scores.astype(np.float64)
     xy = scan_xy(scan)[thin(scan.valid, options.fused.rays)]
     return Found(
         poses,
@@ -317,35 +288,24 @@ def find_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Foun
         masses(np.log(score), temperature),
         _covariances(features, poses, xy, options, features.lattice.resolution),
         temperature=Temperature(temperature),
-        **settled(features, scan, poses[:1], options),
+        **_fit(settle(features, scan, poses[:1], options), options),
     )
 
 
 def exact_poses(
     features: MapFeatures, scan: LaserScan, options: Options
-) -> tuple[FloatArray, Best]:
-    """Best separated poses (M, 3) of CBML's score, grid frame, by branch and bound."""
-    prior, pooled = options.prior, features.pooled
-    # The headings of the stack that it does without.
-    thetas = replace(options, method="cbml").thetas
+) -> tuple[FloatArray, FloatArray]:
+    """Best separated poses (M, 3) by CBML's score, grid frame, and their scores (M,), exactly."""
+    prior, pooled, thetas = options.prior, features.pooled, options.thetas
     wanted = np.flatnonzero(prior.headings(thetas, np.pi / len(thetas)))
     if prior.cells is not None:
         where = on_lattice(prior, features.free, features.factor)
         pooled = replace(pooled, where=block_masks(where, pooled.top))
-    distance, angle = options.fused.separation
-    best = best_poses(
-        pooled,
-        scan_xy(scan)[scan.valid],
-        thetas[wanted],
-        count=max(options.top, MODES),
-        distance=distance,
-        angle=angle,
-        threads=options.threads,
-    )
-    cells = best.cells.copy()
-    cells[:, 0] = wanted[cells[:, 0]]
-    xy = centre_of(cells[:, 1:], features.lattice.resolution)
-    return np.column_stack((xy, thetas[cells[:, 0]])), Best(cells, best.scores)
+    (distance, angle), n = options.fused.separation, max(options.top, MODES)
+    xy, some, threads = scan_xy(scan)[scan.valid], thetas[wanted], options.threads
+    best = best_poses(pooled, xy, some, count=n, distance=distance, angle=angle, threads=threads)
+    xy = centre_of(best.cells[:, 1:], features.lattice.resolution)
+    return np.column_stack((xy, thetas[wanted[best.cells[:, 0]]])), best.scores.astype(np.float64)
 
 
 def find_in_stack(
@@ -357,81 +317,49 @@ def find_in_stack(
     hold more mass.
     """
     probability = posterior_of(features, scan, stack, options)
+    n = 4 * max(options.top, MODES)  # more than modes: some are neighbours on the slope of one
+    cell, apart = stack.grid.resolution, options.fused.separation
     poses, share, covariance, peaks = peaks_of_posterior(
-        probability,
-        stack.thetas,
-        stack.grid.resolution,
-        # More peaks than modes: some are neighbours on the slope of one.
-        n=4 * max(options.top, MODES),
-        separation=options.fused.separation,
+        probability, stack.thetas, cell, n=n, separation=apart
     )
     if len(poses) == 0:
         return NOTHING
     how = options.calibration or DEFAULTS[stack.method]
+    temperature = how.temperature_at(stack.method, int(scan.valid.sum()))
     uniform = 1 / (len(stack.thetas) * np.count_nonzero(features.free))
     with np.errstate(divide="ignore"):
         score = np.log(probability[tuple(peaks.T)].astype(np.float64) / uniform)
     return Found(
-        poses,
-        score,
-        share,
-        covariance,
-        temperature=Temperature(how.temperature_at(stack.method, int(scan.valid.sum()))),
+        *(poses, score, share, covariance),
+        temperature=Temperature(temperature),
         entropy=entropy(probability),
         # Votes are spread where walls are few, too: no share says anything of the scan.
-        **settled(features, scan, poses[:1], options),
+        **_fit(settle(features, scan, poses[:1], options), options),
     )
 
 
-def settled(
-    features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Options
-) -> dict[str, Any]:
-    """Misfit, explained share and readings of the first pose after it has settled.
-
-    Trust is about the place, not about the cell.
-    """
-    scores, rays = settle(features, scan, poses, options)
-    return {
-        "misfit": misfit_of(scores, options),
-        "explained": float(scores.explained[0]),
-        "readings": len(rays),
-    }
-
-
-def settle(
-    features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Options
-) -> tuple[Scores, IntArray]:
-    """Scores of poses after they have settled, and the readings used."""
+def settle(features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Options) -> Scores:
+    """Scores of poses after they have settled: trust is about the place, not about the cell."""
     rays = thin(scan.valid, options.fused.rays)
     poses = refine(poses, scan_xy(scan)[rays], features.field, sigmas=(0.3, 0.1, 0.05))
-    return rescore(
-        poses,
-        scan.ranges[rays],
-        scan.angles[rays],
-        features.field,
-        features.walls,
-        options.fused.model,
-    ), rays
+    return score_poses(features, scan, poses, rays, options)
 
 
-def misfit_of(scores: Scores, options: Options) -> float:
-    """Nats per reading that the best pose falls short of a perfect fit."""
-    per_reading = float(scores.log_likelihood[0]) / scores.crossed.shape[1]
-    return float(options.fused.model.best - per_reading)
+def _fit(scores: Scores, options: Options) -> dict[str, Any]:
+    """Misfit, explained share and readings of the best pose, as :class:`Found` has them."""
+    readings = scores.crossed.shape[1]
+    per_reading = float(scores.log_likelihood[0]) / readings
+    misfit, explained = float(options.fused.model.best - per_reading), float(scores.explained[0])
+    return {"misfit": misfit, "explained": explained, "readings": readings}
 
 
 def _covariances(
     features: MapFeatures, poses: FloatArray, xy: FloatArray, options: Options, sigma: float
 ) -> FloatArray:
     """Covariances of the poses that are listed."""
-    return covariances(
-        poses[: options.top],
-        xy,
-        features.field,
-        sigma=sigma,
-        correlated=options.trust.correlated,
-        extent=options.fused.separation,
-    )
+    listed, field, trust = poses[: options.top], features.field, options.trust
+    extent = options.fused.separation
+    return covariances(listed, xy, field, sigma=sigma, correlated=trust.correlated, extent=extent)
 
 
 def _log_volumes(hypotheses: tuple[Hypothesis, ...], features: MapFeatures) -> FloatArray:
@@ -444,19 +372,9 @@ def _log_volumes(hypotheses: tuple[Hypothesis, ...], features: MapFeatures) -> F
 
 
 def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -> Likelihood:
-    """Compute the full stack of one of the paper's methods.
+    """Compute the full stack of one of the paper's methods: of `options`, or by its name alone.
 
-    Parameters
-    ----------
-    features : MapFeatures
-    scan : LaserScan
-    options : Options or str
-        Or the name of a method alone.
-
-    Returns
-    -------
-    Likelihood
-        On the features' lattice of poses, in the grid frame.
+    It is on the features' lattice of poses, in the grid frame.
 
     Raises
     ------
@@ -475,66 +393,35 @@ def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -
     _expect(features, MapFeatures, "features", "prepare(grid) makes them")
     check_method(options.method, tuple(METHODS))
     thetas, lattice = options.thetas, features.lattice
-    check_budget(
-        stack_bytes(
-            options.method,
-            lattice.shape,
-            len(thetas),
-            threads=options.threads,
-            n_rays=features.n_rays,
-        ),
-        options.memory_budget,
-        f"{options.method} on {len(thetas)} headings x {lattice.height} x {lattice.width} cells",
-        "use larger cells, a larger theta step, or the method 'fused'",
-    )
+    method, threads, budget = options.method, options.threads, options.memory_budget
+    n, shape = len(thetas), lattice.shape
+    need = stack_bytes(method, shape, n, threads=threads, n_rays=features.n_rays)
+    what = f"{method} on {n} headings x {shape[0]} x {shape[1]} cells"
+    check_budget(need, budget, what, "use larger cells, a larger theta step, or the method 'fused'")
+    engine = options.engine
     values = stack_of(
-        options.method,
-        features,
-        scan,
-        thetas,
-        engine=options.engine,
-        threads=options.threads,
-        memory_budget=options.memory_budget,
+        method, features, scan, thetas, engine=engine, threads=threads, memory_budget=budget
     )
-    return Likelihood(values, thetas, lattice, options.method)
+    return Likelihood(values, thetas, lattice, method)
 
 
 def posterior_of(
     features: MapFeatures, scan: LaserScan, stack: Likelihood, options: Options
 ) -> Float32Array:
     """The calibrated posterior (K, H, W) of a stack over the poses of the prior."""
-    return calibrated(
-        stack,
-        on_lattice(options.prior, features.free, features.factor),
-        int(scan.valid.sum()),
-        options.calibration,
-        headings=options.prior.headings(stack.thetas, np.pi / len(stack.thetas)),
-    )
+    where = on_lattice(options.prior, features.free, features.factor)
+    headings = options.prior.headings(stack.thetas, np.pi / len(stack.thetas))
+    return calibrated(stack, where, int(scan.valid.sum()), options.calibration, headings=headings)
 
 
 def check_method(name: str, known: Sequence[str]) -> None:
-    """Refuse a method that does not exist.
-
-    Raises
-    ------
-    ConfigError
-        Naming the methods that do.
-    """
+    """Refuse a method that does not exist, by a ConfigError that names those that do."""
     if name not in known:
         raise ConfigError(f"method must be one of {', '.join(known)}, got {name!r}")
 
 
 def check_options(features: MapFeatures, options: Options) -> None:
-    """Refuse what :func:`localize` cannot do, before anything is done.
-
-    Raises
-    ------
-    ConfigError
-        If an option is out of its range, the memory budget too small, or no pose in which a
-        sensor can be is in the prior.
-    TypeError
-        If features or options are of another kind.
-    """
+    """Refuse what :func:`localize` cannot do, by its errors, before anything is done."""
     _expect(features, MapFeatures, "features", "prepare(grid) makes them")
     _expect(options, Options, "options", 'Options(method="...") makes them')
     if options.top < 1:
@@ -548,20 +435,16 @@ def check_options(features: MapFeatures, options: Options) -> None:
     if prior is not None and not (prior & features.standable).any():
         raise ConfigError("the prior leaves no cell of the map in which a sensor can be")
     if options.exact or options.method == FUSED:
-        shape, cell = features.lattice.shape, features.lattice.resolution
-        check_budget(
-            answer_bytes(features, options),
-            options.memory_budget,
-            f"{options.method} on {shape[0]} x {shape[1]} cells of {cell:g} m",
-            "use larger cells",
-        )
+        (height, width), cell = features.lattice.shape, features.lattice.resolution
+        what = f"{options.method} on {height} x {width} cells of {cell:g} m"
+        need = answer_bytes(features, options)
+        check_budget(need, options.memory_budget, what, "use larger cells")
 
 
 def answer_bytes(features: MapFeatures, options: Options) -> int:
     """How many bytes :func:`localize` takes at most, besides the map's features."""
     shape, cell = features.lattice.shape, features.lattice.resolution
-    headings = len(replace(options, method="cbml").thetas) if options.exact else 0
-    exact = exact_bytes(shape, cell, headings) if options.exact else 0
+    exact = exact_bytes(shape, cell, len(options.thetas)) if options.exact else 0
     if options.method == FUSED:
         fused = options.fused
         return exact + fused_bytes(
@@ -573,44 +456,33 @@ def answer_bytes(features: MapFeatures, options: Options) -> int:
             vote_cells=fused.vote_cells,
         )
     return exact or stack_bytes(
-        options.method,
-        shape,
-        len(options.thetas),
-        threads=options.threads,
-        n_rays=features.n_rays,
+        options.method, shape, len(options.thetas), threads=options.threads, n_rays=features.n_rays
     )
 
 
 def effective(options: Options, features: MapFeatures) -> dict[str, object]:
     """The parameters that decided an answer, as plain values. Threads do not."""
-    out = asdict(replace(options, prior=Prior()))
+    out = asdict(replace(options, prior=Prior(), theta_step=options.step))
     out["prior"] = dict(options.prior.about)
-    del out["threads"], out["memory_budget"]
+    hidden = {"threads", "memory_budget"}
     if options.time_budget is None:
-        del out["time_budget"]
-    fused = options.method == FUSED
-    if out["theta_step"] is None:
-        stack = "cbml" if fused else options.method
-        out["theta_step"] = float(np.deg2rad(METHODS[stack].theta_step_deg))
-    if not fused:
+        hidden.add("time_budget")
+    if options.method != FUSED:
         out["calibration"] = asdict(options.calibration or DEFAULTS[options.method])
     else:
-        del out["engine"], out["calibration"]
+        hidden |= {"engine", "calibration"}
         if not options.exact:  # they are the headings of branch and bound
-            del out["theta_step"]
-    about_map = {f.name: getattr(features, f.name) for f in fields(features)}
-    for name in ("grid", "memory_budget", "threads"):
-        del about_map[name]
+            hidden.add("theta_step")
+    unsaid = ("grid", "memory_budget", "threads")
+    about_map = {
+        f.name: getattr(features, f.name) for f in fields(features) if f.name not in unsaid
+    }
+    out = {key: value for key, value in out.items() if key not in hidden}
     return out | {"map": about_map, "seed": None}
 
 
 def _expect(value: object, kind: type, name: str, hint: str) -> None:
-    """Refuse an argument of another kind: a grid for features, a string for options.
-
-    Raises
-    ------
-    TypeError
-    """
+    """Refuse an argument of another kind: a grid for features, a string for options."""
     if not isinstance(value, kind):
         raise TypeError(
             f"{name} must be {kind.__name__}, got {type(value).__name__} {value!r:.40}: {hint}"

@@ -17,22 +17,14 @@ def sample_poses(
     rng: np.random.Generator,
     options: Options | None = None,
 ) -> FloatArray:
-    """Draw poses from the calibrated posterior of a scan.
+    """Draw poses (count, 3) of the sensor, map frame, from the calibrated posterior of a scan.
 
     Parameters
     ----------
-    features : MapFeatures
     scan : LaserScan
         With too few readings, or readings that say nothing, poses are drawn from everywhere.
-    count : int
-    rng : numpy.random.Generator
     options : Options, optional
         ``fused`` draws around as many hypotheses as it may list, the others from their stack.
-
-    Returns
-    -------
-    (count, 3) float array
-        Of the sensor in the map frame: metres, metres, radians.
 
     Examples
     --------

@@ -20,8 +20,7 @@ from imgloc.io.scanset import ScanSet
 from imgloc.model import BoolArray, Float32Array, FloatArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.worlds import WORLDS, render
 
-FINE = 0.01
-"""Cells on which scans are simulated, metres."""
+FINE = 0.01  #: cells on which scans are simulated, metres
 _MAX_CELLS = 16_000_000
 _DRAWS = 100  # of n poses each, before a mounting pose counts as impossible
 
@@ -57,28 +56,21 @@ def simulate_set(
     sensor: Sensor | None = None,
     fine: OccupancyGrid | None = None,
 ) -> ScanSet:
-    """Simulate scans at random free poses; the poses of the set are the sensor's, map frame.
+    """Simulate `n` scans at random free poses; the poses of the set are the sensor's, map frame.
 
     Parameters
     ----------
-    grid : OccupancyGrid
-        The map, from whose free space the poses are drawn.
-    n : int
-        Number of scans.
     seed : int
         Of everything random: the same seed gives the same scans, and poses that depend on the
         sensor's mount and clearance alone.
-    sensor : Sensor, optional
     fine : OccupancyGrid, optional
         Image on which rays are cast, with the same lower-left corner. By default the map
         redrawn at 1 cm; for a bundled world ``render(world, 0.01)`` is the truth itself.
 
     Raises
     ------
-    MapError
-        If no pose has the clearance.
-    ConfigError
-        If a parameter of the sensor or the seed is out of its range.
+    MapError, ConfigError
+        If no pose has the clearance; if a parameter of the sensor or the seed is out of its range.
 
     Examples
     --------
@@ -109,10 +101,8 @@ def sample_set(scans: ScanSet, n: int | None, seed: int, name: str = "scans") ->
 
     Raises
     ------
-    ScanError
-        If the set has no poses to compare with; `name` is what the message calls it.
-    ConfigError
-        If the seed is negative.
+    ScanError, ConfigError
+        If the set, called `name`, has no poses to compare with; if the seed is negative.
 
     Examples
     --------
@@ -150,18 +140,15 @@ def simulate(
     Parameters
     ----------
     grid : OccupancyGrid
-        On which rays are cast: finer than the map in which the scan is to be located, see
-        :func:`refine_grid`.
+        Finer than the map in which the scan is to be located, see :func:`refine_grid`.
     poses : (N, 3) array
         Of the sensor in the grid frame: metres, metres, radians.
     angles : (B,) array
         Of the rays in the sensor's frame, radians.
-    sigma : float
-        Standard deviation of the noise of a reading, metres.
+    sigma, seed : float, int
+        Standard deviation of the noise of a reading, metres, and the seed of all noise.
     range_max : float
         Metres; what is farther gives no return.
-    seed : int
-        Of the noise.
     outliers, dropped : float
         Shares of the rays, 0..1: stopped by something that the map does not show, anywhere
         between the sensor and the wall (or `range_max`); without any measurement at all.
@@ -169,12 +156,8 @@ def simulate(
     Returns
     -------
     (N, B) float array
-        Metres; +inf where nothing is met within `range_max`, NaN where dropped (REP 117).
-
-    Raises
-    ------
-    ConfigError
-        If a parameter is out of its range.
+        Metres; +inf where nothing is met within `range_max`, NaN where dropped (REP 117). What is
+        out of its range, of the parameters, is a ConfigError.
 
     Examples
     --------
@@ -192,10 +175,8 @@ def simulate(
         raise ConfigError(f"outliers {outliers} and dropped {dropped} are shares between 0 and 1")
     at = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
     psi = at[:, 2:] + np.asarray(angles, dtype=np.float64)
-    distance = distance_image(grid.occupied)
-    # A little farther than the sensor reaches: noise may bring a wall into its reach.
-    reach = range_max + 5 * sigma
-    ranges = cast_rays(distance, at[:, None, :2], psi, reach, grid.resolution)
+    reach = range_max + 5 * sigma  # noise may bring a wall into the sensor's reach
+    ranges = cast_rays(distance_image(grid.occupied), at[:, None, :2], psi, reach, grid.resolution)
     out = np.asarray(ranges, dtype=np.float64)
     # Drawn whether used or not: a scan with outliers differs from one without in them alone.
     rng = np.random.default_rng(seed)
@@ -211,12 +192,8 @@ def simulate(
 def ray_angles(rays: int, fov: float) -> FloatArray:
     """Angles (rays,) of a sensor's rays, centred about forward, radians.
 
-    With a full circle the last ray is one step short of the first.
-
-    Raises
-    ------
-    ConfigError
-        If there is no ray, or `fov` is not in (0, 2 pi].
+    With a full circle the last ray is one step short of the first. No ray, or a `fov` that is
+    not in (0, 2 pi], is a ConfigError.
 
     Examples
     --------
@@ -230,30 +207,19 @@ def ray_angles(rays: int, fov: float) -> FloatArray:
 
 
 def sample_free_poses(
-    grid: OccupancyGrid,
-    n: int,
-    seed: int,
-    clearance: float = 0.3,
-    mount: Pose2D | None = None,
+    grid: OccupancyGrid, n: int, seed: int, clearance: float = 0.3, mount: Pose2D | None = None
 ) -> FloatArray:
-    """Draw poses (n, 3) uniformly from the free space of a map, in the grid frame.
+    """Draw poses (n, 3) uniformly from the free space of a map: metres, theta in [0, 2 pi).
+
+    They are in the grid frame, and not at the centres of cells.
 
     Parameters
     ----------
-    grid : OccupancyGrid
-    n : int
-    seed : int
-        Of the random generator.
     clearance : float
         Metres from the robot to the nearest cell that is not free, or to the map's border.
     mount : Pose2D, optional
         Of the sensor on the robot: then the poses are the **sensor's**, ``robot ⊕ mount``. A
         robot whose sensor is not in a free cell is drawn again.
-
-    Returns
-    -------
-    (n, 3) float array
-        x and y in metres, continuous, and theta in [0, 2 pi).
 
     Raises
     ------
@@ -294,12 +260,11 @@ def sample_free_poses(
         return robots(seed)
     found = np.empty((0, 3))
     for draw in (seed, *np.random.SeedSequence(seed).generate_state(_DRAWS).tolist()):
-        sensors = robots(int(draw))
+        x, y, theta = robots(int(draw)).T
         # robot ⊕ mount: the mount, turned by the robot's heading
-        c, s = np.cos(sensors[:, 2]), np.sin(sensors[:, 2])
-        sensors[:, 0] += c * mount.x - s * mount.y
-        sensors[:, 1] += s * mount.x + c * mount.y
-        sensors[:, 2] = (sensors[:, 2] + mount.theta) % (2 * np.pi)
+        x = x + (np.cos(theta) * mount.x - np.sin(theta) * mount.y)
+        y = y + (np.sin(theta) * mount.x + np.cos(theta) * mount.y)
+        sensors = np.column_stack((x, y, (theta + mount.theta) % (2 * np.pi)))
         cells = cell_of(sensors[:, :2], grid.resolution)
         on_map = inside(cells, grid.info)
         row, column = cells[on_map].T
@@ -318,21 +283,13 @@ def refine_grid(
     """Redraw a map with smaller cells and smooth outlines, so that walls have no stairs.
 
     The occupancy image is blurred by 0.7 cells, enlarged bilinearly and cut at one half; walls
-    and gaps that are one cell thin are kept.
+    and gaps that are one cell thin are kept. A map whose cells need not be smaller is returned.
 
     Parameters
     ----------
-    grid : OccupancyGrid
-    resolution : float
-        Side of a cell wanted, metres. The side of the map's cells is divided by a whole
-        number that comes closest to it.
-    max_cells : int
-        No more cells than this: a large map is refined less.
-
-    Returns
-    -------
-    OccupancyGrid
-        Same place, same origin; `grid` itself if its cells need not be smaller.
+    resolution, max_cells : float, int
+        Side of a cell wanted, metres: that of the map's cells is divided by a whole number that
+        comes closest to it. No more cells than `max_cells`: a large map is refined less.
 
     Examples
     --------
@@ -369,20 +326,15 @@ def _smooth(occupied: BoolArray) -> Float32Array:
 
 
 def fine_image(path: Path, grid: OccupancyGrid) -> OccupancyGrid | None:
-    """The walls of a bundled world drawn at 1 cm; None for a map of which only cells are known.
-
-    Parameters
-    ----------
-    path : Path
-        Of the map. A copy of a bundled map elsewhere is any map.
-    grid : OccupancyGrid
-        As loaded: read at another resolution or origin it is not the world any more.
-    """
+    """The walls of a bundled world drawn at 1 cm; None for a map of which only cells are known."""
     return render(WORLDS[path.stem](), FINE) if is_world(path, grid) else None
 
 
 def is_world(path: Path, grid: OccupancyGrid) -> bool:
-    """Whether a map is a bundled one, as it is: more than its cells is known."""
+    """Whether a map is a bundled one, as it is: more than its cells is known.
+
+    A copy elsewhere is any map; read at another resolution or origin it is not the world any more.
+    """
     if path.stem not in WORLDS or path.resolve().parent != bundled_maps().resolve():
         return False
     width, height = (round(side / grid.resolution) for side in WORLDS[path.stem]().size)

@@ -4,10 +4,9 @@ The evidence of a map is the mean of the scan's likelihood over all poses in it:
 ``1 / V`` in front of an integral that is, mode by mode, the height of a Gaussian times its
 volume. A large map has more places that fit by chance, and pays for them with its V.
 
-A scan also fits maps that it is not from, somewhere. How well it may fit a building that is not
-among the maps is seen from them: at best two are of its building, so that the third best fits by
-chance. The best of many that fit by chance leads the third by as much as the best of few: the
-tail of their evidence is about exponential, whose upper spacings do not depend on their number.
+How well a scan may fit a building that is not among the maps is seen from them: at best two are of
+its building, so that the third best fits by chance. The best of many that do leads the third by as
+much as the best of few: upper spacings of a tail that is about exponential do not depend on them.
 """
 
 from collections import Counter
@@ -25,24 +24,18 @@ from imgloc.options import FUSED, Options, Trust
 from imgloc.pipeline import localize
 from imgloc.search.hypotheses import masses
 
-OPTIONS = Options(top=20)
-"""Evidence is summed over the modes that are listed."""
+OPTIONS = Options(top=20)  #: evidence is summed over the modes that are listed
 LEAD = 0.4
 """Nats per reading by which an unknown building may fit better than the third best map.
-
 Chosen on 475 scans simulated in the bundled worlds and 84 recorded ones, with and without their own
 map: with less, more wrong maps are named, with more, more scans lose their own."""
 LUCK = 20.0
 """Log-evidence that an unknown building does not exceed, nats: of these scans one in forty did.
-
 Maps that fit better are alike, and a scan of one of them is not from none."""
 FEW = 5
 """Of fewer maps than this, one is named only if the scan is ``unique`` in it: too few to tell what
 fits by chance, and of chance there are mostly several places."""
-
-
-NO_MAP = ("none", "undecided", "invalid")
-"""Verdicts that name no map."""
+NO_MAP = ("none", "undecided", "invalid")  #: verdicts that name no map
 
 
 @dataclass(frozen=True)
@@ -64,17 +57,7 @@ def which(
 ) -> Choice:
     """Say from which of some maps a scan is: one of them, none, or undecided.
 
-    Parameters
-    ----------
-    maps : mapping of str to MapFeatures
-    scan : LaserScan
-    options : Options, optional
-        Of the method ``fused``.
-
-    Raises
-    ------
-    ConfigError
-        If there are no maps, or the method is another one.
+    No maps, or another method than ``fused``, are a ConfigError.
 
     Examples
     --------
@@ -90,14 +73,8 @@ def which(
 
 
 def fit(features: MapFeatures, scan: LaserScan, options: Options = OPTIONS) -> Localization:
-    """Locate a scan in one of the maps.
-
-    Raises
-    ------
-    ConfigError
-        If the method is not ``fused``: the values of votes have no common scale.
-    """
-    if options.method != FUSED:
+    """Locate a scan in one of the maps, by ``fused`` alone."""
+    if options.method != FUSED:  # the values of votes have no common scale
         raise ConfigError(f"maps are compared by the method {FUSED}, got {options.method}")
     return localize(features, scan, options)
 
@@ -107,18 +84,8 @@ def choose(
 ) -> Choice:
     """Compare maps by how a scan fits them; all maps are equally likely beforehand.
 
-    Parameters
-    ----------
-    fits : mapping of str to Localization
-        Of :func:`fit` in each map.
-    trust : Trust, optional
-    sure : float
-        Probability that a map needs to be the verdict.
-
-    Raises
-    ------
-    ConfigError
-        If there are no maps.
+    `fits` are those of :func:`fit` in each map, at least one; `sure` is the probability that a map
+    needs to be the verdict.
 
     Examples
     --------
@@ -158,13 +125,8 @@ def choose(
     probability = dict(zip(order, weights.tolist(), strict=True))
     known = len(fits) >= FEW or fits[order[0]].verdict == "unique"
     verdict = order[0] if known and probability[order[0]] >= sure else "undecided"
-    return Choice(
-        "none" if none > 0.5 else verdict,
-        probability,
-        none,
-        {name: evidence[name] - top for name in order},
-        temperature,
-    )
+    relative = {name: evidence[name] - top for name in order}
+    return Choice("none" if none > 0.5 else verdict, probability, none, relative, temperature)
 
 
 def log_evidence(answer: Localization, temperature: float) -> float:
@@ -180,17 +142,8 @@ def log_evidence(answer: Localization, temperature: float) -> float:
 def unknown_evidence(evidence: Sequence[float], lead: float) -> float:
     """Log-evidence of a building that is not among the maps, see the module's head.
 
-    Parameters
-    ----------
-    evidence : sequence of float
-        Log-evidence of the maps, nats, in any order.
-    lead : float
-        Over the third best, nats.
-
-    Returns
-    -------
-    float
-        Nats, at most :data:`LUCK`; -inf with fewer than three maps: nothing follows from two.
+    It leads the third best `evidence`, but is at most :data:`LUCK`; all in nats. With fewer than
+    three maps it is -inf: nothing follows from two.
 
     Examples
     --------
@@ -202,13 +155,7 @@ def unknown_evidence(evidence: Sequence[float], lead: float) -> float:
 
 
 def find_maps(folder: Path) -> list[Path]:
-    """YAML files of maps in a folder and below, in order of their names.
-
-    Raises
-    ------
-    ConfigError
-        If it is no folder, or holds none.
-    """
+    """YAML files of maps in a folder and below, in order of their names; none is a ConfigError."""
     if not folder.is_dir():
         raise ConfigError(f"{display(folder)}: expected a folder of maps")
     paths = sorted({*folder.rglob("*.yaml"), *folder.rglob("*.yml")})
@@ -228,13 +175,10 @@ def names_of(paths: Iterable[Path], folder: Path) -> list[str]:
     ['b.yaml', 'b/map.yaml', 'none.yaml']
     """
     full = [path.relative_to(folder) for path in paths]
-    short = [
-        path.parent if path.stem == "map" and path.parent != Path() else path.with_suffix("")
-        for path in full
-    ]
+    # a/map.yaml is called after its folder
+    inner = [path.stem == "map" and path.parent != Path() for path in full]
+    short = [p.parent if i else p.with_suffix("") for p, i in zip(full, inner, strict=True)]
     taken = Counter([*(name.as_posix() for name in short), *NO_MAP])
-    names = [
-        (path if taken[name.as_posix()] > 1 else name).as_posix()
-        for path, name in zip(full, short, strict=True)
-    ]
+    pairs = zip(full, short, strict=True)
+    names = [(p if taken[name.as_posix()] > 1 else name).as_posix() for p, name in pairs]
     return names if len(set(names)) == len(names) else [path.as_posix() for path in full]

@@ -35,27 +35,13 @@ class World:
 def render(world: World, resolution: float) -> OccupancyGrid:
     """Draw a world as an occupancy grid with its origin at (0, 0, 0).
 
-    Parameters
-    ----------
-    world : World
-    resolution : float
-        Side of a cell, metres. Cells wider than 1 cm are averaged from cells of about 1 cm:
-        one is known if at least half of it is, and occupied if no less of it is occupied
-        than free.
-
-    Returns
-    -------
-    OccupancyGrid
-
-    Raises
-    ------
-    ConfigError
-        If `resolution` is not positive and finite.
+    Cells wider than 1 cm are averaged from cells of about 1 cm: one is known if at least half of
+    it is, and occupied if no less of it is occupied than free. `resolution` is the side of a cell
+    in metres; one that is not positive and finite is a ConfigError.
 
     Examples
     --------
-    >>> grid = render(WORLDS["curved"](), 0.1)
-    >>> grid.occupied.shape
+    >>> render(WORLDS["curved"](), 0.1).occupied.shape
     (130, 160)
     """
     if not (np.isfinite(resolution) and resolution > 0):
@@ -71,12 +57,11 @@ def render(world: World, resolution: float) -> OccupancyGrid:
         cv2.fillPoly(image, [room], _FREE, cv2.LINE_8, _SHIFT)
     for block in blocks:
         cv2.fillPoly(image, [block], _OCCUPIED, cv2.LINE_8, _SHIFT)
-    occupied, free = ((image == k).astype(np.float32) for k in (_OCCUPIED, _FREE))
+    shares = [(image == k).astype(np.float32) for k in (_OCCUPIED, _FREE)]
     if parts > 1:
-        occupied, free = (
-            cv2.resize(share, (width, height), interpolation=cv2.INTER_AREA)
-            for share in (occupied, free)
-        )
+        size = (width, height)
+        shares = [cv2.resize(s, size, interpolation=cv2.INTER_AREA) for s in shares]
+    occupied, free = shares
     known = occupied + free >= 0.5 - 1e-6
     return OccupancyGrid(known & (occupied >= free), known & (occupied < free), resolution)
 

@@ -16,8 +16,8 @@ from imgloc.geometry import cell_of, inside, transform_poses, wrap
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import FusedOptions, Options
 from imgloc.pipeline import find_modes
+from imgloc.search.proposals import propose_votes
 from imgloc.search.rescore import rescore, shortlist
-from imgloc.search.votes import propose_votes
 from imgloc.simulate import sample_free_poses, simulate
 from imgloc.worlds import WORLDS, render
 

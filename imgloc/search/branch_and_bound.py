@@ -4,8 +4,8 @@ Branch and bound (Hess et al. 2016): a block of poses whose bound, from a max-po
 below what is already known to be reached is left out with all its poses. Nothing here is an
 approximation: the result is that of the exhaustive search, ties included.
 
-No block is looked at by itself. The top level is summed as runs of memory, heading by heading;
-the finer ones are gathered with one call for hundreds of blocks.
+The top level is summed as runs of memory, heading by heading; the finer ones are gathered with one
+call for hundreds of blocks.
 """
 
 from collections.abc import Sequence
@@ -52,10 +52,8 @@ def best_poses(
 ) -> Best:
     """Find the poses of the largest CBML score, as if the stack had been computed.
 
-    For ``count=1`` that is the argmax of the stack over the wanted poses, the first in
-    (theta, row, col) order if there are several. For more it is what
-    :func:`imgloc.search.hypotheses.separated` picks from all poses sorted in that way: the best,
-    then the best of those that are not its neighbours, and so on.
+    That is what :func:`imgloc.search.hypotheses.separated` picks from all wanted poses, equal ones
+    in (theta, row, col) order: the best, the best of those that are not its neighbours, and so on.
 
     Parameters
     ----------
@@ -65,26 +63,17 @@ def best_poses(
         Scan points, sensor frame, metres. Points that are not finite are left out.
     thetas : (K,) float array
         Headings, radians.
-    count : int
-        At most so many poses.
-    distance, angle : float
-        Two poses are neighbours if they are closer than both, metres and radians. Irrelevant
-        for ``count=1``. Far more poses than fit the map at this distance make the search
-        exhaustive.
+    count, distance, angle : int, float, float
+        At most so many poses: far more than fit the map make the search exhaustive. Two poses are
+        neighbours if they are closer than both, metres and radians.
     threads : int
         The result does not depend on it.
 
     Returns
     -------
     Best
-        Only poses with a score above 0: a pose that no reading speaks for is no answer.
-
-    Raises
-    ------
-    ConfigError
-        If `count`, `distance`, `angle` or `threads` is out of its range.
-    ValueError
-        If `xy` has a wrong shape.
+        Only poses with a score above 0: a pose that no reading speaks for is no answer. A number
+        out of its range is a ConfigError, `xy` of a wrong shape a ValueError.
 
     Examples
     --------
@@ -101,8 +90,7 @@ def best_poses(
         raise ConfigError(f"count must be at least 1, got {count}")
     if not (np.isfinite([distance, angle]).all() and distance >= 0 and angle >= 0):
         raise ConfigError(f"distance and angle must be at least 0, got {distance}, {angle}")
-    headings = np.asarray(thetas, dtype=np.float64)
-    points = finite_points(xy)
+    headings, points = np.asarray(thetas, dtype=np.float64), finite_points(xy)
     if not (points.size and headings.size and pooled.where[0].any()):
         return Best(np.empty((0, 3), dtype=np.int64), np.empty(0, dtype=np.float32))
     bounds = _Bounds(pooled, points, headings)
@@ -110,14 +98,11 @@ def best_poses(
     top = bounds.of_top(threads)
     picks.promise(*bounds.descend(_roots(top, _PATHS + 8 * count)))
     nodes = np.flatnonzero(top >= picks.threshold)
-    values = top.ravel()[nodes]
     # Best first; equal ones in index order, so that the first of equal poses is met first.
-    order = _falling(values)
-    nodes, values = nodes[order], values[order]
+    nodes = nodes[_falling(top.ravel()[nodes])]
     for start in range(0, len(nodes), _CHUNK):
-        part = slice(start, start + _CHUNK)
         # In index order again: lookups of one heading are near each other in memory.
-        index = np.sort(nodes[part])
+        index = np.sort(nodes[start : start + _CHUNK])
         block = np.stack(np.unravel_index(index, top.shape), axis=1)
         score = top.ravel()[index]
         for level in range(pooled.top, -1, -1):
@@ -126,8 +111,8 @@ def best_poses(
             alive = picks.may_hold(level, block, score)
             block, score = block[alive], score[alive]
         picks.add(block, score)
-        rest = values[start + _CHUNK : start + _CHUNK + 1]
-        if picks.settle(int(rest[0]) if rest.size else 0):
+        rest = top.ravel()[nodes[start + _CHUNK :][:1]]
+        if picks.settle(int(rest.max(initial=0))):
             break
     return picks.result()
 
@@ -142,7 +127,8 @@ class _Bounds:
         points = points[np.argsort(np.arange(len(points)) % _GROUPS, kind="stable")]
         cuts = [-(-(len(points) - g) // _GROUPS) for g in range(_GROUPS)]
         self.groups = [slice(b - n, b) for n, b in zip(cuts, np.cumsum(cuts).tolist(), strict=True)]
-        self.sums_type = _sums_type(cuts[0])
+        # What holds the sum of so many bytes: half the memory is half the time.
+        self.sums_type = np.uint16 if cuts[0] * _FULL < 1 << 16 else np.uint32
         offsets = cell_offsets(points, thetas, pooled.resolution)
         # Farther than the map is large, a point misses it from everywhere.
         down, across = (
@@ -203,9 +189,7 @@ class _Bounds:
     def of_quarters(
         self, nodes: IntArray, threshold: int
     ) -> tuple[IntArray, npt.NDArray[np.int32]]:
-        """Blocks of the top level, and the bounds (n, 4) of their quarters.
-
-        Blocks without a quarter that reaches `threshold` are left out.
+        """Blocks of the top level with a quarter that reaches `threshold`, and (n, 4) bounds.
 
         What a group of readings adds to a block bounds what it adds to a quarter of it: as
         soon as that much is not enough, the other groups need not be looked up.
@@ -226,10 +210,7 @@ class _Bounds:
     def children(
         self, level: int, nodes: IntArray, threshold: int = 0
     ) -> tuple[IntArray, IntArray]:
-        """The blocks that `nodes` of the level above consist of, and their bounds.
-
-        Those with a bound less than `threshold` are left out.
-        """
+        """The blocks in `nodes` of the level above whose bounds reach `threshold`; the bounds."""
         if level == self.pooled.top - 1:
             nodes, bounds = self.of_quarters(nodes, threshold)
         else:
@@ -257,11 +238,6 @@ class _Bounds:
             best = order[np.flatnonzero(np.diff(parent[order], prepend=-1))]
             nodes, score = nodes[best], score[best]
         return nodes, score
-
-
-def _sums_type(readings: int) -> type[np.uint16] | type[np.uint32]:
-    """What holds the sum of so many values of a byte: half the memory is half the time."""
-    return np.uint16 if readings * _FULL < 1 << 16 else np.uint32
 
 
 class _Picks:
@@ -300,11 +276,9 @@ class _Picks:
 
     def add(self, nodes: IntArray, scores: IntArray) -> None:
         """Take note of poses."""
-        if not len(nodes):
-            return
-        self.promise(nodes, scores)
-        nodes, scores = self.sort((self.found[0], nodes), (self.found[1], scores))
-        self.found = nodes, scores
+        if len(nodes):
+            self.promise(nodes, scores)
+            self.found = self.sort((self.found[0], nodes), (self.found[1], scores))
 
     def settle(self, rest: int) -> bool:
         """Pick among the poses that beat every bound still open, `rest`; whether that is all."""
@@ -320,10 +294,8 @@ class _Picks:
 
     def result(self) -> Best:
         """The picks, once no block is left."""
-        nodes, scores = self.found
-        return Best(
-            nodes[: self.settled], scores[: self.settled].astype(np.float32) / np.float32(_FULL)
-        )
+        nodes, scores = (part[: self.settled] for part in self.found)
+        return Best(nodes, scores.astype(np.float32) / np.float32(_FULL))
 
     def sort(
         self, nodes: tuple[IntArray, IntArray], scores: tuple[IntArray, IntArray]
@@ -336,12 +308,10 @@ class _Picks:
 
     def separate(self, nodes: IntArray, scale: float) -> tuple[IntArray, IntArray]:
         """:func:`separated` at a multiple of the separation."""
-        pooled = self.bounds.pooled
-        xy = centre_of(nodes[:, 1:], pooled.resolution)
+        xy = centre_of(nodes[:, 1:], self.bounds.pooled.resolution)
         poses = np.column_stack((xy, self.bounds.thetas[nodes[:, 0]]))
-        return separated(
-            poses, self.count, distance=scale * self.distance, angle=scale * self.angle
-        )
+        distance, angle = scale * self.distance, scale * self.angle
+        return separated(poses, self.count, distance=distance, angle=angle)
 
     def flat(self, nodes: IntArray) -> IntArray:
         """Index of poses into the raveled stack."""

@@ -12,10 +12,7 @@ from imgloc.search.refine import normal_equations
 def masses(log_likelihood: FloatArray, temperature: float) -> FloatArray:
     """Softmax of ``log_likelihood / temperature``: (M,) shares that sum to 1.
 
-    Raises
-    ------
-    ConfigError
-        If the temperature is not positive and finite.
+    A temperature that is not positive and finite is a ConfigError.
 
     Examples
     --------
@@ -24,21 +21,14 @@ def masses(log_likelihood: FloatArray, temperature: float) -> FloatArray:
     """
     if not (np.isfinite(temperature) and temperature > 0):
         raise ConfigError(f"temperature must be positive and finite, got {temperature}")
-    if len(log_likelihood) == 0:
-        return np.empty(0)
-    weight = np.exp((log_likelihood - log_likelihood.max()) / temperature)
+    weight = np.exp((log_likelihood - log_likelihood.max(initial=-np.inf)) / temperature)
     return np.asarray(weight / weight.sum())
 
 
 def first_in_cell(poses: FloatArray, distance: float, angle: float) -> IntArray:
     """Indices, in order, of the poses (M, 3) that are the first in their cell of pose space.
 
-    Parameters
-    ----------
-    poses : (M, 3) float array
-        Metres, metres, radians.
-    distance, angle : float
-        Sides of a cell, metres and radians; those of the headings all fit the circle.
+    The sides of a cell are `distance` metres and `angle` radians, made to fit the circle.
 
     Examples
     --------
@@ -62,19 +52,16 @@ def separated(
 
     Parameters
     ----------
-    poses : (M, 3) float array
-        Best first: metres, metres, radians.
-    n : int
-        At most so many.
+    poses, n : (M, 3) float array, int
+        Best first: metres, metres, radians; and how many to pick at most.
     distance, angle : float
         Two poses are neighbours if they are closer than both, metres and radians.
 
     Returns
     -------
-    picked : (K,) int array
-        Indices of the picked poses.
-    owner : (M,) int array
-        For each pose the position in `picked` of the pose it is a neighbour of, or -1.
+    picked, owner : (K,) and (M,) int arrays
+        Indices of the picked poses, and for each pose the position in `picked` of the one it is
+        a neighbour of, or -1.
 
     Examples
     --------
@@ -100,12 +87,7 @@ def separated(
 
 
 def modes(
-    poses: FloatArray,
-    score: FloatArray,
-    *,
-    distance: float,
-    angle: float,
-    most: int | None = None,
+    poses: FloatArray, score: FloatArray, *, distance: float, angle: float, most: int | None = None
 ) -> IntArray:
     """Indices of the best pose of each mode, best first, ties in index order; at most `most`.
 
@@ -134,13 +116,8 @@ def covariances(
 
     Parameters
     ----------
-    poses : (C, 3) float array
-        Refined, grid frame.
-    xy : (N, 2) float array
-        Scan points, sensor frame, metres.
-    field : DistanceField
-    sigma : float
-        Width of the robust kernel, metres.
+    poses, xy, field, sigma
+        As of :func:`~imgloc.search.refine.refine`, refined; width of the robust kernel, metres.
     correlated : float
         How many neighbouring readings share their error: the staircase of a wall's cells.
     extent : (float, float)

@@ -19,7 +19,7 @@ _LOOKUPS = 1 << 15  # at a time: they stay in the cache
 def sums_under(
     images: Sequence[npt.NDArray[Any]], offsets: IntArray, k: IntArray, base: IntArray
 ) -> npt.NDArray[np.int32]:
-    """Sum what each byte of the images holds under the scan.
+    """Sum what each byte of the images holds under the scan: (M, B), B bytes for M poses.
 
     Parameters
     ----------
@@ -30,11 +30,6 @@ def sums_under(
         Of the readings from a pose, for each heading, as indices into the images.
     k, base : (M,) int arrays
         Heading and place of each pose. No sum of `base` and `offsets` is out of range.
-
-    Returns
-    -------
-    (M, B) int32 array
-        For each pose the sums over the B bytes of the images.
 
     Examples
     --------
@@ -54,8 +49,7 @@ def sums_under(
         index = offsets.take(k[i : i + step], axis=0, mode="clip")
         index += base[i : i + step, None]
         for j, image in enumerate(images):
-            found = image.take(index, mode="clip").view(np.uint8)
-            found = found.reshape(*index.shape, size)
+            found = image.take(index, mode="clip").view(np.uint8).reshape(*index.shape, size)
             # Eight times as fast as NumPy's sum along short rows.
             total = cv2.reduce(found, 1, cv2.REDUCE_SUM, dtype=cv2.CV_32S)
             out[i : i + step, j * size : (j + 1) * size] = total.reshape(-1, size)

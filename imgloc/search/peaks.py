@@ -4,7 +4,6 @@ from collections.abc import Iterator
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from imgloc.geometry import wrap
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
@@ -16,23 +15,15 @@ _FEW = 4096  # peaks sorted at a time
 def find_peaks(
     values: Float32Array, n: int, *, radius: int = 1, where: BoolArray | None = None
 ) -> IntArray:
-    """Local maxima of a stack, best first.
+    """Local maxima ``(theta, row, col)`` of a stack (K, H, W) above 0: (M, 3), the `n` best first.
 
     Parameters
     ----------
-    values : (K, H, W) float32 array
-    n : int
-        At most so many.
     radius : int
         A peak is the largest of the ``2 radius + 1`` cells and headings around it, theta
         wrapping around. Of equal neighbours the first in index order stays.
     where : (H, W) bool array, optional
         Cells that may hold a peak.
-
-    Returns
-    -------
-    (M, 3) int array
-        ``(theta, row, col)`` of values above 0.
 
     Examples
     --------
@@ -42,18 +33,17 @@ def find_peaks(
     [[3, 0, 1], [2, 0, 4]]
     """
     cells = _local_maxima(values, radius, where)
-    scores = values.ravel()[cells]
-    kept: list[npt.NDArray[np.int64]] = []
-    for some in _falling(scores):
+    kept = np.empty((0, 3), np.int64)
+    for some in _falling(values.ravel()[cells]):
         for cell in np.stack(np.unravel_index(cells[some], values.shape), axis=1):
             if len(kept) == n:
-                return np.asarray(kept, dtype=np.int64).reshape(-1, 3)
+                return kept
             # Of a plateau only the first stays.
-            gap = np.abs(np.asarray(kept).reshape(-1, 3) - cell)
+            gap = np.abs(kept - cell)
             gap[:, 0] = np.minimum(gap[:, 0], len(values) - gap[:, 0])
             if not (gap <= radius).all(axis=1).any():
-                kept.append(cell)
-    return np.asarray(kept, dtype=np.int64).reshape(-1, 3)
+                kept = np.vstack((kept, cell))
+    return kept
 
 
 def _local_maxima(values: Float32Array, radius: int, where: BoolArray | None) -> IntArray:
@@ -108,34 +98,23 @@ def peaks_of_posterior(
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
     """Modes of a posterior: its peaks, each with the peaks beside it.
 
-    Parameters
-    ----------
-    probability : (K, H, W) float32 array
-        Sums to 1.
-    thetas : (K,) float array
-        Uniform headings.
-    resolution : float
-        Side of a cell, metres.
-    n : int
-        At most so many peaks are looked for.
-    separation : (float, float)
-        Peaks nearer than this, metres and radians, are of one mode.
-
-    Returns
-    -------
-    poses : (M, 3), mass : (M,), covariance : (M, 3, 3) float arrays
-        Grid frame, the highest peak first.
-    peaks : (M, 3) int array
-        Cells ``(theta, row, col)``.
+    At most `n` peaks are looked for; those nearer than `separation`, metres and radians, are of
+    one mode. The other parameters, and the results, the highest peak first, are those of
+    :func:`peak_moments`; the last result holds the peaks' cells.
     """
     peaks = find_peaks(probability, n, radius=2)
     poses, mass, covariance = peak_moments(probability, peaks, thetas, resolution)
-    if len(poses) == 0:
-        return poses, mass, covariance, peaks
     distance, angle = separation
-    best, owner = separated(poses, len(poses), distance=distance, angle=angle)
-    mass, covariance = _joined(poses, mass, covariance, best[owner])
-    return poses[best], mass[best], covariance[best], peaks[best]
+    best, of = separated(poses, len(poses), distance=distance, angle=angle)
+    # Mass and covariance of each with those of the peaks that it owns.
+    owner = best[of]
+    offset = poses - poses[owner]
+    offset[:, 2] = wrap(offset[:, 2])
+    second = covariance + offset[:, :, None] * offset[:, None, :]
+    total, joined = np.zeros_like(mass), np.zeros_like(covariance)
+    np.add.at(total, owner, mass)
+    np.add.at(joined, owner, (mass / total[owner])[:, None, None] * second)
+    return poses[best], total[best], joined[best], peaks[best]
 
 
 def peak_moments(
@@ -150,15 +129,11 @@ def peak_moments(
 
     Parameters
     ----------
-    probability : (K, H, W) float32 array
-        Sums to 1.
+    probability, thetas, resolution
+        (K, H, W), sums to 1; (K,) uniform headings, radians; side of a cell, metres.
     peaks : (M, 3) int array
         ``(theta, row, col)``, best first. A cell that lies in the window of two peaks counts
         for the first.
-    thetas : (K,) float array
-        Uniform headings.
-    resolution : float
-        Side of a cell, metres.
     radius : int
         The window reaches so many cells and headings to every side.
 
@@ -170,10 +145,9 @@ def peak_moments(
     """
     n, height, width = probability.shape
     step = 2 * np.pi / n
-    taken = np.zeros(probability.shape, dtype=bool)
+    taken, reach = np.zeros(probability.shape, dtype=bool), min(radius, (n - 1) // 2)
     floor = np.diag(np.square([resolution, resolution, step]) / 12)
     poses, mass, covariance = [], [], []
-    reach = min(radius, (n - 1) // 2)
     for k, r, c in peaks.tolist():
         ks = np.arange(k - reach, k + reach + 1)
         rows = np.arange(max(0, r - radius), min(height, r + radius + 1))
@@ -194,16 +168,3 @@ def peak_moments(
     out = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
     out[:, 2] = wrap(out[:, 2])
     return out, np.asarray(mass, dtype=np.float64), np.asarray(covariance).reshape(-1, 3, 3)
-
-
-def _joined(
-    poses: FloatArray, mass: FloatArray, covariance: FloatArray, owner: IntArray
-) -> tuple[FloatArray, FloatArray]:
-    """Mass (M,) and covariance (M, 3, 3) of each pose with those of which it is the owner."""
-    offset = poses - poses[owner]
-    offset[:, 2] = wrap(offset[:, 2])
-    second = covariance + offset[:, :, None] * offset[:, None, :]
-    total, out = np.zeros_like(mass), np.zeros_like(covariance)
-    np.add.at(total, owner, mass)
-    np.add.at(out, owner, (mass / total[owner])[:, None, None] * second)
-    return total, out

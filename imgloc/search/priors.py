@@ -31,8 +31,7 @@ def nearest(prior: Prior, poses: FloatArray, resolution: float) -> FloatArray:
     Examples
     --------
     >>> prior = Prior(np.array([[True, False, False]]), (0.0, 0.5))
-    >>> found = nearest(prior, np.array([[0.45, 0.1, 0.6], [1.7, 0.1, -0.1]]), 0.4)
-    >>> found.round(3).tolist()
+    >>> nearest(prior, np.array([[0.45, 0.1, 0.6], [1.7, 0.1, -0.1]]), 0.4).round(3).tolist()
     [[0.4, 0.1, 0.5]]
     """
     poses = np.array(poses, dtype=np.float64)
@@ -75,10 +74,9 @@ def around(
     """Cells of another lattice, `cell` metres, that lie in the set or touch it."""
     if prior.cells is None:
         return None
-    sides = zip(prior.cells.shape, shape, strict=True)
     row, column = (
         np.minimum((np.arange(n) + 0.5) * (resolution / cell), most - 1).astype(np.intp)
-        for n, most in sides
+        for n, most in zip(prior.cells.shape, shape, strict=True)
     )
     # Rows and columns that meet in one lattice cell are neighbours: no list of cells is made.
     first, left = (np.flatnonzero(np.diff(at, prepend=-1)) for at in (row, column))
@@ -102,12 +100,8 @@ def pyramid_levels(prior: Prior, levels: tuple[Level, ...], resolution: float) -
 def near(info: GridInfo, x: float, y: float, radius: float) -> BoolArray:
     """Cells (H, W) whose centre is within `radius` of a point, grid frame, metres.
 
-    The cell that holds the point is one of them, however small the radius.
-
-    Raises
-    ------
-    ConfigError
-        If the radius is not positive and finite.
+    The cell that holds the point is one of them, however small the radius. A radius that is not
+    positive and finite is a ConfigError.
 
     Examples
     --------
@@ -130,20 +124,13 @@ def clearance(grid: OccupancyGrid, radius: float) -> BoolArray:
 
     Unknown cells and the world off the map are not free: a robot has not been there. Distances
     are those of the centres less half a cell: exact for walls along the axes, up to 0.21 cells
-    too large at a corner.
-
-    Raises
-    ------
-    ConfigError
-        If the radius is negative or not finite.
+    too large at a corner. A radius that is negative or not finite is a ConfigError.
 
     Examples
     --------
     >>> free = np.ones((1, 7), bool)
-    >>> clearance(OccupancyGrid(~free, free, 1.0), 0.5).tolist()
-    [[True, True, True, True, True, True, True]]
-    >>> clearance(OccupancyGrid(~free, free, 1.0), 1.0).any()
-    np.False_
+    >>> [int(clearance(OccupancyGrid(~free, free, 1.0), radius).sum()) for radius in (0.5, 1.0)]
+    [7, 0]
     """
     if not (np.isfinite(radius) and radius >= 0):
         raise ConfigError(f"the clearance must be finite and not negative, got {radius:g} m")
@@ -161,8 +148,8 @@ def _nearest_cells(mask: BoolArray, cells: IntArray, resolution: float) -> IntAr
     square = np.square(offsets).sum(axis=1)
     order = np.argsort(square, kind="stable")
     offsets = offsets[order[square[order] <= reach**2]]
-    height, width = mask.shape
-    info, out, left = GridInfo(height, width, resolution), cells.copy(), np.arange(len(cells))
+    info = GridInfo(mask.shape[0], mask.shape[1], resolution)
+    out, left = cells.copy(), np.arange(len(cells))
     while len(left) and len(offsets):
         # Nearly all are found by the first look: few are left for the many offsets far away.
         some, offsets = np.split(offsets, [max(1, _LOOKS // len(left))])

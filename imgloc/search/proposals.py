@@ -1,4 +1,4 @@
-"""Where to look closely: poses proposed by endpoint correlation, coarse to fine.
+"""Where to look closely: poses proposed by endpoint correlation, and by coarse GHT-V votes.
 
 The correlation of CBML with a narrow kernel and a fine theta step proposes the true pose
 almost always, on clean and on old maps alike. Only the coarsest level is exhaustive; every
@@ -13,13 +13,19 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import Level
+from imgloc.features.scanpoints import scan_points, thin
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihood.correlate import correlate
+from imgloc.likelihood.ght import ght_v
+from imgloc.likelihood.posterior import smooth
 from imgloc.likelihood.slices import cell_offsets
-from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
-from imgloc.options import Prior
+from imgloc.model import BoolArray, Float32Array, FloatArray, GridInfo, IntArray, LaserScan
+from imgloc.options import FusedOptions, Prior
 from imgloc.search.lookups import sums_under
+from imgloc.search.peaks import find_peaks
+from imgloc.search.priors import around
 
 _CHUNK_CELLS = 1 << 19  # of the exhaustive level's stack: 2 MB at a time
 _FIRST_CELLS = 1 << 18  # of its first piece
@@ -47,11 +53,9 @@ def propose_endpoints(
         Scan points, sensor frame, metres.
     theta_step : float
         Largest step between headings, radians; the coarsest level takes every second one.
-    keep : sequence of int
-        How many nodes each level keeps, finest first.
-    skip : int
-        All levels but the finest take every `skip`-th point: their cells are coarse, and
-        neighbouring points say nearly the same.
+    keep, skip : sequence of int, int
+        How many nodes each level keeps, finest first. All levels but the finest take every
+        `skip`-th point: their cells are coarse, and neighbouring points say nearly the same.
     prior : Prior, optional
         Whose headings are the only ones; its cells are in the levels' `free` already.
     threads : int
@@ -59,11 +63,10 @@ def propose_endpoints(
 
     Returns
     -------
-    poses : (M, 3) float array
+    poses, scores : (M, 3) and (M,) float arrays
         Grid frame, best first, at most ``keep[0]``, one per block of 2 x 2 cells and 2
-        headings; none that meets no wall at all.
-    scores : (M,) float array
-        Mean of the finest endpoint image under the points, 0..1.
+        headings; none that meets no wall at all. Scores are means of the finest endpoint image
+        under the points, 0..1.
     """
     if len(xy) == 0:
         return np.empty((0, 3)), np.empty(0)
@@ -78,18 +81,16 @@ def propose_endpoints(
     nodes[:, 0] = 2 * coarse[nodes[:, 0]]
     spread = np.array([-1, 0, 1])
     for level, count in zip(levels[-2::-1], keep[-2::-1], strict=True):
-        parents = _parents(nodes, spread, wanted)
-        spread = np.array([0])
-        points = xy if level is levels[0] else xy[::skip]
-        sums = _score(level, points, thetas, parents)
+        parents, spread = _parents(nodes, spread, wanted), np.array([0])
+        sums = _score(level, xy if level is levels[0] else xy[::skip], thetas, parents)
         sums[~_free_children(level, parents)] = -1
         best = _best(sums.ravel(), count)
-        nodes, scores = _children(parents[best >> 2], best & 3), sums.ravel()[best]
+        nodes, scores = parents[best >> 2] * (1, 2, 2), sums.ravel()[best]
+        nodes[:, 1:] += np.stack((best >> 1 & 1, best & 1), axis=1)  # of its four cells
     first = np.sort(np.unique(_key(*nodes.T // _BLOCK), return_index=True)[1])
     first = first[scores[first] > 0]
     nodes, scores = nodes[first], scores[first]
-    centres = (nodes[:, :0:-1] + 0.5) * levels[0].resolution
-    return np.column_stack((centres, thetas[nodes[:, 0]])), scores / (255.0 * len(xy))
+    return _poses(nodes, thetas, levels[0]), scores / (255.0 * len(xy))
 
 
 def propose_all(
@@ -97,26 +98,15 @@ def propose_all(
 ) -> FloatArray:
     """The best `keep` of all poses of one level, each heading tried: (M, 3), grid frame.
 
-    Parameters
-    ----------
-    level : Level
-    xy : (N, 2) float array
-        Scan points, sensor frame, metres.
-    theta_step : float
-        Largest step between headings, radians.
-    keep : int
-    threads : int
-        The result does not depend on it.
-
-    Returns
-    -------
-    (M, 3) float array
-        Best first.
+    They come best first. The other parameters are those of :func:`propose_endpoints`.
     """
     thetas = uniform_thetas(theta_step)
-    nodes = _exhaustive(level, xy, thetas, keep, threads)
-    centres = (nodes[:, :0:-1] + 0.5) * level.resolution
-    return np.column_stack((centres, thetas[nodes[:, 0]]))
+    return _poses(_exhaustive(level, xy, thetas, keep, threads), thetas, level)
+
+
+def _poses(nodes: IntArray, thetas: FloatArray, level: Level) -> FloatArray:
+    """Poses (M, 3), grid frame, at the centres of nodes."""
+    return np.column_stack(((nodes[:, :0:-1] + 0.5) * level.resolution, thetas[nodes[:, 0]]))
 
 
 def _rough(level: Level, points: int) -> Level:
@@ -127,8 +117,7 @@ def _rough(level: Level, points: int) -> Level:
     most, top = int(level.image.max()), np.iinfo(np.uint8).max // max(1, points)
     if not _FEWEST_LEVELS <= top < most:
         return level
-    image = np.rint(level.image * np.float32(top / most)).astype(np.uint8)
-    return replace(level, image=image)
+    return replace(level, image=np.rint(level.image * np.float32(top / most)).astype(np.uint8))
 
 
 def _exhaustive(
@@ -141,16 +130,10 @@ def _exhaustive(
     buffer = np.empty((chunk, *level.image.shape), np.float32)
     # A few headings first: what they reach spares a look at nearly all of the others.
     first = min(chunk, -(-_FIRST_CELLS // area))
-    edges = [0, *range(first, len(thetas), chunk), len(thetas)]
-    for start, stop in pairwise(edges):
+    for start, stop in pairwise([0, *range(first, len(thetas), chunk), len(thetas)]):
+        some, out = thetas[start:stop], buffer[: stop - start]
         stack = correlate(
-            level.image,
-            xy,
-            thetas[start:stop],
-            level.resolution,
-            threads=threads,
-            where=level.free,
-            out=buffer[: stop - start],
+            level.image, xy, some, level.resolution, threads=threads, where=level.free, out=out
         )
         # What is known to be reached by `keep` nodes already is all that can still matter.
         best = (
@@ -188,12 +171,6 @@ def _parents(nodes: IntArray, spread: IntArray, wanted: BoolArray) -> IntArray:
     key.sort()
     key = key[np.diff(key, prepend=-1) > 0]  # neighbouring headings meet
     return np.stack((key >> 40, key >> 20 & 0xFFFFF, key & 0xFFFFF), axis=1)
-
-
-def _children(parents: IntArray, which: IntArray) -> IntArray:
-    """One of the four cells of each node, one level down."""
-    k, r, c = parents.T
-    return np.stack((k, 2 * r + (which >> 1), 2 * c + (which & 1)), axis=1)
 
 
 def _free_children(level: Level, parents: IntArray) -> BoolArray:
@@ -240,3 +217,56 @@ def _score(
         images = [line[corner:] for corner in (0, 1, stride, stride + 1)]
     base = (2 * parents[:, 1] + rows) * stride + 2 * parents[:, 2] + columns
     return sums_under(images, down * stride + across, parents[:, 0], base)
+
+
+def propose_votes(
+    features: MapFeatures,
+    scan: LaserScan,
+    options: FusedOptions,
+    prior: Prior | None = None,
+    threads: int = 1,
+) -> FloatArray:
+    """Peaks (M, 3) of :func:`cast_votes`: grid frame, best first."""
+    votes = cast_votes(features, scan, options, prior, threads)
+    cell, where = vote_cell(features.grid.info, options), None
+    if prior is not None:
+        where = around(prior, votes.shape[1:], cell, features.grid.resolution)
+    peaks = find_peaks(votes, options.vote_peaks, where=where)
+    theta = peaks[:, 0] * (2 * np.pi / options.vote_headings)
+    return np.column_stack(((peaks[:, :0:-1] + 0.5) * cell, theta))
+
+
+def vote_cell(grid: GridInfo, options: FusedOptions) -> float:
+    """Cell of the votes on a map, metres: time and memory for them have an end.
+
+    Examples
+    --------
+    >>> vote_cell(GridInfo(1000, 1000, 0.05), FusedOptions())
+    0.25
+    >>> round(vote_cell(GridInfo(10_000, 10_000, 0.05), FusedOptions()), 2)
+    1.22
+    """
+    area = grid.height * grid.width * grid.resolution**2
+    return float(max(options.vote_cell, np.sqrt(area * options.vote_headings / options.vote_cells)))
+
+
+def cast_votes(
+    features: MapFeatures,
+    scan: LaserScan,
+    options: FusedOptions,
+    prior: Prior | None = None,
+    threads: int = 1,
+) -> Float32Array:
+    """Coarse, smoothed GHT-V votes (K, H, W) at the headings of the prior, Alg. 5."""
+    points = scan_points(scan.ranges, scan.angles, scan.valid)
+    usable = np.flatnonzero(points.valid)
+    points = points.select(usable[thin(np.ones(len(usable), bool), options.few_rays)])
+    grid, n = features.grid.info, options.vote_headings
+    cell = vote_cell(grid, options)
+    rows, columns = (int(np.ceil(side * grid.resolution / cell)) for side in grid.shape)
+    voters, visible = features.voters, features.voters_visibility
+    votes = ght_v(voters, visible, points, n, (rows, columns), cell, threads=threads)
+    votes = smooth(votes, 1.0, 0.7)
+    if prior is not None:
+        votes[~prior.headings(uniform_thetas(2 * np.pi / n), np.pi / n)] = 0
+    return votes

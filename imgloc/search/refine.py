@@ -34,12 +34,7 @@ def refine(
         Widths of the robust (Geman-McClure) kernel, metres, in the order in which to use
         them; endpoints much farther from a wall than that have no say.
     iterations : int
-        Steps for each width.
-
-    Returns
-    -------
-    (C, 3) float array
-        A pose moves at most 0.1 m and 2 degrees a step.
+        Steps for each width; a pose moves at most 0.1 m and 2 degrees a step.
     """
     poses = np.array(poses, dtype=np.float64)
     for sigma in sigmas if len(poses) and len(xy) else ():

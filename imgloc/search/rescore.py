@@ -1,17 +1,15 @@
 """The score that decides: endpoint evidence under the paper's visibility constraint.
 
-For each reading the model asks two questions of the map. Does it end on a surface? Distance to
-the nearest surface answers, which forgives half-cells, grazing angles and thick walls, as
-ray-traced ranges do not. And did it get there? A reading that passes through a mapped wall
-contradicts the map (Sec. V), unless the wall has gone since: a door. ::
+Does a reading end on a surface? Distance to the nearest one answers, which forgives half-cells,
+grazing angles and thick walls, as ray-traced ranges do not. And did it get there? If it passes
+through a mapped wall it contradicts the map (Sec. V), unless the wall has gone since: a door. ::
 
     p(rho | x) = o * (h mean_s N(d; 0, sigma_s) + (1 - h) / span)
 
-with d the distance of the endpoint from the nearest surface, h the share of readings that
-come from mapped surfaces, and o = 1, or, for a reading that goes beyond a wall, the chance that
-the wall is drawn in a wrong place by as much, or is not there at all any more. What is left of
-eq. 2 is that too short a reading is no surprise and too long a one is. The hit has a sharp and
-a wide sigma: the score is sharp where map and scan agree, and forgiving where the map is old.
+with d that distance, h the share of readings that come from mapped surfaces, and o = 1, or,
+beyond a wall, the chance that it is drawn in a wrong place by as much, or gone. What is left of
+eq. 2 is that too short a reading is no surprise and too long a one is. A sharp and a wide sigma
+make the score sharp where map and scan agree, and forgiving where the map is old.
 """
 
 from dataclasses import dataclass
@@ -65,45 +63,21 @@ def rescore(
         Grid frame.
     ranges, angles : (N,) float arrays
         Valid readings only.
-    field : DistanceField
-        Signed distance to the surfaces.
-    walls : (H, W) float32 array
-        :func:`~imgloc.features.raycast.distance_image` of the occupied cells, in cells.
-    model : EvidenceModel
+    field, walls : DistanceField, (H, W) float32 array
+        Signed distance to the surfaces; :func:`~imgloc.features.raycast.distance_image` of the
+        occupied cells, in cells.
     """
     density, distance = _endpoint_density(poses, ranges, angles, field, model)
     margin = model.margin + field.resolution / 2
-    seen = cast_rays(
-        walls,
-        poses[:, None, :2],
-        poses[:, 2:] + angles,
-        np.maximum(ranges - margin, 1e-3),
-        field.resolution,
-    )
+    reach = np.maximum(ranges - margin, 1e-3)
+    psi = poses[:, 2:] + angles
+    seen = cast_rays(walls, poses[:, None, :2], psi, reach, field.resolution)
     beyond = np.maximum(ranges - seen - margin, 0).astype(np.float32)  # 0 where nothing is met
     shifted = np.exp(-np.square(beyond / np.float32(model.displaced)))
     density *= np.float32(model.absent) + np.float32(1 - model.absent) * shifted
     log_likelihood = np.log(density).sum(axis=1, dtype=np.float64)
     on_surface = np.abs(distance) < 2 * max(model.sigmas)
     return Scores(log_likelihood, on_surface, shifted < model.absent)
-
-
-def bound(
-    poses: FloatArray,
-    ranges: FloatArray,
-    angles: FloatArray,
-    field: DistanceField,
-    model: EvidenceModel,
-) -> FloatArray:
-    """What :func:`rescore` cannot exceed, (C,) nats: the visibility constraint only takes away.
-
-    Parameters
-    ----------
-    poses, ranges, angles, field, model
-        As of :func:`rescore`.
-    """
-    density, _ = _endpoint_density(poses, ranges, angles, field, model)
-    return np.asarray(np.log(density).sum(axis=1, dtype=np.float64))
 
 
 def _endpoint_density(
@@ -124,11 +98,7 @@ def _endpoint_density(
 
 
 def shortlist(
-    poses: FloatArray,
-    scan: LaserScan,
-    rays: IntArray,
-    features: MapFeatures,
-    options: FusedOptions,
+    poses: FloatArray, scan: LaserScan, rays: IntArray, features: MapFeatures, options: FusedOptions
 ) -> FloatArray:
     """The best places with a few rays, and the best poses: those that get the second look.
 
@@ -137,13 +107,14 @@ def shortlist(
     for all.
     """
     ranges, angles, field = scan.ranges[rays], scan.angles[rays], features.field
-    most = bound(poses, ranges, angles, field, options.model)
+    # No score exceeds that of the ends alone: the visibility constraint only takes away.
+    density = _endpoint_density(poses, ranges, angles, field, options.model)[0]
+    most = np.log(density).sum(axis=1, dtype=np.float64)
     order = np.argsort(-most, kind="stable")
     order = order[first_in_cell(poses[order], *options.same)]
     distance, angle = options.twins
     seen, score = np.empty(0, np.int64), np.empty(0)
-    best = seen
-    start, size = 0, _BATCH
+    best, start, size = seen, 0, _BATCH
     while start < len(order):
         part = order[start : start + size]
         start, size = start + size, 2 * size

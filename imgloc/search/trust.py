@@ -11,9 +11,7 @@ import numpy as np
 from imgloc.model import Check, FloatArray
 from imgloc.options import Trust
 
-#: With more probability elsewhere than this there is no match.
-DOUBT = 0.5
-
+DOUBT = 0.5  #: with more probability elsewhere than this there is no match
 _PATCH = 0.2  # metres
 
 
@@ -34,23 +32,16 @@ def judge(
 ) -> tuple[str, tuple[Check, ...]]:
     """Return one of ``unique``, ``ambiguous``, ``no-match`` and ``invalid``, and why.
 
+    The questions are returned up to the first that is answered with no: that one decided.
+
     Parameters
     ----------
     directions : int
         Of the valid readings, see :attr:`~imgloc.model.LaserScan.directions`.
-    mass : (M,) float array
-        Of the hypotheses, best first.
-    elsewhere : float
-        Of :meth:`~imgloc.options.Trust.mass_elsewhere`.
-    trust : Trust
+    mass, elsewhere : (M,) float array, float
+        Of the hypotheses, best first, and of :meth:`~imgloc.options.Trust.mass_elsewhere`.
     complete : bool
         Whether the search came to its end: what was not looked at may fit as well.
-
-    Returns
-    -------
-    verdict : str
-    checks : tuple of Check
-        The questions up to the first that is answered with no: that one decided.
 
     Examples
     --------
@@ -66,9 +57,8 @@ def judge(
     ]
     if not complete:
         questions.append(("ambiguous", Check("complete", 0.0, 1.0, True)))
-    asked: list[Check] = []
-    for verdict, check in questions:
-        asked.append(check)
+    asked = tuple(check for _, check in questions)
+    for k, (verdict, check) in enumerate(questions, start=1):
         if not check.holds:
-            return verdict, tuple(asked)
-    return "unique", tuple(asked)
+            return verdict, asked[:k]
+    return "unique", asked
