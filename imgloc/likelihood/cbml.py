@@ -6,14 +6,13 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
+from imgloc.features.fields import BMAP_LEVELS, in_levels
 from imgloc.likelihood.correlate import WEIGHTED, choose_engine, correlate
 from imgloc.likelihood.kernels import remap_stack
 from imgloc.likelihood.shift import Summable, merge_repeats, shift_stack, tiles_of
 from imgloc.likelihood.slices import cell_offsets, check_arguments, finishing, frame_of
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, OrientedPoints
 
-# bmap in 0..BMAP_LEVELS: sums of 257 readings fit into uint16.
-BMAP_LEVELS = 255
 # Projections are in -VMAP_LEVELS..VMAP_LEVELS: sums of 258 readings fit into int16.
 VMAP_LEVELS = 127
 
@@ -31,8 +30,8 @@ def cbml(
 ) -> Float32Array:
     """Correlate the scan with the blurred map: CBML, Alg. 1 in the order of Alg. 2.
 
-    `bmap` is rounded to 256 levels, so that a reading counts in steps of 1/255 and the sums are
-    integers: any number of threads and every engine but ``remap`` give the same bits.
+    `bmap` is rounded to 256 levels: the sums are integers, and any number of threads and every
+    engine but ``remap`` give the same bits.
 
     Parameters
     ----------
@@ -62,14 +61,7 @@ def cbml(
            [0., 2., 0.],
            [0., 1., 0.]], dtype=float32)
     """
-    levels = np.asarray(bmap, dtype=np.float32) * BMAP_LEVELS
-    # One comparison that NaN fails too.
-    if levels.size and not (levels.min() >= 0 and levels.max() <= BMAP_LEVELS * (1 + 1e-6)):
-        raise ValueError(
-            f"bmap must be in 0..1, got {np.min(bmap):g} to {np.max(bmap):g}; "
-            "see imgloc.features.fields.bmap"
-        )
-    image = np.rint(levels).astype(np.uint8)
+    image = in_levels(bmap, "; see imgloc.features.fields.bmap")
     return correlate(
         image, points_xy, thetas, resolution, divisor=BMAP_LEVELS,
         engine=engine, threads=threads, where=where, out=out,
@@ -91,8 +83,8 @@ def cbml_o(
 ) -> Float32Array:
     """Correlate the oriented scan with the blurred vector field: CBML-O, Alg. 3.
 
-    The direction ``alpha_i + theta`` of each normal is rounded to one of `directions`. With the
-    field projected on them beforehand, a point adds one shifted image, as in CBML.
+    The direction ``alpha_i + theta`` of each normal is rounded to one of `directions`: with the
+    field projected on them, a point adds one shifted image, as in CBML.
 
     Parameters
     ----------
@@ -112,20 +104,17 @@ def cbml_o(
     Returns
     -------
     (K, H, W) float32 array
-        ``L[theta, y, x]``, between -N and N: negative where the normals contradict. A
-        probability clamps it at 0 first.
+        ``L[theta, y, x]``, between -N and N: negative where the normals contradict.
 
     Raises
     ------
-    ConfigError
-        If `engine`, `threads`, `directions` or `resolution` is out of its range.
-    ValueError
-        If an array has a wrong shape, or `vmap` is longer than 1 somewhere.
+    ConfigError, ValueError
+        As :func:`~imgloc.likelihood.correlate.correlate`; also if `directions` is not even, or
+        `vmap` longer than 1 somewhere.
 
     Examples
     --------
-    A wall on the right faces left. Seen from the left its normal points back at the sensor;
-    a scan whose normal points away from the sensor contradicts it.
+    A wall on the right faces left. Seen from the left its normal points back at the sensor:
 
     >>> vmap = np.zeros((2, 1, 3), dtype=np.float32)
     >>> vmap[0, 0, 2] = -1

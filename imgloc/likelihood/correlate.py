@@ -1,9 +1,9 @@
 """Correlate a scan, turned to every heading, with an image: the core of CBML and CBML-O.
 
-Three engines compute the same stack. ``filter2d`` draws the scan as a kernel and is the one to
-read; ``shift`` adds shifted views, Alg. 2 as printed; ``dft`` multiplies spectra. Which one is
-fastest depends on the reach in cells and on the number of readings, so ``auto`` estimates. A
-fourth, ``remap``, turns the image under the upright scan, and interpolates.
+``filter2d`` draws the scan as a kernel and is the engine to read; ``shift`` adds shifted views,
+Alg. 2 as printed; ``dft`` multiplies spectra. They compute the same; which one is fastest depends
+on the reach in cells and the number of readings, so ``auto`` estimates. ``remap`` turns the image
+under the upright scan, and interpolates.
 """
 
 import math
@@ -14,14 +14,7 @@ import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.likelihood.kernels import filter2d_stack, remap_stack
-from imgloc.likelihood.shift import (
-    Summable,
-    Tile,
-    flat_stack,
-    merge_repeats,
-    shift_stack,
-    tiles_of,
-)
+from imgloc.likelihood.shift import Summable, Tile, flat_stack, merge_repeats, shift_stack, tiles_of
 from imgloc.likelihood.slices import (
     cell_offsets,
     check_arguments,
@@ -93,10 +86,8 @@ def correlate(
 
     Raises
     ------
-    ConfigError
-        If `engine`, `threads` or `resolution` is out of its range.
-    ValueError
-        If an array has a wrong shape or type.
+    ConfigError, ValueError
+        If `engine`, `threads` or `resolution`, or an array is not what it has to be.
 
     Examples
     --------
@@ -121,7 +112,12 @@ def correlate(
     shape = (int(image.shape[0]), int(image.shape[1]))
     offsets = cell_offsets(points, headings, resolution)
     integers = image.dtype == np.uint8
-    wide, limit = _summable(image, len(points))
+    # The image in the type of its sums, and how often that holds its largest value. A few points
+    # of an image of a few levels are summed in bytes.
+    top = max(1, int(image.max())) if integers else 1
+    kind = np.uint8 if len(points) * top <= np.iinfo(np.uint8).max else np.uint16
+    wide: Summable = image.astype(kind, copy=False) if integers else np.ascontiguousarray(image)
+    limit = np.iinfo(kind if integers else np.int32).max // top
     tiles = tiles_of(shape, frame.where)
     pad = min(int(np.abs(offsets[..., 1]).max(initial=0)), shape[1])
     flat = shape[0] * (shape[1] + pad) <= FLAT_CELLS
@@ -154,18 +150,6 @@ def correlate(
     return frame.out
 
 
-def _summable(image: npt.NDArray[np.uint8] | Float32Array, points: int) -> tuple[Summable, int]:
-    """The image in the type of its sums, and how often that holds its largest value.
-
-    A few points of an image of a few levels are summed in bytes.
-    """
-    if image.dtype == np.float32:
-        return np.ascontiguousarray(image, dtype=np.float32), np.iinfo(np.int32).max
-    top = max(1, int(image.max()))
-    kind = np.uint8 if points * top <= np.iinfo(np.uint8).max else np.uint16
-    return image.astype(kind, copy=False), np.iinfo(kind).max // top
-
-
 def choose_engine(
     engine: str,
     offsets: IntArray,
@@ -187,18 +171,14 @@ def choose_engine(
     ----------
     engine : str
         One of :data:`ENGINES` or ``"auto"``, or it is a ConfigError.
-    offsets, shape, tiles, itemsize
-        (K, N, 2) of the readings, rows and columns of the image, where the shift engine would
-        compute, and the bytes of a cell of its sums.
-    flat : bool
-        Whether the image with its padding is small enough for
-        :func:`~imgloc.likelihood.shift.flat_stack`.
-    components : int
-        1 for a scalar image, 2 for a vector field (``dft`` only).
-    which : (K, N) int array, optional
-        Image that each reading takes its values from, if there are several (``shift`` only).
-    doubtful : callable
-        Tells whether the transforms need double precision, asked if it matters (``dft`` only).
+    offsets, shape
+        (K, N, 2) of the readings; rows and columns of the image.
+    tiles, itemsize, flat, which
+        Of the shift engine: where it would compute, bytes of a cell of its sums, whether by
+        :func:`~imgloc.likelihood.shift.flat_stack`, (K, N) images of the readings if several.
+    components, doubtful
+        Of the transforms: 1 for an image, 2 for a vector field; whether they need double
+        precision, asked if it matters.
     """
     if engine in ENGINES:
         return engine

@@ -1,8 +1,8 @@
 """The engines to read: the map filtered with the scan as a kernel (eq. 3), and the map turned.
 
-Both take one image operation of OpenCV for what the other engines do by hand. ``filter2d`` draws
-the scan, turned to a heading, as a kernel. ``remap`` leaves the scan upright and turns the map
-under it: the same shifts serve every heading, at the price of two interpolations.
+One image operation of OpenCV for what the other engines do by hand. ``filter2d`` draws the turned
+scan as a kernel. ``remap`` leaves the scan upright and turns the map under it: the same shifts
+serve every heading, at the price of two interpolations.
 """
 
 from collections.abc import Callable, Sequence
@@ -81,18 +81,9 @@ def remap_stack(
     Exact for multiples of 90 degrees, but for readings on the border of two cells. In between,
     readings are rounded to cells of the turned frame and values are interpolated linearly.
 
-    Parameters
-    ----------
-    image : (H, W) or (H, W, C) uint8 or float32 array
-    thetas : (K,) float array
-        Headings, radians.
-    summands : callable
-        The images to add up, from the turned one and the heading.
-    scan, limit
-        ``offsets, which, powers`` of the upright scan and what else
-        :func:`~imgloc.likelihood.shift.shift_sum` takes.
-    threads, out, finish
-        As in :func:`filter2d_stack`.
+    `summands` are the images to add up, from the turned one (H, W[, C]) and the heading; `scan` is
+    ``offsets, which, powers`` of the upright scan, as `limit` for
+    :func:`~imgloc.likelihood.shift.shift_sum`; the rest is as in :func:`filter2d_stack`.
     """
     height, width = image.shape[:2]
 

@@ -1,9 +1,8 @@
 """The shift engine: Alg. 2 line by line, each line of its inner loop one ``cv2.add``.
 
-Integers are what makes it fast. A uint8 image is summed in uint16, four times denser than
-float64 and twice as dense as float32, for as many points as cannot overflow it; in uint8, if
-that holds the sum of all points. The plane is cut into tiles small enough for accumulator and
-source to stay in the second-level cache.
+Integers are what makes it fast. A uint8 image is summed in uint16, twice as dense as float32, for
+as many points as cannot overflow it; in uint8, if that holds the sum of all. The plane is cut into
+tiles small enough for accumulator and source to stay in the second-level cache.
 """
 
 import math
@@ -73,9 +72,9 @@ def tiles_of(shape: tuple[int, int], where: BoolArray | None = None) -> list[Til
 def merge_repeats(offsets: IntArray, which: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     """Add readings that fall in one cell once: offsets (n, 2), which image, power of two.
 
-    Close readings share cells: half of the rays of a 0.25 degree scan at 10 cm cells. What m
-    readings share is needed once for each binary digit of m that is 1, the highest powers first:
-    :func:`shift_sum` doubles its sums on the way down (Horner), which takes no other image.
+    Half of the rays of a 0.25 degree scan share 10 cm cells. What m readings share is needed once
+    for each binary digit of m that is 1, the highest powers first: :func:`shift_sum` doubles its
+    sums on the way down (Horner), which takes no other image.
 
     Examples
     --------

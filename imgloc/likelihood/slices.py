@@ -73,8 +73,8 @@ def frame_of(
 ) -> Frame:
     """Cut a stack down to what matters: poses that are wanted (`where`), cells that are `marked`.
 
-    Maps often carry a wide unknown border, which need not be computed. A mask or a stack that does
-    not fit the (H, W) of `marked` is a ValueError.
+    Maps often carry a wide unknown border. A mask or a stack that does not fit the (H, W) of
+    `marked` is a ValueError.
 
     Examples
     --------
@@ -105,11 +105,9 @@ def box_of(mask: BoolArray) -> tuple[slice, slice]:
 
 
 def output_stack(out: Float32Array | None, shape: tuple[int, int, int]) -> Float32Array:
-    """Return `out` after checking it, or a new uninitialised stack.
+    """Return `out`, unless it does not fit (a ValueError), or a new uninitialised stack.
 
-    Reusing a stack saves the page faults of a new one, which for tens of megabytes cost about
-    as much as the cheap engines. One that is not a writable float32 array of `shape` with
-    contiguous rows is a ValueError.
+    Reusing a stack saves the page faults of a new one: for tens of megabytes as much as an engine.
     """
     if out is None:
         return np.empty(shape, dtype=np.float32)
@@ -154,8 +152,7 @@ def over_slices(
 ) -> None:
     """Call ``work(share)`` for disjoint shares of `units`, one share per thread.
 
-    A share per thread, and not a task per unit, lets `work` allocate its scratch once. Who
-    computes a slice does not change it, so that the result is the same for any `threads`.
+    A share per thread, and not a task per unit, lets `work` allocate its scratch once.
 
     Examples
     --------
