@@ -25,18 +25,12 @@ def bmap(xy: FloatArray, shape: tuple[int, int], resolution: float, sigma: float
         Side of a cell, metres.
     sigma : float
         Standard deviation of the Gaussian kernel K, metres: the sensor's, or more where the
-        map itself is uncertain. Greater than zero and no greater than the map.
+        map itself is uncertain. Greater than 0 and no greater than the map, or a ConfigError.
 
     Returns
     -------
     (H, W) float32 array
-        In 0..1 with greatest value 1 (all 0 without points). A cell with several points
-        counts once.
-
-    Raises
-    ------
-    ConfigError
-        If sigma, shape or resolution is out of its range.
+        In 0..1 with greatest value 1 (all 0 without points). Several points in a cell count once.
 
     Examples
     --------
@@ -67,9 +61,8 @@ def vmap(
     Returns
     -------
     (2, H, W) float32 array
-        The x and the y component. The longest vector has length 1 (all 0 without points).
-        The normals in one cell are summed, the sum no longer than 1: opposite walls in one
-        cell cancel.
+        x and y components, the longest vector of length 1 (all 0 without points). The normals in
+        one cell are summed, to no more than 1: opposite walls in one cell cancel.
 
     Examples
     --------

@@ -64,7 +64,7 @@ def pyramid(
     free : (H, W) bool array
         Cells in which a robot can be.
     resolution, cell : float
-        Sides of a cell of the map and of the finest level, metres.
+        Sides of a cell of the map and, a multiple of it, of the finest level, metres.
     sigma : float
         How far an endpoint may lie from its surface, metres.
     levels : int

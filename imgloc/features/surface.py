@@ -54,7 +54,7 @@ def surface_points(
     Raises
     ------
     ValueError
-        If the images are not two of one shape or the resolution is not positive.
+        If the images differ in shape or the resolution is not positive.
 
     Notes
     -----

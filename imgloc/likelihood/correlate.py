@@ -87,7 +87,7 @@ def correlate(
     Raises
     ------
     ConfigError, ValueError
-        If `engine`, `threads` or `resolution`, or an array is not what it has to be.
+        If `engine`, `threads` or `resolution` is out of its range; if an array does not fit.
 
     Examples
     --------

@@ -50,7 +50,7 @@ def draw_poses(
     Returns
     -------
     (n, 3) float array
-        x, y, theta in the grid frame, metres and radians.
+        x, y, theta in the grid frame; :func:`imgloc.geometry.transform_poses` leads to the map's.
 
     Raises
     ------

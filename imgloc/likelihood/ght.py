@@ -44,7 +44,7 @@ def ght(
     ----------
     surface : OrientedPoints
         Surface points of the map, grid frame, metres. Neighbours along a wall had best be
-        neighbours in the list: their votes are in memory.
+        neighbours in the list, as their votes then are in memory.
     points : OrientedPoints
         Scan points, sensor frame, metres. In both sets, points that are not finite or without a
         valid normal cast no vote.
