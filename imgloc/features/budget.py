@@ -6,6 +6,7 @@ them again. They are rarely more than a few times too high.
 """
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -31,23 +32,17 @@ def available_bytes(
 ) -> int:
     """Bytes of RAM that can be taken without anything being swapped out.
 
-    On Linux what the kernel says is available, or what the container's limit leaves if that
-    is less; elsewhere half of the RAM; :data:`UNKNOWN_RAM` if that is not known either.
-
-    `meminfo` and `cgroup` are where Linux says so.
+    On Linux what the kernel says is available (`meminfo`), or what the container's limit leaves if
+    that is less (`cgroup`); elsewhere half of the RAM; :data:`UNKNOWN_RAM` if nothing is known.
     """
     free = []
-    try:
+    with suppress(OSError, ValueError, IndexError):
         for line in meminfo.read_text().splitlines():
             if line.startswith("MemAvailable:"):
                 free.append(1024 * int(line.split()[1]))
-    except (OSError, ValueError, IndexError):
-        pass
-    try:
+    with suppress(OSError, ValueError):
         limit, used = ((cgroup / f"memory.{name}").read_text() for name in ("max", "current"))
         free.append(max(0, int(limit) - int(used)))  # without a limit it says "max"
-    except (OSError, ValueError):
-        pass
     if free:
         return min(free)
     try:
@@ -104,8 +99,7 @@ def features_bytes(
     """Peak of computing what a method uses of a map, besides the map itself.
 
     Rows and columns of the map, surface points (:func:`surface_count`), directions of the
-    visibility map, cells of the map along a cell of the lattice of poses, and the surface points
-    that vote at most: all of them in the method ``ght-v``.
+    visibility map, its cells along one of the lattice, and how many surface points vote at most.
 
     Examples
     --------
@@ -136,8 +130,7 @@ def stack_bytes(
 ) -> int:
     """Peak of `localize` with one of the paper's methods: its stack, and what it becomes.
 
-    `shape` is that of the lattice of poses. Each thread beyond the first has votes of its own in
-    GHT and GHT-V; `n_rays` are the directions of the ray-distance stack of ``beam``.
+    `shape` is that of the lattice; `n_rays` are the directions of the ray distances of ``beam``.
 
     Examples
     --------
@@ -145,7 +138,7 @@ def stack_bytes(
     2360
     """
     cells = shape[0] * shape[1]
-    votes = 4 * (threads - 1) * cells * n_thetas
+    votes = 4 * (threads - 1) * cells * n_thetas  # each thread beyond the first has its own
     extra = {
         "cbml": 8 * cells,  # the image and its multiples
         "cbml-o": 96 * cells,  # the field and its projections on 32 directions
@@ -168,11 +161,11 @@ def fused_bytes(
     """Peak of `localize` with the default method, besides the features.
 
     `shape` and `resolution` (metres) are of the lattice of poses, `n_thetas` the headings of the
-    endpoint correlation, of which the coarsest level takes every second; the rest is of
-    :class:`imgloc.options.FusedOptions`.
+    endpoint correlation; the rest is of :class:`imgloc.options.FusedOptions`.
     """
     cells = shape[0] * shape[1]
-    coarse = min(n_thetas // 2 * cells // 16, max(1 << 22, cells // 16))  # some headings at a time
+    # The coarsest level takes every second heading, some at a time.
+    coarse = min(n_thetas // 2 * cells // 16, max(1 << 22, cells // 16))
     votes = min(vote_cells, vote_headings * cells * resolution**2 / vote_cell**2)
     # Beside the votes: the finest level in a margin as wide as the map, for readings that long.
     return int(12 * coarse + _POSE * votes + 10 * cells) + _FIXED

@@ -18,8 +18,7 @@ FARTHEST = 4.0
 UNIT, SLOPE = FARTHEST / 32000, 1 / 16000
 
 _BAND = 1024  # rows that are computed at a time: a large map takes no more memory than its field
-FARTHEST_CELLS = 512.0
-"""Cells; what is farther counts as this far."""
+FARTHEST_CELLS = 512.0  # what is farther counts as this far
 
 
 def distance_transform(image: npt.NDArray[np.uint8]) -> Float32Array:
@@ -29,15 +28,11 @@ def distance_transform(image: npt.NDArray[np.uint8]) -> Float32Array:
     even with where the image lies in memory, which the refinement of a pose would show. The
     square of a distance between cells is a whole number: rounded to that, it is exact.
 
-    Parameters
-    ----------
-    image : (H, W) uint8 array
-
     Returns
     -------
     (H, W) float32 array
-        Cells, at most `FARTHEST_CELLS`, up to which OpenCV's errors are small enough to be rounded
-        off; that everywhere if no cell is 0.
+        Of the (H, W) uint8 `image`, in cells, at most `FARTHEST_CELLS`, up to which OpenCV's errors
+        are small enough to be rounded off; that everywhere if no cell is 0.
 
     Examples
     --------
@@ -54,33 +49,22 @@ def distance_transform(image: npt.NDArray[np.uint8]) -> Float32Array:
 def distance_image(occupied: BoolArray) -> Float32Array:
     """Distance from the centre of every cell to the nearest centre of an occupied cell.
 
-    Parameters
-    ----------
-    occupied : (H, W) bool array
-        Row 0 is the lowest y.
-
-    Returns
-    -------
-    (H, W) float32 array
-        Cells, exact up to 512 and never more; 0 on occupied cells, 512 everywhere if none is
-        occupied.
+    As of :func:`distance_transform`, (H, W) float32 cells of the (H, W) bool map.
 
     Examples
     --------
     >>> distance_image(np.array([[True, False, False]])).tolist()
     [[0.0, 1.0, 2.0]]
     """
-    free = np.logical_not(occupied).astype(np.uint8)
-    return distance_transform(free)
+    return distance_transform(np.logical_not(occupied).astype(np.uint8))
 
 
 @dataclass(frozen=True)
 class DistanceField:
     """Signed distance and its gradient, one 8-byte row per cell, for lookups by the million."""
 
-    #: (H * W + 1, 4) Distance at the centre of the cell in units of :data:`UNIT`, its derivatives
-    #: in x and y in units of :data:`SLOPE`, and a spare column that keeps a row aligned. The last
-    #: row stands for "off the map".
+    #: (H * W + 1, 4) Distance at the cell's centre in units of :data:`UNIT`, its derivatives in x
+    #: and y in units of :data:`SLOPE`, a spare column for alignment. The last row is "off the map".
     table: npt.NDArray[np.int16]
     height: int  #: rows and columns
     width: int
@@ -98,17 +82,13 @@ class DistanceField:
     ) -> tuple[Float32Array, Float32Array, Float32Array]:
         """Distance and gradient at points of the grid frame.
 
-        Parameters
-        ----------
-        x, y : (...) arrays
-            Metres.
-
         Returns
         -------
         distance, gx, gy : (...) float32 arrays
-            Metres, negative inside walls, and metres per metre. The distance is the one at the
-            centre of the point's cell plus the gradient times the offset from it: exact along
-            straight walls. Off the map it is :data:`FARTHEST`, with no gradient.
+            Of `x` and `y` (...), in metres: metres, negative inside walls, and metres per metre.
+            The distance is the one at the centre of the point's cell plus the gradient times the
+            offset from it: exact along straight walls. Off the map it is :data:`FARTHEST`, with no
+            gradient.
         """
         u = np.asarray(x, dtype=np.float32) / np.float32(self.resolution)
         v = np.asarray(y, dtype=np.float32) / np.float32(self.resolution)
@@ -146,11 +126,10 @@ def signed_distance(occupied: BoolArray, resolution: float) -> Float32Array:
     Notes
     -----
     It is the distance between cell *centres*, to the nearest one of the other kind, less half
-    a cell: along the axes that is the distance to the border between the two cells. It is not
-    the distance to the steps into which a slanted wall has been cut, nor to a corner, off which
-    it is diagonally 0.2 cells more. That is on purpose. Away from a slanted wall the distance
-    to the steps is 0.2 to 0.45 cells short of that to the wall itself, as the steps stick out;
-    this one is 0.15 to 0.3 short. The zero lies on the wall for both.
+    a cell: along the axes the distance to the border between the two. It is not the distance to
+    the steps of a slanted wall, nor to a corner (diagonally 0.2 cells more), on purpose: the
+    steps stick out, so that the distance to them is 0.2 to 0.45 cells short of that to the wall
+    itself; this one is 0.15 to 0.3 short. The zero lies on the wall for both.
 
     Examples
     --------
@@ -169,11 +148,7 @@ def signed_distance(occupied: BoolArray, resolution: float) -> Float32Array:
 def distance_field(occupied: BoolArray, resolution: float) -> DistanceField:
     """Prepare the lookups of :class:`DistanceField` for a map.
 
-    Parameters
-    ----------
-    occupied : (H, W) bool array
-    resolution : float
-        Metres.
+    The parameters are those of :func:`signed_distance`.
 
     Examples
     --------
@@ -197,13 +172,9 @@ def distance_field(occupied: BoolArray, resolution: float) -> DistanceField:
         rows[..., 0] = np.rint(distance[here] / np.float32(UNIT))
         for column, order in ((1, (1, 0)), (2, (0, 1))):
             slope = cv2.Sobel(
-                distance,
-                cv2.CV_32F,
-                *order,
-                ksize=1,
-                scale=0.5 / (resolution * SLOPE),
-                borderType=cv2.BORDER_REPLICATE,
-            )
+                distance, cv2.CV_32F, *order, ksize=1,
+                scale=0.5 / (resolution * SLOPE), borderType=cv2.BORDER_REPLICATE,
+            )  # fmt: skip
             # Half of a one-sided difference: at an edge the cell is its own neighbour.
             slope[np.s_[:, [0, -1]] if column == 1 else np.s_[[0, -1], :]] *= 2
             rows[..., column] = np.rint(slope[here])

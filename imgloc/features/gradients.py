@@ -28,26 +28,19 @@ def vmap_of_image(
 
     Parameters
     ----------
-    occupied, free : (H, W) bool arrays
-        Row 0 is the lowest y. Walls have no normal towards cells that are not free.
-    resolution : float
-        Side of a cell, metres.
+    occupied, free, resolution
+        As of :func:`~imgloc.features.surface.surface_points`.
     sigma : float
         Standard deviation of the Gaussian kernel K, metres; at least that of the Gaussian before
-        the gradient, one cell, has an effect.
+        the gradient, one cell, has an effect. Like `resolution` positive, or a ConfigError.
     factor : int
         Cells along a cell of the result.
 
     Returns
     -------
     (2, H', W') float32 array
-        The x and the y component. The longest vector has length 1 (all 0 without walls). The two
-        sides of a thin wall have opposite normals and cancel where they overlap.
-
-    Raises
-    ------
-    ConfigError
-        If sigma or resolution is not positive and finite.
+        x and y components, the longest vector of length 1 (all 0 without walls). The two sides of
+        a thin wall have opposite normals and cancel where they overlap.
 
     Examples
     --------

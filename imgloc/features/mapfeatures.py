@@ -32,11 +32,10 @@ from imgloc.features.surface import surface_points
 from imgloc.features.visibility import WAYS, visibility_frames
 from imgloc.model import BoolArray, Float32Array, GridInfo, OccupancyGrid, OrientedPoints
 
+#: Metres of wall to each surface point that votes for proposals: votes find places.
 VOTER_SPACING = 0.25
-"""Metres of wall to each surface point that votes for proposals: votes find places."""
-
+#: With more cells than this at four times `cell`, the search starts at eight times.
 COARSE_CELLS = 1 << 17
-"""With more cells than this at four times `cell`, the search starts at eight times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,16 +47,15 @@ class MapFeatures:
     grid : OccupancyGrid
         The map.
     cell : float
-        Side of a cell of the lattice of poses on which bmap, vmap and the ray-distance stack
-        live, metres; rounded to a multiple of the map's own cells.
+        Side of a cell of the lattice of poses, of bmap, vmap and the ray-distance stack, metres;
+        rounded to a multiple of the map's own cells.
     sigma : float
         Of the kernel K that blurs bmap and vmap, metres.
     sigma_endpoint : float
         How far an endpoint may lie from its wall in the pyramid, metres.
     vmap_from : {"image", "contours"}
-        Whether the vector field of CBML-O is of the gradients of the image
-        (:func:`~imgloc.features.gradients.vmap_of_image`) or of the normals of the surface
-        points (:func:`~imgloc.features.fields.vmap`).
+        Whether the vector field of CBML-O is of :func:`~imgloc.features.gradients.vmap_of_image` or
+        of the normals of the surface points, :func:`~imgloc.features.fields.vmap`.
     n_psi : int
         Directions of the visibility map, measured from the normal.
     horizon : float
@@ -69,8 +67,7 @@ class MapFeatures:
     max_range : float
         What the ray-distance stack says where nothing is hit, metres.
     memory_budget : int, optional
-        Bytes; a ray-distance stack that would be larger is refused. None is half of the RAM
-        that is available.
+        Bytes; a larger ray-distance stack is refused. None is half of the available RAM.
     threads : int
         Used for the ray-distance stack; no result depends on it.
 
@@ -103,19 +100,14 @@ class MapFeatures:
 
     def __post_init__(self) -> None:
         for name in ("cell", "sigma", "sigma_endpoint", "horizon", "max_range"):
-            length = getattr(self, name)
-            if not 0 < length < np.inf:
+            if not 0 < (length := getattr(self, name)) < np.inf:
                 raise ConfigError(f"{name} must be a positive number of metres, got {length}")
         for name in ("n_psi", "n_rays", "memory_budget", "threads"):
-            number = getattr(self, name)
-            if number is not None and number < 1:
+            if (number := getattr(self, name)) is not None and number < 1:
                 raise ConfigError(f"{name} must be at least 1, got {number}")
-
         for name, known in (("visibility_by", WAYS), ("vmap_from", SOURCES)):
-            if getattr(self, name) not in known:
-                raise ConfigError(
-                    f"{name} must be one of {', '.join(known)}, got {getattr(self, name)!r}"
-                )
+            if (way := getattr(self, name)) not in known:
+                raise ConfigError(f"{name} must be one of {', '.join(known)}, got {way!r}")
 
     @cached_property
     def lattice(self) -> GridInfo:
@@ -125,7 +117,7 @@ class MapFeatures:
     @cached_property
     def free(self) -> BoolArray:
         """Lattice cells in which a free cell of the map lies: the pose space, (H, W) bool."""
-        return _read_only(any_of_blocks(self.grid.free, self.factor))
+        return read_only(any_of_blocks(self.grid.free, self.factor))
 
     @property
     def factor(self) -> int:
@@ -140,26 +132,22 @@ class MapFeatures:
     @cached_property
     def walls(self) -> Float32Array:
         """Distance to the nearest occupied cell, in cells, for casting rays."""
-        return _read_only(distance_image(self.grid.occupied))
+        return read_only(distance_image(self.grid.occupied))
 
     @cached_property
     def standable(self) -> BoolArray:
         """Map cells in which a sensor can be: free, or next to free and not occupied."""
         near = cv2.dilate(self.grid.free.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-        return _read_only(near & ~self.grid.occupied)
+        return read_only(near & ~self.grid.occupied)
 
     @cached_property
     def pyramid(self) -> tuple[Level, ...]:
         """Endpoint images at one, two and four times `cell`, finest first; eight on large maps."""
         coarse = self.lattice.height * self.lattice.width / 16
         return pyramid(
-            self.field.distance,
-            self.grid.free,
-            self.grid.resolution,
-            cell=self.cell,
-            sigma=self.sigma_endpoint,
-            levels=3 if coarse <= COARSE_CELLS else 4,
-        )
+            self.field.distance, self.grid.free, self.grid.resolution, cell=self.cell,
+            sigma=self.sigma_endpoint, levels=3 if coarse <= COARSE_CELLS else 4,
+        )  # fmt: skip
 
     @cached_property
     def surface(self) -> OrientedPoints:
@@ -169,9 +157,8 @@ class MapFeatures:
     @cached_property
     def bmap(self) -> Float32Array:
         """Blurred map of CBML, (H, W) float32 in 0..1."""
-        return _read_only(
-            bmap(self.surface.xy, self.lattice.shape, self.lattice.resolution, self.sigma)
-        )
+        xy, lattice = self.surface.xy, self.lattice
+        return read_only(bmap(xy, lattice.shape, lattice.resolution, self.sigma))
 
     @cached_property
     def pooled(self) -> PooledMaps:
@@ -181,14 +168,11 @@ class MapFeatures:
     @cached_property
     def vmap(self) -> Float32Array:
         """Blurred vector field of CBML-O, (2, H, W) float32, no vector longer than 1."""
-        grid, cell = self.grid, self.lattice.resolution
-        if self.vmap_from == "image":
-            field = vmap_of_image(
-                grid.occupied, grid.free, grid.resolution, self.sigma, factor=self.factor
-            )
-        else:
-            field = vmap(self.surface, self.lattice.shape, cell, self.sigma)
-        return _read_only(field)
+        g, lattice = self.grid, self.lattice
+        if self.vmap_from == "contours":
+            return read_only(vmap(self.surface, lattice.shape, lattice.resolution, self.sigma))
+        field = vmap_of_image(g.occupied, g.free, g.resolution, self.sigma, factor=self.factor)
+        return read_only(field)
 
     @cached_property
     def visibility(self) -> Float32Array:
@@ -211,27 +195,15 @@ class MapFeatures:
         return self.visibility if few else self._visibility_of(self.voters)
 
     def _visibility_of(self, points: OrientedPoints) -> Float32Array:
-        return _read_only(
-            visibility_frames(
-                self.grid.occupied,
-                points,
-                self.grid.resolution,
-                self.n_psi,
-                self.horizon,
-                by=self.visibility_by,
-                distance=self.walls,
-            )
-        )
+        frames = visibility_frames(
+            self.grid.occupied, points, self.grid.resolution, self.n_psi, self.horizon,
+            by=self.visibility_by, distance=self.walls,
+        )  # fmt: skip
+        return read_only(frames)
 
     @property
     def ray_distances(self) -> npt.NDArray[np.uint16]:
-        """``r_m`` of eq. 2, (n_rays, H, W) uint16 centimetres.
-
-        Raises
-        ------
-        ConfigError
-            If the stack would take more than `memory_budget`.
-        """
+        """``r_m`` of eq. 2, (n_rays, H, W) uint16 cm; a ConfigError if over `memory_budget`."""
         return self.ray_distances_within(self.memory_budget)
 
     def ray_distances_within(self, memory_budget: int | None) -> npt.NDArray[np.uint16]:
@@ -248,16 +220,11 @@ class MapFeatures:
 
     @cached_property
     def _ray_distances(self) -> npt.NDArray[np.uint16]:
-        return _read_only(
-            ray_distances(
-                self.grid.occupied,
-                self.grid.resolution,
-                self.n_rays,
-                self.max_range,
-                factor=self.factor,
-                threads=self.threads,
-            )
-        )
+        distances = ray_distances(
+            self.grid.occupied, self.grid.resolution, self.n_rays, self.max_range,
+            factor=self.factor, threads=self.threads,
+        )  # fmt: skip
+        return read_only(distances)
 
     def bytes_for(self, method: str) -> int:
         """Peak of computing what a method uses of the map, besides the map itself.
@@ -271,17 +238,16 @@ class MapFeatures:
         """
         height, width = self.grid.occupied.shape
         points = surface_count(self.grid)
+        voters = points if method == "ght-v" else VOTERS
         need = features_bytes(
-            (height, width),
-            points=points,
-            n_psi=self.n_psi,
-            factor=self.factor,
-            voters=points if method == "ght-v" else VOTERS,
+            (height, width), points=points, n_psi=self.n_psi, factor=self.factor, voters=voters
         )
         gradients = 48 if method == "cbml-o" and self.vmap_from == "image" else 0
         return need + gradients * int(height * width)
 
 
-def _read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """A view of an array that cannot be written to."""
+    array = array.view()
     array.flags.writeable = False
     return array

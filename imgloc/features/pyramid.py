@@ -1,10 +1,8 @@
 """Maps at coarser cells, for searches that start coarse.
 
-The *pyramid* is for endpoints: a fit is not lost before
-it has been looked at closely. The *pooled* maps are for branch and bound: the image of level h
+The *pyramid* is for endpoints. The *pooled* maps are for branch and bound: the image of level h
 holds in each cell the maximum of the 2^h x 2^h cells that begin there, so that the sum of it under
-a scan placed at the first pose of a block bounds the score of every pose of the block (Hess et al.
-2016, eq. 15).
+a scan at the first pose of a block bounds the score of every pose of it (Hess et al. 2016, eq. 15).
 """
 
 from dataclasses import dataclass
@@ -15,13 +13,13 @@ import numpy.typing as npt
 from skimage.measure import block_reduce
 
 from imgloc.errors import ConfigError
+from imgloc.features.fields import in_levels
 from imgloc.model import BoolArray, Float32Array, GridInfo
 
 _BAND = 1024  # rows that are computed at a time: a large map takes little memory
 #: Side of the largest blocks, metres. Much larger and their bounds exclude nothing, much
 #: smaller and there are many of them.
 BLOCK = 1.6
-_LEVELS = 255  # as likelihood/cbml.py rounds bmap
 
 
 def any_of_blocks(mask: BoolArray, factor: int) -> BoolArray:
@@ -31,12 +29,8 @@ def any_of_blocks(mask: BoolArray, factor: int) -> BoolArray:
 
 def coarse_info(grid: GridInfo, factor: int) -> GridInfo:
     """The lattice of blocks of cells: same corner, cells `factor` times as large."""
-    return GridInfo(
-        -(-grid.height // factor),
-        -(-grid.width // factor),
-        grid.resolution * factor,
-        grid.origin,
-    )
+    rows, columns = (-(-n // factor) for n in grid.shape)
+    return GridInfo(rows, columns, grid.resolution * factor, grid.origin)
 
 
 @dataclass(frozen=True)
@@ -60,8 +54,8 @@ def pyramid(
     """Build the endpoint images, finest first.
 
     The finest level is ``exp(-d^2 / (2 sigma^2))`` of the distance to the nearest surface,
-    averaged over its cells; each further level is twice as coarse and keeps the maximum of
-    its four cells, so that a fit is not lost before it has been looked at closely.
+    averaged over its cells; each further level is twice as coarse and keeps the maximum of its
+    four cells: a fit is not lost before it has been looked at closely.
 
     Parameters
     ----------
@@ -70,7 +64,7 @@ def pyramid(
     free : (H, W) bool array
         Cells in which a robot can be.
     resolution, cell : float
-        Sides of a cell of the map and of the finest level, a multiple of it, metres.
+        Sides of a cell of the map and, a multiple of it, of the finest level, metres.
     sigma : float
         How far an endpoint may lie from its surface, metres.
     levels : int
@@ -86,21 +80,16 @@ def pyramid(
     factor = max(1, round(cell / resolution))
     rows = factor * max(1, _BAND // factor)
     bands = [distance[top : top + rows] for top in range(0, len(distance), rows)]
-    image = np.concatenate([_fit(band, factor, sigma) for band in bands])
-    mask = any_of_blocks(free, factor)
-    out = [Level(image, mask, resolution * factor)]
+    fits = (np.exp(d * d * np.float32(-0.5 / sigma**2)) * np.float32(255) for d in bands)
+    image = np.concatenate(
+        [np.rint(block_reduce(fit, factor, np.mean)).astype(np.uint8) for fit in fits]
+    )
+    out = [Level(image, any_of_blocks(free, factor), resolution * factor)]
     for _ in range(levels - 1):
         last = out[-1]
         image = np.asarray(block_reduce(last.image, 2, np.max))
-        mask = any_of_blocks(last.free, 2)
-        out.append(Level(image, mask, 2 * last.resolution))
+        out.append(Level(image, any_of_blocks(last.free, 2), 2 * last.resolution))
     return tuple(out)
-
-
-def _fit(distance: Float32Array, factor: int, sigma: float) -> npt.NDArray[np.uint8]:
-    """How well an endpoint in each block fits, from the distances of some rows of cells."""
-    fit = np.exp(distance * distance * np.float32(-0.5 / sigma**2)) * np.float32(255)
-    return np.asarray(np.rint(block_reduce(fit, factor, np.mean)), dtype=np.uint8)
 
 
 @dataclass(frozen=True)
@@ -108,18 +97,15 @@ class PooledMaps:
     """A blurred map max-pooled over blocks of 1, 2, 4 ... 2^top cells a side."""
 
     #: (top - 1, H + 2 margin, margin + W) Level h holds the maxima over 2^h x 2^h cells; cell ``[r,
-    #: c]`` of the map is at ``[margin + r, margin + c]``. A row's right margin is the left one of
-    #: the next row.
+    #: c]`` is at ``[margin + r, margin + c]``, a row's right margin is the left one of the next.
     images: npt.NDArray[np.uint8]
-    #: (side^2, H', W') The top level, ``side = 2^top``, cut into its phases: the maximum over the
-    #: cells that begin at ``[r, c]`` is at ``[r % side * side + c % side, 1 + r // side, 1 + c //
-    #: side]``
+    #: (side^2, H', W') The top level, ``side = 2^top``, in phases: the maximum over the cells that
+    #: begin at ``[r, c]`` is at ``[r % side * side + c % side, 1 + r // side, 1 + c // side]``
     coarse: npt.NDArray[np.uint8]
-    #: (side^2, H', W') In the same order the four quarters of those cells, as the four bytes of a
-    #: word, so that one lookup serves the four blocks that a block of the top level is made of
+    #: (side^2, H', W') In the same order the four quarters of those cells, as the bytes of a word:
+    #: one lookup serves the four blocks that a block of the top level is made of
     quads: npt.NDArray[np.uint32]
-    #: for each level 0 .. top which blocks hold a pose that is wanted; level 0 is (H, W).
-    where: tuple[BoolArray, ...]
+    where: tuple[BoolArray, ...]  #: for each level 0 .. top: blocks with a pose wanted; 0 is (H, W)
     margin: int  #: empty cells around the map in `images`
     resolution: float  #: side of a cell, metres
 
@@ -166,10 +152,8 @@ def pooled_maps(
 
     Raises
     ------
-    ConfigError
-        If `resolution`, `top` or `reach` is out of its range.
-    ValueError
-        If an array has a wrong shape, or `bmap` leaves 0..1.
+    ConfigError, ValueError
+        If a number is out of its range; if the arrays differ in shape, or `bmap` leaves 0..1.
 
     Examples
     --------
@@ -188,11 +172,8 @@ def pooled_maps(
     height, width = bmap.shape
     if where.shape != bmap.shape or where.dtype != np.bool_:
         raise ValueError(f"where must be bool {bmap.shape}, got {where.dtype} {where.shape}")
-    levels = np.asarray(bmap, dtype=np.float32) * _LEVELS
-    if levels.size and not (levels.min() >= 0 and levels.max() <= _LEVELS * (1 + 1e-6)):
-        raise ValueError(f"bmap must be in 0..1, got {np.min(bmap):g} to {np.max(bmap):g}")
+    image = in_levels(bmap)
     margin = margin_of(bmap.shape, resolution, top, reach)
-    image = np.rint(levels).astype(np.uint8)
     images = np.zeros((top - 1, height + 2 * margin, margin + width), dtype=np.uint8)
     for level in range(top - 1):
         images[level, margin : margin + height, margin:] = image
@@ -251,8 +232,7 @@ def _phases(
     rows, columns = (-(-n // side) + 1 for n in image.shape)
     # One block before the map, whose cells look into it, and half a one behind.
     ends = [
-        (side, n * side + half - side - m)
-        for n, m in zip((rows, columns), image.shape, strict=True)
+        (side, (n - 1) * side + half - m) for n, m in zip((rows, columns), image.shape, strict=True)
     ]
     quarter = _pool(np.pad(image, ends), half)
     quads = np.empty((side, side, rows, columns, 4), dtype=np.uint8)

@@ -37,24 +37,20 @@ def cast_rays(
         Where they go, radians in the grid frame. `origins` and `angles` broadcast: poses
         ``(N, 1, 2)`` and angles ``(N, B)`` make N scans of B rays.
     max_range : float or (...) array
-        Metres; what lies farther is not seen. An array gives each ray its own reach, which
-        costs less than a long reach for all.
+        Metres; what lies farther is not seen. A reach for each ray costs less than a long one.
     resolution : float
         Side of a cell, metres.
 
     Returns
     -------
     (...) float32 array
-        Metres to the border of the first occupied cell, within 1/128 of a cell; 0 for a ray
-        that starts in an occupied cell; inf for a ray that meets none within `max_range`,
-        starts off the map, or leaves it: there is nothing off the map.
+        Metres to the border of the first occupied cell, within 1/128 of a cell; 0 from within one;
+        inf for a ray that meets none within `max_range`, starts off the map, or leaves it.
 
     Raises
     ------
-    ConfigError
-        If a `max_range` or `resolution` is not a positive finite number.
-    ValueError
-        If an origin or an angle is not finite.
+    ConfigError, ValueError
+        If a `max_range` or `resolution` is not positive and finite; if a ray is not finite.
 
     Examples
     --------
@@ -75,10 +71,9 @@ def cast_rays(
     x, y, psi = np.broadcast_arrays(start[..., 0], start[..., 1], np.asarray(angles, np.float64))
     if not (np.isfinite(x).all() and np.isfinite(y).all() and np.isfinite(psi).all()):
         raise ValueError("origins and angles must be finite")
-    x0, y0 = ((v / resolution).ravel().astype(np.float32) for v in (x, y))
-    dx, dy = np.cos(psi).ravel().astype(np.float32), np.sin(psi).ravel().astype(np.float32)
-    reach = np.broadcast_to(lengths / resolution, psi.shape).ravel().astype(np.float32)
-    cells = _march(distance, x0, y0, dx, dy, reach)
+    reach = np.broadcast_to(lengths / resolution, psi.shape)
+    rays = (x / resolution, y / resolution, np.cos(psi), np.sin(psi), reach)
+    cells = _march(distance, *(v.ravel().astype(np.float32) for v in rays))
     return (cells * np.float32(resolution)).reshape(psi.shape)
 
 
@@ -92,8 +87,8 @@ def _march(
 ) -> Float32Array:
     """:func:`cast_rays` in cells, all arrays flat: length of each ray, inf if it meets nothing.
 
-    What a ray does depends on nothing but that ray. One that has ended stands still, or goes on
-    where nothing counts any more, until so many have ended that it pays to drop them.
+    What a ray does depends on that ray alone. One that has ended stands still, or goes on where
+    nothing counts any more, until so many have ended that it pays to drop them.
     """
     height, width = distance.shape
     image = distance.reshape(-1)
@@ -112,14 +107,11 @@ def _march(
         px, py, near, other, step = (v[: ray.size] for v in floats)
         row, column = (v[: ray.size] for v in integers)
         ended, free = (v[: ray.size] for v in bools)
-        np.multiply(t, dx, out=px)
-        np.add(px, x0, out=px)
-        np.multiply(t, dy, out=py)
-        np.add(py, y0, out=py)
-        np.floor(px, out=near)
-        np.floor(py, out=other)
-        np.copyto(column, near, casting="unsafe")
-        np.copyto(row, other, casting="unsafe")
+        for p, d, start, cell, index in ((px, dx, x0, near, column), (py, dy, y0, other, row)):
+            np.multiply(t, d, out=p)
+            np.add(p, start, out=p)
+            np.floor(p, out=cell)
+            np.copyto(index, cell, casting="unsafe")
         np.multiply(row, width, out=row)
         np.add(row, column, out=row)
         image.take(row, out=step, mode="clip")  # beyond its reach a ray may be anywhere
@@ -154,11 +146,9 @@ def _march(
 def _axis(
     start: Float32Array, direction: Float32Array, size: int
 ) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """Which border of a cell rays make for (0 or 1), length per cell, length to the map's border.
-
-    A ray across the axis never gets to either.
-    """
+    """The border that rays make for in a cell (0 or 1), length per cell, length to the map's."""
     ahead = (direction >= 0).astype(np.float32)
+    # A ray across the axis never gets to either.
     inverse = np.reciprocal(direction, out=np.full_like(direction, 1e30), where=direction != 0)
     border = (ahead * np.float32(size) - start) * inverse
     return ahead, inverse, np.asarray(border, dtype=np.float32)

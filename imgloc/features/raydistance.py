@@ -36,42 +36,37 @@ def ray_distances(
 
     Parameters
     ----------
-    occupied : (H, W) bool array
-        Row 0 is the lowest y. Everything else is transparent, unknown cells and the world
-        off the map too.
-    resolution : float
-        Side of a cell, metres.
+    occupied, resolution
+        As of :func:`~imgloc.features.distance.signed_distance`. Unknown cells and the world off
+        the map are transparent.
     n_psi : int
         Number of directions.
     max_range : float
         Metres, at most 655.35. Where nothing is hit within it, the value is `max_range`.
     factor : int
-        Rays start at the centres of blocks of `factor` x `factor` cells; walls keep the
-        cells of the map.
+        Rays start at the centres of blocks of so many cells a side; walls keep the map's cells.
     threads : int
         Directions computed at a time; the result does not depend on it.
 
     Returns
     -------
     (n_psi, H, W) uint16 array
-        Centimetres from the centre of block ``[row, col]`` to the surface (the boundary between
-        the occupied cell and the one before it) in direction ``psi_k = 2 pi k / n_psi`` of the
-        grid frame. 0 in blocks that are all occupied. H and W count blocks.
+        Centimetres from the centre of block ``[row, col]`` to the boundary of the first occupied
+        cell in direction ``psi_k = 2 pi k / n_psi`` of the grid frame; 0 in blocks all occupied.
 
     Raises
     ------
     ConfigError
-        If n_psi, max_range, resolution or the size of the map is out of its range.
+        If a number or the size of the map is out of its range.
 
     Notes
     -----
-    ``r_m`` of eq. 2 by ``warpAffine``, a running minimum of hit positions, and back. The hit is
-    found between samples by linear interpolation and the ray's own start is exact; what
-    is left is that the ray runs up to half a cell beside the centre of the cell.
+    ``r_m`` of eq. 2 by ``warpAffine``, a running minimum of hit positions, and back. Hits are
+    interpolated and the ray's own start is exact; what is left is that the ray runs up to half a
+    cell beside the centre of the cell.
 
     Examples
     --------
-    >>> import numpy as np
     >>> row = np.array([[1, 0, 0, 0, 1]], bool)
     >>> ray_distances(row, 0.1, 2, 5.0)[:, 0].tolist()
     [[0, 25, 15, 5, 0], [0, 5, 15, 25, 0]]
@@ -96,7 +91,10 @@ def ray_distances(
     def direction(k: int) -> None:
         # A rotated map serves the two directions along its columns.
         canvas, turn = _rotate(image, 2 * np.pi * k / n_psi)
-        turn = _of_blocks(turn, factor)
+        # From the centres of blocks, counted in blocks.
+        linear = turn[:, :2]
+        offset = turn[:, 2] + linear.sum(axis=1) * (factor - 1) / 2
+        turn = np.column_stack((factor * linear, offset))
         _look(canvas, turn, solid, resolution, limit, stack[k])
         if n_psi % 2 == 0:
             back = turn.copy()
@@ -118,14 +116,11 @@ def watertight(occupied: BoolArray) -> npt.NDArray[np.uint8]:
     corner widens the joint, and is itself below the surface's level.
     """
     image = np.where(occupied, _WALL, 0).astype(np.uint8)
-    a, b, c, d = occupied[:-1, :-1], occupied[:-1, 1:], occupied[1:, :-1], occupied[1:, 1:]
+    corners = [(slice(i, i - 1 or None), slice(j, j - 1 or None)) for i in (0, 1) for j in (0, 1)]
+    a, b, c, d = (occupied[corner] for corner in corners)
     falling, rising = b & c & ~(a | d), a & d & ~(b | c)
-    for joint, cells in (
-        (falling, (image[:-1, :-1], image[1:, 1:])),
-        (rising, (image[:-1, 1:], image[1:, :-1])),
-    ):
-        for cell in cells:
-            cell[joint] = _JOINT
+    for corner, joint in zip(corners, (falling, rising, rising, falling), strict=True):
+        image[corner][joint] = _JOINT
     return image
 
 
@@ -139,25 +134,15 @@ def canvas_size(shape: tuple[int, int], psi: float) -> tuple[int, int]:
 
 
 def _rotate(image: npt.NDArray[np.uint8], psi: float) -> tuple[npt.NDArray[np.uint8], FloatArray]:
-    """Turn the map so that rays in direction `psi` run down the rows.
-
-    Returns the canvas and the (2, 3) matrix from (x, y) of the image to (x, y) of the canvas.
-    """
+    """The map turned so that rays in direction `psi` run down, and the (2, 3) matrix to there."""
     height, width = image.shape
     c, s = np.round((np.cos(psi), np.sin(psi)), 12)
     along, across = canvas_size((height, width), psi)
     turn = np.array([[-s, c, 0.0], [c, s, 0.0]])
     centre = np.array([(width - 1) / 2, (height - 1) / 2])
     turn[:, 2] = np.array([(across - 1) / 2, (along - 1) / 2]) - turn[:, :2] @ centre
-    return np.asarray(
-        cv2.warpAffine(image, turn, (across, along), flags=cv2.INTER_LINEAR), np.uint8
-    ), turn
-
-
-def _of_blocks(turn: FloatArray, factor: int) -> FloatArray:
-    """The matrix from (x, y) of the centres of blocks, counted in blocks."""
-    linear = turn[:, :2]
-    return np.column_stack((factor * linear, turn[:, 2] + linear.sum(axis=1) * (factor - 1) / 2))
+    canvas = cv2.warpAffine(image, turn, (across, along), flags=cv2.INTER_LINEAR)
+    return np.asarray(canvas, np.uint8), turn
 
 
 def _look(
@@ -171,13 +156,8 @@ def _look(
     """Write the distance, in cm, from each block to the first wall down its column of `canvas`."""
     hit = _next_hit(canvas)
     height, width = solid.shape
-    back = cv2.warpAffine(
-        hit,
-        turn,
-        (width, height),
-        flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
+    flags = cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP
+    back = cv2.warpAffine(hit, turn, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE)
     # The row of the canvas where each block's own centre lies, exactly.
     x, y = np.arange(width), np.arange(height)
     start = np.add.outer(
@@ -190,13 +170,10 @@ def _look(
     row, col = np.divmod(np.flatnonzero((cm == 0) > solid), width)
     v, u = turn @ (col, row, np.ones(len(row)))
     near = np.floor(v + 0.5)
-    other = (near + np.where(v < near, -1, 1)).astype(np.int64)
-    other = other.clip(0, canvas.shape[1] - 1)
-    row_of_u = np.floor(u + 0.5).astype(np.int64).clip(0, len(canvas) - 1)
-    far = hit[row_of_u, other] - u
-    cm[row, col] = np.clip(np.round(far * scale), 0, _MAX_CM)
-    # Occupied cells look from within.
-    cm[solid] = 0
+    other = (near + np.where(v < near, -1, 1)).astype(np.int64).clip(0, canvas.shape[1] - 1)
+    down = np.floor(u + 0.5).astype(np.int64).clip(0, len(canvas) - 1)
+    cm[row, col] = np.clip(np.round((hit[down, other] - u) * scale), 0, _MAX_CM)
+    cm[solid] = 0  # occupied cells look from within
     np.minimum(cm, limit, out=out)
 
 

@@ -31,35 +31,33 @@ def scan_points(
     sigma_range : float
         Standard deviation of a reading, metres.
     width : float
-        Half the length of the window of the regression, metres at right angles to the ray; it
-        never has fewer than three points on either side unless the surface ends there.
+        Half the window of the regression, metres at right angles to the ray; never fewer than
+        three points on either side unless the surface ends there.
     max_sigma : float
         Normals less certain than this (radians) are marked invalid.
 
     Returns
     -------
     OrientedPoints
-        In the sensor frame, one point per valid reading, in the order of the readings. Points
-        with fewer than three neighbours on their surface have ``valid == False`` and alpha
-        NaN, sigma_alpha inf: they are endpoints still.
+        In the sensor frame, one per valid reading, in their order. Points with fewer than three
+        neighbours on their surface are not `valid`, alpha is NaN, sigma_alpha inf: endpoints still.
 
     Raises
     ------
     ValueError
-        If the arrays differ in length or sigma_range or width is not positive.
+        If the arrays differ in length, or sigma_range or width is not positive.
 
     Notes
     -----
-    The window is broken at depth jumps. Where its points do not lie on one line within the
-    noise (corners, curves), the windows that end at the point are tried, then narrower ones;
-    the first that is straight is taken, else the straightest. sigma_alpha is the standard
-    error of the regression with the larger of the noise expected and the residuals found.
+    The window is broken at depth jumps. Where its points do not lie on one line within the noise
+    (corners, curves), the windows that end at the point are tried, then narrower ones: the first
+    straight one is taken, else the straightest. sigma_alpha is the standard error of the
+    regression with the larger of the noise expected and the residuals found.
 
     Examples
     --------
     A wall one metre ahead, seen by five rays; its normal points back, to -x:
 
-    >>> import numpy as np
     >>> angles = np.deg2rad(np.arange(-10, 15, 5.0))
     >>> points = scan_points(1 / np.cos(angles), angles, np.ones(5, bool))
     >>> np.cos(points.alpha).round(6).tolist(), points.valid.all()
@@ -77,8 +75,7 @@ def scan_points(
 
     rho, phi = ranges[valid], wrap(angles[valid])
     xy = np.column_stack((rho * np.cos(phi), rho * np.sin(phi)))  # p_i of Fig. 3
-    n = len(rho)
-    if n == 0:
+    if (n := len(rho)) == 0:
         return OrientedPoints(xy, rho, rho, np.zeros(0, np.bool_))
 
     # Three turns of the circle, so that a window may reach across the seam at +-180 deg.

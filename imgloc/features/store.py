@@ -16,16 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.features.distance import DistanceField
-from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.mapfeatures import MapFeatures, read_only
 from imgloc.features.pyramid import Level, PooledMaps, block_masks, default_top, margin_of
-from imgloc.io.cache import (
-    cache_key,
-    discard_entry,
-    entry_names,
-    entry_path,
-    load_entry,
-    store_entry,
-)
+from imgloc.io import cache as entries
 from imgloc.io.files import PathLike
 from imgloc.model import OccupancyGrid, OrientedPoints
 
@@ -36,8 +29,10 @@ KEPT = ("surface", "visibility", "voters_visibility", "pyramid", "vmap", "pooled
 #: Bytes of an entry; what does not fit is computed anew each time.
 MAX_BYTES = 1 << 30
 
-_SURFACE = ("xy", "alpha", "sigma_alpha", "valid")
-_POOLED = ("images", "coarse", "quads")
+_PARTS = {
+    "surface": ("xy", "alpha", "sigma_alpha", "valid"),
+    "pooled": ("images", "coarse", "quads"),
+}
 _NO_MATTER = ("grid", "memory_budget", "threads")  # do not change a feature
 
 
@@ -63,8 +58,10 @@ def features_to_arrays(
     out: dict[str, Array] = {}
     room = max_bytes
     for name in KEPT:
-        if name not in wanted or (name == "voters_visibility" and _shared(features)):
+        if name not in wanted:
             continue
+        if name == "voters_visibility" and features.voters is features.surface:
+            continue  # all surface points vote: their visibility is kept once
         parts = _parts(name, getattr(features, name))
         size = sum(array.nbytes for array in parts.values())
         if size <= room:
@@ -78,19 +75,9 @@ def features_from_arrays(
 ) -> MapFeatures:
     """Make features of which some need not be computed any more.
 
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        The map that they belong to.
-    arrays : mapping of str to array
-        Of :func:`features_to_arrays`. What is not there is computed when it is asked for.
-    parameters : mapping
-        Of :class:`~imgloc.features.mapfeatures.MapFeatures`.
-
-    Raises
-    ------
-    ValueError
-        If an array is of no feature, or its type or shape is not that of this map's.
+    Of the map, the arrays of :func:`features_to_arrays` (what is not there is computed when it is
+    asked for) and the parameters of :class:`~imgloc.features.mapfeatures.MapFeatures`. An array of
+    no feature, or whose type or shape is not that of this map's, is a ValueError.
 
     Examples
     --------
@@ -109,7 +96,7 @@ def features_from_arrays(
         prefix = f"{name}."
         parts = {k: rest.pop(k) for k in tuple(rest) if k == name or k.startswith(prefix)}
         if parts:
-            parts = {k.removeprefix(prefix): _read_only(v) for k, v in parts.items()}
+            parts = {k.removeprefix(prefix): read_only(v) for k, v in parts.items()}
             # Where functools.cached_property would put it.
             made[name] = _build(features, name, parts)
     if rest:
@@ -119,10 +106,8 @@ def features_from_arrays(
 
 def _parts(name: str, value: Any) -> dict[str, Array]:
     """A feature as named arrays."""
-    if name == "surface":
-        return {f"{name}.{part}": getattr(value, part) for part in _SURFACE}
-    if name == "pooled":
-        return {f"{name}.{part}": getattr(value, part) for part in _POOLED}
+    if name in _PARTS:
+        return {f"{name}.{part}": getattr(value, part) for part in _PARTS[name]}
     if name == "pyramid":
         images = {f"{name}.image{i}": level.image for i, level in enumerate(value)}
         return images | {f"{name}.free{i}": level.free for i, level in enumerate(value)}
@@ -138,11 +123,6 @@ def _take(
         found = "nothing" if array is None else f"{array.dtype} {array.shape}"
         raise ValueError(f"{name}: got {found}, expected {np.dtype(dtype)} {shape}")
     return array
-
-
-def _shared(features: MapFeatures) -> bool:
-    """Whether all surface points vote: their visibility is kept once."""
-    return features.voters is features.surface
 
 
 def _build(features: MapFeatures, name: str, parts: dict[str, Array]) -> object:
@@ -182,17 +162,11 @@ def _build(features: MapFeatures, name: str, parts: dict[str, Array]) -> object:
             _take(parts, "images", np.uint8, (top - 1, rows, columns)),
             _take(parts, "coarse", np.uint8, phases),
             _take(parts, "quads", np.uint32, phases),
-            tuple(_read_only(mask) for mask in block_masks(features.free, top)),
+            tuple(read_only(mask) for mask in block_masks(features.free, top)),
             margin,
             lattice.resolution,
         )
     return _take(parts, name, np.float32, shape if name == "walls" else (2, *lattice.shape))
-
-
-def _read_only(array: Array) -> Array:
-    out = array.view()
-    out.flags.writeable = False
-    return out
 
 
 def features_key(features: MapFeatures) -> str:
@@ -202,7 +176,7 @@ def features_key(features: MapFeatures) -> str:
     """
     names = [f.name for f in fields(features) if f.name not in _NO_MATTER]
     parameters: dict[str, object] = {name: getattr(features, name) for name in names}
-    return cache_key(features.grid, parameters, code=_code())
+    return entries.cache_key(features.grid, parameters, code=_code())
 
 
 def load_features(
@@ -214,13 +188,13 @@ def load_features(
     """
     fresh = MapFeatures(grid, **parameters)
     key = features_key(fresh)
-    arrays = load_entry(folder, key)
+    arrays = entries.load_entry(folder, key)
     if arrays is None:
         return fresh
     try:
         return features_from_arrays(grid, arrays, parameters)
     except ValueError as e:
-        discard_entry(entry_path(folder, key), e)
+        entries.discard_entry(entries.entry_path(folder, key), e)
         return fresh
 
 
@@ -228,9 +202,9 @@ def save_features(features: MapFeatures, folder: PathLike, *, max_bytes: int = M
     """Keep what has been computed so far; return whether something had to be written."""
     key = features_key(features)
     arrays = features_to_arrays(features, max_bytes=max_bytes)
-    if not arrays or arrays.keys() <= entry_names(folder, key):
+    if not arrays or arrays.keys() <= entries.entry_names(folder, key):
         return False
-    return store_entry(folder, key, arrays)
+    return entries.store_entry(folder, key, arrays)
 
 
 @cache

@@ -1,8 +1,7 @@
 """The surface of a map: points on the boundary between occupied and free, with normals.
 
-A wall's surface is the boundary *between* an occupied and a free cell, not the centre of the
-occupied cell: the iso-contour of the occupancy image. Its two sides are two surfaces with
-opposite normals, however thin the wall, which is what Fig. 4 of the paper depends on.
+Not the centres of occupied cells: the iso-contour of the occupancy image. The two sides of a wall
+are two surfaces with opposite normals, however thin it is, which Fig. 4 of the paper depends on.
 """
 
 import itertools
@@ -49,27 +48,26 @@ def surface_points(
     Returns
     -------
     OrientedPoints
-        In the grid frame, one point per cell length of boundary, contour after contour.
-        `alpha` points from the wall into free space. Without any wall: no points.
+        In the grid frame, one per cell length of boundary, contour after contour; `alpha` points
+        from the wall into free space.
 
     Raises
     ------
     ValueError
-        If the images are not two of one shape or the resolution is not positive.
+        If the images differ in shape or the resolution is not positive.
 
     Notes
     -----
     The polygons of :func:`skimage.measure.find_contours` are resampled to one point per cell;
-    each point gets the line fitted to the widest window around it that is still a digital
-    straight line. Where none is (corners), the windows that end at the point are tried too,
-    so that a corner keeps the two normals of its walls instead of their mean (the filter of
-    Kuwahara, on a curve). The point is moved onto its line, which takes the staircase off.
+    each point gets the line fitted to the widest window around it that is a digital straight
+    line. Where none is, the windows that end at the point are tried too: a corner keeps the two
+    normals of its walls instead of their mean (the filter of Kuwahara, on a curve). The point is
+    moved onto its line, which takes the staircase off.
 
     Examples
     --------
     A wall one cell thick has two surfaces, half a cell to either side of its centre line:
 
-    >>> import numpy as np
     >>> wall = np.zeros((5, 40), bool)
     >>> wall[2] = True
     >>> points = surface_points(wall, ~wall, 0.1)
@@ -83,7 +81,7 @@ def surface_points(
     if not (np.isfinite(resolution) and resolution > 0):
         raise ValueError(f"resolution must be positive, got {resolution}")
 
-    parts = [_surface_of(occupied, free, top, bottom) for top, bottom in _bands(occupied)]
+    parts = [_surface_of(occupied, free, *band) for band in _bands(occupied)]
     points, alpha, sigma = (np.concatenate(column) for column in zip(*parts, strict=True))
     return OrientedPoints(points * resolution, alpha, sigma, sigma <= max_sigma)
 
@@ -108,12 +106,14 @@ def _surface_of(
     vertices, size = outlines(occupied[low:high])
     vertices[:, 1] += low
     points, start, length = _resampled(vertices, size)
+    mine = (points[:, 1] >= top) & (points[:, 1] < bottom)
     if (low, high) == (0, len(occupied)):
-        mine = np.ones(len(points), np.bool_)
-    else:
-        mine = (points[:, 1] >= top) & (points[:, 1] < bottom)
+        mine[:] = True
     points, alpha, sigma = (part[mine] for part in _fit(points, start, length))
-    return _facing(free, points, alpha, sigma)
+    # Only what faces free space; normals that are not known at all become NaN.
+    normal = np.column_stack((np.cos(alpha), np.sin(alpha)))
+    keep = _sample(free, points + 0.5 * normal) | _sample(free, points + _REACH * normal)
+    return points[keep], np.where(np.isfinite(sigma), alpha, np.nan)[keep], sigma[keep]
 
 
 def outlines(occupied: BoolArray) -> tuple[FloatArray, IntArray]:
@@ -127,9 +127,8 @@ def outlines(occupied: BoolArray) -> tuple[FloatArray, IntArray]:
     Returns
     -------
     vertices : (N, 2) float array
-        (x, y) in cells, cell ``[0, 0]`` reaching from 0 to 1: midpoints of the sides between
-        an occupied and another cell, polygon after polygon. The first vertex of each polygon
-        is its last, too.
+        (x, y) in cells, cell ``[0, 0]`` reaching from 0 to 1: midpoints of the sides between an
+        occupied and another cell. The first vertex of each polygon is its last, too.
     size : (M,) int array
         Number of vertices of each polygon.
 
@@ -148,11 +147,7 @@ def outlines(occupied: BoolArray) -> tuple[FloatArray, IntArray]:
 
 
 def _resampled(vertices: FloatArray, size: IntArray) -> tuple[FloatArray, IntArray, IntArray]:
-    """Points (N, 2) along polygons, one per cell of arc length.
-
-    The second and third arrays (N,) hold, for each point, the index of the first point of
-    its polygon and the number of points in it.
-    """
+    """Points (N, 2) along polygons, one per cell of arc length; first and number in the polygon."""
     if len(size) == 0:
         none = np.zeros(0, np.int64)
         return np.zeros((0, 2)), none, none
@@ -168,15 +163,6 @@ def _resampled(vertices: FloatArray, size: IntArray) -> tuple[FloatArray, IntArr
     at = np.repeat(arc[first], count) + rank * np.repeat(perimeter / count, count)
     xy = np.column_stack([np.interp(at, arc, vertices[:, axis]) for axis in (0, 1)])
     return xy, start, np.repeat(count, count)
-
-
-def _facing(
-    free: BoolArray, points: FloatArray, alpha: FloatArray, sigma: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Only what faces free space; normals that are not known at all become NaN."""
-    normal = np.column_stack((np.cos(alpha), np.sin(alpha)))
-    keep = _sample(free, points + 0.5 * normal) | _sample(free, points + _REACH * normal)
-    return points[keep], np.where(np.isfinite(sigma), alpha, np.nan)[keep], sigma[keep]
 
 
 def _fit(

@@ -36,15 +36,12 @@ def visibility_frames(
 
     Parameters
     ----------
-    occupied : (H, W) bool array
-        Row 0 is the lowest y; unknown cells do not stop a ray.
+    occupied, resolution
+        As of :func:`~imgloc.features.distance.signed_distance`; unknown cells do not stop a ray.
     surface : OrientedPoints
         Of that map, in the grid frame.
-    resolution : float
-        Side of a cell, metres.
     n_psi : int
-        Number of directions; ``psi_k = 2 pi k / n_psi`` is measured from the normal,
-        counter-clockwise.
+        Number of directions; ``psi_k = 2 pi k / n_psi`` from the normal, counter-clockwise.
     horizon : float
         Metres, finite. Less than the sensor's reach leaves some constraints unused, no more.
     by : {"march", "polar"}
@@ -55,20 +52,19 @@ def visibility_frames(
     Returns
     -------
     (n_psi, M) float32 array
-        ``vis[k, j]``, C-contiguous: metres from point j to the nearest wall in direction psi_k;
-        inf where there is none within the horizon. Rows a quarter turn or more from the normal
-        are 0. Points without a normal see nothing: 0.
+        ``vis[k, j]``, C-contiguous: metres from point j to the nearest wall in direction psi_k,
+        inf if there is none within the horizon; 0 a quarter turn or more from the normal, and
+        for points without one.
 
     Raises
     ------
     ConfigError
-        If n_psi, horizon or `by` is out of its range.
+        If `n_psi`, `horizon` or `by` is out of its range.
 
     Notes
     -----
-    The listing stores the direction from p_i to p_j with p_j. Alg. 5 and the definition of
-    ``vis_j[psi]``, "the distance from p_j to the nearest obstacle in direction psi", need the
-    opposite one, which is what is done here.
+    The listing stores the direction from p_i to p_j with p_j; Alg. 5 and the definition of
+    ``vis_j[psi]`` need the opposite one, which is what is done here.
 
     Examples
     --------
@@ -95,20 +91,20 @@ def visibility_frames(
     known = np.flatnonzero(np.isfinite(surface.alpha))
     vis = np.zeros((n_psi, len(surface)), np.float32)
     if by == "march":
-        distance = distance_image(occupied) if distance is None else distance
+        walls = distance_image(occupied) if distance is None else distance
         rows = max(1, _PAIRS // n_psi)
-        for first in range(0, len(known), rows):
-            some = known[first : first + rows]
-            rays = surface.alpha[some] + psi[front, None]
-            vis[np.ix_(front, some)] = cast_rays(distance, origin[some], rays, horizon, resolution)
     else:
         image, reach = watertight(occupied), min(horizon / resolution, np.hypot(*occupied.shape))
         rows = max(1, min(_SAMPLES // int(reach / _STEP + 1), _MOST_ROWS) // max(1, len(front)))
-        for first in range(0, len(known), rows):
-            some = known[first : first + rows]
-            rays = surface.alpha[some] + psi[front, None]
+    for first in range(0, len(known), rows):
+        some = known[first : first + rows]
+        rays = surface.alpha[some] + psi[front, None]
+        if by == "march":
+            seen = cast_rays(walls, origin[some], rays, horizon, resolution)
+        else:
             cells = _first_wall(unwrapped(image, origin[some] / resolution, rays, reach))
-            vis[np.ix_(front, some)] = resolution * cells.reshape(rays.shape)
+            seen = resolution * cells.reshape(rays.shape)
+        vis[np.ix_(front, some)] = seen
     # From the surface itself: the ray started off[j] in front of it.
     vis[np.ix_(front, known)] += np.outer(np.cos(psi[front]), off[known]).astype(np.float32)
     vis[vis > horizon] = np.inf
@@ -120,19 +116,16 @@ def unwrapped(
 ) -> npt.NDArray[np.uint8]:
     """Polar images around points: a row for each ray, a column for each half cell along it.
 
-    What :func:`cv2.warpPolar` does, but for a fan of rays that may begin at any angle, as the
-    normals do, and for many points at a time: it would unwrap the whole circle, in rows that are
-    fine enough for every normal, thirty times as many samples.
+    What :func:`cv2.warpPolar` does, but for many points at a time and a fan of rays that begins at
+    any angle, as the normals do: for that it would take thirty times as many samples.
 
     Parameters
     ----------
     image : (H, W) uint8 array
     origin : (M, 2) float array
-        (x, y) in cells, cell ``[0, 0]`` reaching from 0 to 1.
+        (x, y) in cells, cell ``[0, 0]`` reaching from 0 to 1; so is `reach`.
     rays : (K, M) float array
         Directions from each point, radians.
-    reach : float
-        Cells.
 
     Returns
     -------
@@ -169,14 +162,11 @@ def _first_clear(
     occupied: BoolArray, xy: FloatArray, normal: FloatArray, resolution: float
 ) -> FloatArray:
     """Metres in front of each point where the first cell lies that is not occupied."""
-    padded = np.pad(occupied, 1)
-    limit = np.array(occupied.shape) + 1
+    padded, limit = np.pad(occupied, 1), np.array(occupied.shape) + 1
     off = np.full(len(xy), _OFF[-1])
     for step in reversed(_OFF):
         with np.errstate(invalid="ignore"):
-            cells = np.floor(np.nan_to_num(xy / resolution + step * normal)).astype(np.int64)[
-                :, ::-1
-            ]
-        row, col = np.clip(cells + 1, 0, limit).T
+            cells = np.floor(np.nan_to_num(xy / resolution + step * normal)).astype(np.int64)
+        row, col = np.clip(cells[:, ::-1] + 1, 0, limit).T
         off[~padded[row, col]] = step
     return off * resolution

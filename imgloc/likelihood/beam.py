@@ -46,16 +46,15 @@ def beam(
     thetas : (K,) float array
         Headings, uniform over the circle and starting at 0.
     sigma : float
-        Standard deviation of a hit, metres: the sensor's, with half a cell for the cell, which
-        holds poses beside its centre and walls beside theirs. The default is for 10 cm cells.
+        Standard deviation of a hit, metres: the sensor's and half a cell, as poses and walls lie
+        beside the centres of theirs. The default is for 10 cm cells.
     sigma_theta : float
         Radians. A hit's deviation at range rho is hypot(sigma, rho sigma_theta): what the
-        steps of theta and psi move a distant reading along its wall. :func:`heading_sigma`
-        of the headings is a good value.
+        steps of theta and psi move a distant reading along its wall; see :func:`heading_sigma`.
     hit, short : float
-        Shares of the mixture: readings of the mapped wall, and readings of something in
-        front of it that is not on the map. The rest, 1 - hit - short > 0, is spread evenly
-        and is all that a reading from *behind* a mapped wall can be.
+        Shares of the mixture: readings of the mapped wall, and of something in front of it that
+        is not on the map. The rest, 1 - hit - short > 0, is spread evenly and is all that a
+        reading from *behind* a mapped wall can be.
     span : float
         Metres over which the shares other than `hit` are spread.
     lost : float
@@ -64,7 +63,7 @@ def beam(
     range_max : float
         Of the sensor, metres; needed when lost < 1.
     threads : int
-        Headings computed at a time; the result does not depend on it.
+        Of headings; the result does not depend on it.
 
     Returns
     -------
@@ -82,18 +81,14 @@ def beam(
 
         p(rho | r) = hit N(rho - r; sigma^2) + (short [rho < r] + 1 - hit - short) / span
 
-    The sum takes the readings for independent, which they are not: the pose at the centre of a
-    cell is beside the true one for all of them alike. What it is worth is in
-    :mod:`imgloc.options`.
-
-    For one heading and one beam: subtract the reading from the image of distances, look the
-    log-density up, add. psi is theta + phi rounded to the nearest direction of the stack.
+    It takes the readings for independent, which they are not; what it is worth is in
+    :mod:`imgloc.options`. For one heading and one beam: subtract the reading from the image of
+    distances, look the log-density up, add. psi is theta + phi rounded to a direction of the stack.
 
     Examples
     --------
     Two walls, 0.4 m apart; a reading of 0.25 m forward fits best in one cell:
 
-    >>> import numpy as np
     >>> from imgloc.features.raydistance import ray_distances
     >>> d = ray_distances(np.array([[1, 0, 0, 0, 0, 1]], bool), 0.1, 4, 5.0)
     >>> one = np.array([True])
@@ -102,7 +97,14 @@ def beam(
     [2, 3]
     """
     distances = np.asarray(distances)
-    n_psi, k = _check_stack(distances, thetas)
+    if distances.ndim != 3 or distances.dtype != np.uint16:
+        found = f"{distances.shape} {distances.dtype}"
+        raise ConfigError(f"distances must be a (n_psi, H, W) uint16 stack, got {found}")
+    n_psi, k = len(distances), len(thetas)
+    if k < 1 or n_psi % k:
+        raise ConfigError(f"n_psi = {n_psi} must be a multiple of the number of headings, {k}")
+    if not np.allclose(wrap(thetas - np.arange(k) * (2 * np.pi / k)), 0, atol=1e-9):
+        raise ConfigError("thetas must be 2 pi k / K for k = 0 .. K - 1")
     if threads < 1:
         raise ConfigError(f"threads must be at least 1, got {threads}")
     rho, phi = np.asarray(ranges, np.float64), np.asarray(angles, np.float64)
@@ -124,13 +126,10 @@ def beam(
         )
 
     floors = (1 - hit - short) / span, (1 - hit) / span
-    beams = [
-        (
-            int(theta_bin(a, n_psi)),
-            *_hit_table(r, float(np.hypot(sigma, r * sigma_theta)), hit, floors),
-        )
-        for r, a in zip(rho[valid], phi[valid], strict=True)
-    ]
+    beams = []
+    for r, a in zip(rho[valid], phi[valid], strict=True):
+        deviation = float(np.hypot(sigma, r * sigma_theta))
+        beams.append((int(theta_bin(a, n_psi)), *_hit_table(r, deviation, hit, floors)))
     if lost < 1:
         start = max(0, round(range_max * _CM) - _REACH)
         beyond = start + np.arange(256) >= round(range_max * _CM)
@@ -161,9 +160,9 @@ def beam(
 
 
 def heading_sigma(n_thetas: int) -> float:
-    """A good `sigma_theta` for `n_thetas` headings, radians: their step over the root of 3.
+    """A good `sigma_theta`, radians: twice the deviation of a uniform draw within a step.
 
-    Twice the deviation of a uniform draw within a step: the ray's own direction is rounded too.
+    Twice, as the ray's own direction is rounded too.
 
     Examples
     --------
@@ -187,18 +186,3 @@ def _hit_table(
     normal = np.exp(-0.5 * (error / sigma) ** 2) / (np.sqrt(2 * np.pi) * sigma)
     density = hit * normal + np.where(error < 0, floors[1], floors[0])
     return start, step, np.log(density).astype(np.float32)
-
-
-def _check_stack(distances: npt.NDArray[np.uint16], thetas: FloatArray) -> tuple[int, int]:
-    """Return the number of directions and of headings, or say why they do not go together."""
-    if distances.ndim != 3 or distances.dtype != np.uint16:
-        raise ConfigError(
-            f"distances must be a (n_psi, H, W) uint16 stack, got {distances.shape} "
-            f"{distances.dtype}"
-        )
-    n_psi, k = len(distances), len(thetas)
-    if k < 1 or n_psi % k:
-        raise ConfigError(f"n_psi = {n_psi} must be a multiple of the number of headings, {k}")
-    if not np.allclose(wrap(thetas - np.arange(k) * (2 * np.pi / k)), 0, atol=1e-9):
-        raise ConfigError("thetas must be 2 pi k / K for k = 0 .. K - 1")
-    return n_psi, k

@@ -6,22 +6,13 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.likelihood.correlate import choose_engine, correlate
-from imgloc.likelihood.kernels import filter2d_stack, remap_stack
+from imgloc.features.fields import BMAP_LEVELS, in_levels
+from imgloc.likelihood.correlate import WEIGHTED, choose_engine, correlate
+from imgloc.likelihood.kernels import remap_stack
 from imgloc.likelihood.shift import Summable, merge_repeats, shift_stack, tiles_of
-from imgloc.likelihood.slices import (
-    cell_offsets,
-    check_arguments,
-    check_where,
-    finishing,
-    output_stack,
-    window_of,
-)
-from imgloc.likelihood.spectral import spectral_stack
-from imgloc.model import BoolArray, Float32Array, FloatArray, OrientedPoints
+from imgloc.likelihood.slices import cell_offsets, check_arguments, finishing, frame_of
+from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, OrientedPoints
 
-# bmap in 0..BMAP_LEVELS: sums of 257 readings fit into uint16.
-BMAP_LEVELS = 255
 # Projections are in -VMAP_LEVELS..VMAP_LEVELS: sums of 258 readings fit into int16.
 VMAP_LEVELS = 127
 
@@ -39,22 +30,17 @@ def cbml(
 ) -> Float32Array:
     """Correlate the scan with the blurred map: CBML, Alg. 1 in the order of Alg. 2.
 
-    `bmap` is rounded to 256 levels, so that a reading counts in steps of 1/255 and the sums are
-    integers: any number of threads and every engine but ``remap`` give the same bits.
+    `bmap` is rounded to 256 levels: the sums are integers, and any number of threads and every
+    engine but ``remap`` give the same bits.
 
     Parameters
     ----------
     bmap : (H, W) float array
         The blurred map, 0..1 (:func:`imgloc.features.fields.bmap`).
     points_xy : (N, 2) float array
-        Scan points, sensor frame, metres. Points that are not finite are left out; normals
-        are not needed, so that points without one take part.
-    thetas : (K,) float array
-        Headings, radians.
-    resolution : float
-        Side of a cell, metres.
-    engine, threads, where, out
-        As in :func:`imgloc.likelihood.correlate.correlate`.
+        `xy` of :func:`~imgloc.likelihood.correlate.correlate`; points without a normal take part.
+    thetas, resolution, engine, threads, where, out
+        As of :func:`~imgloc.likelihood.correlate.correlate`.
 
     Returns
     -------
@@ -75,14 +61,7 @@ def cbml(
            [0., 2., 0.],
            [0., 1., 0.]], dtype=float32)
     """
-    levels = np.asarray(bmap, dtype=np.float32) * BMAP_LEVELS
-    # One comparison that NaN fails too.
-    if levels.size and not (levels.min() >= 0 and levels.max() <= BMAP_LEVELS * (1 + 1e-6)):
-        raise ValueError(
-            f"bmap must be in 0..1, got {np.min(bmap):g} to {np.max(bmap):g}; "
-            "see imgloc.features.fields.bmap"
-        )
-    image = np.rint(levels).astype(np.uint8)
+    image = in_levels(bmap, "; see imgloc.features.fields.bmap")
     return correlate(
         image, points_xy, thetas, resolution, divisor=BMAP_LEVELS,
         engine=engine, threads=threads, where=where, out=out,
@@ -104,8 +83,8 @@ def cbml_o(
 ) -> Float32Array:
     """Correlate the oriented scan with the blurred vector field: CBML-O, Alg. 3.
 
-    The direction ``alpha_i + theta`` of each normal is rounded to one of `directions`. With the
-    field projected on them beforehand, a point adds one shifted image, as in CBML.
+    The direction ``alpha_i + theta`` of each normal is rounded to one of `directions`: with the
+    field projected on them, a point adds one shifted image, as in CBML.
 
     Parameters
     ----------
@@ -113,15 +92,11 @@ def cbml_o(
         x and y component, of magnitude 0..1 (:func:`imgloc.features.fields.vmap`).
     points : OrientedPoints
         Scan points, sensor frame. Those without a valid normal are left out.
-    thetas : (K,) float array
-        Headings, radians.
-    resolution : float
-        Side of a cell, metres.
     directions : int
         Directions that normals are rounded to; even. 64 err by 2.8 degrees at most, which
         changes a scalar product by 0.12 % where the normals agree.
-    engine, threads, where, out
-        As in :func:`imgloc.likelihood.correlate.correlate`. The engines agree up to the
+    thetas, resolution, engine, threads, where, out
+        As of :func:`~imgloc.likelihood.correlate.correlate`. The engines agree up to the
         rounding of the projections, 0.004 per reading; ``remap`` interpolates.
     projections : (directions // 2, H, W) int16 array, optional
         Of :func:`project`, to be reused from scan to scan. Only ``shift`` uses it.
@@ -129,20 +104,17 @@ def cbml_o(
     Returns
     -------
     (K, H, W) float32 array
-        ``L[theta, y, x]``, between -N and N: negative where the normals contradict. A
-        probability clamps it at 0 first.
+        ``L[theta, y, x]``, between -N and N: negative where the normals contradict.
 
     Raises
     ------
-    ConfigError
-        If `engine`, `threads`, `directions` or `resolution` is out of its range.
-    ValueError
-        If an array has a wrong shape, or `vmap` is longer than 1 somewhere.
+    ConfigError, ValueError
+        As :func:`~imgloc.likelihood.correlate.correlate`; also if `directions` is not even, or
+        `vmap` longer than 1 somewhere.
 
     Examples
     --------
-    A wall on the right faces left. Seen from the left its normal points back at the sensor;
-    a scan whose normal points away from the sensor contradicts it.
+    A wall on the right faces left. Seen from the left its normal points back at the sensor:
 
     >>> vmap = np.zeros((2, 1, 3), dtype=np.float32)
     >>> vmap[0, 0, 2] = -1
@@ -150,66 +122,58 @@ def cbml_o(
     >>> cbml_o(vmap, scan, np.zeros(1), 1.0)[0].round(2).tolist()
     [[0.0, 1.0, 0.0]]
     """
-    field = checked_field(vmap)
-    check_directions(directions)
+    field = checked_field(vmap, directions)
     check_arguments(resolution, threads)
-    height, width = field.shape[1:]
-    check_where(where, (height, width))
     usable = points.select(
         points.valid & np.isfinite(points.xy).all(axis=1) & np.isfinite(points.alpha)
     )
     headings = np.asarray(thetas, dtype=np.float64)
-    out = output_stack(out, (len(headings), height, width))
-    if projections is not None and projections.shape != (directions // 2, height, width):
-        raise ValueError(
-            f"projections must be {(directions // 2, height, width)}, got {projections.shape}"
-        )
-    window = window_of(where, np.any(field, axis=0))
-    view, field = out[:, *window], field[:, *window]
-    if view.shape != out.shape:
-        out.fill(0)
+    frame = frame_of(np.any(field, axis=0), len(headings), where, out)
+    half, view = directions // 2, frame.view
+    expected = (half, *field.shape[1:])
+    if projections is not None and projections.shape != expected:
+        raise ValueError(f"projections must be {expected}, got {projections.shape}")
     if view.size == 0:
-        return out
+        return frame.out
+    field = field[:, *frame.window]
+
+    def facing(turn: FloatArray | float) -> tuple[IntArray, IntArray]:
+        """Direction of each normal; the projection to add, or -1 - the opposite to subtract."""
+        turned = (usable.alpha + turn) * (directions / (2 * np.pi))
+        direction = np.floor(turned + 0.5).astype(np.int64) % directions
+        return direction, np.where(direction < half, direction, half - 1 - direction)
+
     offsets = cell_offsets(usable.xy, headings, resolution)
-    turned = (usable.alpha + headings[:, None]) * (directions / (2 * np.pi))
-    direction = np.floor(turned + 0.5).astype(np.int64) % directions
-    wanted = None if where is None else where[window]
-    tiles = tiles_of(view.shape[1:], wanted)
-    # Image of the projection to add, or -1 - that of the one to subtract: the opposite direction.
-    half = directions // 2
-    which = np.where(direction < half, direction, half - 1 - direction)
+    direction, which = facing(headings[:, None])
+    tiles = tiles_of(view.shape[1:], frame.where)
     engine = choose_engine(engine, offsets, view.shape[1:], tiles, components=2, which=which)
+    if engine in WEIGHTED:
+        vectors = unit_vectors(directions)[direction].transpose(0, 2, 1)  # Alg. 3, l. 4
+        finish = finishing(1.0, frame.where)
+        WEIGHTED[engine](field, offsets, vectors, threads, view, False, finish)
+        return frame.out
+    limit, finish = np.iinfo(np.int16).max // VMAP_LEVELS, finishing(VMAP_LEVELS, frame.where)
     if engine == "shift":
-        images = project(field, directions) if projections is None else projections[:, *window]
-        limit = np.iinfo(np.int16).max // VMAP_LEVELS
+        images = (
+            project(field, directions) if projections is None else projections[:, *frame.window]
+        )
         shift_stack(
             list(images), lambda k: merge_repeats(offsets[k], which[k]), limit, tiles, threads,
-            view, finishing(VMAP_LEVELS, wanted),
+            view, finish,
         )  # fmt: skip
-        return out
-    if engine == "remap":
-        upright = cell_offsets(usable.xy, np.zeros(1), resolution)[0]
-        facing = np.floor(usable.alpha * (directions / (2 * np.pi)) + 0.5).astype(int) % directions
-        scan = merge_repeats(upright, np.where(facing < half, facing, half - 1 - facing))
+        return frame.out
 
-        def turned_projections(image: Float32Array, theta: float) -> Sequence[Summable]:
-            c, s = np.float32(np.cos(theta)), np.float32(np.sin(theta))
-            x, y = image[..., 0], image[..., 1]
-            return list(project(np.stack((c * x + s * y, c * y - s * x)), directions))
+    def turned_projections(image: Float32Array, theta: float) -> Sequence[Summable]:
+        c, s = np.float32(np.cos(theta)), np.float32(np.sin(theta))
+        x, y = image[..., 0], image[..., 1]
+        return list(project(np.stack((c * x + s * y, c * y - s * x)), directions))
 
-        limit = np.iinfo(np.int16).max // VMAP_LEVELS
-        remap_stack(
-            np.ascontiguousarray(np.moveaxis(field, 0, -1)), headings, turned_projections, scan,
-            limit, threads, view, finishing(VMAP_LEVELS, wanted),
-        )  # fmt: skip
-        return out
-    vectors = unit_vectors(directions)[direction].transpose(0, 2, 1)  # Alg. 3, l. 4
-    finish = finishing(1.0, wanted)
-    if engine == "dft":
-        spectral_stack(field, offsets, vectors, threads, view, exact=False, finish=finish)
-    else:
-        filter2d_stack(field, offsets, vectors, threads, view, exact=False, finish=finish)
-    return out
+    scan = merge_repeats(cell_offsets(usable.xy, np.zeros(1), resolution)[0], facing(0.0)[1])
+    remap_stack(
+        np.ascontiguousarray(np.moveaxis(field, 0, -1)), headings, turned_projections, scan,
+        limit, threads, view, finish,
+    )  # fmt: skip
+    return frame.out
 
 
 def project(vmap: Float32Array, directions: int = 64) -> npt.NDArray[np.int16]:
@@ -217,10 +181,8 @@ def project(vmap: Float32Array, directions: int = 64) -> npt.NDArray[np.int16]:
 
     Parameters
     ----------
-    vmap : (2, H, W) float array
-        x and y component, of magnitude 0..1.
-    directions : int
-        How many directions the circle is divided into; even.
+    vmap, directions
+        As of :func:`cbml_o`.
 
     Returns
     -------
@@ -234,18 +196,11 @@ def project(vmap: Float32Array, directions: int = 64) -> npt.NDArray[np.int16]:
     >>> project(vmap, 8).ravel().tolist()
     [127, 90, 0, -90]
     """
-    field = checked_field(vmap)
-    check_directions(directions)
+    field = checked_field(vmap, directions)
     out = np.empty((directions // 2, *field.shape[1:]), dtype=np.int16)
     for image, (c, s) in zip(out, unit_vectors(directions), strict=False):
         np.rint(VMAP_LEVELS * (field[0] * c + field[1] * s), out=image, casting="unsafe")
     return out
-
-
-def check_directions(directions: int) -> None:
-    """Raise a ConfigError for a number of directions that is not even and positive."""
-    if directions < 2 or directions % 2:
-        raise ConfigError(f"directions must be an even number of at least 2, got {directions}")
 
 
 def unit_vectors(directions: int) -> Float32Array:
@@ -254,12 +209,14 @@ def unit_vectors(directions: int) -> Float32Array:
     return np.stack((np.cos(a), np.sin(a)), axis=1).astype(np.float32)
 
 
-def checked_field(vmap: Float32Array) -> Float32Array:
-    """Return `vmap` as float32, a pair of images of magnitude 0..1, or raise a ValueError."""
+def checked_field(vmap: Float32Array, directions: int) -> Float32Array:
+    """Return `vmap` as float32, a pair of images of magnitude 0..1, if `directions` is even."""
     field = np.asarray(vmap, dtype=np.float32)
     if field.ndim != 3 or field.shape[0] != 2:
         raise ValueError(f"vmap must have shape (2, H, W), got {field.shape}")
     longest = np.sqrt(np.max(field[0] ** 2 + field[1] ** 2, initial=0.0))
     if not longest <= 1 + 1e-5:
         raise ValueError(f"vmap must have vectors of length 0..1, got {longest:g}")
+    if directions < 2 or directions % 2:
+        raise ConfigError(f"directions must be an even number of at least 2, got {directions}")
     return field

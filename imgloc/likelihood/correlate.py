@@ -1,11 +1,12 @@
 """Correlate a scan, turned to every heading, with an image: the core of CBML and CBML-O.
 
-Three engines compute the same stack. ``filter2d`` draws the scan as a kernel and is the one to
-read; ``shift`` adds shifted views, Alg. 2 as printed; ``dft`` multiplies spectra. Which one is
-fastest depends on the reach in cells and on the number of readings, so ``auto`` estimates. A
-fourth, ``remap``, turns the image under the upright scan, and interpolates.
+``filter2d`` draws the scan as a kernel and is the engine to read; ``shift`` adds shifted views,
+Alg. 2 as printed; ``dft`` multiplies spectra. They compute the same; which one is fastest depends
+on the reach in cells and the number of readings, so ``auto`` estimates. ``remap`` turns the image
+under the upright scan, and interpolates.
 """
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -13,30 +14,24 @@ import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.likelihood.kernels import filter2d_stack, remap_stack
-from imgloc.likelihood.shift import (
-    FLAT_CELLS,
-    Summable,
-    Tile,
-    flat_stack,
-    merge_repeats,
-    shift_stack,
-    tiles_of,
-)
+from imgloc.likelihood.shift import Summable, Tile, flat_stack, merge_repeats, shift_stack, tiles_of
 from imgloc.likelihood.slices import (
     cell_offsets,
     check_arguments,
-    check_where,
     finishing,
     finite_points,
-    output_stack,
-    window_of,
+    frame_of,
 )
 from imgloc.likelihood.spectral import needs_double, spectral_stack
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 
+#: Engines that take weights: of the image's values, or the vectors of a field.
+WEIGHTED = {"filter2d": filter2d_stack, "dft": spectral_stack}
 EXACT = ("filter2d", "shift", "dft")
 ENGINES = (*EXACT, "remap")
 
+# Cells of an image, padding included, up to which flat_stack is the faster way to shift.
+FLAT_CELLS = 1 << 17
 # Measured on one core of a server CPU. Only their ratios matter, and only to `auto`.
 SHIFT_SECONDS_PER_BYTE = 2.9e-11
 SHIFT_SECONDS_PER_CALL = 3.5e-6
@@ -91,10 +86,8 @@ def correlate(
 
     Raises
     ------
-    ConfigError
-        If `engine`, `threads` or `resolution` is out of its range.
-    ValueError
-        If an array has a wrong shape or type.
+    ConfigError, ValueError
+        If `engine`, `threads` or `resolution` is out of its range; if an array does not fit.
 
     Examples
     --------
@@ -111,38 +104,32 @@ def correlate(
             f"image must be (H, W) uint8 or float32, got {image.dtype} of shape {image.shape}"
         )
     check_arguments(resolution, threads)
-    shape = (int(image.shape[0]), int(image.shape[1]))
-    check_where(where, shape)
     points, headings = finite_points(xy), np.asarray(thetas, dtype=np.float64)
-    out = output_stack(out, (len(headings), *shape))
-    window = window_of(where, image != 0)
-    view, image = out[:, *window], image[window]
-    if view.shape != out.shape:
-        out.fill(0)
+    frame = frame_of(image != 0, len(headings), where, out)
+    view, image = frame.view, image[frame.window]
     if view.size == 0:
-        return out
+        return frame.out
+    shape = (int(image.shape[0]), int(image.shape[1]))
     offsets = cell_offsets(points, headings, resolution)
-    weights = np.broadcast_to(np.float32(1), (len(headings), 1, len(points)))
     integers = image.dtype == np.uint8
-    wide, limit = _summable(image, len(points))
-    wanted = None if where is None else where[window]
-    tiles = tiles_of(view.shape[1:], wanted)
-    flat = is_flat(offsets, view.shape[1:])
+    # The image in the type of its sums, and how often that holds its largest value. A few points
+    # of an image of a few levels are summed in bytes.
+    top = max(1, int(image.max())) if integers else 1
+    kind = np.uint8 if len(points) * top <= np.iinfo(np.uint8).max else np.uint16
+    wide: Summable = image.astype(kind, copy=False) if integers else np.ascontiguousarray(image)
+    limit = np.iinfo(kind if integers else np.int32).max // top
+    tiles = tiles_of(shape, frame.where)
+    pad = min(int(np.abs(offsets[..., 1]).max(initial=0)), shape[1])
+    flat = shape[0] * (shape[1] + pad) <= FLAT_CELLS
     engine = choose_engine(
-        engine,
-        offsets,
-        view.shape[1:],
-        tiles,
-        itemsize=wide.itemsize,
-        flat=flat,
+        engine, offsets, shape, tiles, itemsize=wide.itemsize, flat=flat,
         doubtful=lambda: integers and needs_double(image, offsets[:: max(1, len(offsets) // 8)]),
-    )
+    )  # fmt: skip
     if engine == "shift" and flat:
-        # On one thread: several would only wait for each other.
-        flat_stack(wide, limit, offsets, view, where=wanted)
+        flat_stack(wide, limit, offsets, view, where=frame.where)
         finishing(divisor)(view)
-        return out
-    finish = finishing(divisor, wanted)
+        return frame.out
+    finish = finishing(divisor, frame.where)
     once = np.zeros(len(points), dtype=np.int64)
 
     def scan(cells: IntArray) -> tuple[IntArray, IntArray, IntArray]:
@@ -151,32 +138,16 @@ def correlate(
 
     if engine == "shift":
         shift_stack([wide], lambda k: scan(offsets[k]), limit, tiles, threads, view, finish)
-        return out
-    if engine == "remap":
+    elif engine == "remap":
         upright = scan(cell_offsets(points, np.zeros(1), resolution)[0])
         remap_stack(
             image, headings, lambda turned, _: [turned.astype(wide.dtype, copy=False)], upright,
             limit, threads, view, finish,
         )  # fmt: skip
-        return out
-    field = image[None]
-    if engine == "dft":
-        spectral_stack(field, offsets, weights, threads, view, exact=integers, finish=finish)
     else:
-        filter2d_stack(field, offsets, weights, threads, view, exact=integers, finish=finish)
-    return out
-
-
-def _summable(image: npt.NDArray[np.uint8] | Float32Array, points: int) -> tuple[Summable, int]:
-    """The image in the type of its sums, and how often that holds its largest value.
-
-    A few points of an image of a few levels are summed in bytes.
-    """
-    if image.dtype == np.float32:
-        return np.ascontiguousarray(image, dtype=np.float32), np.iinfo(np.int32).max
-    top = max(1, int(image.max()))
-    kind = np.uint8 if points * top <= np.iinfo(np.uint8).max else np.uint16
-    return image.astype(kind, copy=False), np.iinfo(kind).max // top
+        weights = np.broadcast_to(np.float32(1), (len(headings), 1, len(points)))
+        WEIGHTED[engine](image[None], offsets, weights, threads, view, integers, finish)
+    return frame.out
 
 
 def choose_engine(
@@ -199,39 +170,40 @@ def choose_engine(
     Parameters
     ----------
     engine : str
-        One of :data:`ENGINES` or ``"auto"``.
-    offsets, shape, tiles, itemsize
-        (K, N, 2) of the readings, rows and columns of the image, where the shift engine would
-        compute, and the bytes of a cell of its sums.
-    flat : bool
-        Whether :func:`~imgloc.likelihood.shift.flat_stack` would compute them: :func:`is_flat`.
-    components : int
-        1 for a scalar image, 2 for a vector field (``dft`` only).
-    which : (K, N) int array, optional
-        Image that each reading takes its values from, if there are several (``shift`` only).
-    doubtful : callable
-        Tells whether the transforms need double precision, asked if it matters (``dft`` only).
-
-    Raises
-    ------
-    ConfigError
-        If there is no such engine.
+        One of :data:`ENGINES` or ``"auto"``, or it is a ConfigError.
+    offsets, shape
+        (K, N, 2) of the readings; rows and columns of the image.
+    tiles, itemsize, flat, which
+        Of the shift engine: where it would compute, bytes of a cell of its sums, whether by
+        :func:`~imgloc.likelihood.shift.flat_stack`, (K, N) images of the readings if several.
+    components, doubtful
+        Of the transforms: 1 for an image, 2 for a vector field; whether they need double
+        precision, asked if it matters.
     """
     if engine in ENGINES:
         return engine
     if engine != "auto":
         raise ConfigError(f"engine must be one of auto, {', '.join(ENGINES)}, got {engine!r}")
     height, width = shape
-    down, across = np.moveaxis(np.abs(offsets[:: max(1, len(offsets) // 8)]), -1, 0)
+    some = slice(None, None, max(1, len(offsets) // 8))  # a few headings tell
+    sample = np.abs(offsets[some])
+    down, across = np.moveaxis(sample, -1, 0)
     rows, columns = min(down.max(initial=0), height), min(across.max(initial=0), width)
     if flat:
         near = (down < height) & (across < width)  # the others miss from every pose
         pad = (across * near).max(initial=0)
         line = height * (width + int(pad)) * itemsize * SHIFT_SECONDS_PER_BYTE
-        readings = np.count_nonzero(near) / max(1, len(near))
-        shift = float(readings * (line + FLAT_SECONDS_PER_CALL))
+        readings = float(np.count_nonzero(near)) / max(1, len(near))
+        shift = readings * float(line + FLAT_SECONDS_PER_CALL)
     else:
-        shift = _shift_seconds(offsets, shape, tiles, itemsize, which)
+        overlap = np.maximum(0, height - down) * np.maximum(0, width - across)
+        images = np.zeros(sample.shape[:2], np.int64) if which is None else which[some]
+        merged = [len(merge_repeats(o, w)[0]) for o, w in zip(offsets[some], images, strict=True)]
+        readings = float(np.mean(merged)) if merged else 0.0
+        share = sum(math.prod(t.shape) for t in tiles) / (height * width)
+        cells = readings * share * float(overlap.mean()) if overlap.size else 0.0
+        shift = cells * itemsize * SHIFT_SECONDS_PER_BYTE
+        shift += readings * len(tiles) * SHIFT_SECONDS_PER_CALL
     plane = float((height + rows) * (width + columns))
     # One transform back, half a transform forth (two headings share it) and a product.
     dft = DFT_SECONDS_PER_STEP * plane * np.log2(plane + 1) * (1.6 + 0.4 * components)
@@ -240,31 +212,3 @@ def choose_engine(
         for size in (4, 8)
     )
     return "shift" if shift < single or (shift < double and doubtful()) else "dft"
-
-
-def _shift_seconds(
-    offsets: IntArray,
-    shape: tuple[int, int],
-    tiles: Sequence[Tile],
-    itemsize: int,
-    which: IntArray | None,
-) -> float:
-    """What a heading costs by :func:`shift_stack`, judged from a few headings."""
-    height, width = shape
-    some = slice(None, None, max(1, len(offsets) // 8))
-    sample = np.abs(offsets[some])
-    overlap = np.maximum(0, height - sample[..., 0]) * np.maximum(0, width - sample[..., 1])
-    if which is None:
-        which = np.zeros(offsets.shape[:2], dtype=np.int64)
-    merged = [len(merge_repeats(o, w)[0]) for o, w in zip(offsets[some], which[some], strict=True)]
-    readings = float(np.mean(merged)) if merged else 0.0
-    share = sum((t.r1 - t.r0) * (t.c1 - t.c0) for t in tiles) / (height * width)
-    cells = readings * share * float(overlap.mean()) if overlap.size else 0.0
-    seconds = cells * itemsize * SHIFT_SECONDS_PER_BYTE
-    return seconds + readings * len(tiles) * SHIFT_SECONDS_PER_CALL
-
-
-def is_flat(offsets: IntArray, shape: tuple[int, ...]) -> bool:
-    """Whether the image with its padding is small enough for :func:`flat_stack`."""
-    columns = min(int(np.abs(offsets[..., 1]).max(initial=0)), shape[1])
-    return shape[0] * (shape[1] + columns) <= FLAT_CELLS

@@ -1,7 +1,7 @@
 """What a posterior says, in fewer numbers: its entropy, and poses drawn from it.
 
-Drawing poses from p(x | z) is what the paper's benchmark is for: a particle filter that has lost
-the robot puts its particles where the scan may have been taken (sensor resetting).
+Drawing is for particle filters that have lost the robot: particles go where the scan may have been
+taken (sensor resetting).
 """
 
 from typing import TYPE_CHECKING, Any
@@ -20,10 +20,7 @@ if TYPE_CHECKING:
 def entropy(mass: npt.NDArray[Any]) -> float:
     """Of shares that sum to 1, nats: 0 for certainty, ``log(n)`` for no idea among n.
 
-    Parameters
-    ----------
-    mass : array of any shape
-        A posterior, a marginal, or masses of hypotheses.
+    Of any shape: a posterior, a marginal, or masses of hypotheses.
 
     Examples
     --------
@@ -35,11 +32,7 @@ def entropy(mass: npt.NDArray[Any]) -> float:
 
 
 def draw_poses(
-    probability: Float32Array,
-    thetas: FloatArray,
-    grid: GridInfo,
-    n: int,
-    rng: "Generator",
+    probability: Float32Array, thetas: FloatArray, grid: GridInfo, n: int, rng: "Generator"
 ) -> FloatArray:
     """Draw poses from p(x | z): cells by their probability, and uniformly inside a cell.
 
@@ -52,13 +45,12 @@ def draw_poses(
     grid : GridInfo
     n : int
     rng : numpy.random.Generator
-        ``numpy.random.default_rng(seed)``: the same seed, the same poses.
+        The same seed, the same poses.
 
     Returns
     -------
     (n, 3) float array
-        x, y, theta in the grid frame; :func:`imgloc.geometry.transform_poses` with
-        ``grid.origin`` takes them to the map frame.
+        x, y, theta in the grid frame; :func:`imgloc.geometry.transform_poses` leads to the map's.
 
     Raises
     ------
@@ -109,18 +101,13 @@ def draw_near(
         The pose space; at least one cell.
     grid : GridInfo
         Of `free`.
-    n : int
-    rng : numpy.random.Generator
+    n, rng
+        As of :func:`draw_poses`, and so are the errors, if nothing is free.
 
     Returns
     -------
     (n, 3) float array
         x, y, theta in the map frame, as the answer.
-
-    Raises
-    ------
-    ConfigError
-        If `n` is negative or nothing is free.
 
     Examples
     --------
@@ -135,8 +122,7 @@ def draw_near(
     which = np.searchsorted(np.cumsum(masses), rng.random(n), side="right")
     normal = rng.standard_normal((n, 3))
     for k, hypothesis in enumerate(answer.hypotheses):
-        mine = which == k
-        pose = hypothesis.pose
+        mine, pose = which == k, hypothesis.pose
         spread = normal[mine] @ np.linalg.cholesky(hypothesis.covariance).T
         out[mine] = spread + (pose.x, pose.y, pose.theta)
     out[:, 2] = wrap(out[:, 2])

@@ -5,8 +5,8 @@ pose of a pair is then ``t = p_j - R(alpha_j) q_i``: no trigonometry for each pa
 direction from p_j to t, seen from the normal of p_j, is that of ``-q_i`` whatever j is, so
 that the visibility test of Alg. 5 compares one row of `visibility` with ``|p_i|``.
 
-Pairs are worked on in blocks that fit the cache. Everything is element by element in double
-precision, without a matrix product, so that a vote does not depend on the block its pair is in.
+Pairs are worked on in blocks that fit the cache, element by element in double precision, without a
+matrix product, so that a vote does not depend on the block its pair is in.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ import numpy.typing as npt
 from imgloc.errors import ConfigError
 from imgloc.geometry import theta_bin
 from imgloc.likelihood.slices import check_arguments, output_stack, over_slices
-from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, OrientedPoints
+from imgloc.model import Float32Array, FloatArray, IntArray, OrientedPoints
 
 # Pairs of a block: 512 KB of float64 for each of its two buffers; calls cost, misses too.
 BLOCK_PAIRS = 1 << 16
@@ -43,25 +43,22 @@ def ght(
     Parameters
     ----------
     surface : OrientedPoints
-        Surface points of the map, grid frame, metres. Neighbours along a wall should be
-        neighbours in the list: their votes then are neighbours in memory.
+        Surface points of the map, grid frame, metres. Neighbours along a wall had best be
+        neighbours in the list, as their votes then are in memory.
     points : OrientedPoints
-        Scan points, sensor frame, metres. In both sets, points without a valid normal or with
-        coordinates that are not finite cast no vote.
+        Scan points, sensor frame, metres. In both sets, points that are not finite or without a
+        valid normal cast no vote.
     n_theta : int
         Number K of headings, ``theta_k = 2 pi k / K``.
-    shape : (int, int)
-        Rows and columns of the lattice of votes; its lower-left corner is that of the grid.
-    resolution : float
-        Side of a cell of that lattice, metres. It need not be that of the map.
+    shape, resolution : (int, int), float
+        Rows and columns of the lattice of votes, whose lower-left corner is that of the grid, and
+        the side of its cells, metres; not necessarily those of the map.
     once : bool
-        At most one vote of each scan point in a cell, Sec. VII. A wall casts many votes in
-        the cells along it; this counts the scan points that a pose explains.
-    threads : int
-        Number of threads. Each beyond the first needs a stack of its own; the result does not
-        depend on their number.
-    out : (K, H, W) float32 array, optional
-        Stack to overwrite and return, instead of a new one.
+        At most one vote of each scan point in a cell, Sec. VII: a wall casts many in the cells
+        along it; this counts the scan points that a pose explains.
+    threads, out
+        As of :func:`~imgloc.likelihood.correlate.correlate`. Each thread beyond the first needs a
+        stack of its own.
 
     Returns
     -------
@@ -99,18 +96,16 @@ def ght_v(
     Parameters
     ----------
     visibility : (n_psi, M) float32 array or None
-        ``visibility[b, j]`` is the distance in metres from surface point j to the nearest
-        obstacle in the direction ``2 pi b / n_psi`` counted **from its normal**; infinite when
-        there is none. The pair (i, j) votes iff ``visibility[b, j] > |p_i|``; all do without.
+        Of :func:`~imgloc.features.visibility.visibility_frames`: the pair (i, j) votes iff
+        ``visibility[b, j] > |p_i|``; all do without.
     surface, points, n_theta, shape, resolution, once, threads, out
         As in :func:`ght`, and so is what is returned.
 
     Raises
     ------
-    ConfigError
-        If `n_theta`, `shape`, `resolution` or `threads` is out of its range.
-    ValueError
-        If `visibility` does not have a column for each surface point, or `out` does not fit.
+    ConfigError, ValueError
+        If a number is out of its range; if `visibility` does not have a column for each surface
+        point, or `out` does not fit.
 
     Examples
     --------
@@ -123,9 +118,9 @@ def ght_v(
     0.0
     """
     check_arguments(resolution, threads)
-    height, width = shape
-    if n_theta < 1 or height < 1 or width < 1:
-        raise ConfigError(f"the lattice of votes must not be empty, got {(n_theta, *shape)}")
+    lattice = (n_theta, *shape)
+    if min(lattice) < 1:
+        raise ConfigError(f"the lattice of votes must not be empty, got {lattice}")
     if visibility is not None:
         visibility = np.asarray(visibility, dtype=np.float32)
         if visibility.ndim != 2 or not len(visibility) or visibility.shape[1] != len(surface):
@@ -133,7 +128,7 @@ def ght_v(
                 f"visibility must be (n_psi, {len(surface)}), a column for each surface point, "
                 f"got {visibility.shape}"
             )
-    out = output_stack(out, (n_theta, height, width))
+    out = output_stack(out, lattice)
     out.fill(0)
     vote(surface, visibility, points, resolution, out, once=once, threads=threads)
     return out
@@ -209,18 +204,10 @@ def pair_up(
     )
 
 
-def block_shape(n: int, m: int, once: bool = False) -> tuple[int, int]:
-    """Rows and columns of the blocks that n scan points by m map points are cut into.
-
-    With `once`, all votes of a scan point are in one block, whatever its size.
-    """
-    # Evenly: a narrow block costs as many calls as a wide one.
-    columns = m if once else -(-m // max(1, -(-m // BLOCK_COLUMNS)))
-    return min(n, max(1, BLOCK_PAIRS // max(1, columns))), columns
-
-
 def blocks_of(n: int, m: int, once: bool = False) -> list[tuple[slice, slice]]:
     """Cut the pairs of n scan points and m map points into blocks that fit the cache.
+
+    With `once`, all votes of a scan point are in one block, whatever its size.
 
     Examples
     --------
@@ -229,25 +216,21 @@ def blocks_of(n: int, m: int, once: bool = False) -> list[tuple[slice, slice]]:
     >>> blocks_of(2, 8200)
     [(slice(0, 2, None), slice(0, 4100, None)), (slice(0, 2, None), slice(4100, 8200, None))]
     """
-    rows, columns = block_shape(n, m, once)
+    # Evenly: a narrow block costs as many calls as a wide one.
+    columns = m if once else -(-m // max(1, -(-m // BLOCK_COLUMNS)))
+    rows = max(1, BLOCK_PAIRS // max(1, columns))
     return [
         (slice(i, min(i + rows, n)), slice(j, min(j + columns, m)))
-        for i in range(0, n, max(1, rows))
+        for i in range(0, n, rows)
         for j in range(0, m, max(1, columns))
     ]
 
 
 class Voter:
-    """The buffers of one thread, and the votes of a block of pairs.
+    """The buffers of one thread, for blocks of `size` pairs, and the votes of a block."""
 
-    With `once`, a scan point casts one vote in a cell, however many map points ask for it.
-    """
-
-    def __init__(self, pairs: Pairs, stack: Float32Array, once: bool = False) -> None:
-        self.once = once
-        rows, columns = block_shape(len(pairs.w), len(pairs.x), once)
-        size = rows * columns
-        self.pairs, self.stack = pairs, stack.reshape(-1)
+    def __init__(self, pairs: Pairs, stack: Float32Array, size: int, once: bool) -> None:
+        self.pairs, self.stack, self.once = pairs, stack.reshape(-1), once
         self.n_theta, self.height, self.width = stack.shape
         self.integer = np.int32 if stack.size < 2**31 else np.int64
         self.unsigned = np.dtype(f"u{np.dtype(self.integer).itemsize}")
@@ -271,17 +254,24 @@ class Voter:
             for seen, psi, rho in zip(keep, g.psi[i].tolist(), g.rho[i], strict=True):
                 np.greater(g.visibility[psi, j], rho, out=seen)  # Alg. 5, l. 5
 
+        def cells(value: FloatArray, size: int, out: IntArray) -> None:
+            """The cells of coordinates along one axis; off the lattice is a miss."""
+            for ufunc, bound in ((np.greater_equal, 0), (np.less, size)):
+                ufunc(value, bound, out=test)
+                np.logical_and(keep, test, out=keep)
+            np.copyto(out, value, casting="unsafe")  # truncation is floor where it matters
+
         # Alg. 5, l. 4: t = p_j - R(alpha_j) q_i
         np.multiply(c, qx, out=value)
         np.multiply(s, qy, out=spare)
         np.subtract(value, spare, out=value)
         np.subtract(g.x[j], value, out=value)
-        self._cells(value, self.width, column, keep, test)
+        cells(value, self.width, column)
         np.multiply(s, qx, out=value)
         np.multiply(c, qy, out=spare)
         np.add(value, spare, out=value)
         np.subtract(g.y[j], value, out=value)
-        self._cells(value, self.height, row, keep, test)
+        cells(value, self.height, row)
 
         # Alg. 5, l. 3: theta = alpha_j - alpha_i, in bins 0 .. 2 K - 1, wrapped by taking the
         # smaller of k and k - K as unsigned numbers. Then the place in the stack.
@@ -302,24 +292,13 @@ class Voter:
         counts = np.count_nonzero(keep, axis=1)
         weights = np.ones(len(counts), np.float32) if g.weights is None else g.weights[i]
         if self.once:
-            # One scan point at a time: with an index repeated, += adds once (Sec. VII).
-            for cells, weight in zip(
-                np.split(chosen, np.cumsum(counts)[:-1]), weights, strict=True
-            ):
-                self.stack[cells] += weight
+            # One scan point at a time: with an index repeated, += adds once (Sec. VII), however
+            # many map points ask for it.
+            parts = np.split(chosen, np.cumsum(counts)[:-1])
+            for part, weight in zip(parts, weights, strict=True):
+                self.stack[part] += weight
         else:
             np.add.at(self.stack, chosen, np.repeat(weights, counts))
-
-    @staticmethod
-    def _cells(
-        value: FloatArray, size: int, out: IntArray, keep: BoolArray, test: BoolArray
-    ) -> None:
-        """The cells of coordinates along one axis; off the lattice is a miss."""
-        np.greater_equal(value, 0, out=test)
-        np.logical_and(keep, test, out=keep)
-        np.less(value, size, out=test)
-        np.logical_and(keep, test, out=keep)
-        np.copyto(out, value, casting="unsafe")  # truncation is floor where it matters
 
 
 def vote(
@@ -335,11 +314,12 @@ def vote(
 ) -> None:
     """Add the votes of all pairs to a stack (K, H, W): Alg. 5, Alg. 4 without visibility.
 
-    `weights` (N,) say what a vote of each scan point counts. As long as the sums are exact in
-    float32 (whole numbers, or few binary places), the number of threads changes nothing.
+    `weights` (N,) say what a vote of each scan point counts. While the sums are exact in float32
+    (whole numbers, or few binary places), the number of threads changes nothing.
     """
     pairs = pair_up(surface, visibility, points, len(out), resolution, weights)
     blocks = blocks_of(len(pairs.w), len(pairs.x), once)
+    size = max(((i.stop - i.start) * (j.stop - j.start) for i, j in blocks), default=0)
     # A stack costs about as much as half a vote for each of its cells.
     threads = min(threads, 1 + 2 * len(pairs.w) * len(pairs.x) // out.size)
     spare: list[Float32Array] = []
@@ -349,7 +329,7 @@ def vote(
         if share and share[0] != blocks[0]:
             stack = np.zeros_like(out)
             spare.append(stack)
-        voter = Voter(pairs, stack, once)
+        voter = Voter(pairs, stack, size, once)
         for i, j in share:
             voter.cast(i, j)
 

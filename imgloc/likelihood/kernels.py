@@ -1,8 +1,8 @@
 """The engines to read: the map filtered with the scan as a kernel (eq. 3), and the map turned.
 
-Both take one image operation of OpenCV for what the other engines do by hand. ``filter2d`` draws
-the scan, turned to a heading, as a kernel. ``remap`` leaves the scan upright and turns the map
-under it: the same shifts serve every heading, at the price of two interpolations.
+One image operation of OpenCV for what the other engines do by hand. ``filter2d`` draws the turned
+scan as a kernel. ``remap`` leaves the scan upright and turns the map under it: the same shifts
+serve every heading, at the price of two interpolations.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,7 +22,6 @@ def filter2d_stack(
     weights: Float32Array,
     threads: int,
     out: Float32Array,
-    *,
     exact: bool,
     finish: Finish,
 ) -> None:
@@ -36,10 +35,8 @@ def filter2d_stack(
         (rows, columns) from a pose to each point.
     weights : (K, C, N) float32 array
         What each point counts in each component.
-    threads : int
-        Number of threads, over headings.
-    out : (K, H, W) float32 array
-        Overwritten.
+    threads, out
+        Of :func:`~imgloc.likelihood.correlate.correlate`.
     exact : bool
         Whether the sums are integers, to be recovered by rounding.
     finish : callable
@@ -60,13 +57,9 @@ def filter2d_stack(
                 kernel = np.zeros(size)
                 np.add.at(kernel, tuple((points - low).T), weight[near])
                 # Double precision, or large sums would lose their last digit.
-                total += cv2.filter2D(
-                    component,
-                    cv2.CV_64F,
-                    kernel,
-                    anchor=(-int(low[1]), -int(low[0])),
-                    borderType=cv2.BORDER_CONSTANT,  # off the map is a miss
-                )
+                anchor = (-int(low[1]), -int(low[0]))
+                off = cv2.BORDER_CONSTANT  # off the map is a miss
+                total += cv2.filter2D(component, cv2.CV_64F, kernel, anchor=anchor, borderType=off)
             np.copyto(out[k], np.rint(total) if exact else total, casting="unsafe")
             finish(out[k])
 
@@ -88,32 +81,20 @@ def remap_stack(
     Exact for multiples of 90 degrees, but for readings on the border of two cells. In between,
     readings are rounded to cells of the turned frame and values are interpolated linearly.
 
-    Parameters
-    ----------
-    image : (H, W) or (H, W, C) uint8 or float32 array
-    thetas : (K,) float array
-        Headings, radians.
-    summands : callable
-        The images to add up, from the turned one and the heading.
-    scan, limit
-        ``offsets, which, powers`` of the upright scan and what else
-        :func:`~imgloc.likelihood.shift.shift_sum` takes.
-    threads, out, finish
-        As in :func:`filter2d_stack`.
+    `summands` are the images to add up, from the turned one (H, W[, C]) and the heading; `scan` is
+    ``offsets, which, powers`` of the upright scan, as `limit` for
+    :func:`~imgloc.likelihood.shift.shift_sum`; the rest is as in :func:`filter2d_stack`.
     """
     height, width = image.shape[:2]
 
     def work(share: Sequence[int]) -> None:
         for k in share:
             theta = float(thetas[k])
-            turn, (rows, columns) = _turn((height, width), theta)
-            turned = cv2.warpAffine(image, turn, (columns, rows), flags=cv2.INTER_LINEAR)
-            images, total = (
-                summands(turned, float(thetas[k])),
-                np.zeros((rows, columns), np.float32),
-            )
-            scratch = np.empty(rows * columns, dtype=images[0].dtype)
-            shift_sum(images, *scan, limit, tiles_of((rows, columns)), scratch, total)
+            turn, shape = _turn((height, width), theta)
+            turned = cv2.warpAffine(image, turn, shape[::-1], flags=cv2.INTER_LINEAR)
+            images, total = summands(turned, theta), np.zeros(shape, np.float32)
+            scratch = np.empty(total.size, dtype=images[0].dtype)
+            shift_sum(images, *scan, limit, tiles_of(shape), scratch, total)
             flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
             cv2.warpAffine(total, turn, (width, height), dst=out[k], flags=flags)
             finish(out[k])

@@ -21,15 +21,8 @@ def calibrated(
 ) -> Float32Array:
     """The probability of each pose, with what the method's evidence is worth.
 
-    Parameters
-    ----------
-    stack : Likelihood
-    readings : int
-        Valid ones of the scan.
-    calibration : Calibration, optional
-        By default that of :data:`~imgloc.options.DEFAULTS`.
-    free, headings
-        As for :func:`posterior`, whose result it is.
+    The result, `free` and `headings` are those of :func:`posterior`; `readings` is the number of
+    valid ones in the scan. The calibration is by default that of :data:`~imgloc.options.DEFAULTS`.
 
     Examples
     --------
@@ -41,19 +34,13 @@ def calibrated(
     [0.2 0.8 0. ]
     """
     how = DEFAULTS[stack.method] if calibration is None else calibration
-    return posterior(
-        smoothed(stack, how),
-        stack.method,
-        free,
-        temperature=how.temperature_at(stack.method, readings),
-        headings=headings,
-    )
+    values, temperature = smoothed(stack, how), how.temperature_at(stack.method, readings)
+    return posterior(values, stack.method, free, temperature=temperature, headings=headings)
 
 
 def smoothed(stack: Likelihood, calibration: Calibration) -> Float32Array:
     """The values of a stack, blurred as a calibration says; negative correlations count as 0."""
-    log = stack.method in LOG_METHODS
-    values = stack.values
+    log, values = stack.method in LOG_METHODS, stack.values
     if not (calibration.sigma_xy or calibration.sigma_theta):
         return values
     if not log and values.size and values.min() < 0:
@@ -85,7 +72,8 @@ def posterior(
     free : (H, W) bool array
         The pose space.
     temperature : float
-        Logarithms are divided by it: votes are raised to the power ``1 / temperature``.
+        Logarithms are divided by it: votes are raised to the power ``1 / temperature``. One that
+        is not positive and finite is a ConfigError.
     headings : (K,) bool array, optional
         The headings of the pose space; by default all.
 
@@ -93,11 +81,6 @@ def posterior(
     -------
     (K, H, W) float32 array
         Sums to 1; all 0 if no free pose has a positive likelihood.
-
-    Raises
-    ------
-    ConfigError
-        If `temperature` is not positive and finite.
 
     Examples
     --------
@@ -145,19 +128,9 @@ def smooth(
 ) -> Float32Array:
     """Blur a stack with a Gaussian in x, y and, circularly, in theta: the uncertainty of eq. 8.
 
-    Parameters
-    ----------
-    values : (K, H, W) float32 array
-    sigma_px, sigma_bins : float
-        Standard deviations in cells and in headings; 0 leaves that axis alone.
-    border : int
-        OpenCV's, of the images: by default nothing comes in from outside. Logarithms, whose 0
-        means something else, want ``cv2.BORDER_REPLICATE``.
-
-    Returns
-    -------
-    (K, H, W) float32 array
-        A new one.
+    A new (K, H, W) float32 stack. The standard deviations are in cells and in headings; 0 leaves
+    that axis alone. The `border` is OpenCV's: by default nothing comes in from outside, but for
+    logarithms 0 means something else: ``cv2.BORDER_REPLICATE``.
 
     Examples
     --------
@@ -183,7 +156,7 @@ def smooth(
 
 
 def circular_kernel(n: int, sigma: float) -> Float32Array:
-    """Weights (n,) of the headings ``0, 1, ... n - 1`` steps away, around the circle; sum 1.
+    """Weights (n,) of the headings ``0 .. n - 1`` steps away, around the circle, sum 1.
 
     `sigma` is in headings.
 

@@ -1,21 +1,20 @@
 """The shift engine: Alg. 2 line by line, each line of its inner loop one ``cv2.add``.
 
-Integers are what makes it fast. A uint8 image is summed in uint16, four times denser than
-float64 and twice as dense as float32, for as many points as cannot overflow it; in uint8, if
-that holds the sum of all points. The plane is cut into tiles small enough for accumulator and
-source to stay in the second-level cache.
+Integers are what makes it fast. A uint8 image is summed in uint16, twice as dense as float32, for
+as many points as cannot overflow it; in uint8, if that holds the sum of all. The plane is cut into
+tiles small enough for accumulator and source to stay in the second-level cache.
 """
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.likelihood.slices import Finish, over_slices
+from imgloc.likelihood.slices import Finish, box_of, over_slices, reach_of
 from imgloc.model import BoolArray, Float32Array, IntArray
 
 #: An image of the type that holds its sums: uint8, uint16, int16 or float32.
@@ -27,18 +26,20 @@ TILE_WIDTH = 1024
 # Repeated readings are added in powers of two up to 2**MAX_POWER, which must fit the limits of 16
 # bits. Those of 8 bits hold all readings together.
 MAX_POWER = 3
-#: Cells of an image, padding included, up to which this is the faster way to shift.
-FLAT_CELLS = 1 << 17
 
 
-@dataclass(frozen=True)
-class Tile:
+class Tile(NamedTuple):
     """A rectangle of poses: rows ``r0:r1``, columns ``c0:c1``."""
 
     r0: int
     r1: int
     c0: int
     c1: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.r1 - self.r0, self.c1 - self.c0
 
 
 def tiles_of(shape: tuple[int, int], where: BoolArray | None = None) -> list[Tile]:
@@ -60,24 +61,20 @@ def tiles_of(shape: tuple[int, int], where: BoolArray | None = None) -> list[Til
     tiles = []
     for r in range(0, height, rows):
         for c in range(0, width, columns):
-            tile = Tile(r, min(r + rows, height), c, min(c + columns, width))
-            if where is None:
-                tiles.append(tile)
-                continue
-            window = where[tile.r0 : tile.r1, tile.c0 : tile.c1]
-            i, j = np.flatnonzero(window.any(axis=1)), np.flatnonzero(window.any(axis=0))
-            if i.size:
-                r0, c0 = r + int(i[0]), c + int(j[0])
-                tiles.append(Tile(r0, r + int(i[-1]) + 1, c0, c + int(j[-1]) + 1))
+            i, j = slice(0, min(rows, height - r)), slice(0, min(columns, width - c))
+            if where is not None:
+                i, j = box_of(where[r : r + rows, c : c + columns])
+            if i.stop:
+                tiles.append(Tile(r + i.start, r + i.stop, c + j.start, c + j.stop))
     return tiles
 
 
 def merge_repeats(offsets: IntArray, which: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     """Add readings that fall in one cell once: offsets (n, 2), which image, power of two.
 
-    Close readings share cells: half of the rays of a 0.25 degree scan at 10 cm cells. What m
-    readings share is needed once for each binary digit of m that is 1, the highest powers first:
-    :func:`shift_sum` doubles its sums on the way down (Horner), which takes no other image.
+    Half of the rays of a 0.25 degree scan share 10 cm cells. What m readings share is needed once
+    for each binary digit of m that is 1, the highest powers first: :func:`shift_sum` doubles its
+    sums on the way down (Horner), which takes no other image.
 
     Examples
     --------
@@ -116,7 +113,7 @@ def shift_stack(
     `scan` returns, for the index of a heading, the ``offsets, which, powers`` of its points;
     `finish` is called with each slice.
     """
-    largest = max(((t.r1 - t.r0) * (t.c1 - t.c0) for t in tiles), default=0)
+    largest = max((math.prod(t.shape) for t in tiles), default=0)
 
     def work(share: Sequence[int]) -> None:
         scratch = np.empty(largest, dtype=images[0].dtype)
@@ -140,16 +137,15 @@ def shift_sum(
 ) -> None:
     """Write ``out[r, c] = sum_i ± 2**k_i images[w_i][r + dr_i, c + dc_i]`` on the tiles.
 
+    Exact for integer images while the sums stay below 2**24.
+
     Parameters
     ----------
     images : sequence of (H, W) arrays
-        All of one type, uint8, uint16, int16 or float32.
-    offsets : (n, 2) int array
-        (dr, dc) of each point; what it brings from outside the image is 0.
-    which : (n,) int array
-        ``w_i >= 0`` adds image ``w_i``; ``w_i < 0`` subtracts image ``-1 - w_i``.
-    powers : (n,) int array
-        ``k_i >= 0``, none greater than the one before it.
+        All of one :data:`Summable` type.
+    offsets, which, powers : (n, 2), (n,), (n,) int arrays
+        (dr, dc) of each point: what it brings from outside the image is 0. ``w_i >= 0`` adds image
+        ``w_i``, ``w_i < 0`` subtracts image ``-1 - w_i``. No power is greater than the one before.
     limit : int
         How often the type of the images can hold the largest value in them.
     tiles : sequence of Tile
@@ -158,8 +154,6 @@ def shift_sum(
         At least as large as the largest tile.
     out : (H, W) float32 array
         Zero on entry.
-
-    Exact for integer images while the sums stay below 2**24.
     """
     height, width = images[0].shape
     weights = 1 << powers
@@ -167,17 +161,12 @@ def shift_sum(
     bounds = np.flatnonzero(np.diff(part, prepend=-1, append=-1))
     dr, dc = offsets.T
     for t in tiles:
-        total = scratch[: (t.r1 - t.r0) * (t.c1 - t.c0)].reshape(t.r1 - t.r0, t.c1 - t.c0)
+        total = scratch[: math.prod(t.shape)].reshape(t.shape)
         r0, r1 = np.maximum(t.r0, -dr), np.minimum(t.r1, height - dr)
         c0, c1 = np.maximum(t.c0, -dc), np.minimum(t.c1, width - dc)
         inside = (r0 < r1) & (c0 < c1)
-        box = np.stack(
-            (
-                r0 - t.r0, r1 - t.r0, c0 - t.c0, c1 - t.c0,
-                r0 + dr, r1 + dr, c0 + dc, c1 + dc, which, powers,
-            ),
-            axis=1,
-        )  # fmt: skip
+        target_box = (r0 - t.r0, r1 - t.r0, c0 - t.c0, c1 - t.c0)
+        box = np.column_stack((*target_box, r0 + dr, r1 + dr, c0 + dc, c1 + dc, which, powers))
         target = out[t.r0 : t.r1, t.c0 : t.c1]
         for start, stop in pairwise(bounds.tolist()):
             boxes = box[start:stop][inside[start:stop]].tolist()
@@ -204,12 +193,11 @@ def flat_stack(
     limit: int,
     offsets: IntArray,
     out: Float32Array,
-    *,
     where: BoolArray | None = None,
 ) -> None:
-    """Write ``out[k, r, c] = sum_i image[r + dr_ki, c + dc_ki]``.
+    """Write ``out[k, r, c] = sum_i image[r + dr_ki, c + dc_ki]``, 0 for poses not wanted (`where`).
 
-    The parameters are as in :func:`shift_sum`; poses that are not wanted (`where`) come out 0.
+    What :func:`shift_sum` does, on one thread: several would only wait for each other.
 
     Examples
     --------
@@ -220,9 +208,7 @@ def flat_stack(
     [[2.0, 7.0, 5.0], [5.0, 6.0, 0.0]]
     """
     height, width = image.shape
-    near = np.all(np.abs(offsets) < (height, width), axis=2)  # the others miss from every pose
-    reach = np.where(near[..., None], np.abs(offsets), 0).max(axis=(0, 1), initial=0)
-    rows, columns = (int(r) for r in reach)
+    near, (rows, columns) = reach_of(offsets, image.shape)
     stride = width + columns
     line = np.zeros((height + 2 * rows) * stride + 2 * columns, dtype=image.dtype)
     first, length = rows * stride + columns, height * stride

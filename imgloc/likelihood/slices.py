@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -25,12 +25,8 @@ def cell_offsets(xy: FloatArray, thetas: FloatArray, resolution: float) -> IntAr
 
     Parameters
     ----------
-    xy : (N, 2) float array
-        Scan points, sensor frame, metres, finite.
-    thetas : (K,) float array
-        Headings, radians.
-    resolution : float
-        Side of a cell, metres.
+    xy, thetas, resolution
+        As of :func:`~imgloc.likelihood.correlate.correlate`, all finite.
 
     Returns
     -------
@@ -48,6 +44,13 @@ def cell_offsets(xy: FloatArray, thetas: FloatArray, resolution: float) -> IntAr
     return np.asarray(np.floor(np.clip(d, -MAX_OFFSET, MAX_OFFSET) + 0.5), dtype=np.int64)
 
 
+def reach_of(offsets: IntArray, shape: tuple[int, ...]) -> tuple[BoolArray, tuple[int, int]]:
+    """Which offsets (K, N) meet an image at all, and how many rows and columns those reach."""
+    near = np.all(np.abs(offsets) < shape[-2:], axis=2)  # the others miss from every pose
+    reach = np.where(near[..., None], np.abs(offsets), 0).max(axis=(0, 1), initial=0)
+    return near, (int(reach[0]), int(reach[1]))
+
+
 def check_arguments(resolution: float, threads: int) -> None:
     """Raise a ConfigError for a resolution or a number of threads that cannot be meant."""
     if not (np.isfinite(resolution) and resolution > 0):
@@ -56,39 +59,55 @@ def check_arguments(resolution: float, threads: int) -> None:
         raise ConfigError(f"threads must be at least 1, got {threads}")
 
 
-def check_where(where: BoolArray | None, shape: tuple[int, int]) -> None:
-    """Raise a ValueError for a mask of poses that is not a bool array of `shape`."""
-    if where is not None and (where.shape != shape or where.dtype != np.bool_):
-        raise ValueError(f"where must be bool {shape}, got {where.dtype} {where.shape}")
+class Frame(NamedTuple):
+    """What of a stack is to be computed."""
+
+    out: Float32Array  #: (K, H, W) the stack; 0 around the view
+    view: Float32Array  #: (K, h, w) the part of it to compute
+    window: tuple[slice, slice]  #: rows and columns of the view
+    where: BoolArray | None  #: (h, w) the poses in it that are wanted; None for all
 
 
-def window_of(where: BoolArray | None, marked: BoolArray) -> tuple[slice, slice]:
-    """Rows and columns that matter: poses that are wanted and cells that are `marked`.
+def frame_of(
+    marked: BoolArray, headings: int, where: BoolArray | None, out: Float32Array | None
+) -> Frame:
+    """Cut a stack down to what matters: poses that are wanted (`where`), cells that are `marked`.
 
-    Maps often carry a wide unknown border, which need not be computed.
+    Maps often carry a wide unknown border. A mask or a stack that does not fit the (H, W) of
+    `marked` is a ValueError.
 
     Examples
     --------
     >>> where = np.zeros((4, 5), dtype=bool)
     >>> where[1, 1:3] = True
-    >>> window_of(where, np.zeros((4, 5), dtype=bool))
+    >>> frame_of(np.zeros((4, 5), dtype=bool), 1, where, None).window
     (slice(1, 2, None), slice(1, 3, None))
     """
+    height, width = shape = marked.shape
+    if where is not None and (where.shape != shape or where.dtype != np.bool_):
+        raise ValueError(f"where must be bool {shape}, got {where.dtype} {where.shape}")
+    out = output_stack(out, (headings, height, width))
     if where is None:
-        return slice(0, marked.shape[0]), slice(0, marked.shape[1])
-    used = where | marked
-    r, c = np.flatnonzero(used.any(axis=1)), np.flatnonzero(used.any(axis=0))
-    if not r.size:
+        return Frame(out, out, (slice(0, height), slice(0, width)), None)
+    window = box_of(where | marked)
+    view = out[:, *window]
+    if view.shape != out.shape:
+        out.fill(0)
+    return Frame(out, view, window, where[window])
+
+
+def box_of(mask: BoolArray) -> tuple[slice, slice]:
+    """Rows and columns from the first to the last in which something is set."""
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    if not rows.size:
         return slice(0, 0), slice(0, 0)
-    return slice(int(r[0]), int(r[-1]) + 1), slice(int(c[0]), int(c[-1]) + 1)
+    return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
 def output_stack(out: Float32Array | None, shape: tuple[int, int, int]) -> Float32Array:
-    """Return `out` after checking it, or a new uninitialised stack.
+    """Return `out`, unless it does not fit (a ValueError), or a new uninitialised stack.
 
-    Reusing a stack saves the page faults of a new one, which for tens of megabytes cost about
-    as much as the cheap engines. One that is not a writable float32 array of `shape` with
-    contiguous rows is a ValueError.
+    Reusing a stack saves the page faults of a new one: for tens of megabytes as much as an engine.
     """
     if out is None:
         return np.empty(shape, dtype=np.float32)
@@ -133,8 +152,7 @@ def over_slices(
 ) -> None:
     """Call ``work(share)`` for disjoint shares of `units`, one share per thread.
 
-    A share per thread, and not a task per unit, lets `work` allocate its scratch once. Who
-    computes a slice does not change it, so that the result is the same for any `threads`.
+    A share per thread, and not a task per unit, lets `work` allocate its scratch once.
 
     Examples
     --------

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.likelihood.slices import Finish, over_slices
-from imgloc.model import Float32Array, FloatArray, IntArray
+from imgloc.likelihood.slices import Finish, over_slices, reach_of
+from imgloc.model import Float32Array, IntArray
 
 # Largest error of a correlation in float32, in norms of image and kernel multiplied: measured
 # on both OpenCV majors, and reached when all readings share a cell. Integers are recovered from
@@ -20,29 +20,28 @@ ALLOWED_ERROR = 0.1
 
 
 class Spectrum:
-    """The cached spectrum of an image, and the scratch to use it.
+    """The cached spectrum of an image (1, H, W), and what is done with it.
 
-    Parameters
-    ----------
-    image : (1, H, W) array
-    reach : (int, int)
-        Largest row and column offset; they pad the plane, so that nothing wraps around.
-    weight : float
-        Largest Euclidean norm of the kernels to come. It decides between single and double
-        precision, where integers must survive the transforms.
-    exact : bool
-        Whether sums are integers, to be recovered by rounding.
+    `reach` is the largest row and column offset: they pad the plane, so that nothing wraps around.
+    Sums that are integers are recovered by rounding (`exact`), which may need double precision.
     """
 
+    channels = 1
+
     def __init__(
-        self, image: npt.NDArray[np.generic], reach: tuple[int, int], weight: float, exact: bool
+        self, image: npt.NDArray[np.generic], reach: tuple[int, int], exact: bool, double: bool
     ) -> None:
         _, self.height, self.width = image.shape
-        self.exact = exact
+        rows, columns = (
+            cv2.getOptimalDFTSize(n + r) for n, r in zip(image.shape[1:], reach, strict=True)
+        )
+        self.shape, self.exact = (rows, columns), exact
+        self.dtype: type[np.floating] = np.float64 if double else np.float32
+        self.prepare(image)
+
+    def prepare(self, image: npt.NDArray[np.generic]) -> None:
+        """Transform the image."""
         values = np.asarray(image[0], dtype=np.float64)
-        doubtful = exact and _doubtful(values, weight)
-        self.dtype: type[np.floating] = np.float64 if doubtful else np.float32
-        self.shape = _plane((self.height, self.width), reach)
         self.spectrum: npt.NDArray[np.floating] = np.zeros(self.shape, dtype=self.dtype)
         # The scale of the inverse transform goes in here, once for all headings.
         self.spectrum[: self.height, : self.width] = values / (self.shape[0] * self.shape[1])
@@ -50,15 +49,19 @@ class Spectrum:
 
     def scratch(self) -> list[npt.NDArray[np.floating]]:
         """Buffers for :meth:`correlate`, one set per thread."""
-        return [np.zeros(self.shape, dtype=self.dtype) for _ in range(2)]
+        shape = (*self.shape, 2) if self.channels == 2 else self.shape
+        return [np.zeros(shape, dtype=self.dtype) for _ in range(2)]
 
     def transform(
         self, offsets: IntArray, weights: Float32Array, scratch: list[npt.NDArray[np.floating]]
     ) -> None:
-        """Draw the scan, (n, 2) offsets of weights (1, n), and transform it into `scratch`."""
+        """Draw the scan, (n, 2) offsets of weights (C, n), and transform it into `scratch`."""
         plane = scratch[1]
         plane.fill(0)
-        np.add.at(plane.reshape(-1), _flat(offsets, self.shape), weights[0])
+        rows, columns = self.shape
+        cells = offsets[:, 0] % rows * columns + offsets[:, 1] % columns  # it wraps around
+        for c, weight in enumerate(weights):
+            np.add.at(plane.reshape(-1), self.channels * cells + c, weight)
         cv2.dft(plane, plane)  # in place: what is in the cache is half of the work
 
     def correlate(
@@ -80,7 +83,7 @@ class Spectrum:
             np.copyto(out, result, casting="unsafe")
 
 
-class VectorSpectrum:
+class VectorSpectrum(Spectrum):
     """As :class:`Spectrum`, of a vector field (2, H, W): vectors are complex numbers.
 
     ``sum_p Re(v(x + p) conj(s(p)))`` is the sum of scalar products. One transform of complex
@@ -88,40 +91,23 @@ class VectorSpectrum:
     normals costs little more than one without.
     """
 
-    def __init__(self, image: npt.NDArray[np.generic], reach: tuple[int, int]) -> None:
-        _, self.height, self.width = image.shape
-        self.shape = _plane((self.height, self.width), reach)
-        self.spectra = []  # of the field, and of its conjugate
+    channels = 2
+
+    def prepare(self, image: npt.NDArray[np.generic]) -> None:
+        """Transform the field and its conjugate."""
+        self.spectra = []
         for sign in (1, -1):
             plane = np.zeros((*self.shape, 2), dtype=np.float32)
             plane[: self.height, : self.width] = np.moveaxis(image, 0, -1) * np.array((1, sign))
             plane /= self.shape[0] * self.shape[1]
             self.spectra.append(cv2.dft(plane).view(np.complex64)[..., 0])
 
-    def scratch(self) -> list[npt.NDArray[np.floating]]:
-        """Buffers for :meth:`correlate`, one set per thread."""
-        return [np.zeros((*self.shape, 2), dtype=np.float32) for _ in range(2)]
-
-    def transform(
-        self, offsets: IntArray, weights: Float32Array, scratch: list[npt.NDArray[np.floating]]
-    ) -> None:
-        """Draw the scan, (n, 2) offsets of vectors (2, n), and transform it into `scratch`."""
-        plane = scratch[1]
-        plane.fill(0)
-        both = 2 * _flat(offsets, self.shape) + np.array([[0], [1]])
-        np.add.at(plane.reshape(-1), both, weights)
-        cv2.dft(plane, plane)
-
     def correlate(
         self, scratch: list[npt.NDArray[np.floating]], out: Float32Array, *, half_turn: bool = False
     ) -> None:
-        """Write the correlation with the scan last transformed into `out` (H, W).
-
-        With a `half_turn` it is the scan turned by 180 degrees, its normals too: what is conjugate
-        is the field then, and the sign changes.
-        """
+        """As of a :class:`Spectrum`; a half turn negates the normals, too."""
         product, scan = (plane.view(np.complex64)[..., 0] for plane in scratch)
-        if half_turn:
+        if half_turn:  # what is conjugate is the field then
             np.multiply(self.spectra[1], scan, out=product)
         else:
             np.conjugate(scan, out=product)
@@ -132,17 +118,6 @@ class VectorSpectrum:
             np.negative(result, out=out)
         else:
             np.copyto(out, result)
-
-
-def _plane(shape: tuple[int, int], reach: tuple[int, int]) -> tuple[int, int]:
-    """Rows and columns that a transform is fast for, and that nothing wraps around in."""
-    rows, columns = (cv2.getOptimalDFTSize(n + r) for n, r in zip(shape, reach, strict=True))
-    return rows, columns
-
-
-def _flat(offsets: IntArray, shape: tuple[int, int]) -> IntArray:
-    """Where (n, 2) offsets lie in a plane that wraps around."""
-    return np.asarray(offsets[:, 0] % shape[0] * shape[1] + offsets[:, 1] % shape[1])
 
 
 def multiply_packed(
@@ -177,7 +152,6 @@ def spectral_stack(
     weights: Float32Array,
     threads: int,
     out: Float32Array,
-    *,
     exact: bool,
     finish: Finish,
 ) -> None:
@@ -186,16 +160,9 @@ def spectral_stack(
     The parameters are those of :func:`imgloc.likelihood.kernels.filter2d_stack`, but that sums of
     a vector field cannot be exact, and that a thread takes pairs of opposite headings.
     """
-    _, height, width = image.shape
-    near = np.all(np.abs(offsets) < (height, width), axis=2)  # the others miss from every pose
-    reach = np.where(near[..., None], np.abs(offsets), 0).max(axis=(0, 1), initial=0)
-    pad = int(reach[0]), int(reach[1])
-    spectrum: Spectrum | VectorSpectrum
-    if len(image) == 2:
-        spectrum = VectorSpectrum(image, pad)
-    else:
-        spectrum = Spectrum(image, pad, _kernel_norm(offsets) if exact else 0.0, exact)
-    units = _opposite_headings(offsets)
+    near, reach = reach_of(offsets, image.shape)
+    kind = VectorSpectrum if len(image) == 2 else Spectrum
+    spectrum = kind(image, reach, exact, exact and needs_double(image[0], offsets))
 
     def work(share: Sequence[tuple[int, int | None]]) -> None:
         scratch = spectrum.scratch()
@@ -207,24 +174,16 @@ def spectral_stack(
                 spectrum.correlate(scratch, out[opposite], half_turn=True)
                 finish(out[opposite])
 
-    over_slices(work, units, threads)
+    over_slices(work, _opposite_headings(offsets), threads)
 
 
 def needs_double(image: npt.NDArray[np.generic], offsets: IntArray) -> bool:
     """Tell whether exact sums of these scans (K, N, 2) over the image need double precision."""
-    return _doubtful(np.asarray(image, dtype=np.float64), _kernel_norm(offsets))
-
-
-def _doubtful(values: FloatArray, weight: float) -> bool:
-    # Not np.linalg.norm, which wakes the threads of a BLAS.
-    return EPSILON * weight * float(np.sqrt(np.square(values).sum())) > ALLOWED_ERROR
-
-
-def _kernel_norm(offsets: IntArray) -> float:
-    """Return the largest norm of a scan drawn with weight 1: readings may share cells."""
-    keys = (offsets[..., 0] << 32) + offsets[..., 1]
+    keys = (offsets[..., 0] << 32) + offsets[..., 1]  # readings may share cells
     norms = (float(np.linalg.norm(np.unique(key, return_counts=True)[1])) for key in keys)
-    return max(norms, default=0.0)
+    # Not np.linalg.norm, which wakes the threads of a BLAS.
+    norm = float(np.sqrt(np.square(np.asarray(image, dtype=np.float64)).sum()))
+    return EPSILON * max(norms, default=0.0) * norm > ALLOWED_ERROR
 
 
 def _opposite_headings(offsets: IntArray) -> list[tuple[int, int | None]]:

@@ -24,39 +24,27 @@ def stack_of(
     Parameters
     ----------
     method : str
-        A name of :data:`imgloc.options.METHODS`.
+        A name of :data:`imgloc.options.METHODS`; if it has no stack, a ConfigError.
     features : MapFeatures
     scan : LaserScan
     thetas : (K,) float array
         Uniform over the circle and starting at 0, radians.
-    engine : str
-        Of the correlations, see :mod:`imgloc.likelihood.correlate`.
-    threads : int
-        No result depends on it.
+    engine, threads
+        As of :func:`~imgloc.likelihood.correlate.correlate`.
     memory_budget : int, optional
-        Bytes that the ray distances of ``beam`` may take; None is the map's own budget.
-
-    Raises
-    ------
-    ConfigError
-        If the method has no stack, or the ray distances are over the budget.
+        Bytes that the ray distances of ``beam`` may take, or it is a ConfigError; None is the
+        map's own budget.
     """
     f, (shape, cell) = features, (features.lattice.shape, features.lattice.resolution)
     if method == "cbml":
         xy = scan_xy(scan)[scan.valid]
         return cbml(f.bmap, xy, thetas, cell, engine=engine, threads=threads)
     if method == "beam":
+        distances = f.ray_distances_within(memory_budget or f.memory_budget)
         return beam(
-            f.ray_distances_within(memory_budget or f.memory_budget),
-            scan.ranges,
-            scan.angles,
-            scan.valid,
-            scan.no_return,
-            thetas,
-            sigma=cell / 2,
-            sigma_theta=heading_sigma(len(thetas)),
-            threads=threads,
-        )
+            distances, scan.ranges, scan.angles, scan.valid, scan.no_return, thetas,
+            sigma=cell / 2, sigma_theta=heading_sigma(len(thetas)), threads=threads,
+        )  # fmt: skip
     points = scan_points(scan.ranges, scan.angles, scan.valid)
     if method == "cbml-o":
         return cbml_o(f.vmap, points, thetas, cell, engine=engine, threads=threads)
