@@ -11,6 +11,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import typer
@@ -24,14 +25,7 @@ INTERRUPTED = 128 + 2  # as a shell reports a process that SIGINT ended
 PIPE_CLOSED = 128 + 13  # and SIGPIPE
 
 
-class _Session:
-    """Switches of one run of the command line."""
-
-    debug = False
-    verbose = False
-
-
-_SESSION = _Session()
+_SESSION = SimpleNamespace(debug=False)  # switches of one run of the command line
 
 
 class Group(TyperGroup):
@@ -49,36 +43,31 @@ class Group(TyperGroup):
         try:
             result = super().invoke(ctx)
             _flush()
-        except ImglocError as e:
-            _trace()
-            say(f"error: {one_line(e)}")
-            code = e.exit_code
         except KeyboardInterrupt:
             say("interrupted")
-            code = INTERRUPTED
+            raise typer.Exit(INTERRUPTED) from None
         except BrokenPipeError:  # `| head` has seen enough
             _drop_stdout()
-            code = PIPE_CLOSED
-        except (typer.Exit, typer.Abort):
-            raise
-        except MemoryError:
-            _trace()
-            say("error: out of memory; a smaller map, a larger --cell or fewer --threads need less")
-            code = 1
+            raise typer.Exit(PIPE_CLOSED) from None
         except Exception as e:
-            if hasattr(e, "show"):  # a usage error, which Typer prints itself
-                raise
-            _trace()
-            say(f"internal error: {type(e).__name__}: {one_line(e)} (a defect; see --debug)")
-            code = 1
-        else:
-            return result
-        raise typer.Exit(code)
+            if isinstance(e, typer.Exit | typer.Abort) or hasattr(e, "show"):
+                raise  # the last is a usage error, which Typer prints itself
+            if _SESSION.debug:
+                traceback.print_exc()
+            if isinstance(e, ImglocError):
+                say(f"error: {one_line(e)}")
+            elif isinstance(e, MemoryError):
+                less = "a smaller map, a larger --cell or fewer --threads need less"
+                say(f"error: out of memory; {less}")
+            else:
+                say(f"internal error: {type(e).__name__}: {one_line(e)} (a defect; see --debug)")
+            raise typer.Exit(e.exit_code if isinstance(e, ImglocError) else 1) from None
+        return result
 
 
 def configure(*, verbose: bool, debug: bool) -> None:
     """Set the switches of this run: logs on standard error, tracebacks."""
-    _SESSION.verbose, _SESSION.debug = verbose, debug
+    _SESSION.debug = debug
     handler = logging.StreamHandler()  # of this run's stderr
     handler.setFormatter(logging.Formatter("imgloc: %(message)s"))
     LOG.handlers[:] = [handler]
@@ -148,7 +137,6 @@ def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable
     ----------
     title : str
     total : int
-        Number of steps.
     lines : bool
         Each step writes a line of the result; on one terminal those are progress enough.
 
@@ -159,7 +147,7 @@ def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable
     """
     crowded = lines and total > 1 and sys.stdout is not None and sys.stdout.isatty()
     terminal = sys.stderr is not None and sys.stderr.isatty()
-    if not terminal or crowded or _SESSION.verbose:
+    if not terminal or crowded or LOG.isEnabledFor(logging.INFO):
         yield lambda: None
         return
     from rich.console import Console
@@ -173,11 +161,6 @@ def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable
     ) as bar:
         task = bar.add_task(title, total=total if total > 1 else None)
         yield lambda: bar.advance(task)
-
-
-def _trace() -> None:
-    if _SESSION.debug:
-        traceback.print_exc()
 
 
 def _flush() -> None:

@@ -4,18 +4,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from imgloc.cli import inputs
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress
 from imgloc.errors import ConfigError
-
-if TYPE_CHECKING:
-    from imgloc.io.maps import Reading
-    from imgloc.simulate import Sensor
+from imgloc.io.files import display
 
 _METHODS = ",".join(opt.MethodName)
 _MAX_SCANS = 100_000
@@ -29,8 +25,8 @@ def evaluate(
             metavar="MAP...", help="map_server YAML, image, or the name of a bundled map."
         ),
     ],
-    sensor: "Sensor",
-    reading: "Reading",
+    sensor: "opt.Sensor",
+    reading: "opt.Reading",
     resources: opt.Take,
     methods: Annotated[str, opt.option("NAMES", "With commas between.")] = _METHODS,
     count: Annotated[
@@ -61,7 +57,12 @@ def evaluate(
         list[str] | None, opt.option("[METHOD=]M", "Cell of the poses, metres. [default: 0.1]")
     ] = None,
     floor: Annotated[
-        float, opt.option("P", "Share of the uniform density mixed into each, for S.")
+        float,
+        opt.option(
+            "P",
+            "Share of the uniform density mixed into each, for S.",
+            within=(1e-12, 0.5, "a share"),
+        ),
     ] = 1e-3,
     as_json: opt.AsJson = False,
     allow_lossy: opt.AllowLossy = False,
@@ -75,23 +76,21 @@ def evaluate(
     its cells: 3 degrees (cbml, cbml-o, beam) and 30 (ght, ght-v).
     Everything but what is under "cost" is the same in every run.
     """
-    chosen = opt.methods_of(methods, list(opt.MethodName))
-    steps = opt.for_each("--theta-step-deg", theta_step_deg, chosen, 0.05, 180, "degrees")
-    cells = opt.for_each("--cell", cell, chosen, 0.001, 10, "metres")
-    opt.check_range("--range-max", range_max, 1e-3, 10_000 if scans is None else 1e6, "metres")
-    opt.check_range("--floor", floor, 1e-12, 0.5, "a share")
-    tolerances = [_tolerance(text) for text in tolerance or ()]
-    _check_sources(maps, scans, count, sample, sensor, flipped=flipped)
-
+    from imgloc.cli import inputs
     from imgloc.evaluate import TOLERANCES, Tolerance, method_options
     from imgloc.evaluate import evaluate as measure
     from imgloc.io.calibration import calibration_path, load_calibrations
-    from imgloc.io.files import display
     from imgloc.output.json import evaluation_row, to_json
     from imgloc.output.tables import evaluation_tables
     from imgloc.pipeline import prepare
     from imgloc.simulate import fine_image, is_world, sample_set, simulate_set
 
+    chosen = opt.methods_of(methods, list(opt.MethodName))
+    steps = opt.for_each("--theta-step-deg", theta_step_deg, chosen, *opt.STEP)
+    cells = opt.for_each("--cell", cell, chosen, *opt.SIDE)
+    opt.check_range("--range-max", range_max, 1e-3, 10_000 if scans is None else 1e6, "metres")
+    tolerances = [_tolerance(text) for text in tolerance or ()]
+    _check_sources(maps, scans, count, sample, sensor, flipped=flipped)
     taken = resources()
     budget = taken.memory_budget
     within = (*TOLERANCES, *(Tolerance(m, math.radians(deg)) for m, deg in tolerances))
@@ -149,7 +148,7 @@ def evaluate(
 
 def _check_sources(
     maps: Sequence[Path], scans: Sequence[Path] | None, count: int | None, sample: int | None,
-    sensor: "Sensor", *, flipped: bool,
+    sensor: "opt.Sensor", *, flipped: bool,
 ) -> None:  # fmt: skip
     """Refuse options that would be ignored."""
     from imgloc.simulate import Sensor

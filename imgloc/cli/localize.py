@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imgloc.cli import inputs
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress
 from imgloc.errors import ConfigError
+from imgloc.io.files import display, write_text_atomic
 
 if TYPE_CHECKING:
     from imgloc.features.mapfeatures import MapFeatures
-    from imgloc.io.maps import Reading
     from imgloc.model import LaserScan
     from imgloc.options import Options
 
@@ -28,7 +27,7 @@ def localize(
     scans_path: opt.ScansPath,
     known: opt.Known,
     mounting: opt.Mounting,
-    reading: "Reading",
+    reading: "opt.Reading",
     resources: opt.Take,
     method: Annotated[
         opt.MethodName,
@@ -54,7 +53,8 @@ def localize(
     ] = False,
     range_max: opt.Cut = None,
     theta_step_deg: Annotated[
-        float | None, opt.option("DEG", "Step of the headings. [default: the method's own]")
+        float | None,
+        opt.option("DEG", "Step of the headings. [default: the method's own]", within=opt.STEP),
     ] = None,
     cell: opt.Cell = 0.1,
     engine: Annotated[
@@ -73,6 +73,7 @@ def localize(
             "S",
             "Seconds for each scan: then the best so far, marked as not complete. Such "
             "answers depend on the machine.",
+            within=(0.001, 1e6, "seconds"),
         ),
     ] = None,
     cache: Annotated[
@@ -91,10 +92,17 @@ def localize(
     best pose does not explain the scan), invalid (too few readings). Poses are those of the sensor,
     in the map frame. Look at the mass of the second hypothesis before trusting the first.
     """
-    opt.check_range("--range-max", range_max, 1e-3, 1e6, "metres")
-    opt.check_range("--theta-step-deg", theta_step_deg, 0.05, 180, "degrees")
-    opt.check_range("--cell", cell, 0.001, 10, "metres")
-    opt.check_range("--time-budget", time_budget, 0.001, 1e6, "seconds")
+    from imgloc.cli import inputs
+    from imgloc.explain import explain as reasons
+    from imgloc.io.calibration import calibration_path, load_calibrations
+    from imgloc.model import Pose2D
+    from imgloc.output.json import answer_row, to_json
+    from imgloc.output.pages import render_explanation
+    from imgloc.output.pictures import draw
+    from imgloc.output.tables import answer_header, answer_line, answer_text
+    from imgloc.pipeline import check_options
+    from imgloc.pipeline import localize as locate
+
     if cache is not None and no_cache:
         raise ConfigError("--cache and --no-cache: expected one of them")
     if engine != opt.EngineName.AUTO and method not in (opt.MethodName.CBML, opt.MethodName.CBML_O):
@@ -104,18 +112,6 @@ def localize(
         inputs.check_target(picture, ".png", force=force, inputs=read)
     if explain is not None:
         inputs.check_target(explain, ".html", force=force)
-
-    from imgloc.explain import explain as reasons
-    from imgloc.io.calibration import calibration_path, load_calibrations
-    from imgloc.io.files import display, write_text_atomic
-    from imgloc.model import Pose2D
-    from imgloc.output.json import answer_row, to_json
-    from imgloc.output.pages import render_explanation
-    from imgloc.output.pictures import draw
-    from imgloc.output.tables import answer_header, answer_line, answer_text
-    from imgloc.pipeline import check_options
-    from imgloc.pipeline import localize as locate
-
     taken = resources()
     grid = inputs.load_grid(
         map_path, taken.memory_budget, allow_lossy=allow_lossy, usable=False, **reading
@@ -170,7 +166,7 @@ def localize(
                 LOG.info("wrote %s", display(pages[k]))
             advance()
             if as_json:
-                about = {"range_max": scan.range_max, **mounting.about}
+                about = {"range_max": scan.range_max, "sensor": mount, "flipped": mounting.flipped}
                 emit(to_json(answer_row(answer, k, about, mount)))
             elif many:
                 emit(answer_line(k, answer, mount))

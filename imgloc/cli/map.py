@@ -6,31 +6,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from imgloc.cli import inputs
 from imgloc.cli import options as opt
 from imgloc.cli.console import emit, quiet_libraries, say
 from imgloc.errors import ConfigError, MapError
+from imgloc.io.files import display
 
 if TYPE_CHECKING:
-    from imgloc.io.maps import Reading
     from imgloc.model import OccupancyGrid
 
 
-class Subject(StrEnum):
-    """What `imgloc map show` draws."""
-
-    MAP = "map"
-    BMAP = "bmap"
-    VMAP = "vmap"
-    SURFACE = "surface"
-    VISIBILITY = "visibility"
-    DISTANCE = "distance"
+Subject = StrEnum("Subject", ("MAP", "BMAP", "VMAP", "SURFACE", "VISIBILITY", "DISTANCE"))
 
 
 @opt.with_options(opt.reading, opt.console)
 def check(
     map_path: opt.MapPath,
-    reading: "Reading",
+    reading: "opt.Reading",
     as_json: opt.AsJson = False,
     strict: Annotated[bool, opt.flag("--strict", "Exit with 3 if there is any warning.")] = False,
     memory_budget: opt.MemoryBudget = None,
@@ -40,6 +31,7 @@ def check(
     A map without walls or without free space is reported, not refused; a file that cannot be read
     exits with 3.
     """
+    from imgloc.cli import inputs
     from imgloc.io.mapcheck import check_bytes, check_map
     from imgloc.output.json import report_row, to_json
     from imgloc.output.tables import report_text
@@ -56,7 +48,7 @@ def check(
 def show(
     map_path: opt.MapPath,
     out: Annotated[Path, opt.option("PNG", "Picture to write.", show_default=False)],
-    reading: "Reading",
+    reading: "opt.Reading",
     what: Annotated[
         Subject,
         typer.Option(
@@ -74,26 +66,30 @@ def show(
     ] = None,
     sigma: Annotated[
         float | None,
-        opt.option("M", "Blur of bmap and vmap, standard deviation, metres. [default: 0.1]"),
+        opt.option(
+            "M",
+            "Blur of bmap and vmap, standard deviation, metres. [default: 0.1]",
+            within=(0.001, 100, "metres"),
+        ),
     ] = None,
-    cell: Annotated[float | None, opt.option("M", "Cell of bmap and vmap, metres.")] = None,
+    cell: Annotated[
+        float | None, opt.option("M", "Cell of bmap and vmap, metres.", within=opt.SIDE)
+    ] = None,
     memory_budget: opt.MemoryBudget = None,
     force: opt.Force = False,
     allow_lossy: opt.AllowLossy = False,
 ) -> None:
     """Draw a map, or what is computed from it, into a PNG."""
+    from imgloc.cli import inputs
+    from imgloc.features.mapfeatures import MapFeatures
+    from imgloc.output.pictures import draw
+
     inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
-    opt.check_range("--sigma", sigma, 0.001, 100, "metres")
-    opt.check_range("--cell", cell, 0.001, 10, "metres")
     if at is not None and what != Subject.VISIBILITY:
         raise ConfigError("--at: only --what visibility is drawn at a point")
     for option, value in (("--sigma", sigma), ("--cell", cell)):
         if value is not None and what not in (Subject.BMAP, Subject.VMAP):
             raise ConfigError(f"{option}: only --what bmap and --what vmap are blurred")
-    from imgloc.features.mapfeatures import MapFeatures
-    from imgloc.io.files import display
-    from imgloc.output.pictures import draw
-
     grid = inputs.load_grid(
         map_path, opt.fixed_budget(memory_budget),
         allow_lossy=allow_lossy, usable=what != Subject.MAP, **reading,
