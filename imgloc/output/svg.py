@@ -57,9 +57,9 @@ ENVIRONMENT.filters["n"] = number
 ENVIRONMENT.globals["shapes"] = SHAPES
 
 
-def macro(name: str, /, **values: Any) -> Markup:
-    """Render a macro of ``templates/svg.html``."""
-    rendered: Markup = getattr(ENVIRONMENT.get_template("svg.html").module, name)(**values)
+def macro(name: str, template: str = "svg.html", /, **values: Any) -> Markup:
+    """Render a macro of a template."""
+    rendered: Markup = getattr(ENVIRONMENT.get_template(template).module, name)(**values)
     return rendered
 
 
