@@ -1,7 +1,6 @@
 """The command line: parses, calls and prints. What it calls is imported when a command runs."""
 
 from collections.abc import Callable, Sequence
-from typing import Annotated
 
 import typer
 
@@ -55,9 +54,9 @@ def _version(wanted: bool) -> None:
 
 @app.callback(help=_HELP)
 def root(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
-    ] = False,
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Print the version."
+    ),
 ) -> None:
     """Options of the program itself."""
 

@@ -15,20 +15,17 @@ _MOST = 20_000
 @opt.with_options(opt.sensor, opt.reading, opt.console)
 def atlas(
     map_path: opt.MapPath,
-    out: Annotated[Path, opt.option("PNG", "Picture to write.", show_default=False)],
+    out: Annotated[Path, opt.option(..., "PNG", "Picture to write.", show_default=False)],
     sensor: "opt.Sensor",
     reading: "opt.Reading",
-    csv: Annotated[Path | None, opt.option("CSV", "Write a row for each pose, too.")] = None,
-    step: Annotated[
-        float, opt.option("M", "Metres between places.", within=(0.02, 1000, "metres"))
-    ] = 0.5,
-    headings: Annotated[int, opt.option("K", "Headings at each place.", min=1, max=72)] = 4,
+    csv: Path | None = opt.option(None, "CSV", "Write a row for each pose, too."),
+    step: float = opt.option(0.5, "M", "Metres between places.", within=(0.02, 1000, "metres")),
+    headings: int = opt.option(4, "K", "Headings at each place.", min=1, max=72),
     range_max: opt.Reach = 30.0,
     seed: opt.Seed = 0,
-    workers: Annotated[
-        int | None,
-        opt.option("N", "Processes; no result depends on it. [default: all processors]", min=1),
-    ] = None,
+    workers: int | None = opt.option(
+        None, "N", "Processes; no result depends on it. [default: all processors]", min=1
+    ),
     memory_budget: opt.MemoryBudget = None,
     as_json: opt.AsJson = False,
     force: opt.Force = False,

@@ -30,27 +30,16 @@ def calibrate(
     sensor: "opt.Sensor",
     reading: "opt.Reading",
     resources: opt.Take,
-    methods: Annotated[str, opt.option("NAMES", "With commas between.")] = ",".join(_STACKS),
-    count: Annotated[
-        int, opt.option("N", "Scans of each map.", "-n", "--count", min=1, max=10_000)
-    ] = 30,
-    seed: Annotated[
-        int, opt.option("N", "Of what is simulated; evaluate with another.", min=0)
-    ] = 1000,
-    range_max: Annotated[
-        float, opt.option("M", "Reach of the simulated sensor.", within=opt.REACH)
-    ] = 30.0,
-    theta_step_deg: Annotated[
-        list[str] | None,
-        opt.option("[METHOD=]DEG", "Step of the headings. [default: the method's]"),
-    ] = None,
+    methods: str = opt.option(",".join(_STACKS), "NAMES", "With commas between."),
+    count: int = opt.option(30, "N", "Scans of each map.", "-n", "--count", min=1, max=10_000),
+    seed: int = opt.option(1000, "N", "Of what is simulated; evaluate with another.", min=0),
+    range_max: float = opt.option(30.0, "M", "Reach of the simulated sensor.", within=opt.REACH),
+    theta_step_deg: list[str] | None = opt.option(
+        None, "[METHOD=]DEG", "Step of the headings. [default: the method's]"
+    ),
     cell: opt.Cell = 0.1,
-    clean: Annotated[
-        bool, opt.flag("--clean", "Disturb no scan. [default: two thirds are, as by people]")
-    ] = False,
-    dry_run: Annotated[
-        bool, opt.flag("--dry-run", "Store nothing, only show what would be.")
-    ] = False,
+    clean: bool = opt.flag("--clean", "Disturb no scan. [default: two thirds are, as by people]"),
+    dry_run: bool = opt.flag("--dry-run", "Store nothing, only show what would be."),
     as_json: opt.AsJson = False,
     force: opt.Force = False,
     allow_lossy: opt.AllowLossy = False,

@@ -5,7 +5,6 @@ import os
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit
@@ -21,16 +20,14 @@ DemoMap = StrEnum("DemoMap", ("DOUBLE_WALL", "VISIBILITY", "LARGE", "CURVED", "C
 @opt.with_options(opt.resources, opt.console)
 def demo(
     resources: opt.Take,
-    name: Annotated[DemoMap, opt.flag("--map", "Bundled map.")] = DemoMap.DOUBLE_WALL,
-    seed: Annotated[int, opt.option("N", "Seed of the pose and of the noise.", min=0)] = 0,
-    out: Annotated[
-        Path | None,
-        opt.option(
-            "PNG",
-            "Picture to write. [default: imgloc-demo.png here, or the next free name]",
-            show_default=False,
-        ),
-    ] = None,
+    name: DemoMap = opt.flag("--map", "Bundled map.", DemoMap.DOUBLE_WALL),
+    seed: int = opt.option(0, "N", "Seed of the pose and of the noise.", min=0),
+    out: Path | None = opt.option(
+        None,
+        "PNG",
+        "Picture to write. [default: imgloc-demo.png here, or the next free name]",
+        show_default=False,
+    ),
     force: opt.Force = False,
 ) -> None:
     """Simulate a scan in a bundled map, localize it, draw the answer.

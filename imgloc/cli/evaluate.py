@@ -28,42 +28,37 @@ def evaluate(
     sensor: "opt.Sensor",
     reading: "opt.Reading",
     resources: opt.Take,
-    methods: Annotated[str, opt.option("NAMES", "With commas between.")] = _METHODS,
-    count: Annotated[
-        int | None, opt.option("N", "Scans simulated. [default: 100]", "-n", "--count", min=1)
-    ] = None,
-    seed: Annotated[int, opt.option("N", "Seed of what is simulated.", min=0)] = 0,
-    range_max: Annotated[
-        float | None,
-        opt.option("M", "Reach of the simulated sensor [default: 30]; cuts recorded readings."),
-    ] = None,
-    scans: Annotated[
-        list[Path] | None, opt.option("FILE", "Recorded scans with poses; once for each MAP.")
-    ] = None,
-    sample: Annotated[
-        int | None, opt.option("N", "Of the recorded scans take N. [default: all]", min=1)
-    ] = None,
-    sample_seed: Annotated[int, opt.option("N", "Seed that decides which.", min=0)] = 1,
+    methods: str = opt.option(_METHODS, "NAMES", "With commas between."),
+    count: int | None = opt.option(
+        None, "N", "Scans simulated. [default: 100]", "-n", "--count", min=1
+    ),
+    seed: int = opt.option(0, "N", "Seed of what is simulated.", min=0),
+    range_max: float | None = opt.option(
+        None, "M", "Reach of the simulated sensor [default: 30]; cuts recorded readings."
+    ),
+    scans: list[Path] | None = opt.option(
+        None, "FILE", "Recorded scans with poses; once for each MAP."
+    ),
+    sample: int | None = opt.option(
+        None, "N", "Of the recorded scans take N. [default: all]", min=1
+    ),
+    sample_seed: int = opt.option(1, "N", "Seed that decides which.", min=0),
     flipped: opt.Flipped = False,
-    tolerance: Annotated[
-        list[str] | None,
-        opt.option("M,DEG", "Report success within this too; the last rules unique, wrong."),
-    ] = None,
-    theta_step_deg: Annotated[
-        list[str] | None,
-        opt.option("[METHOD=]DEG", "Step of the headings. [default: as in the paper]"),
-    ] = None,
-    cell: Annotated[
-        list[str] | None, opt.option("[METHOD=]M", "Cell of the poses, metres. [default: 0.1]")
-    ] = None,
-    floor: Annotated[
-        float,
-        opt.option(
-            "P",
-            "Share of the uniform density mixed into each, for S.",
-            within=(1e-12, 0.5, "a share"),
-        ),
-    ] = 1e-3,
+    tolerance: list[str] | None = opt.option(
+        None, "M,DEG", "Report success within this too; the last rules unique, wrong."
+    ),
+    theta_step_deg: list[str] | None = opt.option(
+        None, "[METHOD=]DEG", "Step of the headings. [default: as in the paper]"
+    ),
+    cell: list[str] | None = opt.option(
+        None, "[METHOD=]M", "Cell of the poses, metres. [default: 0.1]"
+    ),
+    floor: float = opt.option(
+        1e-3,
+        "P",
+        "Share of the uniform density mixed into each, for S.",
+        within=(1e-12, 0.5, "a share"),
+    ),
     as_json: opt.AsJson = False,
     allow_lossy: opt.AllowLossy = False,
 ) -> None:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -29,60 +29,43 @@ def localize(
     mounting: opt.Mounting,
     reading: "opt.Reading",
     resources: opt.Take,
-    method: Annotated[
-        opt.MethodName,
-        typer.Option(help="How: fused searches and re-scores, the others are the paper's stacks."),
-    ] = opt.MethodName.FUSED,
-    top: Annotated[int, opt.option("N", "Hypotheses listed for a scan.", min=1)] = 5,
+    method: opt.MethodName = typer.Option(
+        opt.MethodName.FUSED,
+        help="How: fused searches and re-scores, the others are the paper's stacks.",
+    ),
+    top: int = opt.option(5, "N", "Hypotheses listed for a scan.", min=1),
     as_json: opt.AsJson = False,
-    picture: Annotated[
-        Path | None,
-        opt.option(
-            "PNG", "Draw the scan at each hypothesis; several scans: NAME-0003.png and so on."
-        ),
-    ] = None,
-    explain: Annotated[
-        Path | None,
-        opt.option(
-            "HTML", "Say why, ray by ray, on a page of its own; several scans: NAME-0003.html."
-        ),
-    ] = None,
+    picture: Path | None = opt.option(
+        None, "PNG", "Draw the scan at each hypothesis; several scans: NAME-0003.png and so on."
+    ),
+    explain: Path | None = opt.option(
+        None, "HTML", "Say why, ray by ray, on a page of its own; several scans: NAME-0003.html."
+    ),
     index: opt.Index = None,
-    strict: Annotated[
-        bool, opt.flag("--strict", "Exit with 6 unless every scan is unique.")
-    ] = False,
+    strict: bool = opt.flag("--strict", "Exit with 6 unless every scan is unique."),
     range_max: opt.Cut = None,
-    theta_step_deg: Annotated[
-        float | None,
-        opt.option("DEG", "Step of the headings. [default: the method's own]", within=opt.STEP),
-    ] = None,
+    theta_step_deg: float | None = opt.option(
+        None, "DEG", "Step of the headings. [default: the method's own]", within=opt.STEP
+    ),
     cell: opt.Cell = 0.1,
-    engine: Annotated[
-        opt.EngineName, typer.Option(help="Of the correlations of cbml and cbml-o.")
-    ] = opt.EngineName.AUTO,
-    exact_argmax: Annotated[
-        bool,
-        opt.flag(
-            "--exact-argmax",
-            "Branch and bound: the best poses of cbml without its stack; to fused, more proposals.",
-        ),
-    ] = False,
-    time_budget: Annotated[
-        float | None,
-        opt.option(
-            "S",
-            "Seconds for each scan: then the best so far, marked as not complete. Such "
-            "answers depend on the machine.",
-            within=(0.001, 1e6, "seconds"),
-        ),
-    ] = None,
-    cache: Annotated[
-        Path | None,
-        opt.option("DIR", "Where prepared maps are kept. [default: the user's cache folder]"),
-    ] = None,
-    no_cache: Annotated[
-        bool, opt.flag("--no-cache", "Prepare the map anew and keep nothing.")
-    ] = False,
+    engine: opt.EngineName = typer.Option(
+        opt.EngineName.AUTO, help="Of the correlations of cbml and cbml-o."
+    ),
+    exact_argmax: bool = opt.flag(
+        "--exact-argmax",
+        "Branch and bound: the best poses of cbml without its stack; to fused, more proposals.",
+    ),
+    time_budget: float | None = opt.option(
+        None,
+        "S",
+        "Seconds for each scan: then the best so far, marked as not complete. Such "
+        "answers depend on the machine.",
+        within=(0.001, 1e6, "seconds"),
+    ),
+    cache: Path | None = opt.option(
+        None, "DIR", "Where prepared maps are kept. [default: the user's cache folder]"
+    ),
+    no_cache: bool = opt.flag("--no-cache", "Prepare the map anew and keep nothing."),
     force: opt.Force = False,
     allow_lossy: opt.AllowLossy = False,
 ) -> None:

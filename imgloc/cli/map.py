@@ -23,7 +23,7 @@ def check(
     map_path: opt.MapPath,
     reading: "opt.Reading",
     as_json: opt.AsJson = False,
-    strict: Annotated[bool, opt.flag("--strict", "Exit with 3 if there is any warning.")] = False,
+    strict: bool = opt.flag("--strict", "Exit with 3 if there is any warning."),
     memory_budget: opt.MemoryBudget = None,
 ) -> None:
     """Report what is in a map, and what is likely to be wrong with it.
@@ -47,34 +47,26 @@ def check(
 @opt.with_options(opt.reading, opt.console)
 def show(
     map_path: opt.MapPath,
-    out: Annotated[Path, opt.option("PNG", "Picture to write.", show_default=False)],
+    out: Annotated[Path, opt.option(..., "PNG", "Picture to write.", show_default=False)],
     reading: "opt.Reading",
-    what: Annotated[
-        Subject,
-        typer.Option(
-            help="The map as it is read; blurred (bmap); normals, blurred (vmap); surface points "
-            "with normals; what one surface point sees; distance to the nearest wall."
-        ),
-    ] = Subject.MAP,
-    at: Annotated[
-        Any,
-        opt.option(
-            "X,Y",
-            "For visibility: near here, metres, map frame. [default: what sees most]",
-            parser=opt.numbers(2),
-        ),
-    ] = None,
-    sigma: Annotated[
-        float | None,
-        opt.option(
-            "M",
-            "Blur of bmap and vmap, standard deviation, metres. [default: 0.1]",
-            within=(0.001, 100, "metres"),
-        ),
-    ] = None,
-    cell: Annotated[
-        float | None, opt.option("M", "Cell of bmap and vmap, metres.", within=opt.SIDE)
-    ] = None,
+    what: Subject = typer.Option(
+        Subject.MAP,
+        help="The map as it is read; blurred (bmap); normals, blurred (vmap); surface points "
+        "with normals; what one surface point sees; distance to the nearest wall.",
+    ),
+    at: Any = opt.option(
+        None,
+        "X,Y",
+        "For visibility: near here, metres, map frame. [default: what sees most]",
+        parser=opt.numbers(2),
+    ),
+    sigma: float | None = opt.option(
+        None,
+        "M",
+        "Blur of bmap and vmap, standard deviation, metres. [default: 0.1]",
+        within=(0.001, 100, "metres"),
+    ),
+    cell: float | None = opt.option(None, "M", "Cell of bmap and vmap, metres.", within=opt.SIDE),
     memory_budget: opt.MemoryBudget = None,
     force: opt.Force = False,
     allow_lossy: opt.AllowLossy = False,

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from imgloc.simulate import Sensor as Sensor
 
 F = TypeVar("F", bound=Callable[..., None])
+Range = tuple[float, float, str]  # lowest, highest, unit
 _UNITS = {"": 0, "K": 10, "M": 20, "G": 30, "T": 40}
 RADIUS, TOLERANCE = 2.0, 0.8
 """How far from --near a robot may be, and turned how far, unless stated: metres, radians."""
@@ -109,11 +110,7 @@ def find_map(path: str | Path) -> Path:
 
 
 def option(
-    metavar: str,
-    text: str,
-    *names: str,
-    within: tuple[float, float, str] | None = None,
-    **more: Any,
+    default: Any, metavar: str, text: str, *names: str, within: Range | None = None, **more: Any
 ) -> Any:
     """Declare an option: what stands for its value in the help, and what it is.
 
@@ -126,12 +123,12 @@ def option(
             return value
 
         more["callback"] = check
-    return typer.Option(*names, metavar=metavar, help=text, **more)
+    return typer.Option(default, *names, metavar=metavar, help=text, **more)
 
 
-def flag(names: str, text: str) -> Any:
+def flag(names: str, text: str, default: Any = False) -> Any:
     """Declare an option without a value."""
-    return typer.Option(names, help=text)
+    return typer.Option(default, names, help=text)
 
 
 MapPath = Annotated[
@@ -145,41 +142,41 @@ MapPath = Annotated[
 ScansPath = Annotated[
     Path, typer.Argument(metavar="SCANS", help="Scans: .npz, .csv, .jsonl, .ndjson or .json.")
 ]
-Index = Annotated[int | None, option("I", "Only scan I, counted from 0.", "--index", min=0)]
+Index = Annotated[int | None, option(..., "I", "Only scan I, counted from 0.", "--index", min=0)]
 _READINGS = "Cut readings at M metres: there, no return."
-Cut = Annotated[float | None, option("M", _READINGS, within=(1e-3, 1e6, "metres"))]
+Cut = Annotated[float | None, option(..., "M", _READINGS, within=(1e-3, 1e6, "metres"))]
 SHARE = (0, 1, "a share")
 REACH = (0.01, 10_000, "metres")
-Reach = Annotated[float, option("M", "Reach of the sensor, metres.", within=REACH)]
-Seed = Annotated[int, option("N", "Seed of everything random.", min=0)]
+Reach = Annotated[float, option(..., "M", "Reach of the sensor, metres.", within=REACH)]
+Seed = Annotated[int, option(..., "N", "Seed of everything random.", min=0)]
 SIDE = (0.001, 10, "metres")
-Cell = Annotated[float, option("M", "Cell of the poses, metres.", within=SIDE)]
+Cell = Annotated[float, option(..., "M", "Cell of the poses, metres.", within=SIDE)]
 STEP = (0.05, 180, "degrees")
-Flipped = Annotated[bool, flag("--flipped", "The sensor is upside down: its angles run clockwise.")]
-Force = Annotated[bool, flag("--force", "Overwrite output files that exist.")]
-AsJson = Annotated[bool, flag("--json", "Machine-readable: a JSON object a line.")]
+Flipped = Annotated[
+    bool, flag("--flipped", "The sensor is upside down: its angles run clockwise.", ...)
+]
+Force = Annotated[bool, flag("--force", "Overwrite output files that exist.", ...)]
+AsJson = Annotated[bool, flag("--json", "Machine-readable: a JSON object a line.", ...)]
 _MEMORY = "Refuse to take more memory, such as 512M or 2G. [default: half of what is available]"
-MemoryBudget = Annotated[Any, option("BYTES", _MEMORY, parser=byte_count)]
-AllowLossy = Annotated[bool, flag("--allow-lossy", "Accept a JPEG as the map.")]
+MemoryBudget = Annotated[Any, option(..., "BYTES", _MEMORY, parser=byte_count)]
+AllowLossy = Annotated[bool, flag("--allow-lossy", "Accept a JPEG as the map.", ...)]
 
 
 def reading(
-    resolution: Annotated[float | None, option("M", "Metres per cell.")] = None,
-    origin: Annotated[
-        Any,
-        option(
-            "X,Y,YAW",
-            "Pose of the lower-left corner in the map frame: metres, metres, radians.",
-            parser=numbers(3, pose="--origin"),
-        ),
-    ] = None,
-    mode: Annotated[ModeName | None, typer.Option(help="How greys are read.")] = None,
-    semantics: Annotated[
-        SemanticsName, typer.Option(help="Whose thresholds and transparency.")
-    ] = SemanticsName.NAV2,
-    occupied_thresh: Annotated[float | None, option("P", "Occupied from here on, 0..1.")] = None,
-    free_thresh: Annotated[float | None, option("P", "Free up to here, 0..1.")] = None,
-    negate: Annotated[bool | None, flag("--negate/--no-negate", "White is a wall.")] = None,
+    resolution: float | None = option(None, "M", "Metres per cell."),
+    origin: Any = option(
+        None,
+        "X,Y,YAW",
+        "Pose of the lower-left corner in the map frame: metres, metres, radians.",
+        parser=numbers(3, pose="--origin"),
+    ),
+    mode: ModeName | None = typer.Option(None, help="How greys are read."),
+    semantics: SemanticsName = typer.Option(
+        SemanticsName.NAV2, help="Whose thresholds and transparency."
+    ),
+    occupied_thresh: float | None = option(None, "P", "Occupied from here on, 0..1."),
+    free_thresh: float | None = option(None, "P", "Free up to here, 0..1."),
+    negate: bool | None = flag("--negate/--no-negate", "White is a wall.", None),
 ) -> "Reading":
     """Options that say how a map is read; they override its YAML."""
     return {
@@ -204,10 +201,9 @@ Take = Callable[[], Resources]
 
 
 def resources(
-    threads: Annotated[
-        int | None,
-        option("N", "Threads; no result depends on it. [default: all processors]", min=1),
-    ] = None,
+    threads: int | None = option(
+        None, "N", "Threads; no result depends on it. [default: all processors]", min=1
+    ),
     memory_budget: MemoryBudget = None,
 ) -> Take:
     """Options of what a command may take; call the result when its work begins."""
@@ -238,8 +234,8 @@ def count_threads(wanted: int | None) -> int:
 
 
 def console(
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say what is done.")] = False,
-    debug: Annotated[bool, flag("--debug", "Show tracebacks of errors.")] = False,
+    verbose: bool = typer.Option(False, "--verbose", "-v", help="Say what is done."),
+    debug: bool = flag("--debug", "Show tracebacks of errors."),
 ) -> None:
     """Options about what is said on standard error."""
     configure(verbose=verbose, debug=debug)
@@ -255,36 +251,29 @@ class Known(NamedTuple):
 
 
 def known(
-    near: Annotated[
-        Any,
-        option(
-            "X,Y,YAW[,R[,T]]",
-            "Only poses within R metres of a pose in the map frame and turned from it by at "
-            f"most T radians. [default: R = {RADIUS:g}, T = {TOLERANCE:g}]",
-            parser=numbers(3, 5),
-        ),
-    ] = None,
-    heading: Annotated[
-        Any,
-        option(
-            "YAW[,T]",
-            "Only poses with this heading in the map frame (a compass), up to T radians. "
-            f"[default: T = {TOLERANCE:g}]",
-            parser=numbers(1, 2),
-        ),
-    ] = None,
-    region: Annotated[
-        Path | None,
-        option("PNG", "Only poses in the white part of an image as large as the map's."),
-    ] = None,
-    clearance: Annotated[
-        float | None,
-        option(
-            "M",
-            "Only poses at least M metres from what is not free: the robot's size.",
-            within=(0, 1000, "metres"),
-        ),
-    ] = None,
+    near: Any = option(
+        None,
+        "X,Y,YAW[,R[,T]]",
+        "Only poses within R metres of a pose in the map frame and turned from it by at "
+        f"most T radians. [default: R = {RADIUS:g}, T = {TOLERANCE:g}]",
+        parser=numbers(3, 5),
+    ),
+    heading: Any = option(
+        None,
+        "YAW[,T]",
+        "Only poses with this heading in the map frame (a compass), up to T radians. "
+        f"[default: T = {TOLERANCE:g}]",
+        parser=numbers(1, 2),
+    ),
+    region: Path | None = option(
+        None, "PNG", "Only poses in the white part of an image as large as the map's."
+    ),
+    clearance: float | None = option(
+        None,
+        "M",
+        "Only poses at least M metres from what is not free: the robot's size.",
+        within=(0, 1000, "metres"),
+    ),
 ) -> Known:
     """Options of the prior."""
     if near is not None and len(near) > 3:
@@ -318,15 +307,13 @@ class Mounting:
 
 
 def mounting(
-    sensor: Annotated[
-        Any,
-        option(
-            "X,Y,YAW",
-            "Pose of the sensor on the robot (metres, radians): poses of the robot's base are "
-            "given too.",
-            parser=numbers(3, pose="--sensor"),
-        ),
-    ] = None,
+    sensor: Any = option(
+        None,
+        "X,Y,YAW",
+        "Pose of the sensor on the robot (metres, radians): poses of the robot's base are "
+        "given too.",
+        parser=numbers(3, pose="--sensor"),
+    ),
     flipped: Flipped = False,
 ) -> Mounting:
     """Options of the mounting."""
@@ -334,38 +321,31 @@ def mounting(
 
 
 def sensor(
-    rays: Annotated[int, option("N", "Readings of a scan.", min=1)] = 181,
-    fov_deg: Annotated[
-        float,
-        option("DEG", "Angle that a scan covers, degrees.", within=(0.01, 360, "degrees")),
-    ] = 180.0,
-    sigma: Annotated[
-        float,
-        option("M", "Standard deviation of a reading's noise, metres.", within=(0, 10, "metres")),
-    ] = 0.02,
-    outliers: Annotated[
-        float,
-        option("P", "Share of the rays that something unmapped stops, 0..1.", within=SHARE),
-    ] = 0.0,
-    dropped: Annotated[
-        float, option("P", "Share of the rays that give no measurement, 0..1.", within=SHARE)
-    ] = 0.0,
-    clearance: Annotated[
-        float,
-        option(
-            "M",
-            "Least distance of the robot from what is not free, metres.",
-            within=(0, 1000, "metres"),
-        ),
-    ] = 0.3,
-    mount: Annotated[
-        Any,
-        option(
-            "X,Y,YAW",
-            "Pose of the sensor on the robot: metres, metres, radians. [default: 0,0,0]",
-            parser=numbers(3, pose="--mount"),
-        ),
-    ] = None,
+    rays: int = option(181, "N", "Readings of a scan.", min=1),
+    fov_deg: float = option(
+        180.0, "DEG", "Angle that a scan covers, degrees.", within=(0.01, 360, "degrees")
+    ),
+    sigma: float = option(
+        0.02, "M", "Standard deviation of a reading's noise, metres.", within=(0, 10, "metres")
+    ),
+    outliers: float = option(
+        0.0, "P", "Share of the rays that something unmapped stops, 0..1.", within=SHARE
+    ),
+    dropped: float = option(
+        0.0, "P", "Share of the rays that give no measurement, 0..1.", within=SHARE
+    ),
+    clearance: float = option(
+        0.3,
+        "M",
+        "Least distance of the robot from what is not free, metres.",
+        within=(0, 1000, "metres"),
+    ),
+    mount: Any = option(
+        None,
+        "X,Y,YAW",
+        "Pose of the sensor on the robot: metres, metres, radians. [default: 0,0,0]",
+        parser=numbers(3, pose="--mount"),
+    ),
 ) -> "Sensor":
     """Options of a simulated sensor, but for its reach."""
     from imgloc.model import Pose2D

@@ -21,19 +21,18 @@ def sample(
     scans_path: opt.ScansPath,
     reading: "opt.Reading",
     resources: opt.Take,
-    out: Annotated[Path, opt.option("CSV", "File to write.", show_default=False)],
-    count: Annotated[int, opt.option("N", "Poses for each scan.", "-n", "--count", min=1)] = 500,
-    seed: Annotated[int, opt.option("N", "Of the draws.", min=0)] = 0,
-    method: Annotated[
-        opt.MethodName, typer.Option(help="Whose posterior; fused draws around its hypotheses.")
-    ] = opt.MethodName.FUSED,
+    out: Annotated[Path, opt.option(..., "CSV", "File to write.", show_default=False)],
+    count: int = opt.option(500, "N", "Poses for each scan.", "-n", "--count", min=1),
+    seed: int = opt.option(0, "N", "Of the draws.", min=0),
+    method: opt.MethodName = typer.Option(
+        opt.MethodName.FUSED, help="Whose posterior; fused draws around its hypotheses."
+    ),
     index: opt.Index = None,
     range_max: opt.Cut = None,
     flipped: opt.Flipped = False,
-    theta_step_deg: Annotated[
-        float | None,
-        opt.option("DEG", "Step of a stack's headings. [default: the method's]", within=opt.STEP),
-    ] = None,
+    theta_step_deg: float | None = opt.option(
+        None, "DEG", "Step of a stack's headings. [default: the method's]", within=opt.STEP
+    ),
     cell: opt.Cell = 0.1,
     force: opt.Force = False,
     allow_lossy: opt.AllowLossy = False,

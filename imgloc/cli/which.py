@@ -26,16 +26,11 @@ def which(
     resources: opt.Take,
     range_max: opt.Cut = None,
     flipped: opt.Flipped = False,
-    sure: Annotated[
-        float,
-        opt.option(
-            "P", "Probability that a map needs to be named.", within=(0.5, 1, "a probability")
-        ),
-    ] = 0.5,
+    sure: float = opt.option(
+        0.5, "P", "Probability that a map needs to be named.", within=(0.5, 1, "a probability")
+    ),
     as_json: opt.AsJson = False,
-    no_cache: Annotated[
-        bool, opt.flag("--no-cache", "Prepare the maps anew and keep nothing.")
-    ] = False,
+    no_cache: bool = opt.flag("--no-cache", "Prepare the maps anew and keep nothing."),
     allow_lossy: opt.AllowLossy = False,
 ) -> None:
     """Say which of the maps in a folder each scan is from: one of them, none, or undecided.

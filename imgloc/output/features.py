@@ -177,7 +177,6 @@ def draw_visibility(
     Parameters
     ----------
     grid : OccupancyGrid
-        Background.
     xy : (2,) array
         The point, metres in the grid frame.
     vis : (n_psi,) array

@@ -42,24 +42,18 @@ def render_explanation(
     mount: Pose2D | None = None,
     version: str = __version__,
 ) -> str:
-    """Write the page.
+    """Write the page, HTML.
 
     Parameters
     ----------
     e : Explanation
     title : str
         What was localized where.
-    truth : Pose2D, optional
-        True pose of the sensor in the map frame, to state the error.
-    mount : Pose2D, optional
-        Pose of the sensor on the robot, to state the robot's.
+    truth, mount : Pose2D, optional
+        True pose of the sensor in the map frame, to state the error; its pose on the robot, to
+        state the robot's.
     version : str
         Of imgloc.
-
-    Returns
-    -------
-    str
-        HTML.
     """
     poses, rays = [f.hypothesis.pose for f in e.fits], [f.rays for f in e.fits]
     return ENVIRONMENT.get_template("explain.html").render(

@@ -92,7 +92,6 @@ def draw(
     place : OccupancyGrid or MapFeatures
         The map; for another `what` than ``map`` its features.
     answer : Localization or Likelihood, optional
-        Hypotheses, in the map frame, or a likelihood stack.
     scan : LaserScan, optional
         Laid on the map at each hypothesis.
     truth : Pose2D, optional
@@ -205,11 +204,9 @@ def draw_hypotheses(
     scan_xy : (N, 2) float array
         Points of the scan in the sensor's frame, metres.
     hypotheses : sequence of Hypothesis
-        Best first, in the grid frame. With each comes the ellipse of two standard deviations.
+        Best first, grid frame; `top` are drawn, with ellipses of two standard deviations.
     truth : Pose2D, optional
         True pose in the grid frame, marked with a cross.
-    top : int
-        Draw no more than so many.
     scale : int, optional
         Pixels per cell.
     note : str
@@ -312,26 +309,19 @@ def _with_legend(
 def draw_atlas(grid: OccupancyGrid, spots: Sequence[Spot], *, step: float, headings: int) -> Image:
     """Draw where a single scan is enough.
 
-    Parameters
-    ----------
-    grid : OccupancyGrid
-    spots : sequence of Spot
-        Map frame; from an ambiguous one a thin line leads to its twin.
-    step : float
-        Metres between places.
-    headings : int
-        Of each place: each gets a wedge that points along it.
+    Places are `step` metres apart and have as many `headings`: each gets a wedge that points along
+    it. From an ambiguous spot a thin line leads to its twin.
     """
     canvas = map_canvas(grid)
     to_grid = inverse(grid.origin)
     local = [compose(to_grid, spot.pose) for spot in spots]
     kinds = [spot.kind for spot in spots]
-    lines = [
-        ((a.x, a.y), (b.x, b.y))
-        for a, spot in zip(local, spots, strict=True)
+    twins = [
+        (pose, compose(to_grid, spot.twin))
+        for pose, spot in zip(local, spots, strict=True)
         if spot.kind == "ambiguous" and spot.twin is not None
-        for b in (compose(to_grid, spot.twin),)
     ]
+    lines = [((a.x, a.y), (b.x, b.y)) for a, b in twins]
     if lines:
         layer = canvas.image.copy()
         canvas.lines(np.array(lines), ATLAS_COLOURS["ambiguous"])
