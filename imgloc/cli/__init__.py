@@ -96,10 +96,7 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc atlas office.yaml --out atlas.png --csv atlas.csv --rays 360 --fov-deg 360",
         "imgloc atlas visibility --out atlas.png --range-max 5 --json",
     ),
-    which: (
-        "imgloc which floors scans.npz",
-        "imgloc which floors scan.csv --range-max 20 --json",
-    ),
+    which: ("imgloc which floors scans.npz", "imgloc which floors scan.csv --range-max 20 --json"),
 }
 _MAP: dict[Callable[..., None], tuple[str, ...]] = {
     check: ("imgloc map check office.yaml", "imgloc map check a.yaml --json"),

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import emit, progress, say
+from imgloc.cli.options import option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
 
@@ -15,15 +16,15 @@ _MOST = 20_000
 @opt.with_options(opt.sensor, opt.reading, opt.console)
 def atlas(
     map_path: opt.MapPath,
-    out: Annotated[Path, opt.option(..., "PNG", "Picture to write.", show_default=False)],
+    out: Annotated[Path, option(..., "PNG", "Picture to write.", show_default=False)],
     sensor: "opt.Sensor",
     reading: "opt.Reading",
-    csv: Path | None = opt.option(None, "CSV", "Write a row for each pose, too."),
-    step: float = opt.option(0.5, "M", "Metres between places.", within=(0.02, 1000, "metres")),
-    headings: int = opt.option(4, "K", "Headings at each place.", min=1, max=72),
+    csv: Path | None = option(None, "CSV", "Write a row for each pose, too."),
+    step: float = option(0.5, "M", "Metres between places.", within=(0.02, 1000, "metres")),
+    headings: int = option(4, "K", "Headings at each place.", min=1, max=72),
     range_max: opt.Reach = 30.0,
     seed: opt.Seed = 0,
-    workers: int | None = opt.option(
+    workers: int | None = option(
         None, "N", "Processes; no result depends on it. [default: all processors]", min=1
     ),
     memory_budget: opt.MemoryBudget = None,

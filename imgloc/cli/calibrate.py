@@ -9,6 +9,7 @@ import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress, say
+from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
 
@@ -30,16 +31,16 @@ def calibrate(
     sensor: "opt.Sensor",
     reading: "opt.Reading",
     resources: opt.Take,
-    methods: str = opt.option(",".join(_STACKS), "NAMES", "With commas between."),
-    count: int = opt.option(30, "N", "Scans of each map.", "-n", "--count", min=1, max=10_000),
-    seed: int = opt.option(1000, "N", "Of what is simulated; evaluate with another.", min=0),
-    range_max: float = opt.option(30.0, "M", "Reach of the simulated sensor.", within=opt.REACH),
-    theta_step_deg: list[str] | None = opt.option(
+    methods: str = option(",".join(_STACKS), "NAMES", "With commas between."),
+    count: int = option(30, "N", "Scans of each map.", "-n", "--count", min=1, max=10_000),
+    seed: int = option(1000, "N", "Of what is simulated; evaluate with another.", min=0),
+    range_max: float = option(30.0, "M", "Reach of the simulated sensor.", within=opt.REACH),
+    theta_step_deg: list[str] | None = option(
         None, "[METHOD=]DEG", "Step of the headings. [default: the method's]"
     ),
     cell: opt.Cell = 0.1,
-    clean: bool = opt.flag("--clean", "Disturb no scan. [default: two thirds are, as by people]"),
-    dry_run: bool = opt.flag("--dry-run", "Store nothing, only show what would be."),
+    clean: bool = flag("--clean", "Disturb no scan. [default: two thirds are, as by people]"),
+    dry_run: bool = flag("--dry-run", "Store nothing, only show what would be."),
     as_json: opt.AsJson = False,
     force: opt.Force = False,
     allow_lossy: opt.AllowLossy = False,

@@ -147,9 +147,7 @@ def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable
     """
     crowded = lines and total > 1 and sys.stdout is not None and sys.stdout.isatty()
     terminal = sys.stderr is not None and sys.stderr.isatty()
-    if not terminal or crowded or LOG.isEnabledFor(logging.INFO):
-        yield lambda: None
-        return
+    quiet = not terminal or crowded or LOG.isEnabledFor(logging.INFO)
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as Remaining
@@ -157,7 +155,7 @@ def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Remaining())
     # Without the redirection: results go to stdout, where they belong.
     with Progress(
-        *columns, console=Console(stderr=True), transient=True, redirect_stdout=False
+        *columns, console=Console(stderr=True), transient=True, redirect_stdout=False, disable=quiet
     ) as bar:
         task = bar.add_task(title, total=total if total > 1 else None)
         yield lambda: bar.advance(task)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit
+from imgloc.cli.options import flag, option
 from imgloc.io.files import display
 
 _OUT = Path("imgloc-demo.png")
@@ -20,9 +21,9 @@ DemoMap = StrEnum("DemoMap", ("DOUBLE_WALL", "VISIBILITY", "LARGE", "CURVED", "C
 @opt.with_options(opt.resources, opt.console)
 def demo(
     resources: opt.Take,
-    name: DemoMap = opt.flag("--map", "Bundled map.", DemoMap.DOUBLE_WALL),
-    seed: int = opt.option(0, "N", "Seed of the pose and of the noise.", min=0),
-    out: Path | None = opt.option(
+    name: DemoMap = flag("--map", "Bundled map.", DemoMap.DOUBLE_WALL),
+    seed: int = option(0, "N", "Seed of the pose and of the noise.", min=0),
+    out: Path | None = option(
         None,
         "PNG",
         "Picture to write. [default: imgloc-demo.png here, or the next free name]",

@@ -10,6 +10,7 @@ import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress
+from imgloc.cli.options import option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
 
@@ -28,32 +29,30 @@ def evaluate(
     sensor: "opt.Sensor",
     reading: "opt.Reading",
     resources: opt.Take,
-    methods: str = opt.option(_METHODS, "NAMES", "With commas between."),
-    count: int | None = opt.option(
+    methods: str = option(_METHODS, "NAMES", "With commas between."),
+    count: int | None = option(
         None, "N", "Scans simulated. [default: 100]", "-n", "--count", min=1
     ),
-    seed: int = opt.option(0, "N", "Seed of what is simulated.", min=0),
-    range_max: float | None = opt.option(
+    seed: int = option(0, "N", "Seed of what is simulated.", min=0),
+    range_max: float | None = option(
         None, "M", "Reach of the simulated sensor [default: 30]; cuts recorded readings."
     ),
-    scans: list[Path] | None = opt.option(
+    scans: list[Path] | None = option(
         None, "FILE", "Recorded scans with poses; once for each MAP."
     ),
-    sample: int | None = opt.option(
-        None, "N", "Of the recorded scans take N. [default: all]", min=1
-    ),
-    sample_seed: int = opt.option(1, "N", "Seed that decides which.", min=0),
+    sample: int | None = option(None, "N", "Of the recorded scans take N. [default: all]", min=1),
+    sample_seed: int = option(1, "N", "Seed that decides which.", min=0),
     flipped: opt.Flipped = False,
-    tolerance: list[str] | None = opt.option(
+    tolerance: list[str] | None = option(
         None, "M,DEG", "Report success within this too; the last rules unique, wrong."
     ),
-    theta_step_deg: list[str] | None = opt.option(
+    theta_step_deg: list[str] | None = option(
         None, "[METHOD=]DEG", "Step of the headings. [default: as in the paper]"
     ),
-    cell: list[str] | None = opt.option(
+    cell: list[str] | None = option(
         None, "[METHOD=]M", "Cell of the poses, metres. [default: 0.1]"
     ),
-    floor: float = opt.option(
+    floor: float = option(
         1e-3,
         "P",
         "Share of the uniform density mixed into each, for S.",

@@ -91,7 +91,7 @@ def choose(count: int, index: int | None, name: str) -> range:
 
 
 def cut_scan(scan: LaserScan, range_max: float | None, *, flipped: bool = False) -> LaserScan:
-    """Return the scan that a sensor with a shorter reach, or one upright, would have recorded."""
+    """The scan that a sensor with a shorter reach, or one upright, would have recorded."""
     scan = scan.flipped if flipped else scan
     if range_max is None or range_max >= scan.range_max:
         return scan

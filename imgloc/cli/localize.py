@@ -1,22 +1,15 @@
 """`imgloc localize`: the poses of scans in a map."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress
+from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
-
-if TYPE_CHECKING:
-    from imgloc.features.mapfeatures import MapFeatures
-    from imgloc.model import LaserScan
-    from imgloc.options import Options
 
 _MIRRORED = 3  # doubtful scans that are looked at mirrored
 
@@ -33,39 +26,39 @@ def localize(
         opt.MethodName.FUSED,
         help="How: fused searches and re-scores, the others are the paper's stacks.",
     ),
-    top: int = opt.option(5, "N", "Hypotheses listed for a scan.", min=1),
+    top: int = option(5, "N", "Hypotheses listed for a scan.", min=1),
     as_json: opt.AsJson = False,
-    picture: Path | None = opt.option(
+    picture: Path | None = option(
         None, "PNG", "Draw the scan at each hypothesis; several scans: NAME-0003.png and so on."
     ),
-    explain: Path | None = opt.option(
+    explain: Path | None = option(
         None, "HTML", "Say why, ray by ray, on a page of its own; several scans: NAME-0003.html."
     ),
     index: opt.Index = None,
-    strict: bool = opt.flag("--strict", "Exit with 6 unless every scan is unique."),
+    strict: bool = flag("--strict", "Exit with 6 unless every scan is unique."),
     range_max: opt.Cut = None,
-    theta_step_deg: float | None = opt.option(
+    theta_step_deg: float | None = option(
         None, "DEG", "Step of the headings. [default: the method's own]", within=opt.STEP
     ),
     cell: opt.Cell = 0.1,
     engine: opt.EngineName = typer.Option(
         opt.EngineName.AUTO, help="Of the correlations of cbml and cbml-o."
     ),
-    exact_argmax: bool = opt.flag(
+    exact_argmax: bool = flag(
         "--exact-argmax",
         "Branch and bound: the best poses of cbml without its stack; to fused, more proposals.",
     ),
-    time_budget: float | None = opt.option(
+    time_budget: float | None = option(
         None,
         "S",
         "Seconds for each scan: then the best so far, marked as not complete. Such "
         "answers depend on the machine.",
         within=(0.001, 1e6, "seconds"),
     ),
-    cache: Path | None = opt.option(
+    cache: Path | None = option(
         None, "DIR", "Where prepared maps are kept. [default: the user's cache folder]"
     ),
-    no_cache: bool = opt.flag("--no-cache", "Prepare the map anew and keep nothing."),
+    no_cache: bool = flag("--no-cache", "Prepare the map anew and keep nothing."),
     force: opt.Force = False,
     allow_lossy: opt.AllowLossy = False,
 ) -> None:
@@ -79,6 +72,7 @@ def localize(
     from imgloc.explain import explain as reasons
     from imgloc.io.calibration import calibration_path, load_calibrations
     from imgloc.model import Pose2D
+    from imgloc.options import FusedOptions, Options
     from imgloc.output.json import answer_row, to_json
     from imgloc.output.pages import render_explanation
     from imgloc.output.pictures import draw
@@ -91,17 +85,20 @@ def localize(
     if engine != opt.EngineName.AUTO and method not in (opt.MethodName.CBML, opt.MethodName.CBML_O):
         raise ConfigError(f"--engine: {method.value} does not correlate; use cbml or cbml-o")
     read = [*inputs.files_of(map_path), *([] if known.region is None else [known.region])]
-    if picture is not None:
-        inputs.check_target(picture, ".png", force=force, inputs=read)
-    if explain is not None:
-        inputs.check_target(explain, ".html", force=force)
+    outputs = ((picture, ".png", read), (explain, ".html", list[Path]()))
+    for path, ending, sources in outputs:
+        if path is not None:
+            inputs.check_target(path, ending, force=force, inputs=sources)
     taken = resources()
     grid = inputs.load_grid(
         map_path, taken.memory_budget, allow_lossy=allow_lossy, usable=False, **reading
     )
-    options = _options(method, theta_step_deg)
-    options = replace(
-        options,
+    step = None if theta_step_deg is None else math.radians(theta_step_deg)
+    fused = method == opt.MethodName.FUSED
+    options = Options(
+        method=method.value,
+        theta_step=None if fused else step,
+        fused=FusedOptions(theta_step=step) if fused and step is not None else FusedOptions(),
         top=top,
         engine=engine.value,
         threads=taken.threads,
@@ -120,10 +117,9 @@ def localize(
     chosen = inputs.choose(len(scans), index, display(scans_path))
     many, mount = len(chosen) > 1, mounting.pose
     targets, pages = inputs.numbered(picture, chosen), inputs.numbered(explain, chosen)
-    for target in targets.values():
-        inputs.check_target(target, ".png", force=force, inputs=read)
-    for page in pages.values():
-        inputs.check_target(page, ".html", force=force)
+    for files, (_, ending, sources) in zip((targets, pages), outputs, strict=True):
+        for path in files.values():
+            inputs.check_target(path, ending, force=force, inputs=sources)
     LOG.info("%s: %d x %d cells of %g m", display(map_path), *grid.info.shape, grid.resolution)
     LOG.info("%s: %d of %d scans", display(scans_path), len(chosen), len(scans))
     check_options(features, options)
@@ -156,33 +152,13 @@ def localize(
             else:
                 emit(answer_text(f"scan {k}", answer, truth, mount))
     inputs.keep_features(features, folder)
-    if method == opt.MethodName.FUSED and time_budget is None and 2 * len(doubtful) > len(chosen):
-        _hint_at_mirrored(doubtful[:_MIRRORED], features, options, flipped=mounting.flipped)
+    if fused and time_budget is None and 2 * len(doubtful) > len(chosen):
+        mirrored = (locate(features, scan.flipped, options) for scan in doubtful[:_MIRRORED])
+        if all(answer.verdict == "unique" for answer in mirrored):
+            LOG.warning(
+                "scans like these fit at one place if they are mirrored: is the sensor upside "
+                "down? %s --flipped",
+                "Leave out" if mounting.flipped else "Try",
+            )
     if strict and doubtful:
         raise typer.Exit(NOT_UNIQUE)
-
-
-def _options(method: opt.MethodName, step_deg: float | None) -> "Options":
-    from imgloc.options import Options
-
-    options = Options(method=method.value)
-    if step_deg is None:
-        return options
-    step = math.radians(step_deg)
-    if method == opt.MethodName.FUSED:
-        return replace(options, fused=replace(options.fused, theta_step=step))
-    return replace(options, theta_step=step)
-
-
-def _hint_at_mirrored(
-    doubtful: Sequence["LaserScan"], features: "MapFeatures", options: "Options", *, flipped: bool
-) -> None:
-    """Say so if all of some doubtful scans would fit at one place if they were mirrored."""
-    from imgloc.pipeline import localize as locate
-
-    if all(locate(features, scan.flipped, options).verdict == "unique" for scan in doubtful):
-        LOG.warning(
-            "scans like these fit at one place if they are mirrored: is the sensor upside down? "
-            "%s --flipped",
-            "Leave out" if flipped else "Try",
-        )

@@ -8,6 +8,7 @@ import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import emit, quiet_libraries, say
+from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import display
 
@@ -23,7 +24,7 @@ def check(
     map_path: opt.MapPath,
     reading: "opt.Reading",
     as_json: opt.AsJson = False,
-    strict: bool = opt.flag("--strict", "Exit with 3 if there is any warning."),
+    strict: bool = flag("--strict", "Exit with 3 if there is any warning."),
     memory_budget: opt.MemoryBudget = None,
 ) -> None:
     """Report what is in a map, and what is likely to be wrong with it.
@@ -47,26 +48,26 @@ def check(
 @opt.with_options(opt.reading, opt.console)
 def show(
     map_path: opt.MapPath,
-    out: Annotated[Path, opt.option(..., "PNG", "Picture to write.", show_default=False)],
+    out: Annotated[Path, option(..., "PNG", "Picture to write.", show_default=False)],
     reading: "opt.Reading",
     what: Subject = typer.Option(
         Subject.MAP,
         help="The map as it is read; blurred (bmap); normals, blurred (vmap); surface points "
         "with normals; what one surface point sees; distance to the nearest wall.",
     ),
-    at: Any = opt.option(
+    at: Any = option(
         None,
         "X,Y",
         "For visibility: near here, metres, map frame. [default: what sees most]",
         parser=opt.numbers(2),
     ),
-    sigma: float | None = opt.option(
+    sigma: float | None = option(
         None,
         "M",
         "Blur of bmap and vmap, standard deviation, metres. [default: 0.1]",
         within=(0.001, 100, "metres"),
     ),
-    cell: float | None = opt.option(None, "M", "Cell of bmap and vmap, metres.", within=opt.SIDE),
+    cell: float | None = option(None, "M", "Cell of bmap and vmap, metres.", within=opt.SIDE),
     memory_budget: opt.MemoryBudget = None,
     force: opt.Force = False,
     allow_lossy: opt.AllowLossy = False,
@@ -79,9 +80,9 @@ def show(
     inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
     if at is not None and what != Subject.VISIBILITY:
         raise ConfigError("--at: only --what visibility is drawn at a point")
-    for option, value in (("--sigma", sigma), ("--cell", cell)):
+    for name, value in (("--sigma", sigma), ("--cell", cell)):
         if value is not None and what not in (Subject.BMAP, Subject.VMAP):
-            raise ConfigError(f"{option}: only --what bmap and --what vmap are blurred")
+            raise ConfigError(f"{name}: only --what bmap and --what vmap are blurred")
     grid = inputs.load_grid(
         map_path, opt.fixed_budget(memory_budget),
         allow_lossy=allow_lossy, usable=what != Subject.MAP, **reading,

@@ -31,15 +31,9 @@ RADIUS, TOLERANCE = 2.0, 0.8
 # Names that the help needs, spelled out: to load where they are defined takes a while.
 MethodName = StrEnum(
     "MethodName",
-    {
-        "FUSED": "fused",
-        "CBML": "cbml",
-        "CBML_O": "cbml-o",
-        "GHT": "ght",
-        "GHT_V": "ght-v",
-        "BEAM": "beam",
-    },
-)
+    (("FUSED", "fused"), ("CBML", "cbml"), ("CBML_O", "cbml-o"), ("GHT", "ght"),
+     ("GHT_V", "ght-v"), ("BEAM", "beam")),
+)  # fmt: skip
 EngineName = StrEnum("EngineName", ("AUTO", "FILTER2D", "SHIFT", "DFT", "REMAP"))
 ModeName = StrEnum("ModeName", ("TRINARY", "SCALE", "RAW"))
 SemanticsName = StrEnum("SemanticsName", ("NAV2", "ROS1"))

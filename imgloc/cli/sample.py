@@ -8,6 +8,7 @@ import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, progress, say
+from imgloc.cli.options import option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
 
@@ -21,16 +22,16 @@ def sample(
     scans_path: opt.ScansPath,
     reading: "opt.Reading",
     resources: opt.Take,
-    out: Annotated[Path, opt.option(..., "CSV", "File to write.", show_default=False)],
-    count: int = opt.option(500, "N", "Poses for each scan.", "-n", "--count", min=1),
-    seed: int = opt.option(0, "N", "Of the draws.", min=0),
+    out: Annotated[Path, option(..., "CSV", "File to write.", show_default=False)],
+    count: int = option(500, "N", "Poses for each scan.", "-n", "--count", min=1),
+    seed: int = option(0, "N", "Of the draws.", min=0),
     method: opt.MethodName = typer.Option(
         opt.MethodName.FUSED, help="Whose posterior; fused draws around its hypotheses."
     ),
     index: opt.Index = None,
     range_max: opt.Cut = None,
     flipped: opt.Flipped = False,
-    theta_step_deg: float | None = opt.option(
+    theta_step_deg: float | None = option(
         None, "DEG", "Step of a stack's headings. [default: the method's]", within=opt.STEP
     ),
     cell: opt.Cell = 0.1,

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import say
+from imgloc.cli.options import option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
 
@@ -15,10 +16,10 @@ _MAX_READINGS = 10_000_000  # about 1.5 GB while they are simulated
 @opt.with_options(opt.sensor, opt.reading, opt.console)
 def simulate(
     map_path: opt.MapPath,
-    out: Annotated[Path, opt.option(..., "NPZ", "File to write.", show_default=False)],
+    out: Annotated[Path, option(..., "NPZ", "File to write.", show_default=False)],
     sensor: "opt.Sensor",
     reading: "opt.Reading",
-    count: int = opt.option(100, "N", "Number of scans.", "-n", "--count", min=1),
+    count: int = option(100, "N", "Number of scans.", "-n", "--count", min=1),
     range_max: opt.Reach = 30.0,
     seed: opt.Seed = 0,
     memory_budget: opt.MemoryBudget = None,

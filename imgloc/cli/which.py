@@ -7,6 +7,7 @@ import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress, say
+from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import display
 
@@ -26,11 +27,11 @@ def which(
     resources: opt.Take,
     range_max: opt.Cut = None,
     flipped: opt.Flipped = False,
-    sure: float = opt.option(
+    sure: float = option(
         0.5, "P", "Probability that a map needs to be named.", within=(0.5, 1, "a probability")
     ),
     as_json: opt.AsJson = False,
-    no_cache: bool = opt.flag("--no-cache", "Prepare the maps anew and keep nothing."),
+    no_cache: bool = flag("--no-cache", "Prepare the maps anew and keep nothing."),
     allow_lossy: opt.AllowLossy = False,
 ) -> None:
     """Say which of the maps in a folder each scan is from: one of them, none, or undecided.
