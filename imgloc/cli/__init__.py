@@ -124,16 +124,11 @@ app.add_typer(kept, name="cache")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line.
+    """Run the command line; it always ends in a SystemExit with the exit code.
 
     Parameters
     ----------
     arguments : sequence of str, optional
         Without the program's name; ``sys.argv[1:]`` by default.
-
-    Raises
-    ------
-    SystemExit
-        Always, with the exit code.
     """
     app(None if arguments is None else list(arguments), prog_name="imgloc")

@@ -112,14 +112,8 @@ def calibrate(
                 sweeps.append(sweep(features, scans, options, advance=advance))
         fits[method] = fit(sweeps)
         LOG.info("%s: %s", method, asdict(fits[method].calibration))
-    about = {
-        "maps": [display(path) for path in paths],
-        "seed": seed,
-        "trials": count,
-        "sensor": asdict(laser),
-        "clean": clean,
-        "cell": cell,
-    }
+    about = {"maps": [display(path) for path in paths], "seed": seed, "trials": count}
+    about |= {"sensor": asdict(laser), "clean": clean, "cell": cell}
     index = {m: {"calibrated": asdict(f.index), "bare": asdict(f.bare)} for m, f in fits.items()}
     if as_json:
         fitted = {method: asdict(f.calibration) for method, f in fits.items()}

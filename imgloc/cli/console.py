@@ -32,13 +32,7 @@ class Group(TyperGroup):
     """The commands, with one end for every way in which one can fail."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run a command; turn what it raises into one line and an exit code.
-
-        Raises
-        ------
-        typer.Exit
-            With the exit code.
-        """
+        """Run a command; what it raises becomes one line and a typer.Exit with the exit code."""
         configure(verbose=False, debug=False)
         try:
             result = super().invoke(ctx)
@@ -78,10 +72,7 @@ def configure(*, verbose: bool, debug: bool) -> None:
 def emit(text: str) -> None:
     """Write a piece of the result to standard output, at once.
 
-    Raises
-    ------
-    OutputError
-        If standard output cannot take it, for another reason than a closed pipe.
+    It is an OutputError if that cannot take it, for another reason than a closed pipe.
     """
     try:
         print(text)
@@ -133,17 +124,8 @@ def one_line(error: BaseException) -> str:
 def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable[[], None]]:
     """Show a progress bar on standard error, if that is a terminal.
 
-    Parameters
-    ----------
-    title : str
-    total : int
-    lines : bool
-        Each step writes a line of the result; on one terminal those are progress enough.
-
-    Yields
-    ------
-    callable
-        To be called after each of `total` steps.
+    What it yields is to be called after each of `total` steps. If each of several writes `lines`
+    of the result to a terminal, those are progress enough.
     """
     crowded = lines and total > 1 and sys.stdout is not None and sys.stdout.isatty()
     terminal = sys.stderr is not None and sys.stderr.isatty()

@@ -91,42 +91,38 @@ def evaluate(
     table: list[dict[str, Any]] = []
     for k, given in enumerate(maps):
         path = opt.find_map(given)
+        where = display(path)
         # The folder of a map.yaml says more than its name.
-        name = display(
-            given.parent.name if given.stem == "map" and given.parent.name else given.stem
-        )
+        name = display((given.stem == "map" and given.parent.name) or given.stem)
         grid = inputs.load_grid(path, budget, allow_lossy=allow_lossy, **reading)
         calibrations = load_calibrations(calibration_path(path), grid)
-        source: dict[str, object] = {"map": display(path)}
+        source: dict[str, object] = {"map": where}
         if scans is None:
             laser = replace(sensor, range_max=30.0 if range_max is None else range_max)
             n, world = count or 100, is_world(path, grid)
-            inputs.check_simulation(grid, display(path), n, sensor.rays, budget, world=world)
+            inputs.check_simulation(grid, where, n, sensor.rays, budget, world=world)
             # In a bundled map on its walls, not on its cells.
             trials = simulate_set(grid, n, seed, laser, fine_image(path, grid))
             source |= {"seed": seed, "sensor": asdict(laser)}
         else:
-            picked = sample_set(
-                inputs.load_set(scans[k], budget), sample, sample_seed, display(scans[k])
-            )
+            recorded, file = inputs.load_set(scans[k], budget), display(scans[k])
+            picked = sample_set(recorded, sample, sample_seed, file)
             cut = tuple(inputs.cut_scan(scan, range_max, flipped=flipped) for scan in picked.scans)
             trials = replace(picked, scans=cut)
-            source |= {"scans": display(scans[k]), "sample": sample, "sample_seed": sample_seed}
+            source |= {"scans": file, "sample": sample, "sample_seed": sample_seed}
             source |= {"range_max": range_max, "flipped": flipped}
         plans = []
         for method in chosen:
             step, side = steps.get(method), cells.get(method, 0.1)
-            options = method_options(
-                method, None if step is None else math.radians(step), taken.threads
-            )
+            theta_step = None if step is None else math.radians(step)
+            options = method_options(method, theta_step, taken.threads)
             options = replace(options, calibration=calibrations.get(method), memory_budget=budget)
             # All of them before the first one takes its time.
-            inputs.check_answer(
-                prepare(grid, display(path), cell=side), options, display(path), scans=trials.scans
-            )
+            features = prepare(grid, where, cell=side)
+            inputs.check_answer(features, options, where, scans=trials.scans)
             plans.append((method, side, options))
         for method, side, options in plans:
-            features = prepare(grid, display(path), cell=side, threads=taken.threads)
+            features = prepare(grid, where, cell=side, threads=taken.threads)
             with progress(f"{name}: {method}", len(trials), lines=False) as advance:
                 result = measure(
                     features, trials, options, tolerances=within, floor=floor, advance=advance

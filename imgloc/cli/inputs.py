@@ -172,12 +172,8 @@ def check_simulation(
     """
     height, width = grid.occupied.shape
     factor = round(grid.resolution / FINE) if world else fine_factor(grid)
-    need = simulate_bytes(
-        height * width,
-        height * width * factor**2,
-        min(count, at_once or count) * rays,
-        kept=sets * count * rays,
-    )
+    cells, beams = height * width, min(count, at_once or count) * rays
+    need = simulate_bytes(cells, cells * factor**2, beams, kept=sets * count * rays)
     what = (
         f"{name}: simulating {count:,} scans of {rays:,} rays "
         f"on {factor * height} x {factor * width} cells"
@@ -260,9 +256,8 @@ def prior_of(known: Known, grid: OccupancyGrid, *, allow_lossy: bool = False) ->
         cells = _region(known.region, grid, allow_lossy)
         prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})
     if known.clearance:
-        prior &= Prior(
-            priors.clearance(grid, known.clearance), None, {"clearance": known.clearance}
-        )
+        cells = priors.clearance(grid, known.clearance)
+        prior &= Prior(cells, None, {"clearance": known.clearance})
     return prior
 
 

@@ -2,7 +2,7 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -11,10 +11,6 @@ from imgloc.cli.console import emit, quiet_libraries, say
 from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import display
-
-if TYPE_CHECKING:
-    from imgloc.model import OccupancyGrid
-
 
 Subject = StrEnum("Subject", ("MAP", "BMAP", "VMAP", "SURFACE", "VISIBILITY", "DISTANCE"))
 
@@ -73,8 +69,11 @@ def show(
     allow_lossy: opt.AllowLossy = False,
 ) -> None:
     """Draw a map, or what is computed from it, into a PNG."""
+    import numpy as np
+
     from imgloc.cli import inputs
     from imgloc.features.mapfeatures import MapFeatures
+    from imgloc.geometry import cell_of, inside, inverse, transform_points
     from imgloc.output.pictures import draw
 
     inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
@@ -89,19 +88,12 @@ def show(
     )  # fmt: skip
     features = MapFeatures(grid, cell=cell or grid.resolution, sigma=sigma or 0.1)
     if at is not None:
-        _check_point(grid, at)
+        there = transform_points(inverse(grid.origin), np.array([at]))
+        if not inside(cell_of(there, grid.resolution), grid.info).all():
+            raise ConfigError(
+                f"--at: {at[0]:g},{at[1]:g} is not on the map, expected a point of it"
+            )
     picture = draw(features, what=what.value, at=at)
     picture.save(out, force=force)
     height, width = picture.image.shape[:2]
     say(f"wrote {display(out)}: {what.value}, {width} x {height} pixels")
-
-
-def _check_point(grid: "OccupancyGrid", at: tuple[float, float]) -> None:
-    """Refuse a point that is not on the map, metres, map frame."""
-    import numpy as np
-
-    from imgloc.geometry import cell_of, inside, inverse, transform_points
-
-    there = transform_points(inverse(grid.origin), np.array([at]))
-    if not inside(cell_of(there, grid.resolution), grid.info).all():
-        raise ConfigError(f"--at: {at[0]:g},{at[1]:g} is not on the map, expected a point of it")

@@ -162,7 +162,7 @@ def draw_likelihood(
     truth : Pose2D, optional
         True pose in the grid frame, marked red.
     scale : int, optional
-        Pixels per cell of the likelihood.
+        Pixels per cell.
     log : bool
         The values are log-likelihoods (the beam model's): ``exp(L - max L)`` is drawn.
     """
