@@ -12,7 +12,8 @@ from imgloc.features.budget import fused_bytes
 from imgloc.geometry import uniform_thetas
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
 from imgloc.options import Calibration, FusedOptions, Options, Prior, Trust
-from imgloc.output.pages import question, why
+from imgloc.output.pages import why
+from imgloc.output.svg import macro
 from imgloc.pipeline import check_options, likelihood, localize, posterior_of, prepare
 from imgloc.simulate import Sensor, simulate_set
 from imgloc.worlds import WORLDS, render
@@ -213,7 +214,8 @@ def test_an_answer_out_of_time_is_never_unique():
     assert late.verdict == "ambiguous"
     reason = explain(features, scan, late)
     assert [c.holds for c in late.evidence.checks] == [True, True, True, False]
-    assert question(late.evidence.checks[-1])[1] == "out of time"
+    asked = macro("question", "words.html", check=late.evidence.checks[-1])
+    assert asked.split("<td>")[2] == "out of time"
     assert why(reason).startswith("Of those looked at")
 
 

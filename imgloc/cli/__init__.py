@@ -1,7 +1,6 @@
 """The command line: parses, calls and prints. What it calls is imported when a command runs."""
 
 from collections.abc import Callable, Sequence
-from typing import Annotated
 
 import typer
 
@@ -55,9 +54,9 @@ def _version(wanted: bool) -> None:
 
 @app.callback(help=_HELP)
 def root(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
-    ] = False,
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Print the version."
+    ),
 ) -> None:
     """Options of the program itself."""
 
@@ -97,10 +96,7 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc atlas office.yaml --out atlas.png --csv atlas.csv --rays 360 --fov-deg 360",
         "imgloc atlas visibility --out atlas.png --range-max 5 --json",
     ),
-    which: (
-        "imgloc which floors scans.npz",
-        "imgloc which floors scan.csv --range-max 20 --json",
-    ),
+    which: ("imgloc which floors scans.npz", "imgloc which floors scan.csv --range-max 20 --json"),
 }
 _MAP: dict[Callable[..., None], tuple[str, ...]] = {
     check: ("imgloc map check office.yaml", "imgloc map check a.yaml --json"),
@@ -128,16 +124,11 @@ app.add_typer(kept, name="cache")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line.
+    """Run the command line; it always ends in a SystemExit with the exit code.
 
     Parameters
     ----------
     arguments : sequence of str, optional
         Without the program's name; ``sys.argv[1:]`` by default.
-
-    Raises
-    ------
-    SystemExit
-        Always, with the exit code.
     """
     app(None if arguments is None else list(arguments), prog_name="imgloc")

@@ -2,16 +2,13 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-from imgloc.cli import inputs
 from imgloc.cli import options as opt
 from imgloc.cli.console import emit, progress, say
+from imgloc.cli.options import option
 from imgloc.errors import ConfigError
-
-if TYPE_CHECKING:
-    from imgloc.io.maps import Reading
-    from imgloc.simulate import Sensor
+from imgloc.io.files import display, write_text_atomic
 
 _MOST = 20_000
 
@@ -19,18 +16,17 @@ _MOST = 20_000
 @opt.with_options(opt.sensor, opt.reading, opt.console)
 def atlas(
     map_path: opt.MapPath,
-    out: Annotated[Path, opt.option("PNG", "Picture to write.", show_default=False)],
-    sensor: "Sensor",
-    reading: "Reading",
-    csv: Annotated[Path | None, opt.option("CSV", "Write a row for each pose, too.")] = None,
-    step: Annotated[float, opt.option("M", "Metres between places.")] = 0.5,
-    headings: Annotated[int, opt.option("K", "Headings at each place.", min=1, max=72)] = 4,
+    out: Annotated[Path, option(..., "PNG", "Picture to write.", show_default=False)],
+    sensor: "opt.Sensor",
+    reading: "opt.Reading",
+    csv: Path | None = option(None, "CSV", "Write a row for each pose, too."),
+    step: float = option(0.5, "M", "Metres between places.", within=(0.02, 1000, "metres")),
+    headings: int = option(4, "K", "Headings at each place.", min=1, max=72),
     range_max: opt.Reach = 30.0,
     seed: opt.Seed = 0,
-    workers: Annotated[
-        int | None,
-        opt.option("N", "Processes; no result depends on it. [default: all processors]", min=1),
-    ] = None,
+    workers: int | None = option(
+        None, "N", "Processes; no result depends on it. [default: all processors]", min=1
+    ),
     memory_budget: opt.MemoryBudget = None,
     as_json: opt.AsJson = False,
     force: opt.Force = False,
@@ -42,17 +38,11 @@ def atlas(
     right one), ambiguous (several fit; lines lead to the twins), no-match, or wrong (unique, but
     elsewhere). An interrupted run goes on where it stopped: its rows are kept in PNG.part.
     """
-    inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
-    if csv is not None:
-        inputs.check_target(csv, ".csv", force=force)
-    opt.check_range("--step", step, 0.02, 1000, "metres")
-    opt.check_range("--range-max", range_max, 0.01, 10_000, "metres")
-
     from imgloc.atlas import AT_ONCE, TOP, Spot, atlas_poses, simulate_at, summarise, survey
+    from imgloc.cli import inputs
     from imgloc.features.budget import poses_bytes
     from imgloc.io.atlasrows import Journal, as_csv
     from imgloc.io.cache import cache_key
-    from imgloc.io.files import display, write_text_atomic
     from imgloc.options import Options
     from imgloc.output.json import to_json
     from imgloc.output.pictures import Picture, draw_atlas
@@ -60,6 +50,9 @@ def atlas(
     from imgloc.pipeline import prepare
     from imgloc.simulate import fine_image, is_world
 
+    inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
+    if csv is not None:
+        inputs.check_target(csv, ".csv", force=force)
     budget, name = opt.fixed_budget(memory_budget), display(map_path)
     grid = inputs.load_grid(map_path, budget, allow_lossy=allow_lossy, **reading)
     height, width = grid.occupied.shape

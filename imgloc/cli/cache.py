@@ -4,6 +4,7 @@ import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import emit, say
+from imgloc.io.files import display
 
 _MIB = 1 << 20
 
@@ -13,7 +14,6 @@ def cache(context: typer.Context, as_json: opt.AsJson = False) -> None:
     if context.invoked_subcommand is not None:
         return
     from imgloc.io.cache import cache_info
-    from imgloc.io.files import display
     from imgloc.output.json import to_json
 
     info = cache_info()

@@ -7,15 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imgloc.cli import inputs
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress, say
+from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
+from imgloc.io.files import display
 
 if TYPE_CHECKING:
-    from imgloc.io.maps import Reading
     from imgloc.model import OccupancyGrid
-    from imgloc.simulate import Sensor
 
 _STACKS = [name.value for name in opt.MethodName if name != opt.MethodName.FUSED]
 
@@ -29,28 +28,19 @@ def calibrate(
             help="map_server YAML, image, or the name of a bundled map; several share one fit.",
         ),
     ],
-    sensor: "Sensor",
-    reading: "Reading",
+    sensor: "opt.Sensor",
+    reading: "opt.Reading",
     resources: opt.Take,
-    methods: Annotated[str, opt.option("NAMES", "With commas between.")] = ",".join(_STACKS),
-    count: Annotated[
-        int, opt.option("N", "Scans of each map.", "-n", "--count", min=1, max=10_000)
-    ] = 30,
-    seed: Annotated[
-        int, opt.option("N", "Of what is simulated; evaluate with another.", min=0)
-    ] = 1000,
-    range_max: Annotated[float, opt.option("M", "Reach of the simulated sensor.")] = 30.0,
-    theta_step_deg: Annotated[
-        list[str] | None,
-        opt.option("[METHOD=]DEG", "Step of the headings. [default: the method's]"),
-    ] = None,
+    methods: str = option(",".join(_STACKS), "NAMES", "With commas between."),
+    count: int = option(30, "N", "Scans of each map.", "-n", "--count", min=1, max=10_000),
+    seed: int = option(1000, "N", "Of what is simulated; evaluate with another.", min=0),
+    range_max: float = option(30.0, "M", "Reach of the simulated sensor.", within=opt.REACH),
+    theta_step_deg: list[str] | None = option(
+        None, "[METHOD=]DEG", "Step of the headings. [default: the method's]"
+    ),
     cell: opt.Cell = 0.1,
-    clean: Annotated[
-        bool, opt.flag("--clean", "Disturb no scan. [default: two thirds are, as by people]")
-    ] = False,
-    dry_run: Annotated[
-        bool, opt.flag("--dry-run", "Store nothing, only show what would be.")
-    ] = False,
+    clean: bool = flag("--clean", "Disturb no scan. [default: two thirds are, as by people]"),
+    dry_run: bool = flag("--dry-run", "Store nothing, only show what would be."),
     as_json: opt.AsJson = False,
     force: opt.Force = False,
     allow_lossy: opt.AllowLossy = False,
@@ -62,20 +52,17 @@ def calibrate(
     the map, where localize and evaluate find them. Without that file they use defaults. With
     --force what the file has of other methods is kept.
     """
-    chosen = opt.methods_of(methods, _STACKS)
-    steps = opt.for_each("--theta-step-deg", theta_step_deg, chosen, 0.05, 180, "degrees")
-    opt.check_range("--range-max", range_max, 0.01, 10_000, "metres")
-    opt.check_range("--cell", cell, 0.001, 10, "metres")
-
     from imgloc.calibrate import check_trials, disturbed_set, fit, sweep
+    from imgloc.cli import inputs
     from imgloc.io.calibration import calibration_path, save_calibrations
-    from imgloc.io.files import display
     from imgloc.options import Options
     from imgloc.output.json import plain, to_json
     from imgloc.output.tables import calibration_table
     from imgloc.pipeline import prepare
     from imgloc.simulate import fine_image, is_world, simulate_set
 
+    chosen = opt.methods_of(methods, _STACKS)
+    steps = opt.for_each("--theta-step-deg", theta_step_deg, chosen, *opt.STEP)
     paths = [opt.find_map(given) for given in maps]
     targets = [calibration_path(path) for path in paths]
     if len(set(targets)) < len(targets):
@@ -125,14 +112,8 @@ def calibrate(
                 sweeps.append(sweep(features, scans, options, advance=advance))
         fits[method] = fit(sweeps)
         LOG.info("%s: %s", method, asdict(fits[method].calibration))
-    about = {
-        "maps": [display(path) for path in paths],
-        "seed": seed,
-        "trials": count,
-        "sensor": asdict(laser),
-        "clean": clean,
-        "cell": cell,
-    }
+    about = {"maps": [display(path) for path in paths], "seed": seed, "trials": count}
+    about |= {"sensor": asdict(laser), "clean": clean, "cell": cell}
     index = {m: {"calibrated": asdict(f.index), "bare": asdict(f.bare)} for m, f in fits.items()}
     if as_json:
         fitted = {method: asdict(f.calibration) for method, f in fits.items()}

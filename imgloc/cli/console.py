@@ -11,6 +11,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import typer
@@ -24,61 +25,43 @@ INTERRUPTED = 128 + 2  # as a shell reports a process that SIGINT ended
 PIPE_CLOSED = 128 + 13  # and SIGPIPE
 
 
-class _Session:
-    """Switches of one run of the command line."""
-
-    debug = False
-    verbose = False
-
-
-_SESSION = _Session()
+_SESSION = SimpleNamespace(debug=False)  # switches of one run of the command line
 
 
 class Group(TyperGroup):
     """The commands, with one end for every way in which one can fail."""
 
     def invoke(self, ctx: Any) -> Any:
-        """Run a command; turn what it raises into one line and an exit code.
-
-        Raises
-        ------
-        typer.Exit
-            With the exit code.
-        """
+        """Run a command; what it raises becomes one line and a typer.Exit with the exit code."""
         configure(verbose=False, debug=False)
         try:
             result = super().invoke(ctx)
             _flush()
-        except ImglocError as e:
-            _trace()
-            say(f"error: {one_line(e)}")
-            code = e.exit_code
         except KeyboardInterrupt:
             say("interrupted")
-            code = INTERRUPTED
+            raise typer.Exit(INTERRUPTED) from None
         except BrokenPipeError:  # `| head` has seen enough
             _drop_stdout()
-            code = PIPE_CLOSED
-        except (typer.Exit, typer.Abort):
-            raise
-        except MemoryError:
-            _trace()
-            say("error: out of memory; a smaller map, a larger --cell or fewer --threads need less")
-            code = 1
+            raise typer.Exit(PIPE_CLOSED) from None
         except Exception as e:
-            if hasattr(e, "show"):  # a usage error, which Typer prints itself
-                raise
-            _trace()
-            say(f"internal error: {type(e).__name__}: {one_line(e)} (a defect; see --debug)")
-            code = 1
-        else:
-            return result
-        raise typer.Exit(code)
+            if isinstance(e, typer.Exit | typer.Abort) or hasattr(e, "show"):
+                raise  # the last is a usage error, which Typer prints itself
+            if _SESSION.debug:
+                traceback.print_exc()
+            if isinstance(e, ImglocError):
+                say(f"error: {one_line(e)}")
+            elif isinstance(e, MemoryError):
+                less = "a smaller map, a larger --cell or fewer --threads need less"
+                say(f"error: out of memory; {less}")
+            else:
+                say(f"internal error: {type(e).__name__}: {one_line(e)} (a defect; see --debug)")
+            raise typer.Exit(e.exit_code if isinstance(e, ImglocError) else 1) from None
+        return result
 
 
 def configure(*, verbose: bool, debug: bool) -> None:
     """Set the switches of this run: logs on standard error, tracebacks."""
-    _SESSION.verbose, _SESSION.debug = verbose, debug
+    _SESSION.debug = debug
     handler = logging.StreamHandler()  # of this run's stderr
     handler.setFormatter(logging.Formatter("imgloc: %(message)s"))
     LOG.handlers[:] = [handler]
@@ -89,10 +72,7 @@ def configure(*, verbose: bool, debug: bool) -> None:
 def emit(text: str) -> None:
     """Write a piece of the result to standard output, at once.
 
-    Raises
-    ------
-    OutputError
-        If standard output cannot take it, for another reason than a closed pipe.
+    It is an OutputError if that cannot take it, for another reason than a closed pipe.
     """
     try:
         print(text)
@@ -144,24 +124,12 @@ def one_line(error: BaseException) -> str:
 def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable[[], None]]:
     """Show a progress bar on standard error, if that is a terminal.
 
-    Parameters
-    ----------
-    title : str
-    total : int
-        Number of steps.
-    lines : bool
-        Each step writes a line of the result; on one terminal those are progress enough.
-
-    Yields
-    ------
-    callable
-        To be called after each of `total` steps.
+    What it yields is to be called after each of `total` steps. If each of several writes `lines`
+    of the result to a terminal, those are progress enough.
     """
     crowded = lines and total > 1 and sys.stdout is not None and sys.stdout.isatty()
     terminal = sys.stderr is not None and sys.stderr.isatty()
-    if not terminal or crowded or _SESSION.verbose:
-        yield lambda: None
-        return
+    quiet = not terminal or crowded or LOG.isEnabledFor(logging.INFO)
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as Remaining
@@ -169,15 +137,10 @@ def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Remaining())
     # Without the redirection: results go to stdout, where they belong.
     with Progress(
-        *columns, console=Console(stderr=True), transient=True, redirect_stdout=False
+        *columns, console=Console(stderr=True), transient=True, redirect_stdout=False, disable=quiet
     ) as bar:
         task = bar.add_task(title, total=total if total > 1 else None)
         yield lambda: bar.advance(task)
-
-
-def _trace() -> None:
-    if _SESSION.debug:
-        traceback.print_exc()
 
 
 def _flush() -> None:

@@ -5,38 +5,30 @@ import os
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
 
-from imgloc.cli import inputs
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit
+from imgloc.cli.options import flag, option
+from imgloc.io.files import display
 
 _OUT = Path("imgloc-demo.png")
 
 
-class DemoMap(StrEnum):
-    """The bundled maps; spelled out, as :mod:`imgloc.worlds` loads OpenCV."""
-
-    DOUBLE_WALL = "double_wall"
-    VISIBILITY = "visibility"
-    LARGE = "large"
-    CURVED = "curved"
-    CORRIDOR = "corridor"
+# The bundled maps; spelled out, as imgloc.worlds loads OpenCV.
+DemoMap = StrEnum("DemoMap", ("DOUBLE_WALL", "VISIBILITY", "LARGE", "CURVED", "CORRIDOR"))
 
 
 @opt.with_options(opt.resources, opt.console)
 def demo(
     resources: opt.Take,
-    name: Annotated[DemoMap, opt.flag("--map", "Bundled map.")] = DemoMap.DOUBLE_WALL,
-    seed: Annotated[int, opt.option("N", "Seed of the pose and of the noise.", min=0)] = 0,
-    out: Annotated[
-        Path | None,
-        opt.option(
-            "PNG",
-            "Picture to write. [default: imgloc-demo.png here, or the next free name]",
-            show_default=False,
-        ),
-    ] = None,
+    name: DemoMap = flag("--map", "Bundled map.", DemoMap.DOUBLE_WALL),
+    seed: int = option(0, "N", "Seed of the pose and of the noise.", min=0),
+    out: Path | None = option(
+        None,
+        "PNG",
+        "Picture to write. [default: imgloc-demo.png here, or the next free name]",
+        show_default=False,
+    ),
     force: opt.Force = False,
 ) -> None:
     """Simulate a scan in a bundled map, localize it, draw the answer.
@@ -45,16 +37,10 @@ def demo(
     likelihood of CBML, which takes one side of a wall for the other, and the scan at each
     hypothesis of the answer.
     """
-    from imgloc.io.maps import bundled_maps
-
-    maps = bundled_maps()
-    if out is not None:
-        inputs.check_target(out, ".png", force=force, inputs=maps.glob("*.png"))
-
     import numpy as np
 
-    from imgloc.io.files import display
-    from imgloc.io.maps import load_map
+    from imgloc.cli import inputs
+    from imgloc.io.maps import bundled_maps, load_map
     from imgloc.model import Pose2D
     from imgloc.options import Options
     from imgloc.output.pictures import Picture, draw, mosaic
@@ -62,6 +48,9 @@ def demo(
     from imgloc.pipeline import likelihood, localize, prepare
     from imgloc.simulate import simulate_set
 
+    maps = bundled_maps()
+    if out is not None:
+        inputs.check_target(out, ".png", force=force, inputs=maps.glob("*.png"))
     taken = resources()
     path = maps / f"{name.value}.yaml"
     grid = load_map(path)

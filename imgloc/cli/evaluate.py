@@ -4,18 +4,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from imgloc.cli import inputs
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress
+from imgloc.cli.options import option
 from imgloc.errors import ConfigError
-
-if TYPE_CHECKING:
-    from imgloc.io.maps import Reading
-    from imgloc.simulate import Sensor
+from imgloc.io.files import display
 
 _METHODS = ",".join(opt.MethodName)
 _MAX_SCANS = 100_000
@@ -29,40 +26,38 @@ def evaluate(
             metavar="MAP...", help="map_server YAML, image, or the name of a bundled map."
         ),
     ],
-    sensor: "Sensor",
-    reading: "Reading",
+    sensor: "opt.Sensor",
+    reading: "opt.Reading",
     resources: opt.Take,
-    methods: Annotated[str, opt.option("NAMES", "With commas between.")] = _METHODS,
-    count: Annotated[
-        int | None, opt.option("N", "Scans simulated. [default: 100]", "-n", "--count", min=1)
-    ] = None,
-    seed: Annotated[int, opt.option("N", "Seed of what is simulated.", min=0)] = 0,
-    range_max: Annotated[
-        float | None,
-        opt.option("M", "Reach of the simulated sensor [default: 30]; cuts recorded readings."),
-    ] = None,
-    scans: Annotated[
-        list[Path] | None, opt.option("FILE", "Recorded scans with poses; once for each MAP.")
-    ] = None,
-    sample: Annotated[
-        int | None, opt.option("N", "Of the recorded scans take N. [default: all]", min=1)
-    ] = None,
-    sample_seed: Annotated[int, opt.option("N", "Seed that decides which.", min=0)] = 1,
+    methods: str = option(_METHODS, "NAMES", "With commas between."),
+    count: int | None = option(
+        None, "N", "Scans simulated. [default: 100]", "-n", "--count", min=1
+    ),
+    seed: int = option(0, "N", "Seed of what is simulated.", min=0),
+    range_max: float | None = option(
+        None, "M", "Reach of the simulated sensor [default: 30]; cuts recorded readings."
+    ),
+    scans: list[Path] | None = option(
+        None, "FILE", "Recorded scans with poses; once for each MAP."
+    ),
+    sample: int | None = option(None, "N", "Of the recorded scans take N. [default: all]", min=1),
+    sample_seed: int = option(1, "N", "Seed that decides which.", min=0),
     flipped: opt.Flipped = False,
-    tolerance: Annotated[
-        list[str] | None,
-        opt.option("M,DEG", "Report success within this too; the last rules unique, wrong."),
-    ] = None,
-    theta_step_deg: Annotated[
-        list[str] | None,
-        opt.option("[METHOD=]DEG", "Step of the headings. [default: as in the paper]"),
-    ] = None,
-    cell: Annotated[
-        list[str] | None, opt.option("[METHOD=]M", "Cell of the poses, metres. [default: 0.1]")
-    ] = None,
-    floor: Annotated[
-        float, opt.option("P", "Share of the uniform density mixed into each, for S.")
-    ] = 1e-3,
+    tolerance: list[str] | None = option(
+        None, "M,DEG", "Report success within this too; the last rules unique, wrong."
+    ),
+    theta_step_deg: list[str] | None = option(
+        None, "[METHOD=]DEG", "Step of the headings. [default: as in the paper]"
+    ),
+    cell: list[str] | None = option(
+        None, "[METHOD=]M", "Cell of the poses, metres. [default: 0.1]"
+    ),
+    floor: float = option(
+        1e-3,
+        "P",
+        "Share of the uniform density mixed into each, for S.",
+        within=(1e-12, 0.5, "a share"),
+    ),
     as_json: opt.AsJson = False,
     allow_lossy: opt.AllowLossy = False,
 ) -> None:
@@ -75,65 +70,59 @@ def evaluate(
     its cells: 3 degrees (cbml, cbml-o, beam) and 30 (ght, ght-v).
     Everything but what is under "cost" is the same in every run.
     """
-    chosen = opt.methods_of(methods, list(opt.MethodName))
-    steps = opt.for_each("--theta-step-deg", theta_step_deg, chosen, 0.05, 180, "degrees")
-    cells = opt.for_each("--cell", cell, chosen, 0.001, 10, "metres")
-    opt.check_range("--range-max", range_max, 1e-3, 10_000 if scans is None else 1e6, "metres")
-    opt.check_range("--floor", floor, 1e-12, 0.5, "a share")
-    tolerances = [_tolerance(text) for text in tolerance or ()]
-    _check_sources(maps, scans, count, sample, sensor, flipped=flipped)
-
+    from imgloc.cli import inputs
     from imgloc.evaluate import TOLERANCES, Tolerance, method_options
     from imgloc.evaluate import evaluate as measure
     from imgloc.io.calibration import calibration_path, load_calibrations
-    from imgloc.io.files import display
     from imgloc.output.json import evaluation_row, to_json
     from imgloc.output.tables import evaluation_tables
     from imgloc.pipeline import prepare
     from imgloc.simulate import fine_image, is_world, sample_set, simulate_set
 
+    chosen = opt.methods_of(methods, list(opt.MethodName))
+    steps = opt.for_each("--theta-step-deg", theta_step_deg, chosen, *opt.STEP)
+    cells = opt.for_each("--cell", cell, chosen, *opt.SIDE)
+    opt.check_range("--range-max", range_max, 1e-3, 10_000 if scans is None else 1e6, "metres")
+    tolerances = [_tolerance(text) for text in tolerance or ()]
+    _check_sources(maps, scans, count, sample, sensor, flipped=flipped)
     taken = resources()
     budget = taken.memory_budget
     within = (*TOLERANCES, *(Tolerance(m, math.radians(deg)) for m, deg in tolerances))
     table: list[dict[str, Any]] = []
     for k, given in enumerate(maps):
         path = opt.find_map(given)
+        where = display(path)
         # The folder of a map.yaml says more than its name.
-        name = display(
-            given.parent.name if given.stem == "map" and given.parent.name else given.stem
-        )
+        name = display((given.stem == "map" and given.parent.name) or given.stem)
         grid = inputs.load_grid(path, budget, allow_lossy=allow_lossy, **reading)
         calibrations = load_calibrations(calibration_path(path), grid)
-        source: dict[str, object] = {"map": display(path)}
+        source: dict[str, object] = {"map": where}
         if scans is None:
             laser = replace(sensor, range_max=30.0 if range_max is None else range_max)
             n, world = count or 100, is_world(path, grid)
-            inputs.check_simulation(grid, display(path), n, sensor.rays, budget, world=world)
+            inputs.check_simulation(grid, where, n, sensor.rays, budget, world=world)
             # In a bundled map on its walls, not on its cells.
             trials = simulate_set(grid, n, seed, laser, fine_image(path, grid))
             source |= {"seed": seed, "sensor": asdict(laser)}
         else:
-            picked = sample_set(
-                inputs.load_set(scans[k], budget), sample, sample_seed, display(scans[k])
-            )
+            recorded, file = inputs.load_set(scans[k], budget), display(scans[k])
+            picked = sample_set(recorded, sample, sample_seed, file)
             cut = tuple(inputs.cut_scan(scan, range_max, flipped=flipped) for scan in picked.scans)
             trials = replace(picked, scans=cut)
-            source |= {"scans": display(scans[k]), "sample": sample, "sample_seed": sample_seed}
+            source |= {"scans": file, "sample": sample, "sample_seed": sample_seed}
             source |= {"range_max": range_max, "flipped": flipped}
         plans = []
         for method in chosen:
             step, side = steps.get(method), cells.get(method, 0.1)
-            options = method_options(
-                method, None if step is None else math.radians(step), taken.threads
-            )
+            theta_step = None if step is None else math.radians(step)
+            options = method_options(method, theta_step, taken.threads)
             options = replace(options, calibration=calibrations.get(method), memory_budget=budget)
             # All of them before the first one takes its time.
-            inputs.check_answer(
-                prepare(grid, display(path), cell=side), options, display(path), scans=trials.scans
-            )
+            features = prepare(grid, where, cell=side)
+            inputs.check_answer(features, options, where, scans=trials.scans)
             plans.append((method, side, options))
         for method, side, options in plans:
-            features = prepare(grid, display(path), cell=side, threads=taken.threads)
+            features = prepare(grid, where, cell=side, threads=taken.threads)
             with progress(f"{name}: {method}", len(trials), lines=False) as advance:
                 result = measure(
                     features, trials, options, tolerances=within, floor=floor, advance=advance
@@ -149,7 +138,7 @@ def evaluate(
 
 def _check_sources(
     maps: Sequence[Path], scans: Sequence[Path] | None, count: int | None, sample: int | None,
-    sensor: "Sensor", *, flipped: bool,
+    sensor: "opt.Sensor", *, flipped: bool,
 ) -> None:  # fmt: skip
     """Refuse options that would be ignored."""
     from imgloc.simulate import Sensor

@@ -1,30 +1,39 @@
-"""What the commands read, the same way in each: maps, scans, priors, within the memory."""
+"""What the commands read, the same way in each: maps, scans, priors, within the memory.
+
+This loads all of imgloc: a command imports it when it runs.
+"""
 
 import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from imgloc.cli.console import LOG, quiet_libraries
 from imgloc.cli.options import RADIUS, TOLERANCE, Known
 from imgloc.errors import ConfigError, MapError, OutputError
-
-if TYPE_CHECKING:
-    from imgloc.features.mapfeatures import MapFeatures
-    from imgloc.io.images import ImageSize
-    from imgloc.io.scanset import ScanSet
-    from imgloc.model import LaserScan, OccupancyGrid
-    from imgloc.options import Options, Prior
+from imgloc.features.budget import MIB, PROCESS, check_budget, scans_bytes, simulate_bytes
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.store import load_features, save_features
+from imgloc.geometry import compose, inverse
+from imgloc.io.cache import cache_folder
+from imgloc.io.files import display, refuse_existing
+from imgloc.io.images import ImageSize, image_size, read_image
+from imgloc.io.maps import YAML_ENDINGS, load_bytes, load_map, require_usable, resolve_settings
+from imgloc.io.mapyaml import load_map_yaml
+from imgloc.io.scans import load_scans, scans_size
+from imgloc.io.scanset import ScanSet
+from imgloc.model import BoolArray, LaserScan, OccupancyGrid, Pose2D
+from imgloc.options import Options, Prior
+from imgloc.pipeline import answer_bytes, prepare
+from imgloc.search import priors
+from imgloc.simulate import FINE, fine_factor
 
 COARSER = "crop the map, use a larger --cell or --theta-step-deg"
 
 
 def files_of(map_path: Path) -> list[Path]:
     """The files that a map is read from: its YAML and the image that this names, or an image."""
-    from imgloc.io.maps import YAML_ENDINGS
-    from imgloc.io.mapyaml import load_map_yaml
-
     files = [map_path]
     if map_path.suffix.lower() in YAML_ENDINGS:
         with contextlib.suppress(MapError):  # said when the map is loaded
@@ -38,8 +47,6 @@ def check_target(path: Path, ending: str, *, force: bool, inputs: Iterable[Path]
     Its name must have an `ending`. With `force` an existing file may be replaced, but for those
     among `inputs`, which the command reads.
     """
-    from imgloc.io.files import display, refuse_existing
-
     if path.suffix.lower() != ending:
         raise ConfigError(f"{display(path)}: expected a name that ends in {ending}")
     if not path.parent.is_dir():
@@ -83,8 +90,8 @@ def choose(count: int, index: int | None, name: str) -> range:
     return range(index, index + 1)
 
 
-def cut_scan(scan: "LaserScan", range_max: float | None, *, flipped: bool = False) -> "LaserScan":
-    """Return the scan that a sensor with a shorter reach, or one upright, would have recorded."""
+def cut_scan(scan: LaserScan, range_max: float | None, *, flipped: bool = False) -> LaserScan:
+    """The scan that a sensor with a shorter reach, or one upright, would have recorded."""
     scan = scan.flipped if flipped else scan
     if range_max is None or range_max >= scan.range_max:
         return scan
@@ -97,25 +104,18 @@ def cut_scan(scan: "LaserScan", range_max: float | None, *, flipped: bool = Fals
 
 def check_memory(need: int, budget: int, what: str, hint: str) -> None:
     """Say how much `what` takes at most; refuse it if it is more than the budget, bytes."""
-    from imgloc.features.budget import MIB, check_budget
-
     LOG.info("%s: at most %d MiB, the budget is %d MiB", what, -(-need // MIB), budget // MIB)
     check_budget(need, budget, what, f"{hint}, or raise --memory-budget")
 
 
 def check_image(
-    path: Path, reading: Mapping[str, Any], budget: int, need: "Callable[[ImageSize], int]",
+    path: Path, reading: Mapping[str, Any], budget: int, need: Callable[[ImageSize], int],
     *, held: int = 0,
 ) -> None:  # fmt: skip
     """Check the memory that looking at the image of a map takes, as its header says.
 
     That is what `need` says of its size, and what other maps that are `held` at the same time take.
     """
-    from imgloc.features.budget import MIB
-    from imgloc.io.files import display
-    from imgloc.io.images import image_size
-    from imgloc.io.maps import resolve_settings
-
     image = resolve_settings(path, **reading).image
     size = image_size(image)
     beside = f" beside {-(-held // MIB)} MiB of other maps" if held else ""
@@ -130,14 +130,11 @@ def check_image(
 def load_grid(
     path: Path, budget: int, *, allow_lossy: bool, held: int = 0, usable: bool = True,
     **reading: Any,
-) -> "OccupancyGrid":  # fmt: skip
+) -> OccupancyGrid:  # fmt: skip
     """Load a map, whose image is decoded only if that takes no more than the budget.
 
     `usable` asks for walls and free cells; `held` are bytes of the budget that other maps take.
     """
-    from imgloc.io.files import display
-    from imgloc.io.maps import load_bytes, load_map, require_usable
-
     check_image(path, reading, budget, load_bytes, held=held)
     with quiet_libraries():
         grid = load_map(path, **reading, allow_lossy=allow_lossy)
@@ -146,12 +143,8 @@ def load_grid(
     return grid
 
 
-def load_set(path: Path, budget: int) -> "ScanSet":
+def load_set(path: Path, budget: int) -> ScanSet:
     """Load scans, which are read only if they take no more than the budget."""
-    from imgloc.features.budget import scans_bytes
-    from imgloc.io.files import display
-    from imgloc.io.scans import load_scans, scans_size
-
     size = scans_size(path)
     check_memory(
         scans_bytes(size.scans, size.numbers, size.file_bytes, text=size.text),
@@ -162,16 +155,14 @@ def load_set(path: Path, budget: int) -> "ScanSet":
     return load_scans(path)
 
 
-def held_bytes(scans: "Sequence[LaserScan]") -> int:
+def held_bytes(scans: Sequence[LaserScan]) -> int:
     """Bytes of scans that are held in memory; a few out of many hold the array of all."""
-    from imgloc.features.budget import scans_bytes
-
     arrays = [a if a.base is None else a.base for s in scans for a in (s.ranges, s.angles)]
     return scans_bytes(len(scans), 0) + sum({id(a): a.nbytes for a in arrays}.values())
 
 
 def check_simulation(
-    grid: "OccupancyGrid", name: str, count: int, rays: int, budget: int,
+    grid: OccupancyGrid, name: str, count: int, rays: int, budget: int,
     *, world: bool = False, at_once: int | None = None, sets: int = 1,
     hint: str = "simulate fewer scans, crop the map",
 ) -> None:  # fmt: skip
@@ -179,17 +170,10 @@ def check_simulation(
 
     They are simulated `at_once`, by default all, and as many as `sets` times `count` are kept.
     """
-    from imgloc.features.budget import simulate_bytes
-    from imgloc.simulate import FINE, fine_factor
-
     height, width = grid.occupied.shape
     factor = round(grid.resolution / FINE) if world else fine_factor(grid)
-    need = simulate_bytes(
-        height * width,
-        height * width * factor**2,
-        min(count, at_once or count) * rays,
-        kept=sets * count * rays,
-    )
+    cells, beams = height * width, min(count, at_once or count) * rays
+    need = simulate_bytes(cells, cells * factor**2, beams, kept=sets * count * rays)
     what = (
         f"{name}: simulating {count:,} scans of {rays:,} rays "
         f"on {factor * height} x {factor * width} cells"
@@ -198,16 +182,13 @@ def check_simulation(
 
 
 def check_answer(
-    features: "MapFeatures", options: "Options", name: str,
-    *, hint: str = COARSER, workers: int = 1, scans: "Sequence[LaserScan]" = (),
+    features: MapFeatures, options: Options, name: str,
+    *, hint: str = COARSER, workers: int = 1, scans: Sequence[LaserScan] = (),
 ) -> None:  # fmt: skip
     """Check the memory that an answer, the features it needs and the scans take together.
 
     The budget, that of the options, is for all of several processes, which share nothing.
     """
-    from imgloc.features.budget import MIB, PROCESS
-    from imgloc.pipeline import answer_bytes
-
     (rows, columns), lattice = features.grid.occupied.shape, features.lattice
     held = features.bytes_for(options.method)
     answer = answer_bytes(features, options)
@@ -227,8 +208,6 @@ def check_answer(
 
 def kept_in(given: Path | None, *, wanted: bool) -> Path | None:
     """Where prepared maps are kept: the folder given, else the user's; None for nowhere."""
-    from imgloc.io.cache import cache_folder
-
     if not wanted:
         return None
     try:
@@ -239,38 +218,28 @@ def kept_in(given: Path | None, *, wanted: bool) -> Path | None:
 
 
 def open_features(
-    grid: "OccupancyGrid", name: str, folder: Path | None, options: "Options",
-    *, hint: str = COARSER, scans: "Sequence[LaserScan]" = (), **parameters: Any,
-) -> "MapFeatures":  # fmt: skip
+    grid: OccupancyGrid, name: str, folder: Path | None, options: Options,
+    *, hint: str = COARSER, scans: Sequence[LaserScan] = (), **parameters: Any,
+) -> MapFeatures:  # fmt: skip
     """Prepare a map, with what the cache in `folder` has of it, to answer as `options` say.
 
     It is refused if its features, an answer and the `scans` would take more than the options'
     budget; `hint` is what to change.
     """
-    from imgloc.features.store import load_features
-    from imgloc.pipeline import prepare
-
     parameters["memory_budget"] = options.memory_budget
     features = prepare(grid, name, **parameters)
     check_answer(features, options, name, hint=hint, scans=scans)
     return features if folder is None else load_features(grid, folder, parameters)
 
 
-def keep_features(features: "MapFeatures", folder: Path | None) -> None:
+def keep_features(features: MapFeatures, folder: Path | None) -> None:
     """Keep in the cache what has been computed of a map and is not there yet."""
-    from imgloc.features.store import save_features
-
     if folder is not None and save_features(features, folder):
         LOG.info("kept the prepared map in %s", folder)
 
 
-def prior_of(known: Known, grid: "OccupancyGrid", *, allow_lossy: bool = False) -> "Prior":
+def prior_of(known: Known, grid: OccupancyGrid, *, allow_lossy: bool = False) -> Prior:
     """Make the prior of a map; its region may be a JPEG if the map may."""
-    from imgloc.geometry import compose, inverse
-    from imgloc.model import Pose2D
-    from imgloc.options import Prior
-    from imgloc.search import priors
-
     prior, to_grid = Prior(), inverse(grid.origin)
     if known.near is not None:
         x, y, yaw, *rest = known.near
@@ -287,25 +256,13 @@ def prior_of(known: Known, grid: "OccupancyGrid", *, allow_lossy: bool = False) 
         cells = _region(known.region, grid, allow_lossy)
         prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})
     if known.clearance:
-        prior &= Prior(
-            priors.clearance(grid, known.clearance), None, {"clearance": known.clearance}
-        )
+        cells = priors.clearance(grid, known.clearance)
+        prior &= Prior(cells, None, {"clearance": known.clearance})
     return prior
 
 
-def _region(path: Path, grid: "OccupancyGrid", allow_lossy: bool) -> Any:
+def _region(path: Path, grid: OccupancyGrid, allow_lossy: bool) -> BoolArray:
     """The white pixels of an image that are not transparent, row 0 lowest."""
-    from imgloc.io.files import display
-    from imgloc.io.images import image_size, read_image
-
-    size = image_size(path)[:2]  # of which there is memory enough if it is that of the map
-    if size[::-1] != grid.occupied.shape:
-        height, width = grid.occupied.shape
-        raise ConfigError(
-            f"{display(path)}: {size[0]} x {size[1]} pixels, expected {width} x {height} as the map"
-        )
-    read = read_image(path, allow_lossy=allow_lossy)
-    image = read.pixels
     size = image_size(path)[:2]  # of which there is memory enough if it is that of the map
     if size[::-1] != grid.occupied.shape:
         height, width = grid.occupied.shape

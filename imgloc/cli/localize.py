@@ -1,23 +1,15 @@
 """`imgloc localize`: the poses of scans in a map."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imgloc.cli import inputs
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress
+from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
-
-if TYPE_CHECKING:
-    from imgloc.features.mapfeatures import MapFeatures
-    from imgloc.io.maps import Reading
-    from imgloc.model import LaserScan
-    from imgloc.options import Options
+from imgloc.io.files import display, write_text_atomic
 
 _MIRRORED = 3  # doubtful scans that are looked at mirrored
 
@@ -28,60 +20,45 @@ def localize(
     scans_path: opt.ScansPath,
     known: opt.Known,
     mounting: opt.Mounting,
-    reading: "Reading",
+    reading: "opt.Reading",
     resources: opt.Take,
-    method: Annotated[
-        opt.MethodName,
-        typer.Option(help="How: fused searches and re-scores, the others are the paper's stacks."),
-    ] = opt.MethodName.FUSED,
-    top: Annotated[int, opt.option("N", "Hypotheses listed for a scan.", min=1)] = 5,
+    method: opt.MethodName = typer.Option(
+        opt.MethodName.FUSED,
+        help="How: fused searches and re-scores, the others are the paper's stacks.",
+    ),
+    top: int = option(5, "N", "Hypotheses listed for a scan.", min=1),
     as_json: opt.AsJson = False,
-    picture: Annotated[
-        Path | None,
-        opt.option(
-            "PNG", "Draw the scan at each hypothesis; several scans: NAME-0003.png and so on."
-        ),
-    ] = None,
-    explain: Annotated[
-        Path | None,
-        opt.option(
-            "HTML", "Say why, ray by ray, on a page of its own; several scans: NAME-0003.html."
-        ),
-    ] = None,
+    picture: Path | None = option(
+        None, "PNG", "Draw the scan at each hypothesis; several scans: NAME-0003.png and so on."
+    ),
+    explain: Path | None = option(
+        None, "HTML", "Say why, ray by ray, on a page of its own; several scans: NAME-0003.html."
+    ),
     index: opt.Index = None,
-    strict: Annotated[
-        bool, opt.flag("--strict", "Exit with 6 unless every scan is unique.")
-    ] = False,
+    strict: bool = flag("--strict", "Exit with 6 unless every scan is unique."),
     range_max: opt.Cut = None,
-    theta_step_deg: Annotated[
-        float | None, opt.option("DEG", "Step of the headings. [default: the method's own]")
-    ] = None,
+    theta_step_deg: float | None = option(
+        None, "DEG", "Step of the headings. [default: the method's own]", within=opt.STEP
+    ),
     cell: opt.Cell = 0.1,
-    engine: Annotated[
-        opt.EngineName, typer.Option(help="Of the correlations of cbml and cbml-o.")
-    ] = opt.EngineName.AUTO,
-    exact_argmax: Annotated[
-        bool,
-        opt.flag(
-            "--exact-argmax",
-            "Branch and bound: the best poses of cbml without its stack; to fused, more proposals.",
-        ),
-    ] = False,
-    time_budget: Annotated[
-        float | None,
-        opt.option(
-            "S",
-            "Seconds for each scan: then the best so far, marked as not complete. Such "
-            "answers depend on the machine.",
-        ),
-    ] = None,
-    cache: Annotated[
-        Path | None,
-        opt.option("DIR", "Where prepared maps are kept. [default: the user's cache folder]"),
-    ] = None,
-    no_cache: Annotated[
-        bool, opt.flag("--no-cache", "Prepare the map anew and keep nothing.")
-    ] = False,
+    engine: opt.EngineName = typer.Option(
+        opt.EngineName.AUTO, help="Of the correlations of cbml and cbml-o."
+    ),
+    exact_argmax: bool = flag(
+        "--exact-argmax",
+        "Branch and bound: the best poses of cbml without its stack; to fused, more proposals.",
+    ),
+    time_budget: float | None = option(
+        None,
+        "S",
+        "Seconds for each scan: then the best so far, marked as not complete. Such "
+        "answers depend on the machine.",
+        within=(0.001, 1e6, "seconds"),
+    ),
+    cache: Path | None = option(
+        None, "DIR", "Where prepared maps are kept. [default: the user's cache folder]"
+    ),
+    no_cache: bool = flag("--no-cache", "Prepare the map anew and keep nothing."),
     force: opt.Force = False,
     allow_lossy: opt.AllowLossy = False,
 ) -> None:
@@ -91,24 +68,11 @@ def localize(
     best pose does not explain the scan), invalid (too few readings). Poses are those of the sensor,
     in the map frame. Look at the mass of the second hypothesis before trusting the first.
     """
-    opt.check_range("--range-max", range_max, 1e-3, 1e6, "metres")
-    opt.check_range("--theta-step-deg", theta_step_deg, 0.05, 180, "degrees")
-    opt.check_range("--cell", cell, 0.001, 10, "metres")
-    opt.check_range("--time-budget", time_budget, 0.001, 1e6, "seconds")
-    if cache is not None and no_cache:
-        raise ConfigError("--cache and --no-cache: expected one of them")
-    if engine != opt.EngineName.AUTO and method not in (opt.MethodName.CBML, opt.MethodName.CBML_O):
-        raise ConfigError(f"--engine: {method.value} does not correlate; use cbml or cbml-o")
-    read = [*inputs.files_of(map_path), *([] if known.region is None else [known.region])]
-    if picture is not None:
-        inputs.check_target(picture, ".png", force=force, inputs=read)
-    if explain is not None:
-        inputs.check_target(explain, ".html", force=force)
-
+    from imgloc.cli import inputs
     from imgloc.explain import explain as reasons
     from imgloc.io.calibration import calibration_path, load_calibrations
-    from imgloc.io.files import display, write_text_atomic
     from imgloc.model import Pose2D
+    from imgloc.options import FusedOptions, Options
     from imgloc.output.json import answer_row, to_json
     from imgloc.output.pages import render_explanation
     from imgloc.output.pictures import draw
@@ -116,13 +80,25 @@ def localize(
     from imgloc.pipeline import check_options
     from imgloc.pipeline import localize as locate
 
+    if cache is not None and no_cache:
+        raise ConfigError("--cache and --no-cache: expected one of them")
+    if engine != opt.EngineName.AUTO and method not in (opt.MethodName.CBML, opt.MethodName.CBML_O):
+        raise ConfigError(f"--engine: {method.value} does not correlate; use cbml or cbml-o")
+    read = [*inputs.files_of(map_path), *([] if known.region is None else [known.region])]
+    outputs = ((picture, ".png", read), (explain, ".html", list[Path]()))
+    for path, ending, sources in outputs:
+        if path is not None:
+            inputs.check_target(path, ending, force=force, inputs=sources)
     taken = resources()
     grid = inputs.load_grid(
         map_path, taken.memory_budget, allow_lossy=allow_lossy, usable=False, **reading
     )
-    options = _options(method, theta_step_deg)
-    options = replace(
-        options,
+    step = None if theta_step_deg is None else math.radians(theta_step_deg)
+    fused = method == opt.MethodName.FUSED
+    options = Options(
+        method=method.value,
+        theta_step=None if fused else step,
+        fused=FusedOptions(theta_step=step) if fused and step is not None else FusedOptions(),
         top=top,
         engine=engine.value,
         threads=taken.threads,
@@ -141,10 +117,9 @@ def localize(
     chosen = inputs.choose(len(scans), index, display(scans_path))
     many, mount = len(chosen) > 1, mounting.pose
     targets, pages = inputs.numbered(picture, chosen), inputs.numbered(explain, chosen)
-    for target in targets.values():
-        inputs.check_target(target, ".png", force=force, inputs=read)
-    for page in pages.values():
-        inputs.check_target(page, ".html", force=force)
+    for files, (_, ending, sources) in zip((targets, pages), outputs, strict=True):
+        for path in files.values():
+            inputs.check_target(path, ending, force=force, inputs=sources)
     LOG.info("%s: %d x %d cells of %g m", display(map_path), *grid.info.shape, grid.resolution)
     LOG.info("%s: %d of %d scans", display(scans_path), len(chosen), len(scans))
     check_options(features, options)
@@ -170,40 +145,20 @@ def localize(
                 LOG.info("wrote %s", display(pages[k]))
             advance()
             if as_json:
-                about = {"range_max": scan.range_max, **mounting.about}
+                about = {"range_max": scan.range_max, "sensor": mount, "flipped": mounting.flipped}
                 emit(to_json(answer_row(answer, k, about, mount)))
             elif many:
                 emit(answer_line(k, answer, mount))
             else:
                 emit(answer_text(f"scan {k}", answer, truth, mount))
     inputs.keep_features(features, folder)
-    if method == opt.MethodName.FUSED and time_budget is None and 2 * len(doubtful) > len(chosen):
-        _hint_at_mirrored(doubtful[:_MIRRORED], features, options, flipped=mounting.flipped)
+    if fused and time_budget is None and 2 * len(doubtful) > len(chosen):
+        mirrored = (locate(features, scan.flipped, options) for scan in doubtful[:_MIRRORED])
+        if all(answer.verdict == "unique" for answer in mirrored):
+            LOG.warning(
+                "scans like these fit at one place if they are mirrored: is the sensor upside "
+                "down? %s --flipped",
+                "Leave out" if mounting.flipped else "Try",
+            )
     if strict and doubtful:
         raise typer.Exit(NOT_UNIQUE)
-
-
-def _options(method: opt.MethodName, step_deg: float | None) -> "Options":
-    from imgloc.options import Options
-
-    options = Options(method=method.value)
-    if step_deg is None:
-        return options
-    step = math.radians(step_deg)
-    if method == opt.MethodName.FUSED:
-        return replace(options, fused=replace(options.fused, theta_step=step))
-    return replace(options, theta_step=step)
-
-
-def _hint_at_mirrored(
-    doubtful: Sequence["LaserScan"], features: "MapFeatures", options: "Options", *, flipped: bool
-) -> None:
-    """Say so if all of some doubtful scans would fit at one place if they were mirrored."""
-    from imgloc.pipeline import localize as locate
-
-    if all(locate(features, scan.flipped, options).verdict == "unique" for scan in doubtful):
-        LOG.warning(
-            "scans like these fit at one place if they are mirrored: is the sensor upside down? "
-            "%s --flipped",
-            "Leave out" if flipped else "Try",
-        )

@@ -2,37 +2,25 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from imgloc.cli import inputs
 from imgloc.cli import options as opt
 from imgloc.cli.console import emit, quiet_libraries, say
+from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError, MapError
+from imgloc.io.files import display
 
-if TYPE_CHECKING:
-    from imgloc.io.maps import Reading
-    from imgloc.model import OccupancyGrid
-
-
-class Subject(StrEnum):
-    """What `imgloc map show` draws."""
-
-    MAP = "map"
-    BMAP = "bmap"
-    VMAP = "vmap"
-    SURFACE = "surface"
-    VISIBILITY = "visibility"
-    DISTANCE = "distance"
+Subject = StrEnum("Subject", ("MAP", "BMAP", "VMAP", "SURFACE", "VISIBILITY", "DISTANCE"))
 
 
 @opt.with_options(opt.reading, opt.console)
 def check(
     map_path: opt.MapPath,
-    reading: "Reading",
+    reading: "opt.Reading",
     as_json: opt.AsJson = False,
-    strict: Annotated[bool, opt.flag("--strict", "Exit with 3 if there is any warning.")] = False,
+    strict: bool = flag("--strict", "Exit with 3 if there is any warning."),
     memory_budget: opt.MemoryBudget = None,
 ) -> None:
     """Report what is in a map, and what is likely to be wrong with it.
@@ -40,6 +28,7 @@ def check(
     A map without walls or without free space is reported, not refused; a file that cannot be read
     exits with 3.
     """
+    from imgloc.cli import inputs
     from imgloc.io.mapcheck import check_bytes, check_map
     from imgloc.output.json import report_row, to_json
     from imgloc.output.tables import report_text
@@ -55,64 +44,56 @@ def check(
 @opt.with_options(opt.reading, opt.console)
 def show(
     map_path: opt.MapPath,
-    out: Annotated[Path, opt.option("PNG", "Picture to write.", show_default=False)],
-    reading: "Reading",
-    what: Annotated[
-        Subject,
-        typer.Option(
-            help="The map as it is read; blurred (bmap); normals, blurred (vmap); surface points "
-            "with normals; what one surface point sees; distance to the nearest wall."
-        ),
-    ] = Subject.MAP,
-    at: Annotated[
-        Any,
-        opt.option(
-            "X,Y",
-            "For visibility: near here, metres, map frame. [default: what sees most]",
-            parser=opt.numbers(2),
-        ),
-    ] = None,
-    sigma: Annotated[
-        float | None,
-        opt.option("M", "Blur of bmap and vmap, standard deviation, metres. [default: 0.1]"),
-    ] = None,
-    cell: Annotated[float | None, opt.option("M", "Cell of bmap and vmap, metres.")] = None,
+    out: Annotated[Path, option(..., "PNG", "Picture to write.", show_default=False)],
+    reading: "opt.Reading",
+    what: Subject = typer.Option(
+        Subject.MAP,
+        help="The map as it is read; blurred (bmap); normals, blurred (vmap); surface points "
+        "with normals; what one surface point sees; distance to the nearest wall.",
+    ),
+    at: Any = option(
+        None,
+        "X,Y",
+        "For visibility: near here, metres, map frame. [default: what sees most]",
+        parser=opt.numbers(2),
+    ),
+    sigma: float | None = option(
+        None,
+        "M",
+        "Blur of bmap and vmap, standard deviation, metres. [default: 0.1]",
+        within=(0.001, 100, "metres"),
+    ),
+    cell: float | None = option(None, "M", "Cell of bmap and vmap, metres.", within=opt.SIDE),
     memory_budget: opt.MemoryBudget = None,
     force: opt.Force = False,
     allow_lossy: opt.AllowLossy = False,
 ) -> None:
     """Draw a map, or what is computed from it, into a PNG."""
-    inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
-    opt.check_range("--sigma", sigma, 0.001, 100, "metres")
-    opt.check_range("--cell", cell, 0.001, 10, "metres")
-    if at is not None and what != Subject.VISIBILITY:
-        raise ConfigError("--at: only --what visibility is drawn at a point")
-    for option, value in (("--sigma", sigma), ("--cell", cell)):
-        if value is not None and what not in (Subject.BMAP, Subject.VMAP):
-            raise ConfigError(f"{option}: only --what bmap and --what vmap are blurred")
+    import numpy as np
+
+    from imgloc.cli import inputs
     from imgloc.features.mapfeatures import MapFeatures
-    from imgloc.io.files import display
+    from imgloc.geometry import cell_of, inside, inverse, transform_points
     from imgloc.output.pictures import draw
 
+    inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
+    if at is not None and what != Subject.VISIBILITY:
+        raise ConfigError("--at: only --what visibility is drawn at a point")
+    for name, value in (("--sigma", sigma), ("--cell", cell)):
+        if value is not None and what not in (Subject.BMAP, Subject.VMAP):
+            raise ConfigError(f"{name}: only --what bmap and --what vmap are blurred")
     grid = inputs.load_grid(
         map_path, opt.fixed_budget(memory_budget),
         allow_lossy=allow_lossy, usable=what != Subject.MAP, **reading,
     )  # fmt: skip
     features = MapFeatures(grid, cell=cell or grid.resolution, sigma=sigma or 0.1)
     if at is not None:
-        _check_point(grid, at)
+        there = transform_points(inverse(grid.origin), np.array([at]))
+        if not inside(cell_of(there, grid.resolution), grid.info).all():
+            raise ConfigError(
+                f"--at: {at[0]:g},{at[1]:g} is not on the map, expected a point of it"
+            )
     picture = draw(features, what=what.value, at=at)
     picture.save(out, force=force)
     height, width = picture.image.shape[:2]
     say(f"wrote {display(out)}: {what.value}, {width} x {height} pixels")
-
-
-def _check_point(grid: "OccupancyGrid", at: tuple[float, float]) -> None:
-    """Refuse a point that is not on the map, metres, map frame."""
-    import numpy as np
-
-    from imgloc.geometry import cell_of, inside, inverse, transform_points
-
-    there = transform_points(inverse(grid.origin), np.array([at]))
-    if not inside(cell_of(there, grid.resolution), grid.info).all():
-        raise ConfigError(f"--at: {at[0]:g},{at[1]:g} is not on the map, expected a point of it")

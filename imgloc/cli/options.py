@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 
 import typer
 
@@ -17,50 +17,26 @@ from imgloc.cli.console import configure
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from imgloc.io.maps import Reading
+    from imgloc.io.maps import Reading as Reading
     from imgloc.model import LaserScan, Pose2D
-    from imgloc.simulate import Sensor
+    from imgloc.simulate import Sensor as Sensor
 
 F = TypeVar("F", bound=Callable[..., None])
+Range = tuple[float, float, str]  # lowest, highest, unit
 _UNITS = {"": 0, "K": 10, "M": 20, "G": 30, "T": 40}
 RADIUS, TOLERANCE = 2.0, 0.8
 """How far from --near a robot may be, and turned how far, unless stated: metres, radians."""
 
 
-class MethodName(StrEnum):
-    """Names of the methods; spelled out, as loading the methods themselves takes a while."""
-
-    FUSED = "fused"
-    CBML = "cbml"
-    CBML_O = "cbml-o"
-    GHT = "ght"
-    GHT_V = "ght-v"
-    BEAM = "beam"
-
-
-class EngineName(StrEnum):
-    """Engines of the correlations."""
-
-    AUTO = "auto"
-    FILTER2D = "filter2d"
-    SHIFT = "shift"
-    DFT = "dft"
-    REMAP = "remap"
-
-
-class ModeName(StrEnum):
-    """How map_server reads greys."""
-
-    TRINARY = "trinary"
-    SCALE = "scale"
-    RAW = "raw"
-
-
-class SemanticsName(StrEnum):
-    """Whose map_server."""
-
-    NAV2 = "nav2"
-    ROS1 = "ros1"
+# Names that the help needs, spelled out: to load where they are defined takes a while.
+MethodName = StrEnum(
+    "MethodName",
+    (("FUSED", "fused"), ("CBML", "cbml"), ("CBML_O", "cbml-o"), ("GHT", "ght"),
+     ("GHT_V", "ght-v"), ("BEAM", "beam")),
+)  # fmt: skip
+EngineName = StrEnum("EngineName", ("AUTO", "FILTER2D", "SHIFT", "DFT", "REMAP"))
+ModeName = StrEnum("ModeName", ("TRINARY", "SCALE", "RAW"))
+SemanticsName = StrEnum("SemanticsName", ("NAV2", "ROS1"))
 
 
 def byte_count(text: str) -> int:
@@ -77,8 +53,12 @@ def byte_count(text: str) -> int:
     return int(float(found[1]) * (1 << _UNITS[found[2].upper()]))
 
 
-def numbers(least: int, most: int | None = None) -> Callable[[str], tuple[float, ...]]:
+def numbers(
+    least: int, most: int | None = None, *, pose: str = ""
+) -> Callable[[str], tuple[float, ...]]:
     """Return a parser of `least` to `most` finite numbers with commas between them.
+
+    The third may be the yaw of the option `pose`, which is refused if it was meant in degrees.
 
     Examples
     --------
@@ -95,6 +75,8 @@ def numbers(least: int, most: int | None = None) -> Callable[[str], tuple[float,
             values = ()
         if not least <= len(values) <= most or not all(map(math.isfinite, values)):
             raise typer.BadParameter(f"got {text!r}, expected {count} numbers with commas between")
+        if pose:
+            check_yaw(pose, values[2])
         return values
 
     return parse
@@ -121,14 +103,26 @@ def find_map(path: str | Path) -> Path:
     return bundled if bundled.is_file() else path
 
 
-def option(metavar: str, text: str, *names: str, **more: Any) -> Any:
-    """Declare an option: what stands for its value in the help, and what it is."""
-    return typer.Option(*names, metavar=metavar, help=text, **more)
+def option(
+    default: Any, metavar: str, text: str, *names: str, within: Range | None = None, **more: Any
+) -> Any:
+    """Declare an option: what stands for its value in the help, and what it is.
+
+    A value must be `within` a lowest and a highest one, in the unit that is the third.
+    """
+    if within is not None:
+
+        def check(param: typer.CallbackParam, value: Any) -> Any:
+            check_range(param.opts[0], value, *within)
+            return value
+
+        more["callback"] = check
+    return typer.Option(default, *names, metavar=metavar, help=text, **more)
 
 
-def flag(names: str, text: str) -> Any:
+def flag(names: str, text: str, default: Any = False) -> Any:
     """Declare an option without a value."""
-    return typer.Option(names, help=text)
+    return typer.Option(default, names, help=text)
 
 
 MapPath = Annotated[
@@ -142,49 +136,43 @@ MapPath = Annotated[
 ScansPath = Annotated[
     Path, typer.Argument(metavar="SCANS", help="Scans: .npz, .csv, .jsonl, .ndjson or .json.")
 ]
-Index = Annotated[int | None, option("I", "Only scan I, counted from 0.", "--index", min=0)]
-Cut = Annotated[float | None, option("M", "Cut readings at M metres: there, no return.")]
-Reach = Annotated[float, option("M", "Reach of the sensor, metres.")]
-Seed = Annotated[int, option("N", "Seed of everything random.", min=0)]
-Cell = Annotated[float, option("M", "Cell of the poses, metres.")]
+Index = Annotated[int | None, option(..., "I", "Only scan I, counted from 0.", "--index", min=0)]
+_READINGS = "Cut readings at M metres: there, no return."
+Cut = Annotated[float | None, option(..., "M", _READINGS, within=(1e-3, 1e6, "metres"))]
+SHARE = (0, 1, "a share")
+REACH = (0.01, 10_000, "metres")
+Reach = Annotated[float, option(..., "M", "Reach of the sensor, metres.", within=REACH)]
+Seed = Annotated[int, option(..., "N", "Seed of everything random.", min=0)]
+SIDE = (0.001, 10, "metres")
+Cell = Annotated[float, option(..., "M", "Cell of the poses, metres.", within=SIDE)]
+STEP = (0.05, 180, "degrees")
 Flipped = Annotated[
-    bool,
-    flag("--flipped", "The sensor is upside down: its angles run clockwise."),
+    bool, flag("--flipped", "The sensor is upside down: its angles run clockwise.", ...)
 ]
-Force = Annotated[bool, flag("--force", "Overwrite output files that exist.")]
-AsJson = Annotated[bool, flag("--json", "Machine-readable: a JSON object a line.")]
-MemoryBudget = Annotated[
-    Any,
-    option(
-        "BYTES",
-        "Refuse to take more memory, such as 512M or 2G. [default: half of what is available]",
-        parser=byte_count,
-    ),
-]
-AllowLossy = Annotated[bool, flag("--allow-lossy", "Accept a JPEG as the map.")]
+Force = Annotated[bool, flag("--force", "Overwrite output files that exist.", ...)]
+AsJson = Annotated[bool, flag("--json", "Machine-readable: a JSON object a line.", ...)]
+_MEMORY = "Refuse to take more memory, such as 512M or 2G. [default: half of what is available]"
+MemoryBudget = Annotated[Any, option(..., "BYTES", _MEMORY, parser=byte_count)]
+AllowLossy = Annotated[bool, flag("--allow-lossy", "Accept a JPEG as the map.", ...)]
 
 
 def reading(
-    resolution: Annotated[float | None, option("M", "Metres per cell.")] = None,
-    origin: Annotated[
-        Any,
-        option(
-            "X,Y,YAW",
-            "Pose of the lower-left corner in the map frame: metres, metres, radians.",
-            parser=numbers(3),
-        ),
-    ] = None,
-    mode: Annotated[ModeName | None, typer.Option(help="How greys are read.")] = None,
-    semantics: Annotated[
-        SemanticsName, typer.Option(help="Whose thresholds and transparency.")
-    ] = SemanticsName.NAV2,
-    occupied_thresh: Annotated[float | None, option("P", "Occupied from here on, 0..1.")] = None,
-    free_thresh: Annotated[float | None, option("P", "Free up to here, 0..1.")] = None,
-    negate: Annotated[bool | None, flag("--negate/--no-negate", "White is a wall.")] = None,
+    resolution: float | None = option(None, "M", "Metres per cell."),
+    origin: Any = option(
+        None,
+        "X,Y,YAW",
+        "Pose of the lower-left corner in the map frame: metres, metres, radians.",
+        parser=numbers(3, pose="--origin"),
+    ),
+    mode: ModeName | None = typer.Option(None, help="How greys are read."),
+    semantics: SemanticsName = typer.Option(
+        SemanticsName.NAV2, help="Whose thresholds and transparency."
+    ),
+    occupied_thresh: float | None = option(None, "P", "Occupied from here on, 0..1."),
+    free_thresh: float | None = option(None, "P", "Free up to here, 0..1."),
+    negate: bool | None = flag("--negate/--no-negate", "White is a wall.", None),
 ) -> "Reading":
     """Options that say how a map is read; they override its YAML."""
-    if origin is not None:
-        check_yaw("--origin", origin[2])
     return {
         "resolution": resolution,
         "origin": origin,
@@ -196,8 +184,7 @@ def reading(
     }
 
 
-@dataclass(frozen=True)
-class Resources:
+class Resources(NamedTuple):
     """What a command may take to its end: threads, and bytes of memory."""
 
     threads: int
@@ -208,10 +195,9 @@ Take = Callable[[], Resources]
 
 
 def resources(
-    threads: Annotated[
-        int | None,
-        option("N", "Threads; no result depends on it. [default: all processors]", min=1),
-    ] = None,
+    threads: int | None = option(
+        None, "N", "Threads; no result depends on it. [default: all processors]", min=1
+    ),
     memory_budget: MemoryBudget = None,
 ) -> Take:
     """Options of what a command may take; call the result when its work begins."""
@@ -242,15 +228,14 @@ def count_threads(wanted: int | None) -> int:
 
 
 def console(
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Say what is done.")] = False,
-    debug: Annotated[bool, flag("--debug", "Show tracebacks of errors.")] = False,
+    verbose: bool = typer.Option(False, "--verbose", "-v", help="Say what is done."),
+    debug: bool = flag("--debug", "Show tracebacks of errors."),
 ) -> None:
     """Options about what is said on standard error."""
     configure(verbose=verbose, debug=debug)
 
 
-@dataclass(frozen=True)
-class Known:
+class Known(NamedTuple):
     """What the options say of the pose, map frame; None where they say nothing."""
 
     near: tuple[float, ...] | None
@@ -260,32 +245,29 @@ class Known:
 
 
 def known(
-    near: Annotated[
-        Any,
-        option(
-            "X,Y,YAW[,R[,T]]",
-            "Only poses within R metres of a pose in the map frame and turned from it by at "
-            f"most T radians. [default: R = {RADIUS:g}, T = {TOLERANCE:g}]",
-            parser=numbers(3, 5),
-        ),
-    ] = None,
-    heading: Annotated[
-        Any,
-        option(
-            "YAW[,T]",
-            "Only poses with this heading in the map frame (a compass), up to T radians. "
-            f"[default: T = {TOLERANCE:g}]",
-            parser=numbers(1, 2),
-        ),
-    ] = None,
-    region: Annotated[
-        Path | None,
-        option("PNG", "Only poses in the white part of an image as large as the map's."),
-    ] = None,
-    clearance: Annotated[
-        float | None,
-        option("M", "Only poses at least M metres from what is not free: the robot's size."),
-    ] = None,
+    near: Any = option(
+        None,
+        "X,Y,YAW[,R[,T]]",
+        "Only poses within R metres of a pose in the map frame and turned from it by at "
+        f"most T radians. [default: R = {RADIUS:g}, T = {TOLERANCE:g}]",
+        parser=numbers(3, 5),
+    ),
+    heading: Any = option(
+        None,
+        "YAW[,T]",
+        "Only poses with this heading in the map frame (a compass), up to T radians. "
+        f"[default: T = {TOLERANCE:g}]",
+        parser=numbers(1, 2),
+    ),
+    region: Path | None = option(
+        None, "PNG", "Only poses in the white part of an image as large as the map's."
+    ),
+    clearance: float | None = option(
+        None,
+        "M",
+        "Only poses at least M metres from what is not free: the robot's size.",
+        within=(0, 1000, "metres"),
+    ),
 ) -> Known:
     """Options of the prior."""
     if near is not None and len(near) > 3:
@@ -295,7 +277,6 @@ def known(
             check_yaw(option, given[yaw])
             if len(given) > tolerance:
                 check_range(f"{option}, T", given[tolerance], 0.001, 3.2, "radians")
-    check_range("--clearance", clearance, 0, 1000, "metres")
     return Known(near, heading, region, clearance)
 
 
@@ -313,11 +294,6 @@ class Mounting:
 
         return None if self.sensor is None else Pose2D(*self.sensor)
 
-    @property
-    def about(self) -> dict[str, object]:
-        """What was given, for the record."""
-        return {"sensor": self.pose, "flipped": self.flipped}
-
     def mount(self, scan: "LaserScan") -> "LaserScan":
         """The scan as that of a sensor that is mounted upright, with the mounting pose given."""
         scan = scan.flipped if self.flipped else scan
@@ -325,65 +301,55 @@ class Mounting:
 
 
 def mounting(
-    sensor: Annotated[
-        Any,
-        option(
-            "X,Y,YAW",
-            "Pose of the sensor on the robot (metres, radians): poses of the robot's base are "
-            "given too.",
-            parser=numbers(3),
-        ),
-    ] = None,
+    sensor: Any = option(
+        None,
+        "X,Y,YAW",
+        "Pose of the sensor on the robot (metres, radians): poses of the robot's base are "
+        "given too.",
+        parser=numbers(3, pose="--sensor"),
+    ),
     flipped: Flipped = False,
 ) -> Mounting:
     """Options of the mounting."""
-    if sensor is not None:
-        check_yaw("--sensor", sensor[2])
     return Mounting(sensor, flipped)
 
 
 def sensor(
-    rays: Annotated[int, option("N", "Readings of a scan.", min=1)] = 181,
-    fov_deg: Annotated[float, option("DEG", "Angle that a scan covers, degrees.")] = 180.0,
-    sigma: Annotated[float, option("M", "Standard deviation of a reading's noise, metres.")] = 0.02,
-    outliers: Annotated[
-        float, option("P", "Share of the rays that something unmapped stops, 0..1.")
-    ] = 0.0,
-    dropped: Annotated[
-        float, option("P", "Share of the rays that give no measurement, 0..1.")
-    ] = 0.0,
-    clearance: Annotated[
-        float, option("M", "Least distance of the robot from what is not free, metres.")
-    ] = 0.3,
-    mount: Annotated[
-        Any,
-        option(
-            "X,Y,YAW",
-            "Pose of the sensor on the robot: metres, metres, radians. [default: 0,0,0]",
-            parser=numbers(3),
-        ),
-    ] = None,
+    rays: int = option(181, "N", "Readings of a scan.", min=1),
+    fov_deg: float = option(
+        180.0, "DEG", "Angle that a scan covers, degrees.", within=(0.01, 360, "degrees")
+    ),
+    sigma: float = option(
+        0.02, "M", "Standard deviation of a reading's noise, metres.", within=(0, 10, "metres")
+    ),
+    outliers: float = option(
+        0.0, "P", "Share of the rays that something unmapped stops, 0..1.", within=SHARE
+    ),
+    dropped: float = option(
+        0.0, "P", "Share of the rays that give no measurement, 0..1.", within=SHARE
+    ),
+    clearance: float = option(
+        0.3,
+        "M",
+        "Least distance of the robot from what is not free, metres.",
+        within=(0, 1000, "metres"),
+    ),
+    mount: Any = option(
+        None,
+        "X,Y,YAW",
+        "Pose of the sensor on the robot: metres, metres, radians. [default: 0,0,0]",
+        parser=numbers(3, pose="--mount"),
+    ),
 ) -> "Sensor":
     """Options of a simulated sensor, but for its reach."""
-    check_range("--fov-deg", fov_deg, 0.01, 360, "degrees")
-    check_range("--sigma", sigma, 0, 10, "metres")
-    check_range("--outliers", outliers, 0, 1, "a share")
-    check_range("--dropped", dropped, 0, 1, "a share")
-    check_range("--clearance", clearance, 0, 1000, "metres")
-    if mount is not None:
-        check_yaw("--mount", mount[2])
     from imgloc.model import Pose2D
     from imgloc.simulate import Sensor
 
+    fov, pose = math.radians(fov_deg), Pose2D(*(mount or (0.0, 0.0, 0.0)))
     return Sensor(
-        rays=rays,
-        fov=math.radians(fov_deg),
-        sigma=sigma,
-        outliers=outliers,
-        dropped=dropped,
-        clearance=clearance,
-        mount=Pose2D(*(mount or (0.0, 0.0, 0.0))),
-    )
+        rays=rays, fov=fov, sigma=sigma, outliers=outliers, dropped=dropped, clearance=clearance,
+        mount=pose,
+    )  # fmt: skip
 
 
 def check_yaw(option: str, yaw: float) -> None:
@@ -458,26 +424,24 @@ def with_options(*groups: Callable[..., Any]) -> Callable[[F], Callable[..., Non
     Each of `groups` is called with the options that its signature declares; what it returns is
     passed to the command under the function's name, if the command has such a parameter.
     """
+    shared = {group: inspect.signature(group).parameters for group in groups}
 
     def decorate(command: F) -> Callable[..., None]:
         own = inspect.signature(command).parameters
-        names = [group.__name__ for group in groups]
-        shared = [inspect.signature(group).parameters for group in groups]
+        names = {group.__name__ for group in groups}
         parameters = [p for p in own.values() if p.name not in names]
-        parameters += [p for part in shared for p in part.values()]
+        parameters += [p for part in shared.values() for p in part.values()]
 
         @functools.wraps(command)
         def run(**values: Any) -> None:
-            for name, group, part in zip(names, groups, shared, strict=True):
+            for group, part in shared.items():
                 made = group(**{key: values.pop(key) for key in part})
-                if name in own:
-                    values[name] = made
+                if group.__name__ in own:
+                    values[group.__name__] = made
             command(**values)
 
-        signature = inspect.Signature(
-            [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in parameters]
-        )
-        run.__signature__ = signature  # type: ignore[attr-defined]
+        parameters = [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in parameters]
+        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         run.__annotations__ = {p.name: p.annotation for p in parameters}
         return run
 

@@ -2,17 +2,15 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from imgloc.cli import inputs
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, progress, say
+from imgloc.cli.options import option
 from imgloc.errors import ConfigError
-
-if TYPE_CHECKING:
-    from imgloc.io.maps import Reading
+from imgloc.io.files import display, write_text_atomic
 
 _MOST = 10_000_000  # poses in all
 _LISTED = 20  # hypotheses of fused that are drawn from
@@ -22,20 +20,20 @@ _LISTED = 20  # hypotheses of fused that are drawn from
 def sample(
     map_path: opt.MapPath,
     scans_path: opt.ScansPath,
-    reading: "Reading",
+    reading: "opt.Reading",
     resources: opt.Take,
-    out: Annotated[Path, opt.option("CSV", "File to write.", show_default=False)],
-    count: Annotated[int, opt.option("N", "Poses for each scan.", "-n", "--count", min=1)] = 500,
-    seed: Annotated[int, opt.option("N", "Of the draws.", min=0)] = 0,
-    method: Annotated[
-        opt.MethodName, typer.Option(help="Whose posterior; fused draws around its hypotheses.")
-    ] = opt.MethodName.FUSED,
+    out: Annotated[Path, option(..., "CSV", "File to write.", show_default=False)],
+    count: int = option(500, "N", "Poses for each scan.", "-n", "--count", min=1),
+    seed: int = option(0, "N", "Of the draws.", min=0),
+    method: opt.MethodName = typer.Option(
+        opt.MethodName.FUSED, help="Whose posterior; fused draws around its hypotheses."
+    ),
     index: opt.Index = None,
     range_max: opt.Cut = None,
     flipped: opt.Flipped = False,
-    theta_step_deg: Annotated[
-        float | None, opt.option("DEG", "Step of a stack's headings. [default: the method's]")
-    ] = None,
+    theta_step_deg: float | None = option(
+        None, "DEG", "Step of a stack's headings. [default: the method's]", within=opt.STEP
+    ),
     cell: opt.Cell = 0.1,
     force: opt.Force = False,
     allow_lossy: opt.AllowLossy = False,
@@ -46,20 +44,16 @@ def sample(
     The CSV has the columns scan, x, y, theta: the sensor in the map frame, metres and radians.
     Poses are uniform inside a cell of a stack. The same seed gives the same poses.
     """
-    opt.check_range("--range-max", range_max, 1e-3, 1e6, "metres")
-    opt.check_range("--theta-step-deg", theta_step_deg, 0.05, 180, "degrees")
-    opt.check_range("--cell", cell, 0.001, 10, "metres")
-    if theta_step_deg is not None and method == opt.MethodName.FUSED:
-        raise ConfigError("--theta-step-deg: fused has no stack of headings")
-    inputs.check_target(out, ".csv", force=force, inputs=[scans_path])
-
     import numpy as np
 
+    from imgloc.cli import inputs
     from imgloc.io.calibration import calibration_path, load_calibrations
-    from imgloc.io.files import display, write_text_atomic
     from imgloc.options import Options
     from imgloc.sample import sample_poses
 
+    if theta_step_deg is not None and method == opt.MethodName.FUSED:
+        raise ConfigError("--theta-step-deg: fused has no stack of headings")
+    inputs.check_target(out, ".csv", force=force, inputs=[scans_path])
     taken = resources()
     grid = inputs.load_grid(map_path, taken.memory_budget, allow_lossy=allow_lossy, **reading)
     scans = inputs.load_set(scans_path, taken.memory_budget)

@@ -2,16 +2,13 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-from imgloc.cli import inputs
 from imgloc.cli import options as opt
 from imgloc.cli.console import say
+from imgloc.cli.options import option
 from imgloc.errors import ConfigError
-
-if TYPE_CHECKING:
-    from imgloc.io.maps import Reading
-    from imgloc.simulate import Sensor
+from imgloc.io.files import display
 
 _MAX_READINGS = 10_000_000  # about 1.5 GB while they are simulated
 
@@ -19,10 +16,10 @@ _MAX_READINGS = 10_000_000  # about 1.5 GB while they are simulated
 @opt.with_options(opt.sensor, opt.reading, opt.console)
 def simulate(
     map_path: opt.MapPath,
-    out: Annotated[Path, opt.option("NPZ", "File to write.", show_default=False)],
-    sensor: "Sensor",
-    reading: "Reading",
-    count: Annotated[int, opt.option("N", "Number of scans.", "-n", "--count", min=1)] = 100,
+    out: Annotated[Path, option(..., "NPZ", "File to write.", show_default=False)],
+    sensor: "opt.Sensor",
+    reading: "opt.Reading",
+    count: int = option(100, "N", "Number of scans.", "-n", "--count", min=1),
     range_max: opt.Reach = 30.0,
     seed: opt.Seed = 0,
     memory_budget: opt.MemoryBudget = None,
@@ -34,18 +31,17 @@ def simulate(
     Writes an NPZ with the keys ranges, angles, range_min, range_max and poses: the true pose of the
     sensor for each scan, in the map frame (metres, metres, radians).
     """
+    from imgloc.cli import inputs
+    from imgloc.io.scans import save_scans
+    from imgloc.simulate import simulate_set
+
     inputs.check_target(out, ".npz", force=force)
-    opt.check_range("--range-max", range_max, 0.01, 10_000, "metres")
     rays = sensor.rays
     if count * rays > _MAX_READINGS:
         raise ConfigError(
             f"{count:,} scans of {rays:,} rays are {count * rays:,} readings, expected at most "
             f"{_MAX_READINGS:,}; simulate several files with different seeds"
         )
-    from imgloc.io.files import display
-    from imgloc.io.scans import save_scans
-    from imgloc.simulate import simulate_set
-
     budget = opt.fixed_budget(memory_budget)
     grid = inputs.load_grid(map_path, budget, allow_lossy=allow_lossy, **reading)
     inputs.check_simulation(grid, display(map_path), count, rays, budget)

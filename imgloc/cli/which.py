@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imgloc.cli import inputs
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress, say
+from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError, MapError
+from imgloc.io.files import display
 
 if TYPE_CHECKING:
     from imgloc.model import Localization
@@ -26,11 +27,11 @@ def which(
     resources: opt.Take,
     range_max: opt.Cut = None,
     flipped: opt.Flipped = False,
-    sure: Annotated[float, opt.option("P", "Probability that a map needs to be named.")] = 0.5,
+    sure: float = option(
+        0.5, "P", "Probability that a map needs to be named.", within=(0.5, 1, "a probability")
+    ),
     as_json: opt.AsJson = False,
-    no_cache: Annotated[
-        bool, opt.flag("--no-cache", "Prepare the maps anew and keep nothing.")
-    ] = False,
+    no_cache: bool = flag("--no-cache", "Prepare the maps anew and keep nothing."),
     allow_lossy: opt.AllowLossy = False,
 ) -> None:
     """Say which of the maps in a folder each scan is from: one of them, none, or undecided.
@@ -42,10 +43,7 @@ def which(
     A scan with too few readings is invalid. A map that cannot be used is reported and left out;
     the exit code is then 5.
     """
-    opt.check_range("--range-max", range_max, 1e-3, 1e6, "metres")
-    opt.check_range("--sure", sure, 0.5, 1, "a probability")
-
-    from imgloc.io.files import display
+    from imgloc.cli import inputs
     from imgloc.options import Options
     from imgloc.output.json import choice_row, to_json
     from imgloc.output.tables import CHOICE_HEADER, choice_line

@@ -33,13 +33,6 @@ _SHIFT = 4  # positions are drawn to a sixteenth of a pixel
 class Canvas:
     """A picture of a part of the plane, with the lower-left corner at (0, 0).
 
-    Parameters
-    ----------
-    image : (H, W, 3) uint8 array
-        Drawn on in place.
-    px_per_m : float
-        Pixels per metre.
-
     Examples
     --------
     >>> canvas = Canvas(np.zeros((40, 30, 3), np.uint8), 10.0)
@@ -47,8 +40,8 @@ class Canvas:
     [[-0.5, 39.5], [29.5, -0.5]]
     """
 
-    image: Image
-    px_per_m: float
+    image: Image  #: drawn on in place
+    px_per_m: float  #: pixels per metre
 
     def pixels(self, xy: FloatArray) -> FloatArray:
         """Positions (N, 2) in metres as (N, 2) pixels, whose centres are at integers."""
@@ -82,12 +75,10 @@ class Canvas:
         nose = np.array([(2.1, 0.0), (0.45, 0.9), (0.45, -0.9)]) * r
         c, s = np.cos(theta), np.sin(theta)
         tip = nose @ np.array([[c, s], [-s, c]]) + (x, y)
-        for grow, ink in ((2.0, PAPER), (0.0, colour)):
-            centre = np.array([[x, y]])
-            self.dots(centre, ink, size + grow)
-            cv2.polylines(
-                self.image, [self._fixed(tip)], True, ink, round(1 + 2 * grow), cv2.LINE_AA, _SHIFT
-            )
+        for grow, ink in ((2, PAPER), (0, colour)):
+            self.dots(np.array([[x, y]]), ink, size + grow)
+            outline, thick = [self._fixed(tip)], 1 + 2 * grow
+            cv2.polylines(self.image, outline, True, ink, thick, cv2.LINE_AA, _SHIFT)
             self.polygon(tip, ink)
         self.dots(np.array([[x, y]]), PAPER, 0.45 * size)
 
@@ -134,15 +125,7 @@ def draw_map(
 ) -> Image:
     """Draw a map: walls dark, free space white, unknown space grey, and a scale bar.
 
-    Parameters
-    ----------
-    grid : OccupancyGrid
-    scale : int, optional
-        Pixels per cell; by default small maps are enlarged to 1000 pixels or more.
-    faded : bool
-        Paint walls in a middle grey, as a background.
-    bar : bool
-        Draw a scale bar.
+    A cell is `scale` pixels wide, as in :func:`sheet`. A background is `faded`: its walls are grey.
 
     Examples
     --------

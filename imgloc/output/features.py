@@ -79,15 +79,9 @@ def draw_feature(features: MapFeatures, what: str, at: tuple[float, float] | Non
 def draw_surface(
     grid: OccupancyGrid, surface: OrientedPoints, *, scale: int | None = None
 ) -> Image:
-    """Draw surface points with their directed normals, coloured by direction.
+    """Draw surface points, grid frame, with their directed normals, coloured by direction.
 
-    Parameters
-    ----------
-    grid : OccupancyGrid
-        Background.
-    surface : OrientedPoints
-        In the grid frame; points without a normal are drawn as black dots.
-    scale : int, optional
+    Points without a normal are black dots.
     """
     canvas = map_canvas(grid, scale)
     points = surface.select(surface.valid)
@@ -112,9 +106,8 @@ def draw_field(
         x and y components; of the greatest magnitude 1.
     resolution : float
         Side of a cell, metres.
-    scale : int, optional
-    step : int, optional
-        Cells between arrows; by default arrows are about 14 pixels apart.
+    scale, step : int, optional
+        Pixels per cell; cells between arrows, by default about 14 pixels.
     """
     x, y = (np.asarray(v, dtype=np.float64) for v in vmap)
     strength = np.hypot(x, y)
@@ -128,23 +121,13 @@ def draw_field(
     arrow = np.column_stack((x[rows, columns], y[rows, columns]))
     arrow *= (length / np.maximum(np.hypot(*arrow.T), 1e-12) * strength[rows, columns])[:, None]
     tails, heads = canvas.pixels(centre - arrow / 2), canvas.pixels(centre + arrow / 2)
-    for a, b in zip(
-        np.rint(tails).astype(int).tolist(), np.rint(heads).astype(int).tolist(), strict=True
-    ):
+    for a, b in np.rint(np.stack((tails, heads), axis=1)).astype(int).tolist():
         cv2.arrowedLine(canvas.image, a, b, INK, 1, cv2.LINE_AA, tipLength=0.35)
     return canvas.image
 
 
 def draw_bmap(bmap: npt.ArrayLike, grid: GridInfo, *, scale: int | None = None) -> Image:
-    """Draw a blurred map (Fig. 3): white at 0, black at 1.
-
-    Parameters
-    ----------
-    bmap : (H, W) array
-        0..1.
-    grid : GridInfo
-        Its lattice.
-    scale : int, optional
+    """Draw a blurred map (H, W) on its lattice (Fig. 3): white at 0, black at 1.
 
     Examples
     --------
@@ -158,15 +141,9 @@ def draw_bmap(bmap: npt.ArrayLike, grid: GridInfo, *, scale: int | None = None) 
 
 
 def draw_distance(distance: npt.ArrayLike, grid: GridInfo, *, scale: int | None = None) -> Image:
-    """Draw distances to the nearest wall: dark at the walls, a fine line at each full metre.
+    """Draw distances (H, W) to the nearest wall, metres: a fine line at each full metre.
 
-    Parameters
-    ----------
-    distance : (H, W) array
-        Metres; 0 in walls.
-    grid : GridInfo
-        Its lattice.
-    scale : int, optional
+    Walls, where they are 0, are dark.
 
     Examples
     --------
@@ -200,7 +177,6 @@ def draw_visibility(
     Parameters
     ----------
     grid : OccupancyGrid
-        Background.
     xy : (2,) array
         The point, metres in the grid frame.
     vis : (n_psi,) array
@@ -209,7 +185,6 @@ def draw_visibility(
         Metres.
     alpha : float
         Direction of bin 0, radians: the normal, if `vis` is relative to it.
-    scale : int, optional
     """
     canvas = map_canvas(grid, scale)
     reach = np.minimum(np.asarray(vis, dtype=np.float64), horizon)

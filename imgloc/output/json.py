@@ -52,15 +52,8 @@ def answer_row(
 ) -> dict[str, Any]:
     """Return the row of one scan, as `imgloc localize --json` writes it.
 
-    Parameters
-    ----------
-    answer : Localization
-    index : int
-        Of the scan in its file.
-    more : mapping, optional
-        Joined to the answer's parameters.
-    mount : Pose2D, optional
-        Pose of the sensor on the robot; None if it is not known. ``base_pose`` is the robot's.
+    It is the scan `index` of its file; what is `more` is joined to the answer's parameters. With
+    the `mount`, the pose of the sensor on the robot, ``base_pose`` is the robot's.
 
     Examples
     --------
@@ -120,14 +113,8 @@ def choice_row(
         }
         for name, share in choice.probability.items()
     ]
-    row = {
-        "index": index,
-        "verdict": choice.verdict,
-        "none": choice.none,
-        "temperature": choice.temperature,
-        "maps": maps,
-    }
-    return dict(plain(row))
+    row = {"index": index, **{k: getattr(choice, k) for k in ("verdict", "none", "temperature")}}
+    return dict(plain(row | {"maps": maps}))
 
 
 def evaluation_row(name: str, result: "Evaluation", source: Mapping[str, object]) -> dict[str, Any]:
@@ -143,20 +130,15 @@ def evaluation_row(name: str, result: "Evaluation", source: Mapping[str, object]
 
 def report_row(report: "MapReport") -> dict[str, Any]:
     """Return the row of `imgloc map check`."""
-    width, height = report.size
-    return {
-        **{key: getattr(report, key) for key in ("path", "image", "kind", "width", "height")},
-        "resolution": report.resolution,
-        "size": {"width": width, "height": height},
+    keys = (
+        "path image kind width height resolution size free_area free_parts origin mode semantics "
+        "negate occupied_thresh free_thresh shares greys grey_levels semantics_differ warnings"
+    )
+    named = {
+        "size": dict(zip(("width", "height"), report.size, strict=True)),
         "free_area": report.area,
-        "free_parts": report.free_parts,
         "origin": plain(report.origin),
-        **{key: getattr(report, key) for key in ("mode", "semantics", "negate")},
-        "occupied_thresh": report.occupied_thresh,
-        "free_thresh": report.free_thresh,
-        "shares": report.shares,
         "greys": [{"value": value, "cells": cells} for value, cells in report.greys],
-        "grey_levels": report.grey_levels,
-        "semantics_differ": report.semantics_differ,
         "warnings": [{"code": w.code, "text": w.text} for w in report.warnings],
     }
+    return {key: named[key] if key in named else getattr(report, key) for key in keys.split()}

@@ -1,6 +1,7 @@
 """One self-contained HTML page that explains one answer: no script, no network, no other file.
 
-What it says is here, how it is laid out in ``templates/explain.html``.
+What it says is in ``templates/words.html``, how it is laid out in ``templates/explain.html``; here
+numbers become text.
 """
 
 import math
@@ -9,9 +10,9 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from imgloc import __version__
-from imgloc.explain import Explanation, Layer
+from imgloc.explain import Explanation
 from imgloc.geometry import base_of, rotate_covariance
-from imgloc.model import Check, Hypothesis, Pose2D
+from imgloc.model import Hypothesis, Pose2D
 from imgloc.output.pictures import draw_likelihood
 from imgloc.output.svg import (
     ENVIRONMENT,
@@ -20,6 +21,7 @@ from imgloc.output.svg import (
     draw_overview,
     draw_rays,
     draw_scan,
+    macro,
     window,
 )
 from imgloc.output.tables import difference
@@ -40,122 +42,35 @@ def render_explanation(
     mount: Pose2D | None = None,
     version: str = __version__,
 ) -> str:
-    """Write the page.
+    """Write the page, HTML.
 
     Parameters
     ----------
     e : Explanation
     title : str
         What was localized where.
-    truth : Pose2D, optional
-        True pose of the sensor in the map frame, to state the error.
-    mount : Pose2D, optional
-        Pose of the sensor on the robot, to state the robot's.
+    truth, mount : Pose2D, optional
+        True pose of the sensor in the map frame, to state the error; its pose on the robot, to
+        state the robot's.
     version : str
         Of imgloc.
-
-    Returns
-    -------
-    str
-        HTML.
     """
-    answer, poses = e.answer, [f.hypothesis.pose for f in e.fits]
-    views = window(poses, [f.rays for f in e.fits], 400.0) if e.fits else []
+    poses, rays = [f.hypothesis.pose for f in e.fits], [f.rays for f in e.fits]
     return ENVIRONMENT.get_template("explain.html").render(
         e=e,
         title=title,
+        truth=truth,
+        mount=mount,
         version=version,
-        headline=HEADLINES[answer.verdict],
-        why=why(e),
-        facts=_facts(e, truth, mount),
-        overview=draw_overview(e.grid, poses, e.fits[0].rays if e.fits else None),
-        cards=list(zip(e.fits, views, strict=True)),
-        layers=[_layer(e, layer) for layer in e.layers],
-        checks=[(check.holds, *question(check)) for check in answer.evidence.checks],
-        margin=_margin(e),
-        times=", ".join(f"{key} {ms:.0f} ms" for key, ms in answer.timings_ms.items()),
-        parameters=flat(answer.parameters),
+        headlines=HEADLINES,
+        overview=draw_overview(e.grid, poses, rays[0] if rays else None),
+        views=window(poses, rays, 400.0) if rays else [],
     )
 
 
-def _facts(e: Explanation, truth: Pose2D | None, mount: Pose2D | None) -> list[tuple[str, str]]:
-    """The pose, how sure, and the scan as it came."""
-    rows: list[tuple[str, str]] = []
-    pose = e.answer.pose
-    if e.fits:
-        sure = e.answer.verdict in ("unique", "ambiguous")
-        rows.append(("Pose of the sensor" if sure else "Best guess", describe(e.fits[0].pose)))
-        rows.append(("Probability", percent(e.fits[0].hypothesis.mass)))
-        rows.append(("Elsewhere", f"{percent(e.answer.elsewhere)}: at none of the poses found"))
-        rows.append(
-            (
-                "Readings explained",
-                f"{percent(e.answer.explained)} of {e.answer.evidence.readings} scored",
-            )
-        )
-    if pose is not None and mount is not None:
-        rows.append(("Pose of the robot", describe(base_of(pose, mount))))
-    if truth is not None:
-        rows.append(("True pose of the sensor", describe(truth)))
-    if pose is not None and truth is not None:
-        away, turned = difference(pose, truth)
-        rows.append(("Error", f"{away:.3f} m, {math.degrees(turned):.2f}°"))
-    used = ", ".join(f"{n} {key.replace('_', ' ')}" for key, n in e.scan.counts.items() if n)
-    rows.append(("Readings", used or "none"))
-    prior = e.answer.parameters.get("prior")
-    if isinstance(prior, Mapping) and prior:
-        known = ", ".join(f"{key} {value}" for key, value in flat(prior))
-        rows.append(("Known beforehand", known))
-    return rows
-
-
-def _layer(e: Explanation, layer: Layer) -> tuple[str, str, str]:
-    """Name, text and PNG of a likelihood."""
-    png = ""
-    if layer.likelihood is not None:
-        png = data_of(draw_likelihood(layer.likelihood, grid=e.grid))
-    return layer.name, layer.about, png
-
-
 def why(e: Explanation) -> str:
-    """One or two sentences: the reason for a verdict, with its numbers."""
-    answer, evidence, trust = e.answer, e.answer.evidence, e.options.trust
-    if answer.verdict == "invalid":
-        left = [
-            f"{n} {key.replace('_', ' ')}" for key, n in e.scan.counts.items() if key != "valid"
-        ]
-        valid, directions = e.scan.counts["valid"], e.scan.directions
-        repeated = f", in {directions} different directions" if directions < valid else ""
-        return (
-            f"{valid} of its {len(e.scan.ranges)} readings are distances to "
-            f"something{repeated}; {trust.readings} are needed. The others: {', '.join(left)}."
-        )
-    if not e.fits:
-        within = " that the prior allows" if answer.parameters.get("prior") else ""
-        return f"The search found no pose{within} in which a sensor can be and that fits at all."
-    best = e.fits[0]
-    if answer.verdict == "no-match":
-        return (
-            f"Even at the best pose found the readings fall {evidence.misfit:.2f} nats each short "
-            "of a perfect fit. The chance that the scan was taken at none of the poses found is "
-            f"{percent(answer.elsewhere)}; more than {percent(evidence.checks[-1].limit)} is no "
-            "match. The poses below are best guesses, not to be trusted."
-        )
-    share = percent(best.hypothesis.mass)
-    needed = percent(trust.mass)
-    if answer.verdict == "unique":
-        return (
-            f"It holds {share} of the probability, where {needed} are needed, and "
-            f"{percent(answer.explained)} of the readings end on a wall of the map there."
-        )
-    if not e.answer.complete and best.hypothesis.mass >= trust.mass:
-        return f"Of those looked at, the best one holds {share} of the probability."
-    rival = e.fits[1] if len(e.fits) > 1 else None
-    text = f"The best one holds {share} of the probability; {needed} are needed to be unique."
-    if rival is not None:
-        times = best.hypothesis.mass / max(rival.hypothesis.mass, 1e-12)
-        text += f" The second, {apart(e)} away, is {likely(times)}."
-    return text
+    """One or two sentences: the reason for a verdict, with its numbers, as HTML."""
+    return str(macro("why", "words.html", e=e))
 
 
 def likely(times: float) -> str:
@@ -171,11 +86,10 @@ def likely(times: float) -> str:
     return f"{times:.2g} times less likely" if times <= 1000 else "more than 1000 times less likely"
 
 
-def apart(e: Explanation) -> str:
-    """How far the second hypothesis is from the first, in words."""
-    a, b = e.fits[0].pose, e.fits[1].pose
-    turn = abs(math.degrees(math.remainder(a.theta - b.theta, math.tau)))
-    return f"{math.hypot(a.x - b.x, a.y - b.y):.1f} m and {turn:.0f}°"
+def apart(a: Pose2D, b: Pose2D) -> str:
+    """How far one pose is from another, in words."""
+    away, turn = difference(a, b)
+    return f"{away:.1f} m and {math.degrees(turn):.0f}°"
 
 
 def percent(share: float) -> str:
@@ -191,34 +105,6 @@ def percent(share: float) -> str:
     if share < 0.001:
         return "< 0.1 %"
     return "> 99.9 %" if share > 0.999 else f"{round(100 * share, 1):g} %"
-
-
-def question(check: Check) -> tuple[str, str, str]:
-    """What a check asks, what was found and what is needed, as text."""
-    if check.name == "readings":
-        found = f"valid in {check.value:.0f} directions"
-        return "Are there enough readings?", found, f"≥ {check.limit:.0f}"
-    if check.name == "complete":
-        return "Did the search come to its end?", "out of time", "complete"
-    ask = {
-        "elsewhere": "Is the true pose among those found?",
-        "mass": "Does one pose hold nearly all of the probability?",
-    }[check.name]
-    found = {"elsewhere": "elsewhere with", "mass": "the best holds"}[check.name]
-    sign = "≥" if check.at_least else "≤"
-    return ask, f"{found} {percent(check.value)}", f"{sign} {percent(check.limit)}"
-
-
-def _margin(e: Explanation) -> str:
-    """What the second pose is behind, as the end of a sentence."""
-    if len(e.fits) < 2:
-        return ". There is no second pose."
-    margin = e.fits[0].hypothesis.log_likelihood - e.fits[1].hypothesis.log_likelihood
-    worth = margin / e.answer.evidence.temperature.value
-    return (
-        f": the second is {margin:.1f} nats behind, worth {worth:.2f}: it is "
-        f"{likely(math.exp(min(worth, 99)))}."
-    )
 
 
 def deviations(hypothesis: Hypothesis) -> str:
@@ -284,10 +170,19 @@ def flat(values: Mapping[str, object], above: str = "") -> Iterator[tuple[str, o
 
 
 ENVIRONMENT.filters |= {
-    "percent": percent,
-    "short": short,
-    "digits": minus,
+    "apart": apart,
+    "base_of": base_of,
+    "degrees": math.degrees,
+    "describe": describe,
     "deviations": deviations,
+    "difference": difference,
+    "digits": minus,
+    "exp": math.exp,
+    "flat": flat,
+    "likely": likely,
+    "percent": percent,
+    "png": lambda likelihood, grid: data_of(draw_likelihood(likelihood, grid=grid)),
+    "short": short,
 }
 ENVIRONMENT.globals |= {
     "draw_scan": draw_scan,

@@ -53,23 +53,12 @@ ATLAS_COLOURS: Mapping[str, Colour] = {
     "no-match": (190, 190, 190),
     "wrong": (0, 0, 0),
 }
-_MEANINGS = {
-    "unique": "one scan is enough",
-    "ambiguous": "several places fit",
-    "no-match": "not recognized",
-    "wrong": "wrong, but sure",
-}
+_MEANINGS = ("one scan is enough", "several places fit", "not recognized", "wrong, but sure")
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A picture to look at, in a notebook too, and to save.
-
-    Parameters
-    ----------
-    image : (H, W, 3) uint8 array
-        Blue-green-red as OpenCV has it, row 0 at the top.
-    """
+    """A picture to look at, in a notebook too, and to save."""
 
     image: Image
 
@@ -103,7 +92,6 @@ def draw(
     place : OccupancyGrid or MapFeatures
         The map; for another `what` than ``map`` its features.
     answer : Localization or Likelihood, optional
-        Hypotheses, in the map frame, or a likelihood stack.
     scan : LaserScan, optional
         Laid on the map at each hypothesis.
     truth : Pose2D, optional
@@ -112,10 +100,6 @@ def draw(
         Without an answer: one of :data:`imgloc.output.features.SUBJECTS`.
     at : (float, float), optional
         For ``visibility``: near here, metres, map frame; by default what sees most.
-
-    Returns
-    -------
-    Picture
 
     Raises
     ------
@@ -141,9 +125,8 @@ def draw(
     to_grid = inverse(grid.origin)
     local = None if truth is None else compose(to_grid, truth)
     if isinstance(answer, Likelihood):
-        return Picture(
-            draw_likelihood(answer, grid=grid, truth=local, log=answer.method in LOG_METHODS)
-        )
+        log = answer.method in LOG_METHODS
+        return Picture(draw_likelihood(answer, grid=grid, truth=local, log=log))
     if isinstance(answer, Localization):
         points = np.zeros((0, 2)) if scan is None else scan_xy(scan)[scan.valid]
         hypotheses = [in_grid_frame(h, grid.info) for h in answer.hypotheses]
@@ -179,7 +162,7 @@ def draw_likelihood(
     truth : Pose2D, optional
         True pose in the grid frame, marked red.
     scale : int, optional
-        Pixels per cell of the likelihood.
+        Pixels per cell.
     log : bool
         The values are log-likelihoods (the beam model's): ``exp(L - max L)`` is drawn.
     """
@@ -221,11 +204,9 @@ def draw_hypotheses(
     scan_xy : (N, 2) float array
         Points of the scan in the sensor's frame, metres.
     hypotheses : sequence of Hypothesis
-        Best first, in the grid frame. With each comes the ellipse of two standard deviations.
+        Best first, grid frame; `top` are drawn, with ellipses of two standard deviations.
     truth : Pose2D, optional
         True pose in the grid frame, marked with a cross.
-    top : int
-        Draw no more than so many.
     scale : int, optional
         Pixels per cell.
     note : str
@@ -328,26 +309,19 @@ def _with_legend(
 def draw_atlas(grid: OccupancyGrid, spots: Sequence[Spot], *, step: float, headings: int) -> Image:
     """Draw where a single scan is enough.
 
-    Parameters
-    ----------
-    grid : OccupancyGrid
-    spots : sequence of Spot
-        Map frame; from an ambiguous one a thin line leads to its twin.
-    step : float
-        Metres between places.
-    headings : int
-        Of each place: each gets a wedge that points along it.
+    Places are `step` metres apart and have as many `headings`: each gets a wedge that points along
+    it. From an ambiguous spot a thin line leads to its twin.
     """
     canvas = map_canvas(grid)
     to_grid = inverse(grid.origin)
     local = [compose(to_grid, spot.pose) for spot in spots]
     kinds = [spot.kind for spot in spots]
-    lines = [
-        ((a.x, a.y), (b.x, b.y))
-        for a, spot in zip(local, spots, strict=True)
+    twins = [
+        (pose, compose(to_grid, spot.twin))
+        for pose, spot in zip(local, spots, strict=True)
         if spot.kind == "ambiguous" and spot.twin is not None
-        for b in (compose(to_grid, spot.twin),)
     ]
+    lines = [((a.x, a.y), (b.x, b.y)) for a, b in twins]
     if lines:
         layer = canvas.image.copy()
         canvas.lines(np.array(lines), ATLAS_COLOURS["ambiguous"])
@@ -365,27 +339,22 @@ def _key(width: int, kinds: Sequence[str]) -> Image:
     """A strip below the map: colours, what they mean, and how many poses have them."""
     entries = [
         (kind, f"{label}: {100 * kinds.count(kind) / max(1, len(kinds)):.1f} %")
-        for kind, label in _MEANINGS.items()
+        for kind, label in zip(ATLAS_COLOURS, _MEANINGS, strict=True)
         if kind in kinds or kind in ("unique", "ambiguous")
     ]
     line, gap, box = 26, 24, 14
-    rows: list[list[tuple[str, str]]] = [[]]
-    used = gap
-    for entry in entries:
-        need = box + 8 + text_width(entry[1], 14) + gap
-        if used + need > width and rows[-1]:
-            rows.append([])
-            used = gap
-        rows[-1].append(entry)
-        used += need
-    strip = np.full((line * len(rows) + 14, width, 3), PAPER, np.uint8)
-    for i, row in enumerate(rows):
-        x, y = gap, 10 + line * i
-        for kind, words in row:
-            cv2.rectangle(strip, (x, y), (x + box, y + box), ATLAS_COLOURS[kind], cv2.FILLED)
-            cv2.rectangle(strip, (x, y), (x + box, y + box), INK, 1)
-            x += box + 8
-            x += text(strip, words, x, y + box - 2, size=14) + gap
+    x, y, boxes = gap, 10, []
+    for kind, words in entries:
+        need = box + 8 + text_width(words, 14) + gap
+        if x + need > width and x > gap:
+            x, y = gap, y + line
+        boxes.append((x, y, kind, words))
+        x += need
+    strip = np.full((y + line + 4, width, 3), PAPER, np.uint8)
+    for x, y, kind, words in boxes:
+        for ink, thickness in ((ATLAS_COLOURS[kind], cv2.FILLED), (INK, 1)):
+            cv2.rectangle(strip, (x, y), (x + box, y + box), ink, thickness)
+        text(strip, words, x + box + 8, y + box - 2, size=14)
     return strip
 
 
@@ -401,18 +370,13 @@ def mosaic(
     Parameters
     ----------
     pictures : sequence of (str, (H, W, 3) uint8 array)
-        Captions and pictures, of any sizes.
+        Captions and pictures, of any sizes; at least one, or it is a ValueError.
     columns : int, optional
         Images in a row; by default as many as make the sheet about as wide as 4 : 3.
     gap : int
         Pixels between pictures and around them.
     top : bool
         Align the upper edges of a row, not the lower.
-
-    Raises
-    ------
-    ValueError
-        If there are no pictures.
 
     Examples
     --------
@@ -430,8 +394,8 @@ def mosaic(
     rows = -(-n // columns)
     wide = [max(w for w, _ in cells[k::columns]) for k in range(min(columns, n))]
     high = [max(h for _, h in cells[k * columns : (k + 1) * columns]) for k in range(rows)]
-    sheet = np.full((sum(high) + gap * (rows + 1), sum(wide) + gap * (len(wide) + 1), 3), 255)
-    out = sheet.astype(np.uint8)
+    size = (sum(high) + gap * (rows + 1), sum(wide) + gap * (len(wide) + 1), 3)
+    out = np.full(size, 255, np.uint8)
     for k, (label, picture) in enumerate(pictures):
         row, column = divmod(k, columns)
         y = sum(high[:row]) + gap * (row + 1)

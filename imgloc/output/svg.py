@@ -57,24 +57,15 @@ ENVIRONMENT.filters["n"] = number
 ENVIRONMENT.globals["shapes"] = SHAPES
 
 
-def macro(name: str, /, **values: Any) -> Markup:
-    """Render a macro of ``templates/svg.html``."""
-    rendered: Markup = getattr(ENVIRONMENT.get_template("svg.html").module, name)(**values)
+def macro(name: str, template: str = "svg.html", /, **values: Any) -> Markup:
+    """Render a macro of a template."""
+    rendered: Markup = getattr(ENVIRONMENT.get_template(template).module, name)(**values)
     return rendered
 
 
 @dataclass(frozen=True)
 class View:
     """A window of the grid frame, and the width in pixels that it is drawn at.
-
-    Parameters
-    ----------
-    x, y : float
-        Lower left corner, metres.
-    width, height : float
-        Metres.
-    px : float
-        Width of the drawing, pixels.
 
     Examples
     --------
@@ -83,11 +74,11 @@ class View:
     ([[0.0, 0.0], [400.0, 200.0]], 200.0)
     """
 
-    x: float
+    x: float  #: of the lower left corner, metres
     y: float
-    width: float
+    width: float  #: metres
     height: float
-    px: float
+    px: float  #: width of the drawing, pixels
 
     @property
     def scale(self) -> float:
@@ -187,18 +178,9 @@ def _near(away: FloatArray) -> BoolArray:
 
 
 def draw_rays(grid: OccupancyGrid, pose: Pose2D, fit: RayFit, view: View, name: str) -> Markup:
-    """The scan on the map at a pose: each ray in the colour of what it says.
+    """The scan on the map at a pose, grid frame: each ray in the colour of what it says.
 
-    Parameters
-    ----------
-    grid : OccupancyGrid
-    pose : Pose2D
-        Grid frame.
-    fit : RayFit
-        Its rays.
-    view : View
-    name : str
-        Label of the robot; that of the best pose is "1".
+    The `name` is the label of the robot; that of the best pose is "1".
     """
     start = np.array([view.at(pose.x, pose.y)])
     ends = {kind: view.pixels(fit.end[fit.kind == kind]) for kind in _ORDER}
@@ -227,16 +209,9 @@ def draw_rays(grid: OccupancyGrid, pose: Pose2D, fit: RayFit, view: View, name: 
 def draw_overview(
     grid: OccupancyGrid, poses: Sequence[Pose2D], best: RayFit | None = None, px: float = 1000.0
 ) -> Markup:
-    """The whole map with every pose on it, the ends of the rays at the best one, and axes.
+    """The whole map with every pose on it, best first, grid frame, and axes; `px` pixels wide.
 
-    Parameters
-    ----------
-    grid : OccupancyGrid
-    poses : sequence of Pose2D
-        Best first, grid frame.
-    best : RayFit, optional
-    px : float
-        Width, pixels.
+    The rays of the best one end in dots.
     """
     view = _known_part(grid, poses, px)
     height, width = (n * grid.resolution for n in grid.occupied.shape)

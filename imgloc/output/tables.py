@@ -23,16 +23,7 @@ _LISTED = 3  # maps that a line of `imgloc which` names
 
 
 def as_plain(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 0) -> str:
-    """Format a table; no cell is ever cut.
-
-    Parameters
-    ----------
-    columns : sequence of str
-        Headings.
-    rows : sequence of sequence of str
-        As many cells as there are headings.
-    left : int
-        So many columns are flush left, the others right.
+    """Format a table of cells under headings, `left` of the columns flush left; none is ever cut.
 
     Examples
     --------
@@ -72,24 +63,15 @@ def difference(a: Pose2D, b: Pose2D) -> tuple[float, float]:
 
 def answer_header(mount: Pose2D | None = None) -> str:
     """Return what stands above the lines of :func:`answer_line`."""
+    base = "" if mount is None else f"  {'base x':>10} {'base y':>10} {'base theta':>12}"
     place = f"{'x / m':>10} {'y / m':>10} {'theta / deg':>12}"
-    base = f"  {'base x':>10} {'base y':>10} {'base theta':>12}"
-    return (
-        f"{'index':>6}  {'verdict':<10} {place} {'mass':>8} {'explained':>10}"
-        f"{'' if mount is None else base}"
-    )
+    return f"{'index':>6}  {'verdict':<10} {place} {'mass':>8} {'explained':>10}{base}"
 
 
 def answer_line(index: int, answer: Localization, mount: Pose2D | None = None) -> str:
     """Return one line for one scan, to be written as soon as it is known.
 
-    Parameters
-    ----------
-    index : int
-        Of the scan in its file.
-    answer : Localization
-    mount : Pose2D, optional
-        Pose of the sensor on the robot, to state the robot's.
+    `mount` is the pose of the sensor on the robot, if the robot's is to be stated.
     """
     mass = explained = "-"
     place = base = f"{'-':>10} {'-':>10} {'-':>12}"
@@ -108,62 +90,50 @@ def answer_text(
 ) -> str:
     """Return what is known about one scan, with a table of its hypotheses.
 
-    Parameters
-    ----------
-    title : str
-    answer : Localization
-    truth : Pose2D, optional
-        True pose in the map frame, to state the error.
-    mount : Pose2D, optional
-        Pose of the sensor on the robot, to state the robot's.
+    With the `truth`, the pose of the sensor in the map frame, the error is stated; with the
+    `mount`, its pose on the robot, the robot's pose.
     """
+    pose, evidence, sure = answer.pose, answer.evidence, answer.verdict in SURE
+    facts: list[tuple[str, str]] = []
+    if pose is not None:
+        facts.append(("pose" if sure else "best guess", pose_words(pose)))
+        if not sure:
+            facts.append(("", "not to be trusted: the map does not explain the scan there"))
+        if mount is not None:
+            facts.append(("base", pose_words(base_of(pose, mount))))
+    if truth is not None:
+        facts.append(("truth", pose_words(truth)))
+    if pose is not None:
+        if truth is not None:
+            away, turned = difference(pose, truth)
+            facts.append(("error", f"{away:.3f} m, {math.degrees(turned):.2f} deg"))
+        explained = f"{100 * answer.explained:.0f} % of the rays explained"
+        facts.append(("trust", f"{explained}, entropy {answer.entropy:.3f} nats"))
+        poses = f"{evidence.listed} listed"
+        if evidence.found > evidence.listed:
+            unlisted = _percent(evidence.unlisted)
+            poses += f" and {evidence.found - evidence.listed} not listed with {unlisted}"
+        facts.append(("poses", f"{poses}, elsewhere {_percent(answer.elsewhere)}"))
     counts = ", ".join(f"{n} {key.replace('_', ' ')}" for key, n in answer.counts.items())
     times = ", ".join(f"{key} {ms:.0f} ms" for key, ms in answer.timings_ms.items())
+    facts += [("readings", counts), ("time", times)]
     lines = [f"{title}: {answer.verdict}" + ("" if answer.complete else ", out of time")]
-    if answer.pose is not None:
-        sure = answer.verdict in SURE
-        lines.append(f"  {'pose      ' if sure else 'best guess'} {pose_words(answer.pose)}")
-        if not sure:
-            lines.append("             not to be trusted: the map does not explain the scan there")
-        if mount is not None:
-            lines.append(f"  base       {pose_words(base_of(answer.pose, mount))}")
-    if truth is not None:
-        lines.append(f"  truth      {pose_words(truth)}")
-    if truth is not None and answer.pose is not None:
-        away, turned = difference(answer.pose, truth)
-        lines.append(f"  error      {away:.3f} m, {math.degrees(turned):.2f} deg")
-    if answer.pose is not None:
-        lines.append(
-            f"  trust      {100 * answer.explained:.0f} % of the rays explained, "
-            f"entropy {answer.entropy:.3f} nats"
-        )
-        found, listed = answer.evidence.found, answer.evidence.listed
-        rest = f" and {found - listed} not listed with {_percent(answer.evidence.unlisted)}"
-        lines.append(
-            f"  poses      {listed} listed{rest if found > listed else ''}, "
-            f"elsewhere {_percent(answer.elsewhere)}"
-        )
-    lines += [f"  readings   {counts}", f"  time       {times}"]
+    lines += [f"  {name:<10} {fact}" for name, fact in facts]
     if answer.hypotheses:
-        lines += ["", _hypotheses(answer)]
+        rows = [
+            (
+                str(k),
+                _percent(h.mass),
+                *_place(h.pose).split(),
+                f"{math.sqrt(max(0.0, h.covariance[0, 0] + h.covariance[1, 1])):.3f}",
+                f"{math.degrees(math.sqrt(max(0.0, h.covariance[2, 2]))):.2f}",
+                f"{h.log_likelihood:.1f}",
+            )
+            for k, h in enumerate(answer.hypotheses, start=1)
+        ]
+        columns = ("#", "mass", "x / m", "y / m", "theta / deg", "+- xy / m", "+- deg", "log L")
+        lines += ["", as_plain(columns, rows)]
     return "\n".join(lines)
-
-
-def _hypotheses(answer: Localization) -> str:
-    columns = ("#", "mass", "x / m", "y / m", "theta / deg", "+- xy / m", "+- deg", "log L")
-    rows = []
-    for k, h in enumerate(answer.hypotheses, start=1):
-        xy, turn = h.covariance[0, 0] + h.covariance[1, 1], h.covariance[2, 2]
-        row = (
-            str(k),
-            _percent(h.mass),
-            *_place(h.pose).split(),
-            f"{math.sqrt(max(0.0, xy)):.3f}",
-            f"{math.degrees(math.sqrt(max(0.0, turn))):.2f}",
-            f"{h.log_likelihood:.1f}",
-        )
-        rows.append(row)
-    return as_plain(columns, rows)
 
 
 def _place(pose: Pose2D) -> str:
@@ -220,20 +190,17 @@ def report_text(report: "MapReport") -> str:
 
 def atlas_text(summary: Mapping[str, Any]) -> str:
     """Return the shares of :func:`imgloc.atlas.summarise`."""
-    lines = [
-        f"{summary['poses']} poses at {summary['places']} places, {summary['area']:.1f} m²",
-    ]
-    for key, words in (
-        ("unique", "one scan is enough"),
-        ("unique_area", "whatever the heading (share of the free area)"),
-        ("ambiguous", "several places fit"),
-        ("no-match", "not recognized"),
-        ("wrong", "wrong, but sure"),
-    ):
-        s = summary[key]
-        lines.append(
-            f"{_percent(s['value']):>8} [{100 * s['low']:.1f}, {100 * s['high']:.1f}]  {words}"
-        )
+    meanings = {
+        "unique": "one scan is enough",
+        "unique_area": "whatever the heading (share of the free area)",
+        "ambiguous": "several places fit",
+        "no-match": "not recognized",
+        "wrong": "wrong, but sure",
+    }
+    lines = [f"{summary['poses']} poses at {summary['places']} places, {summary['area']:.1f} m²"]
+    for s, words in ((summary[key], words) for key, words in meanings.items()):
+        interval = f"[{100 * s['low']:.1f}, {100 * s['high']:.1f}]"
+        lines.append(f"{_percent(s['value']):>8} {interval}  {words}")
     return "\n".join(lines)
 
 
@@ -257,19 +224,19 @@ def calibration_table(fits: Mapping[str, Any]) -> str:
 
 def evaluation_tables(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return three tables of rows of :func:`imgloc.output.json.evaluation_row`."""
-    parts = (
+    tables = []
+    for title, make in (
         ("Index S (eq. 12, nats) and global maximum, over free cells [95 % interval]", _index),
         ("Right answers, % [95 % interval]", _success),
         ("Errors of the first hypothesis, and cost", _cost),
-    )
-    return "\n\n".join(
-        f"{title}\n{as_plain(list(cells[0]), [list(c.values()) for c in cells], left=2)}"
-        for title, cells in ((t, [_head(row) | make(row) for row in rows]) for t, make in parts)
-    )
-
-
-def _head(row: Mapping[str, Any]) -> dict[str, str]:
-    return {"map": row["map"], "method": row["method"], "n": str(row["trials"])}
+    ):
+        cells = [
+            {"map": row["map"], "method": row["method"], "n": str(row["trials"]), **make(row)}
+            for row in rows
+        ]
+        table = as_plain(list(cells[0]), [list(c.values()) for c in cells], left=2)
+        tables.append(f"{title}\n{table}")
+    return "\n\n".join(tables)
 
 
 def _index(row: Mapping[str, Any]) -> dict[str, str]:
