@@ -2,24 +2,29 @@
 
 The names below are loaded when they are first used, so that ``import imgloc`` is cheap:
 
->>> from imgloc import Options, Pose2D
->>> Options(top=3).method, Pose2D(1.0, 2.0).theta
-('fused', 0.0)
-
-A full stack of one of the paper's methods is :func:`imgloc.pipeline.likelihood`; it is not
-repeated here because :mod:`imgloc.likelihood` is the package of the algorithms.
+>>> import imgloc
+>>> from imgloc.io.maps import bundled_maps
+>>> features = imgloc.prepare(imgloc.load_map(bundled_maps() / "curved.yaml"))
+>>> scans = imgloc.simulate(features.grid, 1, seed=1)
+>>> imgloc.localize(features, scans[0]).verdict
+'unique'
 """
 
 import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from imgloc.choice import Choice, which
     from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
+    from imgloc.evaluation import Evaluation, evaluate
+    from imgloc.explanation import Explanation, explain
+    from imgloc.features.mapfeatures import MapFeatures
     from imgloc.io.mapcheck import MapReport, check_map
     from imgloc.io.maps import load_map, save_map
     from imgloc.io.scans import load_scans, save_scans
     from imgloc.io.scanset import ScanSet
     from imgloc.model import (
+        Evidence,
         GridInfo,
         Hypothesis,
         LaserScan,
@@ -29,28 +34,49 @@ if TYPE_CHECKING:
         OrientedPoints,
         Pose2D,
     )
-    from imgloc.options import ALL_METHODS, METHODS, Options
-    from imgloc.pipeline import localize, prepare
+    from imgloc.options import (
+        ALL_METHODS,
+        METHODS,
+        Calibration,
+        FusedOptions,
+        Options,
+        Prior,
+        Trust,
+    )
+    from imgloc.output.pictures import Picture, draw
+    from imgloc.pipeline import likelihood, localize, prepare
+    from imgloc.sample import sample_poses
+    from imgloc.simulation import Sensor, simulate
 
 __version__ = "0.1.0"
 
 __all__ = [
-    "ALL_METHODS", "METHODS", "ConfigError", "GridInfo", "Hypothesis", "ImglocError",
-    "LaserScan", "Likelihood", "Localization", "MapError", "MapReport", "OccupancyGrid",
-    "Options", "OrientedPoints", "OutputError", "Pose2D", "ScanError", "ScanSet", "__version__",
-    "check_map", "load_map", "load_scans", "localize", "prepare", "save_map", "save_scans",
+    "ALL_METHODS", "METHODS", "Calibration", "Choice", "ConfigError", "Evaluation", "Evidence",
+    "Explanation", "FusedOptions", "GridInfo", "Hypothesis", "ImglocError", "LaserScan",
+    "Likelihood", "Localization", "MapError", "MapFeatures", "MapReport", "OccupancyGrid",
+    "Options", "OrientedPoints", "OutputError", "Picture", "Pose2D", "Prior", "ScanError",
+    "ScanSet", "Sensor", "Trust", "__version__", "check_map", "draw", "evaluate", "explain",
+    "likelihood", "load_map", "load_scans", "localize", "prepare", "sample_poses", "save_map",
+    "save_scans", "simulate", "which",
 ]  # fmt: skip
 
 _HOMES = {
+    "imgloc.choice": "Choice which",
     "imgloc.errors": "ConfigError ImglocError MapError OutputError ScanError",
+    "imgloc.evaluation": "Evaluation evaluate",
+    "imgloc.explanation": "Explanation explain",
+    "imgloc.features.mapfeatures": "MapFeatures",
     "imgloc.io.mapcheck": "MapReport check_map",
     "imgloc.io.maps": "load_map save_map",
     "imgloc.io.scans": "load_scans save_scans",
     "imgloc.io.scanset": "ScanSet",
-    "imgloc.model": "GridInfo Hypothesis LaserScan Likelihood Localization OccupancyGrid "
+    "imgloc.model": "Evidence GridInfo Hypothesis LaserScan Likelihood Localization OccupancyGrid "
     "OrientedPoints Pose2D",
-    "imgloc.options": "ALL_METHODS METHODS Options",
-    "imgloc.pipeline": "localize prepare",
+    "imgloc.options": "ALL_METHODS METHODS Calibration FusedOptions Options Prior Trust",
+    "imgloc.output.pictures": "Picture draw",
+    "imgloc.pipeline": "likelihood localize prepare",
+    "imgloc.sample": "sample_poses",
+    "imgloc.simulation": "Sensor simulate",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 

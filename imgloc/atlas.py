@@ -12,14 +12,14 @@ import cv2
 import numpy as np
 
 from imgloc.errors import ConfigError, MapError
-from imgloc.evaluate import pose_errors, share
+from imgloc.evaluation import pose_errors, share
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import cell_of, compose, inside, poses_of
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import localize, prepare
 from imgloc.search.priors import clearance as roomy
-from imgloc.simulate import Sensor, ray_angles, refine_grid, simulate
+from imgloc.simulation import Sensor, ray_angles, refine_grid, simulate_ranges
 
 KINDS = ("unique", "ambiguous", "no-match", "wrong")
 """What became of a scan: ``unique`` and right, ``wrong`` is unique but elsewhere."""
@@ -104,7 +104,7 @@ def simulate_at(
     fine = fine or refine_grid(grid)
     angles, range_max = ray_angles(sensor.rays, sensor.fov), sensor.range_max
     ranges = [
-        simulate(
+        simulate_ranges(
             fine, part, angles, sigma=sensor.sigma, range_max=range_max,
             seed=seed + k, outliers=sensor.outliers, dropped=sensor.dropped,
         )

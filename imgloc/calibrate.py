@@ -16,16 +16,16 @@ import cv2
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.evaluate import cell_of_pose
+from imgloc.evaluation import cell_of_pose
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import inside
 from imgloc.index import FLOOR, Index, index_of
 from imgloc.io.scanset import ScanSet
-from imgloc.likelihood.posterior import smoothed
+from imgloc.likelihoods.posterior import smoothed
 from imgloc.model import Float32Array, FloatArray, LaserScan, Likelihood, OccupancyGrid, Pose2D
 from imgloc.options import LOG_METHODS, Calibration, Options, scale
 from imgloc.pipeline import likelihood
-from imgloc.simulate import Sensor, simulate_set
+from imgloc.simulation import Sensor, simulate
 
 SIGMAS_XY = (0.0, 0.1, 0.2)  #: metres tried
 SIGMAS_THETA = tuple(float(np.deg2rad(deg)) for deg in (0.0, 5.0, 10.0, 15.0))  #: radians tried
@@ -66,11 +66,11 @@ def disturbed_set(
     show. The third has 10 % of these, 10 % dropped, and walls that are not where the map has them:
     an error of 10 cm that neighbouring readings share.
 
-    The arguments are those of :func:`imgloc.simulate.simulate_set`.
+    The arguments are those of :func:`imgloc.simulation.simulate`.
     """
     crowd = replace(sensor, outliers=max(0.5, sensor.outliers))
     worn = replace(sensor, outliers=max(0.1, sensor.outliers), dropped=max(0.1, sensor.dropped))
-    sets = [simulate_set(grid, n, seed, kind, fine) for kind in (sensor, crowd, worn)]
+    sets = [simulate(grid, n, seed, kind, fine) for kind in (sensor, crowd, worn)]
     rng = np.random.default_rng(seed)
     thirds = (sets[0].scans, sets[1].scans, [_displaced(scan, rng) for scan in sets[2].scans])
     scans = tuple(thirds[k % 3][k] for k in range(n))
@@ -97,7 +97,7 @@ def sweep(
 
     The method is one of the paper's; ``beam`` has a sigma of its own for the cells: of it only
     the temperature is measured. The arguments and errors are those of
-    :func:`imgloc.evaluate.evaluate`.
+    :func:`imgloc.evaluation.evaluate`.
     """
     if not len(scans) or scans.poses is None:
         raise ConfigError("expected at least one scan, and the true pose of each")

@@ -266,7 +266,7 @@ class Options:
         Step of the headings of a stack, radians, and of branch and bound, whose own are those
         of ``cbml``; None takes the method's own.
     engine : str
-        Of the correlations, see :mod:`imgloc.likelihood.correlate`.
+        Of the correlations, see :mod:`imgloc.likelihoods.correlate`.
     threads : int
         No result depends on it.
     memory_budget : int, optional

@@ -27,9 +27,9 @@ from imgloc.features.pyramid import block_masks
 from imgloc.features.scanpoints import scan_xy, thin
 from imgloc.geometry import centre_of, in_map_frame, uniform_thetas
 from imgloc.io.maps import require_usable
-from imgloc.likelihood.draws import entropy
-from imgloc.likelihood.posterior import calibrated
-from imgloc.likelihood.stacks import stack_of
+from imgloc.likelihoods.draws import entropy
+from imgloc.likelihoods.posterior import calibrated
+from imgloc.likelihoods.stacks import stack_of
 from imgloc.model import (
     Evidence,
     Float32Array,
@@ -57,11 +57,16 @@ MODES = 20
 _LAST = 20  # proposals that get the second look when time is up
 
 
-def prepare(grid: OccupancyGrid, name: str = "map", **parameters: float) -> MapFeatures:
+def prepare(grid: OccupancyGrid, name: str = "map", **parameters: Any) -> MapFeatures:
     """Prepare a map: refuse one that is of no use, and wrap it into its features.
 
-    `name` is what error messages call the map, `parameters` are those of
-    :class:`~imgloc.features.mapfeatures.MapFeatures`.
+    Parameters
+    ----------
+    grid : OccupancyGrid
+    name : str
+        What error messages call the map.
+    **parameters
+        Of :class:`~imgloc.features.mapfeatures.MapFeatures`.
 
     Raises
     ------
@@ -72,7 +77,7 @@ def prepare(grid: OccupancyGrid, name: str = "map", **parameters: float) -> MapF
     """
     _expect(grid, OccupancyGrid, "grid", "load_map(path) reads one")
     require_usable(grid, name)
-    return MapFeatures(grid, **parameters)  # type: ignore[arg-type]
+    return MapFeatures(grid, **parameters)
 
 
 def localize(
@@ -372,9 +377,15 @@ def _log_volumes(hypotheses: tuple[Hypothesis, ...], features: MapFeatures) -> F
 
 
 def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -> Likelihood:
-    """Compute the full stack of one of the paper's methods: of `options`, or by its name alone.
+    """Compute the full stack of one of the paper's methods.
 
-    It is on the features' lattice of poses, in the grid frame.
+    Parameters
+    ----------
+    features : MapFeatures
+        On whose lattice of poses, in the grid frame, the stack is.
+    scan : LaserScan
+    options : Options or str
+        Or the name of the method alone.
 
     Raises
     ------

@@ -4,7 +4,7 @@ import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import transform_poses
-from imgloc.likelihood.draws import draw_near, draw_poses
+from imgloc.likelihoods.draws import draw_near, draw_poses
 from imgloc.model import FloatArray, LaserScan, Localization
 from imgloc.options import FUSED, Options
 from imgloc.pipeline import likelihood, localize, posterior_of

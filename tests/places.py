@@ -9,7 +9,7 @@ from imgloc.geometry import wrap
 from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.options import Options
 from imgloc.pipeline import localize, prepare
-from imgloc.simulate import simulate
+from imgloc.simulation import simulate_ranges
 from imgloc.worlds import WORLDS, render
 
 ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
@@ -38,7 +38,7 @@ def features_of(name):
 @cache
 def scan_of(name, seed=0):
     fine = render(WORLDS[name](), 0.02)
-    ranges = simulate(fine, [POSES[name]], ANGLES, seed=seed, range_max=30.0)[0]
+    ranges = simulate_ranges(fine, [POSES[name]], ANGLES, seed=seed, range_max=30.0)[0]
     return LaserScan(ranges, ANGLES, range_max=30.0)
 
 

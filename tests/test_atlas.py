@@ -20,7 +20,7 @@ from imgloc.io.atlasrows import COLUMNS, Journal, as_csv
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options
 from imgloc.output.pictures import ATLAS_COLOURS, draw_atlas
-from imgloc.simulate import ray_angles, simulate
+from imgloc.simulation import ray_angles, simulate_ranges
 
 
 def spot(pose: Pose2D, kind: str, twin: Pose2D | None = None) -> Spot:
@@ -47,7 +47,7 @@ def spots():
     grid = twin_rooms()
     poses = [Pose2D(2.5, 3.0, 0.3), Pose2D(8.5, 3.0, 0.3), Pose2D(16.5, 2.5, 1.0)]
     angles = ray_angles(181, np.pi * 1.5)
-    ranges = simulate(grid, [(p.x, p.y, p.theta) for p in poses], angles, seed=1)
+    ranges = simulate_ranges(grid, [(p.x, p.y, p.theta) for p in poses], angles, seed=1)
     scans = [(p, LaserScan(r, angles, range_max=30.0)) for p, r in zip(poses, ranges, strict=True)]
     return grid, scans, list(survey(grid, scans, Options(top=TOP)))
 

@@ -11,11 +11,11 @@ from imgloc.geometry import uniform_thetas
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.likelihood.cbml import cbml
-from imgloc.likelihood.correlate import ENGINES, EXACT
-from imgloc.likelihood.ght import ght
+from imgloc.likelihoods.cbml import cbml
+from imgloc.likelihoods.correlate import ENGINES, EXACT
+from imgloc.likelihoods.ght import ght
 from imgloc.pipeline import prepare
-from imgloc.simulate import Sensor, simulate_set
+from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 from tools.bench.__main__ import bench_tables, main
 from tools.bench.measure import (
@@ -38,7 +38,7 @@ from tools.bench.outside import floors, growth, memory
 @pytest.fixture(scope="module")
 def case():
     grid = render(WORLDS["curved"](), 0.2)
-    return prepare(grid, cell=0.2), simulate_set(grid, 1, 0, Sensor(rays=31)).scans[0]
+    return prepare(grid, cell=0.2), simulate(grid, 1, 0, Sensor(rays=31)).scans[0]
 
 
 def test_the_plain_references_are_right(case):
@@ -190,7 +190,7 @@ def test_the_tool_prints_what_is_asked_for(tmp_path, capsys):
     path = tmp_path / "office" / "map.yaml"
     path.parent.mkdir()
     save_map(path, grid)
-    save_scans(path.with_name("scans.npz"), simulate_set(grid, 2, 0, Sensor(rays=31)))
+    save_scans(path.with_name("scans.npz"), simulate(grid, 2, 0, Sensor(rays=31)))
     words = ["--parts", "localize", "--scans", "1", "--threads", "1", "--repeats", "1"]
     assert main([*words, "--sets", str(path)]) == 0
     out = capsys.readouterr().out

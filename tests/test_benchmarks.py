@@ -16,11 +16,11 @@ from imgloc.features.scanpoints import scan_points, scan_xy
 from imgloc.features.surface import outlines, surface_points
 from imgloc.features.visibility import visibility_frames
 from imgloc.geometry import centre_of, uniform_thetas
-from imgloc.likelihood.cbml import cbml_o
-from imgloc.likelihood.correlate import EXACT, correlate
-from imgloc.likelihood.ght import ght, ght_v
-from imgloc.likelihood.shift import flat_stack
-from imgloc.likelihood.slices import cell_offsets
+from imgloc.likelihoods.cbml import cbml_o
+from imgloc.likelihoods.correlate import EXACT, correlate
+from imgloc.likelihoods.ght import ght, ght_v
+from imgloc.likelihoods.shift import flat_stack
+from imgloc.likelihoods.slices import cell_offsets
 from imgloc.model import Pose2D
 from imgloc.options import FusedOptions
 from imgloc.pipeline import localize

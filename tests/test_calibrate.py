@@ -7,14 +7,14 @@ import pytest
 
 from imgloc.calibrate import EXPONENTS, Sweep, densities, disturbed_set, fit, sweep
 from imgloc.errors import ConfigError
-from imgloc.evaluate import cell_of_pose
+from imgloc.evaluation import cell_of_pose
 from imgloc.index import density_in_stack, performance_index
 from imgloc.io.scanset import ScanSet
-from imgloc.likelihood.posterior import calibrated
+from imgloc.likelihoods.posterior import calibrated
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
 from imgloc.options import METHODS, Calibration, Options
 from imgloc.pipeline import likelihood, prepare
-from imgloc.simulate import Sensor, simulate_set
+from imgloc.simulation import Sensor, simulate
 
 
 def room() -> OccupancyGrid:
@@ -27,7 +27,7 @@ def room() -> OccupancyGrid:
 @pytest.mark.parametrize("method", METHODS)
 def test_a_sweep_has_what_the_posterior_says(method: str) -> None:
     features = prepare(room(), n_rays=72)
-    scans = simulate_set(room(), 2, 4, Sensor(rays=61))
+    scans = simulate(room(), 2, 4, Sensor(rays=61))
     options = Options(method=method, theta_step=float(np.deg2rad(15)))
     swept = sweep(features, scans, options, floor=0.01)
     assert swept.logs.shape == (2, len(swept.configurations), len(EXPONENTS))
@@ -108,7 +108,7 @@ def test_a_few_scans_fit_nothing(count: int) -> None:
 
 def test_a_third_of_the_scans_is_as_the_sensor_says() -> None:
     sensor = Sensor(rays=200, sigma=0.01)
-    clean, mixed = (make(room(), 6, 5, sensor) for make in (simulate_set, disturbed_set))
+    clean, mixed = (make(room(), 6, 5, sensor) for make in (simulate, disturbed_set))
     assert clean.poses is not None
     np.testing.assert_array_equal(mixed.poses, clean.poses)
     for k, (a, b) in enumerate(zip(clean.scans, mixed.scans, strict=True)):
@@ -125,9 +125,7 @@ def test_a_third_of_the_scans_is_as_the_sensor_says() -> None:
 
 
 def test_neighbouring_readings_share_the_error_of_a_wall() -> None:
-    pair = [
-        make(room(), 3, 5, Sensor(rays=400, sigma=0.0)) for make in (simulate_set, disturbed_set)
-    ]
+    pair = [make(room(), 3, 5, Sensor(rays=400, sigma=0.0)) for make in (simulate, disturbed_set)]
     error = pair[1].scans[2].ranges - pair[0].scans[2].ranges
     near = np.abs(error) < 0.4
     both = near[1:] & near[:-1]
@@ -150,8 +148,8 @@ def test_refuses_scans_without_poses() -> None:
 def test_a_calibrated_posterior_knows_more_than_the_bare_stack() -> None:
     features = prepare(room())
     options = Options(method="ght-v")
-    fitted = fit([sweep(features, simulate_set(room(), 20, 1, Sensor(rays=91)), options)])
-    fresh = simulate_set(room(), 5, 77, Sensor(rays=91))
+    fitted = fit([sweep(features, simulate(room(), 20, 1, Sensor(rays=91)), options)])
+    fresh = simulate(room(), 5, 77, Sensor(rays=91))
     assert fresh.poses is not None
     bare, sure = [], []
     for scan, pose in zip(fresh.scans, fresh.poses, strict=True):

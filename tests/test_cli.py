@@ -23,7 +23,7 @@ from imgloc.cli.options import EngineName, MethodName, ModeName, SemanticsName
 from imgloc.errors import ConfigError, MapError, OutputError, ScanError
 from imgloc.io.maps import SEMANTICS
 from imgloc.io.mapyaml import MODES
-from imgloc.likelihood.correlate import ENGINES
+from imgloc.likelihoods.correlate import ENGINES
 from imgloc.options import ALL_METHODS
 from imgloc.worlds import WORLDS
 

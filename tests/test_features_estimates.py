@@ -22,7 +22,7 @@ from imgloc.io.images import ImageSize, image_size
 from imgloc.io.mapcheck import check_bytes, check_map
 from imgloc.io.maps import load_bytes
 from imgloc.io.scans import scans_size
-from imgloc.simulate import Sensor, fine_factor, refine_grid, simulate_set
+from imgloc.simulation import Sensor, fine_factor, refine_grid, simulate
 
 TABLES = load_bytes(ImageSize(0, 0, 0, grey=True))
 LOADS = """
@@ -53,7 +53,7 @@ def resident(room: str, function: str, small: Path, large: Path, **options: obje
 @pytest.mark.parametrize(("rooms", "count"), [(2, 2000), (8, 2), (20, 2)])
 def test_simulating_takes_no_more_than_estimated(rooms: int, count: int) -> None:
     grid = office(rooms)
-    taken = peak(lambda: simulate_set(grid, count, 0, Sensor(rays=91)))
+    taken = peak(lambda: simulate(grid, count, 0, Sensor(rays=91)))
     cells, factor = grid.occupied.size, fine_factor(grid)
     need = simulate_bytes(cells, factor**2 * cells, count * 91)
     assert taken <= need <= 3 * taken

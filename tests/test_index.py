@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
-from imgloc.evaluate import share
+from imgloc.evaluation import share
 from imgloc.geometry import cell_of, theta_bin, uniform_thetas
 from imgloc.index import (
     density_at,
@@ -13,11 +13,11 @@ from imgloc.index import (
     global_maximum,
     performance_index,
 )
-from imgloc.likelihood.stacks import stack_of
+from imgloc.likelihoods.stacks import stack_of
 from imgloc.model import Hypothesis, Localization, OccupancyGrid, Pose2D
 from imgloc.options import METHODS
 from imgloc.pipeline import prepare
-from imgloc.simulate import Sensor, simulate_set
+from imgloc.simulation import Sensor, simulate
 
 # Two headings, two rows, three columns; the sums are 20 over the box and 16 over `FREE`.
 STACK = np.array([[[0, 1, 2], [3, 0, 4]], [[1, 1, 0], [2, 6, 0]]], dtype=np.float32)
@@ -182,7 +182,7 @@ def twice(grid: OccupancyGrid) -> OccupancyGrid:
 # The beam model rotates the map about its middle: its rounding is another one.
 @pytest.mark.parametrize("method", [m for m in METHODS if m != "beam"])
 def test_footnote_4_a_map_tiled_twice_has_the_same_s(method: str) -> None:
-    scans = simulate_set(room(), 3, 1, Sensor(rays=46))
+    scans = simulate(room(), 3, 1, Sensor(rays=46))
     assert scans.poses is not None
     S = []
     for grid in (room(), twice(room())):

@@ -11,10 +11,10 @@ import pytest
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import compose, theta_bin, uniform_thetas
-from imgloc.likelihood.cbml import cbml, cbml_o
-from imgloc.likelihood.ght import ght, ght_v
+from imgloc.likelihoods.cbml import cbml, cbml_o
+from imgloc.likelihoods.ght import ght, ght_v
 from imgloc.model import Pose2D
-from imgloc.simulate import simulate
+from imgloc.simulation import simulate_ranges
 from imgloc.worlds import NICHES, WORLDS, render
 
 RESOLUTION = 0.1
@@ -33,7 +33,7 @@ def truth_of(name):
 
 
 def scan_at(name, pose, seed, angles=ANGLES):
-    ranges = simulate(
+    ranges = simulate_ranges(
         truth_of(name), [(pose.x, pose.y, pose.theta)], angles, seed=seed, range_max=60.0
     )[0]
     return scan_points(ranges, angles, np.isfinite(ranges))

@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 
 from imgloc.errors import ConfigError
-from imgloc.evaluate import share
+from imgloc.evaluation import share
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.index import Index
-from imgloc.likelihood.correlate import ENGINES
+from imgloc.likelihoods.correlate import ENGINES
 from tools.paper.operations import (
     CARD,
     OPERATIONS,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
-from imgloc.evaluate import evaluate, method_options, share
+from imgloc.evaluation import evaluate, method_options, share
 from imgloc.geometry import uniform_thetas
 from imgloc.index import Index
 from tools.paper.claims import ORDER, claims, growth_claims, time_claims

@@ -16,7 +16,7 @@ from imgloc.io.scans import load_scans
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import ALL_METHODS, FusedOptions, Options, Trust
 from imgloc.pipeline import likelihood, localize, prepare
-from imgloc.simulate import simulate
+from imgloc.simulation import simulate_ranges
 
 INF, NAN = float("inf"), float("nan")
 
@@ -62,7 +62,7 @@ def test_a_room_that_looks_alike_from_both_ends_is_ambiguous(top):
     wall = np.pad(np.zeros((30, 50), bool), 2, constant_values=True)
     grid = OccupancyGrid(wall, ~wall, 0.1)
     pose, twin = (1.7, 1.3, 0.4), (5.4 - 1.7, 3.4 - 1.3, 0.4 - np.pi)
-    ranges = simulate(grid, [pose], ANGLES, sigma=0.0, range_max=20.0)[0]
+    ranges = simulate_ranges(grid, [pose], ANGLES, sigma=0.0, range_max=20.0)[0]
     answer = localize(prepare(grid), LaserScan(ranges, ANGLES, range_max=20.0), Options(top=top))
     assert answer.verdict == "ambiguous"
     assert len(answer.hypotheses) <= top
@@ -117,7 +117,7 @@ def test_a_covariance_long_along_the_corridor_stays_so_in_the_map_frame():
     origin = Pose2D(3.0, -7.0, np.deg2rad(30))
     grid = OccupancyGrid(wall, ~wall, 0.1, origin)
     pose = (20.0, 1.4, 0.2)
-    ranges = simulate(grid, [pose], ANGLES, sigma=0.0, range_max=8.0)[0]
+    ranges = simulate_ranges(grid, [pose], ANGLES, sigma=0.0, range_max=8.0)[0]
     answer = localize(prepare(grid), LaserScan(ranges, ANGLES, range_max=8.0))
     long = np.linalg.eigh(answer.hypotheses[0].covariance[:2, :2])[1][:, 1]
     assert abs(long @ (math.cos(origin.theta), math.sin(origin.theta))) > 0.999
@@ -192,7 +192,7 @@ def test_the_smallest_maps_are_maps(method, shape):
 def test_a_small_room_at_the_default_cell(method):
     grid = room_with_a_post()
     pose = (1.25, 2.35, 1.0)
-    ranges = simulate(grid, [pose], ANGLES, range_max=20.0)[0]
+    ranges = simulate_ranges(grid, [pose], ANGLES, range_max=20.0)[0]
     scan = LaserScan(ranges, ANGLES, range_max=20.0)
     metres, radians = error(localize(prepare(grid), scan, Options(method=method)).pose, pose)
     assert metres < 0.2
@@ -205,7 +205,7 @@ def test_unknown_space_is_no_place_to_be():
     occupied = np.concatenate((room.occupied, room.occupied), axis=1)
     free = np.concatenate((room.free, np.zeros_like(room.free)), axis=1)
     pose = (1.25, 2.35, 1.0)
-    ranges = simulate(room, [pose], ANGLES, range_max=20.0)[0]
+    ranges = simulate_ranges(room, [pose], ANGLES, range_max=20.0)[0]
     scan = LaserScan(ranges, ANGLES, range_max=20.0)
     for method in ALL_METHODS:
         answer = localize(prepare(OccupancyGrid(occupied, free, 0.1)), scan, Options(method=method))

@@ -10,7 +10,7 @@ from places import POSES, answer_of, error, facts, features_of, grid_of, scan_of
 from imgloc.errors import ConfigError
 from imgloc.features.budget import stack_bytes
 from imgloc.geometry import cell_of, uniform_thetas, wrap
-from imgloc.likelihood.posterior import posterior
+from imgloc.likelihoods.posterior import posterior
 from imgloc.model import VERDICTS
 from imgloc.options import ALL_METHODS, METHODS, Options
 from imgloc.pipeline import likelihood, localize, prepare

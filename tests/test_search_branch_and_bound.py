@@ -13,7 +13,7 @@ from imgloc.features.pyramid import pooled_maps
 from imgloc.geometry import centre_of, uniform_thetas
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
-from imgloc.likelihood.cbml import cbml
+from imgloc.likelihoods.cbml import cbml
 from imgloc.model import BoolArray, Float32Array, FloatArray
 from imgloc.search.branch_and_bound import Best, _Bounds, best_poses
 from imgloc.search.hypotheses import separated

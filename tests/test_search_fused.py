@@ -18,7 +18,7 @@ from imgloc.options import FusedOptions, Options
 from imgloc.pipeline import find_modes
 from imgloc.search.proposals import propose_votes
 from imgloc.search.rescore import rescore, shortlist
-from imgloc.simulate import sample_free_poses, simulate
+from imgloc.simulation import sample_free_poses, simulate_ranges
 from imgloc.worlds import WORLDS, render
 
 INF, NAN = float("inf"), float("nan")
@@ -43,7 +43,7 @@ def truth(name="curved"):
 
 
 def scan_at(pose, name="curved", angles=ANGLES, seed=0):
-    ranges = simulate(truth(name), [pose], angles, seed=seed, range_max=30.0)[0]
+    ranges = simulate_ranges(truth(name), [pose], angles, seed=seed, range_max=30.0)[0]
     return LaserScan(ranges, angles, range_max=30.0)
 
 
@@ -245,7 +245,7 @@ def test_lost_readings_are_no_evidence(seed):
 
 def test_people_in_front_of_the_walls_do_not_move_the_answer():
     pose = np.array([6.0, 9.0, 0.5])
-    ranges = simulate(truth(), [pose], ANGLES, seed=4, range_max=30.0, outliers=0.25)[0]
+    ranges = simulate_ranges(truth(), [pose], ANGLES, seed=4, range_max=30.0, outliers=0.25)[0]
     found = find_modes(features_of(), LaserScan(ranges, ANGLES, range_max=30.0), Options())
     assert_close(found.poses[0], pose)
 

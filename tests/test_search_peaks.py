@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imgloc.likelihood.posterior import smooth
+from imgloc.likelihoods.posterior import smooth
 from imgloc.search import peaks as peaks_module
 from imgloc.search.hypotheses import first_in_cell, separated
 from imgloc.search.peaks import find_peaks

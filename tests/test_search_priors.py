@@ -11,7 +11,7 @@ from imgloc.model import GridInfo, OccupancyGrid
 from imgloc.options import ALL_METHODS, FusedOptions, Options, Prior
 from imgloc.pipeline import localize, prepare
 from imgloc.search.priors import around, clearance, near, nearest, on_lattice, pyramid_levels
-from imgloc.simulate import Sensor, simulate_set
+from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 
 # One row, 1 m cells: the sensor may be in the second and third.
@@ -147,7 +147,7 @@ def test_radii_that_cannot_be_meant(radius):
 @pytest.fixture(scope="module")
 def visibility():
     grid = render(WORLDS["visibility"](), 0.1)
-    scans = simulate_set(grid, 3, 4, Sensor(), render(WORLDS["visibility"](), 0.01))
+    scans = simulate(grid, 3, 4, Sensor(), render(WORLDS["visibility"](), 0.01))
     return prepare(grid), scans
 
 

@@ -11,7 +11,7 @@ from command import ROOT
 from imgloc.errors import ConfigError
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
-from imgloc.simulate import Sensor, simulate_set
+from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 from tools.trust.naming import ask_all, naming_shares, scans_of
 
@@ -46,7 +46,7 @@ def test_the_right_map_is_named_and_a_wrong_name_is_noticed(maps):
 
 
 def test_recorded_scans_come_before_simulated_ones(maps):
-    recorded = simulate_set(render(WORLDS["curved"](), 0.1), 3, 9, Sensor(rays=31))
+    recorded = simulate(render(WORLDS["curved"](), 0.1), 3, 9, Sensor(rays=31))
     path = maps["curved"].with_name("scans.npz")
     save_scans(path, recorded)
     try:
@@ -83,7 +83,7 @@ def folder(tmp_path_factory):
         (out / name).mkdir()
         grid = render(WORLDS[name](), 0.1)
         save_map(out / name / "map.yaml", grid)
-    save_scans(out / "corridor" / "scans.npz", simulate_set(grid, 3, 3, Sensor()))
+    save_scans(out / "corridor" / "scans.npz", simulate(grid, 3, 3, Sensor()))
     return out
 
 

@@ -12,7 +12,7 @@ from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.model import Hypothesis, Localization, Pose2D
 from imgloc.pipeline import prepare
-from imgloc.simulate import Sensor, simulate_set
+from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 from tools.trust.reliability import (
     Judged,
@@ -88,7 +88,7 @@ def test_the_band_is_that_of_chi_square(count):
 
 def test_simulated_scans_are_judged():
     grid = render(WORLDS["curved"](), 0.1)
-    scans = simulate_set(grid, 3, 5, Sensor(), render(WORLDS["curved"](), 0.01))
+    scans = simulate(grid, 3, 5, Sensor(), render(WORLDS["curved"](), 0.01))
     calls = []
     told = list(judged(prepare(grid), scans, advance=lambda: calls.append(1)))
     assert len(told) == len(calls) == 3
@@ -148,7 +148,7 @@ def test_the_tool_writes_numbers_and_a_picture(tmp_path):
     pytest.importorskip("matplotlib")
     grid = render(WORLDS["curved"](), 0.1)
     save_map(tmp_path / "map.yaml", grid)
-    save_scans(tmp_path / "scans.npz", simulate_set(grid, 2, 3, Sensor()))
+    save_scans(tmp_path / "scans.npz", simulate(grid, 2, 3, Sensor()))
     words = ("-n", 1, "--picture", tmp_path / "r.png", "--sets", tmp_path / "map.yaml")
     done = run_tool(*words, "--range-max", 0.31)  # from where a robot can be there is nothing
     assert done.returncode == 0, done.stderr

@@ -21,7 +21,7 @@ from imgloc.options import EvidenceModel, FusedOptions, Options
 from imgloc.pipeline import Modes, localize, prepare
 from imgloc.search.proposals import propose_all
 from imgloc.search.rescore import Scores
-from imgloc.simulate import Sensor, simulate, simulate_set
+from imgloc.simulation import Sensor, simulate, simulate_ranges
 from imgloc.worlds import WORLDS, render
 from tools.recorded import cut_set
 from tools.trust import robustness as room
@@ -73,7 +73,7 @@ def test_the_level_is_the_logarithm_above_the_background():
 def test_the_oracle_is_never_below_the_search(world, sensor):
     grid = render(WORLDS[world](), 0.1)
     features = prepare(grid)
-    for scan in simulate_set(grid, 4, 7, sensor, render(WORLDS[world](), 0.01)).scans:
+    for scan in simulate(grid, 4, 7, sensor, render(WORLDS[world](), 0.01)).scans:
         best = exhaustive(features, scan, keep=3000)
         answer = localize(features, scan, Options())
         assert best.scores.log_likelihood[0] >= answer.hypotheses[0].log_likelihood
@@ -98,7 +98,7 @@ def test_a_lattice_with_too_many_poses_gets_larger_cells():
     grid = render(WORLDS["curved"](), 0.1)
     features = prepare(grid)
     assert score_level(features, EvidenceModel(), 2).resolution == pytest.approx(0.2)
-    (scan,) = simulate_set(grid, 1, 3, Sensor(), render(WORLDS["curved"](), 0.01)).scans
+    (scan,) = simulate(grid, 1, 3, Sensor(), render(WORLDS["curved"](), 0.01)).scans
     few = 360 * grid.occupied.size // 4
     best = [exhaustive(features, scan, keep=500, most=m).poses[0] for m in (4 * few, few)]
     np.testing.assert_allclose(best[0], best[1], atol=0.02)
@@ -107,7 +107,9 @@ def test_a_lattice_with_too_many_poses_gets_larger_cells():
 def test_a_sensor_upside_down_sweeps_the_other_way():
     grid, pose = render(WORLDS["curved"](), 0.1), [(2.9, 4.8, 0.3)]
     angles = np.linspace(-1.0, 1.0, 41)
-    up, down = (simulate(grid, pose, a, sigma=0.0, range_max=9.0)[0] for a in (angles, -angles))
+    up, down = (
+        simulate_ranges(grid, pose, a, sigma=0.0, range_max=9.0)[0] for a in (angles, -angles)
+    )
     assert not np.allclose(up, down)
     hanging = upside_down(LaserScan(up, angles, range_max=9.0))
     np.testing.assert_allclose(hanging.ranges, down, atol=1e-3)
@@ -168,7 +170,7 @@ def test_recorded_scans_are_compared_in_the_map_frame(monkeypatch):
     monkeypatch.setattr(room, "exhaustive", lambda *a, **k: exhaustive(*a, **k, keep=500))
     here = render(WORLDS["curved"](), 0.1)
     grid = OccupancyGrid(here.occupied, here.free, 0.1, Pose2D(3.0, -2.0, 2.5))
-    scans = simulate_set(grid, 2, 3, Sensor(), render(WORLDS["curved"](), 0.01))
+    scans = simulate(grid, 2, 3, Sensor(), render(WORLDS["curved"](), 0.01))
     row = recorded_row("a set", prepare(grid), scans)
     assert (row.condition, row.localize.hits, row.oracle.hits) == ("a set", 2, 2)
 
@@ -224,7 +226,7 @@ def recorded_set(tmp_path):
     grid = render(WORLDS["curved"](), 0.1)
     (tmp_path / "here").mkdir()
     save_map(tmp_path / "here" / "map.yaml", grid)
-    save_scans(tmp_path / "here" / "scans.npz", simulate_set(grid, 3, 3, Sensor()))
+    save_scans(tmp_path / "here" / "scans.npz", simulate(grid, 3, 3, Sensor()))
     return tmp_path / "here" / "map.yaml"
 
 

@@ -7,13 +7,13 @@ from imgloc.errors import ConfigError
 from imgloc.io.files import display
 from imgloc.io.scans import load_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.simulate import sample_set
+from imgloc.simulation import sample_set
 
 
 def scans_beside(path: Path, n: int, seed: int, range_max: float) -> ScanSet:
     """Pick `n` scans of the file ``scans.npz`` beside a map, as a shorter reach would have them.
 
-    See :func:`imgloc.simulate.sample_set`; all if there are fewer.
+    See :func:`imgloc.simulation.sample_set`; all if there are fewer.
 
     Raises
     ------

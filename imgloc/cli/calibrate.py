@@ -1,6 +1,7 @@
 """`imgloc calibrate`: what the evidence of each method is worth in a map."""
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,6 +15,7 @@ from imgloc.errors import ConfigError
 from imgloc.io.files import display
 
 if TYPE_CHECKING:
+    from imgloc.io.scanset import ScanSet
     from imgloc.model import OccupancyGrid
 
 _STACKS = [name.value for name in opt.MethodName if name != opt.MethodName.FUSED]
@@ -59,7 +61,7 @@ def calibrate(
     from imgloc.output.json import plain, to_json
     from imgloc.output.tables import calibration_table
     from imgloc.pipeline import prepare
-    from imgloc.simulate import fine_image, is_world, simulate_set
+    from imgloc.simulation import fine_image, is_world, simulate
 
     chosen = opt.methods_of(methods, _STACKS)
     steps = opt.for_each("--theta-step-deg", theta_step_deg, chosen, *opt.STEP)
@@ -98,9 +100,9 @@ def calibrate(
         )
         for options in plans.values():
             inputs.check_answer(prepare(grid, name, cell=cell), options, name)
-    simulate = simulate_set if clean else disturbed_set
+    made: Callable[..., ScanSet] = simulate if clean else disturbed_set
     sets = [
-        simulate(grid, count, seed, laser, fine_image(path, grid))
+        made(grid, count, seed, laser, fine_image(path, grid))
         for path, grid in zip(paths, grids, strict=True)
     ]
     fits = {}

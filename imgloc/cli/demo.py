@@ -46,7 +46,7 @@ def demo(
     from imgloc.output.pictures import Picture, draw, mosaic
     from imgloc.output.tables import answer_text
     from imgloc.pipeline import likelihood, localize, prepare
-    from imgloc.simulate import simulate_set
+    from imgloc.simulation import simulate
 
     maps = bundled_maps()
     if out is not None:
@@ -61,7 +61,7 @@ def demo(
     inputs.check_simulation(grid, name.value, 1, 181, taken.memory_budget, hint=hint)
     for each in (options, cbml):
         inputs.check_answer(features, each, name.value, hint=hint)
-    simulated = simulate_set(grid, 1, seed)
+    simulated = simulate(grid, 1, seed)
     scan, truth = simulated.scans[0], Pose2D(*np.asarray(simulated.poses)[0])
     answer = localize(features, scan, options)
     LOG.info("map %s, seed %d", display(path), seed)

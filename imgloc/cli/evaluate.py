@@ -71,13 +71,13 @@ def evaluate(
     Everything but what is under "cost" is the same in every run.
     """
     from imgloc.cli import inputs
-    from imgloc.evaluate import TOLERANCES, Tolerance, method_options
-    from imgloc.evaluate import evaluate as measure
+    from imgloc.evaluation import TOLERANCES, Tolerance, method_options
+    from imgloc.evaluation import evaluate as measure
     from imgloc.io.calibration import calibration_path, load_calibrations
     from imgloc.output.json import evaluation_row, to_json
     from imgloc.output.tables import evaluation_tables
     from imgloc.pipeline import prepare
-    from imgloc.simulate import fine_image, is_world, sample_set, simulate_set
+    from imgloc.simulation import fine_image, is_world, sample_set, simulate
 
     chosen = opt.methods_of(methods, list(opt.MethodName))
     steps = opt.for_each("--theta-step-deg", theta_step_deg, chosen, *opt.STEP)
@@ -102,7 +102,7 @@ def evaluate(
             n, world = count or 100, is_world(path, grid)
             inputs.check_simulation(grid, where, n, sensor.rays, budget, world=world)
             # In a bundled map on its walls, not on its cells.
-            trials = simulate_set(grid, n, seed, laser, fine_image(path, grid))
+            trials = simulate(grid, n, seed, laser, fine_image(path, grid))
             source |= {"seed": seed, "sensor": asdict(laser)}
         else:
             recorded, file = inputs.load_set(scans[k], budget), display(scans[k])
@@ -141,7 +141,7 @@ def _check_sources(
     sensor: "opt.Sensor", *, flipped: bool,
 ) -> None:  # fmt: skip
     """Refuse options that would be ignored."""
-    from imgloc.simulate import Sensor
+    from imgloc.simulation import Sensor
 
     if scans is None:
         if flipped:

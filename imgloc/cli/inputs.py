@@ -27,7 +27,7 @@ from imgloc.model import BoolArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options, Prior
 from imgloc.pipeline import answer_bytes, prepare
 from imgloc.search import priors
-from imgloc.simulate import FINE, fine_factor
+from imgloc.simulation import FINE, fine_factor
 
 COARSER = "crop the map, use a larger --cell or --theta-step-deg"
 

@@ -69,7 +69,7 @@ def localize(
     in the map frame. Look at the mass of the second hypothesis before trusting the first.
     """
     from imgloc.cli import inputs
-    from imgloc.explain import explain as reasons
+    from imgloc.explanation import explain as reasons
     from imgloc.io.calibration import calibration_path, load_calibrations
     from imgloc.model import Pose2D
     from imgloc.options import FusedOptions, Options

@@ -19,7 +19,7 @@ from imgloc.errors import ConfigError
 if TYPE_CHECKING:
     from imgloc.io.maps import Reading as Reading
     from imgloc.model import LaserScan, Pose2D
-    from imgloc.simulate import Sensor as Sensor
+    from imgloc.simulation import Sensor as Sensor
 
 F = TypeVar("F", bound=Callable[..., None])
 Range = tuple[float, float, str]  # lowest, highest, unit
@@ -343,7 +343,7 @@ def sensor(
 ) -> "Sensor":
     """Options of a simulated sensor, but for its reach."""
     from imgloc.model import Pose2D
-    from imgloc.simulate import Sensor
+    from imgloc.simulation import Sensor
 
     fov, pose = math.radians(fov_deg), Pose2D(*(mount or (0.0, 0.0, 0.0)))
     return Sensor(

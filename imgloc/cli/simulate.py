@@ -33,7 +33,7 @@ def simulate(
     """
     from imgloc.cli import inputs
     from imgloc.io.scans import save_scans
-    from imgloc.simulate import simulate_set
+    from imgloc.simulation import simulate
 
     inputs.check_target(out, ".npz", force=force)
     rays = sensor.rays
@@ -45,6 +45,6 @@ def simulate(
     budget = opt.fixed_budget(memory_budget)
     grid = inputs.load_grid(map_path, budget, allow_lossy=allow_lossy, **reading)
     inputs.check_simulation(grid, display(map_path), count, rays, budget)
-    scans = simulate_set(grid, count, seed, replace(sensor, range_max=range_max))
+    scans = simulate(grid, count, seed, replace(sensor, range_max=range_max))
     save_scans(out, scans, force=force)
     say(f"wrote {display(out)}: {count} scans of {rays} readings, with their poses")

@@ -43,12 +43,12 @@ def which(
     A scan with too few readings is invalid. A map that cannot be used is reported and left out;
     the exit code is then 5.
     """
+    from imgloc.choice import choose, find_maps, fit, names_of
     from imgloc.cli import inputs
     from imgloc.options import Options
     from imgloc.output.json import choice_row, to_json
     from imgloc.output.tables import CHOICE_HEADER, choice_line
     from imgloc.pipeline import check_options
-    from imgloc.which import choose, find_maps, fit, names_of
 
     taken = resources()
     paths = find_maps(maps_dir)

@@ -10,9 +10,9 @@ from imgloc.geometry import base_of
 from imgloc.model import Evidence, Localization, Pose2D
 
 if TYPE_CHECKING:
-    from imgloc.evaluate import Evaluation
+    from imgloc.choice import Choice
+    from imgloc.evaluation import Evaluation
     from imgloc.io.mapcheck import MapReport
-    from imgloc.which import Choice
 
 SURE = ("unique", "ambiguous")
 """Verdicts under which there is a pose to be named; the others list what fits best at most."""

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from imgloc import __version__
-from imgloc.explain import Explanation
+from imgloc.explanation import Explanation
 from imgloc.geometry import base_of, rotate_covariance
 from imgloc.model import Hypothesis, Pose2D
 from imgloc.output.pictures import draw_likelihood

@@ -15,8 +15,8 @@ from imgloc.model import Localization, Pose2D
 from imgloc.output.json import SURE
 
 if TYPE_CHECKING:
+    from imgloc.choice import Choice
     from imgloc.io.mapcheck import MapReport
-    from imgloc.which import Choice
 
 _WIDE = 1000  # characters of a line at most: a table is as wide as its cells, wherever it goes
 _LISTED = 3  # maps that a line of `imgloc which` names

@@ -18,7 +18,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from imgloc.errors import ConfigError
 from imgloc.features.pyramid import PooledMaps
 from imgloc.geometry import centre_of
-from imgloc.likelihood.slices import cell_offsets, check_arguments, finite_points, over_slices
+from imgloc.likelihoods.slices import cell_offsets, check_arguments, finite_points, over_slices
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 from imgloc.search.hypotheses import separated
 from imgloc.search.lookups import sums_under
@@ -36,7 +36,7 @@ class Best:
     """The best poses of a lattice, best first."""
 
     cells: IntArray  #: (M, 3) ``(theta, row, col)`` indices, as into a stack
-    #: (M,) The values that the stack of :func:`imgloc.likelihood.cbml.cbml` has there
+    #: (M,) The values that the stack of :func:`imgloc.likelihoods.cbml.cbml` has there
     scores: Float32Array
 
 

@@ -17,10 +17,10 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import Level
 from imgloc.features.scanpoints import scan_points, thin
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihood.correlate import correlate
-from imgloc.likelihood.ght import ght_v
-from imgloc.likelihood.posterior import smooth
-from imgloc.likelihood.slices import cell_offsets
+from imgloc.likelihoods.correlate import correlate
+from imgloc.likelihoods.ght import ght_v
+from imgloc.likelihoods.posterior import smooth
+from imgloc.likelihoods.slices import cell_offsets
 from imgloc.model import BoolArray, Float32Array, FloatArray, GridInfo, IntArray, LaserScan
 from imgloc.options import FusedOptions, Prior
 from imgloc.search.lookups import sums_under

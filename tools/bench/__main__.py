@@ -25,11 +25,11 @@ from imgloc.errors import ConfigError, ImglocError
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.likelihood.correlate import ENGINES
+from imgloc.likelihoods.correlate import ENGINES
 from imgloc.model import OccupancyGrid
 from imgloc.output.json import to_json
 from imgloc.pipeline import prepare
-from imgloc.simulate import Sensor, simulate_set
+from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 from tools.bench.measure import (
     answer_times,
@@ -184,7 +184,7 @@ def _maps(problem: Path | None, count: int) -> dict[str, tuple[OccupancyGrid, Sc
 
 def _world(resolution: float, count: int) -> tuple[OccupancyGrid, ScanSet]:
     grid = render(WORLDS["large"](), resolution)
-    return grid, simulate_set(grid, count, 0, Sensor(range_max=10.0))
+    return grid, simulate(grid, count, 0, Sensor(range_max=10.0))
 
 
 def bench_tables(results: Mapping[str, Any]) -> str:

@@ -26,10 +26,10 @@ from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import scan_points, scan_xy
 from imgloc.features.surface import surface_points
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihood.cbml import cbml, cbml_o, project
-from imgloc.likelihood.correlate import ENGINES, EXACT, correlate
-from imgloc.likelihood.ght import ght, ght_v
-from imgloc.likelihood.slices import cell_offsets
+from imgloc.likelihoods.cbml import cbml, cbml_o, project
+from imgloc.likelihoods.correlate import ENGINES, EXACT, correlate
+from imgloc.likelihoods.ght import ght, ght_v
+from imgloc.likelihoods.slices import cell_offsets
 from imgloc.model import Float32Array, FloatArray, LaserScan, OccupancyGrid
 from imgloc.options import Options
 from imgloc.pipeline import localize, prepare

@@ -140,13 +140,13 @@ _GROW = (
     _PEAK
     + """
 import numpy as np
-from imgloc.simulate import Sensor, simulate_set
+from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 from imgloc.model import OccupancyGrid
 from imgloc.pipeline import localize, prepare
 world, side, repeats = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
 one = render(WORLDS[world](), 0.1)
-scans = simulate_set(one, repeats + 1, 0, Sensor(range_max=10.0))
+scans = simulate(one, repeats + 1, 0, Sensor(range_max=10.0))
 grid = OccupancyGrid(np.tile(one.occupied, (side, side)), np.tile(one.free, (side, side)), 0.1)
 features = prepare(grid)
 start = time.perf_counter()

@@ -21,11 +21,11 @@ from imgloc.features.scanpoints import scan_points
 from imgloc.features.surface import surface_points
 from imgloc.features.visibility import visibility_frames
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihood.beam import beam
-from imgloc.likelihood.cbml import cbml, cbml_o, project
-from imgloc.likelihood.ght import ght, ght_v
+from imgloc.likelihoods.beam import beam
+from imgloc.likelihoods.cbml import cbml, cbml_o, project
+from imgloc.likelihoods.ght import ght, ght_v
 from imgloc.model import Float32Array, FloatArray, OccupancyGrid, OrientedPoints
-from imgloc.simulate import sample_free_poses, simulate
+from imgloc.simulation import sample_free_poses, simulate_ranges
 from imgloc.worlds import WORLDS, render
 from tools.paper.work import pixels_added, ray_cells, votes_cast
 from tools.plots import COLOURS, blank
@@ -239,7 +239,7 @@ def _case_at(world: str, axis: str, value: float, seed: int) -> tuple[_Case, flo
     fine = render(WORLDS[world](), 0.01)  # the scan knows neither cells nor copies
     angles = np.linspace(-np.pi / 2, np.pi / 2, round(at["n"]))
     pose = sample_free_poses(fine, 1, seed, clearance=0.5)
-    ranges = simulate(fine, pose, angles, seed=seed)[0]
+    ranges = simulate_ranges(fine, pose, angles, seed=seed)[0]
     case = _Case(
         grid=grid,
         surface=surface_points(grid.occupied, grid.free, grid.resolution),

@@ -22,7 +22,7 @@ from imgloc.model import (
 from imgloc.output.canvas import PAPER, Canvas, Image, draw_map, marker_size
 from imgloc.output.features import draw_bmap, draw_field, draw_surface
 from imgloc.output.pictures import draw_likelihood, mosaic
-from imgloc.simulate import simulate
+from imgloc.simulation import simulate_ranges
 from imgloc.worlds import NICHES, WORLDS, render
 from tools.paper.table import CELL, stack_of
 
@@ -88,7 +88,7 @@ def scene(name: str, *, threads: int = 1, advance: Callable[[], None] = lambda: 
     features = MapFeatures(
         render(world, CELL), cell=CELL, sigma=setting.sigma, horizon=_REACH, threads=threads
     )
-    ranges = simulate(
+    ranges = simulate_ranges(
         render(world, 0.01), [(truth.x, truth.y, truth.theta)], setting.angles,
         seed=setting.seed, range_max=_REACH,
     )[0]  # fmt: skip

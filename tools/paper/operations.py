@@ -21,13 +21,13 @@ import numpy as np
 
 from imgloc.cli.console import progress
 from imgloc.errors import ConfigError, ImglocError
-from imgloc.evaluate import Share, share
+from imgloc.evaluation import Share, share
 from imgloc.features.gradients import SOURCES
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.visibility import WAYS
 from imgloc.index import Index, performance_index
 from imgloc.io.files import refuse_existing, write_text_atomic
-from imgloc.likelihood.correlate import ENGINES
+from imgloc.likelihoods.correlate import ENGINES
 from imgloc.output.json import to_json
 from tools.paper.page import templates
 from tools.paper.table import PLACES, Gain, Outcome, gain, place, truth_of, try_method

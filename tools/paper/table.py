@@ -15,17 +15,17 @@ from types import MappingProxyType
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.evaluate import PAPER_STEPS_DEG, Z95, Share, share
+from imgloc.evaluation import PAPER_STEPS_DEG, Z95, Share, share
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import cell_of, theta_bin, uniform_thetas
 from imgloc.index import FLOOR, Index, density_in_stack, global_maximum, performance_index
 from imgloc.io.scanset import ScanSet
-from imgloc.likelihood import stacks
-from imgloc.likelihood.ght import ght_v
+from imgloc.likelihoods import stacks
+from imgloc.likelihoods.ght import ght_v
 from imgloc.model import Float32Array, FloatArray, LaserScan, Pose2D
 from imgloc.options import DEFAULTS
-from imgloc.simulate import Sensor, simulate_set
+from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 from tools.paper.uncertainty import Uncertainty, vote_spread
 
@@ -59,7 +59,7 @@ class Outcome:
 def place(world: str, n: int, seed: int, threads: int = 1) -> tuple[MapFeatures, ScanSet]:
     """The map of a world and scans in it, as ``imgloc evaluate`` makes them."""
     grid = render(WORLDS[world](), MAP_CELL)
-    scans = simulate_set(grid, n, seed, Sensor(), render(WORLDS[world](), 0.01))
+    scans = simulate(grid, n, seed, Sensor(), render(WORLDS[world](), 0.01))
     return MapFeatures(grid, cell=CELL, threads=threads), scans
 
 

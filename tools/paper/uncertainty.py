@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.likelihood.ght import vote
+from imgloc.likelihoods.ght import vote
 from imgloc.model import Float32Array, FloatArray, IntArray, OrientedPoints
 
 REACH = 2.5  # standard deviations that a vote is spread to either side
@@ -133,7 +133,7 @@ def vote_spread(
 ) -> Float32Array:
     """GHT-V, and GHT without a visibility, with each vote spread over the poses of eq. 8.
 
-    The parameters are those of :func:`imgloc.likelihood.ght.ght_v`. With `once`, a scan point
+    The parameters are those of :func:`imgloc.likelihoods.ght.ght_v`. With `once`, a scan point
     adds no more than 1 to a cell, before the blur.
     """
     out = np.zeros((n_theta, *shape), np.float32)

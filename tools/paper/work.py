@@ -7,8 +7,8 @@ without a counter in anybody's inner loop.
 import numpy as np
 
 from imgloc.features.raydistance import canvas_size
-from imgloc.likelihood.ght import pair_up
-from imgloc.likelihood.slices import cell_offsets, finite_points
+from imgloc.likelihoods.ght import pair_up
+from imgloc.likelihoods.slices import cell_offsets, finite_points
 from imgloc.model import Float32Array, FloatArray, OrientedPoints
 
 
@@ -55,7 +55,7 @@ def votes_cast(
     surface : OrientedPoints
         M surface points of the map.
     visibility : (n_psi, M) float32 array or None
-        As for :func:`imgloc.likelihood.ght.ght_v`; None counts all pairs, Alg. 4.
+        As for :func:`imgloc.likelihoods.ght.ght_v`; None counts all pairs, Alg. 4.
     points : OrientedPoints
         Scan points.
 

@@ -20,6 +20,7 @@ from pathlib import Path
 
 import cv2
 
+from imgloc.choice import find_maps, names_of
 from imgloc.cli.console import progress
 from imgloc.cli.inputs import check_target
 from imgloc.errors import ConfigError, ImglocError
@@ -29,8 +30,7 @@ from imgloc.io.maps import load_map
 from imgloc.options import Options
 from imgloc.output.json import to_json
 from imgloc.pipeline import prepare
-from imgloc.simulate import Sensor, simulate_set
-from imgloc.which import find_maps, names_of
+from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 from tools.plots import blank
 from tools.recorded import scans_beside
@@ -125,7 +125,7 @@ def run_reliability(given: argparse.Namespace) -> int:
     options = Options(threads=cores)
     maps = {name: prepare(render(world(), 0.1)) for name, world in WORLDS.items()}
     scans = {
-        name: simulate_set(f.grid, n, given.seed, Sensor(), render(WORLDS[name](), 0.01))
+        name: simulate(f.grid, n, given.seed, Sensor(), render(WORLDS[name](), 0.01))
         for name, f in maps.items()
     }
     simulated: dict[str, list[Judged]] = {}

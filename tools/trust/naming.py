@@ -4,14 +4,14 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from imgloc.choice import choose, fit
 from imgloc.errors import ConfigError
-from imgloc.evaluate import share
+from imgloc.evaluation import share
 from imgloc.io.maps import load_map
 from imgloc.model import LaserScan, Localization
 from imgloc.options import Options
 from imgloc.pipeline import prepare
-from imgloc.simulate import Sensor, simulate_set
-from imgloc.which import choose, fit
+from imgloc.simulation import Sensor, simulate
 from tools.recorded import scans_beside
 
 Asked = tuple[str, LaserScan]
@@ -36,7 +36,7 @@ def scans_of(
         if path.with_name("scans.npz").exists():
             found = scans_beside(path, each, seed, range_max)
         else:
-            found = simulate_set(load_map(path), each, seed, Sensor(range_max=range_max))
+            found = simulate(load_map(path), each, seed, Sensor(range_max=range_max))
         asked += [(name, scan) for scan in found.scans]
     return tuple(asked)
 

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.evaluate import Share, pose_errors, share
+from imgloc.evaluation import Share, pose_errors, share
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import wrap
 from imgloc.io.scanset import ScanSet

@@ -15,14 +15,14 @@ from types import MappingProxyType
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.evaluate import Share, pose_errors, share
+from imgloc.evaluation import Share, pose_errors, share
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import base_of, compose
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import localize, prepare
-from imgloc.simulate import Sensor, simulate_set
+from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 from tools.trust.exhaustive import exhaustive
 
@@ -196,7 +196,7 @@ def _trials(
 ) -> Iterator[RobustnessTrial]:
     features = prepare(render(WORLDS[world](), condition.cell), threads=threads)
     # The poses are those of the map at 10 cm, whatever its cells now.
-    scans = simulate_set(
+    scans = simulate(
         render(WORLDS[world](), 0.1), n, seed, condition.sensor, render(WORLDS[world](), 0.01)
     )
     if condition.flipped:

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
-from imgloc.likelihood.ght import BLOCK_COLUMNS, BLOCK_PAIRS, ght, ght_v
+from imgloc.likelihoods.ght import BLOCK_COLUMNS, BLOCK_PAIRS, ght, ght_v
 from imgloc.model import OrientedPoints
 
 seeds = st.integers(0, 2**32 - 1)

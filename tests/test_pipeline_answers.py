@@ -7,7 +7,7 @@ import pytest
 from places import ANGLES, POSES, answer_of, facts, features_of, grid_of, scan_of
 
 from imgloc.errors import ConfigError
-from imgloc.explain import explain
+from imgloc.explanation import explain
 from imgloc.features.budget import fused_bytes
 from imgloc.geometry import uniform_thetas
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
@@ -15,7 +15,7 @@ from imgloc.options import Calibration, FusedOptions, Options, Prior, Trust
 from imgloc.output.pages import why
 from imgloc.output.svg import macro
 from imgloc.pipeline import check_options, likelihood, localize, posterior_of, prepare
-from imgloc.simulate import Sensor, simulate_set
+from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 
 
@@ -23,7 +23,7 @@ from imgloc.worlds import WORLDS, render
 def double_wall():
     """Features and three scans that several places explain."""
     fine = render(WORLDS["double_wall"](), 0.01)
-    scans = simulate_set(render(WORLDS["double_wall"](), 0.1), 3, 5, Sensor(range_max=5.0), fine)
+    scans = simulate(render(WORLDS["double_wall"](), 0.1), 3, 5, Sensor(range_max=5.0), fine)
     return features_of("double_wall"), scans.scans
 
 

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihood import correlate as engines
-from imgloc.likelihood import shift
-from imgloc.likelihood.correlate import EXACT, choose_engine, correlate
-from imgloc.likelihood.slices import cell_offsets
-from imgloc.likelihood.spectral import multiply_packed
+from imgloc.likelihoods import correlate as engines
+from imgloc.likelihoods import shift
+from imgloc.likelihoods.correlate import EXACT, choose_engine, correlate
+from imgloc.likelihoods.slices import cell_offsets
+from imgloc.likelihoods.spectral import multiply_packed
 
 seeds = st.integers(0, 2**32 - 1)
 every_engine = pytest.mark.parametrize("engine", EXACT)

@@ -6,7 +6,7 @@ import pytest
 from imgloc.errors import ConfigError, MapError
 from imgloc.geometry import cell_of
 from imgloc.model import OccupancyGrid, Pose2D
-from imgloc.simulate import Sensor, refine_grid, sample_free_poses, simulate, simulate_set
+from imgloc.simulation import Sensor, refine_grid, sample_free_poses, simulate, simulate_ranges
 from imgloc.worlds import WORLDS, render
 
 
@@ -18,7 +18,7 @@ def box_grid(height=40, width=60, resolution=0.1):
 
 def test_ranges_in_a_box_from_its_inside():
     poses = [(2.0, 1.0, 0.0), (2.0, 1.0, np.pi / 2)]
-    ranges = simulate(box_grid(), poses, [0.0, np.pi / 2, np.pi, -np.pi / 2], sigma=0.0)
+    ranges = simulate_ranges(box_grid(), poses, [0.0, np.pi / 2, np.pi, -np.pi / 2], sigma=0.0)
     np.testing.assert_allclose(ranges[0], [3.9, 2.9, 1.9, 0.9], atol=0.002)
     np.testing.assert_allclose(ranges[1], [2.9, 1.9, 0.9, 3.9], atol=0.002)
 
@@ -26,47 +26,51 @@ def test_ranges_in_a_box_from_its_inside():
 def test_noise_has_the_sigma_asked_for_and_no_bias():
     poses = np.tile((3.0, 2.0, 0.1), (400, 1))
     angles = np.linspace(-1, 1, 41)
-    clean = simulate(box_grid(), poses[:1], angles, sigma=0.0)
-    error = simulate(box_grid(), poses, angles, sigma=0.05, seed=3) - clean
+    clean = simulate_ranges(box_grid(), poses[:1], angles, sigma=0.0)
+    error = simulate_ranges(box_grid(), poses, angles, sigma=0.05, seed=3) - clean
     assert error.std() == pytest.approx(0.05, rel=0.03)
     assert abs(error.mean()) < 0.002
     assert abs(np.corrcoef(error[:, 0], error[:, 1])[0, 1]) < 0.2  # rays are independent
 
 
 def test_beyond_range_max_there_is_no_return():
-    ranges = simulate(box_grid(), [(2.0, 2.0, 0.0)], [0.0, np.pi], sigma=0.0, range_max=3.0)
+    ranges = simulate_ranges(box_grid(), [(2.0, 2.0, 0.0)], [0.0, np.pi], sigma=0.0, range_max=3.0)
     assert ranges[0, 0] == np.inf
     assert ranges[0, 1] == pytest.approx(1.9, abs=0.002)
-    noisy = simulate(box_grid(), [(2.05, 2.0, 0.0)] * 500, [np.pi], sigma=0.1, range_max=1.95)
+    noisy = simulate_ranges(
+        box_grid(), [(2.05, 2.0, 0.0)] * 500, [np.pi], sigma=0.1, range_max=1.95
+    )
     assert noisy[np.isfinite(noisy)].max() <= 1.95
     assert np.isinf(noisy).mean() == pytest.approx(0.5, abs=0.1)
 
 
 def test_readings_next_to_a_wall_stay_positive():
-    ranges = simulate(box_grid(), [(0.11, 2.0, np.pi)] * 200, [0.0], sigma=0.1)
+    ranges = simulate_ranges(box_grid(), [(0.11, 2.0, np.pi)] * 200, [0.0], sigma=0.1)
     assert ranges.min() > 0
 
 
 def test_outliers_are_short_and_as_many_as_asked_for():
     poses = sample_free_poses(box_grid(), 100, 1)
     angles = np.linspace(-1.5, 1.5, 50)
-    clean = simulate(box_grid(), poses, angles, sigma=0.0)
-    dirty = simulate(box_grid(), poses, angles, sigma=0.0, outliers=0.3)
+    clean = simulate_ranges(box_grid(), poses, angles, sigma=0.0)
+    dirty = simulate_ranges(box_grid(), poses, angles, sigma=0.0, outliers=0.3)
     changed = dirty != clean
     assert changed.mean() == pytest.approx(0.3, abs=0.03)
     assert np.all(dirty[changed] < clean[changed] + 1e-3)
 
 
 def test_outliers_stand_where_there_is_no_wall_too():
-    nothing = simulate(box_grid(), [(3.0, 2.0, 0.0)] * 50, [0.0], range_max=1.0, outliers=1.0)
+    nothing = simulate_ranges(
+        box_grid(), [(3.0, 2.0, 0.0)] * 50, [0.0], range_max=1.0, outliers=1.0
+    )
     assert np.isfinite(nothing).mean() > 0.9
 
 
 def test_dropped_readings_are_nan_and_leave_the_others_alone():
     poses = [(3.0, 2.0, 0.0)] * 40
     angles = np.linspace(-1.5, 1.5, 50)
-    clean = simulate(box_grid(), poses, angles, seed=9)
-    dropped = simulate(box_grid(), poses, angles, seed=9, dropped=0.2)
+    clean = simulate_ranges(box_grid(), poses, angles, seed=9)
+    dropped = simulate_ranges(box_grid(), poses, angles, seed=9, dropped=0.2)
     lost = np.isnan(dropped)
     assert lost.mean() == pytest.approx(0.2, abs=0.03)
     np.testing.assert_array_equal(dropped[~lost], clean[~lost])
@@ -108,24 +112,24 @@ def test_no_room_is_an_error_that_says_so():
 
 def test_the_seed_decides_everything():
     grid = box_grid()
-    one, again, other = (simulate_set(grid, 3, seed, Sensor(outliers=0.1)) for seed in (1, 1, 2))
+    one, again, other = (simulate(grid, 3, seed, Sensor(outliers=0.1)) for seed in (1, 1, 2))
     for a, b, c in zip(one.scans, again.scans, other.scans, strict=True):
         np.testing.assert_array_equal(a.ranges, b.ranges)
         assert not np.array_equal(a.ranges, c.ranges)
     np.testing.assert_array_equal(one.poses, again.poses)
     assert not np.array_equal(one.poses, other.poses)
-    np.testing.assert_array_equal(one.poses, simulate_set(grid, 3, 1, Sensor(rays=7)).poses)
+    np.testing.assert_array_equal(one.poses, simulate(grid, 3, 1, Sensor(rays=7)).poses)
 
 
 def test_the_sensor_of_the_paper_is_the_default():
-    scans = simulate_set(box_grid(), 2, 0)
+    scans = simulate(box_grid(), 2, 0)
     assert [scan.ranges.shape for scan in scans.scans] == [(181,)] * 2
     assert scans.poses.shape == (2, 3)
     np.testing.assert_allclose(np.rad2deg(scans.scans[0].angles), np.arange(-90, 91))
 
 
 def test_a_full_circle_has_no_ray_twice():
-    angles = simulate_set(box_grid(), 1, 0, Sensor(rays=360, fov=2 * np.pi)).scans[0].angles
+    angles = simulate(box_grid(), 1, 0, Sensor(rays=360, fov=2 * np.pi)).scans[0].angles
     np.testing.assert_allclose(np.diff(angles), np.deg2rad(1.0))
     assert angles[-1] == pytest.approx(np.pi - np.deg2rad(1.0))
 
@@ -133,12 +137,12 @@ def test_a_full_circle_has_no_ray_twice():
 def test_scans_on_the_polygons_do_not_know_the_cells():
     world = WORLDS["curved"]()
     grid, fine = render(world, 0.1), render(world, 0.01)
-    found = simulate_set(grid, 4, 5, Sensor(sigma=0.0), fine)
+    found = simulate(grid, 4, 5, Sensor(sigma=0.0), fine)
     scans, angles = np.array([scan.ranges for scan in found.scans]), found.scans[0].angles
     poses = np.asarray(found.poses)
-    np.testing.assert_array_equal(scans, simulate(fine, poses, angles, sigma=0.0))
-    cells = simulate(grid, poses, angles, sigma=0.0)
-    guess = simulate(refine_grid(grid), poses, angles, sigma=0.0)
+    np.testing.assert_array_equal(scans, simulate_ranges(fine, poses, angles, sigma=0.0))
+    cells = simulate_ranges(grid, poses, angles, sigma=0.0)
+    guess = simulate_ranges(refine_grid(grid), poses, angles, sigma=0.0)
     error = [np.median(np.abs(r - scans)) for r in (cells, guess)]
     assert error[1] < 0.6 * error[0]  # smooth outlines are closer to the truth than stairs
     assert error[1] < 0.03
@@ -158,7 +162,7 @@ def test_scans_on_the_polygons_do_not_know_the_cells():
 )
 def test_nonsense_is_refused(changes, match):
     with pytest.raises(ConfigError, match=match):
-        simulate_set(box_grid(), 1, 0, Sensor(**changes))
+        simulate(box_grid(), 1, 0, Sensor(**changes))
 
 
 @pytest.mark.parametrize("thickness", [1, 2, 3, 5])

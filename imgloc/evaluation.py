@@ -1,10 +1,10 @@
 """How well and at what cost a method locates scans whose poses are known: `evaluate`.
 
->>> from imgloc.simulate import Sensor, simulate_set
+>>> from imgloc.simulation import Sensor, simulate
 >>> from imgloc.worlds import WORLDS, render
 >>> from imgloc.pipeline import prepare
 >>> grid = render(WORLDS["curved"](), 0.1)
->>> scans = simulate_set(grid, 2, 0, Sensor(rays=61))
+>>> scans = simulate(grid, 2, 0, Sensor(rays=61))
 >>> result = evaluate(prepare(grid), scans, method_options("ght-v"))
 >>> result.summary.trials, result.lattice.poses_box, 0 < result.summary.index.value < 11
 (2, 249600, True)

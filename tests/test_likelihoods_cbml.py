@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihood.cbml import cbml, cbml_o, project
-from imgloc.likelihood.correlate import EXACT
+from imgloc.likelihoods.cbml import cbml, cbml_o, project
+from imgloc.likelihoods.correlate import EXACT
 from imgloc.model import OrientedPoints
 
 seeds = st.integers(0, 2**32 - 1)

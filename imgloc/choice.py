@@ -57,7 +57,17 @@ def which(
 ) -> Choice:
     """Say from which of some maps a scan is: one of them, none, or undecided.
 
-    No maps, or another method than ``fused``, are a ConfigError.
+    Parameters
+    ----------
+    maps : mapping of str to MapFeatures
+    scan : LaserScan
+    options : Options, optional
+        Of the method ``fused``; evidence is summed over the `top` modes.
+
+    Raises
+    ------
+    ConfigError
+        If there are no maps, or the method is another one.
 
     Examples
     --------

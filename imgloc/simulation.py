@@ -36,7 +36,7 @@ class Sensor:
 
     `fov` is in radians, see :func:`ray_angles`; `sigma` (noise of a reading), `range_max` and
     `clearance` (of the robot) in metres; `outliers` and `dropped` are shares of the rays, see
-    :func:`simulate`; `mount` is the pose of the sensor on the robot.
+    :func:`simulate_ranges`; `mount` is the pose of the sensor on the robot.
     """
 
     rays: int = 181
@@ -49,7 +49,7 @@ class Sensor:
     mount: Pose2D = field(default_factory=lambda: Pose2D(0.0, 0.0))
 
 
-def simulate_set(
+def simulate(
     grid: OccupancyGrid,
     n: int,
     seed: int,
@@ -74,7 +74,7 @@ def simulate_set(
 
     Examples
     --------
-    >>> scans = simulate_set(render(WORLDS["curved"](), 0.1), 2, seed=0)
+    >>> scans = simulate(render(WORLDS["curved"](), 0.1), 2, seed=0)
     >>> scans.scans[0].ranges.shape, scans.poses.shape
     ((181,), (2, 3))
     """
@@ -83,7 +83,7 @@ def simulate_set(
     angles = ray_angles(sensor.rays, sensor.fov)
     seeds = np.random.SeedSequence(seed).generate_state(2)
     poses = sample_free_poses(grid, n, int(seeds[0]), sensor.clearance, sensor.mount)
-    ranges = simulate(
+    ranges = simulate_ranges(
         refine_grid(grid) if fine is None else fine, poses, angles,
         sigma=sensor.sigma, range_max=sensor.range_max, seed=int(seeds[1]),
         outliers=sensor.outliers, dropped=sensor.dropped,
@@ -124,7 +124,7 @@ def _check_seed(seed: int) -> None:
         raise ConfigError(f"the seed must be at least 0, got {seed}")
 
 
-def simulate(
+def simulate_ranges(
     grid: OccupancyGrid,
     poses: npt.ArrayLike,
     angles: npt.ArrayLike,
@@ -164,7 +164,7 @@ def simulate(
     >>> wall = np.zeros((20, 40), dtype=bool)
     >>> wall[:, 30] = True
     >>> grid = OccupancyGrid(wall, ~wall, 0.1)
-    >>> simulate(grid, [(1.0, 1.0, 0.0)], [0.0, np.pi], sigma=0.0).round(3).tolist()
+    >>> simulate_ranges(grid, [(1.0, 1.0, 0.0)], [0.0, np.pi], sigma=0.0).round(3).tolist()
     [[2.0, inf]]
     """
     if not (np.isfinite(sigma) and sigma >= 0):

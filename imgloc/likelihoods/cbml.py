@@ -7,10 +7,10 @@ import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.features.fields import BMAP_LEVELS, in_levels
-from imgloc.likelihood.correlate import WEIGHTED, choose_engine, correlate
-from imgloc.likelihood.kernels import remap_stack
-from imgloc.likelihood.shift import Summable, merge_repeats, shift_stack, tiles_of
-from imgloc.likelihood.slices import cell_offsets, check_arguments, finishing, frame_of
+from imgloc.likelihoods.correlate import WEIGHTED, choose_engine, correlate
+from imgloc.likelihoods.kernels import remap_stack
+from imgloc.likelihoods.shift import Summable, merge_repeats, shift_stack, tiles_of
+from imgloc.likelihoods.slices import cell_offsets, check_arguments, finishing, frame_of
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, OrientedPoints
 
 # Projections are in -VMAP_LEVELS..VMAP_LEVELS: sums of 258 readings fit into int16.
@@ -38,9 +38,9 @@ def cbml(
     bmap : (H, W) float array
         The blurred map, 0..1 (:func:`imgloc.features.fields.bmap`).
     points_xy : (N, 2) float array
-        `xy` of :func:`~imgloc.likelihood.correlate.correlate`; points without a normal take part.
+        `xy` of :func:`~imgloc.likelihoods.correlate.correlate`; points without a normal take part.
     thetas, resolution, engine, threads, where, out
-        As of :func:`~imgloc.likelihood.correlate.correlate`.
+        As of :func:`~imgloc.likelihoods.correlate.correlate`.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def cbml(
     Raises
     ------
     ValueError
-        If `bmap` leaves 0..1; for the rest see :func:`~imgloc.likelihood.correlate.correlate`.
+        If `bmap` leaves 0..1; for the rest see :func:`~imgloc.likelihoods.correlate.correlate`.
 
     Examples
     --------
@@ -96,7 +96,7 @@ def cbml_o(
         Directions that normals are rounded to; even. 64 err by 2.8 degrees at most, which
         changes a scalar product by 0.12 % where the normals agree.
     thetas, resolution, engine, threads, where, out
-        As of :func:`~imgloc.likelihood.correlate.correlate`. The engines agree up to the
+        As of :func:`~imgloc.likelihoods.correlate.correlate`. The engines agree up to the
         rounding of the projections, 0.004 per reading; ``remap`` interpolates.
     projections : (directions // 2, H, W) int16 array, optional
         Of :func:`project`, to be reused from scan to scan. Only ``shift`` uses it.
@@ -109,7 +109,7 @@ def cbml_o(
     Raises
     ------
     ConfigError, ValueError
-        As :func:`~imgloc.likelihood.correlate.correlate`; also if `directions` is not even, or
+        As :func:`~imgloc.likelihoods.correlate.correlate`; also if `directions` is not even, or
         `vmap` longer than 1 somewhere.
 
     Examples

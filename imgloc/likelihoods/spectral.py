@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.likelihood.slices import Finish, over_slices, reach_of
+from imgloc.likelihoods.slices import Finish, over_slices, reach_of
 from imgloc.model import Float32Array, IntArray
 
 # Largest error of a correlation in float32, in norms of image and kernel multiplied: measured
@@ -157,7 +157,7 @@ def spectral_stack(
 ) -> None:
     """Write the correlation of each heading's scan with the image, summed over components.
 
-    The parameters are those of :func:`imgloc.likelihood.kernels.filter2d_stack`, but that sums of
+    The parameters are those of :func:`imgloc.likelihoods.kernels.filter2d_stack`, but that sums of
     a vector field cannot be exact, and that a thread takes pairs of opposite headings.
     """
     near, reach = reach_of(offsets, image.shape)

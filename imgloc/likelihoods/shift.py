@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.likelihood.slices import Finish, box_of, over_slices, reach_of
+from imgloc.likelihoods.slices import Finish, box_of, over_slices, reach_of
 from imgloc.model import BoolArray, Float32Array, IntArray
 
 #: An image of the type that holds its sums: uint8, uint16, int16 or float32.

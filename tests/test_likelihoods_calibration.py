@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from imgloc.errors import ConfigError
-from imgloc.likelihood.posterior import calibrated, circular_kernel, posterior, smooth
+from imgloc.likelihoods.posterior import calibrated, circular_kernel, posterior, smooth
 from imgloc.model import GridInfo, Likelihood
 from imgloc.options import DEFAULTS, LOG_METHODS, METHODS, Calibration
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
-from imgloc.likelihood.ght import BLOCK_COLUMNS, ght, ght_v
+from imgloc.likelihoods.ght import BLOCK_COLUMNS, ght, ght_v
 from imgloc.model import OrientedPoints
 from tools.paper.uncertainty import Uncertainty, blur, blur_of, turned_copies, vote_spread
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError
 from imgloc.geometry import cell_of, inverse, theta_bin, transform_poses, uniform_thetas, wrap
-from imgloc.likelihood.draws import draw_near, draw_poses, entropy
+from imgloc.likelihoods.draws import draw_near, draw_poses, entropy
 from imgloc.model import GridInfo, Hypothesis, Localization, Pose2D
 
 GRID = GridInfo(2, 3, 0.5, Pose2D(7.0, -3.0, 1.0))

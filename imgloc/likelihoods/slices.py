@@ -26,7 +26,7 @@ def cell_offsets(xy: FloatArray, thetas: FloatArray, resolution: float) -> IntAr
     Parameters
     ----------
     xy, thetas, resolution
-        As of :func:`~imgloc.likelihood.correlate.correlate`, all finite.
+        As of :func:`~imgloc.likelihoods.correlate.correlate`, all finite.
 
     Returns
     -------

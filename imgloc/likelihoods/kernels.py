@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.likelihood.shift import Summable, shift_sum, tiles_of
-from imgloc.likelihood.slices import Finish, over_slices
+from imgloc.likelihoods.shift import Summable, shift_sum, tiles_of
+from imgloc.likelihoods.slices import Finish, over_slices
 from imgloc.model import Float32Array, FloatArray, IntArray
 
 
@@ -36,7 +36,7 @@ def filter2d_stack(
     weights : (K, C, N) float32 array
         What each point counts in each component.
     threads, out
-        Of :func:`~imgloc.likelihood.correlate.correlate`.
+        Of :func:`~imgloc.likelihoods.correlate.correlate`.
     exact : bool
         Whether the sums are integers, to be recovered by rounding.
     finish : callable
@@ -83,7 +83,7 @@ def remap_stack(
 
     `summands` are the images to add up, from the turned one (H, W[, C]) and the heading; `scan` is
     ``offsets, which, powers`` of the upright scan, as `limit` for
-    :func:`~imgloc.likelihood.shift.shift_sum`; the rest is as in :func:`filter2d_stack`.
+    :func:`~imgloc.likelihoods.shift.shift_sum`; the rest is as in :func:`filter2d_stack`.
     """
     height, width = image.shape[:2]
 

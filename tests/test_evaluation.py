@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError, ScanError
-from imgloc.evaluate import (
+from imgloc.evaluation import (
     PAPER_STEPS_DEG,
     Tolerance,
     Trial,
@@ -21,18 +21,18 @@ from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import cell_of, compose, theta_bin, transform_poses
 from imgloc.io.maps import bundled_maps, load_map
 from imgloc.io.scanset import ScanSet
-from imgloc.likelihood.posterior import calibrated, posterior
+from imgloc.likelihoods.posterior import calibrated, posterior
 from imgloc.model import LaserScan, Likelihood, OccupancyGrid, Pose2D
 from imgloc.options import ALL_METHODS, METHODS
 from imgloc.pipeline import likelihood, localize, prepare
-from imgloc.simulate import (
+from imgloc.simulation import (
     Sensor,
     fine_image,
     refine_grid,
     sample_free_poses,
     sample_set,
     simulate,
-    simulate_set,
+    simulate_ranges,
 )
 from imgloc.worlds import WORLDS, render
 
@@ -51,7 +51,7 @@ def trials(method: str, grid: OccupancyGrid, scans: ScanSet) -> list[Trial]:
 
 @pytest.fixture(scope="module")
 def scans() -> ScanSet:
-    return simulate_set(room(), 3, 4, Sensor(rays=61))
+    return simulate(room(), 3, 4, Sensor(rays=61))
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -104,7 +104,7 @@ def test_an_origin_with_a_yaw_changes_nothing(method: str, scans: ScanSet) -> No
 
 @pytest.mark.parametrize("method", ["fused", "cbml-o"])
 def test_the_scans_are_found(method: str) -> None:
-    scans = simulate_set(room(), 3, 4, Sensor(rays=120, fov=2 * np.pi))
+    scans = simulate(room(), 3, 4, Sensor(rays=120, fov=2 * np.pi))
     found = trials(method, room(), scans)
     assert all(t.near for t in found)
     assert all(t.errors[0, 0] < 0.2 and t.errors[0, 1] < 0.1 for t in found)
@@ -259,7 +259,7 @@ def test_only_bundled_worlds_are_drawn_finely() -> None:
 
 def test_simulated_sets_are_in_the_map_frame() -> None:
     origin = Pose2D(5.0, -2.0, 0.7)
-    here, there = (simulate_set(room(o), 4, 9, Sensor(rays=7)) for o in (None, origin))
+    here, there = (simulate(room(o), 4, 9, Sensor(rays=7)) for o in (None, origin))
     assert here.poses is not None
     assert there.poses is not None
     np.testing.assert_allclose(there.poses, transform_poses(origin, np.array(here.poses)))
@@ -274,10 +274,10 @@ def test_a_mounted_sensor_sees_from_where_it_is() -> None:
     for robot, sensor in zip(robots, sensors, strict=True):  # clearance: none is in a wall
         assert pose_errors(sensor, compose(Pose2D(*robot), mount)).max() < 1e-9
     np.testing.assert_array_equal(sample_free_poses(grid, 30, 6, mount=Pose2D(0, 0)), robots)
-    kept = simulate_set(grid, 2, 3, Sensor(rays=5, mount=mount))
+    kept = simulate(grid, 2, 3, Sensor(rays=5, mount=mount))
     assert kept[0].T_base_laser == mount
     assert kept.poses is not None
-    exact = simulate(refine_grid(grid), kept.poses, kept[1].angles, sigma=0.0)
+    exact = simulate_ranges(refine_grid(grid), kept.poses, kept[1].angles, sigma=0.0)
     np.testing.assert_allclose(kept[1].ranges, exact[1], atol=0.1)  # five sigma: seen from there
     assert len(kept[1].angles) == 5
 

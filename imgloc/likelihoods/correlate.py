@@ -13,16 +13,23 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.likelihood.kernels import filter2d_stack, remap_stack
-from imgloc.likelihood.shift import Summable, Tile, flat_stack, merge_repeats, shift_stack, tiles_of
-from imgloc.likelihood.slices import (
+from imgloc.likelihoods.kernels import filter2d_stack, remap_stack
+from imgloc.likelihoods.shift import (
+    Summable,
+    Tile,
+    flat_stack,
+    merge_repeats,
+    shift_stack,
+    tiles_of,
+)
+from imgloc.likelihoods.slices import (
     cell_offsets,
     check_arguments,
     finishing,
     finite_points,
     frame_of,
 )
-from imgloc.likelihood.spectral import needs_double, spectral_stack
+from imgloc.likelihoods.spectral import needs_double, spectral_stack
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 
 #: Engines that take weights: of the image's values, or the vectors of a field.
@@ -175,7 +182,7 @@ def choose_engine(
         (K, N, 2) of the readings; rows and columns of the image.
     tiles, itemsize, flat, which
         Of the shift engine: where it would compute, bytes of a cell of its sums, whether by
-        :func:`~imgloc.likelihood.shift.flat_stack`, (K, N) images of the readings if several.
+        :func:`~imgloc.likelihoods.shift.flat_stack`, (K, N) images of the readings if several.
     components, doubtful
         Of the transforms: 1 for an image, 2 for a vector field; whether they need double
         precision, asked if it matters.

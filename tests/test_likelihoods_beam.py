@@ -6,7 +6,7 @@ import pytest
 from imgloc.errors import ConfigError
 from imgloc.features.raydistance import ray_distances
 from imgloc.geometry import uniform_thetas
-from imgloc.likelihood.beam import beam, heading_sigma
+from imgloc.likelihoods.beam import beam, heading_sigma
 
 NONE = np.zeros(0)
 

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.geometry import theta_bin
-from imgloc.likelihood.slices import check_arguments, output_stack, over_slices
+from imgloc.likelihoods.slices import check_arguments, output_stack, over_slices
 from imgloc.model import Float32Array, FloatArray, IntArray, OrientedPoints
 
 # Pairs of a block: 512 KB of float64 for each of its two buffers; calls cost, misses too.
@@ -57,7 +57,7 @@ def ght(
         At most one vote of each scan point in a cell, Sec. VII: a wall casts many in the cells
         along it; this counts the scan points that a pose explains.
     threads, out
-        As of :func:`~imgloc.likelihood.correlate.correlate`. Each thread beyond the first needs a
+        As of :func:`~imgloc.likelihoods.correlate.correlate`. Each thread beyond the first needs a
         stack of its own.
 
     Returns

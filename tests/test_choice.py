@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows
 
+from imgloc.choice import LUCK, choose, find_maps, fit, log_evidence, names_of, unknown_evidence
 from imgloc.errors import ConfigError
 from imgloc.io.maps import save_map
 from imgloc.model import Evidence, Hypothesis, Localization, OccupancyGrid, Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import prepare
-from imgloc.simulate import Sensor, simulate_set
-from imgloc.which import LUCK, choose, find_maps, fit, log_evidence, names_of, unknown_evidence
+from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 
 
@@ -119,14 +119,14 @@ def test_something_to_choose_from_is_needed() -> None:
 
 def test_votes_have_no_common_scale() -> None:
     grid = render(WORLDS["curved"](), 0.1)
-    scan = simulate_set(grid, 1, 0, Sensor()).scans[0]
+    scan = simulate(grid, 1, 0, Sensor()).scans[0]
     with pytest.raises(ConfigError, match="fused"):
         fit(prepare(grid), scan, Options("ght"))
 
 
 def test_of_four_other_worlds_none_is_named() -> None:
     sensor = Sensor(range_max=20.0)
-    simulated = simulate_set(render(WORLDS["curved"](), 0.1), 20, 0, sensor).scans
+    simulated = simulate(render(WORLDS["curved"](), 0.1), 20, 0, sensor).scans
     scans = [simulated[k] for k in (6, 15)]  # of the others, one fits better than the next
     fits: list[dict[str, Localization]] = [{} for _ in scans]
     for name, world in WORLDS.items():

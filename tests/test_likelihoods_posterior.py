@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from imgloc.errors import ConfigError
-from imgloc.likelihood.posterior import posterior
+from imgloc.likelihoods.posterior import posterior
 from imgloc.options import LOG_METHODS, METHODS
 
 VOTES = sorted(set(METHODS) - LOG_METHODS)

@@ -29,7 +29,7 @@ from imgloc.features.pyramid import coarse_info
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import scan_points, scan_xy, thin
 from imgloc.geometry import in_grid_frame, poses_of, transform_points, uniform_thetas, wrap
-from imgloc.likelihood.correlate import correlate
+from imgloc.likelihoods.correlate import correlate
 from imgloc.model import (
     BoolArray,
     Float32Array,
@@ -120,7 +120,13 @@ def explain(
 ) -> Explanation:
     """Say why a scan was answered as it was.
 
-    `answer` is that of :func:`imgloc.pipeline.localize` with the same features, scan and options.
+    Parameters
+    ----------
+    features : MapFeatures
+    scan : LaserScan
+    answer : Localization
+        Of :func:`imgloc.pipeline.localize` with the same features, scan and options.
+    options : Options, optional
     """
     options = options or Options()
     local = [in_grid_frame(h, features.grid.info) for h in answer.hypotheses]

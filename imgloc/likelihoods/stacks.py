@@ -3,9 +3,9 @@
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points, scan_xy
-from imgloc.likelihood.beam import beam, heading_sigma
-from imgloc.likelihood.cbml import cbml, cbml_o
-from imgloc.likelihood.ght import ght, ght_v
+from imgloc.likelihoods.beam import beam, heading_sigma
+from imgloc.likelihoods.cbml import cbml, cbml_o
+from imgloc.likelihoods.ght import ght, ght_v
 from imgloc.model import Float32Array, FloatArray, LaserScan
 
 
@@ -30,7 +30,7 @@ def stack_of(
     thetas : (K,) float array
         Uniform over the circle and starting at 0, radians.
     engine, threads
-        As of :func:`~imgloc.likelihood.correlate.correlate`.
+        As of :func:`~imgloc.likelihoods.correlate.correlate`.
     memory_budget : int, optional
         Bytes that the ray distances of ``beam`` may take, or it is a ConfigError; None is the
         map's own budget.

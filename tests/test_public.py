@@ -1,0 +1,126 @@
+"""What scripts and notebooks import: each name is there, documented, hidden by no module."""
+
+import importlib
+import inspect
+import json
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from command import MAPS, ROOT
+
+import imgloc
+from imgloc import LaserScan, Options, Pose2D
+
+FUNCTIONS = {
+    "check_map", "draw", "evaluate", "explain", "likelihood", "load_map", "load_scans", "localize",
+    "prepare", "sample_poses", "save_map", "save_scans", "simulate", "which",
+}  # fmt: skip
+
+
+def test_every_name_is_there_and_documented():
+    assert len(set(imgloc.__all__)) == len(imgloc.__all__)
+    assert set(imgloc.__all__) >= FUNCTIONS
+    for name in imgloc.__all__:
+        value = getattr(imgloc, name)
+        if inspect.isclass(value) or inspect.isfunction(value):
+            assert value.__doc__, name
+    assert set(imgloc.__all__) <= set(dir(imgloc))
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        imgloc.nothing  # noqa: B018
+
+
+@pytest.mark.parametrize("name", sorted(FUNCTIONS))
+def test_functions_say_what_they_take_and_raise_and_show_an_example(name):
+    function = getattr(imgloc, name)
+    text = inspect.getdoc(function)
+    module = inspect.getdoc(inspect.getmodule(function)) or ""
+    assert "Parameters" in text, name
+    assert ">>>" in text or ">>>" in module, name
+
+
+def test_no_module_hides_a_function_of_its_name():
+    # Whatever has been imported before, in a process of its own.
+    code = (
+        "import pkgutil, importlib, imgloc\n"
+        "for m in pkgutil.walk_packages(imgloc.__path__, 'imgloc.'):\n"
+        "    if not m.name.endswith('__main__'): importlib.import_module(m.name)\n"
+        f"assert all(callable(getattr(imgloc, n)) for n in {sorted(FUNCTIONS)!r})\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, timeout=120)
+
+
+def test_a_name_is_loaded_when_it_is_used():
+    code = "import sys, imgloc; sys.exit('numpy' in sys.modules or 'cv2' in sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, timeout=60)
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    """The bundled map `curved` as map.yaml, and scans of it."""
+    folder = tmp_path_factory.mktemp("script")
+    grid = imgloc.load_map(MAPS / "curved.yaml")
+    imgloc.save_map(folder / "map.yaml", grid)
+    scans = imgloc.simulate(grid, 2, seed=1)
+    imgloc.save_scans(folder / "scans.npz", scans)
+    return folder, scans
+
+
+def test_the_script_of_the_readme_runs(room, monkeypatch, capsys):
+    folder, scans = room
+    monkeypatch.chdir(folder)
+    (script,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    names: dict[str, object] = {}
+    exec(compile(script, "README.md", "exec"), names)
+    assert names["answer"].verdict in capsys.readouterr().out
+    assert (folder / "where.png").read_bytes().startswith(b"\x89PNG")
+    assert names["stack"].values.ndim == 3
+    truth = scans.poses[0]
+    assert np.hypot(names["answer"].pose.x - truth[0], names["answer"].pose.y - truth[1]) < 0.2
+
+
+def test_an_answer_shows_itself(room):
+    folder, scans = room
+    features = imgloc.prepare(imgloc.load_map(folder / "map.yaml"))
+    answer = imgloc.localize(features, scans[0], Options(top=2))
+    row = json.loads(answer.to_json())
+    assert row["verdict"] == answer.verdict
+    assert row["evidence"]["found"] == answer.evidence.found
+    page = answer._repr_html_()
+    assert page.count("<tr>") == 1 + len(answer.hypotheses)
+    assert answer.verdict in page
+    assert imgloc.draw(features, answer, scans[0])._repr_png_().startswith(b"\x89PNG")
+    assert len(repr(features.grid)) < 120
+    assert len(repr(scans[0])) < 120
+
+
+def test_the_robot_stands_where_its_sensor_is_not():
+    mount = Pose2D(0.5, 0.0, np.pi / 2)
+    there = imgloc.Hypothesis(Pose2D(2.0, 1.0, np.pi / 2), 0.0, 1.0, np.eye(3))
+    answer = imgloc.Localization((there,), "unique", 0.0, 1.0, T_base_laser=mount)
+    assert answer.base_pose.x == pytest.approx(1.5)
+    assert answer.base_pose.y == pytest.approx(1.0)
+    assert answer.base_pose.theta == pytest.approx(0.0)
+    row = json.loads(answer.to_json())
+    assert row["base_pose"]["x"] == pytest.approx(1.5)
+    assert row["hypotheses"][0]["base"]["x"] == pytest.approx(1.5)
+    lost = imgloc.Localization((), "no-match", 0.0, float("nan"))
+    assert lost.base_pose is None
+    assert json.loads(lost.to_json())["explained"] is None
+    assert "<tr>" in lost._repr_html_()
+    assert LaserScan([1.0], [0.0]).T_base_laser is None
+
+
+def test_modules_are_named_once():
+    names = [m.rsplit(".", 1)[-1] for m in _modules()]
+    for function in FUNCTIONS:
+        assert function not in names
+
+
+def _modules():
+    package = importlib.import_module("imgloc")
+    import pkgutil
+
+    return [m.name for m in pkgutil.iter_modules(package.__path__, "imgloc.")]
