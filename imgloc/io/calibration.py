@@ -26,13 +26,7 @@ _UNUSABLE = (OSError, ValueError, RecursionError, ConfigError)
 
 
 def calibration_path(map_path: PathLike) -> Path:
-    """The file beside a map: ``office.calibration.json`` for ``office.yaml``.
-
-    Examples
-    --------
-    >>> calibration_path("maps/office.yaml").name
-    'office.calibration.json'
-    """
+    """The file beside a map: ``office.calibration.json`` for ``office.yaml``."""
     return Path(map_path).with_suffix(".calibration.json")
 
 
@@ -64,8 +58,7 @@ def save_calibrations(
     method. With `force` a file that exists is changed, and one that is damaged or of another map
     replaced; without, it is an OutputError, as is what cannot be written.
     """
-    kept: dict[str, Calibration] = {}
-    said: Any = None
+    kept, said = dict[str, Calibration](), None
     if force and Path(path).is_file():
         with contextlib.suppress(*_UNUSABLE):
             kept, said = _read(Path(path), grid)

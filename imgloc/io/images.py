@@ -52,7 +52,6 @@ _ADAM7 = (
     (0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4),
     (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2),
 )  # fmt: skip
-_BMP_PLAIN = (None, 0, 3)  # 3: with masks of the bits of each colour
 _GREY_MODES = ("1", "L", "I;16", "I;16B")  # of Pillow
 _TIFF_ORIENTATION, _TIFF_PHOTOMETRIC = 274, 262
 _SPACE = rb"(?:[ \t\r\n\v\f]|#[^\r\n]*[\r\n])"
@@ -106,6 +105,9 @@ def decode_image(
 ) -> MapImage:
     r"""Decode an image without interpreting it: no luma, no orientation, no rescaling.
 
+    MapError if it is unknown, too large, truncated, damaged, animated, several images in one,
+    lossy, or has 16-bit samples that can only be meant as 8-bit ones.
+
     Parameters
     ----------
     data : bytes or file
@@ -115,12 +117,6 @@ def decode_image(
     allow_lossy : bool
         Accept JPEG and lossy WebP, whose greys differ from those that were drawn. A truncated
         one is refused in any case: the missing part would be a grey area of the map.
-
-    Raises
-    ------
-    MapError
-        Unknown format, too large, truncated, damaged, animated, several images in one, lossy,
-        or 16-bit samples that can only be meant as 8-bit ones.
 
     Examples
     --------
@@ -192,13 +188,12 @@ def _opened(file: BinaryIO, name: str, max_pixels: int) -> ImageFile | _Netpbm:
     """Look at the header of a file; refuse what is no image, or of more than `max_pixels`."""
     head = file.read(_HEAD)
     file.seek(0)
-    found = next((how for magic, how in _READERS.items() if head.startswith(magic)), None)
+    found = [how for magic, how in _READERS.items() if head.startswith(magic)]
     if _NETPBM_KIND.match(head):
         image: ImageFile | _Netpbm = _netpbm_header(head, name)
-    elif found is not None:
-        kind, reader = found
-        with _explained(name, kind):
-            image = reader(file)
+    elif found:
+        with _explained(name, found[0][0]):
+            image = found[0][1](file)
     else:
         like = (kind for magic, kind in _OTHERS.items() if head.startswith(magic))
         what = f"it looks like {kind}" if (kind := next(like, "")) else "unknown content"
@@ -227,8 +222,8 @@ def _explained(name: str, kind: str) -> Iterator[None]:
     except MemoryError:
         raise MapError(f"{name}: cannot be decoded: out of memory") from None
     except Exception as e:  # decoders of hostile bytes raise anything
-        reason = " ".join(str(e).split()) or type(e).__name__
-        raise _damaged(name, f"damaged or truncated {kind} ({reason})") from None
+        why = " ".join(str(e).split()) or type(e).__name__
+        raise _damaged(name, f"damaged or truncated {kind} ({why})") from None
 
 
 def _decode_with_pillow(file: BinaryIO, image: ImageFile, name: str) -> MapImage:
@@ -242,7 +237,7 @@ def _decode_with_pillow(file: BinaryIO, image: ImageFile, name: str) -> MapImage
             image = PngImagePlugin.PngImageFile(file)
         elif getattr(image, "n_frames", 1) > 1:
             raise MapError(f"{name}: {kind} with several images, expected a single one")
-        elif kind == "BMP" and image.info.get("compression") not in _BMP_PLAIN:
+        elif kind == "BMP" and image.info.get("compression") not in (None, 0, 3):
             raise MapError(f"{name}: is a compressed BMP, expected a plain one; convert it to PNG")
         elif isinstance(image, TiffImagePlugin.TiffImageFile):
             lossy = image.info.get("compression") in ("jpeg", "tiff_jpeg", "webp")
@@ -292,9 +287,8 @@ def _pixels(image: ImageFile, name: str, depth: int) -> Pixels:
     if stored.ndim == 2:
         return stored
     order = {2: [0, 0, 0, 1], 3: [2, 1, 0], 4: [2, 1, 0, 3]}[stored.shape[2]]
-    if image.format == "BMP":
-        order = order[:3]  # the fourth byte of a BMP is padding
-    return np.ascontiguousarray(stored[..., order])
+    used = 3 if image.format == "BMP" else 4  # the fourth byte of a BMP is padding
+    return np.ascontiguousarray(stored[..., order[:used]])
 
 
 def _check_png(file: BinaryIO, name: str, size: tuple[int, int]) -> int:
