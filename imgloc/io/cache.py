@@ -88,13 +88,6 @@ def cache_key(grid: OccupancyGrid, parameters: Mapping[str, object], *, code: st
     Cells and resolution count, but not the origin: features are in the grid frame. `parameters`
     is all else that decides the arrays (numbers, texts, None), and `code` tells versions apart
     beside their number. Entries of other versions go when they have not been used for an hour.
-
-    Examples
-    --------
-    >>> walls = np.eye(3, dtype=bool)
-    >>> grid = OccupancyGrid(walls, ~walls, 0.1)
-    >>> cache_key(grid, {"sigma": 0.1}) == cache_key(grid, {"sigma": 0.2})
-    False
     """
     # The same call of another version of a library may round in another way.
     maker = [_FORMAT, imgloc.__version__, np.__version__, cv2.__version__, code]

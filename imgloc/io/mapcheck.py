@@ -161,7 +161,7 @@ def _histogram(sums: npt.NDArray[Any], size: int) -> npt.NDArray[np.intp]:
 def _warnings(
     used: MapSettings, image: MapImage, sums: npt.NDArray[Any], free: BoolArray, n: dict[str, int]
 ) -> tuple[MapWarning, ...]:
-    """Findings about the file, its frame and reading, and the greys (`sums`); `n` cells are so."""
+    """Findings about the file, its frame and reading, and the greys; `n` counts cells."""
     height, width = free.shape
     said, clear, trap, tinted = used.yaml, 0, 0, 0
     unknown_keys = said.unknown_keys if said else ()
