@@ -1,9 +1,8 @@
 """Arrays that took a while to compute, kept on disk under a key that says from what.
 
-An entry is an NPZ without compression. It is written beside its place and renamed, so that
-processes that share a folder see whole entries only; and it is read with suspicion: whatever is
-wrong with it, also that another process has just removed it, the caller gets None and computes the
-arrays again. A folder holds no more than a limit: the entries that were used longest ago go first.
+An entry is an NPZ without compression, written beside its place and renamed, so that processes
+that share a folder see whole entries only. It is read with suspicion: whatever is wrong with it,
+the caller gets None and computes anew. Beyond a limit the entries used longest ago go first.
 """
 
 import contextlib
@@ -27,16 +26,13 @@ import platformdirs
 
 import imgloc
 from imgloc.errors import OutputError
-from imgloc.io.files import PathLike, display, open_file
+from imgloc.io.files import PathLike, display, open_file, reason
 from imgloc.model import OccupancyGrid
 
 LOG = logging.getLogger(__name__)
-
 Arrays = Mapping[str, npt.NDArray[Any]]
-
 LIMIT_MIB = 2048
 """MiB that the entries of a folder may take, unless the environment has ``IMGLOC_CACHE_MIB``."""
-
 _FORMAT = 2  # of an entry
 _MAKER = 8  # digits of a key that name the version of the program
 _NAME = re.compile(r"[0-9a-f]{40}\.npz|\.imgloc-cache-[0-9a-f]{16}\.tmp")
@@ -60,9 +56,8 @@ def cache_folder() -> Path:
         folder = platformdirs.user_cache_path("imgloc", appauthor=False)
         if folder.is_absolute():
             return folder
-    raise OutputError(
-        "no home folder (or absolute XDG_CACHE_HOME) for the map cache: pass --cache DIR"
-    )
+    missing = "no home folder (or absolute XDG_CACHE_HOME) for the map cache"
+    raise OutputError(f"{missing}: pass --cache DIR")
 
 
 def cache_limit() -> int:
@@ -93,22 +88,12 @@ def cache_key(grid: OccupancyGrid, parameters: Mapping[str, object], *, code: st
     Cells and resolution count, but not the origin: features are in the grid frame. `parameters`
     is all else that decides the arrays (numbers, texts, None), and `code` tells versions apart
     beside their number. Entries of other versions go when they have not been used for an hour.
-
-    Examples
-    --------
-    >>> walls = np.eye(3, dtype=bool)
-    >>> grid = OccupancyGrid(walls, ~walls, 0.1)
-    >>> cache_key(grid, {"sigma": 0.1}) == cache_key(grid, {"sigma": 0.2})
-    False
     """
     # The same call of another version of a library may round in another way.
     maker = [_FORMAT, imgloc.__version__, np.__version__, cv2.__version__, code]
     made_by = hashlib.blake2b(json.dumps(maker).encode(), digest_size=_MAKER // 2)
-    about = {
-        "shape": grid.occupied.shape,
-        "resolution": float(grid.resolution).hex(),
-        "parameters": dict(parameters),
-    }
+    side, shape = float(grid.resolution).hex(), grid.occupied.shape
+    about = {"shape": shape, "resolution": side, "parameters": dict(parameters)}
     return made_by.hexdigest() + cells_digest(grid, about, 20 - _MAKER // 2)
 
 
@@ -168,16 +153,11 @@ def entry_names(folder: PathLike, key: str) -> frozenset[str]:
 
 
 def store_entry(folder: PathLike, key: str, arrays: Arrays, *, limit: int | None = None) -> bool:
-    """Write an entry, in place of the one that may be there, and tidy the folder.
+    """Write an entry, in place of the one that may be there, tidy the folder; whether it was done.
 
     Failing to is not an error, as nothing but time is lost: a warning is logged. `folder` is made
     if it does not exist, for the user alone, and holds at most `limit` bytes, by default those of
     :func:`cache_limit`. Arrays of objects are refused.
-
-    Returns
-    -------
-    bool
-        Whether it was written.
     """
     path, limit = entry_path(folder, key), cache_limit() if limit is None else limit
     temporary = path.with_name(f".imgloc-cache-{secrets.token_hex(8)}.tmp")
@@ -196,7 +176,7 @@ def store_entry(folder: PathLike, key: str, arrays: Arrays, *, limit: int | None
             np.savez(file, **content)
         temporary.replace(path)
     except (OSError, ValueError) as e:
-        LOG.warning("%s: the map cache cannot be written: %s", display(path), _reason(e))
+        LOG.warning("%s: the map cache cannot be written: %s", display(path), reason(e))
         return False
     finally:
         _removed(temporary)
@@ -206,7 +186,7 @@ def store_entry(folder: PathLike, key: str, arrays: Arrays, *, limit: int | None
 
 def discard_entry(path: Path, error: BaseException) -> None:
     """Log that an entry cannot be used and why, and remove it if it is a file."""
-    LOG.warning("%s: bad cache entry, built anew: %s", display(path), _reason(error))
+    LOG.warning("%s: bad cache entry, built anew: %s", display(path), reason(error))
     if path.is_file() and not path.is_symlink():
         _removed(path)
 
@@ -218,15 +198,12 @@ def _files(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
             with contextlib.suppress(OSError):  # gone since
                 if _NAME.fullmatch(item.name) and item.is_file(follow_symlinks=False):
                     path = Path(item.path)
-                    if path.suffix == ".tmp" or _is_entry(path):
+                    with path.open("rb") as file:
+                        head = file.read(_HEAD)
+                    # Others name files by digests, too.
+                    ours = head.startswith(b"PK\3\4") and head.endswith(b"key.npy")
+                    if path.suffix == ".tmp" or ours:
                         yield path, item.stat(follow_symlinks=False)
-
-
-def _is_entry(path: Path) -> bool:
-    """Whether a file begins as one of :func:`store_entry`: others name files by digests, too."""
-    with path.open("rb") as file:
-        head = file.read(_HEAD)
-    return head.startswith(b"PK\3\4") and head.endswith(b"key.npy")
 
 
 def _tidy(stored: Path, limit: int) -> None:
@@ -250,8 +227,3 @@ def _removed(path: Path) -> bool:
     except OSError:
         return False
     return True
-
-
-def _reason(error: BaseException) -> str:
-    text = (error.strerror if isinstance(error, OSError) else None) or str(error)
-    return " ".join(text.split()) or type(error).__name__

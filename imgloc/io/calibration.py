@@ -26,27 +26,12 @@ _UNUSABLE = (OSError, ValueError, RecursionError, ConfigError)
 
 
 def calibration_path(map_path: PathLike) -> Path:
-    """The file beside a map: ``office.calibration.json`` for ``office.yaml``.
-
-    Examples
-    --------
-    >>> calibration_path("maps/office.yaml").name
-    'office.calibration.json'
-    """
+    """The file beside a map: ``office.calibration.json`` for ``office.yaml``."""
     return Path(map_path).with_suffix(".calibration.json")
 
 
 def map_hash(grid: OccupancyGrid) -> str:
-    """40 hexadecimal digits of a map's cells and resolution; where it lies does not count.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> wall = np.eye(3, dtype=bool)
-    >>> here, finer = (OccupancyGrid(wall, ~wall, side) for side in (0.1, 0.05))
-    >>> len(map_hash(here)), map_hash(here) == map_hash(finer)
-    (40, False)
-    """
+    """40 hexadecimal digits of a map's cells and resolution; where it lies does not count."""
     return cells_digest(grid, [grid.occupied.shape, float(grid.resolution).hex()], 20)
 
 
@@ -64,8 +49,7 @@ def save_calibrations(
     method. With `force` a file that exists is changed, and one that is damaged or of another map
     replaced; without, it is an OutputError, as is what cannot be written.
     """
-    kept: dict[str, Calibration] = {}
-    said: Any = None
+    kept, said = dict[str, Calibration](), None
     if force and Path(path).is_file():
         with contextlib.suppress(*_UNUSABLE):
             kept, said = _read(Path(path), grid)

@@ -59,8 +59,7 @@ def read_file(path: PathLike, *, limit: int, error: type[ImglocError], what: str
 def open_regular(path: PathLike, error: type[ImglocError], what: str) -> int:
     """Open a regular file for reading; return its descriptor.
 
-    Pipes, devices and folders are refused before anything is read (a FIFO would block, and
-    ``/dev/zero`` never ends): `error` is raised, which says that `what` was expected.
+    All else is refused, with `error`, before it is read: a FIFO would block, /dev/zero never ends.
     """
     name = display(path)
     try:
@@ -90,6 +89,12 @@ def _neighbour_hint(path: PathLike) -> str:
     return ""
 
 
+def reason(error: BaseException) -> str:
+    """What an error says, on one line."""
+    text = (error.strerror if isinstance(error, OSError) else None) or str(error)
+    return " ".join(text.split()) or type(error).__name__
+
+
 def refuse_existing(path: PathLike) -> None:
     """Raise :class:`OutputError` if there is something at `path`, be it a dangling link."""
     if os.path.lexists(path):
@@ -99,17 +104,10 @@ def refuse_existing(path: PathLike) -> None:
 def write_bytes_atomic(path: PathLike, data: bytes, *, force: bool = False) -> None:
     """Write `data` to `path` so that a reader sees the old file or the new one, never half.
 
-    The bytes go to a temporary file in the same folder, are flushed to the disk, and the file is
-    then given its name in one step.
-
-    Raises
-    ------
-    OutputError
-        The file exists (without `force`; also if it appears while this function runs) or is not
-        a regular one, the folder does not exist, the disk is full, or permission is missing.
+    OutputError if the file exists (without `force`; also if it appears while this runs) or is not
+    a regular one, the folder does not exist, the disk is full, or permission is missing.
     """
-    name = display(path)
-    target = Path(path)
+    name, target = display(path), Path(path)
     if not force:
         refuse_existing(target)
     elif os.path.lexists(target) and not stat.S_ISREG(target.lstat().st_mode):
@@ -137,8 +135,7 @@ def write_bytes_atomic(path: PathLike, data: bytes, *, force: bool = False) -> N
         folder = display(target.parent)
         raise OutputError(f"{name}: cannot be written: there is no folder {folder}") from None
     except (OSError, ValueError) as e:
-        reason = (e.strerror if isinstance(e, OSError) else None) or str(e)
-        raise OutputError(f"{name}: cannot be written: {reason}") from None
+        raise OutputError(f"{name}: cannot be written: {reason(e)}") from None
     with contextlib.suppress(OSError):  # the rename itself, where the file system can flush it
         fd = os.open(target.parent, os.O_RDONLY)
         try:

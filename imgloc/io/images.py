@@ -2,9 +2,8 @@
 
 Pillow decodes. What it lets pass and a map must not be is refused here: rows that are missing,
 several images in one, compression that alters greys. PGM and PPM are read here, because Pillow
-scales samples to 255 or 65535 (which `mode: raw` must not), ignores those above maxval and what
-follows the image, and shifts an image whose header ends in CRLF. What pixels mean is said in
-:mod:`imgloc.io.maps`.
+scales samples (which `mode: raw` must not), ignores those above maxval and what follows the
+image, and shifts an image whose header ends in CRLF.
 """
 
 import contextlib
@@ -13,7 +12,7 @@ import re
 import struct
 import warnings
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, BinaryIO, NamedTuple
 
@@ -40,15 +39,12 @@ _READERS: dict[bytes, tuple[str, type[ImageFile]]] = {
     b"\xff\xd8\xff": ("JPEG", JpegImagePlugin.JpegImageFile),
     b"BM": ("BMP", BmpImagePlugin.BmpImageFile),
     b"RIFF": ("WebP", WebPImagePlugin.WebPImageFile),
-    **dict.fromkeys(
-        (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), ("TIFF", TiffImagePlugin.TiffImageFile)
-    ),
 }
+for _magic in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+    _READERS[_magic] = ("TIFF", TiffImagePlugin.TiffImageFile)
 # Formats that people do try, for the message only.
-_OTHERS = {
-    b"GIF8": "GIF", b"%PDF": "PDF", b"<svg": "SVG", b"<?xm": "XML or SVG", b"PK\x03\x04": "zip",
-    b"imag": "YAML",
-}  # fmt: skip
+_OTHERS = {b"GIF8": "GIF", b"%PDF": "PDF", b"<svg": "SVG", b"<?xm": "XML or SVG"}
+_OTHERS |= {b"PK\3\4": "zip", b"imag": "YAML"}
 _PNG_CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by colour type
 _PNG_END = (0, b"IEND", b"\xaeB`\x82")  # length, name, checksum
 # Adam7: (first column, first row, column step, row step) of each pass.
@@ -56,7 +52,6 @@ _ADAM7 = (
     (0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4),
     (0, 2, 2, 4), (1, 0, 2, 2), (0, 1, 1, 2),
 )  # fmt: skip
-_BMP_PLAIN = (None, 0, 3)  # 3: with masks of the bits of each colour
 _GREY_MODES = ("1", "L", "I;16", "I;16B")  # of Pillow
 _TIFF_ORIENTATION, _TIFF_PHOTOMETRIC = 274, 262
 _SPACE = rb"(?:[ \t\r\n\v\f]|#[^\r\n]*[\r\n])"
@@ -101,10 +96,7 @@ def image_size(path: PathLike, *, max_pixels: int = MAX_PIXELS) -> ImageSize:
     limit, name = _longest(max_pixels), display(path)
     with open_file(path, limit=limit, error=MapError, what="map image") as (file, length):
         image = _opened(file, name, max_pixels)
-    if isinstance(image, _Netpbm):
-        grey = image.number in (2, 5)
-    else:
-        grey = image.mode in _GREY_MODES and "transparency" not in image.info
+    grey = image.mode in _GREY_MODES and "transparency" not in image.info
     return ImageSize(*image.size, length, grey)
 
 
@@ -112,6 +104,9 @@ def decode_image(
     data: bytes | BinaryIO, name: str, *, max_pixels: int = MAX_PIXELS, allow_lossy: bool = False
 ) -> MapImage:
     r"""Decode an image without interpreting it: no luma, no orientation, no rescaling.
+
+    MapError if it is unknown, too large, truncated, damaged, animated, several images in one,
+    lossy, or has 16-bit samples that can only be meant as 8-bit ones.
 
     Parameters
     ----------
@@ -122,12 +117,6 @@ def decode_image(
     allow_lossy : bool
         Accept JPEG and lossy WebP, whose greys differ from those that were drawn. A truncated
         one is refused in any case: the missing part would be a grey area of the map.
-
-    Raises
-    ------
-    MapError
-        Unknown format, too large, truncated, damaged, animated, several images in one, lossy,
-        or 16-bit samples that can only be meant as 8-bit ones.
 
     Examples
     --------
@@ -146,14 +135,13 @@ def decode_image(
             f"{name}: is {kind}, whose compression alters the greys of walls and unknown space; "
             "expected a PNG or PGM; export the map again, or pass --allow-lossy"
         )
-    if found.white > 4095:
-        # A sliver of 16 bits: all of it would be black.
+    if found.white > 4095:  # a sliver of 16 bits would be black, all of it
         top = int(found.pixels[..., :3].max() if found.channels > 1 else found.pixels.max())
         if 0 < top <= min(4095, found.white // 16):
             raise MapError(
-                f"{name}: 16-bit image with samples 0..{top} of a declared {found.white:,}: "
-                "all black as stored; expected samples up to the maximum; save it as 8-bit, "
-                "or scale the samples"
+                f"{name}: 16-bit image with samples 0..{top} of a declared {found.white:,}: all "
+                "black as stored; expected samples up to the maximum; save it as 8-bit, or scale "
+                "the samples"
             )
     return found
 
@@ -192,32 +180,34 @@ class _Netpbm(NamedTuple):
     size: tuple[int, int]
     maxval: int
     start: int
+    mode: str  # as Pillow has it, like the next
+    info: Mapping[str, object] = {}
 
 
 def _opened(file: BinaryIO, name: str, max_pixels: int) -> ImageFile | _Netpbm:
     """Look at the header of a file; refuse what is no image, or of more than `max_pixels`."""
     head = file.read(_HEAD)
     file.seek(0)
-    found = next((how for magic, how in _READERS.items() if head.startswith(magic)), None)
+    found = [how for magic, how in _READERS.items() if head.startswith(magic)]
     if _NETPBM_KIND.match(head):
         image: ImageFile | _Netpbm = _netpbm_header(head, name)
-    elif found is not None:
-        kind, reader = found
-        with _explained(name, kind):
-            image = reader(file)
+    elif found:
+        with _explained(name, found[0][0]):
+            image = found[0][1](file)
     else:
-        like = (
-            f"it looks like {kind}" for magic, kind in _OTHERS.items() if head.startswith(magic)
-        )
-        what = next(like, "unknown content")
+        like = (kind for magic, kind in _OTHERS.items() if head.startswith(magic))
+        what = f"it looks like {kind}" if (kind := next(like, "")) else "unknown content"
         raise MapError(f"{name}: not an image that can be read ({what}), expected {_KNOWN}")
     width, height = image.size
     if width * height > max_pixels:
-        raise MapError(
-            f"{name}: {width:,} x {height:,} = {width * height:,} pixels, expected at most "
-            f"{max_pixels:,}; crop or downsample the map"
-        )
+        found_size = f"{width:,} x {height:,} = {width * height:,} pixels"
+        hint = "crop or downsample the map"
+        raise MapError(f"{name}: {found_size}, expected at most {max_pixels:,}; {hint}")
     return image
+
+
+def _damaged(name: str, what: str) -> MapError:
+    return MapError(f"{name}: {what}; copy the file again")
 
 
 @contextlib.contextmanager
@@ -232,15 +222,12 @@ def _explained(name: str, kind: str) -> Iterator[None]:
     except MemoryError:
         raise MapError(f"{name}: cannot be decoded: out of memory") from None
     except Exception as e:  # decoders of hostile bytes raise anything
-        reason = " ".join(str(e).split()) or type(e).__name__
-        raise MapError(
-            f"{name}: damaged or truncated {kind} ({reason}); copy the file again"
-        ) from None
+        why = " ".join(str(e).split()) or type(e).__name__
+        raise _damaged(name, f"damaged or truncated {kind} ({why})") from None
 
 
 def _decode_with_pillow(file: BinaryIO, image: ImageFile, name: str) -> MapImage:
-    kind, size = image.format or "", image.size
-    kind = "WebP" if kind == "WEBP" else kind
+    kind, size = (image.format or "").replace("WEBP", "WebP"), image.size
     depth, lossy = 8, kind == "JPEG"
     with _explained(name, kind):
         if kind == "PNG":
@@ -250,20 +237,23 @@ def _decode_with_pillow(file: BinaryIO, image: ImageFile, name: str) -> MapImage
             image = PngImagePlugin.PngImageFile(file)
         elif getattr(image, "n_frames", 1) > 1:
             raise MapError(f"{name}: {kind} with several images, expected a single one")
-        elif kind == "BMP" and image.info.get("compression") not in _BMP_PLAIN:
+        elif kind == "BMP" and image.info.get("compression") not in (None, 0, 3):
             raise MapError(f"{name}: is a compressed BMP, expected a plain one; convert it to PNG")
         elif isinstance(image, TiffImagePlugin.TiffImageFile):
             lossy = image.info.get("compression") in ("jpeg", "tiff_jpeg", "webp")
             if (turned := image.tag_v2.get(_TIFF_ORIENTATION, 1)) != 1:
                 raise MapError(f"{name}: TIFF of orientation {turned}, expected 1: save it upright")
             if image.mode.startswith("I;16") and image.tag_v2.get(_TIFF_PHOTOMETRIC) == 0:
-                raise MapError(
-                    f"{name}: 16-bit TIFF in which 0 is white, expected black; save it anew"
-                )
+                hint = "16-bit TIFF in which 0 is white, expected black; save it anew"
+                raise MapError(f"{name}: {hint}")
         elif kind == "WebP":
             lossy = not _is_lossless_webp(file)
-        if kind == "JPEG":
-            _check_jpeg_end(file, name)
+        elif kind == "JPEG":
+            file.seek(0)
+            data = file.read()
+            # Without an end after its (last) scan; the rows before may all be there.
+            if data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
+                raise _damaged(name, f"truncated JPEG: no end marker in {len(data):,} bytes")
             file.seek(0)
         wide, stored = None, str(image.tile and image.tile[0].args)
         if kind in ("PNG", "TIFF") and image.mode in ("RGB", "RGBA") and ";16" in stored:
@@ -297,16 +287,12 @@ def _pixels(image: ImageFile, name: str, depth: int) -> Pixels:
     if stored.ndim == 2:
         return stored
     order = {2: [0, 0, 0, 1], 3: [2, 1, 0], 4: [2, 1, 0, 3]}[stored.shape[2]]
-    if image.format == "BMP":
-        order = order[:3]  # the fourth byte of a BMP is padding
-    return np.ascontiguousarray(stored[..., order])
+    used = 3 if image.format == "BMP" else 4  # the fourth byte of a BMP is padding
+    return np.ascontiguousarray(stored[..., order[:used]])
 
 
 def _check_png(file: BinaryIO, name: str, size: tuple[int, int]) -> int:
-    """Refuse a PNG without all of its rows (Pillow would make walls of them); return its depth.
-
-    The checksums have been verified.
-    """
+    """Refuse a verified PNG that lacks rows (Pillow would make walls of them); return its depth."""
     file.seek(8)
     inflater, total, expected, depth = zlib.decompressobj(), 0, 0, 8
     while True:
@@ -327,17 +313,15 @@ def _check_png(file: BinaryIO, name: str, size: tuple[int, int]) -> int:
                     total += len(inflater.decompress(body, 1 << 20))
                     body = inflater.unconsumed_tail
             except zlib.error as e:
-                raise MapError(f"{name}: damaged PNG data ({e}); copy the file again") from None
+                raise _damaged(name, f"damaged PNG data ({e})") from None
         elif kind != b"PLTE" and kind[:1].isupper():
             raise MapError(f"{name}: PNG chunk {kind.decode('latin-1')!r} is not known")
     if (length, kind, file.read(4)) != _PNG_END:
-        raise MapError(f"{name}: damaged PNG: wrong checksum of its end; copy the file again")
+        raise _damaged(name, "damaged PNG: wrong checksum of its end")
     while total < expected and (tail := inflater.decompress(b"", 1 << 20)):
         total += len(tail)
     if total < expected:
-        raise MapError(
-            f"{name}: truncated PNG: {total:,} of {expected:,} bytes of pixels; copy the file again"
-        )
+        raise _damaged(name, f"truncated PNG: {total:,} of {expected:,} bytes of pixels")
     return depth
 
 
@@ -346,16 +330,6 @@ def _png_bytes(size: tuple[int, int], bits: int, interlaced: bool) -> int:
     passes = _ADAM7 if interlaced else ((0, 0, 1, 1),)
     parts = [(-(-(size[0] - x) // dx), -(-(size[1] - y) // dy)) for x, y, dx, dy in passes]
     return sum(rows * (1 + -(-columns * bits // 8)) for columns, rows in parts if columns > 0)
-
-
-def _check_jpeg_end(file: BinaryIO, name: str) -> None:
-    """Refuse a JPEG without an end after its (last) scan: the rows before may all be there."""
-    file.seek(0)
-    data = file.read()
-    if data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
-        raise MapError(
-            f"{name}: truncated JPEG: no end marker in {len(data):,} bytes; copy the file again"
-        )
 
 
 def _is_lossless_webp(file: BinaryIO) -> bool:
@@ -372,34 +346,30 @@ def _netpbm_header(head: bytes, name: str) -> _Netpbm:
     match = _NETPBM.match(head)
     if match is None:
         kind = head[:2].decode("latin-1")
+        what = f"damaged {kind} header, expected width, height and maxval"
         if kind not in ("P2", "P3", "P5", "P6"):
-            raise MapError(
-                f"{name}: is a Netpbm {kind} file, expected PGM (P2, P5) or PPM (P3, P6)"
-            )
-        raise MapError(f"{name}: damaged {kind} header, expected width, height and maxval")
+            what = f"is a Netpbm {kind} file, expected PGM (P2, P5) or PPM (P3, P6)"
+        raise MapError(f"{name}: {what}")
     number, width, height, maxval = map(int, match.groups())
     if width < 1 or height < 1:
         raise MapError(f"{name}: image of {width} x {height} pixels, expected at least 1 x 1")
     if not 1 <= maxval <= 65535:
         raise MapError(f"{name}: maxval {maxval}, expected 1..65535")
-    return _Netpbm(number, (width, height), maxval, match.end())
+    mode = "L" if number in (2, 5) else "RGB"
+    return _Netpbm(number, (width, height), maxval, match.end(), mode)
 
 
 def _netpbm_pixels(file: BinaryIO, header: _Netpbm, name: str) -> Pixels:
     """Samples as stored; fewer, more, or some above maxval are refused."""
     (width, height), maxval = header.size, header.maxval
-    channels = 3 if header.number in (3, 6) else 1
-    count = width * height * channels
+    channels = 3 if header.mode == "RGB" else 1
+    count, text = width * height * channels, header.number < 4
     file.seek(header.start)
-    if header.number < 4:
-        samples = _text_samples(file.read(), count, name)
-    else:
-        samples = _binary_samples(file, count, np.dtype(np.uint8 if maxval < 256 else ">u2"), name)
+    binary = np.dtype(np.uint8 if maxval < 256 else ">u2")
+    samples = _text_samples(file, count, name) if text else _samples(file, count, binary, name)
     if len(samples) != count:
-        raise MapError(
-            f"{name}: truncated: {len(samples):,} samples, expected {count:,} "
-            f"({width} x {height} x {channels}); copy the file again"
-        )
+        size = f"{count:,} ({width} x {height} x {channels})"
+        raise _damaged(name, f"truncated: {len(samples):,} samples, expected {size}")
     if int(samples.max()) > maxval or int(samples.min()) < 0:
         raise MapError(f"{name}: sample {int(samples.max())}, expected 0..{maxval} (maxval)")
     pixels = samples.astype(np.uint8 if maxval < 256 else np.uint16, copy=False)
@@ -408,8 +378,8 @@ def _netpbm_pixels(file: BinaryIO, header: _Netpbm, name: str) -> Pixels:
     return np.ascontiguousarray(pixels.reshape(height, width, 3)[:, :, ::-1])
 
 
-def _text_samples(text: bytes, count: int, name: str) -> npt.NDArray[Any]:
-    body = re.sub(rb"#[^\r\n]*", b"", text)
+def _text_samples(file: BinaryIO, count: int, name: str) -> npt.NDArray[Any]:
+    body = re.sub(rb"#[^\r\n]*", b"", file.read())
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # NumPy only warns when it meets something else
         try:
@@ -421,9 +391,7 @@ def _text_samples(text: bytes, count: int, name: str) -> npt.NDArray[Any]:
     return samples
 
 
-def _binary_samples(
-    file: BinaryIO, count: int, dtype: np.dtype[Any], name: str
-) -> npt.NDArray[Any]:
+def _samples(file: BinaryIO, count: int, dtype: np.dtype[Any], name: str) -> npt.NDArray[Any]:
     """Read samples from the end of the header on; no more than white space may follow them."""
     start, size = file.tell(), count * dtype.itemsize
     length = file.seek(0, io.SEEK_END)
@@ -434,8 +402,6 @@ def _binary_samples(
     file.seek(start)
     body, extra = file.read(size), length - start - size
     if extra > 0 and file.read(_HEAD).strip():
-        raise MapError(
-            f"{name}: {extra:,} bytes follow the image, expected its end: the header "
-            "does not belong to this data, or the file holds several images"
-        )
+        why = "the header does not belong to this data, or the file holds several images"
+        raise MapError(f"{name}: {extra:,} bytes follow the image, expected its end: {why}")
     return np.frombuffer(body, dtype, count=len(body) // dtype.itemsize)

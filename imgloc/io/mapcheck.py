@@ -1,4 +1,10 @@
-"""`imgloc map check`: what is in a map, and what is likely to be wrong with it."""
+"""`imgloc map check`: what is in a map, and what is likely to be wrong with it.
+
+>>> from imgloc.io.maps import bundled_maps
+>>> report = check_map(bundled_maps() / "double_wall.yaml")
+>>> report.resolution, round(sum(report.shares.values()), 6)
+(0.1, 1.0)
+"""
 
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Unpack
@@ -18,10 +24,9 @@ from imgloc.io.maps import (
     load_bytes,
     resolve_settings,
 )
-from imgloc.model import OccupancyGrid, Pose2D
+from imgloc.model import BoolArray, Pose2D
 
-_MANY_GREYS = 16
-_HUGE_CELLS = 16_000_000
+_MANY_GREYS, _HUGE_CELLS = 16, 16_000_000
 _MOST = 10  # greys, and parts, that are listed
 _CHECKED = 10  # bytes per pixel, more than loading takes
 _WARNINGS = {
@@ -42,9 +47,9 @@ _WARNINGS = {
     "grey-205": "{trap:,} cells of grey 205, map_saver's unknown, count as free because "
     "free_thresh is {free_thresh:g}; 0.196 keeps them unknown",
     "no-walls": "no cell is occupied: nothing can be localized",
-    "mostly-occupied": "{occupied:.0%} of the cells are occupied; is negate right?",
+    "mostly-occupied": "{share:.0%} of the cells are occupied; is negate right?",
     "no-free": "no cell is free: nothing can be localized",
-    "many-greys": "{levels:,} grey levels; {unclear:,} of {cells:,} cells fall between the "
+    "many-greys": "{levels:,} grey levels; {unknown:,} of {cells:,} cells fall between the "
     "thresholds (a resampled, smoothed or probabilistic map?)",
 }
 """What may be found, in the order in which it is told."""
@@ -99,8 +104,11 @@ class MapReport:
 def check_map(path: PathLike, **reading: Unpack[Reading]) -> MapReport:
     """Look at a map that can be decoded, and report rather than refuse.
 
-    Parameters and errors are those of :func:`imgloc.io.maps.load_map`; but for lossy images and
-    for too many cells a side, there is only a warning.
+    Parameters
+    ----------
+    path, reading
+        As in :func:`imgloc.io.maps.load_map`, and so are the errors; but for lossy images and for
+        too many cells a side, there is only a warning.
     """
     settings = resolve_settings(path, **reading)
     most = reading.get("max_pixels", MAX_PIXELS)
@@ -109,17 +117,16 @@ def check_map(path: PathLike, **reading: Unpack[Reading]) -> MapReport:
     differ = int(np.count_nonzero((one.occupied != other.occupied) | (one.free != other.free)))
     del one, other
     grid = grid_of(image, settings)
-    # Alpha aside, row 0 at the bottom as in the grid.
-    sums, channels = channel_sum(
-        image.pixels[::-1, :, :3] if image.channels > 1 else image.pixels[::-1]
-    )
+    upright = image.pixels[::-1]  # row 0 at the bottom as in the grid; alpha aside
+    sums, channels = channel_sum(upright[:, :, :3] if image.channels > 1 else upright)
     histogram = _histogram(sums, channels * image.white + 1)
     levels = np.flatnonzero(histogram)
     order = levels[np.argsort(-histogram[levels], kind="stable")][:_MOST]
-    shares = {
-        name: float(np.count_nonzero(getattr(grid, name))) / sums.size
-        for name in ("occupied", "free", "unknown")
-    }
+    masks = {"occupied": grid.occupied, "free": grid.free, "unknown": grid.unknown}
+    counts = {name: int(np.count_nonzero(mask)) for name, mask in masks.items()}
+    shares = {name: count / sums.size for name, count in counts.items()}
+    del masks
+    counts |= {"differ": differ, "levels": len(levels)}
     parts = label(grid.free, connectivity=1)
     sizes = np.sort(_histogram(parts, int(parts.max()) + 1)[1:])[::-1]
     del parts
@@ -136,9 +143,7 @@ def check_map(path: PathLike, **reading: Unpack[Reading]) -> MapReport:
         greys=tuple((round(int(i) / channels, 2), int(histogram[i])) for i in order),
         grey_levels=len(levels),
         semantics_differ=differ,
-        warnings=_warnings(
-            settings, image, sums, grid, shares, {"differ": differ, "levels": len(levels)}
-        ),
+        warnings=_warnings(settings, image, sums, grid.free, counts),
     )
 
 
@@ -154,50 +159,45 @@ def _histogram(sums: npt.NDArray[Any], size: int) -> npt.NDArray[np.intp]:
 
 
 def _warnings(
-    settings: MapSettings,
-    image: MapImage,
-    sums: npt.NDArray[Any],
-    grid: OccupancyGrid,
-    shares: dict[str, float],
-    counts: dict[str, int],
+    used: MapSettings, image: MapImage, sums: npt.NDArray[Any], free: BoolArray, n: dict[str, int]
 ) -> tuple[MapWarning, ...]:
-    """Findings about the file, its frame and reading, and the greys (`sums` of channels)."""
-    height, width = grid.occupied.shape
-    said, clear, trap, tinted = settings.yaml, 0, 0, 0
+    """Findings about the file, its frame and reading, and the greys; `n` counts cells."""
+    height, width = free.shape
+    said, clear, trap, tinted = used.yaml, 0, 0, 0
     unknown_keys = said.unknown_keys if said else ()
     if image.channels == 4:
         clear = int(np.count_nonzero(image.pixels[:, :, 3] < image.white))
     if image.channels > 1:
         colours = image.pixels[:, :, :3]
         tinted = int(np.count_nonzero(colours.max(axis=2) != colours.min(axis=2)))
-    if settings.mode != "raw":
+    if used.mode != "raw":
         # map_saver writes unknown as 205: occ = 0.196, just above its own free_thresh.
         full = image.white * min(image.channels, 3)
         is_205 = np.round(np.arange(full + 1) * (255 / full)) == 205
-        trap = int(np.count_nonzero(is_205[sums] & grid.free))
+        trap = int(np.count_nonzero(is_205[sums] & free))
     found = {
         "unknown-key": unknown_keys,
         "default-threshold": said and None in (said.occupied_thresh, said.free_thresh),
-        "yaw": settings.origin.theta,
+        "yaw": used.origin.theta,
         "side": max(height, width) > MAX_SIDE,
         "huge": sums.size > _HUGE_CELLS,
-        "coarse": settings.resolution > 0.25,
+        "coarse": used.resolution > 0.25,
         "lossy": image.lossy,
         "transparent": clear,
-        "semantics": counts["differ"],
+        "semantics": n["differ"],
         "colour": tinted,
         "grey-205": trap,
-        "no-walls": not shares["occupied"],
-        "mostly-occupied": shares["occupied"] > 0.5,
-        "no-free": not shares["free"],
-        "many-greys": counts["levels"] > _MANY_GREYS and settings.mode == "trinary",
+        "no-walls": not n["occupied"],
+        "mostly-occupied": n["occupied"] > 0.5 * sums.size,
+        "no-free": not n["free"],
+        "many-greys": n["levels"] > _MANY_GREYS and used.mode == "trinary",
     }
     values = {
-        **vars(settings), **counts, **shares, "height": height, "width": width, "most": MAX_SIDE,
+        **vars(used), **n, "height": height, "width": width, "most": MAX_SIDE,
         "keys": ", ".join(unknown_keys), "clear": clear, "tinted": tinted, "trap": trap,
         "cells": sums.size, "millions": sums.size / 1e6,
         "lossy": {"jpeg": "JPEG", "webp": "lossy WebP"}.get(image.kind, "JPEG in a TIFF"),
-        "unclear": int(np.count_nonzero(grid.unknown)),
+        "share": n["occupied"] / sums.size,
     }  # fmt: skip
     return tuple(
         MapWarning(code, text.format_map(values)) for code, text in _WARNINGS.items() if found[code]

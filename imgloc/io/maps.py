@@ -2,6 +2,14 @@
 
 What the greys of an image mean follows Nav2 (map_io) or ROS 1 (map_server); `imgloc map check`
 counts the cells that they read differently.
+
+>>> from tempfile import TemporaryDirectory
+>>> grid = load_map(bundled_maps() / "double_wall.yaml")
+>>> with TemporaryDirectory() as folder:
+...     save_map(f"{folder}/copy.yaml", grid).name
+...     bool((load_map(f"{folder}/copy.yaml").occupied == grid.occupied).all())
+'copy.png'
+True
 """
 
 import math
@@ -32,14 +40,12 @@ from imgloc.model import OccupancyGrid, Pose2D
 MAX_SIDE = 32_767
 """Cells a side: the limit of Nav2 (map_io) and of ``cv2.remap``."""
 SEMANTICS = ("nav2", "ros1")
-OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
-_DEFAULTS: dict[str, Any] = {
-    "mode": "trinary", "semantics": "nav2", "negate": False,
-    "occupied_thresh": OCCUPIED_THRESH, "free_thresh": FREE_THRESH,
-}  # fmt: skip
+_THRESHOLDS: dict[str, Any] = {"occupied_thresh": 0.65, "free_thresh": 0.196}
+_DEFAULTS = _THRESHOLDS | {"mode": "trinary", "semantics": "nav2", "negate": False}
+_POSE = "[x, y, yaw] in metres and radians"
+_NEEDED = {"resolution": "metres per cell, as 0.05", "origin": _POSE}
 YAML_ENDINGS = (".yaml", ".yml")
 UNKNOWN = -1
-Int8Array = npt.NDArray[np.int8]
 
 # Bytes that were measured to be taken at most: per pixel, as it is decoded and read as occupied
 # or free; per byte of the file, whose samples may be written as text; and for tables of greys.
@@ -77,10 +83,7 @@ class MapSettings:
 def load_map(
     path: PathLike, *, allow_lossy: bool = False, **reading: Unpack[Reading]
 ) -> OccupancyGrid:
-    """Load a map.
-
-    A map without walls or without free cells is loaded too, so that it can be looked at;
-    :func:`require_usable` refuses it.
+    """Load a map, be it without walls or free cells; :func:`require_usable` refuses such.
 
     Parameters
     ----------
@@ -111,31 +114,22 @@ def load_map(
 
     Raises
     ------
-    MapError
-        A file is missing, damaged, too large or contradicts itself.
-    ConfigError
-        An argument is out of its range.
+    MapError, ConfigError
+        A file is missing, damaged, too large or contradicts itself; an argument is out of range.
     """
     settings = resolve_settings(path, **reading)
     most = reading.get("max_pixels", MAX_PIXELS)
     image = read_image(settings.image, max_pixels=most, allow_lossy=allow_lossy)
     height, width = image.pixels.shape[:2]
     if max(height, width) > MAX_SIDE:
-        raise MapError(
-            f"{display(settings.image)}: {width:,} x {height:,} cells, expected at most "
-            f"{MAX_SIDE:,} a side; crop or downsample the map"
-        )
+        found = f"{display(settings.image)}: {width:,} x {height:,} cells"
+        hint = "crop or downsample the map"
+        raise MapError(f"{found}, expected at most {MAX_SIDE:,} a side; {hint}")
     return grid_of(image, settings)
 
 
 def load_bytes(size: ImageSize) -> int:
-    """Peak of :func:`load_map`, with the map itself, bytes; see :func:`~.images.image_size`.
-
-    Examples
-    --------
-    >>> load_bytes(ImageSize(10_000, 10_000, 2_665_308, grey=True)) // 2**20
-    683
-    """
+    """Peak of :func:`load_map`, with the map itself, bytes; see :func:`~.images.image_size`."""
     pixel = _GREY if size.grey else _COLOURED
     return pixel * size.width * size.height + _TEXT * size.file_bytes + _TABLES
 
@@ -144,35 +138,22 @@ def require_usable(grid: OccupancyGrid, name: str) -> None:
     """Raise MapError if `grid` has no occupied or no free cell: nothing can be localized."""
     for what, found in (("occupied", grid.occupied.any()), ("free", grid.free.any())):
         if not found:
-            raise MapError(
-                f"{name}: none of its {grid.occupied.size:,} cells is {what}, expected walls and "
-                "free space; look at the greys with 'imgloc map check', and at negate and the "
-                "thresholds"
-            )
+            hint = "look at the greys with 'imgloc map check', and at negate and the thresholds"
+            none = f"none of its {grid.occupied.size:,} cells is {what}"
+            raise MapError(f"{name}: {none}, expected walls and free space; {hint}")
 
 
 def save_map(path_yaml: PathLike, grid: OccupancyGrid, *, force: bool = False) -> Path:
-    """Write `grid` as a map_server YAML and a PNG of the same stem beside it.
-
-    Occupied is 0, free 254, unknown 205, as map_saver writes them.
+    """Write `grid` as a map_server YAML, and as a PNG of the same stem whose path is returned.
 
     Parameters
     ----------
     path_yaml : path
-        Ends in ``.yaml`` or ``.yml``.
+        ConfigError if it does not end in ``.yaml`` or ``.yml``; OutputError if not written.
     grid : OccupancyGrid
+        Occupied is written as 0, free as 254, unknown as 205, as by map_saver.
     force : bool
-        Overwrite existing files.
-
-    Returns
-    -------
-    Path
-        Of the PNG.
-
-    Raises
-    ------
-    ConfigError, OutputError
-        `path_yaml` is not named as a YAML; a file exists, or cannot be written.
+        Overwrite files that exist, otherwise an OutputError.
     """
     target = Path(path_yaml)
     if target.suffix.lower() not in YAML_ENDINGS:
@@ -188,8 +169,7 @@ def save_map(path_yaml: PathLike, grid: OccupancyGrid, *, force: bool = False) -
         "resolution": float(grid.resolution),
         "origin": [grid.origin.x, grid.origin.y, grid.origin.theta],
         "negate": 0,
-        "occupied_thresh": OCCUPIED_THRESH,
-        "free_thresh": FREE_THRESH,
+        **_THRESHOLDS,
         "mode": "trinary",
     }
     text = yaml.safe_dump(said, sort_keys=False, allow_unicode=True)
@@ -199,13 +179,7 @@ def save_map(path_yaml: PathLike, grid: OccupancyGrid, *, force: bool = False) -
 
 
 def bundled_maps() -> Path:
-    """Folder of the maps that come with imgloc; MapError if the installation lacks them.
-
-    Examples
-    --------
-    >>> (bundled_maps() / "double_wall.yaml").is_file()
-    True
-    """
+    """Folder of the maps that come with imgloc; MapError if the installation lacks them."""
     package = Path(str(files("imgloc")))
     for folder in (package / "maps", package.parent / "maps"):  # of a wheel, of a checkout
         if (folder / "double_wall.yaml").is_file():
@@ -231,16 +205,14 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
             raise MapError(f"{name}: resolution: missing{hint}")
     written = said or MapYaml(file, file, origin=Pose2D(0.0, 0.0, 0.0))
     used = _DEFAULTS | {k: v for k, v in vars(written).items() if v is not None} | given
-    if "resolution" not in used:
-        raise MapError(f"{name}: resolution: missing, expected metres per cell, as 0.05")
-    if "origin" not in used:
-        raise MapError(f"{name}: origin: missing, expected [x, y, yaw] in metres and radians")
+    for key, expected in _NEEDED.items():
+        if key not in used:
+            raise MapError(f"{name}: {key}: missing, expected {expected}")
     low, high, origin = used["free_thresh"], used["occupied_thresh"], used["origin"]
     if not 0 <= low < high <= 1:
-        raise (ConfigError if given.keys() & {"free_thresh", "occupied_thresh"} else MapError)(
-            f"{name}: free_thresh {low} and occupied_thresh {high}, expected "
-            "0 <= free_thresh < occupied_thresh <= 1"
-        )
+        found = f"{name}: free_thresh {low} and occupied_thresh {high}"
+        error = ConfigError if given.keys() & _THRESHOLDS.keys() else MapError
+        raise error(f"{found}, expected 0 <= free_thresh < occupied_thresh <= 1")
     return MapSettings(
         image=written.image,
         resolution=float(used["resolution"]),
@@ -261,10 +233,9 @@ def _check_options(given: dict[str, Any]) -> None:
             raise ConfigError(f"--{key}: got {given[key]!r}, expected one of {', '.join(known)}")
     if given.get("max_pixels", 1) < 1:
         raise ConfigError(f"max_pixels: got {given['max_pixels']}, expected at least 1")
-    if not isinstance(origin, Pose2D):
-        numbers = [float(v) for v in origin]
-        if len(numbers) != 3 or not all(math.isfinite(v) for v in numbers):
-            raise ConfigError(f"--origin: got {numbers}, expected x, y, yaw in metres and radians")
+    numbers = [0.0] * 3 if isinstance(origin, Pose2D) else [float(v) for v in origin]
+    if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
+        raise ConfigError(f"--origin: got {numbers}, expected x, y, yaw in metres and radians")
 
 
 def grid_of(image: MapImage, settings: MapSettings) -> OccupancyGrid:
@@ -275,12 +246,11 @@ def grid_of(image: MapImage, settings: MapSettings) -> OccupancyGrid:
     low, high = 0.0, 100.0
     if settings.mode == "raw":
         low, high = 100 * settings.free_thresh, 100 * settings.occupied_thresh
-    return OccupancyGrid(
-        values >= high, (values >= 0) & (values <= low), settings.resolution, settings.origin
-    )
+    free = (values >= 0) & (values <= low)
+    return OccupancyGrid(values >= high, free, settings.resolution, settings.origin)
 
 
-def occupancy(image: MapImage, settings: MapSettings) -> Int8Array:
+def occupancy(image: MapImage, settings: MapSettings) -> npt.NDArray[np.int8]:
     r"""Occupancy of every pixel, as map_server would publish it: 0 free, 100 occupied, -1 unknown.
 
     With ``occ = (white - mean of the channels) / white`` (its complement under `negate`):
@@ -308,10 +278,8 @@ def occupancy(image: MapImage, settings: MapSettings) -> Int8Array:
     """
     pixels, white, mode = image.pixels, image.white, settings.mode
     low, high, ros1 = settings.free_thresh, settings.occupied_thresh, settings.semantics == "ros1"
-    averaged: npt.NDArray[Any] = pixels
-    if image.channels == 4 and not (ros1 and mode == "trinary"):
-        averaged = pixels[:, :, :3]
-    sums, channels = channel_sum(averaged)
+    clear = image.channels == 4 and not (ros1 and mode == "trinary")
+    sums, channels = channel_sum(pixels[:, :, :3] if clear else pixels)
     # Everything depends on the sum of the channels alone: decide once per possible sum.
     full = channels * white
     levels = np.arange(full + 1, dtype=np.float64)
@@ -327,7 +295,7 @@ def occupancy(image: MapImage, settings: MapSettings) -> Int8Array:
             table[:] = 1 + 98 * r if ros1 else np.round(100 * r)
         table[occ > high if ros1 else occ >= high] = 100
         table[occ < low if ros1 else occ <= low] = 0
-    values: Int8Array = table[sums]
+    values: npt.NDArray[np.int8] = table[sums]
     if image.channels == 4 and mode != "raw":
         alpha = pixels[:, :, 3]
         if not ros1:
@@ -338,7 +306,7 @@ def occupancy(image: MapImage, settings: MapSettings) -> Int8Array:
 
 
 def channel_sum(pixels: npt.NDArray[Any]) -> tuple[npt.NDArray[Any], int]:
-    """Return the sum over the channels of (H, W) or (H, W, C) samples, and C."""
+    """Sum over the channels of (H, W) or (H, W, C) samples, and C."""
     if pixels.ndim == 2:
         return pixels, 1
     wide = np.uint32 if pixels.dtype == np.uint16 else np.uint16

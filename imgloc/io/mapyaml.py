@@ -30,8 +30,8 @@ def _number(value: Any) -> float:
     return float(value) if abs(value) < 1e300 else math.inf
 
 
-def _number_in(value: Any, low: float, high: float) -> float | None:
-    return number if low <= (number := _number(value)) <= high else None
+def _number_in(low: float, high: float) -> Callable[[Any], float | None]:
+    return lambda value: number if low <= (number := _number(value)) <= high else None
 
 
 def _triple(value: Any) -> list[float] | None:
@@ -51,11 +51,11 @@ _CHECKS: tuple[tuple[str, Callable[[Any], Any], str], ...] = (
     ("image", _path, "the path of the image"),
     ("mode", lambda v: m if (m := str(v).lower()) in MODES else None, "trinary, scale or raw"),
     ("negate", lambda v: bool(v) if v in (0, 1) else None, "0 or 1"),
-    ("resolution", lambda v: _number_in(v, *RESOLUTION_RANGE), "metres per cell, 0.001 to 10"),
+    ("resolution", _number_in(*RESOLUTION_RANGE), "metres per cell, 0.001 to 10"),
     ("origin", _triple, "[x, y, yaw] in metres and radians"),
     ("origin", _pose, "a yaw in radians, -6.2832 to 6.2832"),
-    ("occupied_thresh", lambda v: _number_in(v, 0, 1), "an occupancy from 0 to 1"),
-    ("free_thresh", lambda v: _number_in(v, 0, 1), "an occupancy from 0 to 1"),
+    ("occupied_thresh", _number_in(0, 1), "an occupancy from 0 to 1"),
+    ("free_thresh", _number_in(0, 1), "an occupancy from 0 to 1"),
 )
 """Keys of the YAML: what makes a value of them, or None of a wrong one, and what is expected."""
 _KEYS = frozenset(key for key, _, _ in _CHECKS)
@@ -85,13 +85,8 @@ def load_map_yaml(path: PathLike) -> MapYaml:
 def parse_map_yaml(data: bytes, path: Path) -> MapYaml:
     r"""Parse the text of a map's YAML; `path` names it and anchors the image's path.
 
-    Aliases, tags, duplicate keys, several documents and deep nesting are refused, as no map
-    needs them.
-
-    Raises
-    ------
-    MapError
-        Naming the file, the key, the value, and what was expected.
+    MapError names the file, the key, the value, and what was expected. Aliases, tags, duplicate
+    keys, several documents and deep nesting are refused, as no map needs them.
 
     Examples
     --------

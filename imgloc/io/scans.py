@@ -1,6 +1,13 @@
 """Scan files: the format follows from the ending of the name; NPZ is the one that is written.
 
 An NPZ is read by its headers first: an archive of 2 MB may claim arrays of 2 GB.
+
+>>> from tempfile import TemporaryDirectory
+>>> from imgloc.model import LaserScan
+>>> with TemporaryDirectory() as folder:
+...     save_scans(f"{folder}/a.npz", ScanSet((LaserScan([1.0, 2.5], [0.0, 0.5]),)))
+...     load_scans(f"{folder}/a.npz")[0].ranges.tolist()
+[1.0, 2.5]
 """
 
 import contextlib
@@ -17,7 +24,7 @@ import numpy as np
 
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.files import PathLike, display, open_file, read_file, write_bytes_atomic
-from imgloc.io.scanset import KEYS, MAX_READINGS, ScanSet, ScansSize, numbers, scan_set
+from imgloc.io.scanset import KEYS, MAX_READINGS, ScanSet, ScansSize, numbers, scan_set, wrong
 from imgloc.io.textscans import read_csv, read_jsonl, text_size
 from imgloc.model import FloatArray
 
@@ -25,7 +32,9 @@ _MAX_BYTES = 16 * MAX_READINGS
 
 
 def load_scans(path: PathLike) -> ScanSet:
-    """Load laser scans.
+    """Load laser scans: at least one, each with at least one reading, all angles finite.
+
+    ScanError names the file, the line or key, what was found and what was expected.
 
     Parameters
     ----------
@@ -34,16 +43,6 @@ def load_scans(path: PathLike) -> ScanSet:
         ``.ndjson`` or ``.json`` (:func:`~imgloc.io.textscans.read_jsonl`). Ranges are metres,
         angles radians in the sensor's frame, counter-clockwise, 0 forward. Ranges are kept as
         recorded; NaN, +inf and codes are what :class:`~imgloc.model.LaserScan` says they are.
-
-    Returns
-    -------
-    ScanSet
-        At least one scan, each with at least one reading, angles finite.
-
-    Raises
-    ------
-    ScanError
-        Naming the file, the line or key, what was found and what was expected.
     """
     return _reader(path)(path)
 
@@ -56,13 +55,14 @@ def scans_size(path: PathLike) -> ScansSize:
 def save_scans(path: PathLike, scans: ScanSet, *, force: bool = False) -> None:
     """Write scans as NPZ, whole or not at all; the same scans give the same bytes.
 
-    Raises
-    ------
-    ConfigError
-        `path` does not end in ``.npz``, there are no scans, or they differ in their number of
-        readings.
-    OutputError
-        The file exists (without `force`) or cannot be written.
+    Parameters
+    ----------
+    path : path
+        ConfigError if it does not end in ``.npz``; OutputError if it cannot be written.
+    scans : ScanSet
+        ConfigError if there is none, or they differ in their number of readings.
+    force : bool
+        Overwrite a file that exists, otherwise an OutputError.
     """
     if Path(path).suffix.lower() != ".npz":
         raise ConfigError(f"{display(path)}: expected a name that ends in .npz")
@@ -108,10 +108,8 @@ def _reader(path: PathLike) -> Callable[[PathLike], ScanSet]:
     ending = Path(path).suffix
     if ending.lower() in _READERS:
         return _READERS[ending.lower()]
-    known = ", ".join(_READERS)
-    raise ScanError(
-        f"{display(path)}: ending {display(ending)!r} is no scan format, expected {known}"
-    )
+    found = f"{display(path)}: ending {display(ending)!r} is no scan format"
+    raise ScanError(f"{found}, expected {', '.join(_READERS)}")
 
 
 def _npz_size(path: PathLike) -> ScansSize:
@@ -180,19 +178,17 @@ def _check_header(file: IO[bytes], size: int, name: str, key: str) -> tuple[int,
     except (ValueError, KeyError, SyntaxError, TypeError, tokenize.TokenError):
         raise ScanError(f"{name}: {key}: damaged header, expected a NumPy array") from None
     if dtype.hasobject:
-        raise ScanError(
-            f"{name}: {key}: holds pickled objects, which are never loaded; expected numbers "
-            "(save rows of equal length, padded with NaN)"
+        hint = (
+            "which are never loaded; expected numbers (save rows of equal length, padded with NaN)"
         )
+        raise ScanError(f"{name}: {key}: holds pickled objects, {hint}")
     if dtype.kind not in "fiu":
-        raise ScanError(f"{name}: {key}: got type {dtype}, expected numbers")
+        raise wrong(f"{name}: {key}", f"type {dtype}", "numbers")
     count = math.prod(shape)
     if not 0 <= count <= MAX_READINGS:
         found = " x ".join(map(str, shape))
         raise ScanError(f"{name}: {key}: {found} numbers, expected at most {MAX_READINGS:,}")
     if (expected := file.tell() + count * dtype.itemsize) != size:
-        raise ScanError(
-            f"{name}: {key}: {size:,} bytes, expected {expected:,} for shape {shape}; "
-            "copy the file again"
-        )
+        hint = f"expected {expected:,} for shape {shape}; copy the file again"
+        raise ScanError(f"{name}: {key}: {size:,} bytes, {hint}")
     return tuple(shape)

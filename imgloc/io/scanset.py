@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from imgloc.errors import ScanError
 from imgloc.model import FloatArray, LaserScan
@@ -15,13 +14,11 @@ MAX_READINGS = 50_000_000
 """Readings a scan file may hold: 400 MB as float64."""
 SPACING = ("angle_min", "angle_max", "angle_increment")
 _LIMITS = {"range_min": 0.0, "range_max": math.inf}
-_BESIDE = ("poses", "stamps", "odom")
-_STEPS = ("angle_min", "angle_increment")
+_BESIDE, _STEPS = ("poses", "stamps", "odom"), ("angle_min", "angle_increment")
 KEYS = ("ranges", "angles", *_LIMITS, *_STEPS, *_BESIDE)
 # Where a scan stands in the file, for messages, and what is said of it (names of LaserScan).
 Entry = tuple[str, Mapping[str, Any]]
-# Twice around: whatever lies beyond was not meant in radians.
-_MAX_ANGLE = 4 * np.pi
+_MAX_ANGLE = 4 * np.pi  # twice around: whatever lies beyond was not meant in radians
 
 
 @dataclass(frozen=True)
@@ -62,6 +59,11 @@ class ScanSet:
         return self.scans[index]
 
 
+def wrong(where: str, got: object, expected: str) -> ScanError:
+    """The error of what stands at `where`: the file, with the line and key."""
+    return ScanError(f"{where}: got {got}, expected {expected}")
+
+
 def numbers(value: Any, name: str, key: str, *, ndim: Sequence[int]) -> FloatArray:
     """Return `value` as a float array; it must be numeric, not ragged, of a dimension in `ndim`."""
     expected = f"numbers of dimension {' or '.join(map(str, ndim))}"
@@ -70,9 +72,9 @@ def numbers(value: Any, name: str, key: str, *, ndim: Sequence[int]) -> FloatArr
     except (ValueError, OverflowError):
         raise ScanError(f"{name}: {key}: rows of different length, expected {expected}") from None
     if array.dtype.kind not in "fiu":
-        raise ScanError(f"{name}: {key}: got type {array.dtype}, expected {expected}")
+        raise wrong(f"{name}: {key}", f"type {array.dtype}", expected)
     if array.ndim not in ndim:
-        raise ScanError(f"{name}: {key}: got shape {array.shape}, expected {expected}")
+        raise wrong(f"{name}: {key}", f"shape {array.shape}", expected)
     return array.astype(np.float64)
 
 
@@ -82,29 +84,25 @@ def _check_angles(angles: FloatArray, name: str) -> None:
     _check_finite(angles, name, "angles", hint)
     worst = angles.flat[np.abs(angles).argmax()] if angles.size else 0.0
     if abs(worst) > _MAX_ANGLE:
-        raise ScanError(
-            f"{name}: angles: got {worst:g}, expected radians; are these degrees? "
-            "multiply them by pi / 180"
-        )
+        hint = "radians; are these degrees? multiply them by pi / 180"
+        raise wrong(f"{name}: angles", f"{worst:g}", hint)
 
 
 def _check_limits(range_min: float, range_max: float, name: str) -> None:
     """Refuse limits unless ``0 <= range_min < range_max``; range_max may be infinite."""
     if not (0 <= range_min < np.inf):
-        raise ScanError(f"{name}: range_min: got {range_min:g}, expected metres, 0 or more")
+        raise wrong(f"{name}: range_min", f"{range_min:g}", "metres, 0 or more")
     if not range_max > range_min:
-        raise ScanError(
-            f"{name}: range_max: got {range_max:g}, expected metres, more than "
-            f"range_min = {range_min:g}"
-        )
+        expected = f"metres, more than range_min = {range_min:g}"
+        raise wrong(f"{name}: range_max", f"{range_max:g}", expected)
 
 
 def _check_finite(
-    array: npt.NDArray[Any], name: str, key: str, expected: str = "a finite number"
+    array: FloatArray, name: str, key: str, expected: str = "a finite number"
 ) -> None:
     """Refuse an array with an entry that is NaN or infinite."""
     for at in np.argwhere(~np.isfinite(array))[:1]:
-        raise ScanError(f"{name}: {key}{at.tolist()}: got {array[tuple(at)]}, expected {expected}")
+        raise wrong(f"{name}: {key}{at.tolist()}", array[tuple(at)], expected)
 
 
 def collect(entries: Sequence[Entry], name: str) -> ScanSet:
@@ -116,21 +114,19 @@ def collect(entries: Sequence[Entry], name: str) -> ScanSet:
     for key in ("pose", "odom"):
         given = [(where, entry[key]) for where, entry in entries if entry.get(key) is not None]
         if len(given) not in (0, len(scans)):
-            raise ScanError(
-                f"{name}: {key}: in {len(given)} of {len(scans)} scans, expected all or none"
-            )
+            some = f"in {len(given)} of {len(scans)} scans"
+            raise ScanError(f"{name}: {key}: {some}, expected all or none")
         poses = [_pose(value, where, key) for where, value in given]
         beside[key] = np.array(poses) if poses else None
-    stamps = np.array([scan.stamp for scan in scans])
-    return ScanSet(
-        tuple(scans), beside["pose"], None if np.isnan(stamps).all() else stamps, beside["odom"]
-    )
+    times = np.array([scan.stamp for scan in scans])
+    stamps = None if np.isnan(times).all() else times
+    return ScanSet(tuple(scans), beside["pose"], stamps, beside["odom"])
 
 
 def _pose(value: Any, where: str, key: str) -> FloatArray:
     pose = numbers(value, where, key, ndim=(1,))
     if pose.shape != (3,):
-        raise ScanError(f"{where}: {key}: got {len(pose)} numbers, expected x, y, theta")
+        raise wrong(f"{where}: {key}", f"{len(pose)} numbers", "x, y, theta")
     _check_finite(pose, where, key)
     return pose
 
@@ -147,12 +143,13 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
         for key in (*(SPACING if spaced else ()), *_LIMITS, "stamp")
         if entry.get(key) is not None
     }
-    if spaced:
-        angles = _spaced_angles(given, len(ranges), where)
-    else:
-        angles = numbers(entry["angles"], where, "angles", ndim=(1,))
+    angles = (
+        _spaced_angles(given, len(ranges), where)
+        if spaced
+        else numbers(entry["angles"], where, "angles", ndim=(1,))
+    )
     if len(angles) != len(ranges):
-        raise ScanError(f"{where}: angles: got {len(angles)}, expected {len(ranges)} as in ranges")
+        raise wrong(f"{where}: angles", len(angles), f"{len(ranges)} as in ranges")
     _check_angles(angles, where)
     low, high = (given.get(key, default) for key, default in _LIMITS.items())
     _check_limits(low, high, where)
@@ -162,7 +159,7 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
 def scalar(value: Any, where: str) -> float:
     """A JSON value that must be one number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ScanError(f"{where}: got {str(value)[:40]!r}, expected a number")
+        raise wrong(where, repr(str(value)[:40]), "a number")
     try:
         return float(value)
     except OverflowError:  # JSON writes integers of any length
@@ -171,22 +168,17 @@ def scalar(value: Any, where: str) -> float:
 
 def _spaced_angles(given: Mapping[str, float], count: int, where: str) -> FloatArray:
     """Angles of `count` rays from the first one, and from their spacing or the last one."""
-    first, last = given.get("angle_min"), given.get("angle_max")
-    step = given.get("angle_increment")
+    first, last, step = (given.get(key) for key in SPACING)
     if first is None or (step is None and last is None):
-        raise ScanError(
-            f"{where}: angles: missing, expected angles, or angle_min with "
-            "angle_increment or angle_max, in radians"
-        )
+        expected = "angles, or angle_min with angle_increment or angle_max, in radians"
+        raise ScanError(f"{where}: angles: missing, expected {expected}")
     if step is None:
         return np.linspace(first, last or 0.0, count)
     angles = first + np.arange(count, dtype=np.float64) * step
     # Drivers disagree on whether angle_max is the last ray or the one after it.
     if last is not None and abs(last - angles[-1]) > 2.5 * abs(step):
-        raise ScanError(
-            f"{where}: angle_max: got {last:g}, expected {angles[-1]:g} = angle_min + "
-            f"{count - 1} x angle_increment; were readings left out?"
-        )
+        rule = f"angle_min + {count - 1} x angle_increment; were readings left out?"
+        raise wrong(f"{where}: angle_max", f"{last:g}", f"{angles[-1]:g} = {rule}")
     return np.asarray(angles)
 
 
@@ -197,29 +189,23 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
     ranges = np.atleast_2d(arrays["ranges"])
     n = len(ranges)
     if not ranges.size:
-        raise ScanError(f"{name}: ranges: got shape {ranges.shape}, expected at least one reading")
+        raise wrong(f"{name}: ranges", f"shape {ranges.shape}", "at least one reading")
     readings, angles = ranges.shape[1], arrays.get("angles")
     if angles is None:
         if not all(key in arrays and arrays[key].size == 1 for key in _STEPS):
-            raise ScanError(
-                f"{name}: angles: missing, expected {readings} angles in radians "
-                "(or the numbers angle_min and angle_increment)"
-            )
+            expected = "angles in radians (or the numbers angle_min and angle_increment)"
+            raise ScanError(f"{name}: angles: missing, expected {readings} {expected}")
         first, step = (arrays[key].item() for key in _STEPS)
         angles = first + np.arange(readings, dtype=np.float64) * step
     if angles.shape not in ((readings,), ranges.shape):
-        raise ScanError(
-            f"{name}: angles: got shape {angles.shape}, expected {(readings,)}: "
-            f"ranges are {n} scans of {readings} readings"
-        )
+        expected = f"{(readings,)}: ranges are {n} scans of {readings} readings"
+        raise wrong(f"{name}: angles", f"shape {angles.shape}", expected)
     _check_angles(angles, name)
     limits = []
     for key, default in _LIMITS.items():
         value = arrays.get(key, np.array(default))
         if value.size != 1 and value.shape != (n,):
-            raise ScanError(
-                f"{name}: {key}: got shape {value.shape}, expected one number or {(n,)}"
-            )
+            raise wrong(f"{name}: {key}", f"shape {value.shape}", f"one number or {(n,)}")
         limits.append(np.broadcast_to(value.ravel(), (n,)).tolist())
     for low, high in zip(*limits, strict=True):
         _check_limits(low, high, name)
@@ -229,7 +215,7 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
         if n == 1 and value.shape == shape[1:]:
             value = value.reshape(shape)
         if value.shape != shape:
-            raise ScanError(f"{name}: {key}: got shape {value.shape}, expected {shape}")
+            raise wrong(f"{name}: {key}", f"shape {value.shape}", f"{shape}")
         if key != "stamps":
             _check_finite(value, name, key)
         beside[key] = value

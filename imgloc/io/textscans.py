@@ -13,8 +13,7 @@ from imgloc.errors import ScanError
 from imgloc.io.files import PathLike, display, open_file, read_file
 from imgloc.io.scanset import MAX_READINGS, SPACING, Entry, ScanSet, ScansSize, collect, scalar
 
-_LIMIT = 8 * MAX_READINGS  # bytes
-_BLOCK = 1 << 20
+_LIMIT, _BLOCK = 8 * MAX_READINGS, 1 << 20  # bytes
 _SETTING = re.compile(r"\b(\w+)\s*[=:]\s*([^\s,;]+)")
 _SETTINGS = (*SPACING, "range_min", "range_max")
 _BESIDE = ("stamp", "x", "y", "theta")
@@ -33,9 +32,7 @@ def read_csv(path: PathLike) -> ScanSet:
     pose of the sensor, all others are ranges in order. A file with the two columns ``angle``
     and ``range`` is one scan, one reading a line. Empty cells are NaN.
     """
-    name = display(path)
-    settings: dict[str, float] = {}
-    columns: list[str] = []
+    name, settings, columns = display(path), dict[str, float](), list[str]()
     rows: list[tuple[str, list[float]]] = []
     for line, text in _lines(path):
         where = f"{name}: line {line}"
@@ -152,8 +149,8 @@ def _plain(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
     for key in ("range_min", "range_max"):
         if isinstance(entry.get(key), str):
             plain[key] = _number_of(entry[key], f"{where}: {key}")
-    header = entry.get("header")
-    stamp = entry.get("stamp", header.get("stamp") if isinstance(header, dict) else None)
+    header = h if isinstance(h := entry.get("header"), dict) else {}
+    stamp = entry.get("stamp", header.get("stamp"))
     if isinstance(stamp, dict):
         parts = [stamp.get(a, stamp.get(b, 0)) for a, b in (("sec", "secs"), ("nanosec", "nsecs"))]
         seconds, nanoseconds = (scalar(part, f"{where}: stamp") for part in parts)
