@@ -1,8 +1,7 @@
 """Ray casting ``r_m(x, y, psi)`` by sphere tracing on a distance image.
 
-The distance image says how far a ray may jump without missing a wall; next to a wall the
-ray walks from cell border to cell border instead. Far from walls that is fast, and at the
-wall it is exact: a reading ends where the ray enters the square of an occupied cell.
+The distance image says how far a ray may jump without missing a wall; next to one it walks from
+cell border to cell border: exact, a reading ends where it enters the square of an occupied cell.
 """
 
 import numpy as np

@@ -1,8 +1,6 @@
 """The features of a map as named arrays, and back; kept in the map cache.
 
-Kept is what takes longer to compute than to read: surface, visibility, endpoint pyramid,
-distances, the vector field and the max-pooled maps. The blurred map, the free cells and those
-a robot can stand in take a millisecond.
+Kept is what takes longer to compute than to read; bmap and the free cells take a millisecond.
 """
 
 import hashlib
@@ -130,12 +128,9 @@ def _build(features: MapFeatures, name: str, parts: dict[str, Array]) -> object:
     lattice, shape = features.lattice, features.grid.info.shape
     if name == "surface":
         n = len(parts["xy"]) if "xy" in parts and parts["xy"].ndim else 0
-        return OrientedPoints(
-            _take(parts, "xy", np.float64, (n, 2)),
-            _take(parts, "alpha", np.float64, (n,)),
-            _take(parts, "sigma_alpha", np.float64, (n,)),
-            _take(parts, "valid", np.bool_, (n,)),
-        )
+        alpha, sigma_alpha = (_take(parts, k, np.float64, (n,)) for k in ("alpha", "sigma_alpha"))
+        xy, valid = _take(parts, "xy", np.float64, (n, 2)), _take(parts, "valid", np.bool_, (n,))
+        return OrientedPoints(xy, alpha, sigma_alpha, valid)
     if name in ("visibility", "voters_visibility"):
         if "surface" not in vars(features):
             raise ValueError("visibility without its surface")
