@@ -136,10 +136,9 @@ def pooled_maps(
         Poses that are wanted, usually the free cells.
     resolution : float
         Side of a cell, metres.
-    top : int, optional
-        The coarsest level, at least 1; by default blocks of about :data:`BLOCK` metres.
-    reach : float
-        How far scan points may lie, metres; the images are padded anew for a scan beyond it.
+    top, reach : int and float, optional
+        The coarsest level, at least 1, by default of blocks of about :data:`BLOCK` metres; how far
+        scan points may lie, metres: the images are padded anew for a scan beyond it.
 
     Raises
     ------

@@ -35,10 +35,8 @@ def cast_rays(
     angles : (...) array
         Where they go, radians in the grid frame. `origins` and `angles` broadcast: poses
         ``(N, 1, 2)`` and angles ``(N, B)`` make N scans of B rays.
-    max_range : float or (...) array
-        Metres; what lies farther is not seen. A reach for each ray costs less than a long one.
-    resolution : float
-        Side of a cell, metres.
+    max_range, resolution : float or (...) array, float
+        Metres: what lies farther is not seen (short reaches cost less); side of a cell.
 
     Returns
     -------

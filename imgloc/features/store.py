@@ -37,20 +37,10 @@ _NO_MATTER = ("grid", "memory_budget", "threads")  # do not change a feature
 def features_to_arrays(
     features: MapFeatures, names: Iterable[str] | None = None, *, max_bytes: int = MAX_BYTES
 ) -> dict[str, Array]:
-    """Return features as named arrays.
+    """Return features as named arrays: ``"walls"`` is one, ``"surface.xy"`` a part of one.
 
-    Parameters
-    ----------
-    features : MapFeatures
-    names : iterable of str, optional
-        Which of :data:`KEPT`, computed if need be; by default those computed so far.
-    max_bytes : int
-        Features that do not fit any more are left out.
-
-    Returns
-    -------
-    dict of str to array
-        ``"walls"`` for the feature of that name, ``"surface.xy"`` for a part of one.
+    The names of :data:`KEPT` are computed if need be; by default they are those computed so far.
+    Features that do not fit into `max_bytes` any more are left out.
     """
     wanted = set(vars(features)) if names is None else set(names)
     out: dict[str, Array] = {}
@@ -128,9 +118,9 @@ def _build(features: MapFeatures, name: str, parts: dict[str, Array]) -> object:
     lattice, shape = features.lattice, features.grid.info.shape
     if name == "surface":
         n = len(parts["xy"]) if "xy" in parts and parts["xy"].ndim else 0
+        xy = _take(parts, "xy", np.float64, (n, 2))
         alpha, sigma_alpha = (_take(parts, k, np.float64, (n,)) for k in ("alpha", "sigma_alpha"))
-        xy, valid = _take(parts, "xy", np.float64, (n, 2)), _take(parts, "valid", np.bool_, (n,))
-        return OrientedPoints(xy, alpha, sigma_alpha, valid)
+        return OrientedPoints(xy, alpha, sigma_alpha, _take(parts, "valid", np.bool_, (n,)))
     if name in ("visibility", "voters_visibility"):
         if "surface" not in vars(features):
             raise ValueError("visibility without its surface")
