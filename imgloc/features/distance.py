@@ -18,7 +18,7 @@ FARTHEST = 4.0
 UNIT, SLOPE = FARTHEST / 32000, 1 / 16000
 
 _BAND = 1024  # rows that are computed at a time: a large map takes no more memory than its field
-FARTHEST_CELLS = 512.0  # what is farther counts as this far
+FARTHEST_CELLS = 512.0  # farther counts as this far; up to it OpenCV's errors round off
 
 
 def distance_transform(image: npt.NDArray[np.uint8]) -> Float32Array:

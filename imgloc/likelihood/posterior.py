@@ -154,10 +154,12 @@ def smooth(
 
 
 def circular_kernel(n: int, sigma: float) -> Float32Array:
-    """Weights (n,), sum 1, of headings ``0 .. n - 1`` steps around the circle; so is `sigma`.
+    """Weights (n,) of the headings ``0 .. n - 1`` steps around the circle, sum 1; `sigma` in steps.
 
     Examples
     --------
+    >>> circular_kernel(4, 0.0).tolist()
+    [1.0, 0.0, 0.0, 0.0]
     >>> print(circular_kernel(4, 1.0).round(2))
     [0.43 0.26 0.06 0.26]
     """
