@@ -1,8 +1,7 @@
 """How many bytes something will take, known before they are taken, and how many there are.
 
-One number is the budget of everything: the features of a map, an answer, and what is beside them.
-The factors below are upper bounds of peaks, measured with :mod:`tracemalloc`; the tests measure
-them again. They are rarely more than a few times too high.
+The factors are upper bounds of peaks measured with :mod:`tracemalloc`, as the tests do again, and
+rarely more than a few times too high.
 """
 
 import os
@@ -98,8 +97,8 @@ def features_bytes(
 ) -> int:
     """Peak of computing what a method uses of a map, besides the map itself.
 
-    Rows and columns of the map, surface points (:func:`surface_count`), directions of the
-    visibility map, its cells along one of the lattice, and how many surface points vote at most.
+    `points` are :func:`surface_count`, `n_psi` directions of the visibility map, `factor` cells of
+    the map along one of the lattice; `voters` surface points vote at most.
 
     Examples
     --------

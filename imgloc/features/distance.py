@@ -18,21 +18,15 @@ FARTHEST = 4.0
 UNIT, SLOPE = FARTHEST / 32000, 1 / 16000
 
 _BAND = 1024  # rows that are computed at a time: a large map takes no more memory than its field
-FARTHEST_CELLS = 512.0  # what is farther counts as this far
+FARTHEST_CELLS = 512.0  # farther counts as this far; up to it OpenCV's errors round off
 
 
 def distance_transform(image: npt.NDArray[np.uint8]) -> Float32Array:
     """Distance from the centre of every cell to the nearest centre of a cell that is 0.
 
-    OpenCV's result differs in its last bits with the number of threads, with the version and
-    even with where the image lies in memory, which the refinement of a pose would show. The
-    square of a distance between cells is a whole number: rounded to that, it is exact.
-
-    Returns
-    -------
-    (H, W) float32 array
-        Of the (H, W) uint8 `image`, in cells, at most `FARTHEST_CELLS`, up to which OpenCV's errors
-        are small enough to be rounded off; that everywhere if no cell is 0.
+    (H, W) float32 cells, at most `FARTHEST_CELLS`; that everywhere if no cell is 0. OpenCV's result
+    differs in its last bits with threads, version and place in memory, which the refinement of a
+    pose would show. The square of a distance is a whole number: rounded to that, it is exact.
 
     Examples
     --------
@@ -112,24 +106,19 @@ def signed_distance(occupied: BoolArray, resolution: float) -> Float32Array:
 
     Parameters
     ----------
-    occupied : (H, W) bool array
-        Row 0 is the lowest y.
-    resolution : float
-        Side of a cell, metres.
+    occupied, resolution : (H, W) bool array, float
+        Row 0 is the lowest y, beyond the border nothing is occupied; side of a cell, metres.
 
     Returns
     -------
     (H, W) float32 array
-        Metres, negative in occupied cells, at most :data:`FARTHEST`. Beyond the border of the map
-        nothing is occupied.
+        Metres, negative in occupied cells, at most :data:`FARTHEST`.
 
     Notes
     -----
     It is the distance between cell *centres*, to the nearest one of the other kind, less half
-    a cell: along the axes the distance to the border between the two. It is not the distance to
-    the steps of a slanted wall, nor to a corner (diagonally 0.2 cells more), on purpose: the
-    steps stick out, so that the distance to them is 0.2 to 0.45 cells short of that to the wall
-    itself; this one is 0.15 to 0.3 short. The zero lies on the wall for both.
+    a cell, and not that to the steps of a slanted wall, on purpose: the steps stick out, 0.2 to
+    0.45 cells short of the wall itself; this one is 0.15 to 0.3 short. The zero is on it for both.
 
     Examples
     --------

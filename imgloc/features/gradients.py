@@ -1,9 +1,8 @@
 """The vector field of CBML-O from the image itself: Gaussian, Sobel, structure tensor (Fig. 4).
 
-Along a wall the gradient of the blurred occupancy *is* the blurred surface times its normal; no
-contour is needed. What the cells' staircase does to its direction, the structure tensor averages
-away. A tensor knows an axis only: which of its two ends is the normal (alpha is mod 2 pi) says the
-sign of the gradient, which points out of the wall into free space.
+Along a wall the gradient of the blurred occupancy *is* the blurred surface times its normal; the
+structure tensor averages the staircase of the cells away. It knows an axis only: which end is the
+normal (alpha is mod 2 pi) says the sign of the gradient, out of the wall into free space.
 """
 
 import cv2

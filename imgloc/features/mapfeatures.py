@@ -49,23 +49,16 @@ class MapFeatures:
     cell : float
         Side of a cell of the lattice of poses, of bmap, vmap and the ray-distance stack, metres;
         rounded to a multiple of the map's own cells.
-    sigma : float
-        Of the kernel K that blurs bmap and vmap, metres.
-    sigma_endpoint : float
-        How far an endpoint may lie from its wall in the pyramid, metres.
+    sigma, sigma_endpoint : float
+        Metres: of the kernel K that blurs bmap and vmap, and how far an endpoint may lie from its
+        wall in the pyramid.
     vmap_from : {"image", "contours"}
         Whether the vector field of CBML-O is of :func:`~imgloc.features.gradients.vmap_of_image` or
         of the normals of the surface points, :func:`~imgloc.features.fields.vmap`.
-    n_psi : int
-        Directions of the visibility map, measured from the normal.
-    horizon : float
-        How far the visibility map sees, metres.
-    visibility_by : {"march", "polar"}
-        How the visibility map is computed, see :mod:`imgloc.features.visibility`.
-    n_rays : int
-        Directions of the ray-distance stack.
-    max_range : float
-        What the ray-distance stack says where nothing is hit, metres.
+    n_psi, horizon, visibility_by
+        Of the visibility map, as `by` of :func:`~imgloc.features.visibility.visibility_frames`.
+    n_rays, max_range : int, float
+        Directions of the ray-distance stack, and what it says where nothing is hit, metres.
     memory_budget : int, optional
         Bytes; a larger ray-distance stack is refused. None is half of the available RAM.
     threads : int

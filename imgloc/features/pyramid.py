@@ -59,14 +59,11 @@ def pyramid(
 
     Parameters
     ----------
-    distance : (H, W) float32 array
-        :func:`~imgloc.features.distance.signed_distance`, metres.
-    free : (H, W) bool array
-        Cells in which a robot can be.
-    resolution, cell : float
-        Sides of a cell of the map and, a multiple of it, of the finest level, metres.
-    sigma : float
-        How far an endpoint may lie from its surface, metres.
+    distance, free : (H, W) float32 and bool arrays
+        :func:`~imgloc.features.distance.signed_distance`, metres; where a robot can be.
+    resolution, cell, sigma : float
+        Metres: sides of a cell of the map and, a multiple of it, of the finest level; how far an
+        endpoint may lie from its surface.
     levels : int
         At least 1.
 
@@ -129,7 +126,7 @@ def pooled_maps(
     top: int | None = None,
     reach: float = 30.0,
 ) -> PooledMaps:
-    """Pool a blurred map, once for all its scans.
+    """Pool a blurred map, once for all its scans: ``top + 4`` bytes per cell, and the margins.
 
     Parameters
     ----------
@@ -139,16 +136,9 @@ def pooled_maps(
         Poses that are wanted, usually the free cells.
     resolution : float
         Side of a cell, metres.
-    top : int, optional
-        The coarsest level, at least 1; by default blocks of about :data:`BLOCK` metres.
-    reach : float
-        How far scan points may lie, metres. A scan that reaches farther works too, but the
-        images are then padded anew for it.
-
-    Returns
-    -------
-    PooledMaps
-        ``top + 4`` bytes per cell, and the margins.
+    top, reach : int and float, optional
+        The coarsest level, at least 1, by default of blocks of about :data:`BLOCK` metres; how far
+        scan points may lie, metres: the images are padded anew for a scan beyond it.
 
     Raises
     ------

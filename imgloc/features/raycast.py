@@ -1,8 +1,7 @@
 """Ray casting ``r_m(x, y, psi)`` by sphere tracing on a distance image.
 
-The distance image says how far a ray may jump without missing a wall; next to a wall the
-ray walks from cell border to cell border instead. Far from walls that is fast, and at the
-wall it is exact: a reading ends where the ray enters the square of an occupied cell.
+The distance image says how far a ray may jump without missing a wall; next to one it walks from
+cell border to cell border: exact, a reading ends where it enters the square of an occupied cell.
 """
 
 import numpy as np
@@ -36,10 +35,8 @@ def cast_rays(
     angles : (...) array
         Where they go, radians in the grid frame. `origins` and `angles` broadcast: poses
         ``(N, 1, 2)`` and angles ``(N, B)`` make N scans of B rays.
-    max_range : float or (...) array
-        Metres; what lies farther is not seen. A reach for each ray costs less than a long one.
-    resolution : float
-        Side of a cell, metres.
+    max_range, resolution : float or (...) array, float
+        Metres: what lies farther is not seen (short reaches cost less); side of a cell.
 
     Returns
     -------

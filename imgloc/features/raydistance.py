@@ -39,10 +39,8 @@ def ray_distances(
     occupied, resolution
         As of :func:`~imgloc.features.distance.signed_distance`. Unknown cells and the world off
         the map are transparent.
-    n_psi : int
-        Number of directions.
-    max_range : float
-        Metres, at most 655.35. Where nothing is hit within it, the value is `max_range`.
+    n_psi, max_range : int, float
+        Number of directions; metres, at most 655.35, the value where nothing is hit within it.
     factor : int
         Rays start at the centres of blocks of so many cells a side; walls keep the map's cells.
     threads : int
@@ -61,9 +59,8 @@ def ray_distances(
 
     Notes
     -----
-    ``r_m`` of eq. 2 by ``warpAffine``, a running minimum of hit positions, and back. Hits are
-    interpolated and the ray's own start is exact; what is left is that the ray runs up to half a
-    cell beside the centre of the cell.
+    Hits are interpolated and the ray's own start is exact; what is left is that the ray runs up to
+    half a cell beside the centre of the cell.
 
     Examples
     --------
@@ -111,9 +108,8 @@ def ray_distances(
 def watertight(occupied: BoolArray) -> npt.NDArray[np.uint8]:
     """Occupancy as grey levels, with the gaps of diagonal walls one pixel wide filled.
 
-    Between two occupied cells that touch at a corner the interpolated occupancy is one half
-    at one point only, and rays would slip through. A light grey in the two cells beside the
-    corner widens the joint, and is itself below the surface's level.
+    Rays would slip through where occupied cells touch at a corner only. A light grey in the two
+    cells beside it widens the joint, and is itself below the surface's level.
     """
     image = np.where(occupied, _WALL, 0).astype(np.uint8)
     corners = [(slice(i, i - 1 or None), slice(j, j - 1 or None)) for i in (0, 1) for j in (0, 1)]

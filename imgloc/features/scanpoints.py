@@ -24,10 +24,8 @@ def scan_points(
 
     Parameters
     ----------
-    ranges, angles : (N,) float arrays
-        Metres and radians in the sensor frame, in any order of angles.
-    valid : (N,) bool array
-        Which readings are distances to something.
+    ranges, angles, valid : (N,) arrays
+        Metres and radians in the sensor frame, in any order; which are distances to something.
     sigma_range : float
         Standard deviation of a reading, metres.
     width : float
@@ -49,10 +47,9 @@ def scan_points(
 
     Notes
     -----
-    The window is broken at depth jumps. Where its points do not lie on one line within the noise
-    (corners, curves), the windows that end at the point are tried, then narrower ones: the first
-    straight one is taken, else the straightest. sigma_alpha is the standard error of the
-    regression with the larger of the noise expected and the residuals found.
+    The window is broken at depth jumps. Where it is not straight within the noise, the windows that
+    end at the point are tried, then narrower ones: the first straight one is taken, else the
+    straightest. sigma_alpha is of the larger of the noise expected and the residuals found.
 
     Examples
     --------

@@ -1,8 +1,6 @@
 """The features of a map as named arrays, and back; kept in the map cache.
 
-Kept is what takes longer to compute than to read: surface, visibility, endpoint pyramid,
-distances, the vector field and the max-pooled maps. The blurred map, the free cells and those
-a robot can stand in take a millisecond.
+Kept is what takes longer to compute than to read; bmap and the free cells take a millisecond.
 """
 
 import hashlib
@@ -39,20 +37,10 @@ _NO_MATTER = ("grid", "memory_budget", "threads")  # do not change a feature
 def features_to_arrays(
     features: MapFeatures, names: Iterable[str] | None = None, *, max_bytes: int = MAX_BYTES
 ) -> dict[str, Array]:
-    """Return features as named arrays.
+    """Return features as named arrays: ``"walls"`` is one, ``"surface.xy"`` a part of one.
 
-    Parameters
-    ----------
-    features : MapFeatures
-    names : iterable of str, optional
-        Which of :data:`KEPT`, computed if need be; by default those computed so far.
-    max_bytes : int
-        Features that do not fit any more are left out.
-
-    Returns
-    -------
-    dict of str to array
-        ``"walls"`` for the feature of that name, ``"surface.xy"`` for a part of one.
+    The names of :data:`KEPT` are computed if need be; by default they are those computed so far.
+    Features that do not fit into `max_bytes` any more are left out.
     """
     wanted = set(vars(features)) if names is None else set(names)
     out: dict[str, Array] = {}
@@ -130,12 +118,9 @@ def _build(features: MapFeatures, name: str, parts: dict[str, Array]) -> object:
     lattice, shape = features.lattice, features.grid.info.shape
     if name == "surface":
         n = len(parts["xy"]) if "xy" in parts and parts["xy"].ndim else 0
-        return OrientedPoints(
-            _take(parts, "xy", np.float64, (n, 2)),
-            _take(parts, "alpha", np.float64, (n,)),
-            _take(parts, "sigma_alpha", np.float64, (n,)),
-            _take(parts, "valid", np.bool_, (n,)),
-        )
+        xy = _take(parts, "xy", np.float64, (n, 2))
+        alpha, sigma_alpha = (_take(parts, k, np.float64, (n,)) for k in ("alpha", "sigma_alpha"))
+        return OrientedPoints(xy, alpha, sigma_alpha, _take(parts, "valid", np.bool_, (n,)))
     if name in ("visibility", "voters_visibility"):
         if "surface" not in vars(features):
             raise ValueError("visibility without its surface")

@@ -12,8 +12,8 @@ from skimage.measure import find_contours
 from imgloc.geometry import wrap
 from imgloc.model import BoolArray, FloatArray, IntArray, OrientedPoints
 
-# Half-widths, in points, of the windows of the line fit, widest first: a wide window averages
-# the staircase of a slanted wall away, a narrow one follows a curve.
+# Half-widths of the windows of the line fit, points: a wide one averages the staircase of a slanted
+# wall away, a narrow one follows a curve.
 _WINDOWS = (8, 5, 3)
 # A digital straight line stays within this rms distance (cells) of the line it draws: the
 # staircase gives 1/sqrt(12). A window with more has a corner or a curve in it.
@@ -23,9 +23,8 @@ _CORNER = 0.45
 # Free space begins at most this far (cells) in front of a surface: maps made by counting hits
 # have single unknown cells between a wall and the room.
 _REACH = 1.5
-# A map is worked on in bands of rows with so many sides between occupied and other cells, or so
-# many cells: find_contours keeps hundreds of bytes for each vertex, and a copy of the image in
-# double precision. The rows around a band are traced with it, as far as a fit looks along them.
+# A map is worked on in bands of rows with so many sides of walls, or so many cells: find_contours
+# keeps hundreds of bytes for each vertex. A fit looks into the rows around a band.
 _SIDES, _CELLS = 1 << 17, 1 << 24
 _HALO = 2 * max(_WINDOWS)
 
@@ -38,12 +37,10 @@ def surface_points(
     Parameters
     ----------
     occupied, free : (H, W) bool arrays
-        Row 0 is the lowest y. A cell that is neither is unknown; there is no surface between
-        a wall and unknown space, nor between a wall and the edge of the map.
-    resolution : float
-        Side of a cell, metres.
-    max_sigma : float
-        Normals less certain than this (radians) are marked invalid.
+        Row 0 is the lowest y. There is no surface between a wall and unknown space, cells that are
+        neither, nor between a wall and the edge of the map.
+    resolution, max_sigma : float
+        Side of a cell, metres; normals less certain than so many radians are marked invalid.
 
     Returns
     -------
@@ -58,11 +55,10 @@ def surface_points(
 
     Notes
     -----
-    The polygons of :func:`skimage.measure.find_contours` are resampled to one point per cell;
-    each point gets the line fitted to the widest window around it that is a digital straight
-    line. Where none is, the windows that end at the point are tried too: a corner keeps the two
-    normals of its walls instead of their mean (the filter of Kuwahara, on a curve). The point is
-    moved onto its line, which takes the staircase off.
+    The polygons of :func:`skimage.measure.find_contours` are resampled to one point per cell, moved
+    onto the line fitted to the widest window around it that is a digital straight line. Where none
+    is, the windows that end at the point are tried too: a corner keeps the normals of its two walls
+    instead of their mean (the filter of Kuwahara, on a curve).
 
     Examples
     --------
@@ -119,18 +115,13 @@ def _surface_of(
 def outlines(occupied: BoolArray) -> tuple[FloatArray, IntArray]:
     """Outline every wall and every hole in one, closed polygons with the wall on their right.
 
-    Parameters
-    ----------
-    occupied : (H, W) bool array
-        Nothing is occupied beyond its edge. Cells that touch at a corner hold together.
+    Beyond the (H, W) map nothing is occupied; cells that touch at a corner hold together.
 
     Returns
     -------
-    vertices : (N, 2) float array
-        (x, y) in cells, cell ``[0, 0]`` reaching from 0 to 1: midpoints of the sides between an
-        occupied and another cell. The first vertex of each polygon is its last, too.
-    size : (M,) int array
-        Number of vertices of each polygon.
+    vertices, size : (N, 2) float and (M,) int arrays
+        Midpoints (x, y) of the sides between an occupied and another cell, in cells, ``[0, 0]``
+        from 0 to 1, and their number in each polygon, whose first is its last, too.
 
     Examples
     --------

@@ -43,9 +43,9 @@ def visibility_frames(
     n_psi : int
         Number of directions; ``psi_k = 2 pi k / n_psi`` from the normal, counter-clockwise.
     horizon : float
-        Metres, finite. Less than the sensor's reach leaves some constraints unused, no more.
+        Metres; less than the sensor's reach leaves some constraints unused.
     by : {"march", "polar"}
-        How to compute it. ``polar`` is within a cell of ``march`` but for rays that graze a wall.
+        ``polar`` is within a cell of ``march`` but for rays that graze a wall.
     distance : (H, W) float32 array, optional
         :func:`~imgloc.features.distance.distance_image` of `occupied`, if it is there already.
 
@@ -63,8 +63,7 @@ def visibility_frames(
 
     Notes
     -----
-    The listing stores the direction from p_i to p_j with p_j; Alg. 5 and the definition of
-    ``vis_j[psi]`` need the opposite one, which is what is done here.
+    Alg. 6 stores the direction from p_i to p_j with p_j; Alg. 5 needs the opposite one, kept here.
 
     Examples
     --------
@@ -116,21 +115,9 @@ def unwrapped(
 ) -> npt.NDArray[np.uint8]:
     """Polar images around points: a row for each ray, a column for each half cell along it.
 
-    What :func:`cv2.warpPolar` does, but for many points at a time and a fan of rays that begins at
-    any angle, as the normals do: for that it would take thirty times as many samples.
-
-    Parameters
-    ----------
-    image : (H, W) uint8 array
-    origin : (M, 2) float array
-        (x, y) in cells, cell ``[0, 0]`` reaching from 0 to 1; so is `reach`.
-    rays : (K, M) float array
-        Directions from each point, radians.
-
-    Returns
-    -------
-    (K * M, N) uint8 array
-        0 beyond the image.
+    What :func:`cv2.warpPolar` does, for many points (M, 2) and rays (K, M, radians) that begin at
+    any angle: that would take thirty times as many samples. (x, y) and `reach` are in cells, cell
+    ``[0, 0]`` from 0 to 1. The result is (K * M, N) uint8, 0 beyond the image.
 
     Examples
     --------

@@ -38,30 +38,19 @@ def beam(
     ----------
     distances : (n_psi, H, W) uint16 array
         From :func:`imgloc.features.raydistance.ray_distances`; n_psi is a multiple of K.
-    ranges, angles : (N,) float arrays
-        Readings, metres and radians in the sensor frame. Those neither valid nor no_return
-        are no evidence.
-    valid, no_return : (N,) bool arrays
-        As :class:`imgloc.model.LaserScan` derives them.
+    ranges, angles, valid, no_return : (N,) arrays
+        Of a :class:`imgloc.model.LaserScan`. What is neither valid nor no_return is no evidence.
     thetas : (K,) float array
         Headings, uniform over the circle and starting at 0.
-    sigma : float
-        Standard deviation of a hit, metres: the sensor's and half a cell, as poses and walls lie
-        beside the centres of theirs. The default is for 10 cm cells.
-    sigma_theta : float
-        Radians. A hit's deviation at range rho is hypot(sigma, rho sigma_theta): what the
-        steps of theta and psi move a distant reading along its wall; see :func:`heading_sigma`.
-    hit, short : float
-        Shares of the mixture: readings of the mapped wall, and of something in front of it that
-        is not on the map. The rest, 1 - hit - short > 0, is spread evenly and is all that a
-        reading from *behind* a mapped wall can be.
-    span : float
-        Metres over which the shares other than `hit` are spread.
-    lost : float
-        Probability of no return although a wall is within `range_max`. The default 1 leaves
-        missing readings neutral: real sensors lose readings on dark and slanted surfaces.
-    range_max : float
-        Of the sensor, metres; needed when lost < 1.
+    sigma, sigma_theta : float
+        The deviation of a hit at range rho is hypot(sigma, rho sigma_theta): metres, the sensor's
+        and half a cell (of 10 cm by default), and radians, see :func:`heading_sigma`.
+    hit, short, span : float
+        Shares of readings of the mapped wall and of something unmapped before it; the rest, > 0, is
+        all that can come from *behind* the wall. All but `hit` are spread over `span` metres.
+    lost, range_max : float
+        Probability of no return with a wall within `range_max` metres, which 1 does not need: real
+        sensors lose readings on dark and slanted surfaces, so missing ones are neutral.
     threads : int
         Of headings; the result does not depend on it.
 
@@ -77,13 +66,10 @@ def beam(
 
     Notes
     -----
-    The robust form of eq. 2, ``sum_i log p(rho_i | r_m(x, y, theta + phi_i))`` with::
-
-        p(rho | r) = hit N(rho - r; sigma^2) + (short [rho < r] + 1 - hit - short) / span
-
-    It takes the readings for independent, which they are not; what it is worth is in
-    :mod:`imgloc.options`. For one heading and one beam: subtract the reading from the image of
-    distances, look the log-density up, add. psi is theta + phi rounded to a direction of the stack.
+    The robust form of eq. 2, ``sum_i log p(rho_i | r_m(x, y, theta + phi_i))`` with
+    ``p(rho | r) = hit N(rho - r; sigma^2) + (short [rho < r] + 1 - hit - short) / span``, the
+    direction rounded to one of the stack. The readings are taken for independent, which they are
+    not; what that is worth is in :mod:`imgloc.options`.
 
     Examples
     --------
@@ -160,9 +146,7 @@ def beam(
 
 
 def heading_sigma(n_thetas: int) -> float:
-    """A good `sigma_theta`, radians: twice the deviation of a uniform draw within a step.
-
-    Twice, as the ray's own direction is rounded too.
+    """A good `sigma_theta`, radians: a uniform draw's in a step, twice, as rays are rounded too.
 
     Examples
     --------

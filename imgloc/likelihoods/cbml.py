@@ -36,21 +36,14 @@ def cbml(
     Parameters
     ----------
     bmap : (H, W) float array
-        The blurred map, 0..1 (:func:`imgloc.features.fields.bmap`).
-    points_xy : (N, 2) float array
-        `xy` of :func:`~imgloc.likelihoods.correlate.correlate`; points without a normal take part.
-    thetas, resolution, engine, threads, where, out
-        As of :func:`~imgloc.likelihoods.correlate.correlate`.
+        Of :func:`imgloc.features.fields.bmap`; a ValueError if it leaves 0..1.
+    points_xy, thetas, resolution, engine, threads, where, out
+        As of :func:`~imgloc.likelihoods.correlate.correlate`, and so are the other errors.
 
     Returns
     -------
     (K, H, W) float32 array
         ``L[theta, y, x]``, between 0 and N.
-
-    Raises
-    ------
-    ValueError
-        If `bmap` leaves 0..1; for the rest see :func:`~imgloc.likelihoods.correlate.correlate`.
 
     Examples
     --------
@@ -89,15 +82,15 @@ def cbml_o(
     Parameters
     ----------
     vmap : (2, H, W) float array
-        x and y component, of magnitude 0..1 (:func:`imgloc.features.fields.vmap`).
+        Of :func:`imgloc.features.fields.vmap`; a ValueError if longer than 1 somewhere.
     points : OrientedPoints
         Scan points, sensor frame. Those without a valid normal are left out.
     directions : int
-        Directions that normals are rounded to; even. 64 err by 2.8 degrees at most, which
-        changes a scalar product by 0.12 % where the normals agree.
+        Directions that normals are rounded to; even, or a ConfigError. 64 change a scalar product
+        by 0.12 % at most where the normals agree.
     thetas, resolution, engine, threads, where, out
-        As of :func:`~imgloc.likelihoods.correlate.correlate`. The engines agree up to the
-        rounding of the projections, 0.004 per reading; ``remap`` interpolates.
+        As of :func:`~imgloc.likelihoods.correlate.correlate`, and so are the other errors. The
+        engines agree up to 0.004 per reading, the rounding of projections; ``remap`` interpolates.
     projections : (directions // 2, H, W) int16 array, optional
         Of :func:`project`, to be reused from scan to scan. Only ``shift`` uses it.
 
@@ -105,12 +98,6 @@ def cbml_o(
     -------
     (K, H, W) float32 array
         ``L[theta, y, x]``, between -N and N: negative where the normals contradict.
-
-    Raises
-    ------
-    ConfigError, ValueError
-        As :func:`~imgloc.likelihoods.correlate.correlate`; also if `directions` is not even, or
-        `vmap` longer than 1 somewhere.
 
     Examples
     --------
@@ -179,16 +166,8 @@ def cbml_o(
 def project(vmap: Float32Array, directions: int = 64) -> npt.NDArray[np.int16]:
     """Project a vector field on directions, once per map, for the shift engine of CBML-O.
 
-    Parameters
-    ----------
-    vmap, directions
-        As of :func:`cbml_o`.
-
-    Returns
-    -------
-    (directions // 2, H, W) int16 array
-        ``127 (vx cos a + vy sin a)`` for a = 2 pi d / directions, rounded. The other half of the
-        circle is the negative of this one. ``H * W * directions`` bytes.
+    (directions // 2, H, W) int16: ``127 (vx cos a + vy sin a)`` for a = 2 pi d / directions,
+    rounded; the other half of the circle is its negative. The parameters are of :func:`cbml_o`.
 
     Examples
     --------

@@ -14,14 +14,7 @@ import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.likelihoods.kernels import filter2d_stack, remap_stack
-from imgloc.likelihoods.shift import (
-    Summable,
-    Tile,
-    flat_stack,
-    merge_repeats,
-    shift_stack,
-    tiles_of,
-)
+from imgloc.likelihoods.shift import Summable, Tile, flat_stack, merge_repeats, shift_stack, tiles_of
 from imgloc.likelihoods.slices import (
     cell_offsets,
     check_arguments,
@@ -63,33 +56,27 @@ def correlate(
     """Sum the image under every point of a scan, for every pose (Alg. 1 and 2).
 
     ``L[k, r, c] = sum_i image[cell of p_i ⊕ (x, y, theta_k)]`` with (x, y) the centre of cell
-    ``[r, c]``. A point that falls off the image adds nothing.
+    ``[r, c]``; float32 (K, H, W). A point that falls off the image adds nothing.
 
     Parameters
     ----------
     image : (H, W) uint8 or float32 array
-        Row 0 is the lowest y. Integers are summed exactly by the engines of :data:`EXACT`, so that
-        the result does not depend on which; floats agree up to rounding.
+        Row 0 is the lowest y. The engines of :data:`EXACT` sum integers exactly, and agree on
+        floats up to rounding.
     xy : (N, 2) float array
         Scan points, sensor frame, metres. Points that are not finite are left out.
     thetas : (K,) float array
         Headings, radians.
-    resolution : float
-        Side of a cell, metres.
-    divisor : float
-        What the sums are divided by.
+    resolution, divisor : float
+        Side of a cell, metres; what the sums are divided by.
     engine : {"auto", "filter2d", "shift", "dft", "remap"}
         How to compute it.
     threads : int
-        Number of threads, over headings. The result does not depend on it.
+        Of headings; the result does not depend on it.
     where : (H, W) bool array, optional
         Poses that are wanted; the others come out 0. Tiles without any are skipped.
     out : (K, H, W) float32 array, optional
         Stack to overwrite and return, instead of a new one.
-
-    Returns
-    -------
-    (K, H, W) float32 array
 
     Raises
     ------
@@ -174,18 +161,11 @@ def choose_engine(
     ``filter2d`` is never chosen: OpenCV runs it as a DFT too, of the scan anew for each tile; nor
     is ``remap``, which interpolates.
 
-    Parameters
-    ----------
-    engine : str
-        One of :data:`ENGINES` or ``"auto"``, or it is a ConfigError.
-    offsets, shape
-        (K, N, 2) of the readings; rows and columns of the image.
-    tiles, itemsize, flat, which
-        Of the shift engine: where it would compute, bytes of a cell of its sums, whether by
-        :func:`~imgloc.likelihoods.shift.flat_stack`, (K, N) images of the readings if several.
-    components, doubtful
-        Of the transforms: 1 for an image, 2 for a vector field; whether they need double
-        precision, asked if it matters.
+    Any name but these and :data:`ENGINES` is a ConfigError. `offsets` (K, N, 2) are of the readings
+    and `shape` of the image. Of the shift engine are the `tiles`, the bytes of a cell of its sums,
+    whether it is :func:`~imgloc.likelihoods.shift.flat_stack`, and `which` (K, N) images are read if
+    there are several; of the transforms the `components`, 2 of a vector field, and whether they
+    need double precision, asked if it matters.
     """
     if engine in ENGINES:
         return engine

@@ -1,8 +1,4 @@
-"""What a posterior says, in fewer numbers: its entropy, and poses drawn from it.
-
-Drawing is for particle filters that have lost the robot: particles go where the scan may have been
-taken (sensor resetting).
-"""
+"""The entropy of a posterior, and poses drawn from it: particles for a filter that is lost."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +14,7 @@ if TYPE_CHECKING:
 
 
 def entropy(mass: npt.NDArray[Any]) -> float:
-    """Of shares that sum to 1, nats: 0 for certainty, ``log(n)`` for no idea among n.
-
-    Of any shape: a posterior, a marginal, or masses of hypotheses.
+    """Of shares of any shape that sum to 1, nats: 0 for certainty, ``log(n)`` for no idea among n.
 
     Examples
     --------
@@ -39,23 +33,16 @@ def draw_poses(
     Parameters
     ----------
     probability : (K, H, W) float32 array
-        Not all 0; need not sum to 1.
+        Not all 0, or a ConfigError; need not sum to 1.
     thetas : (K,) float array
         Equally spaced over the circle: the middles of the cells.
-    grid : GridInfo
-    n : int
-    rng : numpy.random.Generator
-        The same seed, the same poses.
+    grid, n, rng
+        Of the cells; how many poses (a ConfigError if negative); the same seed, the same poses.
 
     Returns
     -------
     (n, 3) float array
         x, y, theta in the grid frame; :func:`imgloc.geometry.transform_poses` leads to the map's.
-
-    Raises
-    ------
-    ConfigError
-        If `n` is negative or no pose has a probability.
 
     Examples
     --------
@@ -93,21 +80,9 @@ def draw_near(
 ) -> FloatArray:
     """Draw poses from an answer: a Gaussian for each hypothesis, any free pose for what is left.
 
-    Parameters
-    ----------
-    answer : Localization
-        Of :func:`imgloc.pipeline.localize`; without hypotheses every free pose is as likely.
-    free : (H, W) bool array
-        The pose space; at least one cell.
-    grid : GridInfo
-        Of `free`.
-    n, rng
-        As of :func:`draw_poses`, and so are the errors, if nothing is free.
-
-    Returns
-    -------
-    (n, 3) float array
-        x, y, theta in the map frame, as the answer.
+    (n, 3) x, y, theta in the map frame, as the answer of :func:`imgloc.pipeline.localize`; `free`
+    (H, W) is the pose space. The rest is as of :func:`draw_poses`, and so are the errors, if
+    nothing is free.
 
     Examples
     --------

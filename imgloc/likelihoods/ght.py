@@ -1,12 +1,10 @@
 """GHT and GHT-V: every pair of a map point and a scan point votes for a pose (Secs. IV, V).
 
 Each scan point is put into the frame of its own surface once, ``q_i = R(-alpha_i) p_i``. The
-pose of a pair is then ``t = p_j - R(alpha_j) q_i``: no trigonometry for each pair. And the
-direction from p_j to t, seen from the normal of p_j, is that of ``-q_i`` whatever j is, so
-that the visibility test of Alg. 5 compares one row of `visibility` with ``|p_i|``.
-
-Pairs are worked on in blocks that fit the cache, element by element in double precision, without a
-matrix product, so that a vote does not depend on the block its pair is in.
+pose of a pair is then ``t = p_j - R(alpha_j) q_i``, without trigonometry, and the direction from
+p_j to t, seen from the normal of p_j, that of ``-q_i`` whatever j is: the visibility test of Alg. 5
+compares one row of `visibility` with ``|p_i|``. Pairs are worked on in blocks that fit the cache,
+without a matrix product, so that a vote does not depend on the block its pair is in.
 """
 
 from collections.abc import Sequence
@@ -43,22 +41,19 @@ def ght(
     Parameters
     ----------
     surface : OrientedPoints
-        Surface points of the map, grid frame, metres. Neighbours along a wall had best be
-        neighbours in the list, as their votes then are in memory.
+        Surface points of the map, grid frame, metres; fastest if in order along the walls.
     points : OrientedPoints
         Scan points, sensor frame, metres. In both sets, points that are not finite or without a
         valid normal cast no vote.
     n_theta : int
         Number K of headings, ``theta_k = 2 pi k / K``.
     shape, resolution : (int, int), float
-        Rows and columns of the lattice of votes, whose lower-left corner is that of the grid, and
-        the side of its cells, metres; not necessarily those of the map.
+        Of the lattice of votes, whose lower-left corner is that of the grid; cells in metres.
     once : bool
-        At most one vote of each scan point in a cell, Sec. VII: a wall casts many in the cells
-        along it; this counts the scan points that a pose explains.
+        At most one vote of each scan point in a cell, Sec. VII: counts the scan points that a pose
+        explains, where a wall casts many in the cells along it.
     threads, out
-        As of :func:`~imgloc.likelihoods.correlate.correlate`. Each thread beyond the first needs a
-        stack of its own.
+        As of :func:`~imgloc.likelihoods.correlate.correlate`; a stack for each thread.
 
     Returns
     -------
@@ -99,13 +94,8 @@ def ght_v(
         Of :func:`~imgloc.features.visibility.visibility_frames`: the pair (i, j) votes iff
         ``visibility[b, j] > |p_i|``; all do without.
     surface, points, n_theta, shape, resolution, once, threads, out
-        As in :func:`ght`, and so is what is returned.
-
-    Raises
-    ------
-    ConfigError, ValueError
-        If a number is out of its range; if `visibility` does not have a column for each surface
-        point, or `out` does not fit.
+        As in :func:`ght`, and so is what is returned. A number out of its range is a ConfigError,
+        an array that does not fit a ValueError.
 
     Examples
     --------

@@ -31,16 +31,11 @@ def filter2d_stack(
     ----------
     image : (C, H, W) uint8 or float32 array
         One image, or the two components of a vector field.
-    offsets : (K, N, 2) int array
-        (rows, columns) from a pose to each point.
-    weights : (K, C, N) float32 array
-        What each point counts in each component.
-    threads, out
-        Of :func:`~imgloc.likelihoods.correlate.correlate`.
-    exact : bool
-        Whether the sums are integers, to be recovered by rounding.
-    finish : callable
-        Called with each slice.
+    offsets, weights : (K, N, 2) int and (K, C, N) float32 arrays
+        (rows, columns) from a pose to each point, and what it counts in each component.
+    threads, out, exact, finish
+        As of :func:`~imgloc.likelihoods.correlate.correlate`; whether the sums are integers, to be
+        recovered by rounding; called with each slice.
     """
     components = np.asarray(image, dtype=np.float64)
     _, height, width = image.shape

@@ -69,13 +69,11 @@ def posterior(
     method : str
         Log-likelihoods (``beam``) are exponentiated; the others are proportional to the
         likelihood, as in the paper, and clamped at 0: CBML-O may be negative.
-    free : (H, W) bool array
-        The pose space.
+    free, headings : (H, W) and (K,) bool arrays
+        The pose space; by default all headings.
     temperature : float
         Logarithms are divided by it: votes are raised to the power ``1 / temperature``. One that
         is not positive and finite is a ConfigError.
-    headings : (K,) bool array, optional
-        The headings of the pose space; by default all.
 
     Returns
     -------
@@ -156,9 +154,7 @@ def smooth(
 
 
 def circular_kernel(n: int, sigma: float) -> Float32Array:
-    """Weights (n,) of the headings ``0 .. n - 1`` steps away, around the circle, sum 1.
-
-    `sigma` is in headings.
+    """Weights (n,) of the headings ``0 .. n - 1`` steps around the circle, sum 1; `sigma` in steps.
 
     Examples
     --------

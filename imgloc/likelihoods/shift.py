@@ -20,11 +20,10 @@ from imgloc.model import BoolArray, Float32Array, IntArray
 #: An image of the type that holds its sums: uint8, uint16, int16 or float32.
 Summable = npt.NDArray[Any]
 
-# Cells of a tile: 512 KB of uint16. Smaller tiles pay more calls, larger ones leave the cache.
+# Cells of a tile, 512 KB: smaller ones pay more calls, larger ones leave the cache.
 TILE_CELLS = 1 << 18
 TILE_WIDTH = 1024
-# Repeated readings are added in powers of two up to 2**MAX_POWER, which must fit the limits of 16
-# bits. Those of 8 bits hold all readings together.
+# Repeated readings are added in powers of two up to 2**MAX_POWER, within the limits of 16 bits.
 MAX_POWER = 3
 
 
@@ -72,9 +71,8 @@ def tiles_of(shape: tuple[int, int], where: BoolArray | None = None) -> list[Til
 def merge_repeats(offsets: IntArray, which: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     """Add readings that fall in one cell once: offsets (n, 2), which image, power of two.
 
-    Half of the rays of a 0.25 degree scan share 10 cm cells. What m readings share is needed once
-    for each binary digit of m that is 1, the highest powers first: :func:`shift_sum` doubles its
-    sums on the way down (Horner), which takes no other image.
+    What m readings share is needed once for each binary digit of m that is 1, the highest powers
+    first: :func:`shift_sum` doubles its sums on the way down (Horner).
 
     Examples
     --------
@@ -141,19 +139,13 @@ def shift_sum(
 
     Parameters
     ----------
-    images : sequence of (H, W) arrays
-        All of one :data:`Summable` type.
+    images, limit
+        (H, W) of one :data:`Summable` type, and how often that holds the largest value in them.
     offsets, which, powers : (n, 2), (n,), (n,) int arrays
         (dr, dc) of each point: what it brings from outside the image is 0. ``w_i >= 0`` adds image
         ``w_i``, ``w_i < 0`` subtracts image ``-1 - w_i``. No power is greater than the one before.
-    limit : int
-        How often the type of the images can hold the largest value in them.
-    tiles : sequence of Tile
-        Where to compute; nothing is written elsewhere.
-    scratch : flat array of the type of the images
-        At least as large as the largest tile.
-    out : (H, W) float32 array
-        Zero on entry.
+    tiles, scratch, out
+        Where to compute; flat, of the images' type, as large as the largest tile; 0 on entry.
     """
     height, width = images[0].shape
     weights = 1 << powers

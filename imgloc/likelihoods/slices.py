@@ -20,18 +20,9 @@ def cell_offsets(xy: FloatArray, thetas: FloatArray, resolution: float) -> IntAr
     """How many cells away from a pose each scan point falls, for each heading.
 
     A pose sits at the centre of its cell, so the cell that holds ``p ⊕ (x, y, theta)`` (Alg. 1,
-    l. 5) is the pose's own cell plus ``floor(R_theta p / resolution + 0.5)``: the same for
-    every cell, which is what turns Alg. 1 into Alg. 2.
-
-    Parameters
-    ----------
-    xy, thetas, resolution
-        As of :func:`~imgloc.likelihoods.correlate.correlate`, all finite.
-
-    Returns
-    -------
-    (K, N, 2) int array
-        Offsets as (rows, columns).
+    l. 5) is its own plus ``floor(R_theta p / resolution + 0.5)`` wherever it is, which turns Alg. 1
+    into Alg. 2. (K, N, 2) int, rows and columns; the parameters, all finite, are as of
+    :func:`~imgloc.likelihoods.correlate.correlate`.
 
     Examples
     --------

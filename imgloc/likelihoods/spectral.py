@@ -1,7 +1,4 @@
-"""The DFT engine: the correlation of one heading as a product of spectra.
-
-The cost does not depend on the number of readings, so it wins for dense scans.
-"""
+"""The DFT engine: a heading's correlation as a product of spectra, however many the readings."""
 
 from collections.abc import Sequence
 
@@ -12,9 +9,8 @@ import numpy.typing as npt
 from imgloc.likelihoods.slices import Finish, over_slices, reach_of
 from imgloc.model import Float32Array, IntArray
 
-# Largest error of a correlation in float32, in norms of image and kernel multiplied: measured
-# on both OpenCV majors, and reached when all readings share a cell. Integers are recovered from
-# an error below 0.5; a tenth is allowed, as other builds have other transforms.
+# Largest error of a correlation in float32, in norms of image and kernel multiplied, measured on
+# both OpenCV majors. Integers survive 0.5; other builds have other transforms.
 EPSILON = 6e-8
 ALLOWED_ERROR = 0.1
 
@@ -86,9 +82,8 @@ class Spectrum:
 class VectorSpectrum(Spectrum):
     """As :class:`Spectrum`, of a vector field (2, H, W): vectors are complex numbers.
 
-    ``sum_p Re(v(x + p) conj(s(p)))`` is the sum of scalar products. One transform of complex
-    numbers takes less than two of real ones, and their products need no unpacking: a scan with
-    normals costs little more than one without.
+    ``sum_p Re(v(x + p) conj(s(p)))`` is the sum of scalar products. One complex transform takes
+    less than two real ones: a scan with normals costs little more than one without.
     """
 
     channels = 2

@@ -21,19 +21,9 @@ def stack_of(
 ) -> Float32Array:
     """Compute a method's values (K, H, W) on the features' lattice at some headings.
 
-    Parameters
-    ----------
-    method : str
-        A name of :data:`imgloc.options.METHODS`; if it has no stack, a ConfigError.
-    features : MapFeatures
-    scan : LaserScan
-    thetas : (K,) float array
-        Uniform over the circle and starting at 0, radians.
-    engine, threads
-        As of :func:`~imgloc.likelihoods.correlate.correlate`.
-    memory_budget : int, optional
-        Bytes that the ray distances of ``beam`` may take, or it is a ConfigError; None is the
-        map's own budget.
+    `thetas` (K,) are uniform over the circle from 0, radians; `engine` and `threads` as of
+    :func:`~imgloc.likelihoods.correlate.correlate`. ConfigError for a method without a stack, or if
+    the ray distances of ``beam`` take more bytes than `memory_budget`, by default the map's own.
     """
     f, (shape, cell) = features, (features.lattice.shape, features.lattice.resolution)
     if method == "cbml":
