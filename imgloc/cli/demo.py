@@ -62,7 +62,8 @@ def demo(
     for each in (options, cbml):
         inputs.check_answer(features, each, name.value, hint=hint)
     simulated = simulate_set(grid, 1, seed)
-    scan, truth = simulated.scans[0], Pose2D(*np.asarray(simulated.poses)[0])
+    scan = replace(simulated.scans[0], T_base_laser=None)  # of no robot
+    truth = Pose2D(*np.asarray(simulated.poses)[0])
     answer = localize(features, scan, options)
     LOG.info("map %s, seed %d", display(path), seed)
     emit(answer_text(f"map {name.value}, seed {seed}", answer, truth))

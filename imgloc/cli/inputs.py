@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from imgloc.cli.console import LOG, quiet_libraries
 from imgloc.cli.options import RADIUS, TOLERANCE, Known
 from imgloc.errors import ConfigError, MapError, OutputError
@@ -67,15 +69,11 @@ def numbered(path: Path | None, indices: Sequence[int]) -> dict[int, Path]:
 
     Examples
     --------
-    >>> numbered(Path("a.png"), [3]), numbered(None, [1])
-    ({3: PosixPath('a.png')}, {})
     >>> [p.name for p in numbered(Path("a.png"), [0, 12]).values()]
     ['a-0000.png', 'a-0012.png']
     """
-    if path is None:
-        return {}
-    if len(indices) == 1:
-        return {indices[0]: path}
+    if path is None or len(indices) == 1:
+        return {} if path is None else {indices[0]: path}
     return {k: path.with_name(f"{path.stem}-{k:04d}{path.suffix}") for k in indices}
 
 
@@ -112,10 +110,7 @@ def check_image(
     path: Path, reading: Mapping[str, Any], budget: int, need: Callable[[ImageSize], int],
     *, held: int = 0,
 ) -> None:  # fmt: skip
-    """Check the memory that looking at the image of a map takes, as its header says.
-
-    That is what `need` says of its size, and what other maps that are `held` at the same time take.
-    """
+    """Check the memory for the image of a map, `need` of its size beside what is `held`, bytes."""
     image = resolve_settings(path, **reading).image
     size = image_size(image)
     beside = f" beside {-(-held // MIB)} MiB of other maps" if held else ""
@@ -270,10 +265,8 @@ def _region(path: Path, grid: OccupancyGrid, allow_lossy: bool) -> BoolArray:
             f"{display(path)}: {size[0]} x {size[1]} pixels, expected {width} x {height} as the map"
         )
     read = read_image(path, allow_lossy=allow_lossy)
-    image = read.pixels
     # The darkest channel decides, alpha being one of them: neither colour nor nothing is white.
-    grey = image if image.ndim == 2 else image.min(axis=2)
-    cells = grey[::-1] > read.white // 2
+    cells: BoolArray = np.atleast_3d(read.pixels).min(axis=2)[::-1] > read.white // 2
     if not cells.any():
         raise ConfigError(f"{display(path)}: no white pixel, expected white where the robot may be")
     return cells

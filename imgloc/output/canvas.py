@@ -141,6 +141,14 @@ def draw_map(
     return canvas.image
 
 
+def deviation_ellipse(covariance: FloatArray, n: int = 64) -> FloatArray:
+    """Outline (n, 2) of one standard deviation of x and y around 0, of a covariance (3, 3)."""
+    values, vectors = np.linalg.eigh(covariance[:2, :2])
+    s = np.linspace(0, 2 * np.pi, n)
+    circle = np.column_stack((np.cos(s), np.sin(s)))
+    return np.asarray((circle * np.sqrt(np.maximum(values, 0))) @ vectors.T)
+
+
 def map_canvas(grid: OccupancyGrid, scale: int | None = None) -> Canvas:
     """Return a canvas with the faded map, to draw on."""
     image = draw_map(grid, scale=scale, faded=True, bar=False)

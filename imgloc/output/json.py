@@ -45,15 +45,12 @@ def plain(value: Any) -> Any:
 
 
 def answer_row(
-    answer: Localization,
-    index: int = 0,
-    more: Mapping[str, object] | None = None,
-    mount: Pose2D | None = None,
+    answer: Localization, index: int = 0, more: Mapping[str, object] | None = None
 ) -> dict[str, Any]:
-    """Return the row of one scan, as `imgloc localize --json` writes it.
+    """Return the row of the scan `index` of a file, as `imgloc localize --json` writes it.
 
-    It is the scan `index` of its file; what is `more` is joined to the answer's parameters. With
-    the `mount`, the pose of the sensor on the robot, ``base_pose`` is the robot's.
+    What is `more` is joined to the answer's parameters. ``base_pose`` is the robot's, if it is
+    known how the sensor sits on it.
 
     Examples
     --------
@@ -61,7 +58,7 @@ def answer_row(
     >>> row["index"], row["verdict"], row["pose"], row["explained"]
     (3, 'invalid', None, None)
     """
-    pose = answer.pose if answer.verdict in SURE else None
+    pose, mount = answer.pose if answer.verdict in SURE else None, answer.T_base_laser
     hypotheses = [
         plain(h.pose)
         | {"mass": h.mass, "log_likelihood": h.log_likelihood, "covariance": h.covariance}

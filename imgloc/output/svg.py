@@ -7,7 +7,7 @@ how it is written is in ``templates/svg.html``, and the style sheet of the page 
 
 import base64
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import rotation
 from imgloc.io.images import encode_png
 from imgloc.model import BoolArray, FloatArray, Hypothesis, LaserScan, OccupancyGrid, Pose2D
-from imgloc.output.canvas import INK, PAPER, SHADE, Image, round_length
+from imgloc.output.canvas import INK, PAPER, SHADE, Image, deviation_ellipse, round_length
 
 #: Shapes of the ends of rays, drawn around the point.
 SHAPES = {
@@ -237,11 +237,16 @@ def _known_part(grid: OccupancyGrid, poses: Sequence[Pose2D], px: float) -> View
     rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
     cells = np.array([(columns[0], rows[0]), (columns[-1] + 1, rows[-1] + 1)]) * grid.resolution
     points = np.concatenate((cells, np.array([(p.x, p.y) for p in poses]).reshape(-1, 2)))
+    view = _around(points, 0.03, 0.0, px)
+    return replace(view, px=min(px, 0.72 * px * view.width / view.height))
+
+
+def _around(points: FloatArray, share: float, more: float, px: float) -> View:
+    """A view of points (N, 2) with a margin of a `share` of their longer side and `more` metres."""
     low, high = points.min(axis=0), points.max(axis=0)
-    around = 0.03 * float((high - low).max())
-    x, y = (low - around).tolist()
-    width, height = (high - low + 2 * around).tolist()
-    return View(x, y, width, height, min(px, 0.72 * px * width / height))
+    around = share * float((high - low).max()) + more
+    (x, y), (width, height) = (low - around).tolist(), (high - low + 2 * around).tolist()
+    return View(x, y, width, height, px)
 
 
 def _axes(grid: OccupancyGrid, view: View) -> list[tuple[str, str, float, float]]:
@@ -264,11 +269,8 @@ def draw_covariance(hypothesis: Hypothesis, px: float = 190.0) -> Markup:
     It has a scale of its own: the ellipse is mostly too small to be seen on the map.
     """
     theta = hypothesis.pose.theta
-    values, vectors = np.linalg.eigh(hypothesis.covariance[:2, :2])
-    s = np.linspace(0, 2 * np.pi, 73)
-    circle = np.column_stack((np.cos(s), np.sin(s)))
-    unit = (circle * np.sqrt(np.maximum(values, 0))) @ vectors.T
-    reach = 2.6 * float(np.sqrt(max(values.max(), 1e-12)))
+    unit = deviation_ellipse(hypothesis.covariance, 73)
+    reach = 2.6 * max(float(np.linalg.norm(unit, axis=1).max()), 1e-6)
     view = View(-reach, -reach, 2 * reach, 2 * reach, px)
     turn = min(2 * float(np.sqrt(max(hypothesis.covariance[2, 2], 0.0))), np.pi)
     arc = theta + np.linspace(-turn, turn, 25)
@@ -291,10 +293,7 @@ def draw_scan(scan: LaserScan, px: float = 300.0) -> Markup:
     angles = scan.angles[scan.no_return] + np.pi / 2
     out = reach * np.column_stack((np.cos(angles), np.sin(angles)))
     drawn = np.concatenate((np.zeros((1, 2)), near, 1.05 * out))
-    low, high = drawn.min(axis=0), drawn.max(axis=0)
-    around = 0.06 * float((high - low).max()) + 0.05
-    (x, y), (width, height) = (low - around).tolist(), (high - low + 2 * around).tolist()
-    view = View(x, y, width, height, px)
+    view = _around(drawn, 0.06, 0.05, px)
     return macro(
         "scan",
         view=view,
