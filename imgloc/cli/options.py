@@ -353,13 +353,7 @@ def number_of(option: str, text: str, low: float, high: float, unit: str) -> flo
 
 
 def methods_of(text: str, known: Sequence[str]) -> list[str]:
-    """Names of methods with commas between, each once, in the order given.
-
-    Examples
-    --------
-    >>> methods_of("ght, beam,ght", ["beam", "ght"])
-    ['ght', 'beam']
-    """
+    """Names of methods with commas between, each once, in the order given."""
     names = [name.strip() for name in text.split(",")]
     if (name := next((n for n in names if n not in known), None)) is not None:
         raise ConfigError(f"--methods: got {name!r}, expected {','.join(known)} or some of them")

@@ -64,13 +64,7 @@ class Picture:
     image: Image
 
     def save(self, path: PathLike, *, force: bool = False) -> None:
-        """Write it as PNG, whole or not at all.
-
-        Raises
-        ------
-        OutputError
-            If the file exists (without `force`) or cannot be written.
-        """
+        """Write it as PNG, whole or not at all; an OutputError if it exists, without `force`."""
         write_bytes_atomic(path, encode_png(self.image), force=force)
 
     def _repr_png_(self) -> bytes:
@@ -88,17 +82,9 @@ def draw(
 ) -> Picture:
     """Draw a map, what is computed from it, or an answer on it.
 
-    Parameters
-    ----------
-    place : OccupancyGrid or MapFeatures
-        The map; for another `what` than ``map`` its features.
-    answer : Localization or Likelihood, optional
-    scan : LaserScan, optional
-        Laid on the map at each hypothesis.
-    truth : Pose2D, optional
-        True pose of the sensor in the map frame.
-    what, at
-        Without an answer: as for :func:`imgloc.output.features.draw_feature`.
+    A `scan` is laid on the map at each hypothesis of its `answer`; `truth` is the true pose of the
+    sensor in the map frame. Without an answer, `what` and `at` are as for
+    :func:`imgloc.output.features.draw_feature`; but for ``map`` they need the map's features.
 
     Raises
     ------
@@ -333,11 +319,6 @@ def mosaic(
 
     They are `gap` pixels apart; without `columns` the sheet is about as wide as 4 : 3. Of a row the
     lower edges are aligned, or the `top` ones. Without a picture it is a ValueError.
-
-    Examples
-    --------
-    >>> mosaic([("(a)", np.zeros((20, 30, 3), np.uint8))] * 2, columns=2).shape
-    (78, 108, 3)
     """
     if not pictures:
         raise ValueError("a mosaic needs at least one picture")

@@ -65,14 +65,7 @@ def macro(name: str, template: str = "svg.html", /, **values: Any) -> Markup:
 
 @dataclass(frozen=True)
 class View:
-    """A window of the grid frame, and the width in pixels that it is drawn at.
-
-    Examples
-    --------
-    >>> view = View(1.0, 0.0, 4.0, 2.0, 400.0)
-    >>> view.pixels(np.array([[1.0, 2.0], [5.0, 0.0]])).tolist(), view.tall
-    ([[0.0, 0.0], [400.0, 200.0]], 200.0)
-    """
+    """A window of the grid frame, and the width in pixels that it is drawn at."""
 
     x: float  #: of the lower left corner, metres
     y: float
@@ -94,8 +87,7 @@ class View:
     def rule(self) -> tuple[str, float]:
         """A round length that fits into the lower left corner: its name and its pixels."""
         length = round_length(0.25 * self.width)
-        unit = next(u for u in ((1.0, "m"), (0.01, "cm"), (0.0, "mm")) if length >= u[0])[1]
-        factor = {"m": 1, "cm": 100, "mm": 1000}[unit]
+        factor, unit = (1, "m") if length >= 1 else (100, "cm") if length >= 0.01 else (1000, "mm")
         return f"{factor * length:g} {unit}", length * self.scale
 
     def pixels(self, xy: FloatArray) -> FloatArray:
