@@ -6,6 +6,7 @@ along the columns, y along the rows, metres. :mod:`imgloc.geometry` converts, in
 that an origin with a yaw is honoured everywhere.
 """
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -23,6 +24,7 @@ FAR = 1e6
 """Metres that no sensor reaches: drivers write such numbers where a ray met nothing."""
 
 VERDICTS = ("unique", "ambiguous", "no-match", "invalid")
+SURE = VERDICTS[:2]  #: those under which there is a pose to be named, not the best fit at most
 
 
 def _freeze(record: Any, dtype: npt.DTypeLike, *names: str) -> None:
@@ -456,3 +458,84 @@ class Localization:
     def pose(self) -> Pose2D | None:
         """The best pose, or None when there is none."""
         return self.hypotheses[0].pose if self.hypotheses else None
+
+    @property
+    def base_pose(self) -> Pose2D | None:
+        """The robot's best pose, T_map_base; None without a pose or a known mounting."""
+        from imgloc.geometry import base_of
+
+        mount = self.T_base_laser
+        return None if self.pose is None or mount is None else base_of(self.pose, mount)
+
+    def as_row(self, index: int = 0, **parameters: object) -> dict[str, Any]:
+        """The row of the scan `index` of a file, as `imgloc localize --json` writes it.
+
+        What else has decided is joined to the `parameters`.
+
+        Examples
+        --------
+        >>> row = Localization((), "invalid", 0.0, float("nan")).as_row(3)
+        >>> row["index"], row["verdict"], row["pose"], row["explained"]
+        (3, 'invalid', None, None)
+        """
+        sure, e, t = self.verdict in SURE, self.evidence, self.evidence.temperature
+        rows = []
+        for h in self.hypotheses:
+            base = replace(self, hypotheses=(h,)).base_pose
+            row = plain(h.pose) | {"mass": h.mass, "log_likelihood": h.log_likelihood}
+            rows.append(row | {"covariance": h.covariance} | ({"base": base} if base else {}))
+        evidence = {"readings": e.readings, "misfit": e.misfit, "temperature": t.value}
+        evidence |= {name: getattr(t, name) for name in ("base", "strain", "crowding", "cell")}
+        evidence |= {name: getattr(e, name) for name in ("found", "listed", "unlisted")}
+        out = {
+            "index": index,
+            "verdict": self.verdict,
+            "pose": self.pose if sure else None,
+            "base_pose": self.base_pose if sure else None,
+            "hypotheses": rows,
+            "elsewhere": self.elsewhere,
+            "evidence": evidence,
+            "complete": self.complete,
+            "entropy": self.entropy,
+            "explained": self.explained,
+            "counts": self.counts,
+            "timings_ms": {key: round(ms, 3) for key, ms in self.timings_ms.items()},
+            "parameters": {**self.parameters, **parameters},
+        }
+        return dict(plain(out))
+
+    def to_json(self) -> str:
+        """One line of JSON: :meth:`as_row`; what is not finite is null."""
+        return json.dumps(self.as_row(), allow_nan=False)
+
+    def _repr_html_(self) -> str:
+        """A table of the hypotheses, for notebooks."""
+        rows = "".join(
+            f"<tr><td>{h.mass:.1%}<td>{h.pose.x:.3f}<td>{h.pose.y:.3f}"
+            f"<td>{math.degrees(h.pose.theta):.2f}"
+            for h in self.hypotheses
+        )
+        head = "<tr><th>mass<th>x / m<th>y / m<th>theta / deg"
+        said = f"<p><b>{self.verdict}</b>, elsewhere {self.elsewhere:.1%}</p>"
+        return f"{said}<table>{head}{rows}</table>"
+
+
+def plain(value: Any) -> Any:
+    """Return `value` as JSON knows it: what is not finite becomes null.
+
+    Examples
+    --------
+    >>> plain({"a": (1.5, float("inf")), "at": Pose2D(1.0, 2.0)})
+    {'a': [1.5, None], 'at': {'x': 1.0, 'y': 2.0, 'theta': 0.0}}
+    """
+    if isinstance(value, Pose2D):
+        return {"x": value.x, "y": value.y, "theta": value.theta}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if hasattr(value, "tolist"):  # NumPy's scalars and arrays
+        return plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -48,13 +48,14 @@ class Group(TyperGroup):
                 raise  # the last is a usage error, which Typer prints itself
             if _SESSION.debug:
                 traceback.print_exc()
+            message = " ".join(str(e).split())
             if isinstance(e, ImglocError):
-                say(f"error: {one_line(e)}")
+                say(f"error: {message}")
             elif isinstance(e, MemoryError):
                 less = "a smaller map, a larger --cell or fewer --threads need less"
                 say(f"error: out of memory; {less}")
             else:
-                say(f"internal error: {type(e).__name__}: {one_line(e)} (a defect; see --debug)")
+                say(f"internal error: {type(e).__name__}: {message} (a defect; see --debug)")
             raise typer.Exit(e.exit_code if isinstance(e, ImglocError) else 1) from None
         return result
 
@@ -107,17 +108,6 @@ def quiet_libraries() -> Iterator[None]:
             os.dup2(sink, 2)
             undo.callback(os.dup2, kept, 2)
         yield
-
-
-def one_line(error: BaseException) -> str:
-    r"""Return the message of an error without line breaks.
-
-    Examples
-    --------
-    >>> one_line(ValueError("two\n  lines"))
-    'two lines'
-    """
-    return " ".join(str(error).split())
 
 
 @contextlib.contextmanager

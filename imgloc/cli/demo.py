@@ -62,22 +62,21 @@ def demo(
     for each in (options, cbml):
         inputs.check_answer(features, each, name.value, hint=hint)
     simulated = simulate(grid, 1, seed)
-    scan, truth = simulated.scans[0], Pose2D(*np.asarray(simulated.poses)[0])
+    scan = replace(simulated.scans[0], T_base_laser=None)  # of no robot
+    truth = Pose2D(*np.asarray(simulated.poses)[0])
     answer = localize(features, scan, options)
     LOG.info("map %s, seed %d", display(path), seed)
     emit(answer_text(f"map {name.value}, seed {seed}", answer, truth))
-    pictures = (
-        draw(grid, likelihood(features, scan, cbml), truth=truth).image,
-        draw(grid, answer, scan, truth=truth).image,
+    stack = draw(grid, likelihood(features, scan, cbml), truth=truth).image
+    caption = (
+        "CBML: likelihood of each position at its best heading, black is high; red is the truth"
     )
-    captions = (
-        "CBML: likelihood of each position at its best heading, black is high; red is the truth",
-        f"fused: the scan at each hypothesis; verdict: {answer.verdict}",
-    )
+    about = f"fused: the scan at each hypothesis; verdict: {answer.verdict}"
+    pictures = [(caption, stack), (about, draw(grid, answer, scan, truth=truth).image)]
     target = out or _OUT
     if out is None and not force:
         names = (_OUT.with_stem(f"{_OUT.stem}-{k}") for k in itertools.count(1))
         target = next(p for p in itertools.chain([_OUT], names) if not os.path.lexists(p))
-    sheet = mosaic(list(zip(captions, pictures, strict=True)), columns=2, top=True)
+    sheet = mosaic(pictures, columns=2, top=True)
     Picture(sheet).save(target, force=force)
     emit(f"\npicture: {display(target)}")

@@ -16,6 +16,7 @@ from imgloc.io.files import display
 
 _METHODS = ",".join(opt.MethodName)
 _MAX_SCANS = 100_000
+_FLOOR = (1e-12, 0.5, "a share")
 
 
 @opt.with_options(opt.sensor, opt.reading, opt.resources, opt.console)
@@ -53,10 +54,7 @@ def evaluate(
         None, "[METHOD=]M", "Cell of the poses, metres. [default: 0.1]"
     ),
     floor: float = option(
-        1e-3,
-        "P",
-        "Share of the uniform density mixed into each, for S.",
-        within=(1e-12, 0.5, "a share"),
+        1e-3, "P", "Share of the uniform density mixed into each, for S.", within=_FLOOR
     ),
     as_json: opt.AsJson = False,
     allow_lossy: opt.AllowLossy = False,
@@ -143,27 +141,28 @@ def _check_sources(
     """Refuse options that would be ignored."""
     from imgloc.simulation import Sensor
 
-    if scans is None:
-        if flipped:
-            raise ConfigError("--flipped: expected --scans; simulated sensors are upright")
-        if sample is not None:
-            raise ConfigError("--sample: expected --scans to take from; -n is for simulated scans")
-        if (count or 0) > _MAX_SCANS:
-            raise ConfigError(f"-n: got {count:,}, expected at most {_MAX_SCANS:,} scans")
-        return
-    if len(scans) != len(maps):
-        raise ConfigError(f"--scans: got {len(scans)} for {len(maps)} maps, expected one each")
-    if count is not None:
-        raise ConfigError("-n: recorded scans are not simulated; use --sample")
-    if sensor != Sensor():
-        raise ConfigError("--scans: options of a simulated sensor do not go with recorded scans")
+    n, many = 0 if scans is None else len(scans), count or 0
+    simulated = (
+        (flipped, "--flipped: expected --scans; simulated sensors are upright"),
+        (sample is not None, "--sample: expected --scans to take from; -n is for simulated scans"),
+        (many > _MAX_SCANS, f"-n: got {many:,}, expected at most {_MAX_SCANS:,} scans"),
+    )
+    recorded = (
+        (n != len(maps), f"--scans: got {n} for {len(maps)} maps, expected one each"),
+        (count is not None, "-n: recorded scans are not simulated; use --sample"),
+        (
+            sensor != Sensor(),
+            "--scans: options of a simulated sensor do not go with recorded scans",
+        ),
+    )
+    for wrong, message in simulated if scans is None else recorded:
+        if wrong:
+            raise ConfigError(message)
 
 
 def _tolerance(text: str) -> tuple[float, float]:
     metres, comma, degrees = text.partition(",")
     if not comma:
         raise ConfigError(f"--tolerance: got {text!r}, expected metres and degrees, M,DEG")
-    values = opt.number_of("--tolerance", metres), opt.number_of("--tolerance", degrees)
-    opt.check_range("--tolerance", values[0], 1e-6, 1e6, "metres")
-    opt.check_range("--tolerance", values[1], 1e-6, 360, "degrees")
-    return values
+    away = opt.number_of("--tolerance", metres, 1e-6, 1e6, "metres")
+    return away, opt.number_of("--tolerance", degrees, 1e-6, 360, "degrees")

@@ -9,6 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from imgloc.cli.console import LOG, quiet_libraries
 from imgloc.cli.options import RADIUS, TOLERANCE, Known
 from imgloc.errors import ConfigError, MapError, OutputError
@@ -42,10 +44,9 @@ def files_of(map_path: Path) -> list[Path]:
 
 
 def check_target(path: Path, ending: str, *, force: bool, inputs: Iterable[Path] = ()) -> None:
-    """Refuse an output file before the work that it is to hold.
+    """Refuse an output file before the work that it is to hold: one without the `ending`, or there.
 
-    Its name must have an `ending`. With `force` an existing file may be replaced, but for those
-    among `inputs`, which the command reads.
+    With `force` one that is there may be replaced, but for `inputs`, which the command reads.
     """
     if path.suffix.lower() != ending:
         raise ConfigError(f"{display(path)}: expected a name that ends in {ending}")
@@ -67,15 +68,11 @@ def numbered(path: Path | None, indices: Sequence[int]) -> dict[int, Path]:
 
     Examples
     --------
-    >>> numbered(Path("a.png"), [3]), numbered(None, [1])
-    ({3: PosixPath('a.png')}, {})
     >>> [p.name for p in numbered(Path("a.png"), [0, 12]).values()]
     ['a-0000.png', 'a-0012.png']
     """
-    if path is None:
-        return {}
-    if len(indices) == 1:
-        return {indices[0]: path}
+    if path is None or len(indices) == 1:
+        return {} if path is None else {indices[0]: path}
     return {k: path.with_name(f"{path.stem}-{k:04d}{path.suffix}") for k in indices}
 
 
@@ -112,10 +109,7 @@ def check_image(
     path: Path, reading: Mapping[str, Any], budget: int, need: Callable[[ImageSize], int],
     *, held: int = 0,
 ) -> None:  # fmt: skip
-    """Check the memory that looking at the image of a map takes, as its header says.
-
-    That is what `need` says of its size, and what other maps that are `held` at the same time take.
-    """
+    """Check the memory for the image of a map, `need` of its size beside what is `held`, bytes."""
     image = resolve_settings(path, **reading).image
     size = image_size(image)
     beside = f" beside {-(-held // MIB)} MiB of other maps" if held else ""
@@ -131,10 +125,7 @@ def load_grid(
     path: Path, budget: int, *, allow_lossy: bool, held: int = 0, usable: bool = True,
     **reading: Any,
 ) -> OccupancyGrid:  # fmt: skip
-    """Load a map, whose image is decoded only if that takes no more than the budget.
-
-    `usable` asks for walls and free cells; `held` are bytes of the budget that other maps take.
-    """
+    """Load a map, within the budget beside what is `held`; `usable`: with walls and free cells."""
     check_image(path, reading, budget, load_bytes, held=held)
     with quiet_libraries():
         grid = load_map(path, **reading, allow_lossy=allow_lossy)
@@ -166,10 +157,7 @@ def check_simulation(
     *, world: bool = False, at_once: int | None = None, sets: int = 1,
     hint: str = "simulate fewer scans, crop the map",
 ) -> None:  # fmt: skip
-    """Check the memory that simulating scans takes; those of a bundled `world` on its walls.
-
-    They are simulated `at_once`, by default all, and as many as `sets` times `count` are kept.
-    """
+    """Check the memory of simulating scans `at_once`, by default all, and keeping `sets` of it."""
     height, width = grid.occupied.shape
     factor = round(grid.resolution / FINE) if world else fine_factor(grid)
     cells, beams = height * width, min(count, at_once or count) * rays
@@ -185,10 +173,7 @@ def check_answer(
     features: MapFeatures, options: Options, name: str,
     *, hint: str = COARSER, workers: int = 1, scans: Sequence[LaserScan] = (),
 ) -> None:  # fmt: skip
-    """Check the memory that an answer, the features it needs and the scans take together.
-
-    The budget, that of the options, is for all of several processes, which share nothing.
-    """
+    """Check the memory of an answer, its features and the scans, in each of several processes."""
     (rows, columns), lattice = features.grid.occupied.shape, features.lattice
     held = features.bytes_for(options.method)
     answer = answer_bytes(features, options)
@@ -221,11 +206,7 @@ def open_features(
     grid: OccupancyGrid, name: str, folder: Path | None, options: Options,
     *, hint: str = COARSER, scans: Sequence[LaserScan] = (), **parameters: Any,
 ) -> MapFeatures:  # fmt: skip
-    """Prepare a map, with what the cache in `folder` has of it, to answer as `options` say.
-
-    It is refused if its features, an answer and the `scans` would take more than the options'
-    budget; `hint` is what to change.
-    """
+    """Prepare a map, with what the cache in `folder` has of it, if :func:`check_answer` lets it."""
     parameters["memory_budget"] = options.memory_budget
     features = prepare(grid, name, **parameters)
     check_answer(features, options, name, hint=hint, scans=scans)
@@ -270,10 +251,8 @@ def _region(path: Path, grid: OccupancyGrid, allow_lossy: bool) -> BoolArray:
             f"{display(path)}: {size[0]} x {size[1]} pixels, expected {width} x {height} as the map"
         )
     read = read_image(path, allow_lossy=allow_lossy)
-    image = read.pixels
     # The darkest channel decides, alpha being one of them: neither colour nor nothing is white.
-    grey = image if image.ndim == 2 else image.min(axis=2)
-    cells = grey[::-1] > read.white // 2
+    cells: BoolArray = np.atleast_3d(read.pixels).min(axis=2)[::-1] > read.white // 2
     if not cells.any():
         raise ConfigError(f"{display(path)}: no white pixel, expected white where the robot may be")
     return cells

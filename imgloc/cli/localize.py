@@ -73,7 +73,7 @@ def localize(
     from imgloc.io.calibration import calibration_path, load_calibrations
     from imgloc.model import Pose2D
     from imgloc.options import FusedOptions, Options
-    from imgloc.output.json import answer_row, to_json
+    from imgloc.output.json import to_json
     from imgloc.output.pages import render_explanation
     from imgloc.output.pictures import draw
     from imgloc.output.tables import answer_header, answer_line, answer_text
@@ -115,7 +115,7 @@ def localize(
         scans=scans.scans, cell=cell, threads=taken.threads,
     )  # fmt: skip
     chosen = inputs.choose(len(scans), index, display(scans_path))
-    many, mount = len(chosen) > 1, mounting.pose
+    many = len(chosen) > 1
     targets, pages = inputs.numbered(picture, chosen), inputs.numbered(explain, chosen)
     for files, (_, ending, sources) in zip((targets, pages), outputs, strict=True):
         for path in files.values():
@@ -124,7 +124,7 @@ def localize(
     LOG.info("%s: %d of %d scans", display(scans_path), len(chosen), len(scans))
     check_options(features, options)
     if many and not as_json:
-        emit(answer_header(mount))
+        emit(answer_header(mounting.sensor is not None))
     doubtful = []
     with progress("localize", len(chosen)) as advance:
         for k in chosen:
@@ -140,17 +140,17 @@ def localize(
             if k in pages:
                 why = reasons(features, scan, answer, options)
                 title = f"{display(scans_path.name)}, scan {k}, on {display(map_path.name)}"
-                html = render_explanation(why, title, truth=truth, mount=mount)
+                html = render_explanation(why, title, truth=truth)
                 write_text_atomic(pages[k], html, force=force)
                 LOG.info("wrote %s", display(pages[k]))
             advance()
             if as_json:
-                about = {"range_max": scan.range_max, "sensor": mount, "flipped": mounting.flipped}
-                emit(to_json(answer_row(answer, k, about, mount)))
+                about = {"range_max": scan.range_max, "sensor": mounting.pose}
+                emit(to_json(answer.as_row(k, **about, flipped=mounting.flipped)))
             elif many:
-                emit(answer_line(k, answer, mount))
+                emit(answer_line(k, answer))
             else:
-                emit(answer_text(f"scan {k}", answer, truth, mount))
+                emit(answer_text(f"scan {k}", answer, truth))
     inputs.keep_features(features, folder)
     if fused and time_budget is None and 2 * len(doubtful) > len(chosen):
         mirrored = (locate(features, scan.flipped, options) for scan in doubtful[:_MIRRORED])

@@ -40,13 +40,7 @@ SemanticsName = StrEnum("SemanticsName", ("NAV2", "ROS1"))
 
 
 def byte_count(text: str) -> int:
-    """Parse a number of bytes, with a unit of powers of 1024 or none.
-
-    Examples
-    --------
-    >>> byte_count("512M") == 512 * 1024**2, byte_count("1.5GiB") == 3 * 2**29
-    (True, True)
-    """
+    """Parse a number of bytes, with a unit of powers of 1024 or none."""
     found = re.fullmatch(r"(\d+(?:\.\d*)?)\s*([KMGT]?)(?:i?B)?", text.strip(), re.IGNORECASE)
     if found is None:
         raise typer.BadParameter(f"got {text!r}, expected a number of bytes such as 512M or 2G")
@@ -59,11 +53,6 @@ def numbers(
     """Return a parser of `least` to `most` finite numbers with commas between them.
 
     The third may be the yaw of the option `pose`, which is refused if it was meant in degrees.
-
-    Examples
-    --------
-    >>> numbers(3)("1,-2.5,0"), numbers(1, 2)("0.5")
-    ((1.0, -2.5, 0.0), (0.5,))
     """
     most = least if most is None else most
     count = f"{least}" if least == most else f"{least} to {most}"
@@ -83,13 +72,7 @@ def numbers(
 
 
 def find_map(path: str | Path) -> Path:
-    """The file of a bundled map that is called by its name, or `path` itself.
-
-    Examples
-    --------
-    >>> find_map("curved").name, find_map("office").name
-    ('curved.yaml', 'office')
-    """
+    """The file of a bundled map that is called by its name, or `path` itself."""
     path = Path(path)
     if path.name != str(path) or path.suffix or path.exists():
         return path
@@ -101,6 +84,11 @@ def find_map(path: str | Path) -> Path:
     except MapError:
         return path
     return bundled if bundled.is_file() else path
+
+
+def pose_of(name: str, text: str) -> Any:
+    """Declare the option `name` that is a pose: metres, metres, radians."""
+    return option(None, "X,Y,YAW", text, parser=numbers(3, pose=name))
 
 
 def option(
@@ -137,6 +125,7 @@ ScansPath = Annotated[
     Path, typer.Argument(metavar="SCANS", help="Scans: .npz, .csv, .jsonl, .ndjson or .json.")
 ]
 Index = Annotated[int | None, option(..., "I", "Only scan I, counted from 0.", "--index", min=0)]
+_CLEARANCE = (0, 1000, "metres")
 _READINGS = "Cut readings at M metres: there, no return."
 Cut = Annotated[float | None, option(..., "M", _READINGS, within=(1e-3, 1e6, "metres"))]
 SHARE = (0, 1, "a share")
@@ -158,11 +147,8 @@ AllowLossy = Annotated[bool, flag("--allow-lossy", "Accept a JPEG as the map.", 
 
 def reading(
     resolution: float | None = option(None, "M", "Metres per cell."),
-    origin: Any = option(
-        None,
-        "X,Y,YAW",
-        "Pose of the lower-left corner in the map frame: metres, metres, radians.",
-        parser=numbers(3, pose="--origin"),
+    origin: Any = pose_of(
+        "--origin", "Pose of the lower-left corner in the map frame: metres, metres, radians."
     ),
     mode: ModeName | None = typer.Option(None, help="How greys are read."),
     semantics: SemanticsName = typer.Option(
@@ -220,11 +206,9 @@ def fixed_budget(memory_budget: int | None) -> int:
 
 def count_threads(wanted: int | None) -> int:
     """Return `wanted`, or the number of processors that this process may use."""
-    if wanted is not None:
-        return wanted
-    if hasattr(os, "sched_getaffinity"):
+    if wanted is None and hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return wanted or os.cpu_count() or 1
 
 
 def console(
@@ -266,7 +250,7 @@ def known(
         None,
         "M",
         "Only poses at least M metres from what is not free: the robot's size.",
-        within=(0, 1000, "metres"),
+        within=_CLEARANCE,
     ),
 ) -> Known:
     """Options of the prior."""
@@ -301,12 +285,10 @@ class Mounting:
 
 
 def mounting(
-    sensor: Any = option(
-        None,
-        "X,Y,YAW",
-        "Pose of the sensor on the robot (metres, radians): poses of the robot's base are "
-        "given too.",
-        parser=numbers(3, pose="--sensor"),
+    sensor: Any = pose_of(
+        "--sensor",
+        "Pose of the sensor on the robot (metres, radians): poses of the robot's base are given "
+        "too.",
     ),
     flipped: Flipped = False,
 ) -> Mounting:
@@ -329,16 +311,10 @@ def sensor(
         0.0, "P", "Share of the rays that give no measurement, 0..1.", within=SHARE
     ),
     clearance: float = option(
-        0.3,
-        "M",
-        "Least distance of the robot from what is not free, metres.",
-        within=(0, 1000, "metres"),
+        0.3, "M", "Least distance of the robot from what is not free, metres.", within=_CLEARANCE
     ),
-    mount: Any = option(
-        None,
-        "X,Y,YAW",
-        "Pose of the sensor on the robot: metres, metres, radians. [default: 0,0,0]",
-        parser=numbers(3, pose="--mount"),
+    mount: Any = pose_of(
+        "--mount", "Pose of the sensor on the robot: metres, metres, radians. [default: 0,0,0]"
     ),
 ) -> "Sensor":
     """Options of a simulated sensor, but for its reach."""
@@ -347,9 +323,8 @@ def sensor(
 
     fov, pose = math.radians(fov_deg), Pose2D(*(mount or (0.0, 0.0, 0.0)))
     return Sensor(
-        rays=rays, fov=fov, sigma=sigma, outliers=outliers, dropped=dropped, clearance=clearance,
-        mount=pose,
-    )  # fmt: skip
+        rays, fov, sigma, outliers=outliers, dropped=dropped, clearance=clearance, mount=pose
+    )
 
 
 def check_yaw(option: str, yaw: float) -> None:
@@ -367,20 +342,21 @@ def check_range(option: str, value: float | None, low: float, high: float, unit:
         raise ConfigError(f"{option}: got {value:g}, expected {unit}, {low:g} to {high:g}")
 
 
-def methods_of(text: str, known: Sequence[str]) -> list[str]:
-    """Names of methods with commas between, each once, in the order given.
+def number_of(option: str, text: str, low: float, high: float, unit: str) -> float:
+    """Parse a number that is to be in ``low..high``; the errors name the option."""
+    try:
+        value = float(text)
+    except ValueError:
+        raise ConfigError(f"{option}: got {text!r}, expected a number") from None
+    check_range(option, value, low, high, unit)
+    return value
 
-    Examples
-    --------
-    >>> methods_of("ght, beam,ght", ["beam", "ght"])
-    ['ght', 'beam']
-    """
+
+def methods_of(text: str, known: Sequence[str]) -> list[str]:
+    """Names of methods with commas between, each once, in the order given."""
     names = [name.strip() for name in text.split(",")]
-    for name in names:
-        if name not in known:
-            raise ConfigError(
-                f"--methods: got {name!r}, expected {','.join(known)} or some of them"
-            )
+    if (name := next((n for n in names if n not in known), None)) is not None:
+        raise ConfigError(f"--methods: got {name!r}, expected {','.join(known)} or some of them")
     return list(dict.fromkeys(names))
 
 
@@ -404,18 +380,9 @@ def for_each(
         name, _, number = text.rpartition("=")
         if name and name not in methods:
             raise ConfigError(f"{option}: got {text!r}, {name!r} is not one of --methods")
-        value = number_of(option, number)
-        check_range(option, value, low, high, unit)
+        value = number_of(option, number, low, high, unit)
         out |= dict.fromkeys([name] if name else methods, value)
     return out
-
-
-def number_of(option: str, text: str) -> float:
-    """Parse a number; the error names the option."""
-    try:
-        return float(text)
-    except ValueError:
-        raise ConfigError(f"{option}: got {text!r}, expected a number") from None
 
 
 def with_options(*groups: Callable[..., Any]) -> Callable[[F], Callable[..., None]]:

@@ -14,7 +14,14 @@ import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.likelihoods.kernels import filter2d_stack, remap_stack
-from imgloc.likelihoods.shift import Summable, Tile, flat_stack, merge_repeats, shift_stack, tiles_of
+from imgloc.likelihoods.shift import (
+    Summable,
+    Tile,
+    flat_stack,
+    merge_repeats,
+    shift_stack,
+    tiles_of,
+)
 from imgloc.likelihoods.slices import (
     cell_offsets,
     check_arguments,
@@ -163,8 +170,8 @@ def choose_engine(
 
     Any name but these and :data:`ENGINES` is a ConfigError. `offsets` (K, N, 2) are of the readings
     and `shape` of the image. Of the shift engine are the `tiles`, the bytes of a cell of its sums,
-    whether it is :func:`~imgloc.likelihoods.shift.flat_stack`, and `which` (K, N) images are read if
-    there are several; of the transforms the `components`, 2 of a vector field, and whether they
+    whether it is :func:`~imgloc.likelihoods.shift.flat_stack`, and `which` (K, N) images are read
+    if there are several; of the transforms the `components`, 2 of a vector field, and whether they
     need double precision, asked if it matters.
     """
     if engine in ENGINES:

@@ -126,25 +126,26 @@ def draw_map(
     """Draw a map: walls dark, free space white, unknown space grey, and a scale bar.
 
     A cell is `scale` pixels wide, as in :func:`sheet`. A background is `faded`: its walls are grey.
-
-    Examples
-    --------
-    >>> wall = np.eye(3, dtype=bool)
-    >>> draw_map(OccupancyGrid(wall, ~wall, 0.1), scale=1, bar=False)[..., 0].tolist()
-    [[255, 255, 56], [255, 56, 255], [56, 255, 255]]
     """
-    colours = np.array([SHADE, PAPER, (146, 140, 134) if faded else INK], dtype=np.uint8)
-    classes = np.where(grid.occupied, 2, grid.free.astype(np.int64))
-    canvas = sheet(colours[classes], grid.info, scale)
+    canvas = map_canvas(grid, scale, faded=faded)
     if bar:
         scale_bar(canvas)
     return canvas.image
 
 
-def map_canvas(grid: OccupancyGrid, scale: int | None = None) -> Canvas:
-    """Return a canvas with the faded map, to draw on."""
-    image = draw_map(grid, scale=scale, faded=True, bar=False)
-    return Canvas(image, image.shape[1] / (grid.occupied.shape[1] * grid.resolution))
+def deviation_ellipse(covariance: FloatArray, n: int = 64) -> FloatArray:
+    """Outline (n, 2) of one standard deviation of x and y around 0, of a covariance (3, 3)."""
+    values, vectors = np.linalg.eigh(covariance[:2, :2])
+    s = np.linspace(0, 2 * np.pi, n)
+    circle = np.column_stack((np.cos(s), np.sin(s)))
+    return np.asarray((circle * np.sqrt(np.maximum(values, 0))) @ vectors.T)
+
+
+def map_canvas(grid: OccupancyGrid, scale: int | None = None, *, faded: bool = True) -> Canvas:
+    """Return a canvas with the map, to draw on."""
+    colours = np.array([SHADE, PAPER, (146, 140, 134) if faded else INK], dtype=np.uint8)
+    classes = np.where(grid.occupied, 2, grid.free.astype(np.int64))
+    return sheet(colours[classes], grid.info, scale)
 
 
 def marker_size(canvas: Canvas) -> float:

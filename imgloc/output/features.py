@@ -31,23 +31,10 @@ SUBJECTS = ("map", "bmap", "vmap", "surface", "visibility", "distance")
 
 
 def draw_feature(features: MapFeatures, what: str, at: tuple[float, float] | None = None) -> Image:
-    """Draw a map, or one of its features.
+    """Draw a map, or one of its features: `what` is one of :data:`SUBJECTS`, else a ValueError.
 
-    Parameters
-    ----------
-    features : MapFeatures
-    what : str
-        One of :data:`SUBJECTS`.
-    at : (float, float), optional
-        For ``visibility``: of the surface point nearest to here, metres, map frame; by default
-        of the one that sees most.
-
-    Raises
-    ------
-    ValueError
-        If `what` is another word.
-    MapError
-        If what a surface point sees is asked of a map without a surface.
+    ``visibility`` is that of the surface point nearest to `at`, metres, map frame, by default of
+    the one that sees most; it is a MapError if the map has no surface.
     """
     grid, lattice = features.grid, features.lattice
     if what == "map":
@@ -100,14 +87,8 @@ def draw_field(
 ) -> Image:
     """Draw a blurred vector field (Fig. 4c): colour is direction, saturation is intensity.
 
-    Parameters
-    ----------
-    vmap : (2, H, W) float32 array
-        x and y components; of the greatest magnitude 1.
-    resolution : float
-        Side of a cell, metres.
-    scale, step : int, optional
-        Pixels per cell; cells between arrows, by default about 14 pixels.
+    `vmap` (2, H, W) has the x and y components in cells with a side of `resolution` metres. Arrows
+    are `step` cells apart, by default about 14 pixels.
     """
     x, y = (np.asarray(v, dtype=np.float64) for v in vmap)
     strength = np.hypot(x, y)
@@ -127,13 +108,7 @@ def draw_field(
 
 
 def draw_bmap(bmap: npt.ArrayLike, grid: GridInfo, *, scale: int | None = None) -> Image:
-    """Draw a blurred map (H, W) on its lattice (Fig. 3): white at 0, black at 1.
-
-    Examples
-    --------
-    >>> draw_bmap([[0.0, 1.0]], GridInfo(1, 2, 0.1), scale=1)[..., 0].tolist()
-    [[255, 56]]
-    """
+    """Draw a blurred map (H, W) on its lattice (Fig. 3): white at 0, black at 1."""
     share = np.clip(np.asarray(bmap, dtype=np.float64), 0, 1)[..., None]
     canvas = sheet(np.rint(255 + share * (np.array(INK) - 255)).astype(np.uint8), grid, scale)
     scale_bar(canvas)
@@ -144,11 +119,6 @@ def draw_distance(distance: npt.ArrayLike, grid: GridInfo, *, scale: int | None 
     """Draw distances (H, W) to the nearest wall, metres: a fine line at each full metre.
 
     Walls, where they are 0, are dark.
-
-    Examples
-    --------
-    >>> draw_distance([[0.0, 0.1, 0.2]], GridInfo(1, 3, 0.1), scale=2).shape
-    (2, 6, 3)
     """
     metres = np.asarray(distance, dtype=np.float64)
     grey = np.rint(255 * metres / max(float(metres.max()), 1e-12)).astype(np.uint8)
@@ -172,30 +142,21 @@ def draw_visibility(
     alpha: float = 0.0,
     scale: int | None = None,
 ) -> Image:
-    """Draw what one point of a surface sees: the array ``vis_j`` of Sec. V as a fan.
+    """Draw what the point `xy` (2,) of a surface sees: the array ``vis_j`` of Sec. V as a fan.
 
-    Parameters
-    ----------
-    grid : OccupancyGrid
-    xy : (2,) array
-        The point, metres in the grid frame.
-    vis : (n_psi,) array
-        Distances to the nearest obstacle, metres; where inf, the fan ends at `horizon`.
-    horizon : float
-        Metres.
-    alpha : float
-        Direction of bin 0, radians: the normal, if `vis` is relative to it.
+    The grid frame, metres, radians. `vis` (n_psi,) are distances to the nearest obstacle; where
+    inf, the fan ends at `horizon`. Bin 0 points along `alpha`: the normal, if relative to it.
     """
-    canvas = map_canvas(grid, scale)
+    canvas, xy = map_canvas(grid, scale), np.asarray(xy, dtype=np.float64)
     reach = np.minimum(np.asarray(vis, dtype=np.float64), horizon)
     n = len(reach)
     # Each bin is a sector: it reaches half a bin to either side of its psi.
     edges = alpha + (np.arange(n)[:, None] + np.linspace(-0.5, 0.5, 5)) * (2 * np.pi / n)
     fan = np.stack((np.cos(edges), np.sin(edges)), axis=-1) * reach[:, None, None]
-    outline = fan.reshape(-1, 2) + np.asarray(xy, dtype=np.float64)
+    outline = fan.reshape(-1, 2) + xy
     canvas.polygon(outline, PALETTE[4], 0.3)
     canvas.lines(np.concatenate((outline, outline[:1]))[None], PALETTE[0])
-    canvas.dots(np.asarray(xy, dtype=np.float64)[None], INK, 0.7 * marker_size(canvas))
+    canvas.dots(xy[None], INK, 0.7 * marker_size(canvas))
     scale_bar(canvas)
     return canvas.image
 
@@ -207,5 +168,5 @@ def _strongest(strength: FloatArray, apart: int) -> tuple[IntArray, IntArray]:
     padded = np.pad(strength, ((0, short[0]), (0, short[1])))
     blocks = padded.reshape(height, apart, width, apart).swapaxes(1, 2).reshape(height, width, -1)
     row, column = np.nonzero(blocks.max(axis=2) > 0.2)
-    within = blocks.argmax(axis=2)[row, column]
-    return row * apart + within // apart, column * apart + within % apart
+    down, right = np.divmod(blocks.argmax(axis=2)[row, column], apart)
+    return row * apart + down, column * apart + right

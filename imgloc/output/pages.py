@@ -5,7 +5,7 @@ numbers become text.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -13,17 +13,8 @@ from imgloc import __version__
 from imgloc.explanation import Explanation
 from imgloc.geometry import base_of, rotate_covariance
 from imgloc.model import Hypothesis, Pose2D
+from imgloc.output import svg
 from imgloc.output.pictures import draw_likelihood
-from imgloc.output.svg import (
-    ENVIRONMENT,
-    data_of,
-    draw_covariance,
-    draw_overview,
-    draw_rays,
-    draw_scan,
-    macro,
-    window,
-)
 from imgloc.output.tables import difference
 
 HEADLINES = {
@@ -35,42 +26,27 @@ HEADLINES = {
 
 
 def render_explanation(
-    e: Explanation,
-    title: str,
-    *,
-    truth: Pose2D | None = None,
-    mount: Pose2D | None = None,
-    version: str = __version__,
+    e: Explanation, title: str, *, truth: Pose2D | None = None, version: str = __version__
 ) -> str:
-    """Write the page, HTML.
+    """Write the page, HTML; its `title` says what was localized where.
 
-    Parameters
-    ----------
-    e : Explanation
-    title : str
-        What was localized where.
-    truth, mount : Pose2D, optional
-        True pose of the sensor in the map frame, to state the error; its pose on the robot, to
-        state the robot's.
-    version : str
-        Of imgloc.
+    With the `truth`, the pose of the sensor in the map frame, the error is stated.
     """
     poses, rays = [f.hypothesis.pose for f in e.fits], [f.rays for f in e.fits]
-    return ENVIRONMENT.get_template("explain.html").render(
+    return svg.ENVIRONMENT.get_template("explain.html").render(
         e=e,
         title=title,
         truth=truth,
-        mount=mount,
         version=version,
         headlines=HEADLINES,
-        overview=draw_overview(e.grid, poses, rays[0] if rays else None),
-        views=window(poses, rays, 400.0) if rays else [],
+        overview=svg.draw_overview(e.grid, poses, rays[0] if rays else None),
+        views=svg.window(poses, rays, 400.0) if rays else [],
     )
 
 
 def why(e: Explanation) -> str:
     """One or two sentences: the reason for a verdict, with its numbers, as HTML."""
-    return str(macro("why", "words.html", e=e))
+    return str(svg.macro("why", "words.html", e=e))
 
 
 def likely(times: float) -> str:
@@ -111,18 +87,14 @@ def deviations(hypothesis: Hypothesis) -> str:
     """Standard deviations along and across the heading, and of it, as text."""
     turned = rotate_covariance(hypothesis.covariance, -hypothesis.pose.theta)
     along, across, turn = np.sqrt(np.diag(turned))
-    return (
-        f"± {length(along)} along, ± {length(across)} across its heading, ± "
-        f"{math.degrees(turn):.2f}°"
-    )
+    place = f"± {length(along)} along, ± {length(across)} across its heading"
+    return f"{place}, ± {math.degrees(turn):.2f}°"
 
 
 def describe(pose: Pose2D) -> str:
     """A pose in words."""
-    return (
-        f"x {minus(pose.x, 3)} m, y {minus(pose.y, 3)} m, "
-        f"heading {minus(math.degrees(pose.theta), 1)}°"
-    )
+    heading = minus(math.degrees(pose.theta), 1)
+    return f"x {minus(pose.x, 3)} m, y {minus(pose.y, 3)} m, heading {heading}°"
 
 
 def short(pose: Pose2D) -> str:
@@ -169,23 +141,13 @@ def flat(values: Mapping[str, object], above: str = "") -> Iterator[tuple[str, o
             yield f"{above}{key}", value
 
 
-ENVIRONMENT.filters |= {
-    "apart": apart,
-    "base_of": base_of,
-    "degrees": math.degrees,
-    "describe": describe,
-    "deviations": deviations,
-    "difference": difference,
+_FILTERS: tuple[Callable[..., object], ...] = (
+    apart, base_of, describe, deviations, difference, flat, likely, math.degrees, math.exp, percent,
+    short,
+)  # fmt: skip
+_DRAWINGS: tuple[Callable[..., object], ...] = (svg.draw_scan, svg.draw_rays, svg.draw_covariance)
+svg.ENVIRONMENT.filters |= {f.__name__: f for f in _FILTERS} | {
     "digits": minus,
-    "exp": math.exp,
-    "flat": flat,
-    "likely": likely,
-    "percent": percent,
-    "png": lambda likelihood, grid: data_of(draw_likelihood(likelihood, grid=grid)),
-    "short": short,
+    "png": lambda likelihood, grid: svg.data_of(draw_likelihood(likelihood, grid=grid)),
 }
-ENVIRONMENT.globals |= {
-    "draw_scan": draw_scan,
-    "draw_rays": draw_rays,
-    "draw_covariance": draw_covariance,
-}
+svg.ENVIRONMENT.globals |= {f.__name__: f for f in _DRAWINGS}

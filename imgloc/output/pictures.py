@@ -32,6 +32,7 @@ from imgloc.output.canvas import (
     Canvas,
     Colour,
     Image,
+    deviation_ellipse,
     draw_map,
     map_canvas,
     marker_size,
@@ -63,13 +64,7 @@ class Picture:
     image: Image
 
     def save(self, path: PathLike, *, force: bool = False) -> None:
-        """Write it as PNG, whole or not at all.
-
-        Raises
-        ------
-        OutputError
-            If the file exists (without `force`) or cannot be written.
-        """
+        """Write it as PNG, whole or not at all; an OutputError if it exists, without `force`."""
         write_bytes_atomic(path, encode_png(self.image), force=force)
 
     def _repr_png_(self) -> bytes:
@@ -90,25 +85,19 @@ def draw(
     Parameters
     ----------
     place : OccupancyGrid or MapFeatures
-        The map; for another `what` than ``map`` its features.
-    answer : Localization or Likelihood, optional
-    scan : LaserScan, optional
-        Laid on the map at each hypothesis.
+    answer, scan : Localization or Likelihood, and LaserScan, optional
+        The scan is laid on the map at each hypothesis.
     truth : Pose2D, optional
-        True pose of the sensor in the map frame.
-    what : str
-        Without an answer: one of :data:`imgloc.output.features.SUBJECTS`.
-    at : (float, float), optional
-        For ``visibility``: near here, metres, map frame; by default what sees most.
+        True pose of the sensor, map frame.
+    what, at : str, and (float, float) in metres, map frame
+        Without an answer: as of :func:`imgloc.output.features.draw_feature`.
 
     Raises
     ------
     TypeError
         If an argument is of another type.
-    ValueError
-        If `what` is not known, or needs features.
-    MapError
-        If the map has no surface that could be drawn.
+    ValueError, MapError
+        If `what` is not known, or needs features, or a surface that the map has not.
 
     Examples
     --------
@@ -152,19 +141,9 @@ def draw_likelihood(
     """Draw a likelihood as the paper does (caption of Fig. 1): its maximum over theta.
 
     Linearly normalised, black is the highest likelihood and white the lowest; turquoise is a
-    likelihood of exactly 0. Values below 0 (CBML-O has them) count as 0.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-    grid : OccupancyGrid, optional
-        Map whose walls and unknown space are laid over the picture.
-    truth : Pose2D, optional
-        True pose in the grid frame, marked red.
-    scale : int, optional
-        Pixels per cell.
-    log : bool
-        The values are log-likelihoods (the beam model's): ``exp(L - max L)`` is drawn.
+    likelihood of exactly 0. Values below 0 (CBML-O has them) count as 0; of `log`-likelihoods (the
+    beam model's) ``exp(L - max L)`` is drawn. Walls and unknown space of the `grid` are laid over
+    the picture; the true pose, grid frame, is red. A cell is `scale` pixels wide.
     """
     best = likelihood.values.max(axis=0).astype(np.float64)
     if log:
@@ -196,21 +175,10 @@ def draw_hypotheses(
 ) -> Image:
     """Draw where a scan may have been taken: the scan laid on the map at each hypothesis.
 
-    A legend below has the mass and the pose, in the map frame, of each.
-
-    Parameters
-    ----------
-    grid : OccupancyGrid
-    scan_xy : (N, 2) float array
-        Points of the scan in the sensor's frame, metres.
-    hypotheses : sequence of Hypothesis
-        Best first, grid frame; `top` are drawn, with ellipses of two standard deviations.
-    truth : Pose2D, optional
-        True pose in the grid frame, marked with a cross.
-    scale : int, optional
-        Pixels per cell.
-    note : str
-        A last line of the legend.
+    The points `scan_xy` (N, 2) are in the sensor's frame, metres. The `top` of the hypotheses, best
+    first, grid frame, are drawn with ellipses of two standard deviations; the true pose, grid
+    frame, with a cross. The legend below has the mass and the pose, in the map frame, of each, and
+    the `note`. A cell is `scale` pixels wide.
     """
     canvas = map_canvas(grid, scale)
     size = marker_size(canvas)
@@ -219,7 +187,7 @@ def draw_hypotheses(
         canvas.dots(transform_points(hypothesis.pose, scan_xy), colour, max(1.2, 0.28 * size))
     for hypothesis, colour in reversed(shown):
         pose = hypothesis.pose
-        ellipse = _ellipse(pose, hypothesis.covariance)
+        ellipse = (pose.x, pose.y) + 2 * deviation_ellipse(hypothesis.covariance)
         canvas.polygon(ellipse, colour, 0.25)
         canvas.lines(ellipse[None], colour)
         canvas.robot(pose.x, pose.y, pose.theta, colour, size)
@@ -254,14 +222,6 @@ def _under(canvas: Canvas, grid: OccupancyGrid) -> tuple[BoolArray, BoolArray]:
     last = np.array(grid.occupied.shape) + 1
     index = np.ix_(np.minimum(row, last[0]), np.minimum(column, last[1]))
     return np.pad(grid.free, 1)[index], np.pad(grid.occupied, 1)[index]
-
-
-def _ellipse(pose: Pose2D, covariance: FloatArray) -> FloatArray:
-    """Outline (64, 2) of two standard deviations of x and y."""
-    values, vectors = np.linalg.eigh(np.asarray(covariance)[:2, :2])
-    s = np.linspace(0, 2 * np.pi, 64)
-    circle = np.column_stack((np.cos(s), np.sin(s))) * 2 * np.sqrt(np.maximum(values, 0))
-    return np.asarray(circle @ vectors.T + (pose.x, pose.y))
 
 
 def _with_legend(
@@ -316,13 +276,9 @@ def draw_atlas(grid: OccupancyGrid, spots: Sequence[Spot], *, step: float, headi
     to_grid = inverse(grid.origin)
     local = [compose(to_grid, spot.pose) for spot in spots]
     kinds = [spot.kind for spot in spots]
-    twins = [
-        (pose, compose(to_grid, spot.twin))
-        for pose, spot in zip(local, spots, strict=True)
-        if spot.kind == "ambiguous" and spot.twin is not None
-    ]
-    lines = [((a.x, a.y), (b.x, b.y)) for a, b in twins]
-    if lines:
+    twins = [s.twin if s.kind == "ambiguous" else None for s in spots]
+    pairs = [(a, compose(to_grid, b)) for a, b in zip(local, twins, strict=True) if b is not None]
+    if lines := [((a.x, a.y), (b.x, b.y)) for a, b in pairs]:
         layer = canvas.image.copy()
         canvas.lines(np.array(lines), ATLAS_COLOURS["ambiguous"])
         cv2.addWeighted(canvas.image, 0.25, layer, 0.75, 0, dst=canvas.image)
@@ -365,23 +321,10 @@ def mosaic(
     *,
     top: bool = False,
 ) -> Image:
-    """Lay pictures out on a white sheet, each with its caption below.
+    """Lay pictures of any sizes out on a white sheet, each with its caption, which is first, below.
 
-    Parameters
-    ----------
-    pictures : sequence of (str, (H, W, 3) uint8 array)
-        Captions and pictures, of any sizes; at least one, or it is a ValueError.
-    columns : int, optional
-        Images in a row; by default as many as make the sheet about as wide as 4 : 3.
-    gap : int
-        Pixels between pictures and around them.
-    top : bool
-        Align the upper edges of a row, not the lower.
-
-    Examples
-    --------
-    >>> mosaic([("(a)", np.zeros((20, 30, 3), np.uint8))] * 2, columns=2).shape
-    (78, 108, 3)
+    They are `gap` pixels apart; without `columns` the sheet is about as wide as 4 : 3. Of a row the
+    lower edges are aligned, or the `top` ones. Without a picture it is a ValueError.
     """
     if not pictures:
         raise ValueError("a mosaic needs at least one picture")

@@ -7,7 +7,7 @@ how it is written is in ``templates/svg.html``, and the style sheet of the page 
 
 import base64
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import rotation
 from imgloc.io.images import encode_png
 from imgloc.model import BoolArray, FloatArray, Hypothesis, LaserScan, OccupancyGrid, Pose2D
-from imgloc.output.canvas import INK, PAPER, SHADE, Image, round_length
+from imgloc.output.canvas import INK, PAPER, SHADE, Image, deviation_ellipse, round_length
 
 #: Shapes of the ends of rays, drawn around the point.
 SHAPES = {
@@ -65,14 +65,7 @@ def macro(name: str, template: str = "svg.html", /, **values: Any) -> Markup:
 
 @dataclass(frozen=True)
 class View:
-    """A window of the grid frame, and the width in pixels that it is drawn at.
-
-    Examples
-    --------
-    >>> view = View(1.0, 0.0, 4.0, 2.0, 400.0)
-    >>> view.pixels(np.array([[1.0, 2.0], [5.0, 0.0]])).tolist(), view.tall
-    ([[0.0, 0.0], [400.0, 200.0]], 200.0)
-    """
+    """A window of the grid frame, and the width in pixels that it is drawn at."""
 
     x: float  #: of the lower left corner, metres
     y: float
@@ -94,8 +87,7 @@ class View:
     def rule(self) -> tuple[str, float]:
         """A round length that fits into the lower left corner: its name and its pixels."""
         length = round_length(0.25 * self.width)
-        unit = next(u for u in ((1.0, "m"), (0.01, "cm"), (0.0, "mm")) if length >= u[0])[1]
-        factor = {"m": 1, "cm": 100, "mm": 1000}[unit]
+        factor, unit = (1, "m") if length >= 1 else (100, "cm") if length >= 0.01 else (1000, "mm")
         return f"{factor * length:g} {unit}", length * self.scale
 
     def pixels(self, xy: FloatArray) -> FloatArray:
@@ -237,11 +229,16 @@ def _known_part(grid: OccupancyGrid, poses: Sequence[Pose2D], px: float) -> View
     rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
     cells = np.array([(columns[0], rows[0]), (columns[-1] + 1, rows[-1] + 1)]) * grid.resolution
     points = np.concatenate((cells, np.array([(p.x, p.y) for p in poses]).reshape(-1, 2)))
+    view = _around(points, 0.03, 0.0, px)
+    return replace(view, px=min(px, 0.72 * px * view.width / view.height))
+
+
+def _around(points: FloatArray, share: float, more: float, px: float) -> View:
+    """A view of points (N, 2) with a margin of a `share` of their longer side and `more` metres."""
     low, high = points.min(axis=0), points.max(axis=0)
-    around = 0.03 * float((high - low).max())
-    x, y = (low - around).tolist()
-    width, height = (high - low + 2 * around).tolist()
-    return View(x, y, width, height, min(px, 0.72 * px * width / height))
+    around = share * float((high - low).max()) + more
+    (x, y), (width, height) = (low - around).tolist(), (high - low + 2 * around).tolist()
+    return View(x, y, width, height, px)
 
 
 def _axes(grid: OccupancyGrid, view: View) -> list[tuple[str, str, float, float]]:
@@ -264,11 +261,8 @@ def draw_covariance(hypothesis: Hypothesis, px: float = 190.0) -> Markup:
     It has a scale of its own: the ellipse is mostly too small to be seen on the map.
     """
     theta = hypothesis.pose.theta
-    values, vectors = np.linalg.eigh(hypothesis.covariance[:2, :2])
-    s = np.linspace(0, 2 * np.pi, 73)
-    circle = np.column_stack((np.cos(s), np.sin(s)))
-    unit = (circle * np.sqrt(np.maximum(values, 0))) @ vectors.T
-    reach = 2.6 * float(np.sqrt(max(values.max(), 1e-12)))
+    unit = deviation_ellipse(hypothesis.covariance, 73)
+    reach = 2.6 * max(float(np.linalg.norm(unit, axis=1).max()), 1e-6)
     view = View(-reach, -reach, 2 * reach, 2 * reach, px)
     turn = min(2 * float(np.sqrt(max(hypothesis.covariance[2, 2], 0.0))), np.pi)
     arc = theta + np.linspace(-turn, turn, 25)
@@ -291,10 +285,7 @@ def draw_scan(scan: LaserScan, px: float = 300.0) -> Markup:
     angles = scan.angles[scan.no_return] + np.pi / 2
     out = reach * np.column_stack((np.cos(angles), np.sin(angles)))
     drawn = np.concatenate((np.zeros((1, 2)), near, 1.05 * out))
-    low, high = drawn.min(axis=0), drawn.max(axis=0)
-    around = 0.06 * float((high - low).max()) + 0.05
-    (x, y), (width, height) = (low - around).tolist(), (high - low + 2 * around).tolist()
-    view = View(x, y, width, height, px)
+    view = _around(drawn, 0.06, 0.05, px)
     return macro(
         "scan",
         view=view,

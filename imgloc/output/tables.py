@@ -11,8 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from imgloc.geometry import base_of
-from imgloc.model import Localization, Pose2D
-from imgloc.output.json import SURE
+from imgloc.model import SURE, Localization, Pose2D
 
 if TYPE_CHECKING:
     from imgloc.choice import Choice
@@ -46,13 +45,7 @@ def as_plain(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int
 
 
 def pose_words(pose: Pose2D) -> str:
-    """Return a pose in words.
-
-    Examples
-    --------
-    >>> pose_words(Pose2D(1.0, -2.0, 0.5))
-    'x 1.000 m, y -2.000 m, theta 28.65 deg'
-    """
+    """Return a pose in words."""
     return f"x {pose.x:.3f} m, y {pose.y:.3f} m, theta {math.degrees(pose.theta):.2f} deg"
 
 
@@ -61,37 +54,29 @@ def difference(a: Pose2D, b: Pose2D) -> tuple[float, float]:
     return math.hypot(a.x - b.x, a.y - b.y), abs(Pose2D(0.0, 0.0, a.theta - b.theta).theta)
 
 
-def answer_header(mount: Pose2D | None = None) -> str:
-    """Return what stands above the lines of :func:`answer_line`."""
-    base = "" if mount is None else f"  {'base x':>10} {'base y':>10} {'base theta':>12}"
+def answer_header(mounted: bool = False) -> str:
+    """Return what stands above the lines of :func:`answer_line`; `mounted` if they have a base."""
+    base = f"  {'base x':>10} {'base y':>10} {'base theta':>12}" if mounted else ""
     place = f"{'x / m':>10} {'y / m':>10} {'theta / deg':>12}"
     return f"{'index':>6}  {'verdict':<10} {place} {'mass':>8} {'explained':>10}{base}"
 
 
-def answer_line(index: int, answer: Localization, mount: Pose2D | None = None) -> str:
-    """Return one line for one scan, to be written as soon as it is known.
-
-    `mount` is the pose of the sensor on the robot, if the robot's is to be stated.
-    """
-    mass = explained = "-"
+def answer_line(index: int, answer: Localization) -> str:
+    """Return one line for one scan, to be written as soon as it is known."""
+    mass, explained, mount = "-", "-", answer.T_base_laser
     place = base = f"{'-':>10} {'-':>10} {'-':>12}"
     if answer.pose is not None:
         mass, explained = _percent(answer.hypotheses[0].mass), _percent(answer.explained)
         place = _place(answer.pose)
         base = place if mount is None else _place(base_of(answer.pose, mount))
-    line = f"{index:>6}  {answer.verdict:<10} {place} {mass:>8} {explained:>10}"
-    return (
-        line + ("" if mount is None else f"  {base}") + ("" if answer.complete else "  out of time")
-    )
+    more = ("" if mount is None else f"  {base}") + ("" if answer.complete else "  out of time")
+    return f"{index:>6}  {answer.verdict:<10} {place} {mass:>8} {explained:>10}{more}"
 
 
-def answer_text(
-    title: str, answer: Localization, truth: Pose2D | None = None, mount: Pose2D | None = None
-) -> str:
+def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -> str:
     """Return what is known about one scan, with a table of its hypotheses.
 
-    With the `truth`, the pose of the sensor in the map frame, the error is stated; with the
-    `mount`, its pose on the robot, the robot's pose.
+    With the `truth`, the pose of the sensor in the map frame, the error is stated.
     """
     pose, evidence, sure = answer.pose, answer.evidence, answer.verdict in SURE
     facts: list[tuple[str, str]] = []
@@ -99,8 +84,8 @@ def answer_text(
         facts.append(("pose" if sure else "best guess", pose_words(pose)))
         if not sure:
             facts.append(("", "not to be trusted: the map does not explain the scan there"))
-        if mount is not None:
-            facts.append(("base", pose_words(base_of(pose, mount))))
+        if answer.T_base_laser is not None:
+            facts.append(("base", pose_words(base_of(pose, answer.T_base_laser))))
     if truth is not None:
         facts.append(("truth", pose_words(truth)))
     if pose is not None:

@@ -23,7 +23,6 @@ import cv2
 import numpy as np
 
 from imgloc import __version__
-from imgloc.cli.console import progress
 from imgloc.errors import ConfigError, ImglocError, OutputError
 from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
 from imgloc.io.images import encode_png
@@ -33,6 +32,7 @@ from tools.paper.complexity import AXES, TIMES, Complexity, draw, measure
 from tools.paper.figures import SETTINGS, figure
 from tools.paper.page import render_report
 from tools.paper.table import PAIRS, PLACES, STEPS_DEG, Ratio, TableRow, measure_ratios, table
+from tools.progress import progress
 
 FILES = ("results.json", "report.html", *(f"{name}.png" for name in (*SETTINGS, "complexity")))
 QUICK = 3
@@ -82,7 +82,7 @@ def run(given: argparse.Namespace) -> int:
     cv2.setNumThreads(given.threads)
     worlds = tuple(dict.fromkeys(given.worlds))
     total = steps(n, worlds, quick=given.quick)
-    with progress("the paper's experiment", total, lines=False) as advance:
+    with progress("the paper's experiment", total) as advance:
         found = reproduce(
             n, given.seed, worlds=worlds, quick=given.quick, threads=given.threads, advance=advance
         )

@@ -19,7 +19,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgloc.cli.console import progress
 from imgloc.errors import ConfigError, ImglocError
 from imgloc.evaluation import Share, share
 from imgloc.features.gradients import SOURCES
@@ -31,6 +30,7 @@ from imgloc.likelihoods.correlate import ENGINES
 from imgloc.output.json import to_json
 from tools.paper.page import templates
 from tools.paper.table import PLACES, Gain, Outcome, gain, place, truth_of, try_method
+from tools.progress import progress
 
 CARD = ("filter2d", "remap", "image", "polar")
 """Those that the project's card names."""
@@ -206,7 +206,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         cv2.setNumThreads(given.threads)
         worlds = tuple(dict.fromkeys(given.worlds))
         total = n * len(worlds) * len(OPERATIONS)
-        with progress("image operations", total, lines=False) as advance:
+        with progress("image operations", total) as advance:
             rows = compare(n, given.seed, worlds=worlds, threads=given.threads, advance=advance)
         told = {"n": n, "seed": given.seed, "rows": list(map(asdict, rows))}
         write_text_atomic(plain, to_json(told) + "\n", force=given.force)

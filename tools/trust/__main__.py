@@ -21,10 +21,8 @@ from pathlib import Path
 import cv2
 
 from imgloc.choice import find_maps, names_of
-from imgloc.cli.console import progress
-from imgloc.cli.inputs import check_target
 from imgloc.errors import ConfigError, ImglocError
-from imgloc.io.files import write_bytes_atomic, write_text_atomic
+from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
 from imgloc.io.images import encode_png
 from imgloc.io.maps import load_map
 from imgloc.options import Options
@@ -33,6 +31,7 @@ from imgloc.pipeline import prepare
 from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 from tools.plots import blank
+from tools.progress import progress
 from tools.recorded import scans_beside
 from tools.trust.naming import ask_all, naming_shares, scans_of
 from tools.trust.reliability import Judged, draw_reliability, judged, reliability, summary
@@ -115,7 +114,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def run_reliability(given: argparse.Namespace) -> int:
     """Measure, print and draw."""
     if given.picture is not None:
-        check_target(given.picture, ".png", force=given.force)
+        if not given.force:
+            refuse_existing(given.picture)
         blank(1, 1)  # if it cannot be drawn, say so now
     n, cores = given.n, os.cpu_count() or 1
     if n < 1:
@@ -133,7 +133,7 @@ def run_reliability(given: argparse.Namespace) -> int:
     away: list[Judged] = []
     names = list(maps)
     total = 2 * n * len(maps) + sum(map(len, sets.values()))
-    with progress("trust", total, lines=False) as advance:
+    with progress("trust", total) as advance:
         for k, name in enumerate(names):
             simulated[name] = list(judged(maps[name], scans[name], options, advance))
             other = names[(k + 1) % len(names)]
@@ -157,8 +157,8 @@ def run_robustness(given: argparse.Namespace) -> int:
     if given.threads < 1:
         raise ConfigError(f"--threads: got {given.threads}, expected at least 1")
     cv2.setNumThreads(given.threads)
-    if given.out is not None:
-        check_target(given.out, ".json", force=given.force)
+    if given.out is not None and not given.force:
+        refuse_existing(given.out)
     about, rows = _recorded(given) if given.sets else _simulated(given)
     if given.out is not None:
         results = {"n": given.n, "seed": given.seed, **about, "rows": list(map(asdict, rows))}
@@ -173,7 +173,7 @@ def _simulated(given: argparse.Namespace) -> tuple[dict[str, object], tuple[Robu
     worlds = QUICK if given.quick else tuple(WORLDS)
     worlds = worlds if given.worlds is None else tuple(given.worlds.split(","))
     conditions = tuple(CONDITIONS if given.conditions is None else given.conditions.split(","))
-    with progress("robustness", given.n * len(worlds) * len(conditions), lines=False) as advance:
+    with progress("robustness", given.n * len(worlds) * len(conditions)) as advance:
         rows = robustness(
             given.n, given.seed, worlds=worlds, conditions=conditions, threads=given.threads,
             advance=advance,
@@ -186,7 +186,7 @@ def _recorded(given: argparse.Namespace) -> tuple[dict[str, object], tuple[Robus
     sets = [scans_beside(path, given.n, given.seed, given.range_max) for path in given.sets]
     names = [path.parent.name for path in given.sets]
     rows = []
-    with progress("robustness", sum(map(len, sets)), lines=False) as advance:
+    with progress("robustness", sum(map(len, sets))) as advance:
         for name, path, scans in zip(names, given.sets, sets, strict=True):
             features = prepare(load_map(path), name, threads=given.threads)
             rows.append(recorded_row(name, features, scans, threads=given.threads, advance=advance))
@@ -203,7 +203,7 @@ def run_which(given: argparse.Namespace) -> int:
     buildings = {name: group for group in given.same for name in group.split(",")}
     asked = scans_of(maps, given.n, given.seed, given.range_max)
     cv2.setNumThreads(cores := os.cpu_count() or 1)
-    with progress("which", len(maps) * len(asked), lines=False) as advance:
+    with progress("which", len(maps) * len(asked)) as advance:
         fits = ask_all(maps, asked, threads=cores, advance=advance)
     out: dict[str, object] = {"seed": given.seed, "scans": len(asked), "maps": len(maps)}
     for sure in SURE:
