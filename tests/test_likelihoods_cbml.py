@@ -73,7 +73,7 @@ def test_turning_a_smooth_map_errs_little_in_between():
     bmap = np.minimum(np.sum(walls, axis=0), 1).astype(np.float32)
     vmap = np.stack((walls[0] - walls[3], walls[1])).astype(np.float32) / np.float32(1.5)
     rng = np.random.default_rng(2)
-    xy, alpha = rng.uniform(-1.5, 1.5, (40, 2)), rng.uniform(-3, 3, 40)
+    xy, alpha = rng.uniform(-1.5, 1.5, (60, 2)), rng.uniform(-3, 3, 60)
     thetas = uniform_thetas(1.3)
     scan = oriented(xy, alpha)
     for off in (
