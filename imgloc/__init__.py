@@ -13,6 +13,8 @@ The names below are loaded when they are first used, so that ``import imgloc`` i
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from imgloc.__about__ import __version__
+
 if TYPE_CHECKING:
     from imgloc.choice import Choice, which
     from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
@@ -47,8 +49,6 @@ if TYPE_CHECKING:
     from imgloc.pipeline import likelihood, localize, prepare
     from imgloc.sample import sample_poses
     from imgloc.simulation import Sensor, simulate
-
-__version__ = "0.1.0"
 
 __all__ = [
     "ALL_METHODS", "METHODS", "Calibration", "Choice", "ConfigError", "Evaluation", "Evidence",

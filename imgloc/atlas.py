@@ -14,7 +14,7 @@ import numpy as np
 from imgloc.errors import ConfigError, MapError
 from imgloc.evaluation import pose_errors, share
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.geometry import cell_of, compose, inside, poses_of
+from imgloc.geometry import cell_of, in_map_frame, inside, poses_of
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import localize, prepare
@@ -172,7 +172,7 @@ def _work(task: tuple[Pose2D, LaserScan]) -> Spot:
 
 
 def _spot(features: MapFeatures, pose: Pose2D, scan: LaserScan, options: Options) -> Spot:
-    truth = compose(features.grid.origin, pose)
+    truth = in_map_frame(pose, features.grid)
     answer = localize(features, scan, options)
     errors = pose_errors(poses_of(answer.hypotheses), truth)
     right = np.all(errors <= NEAR, axis=1)

@@ -25,10 +25,8 @@ from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import (
     cell_of,
     centre_of,
-    compose,
     in_grid_frame,
     inside,
-    inverse,
     poses_of,
     theta_bin,
     uniform_thetas,
@@ -44,7 +42,14 @@ from imgloc.index import (
     performance_index,
 )
 from imgloc.io.scanset import ScanSet
-from imgloc.model import VERDICTS, FloatArray, LaserScan, Likelihood, Localization, Pose2D
+from imgloc.model import (
+    VERDICTS,
+    FloatArray,
+    LaserScan,
+    Likelihood,
+    Localization,
+    Pose2D,
+)
 from imgloc.options import FUSED, LOG_METHODS, FusedOptions, Options
 from imgloc.pipeline import effective, likelihood, localize, posterior_of
 
@@ -350,7 +355,7 @@ def pose_errors(poses: FloatArray, truth: Pose2D) -> FloatArray:
 
 def cell_of_pose(features: MapFeatures, pose: Pose2D, n: int) -> tuple[int, int, int]:
     """Cell ``(theta, row, col)`` of a pose of the map frame; may lie off the map."""
-    local = compose(inverse(features.grid.origin), pose)
+    local = in_grid_frame(pose, features.lattice)
     row, col = cell_of(np.array([local.x, local.y]), features.lattice.resolution).tolist()
     return int(theta_bin(local.theta, n)), row, col
 

@@ -1,13 +1,23 @@
-"""SE(2), angles, and the one place where cells, grid frame and map frame meet."""
+"""Angles, arrays of poses, and the one place where cells, grid frame and map frame meet."""
 
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.model import FloatArray, GridInfo, Hypothesis, IntArray, Pose2D
+from imgloc.model import (
+    FloatArray,
+    GridInfo,
+    Hypothesis,
+    IntArray,
+    OccupancyGrid,
+    Pose2D,
+    compose,
+    inverse,
+)
 
 MIN_THETA_STEP = 1e-4
 """Radians: 63 thousand headings. A smaller step is a mistake, of units say."""
@@ -59,36 +69,6 @@ def poses_of(hypotheses: Iterable[Hypothesis]) -> FloatArray:
     return np.array(poses, dtype=np.float64).reshape(-1, 3)
 
 
-def compose(a: Pose2D, b: Pose2D) -> Pose2D:
-    """Return ``a ⊕ b``: pose `b`, given in the frame of `a`, in the frame of `a`'s parent.
-
-    Examples
-    --------
-    >>> p = compose(Pose2D(1, 0, np.pi / 2), Pose2D(1, 0, 0))
-    >>> round(p.x, 6), round(p.y, 6)
-    (1.0, 1.0)
-    """
-    c, s = np.cos(a.theta), np.sin(a.theta)
-    return Pose2D(a.x + c * b.x - s * b.y, a.y + s * b.x + c * b.y, a.theta + b.theta)
-
-
-def inverse(a: Pose2D) -> Pose2D:
-    """Return the pose that undoes `a`: ``compose(a, inverse(a))`` is the identity."""
-    c, s = np.cos(a.theta), np.sin(a.theta)
-    return Pose2D(-c * a.x - s * a.y, s * a.x - c * a.y, -a.theta)
-
-
-def base_of(pose: Pose2D, mount: Pose2D) -> Pose2D:
-    """Pose of the robot's base, of its sensor's pose and mounting: T_map_base.
-
-    Examples
-    --------
-    >>> base_of(Pose2D(1.0, 0.0, 0.0), Pose2D(0.2, 0.0, 0.0)).x
-    0.8
-    """
-    return compose(pose, inverse(mount))
-
-
 def rotation(theta: float) -> FloatArray:
     """Return the (2, 2) matrix that rotates column vectors by `theta`."""
     c, s = np.cos(theta), np.sin(theta)
@@ -118,15 +98,30 @@ def rotate_covariance(covariance: FloatArray, theta: float) -> FloatArray:
     return np.asarray(R @ covariance @ R.T)
 
 
-def in_map_frame(hypothesis: Hypothesis, grid: GridInfo) -> Hypothesis:
-    """Take a hypothesis from the grid frame to the map frame: origin and its yaw."""
-    covariance = rotate_covariance(hypothesis.covariance, grid.origin.theta)
-    return replace(hypothesis, pose=compose(grid.origin, hypothesis.pose), covariance=covariance)
+Framed = TypeVar("Framed", Pose2D, Hypothesis)
 
 
-def in_grid_frame(hypothesis: Hypothesis, grid: GridInfo) -> Hypothesis:
-    """Take a hypothesis from the map frame to the grid frame."""
-    return in_map_frame(hypothesis, replace(grid, origin=inverse(grid.origin)))
+def in_map_frame(given: Framed, grid: GridInfo | OccupancyGrid) -> Framed:
+    """Take a pose or a hypothesis from the grid frame to the map frame: origin and its yaw."""
+    return _seen_from(given, grid.origin)
+
+
+def in_grid_frame(given: Framed, grid: GridInfo | OccupancyGrid) -> Framed:
+    """Take a pose or a hypothesis from the map frame to the grid frame.
+
+    Examples
+    --------
+    >>> in_grid_frame(Pose2D(3.0, 2.0, 0.5), GridInfo(9, 9, 0.1, Pose2D(1.0, 1.0)))
+    Pose2D(x=2.0, y=1.0, theta=0.5)
+    """
+    return _seen_from(given, inverse(grid.origin))
+
+
+def _seen_from(given: Framed, origin: Pose2D) -> Framed:
+    if isinstance(given, Hypothesis):
+        covariance = rotate_covariance(given.covariance, origin.theta)
+        return replace(given, pose=compose(origin, given.pose), covariance=covariance)
+    return compose(origin, given)
 
 
 def cell_of(xy: FloatArray, resolution: float) -> IntArray:

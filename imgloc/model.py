@@ -10,7 +10,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +35,7 @@ def _freeze(record: Any, dtype: npt.DTypeLike, *names: str) -> None:
         object.__setattr__(record, name, array)
 
 
+@final
 @dataclass(frozen=True)
 class Pose2D:
     """A pose in the plane: x, y in metres, theta in radians, counter-clockwise.
@@ -56,6 +57,36 @@ class Pose2D:
         object.__setattr__(self, "y", float(self.y))
         theta = math.remainder(self.theta, math.tau)
         object.__setattr__(self, "theta", math.pi if theta <= -math.pi else theta)
+
+
+def compose(a: Pose2D, b: Pose2D) -> Pose2D:
+    """Return ``a ⊕ b``: pose `b`, given in the frame of `a`, in the frame of `a`'s parent.
+
+    Examples
+    --------
+    >>> p = compose(Pose2D(1, 0, np.pi / 2), Pose2D(1, 0, 0))
+    >>> round(p.x, 6), round(p.y, 6)
+    (1.0, 1.0)
+    """
+    c, s = np.cos(a.theta), np.sin(a.theta)
+    return Pose2D(a.x + c * b.x - s * b.y, a.y + s * b.x + c * b.y, a.theta + b.theta)
+
+
+def inverse(a: Pose2D) -> Pose2D:
+    """Return the pose that undoes `a`: ``compose(a, inverse(a))`` is the identity."""
+    c, s = np.cos(a.theta), np.sin(a.theta)
+    return Pose2D(-c * a.x - s * a.y, s * a.x - c * a.y, -a.theta)
+
+
+def base_of(pose: Pose2D, mount: Pose2D) -> Pose2D:
+    """Pose of the robot's base, of its sensor's pose and mounting: T_map_base.
+
+    Examples
+    --------
+    >>> base_of(Pose2D(1.0, 0.0, 0.0), Pose2D(0.2, 0.0, 0.0)).x
+    0.8
+    """
+    return compose(pose, inverse(mount))
 
 
 @dataclass(frozen=True)
@@ -326,6 +357,7 @@ class Likelihood:
         return f"<Likelihood {self.method}: {k} headings x {cells}>"
 
 
+@final
 @dataclass(frozen=True)
 class Hypothesis:
     """A pose that fits the scan.
@@ -462,8 +494,6 @@ class Localization:
     @property
     def base_pose(self) -> Pose2D | None:
         """The robot's best pose, T_map_base; None without a pose or a known mounting."""
-        from imgloc.geometry import base_of
-
         mount = self.T_base_laser
         return None if self.pose is None or mount is None else base_of(self.pose, mount)
 
@@ -479,11 +509,13 @@ class Localization:
         (3, 'invalid', None, None)
         """
         sure, e, t = self.verdict in SURE, self.evidence, self.evidence.temperature
-        rows = []
-        for h in self.hypotheses:
-            base = replace(self, hypotheses=(h,)).base_pose
-            row = plain(h.pose) | {"mass": h.mass, "log_likelihood": h.log_likelihood}
-            rows.append(row | {"covariance": h.covariance} | ({"base": base} if base else {}))
+        mount = self.T_base_laser
+        rows = [
+            plain(h.pose)
+            | {"mass": h.mass, "log_likelihood": h.log_likelihood, "covariance": h.covariance}
+            | ({} if mount is None else {"base": base_of(h.pose, mount)})
+            for h in self.hypotheses
+        ]
         evidence = {"readings": e.readings, "misfit": e.misfit, "temperature": t.value}
         evidence |= {name: getattr(t, name) for name in ("base", "strain", "crowding", "cell")}
         evidence |= {name: getattr(e, name) for name in ("found", "listed", "unlisted")}

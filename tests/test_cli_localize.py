@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows, spawn, untimed
 
-from imgloc.geometry import compose, transform_poses
+from imgloc.geometry import transform_poses
 from imgloc.io.maps import load_map, save_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan, OccupancyGrid, Pose2D
+from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose
 from imgloc.options import ALL_METHODS
 
 CURVED = MAPS / "curved.yaml"

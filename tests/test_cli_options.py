@@ -10,11 +10,10 @@ import typer
 from command import MAPS, call, rows, untimed
 
 from imgloc.cli.options import byte_count, numbers
-from imgloc.geometry import base_of
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
 from imgloc.io.scans import load_scans
-from imgloc.model import Pose2D
+from imgloc.model import Pose2D, base_of
 
 WORLD = MAPS / "visibility.yaml"  # 140 x 200 cells of 0.1 m
 

@@ -18,11 +18,11 @@ from imgloc.evaluation import (
     summarise,
 )
 from imgloc.features.scanpoints import scan_points
-from imgloc.geometry import cell_of, compose, theta_bin, transform_poses
+from imgloc.geometry import cell_of, theta_bin, transform_poses
 from imgloc.io.maps import bundled_maps, load_map
 from imgloc.io.scanset import ScanSet
 from imgloc.likelihoods.posterior import calibrated, posterior
-from imgloc.model import LaserScan, Likelihood, OccupancyGrid, Pose2D
+from imgloc.model import LaserScan, Likelihood, OccupancyGrid, Pose2D, compose
 from imgloc.options import ALL_METHODS, METHODS
 from imgloc.pipeline import likelihood, localize, prepare
 from imgloc.simulation import (

@@ -10,9 +10,7 @@ from imgloc.geometry import (
     MIN_THETA_STEP,
     cell_of,
     centre_of,
-    compose,
     inside,
-    inverse,
     rotate_covariance,
     rotation,
     theta_bin,
@@ -21,7 +19,7 @@ from imgloc.geometry import (
     uniform_thetas,
     wrap,
 )
-from imgloc.model import GridInfo, Pose2D
+from imgloc.model import GridInfo, Pose2D, compose, inverse
 
 coordinates = st.floats(-50, 50)
 angles = st.floats(-20, 20)

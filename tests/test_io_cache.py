@@ -57,7 +57,7 @@ def test_key_depends_on_everything_that_matters(monkeypatch: pytest.MonkeyPatch)
         cache_key(base, {"sigma": 0.1000001}),
         cache_key(base, {"sigma": 0.1, "n_psi": 72}),
     ]
-    monkeypatch.setattr(imgloc, "__version__", "0.0.0+another")
+    monkeypatch.setattr("imgloc.io.cache.__version__", "0.0.0+another")
     keys.append(cache_key(base, {"sigma": 0.1}))
     assert len(set(keys)) == len(keys)
 
@@ -301,7 +301,7 @@ def test_the_limit_is_an_option_of_the_environment(
 def test_orphans_are_removed_when_nobody_can_be_at_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ago: float, kept: bool
 ) -> None:
-    monkeypatch.setattr(imgloc, "__version__", "0.0.0+old")
+    monkeypatch.setattr("imgloc.io.cache.__version__", "0.0.0+old")
     old = entry_path(tmp_path, cache_key(grid(), {}))
     store_entry(tmp_path, old.stem, ONE)
     monkeypatch.undo()

@@ -6,7 +6,6 @@ import pytest
 
 from imgloc.errors import OutputError
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.geometry import compose
 from imgloc.model import (
     Evidence,
     GridInfo,
@@ -17,6 +16,7 @@ from imgloc.model import (
     OccupancyGrid,
     OrientedPoints,
     Pose2D,
+    compose,
 )
 from imgloc.output.canvas import INK, PALETTE, PAPER, SHADE, TURQUOISE, Canvas, draw_map, wheel
 from imgloc.output.features import (

@@ -10,10 +10,10 @@ import pytest
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
-from imgloc.geometry import compose, theta_bin, uniform_thetas
+from imgloc.geometry import theta_bin, uniform_thetas
 from imgloc.likelihoods.cbml import cbml, cbml_o
 from imgloc.likelihoods.ght import ght, ght_v
-from imgloc.model import Pose2D
+from imgloc.model import Pose2D, compose
 from imgloc.simulation import simulate_ranges
 from imgloc.worlds import NICHES, WORLDS, render
 

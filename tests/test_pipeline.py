@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from places import ANGLES, answer_of, error, features_of, grid_of, room_with_a_post, scan_of
 
 from imgloc.errors import ConfigError, MapError
-from imgloc.geometry import compose, in_map_frame, inverse, rotate_covariance, wrap
+from imgloc.geometry import in_map_frame, rotate_covariance, wrap
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
-from imgloc.model import LaserScan, OccupancyGrid, Pose2D
+from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose, inverse
 from imgloc.options import ALL_METHODS, FusedOptions, Options, Trust
 from imgloc.pipeline import likelihood, localize, prepare
 from imgloc.simulation import simulate_ranges

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imgloc.features.distance import distance_field
-from imgloc.geometry import compose, inverse, transform_points, wrap
-from imgloc.model import Pose2D
+from imgloc.geometry import transform_points, wrap
+from imgloc.model import Pose2D, compose, inverse
 from imgloc.search.refine import endpoints, normal_equations, refine
 
 RESOLUTION = 0.1

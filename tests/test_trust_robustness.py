@@ -12,11 +12,10 @@ from command import ROOT
 from imgloc.cli.options import Mounting
 from imgloc.errors import ConfigError
 from imgloc.features.pyramid import Level
-from imgloc.geometry import compose
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan, OccupancyGrid, Pose2D
+from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose
 from imgloc.options import EvidenceModel, FusedOptions, Options
 from imgloc.pipeline import Modes, localize, prepare
 from imgloc.search.proposals import propose_all

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import typer
 
-from imgloc import __version__
+from imgloc.__about__ import __version__
 from imgloc.cli.atlas import atlas
 from imgloc.cli.cache import cache, clear
 from imgloc.cli.calibrate import calibrate

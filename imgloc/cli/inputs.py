@@ -17,7 +17,7 @@ from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.features.budget import MIB, PROCESS, check_budget, scans_bytes, simulate_bytes
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.store import load_features, save_features
-from imgloc.geometry import compose, inverse
+from imgloc.geometry import in_grid_frame
 from imgloc.io.cache import cache_folder
 from imgloc.io.files import display, refuse_existing
 from imgloc.io.images import ImageSize, image_size, read_image
@@ -221,18 +221,18 @@ def keep_features(features: MapFeatures, folder: Path | None) -> None:
 
 def prior_of(known: Known, grid: OccupancyGrid, *, allow_lossy: bool = False) -> Prior:
     """Make the prior of a map; its region may be a JPEG if the map may."""
-    prior, to_grid = Prior(), inverse(grid.origin)
+    prior = Prior()
     if known.near is not None:
         x, y, yaw, *rest = known.near
         radius, tolerance = (*rest, *(RADIUS, TOLERANCE)[len(rest) :])
-        at = compose(to_grid, Pose2D(x, y, yaw))
+        at = in_grid_frame(Pose2D(x, y, yaw), grid)
         disc = priors.near(grid.info, at.x, at.y, radius)
         about = {"x": x, "y": y, "theta": yaw, "radius": radius, "tolerance": tolerance}
         prior &= Prior(disc, (at.theta, tolerance), {"near": about})
     if known.heading is not None:
         yaw, tolerance = (*known.heading, TOLERANCE)[:2]
         about = {"theta": yaw, "tolerance": tolerance}
-        prior &= Prior(None, (yaw + to_grid.theta, tolerance), {"heading": about})
+        prior &= Prior(None, (yaw - grid.origin.theta, tolerance), {"heading": about})
     if known.region is not None:
         cells = _region(known.region, grid, allow_lossy)
         prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})

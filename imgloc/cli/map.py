@@ -73,7 +73,8 @@ def show(
 
     from imgloc.cli import inputs
     from imgloc.features.mapfeatures import MapFeatures
-    from imgloc.geometry import cell_of, inside, inverse, transform_points
+    from imgloc.geometry import cell_of, in_grid_frame, inside
+    from imgloc.model import Pose2D
     from imgloc.output.pictures import draw
 
     inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
@@ -88,8 +89,8 @@ def show(
     )  # fmt: skip
     features = MapFeatures(grid, cell=cell or grid.resolution, sigma=sigma or 0.1)
     if at is not None:
-        there = transform_points(inverse(grid.origin), np.array([at]))
-        if not inside(cell_of(there, grid.resolution), grid.info).all():
+        there = in_grid_frame(Pose2D(*at), grid)
+        if not inside(cell_of(np.array([there.x, there.y]), grid.resolution), grid.info):
             raise ConfigError(
                 f"--at: {at[0]:g},{at[1]:g} is not on the map, expected a point of it"
             )

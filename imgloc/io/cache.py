@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 import platformdirs
 
-import imgloc
+from imgloc.__about__ import __version__
 from imgloc.errors import OutputError
 from imgloc.io.files import PathLike, display, open_file, reason
 from imgloc.model import OccupancyGrid
@@ -90,7 +90,7 @@ def cache_key(grid: OccupancyGrid, parameters: Mapping[str, object], *, code: st
     beside their number. Entries of other versions go when they have not been used for an hour.
     """
     # The same call of another version of a library may round in another way.
-    maker = [_FORMAT, imgloc.__version__, np.__version__, cv2.__version__, code]
+    maker = [_FORMAT, __version__, np.__version__, cv2.__version__, code]
     made_by = hashlib.blake2b(json.dumps(maker).encode(), digest_size=_MAKER // 2)
     side, shape = float(grid.resolution).hex(), grid.occupied.shape
     about = {"shape": shape, "resolution": side, "parameters": dict(parameters)}

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import imgloc
+from imgloc.__about__ import __version__
 from imgloc.errors import ConfigError
 from imgloc.io.cache import cells_digest
 from imgloc.io.files import PathLike, display, write_text_atomic
@@ -56,7 +56,7 @@ def save_calibrations(
     old = {name: said[name] for name in kept if name in said} if isinstance(said, dict) else {}
     content = {
         "format": _FORMAT,
-        "imgloc": imgloc.__version__,
+        "imgloc": __version__,
         "map_hash": map_hash(grid),
         "methods": {name: vars(fitted) for name, fitted in {**kept, **calibrations}.items()},
         "about": {**old, **about},

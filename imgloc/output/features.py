@@ -12,8 +12,16 @@ import numpy.typing as npt
 
 from imgloc.errors import MapError
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.geometry import inverse, transform_points
-from imgloc.model import Float32Array, FloatArray, GridInfo, IntArray, OccupancyGrid, OrientedPoints
+from imgloc.geometry import in_grid_frame
+from imgloc.model import (
+    Float32Array,
+    FloatArray,
+    GridInfo,
+    IntArray,
+    OccupancyGrid,
+    OrientedPoints,
+    Pose2D,
+)
 from imgloc.output.canvas import (
     INK,
     PALETTE,
@@ -57,8 +65,8 @@ def draw_feature(features: MapFeatures, what: str, at: tuple[float, float] | Non
     if at is None:
         best = int(np.argmax((np.asarray(vis, dtype=np.float64) ** 2).sum(axis=0)))
     else:
-        there = transform_points(inverse(grid.origin), np.array([at]))
-        best = int(np.argmin(np.hypot(*(surface.xy - there).T)))
+        there = in_grid_frame(Pose2D(*at), grid)
+        best = int(np.argmin(np.hypot(*(surface.xy - (there.x, there.y)).T)))
     alpha = float(np.nan_to_num(surface.alpha[best]))
     return draw_visibility(grid, surface.xy[best], vis[:, best], horizon=horizon, alpha=alpha)
 

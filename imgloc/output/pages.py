@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
-from imgloc import __version__
+from imgloc.__about__ import __version__
 from imgloc.explanation import Explanation
-from imgloc.geometry import base_of, rotate_covariance
-from imgloc.model import Hypothesis, Pose2D
+from imgloc.geometry import rotate_covariance
+from imgloc.model import Hypothesis, Pose2D, base_of
 from imgloc.output import svg
 from imgloc.output.pictures import draw_likelihood
 from imgloc.output.tables import difference

@@ -9,7 +9,7 @@ import numpy as np
 from imgloc.atlas import Spot
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_xy
-from imgloc.geometry import compose, in_grid_frame, inverse, transform_points, transform_poses
+from imgloc.geometry import in_grid_frame, transform_points, transform_poses
 from imgloc.io.files import PathLike, write_bytes_atomic
 from imgloc.io.images import encode_png
 from imgloc.model import (
@@ -111,8 +111,7 @@ def draw(
         raise TypeError(f"expected an OccupancyGrid or MapFeatures to draw, got {place!r}")
     if scan is not None and not (isinstance(scan, LaserScan) and isinstance(answer, Localization)):
         raise TypeError("a scan is drawn at the poses of an answer: expected both")
-    to_grid = inverse(grid.origin)
-    local = None if truth is None else compose(to_grid, truth)
+    local = None if truth is None else in_grid_frame(truth, grid)
     if isinstance(answer, Likelihood):
         log = answer.method in LOG_METHODS
         return Picture(draw_likelihood(answer, grid=grid, truth=local, log=log))
@@ -273,11 +272,10 @@ def draw_atlas(grid: OccupancyGrid, spots: Sequence[Spot], *, step: float, headi
     it. From an ambiguous spot a thin line leads to its twin.
     """
     canvas = map_canvas(grid)
-    to_grid = inverse(grid.origin)
-    local = [compose(to_grid, spot.pose) for spot in spots]
+    local = [in_grid_frame(spot.pose, grid) for spot in spots]
     kinds = [spot.kind for spot in spots]
     twins = [s.twin if s.kind == "ambiguous" else None for s in spots]
-    pairs = [(a, compose(to_grid, b)) for a, b in zip(local, twins, strict=True) if b is not None]
+    pairs = [(a, in_grid_frame(b, grid)) for a, b in zip(local, twins, strict=True) if b]
     if lines := [((a.x, a.y), (b.x, b.y)) for a, b in pairs]:
         layer = canvas.image.copy()
         canvas.lines(np.array(lines), ATLAS_COLOURS["ambiguous"])

@@ -10,8 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from imgloc.geometry import base_of
-from imgloc.model import SURE, Localization, Pose2D
+from imgloc.model import SURE, Localization, Pose2D, base_of
 
 if TYPE_CHECKING:
     from imgloc.choice import Choice

@@ -22,7 +22,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgloc import __version__
+from imgloc.__about__ import __version__
 from imgloc.errors import ConfigError, ImglocError, OutputError
 from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
 from imgloc.io.images import encode_png

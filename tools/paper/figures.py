@@ -9,7 +9,7 @@ import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
-from imgloc.geometry import compose, transform_points, uniform_thetas
+from imgloc.geometry import transform_points, uniform_thetas
 from imgloc.model import (
     FloatArray,
     GridInfo,
@@ -18,6 +18,7 @@ from imgloc.model import (
     OccupancyGrid,
     OrientedPoints,
     Pose2D,
+    compose,
 )
 from imgloc.output.canvas import PAPER, Canvas, Image, draw_map, marker_size
 from imgloc.output.features import draw_bmap, draw_field, draw_surface

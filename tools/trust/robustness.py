@@ -17,9 +17,9 @@ import numpy as np
 from imgloc.errors import ConfigError
 from imgloc.evaluation import Share, pose_errors, share
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.geometry import base_of, compose
+from imgloc.geometry import in_map_frame
 from imgloc.io.scanset import ScanSet
-from imgloc.model import FloatArray, LaserScan, Pose2D
+from imgloc.model import FloatArray, LaserScan, Pose2D, base_of
 from imgloc.options import Options
 from imgloc.pipeline import localize, prepare
 from imgloc.simulation import Sensor, simulate
@@ -220,7 +220,7 @@ def _trial(features: MapFeatures, scan: LaserScan, pose: Pose2D, threads: int) -
     told: tuple[bool, ...] = ()
     if scan.valid.any():
         best = exhaustive(features, scan, options.fused, threads=threads)
-        ideal = [compose(features.grid.origin, Pose2D(*p)) for p in best.poses[:LISTED]]
+        ideal = [in_map_frame(Pose2D(*p), features.grid) for p in best.poses[:LISTED]]
         told = tied(ideal, best.scores.log_likelihood[:LISTED], pose, mount)
     return RobustnessTrial(
         tied(found, scores, pose, mount), told, unique=answer.verdict == "unique"
