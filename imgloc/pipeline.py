@@ -27,8 +27,7 @@ from imgloc.features.pyramid import block_masks
 from imgloc.features.scanpoints import scan_xy, thin
 from imgloc.geometry import centre_of, in_map_frame, uniform_thetas
 from imgloc.io.maps import require_usable
-from imgloc.likelihoods.draws import entropy
-from imgloc.likelihoods.posterior import calibrated
+from imgloc.likelihoods.posterior import calibrated, entropy
 from imgloc.likelihoods.stacks import stack_of
 from imgloc.model import (
     Evidence,

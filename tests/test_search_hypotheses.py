@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from imgloc.features.distance import distance_field
 from imgloc.geometry import rotate_covariance, transform_points
-from imgloc.likelihoods.draws import entropy
+from imgloc.likelihoods.posterior import entropy
 from imgloc.model import Pose2D
 from imgloc.search.hypotheses import as_hypotheses, covariances, masses, modes
 

@@ -1,7 +1,10 @@
 """From a likelihood stack to a probability for every pose: p(x | z) with a uniform prior."""
 
+from typing import Any
+
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.model import BoolArray, Float32Array, Likelihood
@@ -119,6 +122,18 @@ def posterior(
     if total > 0:
         out *= np.float32(1 / total)
     return out
+
+
+def entropy(mass: npt.NDArray[Any]) -> float:
+    """Of shares of any shape that sum to 1, nats: 0 for certainty, ``log(n)`` for no idea among n.
+
+    Examples
+    --------
+    >>> round(entropy(np.array([0.5, 0.5])), 3)
+    0.693
+    """
+    positive = mass[mass > 0]
+    return float(abs(np.sum(positive * np.log(positive), dtype=np.float64)))
 
 
 def smooth(
