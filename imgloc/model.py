@@ -385,11 +385,11 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Temperature:
-    """What evidence was divided by, and why: ``(base + strain) * crowding * cell``.
+    """What evidence was divided by, and why: ``(base + strain) * cell``.
 
     Examples
     --------
-    >>> Temperature(1.5, 3.0, crowding=2.0).value
+    >>> Temperature(1.5, 3.0, cell=2.0).value
     9.0
     """
 
@@ -397,13 +397,12 @@ class Temperature:
     #: pose.
     base: float = math.nan
     strain: float = 0.0  #: added for the misfit
-    crowding: float = 1.0  #: factor for readings on the same patch of wall, at least 1
     cell: float = 1.0  #: factor for the cells of the map, at least 1
 
     @property
     def value(self) -> float:
         """The product."""
-        return (self.base + self.strain) * (self.crowding * self.cell)
+        return (self.base + self.strain) * self.cell
 
 
 @dataclass(frozen=True)
@@ -517,7 +516,7 @@ class Localization:
             for h in self.hypotheses
         ]
         evidence = {"readings": e.readings, "misfit": e.misfit, "temperature": t.value}
-        evidence |= {name: getattr(t, name) for name in ("base", "strain", "crowding", "cell")}
+        evidence |= {name: getattr(t, name) for name in ("base", "strain", "cell")}
         evidence |= {name: getattr(e, name) for name in ("found", "listed", "unlisted")}
         out = {
             "index": index,

@@ -182,8 +182,10 @@ class FusedOptions:
     vote_cells: int = 4_000_000
     vote_headings: int = 24  #: number of headings of the GHT-V votes
     vote_peaks: int = 100  #: how many peaks of the votes become proposals
-    few_rays: int = 64  #: rays of the first look at all proposals, and of the second at the best
-    rays: int = 180
+    #: side of the squares of which each counts as one reading, metres
+    place: float = 0.07
+    few_rays: int = 64  #: such readings of the first look at all proposals, and of the second at
+    rays: int = 180  #: the best
     #: how many places get the second look, and how many poses, which may be of one place: between
     #: two layers of a wall the score has several maxima
     second_look: int = 80
@@ -205,10 +207,6 @@ class Trust:
     #: independent
     temperature: float = 1.5
     strain: float = 15.0  #: growth of the temperature per nat of misfit
-    #: growth of the temperature per reading on the same patch of wall, of :func:`crowding`, from
-    #: where this makes more than 1 of it: they share the errors of the map, so that a scan of a
-    #: corner with hundreds of readings says no more than one with a few
-    crowded: float = 0.36
     #: cell of a map, metres, above which the temperature grows in proportion: all readings on a
     #: wall share the error of its place, up to half a cell
     fine: float = 0.1
@@ -220,21 +218,17 @@ class Trust:
     mass: float = 0.9  #: mass that the best pose needs to be ``unique``
     correlated: float = 2.9  #: how many neighbouring readings share one error, for the covariances
 
-    def temperature_at(
-        self, misfit: float, crowding: float = 1.0, cell: float = 0.0
-    ) -> Temperature:
-        """Temperature for a misfit in nats per reading, readings per patch, and a map's cell.
+    def temperature_at(self, misfit: float, cell: float = 0.0) -> Temperature:
+        """Temperature for a misfit in nats per reading, and the cell of a map in metres.
 
         Examples
         --------
-        >>> trust = Trust(temperature=2.0, strain=10.0, crowded=0.5)
-        >>> [trust.temperature_at(0.5, crowding).value for crowding in (1.0, 6.0)]
-        [7.0, 21.0]
-        >>> trust.temperature_at(0.5, cell=0.2).value
-        14.0
+        >>> trust = Trust(temperature=2.0, strain=10.0)
+        >>> trust.temperature_at(0.5).value, trust.temperature_at(0.5, cell=0.2).value
+        (7.0, 14.0)
         """
-        factors = max(1.0, self.crowded * crowding), max(1.0, cell / self.fine)
-        return Temperature(self.temperature, self.strain * max(0.0, misfit), *factors)
+        strain = self.strain * max(0.0, misfit)
+        return Temperature(self.temperature, strain, max(1.0, cell / self.fine))
 
     def mass_elsewhere(self, misfit: float, best: float) -> float:
         """Probability that the true pose is none of the hypotheses.

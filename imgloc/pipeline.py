@@ -24,7 +24,7 @@ from imgloc.errors import ConfigError
 from imgloc.features.budget import check_budget, exact_bytes, fused_bytes, stack_bytes
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import block_masks
-from imgloc.features.scanpoints import scan_xy, thin
+from imgloc.features.scanpoints import Readings, one_per_place, scan_xy
 from imgloc.geometry import centre_of, in_map_frame, uniform_thetas
 from imgloc.io.maps import require_usable
 from imgloc.likelihoods.posterior import calibrated, entropy
@@ -34,7 +34,6 @@ from imgloc.model import (
     Float32Array,
     FloatArray,
     Hypothesis,
-    IntArray,
     LaserScan,
     Likelihood,
     Localization,
@@ -49,7 +48,7 @@ from imgloc.search.priors import on_lattice, pyramid_levels, standing
 from imgloc.search.proposals import propose_endpoints, propose_votes
 from imgloc.search.refine import refine
 from imgloc.search.rescore import Scores, rescore, shortlist
-from imgloc.search.trust import crowding, judge
+from imgloc.search.trust import judge
 
 MODES = 20
 """Poses that are looked for, however few are listed: no verdict depends on the list's length."""
@@ -119,7 +118,7 @@ def localize(
     if scan.directions < max(1, options.trust.readings):
         found = NOTHING
     elif options.method == FUSED:  # propose, refine, score, separate; then weigh
-        found = weigh(features, scan, find_modes(features, scan, options), options)
+        found = weigh(features, find_modes(features, scan, options), options)
     elif options.exact:
         found = find_exact(features, scan, options)
     else:
@@ -166,7 +165,7 @@ class Modes:
 
     poses: FloatArray
     scores: Scores
-    rays: IntArray  #: the readings that were scored
+    readings: Readings  #: those that were scored
     complete: bool = True  #: the search came to its end
 
 
@@ -186,14 +185,14 @@ def find_modes(
     more : (M, 3) float array, optional
         Proposals of another source, grid frame.
     """
-    fused, prior, xy = options.fused, options.prior, scan_xy(scan)
-    few, many = thin(scan.valid, fused.few_rays), thin(scan.valid, fused.rays)
+    fused, prior, seen = options.fused, options.prior, one_per_place(scan, options.fused.place)
+    few, many = seen.spread(fused.few_rays), seen.spread(fused.rays)
     deadline = time.monotonic() + (np.inf if options.time_budget is None else options.time_budget)
 
     # Propose.
     endpoints, _ = propose_endpoints(
         levels := pyramid_levels(prior, features.pyramid, features.grid.resolution),
-        xy[few],
+        few.xy,
         theta_step=fused.theta_step,
         keep=fused.keep[: len(levels)],
         skip=fused.skip,
@@ -209,27 +208,27 @@ def find_modes(
         proposals.append(exact_poses(features, scan, options)[0])
 
     # Refine: all with a few rays, then the best ones with more of them.
-    poses = refine(np.concatenate(proposals), xy[few], features.field, sigmas=(0.2, 0.1))
+    poses = refine(np.concatenate(proposals), few.xy, features.field, sigmas=(0.2, 0.1))
     poses = standing(poses, prior, features)
-    poses = shortlist(poses, scan, few, features, fused)
+    poses = shortlist(poses, few, features, fused)
     late = time.monotonic() > deadline
     if late:
         poses = poses[:_LAST]
-    poses = refine(poses, xy[many], features.field, sigmas=(0.1, 0.05))
+    poses = refine(poses, many.xy, features.field, sigmas=(0.1, 0.05))
     poses = standing(poses, prior, features)
 
     # Score, and separate.
-    scores = score_poses(features, scan, poses, many, options)
+    scores = score_poses(features, many, poses, options)
     distance, angle = fused.separation
     apart = modes(poses, scores.log_likelihood, distance=distance, angle=angle)
     return Modes(poses[apart], scores.select(apart), many, complete=not late)
 
 
 def score_poses(
-    features: MapFeatures, scan: LaserScan, poses: FloatArray, rays: IntArray, options: Options
+    features: MapFeatures, readings: Readings, poses: FloatArray, options: Options
 ) -> Scores:
     """Scores of poses (C, 3), grid frame, by some readings of a scan."""
-    ranges, angles, model = scan.ranges[rays], scan.angles[rays], options.fused.model
+    ranges, angles, model = readings.ranges, readings.angles, options.fused.model
     return rescore(poses, ranges, angles, features.field, features.walls, model)
 
 
@@ -254,13 +253,13 @@ class Found:
 NOTHING = Found(np.empty((0, 3)), np.empty(0), np.empty(0), np.empty((0, 3, 3)))
 
 
-def weigh(features: MapFeatures, scan: LaserScan, found: Modes, options: Options) -> Found:
+def weigh(features: MapFeatures, found: Modes, options: Options) -> Found:
     """What separated, scored poses are worth: shares and covariances."""
     if len(found.poses) == 0:
         return replace(NOTHING, complete=found.complete)
-    xy, score, trust = scan_xy(scan)[found.rays], found.scores.log_likelihood, options.trust
+    xy, score, trust = found.readings.xy, found.scores.log_likelihood, options.trust
     fit = _fit(found.scores, options)
-    temperature = trust.temperature_at(fit["misfit"], crowding(xy), features.grid.resolution)
+    temperature = trust.temperature_at(fit["misfit"], features.grid.resolution)
     share = masses(score, temperature.value)
     return Found(
         found.poses,
@@ -285,7 +284,7 @@ def find_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Foun
         return NOTHING
     how = options.calibration or DEFAULTS["cbml"]
     temperature = how.temperature_at("cbml", int(scan.valid.sum()))
-    xy = scan_xy(scan)[thin(scan.valid, options.fused.rays)]
+    xy = one_per_place(scan, options.fused.place).spread(options.fused.rays).xy
     return Found(
         poses,
         score,
@@ -344,9 +343,9 @@ def find_in_stack(
 
 def settle(features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Options) -> Scores:
     """Scores of poses after they have settled: trust is about the place, not about the cell."""
-    rays = thin(scan.valid, options.fused.rays)
-    poses = refine(poses, scan_xy(scan)[rays], features.field, sigmas=(0.3, 0.1, 0.05))
-    return score_poses(features, scan, poses, rays, options)
+    readings = one_per_place(scan, options.fused.place).spread(options.fused.rays)
+    poses = refine(poses, readings.xy, features.field, sigmas=(0.3, 0.1, 0.05))
+    return score_poses(features, readings, poses, options)
 
 
 def _fit(scores: Scores, options: Options) -> dict[str, Any]:

@@ -145,15 +145,13 @@ def test_the_evidence_makes_the_masses(method):
         terms = evidence.temperature
         assert terms.base == options.trust.temperature
         assert terms.strain == pytest.approx(options.trust.strain * max(0, evidence.misfit))
-        assert terms.value == pytest.approx(
-            (terms.base + terms.strain) * terms.crowding * terms.cell
-        )
+        assert terms.value == pytest.approx((terms.base + terms.strain) * terms.cell)
         assert terms.cell == 1
         best = answer.hypotheses[0].log_likelihood / evidence.readings
         assert evidence.misfit == pytest.approx(evidence.best - best)
     else:
         assert total + answer.elsewhere <= 1 + 1e-6
-        assert (evidence.temperature.crowding, evidence.temperature.strain) == (1, 0)
+        assert evidence.temperature.strain == 0
     # Moving the answer to the end of the list changes no more than the list.
     more = localize(features, scan, replace(options, top=50))
     assert more.evidence.unlisted == 0 or more.evidence.found > 50

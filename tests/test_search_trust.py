@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from imgloc.model import VERDICTS
 from imgloc.options import Trust
-from imgloc.search.trust import crowding, judge
+from imgloc.search.trust import judge
 
 TRUST = Trust(
     readings=10, temperature=2.0, strain=3.0, elsewhere=(-4.0, 1.5, 2.0), mass=0.9, correlated=1.0
@@ -21,19 +21,6 @@ shares = st.floats(0, 1)
 @pytest.mark.parametrize(("misfit", "expected"), [(0.0, 2.0), (0.5, 3.5), (4.0, 14.0), (-1.0, 2.0)])
 def test_temperature_grows_with_the_misfit(misfit, expected):
     assert TRUST.temperature_at(misfit).value == pytest.approx(expected)
-
-
-def test_readings_on_the_same_patch_are_no_more_evidence():
-    rng = np.random.default_rng(0)
-    corner = np.column_stack((1 + 0.1 * rng.random(180), 0.1 * rng.random(180)))
-    assert crowding(corner) == 180
-    assert crowding(np.column_stack((np.arange(180.0), np.zeros(180)))) == 1
-    assert crowding(np.array([[0.01, 0.0], [-0.01, 0.0]])) == 1  # zero is no middle of a patch
-    assert TRUST.temperature_at(0.5, 2.0).value == TRUST.temperature_at(0.5).value
-    # Sixty readings on a patch instead of thirty: half as much evidence.
-    assert TRUST.temperature_at(0.5, 60.0).value == pytest.approx(
-        2 * TRUST.temperature_at(0.5, 30.0).value
-    )
 
 
 def test_a_coarse_map_is_less_evidence():

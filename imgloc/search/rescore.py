@@ -19,7 +19,8 @@ import numpy as np
 from imgloc.features.distance import DistanceField
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
-from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, LaserScan
+from imgloc.features.scanpoints import Readings
+from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 from imgloc.options import EvidenceModel, FusedOptions
 from imgloc.search.hypotheses import first_in_cell, modes
 from imgloc.search.refine import endpoints
@@ -98,7 +99,7 @@ def _endpoint_density(
 
 
 def shortlist(
-    poses: FloatArray, scan: LaserScan, rays: IntArray, features: MapFeatures, options: FusedOptions
+    poses: FloatArray, readings: Readings, features: MapFeatures, options: FusedOptions
 ) -> FloatArray:
     """The best places with a few rays, and the best poses: those that get the second look.
 
@@ -106,7 +107,7 @@ def shortlist(
     the places: the same ones as if all had been scored. Of poses that have met, the first stands
     for all.
     """
-    ranges, angles, field = scan.ranges[rays], scan.angles[rays], features.field
+    ranges, angles, field = readings.ranges, readings.angles, features.field
     # No score exceeds that of the ends alone: the visibility constraint only takes away.
     density = _endpoint_density(poses, ranges, angles, field, options.model)[0]
     most = np.log(density).sum(axis=1, dtype=np.float64)
