@@ -1,7 +1,7 @@
 """Everything that decides an answer, apart from the map and the scan: plain, frozen values.
 
->>> Options(method="ght-v").top, Options(trust=Trust(mass=0.99)).method
-(5, 'fused')
+>>> Options(method="ght-v").top is None, Options(trust=Trust(mass=0.99)).method
+(True, 'fused')
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,6 +15,8 @@ from imgloc.geometry import cell_of, inside, uniform_thetas, wrap
 from imgloc.model import BoolArray, FloatArray, GridInfo, Temperature
 
 FUSED = "fused"
+MOST_OF_IT = 0.95  #: share of the mass found that the hypotheses listed hold
+AT_LEAST, AT_MOST = 5, 100  #: hypotheses that are listed, however much mass they hold
 
 
 @dataclass(frozen=True)
@@ -254,8 +256,9 @@ class Options:
     ----------
     method : str
         ``fused`` or a name of :data:`METHODS`.
-    top : int
-        How many hypotheses are listed.
+    top : int, optional
+        How many hypotheses are listed; None takes as many as hold :data:`MOST_OF_IT` of the mass,
+        from :data:`AT_LEAST` to :data:`AT_MOST`.
     theta_step : float or None
         Step of the headings of a stack, radians, and of branch and bound, whose own are those
         of ``cbml``; None takes the method's own.
@@ -281,7 +284,7 @@ class Options:
     """
 
     method: str = FUSED
-    top: int = 5
+    top: int | None = None
     theta_step: float | None = None
     engine: str = "auto"
     threads: int = 1
@@ -292,6 +295,23 @@ class Options:
     fused: FusedOptions = field(default_factory=FusedOptions)
     trust: Trust = field(default_factory=Trust)
     calibration: Calibration | None = None
+
+    def listed(self, share: FloatArray) -> int:
+        """How many hypotheses of these shares (M,), in their order, are listed.
+
+        Examples
+        --------
+        >>> some = np.full(12, 1 / 12)
+        >>> Options().listed(some), Options(top=2).listed(some), Options(top=99).listed(some)
+        (12, 2, 12)
+        >>> Options().listed(np.array([0.9, 0.08, *np.full(20, 0.001)]))
+        5
+        """
+        if self.top is not None:
+            return min(self.top, len(share))
+        held = np.cumsum(share)
+        enough = int(np.searchsorted(held, MOST_OF_IT * held[-1:].sum())) + 1
+        return min(max(AT_LEAST, enough), AT_MOST, len(share))
 
     @property
     def step(self) -> float:

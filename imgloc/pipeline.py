@@ -130,7 +130,7 @@ def localize(
     mass = (1 - elsewhere) * found.share
     verdict, checks = judge(scan.directions, mass, elsewhere, options.trust, found.complete)
     arrays = (found.poses, found.log_likelihood, mass, found.covariance)
-    listed = as_hypotheses(*(array[: options.top] for array in arrays))
+    listed = as_hypotheses(*(array[: options.listed(found.share)] for array in arrays))
     hypotheses = tuple(in_map_frame(h, features.grid.info) for h in listed)
     elapsed = 1e3 * (time.perf_counter() - start)
     whole = np.append(mass, elsewhere) if len(mass) else mass
@@ -261,11 +261,12 @@ def weigh(features: MapFeatures, found: Modes, options: Options) -> Found:
     fit = _fit(found.scores, options)
     temperature = trust.temperature_at(fit["misfit"], features.grid.resolution)
     share = masses(score, temperature.value)
+    listed = found.poses[: options.listed(share)]
     return Found(
         found.poses,
         score,
         share,
-        _covariances(features, found.poses, xy, options, 2 * min(options.fused.model.sigmas)),
+        _covariances(features, listed, xy, options, 2 * min(options.fused.model.sigmas)),
         temperature=temperature,
         lead=float(share[0]),
         complete=found.complete,
@@ -285,11 +286,13 @@ def find_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Foun
     how = options.calibration or DEFAULTS["cbml"]
     temperature = how.temperature_at("cbml", int(scan.valid.sum()))
     xy = one_per_place(scan, options.fused.place).spread(options.fused.rays).xy
+    share = masses(np.log(score), temperature)
+    listed = poses[: options.listed(share)]
     return Found(
         poses,
         score,
-        masses(np.log(score), temperature),
-        _covariances(features, poses, xy, options, features.lattice.resolution),
+        share,
+        _covariances(features, listed, xy, options, features.lattice.resolution),
         temperature=Temperature(temperature),
         **_fit(settle(features, scan, poses[:1], options), options),
     )
@@ -304,7 +307,7 @@ def exact_poses(
     if prior.cells is not None:
         where = on_lattice(prior, features.free, features.factor)
         pooled = replace(pooled, where=block_masks(where, pooled.top))
-    (distance, angle), n = options.fused.separation, max(options.top, MODES)
+    (distance, angle), n = options.fused.separation, max(options.top or 0, MODES)
     xy, some, threads = scan_xy(scan)[scan.valid], thetas[wanted], options.threads
     best = best_poses(pooled, xy, some, count=n, distance=distance, angle=angle, threads=threads)
     xy = centre_of(best.cells[:, 1:], features.lattice.resolution)
@@ -320,7 +323,7 @@ def find_in_stack(
     hold more mass.
     """
     probability = posterior_of(features, scan, stack, options)
-    n = 4 * max(options.top, MODES)  # more than modes: some are neighbours on the slope of one
+    n = 4 * max(options.top or 0, MODES)  # more than modes: some are neighbours on the slope of one
     cell, apart = stack.grid.resolution, options.fused.separation
     poses, share, covariance, peaks = peaks_of_posterior(
         probability, stack.thetas, cell, n=n, separation=apart
@@ -360,9 +363,8 @@ def _covariances(
     features: MapFeatures, poses: FloatArray, xy: FloatArray, options: Options, sigma: float
 ) -> FloatArray:
     """Covariances of the poses that are listed."""
-    listed, field, trust = poses[: options.top], features.field, options.trust
-    extent = options.fused.separation
-    return covariances(listed, xy, field, sigma=sigma, correlated=trust.correlated, extent=extent)
+    field, trust, extent = features.field, options.trust, options.fused.separation
+    return covariances(poses, xy, field, sigma=sigma, correlated=trust.correlated, extent=extent)
 
 
 def _log_volumes(hypotheses: tuple[Hypothesis, ...], features: MapFeatures) -> FloatArray:
@@ -433,7 +435,7 @@ def check_options(features: MapFeatures, options: Options) -> None:
     """Refuse what :func:`localize` cannot do, by its errors, before anything is done."""
     _expect(features, MapFeatures, "features", "prepare(grid) makes them")
     _expect(options, Options, "options", 'Options(method="...") makes them')
-    if options.top < 1:
+    if options.top is not None and options.top < 1:
         raise ConfigError(f"top must be at least 1, got {options.top}")
     check_method(options.method, ALL_METHODS)
     if options.exact and options.method not in (FUSED, "cbml"):
