@@ -15,7 +15,7 @@ from imgloc.explanation import KINDS, RayFit, explain
 from imgloc.model import Hypothesis, LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options
 from imgloc.output.canvas import INK, PAPER, SHADE
-from imgloc.output.pages import HEADLINES, render_explanation
+from imgloc.output.pages import DRAWN, HEADLINES, render_explanation
 from imgloc.output.svg import (
     View,
     cells_picture,
@@ -274,6 +274,17 @@ def test_the_page_says_what_the_answer_says(why) -> None:
     assert f"the second is {margin:.1f} nats behind" in page.text
     assert page.text.count("this decides") == 1
     assert "fused.model.hit 0.8" in page.text
+
+
+def test_of_many_hypotheses_the_first_are_drawn_and_all_are_in_the_table(why) -> None:
+    many = replace(why, fits=why.fits[:1] * (DRAWN + 3))
+    page = Page(render_explanation(many, "x"))
+    assert f"The first {DRAWN} of {DRAWN + 3} are drawn" in page.text
+    figures, rows = page.tags.count("figure"), page.tags.count("tr")
+    fewer = Page(render_explanation(replace(many, fits=many.fits[:DRAWN]), "x"))
+    assert "are drawn" not in fewer.text
+    assert fewer.tags.count("figure") == figures
+    assert rows == fewer.tags.count("tr") + 3
 
 
 @pytest.mark.parametrize("cell", [None, 1.25])
