@@ -205,46 +205,51 @@ class Trust:
     """What turns evidence into probabilities and a verdict."""
 
     readings: int = 10  #: with valid readings in fewer directions than this a scan is ``invalid``
-    #: what evidence is divided by where map and scan agree perfectly: neighbouring readings are not
-    #: independent
-    temperature: float = 1.5
-    strain: float = 15.0  #: growth of the temperature per nat of misfit
+    #: what the evidence of 100 readings is divided by where map and scan agree perfectly: errors of
+    #: neighbours are not independent. It grows with the root of their number.
+    temperature: float = 2.0
+    strain: float = 7.1  #: growth of that temperature per nat of misfit
     #: cell of a map, metres, above which the temperature grows in proportion: all readings on a
     #: wall share the error of its place, up to half a cell
     fine: float = 0.1
-    #: log-odds that the true pose is none of the hypotheses: constant, per nat of misfit, per share
-    #: of the mass that the best hypothesis does not hold. A logistic regression on simulated scans
-    #: in the bundled worlds, a third of them disturbed, against scans from other worlds; the
-    #: constant is lowered by 2, as most scans are of their map.
-    elsewhere: tuple[float, float, float] = (-5.1, 1.8, 3.9)
+    #: log-odds that the true pose is none of the hypotheses: constant, per nat of evidence by which
+    #: the best fits better than a building on no map would, per share of the mass that it does not
+    #: hold. A logistic regression, see ``python -m tools.trust fit``; the constant is lowered by 1,
+    #: as most scans are of their map.
+    elsewhere: tuple[float, float, float] = (-3.7, -0.44, 2.0)
+    most: float = 30.0  #: nats of such evidence; more says no more
     mass: float = 0.9  #: mass that the best pose needs to be ``unique``
     correlated: float = 2.9  #: how many neighbouring readings share one error, for the covariances
 
-    def temperature_at(self, misfit: float, cell: float = 0.0) -> Temperature:
-        """Temperature for a misfit in nats per reading, and the cell of a map in metres.
+    def temperature_at(self, misfit: float, readings: int = 100, cell: float = 0.0) -> Temperature:
+        """Temperature for a misfit in nats per reading, readings, and the cell of a map in metres.
 
         Examples
         --------
         >>> trust = Trust(temperature=2.0, strain=10.0)
-        >>> trust.temperature_at(0.5).value, trust.temperature_at(0.5, cell=0.2).value
-        (7.0, 14.0)
+        >>> [trust.temperature_at(0.5, n).value for n in (25, 100, 400)]
+        [3.5, 7.0, 14.0]
+        >>> trust.temperature_at(0.5, cell=0.2).value
+        14.0
         """
         strain = self.strain * max(0.0, misfit)
-        return Temperature(self.temperature, strain, max(1.0, cell / self.fine))
+        number = float(np.sqrt(max(1, readings) / 100))
+        return Temperature(self.temperature, strain, number, max(1.0, cell / self.fine))
 
-    def mass_elsewhere(self, misfit: float, best: float) -> float:
+    def mass_elsewhere(self, evidence: float, best: float) -> float:
         """Probability that the true pose is none of the hypotheses.
 
-        A scan of another place fits badly, and it fits several poses equally badly. `misfit` is
-        that of the best pose, nats per reading, `best` its mass among the hypotheses, 0..1.
+        `evidence` is by how many nats, divided by the temperature, the best pose fits better than
+        a building on no map would; `best` is its mass among the hypotheses, 0..1.
 
         Examples
         --------
-        >>> Trust().mass_elsewhere(0.1, 1.0) < 0.01, Trust().mass_elsewhere(2.0, 0.2) > 0.5
+        >>> Trust().mass_elsewhere(20.0, 1.0) < 0.01, Trust().mass_elsewhere(-5.0, 0.2) > 0.5
         (True, True)
         """
         constant, per_nat, per_share = self.elsewhere
-        odds = constant + per_nat * max(0.0, misfit) + per_share * (1 - best)
+        said = float(np.clip(evidence, -self.most, self.most))
+        odds = constant + per_nat * said + per_share * (1 - best)
         return float(1 / (1 + np.exp(-odds)))
 
 

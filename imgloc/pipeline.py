@@ -41,6 +41,7 @@ from imgloc.model import (
     Temperature,
 )
 from imgloc.options import ALL_METHODS, DEFAULTS, FUSED, METHODS, Options, Prior
+from imgloc.search.background import unmapped_score
 from imgloc.search.branch_and_bound import best_poses
 from imgloc.search.hypotheses import as_hypotheses, covariances, masses, modes
 from imgloc.search.peaks import peaks_of_posterior
@@ -126,7 +127,7 @@ def localize(
         found = find_in_stack(features, scan, stack, options)
     elsewhere = 1.0
     if len(found.poses):
-        elsewhere = options.trust.mass_elsewhere(found.misfit, found.lead)
+        elsewhere = options.trust.mass_elsewhere(found.gained, found.lead)
     mass = (1 - elsewhere) * found.share
     verdict, checks = judge(scan.directions, mass, elsewhere, options.trust, found.complete)
     arrays = (found.poses, found.log_likelihood, mass, found.covariance)
@@ -148,6 +149,8 @@ def localize(
             readings=found.readings,
             best=options.fused.model.best,
             misfit=found.misfit,
+            unmapped=found.unmapped,
+            gained=found.gained,
             temperature=found.temperature,
             log_volume=_log_volumes(hypotheses, features),
             checks=checks,
@@ -241,11 +244,14 @@ class Found:
     share: FloatArray  #: (M,) Mass of each if the true pose is one of them
     covariance: FloatArray  #: (L, 3, 3) Of as many as are listed, at least
     misfit: float = float("nan")  #: nats per reading that the best pose lacks
+    unmapped: float = float("nan")  #: nats per reading in a building that is on no map
+    gained: float = float("nan")  #: nats, tempered, by which the best pose beats that
     explained: float = 0.0  #: share of the readings that the best pose explains
     temperature: Temperature = field(default_factory=Temperature)  #: what made shares of nats
     readings: int = 0  #: how many decided about the misfit
-    #: share of the best, as far as it says something about the true pose being none of them
-    lead: float = 1.0
+    #: share of the best, as far as it says something about the true pose being none of them: votes
+    #: are spread where walls are few, too, so that those of a stack say nothing
+    lead: float = 0.0
     entropy: float | None = None  #: of a whole posterior, nats
     complete: bool = True  #: the search came to its end
 
@@ -257,9 +263,8 @@ def weigh(features: MapFeatures, found: Modes, options: Options) -> Found:
     """What separated, scored poses are worth: shares and covariances."""
     if len(found.poses) == 0:
         return replace(NOTHING, complete=found.complete)
-    xy, score, trust = found.readings.xy, found.scores.log_likelihood, options.trust
-    fit = _fit(found.scores, options)
-    temperature = trust.temperature_at(fit["misfit"], features.grid.resolution)
+    xy, score = found.readings.xy, found.scores.log_likelihood
+    fit, temperature = _fit(features, found.readings, found.scores, options)
     share = masses(score, temperature.value)
     listed = found.poses[: options.listed(share)]
     return Found(
@@ -294,7 +299,7 @@ def find_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Foun
         share,
         _covariances(features, listed, xy, options, features.lattice.resolution),
         temperature=Temperature(temperature),
-        **_fit(settle(features, scan, poses[:1], options), options),
+        **_settled_fit(features, scan, poses[:1], options),
     )
 
 
@@ -339,24 +344,44 @@ def find_in_stack(
         *(poses, score, share, covariance),
         temperature=Temperature(temperature),
         entropy=entropy(probability),
-        # Votes are spread where walls are few, too: no share says anything of the scan.
-        **_fit(settle(features, scan, poses[:1], options), options),
+        **_settled_fit(features, scan, poses[:1], options),
     )
 
 
-def settle(features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Options) -> Scores:
+def settle(
+    features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Options
+) -> tuple[Readings, Scores]:
     """Scores of poses after they have settled: trust is about the place, not about the cell."""
     readings = one_per_place(scan, options.fused.place).spread(options.fused.rays)
     poses = refine(poses, readings.xy, features.field, sigmas=(0.3, 0.1, 0.05))
-    return score_poses(features, readings, poses, options)
+    return readings, score_poses(features, readings, poses, options)
 
 
-def _fit(scores: Scores, options: Options) -> dict[str, Any]:
-    """Misfit, explained share and readings of the best pose, as :class:`Found` has them."""
-    readings = scores.crossed.shape[1]
-    per_reading = float(scores.log_likelihood[0]) / readings
-    misfit, explained = float(options.fused.model.best - per_reading), float(scores.explained[0])
-    return {"misfit": misfit, "explained": explained, "readings": readings}
+def _settled_fit(
+    features: MapFeatures, scan: LaserScan, best: FloatArray, options: Options
+) -> dict[str, Any]:
+    """What :func:`_fit` says of a stack's best pose (1, 3)."""
+    return _fit(features, *settle(features, scan, best, options), options)[0]
+
+
+def _fit(
+    features: MapFeatures, readings: Readings, scores: Scores, options: Options
+) -> tuple[dict[str, Any], Temperature]:
+    """How well the best pose fits, as :class:`Found` has it, and the temperature of its score."""
+    n, model = len(readings), options.fused.model
+    total = float(scores.log_likelihood[0])
+    misfit = model.best - total / n
+    told = options.prior.cells is not None or options.prior.heading is not None
+    unmapped = unmapped_score(readings.xy, model, told=told)
+    temperature = options.trust.temperature_at(misfit, n, features.grid.resolution)
+    said = {
+        "misfit": misfit,
+        "unmapped": unmapped,
+        "gained": (total - unmapped * n) / temperature.value,
+        "explained": float(scores.explained[0]),
+        "readings": n,
+    }
+    return said, temperature
 
 
 def _covariances(

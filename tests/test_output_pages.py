@@ -297,13 +297,13 @@ def test_the_temperature_on_the_page_is_the_product_of_its_terms(why, cell) -> N
     number = r"([\d.]+)"
     found = re.search(
         rf"Temperature {number} = \({number} \+ {number} × misfit\)"
-        rf" × {number} \(cells of the map\)",
+        rf" × {number} \(√ of readings / 100\) × {number} \(cells of the map\)",
         Page(page).text,
     )
-    value, base, strain, factor = map(float, found.groups())
+    value, base, strain, many, factor = map(float, found.groups())
     assert factor == (cell or 1.0)  # that of this scan is 1
     assert value == pytest.approx(evidence.temperature.value, abs=0.006)
-    assert (base + strain * evidence.misfit) * factor == pytest.approx(value, abs=0.006)
+    assert (base + strain * evidence.misfit) * many * factor == pytest.approx(value, abs=0.006)
     if not cell:  # and it is what the masses were made with
         best, second = (fit.hypothesis for fit in why.fits[:2])
         margin = best.log_likelihood - second.log_likelihood

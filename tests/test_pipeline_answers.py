@@ -146,7 +146,7 @@ def test_the_evidence_makes_the_masses(method):
         terms = evidence.temperature
         assert terms.base == options.trust.temperature
         assert terms.strain == pytest.approx(options.trust.strain * max(0, evidence.misfit))
-        assert terms.value == pytest.approx((terms.base + terms.strain) * terms.cell)
+        assert terms.value == pytest.approx((terms.base + terms.strain) * terms.number * terms.cell)
         assert terms.cell == 1
         best = answer.hypotheses[0].log_likelihood / evidence.readings
         assert evidence.misfit == pytest.approx(evidence.best - best)

@@ -91,11 +91,16 @@ def _endpoint_density(
     """Density of each reading by where it ends alone, and its distance from a surface, (C, N)."""
     xy = np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles)))
     distance = endpoints(poses, xy, field)[2]
+    return hit_density(distance, model), distance
+
+
+def hit_density(distance: Float32Array, model: EvidenceModel) -> Float32Array:
+    """Density of readings that end so far from a surface, metres, of any shape: 1 / metres."""
     density = np.full(distance.shape, (1 - model.hit) / model.span, dtype=np.float32)
     for sigma in model.sigmas:
         peak = model.hit / (len(model.sigmas) * sigma * np.sqrt(2 * np.pi))
         density += np.float32(peak) * np.exp(distance * distance * np.float32(-0.5 / sigma**2))
-    return density, distance
+    return density
 
 
 def shortlist(

@@ -3,7 +3,8 @@
 A scan from the best pose should score about as well as its readings can: close to
 :attr:`~imgloc.options.EvidenceModel.best` nats each. What is missing, the **misfit**,
 says how far map and scan disagree. Where they do, differences of evidence mean less than they
-claim (the errors are not independent), and the true pose may be none of those found.
+claim: the errors are not independent. Whether the true pose is one of those found is judged by
+what the map explains beyond an empty room, see :mod:`imgloc.search.background`.
 """
 
 from imgloc.model import Check, FloatArray
