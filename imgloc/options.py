@@ -208,15 +208,14 @@ class Trust:
     #: what the evidence of 100 readings is divided by where map and scan agree perfectly: errors of
     #: neighbours are not independent. It grows with the root of their number.
     temperature: float = 2.0
-    strain: float = 7.1  #: growth of that temperature per nat of misfit
+    strain: float = 9.0  #: growth of that temperature per nat of misfit
     #: cell of a map, metres, above which the temperature grows in proportion: all readings on a
     #: wall share the error of its place, up to half a cell
     fine: float = 0.1
     #: log-odds that the true pose is none of the hypotheses: constant, per nat of evidence by which
     #: the best fits better than a building on no map would, per share of the mass that it does not
-    #: hold. A logistic regression, see ``python -m tools.trust fit``; the constant is lowered by 1,
-    #: as most scans are of their map.
-    elsewhere: tuple[float, float, float] = (-3.7, -0.44, 2.0)
+    #: hold. A logistic regression, see ``python -m tools.trust fit``
+    elsewhere: tuple[float, float, float] = (-3.4, -0.53, 2.2)
     most: float = 30.0  #: nats of such evidence; more says no more
     mass: float = 0.9  #: mass that the best pose needs to be ``unique``
     correlated: float = 2.9  #: how many neighbouring readings share one error, for the covariances

@@ -14,7 +14,7 @@ import numpy as np
 
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
-from imgloc.model import FloatArray, LaserScan, OccupancyGrid
+from imgloc.model import BoolArray, FloatArray, LaserScan, OccupancyGrid
 from imgloc.simulation import ray_angles
 
 Rng = np.random.Generator
@@ -30,7 +30,7 @@ def with_ranges(scan: LaserScan, ranges: FloatArray) -> LaserScan:
 def people(scan: LaserScan, rng: Rng, count: int = 10) -> LaserScan:
     """Discs of 0.5 m, their middles 0.8 to 4 m away: some 30 % of the rays, in clusters."""
     ranges = scan.ranges.astype(np.float64)
-    for distance, at in zip(rng.uniform(0.8, 4, count), rng.uniform(-np.pi, np.pi, count)):
+    for distance, at in rng.uniform((0.8, -np.pi), (4.0, np.pi), (count, 2)):
         across = distance * np.sin(scan.angles - at)
         ahead = distance * np.cos(scan.angles - at)
         hit = (np.abs(across) < 0.25) & (ahead > 0)
@@ -39,7 +39,7 @@ def people(scan: LaserScan, rng: Rng, count: int = 10) -> LaserScan:
     return with_ranges(scan, ranges)
 
 
-def neighbours(scan: LaserScan, rng: Rng, share: float) -> np.ndarray:
+def neighbours(scan: LaserScan, rng: Rng, share: float) -> BoolArray:
     """A run of rays: bool (N,)."""
     n = len(scan.ranges)
     first = int(rng.integers(n))
@@ -78,7 +78,7 @@ def short(share: float) -> ScanChange:
 def few(n: int) -> ScanChange:
     """At most `n` rays, evenly spread."""
 
-    def change(scan: LaserScan, rng: Rng) -> LaserScan:
+    def change(scan: LaserScan, _: Rng) -> LaserScan:
         pick = np.linspace(0, len(scan.ranges) - 1, min(n, len(scan.ranges))).round().astype(int)
         return replace(scan, ranges=scan.ranges[pick], angles=scan.angles[pick])
 
@@ -87,13 +87,13 @@ def few(n: int) -> ScanChange:
 
 def reach(metres: float) -> ScanChange:
     """A sensor of a shorter reach."""
-    return lambda scan, rng: replace(scan, range_max=min(scan.range_max, metres))
+    return lambda scan, _: replace(scan, range_max=min(scan.range_max, metres))
 
 
 def view(degrees: float) -> ScanChange:
     """A narrower view, ahead."""
 
-    def change(scan: LaserScan, rng: Rng) -> LaserScan:
+    def change(scan: LaserScan, _: Rng) -> LaserScan:
         keep = np.abs(scan.angles - np.median(scan.angles)) <= np.deg2rad(degrees / 2)
         return replace(scan, ranges=scan.ranges[keep], angles=scan.angles[keep])
 
@@ -102,10 +102,10 @@ def view(degrees: float) -> ScanChange:
 
 def scaled_ranges(factor: float) -> ScanChange:
     """A constant relative error of the ranges."""
-    return lambda scan, rng: with_ranges(scan, factor * scan.ranges)
+    return lambda scan, _: with_ranges(scan, factor * scan.ranges)
 
 
-def same(scan: LaserScan, rng: Rng) -> LaserScan:
+def same(scan: LaserScan, _: Rng) -> LaserScan:
     """As it was."""
     return scan
 
@@ -129,7 +129,7 @@ SCANS: Mapping[str, ScanChange] = MappingProxyType(
 )
 
 
-def dilated(grid: OccupancyGrid, rng: Rng, cells: int = 2) -> OccupancyGrid:
+def dilated(grid: OccupancyGrid, _: Rng, cells: int = 2) -> OccupancyGrid:
     """Walls thicker by some cells on all sides."""
     size = 2 * cells + 1
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
@@ -149,9 +149,9 @@ def displaced(metres: float, over: float = 8.0) -> MapChange:
         step = np.float32(metres / grid.resolution / length)
         x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
 
-        def moved(image: np.ndarray) -> np.ndarray:
-            out = cv2.remap(image.astype(np.uint8), x + step * dx, y + step * dy, cv2.INTER_NEAREST)
-            return out > 0
+        def moved(image: BoolArray) -> BoolArray:
+            to = (x + step * dx, y + step * dy)
+            return np.asarray(cv2.remap(image.astype(np.uint8), *to, cv2.INTER_NEAREST) > 0)
 
         return replace(grid, occupied=moved(grid.occupied), free=moved(grid.free))
 
@@ -160,16 +160,15 @@ def displaced(metres: float, over: float = 8.0) -> MapChange:
 
 def half(grid: OccupancyGrid, rng: Rng) -> OccupancyGrid:
     """One half of the map is unknown."""
-    keep = np.zeros(grid.occupied.shape, bool)
     side = int(rng.integers(4))
-    rows, columns = np.indices(keep.shape, sparse=True)
-    occupied = np.argwhere(grid.occupied)
-    middle = np.median(occupied, axis=0)
-    keep |= [rows < middle[0], rows >= middle[0], columns < middle[1], columns >= middle[1]][side]
+    middle = int(np.median(np.argwhere(grid.occupied)[:, side // 2]))
+    keep = np.zeros(grid.occupied.shape, bool)
+    part = slice(None, middle) if side % 2 else slice(middle, None)
+    keep[(part, slice(None)) if side < 2 else (slice(None), part)] = True
     return replace(grid, occupied=grid.occupied & keep, free=grid.free & keep)
 
 
-def intact(grid: OccupancyGrid, rng: Rng) -> OccupancyGrid:
+def intact(grid: OccupancyGrid, _: Rng) -> OccupancyGrid:
     """As it was."""
     return grid
 
@@ -184,35 +183,31 @@ MAPS: Mapping[str, MapChange] = MappingProxyType(
     }
 )
 
+_CELL, _REACH, _CLEAR = 0.01, 20.0, 0.3  # metres: of a room's image, of the sensor, of the robot
 ROOMS = ("closed room", "room with a door", "dead end", "lift")
 
 
 def unmapped(kind: str, rng: Rng, fov: float = 2 * np.pi, rays: int = 361) -> LaserScan:
     """A scan from within a simple place that is in no map: one of :data:`ROOMS`."""
-    cell, reach = 0.01, 20.0
-    small = kind == "lift"
-    w, h = rng.uniform(1.2, 2.4, 2) if small else rng.uniform(2.5, 9.0, 2)
+    width, height = rng.uniform(*((1.2, 2.4) if kind == "lift" else (2.5, 9.0)), 2)
+    beyond = 0.0  # metres that are free behind the upper side
     if kind == "dead end":
-        w, h = rng.uniform(1.4, 3.0), rng.uniform(8.0, 15.0)
-    free = np.zeros((round(h / cell) + 20, round(w / cell) + 20), bool)
-    free[10:-10, 10:-10] = True
-    if kind == "room with a door":
-        door = round(0.9 / cell)
-        at = int(rng.integers(10, free.shape[1] - 10 - door))
-        free[-10:, at : at + door] = True
+        width, height, beyond = rng.uniform((1.4, 8.0, 8.0), (3.0, 15.0, 8.0))
+    elif kind == "room with a door":
+        beyond = rng.uniform(1.4, 3.0)  # a corridor
+    rows, columns, far = (round(metres / _CELL) for metres in (height, width, beyond))
+    free = np.zeros((rows + far + 20, columns + 20), bool)
+    free[10 : 10 + rows, 10 : 10 + columns] = True
     if kind == "dead end":
-        free[-10:, 10:-10] = True
-    walls = np.pad(~free, ((0, 0), (0, 0)))
-    if kind in ("room with a door", "dead end"):  # what is beyond: a corridor's other side
-        far = round((rng.uniform(1.4, 3.0) if kind == "room with a door" else 8.0) / cell)
-        walls = np.vstack((walls, np.zeros((far, walls.shape[1]), bool)))
-        if kind == "room with a door":
-            walls = np.vstack((walls, np.ones((5, walls.shape[1]), bool)))
-    margin = 0.3
-    x, y = rng.uniform(margin, w - margin) + 0.1, rng.uniform(margin, h - margin) + 0.1
+        free[10 + rows :, 10 : 10 + columns] = True
+    elif kind == "room with a door":
+        door = int(rng.integers(10, columns - 80))
+        free[10 + rows : 20 + rows, door : door + 90] = True
+        free[20 + rows : 20 + rows + far - 10, :] = True
+    at = 0.1 + rng.uniform(_CLEAR, (width - _CLEAR, height - _CLEAR))
     angles = ray_angles(rays, fov)
     psi = rng.uniform(-np.pi, np.pi) + angles
-    ranges = cast_rays(distance_image(walls), np.array([x, y]), psi, reach, cell)
-    ranges = ranges + 0.02 * rng.standard_normal(len(ranges))
-    ranges[ranges > reach] = np.inf
-    return LaserScan(np.maximum(ranges, 1e-3), angles, range_max=reach)
+    ranges = cast_rays(distance_image(~free), at, psi, _REACH, _CELL).astype(np.float64)
+    ranges += 0.02 * rng.standard_normal(rays)
+    ranges[ranges > _REACH] = np.inf
+    return LaserScan(np.maximum(ranges, 1e-3), angles, range_max=_REACH)
