@@ -30,6 +30,10 @@ _START = (
     "import pickle, sys; sys.path[:], limit = pickle.load(sys.stdin.buffer); "
     "from imgloc.workers import serve; serve(limit)"
 )
+# There are as many workers as processors.
+_ONE_THREAD = dict.fromkeys(
+    ("OPENCV_FOR_THREADS_NUM", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), "1"
+)
 _IDLE = 600.0  # seconds without a task after which a worker goes: a cluster keeps them
 _TOLD = 400  # characters of what a worker that died has said last
 
@@ -71,8 +75,8 @@ class OverdueError(Exception):
 class Supervisor:
     """One worker: a process that is started when it is needed, and again when it has died.
 
-    A task may take `timeout` seconds, and a worker `memory_limit` bytes beside what it has when it
-    starts (where the system can limit that); None is without a limit.
+    A task may take `timeout` seconds, and a worker `memory_limit` bytes beside what it has when its
+    first task begins (where the system can limit that); None is without a limit.
     """
 
     def __init__(self, timeout: float | None = None, memory_limit: int | None = None) -> None:
@@ -153,6 +157,7 @@ class Supervisor:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._said,
+            env=os.environ | _ONE_THREAD,
         )
         if self._over:  # said while it started
             self.kill()
@@ -267,12 +272,8 @@ def serve(memory_limit: int | None) -> None:
                 tasks.put(pickle.load(source))  # noqa: S301  (of our own parent)
         os._exit(1)  # it has gone, be it killed
 
-    import cv2
-
-    cv2.setNumThreads(1)
-    limit_memory(memory_limit)
     threading.Thread(target=receive, daemon=True).start()
-    answer = pickle.dumps("ready")
+    answer, limited = pickle.dumps("ready"), False
     while True:
         sink.write(answer)
         sink.flush()
@@ -280,6 +281,9 @@ def serve(memory_limit: int | None) -> None:
             function, args, kwargs = tasks.get(timeout=_IDLE)
         except queue.Empty:
             os._exit(0)
+        if not limited:  # what the first task has imported is not its own
+            limit_memory(memory_limit)
+            limited = True
         try:
             answer = pickle.dumps((True, function(*args, **kwargs)))
         except Exception as error:

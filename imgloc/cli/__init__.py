@@ -12,9 +12,11 @@ from imgloc.cli.calibrate import calibrate
 from imgloc.cli.console import Group, emit
 from imgloc.cli.demo import demo
 from imgloc.cli.evaluate import evaluate
+from imgloc.cli.export import export
 from imgloc.cli.localize import localize
 from imgloc.cli.map import check, show
 from imgloc.cli.options import examples
+from imgloc.cli.report import report
 from imgloc.cli.sample import sample
 from imgloc.cli.simulate import simulate
 from imgloc.cli.which import which
@@ -103,6 +105,11 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc batch floors scans --job which --out named --workers 8",
         "imgloc batch pairs.csv --out found --resume",
         "imgloc batch images scans --resolution 0.05 --out found --dask tcp://10.0.0.5:8786",
+    ),
+    report: ("imgloc report found", "imgloc report found --out site.html"),
+    export: (
+        "imgloc export found",
+        "imgloc export found --format parquet --out answers.parquet",
     ),
     which: ("imgloc which floors scans.npz", "imgloc which floors scan.csv --range-max 20 --json"),
 }
