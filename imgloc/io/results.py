@@ -91,6 +91,9 @@ class Results:
         write_text_atomic(self.folder / RUN, text, force=True)
         try:
             self._file = self.path.open("r+b" if self.path.exists() else "x+b", buffering=0)
+        except OSError as e:
+            raise self._failed(e) from None
+        try:
             end = 0
             for line in _lines(self._file):
                 if not line.endswith(b"\n"):
@@ -101,8 +104,9 @@ class Results:
                 self._lines += 1
             self._file.truncate(end)
             self._file.seek(end)
-        except OSError as e:
-            raise self._failed(e) from None
+        except BaseException as e:
+            self._file.close()
+            raise self._failed(e) if isinstance(e, OSError) else e from None
 
     def __enter__(self) -> "Results":
         return self
