@@ -13,10 +13,9 @@ from math import degrees
 from pathlib import Path
 from typing import Any
 
-from imgloc.batch import TIMEOUT, run_batch
-from imgloc.errors import ImglocError
-from imgloc.jobs import Job
-from imgloc.options import ALL_METHODS, FUSED, Options
+from imgloc import ALL_METHODS, ImglocError, Job, Options, run_batch
+from imgloc.batch import TIMEOUT
+from imgloc.options import FUSED
 from imgloc.output.drawings import DRAWINGS
 
 

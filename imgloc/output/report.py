@@ -206,6 +206,17 @@ def histogram(values: Sequence[float], low: float, high: float) -> list[tuple[fl
     return [(float(edges[k]), float(edges[k + 1]), int(counts[k])) for k in kept]
 
 
+def brief(value: float) -> str:
+    """Three digits, without an exponent.
+
+    Examples
+    --------
+    >>> brief(0.01234), brief(318.4), brief(18699.0)
+    ('0.0123', '318', '18,700')
+    """
+    return f"{float(f'{value:.3g}'):,}".removesuffix(".0")
+
+
 def _count(of_map: _OfMap, answer: Row, row: Row, k: int) -> None:
     if "verdict" in answer:
         named = "maps" in answer and answer["verdict"] not in _VERDICTS
@@ -343,3 +354,4 @@ _DESCRIBED: Mapping[str, Callable[[Row, Row, int], dict[str, Any]]] = {
     "localize": _located, "which": _named, "evaluate": _measured, "check": _checked,
     "atlas": _surveyed,
 }  # fmt: skip
+ENVIRONMENT.filters["brief"] = brief

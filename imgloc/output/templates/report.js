@@ -19,7 +19,10 @@
     pictures[name] ? "data:image/png;base64," + pictures[name]
       : data.folder + "/" + encodeURIComponent(name);
   const find = (table, key) => table.columns.find((column) => column.key === key);
-  const dot = (word) => element("span", "", "badge " + word.replace(/[^a-z-]/g, "") + "-dot");
+  const KNOWN = new Set(["unique", "named", "ambiguous", "undecided", "no-match", "none", "invalid",
+    "ok", "failed", "crashed", "timeout"]);
+  // The verdict of `which` is a map's name.
+  const dot = (word) => element("span", "", `badge ${KNOWN.has(word) ? word : "named"}-dot`);
 
   function pager(nav, size, count, page, turn) {
     const last = Math.max(0, Math.ceil(count / size) - 1);
@@ -89,7 +92,7 @@
         const row = element("tr");
         source.columns.forEach((column) => {
           const text = words(column, i);
-          const cell = element("td", undefined, column.digits !== null ? "number" : column.key);
+          const cell = element("td", undefined, column.digits !== null ? "number" : "of-" + column.key);
           if (changed && column.key === "k") {
             const open = element("button", text);
             open.setAttribute("aria-label", "Open answer " + title(i));
