@@ -26,6 +26,8 @@ from imgloc.io.scanset import ScanSet
 from imgloc.jobs import Job
 from imgloc.options import Options
 from imgloc.output.drawings import DRAWINGS
+from imgloc.output.export import columns_of
+from imgloc.output.report import render_report
 from imgloc.simulation import Sensor, simulate
 from imgloc.workers import Supervised
 
@@ -109,11 +111,9 @@ def test_forty_items_with_killers(site: Path, tmp_path: Path) -> None:
 
 
 def test_workers_change_no_row(site: Path, tmp_path: Path) -> None:
-    for workers in (1, 2):
-        run_batch(site / "floors", site / "scans", tmp_path / str(workers), QUICK, workers=workers)
-    in_threads(site, tmp_path / "threads")
-    first = timeless(tmp_path / "1")
-    assert first == timeless(tmp_path / "2") == timeless(tmp_path / "threads")
+    run_batch(site / "floors", site / "scans", tmp_path / "two", QUICK, workers=2)
+    in_threads(site, tmp_path / "one")
+    assert timeless(tmp_path / "one") == timeless(tmp_path / "two")
 
 
 def test_resuming_does_what_is_left(site: Path, tmp_path: Path) -> None:
@@ -198,6 +198,14 @@ def test_nothing_foreign_is_touched(site: Path, tmp_path: Path) -> None:
     assert (out / "notes.txt").read_text() == "mine"
     with pytest.raises(OutputError, match="there is no folder"):
         in_threads(site, tmp_path / "a" / "b")
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    for name in ("summary.json", "run.json"):
+        (theirs / name).write_text("{}")
+        for resume in (False, True):
+            with pytest.raises(OutputError, match=r"of others|of this version"):
+                in_threads(site, theirs, resume=resume)
+        assert (theirs / name).read_text() == "{}"
     (tmp_path / "file").write_text("mine")
     with pytest.raises(OutputError, match="is a file"):
         in_threads(site, tmp_path / "file")
@@ -307,7 +315,7 @@ def test_every_command_s_work(site: Path, tmp_path: Path, job: str) -> None:
         job,
         Options(method="cbml" if job == "evaluate" else "fused"),
         cell=0.2,
-        step=1.5,
+        step=2.0,
         headings=1,
         sensor=Sensor(rays=60),
         pictures="all",
@@ -324,6 +332,8 @@ def test_every_command_s_work(site: Path, tmp_path: Path, job: str) -> None:
     for name in answer.get("pictures", ()):
         assert (out / "pictures" / name).read_bytes().startswith(b"\x89PNG")
     assert bool(answer.get("pictures")) == (job != "evaluate")
+    assert "Answer by answer" in render_report(out)
+    assert columns_of(out)["status"] == ["ok"]
 
 
 def test_pictures_of_what_is_doubtful(site: Path, tmp_path: Path) -> None:
@@ -364,27 +374,29 @@ def test_the_command_says_what_it_comes_to(site: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_a_run_that_is_stopped_goes_on(site: Path, tmp_path: Path, number: int) -> None:
+def test_a_run_that_is_stopped_goes_on(site: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ["batch", site / "floors", site / "scans", "--out", out, "--method", "cbml"]
-    words += ["--cell", "0.2", "--workers", "1"]
-    with subprocess.Popen(command(words), stderr=subprocess.PIPE, stdout=subprocess.PIPE) as run:
-        while run.poll() is None and not (
-            (out / RESULTS).exists() and b"\n" in (out / RESULTS).read_bytes()
-        ):
-            time.sleep(0.01)
-        run.send_signal(number)
-        _, err = run.communicate(timeout=60)
-    if run.returncode != 0:  # else it was done already
-        assert run.returncode == (130 if number == signal.SIGINT else -9)
-        assert number == signal.SIGKILL or b"--resume goes on" in err
-    assert call(*words, "--resume").code == 0
-    run_batch(site / "floors", site / "scans", tmp_path / "whole", QUICK_AS_CALLED, workers=1)
+    words += ["--cell", "0.2", "--workers", "1", "--resume"]
+    for number, code in ((signal.SIGINT, 130), (signal.SIGKILL, -9)):
+        before = len(list(read_rows(out))) if out.exists() else 0
+        with subprocess.Popen(command(words), stderr=subprocess.PIPE) as run:
+            while run.poll() is None and not (
+                (out / RESULTS).exists() and (out / RESULTS).read_bytes().count(b"\n") > before
+            ):
+                time.sleep(0.01)
+            run.send_signal(number)
+            _, err = run.communicate(timeout=60)
+        if run.returncode != 0:  # else it was done already
+            assert run.returncode == code
+            assert number == signal.SIGKILL or b"--resume goes on" in err
+    assert call(*words).code == 0
     assert len(timeless(out)) == 6
-
-
-QUICK_AS_CALLED = Job(options=Options(method="cbml"), cell=0.2)
+    with ThreadPoolExecutor(1) as pool:
+        job = Job(options=Options(method="cbml"), cell=0.2)
+        run_batch(site / "floors", site / "scans", tmp_path / "whole", job, executor=pool)
+    whole = {row["scans"]: row["answers"] for row in read_rows(tmp_path / "whole")}
+    assert {row["scans"]: row["answers"] for row in read_rows(out)} == whole
 
 
 def test_the_script_around_the_same_function(site: Path, tmp_path: Path) -> None:

@@ -122,7 +122,7 @@ def test_other_jobs_have_a_page_and_a_table(tmp_path: Path, job: str) -> None:
         "which": {"index": 0, "verdict": "attic", "none": 0.1, "temperature": 2.0,
                   "maps": [{"map": "attic", "probability": 0.9, "pose": None}]},
         "evaluate": {"method": "fused", "trials": 5, "index": {"value": 9.5},
-                     "position": {"50": 0.04},
+                     "position": {"p50": 0.04},
                      "success": [{"at_1": share, "unique_wrong": share}]},
         "atlas": {"places": 12, "unique": share, "ambiguous": share, "wrong": share,
                   "unique_area": share},

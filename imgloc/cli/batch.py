@@ -173,7 +173,7 @@ def batch(
                 resume=again,
                 retry_failed=retry_failed,
                 fail_fast=fail_fast,
-                items=items,
+                items=todo,
                 on_row=lambda row: advance(row["status"] != "ok"),
             )
         except KeyboardInterrupt:

@@ -85,8 +85,10 @@ class Results:
                 )
             merged = {**before["parameters"], **about["parameters"]}
             about = {**about, "parameters": merged}
-        elif os.path.lexists(self.folder / RUN) and not resume:
+        elif os.path.lexists(self.folder / RUN):
             read_run(self.folder)  # a run that was stopped before its first row, or not ours
+        elif os.path.lexists(self.folder / SUMMARY):
+            raise OutputError(f"{self.name}: has a {SUMMARY} of others; expected another --out")
         text = json.dumps({"format": _FORMAT, **about}, indent=1, allow_nan=False) + "\n"
         write_text_atomic(self.folder / RUN, text, force=True)
         try:
@@ -124,11 +126,10 @@ class Results:
     def add(self, row: Row, pictures: Mapping[str, bytes]) -> None:
         """Append a row, after its pictures are there; then neither can be lost."""
         if pictures:
-            with contextlib.suppress(FileExistsError):
-                try:
-                    (self.folder / PICTURES).mkdir()
-                except PermissionError as e:
-                    raise self._failed(e) from None
+            try:
+                (self.folder / PICTURES).mkdir(exist_ok=True)
+            except OSError as e:
+                raise self._failed(e) from None
             for name, data in pictures.items():
                 write_bytes_atomic(self.folder / PICTURES / name, data, force=True)
         line = json.dumps(row, allow_nan=False).encode() + b"\n"
@@ -166,11 +167,15 @@ def read_run(folder: PathLike) -> Row:
     name = display(folder)
     try:
         about = json.loads((Path(folder) / RUN).read_bytes())
-        if about["format"] == _FORMAT and isinstance(about["parameters"], dict):
-            return dict(about)
+        if (
+            isinstance(about, dict)
+            and about.get("format") == _FORMAT
+            and isinstance(about.get("parameters"), dict)
+        ):
+            return about
     except FileNotFoundError:
         pass
-    except (OSError, ValueError, KeyError, TypeError) as e:
+    except (OSError, ValueError) as e:
         raise OutputError(f"{name}: {RUN} cannot be read: {reason(e)}") from None
     raise OutputError(f"{name}: no {RUN} of this version, expected a {_FOLDER}")
 

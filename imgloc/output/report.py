@@ -334,7 +334,7 @@ def _measured(answer: Row, _row: Row, _k: int) -> dict[str, Any]:
         "index": answer["index"]["value"],
         "right": 100 * success["at_1"]["value"],
         "wrong": 100 * success["unique_wrong"]["value"],
-        "error": answer["position"].get("50"),
+        "error": answer["position"]["p50"],
     }
 
 
