@@ -137,7 +137,7 @@ def run_batch(
     """
     job, start = job or Job(), time.monotonic()
     found = list(find_items(maps, scans, job, out=out) if items is None else items)
-    digest = hash_of(job)
+    digest = job.digest
     about = {
         "imgloc": __version__,
         "job": job.name,
@@ -188,7 +188,7 @@ def remaining(
     retry_failed: bool = False,
 ) -> list[Item]:
     """The items that have no row of the same key; `known` are keys and statuses of rows."""
-    digest = hash_of(job)
+    digest = job.digest
 
     def settled(item: Item) -> bool:
         if item.id not in known:
@@ -258,7 +258,7 @@ def work(item: Item, job: Job) -> tuple[Row, dict[str, bytes]]:
 
 
 def _row(item: Item, job: Job) -> Row:
-    hashes, digest = hashes_of(item), hash_of(job)
+    hashes, digest = hashes_of(item), job.digest
     return {
         "map": item.map,
         "scans": item.scans,
@@ -302,11 +302,6 @@ def hashes_of(item: Item) -> dict[str, str | None]:
     paths = [file for _, path in item.maps for file in files_of(path)]
     scans = None if item.scans_path is None else content_hash((item.scans_path,))
     return {"map": content_hash(paths), "scans": scans}
-
-
-def hash_of(job: Job) -> str:
-    """Hash of what decides the rows, apart from the files and the version."""
-    return _hash(job.parameters)
 
 
 def key_of(hashes: Mapping[str, str | None], parameters: str) -> str:

@@ -5,11 +5,12 @@ Everything here runs in a worker, which keeps the maps that it has prepared, up 
 
 import contextlib
 import hashlib
+import json
 import os
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -87,6 +88,12 @@ class Job:
         if self.name == "which" and self.options.method != FUSED:
             raise ConfigError(f"maps are compared by the method {FUSED}")
 
+    @cached_property
+    def digest(self) -> str:
+        """Hash of what decides the rows, apart from the files and the version."""
+        text = json.dumps(self.parameters, sort_keys=True)
+        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
     @property
     def parameters(self) -> dict[str, Any]:
         """Everything that decides a row, as plain values."""
@@ -153,9 +160,15 @@ def files_of(path: Path) -> list[Path]:
     """All files that what is said of a map depends on, those that exist and those that do not."""
     files = [path, calibration_path(path)]
     if path.suffix.lower() in YAML_ENDINGS:
-        with contextlib.suppress(ImglocError):
-            files.append(load_map_yaml(path).image)
+        with contextlib.suppress(ImglocError, OSError, ValueError):
+            about = path.stat()
+            files.append(_image_of(path, about.st_mtime_ns, about.st_size))
     return files
+
+
+@lru_cache(maxsize=4096)
+def _image_of(path: Path, _mtime: int, _size: int) -> Path:
+    return load_map_yaml(path).image
 
 
 def content_hash(paths: "list[Path] | tuple[Path, ...]") -> str | None:

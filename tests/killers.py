@@ -49,18 +49,14 @@ def sabotaged(item, job):
 
 
 class Saboteur(Executor):
-    """Hands sabotaged work to one pool, and what hangs to another with little patience.
-
-    What is to crash goes there, too, once: so that few workers have to load everything anew.
-    """
+    """Hands sabotaged work to one pool, and what hangs to another with little patience."""
 
     def __init__(self, pool, impatient):
         self.pool, self.impatient = pool, impatient
 
     def submit(self, fn, /, *args, **kwargs) -> Future:
         assert fn.__name__ == "work"
-        aside = any(word in args[0].scans for word in ("hang", "sigsegv"))
-        pool = self.impatient if aside else self.pool
+        pool = self.impatient if "hang" in args[0].scans else self.pool
         return pool.submit(sabotaged, *args, **kwargs)
 
     def shutdown(self, wait=True, *, cancel_futures=False):
