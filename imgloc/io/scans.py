@@ -102,6 +102,7 @@ _READERS: dict[str, Callable[[PathLike], ScanSet]] = {
     ".npz": read_npz, ".csv": read_csv, ".jsonl": read_jsonl, ".ndjson": read_jsonl,
     ".json": read_jsonl,
 }  # fmt: skip
+SCAN_ENDINGS = tuple(_READERS)  #: of the names of files of scans
 
 
 def _reader(path: PathLike) -> Callable[[PathLike], ScanSet]:
