@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.cli.console import LOG, quiet_libraries
-from imgloc.cli.options import RADIUS, TOLERANCE, Known
+from imgloc.cli.options import RADIUS, TOLERANCE, Known, Logs
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.features.budget import MIB, PROCESS, check_budget, scans_bytes, simulate_bytes
 from imgloc.features.mapfeatures import MapFeatures
@@ -134,7 +134,7 @@ def load_grid(
     return grid
 
 
-def load_set(path: Path, budget: int) -> ScanSet:
+def load_set(path: Path, budget: int, logs: Logs = Logs()) -> ScanSet:
     """Load scans, which are read only if they take no more than the budget."""
     size = scans_size(path)
     check_memory(
@@ -143,7 +143,7 @@ def load_set(path: Path, budget: int) -> ScanSet:
         f"{display(path)}: a file of up to {size.scans:,} scans and {size.numbers:,} numbers",
         "take fewer scans, in several files",
     )
-    return load_scans(path)
+    return load_scans(path, topic=logs.topic, fov=logs.fov)
 
 
 def held_bytes(scans: Sequence[LaserScan]) -> int:

@@ -14,13 +14,14 @@ from imgloc.io.files import display, write_text_atomic
 _MIRRORED = 3  # doubtful scans that are looked at mirrored
 
 
-@opt.with_options(opt.known, opt.mounting, opt.reading, opt.resources, opt.console)
+@opt.with_options(opt.known, opt.mounting, opt.reading, opt.logs, opt.resources, opt.console)
 def localize(
     map_path: opt.MapPath,
     scans_path: opt.ScansPath,
     known: opt.Known,
     mounting: opt.Mounting,
     reading: "opt.Reading",
+    logs: opt.Logs,
     resources: opt.Take,
     method: opt.MethodName = typer.Option(
         opt.MethodName.FUSED,
@@ -109,7 +110,7 @@ def localize(
         calibration=load_calibrations(calibration_path(map_path), grid).get(method.value),
     )
     folder = inputs.kept_in(cache, wanted=not no_cache)
-    scans = inputs.load_set(scans_path, taken.memory_budget)
+    scans = inputs.load_set(scans_path, taken.memory_budget, logs)
     features = inputs.open_features(
         grid, display(map_path), folder, options,
         scans=scans.scans, cell=cell, threads=taken.threads,
@@ -124,7 +125,8 @@ def localize(
     LOG.info("%s: %d of %d scans", display(scans_path), len(chosen), len(scans))
     check_options(features, options)
     if many and not as_json:
-        emit(answer_header(mounting.sensor is not None))
+        on_robot = any(scan.T_base_laser is not None for scan in scans.scans)
+        emit(answer_header(on_robot or mounting.sensor is not None))
     doubtful = []
     with progress("localize", len(chosen)) as advance:
         for k in chosen:

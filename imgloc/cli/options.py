@@ -122,7 +122,10 @@ MapPath = Annotated[
     ),
 ]
 ScansPath = Annotated[
-    Path, typer.Argument(metavar="SCANS", help="Scans: .npz, .csv, .jsonl, .ndjson or .json.")
+    Path,
+    typer.Argument(
+        metavar="SCANS", help="Scans: .npz, .csv, .jsonl, .ndjson, .json, or a CARMEN log, .log."
+    ),
 ]
 Index = Annotated[int | None, option(..., "I", "Only scan I, counted from 0.", "--index", min=0)]
 _CLEARANCE = (0, 1000, "metres")
@@ -262,6 +265,28 @@ def known(
             if len(given) > tolerance:
                 check_range(f"{option}, T", given[tolerance], 0.001, 3.2, "radians")
     return Known(near, heading, region, clearance)
+
+
+class Logs(NamedTuple):
+    """What to take of a log, and what it may not say."""
+
+    topic: str | None = None
+    fov: float | None = None  # radians
+
+
+def logs(
+    topic: str | None = option(
+        None, "NAME", "Of a log with several lasers, this one. [default: the front laser]"
+    ),
+    fov_deg: float | None = option(
+        None,
+        "DEG",
+        "Angle from the first to the last ray, for logs that do not say it.",
+        within=(0.01, 360, "degrees"),
+    ),
+) -> Logs:
+    """Options of how a log is read."""
+    return Logs(topic, None if fov_deg is None else math.radians(fov_deg))
 
 
 @dataclass(frozen=True)

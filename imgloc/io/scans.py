@@ -23,6 +23,7 @@ from typing import IO, Any
 import numpy as np
 
 from imgloc.errors import ConfigError, ScanError
+from imgloc.io.carmen import read_carmen
 from imgloc.io.files import PathLike, display, open_file, read_file, write_bytes_atomic
 from imgloc.io.scanset import KEYS, MAX_READINGS, ScanSet, ScansSize, numbers, scan_set, wrong
 from imgloc.io.textscans import read_csv, read_jsonl, text_size
@@ -31,7 +32,7 @@ from imgloc.model import FloatArray
 _MAX_BYTES = 16 * MAX_READINGS
 
 
-def load_scans(path: PathLike) -> ScanSet:
+def load_scans(path: PathLike, *, topic: str | None = None, fov: float | None = None) -> ScanSet:
     """Load laser scans: at least one, each with at least one reading, all angles finite.
 
     ScanError names the file, the line or key, what was found and what was expected.
@@ -40,16 +41,23 @@ def load_scans(path: PathLike) -> ScanSet:
     ----------
     path : path
         ``.npz`` (:func:`read_npz`), ``.csv`` (:func:`~imgloc.io.textscans.read_csv`), ``.jsonl``,
-        ``.ndjson`` or ``.json`` (:func:`~imgloc.io.textscans.read_jsonl`). Ranges are metres,
+        ``.ndjson`` or ``.json`` (:func:`~imgloc.io.textscans.read_jsonl`), ``.log``, ``.clf`` or
+        ``.carmen`` (:func:`~imgloc.io.carmen.read_carmen`). Ranges are metres,
         angles radians in the sensor's frame, counter-clockwise, 0 forward. Ranges are kept as
         recorded; NaN, +inf and codes are what :class:`~imgloc.model.LaserScan` says they are.
+    topic : str, optional
+        Of a log with several lasers, which.
+    fov : float, optional
+        Angle from the first to the last ray, radians, where a log does not say it.
     """
-    return _reader(path)(path)
+    reader = _reader(path)
+    return reader(path, topic=topic, fov=fov) if reader is read_carmen else reader(path)
 
 
 def scans_size(path: PathLike) -> ScansSize:
     """How much :func:`load_scans` would load, at most; errors are those that headers show."""
-    return _npz_size(path) if _reader(path) is read_npz else text_size(path)
+    reader = _reader(path)
+    return _npz_size(path) if reader is read_npz else text_size(path, words=reader is read_carmen)
 
 
 def save_scans(path: PathLike, scans: ScanSet, *, force: bool = False) -> None:
@@ -98,13 +106,13 @@ def write_npz(scans: ScanSet) -> bytes:
     return buffer.getvalue()
 
 
-_READERS: dict[str, Callable[[PathLike], ScanSet]] = {
+_READERS: dict[str, Callable[..., ScanSet]] = {
     ".npz": read_npz, ".csv": read_csv, ".jsonl": read_jsonl, ".ndjson": read_jsonl,
-    ".json": read_jsonl,
+    ".json": read_jsonl, ".log": read_carmen, ".clf": read_carmen, ".carmen": read_carmen,
 }  # fmt: skip
 
 
-def _reader(path: PathLike) -> Callable[[PathLike], ScanSet]:
+def _reader(path: PathLike) -> Callable[..., ScanSet]:
     ending = Path(path).suffix
     if ending.lower() in _READERS:
         return _READERS[ending.lower()]

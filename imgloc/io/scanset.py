@@ -39,7 +39,9 @@ class ScanSet:
     #: (N, 3), known pose of the **sensor** in the map frame (x, y in metres, theta in radians)
     poses: FloatArray | None = None
     stamps: FloatArray | None = None  #: (N,), seconds
-    odom: FloatArray | None = None  #: (N, 3), pose of the sensor in the odometry's frame
+    #: (N, 3), pose of the **robot** in the odometry's frame; its sensor is at
+    #: ``compose(odom, T_base_laser)``, which is the same where a scan has none
+    odom: FloatArray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scans", tuple(self.scans))
@@ -153,7 +155,8 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
     _check_angles(angles, where)
     low, high = (given.get(key, default) for key, default in _LIMITS.items())
     _check_limits(low, high, where)
-    return LaserScan(ranges, angles, low, high, given.get("stamp", math.nan))
+    stamp, mount = given.get("stamp", math.nan), entry.get("mount")
+    return LaserScan(ranges, angles, low, high, stamp, mount)
 
 
 def scalar(value: Any, where: str) -> float:

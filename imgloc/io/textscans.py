@@ -93,12 +93,15 @@ def read_jsonl(path: PathLike) -> ScanSet:
     return collect([(where, _plain(entry, where)) for where, entry in entries], name)
 
 
-def text_size(path: PathLike) -> ScansSize:
-    """How much a text may hold: a scan on each line or in each brace, numbers between commas."""
+def text_size(path: PathLike, *, words: bool = False) -> ScansSize:
+    """How much a text may hold: a scan on each line or in each brace, numbers between commas.
+
+    With `words`, numbers are between blanks.
+    """
     counts = np.array([1, 0, 0])
     with open_file(path, limit=_LIMIT, error=ScanError, what="scan file") as (file, length):
         while block := file.read(_BLOCK):
-            counts += [block.count(mark) for mark in (b"\n", b"{", b",")]
+            counts += [block.count(mark) for mark in (b"\n", b"{", b" " if words else b",")]
     lines, braces, commas = counts.tolist()
     return ScansSize(max(lines, braces), lines + commas, length, text=True)
 
