@@ -136,7 +136,7 @@ def load_grid(
 
 def load_set(path: Path, budget: int, logs: Logs = Logs()) -> ScanSet:
     """Load scans, which are read only if they take no more than the budget."""
-    size = scans_size(path)
+    size = scans_size(path, topic=logs.topic)
     check_memory(
         scans_bytes(size.scans, size.numbers, size.file_bytes, text=size.text),
         budget,

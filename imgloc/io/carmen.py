@@ -22,7 +22,7 @@ import numpy as np
 from imgloc.errors import ScanError
 from imgloc.io.files import PathLike, display, read_file
 from imgloc.io.odometry import odometry_at
-from imgloc.io.scanset import MAX_READINGS, Entry, ScanSet, collect, wrong
+from imgloc.io.scanset import MAX_READINGS, Entry, ScanSet, collect, spread, wrong
 from imgloc.model import FloatArray, Pose2D, compose, inverse
 
 _MAX_BYTES = 8 * MAX_READINGS
@@ -245,8 +245,7 @@ def _angles(n: int, fov: float | None, resolution: float | None, where: str) -> 
     if fov is None and resolution is None:
         expected = "the angle that they cover, which this message does not hold: --fov-deg"
         raise ScanError(f"{where}: {n} readings, expected with them {expected}")
-    half = math.radians(resolution or 0.0) * (n - 1) / 2 if fov is None else fov / 2
-    return np.linspace(-half, half, n)
+    return spread(n, math.radians(resolution or 0.0) * (n - 1) if fov is None else fov)
 
 
 def _odometry(

@@ -185,6 +185,20 @@ def _spaced_angles(given: Mapping[str, float], count: int, where: str) -> FloatA
     return np.asarray(angles)
 
 
+def spread(count: int, fov: float) -> FloatArray:
+    """Angles of `count` rays about straight ahead, `fov` radians from the first to the last.
+
+    Of a whole turn the last is one step before the first.
+
+    Examples
+    --------
+    >>> np.rad2deg(spread(3, np.pi)).tolist(), np.rad2deg(spread(4, 2 * np.pi)).tolist()
+    ([-90.0, 0.0, 90.0], [-180.0, -90.0, 0.0, 90.0])
+    """
+    whole = fov > math.tau - 1e-6
+    return np.linspace(-fov / 2, fov / 2, count, endpoint=not whole)
+
+
 def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
     """Check that the shapes agree, and cut the arrays into scans."""
     if "ranges" not in arrays:
