@@ -21,7 +21,15 @@ from imgloc.geometry import in_grid_frame
 from imgloc.io.cache import cache_folder
 from imgloc.io.files import display, refuse_existing
 from imgloc.io.images import ImageSize, image_size, read_image
-from imgloc.io.maps import YAML_ENDINGS, load_bytes, load_map, require_usable, resolve_settings
+from imgloc.io.maps import (
+    SWAPPED,
+    YAML_ENDINGS,
+    load_bytes,
+    load_map,
+    looks_swapped,
+    require_usable,
+    resolve_settings,
+)
 from imgloc.io.mapyaml import load_map_yaml
 from imgloc.io.scans import load_scans, scans_size
 from imgloc.io.scanset import ScanSet
@@ -129,6 +137,8 @@ def load_grid(
     check_image(path, reading, budget, load_bytes, held=held)
     with quiet_libraries():
         grid = load_map(path, **reading, allow_lossy=allow_lossy)
+    if looks_swapped(grid):
+        LOG.warning("%s: %s", display(path), SWAPPED)
     if usable:
         require_usable(grid, display(path))
     return grid
@@ -143,7 +153,10 @@ def load_set(path: Path, budget: int, logs: Logs = Logs()) -> ScanSet:
         f"{display(path)}: a file of up to {size.scans:,} scans and {size.numbers:,} numbers",
         "take fewer scans, in several files",
     )
-    return load_scans(path, topic=logs.topic, fov=logs.fov)
+    scans = load_scans(path, topic=logs.topic, fov=logs.fov)
+    if logs.scale == 1:
+        return scans
+    return replace(scans, scans=tuple(scan.scaled(logs.scale) for scan in scans.scans))
 
 
 def held_bytes(scans: Sequence[LaserScan]) -> int:

@@ -11,8 +11,6 @@ from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
 
-_MIRRORED = 3  # doubtful scans that are looked at mirrored
-
 
 @opt.with_options(opt.known, opt.mounting, opt.reading, opt.logs, opt.resources, opt.console)
 def localize(
@@ -70,9 +68,10 @@ def localize(
     in the map frame. Look at the mass of the second hypothesis before trusting the first.
     """
     from imgloc.cli import inputs
+    from imgloc.doubts import doubts
     from imgloc.explanation import explain as reasons
     from imgloc.io.calibration import calibration_path, load_calibrations
-    from imgloc.model import Pose2D
+    from imgloc.model import LaserScan, Pose2D
     from imgloc.options import FusedOptions, Options
     from imgloc.output.json import to_json
     from imgloc.output.pages import render_explanation
@@ -127,14 +126,14 @@ def localize(
     if many and not as_json:
         on_robot = any(scan.T_base_laser is not None for scan in scans.scans)
         emit(answer_header(on_robot or mounting.sensor is not None))
-    doubtful = []
+    looked_at, verdicts = list[LaserScan](), list[str]()
     with progress("localize", len(chosen)) as advance:
         for k in chosen:
             scan = mounting.mount(inputs.cut_scan(scans[k], range_max))
             answer = locate(features, scan, options)
             truth = None if scans.poses is None else Pose2D(*scans.poses[k])
-            if answer.verdict != "unique":
-                doubtful.append(scan)
+            looked_at.append(scan)
+            verdicts.append(answer.verdict)
             LOG.info("scan %d: %s, %s", k, answer.verdict, dict(answer.timings_ms))
             if k in targets:
                 draw(grid, answer, scan, truth=truth).save(targets[k], force=force)
@@ -154,13 +153,8 @@ def localize(
             else:
                 emit(answer_text(f"scan {k}", answer, truth))
     inputs.keep_features(features, folder)
-    if fused and time_budget is None and 2 * len(doubtful) > len(chosen):
-        mirrored = (locate(features, scan.flipped, options) for scan in doubtful[:_MIRRORED])
-        if all(answer.verdict == "unique" for answer in mirrored):
-            LOG.warning(
-                "scans like these fit at one place if they are mirrored: is the sensor upside "
-                "down? %s --flipped",
-                "Leave out" if mounting.flipped else "Try",
-            )
-    if strict and doubtful:
+    if fused and time_budget is None:
+        for doubt in doubts(features, looked_at, verdicts, options, flipped=mounting.flipped):
+            LOG.warning("%s", doubt)
+    if strict and set(verdicts) != {"unique"}:
         raise typer.Exit(NOT_UNIQUE)

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., None])
 Range = tuple[float, float, str]  # lowest, highest, unit
+# Endings by which one knows that MAP and SCANS were mixed up.
+_SCANS = (".npz", ".csv", ".jsonl", ".ndjson", ".log", ".clf", ".carmen", ".bag", ".db3", ".mcap")
+_IMAGES = (".png", ".pgm", ".ppm", ".tif", ".tiff", ".bmp", ".webp", ".jpg", ".jpeg")
 _UNITS = {"": 0, "K": 10, "M": 20, "G": 30, "T": 40}
 RADIUS, TOLERANCE = 2.0, 0.8
 """How far from --near a robot may be, and turned how far, unless stated: metres, radians."""
@@ -74,6 +77,8 @@ def numbers(
 def find_map(path: str | Path) -> Path:
     """The file of a bundled map that is called by its name, or `path` itself."""
     path = Path(path)
+    if path.suffix.lower() in _SCANS and path.exists():
+        raise ConfigError(f"MAP: {path} is a file of scans; the order is MAP, then SCANS")
     if path.name != str(path) or path.suffix or path.exists():
         return path
     from imgloc.errors import MapError
@@ -84,6 +89,13 @@ def find_map(path: str | Path) -> Path:
     except MapError:
         return path
     return bundled if bundled.is_file() else path
+
+
+def find_scans(path: Path) -> Path:
+    """`path` itself, unless it is an image."""
+    if path.suffix.lower() in _IMAGES:
+        raise ConfigError(f"SCANS: {path} is an image; the order is MAP, then SCANS")
+    return path
 
 
 def pose_of(name: str, text: str) -> Any:
@@ -124,7 +136,10 @@ MapPath = Annotated[
 ScansPath = Annotated[
     Path,
     typer.Argument(
-        metavar="SCANS", help="Scans: .npz, .csv, .jsonl, .ndjson, .json, or a CARMEN log, .log."
+        metavar="SCANS",
+        callback=find_scans,
+        help="Scans: .npz, .csv, .jsonl, .json; a CARMEN .log; a ROS .bag, .mcap, .db3 or the "
+        "folder of a recording; .yaml of `ros2 topic echo --full-length`.",
     ),
 ]
 Index = Annotated[int | None, option(..., "I", "Only scan I, counted from 0.", "--index", min=0)]
@@ -272,6 +287,7 @@ class Logs(NamedTuple):
 
     topic: str | None = None
     fov: float | None = None  # radians
+    scale: float = 1.0
 
 
 def logs(
@@ -281,12 +297,15 @@ def logs(
     fov_deg: float | None = option(
         None,
         "DEG",
-        "Angle from the first to the last ray, for logs that do not say it.",
+        "Angle from the first to the last ray, where the file does not say it.",
         within=(0.01, 360, "degrees"),
     ),
+    range_scale: float = option(
+        1.0, "F", "Metres of a range: 0.001 of millimetres.", within=(1e-6, 1e6, "a factor")
+    ),
 ) -> Logs:
-    """Options of how a log is read."""
-    return Logs(topic, None if fov_deg is None else math.radians(fov_deg))
+    """Options of how files of scans are read."""
+    return Logs(topic, None if fov_deg is None else math.radians(fov_deg), range_scale)
 
 
 @dataclass(frozen=True)

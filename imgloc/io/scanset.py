@@ -16,6 +16,7 @@ SPACING = ("angle_min", "angle_max", "angle_increment")
 _LIMITS = {"range_min": 0.0, "range_max": math.inf}
 _BESIDE, _STEPS = ("poses", "stamps", "odom"), ("angle_min", "angle_increment")
 KEYS = ("ranges", "angles", *_LIMITS, *_STEPS, *_BESIDE)
+_MAX_TURN = 30.0  # radians of a heading that was counted on: nearly five turns, or 30 degrees
 # Where a scan stands in the file, for messages, and what is said of it (names of LaserScan).
 Entry = tuple[str, Mapping[str, Any]]
 _MAX_ANGLE = 4 * np.pi  # twice around: whatever lies beyond was not meant in radians
@@ -80,14 +81,16 @@ def numbers(value: Any, name: str, key: str, *, ndim: Sequence[int]) -> FloatArr
     return array.astype(np.float64)
 
 
-def _check_angles(angles: FloatArray, name: str) -> None:
+_DEGREES = "radians; are these degrees? multiply them by pi / 180"
+
+
+def _check_angles(angles: FloatArray, name: str, key: str = "angles") -> None:
     """Refuse angles that cannot be directions in radians."""
     hint = "finite radians (a reading without a direction has to be left out)"
     _check_finite(angles, name, "angles", hint)
     worst = angles.flat[np.abs(angles).argmax()] if angles.size else 0.0
     if abs(worst) > _MAX_ANGLE:
-        hint = "radians; are these degrees? multiply them by pi / 180"
-        raise wrong(f"{name}: angles", f"{worst:g}", hint)
+        raise wrong(f"{name}: {key}", f"{worst:g}", _DEGREES)
 
 
 def _check_limits(range_min: float, range_max: float, name: str) -> None:
@@ -130,6 +133,8 @@ def _pose(value: Any, where: str, key: str) -> FloatArray:
     if pose.shape != (3,):
         raise wrong(f"{where}: {key}", f"{len(pose)} numbers", "x, y, theta")
     _check_finite(pose, where, key)
+    if abs(pose[2]) > _MAX_TURN:
+        raise wrong(f"{where}: {key}", f"a theta of {pose[2]:g}", _DEGREES)
     return pose
 
 
@@ -145,6 +150,8 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
         for key in (*(SPACING if spaced else ()), *_LIMITS, "stamp")
         if entry.get(key) is not None
     }
+    for key in SPACING:
+        _check_angles(np.array([given.get(key, 0.0)]), where, key)
     angles = (
         _spaced_angles(given, len(ranges), where)
         if spaced
@@ -235,6 +242,8 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
             raise wrong(f"{name}: {key}", f"shape {value.shape}", f"{shape}")
         if key != "stamps":
             _check_finite(value, name, key)
+            if (worst := np.abs(value[:, 2]).max()) > _MAX_TURN:
+                raise wrong(f"{name}: {key}", f"a theta of {worst:g}", _DEGREES)
         beside[key] = value
     stamps = beside.get("stamps", np.full(n, np.nan)).tolist()
     columns = zip(ranges, np.broadcast_to(angles, ranges.shape), *limits, stamps, strict=True)
