@@ -4,16 +4,19 @@ This loads all of imgloc: a command imports it when it runs.
 """
 
 import contextlib
+import shutil
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from imgloc.cli.console import LOG, quiet_libraries
 from imgloc.cli.options import RADIUS, TOLERANCE, Known, Logs
-from imgloc.errors import ConfigError, MapError, OutputError
+from imgloc.errors import ConfigError, MapError, OutputError, ScanError
 from imgloc.features.budget import MIB, PROCESS, check_budget, scans_bytes, simulate_bytes
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.store import load_features, save_features
@@ -144,8 +147,26 @@ def load_grid(
     return grid
 
 
+def name_of(path: Path) -> str:
+    """What scans are called in messages: their file, or standard input."""
+    return "standard input" if str(path) == "-" else display(path)
+
+
 def load_set(path: Path, budget: int, logs: Logs = Logs()) -> ScanSet:
-    """Load scans, which are read only if they take no more than the budget."""
+    """Load scans, which are read only if they take no more than the budget; ``-`` is stdin."""
+    if str(path) != "-":
+        return _load_set(path, budget, logs)
+    with TemporaryDirectory(prefix="imgloc-") as folder:
+        spooled = Path(folder, "standard input")  # its content tells what it is
+        with spooled.open("wb") as file:
+            shutil.copyfileobj(sys.stdin.buffer, file)
+        try:
+            return _load_set(spooled, budget, logs)
+        except (ConfigError, ScanError) as e:
+            raise type(e)(str(e).replace(str(spooled), "standard input")) from None
+
+
+def _load_set(path: Path, budget: int, logs: Logs) -> ScanSet:
     size = scans_size(path, topic=logs.topic)
     check_memory(
         scans_bytes(size.scans, size.numbers, size.file_bytes, text=size.text),

@@ -51,18 +51,25 @@ def byte_count(text: str) -> int:
 
 
 def numbers(
-    least: int, most: int | None = None, *, pose: str = ""
+    least: int, most: int | None = None, *, pose: str = "", angles: Sequence[int] = ()
 ) -> Callable[[str], tuple[float, ...]]:
     """Return a parser of `least` to `most` finite numbers with commas between them.
 
     The third may be the yaw of the option `pose`, which is refused if it was meant in degrees.
+    Those at `angles`, and that yaw, may be written as degrees: 90deg.
     """
+    angles = (2,) if pose else angles
     most = least if most is None else most
     count = f"{least}" if least == most else f"{least} to {most}"
 
     def parse(text: str) -> tuple[float, ...]:
         try:
-            values = tuple(float(word) for word in text.split(","))
+            values = tuple(
+                math.radians(float(word[:-3]))
+                if k in angles and word.endswith("deg")
+                else float(word)
+                for k, word in enumerate(map(str.strip, text.split(",")))
+            )
         except ValueError:
             values = ()
         if not least <= len(values) <= most or not all(map(math.isfinite, values)):
@@ -139,9 +146,32 @@ ScansPath = Annotated[
         metavar="SCANS",
         callback=find_scans,
         help="Scans: .npz, .csv, .jsonl, .json; a CARMEN .log; a ROS .bag, .mcap, .db3 or the "
-        "folder of a recording; .yaml of `ros2 topic echo --full-length`.",
+        "folder of a recording; .yaml of `ros2 topic echo --full-length`; - is standard input.",
     ),
 ]
+ScansPaths = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="SCANS...",
+        callback=lambda paths: [find_scans(path) for path in paths],
+        help="Files of scans, formats below; - is standard input.",
+    ),
+]
+FORMATS = """
+Scans (ranges in metres, angles in radians, counter-clockwise, 0 forward):
+  .csv                    a scan a line; or two columns, angle and range, a reading a line:
+                            # angle_min=-1.5708, angle_max=1.5708, range_max=30
+                            2.31,2.30,nan,inf,1.02
+                            2.33,2.31,2.29,inf,1.01
+  .jsonl, .json           an object a line, with the names of sensor_msgs/LaserScan:
+                            {"angle_min": -1.57, "angle_increment": 0.785, "range_max": 30,
+                             "ranges": [2.31, 2.30, null, "inf", 1.02]}
+  .npz                    ranges (N,B), angles (B,), range_max; poses (N,3), stamps, odom
+  .log, .clf              CARMEN: FLASER, ROBOTLASER1, RAWLASER1, ODOM, PARAM
+  .bag, .mcap, .db3       ROS 1 and 2, or the folder of a recording (pip install 'imgloc[ros]')
+  .yaml                   ros2 topic echo --full-length /scan > scans.yaml
+  -                       standard input, any of these
+"""
 Index = Annotated[int | None, option(..., "I", "Only scan I, counted from 0.", "--index", min=0)]
 _CLEARANCE = (0, 1000, "metres")
 _READINGS = "Cut readings at M metres: there, no return."
@@ -251,15 +281,15 @@ def known(
         None,
         "X,Y,YAW[,R[,T]]",
         "Only poses within R metres of a pose in the map frame and turned from it by at "
-        f"most T radians. [default: R = {RADIUS:g}, T = {TOLERANCE:g}]",
-        parser=numbers(3, 5),
+        f"most T radians, or 90deg. [default: R = {RADIUS:g}, T = {TOLERANCE:g}]",
+        parser=numbers(3, 5, angles=(2, 4)),
     ),
     heading: Any = option(
         None,
         "YAW[,T]",
-        "Only poses with this heading in the map frame (a compass), up to T radians. "
+        "Only poses with this heading in the map frame (a compass), up to T; radians, or 90deg. "
         f"[default: T = {TOLERANCE:g}]",
-        parser=numbers(1, 2),
+        parser=numbers(1, 2, angles=(0, 1)),
     ),
     region: Path | None = option(
         None, "PNG", "Only poses in the white part of an image as large as the map's."
@@ -331,7 +361,7 @@ class Mounting:
 def mounting(
     sensor: Any = pose_of(
         "--sensor",
-        "Pose of the sensor on the robot (metres, radians): poses of the robot's base are given "
+        "Pose of the sensor on the robot (metres; radians, or 90deg): poses of the base are given "
         "too.",
     ),
     flipped: Flipped = False,
@@ -376,7 +406,7 @@ def check_yaw(option: str, yaw: float) -> None:
     if abs(yaw) > 2 * math.pi + 1e-6:
         raise ConfigError(
             f"{option}: got a yaw of {yaw:g}, expected radians, -6.2832 to 6.2832; are these "
-            "degrees? multiply them by pi / 180"
+            f"degrees? write {yaw:g}deg, or multiply them by pi / 180"
         )
 
 
@@ -459,6 +489,7 @@ def with_options(*groups: Callable[..., Any]) -> Callable[[F], Callable[..., Non
     return decorate
 
 
-def examples(*lines: str) -> str:
-    """Format examples for the end of a help text, one a line."""
-    return "\b\nExamples:\n" + "\n".join("  " + line for line in lines)
+def examples(*lines: str, more: str = "") -> str:
+    """Format examples for the end of a help text, one a line, and `more` as it is."""
+    text = "\b\nExamples:\n" + "\n".join("  " + line for line in lines)
+    return text + (f"\n\n\b\n{more.strip()}" if more else "")
