@@ -63,7 +63,7 @@ def test_echo_of_either_ros(tmp_path: Path, text: str) -> None:
     [
         (
             ROS2.replace("- .nan", "- '...'"),
-            "shortened after 2 readings; print all .*--full-length",
+            "shortened after 2 readings; print all of them: ros2 topic echo -f",
         ),
         ("image: a.png\nresolution: 0.05\norigin: [0, 0, 0]\n", "a map's YAML: the order is MAP"),
         ("a: &x 1\nranges: [1]\n", "YAML with &, expected plain"),

@@ -67,7 +67,7 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc localize office.yaml scans.npz --index 3 --picture answer.png",
         "imgloc localize office.png scan.csv --resolution 0.05 --origin -12.5,-8,0",
         "imgloc localize office.yaml monday.log tuesday.bag --sensor 0.2,0,180deg",
-        "ros2 topic echo --once --full-length /scan | imgloc localize office.yaml -",
+        "imgloc localize office.yaml - < scan.csv",
         "imgloc localize office.yaml scans.npz --json --strict > answers.jsonl",
         "imgloc localize office.yaml scans.npz --method ght-v --theta-step-deg 5",
     ),
@@ -105,6 +105,7 @@ _MAP: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc map show office.yaml --out office-view.png",
         "imgloc map show office.yaml --what surface --out normals.png",
         "imgloc map show office.yaml --what visibility --at 3.5,2 --out fan.png",
+        "imgloc map show office.yaml --what likelihood --scans scan.csv --out where.png",
     ),
 }
 _CACHE: dict[Callable[..., None], tuple[str, ...]] = {clear: ("imgloc cache clear",)}

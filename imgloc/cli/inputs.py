@@ -276,6 +276,27 @@ def prior_of(known: Known, grid: OccupancyGrid, *, allow_lossy: bool = False) ->
     return prior
 
 
+def check_prior(known: Known, features: MapFeatures, options: Options) -> None:
+    """Refuse a prior without a cell in which a sensor can be, by the option that leaves none."""
+    cells = options.prior.cells
+    if cells is None or (cells & features.standable).any():
+        return
+    said = {
+        "--near": known.near and ",".join(f"{value:g}" for value in known.near),
+        "--region": known.region and display(known.region),
+        "--clearance": known.clearance and f"{known.clearance:g}",
+    }
+    given = " with ".join(f"{option} {value}" for option, value in said.items() if value)
+    grid = features.grid
+    height, width = grid.occupied.shape
+    about = f"{width * grid.resolution:.1f} x {height * grid.resolution:.1f} m"
+    corner = f"lower-left corner at {grid.origin.x:g},{grid.origin.y:g}"
+    raise ConfigError(
+        f"{given}: the prior leaves no cell in which a sensor can be; the map has {about}, its "
+        f"{corner}; imgloc map show draws it"
+    )
+
+
 def _region(path: Path, grid: OccupancyGrid, allow_lossy: bool) -> BoolArray:
     """The white pixels of an image that are not transparent, row 0 lowest."""
     size = image_size(path)[:2]  # of which there is memory enough if it is that of the map

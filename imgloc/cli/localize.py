@@ -12,6 +12,8 @@ from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
 
+_MANY = 5  # scans whose verdicts one does not count oneself
+
 
 @opt.with_options(opt.known, opt.mounting, opt.reading, opt.logs, opt.resources, opt.console)
 def localize(
@@ -140,6 +142,7 @@ def localize(
     LOG.info(
         "%s: %d of %d scans", ", ".join(map(inputs.name_of, scans_paths)), len(queue), len(every)
     )
+    inputs.check_prior(known, features, options)
     check_options(features, options)
     if many and not as_json:
         on_robot = any(scan.T_base_laser is not None for scan in every)
@@ -168,19 +171,20 @@ def localize(
                 emit(f"{file}:")
                 shown = file
             if as_json:
-                about = {"scans": file, "range_max": scan.range_max, "sensor": mounting.pose}
+                about: dict[str, object] = {"scans": file} if several else {}
+                about |= {"range_max": scan.range_max, "sensor": mounting.pose}
                 emit(to_json(answer.as_row(k, **about, flipped=mounting.flipped)))
             elif many:
                 emit(answer_line(k, answer))
             else:
                 emit(answer_text(f"scan {k}", answer, truth))
     inputs.keep_features(features, folder)
-    if many and not as_json:
+    if len(queue) >= _MANY and not as_json:
         say(run_words(verdicts, errors))
     for files in (targets, pages):
         if written := [display(path) for path in files.values()]:
             LOG.log(
-                logging.INFO if as_json else logging.WARNING,
+                logging.INFO if as_json or len(written) == 1 else logging.WARNING,
                 "wrote %s", written[0] if len(written) == 1 else f"{written[0]} to {written[-1]}",
             )  # fmt: skip
     # Rows that are all invalid say why themselves, to a program.

@@ -146,7 +146,7 @@ ScansPath = Annotated[
         metavar="SCANS",
         callback=find_scans,
         help="Scans: .npz, .csv, .jsonl, .json; a CARMEN .log; a ROS .bag, .mcap, .db3 or the "
-        "folder of a recording; .yaml of `ros2 topic echo --full-length`; - is standard input.",
+        "folder of a recording; .yaml of `ros2 topic echo -f`; - is standard input.",
     ),
 ]
 ScansPaths = Annotated[
@@ -169,7 +169,7 @@ Scans (ranges in metres, angles in radians, counter-clockwise, 0 forward):
   .npz                    ranges (N,B), angles (B,), range_max; poses (N,3), stamps, odom
   .log, .clf              CARMEN: FLASER, ROBOTLASER1, RAWLASER1, ODOM, PARAM
   .bag, .mcap, .db3       ROS 1 and 2, or the folder of a recording (pip install 'imgloc[ros]')
-  .yaml                   ros2 topic echo --full-length /scan > scans.yaml
+  .yaml                   ros2 topic echo -f /scan > scans.yaml
   -                       standard input, any of these
 """
 Index = Annotated[int | None, option(..., "I", "Only scan I, counted from 0.", "--index", min=0)]
@@ -490,6 +490,6 @@ def with_options(*groups: Callable[..., Any]) -> Callable[[F], Callable[..., Non
 
 
 def examples(*lines: str, more: str = "") -> str:
-    """Format examples for the end of a help text, one a line, and `more` as it is."""
+    """Format examples for the end of a help text, one a line, and `more` before, as it is."""
     text = "\b\nExamples:\n" + "\n".join("  " + line for line in lines)
-    return text + (f"\n\n\b\n{more.strip()}" if more else "")
+    return (f"\b\n{more.strip()}\n\n" if more else "") + text

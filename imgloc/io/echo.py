@@ -17,7 +17,7 @@ _MAP_KEYS = {"image", "resolution", "origin"}
 
 
 def read_echo(path: PathLike) -> ScanSet:
-    """Read scans from what ``ros2 topic echo --full-length /scan`` prints, or ``rostopic echo``.
+    """Read scans from what ``ros2 topic echo -f /scan`` prints, or ``rostopic echo``.
 
     The names are those of sensor_msgs/LaserScan, as in
     :func:`~imgloc.io.textscans.read_jsonl`; ``---`` stands between messages. ScanError also for
@@ -59,7 +59,7 @@ def _checked(message: Any, where: str) -> dict[str, Any]:
         raise ScanError(f"{where}: {hint}")
     ranges = message["ranges"]
     if isinstance(ranges, list) and "..." in ranges[-1:]:
-        hint = "print all of them: ros2 topic echo --full-length"
+        hint = "print all of them: ros2 topic echo -f"
         raise ScanError(f"{where}: ranges: shortened after {len(ranges) - 1} readings; {hint}")
     for key in ("angle_min", "angle_max", "angle_increment"):
         if isinstance(message.get(key), str):  # 5e-2 has no point: a string to YAML 1.1

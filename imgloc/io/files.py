@@ -66,7 +66,7 @@ def open_regular(path: PathLike, error: type[ImglocError], what: str) -> int:
         # O_NONBLOCK: opening a FIFO without a writer would wait for one.
         fd = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except FileNotFoundError:
-        raise error(f"{name}: no such file{_neighbour_hint(path)}") from None
+        raise error(f"{name}: no such file{neighbour_hint(path)}") from None
     except OSError as e:
         raise error(f"{name}: cannot be opened: {e.strerror}") from None
     except ValueError:
@@ -79,7 +79,7 @@ def open_regular(path: PathLike, error: type[ImglocError], what: str) -> int:
     raise error(f"{name}: is a {found}, expected a {what} (a regular file){_inside_hint(path)}")
 
 
-def _neighbour_hint(path: PathLike) -> str:
+def neighbour_hint(path: PathLike) -> str:
     """Name the files of the same stem that do exist: the usual slip is the ending."""
     wanted = Path(path)
     with contextlib.suppress(OSError):

@@ -29,6 +29,7 @@ from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import (
     PathLike,
     display,
+    neighbour_hint,
     open_regular,
     refuse_existing,
     write_bytes_atomic,
@@ -229,6 +230,9 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
                 if beside.is_file():
                     hint = f"; give {display(beside)} instead of the image, or pass --resolution"
             raise MapError(f"{name}: resolution: missing{hint}")
+    elif not said.image.exists():
+        missing = f"{display(said.image)}: no such file{neighbour_hint(said.image)}"
+        raise MapError(f"{missing}; {name} says that this is its image")
     written = said or MapYaml(file, file, origin=Pose2D(0.0, 0.0, 0.0))
     used = _DEFAULTS | {k: v for k, v in vars(written).items() if v is not None} | given
     for key, expected in _NEEDED.items():

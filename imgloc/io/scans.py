@@ -146,7 +146,7 @@ _HEAD = 4096  # bytes that tell the kind
 _CONVERTED = {
     ".npy": "an array without angles: np.savez('scans.npz', ranges=..., angles=..., range_max=...)",
     ".mat": "in Python, np.savez('scans.npz', ranges=..., angles=...) of scipy.io.loadmat's arrays",
-    ".rawlog": "a log of MRPT: rawlog-edit --export-2d-scans-txt writes its scans as text",
+    ".rawlog": "a log of MRPT: rawlog-edit exports its scans as text",
     ".simplemap": "a map of MRPT with its scans, not a log of them",
     ".pcap": "packets of a sensor: play them to its ROS driver and record a bag of its scans",
     ".bag.active": "a bag that was not closed: rosbag reindex",

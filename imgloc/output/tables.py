@@ -19,9 +19,6 @@ if TYPE_CHECKING:
 
 _WIDE = 1000  # characters of a line at most: a table is as wide as its cells, wherever it goes
 _UNDER = "sd: standard deviation, of the readings' noise alone"
-_INDEX = """Index S (eq. 12, nats) and global maximum, over free cells [95 % interval]
-S all cells: over walls and unknown too; at floor: trials whose density is no more than --floor;
-not free: true poses in a cell that the map does not call free"""
 _LISTED = 3  # maps that a line of `imgloc which` names
 
 
@@ -122,6 +119,9 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
         columns = ("#", "mass", "x / m", "y / m", "theta / deg", "sd xy / m", "sd deg", "log L")
         lines += ["", as_plain(columns, rows), _UNDER]
         rest = max(0.0, 1.0 - sum(h.mass for h in answer.hypotheses))
+        masses = [h.mass for h in answer.hypotheses]
+        if masses != sorted(masses, reverse=True):  # a peak may be higher than it holds
+            lines[-1] += "; rows are in the order of log L, the score"
         lines[-1] += f"; {_percent(rest)} of the mass is in none of these rows"
     return "\n".join(lines)
 
@@ -244,7 +244,7 @@ def evaluation_tables(rows: Sequence[Mapping[str, Any]]) -> str:
     for title, make in (
         ("Right answers, % [95 % interval]", _success),
         ("Errors of the first hypothesis, and cost", _cost),
-        (_INDEX, _index),
+        ("Index S (eq. 12, nats) and global maximum, over free cells [95 % interval]", _index),
     ):
         cells = [
             {"map": row["map"], "method": row["method"], "n": str(row["trials"]), **make(row)}
