@@ -129,3 +129,16 @@ def test_scaling_keeps_limits_that_were_in_metres(scans: Path) -> None:
         doubled = replace(scan, ranges=1000 * scan.ranges, range_max=limit).scaled(0.001)
         assert doubled.range_max == pytest.approx(scan.range_max)
         np.testing.assert_allclose(doubled.ranges, scan.ranges)
+
+
+def test_a_prior_off_the_map_and_a_missing_image_are_named(scans: Path, tmp_path: Path) -> None:
+    run = call("localize", "curved", scans, OFF, "--near", "500,500,0", "--clearance", 0.2)
+    assert run.code == 2
+    assert "--near 500,500,0 with --clearance 0.2: the prior leaves no cell" in run.err
+    assert "the map has 16.0 x 13.0 m, its lower-left corner at 0,0" in run.err
+    said = (MAPS / "curved.yaml").read_text().replace("curved.png", "gone.png")
+    (tmp_path / "m.yaml").write_text(said)
+    run = call("localize", tmp_path / "m.yaml", scans, OFF)
+    assert run.code == 3
+    assert "gone.png: no such file; " in run.err
+    assert "m.yaml says that this is its image" in run.err
