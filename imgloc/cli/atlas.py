@@ -1,6 +1,6 @@
 """`imgloc atlas`: where on a map a single scan says where one is."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -43,6 +43,7 @@ def atlas(
     from imgloc.features.budget import poses_bytes
     from imgloc.io.atlasrows import Journal, as_csv
     from imgloc.io.cache import cache_key
+    from imgloc.model import plain
     from imgloc.options import Options
     from imgloc.output.json import to_json
     from imgloc.output.pictures import Picture, draw_atlas
@@ -77,7 +78,7 @@ def atlas(
         world=is_world(map_path, grid), at_once=AT_ONCE, hint="use a larger --step, crop the map",
     )  # fmt: skip
     inputs.check_answer(prepare(grid, name), options, name, hint="crop the map", workers=processes)
-    about = {"step": step, "headings": headings, "seed": seed, "sensor": repr(chosen)}
+    about = {"step": step, "headings": headings, "seed": seed, "sensor": plain(asdict(chosen))}
     journal = Journal(out.with_name(out.name + ".part"), {"map": cache_key(grid, about)} | about)
     done = len(journal.rows)
     if done:

@@ -65,7 +65,9 @@ def evaluate(
     relative to that of no idea at all: 0 knows nothing, S max is certainty on a lattice of poses.
     S calibrated is that of the posterior which localize uses, see `imgloc calibrate`; for fused it
     is on the lattice, too, where S of its Gaussians may be above S max. The paper's methods run on
-    its cells: 3 degrees (cbml, cbml-o, beam) and 30 (ght, ght-v).
+    its cells: 3 degrees (cbml, cbml-o, beam) and 30 (ght, ght-v). "S all cells" is over walls and
+    unknown space too, "at floor" counts trials whose density is no more than --floor, "not free"
+    those whose true pose is in a cell that the map does not call free.
     Everything but what is under "cost" is the same in every run.
     """
     from imgloc.cli import inputs

@@ -2,7 +2,7 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,7 +12,13 @@ from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import display
 
-Subject = StrEnum("Subject", ("MAP", "BMAP", "VMAP", "SURFACE", "VISIBILITY", "DISTANCE"))
+if TYPE_CHECKING:
+    from imgloc.model import OccupancyGrid
+    from imgloc.output.pictures import Picture
+
+Subject = StrEnum(
+    "Subject", ("MAP", "BMAP", "VMAP", "SURFACE", "VISIBILITY", "DISTANCE", "LIKELIHOOD")
+)
 
 
 @opt.with_options(opt.reading, opt.console)
@@ -49,7 +55,8 @@ def show(
     what: Subject = typer.Option(
         Subject.MAP,
         help="The map as it is read; blurred (bmap); normals, blurred (vmap); surface points "
-        "with normals; what one surface point sees; distance to the nearest wall.",
+        "with normals; what one surface point sees; distance to the nearest wall; likelihood of "
+        "a scan.",
     ),
     at: Any = option(
         None,
@@ -64,6 +71,9 @@ def show(
         within=(0.001, 100, "metres"),
     ),
     cell: float | None = option(None, "M", "Cell of bmap and vmap, metres.", within=opt.SIDE),
+    scans: Path | None = option(None, "SCANS", "For likelihood: the file of the scan."),
+    index: opt.Index = None,
+    method: opt.MethodName = typer.Option(opt.MethodName.CBML, help="Whose likelihood."),
     memory_budget: opt.MemoryBudget = None,
     force: opt.Force = False,
     allow_lossy: opt.AllowLossy = False,
@@ -78,6 +88,10 @@ def show(
     from imgloc.output.pictures import draw
 
     inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
+    if (scans is None) == (what == Subject.LIKELIHOOD):
+        raise ConfigError("--scans: expected with --what likelihood, and only there")
+    if method == opt.MethodName.FUSED:
+        raise ConfigError("--method: fused has no likelihood of all poses; use one of the others")
     if at is not None and what != Subject.VISIBILITY:
         raise ConfigError("--at: only --what visibility is drawn at a point")
     for name, value in (("--sigma", sigma), ("--cell", cell)):
@@ -94,7 +108,28 @@ def show(
             raise ConfigError(
                 f"--at: {at[0]:g},{at[1]:g} is not on the map, expected a point of it"
             )
-    picture = draw(features, what=what.value, at=at)
+    if scans is None:
+        picture = draw(features, what=what.value, at=at)
+    else:
+        picture = _likelihood(
+            grid, scans, index or 0, method.value, memory_budget, display(map_path)
+        )
     picture.save(out, force=force)
     height, width = picture.image.shape[:2]
     say(f"wrote {display(out)}: {what.value}, {width} x {height} pixels")
+
+
+def _likelihood(
+    grid: "OccupancyGrid", scans: Path, index: int, method: str, budget: int | None, name: str
+) -> "Picture":
+    """The likelihood of a scan at every position, at its best heading there, over the map."""
+    from imgloc.cli import inputs
+    from imgloc.options import Options
+    from imgloc.output.pictures import draw
+    from imgloc.pipeline import likelihood
+
+    held = inputs.load_set(scans, opt.fixed_budget(budget))
+    (k,) = inputs.choose(len(held), index, display(scans))
+    options = Options(method=method, memory_budget=opt.fixed_budget(budget))
+    features = inputs.open_features(grid, name, None, options, scans=held.scans)
+    return draw(grid, likelihood(features, held[k], options))

@@ -66,7 +66,7 @@ def open_regular(path: PathLike, error: type[ImglocError], what: str) -> int:
         # O_NONBLOCK: opening a FIFO without a writer would wait for one.
         fd = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except FileNotFoundError:
-        raise error(f"{name}: no such file{_neighbour_hint(path)}") from None
+        raise error(f"{name}: no such file{neighbour_hint(path)}") from None
     except OSError as e:
         raise error(f"{name}: cannot be opened: {e.strerror}") from None
     except ValueError:
@@ -76,16 +76,24 @@ def open_regular(path: PathLike, error: type[ImglocError], what: str) -> int:
         return fd
     os.close(fd)
     found = "folder" if stat.S_ISDIR(mode) else "pipe or device"
-    raise error(f"{name}: is a {found}, expected a {what} (a regular file)")
+    raise error(f"{name}: is a {found}, expected a {what} (a regular file){_inside_hint(path)}")
 
 
-def _neighbour_hint(path: PathLike) -> str:
+def neighbour_hint(path: PathLike) -> str:
     """Name the files of the same stem that do exist: the usual slip is the ending."""
     wanted = Path(path)
     with contextlib.suppress(OSError):
         same = (p for p in wanted.parent.iterdir() if p.stem.lower() == wanted.stem.lower())
         if there := sorted(display(p.name) for p in same if p.is_file()):
             return f"; beside it there is {', '.join(there[:3])}"
+    return ""
+
+
+def _inside_hint(path: PathLike) -> str:
+    """Name some files of a folder."""
+    with contextlib.suppress(OSError):
+        if there := sorted(display(p.name) for p in Path(path).iterdir() if p.is_file()):
+            return f"; in it there is {', '.join(there[:3])}"
     return ""
 
 

@@ -4,6 +4,7 @@ Row 0 of a grid is the lowest y and row 0 of a picture is at the top: the flip h
 and nowhere else.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -98,14 +99,56 @@ def sheet(cells: npt.NDArray[np.uint8], grid: GridInfo, scale: int | None) -> Ca
 
 def text(image: Image, message: str, x: int, y: int, colour: Colour = INK, size: int = 13) -> int:
     """Write `message` with its baseline's left end at pixel (x, y) and return its width."""
-    scale = size / 22
-    cv2.putText(image, message, (x, y), _FONT, scale, colour, 1, cv2.LINE_AA)
+    thick = max(1, round(size / 16))
+    cv2.putText(image, message, (x, y), _FONT, size / 22, colour, thick, cv2.LINE_AA)
     return text_width(message, size)
 
 
 def text_width(message: str, size: int = 13) -> int:
     """Width of `message` in pixels."""
-    return int(cv2.getTextSize(message, _FONT, size / 22, 1)[0][0])
+    return int(cv2.getTextSize(message, _FONT, size / 22, max(1, round(size / 16)))[0][0])
+
+
+def faded(colour: Colour, share: float) -> Colour:
+    """A colour of which `share` is left, the rest is paper.
+
+    Examples
+    --------
+    >>> faded((0, 100, 200), 0.5)
+    (128, 178, 228)
+    """
+    b, g, r = (round(255 + share * (c - 255)) for c in colour)
+    return b, g, r
+
+
+def enlarged(image: Image) -> float:
+    """By how much words on a picture are larger than on a screen: it is read on a phone, too.
+
+    Examples
+    --------
+    >>> enlarged(np.zeros((500, 1000, 3), np.uint8)), enlarged(np.zeros((3000, 900, 3), np.uint8))
+    (1.0, 2.0)
+    """
+    return float(max(1.0, max(image.shape[:2]) / 1500))
+
+
+def colour_bar(image: Image, colours: Image, ends: Sequence[str], title: str) -> Image:
+    """Put a bar of `colours` (1, N, 3) below a picture, with words at its ends and a title."""
+    f = enlarged(image)
+    size, gap, high = round(14 * f), round(14 * f), round(16 * f)
+    words = [text_width(word, size) for word in (*ends, title)]
+    wide = max(image.shape[1], sum(words) + 5 * gap + round(120 * f))
+    out = np.full((image.shape[0] + 2 * gap + high, wide, 3), 255, np.uint8)
+    out[: image.shape[0], : image.shape[1]] = image
+    top, x = image.shape[0] + gap, gap
+    x += text(out, title, x, top + high - round(3 * f), size=size) + gap
+    x += text(out, ends[0], x, top + high - round(3 * f), size=size) + gap // 2
+    length = min(round(320 * f), wide - x - words[1] - 2 * gap)
+    bar = cv2.resize(colours, (length, high), interpolation=cv2.INTER_LINEAR)
+    out[top : top + high, x : x + length] = bar
+    cv2.rectangle(out, (x, top), (x + length, top + high), INK, 1)
+    text(out, ends[1], x + length + gap // 2, top + high - round(3 * f), size=size)
+    return out
 
 
 def wheel(direction: npt.ArrayLike, strength: npt.ArrayLike) -> Image:

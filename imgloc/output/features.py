@@ -26,12 +26,18 @@ from imgloc.output.canvas import (
     INK,
     PALETTE,
     Image,
+    colour_bar,
     draw_map,
     map_canvas,
     marker_size,
     scale_bar,
     sheet,
     wheel,
+)
+
+_NEAR = 3.0  # metres, up to which distances have colours of their own
+_GREYS: Image = np.rint(255 + np.linspace(0, 1, 64)[None, :, None] * (np.array(INK) - 255)).astype(
+    np.uint8
 )
 
 #: What :func:`draw_feature` draws.
@@ -48,13 +54,22 @@ def draw_feature(features: MapFeatures, what: str, at: tuple[float, float] | Non
     if what == "map":
         return draw_map(grid)
     if what == "bmap":
-        return draw_bmap(features.bmap, lattice)
-    if what == "vmap":
-        return draw_field(features.vmap, lattice.resolution)
-    if what == "surface":
-        return draw_surface(grid, features.surface)
+        image = draw_bmap(features.bmap, lattice)
+        return colour_bar(image, _GREYS, ("0", "1"), "blurred walls")
+    if what in ("vmap", "surface"):
+        image = (
+            draw_field(features.vmap, lattice.resolution)
+            if what == "vmap"
+            else draw_surface(grid, features.surface)
+        )
+        turn = wheel(np.linspace(-np.pi, np.pi, 73)[None], np.full((1, 73), 0.8))
+        return colour_bar(image, turn, ("-180", "180"), "normal points along, deg")
     if what == "distance":
-        return draw_distance(features.walls * grid.resolution, grid.info)
+        image = draw_distance(features.walls * grid.resolution, grid.info)
+        ends = ("0", f"{_NEAR:g} or more")
+        return colour_bar(
+            image, _viridis(np.linspace(0, _NEAR, 64)[None]), ends, "metres to a wall"
+        )
     if what != "visibility":
         raise ValueError(f"cannot draw {what!r}, expected one of {', '.join(SUBJECTS)}")
     surface = features.surface
@@ -63,7 +78,10 @@ def draw_feature(features: MapFeatures, what: str, at: tuple[float, float] | Non
     horizon = min(features.horizon, float(np.hypot(*grid.occupied.shape)) * grid.resolution)
     vis = np.minimum(replace(features, horizon=horizon).visibility, horizon)
     if at is None:
-        best = int(np.argmax((np.asarray(vis, dtype=np.float64) ** 2).sum(axis=0)))
+        # Of a point inside a building nearly all rays end; the one that sees most is typical.
+        reach = np.asarray(vis, dtype=np.float64)
+        inside = (reach < 0.999 * horizon).mean(axis=0) > 0.97
+        best = int(np.argmax((reach**2).sum(axis=0) * (inside if inside.any() else 1)))
     else:
         there = in_grid_frame(Pose2D(*at), grid)
         best = int(np.argmin(np.hypot(*(surface.xy - (there.x, there.y)).T)))
@@ -126,11 +144,10 @@ def draw_bmap(bmap: npt.ArrayLike, grid: GridInfo, *, scale: int | None = None) 
 def draw_distance(distance: npt.ArrayLike, grid: GridInfo, *, scale: int | None = None) -> Image:
     """Draw distances (H, W) to the nearest wall, metres: a fine line at each full metre.
 
-    Walls, where they are 0, are dark.
+    Walls, where they are 0, are dark; what is 3 m away or more has the last colour.
     """
     metres = np.asarray(distance, dtype=np.float64)
-    grey = np.rint(255 * metres / max(float(metres.max()), 1e-12)).astype(np.uint8)
-    colours = np.asarray(cv2.applyColorMap(grey, cv2.COLORMAP_VIRIDIS), dtype=np.uint8)
+    colours = _viridis(metres)
     floor = np.floor(metres)
     steps = np.pad(floor, ((0, 1), (0, 1)), mode="edge")
     line = (floor != steps[1:, :-1]) | (floor != steps[:-1, 1:])
@@ -139,6 +156,12 @@ def draw_distance(distance: npt.ArrayLike, grid: GridInfo, *, scale: int | None 
     canvas = sheet(colours, grid, scale)
     scale_bar(canvas)
     return canvas.image
+
+
+def _viridis(metres: FloatArray) -> Image:
+    """Colours (H, W, 3) of distances, which change where robots are: in the first 3 metres."""
+    grey = np.rint(255 * np.minimum(metres / _NEAR, 1)).astype(np.uint8)
+    return np.asarray(cv2.applyColorMap(grey, cv2.COLORMAP_VIRIDIS), dtype=np.uint8)
 
 
 def draw_visibility(

@@ -6,12 +6,13 @@ numbers become text.
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
 from imgloc.__about__ import __version__
 from imgloc.explanation import Explanation
-from imgloc.geometry import rotate_covariance
+from imgloc.geometry import in_grid_frame, rotate_covariance
 from imgloc.model import Hypothesis, Pose2D, base_of
 from imgloc.output import svg
 from imgloc.output.pictures import draw_likelihood
@@ -43,7 +44,12 @@ def render_explanation(
         version=version,
         drawn=DRAWN,
         headlines=HEADLINES,
-        overview=svg.draw_overview(e.grid, poses, rays[0] if rays else None),
+        overview=svg.draw_overview(
+            e.grid,
+            poses,
+            rays[0] if rays else None,
+            truth=None if truth is None else in_grid_frame(truth, e.grid),
+        ),
         views=svg.window(poses, rays, 400.0) if rays else [],
     )
 
@@ -130,6 +136,31 @@ def length(metres: float) -> str:
     return f"{100 * metres:.1f} cm" if metres < 1 else f"{metres:.2f} m"
 
 
+def known_words(prior: Mapping[str, Any]) -> str:
+    """What was known beforehand, in words, of the parameter ``prior`` of an answer.
+
+    Examples
+    --------
+    >>> known_words({"heading": {"theta": 0.0, "tolerance": 0.5}, "clearance": 0.3})
+    'heading 0.0° ± 28.6°, at least 0.3 m from what is not free'
+    """
+    said = []
+    for key, value in prior.items():
+        words = f"{key} {value}"
+        if key == "clearance":
+            words = f"at least {value:g} m from what is not free"
+        elif key == "region":
+            words = f"in a region of {value['cells']:,} cells"
+        elif isinstance(value, Mapping) and "theta" in value:
+            turn = f"{minus(math.degrees(value['theta']), 1)}°"
+            words = f"heading {turn} ± {math.degrees(value['tolerance']):.1f}°"
+            if "radius" in value:
+                place = f"{minus(value['x'], 2)}, {minus(value['y'], 2)} m"
+                words = f"within {value['radius']:g} m of {place}, {words}"
+        said.append(words)
+    return ", ".join(said)
+
+
 def flat(values: Mapping[str, object], above: str = "") -> Iterator[tuple[str, object]]:
     """Name and value of everything in nested mappings.
 
@@ -146,8 +177,8 @@ def flat(values: Mapping[str, object], above: str = "") -> Iterator[tuple[str, o
 
 
 _FILTERS: tuple[Callable[..., object], ...] = (
-    apart, base_of, describe, deviations, difference, flat, likely, math.degrees, math.exp, percent,
-    short,
+    apart, base_of, describe, deviations, difference, flat, known_words, likely, math.degrees,
+    math.exp, percent, short,
 )  # fmt: skip
 _DRAWINGS: tuple[Callable[..., object], ...] = (svg.draw_scan, svg.draw_rays, svg.draw_covariance)
 svg.ENVIRONMENT.filters |= {f.__name__: f for f in _FILTERS} | {

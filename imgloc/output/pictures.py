@@ -1,7 +1,7 @@
 """Pictures of answers: likelihood stacks, ranked hypotheses, the atlas of a map."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -32,8 +32,11 @@ from imgloc.output.canvas import (
     Canvas,
     Colour,
     Image,
+    colour_bar,
     deviation_ellipse,
     draw_map,
+    enlarged,
+    faded,
     map_canvas,
     marker_size,
     scale_bar,
@@ -114,11 +117,14 @@ def draw(
     local = None if truth is None else in_grid_frame(truth, grid)
     if isinstance(answer, Likelihood):
         log = answer.method in LOG_METHODS
-        return Picture(draw_likelihood(answer, grid=grid, truth=local, log=log))
+        image = draw_likelihood(answer, grid=grid, truth=local, log=log)
+        title = f"likelihood ({answer.method}) at the best heading"
+        shades = np.linspace(255, 0, 64).astype(np.uint8)[None, :, None].repeat(3, axis=2)
+        return Picture(colour_bar(image, shades, ("least", "greatest"), title))
     if isinstance(answer, Localization):
         points = np.zeros((0, 2)) if scan is None else scan_xy(scan)[scan.valid]
         hypotheses = [in_grid_frame(h, grid.info) for h in answer.hypotheses]
-        note = _not_drawn(answer) if hypotheses else ""
+        note = f"verdict: {answer.verdict}; {_not_drawn(answer)}" if hypotheses else ""
         return Picture(draw_hypotheses(grid, points, hypotheses, truth=local, note=note))
     if answer is not None:
         raise TypeError(f"expected a Localization or a Likelihood to draw, got {answer!r}")
@@ -180,20 +186,75 @@ def draw_hypotheses(
     the `note`. A cell is `scale` pixels wide.
     """
     canvas = map_canvas(grid, scale)
-    size = marker_size(canvas)
     shown = [(h, PALETTE[k % len(PALETTE)]) for k, h in enumerate(hypotheses[:top])]
-    for hypothesis, colour in reversed(shown):
-        canvas.dots(transform_points(hypothesis.pose, scan_xy), colour, max(1.2, 0.28 * size))
-    for hypothesis, colour in reversed(shown):
-        pose = hypothesis.pose
-        ellipse = (pose.x, pose.y) + 2 * deviation_ellipse(hypothesis.covariance)
-        canvas.polygon(ellipse, colour, 0.25)
-        canvas.lines(ellipse[None], colour)
-        canvas.robot(pose.x, pose.y, pose.theta, colour, size)
-    if truth is not None:
-        _cross(canvas, truth.x, truth.y, 1.5 * size)
+    _lay(canvas, scan_xy, shown, truth)
     scale_bar(canvas)
-    return _with_legend(canvas.image, shown, grid.origin, truth, note)
+    inset = _inset(grid, canvas, scan_xy, shown, truth)
+    return _with_legend(canvas.image, shown, grid.origin, truth, note, inset)
+
+
+def _lay(
+    canvas: Canvas, scan_xy: FloatArray, shown: Sequence[tuple[Hypothesis, Colour]],
+    truth: Pose2D | None,
+) -> None:  # fmt: skip
+    """Draw hypotheses with their numbers, the bolder the more mass they have, and the truth."""
+    most = max((h.mass for h, _ in shown), default=0.0)
+    bold = [0.3 + 0.7 * (h.mass / most) ** 0.5 if most > 0 else 1.0 for h, _ in shown]
+    full, f = marker_size(canvas), enlarged(canvas.image)
+    every = list(enumerate(zip(shown, bold, strict=True), start=1))[::-1]
+    for _, ((hypothesis, colour), share) in every:
+        points = transform_points(hypothesis.pose, scan_xy)
+        canvas.dots(points, faded(colour, share), max(1.2, 0.28 * full) * (0.5 + 0.5 * share))
+    for number, ((hypothesis, colour), share) in every:
+        pose, size, ink = hypothesis.pose, full * (0.6 + 0.4 * share), faded(colour, share)
+        ellipse = (pose.x, pose.y) + 2 * deviation_ellipse(hypothesis.covariance)
+        canvas.polygon(ellipse, ink, 0.25)
+        canvas.lines(ellipse[None], ink)
+        canvas.robot(pose.x, pose.y, pose.theta, ink, size)
+        # The number stands behind the robot, where its nose is not.
+        back = (full + 9 * f) / canvas.px_per_m
+        at = (pose.x - back * np.cos(pose.theta), pose.y - back * np.sin(pose.theta))
+        x, y = np.rint(canvas.pixels(np.array([at]))[0]).astype(int).tolist()
+        big, word = round(15 * f), str(number)
+        left, low = x - text_width(word, big) // 2, y + round(5 * f)
+        for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+            text(canvas.image, word, left + dx * round(2 * f), low + dy * round(2 * f), PAPER, big)
+        text(canvas.image, word, left, low, INK, big)
+    if truth is not None:
+        _cross(canvas, truth.x, truth.y, 1.5 * full)
+
+
+def _inset(
+    grid: OccupancyGrid, canvas: Canvas, scan_xy: FloatArray,
+    shown: Sequence[tuple[Hypothesis, Colour]], truth: Pose2D | None,
+) -> Image | None:  # fmt: skip
+    """The place of the best hypothesis, larger, if the scan is small on the map."""
+    if not shown or not len(scan_xy):
+        return None
+    reach = float(np.percentile(np.hypot(*scan_xy.T), 80))
+    height, width = grid.occupied.shape
+    half = int(np.ceil(max(2.0, 1.1 * reach) / grid.resolution))
+    if 5 * half > max(height, width):
+        return None
+    pose = shown[0][0].pose
+    row, column = int(pose.y / grid.resolution), int(pose.x / grid.resolution)
+    rows = slice(max(0, row - half), min(height, row + half))
+    columns = slice(max(0, column - half), min(width, column + half))
+    if rows.stop <= rows.start or columns.stop <= columns.start:
+        return None
+    part = OccupancyGrid(grid.occupied[rows, columns], grid.free[rows, columns], grid.resolution)
+    side = round(340 * enlarged(canvas.image))
+    close = map_canvas(part, max(1, round(side / (2 * half))))
+    away = Pose2D(columns.start * grid.resolution, rows.start * grid.resolution)
+
+    def moved(p: Pose2D) -> Pose2D:
+        return Pose2D(p.x - away.x, p.y - away.y, p.theta)
+
+    near = [(replace(h, pose=moved(h.pose)), c) for h, c in shown]
+    _lay(close, scan_xy, near, None if truth is None else moved(truth))
+    scale_bar(close)
+    cv2.rectangle(close.image, (0, 0), (close.image.shape[1] - 1, len(close.image) - 1), INK, 2)
+    return close.image
 
 
 def _not_drawn(answer: Localization) -> str:
@@ -229,39 +290,54 @@ def _with_legend(
     origin: Pose2D,
     truth: Pose2D | None,
     note: str,
+    inset: Image | None = None,
 ) -> Image:
-    """Put a line per hypothesis below a picture: mark, bar and share of mass, pose."""
+    """Put a line per hypothesis below a picture: mark, bar and share of mass, pose; the inset."""
     poses = [h.pose for h, _ in shown] + ([truth] if truth is not None else [])
     if not poses:
         return image
+    f = enlarged(image)
+    size, row = round(13 * f), round(_ROW * f)
+
+    def px(length: float) -> int:
+        return round(length * f)
+
     table = transform_poses(origin, np.array([(p.x, p.y, p.theta) for p in poses]))
     lines = [("x / m", "y / m", "theta / deg")]
     lines += [(f"{x:.2f}", f"{y:.2f}", f"{np.rad2deg(theta):.1f}") for x, y, theta in table]
-    ends = 272 + np.cumsum([24 + max(text_width(line[k]) for line in lines) for k in range(3)])
+    columns = [px(24) + max(text_width(line[k], size) for line in lines) for k in range(3)]
+    ends = px(272) + np.cumsum(columns)
     height, width = image.shape[:2]
     rows = len(lines) + bool(note)
-    wide = max(width, int(ends[-1]) + 14, 44 + text_width(note) + 14)
-    out = np.full((height + _ROW * rows + 14, wide, 3), 255, np.uint8)
+    words = max(int(ends[-1]), px(44) + text_width(note, size)) + px(14)
+    beside = 0 if inset is None else inset.shape[1] + px(14)
+    wide = max(width, words + beside)
+    below = max(row * rows + px(14), 0 if inset is None else len(inset) + px(14))
+    out = np.full((height + below, wide, 3), 255, np.uint8)
     out[:height, :width] = image
-    base = height + 21
+    if inset is not None:
+        top, left = height + px(7), wide - px(7) - inset.shape[1]
+        out[top : top + len(inset), left : left + inset.shape[1]] = inset
+    base = height + px(21)
     for k, line in enumerate(lines):
-        y = base + k * _ROW
+        y = base + k * row
         for end, word in zip(ends.tolist(), line, strict=True):
-            text(out, word, end - text_width(word), y)
-    text(out, "mass", 266 - text_width("mass"), base)
+            text(out, word, end - text_width(word, size), y, size=size)
+    text(out, "mass", px(266) - text_width("mass", size), base, size=size)
     for k, (hypothesis, colour) in enumerate(shown, start=1):
-        y = base + k * _ROW
-        Canvas(out, 1.0).robot(22, len(out) - y + 4.5, 0.0, colour, 5.5)
-        text(out, str(k), 44, y)
-        out[y - 10 : y + 1, 68:188] = SHADE
-        out[y - 10 : y + 1, 68 : 68 + round(120 * min(1.0, max(0.0, hypothesis.mass)))] = colour
-        share = f"{100 * hypothesis.mass:.1f} %"
-        text(out, share, 266 - text_width(share), y)
+        y = base + k * row
+        Canvas(out, 1.0).robot(px(22), len(out) - y + 4.5 * f, 0.0, colour, 5.5 * f)
+        text(out, str(k), px(44), y, size=size)
+        out[y - px(10) : y + 1, px(68) : px(188)] = SHADE
+        share = min(1.0, max(0.0, hypothesis.mass))
+        out[y - px(10) : y + 1, px(68) : px(68) + round(px(120) * share)] = colour
+        said = f"{100 * hypothesis.mass:.1f} %"
+        text(out, said, px(266) - text_width(said, size), y, size=size)
     if truth is not None:
-        y = base + len(poses) * _ROW
-        _cross(Canvas(out, 1.0), 23, len(out) - y + 4.5, 5)
-        text(out, "true pose", 44, y)
-    text(out, note, 44, base + len(lines) * _ROW)
+        y = base + len(poses) * row
+        _cross(Canvas(out, 1.0), px(23), len(out) - y + 4.5 * f, 5 * f)
+        text(out, "true pose", px(44), y, size=size)
+    text(out, note, px(44), base + len(lines) * row, size=size)
     return out
 
 

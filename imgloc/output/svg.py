@@ -199,13 +199,14 @@ def draw_rays(grid: OccupancyGrid, pose: Pose2D, fit: RayFit, view: View, name: 
 
 
 def draw_overview(
-    grid: OccupancyGrid, poses: Sequence[Pose2D], best: RayFit | None = None, px: float = 1000.0
-) -> Markup:
+    grid: OccupancyGrid, poses: Sequence[Pose2D], best: RayFit | None = None, px: float = 1000.0,
+    *, truth: Pose2D | None = None,
+) -> Markup:  # fmt: skip
     """The whole map with every pose on it, best first, grid frame, and axes; `px` pixels wide.
 
-    The rays of the best one end in dots.
+    The rays of the best one end in dots; the true pose, grid frame, gets a cross.
     """
-    view = _known_part(grid, poses, px)
+    view = _known_part(grid, [*poses, *([] if truth is None else [truth])], px)
     height, width = (n * grid.resolution for n in grid.occupied.shape)
     (x, y), (x1, y1) = view.at(0, height), view.at(width, 0)
     ends = ""
@@ -220,6 +221,7 @@ def draw_overview(
         poses=poses,
         axes=_axes(grid, view),
         label=f"The map with {len(poses)} hypotheses",
+        truth=truth,
     )
 
 

@@ -1,0 +1,1 @@
+"""Short scripts to copy from: each is one function, and leaves one picture."""

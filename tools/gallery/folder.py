@@ -1,0 +1,30 @@
+"""A folder of files of scans, whatever their formats: every answer, without an exception."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from imgloc import ImglocError, Picture, draw, load_map, load_scans, localize, prepare, save_scans
+from imgloc.io.maps import bundled_maps
+from imgloc.output.pictures import mosaic
+from imgloc.simulation import simulate
+
+
+def picture() -> Picture:
+    """Two good files and a broken one: a picture of each answer, the error as a caption."""
+    grid = load_map(bundled_maps() / "double_wall.yaml")
+    features, sheets = prepare(grid), []
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        for seed in (1, 2):
+            save_scans(folder / f"run{seed}.npz", simulate(grid, 1, seed))
+        (folder / "run3.csv").write_text("1.0,2.0\nnot a number,3.0\n")
+        for file in sorted(folder.iterdir()):
+            try:
+                scan = load_scans(file)[0]
+            except ImglocError as error:
+                words = str(error).removeprefix(f"{folder}/")
+                sheets.append((f"{words[:60]} ...", draw(grid).image))
+                continue
+            answer = localize(features, scan)
+            sheets.append((f"{file.name}: {answer.verdict}", draw(features, answer, scan).image))
+    return Picture(mosaic(sheets, top=True))
