@@ -16,6 +16,7 @@ from imgloc.cli.map import check, show
 from imgloc.cli.options import examples
 from imgloc.cli.sample import sample
 from imgloc.cli.simulate import simulate
+from imgloc.cli.track import track
 from imgloc.cli.which import which
 
 _OPTIONS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
@@ -95,6 +96,11 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc atlas office.yaml --out atlas.png",
         "imgloc atlas office.yaml --out atlas.png --csv atlas.csv --rays 360 --fov-deg 360",
         "imgloc atlas visibility --out atlas.png --range-max 5 --json",
+    ),
+    track: (
+        "imgloc track office.yaml log.npz --tum out.tum --picture track.png",
+        "imgloc track office.yaml log.npz --start 3,2,0 --json > track.jsonl",
+        "imgloc track office.yaml log.npz --kidnap 60,12,3,1.5 --video out.mp4",
     ),
     which: ("imgloc which floors scans.npz", "imgloc which floors scan.csv --range-max 20 --json"),
 }
