@@ -103,7 +103,8 @@ def follow(
         )
     if start is not None:
         filter_.place(_local(start, features), deviation)
-    steps = np.concatenate((np.zeros((1, 3)), increments(scans.odom)))
+    odom = sensor_odometry(scans)
+    steps = np.concatenate((np.zeros((1, 3)), increments(odom)))
     way, metres, seen = np.full(2, np.inf), 0.0, float(stamps[0])
     for k, scan in enumerate(scans.scans):
         filter_.move(steps[k])
@@ -123,11 +124,18 @@ def follow(
             pose = transform_poses(grid.origin, belief.poses[:1])[0]
             best = Pose2D(*pose)
             covariance = rotate_covariance(belief.covariance[0], grid.origin.theta)
-            map_odom = Pose2D(*compose_poses(pose, invert_poses(scans.odom[k])))
+            map_odom = Pose2D(*compose_poses(pose, invert_poses(odom[k])))
         yield Moment(
             k, float(stamps[k]), float(stamps[k]) - seen, looked, metres, belief, best, covariance,
             map_odom,
         )  # fmt: skip
+
+
+def sensor_odometry(scans: ScanSet) -> FloatArray:
+    """Poses (N, 3) of the sensor in the odometry's frame, of those of the robot."""
+    odom = np.zeros((len(scans), 3)) if scans.odom is None else scans.odom
+    mounts = (scan.T_base_laser or Pose2D(0.0, 0.0) for scan in scans.scans)
+    return compose_poses(odom, np.array([(m.x, m.y, m.theta) for m in mounts]))
 
 
 def _local(pose: Pose2D, features: MapFeatures) -> FloatArray:

@@ -97,9 +97,7 @@ def track(
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     folder = inputs.kept_in(cache, wanted=not no_cache)
     scans = inputs.load_set(log, taken.memory_budget)
-    cut = tuple(
-        replace(inputs.cut_scan(scan, range_max, flipped=mounting.flipped)) for scan in scans.scans
-    )
+    cut = tuple(mounting.mount(inputs.cut_scan(scan, range_max)) for scan in scans.scans)
     scans = replace(scans, scans=cut)
     if simulate_odometry is not None:
         scans = with_odometry(replace(scans, odom=None), simulate_odometry)[0]

@@ -5,7 +5,9 @@ from typing import Protocol
 
 import numpy as np
 
+from imgloc.geometry import wrap
 from imgloc.model import FloatArray, LaserScan
+from imgloc.search.hypotheses import separated
 
 UNIQUE, AMBIGUOUS, LOST = VERDICTS = ("unique", "ambiguous", "lost")
 
@@ -44,3 +46,59 @@ class Filter(Protocol):
     @property
     def belief(self) -> Belief:
         """What is believed now."""
+
+
+PLACE = (0.75, 0.5)
+"""Poses nearer than this, metres and radians, are of one place."""
+_PLACES = 20
+
+
+def belief_of(
+    poses: FloatArray,
+    mass: FloatArray,
+    *,
+    sure: float,
+    lost: bool,
+    doubted: bool,
+    neff: float,
+    resets: int,
+) -> Belief:
+    """The places of many weighted poses (N, 3), mass (N,), heaviest first.
+
+    Parameters
+    ----------
+    sure : float
+        Mass of the first place from which on it is ``unique``, unless it is `doubted`.
+    lost : bool
+        The best place does not explain what is seen.
+
+    Examples
+    --------
+    >>> poses = np.array([[0, 0, 3.1], [0.1, 0, -3.1], [9, 9, 0.0]])
+    >>> b = belief_of(poses, np.array([0.5, 0.3, 0.2]), sure=0.9, lost=False, doubted=False,
+    ...               neff=3, resets=0)
+    >>> b.verdict, b.mass.tolist(), b.poses.round(2).tolist()[0]
+    ('ambiguous', [0.8, 0.2], [0.04, 0.0, 3.13])
+    """
+    picked, owner = separated(poses, _PLACES, distance=PLACE[0], angle=PLACE[1])
+    means, spreads, masses = [], [], []
+    for place, first in enumerate(picked):
+        mine = owner == place
+        weight = mass[mine] / max(1e-300, mass[mine].sum())
+        apart = poses[mine] - poses[first]
+        apart[:, 2] = wrap(apart[:, 2])
+        mean = weight @ apart
+        rest = apart - mean
+        means.append(poses[first] + mean)
+        spreads.append((rest * weight[:, None]).T @ rest + np.diag([1e-4, 1e-4, 1e-5]))
+        masses.append(mass[mine].sum())
+    shares = np.array(masses)
+    order = np.argsort(-shares, kind="stable")
+    out = np.array(means).reshape(-1, 3)[order]
+    out[:, 2] = wrap(out[:, 2])
+    verdict = LOST if lost or not len(order) else AMBIGUOUS
+    if verdict == AMBIGUOUS and not doubted and shares[order[0]] >= sure:
+        verdict = UNIQUE
+    covariance = np.array(spreads).reshape(-1, 3, 3)[order]
+    away = max(0.0, 1 - float(shares.sum()))
+    return Belief(out, shares[order], covariance, away, verdict, neff, resets)

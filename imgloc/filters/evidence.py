@@ -49,3 +49,12 @@ def settled(
 def search(features: MapFeatures, scan: LaserScan, options: Options) -> FloatArray:
     """All separated poses (M, 3) that one scan allows, grid frame, best first."""
     return find_modes(features, scan, options).poses
+
+
+def misfit_near(
+    features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Options
+) -> float:
+    """Least misfit of poses (C, 3), C > 0, once they have settled, nats per reading."""
+    return float(
+        sight(features, scan, settled(features, scan, poses, options), options).misfit.min()
+    )

@@ -17,7 +17,7 @@ import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import AMBIGUOUS, LOST, NOWHERE, UNIQUE, Belief
-from imgloc.filters.evidence import Sight, search, settled, sight
+from imgloc.filters.evidence import Sight, misfit_near, search, settled, sight
 from imgloc.filters.motion import MotionNoise, move_gaussians
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray, IntArray, LaserScan
@@ -39,10 +39,12 @@ class TrackerOptions:
     components: int = 40  #: at most
     births: int = 15  #: modes of one scan that may become components
     #: metres and radians of motion after which a scan says something entirely new
-    fresh: tuple[float, float] = (1.0, 0.8)
+    fresh: tuple[float, float] = (1.5, 1.0)
     least: float = 0.1  #: share of a scan's evidence that counts without any motion
     drop: float = 8.0  #: nats that one scan can take from a component, at most
-    leak: float = 0.01  #: chance of being carried off, for each scan's worth of motion
+    #: chance of being carried off: for each scan's worth of motion, and where the best component
+    #: fits abruptly worse than in the scan before. A place that has changed is approached.
+    leak: tuple[float, float] = (0.001, 0.02)
     #: logarithm of the likelihood of a scan somewhere unknown, relative to that at the best place
     #: known: constant, and per nat of misfit there
     doubt: tuple[float, float] = (-7.9, 3.4)
@@ -52,9 +54,10 @@ class TrackerOptions:
     #: components nearer than this are one, metres and radians
     merge: tuple[float, float] = (0.3, 0.15)
     mass: float = 0.95  #: of the best component, to be ``unique``
-    sure: float = 0.5  #: metres that it has to be followed for before it is
-    #: nats per reading more than usual that the best component may lack: more is a surprise
-    surprise: float = 0.5
+    sure: float = 1.0  #: metres that it has to be followed for before it is
+    #: nats per reading that the best component may lack more than usual to stay ``unique``, and
+    #: more than in the scan before to be no surprise
+    surprise: tuple[float, float] = (0.5, 0.7)
     startle: float = 0.5  #: share of its evidence that a surprising scan has at least
     resets: bool = True  #: whether lost mass is put where scans find places: sensor resetting
 
@@ -98,7 +101,7 @@ class Tracker:
         self._mass, self._followed = np.empty(0), np.empty(0)
         self._lost, self._resets, self._seen = 1.0, 0, False
         self._way = np.zeros(2)
-        self._usual, self._surprised = np.nan, False
+        self._usual, self._last, self._doubted = np.nan, np.nan, False
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
         """Believe to be at a pose (3,), with deviations in metres and radians."""
@@ -121,9 +124,14 @@ class Tracker:
         if len(self._poses) == 0 or scan.directions < max(1, self.options.trust.readings):
             return False
         best = int(np.argmax(self._mass))
-        pose = settled(self.features, scan, self._poses[best : best + 1], self.options)
-        misfit = float(sight(self.features, scan, pose, self.options).misfit[0])
-        return not self._surprised and misfit > self._usual + self.how.surprise
+        misfit = misfit_near(
+            self.features, scan, self._poses[best : best + 1], self.options
+        )
+        if misfit > self._last + self.how.surprise[1]:
+            return True
+        self._last = misfit
+        self._doubted = misfit > self._usual + self.how.surprise[0]
+        return False
 
     def see(self, scan: LaserScan) -> None:
         """Take a scan; one with too few readings says nothing."""
@@ -146,15 +154,15 @@ class Tracker:
         # Each component where it is, where it settles, or at a mode that may be it.
         at, gain = self._follow(seen, relative)
         misfit = float(seen.misfit[at].min(initial=np.inf))
+        leak = how.leak[0] * new
         if known:
             leader = float(seen.misfit[at[np.argmax(self._mass)]])
-            surprised = leader > self._usual + how.surprise
-            if surprised and not self._surprised:
-                new = max(new, how.startle)
+            if leader > self._last + how.surprise[1]:
+                leak, new = how.leak[1], max(new, how.startle)
                 relative = np.maximum((seen.log_likelihood - best) * new, -how.drop)
                 at, gain = self._follow(seen, relative)
-            self._surprised = surprised
-        lost = self._lost + how.leak * new * (1 - self._lost)
+            self._doubted = leader > self._usual + how.surprise[0]
+        lost = self._lost + leak * (1 - self._lost)
         mass, (constant, per_nat) = self._mass * np.exp(gain), how.doubt
         if known:
             mass *= (1 - lost) / self._mass.sum()
@@ -166,10 +174,9 @@ class Tracker:
             self._bear(seen, 2 * known, relative)
         self._tidy()
         if len(self._mass):
-            at_best = sight(self.features, scan, self._poses[:1], self.options).misfit[0]
-            self._usual = float(
-                at_best if np.isnan(self._usual) else self._usual + _HABIT * (at_best - self._usual)
-            )
+            last = float(sight(self.features, scan, self._poses[:1], self.options).misfit[0])
+            before = last if np.isnan(self._usual) else self._usual
+            self._last, self._usual = last, before + _HABIT * (last - before)
 
     def _follow(self, seen: Sight, relative: FloatArray) -> tuple[IntArray, FloatArray]:
         """For each component the pose that it is at, and what it gains there, nats."""
@@ -250,7 +257,7 @@ class Tracker:
         verdict = AMBIGUOUS
         if self._lost > 0.5 or not len(mass):
             verdict = LOST
-        elif not self._surprised and mass[0] >= self.how.mass and self._followed[order[0]] >= self.how.sure:
+        elif not self._doubted and mass[0] >= self.how.mass and self._followed[order[0]] >= self.how.sure:
             verdict = UNIQUE
         neff = float(np.square(mass.sum()) / max(1e-300, np.square(mass).sum()))
         return Belief(
