@@ -9,7 +9,6 @@ Thrun (JAIR 11) call a success.
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from imgloc.errors import ConfigError
 from imgloc.evaluation import Share, share
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import UNIQUE, Filter
+from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import search
 from imgloc.filters.motion import compose_poses, increments, noisy_odometry
 from imgloc.geometry import wrap
@@ -49,7 +49,7 @@ class Run:
     @property
     def right(self) -> FloatArray:
         """Whether the best pose is right: 1 or 0."""
-        return np.all(self.error <= RIGHT, axis=1).astype(np.float64)
+        return np.asarray(np.all(self.error <= RIGHT, axis=1), dtype=np.float64)
 
 
 class Searches:
@@ -191,7 +191,7 @@ def kidnap_runs(
     every: Every | None = None,
     clock: Callable[[], float] = lambda: 0.0,
 ) -> Iterator[Run]:
-    """Drive for `metres`, carry the robot off by `least` metres or more, drive for as many again."""
+    """Drive for `metres`, carry the robot off by at least `least`, drive for as many again."""
     way, last = driven(scans), 0
     if scans.poses is not None:
         last = max(1, int(np.searchsorted(way, max(0.0, way[-1] - metres), side="right")))
@@ -213,6 +213,67 @@ def kidnap_runs(
 
 
 @dataclass(frozen=True)
+class Trials:
+    """What is tried on one log."""
+
+    starts: int = 50  #: at random; one each 30 s comes on top
+    metres: float = 15.0  #: driven from each of them
+    kidnaps: int = 20
+    seed: int = 0
+    resets: bool = True
+    reset_by: str = "ght-v"  #: whose p(x | z) particles are drawn from
+    every: Every = field(default_factory=Every)
+
+    def at(self, scans: ScanSet) -> list[int]:
+        """The starts in a log."""
+        rng = np.random.default_rng(self.seed)
+        return starts(scans, self.starts, rng, ahead=max(AT))
+
+    def count(self, scans: ScanSet) -> int:
+        """Number of runs in a log."""
+        return len(self.at(scans)) + self.kidnaps
+
+
+def measure(
+    features: MapFeatures,
+    scans: ScanSet,
+    name: str,
+    trials: Trials,
+    options: Options,
+    *,
+    searches: "Searches | None" = None,
+    advance: Callable[[], None] = lambda: None,
+) -> "SequenceSummary":
+    """Measure the filter called `name` on a log with poses and odometry.
+
+    `searches` are those of earlier measurements of the same scans; `advance` is called after each
+    run.
+    """
+    found = searches or Searches(features, options)
+
+    def make() -> Filter:
+        return make_filter(
+            name, features, options, seed=trials.seed, resets=trials.resets,
+            reset_by=trials.reset_by, find=found,
+        )  # fmt: skip
+
+    runs, kidnaps = list[Run](), list[Run]()
+    rng = np.random.default_rng((trials.seed, 1))
+    of_starts = start_runs(
+        features, scans, make, trials.at(scans), metres=trials.metres, every=trials.every,
+        clock=lambda: found.clock,
+    )  # fmt: skip
+    carried = kidnap_runs(
+        features, scans, make, trials.kidnaps, rng, every=trials.every, clock=lambda: found.clock
+    )
+    for into, some in ((runs, of_starts), (kidnaps, carried)):
+        for run in some:
+            into.append(run)
+            advance()
+    return summarise_runs(runs, kidnaps)
+
+
+@dataclass(frozen=True)
 class SequenceSummary:
     """A filter on one log."""
 
@@ -231,7 +292,6 @@ class SequenceSummary:
     kidnapped: Share  #: recovered by JAIR's rule
     kidnap_metres: float  #: median until right for good after that
     speed: float  #: seconds of log for a second of work
-    about: dict[str, Any] = field(default_factory=dict)  #: the log, and what was varied
 
 
 def first_for_good(good: FloatArray) -> int | None:
@@ -268,9 +328,7 @@ def recovered(run: Run) -> float | None:
     return None
 
 
-def summarise_runs(
-    runs: Sequence[Run], kidnaps: Sequence[Run] = (), about: dict[str, Any] | None = None
-) -> SequenceSummary:
+def summarise_runs(runs: Sequence[Run], kidnaps: Sequence[Run] = ()) -> SequenceSummary:
     """Make numbers of runs, at least one."""
     right, stays, published = {}, {}, {}
     for metres in AT:
@@ -282,12 +340,8 @@ def summarise_runs(
     long = [run.error[run.seconds >= after, 0] for run in runs if run.seconds[-1] > after]
     frames, radii = F3LOC
     last = [run.error[-frames:, 0] for run in runs if len(run.seconds) >= frames]
-    converged = [(run, first_for_good(run.right * run.unique)) for run in runs]
     # A verdict may be withdrawn later; the pose is to be right from there on.
-    first = [
-        int(np.argmax(run.unique * _for_good(run.right) > 0)) if k is None else k
-        for run, k in converged
-    ]
+    first = [int(np.argmax(run.unique * _for_good(run.right) > 0)) for run in runs]
     done = [
         (run, k) for run, k in zip(runs, first, strict=True)
         if run.unique[k] and run.right[k:].all()
@@ -315,7 +369,6 @@ def summarise_runs(
         kidnapped=share(b is not None for b in back),
         kidnap_metres=_median([b for b in back if b is not None]),
         speed=total / max(1e-9, sum(run.cost for run in everything)),
-        about=about or {},
     )
 
 

@@ -98,8 +98,8 @@ def follow(
     if (back := np.flatnonzero(np.diff(stamps) < 0)).size:
         at = int(back[0])
         raise ScanError(
-            f"{name}: stamps[{at + 1}]: {stamps[at + 1]:.9g} after {stamps[at]:.9g}, expected the order of "
-            "time"
+            f"{name}: stamps[{at + 1}]: {stamps[at + 1]:.9g} after {stamps[at]:.9g}, expected the "
+            "order of time"
         )
     if start is not None:
         filter_.place(_local(start, features), deviation)

@@ -81,6 +81,7 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc evaluate office.yaml --scans scans.npz --sample 60 --json > results.jsonl",
         "imgloc evaluate a.yaml b.yaml --scans a.npz --scans b.npz --methods fused,ght-v",
         "imgloc evaluate curved --methods ght,ght-v --theta-step-deg ght=10 --cell 0.2",
+        "imgloc evaluate office.yaml --scans log.npz --sequence --filters tracker,particle",
     ),
     calibrate: (
         "imgloc calibrate office.yaml",

@@ -10,6 +10,8 @@ from imgloc.model import FloatArray, LaserScan
 from imgloc.search.hypotheses import separated
 
 UNIQUE, AMBIGUOUS, LOST = VERDICTS = ("unique", "ambiguous", "lost")
+STRANGE = 1.0
+"""Misfit, nats per reading, that is taken for usual where nothing was seen yet."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 
 from imgloc.features.budget import check_budget
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.belief import NOWHERE, Belief, belief_of
+from imgloc.filters.belief import NOWHERE, STRANGE, Belief, belief_of
 from imgloc.filters.evidence import misfit_near, sight
 from imgloc.filters.motion import MotionNoise, deviations
 from imgloc.geometry import centre_of, rotation, wrap
@@ -79,14 +79,16 @@ def predict(
     go = float(np.hypot(*increment[:2]))
     # Across, a first turn that was wrong; the kernel is round, and as wide as the wider.
     kernel = gaussian(max(along, first * go) / resolution)
-    out = np.empty_like(belief)
+    out, (height, width) = np.empty_like(belief), belief.shape[1:]
+    rim = len(kernel) // 2 + 1
+    size = width + 2 * rim, height + 2 * rim
     for k, theta in enumerate(thetas):
         x, y = np.rint(rotation(theta) @ increment[:2] * (_FINE / resolution)) / _FINE
-        M = np.array([[1.0, 0.0, x], [0.0, 1.0, y]])
-        moved = cv2.warpAffine(belief[k], M, belief.shape[:0:-1], flags=cv2.INTER_LINEAR)
-        cv2.sepFilter2D(
-            moved, cv2.CV_32F, kernel, kernel, dst=out[k], borderType=cv2.BORDER_CONSTANT
-        )
+        # With a rim: what is shifted off the map may be blurred back onto it.
+        M = np.array([[1.0, 0.0, x + rim], [0.0, 1.0, y + rim]])
+        moved = cv2.warpAffine(belief[k], M, size, flags=cv2.INTER_LINEAR)
+        blurred = cv2.sepFilter2D(moved, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
+        out[k] = blurred[rim : rim + height, rim : rim + width]
     out = turn(out, float(increment[2]), float(np.hypot(first, second)))
     out *= free
     whole = out.sum(dtype=np.float64)
@@ -169,6 +171,7 @@ class GridFilter:
         stack = turned[:, None, None] * (y[:, None] * x * self._free)
         self._belief, self._seen = (stack / max(1e-300, stack.sum())).astype(np.float32), True
         self._sparse()
+        self._usual = STRANGE if np.isnan(self._usual) else self._usual
 
     def move(self, increment: FloatArray) -> None:
         """Take a motion (3,) of the sensor, in its frame before."""
@@ -294,4 +297,3 @@ class GridFilter:
             doubted=self._misfit > self._usual + self.how.surprise,
             neff=1 / float(np.square(flat).sum()), resets=self._resets,
         )  # fmt: skip
-

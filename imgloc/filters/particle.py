@@ -4,8 +4,8 @@
 * **Sensor resetting** (Lenser and Veloso 2000; the averages are those of augmented MCL): while the
   short-time mean of the likelihood is below the long-time one, that share of the particles is
   drawn from p(x | z) again.
-* As many particles as Fox's KLD bound asks for, by the bins of pose space that they fill; resampling
-  with low variance, only once the weights have become uneven.
+* As many particles as Fox's KLD bound asks for, by the bins of pose space that they fill;
+  resampling with low variance, only once the weights have become uneven.
 * GHT-V every once in a while "to cut hypotheses based on the visibility constraints" (Sec. V).
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.belief import NOWHERE, Belief, belief_of
+from imgloc.filters.belief import NOWHERE, STRANGE, Belief, belief_of
 from imgloc.filters.evidence import misfit_near, sight
 from imgloc.filters.motion import MotionNoise, sample_motion
 from imgloc.geometry import cell_of, inside, theta_bin, transform_poses, wrap
@@ -77,7 +77,7 @@ def low_variance(weights: FloatArray, n: int, rng: np.random.Generator) -> IntAr
     """
     sums = np.cumsum(weights)
     marks = (np.arange(n) + rng.random()) * (sums[-1] / n)
-    return np.minimum(np.searchsorted(sums, marks, side="right"), len(weights) - 1)
+    return np.asarray(np.minimum(np.searchsorted(sums, marks, side="right"), len(weights) - 1))
 
 
 class ParticleFilter:
@@ -120,7 +120,8 @@ class ParticleFilter:
         spread = (deviation[0], deviation[0], deviation[1])
         self.poses = pose + self._rng.standard_normal((self.how.least * 2, 3)) * spread
         self.weights = np.full(len(self.poses), 1 / len(self.poses))
-        self._misfit = 0.0
+        self._misfit = STRANGE
+        self._usual = STRANGE if np.isnan(self._usual) else self._usual
 
     def move(self, increment: FloatArray) -> None:
         """Take a motion (3,) of the sensor, in its frame before."""
@@ -166,7 +167,7 @@ class ParticleFilter:
         kept = self.poses[low_variance(self.weights, how.most, rng)]
         bins = len(first_in_cell(kept, *how.bins))
         n = int(np.clip(kld_bound(bins, how.error, how.quantile), how.least, how.most))
-        anew = int(round(share * n))
+        anew = round(share * n)
         spread = np.array([how.jitter[0], how.jitter[0], how.jitter[1]])
         old = self.poses[low_variance(self.weights, n - anew, rng)]
         old = old + rng.standard_normal(old.shape) * spread

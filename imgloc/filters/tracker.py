@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.belief import AMBIGUOUS, LOST, NOWHERE, UNIQUE, Belief
+from imgloc.filters.belief import AMBIGUOUS, LOST, NOWHERE, STRANGE, UNIQUE, Belief
 from imgloc.filters.evidence import Sight, misfit_near, search, settled, sight
 from imgloc.filters.motion import MotionNoise, move_gaussians
 from imgloc.geometry import wrap
@@ -39,12 +39,12 @@ class TrackerOptions:
     components: int = 40  #: at most
     births: int = 15  #: modes of one scan that may become components
     #: metres and radians of motion after which a scan says something entirely new
-    fresh: tuple[float, float] = (1.5, 1.0)
+    fresh: tuple[float, float] = (3.0, 1.5)
     least: float = 0.1  #: share of a scan's evidence that counts without any motion
     drop: float = 8.0  #: nats that one scan can take from a component, at most
     #: chance of being carried off: for each scan's worth of motion, and where the best component
     #: fits abruptly worse than in the scan before. A place that has changed is approached.
-    leak: tuple[float, float] = (0.001, 0.02)
+    leak: tuple[float, float] = (0.0001, 0.02)
     #: logarithm of the likelihood of a scan somewhere unknown, relative to that at the best place
     #: known: constant, and per nat of misfit there
     doubt: tuple[float, float] = (-7.9, 3.4)
@@ -108,7 +108,9 @@ class Tracker:
         metres, radians = deviation
         self._poses = np.asarray(pose, dtype=np.float64).reshape(1, 3)
         self._covariance = np.diag([metres, metres, radians])[None] ** 2
-        self._mass, self._followed, self._lost = np.ones(1), np.full(1, np.inf), 0.0
+        self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
+        if np.isnan(self._usual):
+            self._usual = self._last = STRANGE
 
     def move(self, increment: FloatArray) -> None:
         """Take a motion (3,) of the sensor, in its frame before."""
@@ -124,9 +126,7 @@ class Tracker:
         if len(self._poses) == 0 or scan.directions < max(1, self.options.trust.readings):
             return False
         best = int(np.argmax(self._mass))
-        misfit = misfit_near(
-            self.features, scan, self._poses[best : best + 1], self.options
-        )
+        misfit = misfit_near(self.features, scan, self._poses[best : best + 1], self.options)
         if misfit > self._last + self.how.surprise[1]:
             return True
         self._last = misfit
@@ -239,7 +239,9 @@ class Tracker:
         picked, owner = separated(
             self._poses[order], self.how.components, distance=distance, angle=angle
         )
-        mass = np.bincount(owner[owner >= 0], self._mass[order][owner >= 0], len(picked))
+        mass = np.bincount(owner[owner >= 0], self._mass[order][owner >= 0], len(picked)).astype(
+            np.float64
+        )
         kept = order[picked]
         followed = self._followed[order]
         longest = np.zeros(len(picked))
@@ -257,8 +259,8 @@ class Tracker:
         verdict = AMBIGUOUS
         if self._lost > 0.5 or not len(mass):
             verdict = LOST
-        elif not self._doubted and mass[0] >= self.how.mass and self._followed[order[0]] >= self.how.sure:
-            verdict = UNIQUE
+        elif not self._doubted and mass[0] >= self.how.mass:
+            verdict = UNIQUE if self._followed[order[0]] >= self.how.sure else AMBIGUOUS
         neff = float(np.square(mass.sum()) / max(1e-300, np.square(mass).sum()))
         return Belief(
             self._poses[order], mass, self._covariance[order], self._lost, verdict, neff,

@@ -1,9 +1,11 @@
 """Tracks for people and programs: rows of JSON, TUM's trajectory, ROS messages, pictures, video."""
 
+import itertools
 import math
 import os
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,8 @@ from imgloc.output.canvas import (
     text_width,
 )
 from imgloc.output.pictures import Picture
+from imgloc.output.tables import as_plain
+from imgloc.sequences import SequenceSummary
 from imgloc.tracking import Moment
 
 COLOURS: dict[str, Colour] = {
@@ -71,9 +75,7 @@ def tum_text(moments: Iterable[Moment], mount: Pose2D | None = None) -> str:
             continue
         pose = moment.pose if mount is None else base_of(moment.pose, mount)
         z, w = math.sin(pose.theta / 2), math.cos(pose.theta / 2)
-        lines.append(
-            f"{moment.stamp:.9f} {pose.x:.9f} {pose.y:.9f} 0.0 0.0 0.0 {z:.12f} {w:.12f}"
-        )
+        lines.append(f"{moment.stamp:.9f} {pose.x:.9f} {pose.y:.9f} 0.0 0.0 0.0 {z:.12f} {w:.12f}")
     return "".join(line + "\n" for line in lines)
 
 
@@ -114,7 +116,7 @@ def draw_track(
     for m, xy in at:
         radius = 0.3 * size if m.belief.verdict == UNIQUE else 0.2 * size
         canvas.dots(xy[None], COLOURS[m.belief.verdict], radius)
-    for (m, xy), (n, next_xy) in zip(at, at[1:], strict=False):
+    for (m, xy), (n, next_xy) in itertools.pairwise(at):
         if m.belief.verdict == n.belief.verdict == UNIQUE and n.index == m.index + 1:
             step = np.hypot(*(next_xy - xy))
             if step < 3.0:
@@ -202,3 +204,51 @@ class Video:
         """Drop what was drawn."""
         self._writer.release()
         Path(self._path).unlink(missing_ok=True)
+
+
+def sequence_row(
+    name: str, filter_: str, summary: SequenceSummary, about: Mapping[str, object]
+) -> dict[str, Any]:
+    """The row of `imgloc evaluate --sequence` of one log and filter."""
+    return {"map": name, "filter": filter_, **asdict(summary), **about}
+
+
+def sequence_tables(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Two tables: how a robot is found, and how it is kept."""
+    at = list(rows[0]["right"])
+    found, kept = [], []
+    for row in rows:
+        head = [str(row["map"]), str(row["filter"])]
+        found.append([
+            *head,
+            str(row["odometry"]),
+            str(row["runs"]),
+            *(f"{_share(row['right'][m])} {_share(row['stays'][m])} {_share(row['published'][m])}"
+              for m in at),
+            f"{row['seconds']:.0f}",
+            f"{row['metres']:.1f}",
+            _share(row["enm"]),
+            " ".join(_share(share) for share in row["f3loc"].values()),
+        ])  # fmt: skip
+        kept.append([
+            *head,
+            f"{row['rmse'][0]:.3f}",
+            f"{math.degrees(row['rmse'][1]):.2f}",
+            f"{row['wrong']:.1f} of {row['total']:.0f}",
+            f"{row['kidnapped']['hits']} of {row['kidnapped']['trials']}",
+            f"{row['kidnap_metres']:.1f}",
+            f"{row['speed']:.1f}",
+        ])  # fmt: skip
+    first = (
+        "map", "filter", "odometry", "runs", *(f"{m} m: right stays unique" for m in at),
+        "s", "m", "ENM-MCL", "F3Loc 1 .5 .3 .2 m",
+    )  # fmt: skip
+    second = (
+        "map", "filter", "RMSE / m", "deg", "s unique, wrong", "kidnapped: back", "after m",
+        "x real time",
+    )  # fmt: skip
+    return as_plain(first, found, left=3) + "\n" + as_plain(second, kept, left=2)
+
+
+def _share(share: Mapping[str, Any]) -> str:
+    return "-" if not share["trials"] else f"{share['value']:.2f}"
