@@ -5,6 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
+from imgloc.filters.motion import compose_poses
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray, LaserScan
 from imgloc.search.hypotheses import separated
@@ -104,3 +105,26 @@ def belief_of(
     covariance = np.array(spreads).reshape(-1, 3, 3)[order]
     away = max(0.0, 1 - float(shares.sum()))
     return Belief(out, shares[order], covariance, away, verdict, neff, resets)
+
+
+class Followed:
+    """For how many metres the best place has been the same one, carried by odometry."""
+
+    def __init__(self) -> None:
+        self.metres = 0.0
+        self._pose: FloatArray | None = None
+
+    def move(self, increment: FloatArray) -> None:
+        """Take a motion (3,)."""
+        self.metres += float(np.hypot(*increment[:2]))
+        if self._pose is not None:
+            self._pose = compose_poses(self._pose, increment)
+
+    def best(self, pose: FloatArray) -> None:
+        """Say which pose (3,) is the best one now."""
+        if self._pose is not None:
+            apart = pose - self._pose
+            if np.hypot(*apart[:2]) < PLACE[0] and abs(float(wrap(apart[2]))) < PLACE[1]:
+                self._pose = pose
+                return
+        self._pose, self.metres = pose, 0.0

@@ -15,7 +15,7 @@ import numpy as np
 
 from imgloc.features.budget import check_budget
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.belief import NOWHERE, STRANGE, Belief, belief_of
+from imgloc.filters.belief import NOWHERE, STRANGE, Belief, Followed, belief_of
 from imgloc.filters.evidence import misfit_near, sight
 from imgloc.filters.motion import MotionNoise, deviations
 from imgloc.geometry import centre_of, rotation, wrap
@@ -45,6 +45,7 @@ class GridOptions:
     share: float = 0.3  #: of p(x | z) that is mixed in then: sensor resetting
     resets: bool = True
     mass: float = 0.95  #: of the best place, to be ``unique``
+    sure: float = 1.0  #: metres that it has to be the best one for before it is
     misfit: float = 2.5  #: nats per reading that it may lack and not be lost
 
 
@@ -147,6 +148,7 @@ class GridFilter:
         self._belief[:] = self._free / max(1, shape[0] * int(np.count_nonzero(self._free)))
         self._pending, self._way = np.zeros(3), np.full(2, np.inf)
         self._misfit, self._usual, self._resets, self._seen = 0.0, np.nan, 0, False
+        self._followed = Followed()
 
     @property
     def stack(self) -> Float32Array:
@@ -177,6 +179,7 @@ class GridFilter:
         """Take a motion (3,) of the sensor, in its frame before."""
         if not np.any(increment):
             return
+        self._followed.move(increment)
         self._way = self._way + (np.hypot(*increment[:2]), abs(wrap(increment[2])))
         if not self._seen:
             return  # what is uniform stays so
@@ -210,6 +213,7 @@ class GridFilter:
         self._misfit = self._misfit_at_best(scan)
         usual = self._misfit if np.isnan(self._usual) else self._usual
         self._usual = usual + 0.3 * (self._misfit - usual)
+        self._followed.best(self.belief.poses[0])
 
     def _multiply_all(self, scan: LaserScan, new: float, *, mix: bool) -> None:
         stack = likelihood(self.features, scan, self.options)
@@ -294,6 +298,7 @@ class GridFilter:
         poses, mass = self._poses(some), flat[some]
         return belief_of(
             poses, mass, sure=self.how.mass, lost=self._misfit > self.how.misfit,
-            doubted=self._misfit > self._usual + self.how.surprise,
+            doubted=self._misfit > self._usual + self.how.surprise
+            or self._followed.metres < self.how.sure,
             neff=1 / float(np.square(flat).sum()), resets=self._resets,
         )  # fmt: skip

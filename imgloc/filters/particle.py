@@ -16,7 +16,7 @@ import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.belief import NOWHERE, STRANGE, Belief, belief_of
+from imgloc.filters.belief import NOWHERE, STRANGE, Belief, Followed, belief_of
 from imgloc.filters.evidence import misfit_near, sight
 from imgloc.filters.motion import MotionNoise, sample_motion
 from imgloc.geometry import cell_of, inside, theta_bin, transform_poses, wrap
@@ -46,9 +46,11 @@ class ParticleOptions:
     reset_by: str = "ght-v"  #: whose p(x | z): ``fused`` or a method
     resets: bool = True
     alphas: tuple[float, float] = (0.05, 0.5)  #: of the long and the short mean of the likelihood
+    slack: float = 1.1  #: by how much the short mean may be below the long one
     cut: int = 5  #: scans between two cuts by GHT-V; 0 for none
     jitter: tuple[float, float] = (0.03, 0.01)  #: of particles that are drawn again, m and rad
     mass: float = 0.95  #: of the best place, to be ``unique``
+    sure: float = 1.0  #: metres that it has to be the best one for before it is
     surprise: float = 0.5  #: nats per reading more than usual that it may lack to be
     misfit: float = 2.5  #: nats per reading that it may lack and not be lost
 
@@ -113,7 +115,7 @@ class ParticleFilter:
         self.poses, self.weights = np.empty((0, 3)), np.empty(0)
         self._long, self._short, self._looks, self._resets = 0.0, 0.0, 0, 0
         self._way = np.full(2, np.inf)
-        self._misfit, self._usual = np.inf, np.nan
+        self._misfit, self._usual, self._followed = np.inf, np.nan, Followed()
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
         """Believe to be at a pose (3,), grid frame, with deviations in metres and radians."""
@@ -125,6 +127,7 @@ class ParticleFilter:
 
     def move(self, increment: FloatArray) -> None:
         """Take a motion (3,) of the sensor, in its frame before."""
+        self._followed.move(increment)
         self._way = self._way + (np.hypot(*increment[:2]), abs(wrap(increment[2])))
         if len(self.poses) and np.any(increment):
             self.poses = sample_motion(self.poses, increment, self.how.noise, self._rng)
@@ -147,20 +150,24 @@ class ParticleFilter:
         self._way = np.zeros(2)
         seen = sight(self.features, scan, self.poses, self._few)
         log = seen.log_likelihood * new + self._cut(scan)
-        mean = float(self.weights @ np.exp(-seen.misfit))
         weights = self.weights * np.exp(log - log.max())
         self.weights = weights / weights.sum()
+        # Of the particles as they are weighted now: those put in by the last reset count little.
+        mean = float(self.weights @ np.exp(-seen.misfit))
         # Lenser and Veloso: the share that is drawn anew follows the running likelihood.
         slow, fast = how.alphas
         self._long = mean if first else self._long + slow * (mean - self._long)
         self._short = mean if first else self._short + fast * (mean - self._short)
-        share = max(0.0, 1 - self._short / max(1e-300, self._long)) if how.resets else 0.0
+        share = (
+            max(0.0, 1 - how.slack * self._short / max(1e-300, self._long)) if how.resets else 0.0
+        )
         neff = 1 / float(np.square(self.weights).sum())
         if first or share > 0 or neff < len(self.weights) / 2:
             self._resample(scan, share)
         self._misfit = self._misfit_at_best(scan)
         usual = self._misfit if np.isnan(self._usual) else self._usual
         self._usual = usual + 0.3 * (self._misfit - usual)
+        self._followed.best(self.belief.poses[0])
 
     def _resample(self, scan: LaserScan, share: float) -> None:
         how, rng = self.how, self._rng
@@ -225,6 +232,7 @@ class ParticleFilter:
         poses, weights = self.poses[order], self.weights[order]
         return belief_of(
             poses, weights, sure=self.how.mass, lost=self._misfit > self.how.misfit,
-            doubted=self._misfit > self._usual + self.how.surprise,
+            doubted=self._misfit > self._usual + self.how.surprise
+            or self._followed.metres < self.how.sure,
             neff=1 / float(np.square(weights).sum()), resets=self._resets,
         )  # fmt: skip

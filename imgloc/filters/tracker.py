@@ -24,6 +24,7 @@ from imgloc.model import FloatArray, IntArray, LaserScan
 from imgloc.options import Options
 from imgloc.search.hypotheses import separated
 
+_SURE = 1e5  # odds of being lost, at most
 _HABIT = 0.3  # share of a scan in what is the usual misfit
 _MOST = 3.0  # nats that being lost can gain by one scan
 _NOTHING, _RESET = 1e-7, 0.2  # mass of a component that is dropped; put in at once: a reset
@@ -229,6 +230,8 @@ class Tracker:
         self._lost -= given * float(share.sum())
 
     def _normalise(self) -> None:
+        if len(self._mass):  # so sure of being lost that nothing is left is never
+            self._lost = min(self._lost, _SURE * float(self._mass.sum()))
         whole = self._lost + self._mass.sum()
         self._mass, self._lost = self._mass / whole, self._lost / whole
 
@@ -247,6 +250,7 @@ class Tracker:
         longest = np.zeros(len(picked))
         np.maximum.at(longest, owner[owner >= 0], followed[owner >= 0])
         some = mass > _NOTHING
+        some[:1] |= not self.how.resets
         self._poses, self._covariance = self._poses[kept[some]], self._covariance[kept[some]]
         self._mass, self._followed = mass[some], longest[some]
         self._normalise()
