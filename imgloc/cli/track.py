@@ -45,6 +45,12 @@ def track(
     ),
     as_json: opt.AsJson = False,
     tum: Path | None = option(None, "TUM", "Write the trajectory, of unique poses only."),
+    ros: Path | None = option(
+        None,
+        "YAML|BAG",
+        "Write PoseWithCovarianceStamped while unique, PoseArray while several places fit.",
+    ),
+    best: bool = flag("--best", "In --ros one pose, the best, also while several places fit."),
     picture: Path | None = option(None, "PNG", "Draw the path over the map."),
     video: Path | None = option(None, "MP4", "Draw the belief over time."),
     seed: opt.Seed = 0,
@@ -73,6 +79,7 @@ def track(
     from imgloc.model import Pose2D
     from imgloc.options import Options
     from imgloc.output.json import to_json
+    from imgloc.output.ros import message, write_bag, yaml_text
     from imgloc.output.tracks import (
         Video,
         draw_track,
@@ -89,7 +96,9 @@ def track(
     if kidnap is not None:
         opt.check_yaw("--kidnap", kidnap[3])
     read = [*inputs.files_of(map_path), log]
-    for path, ending in ((tum, ".tum"), (picture, ".png"), (video, ".mp4")):
+    ending_of_ros = ".bag" if ros is not None and ros.suffix.lower() == ".bag" else ".yaml"
+    outputs = ((tum, ".tum"), (ros, ending_of_ros), (picture, ".png"), (video, ".mp4"))
+    for path, ending in outputs:
         if path is not None:
             inputs.check_target(path, ending, force=force, inputs=read)
     taken = resources()
@@ -138,6 +147,14 @@ def track(
                 raise ConfigError("--tum: the log has no stamps, which a trajectory needs")
             write_text_atomic(tum, tum_text(moments, mounting.pose), force=force)
             LOG.info("wrote %s", display(tum))
+        if ros is not None:
+            found = (message(m, grid.origin, mount=mounting.pose, best=best) for m in moments)
+            messages = [given for given in found if given is not None]
+            if ros.suffix.lower() == ".bag":
+                write_bag(ros, messages, force=force)
+            else:
+                write_text_atomic(ros, yaml_text(messages), force=force)
+            LOG.info("wrote %s", display(ros))
         if picture is not None:
             truth = None if scans.poses is None else np.asarray(scans.poses)
             draw_track(grid, moments, truth).save(picture, force=force)

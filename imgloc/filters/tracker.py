@@ -46,9 +46,11 @@ class TrackerOptions:
     #: chance of being carried off: for each scan's worth of motion, and where the best component
     #: fits abruptly worse than in the scan before. A place that has changed is approached.
     leak: tuple[float, float] = (0.0001, 0.02)
-    #: logarithm of the likelihood of a scan somewhere unknown, relative to that at the best place
-    #: known: constant, and per nat of misfit there
-    doubt: tuple[float, float] = (-7.9, 3.4)
+    #: logarithm of the likelihood of a scan somewhere unknown, relative to that at the best
+    #: component: constant, per nat of misfit there, and per nat that it lacks to the best place
+    #: that the search has found. Where all scans fit badly, on an old map, but best where the robot
+    #: is followed, it is not lost.
+    doubt: tuple[float, float, float] = (-7.9, 2.0, 3.4)
     #: of the map, as far as scans share it: standard deviations, metres and radians
     error: tuple[float, float] = (0.03, 0.006)
     gate: float = 12.0  #: squared Mahalanobis distance up to which a pose may be a component's
@@ -153,7 +155,7 @@ class Tracker:
         relative = np.maximum((seen.log_likelihood - best) * new, -how.drop)
 
         # Each component where it is, where it settles, or at a mode that may be it.
-        at, gain = self._follow(seen, relative)
+        at, gain = self._follow(seen, relative, new)
         misfit = float(seen.misfit[at].min(initial=np.inf))
         leak = how.leak[0] * new
         if known:
@@ -161,13 +163,14 @@ class Tracker:
             if leader > self._last + how.surprise[1]:
                 leak, new = how.leak[1], max(new, how.startle)
                 relative = np.maximum((seen.log_likelihood - best) * new, -how.drop)
-                at, gain = self._follow(seen, relative)
+                at, gain = self._follow(seen, relative, new)
             self._doubted = leader > self._usual + how.surprise[0]
         lost = self._lost + leak * (1 - self._lost)
-        mass, (constant, per_nat) = self._mass * np.exp(gain), how.doubt
+        mass = self._mass * np.exp(gain)
         if known:
             mass *= (1 - lost) / self._mass.sum()
-            lost *= float(np.exp(new * min(_MOST, constant + per_nat * misfit)))
+            unexplained = (1.0, misfit, misfit - float(seen.misfit.min()))
+            lost *= float(np.exp(new * min(_MOST, np.dot(how.doubt, unexplained))))
         self._mass, self._lost = mass, lost
         self._settle(seen, at)
         self._normalise()
@@ -179,7 +182,7 @@ class Tracker:
             before = last if np.isnan(self._usual) else self._usual
             self._last, self._usual = last, before + _HABIT * (last - before)
 
-    def _follow(self, seen: Sight, relative: FloatArray) -> tuple[IntArray, FloatArray]:
+    def _follow(self, seen: Sight, relative: FloatArray, new: float) -> tuple[IntArray, FloatArray]:
         """For each component the pose that it is at, and what it gains there, nats."""
         known = len(self._poses)
         apart = seen.poses - self._poses[:, None]
@@ -190,9 +193,9 @@ class Tracker:
         square[index, index] = 0.0
         own = np.zeros(square.shape, np.bool_)
         own[index, index] = own[index, known + index] = own[:, 2 * known :] = True
-        gain = np.where(own & (square < self.how.gate), relative - square / 2, -np.inf)
-        at = np.argmax(gain, axis=1)
-        return at, np.maximum(gain[index, at], -self.how.drop)
+        fit = np.where(own & (square < self.how.gate), seen.log_likelihood - square / 2, -np.inf)
+        at = np.argmax(fit, axis=1)
+        return at, np.maximum(relative[at] - new * square[index, at] / 2, -self.how.drop)
 
     def _noise(self, seen: Sight) -> FloatArray:
         metres, radians = self.how.error
