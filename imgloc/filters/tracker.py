@@ -51,6 +51,7 @@ class TrackerOptions:
     #: that the search has found. Where all scans fit badly, on an old map, but best where the robot
     #: is followed, it is not lost.
     doubt: tuple[float, float, float] = (-7.9, 2.0, 3.4)
+    patience: float = 0.6  #: odds of being lost that one scan can lead to, at most
     #: of the map, as far as scans share it: standard deviations, metres and radians
     error: tuple[float, float] = (0.03, 0.006)
     gate: float = 12.0  #: squared Mahalanobis distance up to which a pose may be a component's
@@ -170,7 +171,10 @@ class Tracker:
         if known:
             mass *= (1 - lost) / self._mass.sum()
             unexplained = (1.0, misfit, misfit - float(seen.misfit.min()))
-            lost *= float(np.exp(new * min(_MOST, np.dot(how.doubt, unexplained))))
+            gone = lost * float(np.exp(new * min(_MOST, np.dot(how.doubt, unexplained))))
+            # Somebody may stand in the way once: a second scan has to agree.
+            odds = max(how.patience, np.exp(_MOST) * lost / (1 - lost))
+            lost = min(gone, odds * float(mass.sum()))
         self._mass, self._lost = mass, lost
         self._settle(seen, at)
         self._normalise()
