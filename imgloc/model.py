@@ -260,6 +260,25 @@ class LaserScan:
         """
         return replace(self, angles=-self.angles)
 
+    def scaled(self, factor: float) -> "LaserScan":
+        """The scan with its ranges multiplied: by 0.001 if they were millimetres.
+
+        A range_max that is below most of the readings was in metres already, and stays.
+
+        Examples
+        --------
+        >>> LaserScan([1500.0, 2500.0], [0.0, 0.1], range_max=30.0).scaled(0.001)
+        <LaserScan of 2 rays, 2 valid: 0 to 5.73 deg, 1.5 to 2.5 m of at most 30>
+        """
+        seen = self.ranges[np.isfinite(self.ranges)]
+        limits = factor if not len(seen) or self.range_max >= np.median(seen) else 1.0
+        return replace(
+            self,
+            ranges=self.ranges * factor,
+            range_min=self.range_min * limits,
+            range_max=self.range_max * limits,
+        )
+
     @property
     def counts(self) -> dict[str, int]:
         """How many readings are used, and how many are dropped for which reason."""

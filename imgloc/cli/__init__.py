@@ -13,7 +13,7 @@ from imgloc.cli.demo import demo
 from imgloc.cli.evaluate import evaluate
 from imgloc.cli.localize import localize
 from imgloc.cli.map import check, show
-from imgloc.cli.options import examples
+from imgloc.cli.options import FORMATS, examples
 from imgloc.cli.sample import sample
 from imgloc.cli.simulate import simulate
 from imgloc.cli.track import track
@@ -24,7 +24,6 @@ _OPTIONS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 # No rich: help has to appear at once, and examples have to stay as they are typed.
 app = typer.Typer(
     cls=Group,
-    add_completion=False,
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -43,7 +42,7 @@ Finds the pose of a 2-D laser scan in a map that is an image, without an initial
 whether to trust it.
 
 Exit codes: 0 ok, 1 internal or output, 2 usage, 3 bad map, 4 bad scan, 5 some maps failed,
-6 not unique (with --strict).
+6 not unique (with --strict), 130 interrupted by Ctrl-C.
 """
 
 
@@ -68,6 +67,8 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc localize office.yaml scans.npz",
         "imgloc localize office.yaml scans.npz --index 3 --picture answer.png",
         "imgloc localize office.png scan.csv --resolution 0.05 --origin -12.5,-8,0",
+        "imgloc localize office.yaml monday.log tuesday.bag --sensor 0.2,0,180deg",
+        "ros2 topic echo --once --full-length /scan | imgloc localize office.yaml -",
         "imgloc localize office.yaml scans.npz --json --strict > answers.jsonl",
         "imgloc localize office.yaml scans.npz --method ght-v --theta-step-deg 5",
     ),
@@ -125,7 +126,8 @@ kept = typer.Typer(
 )
 for group, commands in ((app, _COMMANDS), (maps, _MAP), (kept, _CACHE)):
     for command, lines in commands.items():
-        group.command(epilog=examples(*lines))(command)
+        more = FORMATS if command is localize else ""
+        group.command(epilog=examples(*lines, more=more))(command)
 app.add_typer(maps, name="map", help="Look at a map: what is in it, what may be wrong with it.")
 app.add_typer(kept, name="cache")
 

@@ -4,16 +4,19 @@ This loads all of imgloc: a command imports it when it runs.
 """
 
 import contextlib
+import shutil
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 
 from imgloc.cli.console import LOG, quiet_libraries
-from imgloc.cli.options import RADIUS, TOLERANCE, Known
-from imgloc.errors import ConfigError, MapError, OutputError
+from imgloc.cli.options import RADIUS, TOLERANCE, Known, Logs
+from imgloc.errors import ConfigError, MapError, OutputError, ScanError
 from imgloc.features.budget import MIB, PROCESS, check_budget, scans_bytes, simulate_bytes
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.store import load_features, save_features
@@ -21,7 +24,15 @@ from imgloc.geometry import in_grid_frame
 from imgloc.io.cache import cache_folder
 from imgloc.io.files import display, refuse_existing
 from imgloc.io.images import ImageSize, image_size, read_image
-from imgloc.io.maps import YAML_ENDINGS, load_bytes, load_map, require_usable, resolve_settings
+from imgloc.io.maps import (
+    SWAPPED,
+    YAML_ENDINGS,
+    load_bytes,
+    load_map,
+    looks_swapped,
+    require_usable,
+    resolve_settings,
+)
 from imgloc.io.mapyaml import load_map_yaml
 from imgloc.io.scans import load_scans, scans_size
 from imgloc.io.scanset import ScanSet
@@ -129,21 +140,44 @@ def load_grid(
     check_image(path, reading, budget, load_bytes, held=held)
     with quiet_libraries():
         grid = load_map(path, **reading, allow_lossy=allow_lossy)
+    if looks_swapped(grid):
+        LOG.warning("%s: %s", display(path), SWAPPED)
     if usable:
         require_usable(grid, display(path))
     return grid
 
 
-def load_set(path: Path, budget: int) -> ScanSet:
-    """Load scans, which are read only if they take no more than the budget."""
-    size = scans_size(path)
+def name_of(path: Path) -> str:
+    """What scans are called in messages: their file, or standard input."""
+    return "standard input" if str(path) == "-" else display(path)
+
+
+def load_set(path: Path, budget: int, logs: Logs = Logs()) -> ScanSet:
+    """Load scans, which are read only if they take no more than the budget; ``-`` is stdin."""
+    if str(path) != "-":
+        return _load_set(path, budget, logs)
+    with TemporaryDirectory(prefix="imgloc-") as folder:
+        spooled = Path(folder, "standard input")  # its content tells what it is
+        with spooled.open("wb") as file:
+            shutil.copyfileobj(sys.stdin.buffer, file)
+        try:
+            return _load_set(spooled, budget, logs)
+        except (ConfigError, ScanError) as e:
+            raise type(e)(str(e).replace(str(spooled), "standard input")) from None
+
+
+def _load_set(path: Path, budget: int, logs: Logs) -> ScanSet:
+    size = scans_size(path, topic=logs.topic)
     check_memory(
         scans_bytes(size.scans, size.numbers, size.file_bytes, text=size.text),
         budget,
         f"{display(path)}: a file of up to {size.scans:,} scans and {size.numbers:,} numbers",
         "take fewer scans, in several files",
     )
-    return load_scans(path)
+    scans = load_scans(path, topic=logs.topic, fov=logs.fov)
+    if logs.scale == 1:
+        return scans
+    return replace(scans, scans=tuple(scan.scaled(logs.scale) for scan in scans.scans))
 
 
 def held_bytes(scans: Sequence[LaserScan]) -> int:

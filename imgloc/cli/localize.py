@@ -1,26 +1,26 @@
 """`imgloc localize`: the poses of scans in a map."""
 
+import logging
 import math
 from pathlib import Path
 
 import typer
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress
+from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, say
 from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
 
-_MIRRORED = 3  # doubtful scans that are looked at mirrored
 
-
-@opt.with_options(opt.known, opt.mounting, opt.reading, opt.resources, opt.console)
+@opt.with_options(opt.known, opt.mounting, opt.reading, opt.logs, opt.resources, opt.console)
 def localize(
     map_path: opt.MapPath,
-    scans_path: opt.ScansPath,
+    scans_paths: opt.ScansPaths,
     known: opt.Known,
     mounting: opt.Mounting,
     reading: "opt.Reading",
+    logs: opt.Logs,
     resources: opt.Take,
     method: opt.MethodName = typer.Option(
         opt.MethodName.FUSED,
@@ -69,14 +69,22 @@ def localize(
     in the map frame. Look at the mass of the second hypothesis before trusting the first.
     """
     from imgloc.cli import inputs
+    from imgloc.doubts import doubts
     from imgloc.explanation import explain as reasons
     from imgloc.io.calibration import calibration_path, load_calibrations
-    from imgloc.model import Pose2D
+    from imgloc.model import LaserScan, Pose2D
     from imgloc.options import FusedOptions, Options
     from imgloc.output.json import to_json
     from imgloc.output.pages import render_explanation
     from imgloc.output.pictures import draw
-    from imgloc.output.tables import answer_header, answer_line, answer_text
+    from imgloc.output.tables import (
+        answer_header,
+        answer_line,
+        answer_text,
+        difference,
+        run_words,
+        times_words,
+    )
     from imgloc.pipeline import check_options
     from imgloc.pipeline import localize as locate
 
@@ -109,56 +117,75 @@ def localize(
         calibration=load_calibrations(calibration_path(map_path), grid).get(method.value),
     )
     folder = inputs.kept_in(cache, wanted=not no_cache)
-    scans = inputs.load_set(scans_path, taken.memory_budget)
+    sets = [inputs.load_set(path, taken.memory_budget, logs) for path in scans_paths]
+    every = [scan for scans in sets for scan in scans.scans]
     features = inputs.open_features(
         grid, display(map_path), folder, options,
-        scans=scans.scans, cell=cell, threads=taken.threads,
+        scans=every, cell=cell, threads=taken.threads,
     )  # fmt: skip
-    chosen = inputs.choose(len(scans), index, display(scans_path))
-    many = len(chosen) > 1
-    targets, pages = inputs.numbered(picture, chosen), inputs.numbered(explain, chosen)
+    # Of each scan that is asked for: its file, the set, its index in it.
+    queue = [
+        (inputs.name_of(path), scans, k)
+        for path, scans in zip(scans_paths, sets, strict=True)
+        for k in inputs.choose(len(scans), index, inputs.name_of(path))
+    ]
+    many, several = len(queue) > 1, len(sets) > 1
+    # Files are numbered through all sets, as two of these may have the same index.
+    numbers = range(len(queue)) if several else [k for _, _, k in queue]
+    targets, pages = inputs.numbered(picture, numbers), inputs.numbered(explain, numbers)
     for files, (_, ending, sources) in zip((targets, pages), outputs, strict=True):
         for path in files.values():
             inputs.check_target(path, ending, force=force, inputs=sources)
     LOG.info("%s: %d x %d cells of %g m", display(map_path), *grid.info.shape, grid.resolution)
-    LOG.info("%s: %d of %d scans", display(scans_path), len(chosen), len(scans))
+    LOG.info(
+        "%s: %d of %d scans", ", ".join(map(inputs.name_of, scans_paths)), len(queue), len(every)
+    )
     check_options(features, options)
     if many and not as_json:
-        emit(answer_header(mounting.sensor is not None))
-    doubtful = []
-    with progress("localize", len(chosen)) as advance:
-        for k in chosen:
+        on_robot = any(scan.T_base_laser is not None for scan in every)
+        emit(answer_header(on_robot or mounting.sensor is not None))
+    looked_at, verdicts = list[LaserScan](), list[str]()
+    errors, shown = list[tuple[float, float]](), ""
+    with progress("localize", len(queue)) as advance:
+        for n, (file, scans, k) in zip(numbers, queue, strict=True):
             scan = mounting.mount(inputs.cut_scan(scans[k], range_max))
             answer = locate(features, scan, options)
             truth = None if scans.poses is None else Pose2D(*scans.poses[k])
-            if answer.verdict != "unique":
-                doubtful.append(scan)
-            LOG.info("scan %d: %s, %s", k, answer.verdict, dict(answer.timings_ms))
-            if k in targets:
-                draw(grid, answer, scan, truth=truth).save(targets[k], force=force)
-                LOG.info("wrote %s", display(targets[k]))
-            if k in pages:
+            looked_at.append(scan)
+            verdicts.append(answer.verdict)
+            if answer.pose is not None and truth is not None:
+                errors.append(difference(answer.pose, truth))
+            LOG.info("%s, scan %d: %s, %s", file, k, answer.verdict, times_words(answer))
+            if n in targets:
+                draw(grid, answer, scan, truth=truth).save(targets[n], force=force)
+            if n in pages:
                 why = reasons(features, scan, answer, options)
-                title = f"{display(scans_path.name)}, scan {k}, on {display(map_path.name)}"
+                title = f"{Path(file).name}, scan {k}, on {display(map_path.name)}"
                 html = render_explanation(why, title, truth=truth)
-                write_text_atomic(pages[k], html, force=force)
-                LOG.info("wrote %s", display(pages[k]))
+                write_text_atomic(pages[n], html, force=force)
             advance()
+            if several and not as_json and file != shown:
+                emit(f"{file}:")
+                shown = file
             if as_json:
-                about = {"range_max": scan.range_max, "sensor": mounting.pose}
+                about = {"scans": file, "range_max": scan.range_max, "sensor": mounting.pose}
                 emit(to_json(answer.as_row(k, **about, flipped=mounting.flipped)))
             elif many:
                 emit(answer_line(k, answer))
             else:
                 emit(answer_text(f"scan {k}", answer, truth))
     inputs.keep_features(features, folder)
-    if fused and time_budget is None and 2 * len(doubtful) > len(chosen):
-        mirrored = (locate(features, scan.flipped, options) for scan in doubtful[:_MIRRORED])
-        if all(answer.verdict == "unique" for answer in mirrored):
-            LOG.warning(
-                "scans like these fit at one place if they are mirrored: is the sensor upside "
-                "down? %s --flipped",
-                "Leave out" if mounting.flipped else "Try",
-            )
-    if strict and doubtful:
+    if many and not as_json:
+        say(run_words(verdicts, errors))
+    for files in (targets, pages):
+        if written := [display(path) for path in files.values()]:
+            LOG.log(
+                logging.INFO if as_json else logging.WARNING,
+                "wrote %s", written[0] if len(written) == 1 else f"{written[0]} to {written[-1]}",
+            )  # fmt: skip
+    # Rows that are all invalid say why themselves, to a program.
+    if fused and time_budget is None and not (as_json and set(verdicts) == {"invalid"}):
+        for doubt in doubts(features, looked_at, verdicts, options, flipped=mounting.flipped):
+            LOG.warning("%s", doubt)
+    if strict and set(verdicts) != {"unique"}:
         raise typer.Exit(NOT_UNIQUE)

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., None])
 Range = tuple[float, float, str]  # lowest, highest, unit
+# Endings by which one knows that MAP and SCANS were mixed up.
+_SCANS = (".npz", ".csv", ".jsonl", ".ndjson", ".log", ".clf", ".carmen", ".bag", ".db3", ".mcap")
+_IMAGES = (".png", ".pgm", ".ppm", ".tif", ".tiff", ".bmp", ".webp", ".jpg", ".jpeg")
 _UNITS = {"": 0, "K": 10, "M": 20, "G": 30, "T": 40}
 RADIUS, TOLERANCE = 2.0, 0.8
 """How far from --near a robot may be, and turned how far, unless stated: metres, radians."""
@@ -48,18 +51,25 @@ def byte_count(text: str) -> int:
 
 
 def numbers(
-    least: int, most: int | None = None, *, pose: str = ""
+    least: int, most: int | None = None, *, pose: str = "", angles: Sequence[int] = ()
 ) -> Callable[[str], tuple[float, ...]]:
     """Return a parser of `least` to `most` finite numbers with commas between them.
 
     The third may be the yaw of the option `pose`, which is refused if it was meant in degrees.
+    Those at `angles`, and that yaw, may be written as degrees: 90deg.
     """
+    angles = (2,) if pose else angles
     most = least if most is None else most
     count = f"{least}" if least == most else f"{least} to {most}"
 
     def parse(text: str) -> tuple[float, ...]:
         try:
-            values = tuple(float(word) for word in text.split(","))
+            values = tuple(
+                math.radians(float(word[:-3]))
+                if k in angles and word.endswith("deg")
+                else float(word)
+                for k, word in enumerate(map(str.strip, text.split(",")))
+            )
         except ValueError:
             values = ()
         if not least <= len(values) <= most or not all(map(math.isfinite, values)):
@@ -74,6 +84,8 @@ def numbers(
 def find_map(path: str | Path) -> Path:
     """The file of a bundled map that is called by its name, or `path` itself."""
     path = Path(path)
+    if path.suffix.lower() in _SCANS and path.exists():
+        raise ConfigError(f"MAP: {path} is a file of scans; the order is MAP, then SCANS")
     if path.name != str(path) or path.suffix or path.exists():
         return path
     from imgloc.errors import MapError
@@ -84,6 +96,13 @@ def find_map(path: str | Path) -> Path:
     except MapError:
         return path
     return bundled if bundled.is_file() else path
+
+
+def find_scans(path: Path) -> Path:
+    """`path` itself, unless it is an image."""
+    if path.suffix.lower() in _IMAGES:
+        raise ConfigError(f"SCANS: {path} is an image; the order is MAP, then SCANS")
+    return path
 
 
 def pose_of(name: str, text: str) -> Any:
@@ -122,8 +141,37 @@ MapPath = Annotated[
     ),
 ]
 ScansPath = Annotated[
-    Path, typer.Argument(metavar="SCANS", help="Scans: .npz, .csv, .jsonl, .ndjson or .json.")
+    Path,
+    typer.Argument(
+        metavar="SCANS",
+        callback=find_scans,
+        help="Scans: .npz, .csv, .jsonl, .json; a CARMEN .log; a ROS .bag, .mcap, .db3 or the "
+        "folder of a recording; .yaml of `ros2 topic echo --full-length`; - is standard input.",
+    ),
 ]
+ScansPaths = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="SCANS...",
+        callback=lambda paths: [find_scans(path) for path in paths],
+        help="Files of scans, formats below; - is standard input.",
+    ),
+]
+FORMATS = """
+Scans (ranges in metres, angles in radians, counter-clockwise, 0 forward):
+  .csv                    a scan a line; or two columns, angle and range, a reading a line:
+                            # angle_min=-1.5708, angle_max=1.5708, range_max=30
+                            2.31,2.30,nan,inf,1.02
+                            2.33,2.31,2.29,inf,1.01
+  .jsonl, .json           an object a line, with the names of sensor_msgs/LaserScan:
+                            {"angle_min": -1.57, "angle_increment": 0.785, "range_max": 30,
+                             "ranges": [2.31, 2.30, null, "inf", 1.02]}
+  .npz                    ranges (N,B), angles (B,), range_max; poses (N,3), stamps, odom
+  .log, .clf              CARMEN: FLASER, ROBOTLASER1, RAWLASER1, ODOM, PARAM
+  .bag, .mcap, .db3       ROS 1 and 2, or the folder of a recording (pip install 'imgloc[ros]')
+  .yaml                   ros2 topic echo --full-length /scan > scans.yaml
+  -                       standard input, any of these
+"""
 Index = Annotated[int | None, option(..., "I", "Only scan I, counted from 0.", "--index", min=0)]
 _CLEARANCE = (0, 1000, "metres")
 _READINGS = "Cut readings at M metres: there, no return."
@@ -233,15 +281,15 @@ def known(
         None,
         "X,Y,YAW[,R[,T]]",
         "Only poses within R metres of a pose in the map frame and turned from it by at "
-        f"most T radians. [default: R = {RADIUS:g}, T = {TOLERANCE:g}]",
-        parser=numbers(3, 5),
+        f"most T radians, or 90deg. [default: R = {RADIUS:g}, T = {TOLERANCE:g}]",
+        parser=numbers(3, 5, angles=(2, 4)),
     ),
     heading: Any = option(
         None,
         "YAW[,T]",
-        "Only poses with this heading in the map frame (a compass), up to T radians. "
+        "Only poses with this heading in the map frame (a compass), up to T; radians, or 90deg. "
         f"[default: T = {TOLERANCE:g}]",
-        parser=numbers(1, 2),
+        parser=numbers(1, 2, angles=(0, 1)),
     ),
     region: Path | None = option(
         None, "PNG", "Only poses in the white part of an image as large as the map's."
@@ -262,6 +310,32 @@ def known(
             if len(given) > tolerance:
                 check_range(f"{option}, T", given[tolerance], 0.001, 3.2, "radians")
     return Known(near, heading, region, clearance)
+
+
+class Logs(NamedTuple):
+    """What to take of a log, and what it may not say."""
+
+    topic: str | None = None
+    fov: float | None = None  # radians
+    scale: float = 1.0
+
+
+def logs(
+    topic: str | None = option(
+        None, "NAME", "Of a log with several lasers, this one. [default: the front laser]"
+    ),
+    fov_deg: float | None = option(
+        None,
+        "DEG",
+        "Angle from the first to the last ray, where the file does not say it.",
+        within=(0.01, 360, "degrees"),
+    ),
+    range_scale: float = option(
+        1.0, "F", "Metres of a range: 0.001 of millimetres.", within=(1e-6, 1e6, "a factor")
+    ),
+) -> Logs:
+    """Options of how files of scans are read."""
+    return Logs(topic, None if fov_deg is None else math.radians(fov_deg), range_scale)
 
 
 @dataclass(frozen=True)
@@ -287,7 +361,7 @@ class Mounting:
 def mounting(
     sensor: Any = pose_of(
         "--sensor",
-        "Pose of the sensor on the robot (metres, radians): poses of the robot's base are given "
+        "Pose of the sensor on the robot (metres; radians, or 90deg): poses of the base are given "
         "too.",
     ),
     flipped: Flipped = False,
@@ -332,7 +406,7 @@ def check_yaw(option: str, yaw: float) -> None:
     if abs(yaw) > 2 * math.pi + 1e-6:
         raise ConfigError(
             f"{option}: got a yaw of {yaw:g}, expected radians, -6.2832 to 6.2832; are these "
-            "degrees? multiply them by pi / 180"
+            f"degrees? write {yaw:g}deg, or multiply them by pi / 180"
         )
 
 
@@ -420,6 +494,7 @@ def with_options(*groups: Callable[..., Any]) -> Callable[[F], Callable[..., Non
     return decorate
 
 
-def examples(*lines: str) -> str:
-    """Format examples for the end of a help text, one a line."""
-    return "\b\nExamples:\n" + "\n".join("  " + line for line in lines)
+def examples(*lines: str, more: str = "") -> str:
+    """Format examples for the end of a help text, one a line, and `more` as it is."""
+    text = "\b\nExamples:\n" + "\n".join("  " + line for line in lines)
+    return text + (f"\n\n\b\n{more.strip()}" if more else "")

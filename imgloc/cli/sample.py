@@ -16,11 +16,12 @@ _MOST = 10_000_000  # poses in all
 _LISTED = 20  # hypotheses of fused that are drawn from
 
 
-@opt.with_options(opt.reading, opt.resources, opt.console)
+@opt.with_options(opt.reading, opt.logs, opt.resources, opt.console)
 def sample(
     map_path: opt.MapPath,
     scans_path: opt.ScansPath,
     reading: "opt.Reading",
+    logs: opt.Logs,
     resources: opt.Take,
     out: Annotated[Path, option(..., "CSV", "File to write.", show_default=False)],
     count: int = option(500, "N", "Poses for each scan.", "-n", "--count", min=1),
@@ -56,7 +57,7 @@ def sample(
     inputs.check_target(out, ".csv", force=force, inputs=[scans_path])
     taken = resources()
     grid = inputs.load_grid(map_path, taken.memory_budget, allow_lossy=allow_lossy, **reading)
-    scans = inputs.load_set(scans_path, taken.memory_budget)
+    scans = inputs.load_set(scans_path, taken.memory_budget, logs)
     chosen = inputs.choose(len(scans), index, display(scans_path))
     if count * len(chosen) > _MOST:
         raise ConfigError(f"-n: {count:,} poses of {len(chosen):,} scans are more than {_MOST:,}")

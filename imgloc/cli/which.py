@@ -17,13 +17,14 @@ if TYPE_CHECKING:
 FAILED_ROWS = 5
 
 
-@opt.with_options(opt.resources, opt.console)
+@opt.with_options(opt.logs, opt.resources, opt.console)
 def which(
     maps_dir: Annotated[
         Path,
         typer.Argument(metavar="MAPS_DIR", help="Folder with map_server YAML files, at any depth."),
     ],
     scans_path: opt.ScansPath,
+    logs: opt.Logs,
     resources: opt.Take,
     range_max: opt.Cut = None,
     flipped: opt.Flipped = False,
@@ -52,7 +53,7 @@ def which(
 
     taken = resources()
     paths = find_maps(maps_dir)
-    recorded = inputs.load_set(scans_path, taken.memory_budget).scans
+    recorded = inputs.load_set(scans_path, taken.memory_budget, logs).scans
     scans = [inputs.cut_scan(scan, range_max, flipped=flipped) for scan in recorded]
     options = Options(top=20, threads=taken.threads, memory_budget=taken.memory_budget)
     folder = inputs.kept_in(None, wanted=not no_cache)

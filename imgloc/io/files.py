@@ -76,7 +76,7 @@ def open_regular(path: PathLike, error: type[ImglocError], what: str) -> int:
         return fd
     os.close(fd)
     found = "folder" if stat.S_ISDIR(mode) else "pipe or device"
-    raise error(f"{name}: is a {found}, expected a {what} (a regular file)")
+    raise error(f"{name}: is a {found}, expected a {what} (a regular file){_inside_hint(path)}")
 
 
 def _neighbour_hint(path: PathLike) -> str:
@@ -86,6 +86,14 @@ def _neighbour_hint(path: PathLike) -> str:
         same = (p for p in wanted.parent.iterdir() if p.stem.lower() == wanted.stem.lower())
         if there := sorted(display(p.name) for p in same if p.is_file()):
             return f"; beside it there is {', '.join(there[:3])}"
+    return ""
+
+
+def _inside_hint(path: PathLike) -> str:
+    """Name some files of a folder."""
+    with contextlib.suppress(OSError):
+        if there := sorted(display(p.name) for p in Path(path).iterdir() if p.is_file()):
+            return f"; in it there is {', '.join(there[:3])}"
     return ""
 
 

@@ -17,11 +17,13 @@ from imgloc.io.files import PathLike, display
 from imgloc.io.images import MAX_PIXELS, ImageSize, MapImage, read_image
 from imgloc.io.maps import (
     MAX_SIDE,
+    SWAPPED,
     MapSettings,
     Reading,
     channel_sum,
     grid_of,
     load_bytes,
+    looks_swapped,
     resolve_settings,
 )
 from imgloc.model import BoolArray, Pose2D
@@ -48,6 +50,9 @@ _WARNINGS = {
     "free_thresh is {free_thresh:g}; 0.196 keeps them unknown",
     "no-walls": "no cell is occupied: nothing can be localized",
     "mostly-occupied": "{share:.0%} of the cells are occupied; is negate right?",
+    "swapped": SWAPPED,
+    "scale": "the free space is {free_area:.3g} square metres in all on a map of {wide:.4g} x "
+    "{high:.4g} m; is the resolution, {resolution:g} m per cell, right?",
     "no-free": "no cell is free: nothing can be localized",
     "many-greys": "{levels:,} grey levels; {unknown:,} of {cells:,} cells fall between the "
     "thresholds (a resampled, smoothed or probabilistic map?)",
@@ -143,7 +148,7 @@ def check_map(path: PathLike, **reading: Unpack[Reading]) -> MapReport:
         greys=tuple((round(int(i) / channels, 2), int(histogram[i])) for i in order),
         grey_levels=len(levels),
         semantics_differ=differ,
-        warnings=_warnings(settings, image, sums, grid.free, counts),
+        warnings=_warnings(settings, image, sums, grid.free, counts, swapped=looks_swapped(grid)),
     )
 
 
@@ -159,12 +164,13 @@ def _histogram(sums: npt.NDArray[Any], size: int) -> npt.NDArray[np.intp]:
 
 
 def _warnings(
-    used: MapSettings, image: MapImage, sums: npt.NDArray[Any], free: BoolArray, n: dict[str, int]
-) -> tuple[MapWarning, ...]:
+    used: MapSettings, image: MapImage, sums: npt.NDArray[Any], free: BoolArray, n: dict[str, int],
+    *, swapped: bool,
+) -> tuple[MapWarning, ...]:  # fmt: skip
     """Findings about the file, its frame and reading, and the greys; `n` counts cells."""
     height, width = free.shape
     said, clear, trap, tinted = used.yaml, 0, 0, 0
-    unknown_keys = said.unknown_keys if said else ()
+    unknown_keys, area = said.unknown_keys if said else (), n["free"] * used.resolution**2
     if image.channels == 4:
         clear = int(np.count_nonzero(image.pixels[:, :, 3] < image.white))
     if image.channels > 1:
@@ -189,6 +195,8 @@ def _warnings(
         "grey-205": trap,
         "no-walls": not n["occupied"],
         "mostly-occupied": n["occupied"] > 0.5 * sums.size,
+        "swapped": swapped,
+        "scale": n["free"] and not 2 < area < 4e6,
         "no-free": not n["free"],
         "many-greys": n["levels"] > _MANY_GREYS and used.mode == "trinary",
     }
@@ -197,7 +205,8 @@ def _warnings(
         "keys": ", ".join(unknown_keys), "clear": clear, "tinted": tinted, "trap": trap,
         "cells": sums.size, "millions": sums.size / 1e6,
         "lossy": {"jpeg": "JPEG", "webp": "lossy WebP"}.get(image.kind, "JPEG in a TIFF"),
-        "share": n["occupied"] / sums.size,
+        "share": n["occupied"] / sums.size, "free_area": area,
+        "wide": width * used.resolution, "high": height * used.resolution,
     }  # fmt: skip
     return tuple(
         MapWarning(code, text.format_map(values)) for code, text in _WARNINGS.items() if found[code]

@@ -20,6 +20,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 import yaml
@@ -35,7 +36,7 @@ from imgloc.io.files import (
 )
 from imgloc.io.images import MAX_PIXELS, ImageSize, MapImage, encode_png, read_image
 from imgloc.io.mapyaml import MODES, RESOLUTION_RANGE, MapYaml, load_map_yaml
-from imgloc.model import OccupancyGrid, Pose2D
+from imgloc.model import BoolArray, OccupancyGrid, Pose2D
 
 MAX_SIDE = 32_767
 """Cells a side: the limit of Nav2 (map_io) and of ``cv2.remap``."""
@@ -128,10 +129,35 @@ def load_map(
     return grid_of(image, settings)
 
 
+SWAPPED = (
+    "what is free is as thin as walls, and walls are as wide as rooms: black and white look "
+    "swapped; try --negate --occupied-thresh 0.9, or --no-negate where the YAML has negate: 1"
+)
+_THICK = 0.3  # metres, half of what no wall is as thick as
+
+
 def load_bytes(size: ImageSize) -> int:
     """Peak of :func:`load_map`, with the map itself, bytes; see :func:`~.images.image_size`."""
     pixel = _GREY if size.grey else _COLOURED
     return pixel * size.width * size.height + _TEXT * size.file_bytes + _TABLES
+
+
+def looks_swapped(grid: OccupancyGrid) -> bool:
+    """Whether black and white are swapped: free space thin as walls, walls wide as rooms.
+
+    Examples
+    --------
+    >>> room = np.pad(np.zeros((60, 80), bool), 2, constant_values=True)
+    >>> [looks_swapped(OccupancyGrid(wall, ~wall, 0.1)) for wall in (room, ~room)]
+    [False, True]
+    """
+    kernel = np.ones((2 * max(1, round(_THICK / grid.resolution)) + 1,) * 2, np.uint8)
+
+    def wide(mask: BoolArray) -> float:
+        inner = cv2.erode(mask.view(np.uint8), kernel)
+        return float(np.count_nonzero(inner)) / max(1, int(np.count_nonzero(mask)))
+
+    return wide(grid.free) < 0.05 and wide(grid.occupied) > 0.3
 
 
 def require_usable(grid: OccupancyGrid, name: str) -> None:

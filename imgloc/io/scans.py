@@ -13,16 +13,20 @@ An NPZ is read by its headers first: an archive of 2 MB may claim arrays of 2 GB
 import contextlib
 import io
 import math
+import re
 import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 
 from imgloc.errors import ConfigError, ScanError
+from imgloc.io.bags import bag_size, read_bag
+from imgloc.io.carmen import read_carmen
+from imgloc.io.echo import read_echo
 from imgloc.io.files import PathLike, display, open_file, read_file, write_bytes_atomic
 from imgloc.io.scanset import KEYS, MAX_READINGS, ScanSet, ScansSize, numbers, scan_set, wrong
 from imgloc.io.textscans import read_csv, read_jsonl, text_size
@@ -31,7 +35,7 @@ from imgloc.model import FloatArray
 _MAX_BYTES = 16 * MAX_READINGS
 
 
-def load_scans(path: PathLike) -> ScanSet:
+def load_scans(path: PathLike, *, topic: str | None = None, fov: float | None = None) -> ScanSet:
     """Load laser scans: at least one, each with at least one reading, all angles finite.
 
     ScanError names the file, the line or key, what was found and what was expected.
@@ -40,16 +44,24 @@ def load_scans(path: PathLike) -> ScanSet:
     ----------
     path : path
         ``.npz`` (:func:`read_npz`), ``.csv`` (:func:`~imgloc.io.textscans.read_csv`), ``.jsonl``,
-        ``.ndjson`` or ``.json`` (:func:`~imgloc.io.textscans.read_jsonl`). Ranges are metres,
+        ``.ndjson`` or ``.json`` (:func:`~imgloc.io.textscans.read_jsonl`), ``.log``, ``.clf`` or
+        ``.carmen`` (:func:`~imgloc.io.carmen.read_carmen`), ``.yaml`` or ``.yml``
+        (:func:`~imgloc.io.echo.read_echo`), ``.bag``, ``.db3``, ``.mcap`` or the folder of a ROS 2
+        recording (:func:`~imgloc.io.bags.read_bag`). Of names without an ending, and ``.txt``, the
+        content tells. Ranges are metres,
         angles radians in the sensor's frame, counter-clockwise, 0 forward. Ranges are kept as
         recorded; NaN, +inf and codes are what :class:`~imgloc.model.LaserScan` says they are.
+    topic : str, optional
+        Of a log with several lasers, which.
+    fov : float, optional
+        Angle from the first to the last ray, radians, where a CSV or a log does not say it.
     """
-    return _reader(path)(path)
+    return _kind(path).read(path, topic, fov)
 
 
-def scans_size(path: PathLike) -> ScansSize:
+def scans_size(path: PathLike, *, topic: str | None = None) -> ScansSize:
     """How much :func:`load_scans` would load, at most; errors are those that headers show."""
-    return _npz_size(path) if _reader(path) is read_npz else text_size(path)
+    return _kind(path).size(path, topic)
 
 
 def save_scans(path: PathLike, scans: ScanSet, *, force: bool = False) -> None:
@@ -98,18 +110,76 @@ def write_npz(scans: ScanSet) -> bytes:
     return buffer.getvalue()
 
 
-_READERS: dict[str, Callable[[PathLike], ScanSet]] = {
-    ".npz": read_npz, ".csv": read_csv, ".jsonl": read_jsonl, ".ndjson": read_jsonl,
-    ".json": read_jsonl,
+class _Kind(NamedTuple):
+    """A kind of file: how it is read, and how its size is known before."""
+
+    read: Callable[[PathLike, str | None, float | None], ScanSet]  # path, topic, fov
+    size: Callable[[PathLike, str | None], ScansSize]
+
+
+_NPZ = _Kind(lambda path, _, __: read_npz(path), lambda path, _: _npz_size(path))
+_CSV = _Kind(lambda path, _, fov: read_csv(path, fov=fov), lambda path, _: text_size(path))
+_JSON = _Kind(lambda path, _, __: read_jsonl(path), lambda path, _: text_size(path))
+_ECHO = _Kind(lambda path, _, __: read_echo(path), lambda path, _: text_size(path, between=b"\n"))
+_CARMEN = _Kind(
+    lambda path, topic, fov: read_carmen(path, topic=topic, fov=fov),
+    lambda path, _: text_size(path, between=b" "),
+)
+_BAG = _Kind(
+    lambda path, topic, _: read_bag(path, topic=topic),
+    lambda path, topic: bag_size(path, topic=topic),
+)
+_KINDS = {
+    ".npz": _NPZ, ".csv": _CSV, ".jsonl": _JSON, ".ndjson": _JSON, ".json": _JSON,
+    ".yaml": _ECHO, ".yml": _ECHO, ".log": _CARMEN, ".clf": _CARMEN, ".carmen": _CARMEN,
+    ".bag": _BAG, ".db3": _BAG, ".mcap": _BAG,
 }  # fmt: skip
+# What files begin with whose name does not tell.
+_MAGIC = (
+    (rb"PK\x03\x04", _NPZ), (rb"#ROSBAG V2", _BAG), (rb"SQLite format 3", _BAG),
+    (rb"\x89MCAP", _BAG), (rb"\s*[{\[]", _JSON),
+    (rb"(?s).*?^(PARAM|ODOM|[FR]LASER|ROBOTLASER\d|RAWLASER\d|Odometry) ", _CARMEN),
+    (rb"(?s).*?^(header|angle_min|ranges):", _ECHO),
+    (rb"(?:\s*#[^\n]*\n)*\s*[-+.\w]", _CSV),
+)  # fmt: skip
+_HEAD = 4096  # bytes that tell the kind
+_CONVERTED = {
+    ".npy": "an array without angles: np.savez('scans.npz', ranges=..., angles=..., range_max=...)",
+    ".mat": "in Python, np.savez('scans.npz', ranges=..., angles=...) of scipy.io.loadmat's arrays",
+    ".rawlog": "a log of MRPT: rawlog-edit --export-2d-scans-txt writes its scans as text",
+    ".simplemap": "a map of MRPT with its scans, not a log of them",
+    ".pcap": "packets of a sensor: play them to its ROS driver and record a bag of its scans",
+    ".bag.active": "a bag that was not closed: rosbag reindex",
+    ".pcd": "a cloud of points: pointcloud_to_laserscan makes scans of clouds",
+    ".ply": "a cloud of points: pointcloud_to_laserscan makes scans of clouds",
+    ".las": "a cloud of points: pointcloud_to_laserscan makes scans of clouds",
+    ".xlsx": "a workbook: save the sheet as CSV",
+}
 
 
-def _reader(path: PathLike) -> Callable[[PathLike], ScanSet]:
-    ending = Path(path).suffix
-    if ending.lower() in _READERS:
-        return _READERS[ending.lower()]
-    found = f"{display(path)}: ending {display(ending)!r} is no scan format"
-    raise ScanError(f"{found}, expected {', '.join(_READERS)}")
+def _kind(path: PathLike) -> _Kind:
+    """The kind of a file by the ending of its name, else by how it begins."""
+    name, lower, file = display(path), str(path).lower(), Path(path)
+    ending = file.suffix.lower()
+    if file.is_dir() and ending not in _KINDS:
+        if any(file.glob("*.mcap")) or any(file.glob("*.db3")) or (file / "metadata.yaml").exists():
+            return _BAG
+        raise ScanError(
+            f"{name}: is a folder, expected a file of scans; imgloc batch takes folders"
+        )
+    if ending in _KINDS:
+        return _KINDS[ending]
+    for known, hint in _CONVERTED.items():
+        if lower.endswith((known, f"{known}.gz", f"{known}.zip")):
+            raise ScanError(f"{name}: cannot be read: {hint}")
+    with open_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file") as (opened, _):
+        head = opened.read(_HEAD)
+    if ending in ("", ".txt", ".dat", ".scan"):
+        for pattern, kind in _MAGIC:
+            if re.match(pattern, head, re.MULTILINE):
+                return kind
+    found = f"ending {display(ending)!r} is no scan format" if ending else "no known scan format"
+    raise ScanError(f"{name}: {found}, expected {', '.join(_KINDS)}")
 
 
 def _npz_size(path: PathLike) -> ScansSize:

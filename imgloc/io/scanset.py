@@ -16,6 +16,7 @@ SPACING = ("angle_min", "angle_max", "angle_increment")
 _LIMITS = {"range_min": 0.0, "range_max": math.inf}
 _BESIDE, _STEPS = ("poses", "stamps", "odom"), ("angle_min", "angle_increment")
 KEYS = ("ranges", "angles", *_LIMITS, *_STEPS, *_BESIDE)
+_MAX_TURN = 30.0  # radians of a heading that was counted on: nearly five turns, or 30 degrees
 # Where a scan stands in the file, for messages, and what is said of it (names of LaserScan).
 Entry = tuple[str, Mapping[str, Any]]
 _MAX_ANGLE = 4 * np.pi  # twice around: whatever lies beyond was not meant in radians
@@ -39,7 +40,9 @@ class ScanSet:
     #: (N, 3), known pose of the **sensor** in the map frame (x, y in metres, theta in radians)
     poses: FloatArray | None = None
     stamps: FloatArray | None = None  #: (N,), seconds
-    odom: FloatArray | None = None  #: (N, 3), pose of the sensor in the odometry's frame
+    #: (N, 3), pose of the **robot** in the odometry's frame; its sensor is at
+    #: ``compose(odom, T_base_laser)``, which is the same where a scan has none
+    odom: FloatArray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scans", tuple(self.scans))
@@ -78,14 +81,16 @@ def numbers(value: Any, name: str, key: str, *, ndim: Sequence[int]) -> FloatArr
     return array.astype(np.float64)
 
 
-def _check_angles(angles: FloatArray, name: str) -> None:
+_DEGREES = "radians; are these degrees? multiply them by pi / 180"
+
+
+def _check_angles(angles: FloatArray, name: str, key: str = "angles") -> None:
     """Refuse angles that cannot be directions in radians."""
     hint = "finite radians (a reading without a direction has to be left out)"
     _check_finite(angles, name, "angles", hint)
     worst = angles.flat[np.abs(angles).argmax()] if angles.size else 0.0
     if abs(worst) > _MAX_ANGLE:
-        hint = "radians; are these degrees? multiply them by pi / 180"
-        raise wrong(f"{name}: angles", f"{worst:g}", hint)
+        raise wrong(f"{name}: {key}", f"{worst:g}", _DEGREES)
 
 
 def _check_limits(range_min: float, range_max: float, name: str) -> None:
@@ -128,6 +133,8 @@ def _pose(value: Any, where: str, key: str) -> FloatArray:
     if pose.shape != (3,):
         raise wrong(f"{where}: {key}", f"{len(pose)} numbers", "x, y, theta")
     _check_finite(pose, where, key)
+    if abs(pose[2]) > _MAX_TURN:
+        raise wrong(f"{where}: {key}", f"a theta of {pose[2]:g}", _DEGREES)
     return pose
 
 
@@ -143,6 +150,8 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
         for key in (*(SPACING if spaced else ()), *_LIMITS, "stamp")
         if entry.get(key) is not None
     }
+    for key in SPACING:
+        _check_angles(np.array([given.get(key, 0.0)]), where, key)
     angles = (
         _spaced_angles(given, len(ranges), where)
         if spaced
@@ -153,7 +162,8 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
     _check_angles(angles, where)
     low, high = (given.get(key, default) for key, default in _LIMITS.items())
     _check_limits(low, high, where)
-    return LaserScan(ranges, angles, low, high, given.get("stamp", math.nan))
+    stamp, mount = given.get("stamp", math.nan), entry.get("mount")
+    return LaserScan(ranges, angles, low, high, stamp, mount)
 
 
 def scalar(value: Any, where: str) -> float:
@@ -180,6 +190,20 @@ def _spaced_angles(given: Mapping[str, float], count: int, where: str) -> FloatA
         rule = f"angle_min + {count - 1} x angle_increment; were readings left out?"
         raise wrong(f"{where}: angle_max", f"{last:g}", f"{angles[-1]:g} = {rule}")
     return np.asarray(angles)
+
+
+def spread(count: int, fov: float) -> FloatArray:
+    """Angles of `count` rays about straight ahead, `fov` radians from the first to the last.
+
+    Of a whole turn the last is one step before the first.
+
+    Examples
+    --------
+    >>> np.rad2deg(spread(3, np.pi)).tolist(), np.rad2deg(spread(4, 2 * np.pi)).tolist()
+    ([-90.0, 0.0, 90.0], [-180.0, -90.0, 0.0, 90.0])
+    """
+    whole = fov > math.tau - 1e-6
+    return np.linspace(-fov / 2, fov / 2, count, endpoint=not whole)
 
 
 def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
@@ -218,6 +242,8 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
             raise wrong(f"{name}: {key}", f"shape {value.shape}", f"{shape}")
         if key != "stamps":
             _check_finite(value, name, key)
+            if (worst := np.abs(value[:, 2]).max()) > _MAX_TURN:
+                raise wrong(f"{name}: {key}", f"a theta of {worst:g}", _DEGREES)
         beside[key] = value
     stamps = beside.get("stamps", np.full(n, np.nan)).tolist()
     columns = zip(ranges, np.broadcast_to(angles, ranges.shape), *limits, stamps, strict=True)

@@ -11,7 +11,16 @@ import numpy as np
 
 from imgloc.errors import ScanError
 from imgloc.io.files import PathLike, display, open_file, read_file
-from imgloc.io.scanset import MAX_READINGS, SPACING, Entry, ScanSet, ScansSize, collect, scalar
+from imgloc.io.scanset import (
+    MAX_READINGS,
+    SPACING,
+    Entry,
+    ScanSet,
+    ScansSize,
+    collect,
+    scalar,
+    spread,
+)
 
 _LIMIT, _BLOCK = 8 * MAX_READINGS, 1 << 20  # bytes
 _SETTING = re.compile(r"\b(\w+)\s*[=:]\s*([^\s,;]+)")
@@ -19,7 +28,7 @@ _SETTINGS = (*SPACING, "range_min", "range_max")
 _BESIDE = ("stamp", "x", "y", "theta")
 
 
-def read_csv(path: PathLike) -> ScanSet:
+def read_csv(path: PathLike, *, fov: float | None = None) -> ScanSet:
     """Read scans from a CSV: one scan a line, its ranges in the order of the angles.
 
     Lines that begin with ``#`` give what the numbers do not, in metres and radians::
@@ -27,12 +36,14 @@ def read_csv(path: PathLike) -> ScanSet:
         # angle_min=-1.5708, angle_max=1.5708, range_min=0.05, range_max=30
         2.31,2.30,nan,inf,1.02
 
-    ``angle_min`` is needed with ``angle_max`` or ``angle_increment``. A first line of names
+    ``angle_min`` is needed with ``angle_max`` or ``angle_increment``, or else `fov`: radians from
+    the first ray to the last, straight ahead between. A first line of names
     is optional; columns called ``stamp``, ``x``, ``y``, ``theta`` are the stamp and the known
     pose of the sensor, all others are ranges in order. A file with the two columns ``angle``
-    and ``range`` is one scan, one reading a line. Empty cells are NaN.
+    and ``range``, or with just two columns of numbers, is one scan, one reading a line. Empty
+    cells are NaN.
     """
-    name, settings, columns = display(path), dict[str, float](), list[str]()
+    name, settings, columns = display(path), dict[str, Any](), list[str]()
     rows: list[tuple[str, list[float]]] = []
     for line, text in _lines(path):
         where = f"{name}: line {line}"
@@ -54,6 +65,8 @@ def read_csv(path: PathLike) -> ScanSet:
         raise ScanError(f"{name}: holds no scan, expected one per line")
     table = np.array([row for _, row in rows])
     at = {column: i for i, column in enumerate(columns)}
+    if not at and table.shape[1] == 2 and len(table) > 1 and not settings:
+        at = {"angle": 0, "range": 1}
     if at.keys() >= {"angle", "range"}:
         angles, ranges = table[:, at["angle"]], table[:, at["range"]]
         return collect([(name, {**settings, "angles": angles, "ranges": ranges})], name)
@@ -64,6 +77,8 @@ def read_csv(path: PathLike) -> ScanSet:
         raise ScanError(f"{name}: columns {named}, expected all of x, y, theta or none")
     ranges = np.delete(table, list(beside.values()), axis=1)
     entries: list[Entry] = []
+    if fov is not None and "angle_min" not in settings:
+        settings["angles"] = spread(ranges.shape[1], fov)
     for (where, row), values in zip(rows, ranges, strict=True):
         stamp = row[beside["stamp"]] if "stamp" in beside else None
         pose = [row[i] for i in place] or None
@@ -90,17 +105,22 @@ def read_jsonl(path: PathLike) -> ScanSet:
     for where, entry in entries:
         if not isinstance(entry, dict):
             raise ScanError(f"{where}: got {type(entry).__name__}, expected an object with ranges")
-    return collect([(where, _plain(entry, where)) for where, entry in entries], name)
+    return collect([(where, plain_entry(entry, where)) for where, entry in entries], name)
 
 
-def text_size(path: PathLike) -> ScansSize:
-    """How much a text may hold: a scan on each line or in each brace, numbers between commas."""
-    counts = np.array([1, 0, 0])
+def text_size(path: PathLike, *, between: bytes = b",") -> ScansSize:
+    """How much a text may hold: a scan on each line or in each brace, numbers `between` marks.
+
+    Where numbers are on lines of their own, messages are between lines of dashes.
+    """
+    counts = np.array([1, 0, 0, 0, 1])
     with open_file(path, limit=_LIMIT, error=ScanError, what="scan file") as (file, length):
         while block := file.read(_BLOCK):
-            counts += [block.count(mark) for mark in (b"\n", b"{", b",")]
-    lines, braces, commas = counts.tolist()
-    return ScansSize(max(lines, braces), lines + commas, length, text=True)
+            counts += [block.count(mark) for mark in (b"\n", b"{", b",", between, b"\n---")]
+    lines, braces, commas, marks, dashes = counts.tolist()
+    if between == b"\n":
+        return ScansSize(dashes, lines + commas, length, text=True)
+    return ScansSize(max(lines, braces), lines + marks, length, text=True)
 
 
 def _lines(path: PathLike) -> list[tuple[int, str]]:
@@ -138,7 +158,7 @@ def _json(text: str, where: str) -> Any:
         raise ScanError(f"{where}: not valid JSON: {e}") from None
 
 
-def _plain(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
+def plain_entry(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
     """The entry with the numbers that JSON cannot write put in."""
     plain = dict(entry)
     if isinstance(entry.get("ranges"), list):

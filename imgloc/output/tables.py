@@ -2,6 +2,7 @@
 
 import io
 import math
+import statistics
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,13 +11,17 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from imgloc.model import SURE, Localization, Pose2D, base_of
+from imgloc.model import SURE, VERDICTS, Localization, Pose2D, base_of
 
 if TYPE_CHECKING:
     from imgloc.choice import Choice
     from imgloc.io.mapcheck import MapReport
 
 _WIDE = 1000  # characters of a line at most: a table is as wide as its cells, wherever it goes
+_UNDER = "sd: standard deviation, of the readings' noise alone"
+_INDEX = """Index S (eq. 12, nats) and global maximum, over free cells [95 % interval]
+S all cells: over walls and unknown too; at floor: trials whose density is no more than --floor;
+not free: true poses in a cell that the map does not call free"""
 _LISTED = 3  # maps that a line of `imgloc which` names
 
 
@@ -99,8 +104,7 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
             poses += f" and {evidence.found - evidence.listed} not listed with {unlisted}"
         facts.append(("poses", f"{poses}, elsewhere {_percent(answer.elsewhere)}"))
     counts = ", ".join(f"{n} {key.replace('_', ' ')}" for key, n in answer.counts.items())
-    times = ", ".join(f"{key} {ms:.0f} ms" for key, ms in answer.timings_ms.items())
-    facts += [("readings", counts), ("time", times)]
+    facts += [("readings", counts), ("time", times_words(answer))]
     lines = [f"{title}: {answer.verdict}" + ("" if answer.complete else ", out of time")]
     lines += [f"  {name:<10} {fact}" for name, fact in facts]
     if answer.hypotheses:
@@ -115,9 +119,37 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
             )
             for k, h in enumerate(answer.hypotheses, start=1)
         ]
-        columns = ("#", "mass", "x / m", "y / m", "theta / deg", "+- xy / m", "+- deg", "log L")
-        lines += ["", as_plain(columns, rows)]
+        columns = ("#", "mass", "x / m", "y / m", "theta / deg", "sd xy / m", "sd deg", "log L")
+        lines += ["", as_plain(columns, rows), _UNDER]
+        rest = max(0.0, 1.0 - sum(h.mass for h in answer.hypotheses))
+        lines[-1] += f"; {_percent(rest)} of the mass is in none of these rows"
     return "\n".join(lines)
+
+
+def run_words(verdicts: Sequence[str], errors: Sequence[tuple[float, float]]) -> str:
+    """Say how a run of scans went: verdicts, and errors (metres, radians) where poses are known.
+
+    Examples
+    --------
+    >>> run_words(["unique", "unique", "invalid"], [(0.04, 0.01), (3.0, 0.02)])
+    '3 scans: 2 unique, 1 invalid; 1 of 2 first poses within 0.5 m and 10 deg of the known ones, \
+median error 1.520 m and 0.86 deg'
+    """
+    counts = [(v, verdicts.count(v)) for v in VERDICTS]
+    said = ", ".join(f"{n} {verdict}" for verdict, n in counts if n)
+    text = f"{len(verdicts)} scans: {said}"
+    if not errors:
+        return text
+    near = sum(away <= 0.5 and turned <= math.radians(10) for away, turned in errors)
+    metres, radians = (statistics.median(column) for column in zip(*errors, strict=True))
+    middle = f"median error {metres:.3f} m and {math.degrees(radians):.2f} deg"
+    right = f"{near} of {len(errors)} first poses within 0.5 m and 10 deg of the known ones"
+    return f"{text}; {right}, {middle}"
+
+
+def times_words(answer: Localization) -> str:
+    """How long each step of an answer took."""
+    return ", ".join(f"{key} {ms:.0f} ms" for key, ms in answer.timings_ms.items())
 
 
 def _place(pose: Pose2D) -> str:
@@ -210,9 +242,9 @@ def evaluation_tables(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return three tables of rows of :func:`imgloc.output.json.evaluation_row`."""
     tables = []
     for title, make in (
-        ("Index S (eq. 12, nats) and global maximum, over free cells [95 % interval]", _index),
         ("Right answers, % [95 % interval]", _success),
         ("Errors of the first hypothesis, and cost", _cost),
+        (_INDEX, _index),
     ):
         cells = [
             {"map": row["map"], "method": row["method"], "n": str(row["trials"]), **make(row)}
@@ -230,9 +262,9 @@ def _index(row: Mapping[str, Any]) -> dict[str, str]:
         "S +- s.e.": _estimate(row["index"]),
         "S calibrated": _estimate(row["index_calibrated"]),
         "S max": f"{row['lattice']['log_poses']:.2f}",
-        "S box +- s.e.": _estimate(row["index_box"]),
-        "floored": str(row["index"]["floored"]),
-        "outside": str(row["outside"]),
+        "S all cells": _estimate(row["index_box"]),
+        "at floor": str(row["index"]["floored"]),
+        "not free": str(row["outside"]),
         "maximum %": _share(row["exact"]),
         "within 1 cell %": _share(row["near"]),
     }

@@ -1,0 +1,88 @@
+"""What may be wrong when scans do not fit a map: tried on the scans, not guessed.
+
+Upside down, other units, a map of another scale: each is one more answer for a few of the scans.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.model import LaserScan
+from imgloc.options import Options
+from imgloc.pipeline import localize
+
+_TRIED = 3  # doubtful scans that are looked at in another way
+# By which ranges are off, the likeliest first: millimetres, centimetres, feet; round slips of the
+# resolution.
+_FACTORS = (0.001, 0.01, 0.5, 2.0, 0.1, 10.0, 0.2, 5.0, 0.25, 4.0, 0.4, 2.5)
+
+
+def doubts(
+    features: MapFeatures, scans: Sequence[LaserScan], verdicts: Sequence[str], options: Options,
+    *, flipped: bool = False,
+) -> list[str]:  # fmt: skip
+    """Say what most likely keeps most of some scans from being placed, and what mends it.
+
+    Parameters
+    ----------
+    features, options
+        Those of the answers.
+    scans, verdicts : sequences of one length
+        What was located, and with which verdict.
+    flipped : bool
+        Whether the scans were taken for those of a sensor that hangs upside down.
+
+    Returns
+    -------
+    list of str
+        Sentences, the likeliest cause first; none if at least half of the scans are unique.
+    """
+    doubtful = [s for s, v in zip(scans, verdicts, strict=True) if v != "unique"]
+    counts = Counter(verdicts)
+    if 2 * len(doubtful) <= len(scans):
+        return []
+    if 2 * counts["invalid"] > len(scans):
+        return [_too_few(doubtful)]
+    tried = [scan for scan in doubtful if scan.directions][:_TRIED]
+
+    def all_unique(changed: Iterable[LaserScan]) -> bool:
+        verdicts = (localize(features, scan, options).verdict for scan in changed)
+        return bool(tried) and all(verdict == "unique" for verdict in verdicts)
+
+    if all_unique(scan.flipped for scan in tried):
+        option = "Leave out" if flipped else "Try"
+        mirrored = "scans like these fit at one place if they are mirrored"
+        return [f"{mirrored}: is the sensor upside down? {option} --flipped"]
+    resolution = features.grid.resolution
+    for factor in _FACTORS:
+        if all_unique(scan.scaled(factor) for scan in tried):
+            units = {0.001: "millimetres", 0.01: "centimetres"}.get(factor)
+            why = f"are they {units}?" if units else "is the map's resolution right?"
+            other = "" if units else f", or --resolution {resolution / factor:g}"
+            fits = f"scans like these fit at one place if their ranges are multiplied by {factor:g}"
+            return [f"{fits}: {why} Try --range-scale {factor:g}{other}"]
+    if 2 * counts["no-match"] <= len(scans):
+        return []
+    return [
+        "most scans do not fit this map. Look at one with --index 0 --explain why.html, and at the "
+        "map with imgloc map check; imgloc which tells which of several maps it is from"
+    ]
+
+
+def _too_few(scans: Sequence[LaserScan]) -> str:
+    """Why scans have too few readings."""
+    ranges = np.concatenate([scan.ranges for scan in scans[:100]])
+    limit = max(scan.range_max for scan in scans)
+    finite = ranges[np.isfinite(ranges) & (ranges > 0)]
+    beyond = finite[finite >= limit]
+    if len(beyond) > 0.5 * len(ranges) and np.percentile(beyond, 25) > 5 * limit:
+        found = f"most ranges are far beyond range_max (half are above {np.median(finite):g}, "
+        return f"{found}range_max is {limit:g}): are they millimetres? Try --range-scale 0.001"
+    total = {key: sum(scan.counts[key] for scan in scans) for key in scans[0].counts}
+    unused = ", ".join(f"{n:,} {key.replace('_', ' ')}" for key, n in total.items())
+    return (
+        f"most scans have too few readings to be placed: of {sum(total.values()):,} readings "
+        f"{unused}. Look at range_min and range_max of the file, and at --range-max"
+    )

@@ -1,0 +1,226 @@
+"""ROS bags, without ROS: ROS 1 ``.bag``, ROS 2 sqlite3 ``.db3`` and ``.mcap``, by rosbags."""
+
+import contextlib
+import logging
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imgloc.errors import ScanError
+from imgloc.io.files import PathLike, display, reason
+from imgloc.io.odometry import odometry_at
+from imgloc.io.scanset import MAX_READINGS, Entry, ScanSet, ScansSize, collect
+from imgloc.model import FloatArray, Pose2D
+
+_LOG = logging.getLogger("imgloc")
+_SCAN, _ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
+_TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_BASES = ("base_footprint", "base_link", "base")
+_TILTED = math.cos(math.radians(5))
+_HINTS = {
+    "sensor_msgs/msg/PointCloud2": "ros2 run pointcloud_to_laserscan "
+    "pointcloud_to_laserscan_node makes scans of point clouds",
+    "sensor_msgs/msg/MultiEchoLaserScan": "ros2 run laser_proc laser_proc_node makes scans of them",
+}
+# Of a frame: its parent, and the pose in it, 4 x 4.
+_Frames = dict[str, tuple[str, FloatArray]]
+
+
+def read_bag(path: PathLike, *, topic: str | None = None) -> ScanSet:
+    """Read the scans of one topic of a bag, with the robot's odometry and the sensor's place.
+
+    `odom` is the robot's pose at the time of each scan, from nav_msgs/Odometry, else from the
+    transforms below a frame called ``odom``; None if a scan is more than a second from it.
+    `T_base_laser` is from the transforms between the robot's base and the scan's frame; a sensor
+    that hangs upside down is turned over by them.
+
+    Parameters
+    ----------
+    path : path
+        A ``.bag``, ``.db3`` or ``.mcap`` file, or the folder of a ROS 2 recording. ScanError if it
+        is damaged, or rosbags is not installed (the extra ``ros``).
+    topic : str, optional
+        Of sensor_msgs/LaserScan. By default ``/scan``, or the only one.
+    """
+    name = display(path)
+    with _opened(path, name) as bag:
+        chosen = _choose(bag, topic, name)
+        odometry = _by_type(bag, _ODOMETRY)
+        source = "/odom" if "/odom" in odometry else next(iter(odometry), None)
+        wanted = {chosen, source, *(t for kind in _TF for t in _by_type(bag, kind))}
+        connections = [c for c in bag.connections if c.topic in wanted]
+        entries, laser = list[Entry](), ""
+        moves, base = list[tuple[float, ...]](), ""
+        transforms, frames = list[tuple[float, str, str, FloatArray]](), _Frames()
+        for connection, time, data in bag.messages(connections=connections):
+            message = bag.deserialize(data, connection.msgtype)
+            if connection.topic == chosen:
+                laser = _frame(message.header.frame_id)
+                where = f"{name}: {chosen}: message {len(entries)}"
+                entries.append((where, _entry(message, 1e-9 * time)))
+            elif connection.topic == source:
+                base = _frame(message.child_frame_id)
+                moves.append((_seconds(message.header.stamp), *_planar(_matrix(message.pose.pose))))
+            else:
+                for item in message.transforms:
+                    parent, child = _frame(item.header.frame_id), _frame(item.child_frame_id)
+                    pose = _matrix(item.transform)
+                    frames.setdefault(child, (parent, pose))
+                    if parent.endswith("odom"):
+                        transforms.append((_seconds(item.header.stamp), parent, child, pose))
+    if not moves and transforms:
+        base = transforms[0][2]
+        moves = [(at, *_planar(pose)) for at, _, child, pose in transforms if child == base]
+    return _assemble(entries, moves, _mounting(frames, laser, base), name)
+
+
+def bag_size(path: PathLike, *, topic: str | None = None) -> ScansSize:
+    """How much :func:`read_bag` would read: messages of the topic, readings of its first."""
+    name = display(path)
+    with _opened(path, name) as bag:
+        connections = [c for c in bag.connections if c.topic == _choose(bag, topic, name)]
+        count = sum(c.msgcount for c in connections)
+        readings = 0
+        for connection, _, data in bag.messages(connections=connections):
+            readings = len(bag.deserialize(data, connection.msgtype).ranges)
+            break
+    if count * readings > MAX_READINGS:
+        found = f"{count:,} scans of {readings:,} readings"
+        raise ScanError(f"{name}: {found}, expected at most {MAX_READINGS:,}; cut the bag")
+    return ScansSize(count, 2 * count * readings, 0)
+
+
+@contextlib.contextmanager
+def _opened(path: PathLike, name: str) -> Iterator[Any]:
+    """The bag, open; whatever is wrong with it is a ScanError."""
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        hint = "reading ROS bags needs rosbags: pip install 'imgloc[ros]'"
+        raise ScanError(f"{name}: {hint}") from None
+    file = Path(path)
+    if file.is_dir() and not (file / "metadata.yaml").is_file():
+        inside = sorted(p for p in file.iterdir() if p.suffix in (".db3", ".mcap"))
+        if len(inside) != 1:
+            found = f"a folder with {len(inside)} .db3 or .mcap files and no metadata.yaml"
+            raise ScanError(f"{name}: {found}, expected a recording: ros2 bag reindex makes it one")
+        file = inside[0]
+    if not file.exists():
+        raise ScanError(f"{name}: no such file")
+    try:
+        # Bags of ROS 2 before Iron do not hold what their messages look like.
+        store = get_typestore(Stores.ROS2_HUMBLE)
+        with AnyReader([file], default_typestore=store) as bag:
+            yield bag
+    except (ScanError, MemoryError):
+        raise
+    except Exception as e:  # of rosbags, of SQLite, of what unpacks them
+        raise ScanError(f"{name}: damaged or not a bag ({reason(e)}); record it again") from None
+
+
+def _by_type(bag: Any, kind: str) -> dict[str, int]:
+    """Topics of a type, and how many messages each has."""
+    counts: dict[str, int] = {}
+    for connection in bag.connections:
+        if connection.msgtype == kind:
+            counts[connection.topic] = counts.get(connection.topic, 0) + connection.msgcount
+    return {topic: n for topic, n in sorted(counts.items()) if n}
+
+
+def _choose(bag: Any, topic: str | None, name: str) -> str:
+    """The topic asked for, else /scan, else the only one."""
+    topics = _by_type(bag, _SCAN)
+    there = ", ".join(f"{t} ({n})" for t, n in topics.items())
+    if not topics:
+        kinds = sorted({c.msgtype for c in bag.connections if c.msgcount})
+        hint = next((f"; {_HINTS[kind]}" for kind in kinds if kind in _HINTS), "")
+        raise ScanError(f"{name}: no sensor_msgs/LaserScan in it, but {', '.join(kinds)}{hint}")
+    if topic is not None:
+        match = [t for t in topics if t.strip("/") == topic.strip("/")]
+        if not match:
+            raise ScanError(f"{name}: no scans on {topic}; it has {there}")
+        return match[0]
+    if "/scan" not in topics and len(topics) > 1:
+        raise ScanError(f"{name}: scans on several topics, expected --topic with one: {there}")
+    return "/scan" if "/scan" in topics else next(iter(topics))
+
+
+def _entry(message: Any, recorded: float) -> dict[str, Any]:
+    """A scan as other files hold it; its stamp, or when it was recorded if it has none."""
+    fields = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max")
+    entry: dict[str, Any] = {key: float(getattr(message, key)) for key in fields}
+    if not entry["angle_increment"]:
+        del entry["angle_increment"]
+    ranges = np.asarray(message.ranges, dtype=np.float64)
+    return entry | {"ranges": ranges, "stamp": _seconds(message.header.stamp) or recorded}
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+
+
+def _frame(name: str) -> str:
+    return name.lstrip("/")  # as the frames of ROS 1's tf were called
+
+
+def _matrix(pose: Any) -> FloatArray:
+    """A Pose or a Transform as 4 x 4."""
+    at = pose.position if hasattr(pose, "position") else pose.translation
+    q = pose.orientation if hasattr(pose, "orientation") else pose.rotation
+    x, y, z, w = np.array([q.x, q.y, q.z, q.w]) / (math.hypot(q.x, q.y, q.z, q.w) or 1.0)
+    out = np.eye(4)
+    out[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    out[:3, 3] = at.x, at.y, at.z
+    return out
+
+
+def _planar(matrix: FloatArray) -> tuple[float, float, float]:
+    """x, y and yaw."""
+    return matrix[0, 3], matrix[1, 3], math.atan2(matrix[1, 0], matrix[0, 0])
+
+
+def _mounting(frames: _Frames, laser: str, base: str) -> FloatArray | None:
+    """Pose of the frame `laser` in that of the base, 4 x 4; None if no transforms lead there."""
+    bases = (base,) if base else _BASES
+    at, pose = laser, np.eye(4)
+    for _ in range(len(frames) + 1):
+        if at in bases:
+            return pose
+        if at not in frames:
+            return None
+        at, step = frames[at]
+        pose = step @ pose
+    return None
+
+
+def _assemble(
+    entries: Sequence[Entry], moves: Sequence[tuple[float, ...]], mounting: FloatArray | None,
+    name: str,
+) -> ScanSet:  # fmt: skip
+    """The set of the scans, with the odometry at their times, on a sensor that sits so."""
+    stamps = np.array([entry["stamp"] for _, entry in entries])
+    table = np.array(moves).reshape(-1, 4)
+    odom = odometry_at(stamps, table[:, 0], table[:, 1:]) if len(table) else None
+    if odom is None and len(table):
+        _LOG.warning("%s: its odometry does not cover its scans, and is not used", name)
+    mount, turned = None, False
+    if mounting is not None:
+        mount, turned = Pose2D(*_planar(mounting)), mounting[2, 2] < 0
+        if abs(mounting[2, 2]) < _TILTED:
+            _LOG.warning("%s: its laser is tilted, by its transforms; scans are of a plane", name)
+    whole: list[Entry] = []
+    for k, (where, entry) in enumerate(entries):
+        more = {"mount": mount, "odom": None if odom is None else odom[k]}
+        if turned:  # its angles run clockwise
+            keys = ("angle_min", "angle_max", "angle_increment")
+            more |= {key: -entry[key] for key in keys if key in entry}
+        whole.append((where, {**entry, **more}))
+    return collect(whole, name)

@@ -1,0 +1,275 @@
+"""CARMEN logs: lines of words, a message a line; and those of DP-SLAM, which are much alike.
+
+>>> from tempfile import TemporaryDirectory
+>>> from pathlib import Path
+>>> line = "FLASER 181 " + 181 * "2.5 " + "1 2 0.5 1 2 0.5 1211.5 robot 0.1"
+>>> with TemporaryDirectory() as folder:
+...     path = Path(folder, "a.log")
+...     _ = path.write_text(line)
+...     scans = read_carmen(path)
+>>> scans.odom.tolist(), scans.stamps.tolist(), scans[0].range_max
+([[1.0, 2.0, 0.5]], [1211.5], 80.0)
+"""
+
+import math
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imgloc.errors import ScanError
+from imgloc.io.files import PathLike, display, read_file
+from imgloc.io.odometry import odometry_at
+from imgloc.io.scanset import MAX_READINGS, Entry, ScanSet, collect, spread, wrong
+from imgloc.model import FloatArray, Pose2D, compose, inverse
+
+_MAX_BYTES = 8 * MAX_READINGS
+# In the order of preference: a log may hold the same laser in an old and in a new form.
+_LASERS = re.compile(r"ROBOTLASER\d|FLASER|RAWLASER\d|Laser|RLASER|LASER\d")
+_PREFERRED = ("ROBOTLASER1", "FLASER", "RAWLASER1", "Laser", "RLASER")
+_ODOMETRY = ("ODOM", "Odometry")
+# SICK scanners, the only ones when FLASER was made: readings of a half turn, and the step of the
+# rays in degrees, the first at -90 (the last of an even number is not recorded).
+_SICK_STEPS = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5}
+# Their greatest words of 13 to 15 bits, which mean "nothing seen", and how far they reach then.
+_SICK_REACH = ((8.18, 8.2, 8.0), (16.36, 16.4, 16.0), (32.72, 32.8, 32.0))
+_REACH = 80.0
+_RIGID = 5e-3  # metres, radians: six digits of a pose that is hundreds of metres away
+
+
+@dataclass(frozen=True)
+class _Message:
+    """What one line says of a laser."""
+
+    where: str
+    ranges: FloatArray
+    stamp: float
+    angles: FloatArray | None = None  # None: from the number of readings
+    range_max: float = math.nan  # NaN: not said
+    laser: Pose2D | None = None
+    robot: Pose2D | None = None
+
+
+def read_carmen(path: PathLike, *, topic: str | None = None, fov: float | None = None) -> ScanSet:
+    """Read the scans of a CARMEN log, with the robot's odometry and where its laser sits.
+
+    Messages read are ``ROBOTLASER1`` (and 2 to 5; with or without the number of remissions),
+    ``FLASER``, ``RLASER``, ``RAWLASER1``, ``ODOM``, ``PARAM``, and ``Laser`` with ``Odometry`` of
+    DP-SLAM; any other line is left out, as is a last line that was cut off.
+
+    `odom` is the robot's pose as each message holds it, or that of the ODOM lines at its time.
+    If the laser's poses move against the robot's, a mapper has corrected them: they are `poses`
+    then. If not, they tell where the laser sits: `T_base_laser`.
+
+    Parameters
+    ----------
+    path : path
+        ScanError, with the line, if it cannot be read, or holds no laser.
+    topic : str, optional
+        Messages of which laser, by the word they begin with; the front laser by default.
+    fov : float, optional
+        Angle from the first to the last ray, radians, of lasers that do not say it (FLASER,
+        RLASER, Laser). 180, 181, 360 and 361 readings need none, those are SICK scanners, nor
+        does a log whose parameters have ``laser_front_laser_resolution``.
+    """
+    name, lines = display(path), _lines(path)
+    first = [line.split(None, 1)[0] for _, line in lines]
+    counts = Counter(word for word in first if _LASERS.fullmatch(word))
+    chosen = _choose(counts, topic, name)
+    parameters = {
+        words[1]: words[2]
+        for (_, line), word in zip(lines, first, strict=True)
+        if word == "PARAM" and len(words := line.split()) > 2
+    }
+    read = _ROBOT if chosen.startswith("ROBOTLASER") else _OTHER.get(chosen, _raw)
+    messages, moves = list[_Message](), list[tuple[float, float, float, float]]()
+    for (number, line), word in zip(lines, first, strict=True):
+        words = line.split()
+        where = f"{name}: line {number}: {word}"
+        try:
+            if word == chosen:
+                messages.append(read(words, where))
+                if chosen == "Laser" and moves:  # the pose of the line before
+                    messages[-1] = replace(messages[-1], robot=Pose2D(*moves[-1][1:]))
+            elif word in _ODOMETRY:
+                x, y, theta = map(float, words[1:4])
+                stamp = float(words[7]) if word == "ODOM" and len(words) > 7 else math.nan
+                moves.append((stamp, x, y, theta))
+        except (ValueError, IndexError):
+            if number == lines[-1][0]:  # whoever wrote the log was switched off
+                break
+            raise ScanError(f"{where}: a word is missing or is no number") from None
+    if not messages:
+        raise ScanError(f"{name}: holds no whole {chosen}, expected at least one")
+    return _assemble(messages, moves, parameters, fov, name, rear=chosen == "RLASER")
+
+
+def _lines(path: PathLike) -> list[tuple[int, str]]:
+    """The lines that are neither blank nor comments, with their numbers."""
+    data = read_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file")
+    text = data.decode("ascii", "replace")  # only names of hosts may be anything else
+    kept = [(i, line) for i, line in enumerate(text.split("\n"), 1) if line.strip()]
+    return [(i, line) for i, line in kept if not line.lstrip().startswith("#")]
+
+
+def _choose(counts: Counter[str], topic: str | None, name: str) -> str:
+    """The laser asked for, else the front one."""
+    if not counts:
+        expected = "expected FLASER, ROBOTLASER1 or RAWLASER1 as a CARMEN log has"
+        raise ScanError(f"{name}: no line of a laser, {expected}")
+    if topic is None:
+        return next((word for word in _PREFERRED if word in counts), min(counts))
+    if topic not in counts:
+        there = ", ".join(f"{word} ({n})" for word, n in sorted(counts.items()))
+        raise ScanError(f"{name}: no messages {topic}; it has {there}")
+    return topic
+
+
+def _numbers(words: Sequence[str]) -> FloatArray:
+    return np.array(words, dtype=np.float64)
+
+
+def _flaser(words: Sequence[str], where: str) -> _Message:
+    """``FLASER n r.. laser-pose robot-pose time host time``."""
+    n = int(words[1])
+    rest = words[2 + n :]
+    if len(rest) < 6 or n < 1:
+        raise ValueError
+    laser, robot = Pose2D(*map(float, rest[:3])), Pose2D(*map(float, rest[3:6]))
+    stamp = float(rest[6]) if len(rest) > 6 else math.nan
+    return _Message(where, _numbers(words[2 : 2 + n]), stamp, laser=laser, robot=robot)
+
+
+def _laser(words: Sequence[str], where: str) -> _Message:
+    """``Laser n r..`` of DP-SLAM."""
+    n = int(words[1])
+    ranges = _numbers(words[2 : 2 + n])
+    if len(ranges) != n or n < 1:
+        raise ValueError
+    return _Message(where, ranges, math.nan)
+
+
+def _configured(words: Sequence[str], where: str, after: int) -> tuple[_Message, Sequence[str]]:
+    """``type start fov res max accuracy mode n r.. [m rem..]``, and the words behind.
+
+    `after` words follow at the least: old messages have no number of remissions, which only the
+    number of words tells.
+    """
+    n = int(words[8])
+    start, fov, step, reach = map(float, words[2:6])
+    ranges, rest = _numbers(words[9 : 9 + n]), words[9 + n :]
+    if len(ranges) != n or n < 1 or len(rest) < after:
+        raise ValueError
+    if len(rest) > after:
+        rest = rest[1 + int(rest[0]) :]
+    if len(rest) != after:
+        total = len(words)
+        raise wrong(where, f"{total} words", f"{n} readings and {after} words after remissions")
+    angles = start + np.arange(n) * (step if step else fov / max(n - 1, 1))
+    return _Message(where, ranges, float(rest[-3]), np.asarray(angles), reach), rest
+
+
+def _robot_laser(words: Sequence[str], where: str) -> _Message:
+    """``ROBOTLASER1 .. laser-pose robot-pose tv rv forward side turn time host time``."""
+    message, rest = _configured(words, where, 14)
+    laser, robot = Pose2D(*map(float, rest[:3])), Pose2D(*map(float, rest[3:6]))
+    return replace(message, laser=laser, robot=robot)
+
+
+def _raw(words: Sequence[str], where: str) -> _Message:
+    """``RAWLASER1 .. time host time``."""
+    return _configured(words, where, 3)[0]
+
+
+_ROBOT: Callable[[Sequence[str], str], _Message] = _robot_laser
+_OTHER = {"FLASER": _flaser, "RLASER": _flaser, "Laser": _laser}
+
+
+def _assemble(
+    messages: Sequence[_Message], moves: Sequence[tuple[float, float, float, float]],
+    parameters: dict[str, str], fov: float | None, name: str, *, rear: bool,
+) -> ScanSet:  # fmt: skip
+    """Scans of messages, with what the whole log says of them."""
+    side = "rear" if rear else "front"
+    said = _parameter(parameters, f"robot_{side}_laser_max", name)
+    reach = said or _sick_reach(messages)
+    resolution = _parameter(parameters, f"laser_{side}_laser_resolution", name)
+    stamps = np.array([message.stamp for message in messages])
+    # Some logs were written with six digits for seconds since 1970.
+    timed = len(np.unique(stamps)) > len(stamps) // 2
+    odom = _odometry(messages, moves, stamps)
+    poses, mount = _laser_poses(messages)
+    entries: list[Entry] = []
+    for i, message in enumerate(messages):
+        angles = message.angles
+        if angles is None:
+            angles = _angles(len(message.ranges), fov, resolution, message.where)
+        entry = {
+            "ranges": message.ranges,
+            "angles": angles,
+            "range_max": message.range_max if message.range_max > 0 else reach,
+            "stamp": float(stamps[i]) if timed else None,
+            "odom": None if odom is None else odom[i],
+            "pose": None if poses is None else poses[i],
+            "mount": mount,
+        }
+        entries.append((message.where, entry))
+    return collect(entries, name)
+
+
+def _parameter(parameters: dict[str, str], key: str, name: str) -> float | None:
+    """A positive number of the log's parameters."""
+    if key not in parameters:
+        return None
+    try:
+        value = float(parameters[key])
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise wrong(f"{name}: PARAM {key}", repr(parameters[key]), "a positive number")
+    return value
+
+
+def _sick_reach(messages: Sequence[_Message]) -> float:
+    """How far the scanner reaches, by what it writes where it sees nothing."""
+    greatest = max(float(np.nanmax(message.ranges, initial=0.0)) for message in messages)
+    return next((m for low, high, m in _SICK_REACH if low <= greatest <= high), _REACH)
+
+
+def _angles(n: int, fov: float | None, resolution: float | None, where: str) -> FloatArray:
+    """Directions of `n` rays, about straight ahead but for those of a SICK."""
+    if fov is None and n in _SICK_STEPS:
+        return np.asarray(np.arange(n) * math.radians(_SICK_STEPS[n]) - math.pi / 2)
+    if fov is None and resolution is None:
+        expected = "the angle that they cover, which this message does not hold: --fov-deg"
+        raise ScanError(f"{where}: {n} readings, expected with them {expected}")
+    return spread(n, math.radians(resolution or 0.0) * (n - 1) if fov is None else fov)
+
+
+def _odometry(
+    messages: Sequence[_Message], moves: Sequence[tuple[float, float, float, float]],
+    stamps: FloatArray,
+) -> FloatArray | None:  # fmt: skip
+    """Poses of the robot, (N, 3), as the messages have them or the log at their time."""
+    robots = [message.robot for message in messages]
+    if all(robot is not None for robot in robots):
+        return np.array([(r.x, r.y, r.theta) for r in robots if r is not None])
+    table = np.array(moves).reshape(-1, 4)
+    table = table[np.isfinite(table[:, 0])]
+    return odometry_at(stamps, table[:, 0], table[:, 1:])
+
+
+def _laser_poses(messages: Sequence[_Message]) -> tuple[FloatArray | None, Pose2D | None]:
+    """Poses of the laser that a mapper has corrected, else where it sits on the robot."""
+    pairs = [(m.laser, m.robot) for m in messages if m.laser is not None and m.robot is not None]
+    if len(pairs) != len(messages):
+        return None, None
+    offsets = [compose(inverse(robot), laser) for laser, robot in pairs]
+    away = np.array([(p.x, p.y, math.remainder(p.theta, math.tau)) for p in offsets])
+    middle = np.median(away, axis=0)
+    if np.all(np.abs(away - middle) < _RIGID):
+        # At the robot's own place is where it is if nobody has said where.
+        return None, Pose2D(*np.round(middle, 4)) if np.abs(middle).max() > _RIGID else None
+    return np.array([(p.x, p.y, p.theta) for p, _ in pairs]), None

@@ -1,0 +1,134 @@
+"""Several files, standard input, degrees, completion, and what is said after a run."""
+
+import io
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import call, rows, spawn
+
+OFF = "--no-cache"
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scans") / "a.npz"
+    assert call("simulate", "curved", "-n", 2, "--seed", 5, "--out", path).code == 0
+    return path
+
+
+def through_stdin(monkeypatch: pytest.MonkeyPatch, data: bytes, *arguments: object):
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
+    return call("localize", "curved", "-", OFF, *arguments)
+
+
+def test_standard_input_is_read_whatever_it_is(
+    scans: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with np.load(scans) as held:
+        ranges, angles = held["ranges"][1], held["angles"]
+    text = "".join(f"{a},{r}\n" for a, r in zip(angles, ranges, strict=True))
+    wanted = rows(call("localize", "curved", scans, OFF, "--json").out)
+    for data, index in ((scans.read_bytes(), 1), (text.encode(), 0)):
+        run = through_stdin(monkeypatch, data, "--json", "--index", index)
+        (row,) = rows(run.out)
+        assert row["parameters"]["scans"] == "standard input"
+        assert row["pose"] == pytest.approx(wanted[1]["pose"], abs=1e-3)
+    run = through_stdin(monkeypatch, b"1,2,3\n4,5,6\n")
+    assert (run.code, run.out) == (4, "")
+    assert run.err.startswith("imgloc: error: standard input: line 1: angles: missing")
+    assert through_stdin(monkeypatch, b"").err.startswith("imgloc: error: standard input: the file")
+
+
+def test_several_files_each_with_its_name_and_its_indices(scans: Path, tmp_path: Path) -> None:
+    again = tmp_path / "b.npz"
+    again.write_bytes(scans.read_bytes())
+    table = call("localize", "curved", scans, again, OFF, "--picture", tmp_path / "p.png")
+    lines = table.out.splitlines()
+    assert [line for line in lines if line.endswith(":")] == [f"{scans}:", f"{again}:"]
+    assert [line.split()[0] for line in lines if "unique" in line] == ["0", "1", "0", "1"]
+    assert sorted(p.name for p in tmp_path.glob("p-*")) == [f"p-000{k}.png" for k in range(4)]
+    assert re.search(r"wrote \S+p-0000\.png to \S+p-0003\.png", table.err)
+    found = rows(call("localize", "curved", scans, again, OFF, "--json").out)
+    assert [(row["parameters"]["scans"], row["index"]) for row in found] == [
+        (str(path), k) for path in (scans, again) for k in (0, 1)
+    ]
+    bad = call("localize", "curved", scans, tmp_path / "none.npz", OFF)
+    assert (bad.code, bad.out) == (4, "")
+
+
+def test_after_a_run_it_is_said_how_it_went(scans: Path) -> None:
+    run = call("localize", "curved", scans, OFF)
+    said = r"2 scans: 2 unique; 2 of 2 first poses within 0\.5 m and 10 deg of the known ones, "
+    assert re.search(said + r"median error 0\.\d+ m and \d\.\d+ deg", run.err)
+    one = call("localize", "curved", scans, OFF, "--index", 0)
+    assert "sd xy / m" in one.out
+    assert re.search(r"noise alone; \d\.\d % of the mass is in none of these rows", one.out)
+    verbose = call("localize", "curved", scans, OFF, "-v").err
+    assert re.search(r"a\.npz, scan 1: unique, localize \d+ ms", verbose)
+    assert "{" not in verbose
+
+
+def test_angles_may_be_degrees(scans: Path) -> None:
+    place = rows(call("localize", "curved", scans, OFF, "--json", "--index", 0).out)[0]["pose"]
+    x, y, degrees = place["x"], place["y"], np.rad2deg(place["theta"])
+    near = f"{x:.3f},{y:.3f},{degrees:.2f}deg,1,5deg"
+    words = ("--near", near, "--sensor", "0.2,0,90deg", "--json", "--index", 0)
+    (row,) = rows(call("localize", "curved", scans, OFF, *words).out)
+    about = row["parameters"]["prior"]["near"]
+    assert about["theta"] == pytest.approx(place["theta"], abs=1e-3)
+    assert about["tolerance"] == pytest.approx(np.deg2rad(5))
+    assert row["parameters"]["sensor"]["theta"] == pytest.approx(np.pi / 2)
+    heading = ("--heading", "90deg,10deg", "--json", "--index", 0)
+    (row,) = rows(call("localize", "curved", scans, OFF, *heading).out)
+    assert row["parameters"]["prior"]["heading"]["theta"] == pytest.approx(np.pi / 2)
+    wrong = call("localize", "curved", scans, "--near", "1deg,2,3")
+    assert wrong.code == 2
+    hint = call("localize", "curved", scans, "--near", "1,2,90")
+    assert "are these degrees? write 90deg" in hint.err
+
+
+def test_formats_are_in_the_help_and_their_examples_are_read(tmp_path: Path) -> None:
+    text = call("localize", "--help").out
+    csv = re.search(r"( +# angle_min.*\n.*\n.*\n)", text)
+    line = re.search(r"(\{\"angle_min\"[^}]*\})", text)
+    assert csv is not None
+    assert line is not None
+    (tmp_path / "a.csv").write_text("".join(s.strip() + "\n" for s in csv[1].splitlines()))
+    (tmp_path / "a.json").write_text(line[1])
+    for name, valid in (("a.csv", [3, 4]), ("a.json", [3])):
+        run = call("localize", "curved", tmp_path / name, OFF, "--json")
+        assert [row["counts"]["valid"] for row in rows(run.out)] == valid
+    for ending in (".npz", ".log", ".bag", ".yaml", "standard input"):
+        assert ending in text
+
+
+def test_completion_is_installed_and_completes(tmp_path: Path) -> None:
+    script = tmp_path / "imgloc"
+    root = str(Path(__file__).resolve().parents[1])
+    script.write_text(
+        f"#!{sys.executable}\nimport sys\nsys.path.insert(0, {root!r})\n"
+        "from imgloc.cli import main\nmain()\n"
+    )
+    script.chmod(0o755)
+
+    def run(*arguments: str, **more: str) -> str:
+        env = {**os.environ, "HOME": str(tmp_path), "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+        env |= {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"} | more
+        done = subprocess.run(
+            [script, *arguments], env=env, capture_output=True, text=True, check=False, timeout=60
+        )
+        return done.stdout + done.stderr
+
+    assert "imgloc" in run("--install-completion", "bash")
+    assert list(tmp_path.glob(".bash_completions/imgloc*"))
+    asked = {"_IMGLOC_COMPLETE": "complete_bash", "COMP_WORDS": "imgloc loc", "COMP_CWORD": "1"}
+    assert run(**asked).split() == ["localize"]
+
+
+def test_the_help_of_the_whole_says_what_ctrl_c_ends_with() -> None:
+    assert "130" in spawn("--help").out

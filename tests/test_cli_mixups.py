@@ -1,0 +1,131 @@
+"""What users mix up, through the command: one line that names the cause and what mends it."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import MAPS, call, rows
+
+from imgloc.io.images import encode_png, read_image
+from imgloc.io.scans import load_scans, save_scans
+from imgloc.simulation import Sensor, simulate
+from imgloc.worlds import WORLDS, render
+
+OFF = "--no-cache"
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scans") / "a.npz"
+    sensor = Sensor(rays=180, fov=2 * np.pi)
+    save_scans(path, simulate(render(WORLDS["curved"](), 0.1), 2, 5, sensor))
+    return path
+
+
+def changed(path: Path, name: str, **more: object) -> Path:
+    """The scans with arrays replaced."""
+    with np.load(path) as held:
+        arrays = dict(held) | {k: v(held) if callable(v) else v for k, v in more.items()}
+    target = path.with_name(name)
+    np.savez(target, **arrays)
+    return target
+
+
+@pytest.mark.parametrize(
+    ("factor", "reach", "hint"),
+    [
+        (1000.0, 30_000.0, "multiplied by 0.001: are they millimetres. Try --range-scale 0.001"),
+        (1000.0, 30.0, "far beyond range_max .*millimetres.*--range-scale 0.001"),
+        (0.5, 15.0, "multiplied by 2: is the map's resolution right. .*--resolution 0.05"),
+    ],
+)
+def test_units_are_recognised_and_mended(
+    scans: Path, factor: float, reach: float, hint: str
+) -> None:
+    path = changed(scans, "b.npz", ranges=lambda a: factor * a["ranges"], range_max=reach)
+    run = call("localize", "curved", path, OFF)
+    assert run.code == 0
+    assert re.search(hint, run.err), run.err
+    (option,) = re.findall(r"--range-scale (\S+?)[,\s]", run.err + "\n")
+    mended = rows(call("localize", "curved", path, OFF, "--json", "--range-scale", option).out)
+    assert [row["verdict"] for row in mended] == ["unique", "unique"]
+
+
+def test_scans_of_another_place_end_with_what_to_look_at(scans: Path) -> None:
+    noise = np.random.default_rng(1).uniform(0.5, 9, (3, 180))
+    path = changed(scans, "c.npz", ranges=noise, poses=np.zeros((3, 3)))
+    run = call("localize", "curved", path, OFF)
+    assert "most scans do not fit this map. Look at one with --index 0 --explain" in run.err
+    none = changed(scans, "d.npz", ranges=np.full((3, 180), np.nan), poses=np.zeros((3, 3)))
+    run = call("localize", "curved", none, OFF)
+    assert "too few readings to be placed: of 540 readings 0 valid" in run.err
+    assert "540 nan" in run.err
+
+
+def test_a_map_with_black_and_white_swapped_is_told_by_check_and_localize(
+    tmp_path: Path, scans: Path
+) -> None:
+    pixels = read_image(MAPS / "curved.png").pixels
+    grey = np.where(pixels == 254, 0, np.where(pixels == 0, 254, 205)).astype(np.uint8)
+    (tmp_path / "m.png").write_bytes(encode_png(grey))
+    said = (MAPS / "curved.yaml").read_text().replace("curved.png", "m.png")
+    (tmp_path / "m.yaml").write_text(said)
+    check = call("map", "check", tmp_path / "m.yaml")
+    assert "swapped: what is free is as thin as walls" in check.out
+    run = call("localize", tmp_path / "m.yaml", scans, OFF)
+    assert "black and white look swapped; try --negate --occupied-thresh 0.9" in run.err
+    mend = ("--negate", "--occupied-thresh", 0.9)
+    run = call("localize", tmp_path / "m.yaml", scans, OFF, "--json", *mend)
+    assert [row["verdict"] for row in rows(run.out)] == ["unique", "unique"]
+    assert "swapped" not in run.err
+    for name in WORLDS:
+        assert "swapped" not in call("map", "check", name).out
+
+
+def test_a_resolution_that_makes_a_doll_s_house_is_told(tmp_path: Path) -> None:
+    run = call("map", "check", "curved", "--resolution", "0.005")
+    assert "is the resolution, 0.005 m per cell, right?" in run.out
+    assert "scale" not in call("map", "check", "curved").out
+
+
+def test_map_and_scans_in_the_wrong_order(scans: Path) -> None:
+    order = "the order is MAP, then SCANS"
+    for arguments, code in (
+        ((scans, MAPS / "curved.yaml"), 2),
+        ((MAPS / "curved.yaml", MAPS / "curved.png"), 2),
+        ((MAPS / "curved.yaml", MAPS / "curved.yaml"), 4),
+    ):
+        run = call("localize", *arguments)
+        assert (run.code, run.out) == (code, "")
+        assert order in run.err, run.err
+
+
+def test_a_folder_is_named_with_what_is_in_it(scans: Path) -> None:
+    run = call("localize", MAPS, scans)
+    assert run.code == 3
+    assert "is a folder, expected a map YAML or image" in run.err
+    assert "in it there is corridor.png" in run.err
+    run = call("localize", "curved", MAPS)
+    assert run.code == 4
+    assert "is a folder, expected a file of scans" in run.err
+
+
+def test_degrees_are_named_by_their_key(tmp_path: Path) -> None:
+    path = tmp_path / "a.jsonl"
+    path.write_text('{"ranges": [1, 2, 3], "angle_min": -1.5, "angle_increment": 57.3}\n')
+    run = call("localize", "curved", path)
+    assert run.code == 4
+    assert "line 1: angle_increment: got 57.3, expected radians; are these degrees?" in run.err
+    path.write_text('{"ranges": [1, 2], "angle_min": -1, "angle_max": 1, "pose": [0, 0, 90]}\n')
+    run = call("localize", "curved", path)
+    assert "pose: got a theta of 90, expected radians; are these degrees?" in run.err
+
+
+def test_scaling_keeps_limits_that_were_in_metres(scans: Path) -> None:
+    scan = load_scans(scans)[0]
+    for limit in (scan.range_max, 1000 * scan.range_max):
+        doubled = replace(scan, ranges=1000 * scan.ranges, range_max=limit).scaled(0.001)
+        assert doubled.range_max == pytest.approx(scan.range_max)
+        np.testing.assert_allclose(doubled.ranges, scan.ranges)

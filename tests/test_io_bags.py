@@ -1,0 +1,201 @@
+"""Bags of ROS 1 and 2, written by rosbags; and what `ros2 topic echo` prints."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import call, rows
+
+from imgloc.errors import ScanError
+from imgloc.io.scans import load_scans, scans_size
+from imgloc.model import Pose2D
+from imgloc.simulation import simulate
+from imgloc.worlds import WORLDS, render
+
+rosbags = pytest.importorskip("rosbags", reason="reads bags: the extra ros")
+
+SCAN, ODOM, TF = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
+RANGES = [1.0, math.inf, math.nan, 2.5]
+UP, DOWN = (0.0, 0.0, 0.0, 1.0), (1.0, 0.0, 0.0, 0.0)  # x, y, z, w
+
+
+class Messages:
+    """Makes messages of either ROS."""
+
+    def __init__(self, store) -> None:
+        self.store, self.types = store, store.types
+        self.ros1 = "std_msgs/msg/Header" in store.types and "seq" in str(
+            store.types["std_msgs/msg/Header"].__dataclass_fields__.keys()
+        )
+
+    def make(self, kind: str, *values):
+        return self.types[kind](*values)
+
+    def header(self, stamp: float, frame: str):
+        time = self.make("builtin_interfaces/msg/Time", int(stamp), round(stamp % 1 * 1e9))
+        return self.make("std_msgs/msg/Header", *([7] if self.ros1 else []), time, frame)
+
+    def scan(self, stamp: float, frame: str = "laser", ranges=RANGES):
+        r = np.asarray(ranges, np.float32)
+        step = 3.0 / (len(r) - 1)
+        none = np.array([], np.float32)
+        return self.make(
+            SCAN, self.header(stamp, frame), -1.5, 1.5, step, 0.0, 0.0, 0.1, 30.0, r, none
+        )
+
+    def vector(self, x: float, y: float, kind: str = "Vector3"):
+        return self.make(f"geometry_msgs/msg/{kind}", x, y, 0.2)
+
+    def turn(self, q):
+        return self.make("geometry_msgs/msg/Quaternion", *q)
+
+    def odometry(self, stamp: float, x: float, yaw: float, child: str = "base_footprint"):
+        q = self.turn((0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)))
+        pose = self.make("geometry_msgs/msg/Pose", self.vector(x, 0.5, "Point"), q)
+        twist = self.make("geometry_msgs/msg/Twist", self.vector(0, 0), self.vector(0, 0))
+        covariance = np.zeros(36)
+        return self.make(
+            ODOM,
+            self.header(stamp, "odom"),
+            child,
+            self.make("geometry_msgs/msg/PoseWithCovariance", pose, covariance),
+            self.make("geometry_msgs/msg/TwistWithCovariance", twist, covariance),
+        )
+
+    def transform(self, parent: str, child: str, x: float, q=UP, stamp: float = 0.0):
+        t = self.make("geometry_msgs/msg/Transform", self.vector(x, 0.0), self.turn(q))
+        stamped = self.make(
+            "geometry_msgs/msg/TransformStamped", self.header(stamp, parent), child, t
+        )
+        return self.make(TF, [stamped])
+
+
+def messages_of(ros1: bool) -> Messages:
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    if TF not in store.types:
+        definition = "geometry_msgs/TransformStamped[] transforms"
+        store.register(get_types_from_msg(definition, TF))
+    return Messages(store)
+
+
+def write(path: Path, kind: str, content: list[tuple[str, str, object]]) -> Path:
+    """Write topic, type and message, one a second, as ``bag``, ``db3`` or ``mcap``."""
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    m = messages_of(kind == "bag")
+    plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
+    writer = Writer1(path) if kind == "bag" else Writer(path, version=9, storage_plugin=plugin)
+    with writer as bag:
+        connections = {}
+        for i, (topic, name, message) in enumerate(content):
+            if topic not in connections:
+                connections[topic] = bag.add_connection(topic, name, typestore=m.store)
+            pack = m.store.serialize_ros1 if kind == "bag" else m.store.serialize_cdr
+            bag.write(connections[topic], (i + 1) * 10**9, bytes(pack(message, name)))
+    return path
+
+
+def robot(kind: str, q=UP) -> list[tuple[str, str, object]]:
+    m = messages_of(kind == "bag")
+    return [
+        ("/tf_static", TF, m.transform("base_link", "laser", 0.3, q)),
+        ("/tf_static", TF, m.transform("base_footprint", "base_link", 0.05)),
+        ("/odom", ODOM, m.odometry(10.0, 1.0, 3.0)),
+        ("/scan", SCAN, m.scan(10.5)),
+        ("/odom", ODOM, m.odometry(11.0, 2.0, -3.0)),
+        ("/scan", SCAN, m.scan(11.0)),
+    ]
+
+
+@pytest.mark.parametrize("kind", ["bag", "db3", "mcap"])
+def test_a_bag_has_scans_odometry_and_where_the_sensor_sits(tmp_path: Path, kind: str) -> None:
+    path = write(tmp_path / ("a.bag" if kind == "bag" else "a"), kind, robot(kind))
+    files = [path] if kind == "bag" else [path, path / f"a.{kind}"]
+    for file in files:
+        scans = load_scans(file)
+        assert len(scans) == 2
+        np.testing.assert_array_equal(scans[0].ranges, RANGES)
+        np.testing.assert_allclose(scans[0].angles, [-1.5, -0.5, 0.5, 1.5])
+        assert (scans[0].range_min, scans[0].range_max) == (pytest.approx(0.1), 30.0)
+        assert scans.stamps is not None
+        assert scans.stamps.tolist() == [10.5, 11.0]
+        assert scans.odom is not None
+        np.testing.assert_allclose(scans.odom, [[1.5, 0.5, math.pi], [2.0, 0.5, -3.0]])
+        assert scans[0].T_base_laser == Pose2D(0.35, 0.0, 0.0)
+        size = scans_size(file)
+        assert (size.scans, size.numbers) == (2, 16)
+    bare = tmp_path / "no-metadata"
+    if kind != "bag":
+        path.rename(bare)
+        (bare / "metadata.yaml").unlink()
+        assert len(load_scans(bare)) == 2
+
+
+def test_a_sensor_upside_down_is_turned_over(tmp_path: Path) -> None:
+    scans = load_scans(write(tmp_path / "a.bag", "bag", robot("bag", DOWN)))
+    np.testing.assert_allclose(scans[0].angles, [1.5, 0.5, -0.5, -1.5])
+    assert scans[0].T_base_laser == Pose2D(0.35, 0.0, 0.0)
+
+
+def test_odometry_may_be_in_the_transforms_or_nowhere_near(tmp_path: Path) -> None:
+    m = messages_of(False)
+    content = [
+        ("/tf", TF, m.transform("odom", "base_link", 1.0, stamp=10.0)),
+        ("/tf", TF, m.transform("base_link", "laser", 0.2, stamp=10.0)),
+        ("/tf", TF, m.transform("odom", "base_link", 3.0, stamp=12.0)),
+        ("/scan", SCAN, m.scan(11.0)),
+    ]
+    scans = load_scans(write(tmp_path / "a", "db3", content))
+    assert scans.odom is not None
+    np.testing.assert_allclose(scans.odom, [[2.0, 0.0, 0.0]])
+    assert scans[0].T_base_laser == Pose2D(0.2, 0.0, 0.0)
+    content[3] = ("/scan", SCAN, m.scan(50.0, "unknown"))
+    scans = load_scans(write(tmp_path / "b", "db3", content))
+    assert scans.odom is None
+    assert scans[0].T_base_laser is None
+
+
+def test_of_several_topics_one_is_named(tmp_path: Path) -> None:
+    m = messages_of(False)
+    front, rear = ("/front", SCAN, m.scan(1.0)), ("/rear", SCAN, m.scan(2.0))
+    path = write(tmp_path / "a", "mcap", [front, rear, rear])
+    with pytest.raises(ScanError, match=r"several topics, .*--topic .*: /front \(1\), /rear \(2\)"):
+        load_scans(path)
+    assert len(load_scans(path, topic="rear")) == 2
+    with pytest.raises(ScanError, match=r"no scans on /up; it has /front"):
+        load_scans(path, topic="/up")
+
+
+def test_what_is_no_bag_or_has_no_scans_is_one_error(tmp_path: Path) -> None:
+    m = messages_of(False)
+    path = write(tmp_path / "a", "mcap", [("/odom", ODOM, m.odometry(1.0, 0.0, 0.0))])
+    with pytest.raises(ScanError, match="no sensor_msgs/LaserScan in it, but nav_msgs/msg/Odom"):
+        load_scans(path)
+    for name in ("b.bag", "b.db3", "b.mcap"):
+        (tmp_path / name).write_bytes(b"hello")
+        with pytest.raises(ScanError, match=r"b\.\w+: damaged or not a bag"):
+            load_scans(tmp_path / name)
+        with pytest.raises(ScanError, match="no such file"):
+            load_scans(tmp_path / f"c{name}")
+
+
+def test_a_bag_goes_through_the_command(tmp_path: Path) -> None:
+    known = simulate(render(WORLDS["curved"](), 0.1), 1, 3)
+    m = messages_of(False)
+    scan = m.make(
+        SCAN, m.header(5.0, "laser"), *known[0].angles[[0, -1]].tolist(), math.radians(1), 0.0, 0.0,
+        0.0, 30.0, known[0].ranges.astype(np.float32), np.array([], np.float32),
+    )  # fmt: skip
+    content = [("/tf_static", TF, m.transform("base_link", "laser", 0.3)), ("/scan", SCAN, scan)]
+    path = write(tmp_path / "a", "mcap", content)
+    (row,) = rows(call("localize", "curved", path, "--json", "--no-cache").out)
+    assert known.poses is not None
+    x, y, _ = known.poses[0]
+    assert math.hypot(row["pose"]["x"] - x, row["pose"]["y"] - y) < 0.3
+    base = row["base_pose"]
+    away = math.hypot(base["x"] - row["pose"]["x"], base["y"] - row["pose"]["y"])
+    assert away == pytest.approx(0.3, abs=1e-6)

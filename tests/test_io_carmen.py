@@ -1,0 +1,157 @@
+"""CARMEN logs: each kind of message, what the whole log says of them, and logs of others."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import MAPS, call, rows
+
+from imgloc.errors import ScanError
+from imgloc.io.carmen import read_carmen
+from imgloc.io.odometry import odometry_at
+from imgloc.io.scans import load_scans
+from imgloc.model import Pose2D, compose
+
+RANGES = " ".join(f"{1 + i / 100:.2f}" for i in range(181))
+FLASER = f"FLASER 181 {RANGES} 1.2 2 0.5 1 2 0.5 1211.5 host 3.5"
+
+
+def log(folder: Path, *lines: str, end: str = "\n") -> Path:
+    path = folder / "a.log"
+    path.write_text("\n".join(lines) + end)
+    return path
+
+
+def test_flaser_has_the_robot_pose_the_stamp_and_a_sick_s_angles(tmp_path: Path) -> None:
+    scans = load_scans(log(tmp_path, "# a comment", "ODOM 0 0 0 0 0 0 1 h 1", FLASER))
+    (scan,) = scans.scans
+    np.testing.assert_allclose(scan.ranges, 1 + np.arange(181) / 100)
+    np.testing.assert_allclose(scan.angles, np.deg2rad(np.arange(-90, 91)))
+    assert (scan.range_max, scan.stamp) == (80.0, 1211.5)
+    assert scans.odom is not None
+    assert scans.odom.tolist() == [[1.0, 2.0, 0.5]]
+    assert scans.poses is None
+
+
+def test_robotlaser_of_both_ages_is_the_same_scan(tmp_path: Path) -> None:
+    head = "ROBOTLASER1 0 -1.0 2.0 0.5 30.0 0.01 0 5 1 2 3 4 5"
+    tail = "0.3 0 0 0 0 0 0 0 0 0 0 12.5 host 1.5"
+    kinds = (f"{head} {tail}", f"{head} 0 {tail}", f"{head} 5 9 8 7 6 5 {tail}")
+    for line in kinds:
+        (scan,) = load_scans(log(tmp_path, line)).scans
+        assert scan.ranges.tolist() == [1, 2, 3, 4, 5]
+        assert scan.angles.tolist() == [-1, -0.5, 0, 0.5, 1]
+        assert (scan.range_max, scan.stamp) == (30.0, 12.5)
+        assert scan.T_base_laser == Pose2D(0.3, 0.0, 0.0)
+    with pytest.raises(ScanError, match=r"line 1: ROBOTLASER1: got 30 words, expected 5 readings"):
+        load_scans(log(tmp_path, f"{head} 3 2 {tail}", FLASER))
+
+
+def test_laser_poses_that_move_against_the_robot_are_a_mapper_s(tmp_path: Path) -> None:
+    corrected = FLASER.replace("1.2 2 0.5 1 2", "1.5 2.4 0.6 1 2")
+    scans = load_scans(log(tmp_path, FLASER, corrected))
+    assert scans.poses is not None
+    assert scans.poses.tolist() == [[1.2, 2, 0.5], [1.5, 2.4, 0.6]]
+    assert scans[0].T_base_laser is None
+
+
+def test_angles_of_other_scanners_come_from_parameters_or_the_user(tmp_path: Path) -> None:
+    line = "FLASER 5 1 2 3 4 5 0 0 0 0 0 0 1 h 1"
+    with pytest.raises(ScanError, match=r"line 1: FLASER: 5 readings, .* --fov-deg"):
+        load_scans(log(tmp_path, line))
+    (scan,) = load_scans(log(tmp_path, line), fov=math.pi).scans
+    np.testing.assert_allclose(scan.angles, np.deg2rad([-90, -45, 0, 45, 90]))
+    said = ("PARAM laser_front_laser_resolution 30 h 0", "PARAM robot_front_laser_max 4.5 h 0")
+    (scan,) = load_scans(log(tmp_path, *said, line)).scans
+    np.testing.assert_allclose(scan.angles, np.deg2rad([-60, -30, 0, 30, 60]))
+    assert scan.range_max == 4.5
+    with pytest.raises(ScanError, match="robot_front_laser_max: got 'far', expected a positive"):
+        load_scans(log(tmp_path, "PARAM robot_front_laser_max far h 0", line))
+
+
+def test_raw_lasers_take_their_odometry_from_the_lines_of_the_log(tmp_path: Path) -> None:
+    raw = "RAWLASER1 0 -1 2 1 30 0.01 0 3 1 2 3 0 {} h 0"
+    odom = ("ODOM 0 0 3 0 0 0 10 h 0", "ODOM 2 0 -3 0 0 0 11 h 1")
+    scans = load_scans(log(tmp_path, odom[0], raw.format(10.5), raw.format(10.75), odom[1]))
+    assert scans.odom is not None
+    np.testing.assert_allclose(scans.odom[0], [1, 0, math.pi])
+    assert scans.odom[1, 2] < -3
+    assert load_scans(log(tmp_path, odom[0], raw.format(15))).odom is None
+    assert odometry_at(np.array([1.0]), np.empty(0), np.empty((0, 3))) is None
+
+
+def test_a_laser_is_chosen_by_name(tmp_path: Path) -> None:
+    path = log(tmp_path, FLASER.replace("FLASER", "RLASER").replace(" 1.00 ", " 7.0 "), FLASER)
+    assert load_scans(path)[0].ranges[0] == 1.0
+    assert load_scans(path, topic="RLASER")[0].ranges[0] == 7.0
+    with pytest.raises(ScanError, match=r"no messages ROBOTLASER1; it has FLASER \(1\), RLASER"):
+        load_scans(path, topic="ROBOTLASER1")
+
+
+def test_what_a_sick_writes_for_nothing_tells_how_far_it_reaches(tmp_path: Path) -> None:
+    near = FLASER.replace(" 1.05 ", " 8.183 ")
+    (scan,) = load_scans(log(tmp_path, near)).scans
+    assert (scan.range_max, scan.counts["no_return"]) == (8.0, 1)
+
+
+def test_a_line_that_is_cut_off_is_an_error_but_for_the_last(tmp_path: Path) -> None:
+    half = FLASER[:300]
+    assert len(load_scans(log(tmp_path, FLASER, half, end=""))) == 1
+    with pytest.raises(ScanError, match="line 1: FLASER: a word is missing or is no number"):
+        load_scans(log(tmp_path, half, FLASER))
+    with pytest.raises(ScanError, match="holds no whole FLASER"):
+        load_scans(log(tmp_path, half))
+    with pytest.raises(ScanError, match="no line of a laser, expected FLASER"):
+        load_scans(log(tmp_path, "hello"))
+
+
+def test_stamps_without_digits_are_none(tmp_path: Path) -> None:
+    path = log(tmp_path, *[FLASER.replace("1211.5", "1.01893e+09")] * 3)
+    assert load_scans(path).stamps is None
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [("belgioioso", "belgioioso.log"), ("fr079", "fr079.log"),
+     ("duke_loop5", "duke_loop5.dpslam.log")],
+)  # fmt: skip
+def test_logs_of_other_programs_are_the_scans_that_others_read_of_them(
+    shared: Path, name: str, file: str
+) -> None:
+    data = shared / "data"
+    scans, known = read_carmen(data / "raw" / file), load_scans(data / name / "scans.npz")
+    odd = range(1, len(scans), 2)  # the others made the map
+    assert known.poses is not None
+    assert len(known) == len(odd)
+    assert scans.odom is not None
+    mount = scans[0].T_base_laser or Pose2D(0.0, 0.0)
+    for k, (scan, i) in enumerate(zip(known.scans, odd, strict=True)):
+        np.testing.assert_allclose(scans[i].ranges, scan.ranges, atol=1e-4)
+        np.testing.assert_allclose(scans[i].angles, scan.angles, atol=1e-3)
+        if name == "fr079":
+            at = compose(Pose2D(*scans.odom[i]), mount)
+            np.testing.assert_allclose([at.x, at.y], known.poses[k, :2], atol=1e-4)
+            assert scans[i].stamp == scan.stamp
+    if name == "duke_loop5":
+        assert known.odom is not None
+        np.testing.assert_allclose(scans.odom[1::2], known.odom, atol=1e-5)
+        assert scans[0].range_max == known[0].range_max
+
+
+def test_localize_reads_a_log(tmp_path: Path) -> None:
+    scans = call("simulate", MAPS / "curved.yaml", "-n", 1, "--out", tmp_path / "a.npz")
+    assert scans.code == 0
+    scan = load_scans(tmp_path / "a.npz")[0]
+    ranges = " ".join(f"{r:.3f}" for r in scan.ranges)
+    path = log(tmp_path, f"FLASER 181 {ranges} 0.1 0 0 0 0 0 1.5 h 1.5")
+    (npz,) = rows(call("localize", "curved", tmp_path / "a.npz", "--json", "--no-cache").out)
+    run = call("localize", "curved", path, "--json", "--no-cache", "--topic", "FLASER")
+    (row,) = rows(run.out)
+    assert row["pose"]["x"] == pytest.approx(npz["pose"]["x"], abs=0.01)
+    base = row["base_pose"]
+    away = math.hypot(base["x"] - row["pose"]["x"], base["y"] - row["pose"]["y"])
+    assert away == pytest.approx(0.1, abs=1e-6)
+    bad = call("localize", "curved", path, "--no-cache", "--topic", "RLASER")
+    assert bad.code == 4
+    assert "no messages RLASER; it has FLASER (1)" in bad.err
