@@ -100,8 +100,9 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc atlas visibility --out atlas.png --range-max 5 --json",
     ),
     track: (
-        "imgloc track office.yaml log.npz --tum out.tum --picture track.png",
-        "imgloc track office.yaml log.npz --start 3,2,0 --json > track.jsonl",
+        "imgloc track office.yaml run.log --tum out.tum --picture track.png",
+        "imgloc track office.yaml run.bag --ros poses.yaml --json > track.jsonl",
+        "imgloc track office.yaml log.npz --start 3,2,0 --sensor 0.3,0,0",
         "imgloc track office.yaml log.npz --kidnap 60,12,3,1.5 --video out.mp4",
     ),
     which: ("imgloc which floors scans.npz", "imgloc which floors scan.csv --range-max 20 --json"),

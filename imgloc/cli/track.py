@@ -20,15 +20,21 @@ FilterName = StrEnum(
 _EVERY = "Look at a scan once the robot has gone M metres or turned DEG degrees. [default: 0.5,30]"
 
 
-@opt.with_options(opt.mounting, opt.reading, opt.resources, opt.console)
+@opt.with_options(opt.mounting, opt.reading, opt.logs, opt.resources, opt.console)
 def track(
     map_path: opt.MapPath,
     log: Annotated[
         Path,
-        typer.Argument(metavar="LOG", help="Scans with odometry, in the order of time."),
+        typer.Argument(
+            metavar="LOG",
+            callback=opt.find_scans,
+            help="Scans with odometry, in the order of time: a CARMEN .log; a ROS .bag, .mcap or "
+            ".db3; .npz or .jsonl with odom.",
+        ),
     ],
     mounting: opt.Mounting,
     reading: "opt.Reading",
+    logs: opt.Logs,
     resources: opt.Take,
     filter_: FilterName = typer.Option(FilterName.TRACKER, "--filter", help="Which filter."),
     start: Any = opt.pose_of("--start", "Where the robot starts, about. [default: anywhere]"),
@@ -105,11 +111,13 @@ def track(
     grid = inputs.load_grid(map_path, taken.memory_budget, allow_lossy=allow_lossy, **reading)
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     folder = inputs.kept_in(cache, wanted=not no_cache)
-    scans = inputs.load_set(log, taken.memory_budget)
+    scans = inputs.load_set(log, taken.memory_budget, logs)
     cut = tuple(mounting.mount(inputs.cut_scan(scan, range_max)) for scan in scans.scans)
     scans = replace(scans, scans=cut)
     if simulate_odometry is not None:
         scans = with_odometry(replace(scans, odom=None), simulate_odometry)[0]
+    if tum is not None and (scans.stamps is None or not np.isfinite(scans.stamps).any()):
+        raise ConfigError("--tum: the log has no stamps, which a trajectory needs")
     features = inputs.open_features(
         grid, display(map_path), folder, options, scans=scans.scans, threads=taken.threads
     )
@@ -129,7 +137,7 @@ def track(
             every=gap,
             start=None if start is None else Pose2D(*start),
             kidnap=None if kidnap is None else Kidnap(kidnap[0], Pose2D(*kidnap[1:])),
-            name=display(log),
+            name=inputs.name_of(log),
         )
         begin = time.perf_counter()
         with progress("track", len(scans)) as advance:
@@ -143,8 +151,6 @@ def track(
                 advance("" if math.isnan(gone) else f"{gone / took:.1f} x real time")
         inputs.keep_features(features, folder)
         if tum is not None:
-            if not any(math.isfinite(moment.stamp) for moment in moments):
-                raise ConfigError("--tum: the log has no stamps, which a trajectory needs")
             write_text_atomic(tum, tum_text(moments, mounting.pose), force=force)
             LOG.info("wrote %s", display(tum))
         if ros is not None:
