@@ -155,7 +155,8 @@ def starts(
     way = driven(scans)
     last = int(np.searchsorted(way, max(0.0, way[-1] - ahead), side="right"))
     stamps = np.arange(len(scans), dtype=np.float64) if scans.stamps is None else scans.stamps
-    marks = np.arange(stamps[0], stamps[max(0, last - 1)] + 1e-9, seconds)
+    long = stamps[max(0, last - 1)] - stamps[0]
+    marks = stamps[0] + seconds * np.arange(int(long // seconds) + 1 if seconds < np.inf else 0)
     regular = np.searchsorted(stamps, marks).tolist()
     random = rng.integers(0, max(1, last), count).tolist()
     return [int(k) for k in (*random, *regular)]
@@ -216,10 +217,11 @@ def kidnap_runs(
 class Trials:
     """What is tried on one log."""
 
-    starts: int = 50  #: at random; one each 30 s comes on top
+    starts: int = 50  #: at random; one each `seconds` comes on top
     metres: float = 15.0  #: driven from each of them
     kidnaps: int = 20
     seed: int = 0
+    seconds: float = 30.0
     resets: bool = True
     reset_by: str = "ght-v"  #: whose p(x | z) particles are drawn from
     every: Every = field(default_factory=Every)
@@ -227,7 +229,7 @@ class Trials:
     def at(self, scans: ScanSet) -> list[int]:
         """The starts in a log."""
         rng = np.random.default_rng(self.seed)
-        return starts(scans, self.starts, rng, ahead=max(AT))
+        return starts(scans, self.starts, rng, ahead=max(AT), seconds=self.seconds)
 
     def count(self, scans: ScanSet) -> int:
         """Number of runs in a log."""
