@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from imgloc.evaluation import Evaluation, evaluate
     from imgloc.explanation import Explanation, explain
     from imgloc.features.mapfeatures import MapFeatures
+    from imgloc.filters.choose import make_filter
     from imgloc.io.mapcheck import MapReport, check_map
     from imgloc.io.maps import load_map, save_map
     from imgloc.io.scans import load_scans, save_scans
@@ -49,15 +50,57 @@ if TYPE_CHECKING:
     from imgloc.pipeline import likelihood, localize, prepare
     from imgloc.sample import sample_poses
     from imgloc.simulation import Sensor, simulate
+    from imgloc.tracking import Every, Moment, follow
 
 __all__ = [
-    "ALL_METHODS", "METHODS", "Calibration", "Choice", "ConfigError", "Evaluation", "Evidence",
-    "Explanation", "FusedOptions", "GridInfo", "Hypothesis", "ImglocError", "LaserScan",
-    "Likelihood", "Localization", "MapError", "MapFeatures", "MapReport", "OccupancyGrid",
-    "Options", "OrientedPoints", "OutputError", "Picture", "Pose2D", "Prior", "ScanError",
-    "ScanSet", "Sensor", "Trust", "__version__", "check_map", "draw", "evaluate", "explain",
-    "likelihood", "load_map", "load_scans", "localize", "prepare", "sample_poses", "save_map",
-    "save_scans", "simulate", "which",
+    "ALL_METHODS",
+    "METHODS",
+    "Calibration",
+    "Choice",
+    "ConfigError",
+    "Evaluation",
+    "Every",
+    "Evidence",
+    "Explanation",
+    "FusedOptions",
+    "GridInfo",
+    "Hypothesis",
+    "ImglocError",
+    "LaserScan",
+    "Likelihood",
+    "Localization",
+    "MapError",
+    "MapFeatures",
+    "MapReport",
+    "Moment",
+    "OccupancyGrid",
+    "Options",
+    "OrientedPoints",
+    "OutputError",
+    "Picture",
+    "Pose2D",
+    "Prior",
+    "ScanError",
+    "ScanSet",
+    "Sensor",
+    "Trust",
+    "__version__",
+    "check_map",
+    "draw",
+    "evaluate",
+    "explain",
+    "follow",
+    "likelihood",
+    "load_map",
+    "load_scans",
+    "localize",
+    "make_filter",
+    "prepare",
+    "sample_poses",
+    "save_map",
+    "save_scans",
+    "simulate",
+    "which",
 ]  # fmt: skip
 
 _HOMES = {
@@ -66,6 +109,7 @@ _HOMES = {
     "imgloc.evaluation": "Evaluation evaluate",
     "imgloc.explanation": "Explanation explain",
     "imgloc.features.mapfeatures": "MapFeatures",
+    "imgloc.filters.choose": "make_filter",
     "imgloc.io.mapcheck": "MapReport check_map",
     "imgloc.io.maps": "load_map save_map",
     "imgloc.io.scans": "load_scans save_scans",
@@ -77,6 +121,7 @@ _HOMES = {
     "imgloc.pipeline": "likelihood localize prepare",
     "imgloc.sample": "sample_poses",
     "imgloc.simulation": "Sensor simulate",
+    "imgloc.tracking": "Every Moment follow",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 
