@@ -58,7 +58,11 @@ class TrackerOptions:
     #: components nearer than this are one, metres and radians
     merge: tuple[float, float] = (0.3, 0.15)
     mass: float = 0.95  #: of the best component, to be ``unique``
-    sure: float = 1.0  #: metres that it has to be followed for before it is
+    #: metres that it has to be followed for before it is: at first, and where it replaces another
+    sure: tuple[float, float] = (1.5, 4.0)
+    #: metres between two searches while the best component is unique and fits as usual: other
+    #: places are then only looked at where they are followed
+    search: float = 1.5
     #: nats per reading that the best component may lack more than usual to stay ``unique``, and
     #: more than in the scan before to be no surprise
     surprise: tuple[float, float] = (0.5, 0.7)
@@ -104,7 +108,7 @@ class Tracker:
         self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
         self._mass, self._followed = np.empty(0), np.empty(0)
         self._lost, self._resets, self._seen = 1.0, 0, False
-        self._way = np.zeros(2)
+        self._way, self._unsearched = np.zeros(2), 0.0
         self._usual, self._last, self._doubted = np.nan, np.nan, False
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
@@ -123,6 +127,7 @@ class Tracker:
         )
         metres, radians = float(np.hypot(*increment[:2])), abs(float(wrap(increment[2])))
         self._way += metres, radians
+        self._unsearched += metres
         self._followed = self._followed + metres
 
     def watch(self, scan: LaserScan) -> bool:
@@ -145,7 +150,9 @@ class Tracker:
         new = float(min(1.0, (self._way / how.fresh).sum()))
         new, self._way = (max(how.least, new) if self._seen else 1.0), np.zeros(2)
         self._seen = True
-        found = self._find(scan)[: 2 * how.births]
+        found = np.empty((0, 3))
+        if self.watch(scan) or self._unsearched >= how.search or self.belief.verdict != UNIQUE:
+            found, self._unsearched = self._find(scan)[: 2 * how.births], 0.0
         near = settled(self.features, scan, self._poses, self.options)
         poses = np.concatenate((self._poses, near, found))
         if not len(poses):
@@ -233,7 +240,9 @@ class Tracker:
         self._poses = np.concatenate((self._poses, seen.poses[new]))
         self._covariance = np.concatenate((self._covariance, self._noise(seen)[new]))
         self._mass = np.concatenate((self._mass, given * share))
-        self._followed = np.concatenate((self._followed, np.zeros(len(new))))
+        first_sure, again = self.how.sure
+        ahead = first_sure - again if len(self._followed) else 0.0
+        self._followed = np.concatenate((self._followed, np.full(len(new), ahead)))
         self._lost -= given * float(share.sum())
 
     def _normalise(self) -> None:
@@ -271,7 +280,7 @@ class Tracker:
         if self._lost > 0.5 or not len(mass):
             verdict = LOST
         elif not self._doubted and mass[0] >= self.how.mass:
-            verdict = UNIQUE if self._followed[order[0]] >= self.how.sure else AMBIGUOUS
+            verdict = UNIQUE if self._followed[order[0]] >= self.how.sure[0] else AMBIGUOUS
         neff = float(np.square(mass.sum()) / max(1e-300, np.square(mass).sum()))
         return Belief(
             self._poses[order], mass, self._covariance[order], self._lost, verdict, neff,
