@@ -102,7 +102,8 @@ def choose(
     >>> from imgloc.model import Evidence, Hypothesis, Pose2D
     >>> def made(score):
     ...     pose = Hypothesis(Pose2D(0.0, 0.0), score, 1.0, np.eye(3))
-    ...     evidence = Evidence(100, 1.5, 1.5 - score / 100, log_volume=np.array([-9.0]))
+    ...     fit, volume = 1.5 - score / 100, np.array([-9.0])
+    ...     evidence = Evidence(100, 1.5, fit, gained=9.0, log_volume=volume)
     ...     return Localization((pose,), "unique", 0.0, 1.0, evidence=evidence)
     >>> choose({"cellar": made(-150.0), "attic": made(140.0)}).verdict
     'attic'
@@ -119,17 +120,17 @@ def choose(
     if not found:
         return Choice("none", dict.fromkeys(fits, 0.0), 1.0, {}, trust.temperature)
     best = min(found, key=lambda f: f.evidence.misfit)
-    misfit = best.evidence.misfit
-    temperature = trust.temperature_at(misfit).value
+    said = best.evidence
+    temperature = trust.temperature_at(said.misfit, said.readings).value
     evidence = {name: log_evidence(f, temperature) for name, f in fits.items()}
     top = max(evidence.values())
     order = sorted(evidence, key=lambda name: (-evidence[name], name))
     weights = np.exp([evidence[name] - top for name in order])
-    lead = LEAD * best.evidence.readings / temperature
+    lead = LEAD * said.readings / temperature
     other = np.exp(unknown_evidence(list(evidence.values()), lead) - top)
     # The chance of being elsewhere counts twins in one map; twins in two maps are no less twins.
     share = masses(np.array([h.log_likelihood for h in best.hypotheses]), temperature)
-    elsewhere = trust.mass_elsewhere(misfit, float(share[0]))
+    elsewhere = trust.mass_elsewhere(said.gained, float(share[0]))
     weights *= (1 - elsewhere) / (weights.sum() + other)
     none = float(1 - weights.sum())
     probability = dict(zip(order, weights.tolist(), strict=True))

@@ -27,7 +27,7 @@ from imgloc.features.distance import DistanceField
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import coarse_info
 from imgloc.features.raycast import cast_rays
-from imgloc.features.scanpoints import scan_points, scan_xy, thin
+from imgloc.features.scanpoints import one_per_place, scan_points, scan_xy
 from imgloc.geometry import in_grid_frame, poses_of, transform_points, uniform_thetas, wrap
 from imgloc.likelihoods.correlate import correlate
 from imgloc.model import (
@@ -132,7 +132,7 @@ def explain(
     local = [in_grid_frame(h, features.grid.info) for h in answer.hypotheses]
     score = np.array([h.log_likelihood for h in local])
     if local and options.method != FUSED:  # of votes, say: what its readings say there
-        score = settle(features, scan, poses_of(local), options).log_likelihood
+        score = settle(features, scan, poses_of(local), options)[1].log_likelihood
     about = (features.surface, features.field, features.walls, options.fused.model)
     fits = tuple(
         HypothesisFit(
@@ -305,13 +305,13 @@ def layers_of(features: MapFeatures, scan: LaserScan, options: Options) -> Itera
 def _endpoints(features: MapFeatures, scan: LaserScan, options: Options) -> Layer:
     """Endpoint correlation on the finest level of the pyramid that is worth the time."""
     prior, fused = options.prior, options.fused
-    few, threads = thin(scan.valid, fused.few_rays), options.threads
+    few, threads = one_per_place(scan, fused.place).spread(fused.few_rays), options.threads
     thetas = uniform_thetas(2 * fused.theta_step)
     thetas = thetas[prior.headings(thetas, fused.theta_step)]
     levels = pyramid_levels(prior, features.pyramid, features.grid.resolution)
     work = [len(few) * len(thetas) * level.image.size for level in levels]
     level = levels[next((k for k, w in enumerate(work) if w <= _WORK), len(levels) - 1)]
-    xy, cell, at_once = scan_xy(scan)[few], level.resolution, max(1, _CHUNK // level.image.size)
+    xy, cell, at_once = few.xy, level.resolution, max(1, _CHUNK // level.image.size)
     best = np.zeros(level.image.shape, dtype=np.float32)
     need = 12 * level.image.size * min(at_once, max(1, len(thetas))) + 64 * MIB
     what = "the picture of the endpoint correlation"

@@ -404,11 +404,11 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Temperature:
-    """What evidence was divided by, and why: ``(base + strain) * crowding * cell``.
+    """What evidence was divided by, and why: ``(base + strain) * number * cell``.
 
     Examples
     --------
-    >>> Temperature(1.5, 3.0, crowding=2.0).value
+    >>> Temperature(1.5, 3.0, number=0.5, cell=4.0).value
     9.0
     """
 
@@ -416,13 +416,13 @@ class Temperature:
     #: pose.
     base: float = math.nan
     strain: float = 0.0  #: added for the misfit
-    crowding: float = 1.0  #: factor for readings on the same patch of wall, at least 1
+    number: float = 1.0  #: factor for the number of readings
     cell: float = 1.0  #: factor for the cells of the map, at least 1
 
     @property
     def value(self) -> float:
         """The product."""
-        return (self.base + self.strain) * (self.crowding * self.cell)
+        return (self.base + self.strain) * (self.number * self.cell)
 
 
 @dataclass(frozen=True)
@@ -447,6 +447,9 @@ class Evidence:
     readings: int = 0  #: how many were scored
     best: float = math.nan  #: log-likelihood of a reading that fits perfectly, nats
     misfit: float = math.nan  #: nats per reading that the best pose lacks; NaN without a pose
+    unmapped: float = math.nan  #: nats per reading in a building that is on no map
+    #: nats, divided by the score's temperature, by which the best pose fits better than that
+    gained: float = math.nan
     #: what made masses of the log-likelihoods
     temperature: Temperature = field(default_factory=Temperature)
     #: (L,) Of each listed hypothesis: logarithm of its volume as a share of that of all poses
@@ -536,8 +539,9 @@ class Localization:
             for h in self.hypotheses
         ]
         evidence = {"readings": e.readings, "misfit": e.misfit, "temperature": t.value}
-        evidence |= {name: getattr(t, name) for name in ("base", "strain", "crowding", "cell")}
-        evidence |= {name: getattr(e, name) for name in ("found", "listed", "unlisted")}
+        evidence |= {name: getattr(t, name) for name in ("base", "strain", "number", "cell")}
+        rest = ("unmapped", "gained", "found", "listed", "unlisted")
+        evidence |= {name: getattr(e, name) for name in rest}
         out = {
             "index": index,
             "verdict": self.verdict,

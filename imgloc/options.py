@@ -1,7 +1,7 @@
 """Everything that decides an answer, apart from the map and the scan: plain, frozen values.
 
->>> Options(method="ght-v").top, Options(trust=Trust(mass=0.99)).method
-(5, 'fused')
+>>> Options(method="ght-v").top is None, Options(trust=Trust(mass=0.99)).method
+(True, 'fused')
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,6 +15,8 @@ from imgloc.geometry import cell_of, inside, uniform_thetas, wrap
 from imgloc.model import BoolArray, FloatArray, GridInfo, Temperature
 
 FUSED = "fused"
+MOST_OF_IT = 0.95  #: share of the mass found that the hypotheses listed hold
+AT_LEAST, AT_MOST = 5, 100  #: hypotheses that are listed, however much mass they hold
 
 
 @dataclass(frozen=True)
@@ -182,8 +184,10 @@ class FusedOptions:
     vote_cells: int = 4_000_000
     vote_headings: int = 24  #: number of headings of the GHT-V votes
     vote_peaks: int = 100  #: how many peaks of the votes become proposals
-    few_rays: int = 64  #: rays of the first look at all proposals, and of the second at the best
-    rays: int = 180
+    #: side of the squares of which each counts as one reading, metres
+    place: float = 0.07
+    few_rays: int = 64  #: such readings of the first look at all proposals, and of the second at
+    rays: int = 180  #: the best
     #: how many places get the second look, and how many poses, which may be of one place: between
     #: two layers of a wall the score has several maxima
     second_look: int = 80
@@ -201,54 +205,50 @@ class Trust:
     """What turns evidence into probabilities and a verdict."""
 
     readings: int = 10  #: with valid readings in fewer directions than this a scan is ``invalid``
-    #: what evidence is divided by where map and scan agree perfectly: neighbouring readings are not
-    #: independent
-    temperature: float = 1.5
-    strain: float = 15.0  #: growth of the temperature per nat of misfit
-    #: growth of the temperature per reading on the same patch of wall, of :func:`crowding`, from
-    #: where this makes more than 1 of it: they share the errors of the map, so that a scan of a
-    #: corner with hundreds of readings says no more than one with a few
-    crowded: float = 0.36
+    #: what the evidence of 100 readings is divided by where map and scan agree perfectly: errors of
+    #: neighbours are not independent. It grows with the root of their number.
+    temperature: float = 2.0
+    strain: float = 9.0  #: growth of that temperature per nat of misfit
     #: cell of a map, metres, above which the temperature grows in proportion: all readings on a
     #: wall share the error of its place, up to half a cell
     fine: float = 0.1
-    #: log-odds that the true pose is none of the hypotheses: constant, per nat of misfit, per share
-    #: of the mass that the best hypothesis does not hold. A logistic regression on simulated scans
-    #: in the bundled worlds, a third of them disturbed, against scans from other worlds; the
-    #: constant is lowered by 2, as most scans are of their map.
-    elsewhere: tuple[float, float, float] = (-5.1, 1.8, 3.9)
+    #: log-odds that the true pose is none of the hypotheses: constant, per nat of evidence by which
+    #: the best fits better than a building on no map would, per share of the mass that it does not
+    #: hold. A logistic regression, see ``python -m tools.trust fit``
+    elsewhere: tuple[float, float, float] = (-3.4, -0.53, 2.2)
+    most: float = 30.0  #: nats of such evidence; more says no more
     mass: float = 0.9  #: mass that the best pose needs to be ``unique``
     correlated: float = 2.9  #: how many neighbouring readings share one error, for the covariances
 
-    def temperature_at(
-        self, misfit: float, crowding: float = 1.0, cell: float = 0.0
-    ) -> Temperature:
-        """Temperature for a misfit in nats per reading, readings per patch, and a map's cell.
+    def temperature_at(self, misfit: float, readings: int = 100, cell: float = 0.0) -> Temperature:
+        """Temperature for a misfit in nats per reading, readings, and the cell of a map in metres.
 
         Examples
         --------
-        >>> trust = Trust(temperature=2.0, strain=10.0, crowded=0.5)
-        >>> [trust.temperature_at(0.5, crowding).value for crowding in (1.0, 6.0)]
-        [7.0, 21.0]
+        >>> trust = Trust(temperature=2.0, strain=10.0)
+        >>> [trust.temperature_at(0.5, n).value for n in (25, 100, 400)]
+        [3.5, 7.0, 14.0]
         >>> trust.temperature_at(0.5, cell=0.2).value
         14.0
         """
-        factors = max(1.0, self.crowded * crowding), max(1.0, cell / self.fine)
-        return Temperature(self.temperature, self.strain * max(0.0, misfit), *factors)
+        strain = self.strain * max(0.0, misfit)
+        number = float(np.sqrt(max(1, readings) / 100))
+        return Temperature(self.temperature, strain, number, max(1.0, cell / self.fine))
 
-    def mass_elsewhere(self, misfit: float, best: float) -> float:
+    def mass_elsewhere(self, evidence: float, best: float) -> float:
         """Probability that the true pose is none of the hypotheses.
 
-        A scan of another place fits badly, and it fits several poses equally badly. `misfit` is
-        that of the best pose, nats per reading, `best` its mass among the hypotheses, 0..1.
+        `evidence` is by how many nats, divided by the temperature, the best pose fits better than
+        a building on no map would; `best` is its mass among the hypotheses, 0..1.
 
         Examples
         --------
-        >>> Trust().mass_elsewhere(0.1, 1.0) < 0.01, Trust().mass_elsewhere(2.0, 0.2) > 0.5
+        >>> Trust().mass_elsewhere(20.0, 1.0) < 0.01, Trust().mass_elsewhere(-5.0, 0.2) > 0.5
         (True, True)
         """
         constant, per_nat, per_share = self.elsewhere
-        odds = constant + per_nat * max(0.0, misfit) + per_share * (1 - best)
+        said = float(np.clip(evidence, -self.most, self.most))
+        odds = constant + per_nat * said + per_share * (1 - best)
         return float(1 / (1 + np.exp(-odds)))
 
 
@@ -260,8 +260,9 @@ class Options:
     ----------
     method : str
         ``fused`` or a name of :data:`METHODS`.
-    top : int
-        How many hypotheses are listed.
+    top : int, optional
+        How many hypotheses are listed; None takes as many as hold :data:`MOST_OF_IT` of the mass,
+        from :data:`AT_LEAST` to :data:`AT_MOST`.
     theta_step : float or None
         Step of the headings of a stack, radians, and of branch and bound, whose own are those
         of ``cbml``; None takes the method's own.
@@ -287,7 +288,7 @@ class Options:
     """
 
     method: str = FUSED
-    top: int = 5
+    top: int | None = None
     theta_step: float | None = None
     engine: str = "auto"
     threads: int = 1
@@ -298,6 +299,23 @@ class Options:
     fused: FusedOptions = field(default_factory=FusedOptions)
     trust: Trust = field(default_factory=Trust)
     calibration: Calibration | None = None
+
+    def listed(self, share: FloatArray) -> int:
+        """How many hypotheses of these shares (M,), in their order, are listed.
+
+        Examples
+        --------
+        >>> some = np.full(12, 1 / 12)
+        >>> Options().listed(some), Options(top=2).listed(some), Options(top=99).listed(some)
+        (12, 2, 12)
+        >>> Options().listed(np.array([0.9, 0.08, *np.full(20, 0.001)]))
+        5
+        """
+        if self.top is not None:
+            return min(self.top, len(share))
+        held = np.cumsum(share)
+        enough = int(np.searchsorted(held, MOST_OF_IT * held[-1:].sum())) + 1
+        return min(max(AT_LEAST, enough), AT_MOST, len(share))
 
     @property
     def step(self) -> float:

@@ -24,7 +24,7 @@ from imgloc.errors import ConfigError
 from imgloc.features.budget import check_budget, exact_bytes, fused_bytes, stack_bytes
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import block_masks
-from imgloc.features.scanpoints import scan_xy, thin
+from imgloc.features.scanpoints import Readings, one_per_place, scan_xy
 from imgloc.geometry import centre_of, in_map_frame, uniform_thetas
 from imgloc.io.maps import require_usable
 from imgloc.likelihoods.posterior import calibrated, entropy
@@ -34,7 +34,6 @@ from imgloc.model import (
     Float32Array,
     FloatArray,
     Hypothesis,
-    IntArray,
     LaserScan,
     Likelihood,
     Localization,
@@ -42,6 +41,7 @@ from imgloc.model import (
     Temperature,
 )
 from imgloc.options import ALL_METHODS, DEFAULTS, FUSED, METHODS, Options, Prior
+from imgloc.search.background import unmapped_score
 from imgloc.search.branch_and_bound import best_poses
 from imgloc.search.hypotheses import as_hypotheses, covariances, masses, modes
 from imgloc.search.peaks import peaks_of_posterior
@@ -49,7 +49,7 @@ from imgloc.search.priors import on_lattice, pyramid_levels, standing
 from imgloc.search.proposals import propose_endpoints, propose_votes
 from imgloc.search.refine import refine
 from imgloc.search.rescore import Scores, rescore, shortlist
-from imgloc.search.trust import crowding, judge
+from imgloc.search.trust import judge
 
 MODES = 20
 """Poses that are looked for, however few are listed: no verdict depends on the list's length."""
@@ -119,7 +119,7 @@ def localize(
     if scan.directions < max(1, options.trust.readings):
         found = NOTHING
     elif options.method == FUSED:  # propose, refine, score, separate; then weigh
-        found = weigh(features, scan, find_modes(features, scan, options), options)
+        found = weigh(features, find_modes(features, scan, options), options)
     elif options.exact:
         found = find_exact(features, scan, options)
     else:
@@ -127,11 +127,11 @@ def localize(
         found = find_in_stack(features, scan, stack, options)
     elsewhere = 1.0
     if len(found.poses):
-        elsewhere = options.trust.mass_elsewhere(found.misfit, found.lead)
+        elsewhere = options.trust.mass_elsewhere(found.gained, found.lead)
     mass = (1 - elsewhere) * found.share
     verdict, checks = judge(scan.directions, mass, elsewhere, options.trust, found.complete)
     arrays = (found.poses, found.log_likelihood, mass, found.covariance)
-    listed = as_hypotheses(*(array[: options.top] for array in arrays))
+    listed = as_hypotheses(*(array[: options.listed(found.share)] for array in arrays))
     hypotheses = tuple(in_map_frame(h, features.grid.info) for h in listed)
     elapsed = 1e3 * (time.perf_counter() - start)
     whole = np.append(mass, elsewhere) if len(mass) else mass
@@ -149,6 +149,8 @@ def localize(
             readings=found.readings,
             best=options.fused.model.best,
             misfit=found.misfit,
+            unmapped=found.unmapped,
+            gained=found.gained,
             temperature=found.temperature,
             log_volume=_log_volumes(hypotheses, features),
             checks=checks,
@@ -166,7 +168,7 @@ class Modes:
 
     poses: FloatArray
     scores: Scores
-    rays: IntArray  #: the readings that were scored
+    readings: Readings  #: those that were scored
     complete: bool = True  #: the search came to its end
 
 
@@ -186,14 +188,14 @@ def find_modes(
     more : (M, 3) float array, optional
         Proposals of another source, grid frame.
     """
-    fused, prior, xy = options.fused, options.prior, scan_xy(scan)
-    few, many = thin(scan.valid, fused.few_rays), thin(scan.valid, fused.rays)
+    fused, prior, seen = options.fused, options.prior, one_per_place(scan, options.fused.place)
+    few, many = seen.spread(fused.few_rays), seen.spread(fused.rays)
     deadline = time.monotonic() + (np.inf if options.time_budget is None else options.time_budget)
 
     # Propose.
     endpoints, _ = propose_endpoints(
         levels := pyramid_levels(prior, features.pyramid, features.grid.resolution),
-        xy[few],
+        few.xy,
         theta_step=fused.theta_step,
         keep=fused.keep[: len(levels)],
         skip=fused.skip,
@@ -209,27 +211,27 @@ def find_modes(
         proposals.append(exact_poses(features, scan, options)[0])
 
     # Refine: all with a few rays, then the best ones with more of them.
-    poses = refine(np.concatenate(proposals), xy[few], features.field, sigmas=(0.2, 0.1))
+    poses = refine(np.concatenate(proposals), few.xy, features.field, sigmas=(0.2, 0.1))
     poses = standing(poses, prior, features)
-    poses = shortlist(poses, scan, few, features, fused)
+    poses = shortlist(poses, few, features, fused)
     late = time.monotonic() > deadline
     if late:
         poses = poses[:_LAST]
-    poses = refine(poses, xy[many], features.field, sigmas=(0.1, 0.05))
+    poses = refine(poses, many.xy, features.field, sigmas=(0.1, 0.05))
     poses = standing(poses, prior, features)
 
     # Score, and separate.
-    scores = score_poses(features, scan, poses, many, options)
+    scores = score_poses(features, many, poses, options)
     distance, angle = fused.separation
     apart = modes(poses, scores.log_likelihood, distance=distance, angle=angle)
     return Modes(poses[apart], scores.select(apart), many, complete=not late)
 
 
 def score_poses(
-    features: MapFeatures, scan: LaserScan, poses: FloatArray, rays: IntArray, options: Options
+    features: MapFeatures, readings: Readings, poses: FloatArray, options: Options
 ) -> Scores:
     """Scores of poses (C, 3), grid frame, by some readings of a scan."""
-    ranges, angles, model = scan.ranges[rays], scan.angles[rays], options.fused.model
+    ranges, angles, model = readings.ranges, readings.angles, options.fused.model
     return rescore(poses, ranges, angles, features.field, features.walls, model)
 
 
@@ -242,11 +244,14 @@ class Found:
     share: FloatArray  #: (M,) Mass of each if the true pose is one of them
     covariance: FloatArray  #: (L, 3, 3) Of as many as are listed, at least
     misfit: float = float("nan")  #: nats per reading that the best pose lacks
+    unmapped: float = float("nan")  #: nats per reading in a building that is on no map
+    gained: float = float("nan")  #: nats, tempered, by which the best pose beats that
     explained: float = 0.0  #: share of the readings that the best pose explains
     temperature: Temperature = field(default_factory=Temperature)  #: what made shares of nats
     readings: int = 0  #: how many decided about the misfit
-    #: share of the best, as far as it says something about the true pose being none of them
-    lead: float = 1.0
+    #: share of the best, as far as it says something about the true pose being none of them: votes
+    #: are spread where walls are few, too, so that those of a stack say nothing
+    lead: float = 0.0
     entropy: float | None = None  #: of a whole posterior, nats
     complete: bool = True  #: the search came to its end
 
@@ -254,19 +259,19 @@ class Found:
 NOTHING = Found(np.empty((0, 3)), np.empty(0), np.empty(0), np.empty((0, 3, 3)))
 
 
-def weigh(features: MapFeatures, scan: LaserScan, found: Modes, options: Options) -> Found:
+def weigh(features: MapFeatures, found: Modes, options: Options) -> Found:
     """What separated, scored poses are worth: shares and covariances."""
     if len(found.poses) == 0:
         return replace(NOTHING, complete=found.complete)
-    xy, score, trust = scan_xy(scan)[found.rays], found.scores.log_likelihood, options.trust
-    fit = _fit(found.scores, options)
-    temperature = trust.temperature_at(fit["misfit"], crowding(xy), features.grid.resolution)
+    xy, score = found.readings.xy, found.scores.log_likelihood
+    fit, temperature = _fit(features, found.readings, found.scores, options)
     share = masses(score, temperature.value)
+    listed = found.poses[: options.listed(share)]
     return Found(
         found.poses,
         score,
         share,
-        _covariances(features, found.poses, xy, options, 2 * min(options.fused.model.sigmas)),
+        _covariances(features, listed, xy, options, 2 * min(options.fused.model.sigmas)),
         temperature=temperature,
         lead=float(share[0]),
         complete=found.complete,
@@ -285,14 +290,16 @@ def find_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Foun
         return NOTHING
     how = options.calibration or DEFAULTS["cbml"]
     temperature = how.temperature_at("cbml", int(scan.valid.sum()))
-    xy = scan_xy(scan)[thin(scan.valid, options.fused.rays)]
+    xy = one_per_place(scan, options.fused.place).spread(options.fused.rays).xy
+    share = masses(np.log(score), temperature)
+    listed = poses[: options.listed(share)]
     return Found(
         poses,
         score,
-        masses(np.log(score), temperature),
-        _covariances(features, poses, xy, options, features.lattice.resolution),
+        share,
+        _covariances(features, listed, xy, options, features.lattice.resolution),
         temperature=Temperature(temperature),
-        **_fit(settle(features, scan, poses[:1], options), options),
+        **_settled_fit(features, scan, poses[:1], options),
     )
 
 
@@ -305,7 +312,7 @@ def exact_poses(
     if prior.cells is not None:
         where = on_lattice(prior, features.free, features.factor)
         pooled = replace(pooled, where=block_masks(where, pooled.top))
-    (distance, angle), n = options.fused.separation, max(options.top, MODES)
+    (distance, angle), n = options.fused.separation, max(options.top or 0, MODES)
     xy, some, threads = scan_xy(scan)[scan.valid], thetas[wanted], options.threads
     best = best_poses(pooled, xy, some, count=n, distance=distance, angle=angle, threads=threads)
     xy = centre_of(best.cells[:, 1:], features.lattice.resolution)
@@ -321,7 +328,7 @@ def find_in_stack(
     hold more mass.
     """
     probability = posterior_of(features, scan, stack, options)
-    n = 4 * max(options.top, MODES)  # more than modes: some are neighbours on the slope of one
+    n = 4 * max(options.top or 0, MODES)  # more than modes: some are neighbours on the slope of one
     cell, apart = stack.grid.resolution, options.fused.separation
     poses, share, covariance, peaks = peaks_of_posterior(
         probability, stack.thetas, cell, n=n, separation=apart
@@ -337,33 +344,52 @@ def find_in_stack(
         *(poses, score, share, covariance),
         temperature=Temperature(temperature),
         entropy=entropy(probability),
-        # Votes are spread where walls are few, too: no share says anything of the scan.
-        **_fit(settle(features, scan, poses[:1], options), options),
+        **_settled_fit(features, scan, poses[:1], options),
     )
 
 
-def settle(features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Options) -> Scores:
+def settle(
+    features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Options
+) -> tuple[Readings, Scores]:
     """Scores of poses after they have settled: trust is about the place, not about the cell."""
-    rays = thin(scan.valid, options.fused.rays)
-    poses = refine(poses, scan_xy(scan)[rays], features.field, sigmas=(0.3, 0.1, 0.05))
-    return score_poses(features, scan, poses, rays, options)
+    readings = one_per_place(scan, options.fused.place).spread(options.fused.rays)
+    poses = refine(poses, readings.xy, features.field, sigmas=(0.3, 0.1, 0.05))
+    return readings, score_poses(features, readings, poses, options)
 
 
-def _fit(scores: Scores, options: Options) -> dict[str, Any]:
-    """Misfit, explained share and readings of the best pose, as :class:`Found` has them."""
-    readings = scores.crossed.shape[1]
-    per_reading = float(scores.log_likelihood[0]) / readings
-    misfit, explained = float(options.fused.model.best - per_reading), float(scores.explained[0])
-    return {"misfit": misfit, "explained": explained, "readings": readings}
+def _settled_fit(
+    features: MapFeatures, scan: LaserScan, best: FloatArray, options: Options
+) -> dict[str, Any]:
+    """What :func:`_fit` says of a stack's best pose (1, 3)."""
+    return _fit(features, *settle(features, scan, best, options), options)[0]
+
+
+def _fit(
+    features: MapFeatures, readings: Readings, scores: Scores, options: Options
+) -> tuple[dict[str, Any], Temperature]:
+    """How well the best pose fits, as :class:`Found` has it, and the temperature of its score."""
+    n, model = len(readings), options.fused.model
+    total = float(scores.log_likelihood[0])
+    misfit = model.best - total / n
+    told = options.prior.cells is not None or options.prior.heading is not None
+    unmapped = unmapped_score(readings.xy, model, told=told)
+    temperature = options.trust.temperature_at(misfit, n, features.grid.resolution)
+    said = {
+        "misfit": misfit,
+        "unmapped": unmapped,
+        "gained": (total - unmapped * n) / temperature.value,
+        "explained": float(scores.explained[0]),
+        "readings": n,
+    }
+    return said, temperature
 
 
 def _covariances(
     features: MapFeatures, poses: FloatArray, xy: FloatArray, options: Options, sigma: float
 ) -> FloatArray:
     """Covariances of the poses that are listed."""
-    listed, field, trust = poses[: options.top], features.field, options.trust
-    extent = options.fused.separation
-    return covariances(listed, xy, field, sigma=sigma, correlated=trust.correlated, extent=extent)
+    field, trust, extent = features.field, options.trust, options.fused.separation
+    return covariances(poses, xy, field, sigma=sigma, correlated=trust.correlated, extent=extent)
 
 
 def _log_volumes(hypotheses: tuple[Hypothesis, ...], features: MapFeatures) -> FloatArray:
@@ -434,7 +460,7 @@ def check_options(features: MapFeatures, options: Options) -> None:
     """Refuse what :func:`localize` cannot do, by its errors, before anything is done."""
     _expect(features, MapFeatures, "features", "prepare(grid) makes them")
     _expect(options, Options, "options", 'Options(method="...") makes them')
-    if options.top < 1:
+    if options.top is not None and options.top < 1:
         raise ConfigError(f"top must be at least 1, got {options.top}")
     check_method(options.method, ALL_METHODS)
     if options.exact and options.method not in (FUSED, "cbml"):

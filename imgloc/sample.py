@@ -1,5 +1,7 @@
 """Poses drawn from p(x | z): where a particle filter that has lost the robot may start again."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from imgloc.errors import ConfigError
@@ -8,6 +10,8 @@ from imgloc.geometry import centre_of, transform_poses, wrap
 from imgloc.model import BoolArray, Float32Array, FloatArray, GridInfo, LaserScan, Localization
 from imgloc.options import FUSED, Options
 from imgloc.pipeline import likelihood, localize, posterior_of
+
+_ALL = 200  # more hypotheses than are found
 
 
 def sample_poses(
@@ -24,7 +28,7 @@ def sample_poses(
     scan : LaserScan
         With too few readings, or readings that say nothing, poses are drawn from everywhere.
     options : Options, optional
-        ``fused`` draws around as many hypotheses as it may list, the others from their stack.
+        ``fused`` draws around all that it finds, listed or not, the others from their stack.
 
     Examples
     --------
@@ -39,7 +43,7 @@ def sample_poses(
     options = options or Options()
     lattice = features.lattice
     if scan.directions < options.trust.readings or options.method == FUSED:
-        answer = localize(features, scan, options)
+        answer = localize(features, scan, replace(options, top=_ALL))
         return draw_near(answer, features.free, lattice, count, rng)
     stack = likelihood(features, scan, options)
     probability = posterior_of(features, scan, stack, options)

@@ -11,17 +11,20 @@ from imgloc.choice import LUCK, choose, find_maps, fit, log_evidence, names_of, 
 from imgloc.errors import ConfigError
 from imgloc.io.maps import save_map
 from imgloc.model import Evidence, Hypothesis, Localization, OccupancyGrid, Pose2D
-from imgloc.options import Options
+from imgloc.options import Options, Trust
 from imgloc.pipeline import prepare
 from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 
 
 def made(*scores: float, log_volume: float = -10.0) -> Localization:
-    """An answer by 100 readings, each worth 1.5 nats at best."""
+    """An answer by 100 readings, each worth 1.5 nats at best, and half a nat on no map."""
     hypotheses = tuple(Hypothesis(Pose2D(0, 0), s, 0.5, np.eye(3)) for s in scores)
     misfit = 1.5 - scores[0] / 100 if scores else np.nan
-    evidence = Evidence(100, 1.5, misfit, log_volume=np.full(len(scores), log_volume))
+    temperature = Trust().temperature_at(misfit).value
+    gained = (scores[0] - 50) / temperature if scores else np.nan
+    volume = np.full(len(scores), log_volume)
+    evidence = Evidence(100, 1.5, misfit, unmapped=0.5, gained=gained, log_volume=volume)
     return Localization(hypotheses, "unique", 0.0, 1.0, evidence=evidence)
 
 

@@ -105,10 +105,10 @@ def test_the_evidence_is_in_the_json_and_in_the_text(scans: Path) -> None:
     (answer,) = rows(call(*words, "--json").out)
     evidence = answer["evidence"]
     assert list(evidence) == [
-        "readings", "misfit", "temperature", "base", "strain", "crowding", "cell", "found",
-        "listed", "unlisted",
+        "readings", "misfit", "temperature", "base", "strain", "number", "cell", "unmapped",
+        "gained", "found", "listed", "unlisted",
     ]  # fmt: skip
-    t = (evidence["base"] + evidence["strain"]) * evidence["crowding"] * evidence["cell"]
+    t = (evidence["base"] + evidence["strain"]) * evidence["number"] * evidence["cell"]
     assert evidence["temperature"] == pytest.approx(t)
     assert evidence["listed"] == len(answer["hypotheses"]) == 1 < evidence["found"]
     mass = answer["hypotheses"][0]["mass"]

@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from imgloc.features.scanpoints import scan_points
+from imgloc.features.scanpoints import evenly, one_per_place, scan_points
 from imgloc.geometry import wrap
+from imgloc.model import LaserScan
 
 
 def fan(count, fov_deg):
@@ -205,3 +206,36 @@ def test_a_normal_is_known_to_within_30_degrees(gap_deg, known):
     np.testing.assert_allclose(points.sigma_alpha, 0.02 / np.deg2rad(gap_deg) / 5**0.5, rtol=0.01)
     assert points.valid.tolist() == 4 * [known]
     assert (points.sigma_alpha.max() < np.pi / 6) == known
+
+
+@given(st.integers(0, 60), st.integers(0, 70))
+def test_even_picks_are_spread_from_the_first_to_the_last(count, n):
+    index = evenly(count, n)
+    assert len(index) == min(n, count)
+    if len(index) > 1:
+        assert (index[0], index[-1]) == (0, count - 1)
+        steps = np.diff(index)
+        assert 0 < steps.min() <= steps.max() <= steps.min() + 1
+
+
+def test_enough_rays_keep_all_readings():
+    assert evenly(4, 10).tolist() == [0, 1, 2, 3]
+
+
+def test_a_place_is_one_reading_however_many_rays_saw_it():
+    # Three rays on 3 cm of a wall, a fourth beside them in the next square, one far away.
+    ends = np.array([[1.01, 0.01], [1.02, 0.03], [1.03, 0.05], [1.11, 0.05], [-4.0, -0.3]])
+    ranges, angles = np.hypot(*ends.T), np.arctan2(ends[:, 1], ends[:, 0])
+    seen = one_per_place(LaserScan(ranges, angles, range_max=9.0), 0.1)
+    expected = [[-4.0, -0.3], [1.02, 0.03], [1.11, 0.05]]  # by angle; squares start at 0
+    np.testing.assert_allclose(seen.xy, expected, atol=1e-12)
+    # Around the sensor no square reaches over 0: four points about it are of four places.
+    about = LaserScan(np.full(4, 0.05), np.deg2rad([45, 135, 225, 315]), range_max=9.0)
+    assert len(one_per_place(about, 0.1)) == 4
+    assert np.all(np.diff(one_per_place(about, 0.1).angles) > 0)
+
+
+def test_only_valid_readings_have_a_place():
+    scan = LaserScan([np.nan, np.inf, 2.0, 99.0], [0.0, 0.1, 0.2, 0.3], range_max=9.0)
+    assert one_per_place(scan, 0.1).ranges.tolist() == pytest.approx([2.0])
+    assert len(one_per_place(LaserScan([np.nan], [0.0]), 0.1)) == 0

@@ -15,7 +15,7 @@ from imgloc.explanation import KINDS, RayFit, explain
 from imgloc.model import Hypothesis, LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options
 from imgloc.output.canvas import INK, PAPER, SHADE
-from imgloc.output.pages import HEADLINES, render_explanation
+from imgloc.output.pages import DRAWN, HEADLINES, render_explanation
 from imgloc.output.svg import (
     View,
     cells_picture,
@@ -276,24 +276,35 @@ def test_the_page_says_what_the_answer_says(why) -> None:
     assert "fused.model.hit 0.8" in page.text
 
 
-@pytest.mark.parametrize(("crowding", "cell"), [(None, None), (2.0, 1.25)])
-def test_the_temperature_on_the_page_is_the_product_of_its_terms(why, crowding, cell) -> None:
+def test_of_many_hypotheses_the_first_are_drawn_and_all_are_in_the_table(why) -> None:
+    many = replace(why, fits=why.fits[:1] * (DRAWN + 3))
+    page = Page(render_explanation(many, "x"))
+    assert f"The first {DRAWN} of {DRAWN + 3} are drawn" in page.text
+    figures, rows = page.tags.count("figure"), page.tags.count("tr")
+    fewer = Page(render_explanation(replace(many, fits=many.fits[:DRAWN]), "x"))
+    assert "are drawn" not in fewer.text
+    assert fewer.tags.count("figure") == figures
+    assert rows == fewer.tags.count("tr") + 3
+
+
+@pytest.mark.parametrize("cell", [None, 1.25])
+def test_the_temperature_on_the_page_is_the_product_of_its_terms(why, cell) -> None:
     evidence = why.answer.evidence
-    if crowding:
-        t = replace(evidence.temperature, crowding=crowding, cell=cell)
+    if cell:
+        t = replace(evidence.temperature, cell=cell)
         evidence = replace(evidence, temperature=t)
     page = render_explanation(replace(why, answer=replace(why.answer, evidence=evidence)), "x")
     number = r"([\d.]+)"
     found = re.search(
         rf"Temperature {number} = \({number} \+ {number} × misfit\)"
-        rf" × {number} \(.*?\) × {number} \(cells of the map\)",
+        rf" × {number} \(√ of readings / 100\) × {number} \(cells of the map\)",
         Page(page).text,
     )
-    value, base, strain, *factors = map(float, found.groups())
-    assert factors == [crowding or 1.0, cell or 1.0]  # those of this scan are 1
+    value, base, strain, many, factor = map(float, found.groups())
+    assert factor == (cell or 1.0)  # that of this scan is 1
     assert value == pytest.approx(evidence.temperature.value, abs=0.006)
-    assert (base + strain * evidence.misfit) * np.prod(factors) == pytest.approx(value, abs=0.006)
-    if not crowding:  # and it is what the masses were made with
+    assert (base + strain * evidence.misfit) * many * factor == pytest.approx(value, abs=0.006)
+    if not cell:  # and it is what the masses were made with
         best, second = (fit.hypothesis for fit in why.fits[:2])
         margin = best.log_likelihood - second.log_likelihood
         assert np.log(best.mass / second.mass) == pytest.approx(margin / value, rel=0.01)

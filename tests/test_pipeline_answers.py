@@ -15,7 +15,8 @@ from imgloc.options import Calibration, FusedOptions, Options, Prior, Trust
 from imgloc.output.pages import why
 from imgloc.output.svg import macro
 from imgloc.pipeline import check_options, likelihood, localize, posterior_of, prepare
-from imgloc.simulation import Sensor, simulate
+from imgloc.sample import sample_poses
+from imgloc.simulation import Sensor, simulate, simulate_ranges
 from imgloc.worlds import WORLDS, render
 
 
@@ -51,7 +52,7 @@ def test_branch_and_bound_shares_by_calibrated_scores(double_wall):
         localize(
             features,
             scans[0],
-            Options("cbml", exact=True, calibration=Calibration(temperature=t)),
+            Options("cbml", top=20, exact=True, calibration=Calibration(temperature=t)),
         ).hypotheses
         for t in (0.02, 1e6)
     )
@@ -145,15 +146,13 @@ def test_the_evidence_makes_the_masses(method):
         terms = evidence.temperature
         assert terms.base == options.trust.temperature
         assert terms.strain == pytest.approx(options.trust.strain * max(0, evidence.misfit))
-        assert terms.value == pytest.approx(
-            (terms.base + terms.strain) * terms.crowding * terms.cell
-        )
+        assert terms.value == pytest.approx((terms.base + terms.strain) * terms.number * terms.cell)
         assert terms.cell == 1
         best = answer.hypotheses[0].log_likelihood / evidence.readings
         assert evidence.misfit == pytest.approx(evidence.best - best)
     else:
         assert total + answer.elsewhere <= 1 + 1e-6
-        assert (evidence.temperature.crowding, evidence.temperature.strain) == (1, 0)
+        assert evidence.temperature.strain == 0
     # Moving the answer to the end of the list changes no more than the list.
     more = localize(features, scan, replace(options, top=50))
     assert more.evidence.unlisted == 0 or more.evidence.found > 50
@@ -268,3 +267,31 @@ def test_the_number_of_votes_is_part_of_the_estimate():
     check_options(features, Options(fused=fused, memory_budget=need))
     with pytest.raises(ConfigError, match="MiB"):
         check_options(features, Options(fused=fused, memory_budget=need - 1))
+
+
+# --- what is listed
+
+
+def test_sixty_four_rooms_alike_are_all_found_and_drawn_from():
+    room = np.pad(np.zeros((46, 46), bool), 2, constant_values=True)
+    room[10:14, 20:35] = room[30:45, 36:39] = True  # no symmetry of its own
+    wall = np.pad(np.tile(room, (8, 8)), 2, constant_values=True)  # outer walls as thick as inner
+    features = prepare(OccupancyGrid(wall, ~wall, 0.1))
+    fine = np.pad(room, 2, constant_values=True).repeat(10, axis=0).repeat(10, axis=1)
+    angles = np.deg2rad(np.arange(-180, 180, 2.0))
+    truth = (1.5, 3.3, 0.4)
+    ranges = simulate_ranges(OccupancyGrid(fine, ~fine, 0.01), [truth], angles, range_max=20.0)[0]
+    scan = LaserScan(ranges, angles, range_max=20.0)
+    answer = localize(features, scan)
+    assert answer.verdict == "ambiguous"
+    rooms = {(int(h.pose.x // 5), int(h.pose.y // 5)) for h in answer.hypotheses}
+    assert len(rooms) == len(answer.hypotheses) == 61  # 60 of 64 equals hold less than 95 %
+    assert localize(features, scan, Options(top=3)).evidence.listed == 3
+    poses = sample_poses(features, scan, 6400, np.random.default_rng(0))
+    at = np.mod(poses[:, :2] - 0.2, 5.0) + 0.2
+    near = np.hypot(*(at - truth[:2]).T) < 0.2
+    counts = np.bincount(
+        (8 * (poses[near, 0] // 5) + poses[near, 1] // 5).astype(int), minlength=64
+    )
+    assert counts.min() > 50
+    assert counts.max() < 150

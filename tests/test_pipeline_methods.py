@@ -12,7 +12,7 @@ from imgloc.features.budget import stack_bytes
 from imgloc.geometry import cell_of, uniform_thetas, wrap
 from imgloc.likelihoods.posterior import posterior
 from imgloc.model import VERDICTS
-from imgloc.options import ALL_METHODS, METHODS, Options
+from imgloc.options import ALL_METHODS, AT_MOST, METHODS, Options
 from imgloc.pipeline import likelihood, localize, prepare
 from imgloc.worlds import WORLDS
 
@@ -57,7 +57,7 @@ def test_what_an_answer_holds(name, method):
     scan = scan_of(name)
     assert answer.verdict in VERDICTS
     assert answer.pose == answer.hypotheses[0].pose
-    assert 1 <= len(answer.hypotheses) <= Options().top
+    assert 1 <= len(answer.hypotheses) <= AT_MOST
     score = [h.log_likelihood for h in answer.hypotheses]
     assert score == sorted(score, reverse=True)
     mass = np.array([h.mass for h in answer.hypotheses])

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
-from imgloc.features.scanpoints import scan_xy, thin
+from imgloc.features.scanpoints import Readings, one_per_place, scan_xy
 from imgloc.geometry import cell_of, inside, transform_poses, wrap
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import FusedOptions, Options
@@ -73,24 +73,6 @@ def poses_of(seed, n=1):
 # --- parts
 
 
-@given(st.lists(st.booleans(), max_size=60), st.integers(0, 70))
-def test_thinning_spreads_over_the_valid_readings(valid, n):
-    valid = np.array(valid, bool)
-    index = thin(valid, n)
-    assert len(index) == min(n, valid.sum())
-    assert valid[index].all()
-    assert np.all(np.diff(index) > 0)
-    if len(index) > 1:  # from the first to the last, in even steps
-        every = np.flatnonzero(valid)
-        assert (index[0], index[-1]) == (every[0], every[-1])
-        steps = np.diff(np.searchsorted(every, index))
-        assert steps.max() - steps.min() <= 1
-
-
-def test_enough_rays_keep_all_readings():
-    assert thin(np.array([False, True, True, False, True]), 10).tolist() == [1, 2, 4]
-
-
 def test_endpoints_of_readings_and_the_origin_for_what_is_none():
     scan = LaserScan([2.0, 3.0, NAN, INF, 9.0], [0, np.pi / 2, 0, 0, 0], range_max=8.0)
     np.testing.assert_allclose(scan_xy(scan), [[2, 0], [0, 3], [0, 0], [0, 0], [0, 0]], atol=1e-12)
@@ -135,12 +117,12 @@ def test_what_is_returned(name):
     poses, evidence = found.poses, found.scores
     assert len(poses) == len(evidence.log_likelihood) == len(evidence.on_surface) > 0
     # Scored with the rays it names, best first.
-    assert scan.valid[found.rays].all()
-    assert evidence.on_surface.shape == evidence.crossed.shape == (len(poses), len(found.rays))
+    assert len(found.readings) == min(OPTIONS.rays, len(one_per_place(scan, OPTIONS.place)))
+    assert evidence.on_surface.shape == evidence.crossed.shape == (len(poses), len(found.readings))
     again = rescore(
         poses,
-        scan.ranges[found.rays],
-        scan.angles[found.rays],
+        found.readings.ranges,
+        found.readings.angles,
         features.field,
         features.walls,
         OPTIONS.model,
@@ -171,7 +153,7 @@ def test_threads_and_repetition_change_nothing(seed, threads):
         np.testing.assert_array_equal(found.poses, first.poses)
         np.testing.assert_array_equal(found.scores.log_likelihood, first.scores.log_likelihood)
         np.testing.assert_array_equal(found.scores.crossed, first.scores.crossed)
-        np.testing.assert_array_equal(found.rays, first.rays)
+        np.testing.assert_array_equal(found.readings.xy, first.readings.xy)
 
 
 @given(seeds, st.integers(1, 3))
@@ -290,7 +272,7 @@ def test_two_layers_of_a_wall_have_a_maximum_each():
     # One place, but 5 cm apart: both are looked at closer, and the better one is the answer.
     features, scan = features_of("curved"), scan_at((6.0, 5.0, 1.0), "curved")
     poses = np.array([[6.0, 5.0, 1.0], [6.05, 5.0, 1.0], [6.051, 5.0, 1.0], [3.0, 5.0, 1.0]])
-    rays = np.flatnonzero(scan.valid)[::3]
+    readings = Readings(scan.ranges[scan.valid][::3], scan.angles[scan.valid][::3])
     for closer, expected in ((0, 2), (40, 3)):
         options = dataclasses.replace(OPTIONS, closer=closer)
-        assert len(shortlist(poses, scan, rays, features, options)) == expected
+        assert len(shortlist(poses, readings, features, options)) == expected

@@ -9,12 +9,19 @@ from hypothesis import strategies as st
 
 from imgloc.model import VERDICTS
 from imgloc.options import Trust
-from imgloc.search.trust import crowding, judge
+from imgloc.search.trust import judge
 
 TRUST = Trust(
-    readings=10, temperature=2.0, strain=3.0, elsewhere=(-4.0, 1.5, 2.0), mass=0.9, correlated=1.0
+    readings=10,
+    temperature=2.0,
+    strain=3.0,
+    elsewhere=(-4.0, -0.5, 2.0),
+    most=12.0,
+    mass=0.9,
+    correlated=1.0,
 )
 misfits = st.floats(-5, 50)
+gains = st.floats(-100, 100)
 shares = st.floats(0, 1)
 
 
@@ -23,17 +30,12 @@ def test_temperature_grows_with_the_misfit(misfit, expected):
     assert TRUST.temperature_at(misfit).value == pytest.approx(expected)
 
 
-def test_readings_on_the_same_patch_are_no_more_evidence():
-    rng = np.random.default_rng(0)
-    corner = np.column_stack((1 + 0.1 * rng.random(180), 0.1 * rng.random(180)))
-    assert crowding(corner) == 180
-    assert crowding(np.column_stack((np.arange(180.0), np.zeros(180)))) == 1
-    assert crowding(np.array([[0.01, 0.0], [-0.01, 0.0]])) == 1  # zero is no middle of a patch
-    assert TRUST.temperature_at(0.5, 2.0).value == TRUST.temperature_at(0.5).value
-    # Sixty readings on a patch instead of thirty: half as much evidence.
-    assert TRUST.temperature_at(0.5, 60.0).value == pytest.approx(
-        2 * TRUST.temperature_at(0.5, 30.0).value
+@given(st.integers(1, 10_000))
+def test_half_of_many_readings_are_worth_more_than_half(n):
+    assert TRUST.temperature_at(0.5, 4 * n).value == pytest.approx(
+        2 * TRUST.temperature_at(0.5, n).value
     )
+    assert TRUST.temperature_at(0.5, 100).value == TRUST.temperature_at(0.5).value
 
 
 def test_a_coarse_map_is_less_evidence():
@@ -51,28 +53,25 @@ def test_a_worse_fit_never_sharpens_an_answer(trust, a, b):
     assert 0 < trust.temperature_at(low).value <= trust.temperature_at(high).value
 
 
-@given(misfits, shares)
-def test_the_chance_of_being_elsewhere_is_a_logistic_regression(misfit, best):
-    odds = -4.0
-    if misfit > 0:  # a scan cannot fit better than perfectly
-        odds += 1.5 * misfit
-    odds += 2.0 * (1 - best)
+@given(gains, shares)
+def test_the_chance_of_being_elsewhere_is_a_logistic_regression(gained, best):
+    odds = -4.0 - 0.5 * max(-12, min(gained, 12)) + 2.0 * (1 - best)
     expected = math.exp(odds) / (1 + math.exp(odds))
-    assert TRUST.mass_elsewhere(misfit, best) == pytest.approx(expected)
+    assert TRUST.mass_elsewhere(gained, best) == pytest.approx(expected)
 
 
 def test_even_odds():
-    assert TRUST.mass_elsewhere(2.0, 0.5) == pytest.approx(0.5)  # -4 + 3 + 1 = 0
+    assert TRUST.mass_elsewhere(-6.0, 0.5) == pytest.approx(0.5)  # -4 + 3 + 1 = 0
     assert Trust(elsewhere=(0.0, 0.0, 0.0)).mass_elsewhere(9.0, 0.1) == 0.5
 
 
 @pytest.mark.parametrize("trust", [TRUST, Trust()])
-@given(misfit=misfits, best=shares, worse=st.floats(0, 10), less=shares)
-def test_a_bad_fit_and_rivals_make_elsewhere_likelier(trust, misfit, best, worse, less):
-    here = trust.mass_elsewhere(misfit, best)
+@given(gained=gains, best=shares, worse=st.floats(0, 10), less=shares)
+def test_what_a_room_explains_and_rivals_make_elsewhere_likelier(trust, gained, best, worse, less):
+    here = trust.mass_elsewhere(gained, best)
     assert 0 < here <= 1
-    assert trust.mass_elsewhere(misfit + worse, best) >= here
-    assert trust.mass_elsewhere(misfit, best * less) >= here
+    assert trust.mass_elsewhere(gained - worse, best) >= here
+    assert trust.mass_elsewhere(gained, best * less) >= here
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def test_the_oracle_is_never_below_the_search(world, sensor):
         answer = localize(features, scan, Options())
         assert best.scores.log_likelihood[0] >= answer.hypotheses[0].log_likelihood
         assert np.all(np.diff(best.scores.log_likelihood) <= 0)
-        assert best.scores.crossed.shape == (len(best.poses), len(best.rays))
+        assert best.scores.crossed.shape == (len(best.poses), len(best.readings))
 
 
 def test_two_searches_are_joined_without_their_doubles():

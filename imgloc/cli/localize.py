@@ -26,7 +26,9 @@ def localize(
         opt.MethodName.FUSED,
         help="How: fused searches and re-scores, the others are the paper's stacks.",
     ),
-    top: int = option(5, "N", "Hypotheses listed for a scan.", min=1),
+    top: int | None = option(
+        None, "N", "Hypotheses listed. [default: 5, or what holds 95 % of the mass]", min=1
+    ),
     as_json: opt.AsJson = False,
     picture: Path | None = option(
         None, "PNG", "Draw the scan at each hypothesis; several scans: NAME-0003.png and so on."

@@ -13,7 +13,6 @@ from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
 
 _MOST = 10_000_000  # poses in all
-_LISTED = 20  # hypotheses of fused that are drawn from
 
 
 @opt.with_options(opt.reading, opt.logs, opt.resources, opt.console)
@@ -63,7 +62,6 @@ def sample(
         raise ConfigError(f"-n: {count:,} poses of {len(chosen):,} scans are more than {_MOST:,}")
     options = Options(
         method=method.value,
-        top=_LISTED,
         threads=taken.threads,
         memory_budget=taken.memory_budget,
         theta_step=None if theta_step_deg is None else math.radians(theta_step_deg),

@@ -1,5 +1,7 @@
 """The points of a scan, and their normals (Fig. 3) by regression over neighbouring rays."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from imgloc.geometry import wrap
@@ -106,17 +108,64 @@ def scan_points(
     return OrientedPoints(xy, alpha, sigma_alpha, sigma_alpha <= max_sigma)
 
 
-def thin(valid: BoolArray, n: int) -> IntArray:
-    """Indices of at most `n` of the valid readings, evenly spread over them.
+def evenly(count: int, n: int) -> IntArray:
+    """Indices of at most `n` of `count` things, evenly spread over them.
 
     Examples
     --------
-    >>> thin(np.array([True, False, True, True, True, True]), 3).tolist()
-    [0, 3, 5]
+    >>> evenly(5, 3).tolist(), evenly(2, 3).tolist()
+    ([0, 2, 4], [0, 1])
     """
-    index = np.flatnonzero(valid)
-    pick = np.linspace(0, len(index) - 1, min(n, len(index))).round().astype(np.int64)
-    return index[pick]
+    return np.linspace(0, count - 1, min(n, count)).round().astype(np.int64)
+
+
+@dataclass(frozen=True)
+class Readings:
+    """What a search sees of a scan: one reading for each place that the scan saw."""
+
+    ranges: FloatArray  #: (N,) metres
+    angles: FloatArray  #: (N,) radians, sensor frame, ascending
+
+    def __len__(self) -> int:
+        return len(self.ranges)
+
+    @property
+    def xy(self) -> FloatArray:
+        """(N, 2) endpoints, sensor frame, metres."""
+        return np.column_stack((np.cos(self.angles), np.sin(self.angles))) * self.ranges[:, None]
+
+    def spread(self, n: int) -> "Readings":
+        """At most `n` of them, evenly spread over all."""
+        pick = evenly(len(self), n)
+        return Readings(self.ranges[pick], self.angles[pick])
+
+
+def one_per_place(scan: LaserScan, side: float) -> Readings:
+    """Draw the valid endpoints of a scan as an image, and read off one point for each cell.
+
+    Rays are dense where a wall is near, and all of them share its error on the map: counted one by
+    one, a near surface outvotes the far walls that tell where the robot is.
+
+    Parameters
+    ----------
+    scan : LaserScan
+    side : float
+        Of a square cell of the image, metres. A cell is where its points are in the mean.
+
+    Examples
+    --------
+    >>> scan = LaserScan([1.0, 1.0, 1.0, 5.0], [0.01, 0.02, 0.03, 0.5], range_max=9.0)
+    >>> readings = one_per_place(scan, 0.1)
+    >>> readings.ranges.round(3).tolist(), readings.angles.round(3).tolist()
+    ([1.0, 5.0], [0.02, 0.5])
+    """
+    xy = scan_xy(scan)[scan.valid]
+    cells = np.floor(xy / side)
+    _, cell, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    x, y = (np.bincount(cell.ravel(), along) / count for along in xy.T)
+    angles = np.arctan2(y, x)
+    order = np.argsort(angles, kind="stable")
+    return Readings(np.hypot(x, y)[order], angles[order])
 
 
 def scan_xy(scan: LaserScan) -> FloatArray:

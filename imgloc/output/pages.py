@@ -24,6 +24,9 @@ HEADLINES = {
     "invalid": "Too few readings to say anything.",
 }
 
+DRAWN = 12
+"""Hypotheses that have pictures of their own; the table has all."""
+
 
 def render_explanation(
     e: Explanation, title: str, *, truth: Pose2D | None = None, version: str = __version__
@@ -38,6 +41,7 @@ def render_explanation(
         title=title,
         truth=truth,
         version=version,
+        drawn=DRAWN,
         headlines=HEADLINES,
         overview=svg.draw_overview(e.grid, poses, rays[0] if rays else None),
         views=svg.window(poses, rays, 400.0) if rays else [],

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import Level
-from imgloc.features.scanpoints import scan_points, thin
+from imgloc.features.scanpoints import evenly, scan_points
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihoods.correlate import correlate
 from imgloc.likelihoods.ght import ght_v
@@ -260,7 +260,7 @@ def cast_votes(
     """Coarse, smoothed GHT-V votes (K, H, W) at the headings of the prior, Alg. 5."""
     points = scan_points(scan.ranges, scan.angles, scan.valid)
     usable = np.flatnonzero(points.valid)
-    points = points.select(usable[thin(np.ones(len(usable), bool), options.few_rays)])
+    points = points.select(usable[evenly(len(usable), options.few_rays)])
     grid, n = features.grid.info, options.vote_headings
     cell = vote_cell(grid, options)
     rows, columns = (int(np.ceil(side * grid.resolution / cell)) for side in grid.shape)

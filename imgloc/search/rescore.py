@@ -19,7 +19,8 @@ import numpy as np
 from imgloc.features.distance import DistanceField
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
-from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, LaserScan
+from imgloc.features.scanpoints import Readings
+from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 from imgloc.options import EvidenceModel, FusedOptions
 from imgloc.search.hypotheses import first_in_cell, modes
 from imgloc.search.refine import endpoints
@@ -90,15 +91,20 @@ def _endpoint_density(
     """Density of each reading by where it ends alone, and its distance from a surface, (C, N)."""
     xy = np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles)))
     distance = endpoints(poses, xy, field)[2]
+    return hit_density(distance, model), distance
+
+
+def hit_density(distance: Float32Array, model: EvidenceModel) -> Float32Array:
+    """Density of readings that end so far from a surface, metres, of any shape: 1 / metres."""
     density = np.full(distance.shape, (1 - model.hit) / model.span, dtype=np.float32)
     for sigma in model.sigmas:
         peak = model.hit / (len(model.sigmas) * sigma * np.sqrt(2 * np.pi))
         density += np.float32(peak) * np.exp(distance * distance * np.float32(-0.5 / sigma**2))
-    return density, distance
+    return density
 
 
 def shortlist(
-    poses: FloatArray, scan: LaserScan, rays: IntArray, features: MapFeatures, options: FusedOptions
+    poses: FloatArray, readings: Readings, features: MapFeatures, options: FusedOptions
 ) -> FloatArray:
     """The best places with a few rays, and the best poses: those that get the second look.
 
@@ -106,7 +112,7 @@ def shortlist(
     the places: the same ones as if all had been scored. Of poses that have met, the first stands
     for all.
     """
-    ranges, angles, field = scan.ranges[rays], scan.angles[rays], features.field
+    ranges, angles, field = readings.ranges, readings.angles, features.field
     # No score exceeds that of the ends alone: the visibility constraint only takes away.
     density = _endpoint_density(poses, ranges, angles, field, options.model)[0]
     most = np.log(density).sum(axis=1, dtype=np.float64)

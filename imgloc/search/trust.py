@@ -3,28 +3,14 @@
 A scan from the best pose should score about as well as its readings can: close to
 :attr:`~imgloc.options.EvidenceModel.best` nats each. What is missing, the **misfit**,
 says how far map and scan disagree. Where they do, differences of evidence mean less than they
-claim (the errors are not independent), and the true pose may be none of those found.
+claim: the errors are not independent. Whether the true pose is one of those found is judged by
+what the map explains beyond an empty room, see :mod:`imgloc.search.background`.
 """
-
-import numpy as np
 
 from imgloc.model import Check, FloatArray
 from imgloc.options import Trust
 
 DOUBT = 0.5  #: with more probability elsewhere than this there is no match
-_PATCH = 0.2  # metres
-
-
-def crowding(xy: FloatArray) -> float:
-    """Readings for each patch of 0.2 m that they fall on, from their endpoints (N, 2), metres.
-
-    Examples
-    --------
-    >>> crowding(np.array([[1.01, 0.05], [1.03, 0.07], [1.05, 0.09], [5.0, 0.1]]))
-    2.0
-    """
-    patches = np.unique(np.floor(xy / _PATCH), axis=0)
-    return len(xy) / max(1, len(patches))
 
 
 def judge(
@@ -45,6 +31,7 @@ def judge(
 
     Examples
     --------
+    >>> import numpy as np
     >>> verdict, checks = judge(181, np.array([0.6, 0.4]), 0.0, Trust())
     >>> verdict, [check.name for check in checks], checks[-1].holds
     ('ambiguous', ['readings', 'elsewhere', 'mass'], False)

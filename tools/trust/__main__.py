@@ -1,10 +1,11 @@
-"""Can answers be trusted? Each of three measurements says its part.
+"""Can answers be trusted? Each of four measurements says its part.
 
     python -m tools.trust reliability -n 100                          # scans in each world
     python -m tools.trust reliability --sets ../data/*/map.yaml       # and recorded ones
     python -m tools.trust robustness --out robustness.json            # 20 scans in five worlds
     python -m tools.trust robustness --quick                          # 3 in two
     python -m tools.trust robustness --sets ../data/*/map.yaml        # recorded scans instead
+    python -m tools.trust fit --sets ../data/*/map.yaml               # constants of trust
     python -m tools.trust which maps ../data --same fr079,fr079_half  # names of maps
 
 `python -m tools.trust NAME --help` says more.
@@ -25,7 +26,9 @@ from imgloc.errors import ConfigError, ImglocError
 from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
 from imgloc.io.images import encode_png
 from imgloc.io.maps import load_map
-from imgloc.options import Options
+from imgloc.io.scanset import ScanSet
+from imgloc.model import OccupancyGrid
+from imgloc.options import Options, Trust
 from imgloc.output.json import to_json
 from imgloc.pipeline import prepare
 from imgloc.simulation import Sensor, simulate
@@ -33,6 +36,7 @@ from imgloc.worlds import WORLDS, render
 from tools.plots import blank
 from tools.progress import progress
 from tools.recorded import scans_beside
+from tools.trust.fit import Case, cases_at_home, cases_away, conditions_table, fit_trust
 from tools.trust.naming import ask_all, naming_shares, scans_of
 from tools.trust.reliability import Judged, draw_reliability, judged, reliability, summary
 from tools.trust.robustness import (
@@ -58,6 +62,11 @@ The oracle is the same score, ranked at every pose 0.1 m and 1 degree apart (0.2
 maps); the best are refined, and join what localize finds. Prints a Markdown table. Right is within
 0.5 m and 10 degrees; poses within 0.1 nat of the best are equals, and `ties` are the scans that
 have some. Exits with 1 where localize is more than 5 points (2 on recorded scans) behind."""
+FIT = """The constants of trust, fitted to scans of worlds and recorded sets in every disturbance.
+
+Prints a JSON object with the constants, on what they were fitted, and the losses: of what was
+fitted to, of buildings that were left out, of the constants as they are now. Then, as Markdown,
+what the constants as they are now make of each condition."""
 WHICH = """How often does `imgloc which` name the right map? Over the maps of some folders.
 
 Scans are those recorded beside a map (scans.npz, with poses), or simulated in it. Each is asked
@@ -93,6 +102,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument("--quick", action="store_true", help="-n 3 --worlds visibility,curved")
     one.add_argument("--threads", type=int, default=threads)
     one.add_argument("--force", action="store_true", help="overwrite --out")
+
+    one = tools.add_parser("fit", description=FIT, formatter_class=raw)
+    one.set_defaults(run=run_fit)
+    one.add_argument("-n", type=int, default=30, help="scans of each world or set")
+    one.add_argument("--seed", type=int, default=5)
+    one.add_argument("--worlds", default=",".join(WORLDS), help="with commas between")
+    one.add_argument("--sets", type=Path, nargs="*", default=[], help="maps with scans.npz")
+    one.add_argument("--maps", type=Path, nargs="*", default=[], help="more maps, without scans")
+    one.add_argument("--same", action="append", default=[], help="names of one building")
+    one.add_argument("--range-max", type=float, default=20.0, help="of recorded scans, metres")
 
     one = tools.add_parser("which", description=WHICH, formatter_class=raw)
     one.set_defaults(run=run_which)
@@ -191,6 +210,37 @@ def _recorded(given: argparse.Namespace) -> tuple[dict[str, object], tuple[Robus
             features = prepare(load_map(path), name, threads=given.threads)
             rows.append(recorded_row(name, features, scans, threads=given.threads, advance=advance))
     return {"sets": names, "range_max": given.range_max}, tuple(rows)
+
+
+def run_fit(given: argparse.Namespace) -> int:
+    """Lay scans on maps, at home and away, and fit."""
+    n, seed = given.n, given.seed
+    if n < 1:
+        raise ConfigError(f"n must be at least 1, got {n}")
+    homes: dict[str, tuple[OccupancyGrid, ScanSet]] = {}
+    for name in filter(None, given.worlds.split(",")):
+        grid, fine = render(WORLDS[name](), 0.1), render(WORLDS[name](), 0.01)
+        homes[name] = grid, simulate(grid, n, seed, Sensor(), fine)
+    for path in given.sets:
+        scans = scans_beside(path, n, seed, given.range_max)
+        homes[path.parent.name] = load_map(path), scans
+    others = {path.parent.name: load_map(path) for path in given.maps}
+    one = {name: group for group in given.same for name in group.split(",")}
+    recorded = [path.parent.name for path in given.sets]
+    maps = {name: homes[name][0] for name in recorded} | others
+    cases: list[Case] = []
+    with progress("fit", len(homes) + len(maps)) as advance:
+        for name, (grid, scans) in homes.items():
+            cases += cases_at_home(one.get(name, name), grid, scans, seed)
+            advance()
+        for name, grid in maps.items():
+            away = [r for r in recorded if one.get(r, r) != one.get(name, name)]
+            foreign = [s for r in away for s in homes[r][1].scans[: max(1, n // 4)]]
+            cases += cases_away(one.get(name, name), grid, foreign, max(1, n // 6), seed)
+            advance()
+    print(to_json({"n": n, "seed": seed, "range_max": given.range_max} | asdict(fit_trust(cases))))
+    print(conditions_table(cases, Trust()))
+    return 0
 
 
 def run_which(given: argparse.Namespace) -> int:

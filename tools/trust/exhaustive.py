@@ -15,7 +15,7 @@ from skimage.measure import block_reduce
 from imgloc.features.distance import signed_distance
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import Level, any_of_blocks
-from imgloc.features.scanpoints import scan_xy, thin
+from imgloc.features.scanpoints import one_per_place
 from imgloc.geometry import uniform_thetas
 from imgloc.model import LaserScan
 from imgloc.options import EvidenceModel, FusedOptions, Options
@@ -64,7 +64,7 @@ def exhaustive(
         function's own.
     """
     options = options or FusedOptions()
-    points = scan_xy(scan)[thin(scan.valid, options.rays)]
+    points = one_per_place(scan, options.place).spread(options.rays).xy
     factor = features.factor
     headings = len(uniform_thetas(options.theta_step))
     while headings * features.grid.occupied.size > most * factor**2:
@@ -92,7 +92,7 @@ def joined(a: Modes, b: Modes, options: FusedOptions) -> Modes:
     )
     distance, angle = options.separation
     best = modes(poses, scores.log_likelihood, distance=distance, angle=angle)
-    return Modes(poses[best], scores.select(best), a.rays, a.complete and b.complete)
+    return Modes(poses[best], scores.select(best), a.readings, a.complete and b.complete)
 
 
 def score_level(features: MapFeatures, model: EvidenceModel, factor: int) -> Level:

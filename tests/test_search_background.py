@@ -1,0 +1,78 @@
+"""The empty room that suits a scan best, against rooms that are known."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from places import features_of, scan_of
+
+from imgloc.features.distance import distance_image
+from imgloc.features.raycast import cast_rays
+from imgloc.model import LaserScan, OccupancyGrid
+from imgloc.options import EvidenceModel
+from imgloc.pipeline import localize, prepare
+from imgloc.search.background import best_room
+
+MODEL = EvidenceModel()
+
+
+def points(box, n=30):
+    """Points on the four sides of a box (left, right, bottom, top)."""
+    left, right, bottom, top = box
+    u, v = np.linspace(left, right, n), np.linspace(bottom, top, n)
+    sides = [(u, 0 * u + bottom), (u, 0 * u + top), (0 * v + left, v), (0 * v + right, v)]
+    return np.concatenate([np.stack(side, axis=1) for side in sides])
+
+
+@given(
+    st.tuples(st.floats(0.5, 6), st.floats(0.5, 6), st.floats(0.5, 6), st.floats(0.5, 6)),
+    st.floats(-np.pi, np.pi),
+)
+@settings(max_examples=20, deadline=None)
+def test_a_room_is_a_room_wherever_the_sensor_is_and_looks(sides, turn):
+    left, right, bottom, top = sides
+    xy = points((-left, right, -bottom, top))
+    c, s = np.cos(turn), np.sin(turn)
+    # Headings are 1.5 degrees apart: 0.75 degrees are 8 cm at the far corners of the largest.
+    assert MODEL.best - best_room(xy @ np.array([[c, s], [-s, c]]), MODEL) < 0.5
+
+
+def test_sides_that_are_not_seen_cost_nothing_and_what_is_no_wall_does():
+    xy = points((-2.0, 3.0, -1.5, 1.5))
+    whole = best_room(xy, MODEL)
+    assert best_room(xy[30:], MODEL) == pytest.approx(whole, abs=0.1)
+    clutter = np.random.default_rng(0).uniform(-1.2, 1.2, (40, 2))
+    assert best_room(np.concatenate((xy, clutter)), MODEL) < whole - 0.5
+    assert best_room(np.array([[0.0, 0.0]]), MODEL) == pytest.approx(
+        MODEL.best
+    )  # a point on the sensor
+
+
+def seen_in(free, x, y, cell=0.02):
+    """What is seen of a building, (H, W) free cells, from within."""
+    angles = np.deg2rad(np.arange(-180, 180, 1.0))
+    ranges = cast_rays(distance_image(~free), np.array([x, y]), angles, 20.0, cell)
+    return LaserScan(np.where(ranges < 20.0, ranges, np.inf), angles, range_max=20.0)
+
+
+def test_a_bare_room_of_another_building_is_never_unique():
+    room = np.zeros((200, 260), bool)
+    room[10:-10, 10:-10] = True
+    answer = localize(features_of("curved"), seen_in(room, 2.1, 1.3))
+    assert answer.verdict != "unique"
+    assert answer.evidence.gained < 0
+
+
+def test_the_places_of_a_map_beat_the_room():
+    for name in ("curved", "double_wall"):
+        answer = localize(features_of(name), scan_of(name))
+        assert answer.verdict == "unique"
+        assert answer.evidence.gained > 10
+
+
+def test_the_only_room_of_a_map_is_not_told_from_one_that_is_on_no_map():
+    wall = np.pad(np.zeros((30, 44), bool), 2, constant_values=True)
+    free = np.repeat(np.repeat(~wall, 5, axis=0), 5, axis=1)
+    answer = localize(prepare(OccupancyGrid(wall, ~wall, 0.1)), seen_in(free, 1.5, 1.1))
+    assert abs(answer.evidence.gained) < 30
+    assert answer.verdict != "unique"

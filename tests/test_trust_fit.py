@@ -1,0 +1,110 @@
+"""Constants of trust: fitted to cases that were made with known ones, and by the tool."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from imgloc.model import LaserScan, OccupancyGrid
+from imgloc.options import Trust
+from imgloc.pipeline import prepare
+from imgloc.search.hypotheses import masses
+from imgloc.simulation import simulate
+from imgloc.worlds import WORLDS, render
+from tools.trust.__main__ import main
+from tools.trust.disturb import MAPS, ROOMS, SCANS, unmapped
+from tools.trust.fit import Case, case_of, conditions_table, fit_trust, mapped, trust_of
+
+
+def made(n=1200, seed=0):
+    """Cases whose true mode is drawn with the masses of a known temperature."""
+    rng, out, true = np.random.default_rng(seed), [], Trust(temperature=4.0, strain=6.0)
+    for k in range(n):
+        misfit, readings = rng.uniform(0, 2), int(rng.integers(20, 200))
+        score = -np.sort(rng.exponential(30.0, 6))
+        mass = masses(score, true.temperature_at(misfit, readings, 0.05).value)
+        right = np.arange(6) == rng.choice(6, p=mass)
+        if k % 3 == 0:  # of another place
+            right[:] = False
+        gap = rng.normal(-1.0 if k % 3 == 0 else 1.0, 0.5)
+        out.append(Case(f"house {k // 3 % 3}", "some", score, right, readings, misfit, gap, 0.05))
+    return out
+
+
+def test_known_constants_come_back():
+    cases = made()
+    fit = fit_trust(cases)
+    assert fit.temperature == pytest.approx(4.0, rel=0.25)
+    assert fit.strain / 1.25 == pytest.approx(6.0, rel=0.25)
+    assert fit.elsewhere[1] < 0  # what a building on no map does not explain is for the map
+    assert fit.cases == {"some": len(cases)}
+    assert fit.loss[0] < fit.now[0]
+    assert fit.loss[1] < fit.now[1]
+    assert np.all(np.array(fit.left_out) >= np.array(fit.loss) - 0.01)
+    row = conditions_table(cases, trust_of(fit)).splitlines()[-1].split("|")
+    assert row[1].strip() == "some"
+    assert float(row[-2]) < 0.05  # calibrated
+
+
+def test_disturbances_change_what_they_say_and_nothing_else():
+    grid = render(WORLDS["curved"](), 0.1)
+    scan = simulate(grid, 1, 0).scans[0]
+    for name, change in SCANS.items():
+        once, again = (change(scan, np.random.default_rng(3)) for _ in range(2))
+        np.testing.assert_array_equal(once.ranges, again.ranges)
+        same = once.ranges.shape == scan.ranges.shape and np.array_equal(once.ranges, scan.ranges)
+        assert same == (name in ("undisturbed", "reach of 5 m"))
+    assert SCANS["reach of 5 m"](scan, np.random.default_rng(0)).range_max == 5
+    assert SCANS["18 beams"](scan, np.random.default_rng(0)).ranges.shape == (18,)
+    far = SCANS["people"](scan, np.random.default_rng(1))
+    assert np.all(far.ranges[scan.valid] <= scan.ranges[scan.valid])
+    for name, alter in MAPS.items():
+        changed = alter(grid, np.random.default_rng(3))
+        assert not (changed.occupied & changed.free).any()
+        assert (changed is grid) == (name == "undisturbed")
+    thick = MAPS["walls dilated by 2 cells"](grid, np.random.default_rng(0))
+    assert thick.occupied[grid.occupied].all()
+    half = MAPS["half the map"](grid, np.random.default_rng(0))
+    assert 0.3 < half.occupied.sum() / grid.occupied.sum() < 0.7
+
+
+@pytest.mark.parametrize("kind", ROOMS)
+def test_rooms_are_seen_from_within(kind):
+    for seed in range(5):
+        scan = unmapped(kind, np.random.default_rng(seed))
+        assert scan.ranges.shape == (361,)
+        assert scan.valid.mean() > 0.5
+        assert scan.ranges[scan.valid].min() > 0.2
+        assert scan.ranges[scan.valid].max() < (3.5 if kind == "lift" else 20)
+
+
+def test_a_place_on_the_lost_half_of_a_map_is_no_place():
+    free = np.ones((20, 40), bool)
+    grid = OccupancyGrid(~free, free, 0.1)
+    assert mapped(grid, np.array([3.0, 1.0, 0.0]))
+    left = replace(grid, free=free & (np.arange(40) < 20))
+    assert not mapped(left, np.array([3.0, 1.0, 0.0]))
+    assert mapped(left, np.array([1.0, 1.0, 0.0]))
+    assert not mapped(left, np.array([-3.0, 1.0, 0.0]))
+
+
+def test_a_case_says_which_mode_is_right():
+    grid = render(WORLDS["curved"](), 0.1)
+    scans = simulate(grid, 1, 0)
+    case = case_of(prepare(grid), scans.scans[0], scans.poses[0], "curved", "plain")
+    assert case.right[0]
+    assert case.right.sum() == 1
+    assert case.gap > 0
+    assert not case_of(prepare(grid), scans.scans[0], None, "x", "away").right.any()
+    assert case_of(prepare(grid), LaserScan([1.0], [0.0]), None, "x", "few") is None
+
+
+def test_the_tool_prints_constants_and_a_table(capsys):
+    assert main(["fit", "-n", "1", "--worlds", "curved"]) == 0
+    text = capsys.readouterr().out
+    numbers, end = json.JSONDecoder().raw_decode(text)
+    assert set(numbers["cases"]) <= set(SCANS) | set(MAPS)
+    assert numbers["buildings"] == {"curved": sum(numbers["cases"].values())}
+    assert "| people | 1 |" in text[end:]
+    assert main(["fit", "-n", "0"]) == 2

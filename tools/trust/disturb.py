@@ -1,0 +1,213 @@
+"""What befalls scans and maps: one disturbance each, all of them seeded.
+
+Scans are of one sensor, maps are images: people and a robot's own body hide neighbouring rays,
+glass lets them through, a drawn map has thick or displaced walls. Rooms that are in no map are
+drawn and seen from inside.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+import cv2
+import numpy as np
+
+from imgloc.features.distance import distance_image
+from imgloc.features.raycast import cast_rays
+from imgloc.model import BoolArray, FloatArray, LaserScan, OccupancyGrid
+from imgloc.simulation import ray_angles
+
+Rng = np.random.Generator
+ScanChange = Callable[[LaserScan, Rng], LaserScan]
+MapChange = Callable[[OccupancyGrid, Rng], OccupancyGrid]
+
+
+def with_ranges(scan: LaserScan, ranges: FloatArray) -> LaserScan:
+    """The scan with other ranges; readings that are no distance stay as they are."""
+    return replace(scan, ranges=np.where(scan.valid, np.maximum(ranges, 1e-3), scan.ranges))
+
+
+def people(scan: LaserScan, rng: Rng, count: int = 10) -> LaserScan:
+    """Discs of 0.5 m, their middles 0.8 to 4 m away: some 30 % of the rays, in clusters."""
+    ranges = scan.ranges.astype(np.float64)
+    for distance, at in rng.uniform((0.8, -np.pi), (4.0, np.pi), (count, 2)):
+        across = distance * np.sin(scan.angles - at)
+        ahead = distance * np.cos(scan.angles - at)
+        hit = (np.abs(across) < 0.25) & (ahead > 0)
+        near = ahead - np.sqrt(np.maximum(0.25**2 - across**2, 0))
+        ranges = np.where(hit & (near < ranges), near, ranges)
+    return with_ranges(scan, ranges)
+
+
+def neighbours(scan: LaserScan, rng: Rng, share: float) -> BoolArray:
+    """A run of rays: bool (N,)."""
+    n = len(scan.ranges)
+    first = int(rng.integers(n))
+    return (np.arange(n) - first) % n < share * n
+
+
+def body(scan: LaserScan, rng: Rng) -> LaserScan:
+    """The robot's own body in a fifth of the rays."""
+    seen = neighbours(scan, rng, 0.2)
+    return with_ranges(scan, np.where(seen, rng.uniform(0.15, 0.35, len(seen)), scan.ranges))
+
+
+def glass(scan: LaserScan, rng: Rng) -> LaserScan:
+    """A third of the rays, side by side, at the end of the sensor's range."""
+    far = 0.999 * min(scan.range_max, 1e3)
+    return with_ranges(scan, np.where(neighbours(scan, rng, 0.3), far, scan.ranges))
+
+
+def noise(sigma: float) -> ScanChange:
+    """Gaussian noise of the ranges, metres."""
+    return lambda scan, rng: with_ranges(
+        scan, scan.ranges + sigma * rng.standard_normal(len(scan.ranges))
+    )
+
+
+def short(share: float) -> ScanChange:
+    """A share of the rays, each on its own, stopped anywhere before the wall."""
+
+    def change(scan: LaserScan, rng: Rng) -> LaserScan:
+        hit, where = rng.random((2, len(scan.ranges)))
+        return with_ranges(scan, np.where(hit < share, where, 1) * scan.ranges)
+
+    return change
+
+
+def few(n: int) -> ScanChange:
+    """At most `n` rays, evenly spread."""
+
+    def change(scan: LaserScan, _: Rng) -> LaserScan:
+        pick = np.linspace(0, len(scan.ranges) - 1, min(n, len(scan.ranges))).round().astype(int)
+        return replace(scan, ranges=scan.ranges[pick], angles=scan.angles[pick])
+
+    return change
+
+
+def reach(metres: float) -> ScanChange:
+    """A sensor of a shorter reach."""
+    return lambda scan, _: replace(scan, range_max=min(scan.range_max, metres))
+
+
+def view(degrees: float) -> ScanChange:
+    """A narrower view, ahead."""
+
+    def change(scan: LaserScan, _: Rng) -> LaserScan:
+        keep = np.abs(scan.angles - np.median(scan.angles)) <= np.deg2rad(degrees / 2)
+        return replace(scan, ranges=scan.ranges[keep], angles=scan.angles[keep])
+
+    return change
+
+
+def scaled_ranges(factor: float) -> ScanChange:
+    """A constant relative error of the ranges."""
+    return lambda scan, _: with_ranges(scan, factor * scan.ranges)
+
+
+def same(scan: LaserScan, _: Rng) -> LaserScan:
+    """As it was."""
+    return scan
+
+
+SCANS: Mapping[str, ScanChange] = MappingProxyType(
+    {
+        "undisturbed": same,
+        "people": people,
+        "body": body,
+        "glass": glass,
+        "noise of 5 cm": noise(0.05),
+        "noise of 10 cm": noise(0.1),
+        "noise of 30 cm": noise(0.3),
+        "40 % of the rays stopped short": short(0.4),
+        "18 beams": few(18),
+        "reach of 5 m": reach(5.0),
+        "view of 90 deg": view(90.0),
+        "ranges x 0.95": scaled_ranges(0.95),
+        "ranges x 1.05": scaled_ranges(1.05),
+    }
+)
+
+
+def dilated(grid: OccupancyGrid, _: Rng, cells: int = 2) -> OccupancyGrid:
+    """Walls thicker by some cells on all sides."""
+    size = 2 * cells + 1
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (size, size))
+    occupied = cv2.dilate(grid.occupied.astype(np.uint8), kernel) > 0
+    return replace(grid, occupied=occupied, free=grid.free & ~occupied)
+
+
+def displaced(metres: float, over: float = 8.0) -> MapChange:
+    """Walls moved by a smooth field of up to so many metres."""
+
+    def change(grid: OccupancyGrid, rng: Rng) -> OccupancyGrid:
+        height, width = grid.occupied.shape
+        knots = tuple(max(3, round(n * grid.resolution / over)) for n in (width, height))
+        field = rng.uniform(-1, 1, (2, knots[1], knots[0])).astype(np.float32)
+        dx, dy = (cv2.resize(f, (width, height), interpolation=cv2.INTER_CUBIC) for f in field)
+        length = float(np.sqrt(dx * dx + dy * dy).max())
+        step = np.float32(metres / grid.resolution / length)
+        x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+
+        def moved(image: BoolArray) -> BoolArray:
+            to = (x + step * dx, y + step * dy)
+            return np.asarray(cv2.remap(image.astype(np.uint8), *to, cv2.INTER_NEAREST) > 0)
+
+        return replace(grid, occupied=moved(grid.occupied), free=moved(grid.free))
+
+    return change
+
+
+def half(grid: OccupancyGrid, rng: Rng) -> OccupancyGrid:
+    """One half of the map is unknown."""
+    side = int(rng.integers(4))
+    middle = int(np.median(np.argwhere(grid.occupied)[:, side // 2]))
+    keep = np.zeros(grid.occupied.shape, bool)
+    part = slice(None, middle) if side % 2 else slice(middle, None)
+    keep[(part, slice(None)) if side < 2 else (slice(None), part)] = True
+    return replace(grid, occupied=grid.occupied & keep, free=grid.free & keep)
+
+
+def intact(grid: OccupancyGrid, _: Rng) -> OccupancyGrid:
+    """As it was."""
+    return grid
+
+
+MAPS: Mapping[str, MapChange] = MappingProxyType(
+    {
+        "undisturbed": intact,
+        "walls dilated by 2 cells": dilated,
+        "walls displaced by up to 0.15 m": displaced(0.15),
+        "walls displaced by up to 0.3 m": displaced(0.3),
+        "half the map": half,
+    }
+)
+
+_CELL, _REACH, _CLEAR = 0.01, 20.0, 0.3  # metres: of a room's image, of the sensor, of the robot
+ROOMS = ("closed room", "room with a door", "dead end", "lift")
+
+
+def unmapped(kind: str, rng: Rng, fov: float = 2 * np.pi, rays: int = 361) -> LaserScan:
+    """A scan from within a simple place that is in no map: one of :data:`ROOMS`."""
+    width, height = rng.uniform(*((1.2, 2.4) if kind == "lift" else (2.5, 9.0)), 2)
+    beyond = 0.0  # metres that are free behind the upper side
+    if kind == "dead end":
+        width, height, beyond = rng.uniform((1.4, 8.0, 8.0), (3.0, 15.0, 8.0))
+    elif kind == "room with a door":
+        beyond = rng.uniform(1.4, 3.0)  # a corridor
+    rows, columns, far = (round(metres / _CELL) for metres in (height, width, beyond))
+    free = np.zeros((rows + far + 20, columns + 20), bool)
+    free[10 : 10 + rows, 10 : 10 + columns] = True
+    if kind == "dead end":
+        free[10 + rows :, 10 : 10 + columns] = True
+    elif kind == "room with a door":
+        door = int(rng.integers(10, columns - 80))
+        free[10 + rows : 20 + rows, door : door + 90] = True
+        free[20 + rows : 20 + rows + far - 10, :] = True
+    at = 0.1 + rng.uniform(_CLEAR, (width - _CLEAR, height - _CLEAR))
+    angles = ray_angles(rays, fov)
+    psi = rng.uniform(-np.pi, np.pi) + angles
+    ranges = cast_rays(distance_image(~free), at, psi, _REACH, _CELL).astype(np.float64)
+    ranges += 0.02 * rng.standard_normal(rays)
+    ranges[ranges > _REACH] = np.inf
+    return LaserScan(np.maximum(ranges, 1e-3), angles, range_max=_REACH)

@@ -1,0 +1,244 @@
+"""What trust is made of: temperature and the chance of being elsewhere, fitted to disturbed scans.
+
+Scans are simulated in the bundled worlds and taken from recorded sets, each as it is and after
+every disturbance of :mod:`tools.trust.disturb`; others are laid on maps that they are not from. The
+temperature makes the mass of the true mode as large as it may be; a logistic regression tells
+scans whose place is found from those whose place is not. Each building is left out once.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize
+
+from imgloc.evaluation import pose_errors, share
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.geometry import cell_of, in_map_frame, transform_points
+from imgloc.io.scanset import ScanSet
+from imgloc.model import BoolArray, FloatArray, LaserScan, OccupancyGrid, Pose2D, inverse
+from imgloc.options import Options, Trust
+from imgloc.pipeline import find_modes, prepare
+from imgloc.search.background import unmapped_score
+from imgloc.search.hypotheses import masses
+from imgloc.search.trust import judge
+from tools.trust.disturb import MAPS, ROOMS, SCANS, unmapped
+from tools.trust.reliability import LEAST, RIGHT, Judged, reliability
+
+MARGIN = 1.25
+"""By how much the strain is larger than the one that fits best: for maps worse than these."""
+PRIOR = -0.5
+"""Added to the log-odds of being elsewhere: more scans are of their map than in this mixture."""
+MODES = 20  # of an answer, that are compared
+_NEAR = 4  # cells
+
+
+@dataclass(frozen=True)
+class Case:
+    """One scan laid on one map."""
+
+    building: str
+    condition: str
+    score: FloatArray  #: (M,) of the modes, nats, best first
+    right: BoolArray  #: (M,) which are the true place; none if the scan is of another one
+    readings: int
+    misfit: float
+    gap: float  #: nats per reading by which the best mode beats a building on no map
+    cell: float  #: of the map, metres
+
+
+@dataclass(frozen=True)
+class TrustFit:
+    """What was fitted, and on what; losses are in nats a case."""
+
+    temperature: float
+    strain: float
+    elsewhere: tuple[float, float, float]
+    cases: Mapping[str, int]  #: how many, by condition
+    buildings: Mapping[str, int]  #: and by building
+    loss: tuple[float, float]  #: of the temperature and of being elsewhere, on what was fitted to
+    left_out: tuple[float, float]  #: the same of buildings that were left out
+    now: tuple[float, float]  #: the same of the trust that is the default
+
+
+def case_of(
+    features: MapFeatures, scan: LaserScan, pose: FloatArray | None, building: str, condition: str
+) -> Case | None:
+    """Lay a scan on a map; `pose` (3,) is the true one, map frame. None if nothing is found."""
+    options = Options()
+    if scan.directions < options.trust.readings:
+        return None
+    found = find_modes(features, scan, options)
+    if len(found.poses) == 0:
+        return None
+    score, n = found.scores.log_likelihood[:MODES], len(found.readings)
+    right = np.zeros(len(score), bool)
+    if pose is not None:
+        there = [in_map_frame(Pose2D(*p), features.grid.info) for p in found.poses[:MODES]]
+        errors = pose_errors(np.array([(p.x, p.y, p.theta) for p in there]), Pose2D(*pose))
+        right = np.all(errors <= RIGHT, axis=1)
+    model, each = options.fused.model, float(score[0]) / n
+    gap = each - unmapped_score(found.readings.xy, model)
+    cell = features.grid.resolution
+    return Case(building, condition, score, right, n, model.best - each, gap, cell)
+
+
+def cases_at_home(building: str, grid: OccupancyGrid, scans: ScanSet, seed: int) -> Iterator[Case]:
+    """Every scan of a set with poses: as it is, disturbed, and on disturbed maps."""
+    truth = np.empty((0, 3)) if scans.poses is None else scans.poses
+    for k, (name, change_map) in enumerate(MAPS.items()):
+        changed = change_map(grid, np.random.default_rng((seed, k)))
+        features = prepare(changed, building)
+        some = SCANS if changed is grid else {name: SCANS["undisturbed"]}
+        for condition, change in some.items():
+            for i, (scan, pose) in enumerate(zip(scans.scans, truth, strict=True)):
+                there = pose if mapped(changed, pose) else None
+                disturbed = change(scan, np.random.default_rng((seed, i)))
+                case = case_of(features, disturbed, there, building, condition)
+                if case is not None:
+                    yield case
+
+
+def cases_away(
+    building: str, grid: OccupancyGrid, foreign: Sequence[LaserScan], n: int, seed: int
+) -> Iterator[Case]:
+    """Scans that are not of a map: those of other buildings, and `n` of each simple room."""
+    features = prepare(grid, building)
+    asked = [("another building", scan) for scan in foreign]
+    for k, room in enumerate(ROOMS):
+        for i in range(n):
+            rng = np.random.default_rng((seed, k, i))
+            asked.append((room, unmapped(room, rng, np.pi * (1 + i % 2))))
+    for condition, scan in asked:
+        case = case_of(features, scan, None, building, condition)
+        if case is not None:
+            yield case
+
+
+def mapped(grid: OccupancyGrid, pose: FloatArray) -> bool:
+    """Whether a pose, map frame, is in free space or within a few cells of it."""
+    local = transform_points(inverse(grid.origin), np.asarray(pose)[None, :2])
+    row, column = cell_of(local, grid.resolution)[0]
+    near = (slice(max(0, k - _NEAR), max(0, k + _NEAR + 1)) for k in (row, column))
+    return bool(grid.free[tuple(near)].any())
+
+
+def fit_trust(cases: Sequence[Case]) -> TrustFit:
+    """Fit temperature and log-odds to all cases, and to those of all buildings but one, each once.
+
+    Cases count so that every building and condition has the root of its number of cases.
+    """
+    scale, odds = _fit(cases)
+    out = np.zeros(2)
+    weights = _weights(cases)
+    for name in sorted({c.building for c in cases}):
+        home = np.array([c.building == name for c in cases])
+        rest, some = ([c for c, h in zip(cases, home, strict=True) if h == x] for x in (0, 1))
+        if rest:
+            out += weights[home].sum() / weights.sum() * np.array(_losses(some, *_fit(rest)))
+    trust = Trust()
+    now = np.array([trust.temperature, trust.strain / MARGIN])
+    odds_now = np.array(trust.elsewhere) - (PRIOR, 0, 0)
+    return TrustFit(
+        temperature=float(scale[0]),
+        strain=float(scale[1] * MARGIN),
+        elsewhere=(float(odds[0] + PRIOR), float(odds[1]), float(odds[2])),
+        cases=dict(Counter(c.condition for c in cases)),
+        buildings=dict(Counter(c.building for c in cases)),
+        loss=_losses(cases, scale, odds),
+        left_out=(float(out[0]), float(out[1])),
+        now=_losses(cases, now, odds_now),
+    )
+
+
+def _fit(cases: Sequence[Case]) -> tuple[FloatArray, FloatArray]:
+    """Temperature and strain (2,), then log-odds (3,), by what they lose."""
+    trust = Trust()
+    start = np.log([trust.temperature, trust.strain])
+    # Both are positive; Nelder and Mead's way needs no slope, of which a clipped share has none.
+    found = minimize(lambda p: _temperature_loss(cases, np.exp(p)), start, method="Nelder-Mead")
+    scale = np.exp(found.x)
+    X, y, w = _regressors(cases, scale), _lost(cases), _weights(cases)
+
+    def loss(b: FloatArray) -> float:
+        return float(w @ np.logaddexp(0, np.where(y, -1, 1) * (X @ b)) / w.sum() + 1e-4 * b @ b)
+
+    return scale, np.asarray(minimize(loss, np.zeros(3)).x)
+
+
+def _losses(cases: Sequence[Case], scale: FloatArray, odds: FloatArray) -> tuple[float, float]:
+    X, y, w = _regressors(cases, scale), _lost(cases), _weights(cases)
+    elsewhere = np.logaddexp(0, np.where(y, -1, 1) * (X @ odds))
+    return _temperature_loss(cases, scale), float(w @ elsewhere / w.sum())
+
+
+def _temperature(case: Case, scale: FloatArray) -> float:
+    trust = Trust(temperature=float(scale[0]), strain=float(scale[1]))
+    return trust.temperature_at(case.misfit, case.readings, case.cell).value
+
+
+def _temperature_loss(cases: Sequence[Case], scale: FloatArray) -> float:
+    """Mean of minus the logarithm of the true mode's mass, where it was found."""
+    mine = [not lost for lost in _lost(cases)]
+    weights, home = _weights(cases)[mine], [c for c, m in zip(cases, mine, strict=True) if m]
+    mass = [masses(c.score, _temperature(c, scale))[c.right].sum() for c in home]
+    loss = -weights @ np.log(np.maximum(mass, 1e-9)) / max(weights.sum(), 1e-9)
+    return float(loss)
+
+
+def _regressors(cases: Sequence[Case], scale: FloatArray) -> FloatArray:
+    """(N, 3): one, evidence against a building on no map, mass that the best does not hold."""
+    most = Trust().most
+    rows = []
+    for c in cases:
+        T = _temperature(c, scale * (1, MARGIN))
+        rows.append((1.0, np.clip(c.gap * c.readings / T, -most, most), 1 - masses(c.score, T)[0]))
+    return np.array(rows)
+
+
+def _lost(cases: Sequence[Case]) -> BoolArray:
+    return np.array([not c.right.any() for c in cases])
+
+
+def _weights(cases: Sequence[Case]) -> FloatArray:
+    count = Counter((c.building, c.condition) for c in cases)
+    return np.array([count[c.building, c.condition] ** -0.5 for c in cases])
+
+
+def trust_of(fit: TrustFit) -> Trust:
+    """The default trust with what was fitted."""
+    return replace(Trust(), temperature=fit.temperature, strain=fit.strain, elsewhere=fit.elsewhere)
+
+
+def conditions_table(cases: Sequence[Case], trust: Trust) -> str:
+    """What a trust makes of each condition, as Markdown.
+
+    Right is the first mode; of the ``unique`` it is said how many are wrong; the error of the
+    calibration is of all modes of 1 % and more.
+    """
+    lines = ["| condition | scans | first right | unique | wrong | no-match | calibration |"]
+    lines.append("|---" * 7 + "|")
+    for condition in dict.fromkeys(c.condition for c in cases):
+        some = [c for c in cases if c.condition == condition]
+        told = [_judged(c, trust) for c in some]
+        first = share(bool(c.right[:1].any()) for c in some).value
+        unique = share(j.verdict == "unique" for j in told).value
+        lines.append(
+            f"| {condition} | {len(some)} | {first:.2f} | {unique:.2f} "
+            f"| {sum(j.wrong for j in told)} "
+            f"| {share(j.verdict == 'no-match' for j in told).value:.2f} "
+            f"| {reliability(told)[1]:.3f} |"
+        )
+    return "\n".join(lines)
+
+
+def _judged(case: Case, trust: Trust) -> Judged:
+    T = trust.temperature_at(case.misfit, case.readings, case.cell).value
+    mass = masses(case.score, T)
+    elsewhere = trust.mass_elsewhere(case.gap * case.readings / T, float(mass[0]))
+    mass *= 1 - elsewhere
+    verdict = judge(trust.readings, mass, elsewhere, trust)[0]
+    told = mass >= LEAST
+    wrong = verdict == "unique" and not case.right[0]
+    return Judged(mass[told], case.right[told], verdict, wrong, float("nan"))
