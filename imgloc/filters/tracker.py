@@ -231,7 +231,7 @@ class Tracker:
             return
         share = np.exp(relative[new])
         share /= share.sum()
-        elsewhere = trust.mass_elsewhere(float(seen.misfit.min()), float(share.max()))
+        elsewhere = trust.mass_elsewhere(seen.gained, float(share.max()))
         given = self._lost * (1 - elsewhere)
         if given < _NOTHING:
             return
