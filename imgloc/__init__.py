@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from imgloc.evaluation import Evaluation, evaluate
     from imgloc.explanation import Explanation, explain
     from imgloc.features.mapfeatures import MapFeatures
+    from imgloc.filters.choose import make_filter
     from imgloc.io.mapcheck import MapReport, check_map
     from imgloc.io.maps import load_map, save_map
     from imgloc.io.scans import load_scans, save_scans
@@ -51,15 +52,17 @@ if TYPE_CHECKING:
     from imgloc.pipeline import likelihood, localize, prepare
     from imgloc.sample import sample_poses
     from imgloc.simulation import Sensor, simulate
+    from imgloc.tracking import Every, Moment, follow
 
 __all__ = [
     "ALL_METHODS", "METHODS", "BatchSummary", "Calibration", "Choice", "ConfigError", "Evaluation",
-    "Evidence", "Explanation", "FusedOptions", "GridInfo", "Hypothesis", "ImglocError", "Job",
-    "LaserScan", "Likelihood", "Localization", "MapError", "MapFeatures", "MapReport",
-    "OccupancyGrid", "Options", "OrientedPoints", "OutputError", "Picture", "Pose2D", "Prior",
-    "ScanError", "ScanSet", "Sensor", "Trust", "__version__", "check_map", "draw", "evaluate",
-    "explain", "likelihood", "load_map", "load_scans", "localize", "prepare", "run_batch",
-    "sample_poses", "save_map", "save_scans", "simulate", "which",
+    "Every", "Evidence", "Explanation", "FusedOptions", "GridInfo", "Hypothesis", "ImglocError",
+    "Job", "LaserScan", "Likelihood", "Localization", "MapError", "MapFeatures", "MapReport",
+    "Moment", "OccupancyGrid", "Options", "OrientedPoints", "OutputError", "Picture", "Pose2D",
+    "Prior", "ScanError", "ScanSet", "Sensor", "Trust", "__version__", "check_map", "draw",
+    "evaluate", "explain", "follow", "likelihood", "load_map", "load_scans", "localize",
+    "make_filter", "prepare", "run_batch", "sample_poses", "save_map", "save_scans", "simulate",
+    "which",
 ]  # fmt: skip
 
 _HOMES = {
@@ -69,6 +72,7 @@ _HOMES = {
     "imgloc.evaluation": "Evaluation evaluate",
     "imgloc.explanation": "Explanation explain",
     "imgloc.features.mapfeatures": "MapFeatures",
+    "imgloc.filters.choose": "make_filter",
     "imgloc.io.mapcheck": "MapReport check_map",
     "imgloc.io.maps": "load_map save_map",
     "imgloc.io.scans": "load_scans save_scans",
@@ -81,6 +85,7 @@ _HOMES = {
     "imgloc.pipeline": "likelihood localize prepare",
     "imgloc.sample": "sample_poses",
     "imgloc.simulation": "Sensor simulate",
+    "imgloc.tracking": "Every Moment follow",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 

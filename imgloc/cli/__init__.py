@@ -19,6 +19,7 @@ from imgloc.cli.options import FORMATS, examples
 from imgloc.cli.report import report
 from imgloc.cli.sample import sample
 from imgloc.cli.simulate import simulate
+from imgloc.cli.track import track
 from imgloc.cli.which import which
 
 _OPTIONS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
@@ -84,6 +85,7 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc evaluate office.yaml --scans scans.npz --sample 60 --json > results.jsonl",
         "imgloc evaluate a.yaml b.yaml --scans a.npz --scans b.npz --methods fused,ght-v",
         "imgloc evaluate curved --methods ght,ght-v --theta-step-deg ght=10 --cell 0.2",
+        "imgloc evaluate office.yaml --scans log.npz --sequence --filters tracker,particle",
     ),
     calibrate: (
         "imgloc calibrate office.yaml",
@@ -111,6 +113,12 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
     export: (
         "imgloc export found",
         "imgloc export found --format parquet --out answers.parquet",
+    ),
+    track: (
+        "imgloc track office.yaml run.log --tum out.tum --picture track.png",
+        "imgloc track office.yaml run.bag --ros poses.yaml --json > track.jsonl",
+        "imgloc track office.yaml log.npz --start 3,2,0 --sensor 0.3,0,0",
+        "imgloc track office.yaml log.npz --kidnap 60,12,3,1.5 --video out.mp4",
     ),
     which: ("imgloc which floors scans.npz", "imgloc which floors scan.csv --range-max 20 --json"),
 }

@@ -111,10 +111,11 @@ def quiet_libraries() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable[[], None]]:
+def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable[..., None]]:
     """Show a progress bar on standard error, if that is a terminal.
 
-    What it yields is to be called after each of `total` steps. If each of several writes `lines`
+    What it yields is to be called after each of `total` steps, with a note if there is one to
+    show. If each of several writes `lines`
     of the result to a terminal, those are progress enough.
     """
     crowded = lines and total > 1 and sys.stdout is not None and sys.stdout.isatty()
@@ -124,13 +125,20 @@ def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
     from rich.progress import TimeRemainingColumn as Remaining
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Remaining())
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Remaining(),
+        TextColumn("{task.fields[note]}"),
+    )  # fmt: skip
     # Without the redirection: results go to stdout, where they belong.
     with Progress(
         *columns, console=Console(stderr=True), transient=True, redirect_stdout=False, disable=quiet
     ) as bar:
-        task = bar.add_task(title, total=total if total > 1 else None)
-        yield lambda: bar.advance(task)
+        task = bar.add_task(title, total=total if total > 1 else None, note="")
+
+        def advance(note: str = "") -> None:
+            bar.update(task, advance=1, note=note)
+
+        yield advance
 
 
 def _flush() -> None:

@@ -10,7 +10,7 @@ import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress
-from imgloc.cli.options import option
+from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
 
@@ -56,6 +56,18 @@ def evaluate(
     floor: float = option(
         1e-3, "P", "Share of the uniform density mixed into each, for S.", within=_FLOOR
     ),
+    sequence: bool = flag(
+        "--sequence", "Follow the robot along each log, from many starts, instead of scan by scan."
+    ),
+    filters: str = option("tracker", "NAMES", "Of --sequence: tracker, grid, particle."),
+    begin: int = option(50, "N", "Of --sequence: random starts.", "--starts", min=1),
+    metres: float = option(
+        15.0, "M", "Of --sequence: driven from each start.", within=(1, 1000, "metres")
+    ),
+    resets: bool = flag("--resets/--no-resets", "Of --sequence: start again when lost.", True),
+    mounted: Any = opt.pose_of(
+        "--sensor", "Of --sequence: pose of the sensor on the robot whose odometry it is."
+    ),
     as_json: opt.AsJson = False,
     allow_lossy: opt.AllowLossy = False,
 ) -> None:
@@ -79,6 +91,15 @@ def evaluate(
     from imgloc.pipeline import prepare
     from imgloc.simulation import fine_image, is_world, sample_set, simulate
 
+    if sequence:
+        from imgloc.cli.sequence import Plan, measure_sequences
+
+        if scans is None or len(scans) != len(maps):
+            raise ConfigError("--sequence: expected --scans, recorded ones, once for each MAP")
+        names = opt.names_of("--filters", filters, ["tracker", "grid", "particle"])
+        plan = Plan(names, begin, metres, seed, range_max, resets, mounted, flipped)
+        measure_sequences(maps, scans, plan, resources(), reading, as_json, allow_lossy)
+        return
     chosen = opt.methods_of(methods, list(opt.MethodName))
     steps = opt.for_each("--theta-step-deg", theta_step_deg, chosen, *opt.STEP)
     cells = opt.for_each("--cell", cell, chosen, *opt.SIDE)

@@ -428,9 +428,14 @@ def number_of(option: str, text: str, low: float, high: float, unit: str) -> flo
 
 def methods_of(text: str, known: Sequence[str]) -> list[str]:
     """Names of methods with commas between, each once, in the order given."""
+    return names_of("--methods", text, known)
+
+
+def names_of(option: str, text: str, known: Sequence[str]) -> list[str]:
+    """Names with commas between, each once, in the order given; all have to be `known`."""
     names = [name.strip() for name in text.split(",")]
     if (name := next((n for n in names if n not in known), None)) is not None:
-        raise ConfigError(f"--methods: got {name!r}, expected {','.join(known)} or some of them")
+        raise ConfigError(f"{option}: got {name!r}, expected {','.join(known)} or some of them")
     return list(dict.fromkeys(names))
 
 

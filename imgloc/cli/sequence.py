@@ -1,0 +1,64 @@
+"""`imgloc evaluate --sequence`: filters along logs whose poses are known."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from imgloc.cli import options as opt
+from imgloc.cli.console import LOG, emit, progress
+from imgloc.io.files import display
+
+GRID_CELL = 0.2  # metres: of the grid filter, whose stacks are held whole
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is measured."""
+
+    filters: Sequence[str]
+    starts: int  #: at random; one each 30 s comes on top
+    metres: float
+    seed: int
+    range_max: float | None
+    resets: bool
+    sensor: tuple[float, float, float] | None
+    flipped: bool
+
+
+def measure_sequences(
+    maps: Sequence[Path], logs: Sequence[Path], plan: Plan, taken: opt.Resources,
+    reading: "opt.Reading", as_json: bool, allow_lossy: bool,
+) -> None:  # fmt: skip
+    """Measure each filter on each log, and print a table or rows."""
+    from imgloc.cli import inputs
+    from imgloc.options import Options
+    from imgloc.output.json import to_json
+    from imgloc.output.tracks import sequence_row, sequence_tables
+    from imgloc.pipeline import prepare
+    from imgloc.sequences import Trials, measure, with_odometry
+
+    mounting = opt.Mounting(plan.sensor, plan.flipped)
+    rows: list[dict[str, Any]] = []
+    options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
+    for given, log in zip(maps, logs, strict=True):
+        path = opt.find_map(given)
+        name = display((path.stem == "map" and path.parent.name) or path.stem)
+        grid = inputs.load_grid(path, taken.memory_budget, allow_lossy=allow_lossy, **reading)
+        scans = inputs.load_set(log, taken.memory_budget)
+        cut = [mounting.mount(inputs.cut_scan(scan, plan.range_max)) for scan in scans.scans]
+        scans, odometry = with_odometry(replace(scans, scans=tuple(cut)), plan.seed)
+        trials = Trials(plan.starts, plan.metres, seed=plan.seed, resets=plan.resets)
+        for filter_ in plan.filters:
+            cell = {"cell": GRID_CELL} if filter_ == "grid" else {}
+            features = prepare(grid, display(path), threads=taken.threads, **cell)
+            inputs.check_answer(features, options, display(path), scans=scans.scans)
+            with progress(f"{name}: {filter_}", trials.count(scans), lines=False) as advance:
+                summary = measure(features, scans, filter_, trials, options, advance=advance)
+            LOG.info("%s: %s: %s wrong seconds", name, filter_, summary.wrong)
+            about = {"odometry": odometry, "log": display(log), "resets": plan.resets}
+            rows.append(sequence_row(name, filter_, summary, about))
+            if as_json:
+                emit(to_json(rows[-1]))
+    if not as_json:
+        emit(sequence_tables(rows))

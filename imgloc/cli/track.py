@@ -1,0 +1,176 @@
+"""`imgloc track`: where a moving robot is, scan after scan."""
+
+import contextlib
+import time
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from imgloc.cli import options as opt
+from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, say
+from imgloc.cli.options import flag, option
+from imgloc.errors import ConfigError
+from imgloc.io.files import display, write_text_atomic
+
+FilterName = StrEnum(
+    "FilterName", (("TRACKER", "tracker"), ("GRID", "grid"), ("PARTICLE", "particle"))
+)
+_EVERY = "Look at a scan once the robot has gone M metres or turned DEG degrees. [default: 0.5,30]"
+
+
+@opt.with_options(opt.mounting, opt.reading, opt.logs, opt.resources, opt.console)
+def track(
+    map_path: opt.MapPath,
+    log: Annotated[
+        Path,
+        typer.Argument(
+            metavar="LOG",
+            callback=opt.find_scans,
+            help="Scans with odometry, in the order of time: a CARMEN .log; a ROS .bag, .mcap or "
+            ".db3; .npz or .jsonl with odom.",
+        ),
+    ],
+    mounting: opt.Mounting,
+    reading: "opt.Reading",
+    logs: opt.Logs,
+    resources: opt.Take,
+    filter_: FilterName = typer.Option(FilterName.TRACKER, "--filter", help="Which filter."),
+    start: Any = opt.pose_of("--start", "Where the robot starts, about. [default: anywhere]"),
+    kidnap: Any = option(
+        None,
+        "T,X,Y,YAW",
+        "After T seconds the filter believes to be at this pose: a robot carried off.",
+        parser=opt.numbers(4),
+    ),
+    every: Any = option(None, "M,DEG", _EVERY, parser=opt.numbers(2)),
+    resets: bool = flag("--resets/--no-resets", "Draw from p(x | z) when lost.", True),
+    simulate_odometry: int | None = option(
+        None, "SEED", "Make odometry of the recorded poses, with noise and a bias.", min=0
+    ),
+    as_json: opt.AsJson = False,
+    tum: Path | None = option(None, "TUM", "Write the trajectory, of unique poses only."),
+    ros: Path | None = option(
+        None,
+        "YAML|BAG",
+        "Write PoseWithCovarianceStamped while unique, PoseArray while several places fit.",
+    ),
+    best: bool = flag("--best", "In --ros one pose, the best, also while several places fit."),
+    picture: Path | None = option(None, "PNG", "Draw the path over the map."),
+    video: Path | None = option(None, "MP4", "Draw the belief over time."),
+    seed: opt.Seed = 0,
+    range_max: opt.Cut = None,
+    strict: bool = flag("--strict", "Exit with 6 unless the last pose is unique."),
+    cache: Path | None = option(
+        None, "DIR", "Where prepared maps are kept. [default: the user's cache folder]"
+    ),
+    no_cache: bool = flag("--no-cache", "Prepare the map anew and keep nothing."),
+    force: opt.Force = False,
+    allow_lossy: opt.AllowLossy = False,
+) -> None:
+    """Follow a robot through a log of scans with odometry, from anywhere on the map.
+
+    A line for each scan: unique (the pose is given), ambiguous (several places fit) or lost (no
+    place that is known does). No pose is given unless it is unique; the last one is never repeated.
+    Poses are those of the sensor, with --sensor those of the robot's base, in the map frame.
+    """
+    import math
+    from dataclasses import replace
+
+    import numpy as np
+
+    from imgloc.cli import inputs
+    from imgloc.filters.choose import make_filter
+    from imgloc.model import Pose2D
+    from imgloc.options import Options
+    from imgloc.output.json import to_json
+    from imgloc.output.ros import message, write_bag, yaml_text
+    from imgloc.output.tracks import (
+        Video,
+        draw_track,
+        moment_row,
+        track_header,
+        track_line,
+        tum_text,
+    )
+    from imgloc.sequences import with_odometry
+    from imgloc.tracking import Every, Kidnap, follow
+
+    if cache is not None and no_cache:
+        raise ConfigError("--cache and --no-cache: expected one of them")
+    if kidnap is not None:
+        opt.check_yaw("--kidnap", kidnap[3])
+    read = [*inputs.files_of(map_path), log]
+    ending_of_ros = ".bag" if ros is not None and ros.suffix.lower() == ".bag" else ".yaml"
+    outputs = ((tum, ".tum"), (ros, ending_of_ros), (picture, ".png"), (video, ".mp4"))
+    for path, ending in outputs:
+        if path is not None:
+            inputs.check_target(path, ending, force=force, inputs=read)
+    taken = resources()
+    grid = inputs.load_grid(map_path, taken.memory_budget, allow_lossy=allow_lossy, **reading)
+    options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
+    folder = inputs.kept_in(cache, wanted=not no_cache)
+    scans = inputs.load_set(log, taken.memory_budget, logs)
+    cut = tuple(mounting.mount(inputs.cut_scan(scan, range_max)) for scan in scans.scans)
+    scans = replace(scans, scans=cut)
+    if simulate_odometry is not None:
+        scans = with_odometry(replace(scans, odom=None), simulate_odometry)[0]
+    if tum is not None and (scans.stamps is None or not np.isfinite(scans.stamps).any()):
+        raise ConfigError("--tum: the log has no stamps, which a trajectory needs")
+    features = inputs.open_features(
+        grid, display(map_path), folder, options, scans=scans.scans, threads=taken.threads
+    )
+    chosen = make_filter(filter_.value, features, options, seed=seed, resets=resets)
+    gap = Every() if every is None else Every(every[0], math.radians(every[1]))
+    moments = []
+    movie = None if video is None else Video(features)
+    with contextlib.ExitStack() as undo:
+        if movie is not None:
+            undo.callback(movie.close)
+        if not as_json:
+            emit(track_header())
+        run = follow(
+            features,
+            scans,
+            chosen,
+            every=gap,
+            start=None if start is None else Pose2D(*start),
+            kidnap=None if kidnap is None else Kidnap(kidnap[0], Pose2D(*kidnap[1:])),
+            name=inputs.name_of(log),
+        )
+        begin = time.perf_counter()
+        with progress("track", len(scans)) as advance:
+            for moment in run:
+                moments.append(moment)
+                emit(to_json(moment_row(moment, mounting.pose)) if as_json else track_line(moment))
+                if movie is not None:
+                    movie.add(moment)
+                gone = moment.stamp - moments[0].stamp
+                took = max(1e-9, time.perf_counter() - begin)
+                advance("" if math.isnan(gone) else f"{gone / took:.1f} x real time")
+        inputs.keep_features(features, folder)
+        if tum is not None:
+            write_text_atomic(tum, tum_text(moments, mounting.pose), force=force)
+            LOG.info("wrote %s", display(tum))
+        if ros is not None:
+            found = (message(m, grid.origin, mount=mounting.pose, best=best) for m in moments)
+            messages = [given for given in found if given is not None]
+            if ros.suffix.lower() == ".bag":
+                write_bag(ros, messages, force=force)
+            else:
+                write_text_atomic(ros, yaml_text(messages), force=force)
+            LOG.info("wrote %s", display(ros))
+        if picture is not None:
+            truth = None if scans.poses is None else np.asarray(scans.poses)
+            draw_track(grid, moments, truth).save(picture, force=force)
+            LOG.info("wrote %s", display(picture))
+        if movie is not None and video is not None:
+            movie.save(video, force=force)
+            LOG.info("wrote %s", display(video))
+    verdicts = [moment.belief.verdict for moment in moments]
+    counts = ", ".join(f"{verdicts.count(v)} {v}" for v in ("unique", "ambiguous", "lost"))
+    speed = "" if math.isnan(gone) else f"; {gone / took:.1f} x real time"
+    say(f"{len(moments)} scans, {moments[-1].metres:.1f} m: {counts}{speed}")
+    if strict and verdicts[-1] != "unique":
+        raise typer.Exit(NOT_UNIQUE)

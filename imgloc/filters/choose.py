@@ -1,0 +1,49 @@
+"""Filters by name."""
+
+from collections.abc import Callable
+
+from imgloc.errors import ConfigError
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.filters.belief import Filter
+from imgloc.filters.grid import GridFilter, GridOptions
+from imgloc.filters.particle import ParticleFilter, ParticleOptions
+from imgloc.filters.tracker import Tracker, TrackerOptions
+from imgloc.model import FloatArray, LaserScan
+from imgloc.options import Options
+
+FILTERS = ("tracker", "grid", "particle")
+
+
+def make_filter(
+    name: str,
+    features: MapFeatures,
+    options: Options,
+    *,
+    seed: int = 0,
+    resets: bool = True,
+    reset_by: str = "ght-v",
+    find: Callable[[LaserScan], FloatArray] | None = None,
+) -> Filter:
+    """Make a filter that knows nothing yet.
+
+    Parameters
+    ----------
+    name : str
+        One of :data:`FILTERS`, or a ConfigError.
+    seed : int
+        Of its draws.
+    resets : bool
+        Whether it starts again from p(x | z) where it is lost.
+    reset_by : str
+        The method whose p(x | z) particles are drawn from.
+    find : callable, optional
+        Instead of the search of poses in a scan: gives those of a search that was done before.
+    """
+    if name == "tracker":
+        return Tracker(features, options, TrackerOptions(resets=resets), find)
+    if name == "grid":
+        return GridFilter(features, options, GridOptions(resets=resets))
+    if name == "particle":
+        how = ParticleOptions(resets=resets, reset_by=reset_by)
+        return ParticleFilter(features, options, how, seed=seed)
+    raise ConfigError(f"filter must be one of {', '.join(FILTERS)}, got {name!r}")

@@ -1,0 +1,304 @@
+"""The grid filter: eq. 1 as image processing.
+
+The belief is a stack of images ``(theta, y, x)`` on the lattice of poses. The integral of eq. 1 is
+done image by image: each is shifted by the motion turned into its heading (``warpAffine``), blurred
+by what the motion may have been, and mixed with those of neighbouring headings around the circle.
+Walls and unknown space hold no mass. A scan multiplies it with the calibrated likelihood of any
+method. Once nearly all of the mass lies in a small box, only that box is computed, and its cells
+are scored one by one: that is what makes it real time.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+
+from imgloc.features.budget import check_budget
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.filters.belief import NOWHERE, STRANGE, Belief, Followed, belief_of
+from imgloc.filters.evidence import misfit_near, sight
+from imgloc.filters.motion import MotionNoise, deviations
+from imgloc.geometry import centre_of, rotation, wrap
+from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, LaserScan
+from imgloc.options import Options
+from imgloc.pipeline import likelihood, posterior_of
+
+_FINE = 32  # warpAffine interpolates between so many places of a pixel
+_COPIES = 4  # stacks that are held at a time
+
+
+@dataclass(frozen=True)
+class GridOptions:
+    """What a grid filter makes of scans and odometry."""
+
+    method: str = "ght-v"  #: whose likelihood is multiplied in while the whole map is looked at
+    noise: MotionNoise = field(default_factory=MotionNoise)
+    #: metres and radians of motion after which a scan says something entirely new
+    fresh: tuple[float, float] = (1.0, 0.8)
+    least: float = 0.2  #: share of a scan's evidence that counts without any motion
+    floor: float = 1e-3  #: of the likelihood, as a share of a uniform one: no cell is ruled out
+    box: float = 0.999  #: mass within a box from which on only the box is computed
+    box_cells: int = 20_000  #: that are scored one by one, at most, headings and all
+    margin: float = 1.0  #: metres around them
+    #: nats per reading that the best place may lack more than usual, before p(x | z) is mixed in
+    surprise: float = 0.7
+    share: float = 0.3  #: of p(x | z) that is mixed in then: sensor resetting
+    resets: bool = True
+    mass: float = 0.95  #: of the best place, to be ``unique``
+    sure: float = 1.0  #: metres that it has to be the best one for before it is
+    misfit: float = 2.5  #: nats per reading that it may lack and not be lost
+
+
+def predict(
+    belief: Float32Array,
+    thetas: FloatArray,
+    resolution: float,
+    free: BoolArray,
+    increment: FloatArray,
+    noise: MotionNoise,
+) -> Float32Array:
+    """The integral of eq. 1: move a belief (K, H, W) by an increment (3,), and blur it.
+
+    Parameters
+    ----------
+    thetas : (K,) float array
+        Headings, radians, equally spaced over the circle.
+    free : (H, W) bool array
+        Cells that can hold mass; what would leave them is spread over the others.
+
+    Examples
+    --------
+    >>> belief = np.zeros((4, 5, 5), np.float32)
+    >>> belief[0, 2, 1] = 1
+    >>> still = MotionNoise(0, 0, 0, 0, (0, 0))
+    >>> moved = predict(belief, np.arange(4) * np.pi / 2, 1.0, np.ones((5, 5), bool),
+    ...                 np.array([2.0, 0, np.pi / 2]), still)
+    >>> np.argwhere(moved > 0.5).tolist()
+    [[1, 2, 3]]
+    """
+    first, along, second = deviations(increment, noise).tolist()
+    go = float(np.hypot(*increment[:2]))
+    # Across, a first turn that was wrong; the kernel is round, and as wide as the wider.
+    kernel = gaussian(max(along, first * go) / resolution)
+    out, (height, width) = np.empty_like(belief), belief.shape[1:]
+    rim = len(kernel) // 2 + 1
+    size = width + 2 * rim, height + 2 * rim
+    for k, theta in enumerate(thetas):
+        x, y = np.rint(rotation(theta) @ increment[:2] * (_FINE / resolution)) / _FINE
+        # With a rim: what is shifted off the map may be blurred back onto it.
+        M = np.array([[1.0, 0.0, x + rim], [0.0, 1.0, y + rim]])
+        moved = cv2.warpAffine(belief[k], M, size, flags=cv2.INTER_LINEAR)
+        blurred = cv2.sepFilter2D(moved, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
+        out[k] = blurred[rim : rim + height, rim : rim + width]
+    out = turn(out, float(increment[2]), float(np.hypot(first, second)))
+    out *= free
+    whole = out.sum(dtype=np.float64)
+    if whole > 0:
+        out *= np.float32(belief.sum(dtype=np.float64) / whole)
+    return out
+
+
+def turn(stack: Float32Array, angle: float, sigma: float) -> Float32Array:
+    """Move a stack (K, H, W) around the circle by an angle, and blur it by `sigma`, radians."""
+    step = 2 * np.pi / len(stack)
+    whole, part = divmod(angle / step, 1.0)
+    taps = np.convolve(gaussian(sigma / step).ravel(), [1 - part, part])
+    out, half = np.zeros_like(stack), (len(taps) - 2) // 2
+    for j, weight in enumerate(taps):
+        if weight > 0:
+            out += np.float32(weight) * np.roll(stack, int(whole) + j - half, axis=0)
+    return out
+
+
+def gaussian(sigma: float) -> Float32Array:
+    """A Gaussian kernel (2 r + 1, 1) of `sigma` pixels out to three of them; sums to 1."""
+    return np.asarray(cv2.getGaussianKernel(2 * int(np.ceil(3 * sigma)) + 1, max(sigma, 1e-3)))
+
+
+class GridFilter:
+    """A belief over the cells of a map's lattice and some headings.
+
+    Parameters
+    ----------
+    features : MapFeatures
+        With the cells of the belief: 0.1 m by default, larger ones are faster.
+    options : Options, optional
+        Headings of the method, threads, memory.
+    how : GridOptions, optional
+
+    Raises
+    ------
+    ConfigError
+        If the stacks take more than the memory budget.
+    """
+
+    def __init__(
+        self, features: MapFeatures, options: Options | None = None, how: GridOptions | None = None
+    ) -> None:
+        self.features, self.how = features, how or GridOptions()
+        self.options = replace(options or Options(), method=self.how.method)
+        self.thetas, self.lattice = self.options.thetas, features.lattice
+        shape = (len(self.thetas), *self.lattice.shape)
+        what = f"a grid filter of {shape[0]} headings x {shape[1]} x {shape[2]} cells"
+        need = _COPIES * 4 * int(np.prod(shape))
+        check_budget(need, self.options.memory_budget, what, "use larger cells")
+        self._free = features.free
+        self._box = (slice(0, shape[1]), slice(0, shape[2]))
+        self._belief = np.zeros(shape, np.float32)
+        self._belief[:] = self._free / max(1, shape[0] * int(np.count_nonzero(self._free)))
+        self._pending, self._way = np.zeros(3), np.full(2, np.inf)
+        self._misfit, self._usual, self._resets, self._seen = 0.0, np.nan, 0, False
+        self._followed = Followed()
+
+    @property
+    def stack(self) -> Float32Array:
+        """The whole belief (K, H, W), also while only a box of it is computed."""
+        if self._belief.shape[1:] == self.lattice.shape:
+            return self._belief
+        out = np.zeros((len(self.thetas), *self.lattice.shape), np.float32)
+        out[:, self._box[0], self._box[1]] = self._belief
+        return out
+
+    def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
+        """Believe to be at a pose (3,), grid frame, with deviations in metres and radians."""
+        self._dense()
+        metres, radians = deviation
+        rows, columns = (
+            centre_of(np.stack((np.arange(n),) * 2, axis=1), self.lattice.resolution)[:, 0]
+            for n in self.lattice.shape
+        )
+        x = np.exp(-0.5 * np.square((columns - pose[0]) / metres))
+        y = np.exp(-0.5 * np.square((rows - pose[1]) / metres))
+        turned = np.exp(-0.5 * np.square(wrap(self.thetas - pose[2]) / radians))
+        stack = turned[:, None, None] * (y[:, None] * x * self._free)
+        self._belief, self._seen = (stack / max(1e-300, stack.sum())).astype(np.float32), True
+        self._sparse()
+        self._usual = STRANGE if np.isnan(self._usual) else self._usual
+
+    def move(self, increment: FloatArray) -> None:
+        """Take a motion (3,) of the sensor, in its frame before."""
+        if not np.any(increment):
+            return
+        self._followed.move(increment)
+        self._way = self._way + (np.hypot(*increment[:2]), abs(wrap(increment[2])))
+        if not self._seen:
+            return  # what is uniform stays so
+        self._belief = predict(
+            self._belief, self.thetas, self.lattice.resolution,
+            self._free[self._box], increment, self.how.noise,
+        )  # fmt: skip
+
+    def watch(self, scan: LaserScan) -> bool:
+        """Whether a scan contradicts the best place."""
+        if not self._seen or scan.directions < max(1, self.options.trust.readings):
+            return False
+        return self._misfit_at_best(scan) > self._misfit + self.how.surprise
+
+    def see(self, scan: LaserScan) -> None:
+        """Take a scan; one with too few readings says nothing."""
+        if scan.directions < max(1, self.options.trust.readings):
+            return
+        how = self.how
+        new = float(np.clip((self._way / how.fresh).sum(), how.least, 1.0)) if self._seen else 1.0
+        before = self._misfit_at_best(scan) if self._seen else 0.0
+        surprised = self._seen and before > self._usual + how.surprise
+        if surprised:
+            self._dense()
+        if self._belief.shape[1:] == self.lattice.shape:
+            self._multiply_all(scan, new, mix=surprised and how.resets)
+        else:
+            self._multiply_box(scan, new)
+        self._way, self._seen = np.zeros(2), True
+        self._sparse()
+        self._misfit = self._misfit_at_best(scan)
+        usual = self._misfit if np.isnan(self._usual) else self._usual
+        self._usual = usual + 0.3 * (self._misfit - usual)
+        self._followed.best(self.belief.poses[0])
+
+    def _multiply_all(self, scan: LaserScan, new: float, *, mix: bool) -> None:
+        stack = likelihood(self.features, scan, self.options)
+        posterior = posterior_of(self.features, scan, stack, self.options)
+        uniform = 1 / max(1, posterior.shape[0] * int(np.count_nonzero(self._free)))
+        if not posterior.any():
+            return
+        if mix:
+            self._resets += 1
+            self._belief = (1 - self.how.share) * self._belief + self.how.share * posterior
+        self._belief *= (posterior / np.float32(uniform) + np.float32(self.how.floor)) ** new
+        self._normalise()
+
+    def _multiply_box(self, scan: LaserScan, new: float) -> None:
+        """Score the cells that hold mass, by the score of the default method."""
+        flat = self._belief.ravel()
+        some = np.argsort(-flat, kind="stable")[: self.how.box_cells]
+        some = some[flat[some] > 1e-9]
+        seen = sight(self.features, scan, self._poses(some), self._few)
+        out = np.zeros_like(flat)
+        gain = (seen.log_likelihood - seen.log_likelihood.max()) * new
+        out[some] = flat[some] * np.exp(gain).astype(np.float32)
+        self._belief = out.reshape(self._belief.shape)
+        self._normalise()
+
+    @property
+    def _few(self) -> Options:
+        fused = replace(self.options.fused, rays=self.options.fused.few_rays)
+        return replace(self.options, fused=fused, top=1)
+
+    def _poses(self, flat: IntArray) -> FloatArray:
+        """Poses (N, 3) of cells of the box."""
+        k, row, column = np.unravel_index(flat, self._belief.shape)
+        cells = np.column_stack((row + self._box[0].start, column + self._box[1].start))
+        return np.column_stack((centre_of(cells, self.lattice.resolution), self.thetas[k]))
+
+    def _misfit_at_best(self, scan: LaserScan) -> float:
+        best = self._poses(np.array([int(np.argmax(self._belief))]))
+        return misfit_near(self.features, scan, best, self.options)
+
+    def _normalise(self) -> None:
+        whole = float(self._belief.sum(dtype=np.float64))
+        if whole > 0:
+            self._belief /= np.float32(whole)
+        else:
+            self._belief[:] = self._free[self._box]
+            self._belief /= np.float32(self._belief.sum(dtype=np.float64))
+
+    def _dense(self) -> None:
+        self._belief = self.stack
+        self._box = (slice(0, self.lattice.height), slice(0, self.lattice.width))
+
+    def _sparse(self) -> None:
+        """Keep the box around nearly all of the mass alone, if it is small."""
+        stack, ends = self._belief, []
+        image = stack.sum(axis=0, dtype=np.float64)
+        tail = (1 - self.how.box) / 4
+        for axis, old in ((1, self._box[0]), (0, self._box[1])):
+            sums = np.cumsum(image.sum(axis=axis))
+            low, high = np.searchsorted(sums, [tail * sums[-1], (1 - tail) * sums[-1]])
+            around = int(np.ceil(self.how.margin / self.lattice.resolution))
+            ends.append((old.start + int(low) - around, old.start + int(high) + around + 1))
+        limits = self.lattice.shape
+        box = tuple(slice(max(0, a), min(n, b)) for (a, b), n in zip(ends, limits, strict=True))
+        if np.prod([s.stop - s.start for s in box]) > self.how.box_cells:
+            self._dense()
+            return
+        whole = self.stack
+        self._box = (box[0], box[1])
+        self._belief = np.ascontiguousarray(whole[:, box[0], box[1]])
+        self._normalise()
+
+    @property
+    def belief(self) -> Belief:
+        """What is believed now: the places of the cells that hold most."""
+        if not self._seen:
+            return NOWHERE
+        flat = self._belief.ravel().astype(np.float64)
+        n = min(2000, flat.size)
+        some = np.argpartition(-flat, n - 1)[:n]
+        some = some[np.lexsort((some, -flat[some]))]
+        poses, mass = self._poses(some), flat[some]
+        return belief_of(
+            poses, mass, sure=self.how.mass, lost=self._misfit > self.how.misfit,
+            doubted=self._misfit > self._usual + self.how.surprise
+            or self._followed.metres < self.how.sure,
+            neff=1 / float(np.square(flat).sum()), resets=self._resets,
+        )  # fmt: skip

@@ -1,0 +1,172 @@
+"""What odometry says of a motion, and how far it may be wrong: turn, go, turn.
+
+An increment is the later pose in the frame of the earlier one, so that composing it with any pose
+of the earlier time is exact. Its error is that of three parts, with AMCL's names and meaning of the
+four parameters (Thrun, Burgard and Fox, *Probabilistic Robotics*, table 5.6)::
+
+    var(rot)   = alpha1 rot^2   + alpha2 trans^2
+    var(trans) = alpha3 trans^2 + alpha4 (rot1^2 + rot2^2)
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from imgloc.errors import ConfigError
+from imgloc.geometry import wrap
+from imgloc.model import FloatArray
+
+_STILL = 0.01  # metres: below, the direction of a motion is noise
+
+
+@dataclass(frozen=True)
+class MotionNoise:
+    """How far odometry may be wrong; the square roots of the alphas are shares.
+
+    Raises
+    ------
+    ConfigError
+        If a value is negative or not finite.
+    """
+
+    alpha1: float = 0.01  #: of rotation, from rotation
+    alpha2: float = 0.01  #: of rotation, from translation, rad²/m²
+    alpha3: float = 0.01  #: of translation, from translation
+    alpha4: float = 0.01  #: of translation, from rotation, m²/rad²
+    #: of every motion that is not none, for steps so short that shares of them are nothing:
+    #: standard deviations, metres and radians
+    floor: tuple[float, float] = (0.01, 0.005)
+
+    def __post_init__(self) -> None:
+        for part in fields(self):
+            value = getattr(self, part.name)
+            if not all(np.isfinite(v) and v >= 0 for v in np.atleast_1d(value)):
+                raise ConfigError(f"{part.name} must be finite and not negative, got {value}")
+
+
+def compose_poses(a: FloatArray, b: FloatArray) -> FloatArray:
+    """``a ⊕ b`` of poses (..., 3), which broadcast: `b`, given in the frame of `a`; theta wrapped.
+
+    Examples
+    --------
+    >>> compose_poses(np.array([[1, 0, np.pi / 2]]), np.array([1, 0, 0.0])).round(6).tolist()
+    [[1.0, 1.0, 1.570796]]
+    """
+    a, b = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    x = a[..., 0] + c * b[..., 0] - s * b[..., 1]
+    y = a[..., 1] + s * b[..., 0] + c * b[..., 1]
+    return np.stack((x, y, wrap(a[..., 2] + b[..., 2])), axis=-1)
+
+
+def invert_poses(a: FloatArray) -> FloatArray:
+    """The poses (..., 3) that undo `a`."""
+    a = np.asarray(a, dtype=np.float64)
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    x, y = -c * a[..., 0] - s * a[..., 1], s * a[..., 0] - c * a[..., 1]
+    return np.stack((x, y, wrap(-a[..., 2])), axis=-1)
+
+
+def increments(odom: FloatArray) -> FloatArray:
+    """The motion from each of the poses (N, 3) to the next, (N - 1, 3), in the frame of the first.
+
+    Examples
+    --------
+    >>> increments(np.array([[0, 0, np.pi / 2], [0, 2, np.pi / 2]])).round(6).tolist()
+    [[2.0, 0.0, 0.0]]
+    """
+    return compose_poses(invert_poses(odom[:-1]), odom[1:])
+
+
+def turn_go_turn(increment: FloatArray) -> FloatArray:
+    """First turn, distance and second turn (..., 3) of increments (..., 3): radians, m, radians.
+
+    Examples
+    --------
+    >>> turn_go_turn(np.array([0.0, 2.0, 1.0])).round(4).tolist()
+    [1.5708, 2.0, -0.5708]
+    """
+    increment = np.asarray(increment, dtype=np.float64)
+    x, y, turn = np.moveaxis(increment, -1, 0)
+    go = np.hypot(x, y)
+    first = np.arctan2(y, x)
+    return np.stack((first, go, wrap(turn - first)), axis=-1)
+
+
+def deviations(increment: FloatArray, noise: MotionNoise) -> FloatArray:
+    """Standard deviations (..., 3) of the parts of :func:`turn_go_turn`."""
+    first, go, second = np.moveaxis(turn_go_turn(increment), -1, 0)
+    still = go < _STILL
+    first, second = np.where(still, 0.0, first), np.where(still, wrap(first + second), second)
+    # Backwards is no half turn.
+    first, second = (np.minimum(np.abs(r), np.pi - np.abs(r)) for r in (first, second))
+    moved = np.any(np.asarray(increment) != 0, axis=-1)
+    metres, radians = (np.where(moved, floor, 0.0) for floor in noise.floor)
+    turns = [
+        np.sqrt(noise.alpha1 * r**2 + noise.alpha2 * go**2 + radians**2) for r in (first, second)
+    ]
+    along = np.sqrt(noise.alpha3 * go**2 + noise.alpha4 * (first**2 + second**2) + metres**2)
+    return np.stack((turns[0], along, turns[1]), axis=-1)
+
+
+def sample_motion(
+    poses: FloatArray, increment: FloatArray, noise: MotionNoise, rng: np.random.Generator
+) -> FloatArray:
+    """Move each of the poses (N, 3) by a draw of what the increment (3,) or (N, 3) may have been.
+
+    Examples
+    --------
+    >>> still = MotionNoise(0, 0, 0, 0, (0, 0))
+    >>> sample_motion(np.zeros((1, 3)), np.array([1, 1, 0.5]), still, np.random.default_rng(0))
+    array([[1. , 1. , 0.5]])
+    """
+    spread = rng.standard_normal((len(poses), 3)) * deviations(increment, noise)
+    first, go, second = np.moveaxis(turn_go_turn(increment) + spread, -1, 0)
+    x, y = go * np.cos(first), go * np.sin(first)
+    return compose_poses(poses, np.stack((x, y, first + second), axis=-1))
+
+
+def move_gaussians(
+    poses: FloatArray, covariance: FloatArray, increment: FloatArray, noise: MotionNoise
+) -> tuple[FloatArray, FloatArray]:
+    """Means (M, 3) and covariances (M, 3, 3) after a motion (3,), to first order."""
+    first, go, _ = turn_go_turn(increment)
+    c, s = np.cos(first), np.sin(first)
+    G = np.array([[-go * s, c, 0.0], [go * c, s, 0.0], [1.0, 0.0, 1.0]])
+    own = G @ np.diag(deviations(increment, noise) ** 2) @ G.T
+    own[[0, 1], [0, 1]] += noise.floor[0] ** 2 * bool(np.any(increment != 0))  # slip to the side
+    moved = compose_poses(poses, increment)
+    F, R = np.tile(np.eye(3), (2, len(poses), 1, 1))
+    F[:, 0, 2], F[:, 1, 2] = -(moved[:, 1] - poses[:, 1]), moved[:, 0] - poses[:, 0]
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1] = c, -s, s, c
+    spread = F @ covariance @ F.transpose(0, 2, 1) + R @ own @ R.transpose(0, 2, 1)
+    return moved, (spread + spread.transpose(0, 2, 1)) / 2
+
+
+def noisy_odometry(
+    poses: FloatArray,
+    rng: np.random.Generator,
+    *,
+    noise: MotionNoise | None = None,
+    bias: tuple[float, float] = (0.02, 0.01),
+) -> FloatArray:
+    """Odometry (N, 3) as a robot may have recorded it that went through the poses (N, 3).
+
+    Parameters
+    ----------
+    noise : MotionNoise, optional
+        By default shares of 0.05 of each.
+    bias : (float, float)
+        Of all increments: share of the distance, and radians of heading per metre.
+    """
+    if noise is None:
+        noise = MotionNoise(0.0025, 0.0025, 0.0025, 0.0025, (0.0, 0.0))
+    steps = increments(poses)
+    metres = np.hypot(steps[:, 0], steps[:, 1])
+    steps[:, :2] *= 1 + bias[0]
+    steps[:, 2] += bias[1] * metres
+    out = [np.zeros(3)]
+    for step in sample_motion(np.zeros_like(steps), steps, noise, rng):
+        out.append(compose_poses(out[-1], step))
+    return np.array(out)

@@ -1,0 +1,238 @@
+"""The particle filter: Monte Carlo localization that starts, and starts again, from p(x | z).
+
+* The first particles are drawn from p(x | z) of the first scan (Sec. I: fewer are needed).
+* **Sensor resetting** (Lenser and Veloso 2000; the averages are those of augmented MCL): while the
+  short-time mean of the likelihood is below the long-time one, that share of the particles is
+  drawn from p(x | z) again.
+* As many particles as Fox's KLD bound asks for, by the bins of pose space that they fill;
+  resampling with low variance, only once the weights have become uneven.
+* GHT-V every once in a while "to cut hypotheses based on the visibility constraints" (Sec. V).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from imgloc.errors import ConfigError
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.filters.belief import NOWHERE, STRANGE, Belief, Followed, belief_of
+from imgloc.filters.evidence import misfit_near, sight
+from imgloc.filters.motion import MotionNoise, sample_motion
+from imgloc.geometry import cell_of, inside, theta_bin, transform_poses, wrap
+from imgloc.model import FloatArray, IntArray, LaserScan, inverse
+from imgloc.options import Options
+from imgloc.pipeline import likelihood, posterior_of
+from imgloc.sample import sample_poses
+from imgloc.search.hypotheses import first_in_cell
+
+_FLOOR = 1e-2  # of a uniform posterior: what GHT-V leaves of a particle that it rules out
+
+
+@dataclass(frozen=True)
+class ParticleOptions:
+    """What a particle filter makes of scans and odometry."""
+
+    least: int = 200  #: particles
+    most: int = 4000
+    error: float = 0.05  #: KLD-sampling: distance of the distributions, nats
+    quantile: float = 2.33  #: of the normal distribution: 2.33 is 99 %
+    bins: tuple[float, float] = (0.5, float(np.deg2rad(15.0)))  #: metres and radians
+    noise: MotionNoise = field(default_factory=MotionNoise)
+    rays: int = 40  #: readings that weigh particles
+    #: metres and radians of motion after which a scan says something entirely new
+    fresh: tuple[float, float] = (1.0, 0.8)
+    least_new: float = 0.2  #: share of a scan's evidence that counts without any motion
+    reset_by: str = "ght-v"  #: whose p(x | z): ``fused`` or a method
+    resets: bool = True
+    alphas: tuple[float, float] = (0.05, 0.5)  #: of the long and the short mean of the likelihood
+    slack: float = 1.1  #: by how much the short mean may be below the long one
+    cut: int = 5  #: scans between two cuts by GHT-V; 0 for none
+    jitter: tuple[float, float] = (0.03, 0.01)  #: of particles that are drawn again, m and rad
+    mass: float = 0.95  #: of the best place, to be ``unique``
+    sure: float = 1.0  #: metres that it has to be the best one for before it is
+    surprise: float = 0.5  #: nats per reading more than usual that it may lack to be
+    misfit: float = 2.5  #: nats per reading that it may lack and not be lost
+
+
+def kld_bound(bins: int, error: float, quantile: float) -> int:
+    """How many particles keep the KL distance from what they stand for below `error` (Fox 2003).
+
+    Examples
+    --------
+    >>> kld_bound(1, 0.05, 2.33), kld_bound(100, 0.05, 2.33)
+    (1, 1348)
+    """
+    if bins < 2:
+        return 1
+    a = 2 / (9 * (bins - 1))
+    return int(np.ceil((bins - 1) / (2 * error) * (1 - a + np.sqrt(a) * quantile) ** 3))
+
+
+def low_variance(weights: FloatArray, n: int, rng: np.random.Generator) -> IntArray:
+    """Draw `n` indices by weights (M,) with one random number: each is drawn as often as expected.
+
+    Examples
+    --------
+    >>> low_variance(np.array([0.5, 0.0, 0.5]), 4, np.random.default_rng(0)).tolist()
+    [0, 0, 2, 2]
+    """
+    sums = np.cumsum(weights)
+    marks = (np.arange(n) + rng.random()) * (sums[-1] / n)
+    return np.asarray(np.minimum(np.searchsorted(sums, marks, side="right"), len(weights) - 1))
+
+
+class ParticleFilter:
+    """Weighted poses of the sensor, grid frame.
+
+    Parameters
+    ----------
+    features : MapFeatures
+    options : Options, optional
+    how : ParticleOptions, optional
+    seed : int
+        Of every draw.
+    draw : callable, optional
+        Gives poses (n, 3), map frame, drawn from p(x | z) of a scan with a generator, instead of
+        :func:`imgloc.sample.sample_poses`.
+    """
+
+    def __init__(
+        self,
+        features: MapFeatures,
+        options: Options | None = None,
+        how: ParticleOptions | None = None,
+        *,
+        seed: int = 0,
+        draw: Callable[[LaserScan, int, np.random.Generator], FloatArray] | None = None,
+    ) -> None:
+        self.features, self.how = features, how or ParticleOptions()
+        if not 1 <= self.how.least <= self.how.most:
+            raise ConfigError(f"particles: got {self.how.least} to {self.how.most}")
+        self.options = replace(options or Options(), top=20)
+        self._rng = np.random.default_rng(seed)
+        self._draw = draw or self._sample
+        self.poses, self.weights = np.empty((0, 3)), np.empty(0)
+        self._long, self._short, self._looks, self._resets = 0.0, 0.0, 0, 0
+        self._way = np.full(2, np.inf)
+        self._misfit, self._usual, self._followed = np.inf, np.nan, Followed()
+
+    def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
+        """Believe to be at a pose (3,), grid frame, with deviations in metres and radians."""
+        spread = (deviation[0], deviation[0], deviation[1])
+        self.poses = pose + self._rng.standard_normal((self.how.least * 2, 3)) * spread
+        self.weights = np.full(len(self.poses), 1 / len(self.poses))
+        self._misfit = STRANGE
+        self._usual = STRANGE if np.isnan(self._usual) else self._usual
+
+    def move(self, increment: FloatArray) -> None:
+        """Take a motion (3,) of the sensor, in its frame before."""
+        self._followed.move(increment)
+        self._way = self._way + (np.hypot(*increment[:2]), abs(wrap(increment[2])))
+        if len(self.poses) and np.any(increment):
+            self.poses = sample_motion(self.poses, increment, self.how.noise, self._rng)
+
+    def watch(self, scan: LaserScan) -> bool:
+        """Whether a scan contradicts the best place."""
+        if not len(self.poses) or scan.directions < max(1, self.options.trust.readings):
+            return False
+        return self._misfit_at_best(scan) > self._misfit + self.how.surprise
+
+    def see(self, scan: LaserScan) -> None:
+        """Take a scan; one with too few readings says nothing."""
+        if scan.directions < max(1, self.options.trust.readings):
+            return
+        how, first = self.how, not len(self.poses)
+        if first:
+            self.poses = self._new(scan, how.most)
+            self.weights = np.full(len(self.poses), 1 / len(self.poses))
+        new = float(np.clip((self._way / how.fresh).sum(), how.least_new, 1.0))
+        self._way = np.zeros(2)
+        seen = sight(self.features, scan, self.poses, self._few)
+        log = seen.log_likelihood * new + self._cut(scan)
+        weights = self.weights * np.exp(log - log.max())
+        self.weights = weights / weights.sum()
+        # Of the particles as they are weighted now: those put in by the last reset count little.
+        mean = float(self.weights @ np.exp(-seen.misfit))
+        # Lenser and Veloso: the share that is drawn anew follows the running likelihood.
+        slow, fast = how.alphas
+        self._long = mean if first else self._long + slow * (mean - self._long)
+        self._short = mean if first else self._short + fast * (mean - self._short)
+        share = (
+            max(0.0, 1 - how.slack * self._short / max(1e-300, self._long)) if how.resets else 0.0
+        )
+        neff = 1 / float(np.square(self.weights).sum())
+        if first or share > 0 or neff < len(self.weights) / 2:
+            self._resample(scan, share)
+        self._misfit = self._misfit_at_best(scan)
+        usual = self._misfit if np.isnan(self._usual) else self._usual
+        self._usual = usual + 0.3 * (self._misfit - usual)
+        self._followed.best(self.belief.poses[0])
+
+    def _resample(self, scan: LaserScan, share: float) -> None:
+        how, rng = self.how, self._rng
+        kept = self.poses[low_variance(self.weights, how.most, rng)]
+        bins = len(first_in_cell(kept, *how.bins))
+        n = int(np.clip(kld_bound(bins, how.error, how.quantile), how.least, how.most))
+        anew = round(share * n)
+        spread = np.array([how.jitter[0], how.jitter[0], how.jitter[1]])
+        old = self.poses[low_variance(self.weights, n - anew, rng)]
+        old = old + rng.standard_normal(old.shape) * spread
+        if anew:
+            self._resets += 1
+            old = np.concatenate((old, self._new(scan, anew)))
+        old[:, 2] = wrap(old[:, 2])
+        self.poses, self.weights = old, np.full(len(old), 1 / len(old))
+
+    def _new(self, scan: LaserScan, n: int) -> FloatArray:
+        poses = self._draw(scan, n, self._rng)
+        return transform_poses(inverse(self.features.grid.origin), poses)
+
+    def _sample(self, scan: LaserScan, n: int, rng: np.random.Generator) -> FloatArray:
+        how = replace(self.options, method=self.how.reset_by)
+        return sample_poses(self.features, scan, n, rng, how)
+
+    def _cut(self, scan: LaserScan) -> FloatArray:
+        """Nats that GHT-V takes from the particles, every once in a while."""
+        self._looks += 1
+        if not self.how.cut or self._looks % self.how.cut:
+            return np.zeros(len(self.poses))
+        options = replace(self.options, method="ght-v")
+        stack = likelihood(self.features, scan, options)
+        posterior = posterior_of(self.features, scan, stack, options)
+        cells = cell_of(self.poses[:, :2], self.features.lattice.resolution)
+        there = inside(cells, self.features.lattice)
+        k = theta_bin(self.poses[:, 2], len(stack.thetas))
+        density = np.zeros(len(cells))
+        density[there] = posterior[k[there], cells[there, 0], cells[there, 1]]
+        uniform = 1 / max(1, len(stack.thetas) * int(np.count_nonzero(self.features.free)))
+        return np.asarray(np.minimum(0.0, np.log(density / uniform + _FLOOR)))
+
+    @property
+    def _few(self) -> Options:
+        return replace(self.options, fused=replace(self.options.fused, rays=self.how.rays), top=1)
+
+    def _misfit_at_best(self, scan: LaserScan) -> float:
+        best = self.belief.poses[:1]
+        return misfit_near(self.features, scan, best, self.options)
+
+    @property
+    def belief(self) -> Belief:
+        """What is believed now."""
+        if not len(self.poses):
+            return NOWHERE
+        # Where many are comes first: the order of equal weights says nothing.
+        turn = max(1, round(2 * np.pi / self.how.bins[1]))
+        cells = np.column_stack(
+            (np.floor(self.poses[:, :2] / self.how.bins[0]), theta_bin(self.poses[:, 2], turn))
+        )
+        _, which = np.unique(cells, axis=0, return_inverse=True)
+        crowd = np.bincount(which, self.weights)[which]
+        order = np.lexsort((-self.weights, -crowd))
+        poses, weights = self.poses[order], self.weights[order]
+        return belief_of(
+            poses, weights, sure=self.how.mass, lost=self._misfit > self.how.misfit,
+            doubted=self._misfit > self._usual + self.how.surprise
+            or self._followed.metres < self.how.sure,
+            neff=1 / float(np.square(weights).sum()), resets=self._resets,
+        )  # fmt: skip

@@ -1,0 +1,288 @@
+"""The hypothesis tracker: the modes of one scan, carried by odometry, judged by every scan.
+
+The belief is a mixture of some dozens of Gaussians, and the chance of being **lost**, at none of
+them. Odometry moves the Gaussians (the integral of eq. 1). A scan scores each of them at its own
+place, whether or not a search would have found it there, and what the search finds besides is where
+the lost mass goes: sensor resetting without particles. The mass of being lost grows by a small
+leak, and by what a scan leaves unexplained at every place that is followed.
+
+Scans that are taken close to each other see the same walls, with the same errors of the map: the
+evidence of a scan counts in proportion to the way since the last one.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.filters.belief import AMBIGUOUS, LOST, NOWHERE, STRANGE, UNIQUE, Belief
+from imgloc.filters.evidence import Sight, misfit_near, search, settled, sight
+from imgloc.filters.motion import MotionNoise, move_gaussians
+from imgloc.geometry import wrap
+from imgloc.model import FloatArray, IntArray, LaserScan
+from imgloc.options import Options
+from imgloc.search.hypotheses import separated
+
+_SURE = 1e5  # odds of being lost, at most
+_HABIT = 0.3  # share of a scan in what is the usual misfit
+_MOST = 3.0  # nats that being lost can gain by one scan
+_NOTHING, _RESET = 1e-7, 0.2  # mass of a component that is dropped; put in at once: a reset
+
+Search = Callable[[LaserScan], FloatArray]
+
+
+@dataclass(frozen=True)
+class TrackerOptions:
+    """What a tracker makes of scans and odometry."""
+
+    noise: MotionNoise = field(default_factory=MotionNoise)
+    components: int = 40  #: at most
+    births: int = 15  #: modes of one scan that may become components
+    #: metres and radians of motion after which a scan says something entirely new
+    fresh: tuple[float, float] = (3.0, 1.5)
+    least: float = 0.1  #: share of a scan's evidence that counts without any motion
+    drop: float = 8.0  #: nats that one scan can take from a component, at most
+    #: chance of being carried off: for each scan's worth of motion, and where the best component
+    #: fits abruptly worse than in the scan before. A place that has changed is approached.
+    leak: tuple[float, float] = (0.0001, 0.02)
+    #: logarithm of the likelihood of a scan somewhere unknown, relative to that at the best
+    #: component: constant, per nat of misfit there, and per nat that it lacks to the best place
+    #: that the search has found. Where all scans fit badly, on an old map, but best where the robot
+    #: is followed, it is not lost.
+    doubt: tuple[float, float, float] = (-7.9, 2.0, 3.4)
+    patience: float = 0.6  #: odds of being lost that one scan can lead to, at most
+    #: of the map, as far as scans share it: standard deviations, metres and radians
+    error: tuple[float, float] = (0.03, 0.006)
+    gate: float = 12.0  #: squared Mahalanobis distance up to which a pose may be a component's
+    #: components nearer than this are one, metres and radians
+    merge: tuple[float, float] = (0.3, 0.15)
+    mass: float = 0.95  #: of the best component, to be ``unique``
+    #: metres that it has to be followed for before it is: at first, and where it replaces another
+    sure: tuple[float, float] = (1.5, 4.0)
+    #: metres between two searches while the best component is unique and fits as usual: other
+    #: places are then only looked at where they are followed
+    search: float = 1.5
+    #: nats per reading that the best component may lack more than usual to stay ``unique``, and
+    #: more than in the scan before to be no surprise
+    surprise: tuple[float, float] = (0.5, 0.7)
+    startle: float = 0.5  #: share of its evidence that a surprising scan has at least
+    resets: bool = True  #: whether lost mass is put where scans find places: sensor resetting
+
+
+class Tracker:
+    """A mixture of Gaussians over poses of the sensor, grid frame.
+
+    Parameters
+    ----------
+    features : MapFeatures
+    options : Options, optional
+        Of the search in each scan.
+    how : TrackerOptions, optional
+    find : callable, optional
+        Gives the poses (M, 3) that a scan allows, best first, instead of a search.
+
+    Examples
+    --------
+    >>> import imgloc
+    >>> from imgloc.io.maps import bundled_maps
+    >>> features = imgloc.prepare(imgloc.load_map(bundled_maps() / "curved.yaml"))
+    >>> tracker = Tracker(features)
+    >>> tracker.belief.verdict
+    'lost'
+    >>> tracker.see(imgloc.simulate(features.grid, 1, seed=1)[0])
+    >>> len(tracker.belief.poses) > 0
+    True
+    """
+
+    def __init__(
+        self,
+        features: MapFeatures,
+        options: Options | None = None,
+        how: TrackerOptions | None = None,
+        find: Search | None = None,
+    ) -> None:
+        self.features, self.how = features, how or TrackerOptions()
+        self.options = replace(options or Options(), top=1000)  # covariances of all
+        self._find = find or (lambda scan: search(features, scan, self.options))
+        self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
+        self._mass, self._followed = np.empty(0), np.empty(0)
+        self._lost, self._resets, self._seen = 1.0, 0, False
+        self._way, self._unsearched = np.zeros(2), 0.0
+        self._usual, self._last, self._doubted = np.nan, np.nan, False
+
+    def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
+        """Believe to be at a pose (3,), with deviations in metres and radians."""
+        metres, radians = deviation
+        self._poses = np.asarray(pose, dtype=np.float64).reshape(1, 3)
+        self._covariance = np.diag([metres, metres, radians])[None] ** 2
+        self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
+        if np.isnan(self._usual):
+            self._usual = self._last = STRANGE
+
+    def move(self, increment: FloatArray) -> None:
+        """Take a motion (3,) of the sensor, in its frame before."""
+        self._poses, self._covariance = move_gaussians(
+            self._poses, self._covariance, increment, self.how.noise
+        )
+        metres, radians = float(np.hypot(*increment[:2])), abs(float(wrap(increment[2])))
+        self._way += metres, radians
+        self._unsearched += metres
+        self._followed = self._followed + metres
+
+    def watch(self, scan: LaserScan) -> bool:
+        """Whether a scan that is not to be looked at contradicts what is believed: look at it."""
+        if len(self._poses) == 0 or scan.directions < max(1, self.options.trust.readings):
+            return False
+        best = int(np.argmax(self._mass))
+        misfit = misfit_near(self.features, scan, self._poses[best : best + 1], self.options)
+        if misfit > self._last + self.how.surprise[1]:
+            return True
+        self._last = misfit
+        self._doubted = misfit > self._usual + self.how.surprise[0]
+        return False
+
+    def see(self, scan: LaserScan) -> None:
+        """Take a scan; one with too few readings says nothing."""
+        if scan.directions < max(1, self.options.trust.readings):
+            return
+        how, known = self.how, len(self._poses)
+        new = float(min(1.0, (self._way / how.fresh).sum()))
+        new, self._way = (max(how.least, new) if self._seen else 1.0), np.zeros(2)
+        self._seen = True
+        found = np.empty((0, 3))
+        if self.watch(scan) or self._unsearched >= how.search or self.belief.verdict != UNIQUE:
+            found, self._unsearched = self._find(scan)[: 2 * how.births], 0.0
+        near = settled(self.features, scan, self._poses, self.options)
+        poses = np.concatenate((self._poses, near, found))
+        if not len(poses):
+            self._lost = 1.0
+            return
+        seen = sight(self.features, scan, poses, self.options)
+        best = float(seen.log_likelihood.max())
+        relative = np.maximum((seen.log_likelihood - best) * new, -how.drop)
+
+        # Each component where it is, where it settles, or at a mode that may be it.
+        at, gain = self._follow(seen, relative, new)
+        misfit = float(seen.misfit[at].min(initial=np.inf))
+        leak = how.leak[0] * new
+        if known:
+            leader = float(seen.misfit[at[np.argmax(self._mass)]])
+            if leader > self._last + how.surprise[1]:
+                leak, new = how.leak[1], max(new, how.startle)
+                relative = np.maximum((seen.log_likelihood - best) * new, -how.drop)
+                at, gain = self._follow(seen, relative, new)
+            self._doubted = leader > self._usual + how.surprise[0]
+        lost = self._lost + leak * (1 - self._lost)
+        mass = self._mass * np.exp(gain)
+        if known:
+            mass *= (1 - lost) / self._mass.sum()
+            unexplained = (1.0, misfit, misfit - float(seen.misfit.min()))
+            gone = lost * float(np.exp(new * min(_MOST, np.dot(how.doubt, unexplained))))
+            # Somebody may stand in the way once: a second scan has to agree.
+            odds = max(how.patience, np.exp(_MOST) * lost / (1 - lost))
+            lost = min(gone, odds * float(mass.sum()))
+        self._mass, self._lost = mass, lost
+        self._settle(seen, at)
+        self._normalise()
+        if how.resets or not known:
+            self._bear(seen, 2 * known, relative)
+        self._tidy()
+        if len(self._mass):
+            last = float(sight(self.features, scan, self._poses[:1], self.options).misfit[0])
+            before = last if np.isnan(self._usual) else self._usual
+            self._last, self._usual = last, before + _HABIT * (last - before)
+
+    def _follow(self, seen: Sight, relative: FloatArray, new: float) -> tuple[IntArray, FloatArray]:
+        """For each component the pose that it is at, and what it gains there, nats."""
+        known = len(self._poses)
+        apart = seen.poses - self._poses[:, None]
+        apart[..., 2] = wrap(apart[..., 2])
+        spread = self._covariance[:, None] + self._noise(seen)
+        square = np.einsum("mci,mcij,mcj->mc", apart, np.linalg.inv(spread), apart)
+        index = np.arange(known)
+        square[index, index] = 0.0
+        own = np.zeros(square.shape, np.bool_)
+        own[index, index] = own[index, known + index] = own[:, 2 * known :] = True
+        fit = np.where(own & (square < self.how.gate), seen.log_likelihood - square / 2, -np.inf)
+        at = np.argmax(fit, axis=1)
+        return at, np.maximum(relative[at] - new * square[index, at] / 2, -self.how.drop)
+
+    def _noise(self, seen: Sight) -> FloatArray:
+        metres, radians = self.how.error
+        return np.asarray(seen.covariance + np.diag([metres, metres, radians]) ** 2)
+
+    def _settle(self, seen: Sight, at: IntArray) -> None:
+        """Kalman's update of the components by the poses they are at, if those are others."""
+        P, R = self._covariance, self._noise(seen)[at]
+        apart = seen.poses[at] - self._poses
+        apart[:, 2] = wrap(apart[:, 2])
+        gain = P @ np.linalg.inv(P + R)
+        gain[at == np.arange(len(at))] = 0.0  # nothing was found but what was predicted
+        self._poses = self._poses + (gain @ apart[..., None])[..., 0]
+        self._poses[:, 2] = wrap(self._poses[:, 2])
+        P = P - gain @ P
+        self._covariance = (P + P.transpose(0, 2, 1)) / 2
+
+    def _bear(self, seen: Sight, first: int, relative: FloatArray) -> None:
+        """Put the lost mass where the scan fits: the poses from the index `first` on."""
+        new, trust = np.arange(first, len(seen.poses)), self.options.trust
+        if not len(new):
+            return
+        share = np.exp(relative[new])
+        share /= share.sum()
+        elsewhere = trust.mass_elsewhere(seen.gained, float(share.max()))
+        given = self._lost * (1 - elsewhere)
+        if given < _NOTHING:
+            return
+        self._resets += bool(len(self._poses)) and given > _RESET
+        new, share = new[: self.how.births], share[: self.how.births]
+        self._poses = np.concatenate((self._poses, seen.poses[new]))
+        self._covariance = np.concatenate((self._covariance, self._noise(seen)[new]))
+        self._mass = np.concatenate((self._mass, given * share))
+        first_sure, again = self.how.sure
+        ahead = first_sure - again if len(self._followed) else 0.0
+        self._followed = np.concatenate((self._followed, np.full(len(new), ahead)))
+        self._lost -= given * float(share.sum())
+
+    def _normalise(self) -> None:
+        if len(self._mass):  # so sure of being lost that nothing is left is never
+            self._lost = min(self._lost, _SURE * float(self._mass.sum()))
+        whole = self._lost + self._mass.sum()
+        self._mass, self._lost = self._mass / whole, self._lost / whole
+
+    def _tidy(self) -> None:
+        """Join what has met, drop what is nothing, best first."""
+        order = np.argsort(-self._mass, kind="stable")
+        distance, angle = self.how.merge
+        picked, owner = separated(
+            self._poses[order], self.how.components, distance=distance, angle=angle
+        )
+        mass = np.bincount(owner[owner >= 0], self._mass[order][owner >= 0], len(picked)).astype(
+            np.float64
+        )
+        kept = order[picked]
+        followed = self._followed[order]
+        longest = np.zeros(len(picked))
+        np.maximum.at(longest, owner[owner >= 0], followed[owner >= 0])
+        some = mass > _NOTHING
+        some[:1] |= not self.how.resets
+        self._poses, self._covariance = self._poses[kept[some]], self._covariance[kept[some]]
+        self._mass, self._followed = mass[some], longest[some]
+        self._normalise()
+
+    @property
+    def belief(self) -> Belief:
+        """What is believed now."""
+        order = np.argsort(-self._mass, kind="stable")
+        mass = self._mass[order]
+        verdict = AMBIGUOUS
+        if self._lost > 0.5 or not len(mass):
+            verdict = LOST
+        elif not self._doubted and mass[0] >= self.how.mass:
+            verdict = UNIQUE if self._followed[order[0]] >= self.how.sure[0] else AMBIGUOUS
+        neff = float(np.square(mass.sum()) / max(1e-300, np.square(mass).sum()))
+        return Belief(
+            self._poses[order], mass, self._covariance[order], self._lost, verdict, neff,
+            self._resets,
+        )  # fmt: skip

@@ -1,0 +1,156 @@
+"""Tracks as ROS messages: what `/initialpose` of AMCL accepts, in YAML or a bag.
+
+One pose is a PoseWithCovarianceStamped; while several places fit it is a PoseArray of all of them.
+AMCL takes the diagonal of a covariance for the variances of its particles, and refuses values
+below 0, a negative correlation among them: what is written is a diagonal whose ellipse contains
+the true one. The full matrix is in the JSON.
+"""
+
+import importlib
+import math
+import tempfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from imgloc.errors import OutputError
+from imgloc.geometry import transform_poses
+from imgloc.io.files import PathLike, display, write_bytes_atomic
+from imgloc.model import FloatArray, Pose2D, base_of
+from imgloc.tracking import Moment
+
+POSE, ARRAY = "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseArray"
+TOPICS = {POSE: "/initialpose", ARRAY: "/imgloc/hypotheses"}
+_LISTED = 20  # poses of an array
+_LEAST, _MOST = 1e-9, 1e9  # of a variance
+
+
+def containing_diagonal(covariance: FloatArray) -> FloatArray:
+    """Variances (3,) of a diagonal matrix that is nowhere less than the covariance (3, 3).
+
+    Examples
+    --------
+    >>> C = np.array([[4.0, -2.0, 0.0], [-2.0, 4.0, 0.0], [0.0, 0.0, 1.0]])
+    >>> containing_diagonal(C).tolist()
+    [6.0, 6.0, 1.0]
+    """
+    deviation = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    # Gershgorin on the correlations: D - C has a dominant diagonal.
+    correlation = np.abs(covariance / np.outer(deviation, deviation))
+    return np.asarray(np.clip(deviation**2 * correlation.sum(axis=1), _LEAST, _MOST))
+
+
+def message(
+    moment: Moment,
+    origin: Pose2D,
+    *,
+    mount: Pose2D | None = None,
+    frame: str = "map",
+    best: bool = False,
+) -> tuple[str, dict[str, Any]] | None:
+    """The message of a moment, its type first; None while no place is known.
+
+    Parameters
+    ----------
+    origin : Pose2D
+        Of the grid, in whose frame beliefs are.
+    mount : Pose2D, optional
+        Of the sensor on the robot, whose pose is then written.
+    best : bool
+        Whether one pose is written although several fit.
+    """
+    stamp = moment.stamp if math.isfinite(moment.stamp) else 0.0
+    whole = math.floor(stamp)
+    seconds = {"sec": whole, "nanosec": min(999_999_999, round(1e9 * (stamp - whole)))}
+    header = {"stamp": seconds, "frame_id": frame}
+    pose = moment.best if best and moment.belief.verdict != "lost" else moment.pose
+    if pose is not None:
+        diagonal = np.zeros((6, 6))
+        variances = containing_diagonal(moment.covariance)
+        diagonal[[0, 1, 5], [0, 1, 5]] = variances
+        covariance = diagonal.ravel().tolist()
+        return POSE, {
+            "header": header,
+            "pose": {"pose": _pose(_based(pose, mount)), "covariance": covariance},
+        }
+    if moment.belief.verdict == "lost" or not len(moment.belief.poses):
+        return None
+    poses = transform_poses(origin, moment.belief.poses[:_LISTED])
+    return ARRAY, {
+        "header": header,
+        "poses": [_pose(_based(Pose2D(*row), mount)) for row in poses],
+    }
+
+
+def _based(pose: Pose2D, mount: Pose2D | None) -> Pose2D:
+    return pose if mount is None else base_of(pose, mount)
+
+
+def _pose(pose: Pose2D) -> dict[str, Any]:
+    z, w = math.sin(pose.theta / 2), math.cos(pose.theta / 2)
+    return {
+        "position": {"x": pose.x, "y": pose.y, "z": 0.0},
+        "orientation": {"x": 0.0, "y": 0.0, "z": z, "w": w},
+    }
+
+
+def yaml_text(messages: Iterable[tuple[str, dict[str, Any]]]) -> str:
+    """Messages as `ros2 topic echo` shows them: one document each."""
+    return "".join(
+        f"# {kind}\n" + yaml.safe_dump(body, sort_keys=False) + "---\n" for kind, body in messages
+    )
+
+
+def write_bag(
+    path: PathLike, messages: Sequence[tuple[str, dict[str, Any]]], *, force: bool = False
+) -> None:
+    """Write messages as a ROS 1 bag, whole or not at all.
+
+    Raises
+    ------
+    OutputError
+        If rosbags is not installed, or the file cannot be written.
+    """
+    try:
+        rosbag1 = importlib.import_module("rosbags.rosbag1")
+        typesys = importlib.import_module("rosbags.typesys")
+    except ImportError:
+        need = "bags need rosbags: pip install imgloc[ros]"
+        raise OutputError(f"{display(path)}: {need}") from None
+    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
+    with tempfile.TemporaryDirectory() as folder:
+        temporary = Path(folder) / "out.bag"
+        with rosbag1.Writer(temporary) as bag:
+            topics = {
+                kind: bag.add_connection(topic, kind, typestore=store)
+                for kind, topic in TOPICS.items()
+            }
+            for k, (kind, body) in enumerate(messages):
+                sec, nanosec = body["header"]["stamp"].values()
+                raw = store.serialize_ros1(_typed(store, kind, body, k), kind)
+                bag.write(topics[kind], 10**9 * sec + nanosec, raw)
+        write_bytes_atomic(path, temporary.read_bytes(), force=force)
+
+
+def _typed(store: Any, kind: str, body: dict[str, Any], sequence: int) -> Any:
+    """The message as rosbags has it."""
+    types = store.types
+    stamp = body["header"]["stamp"]
+    time = types["builtin_interfaces/msg/Time"](stamp["sec"], stamp["nanosec"])
+    header = types["std_msgs/msg/Header"](sequence, time, body["header"]["frame_id"])
+
+    def pose(of: dict[str, Any]) -> Any:
+        point = types["geometry_msgs/msg/Point"](**of["position"])
+        return types["geometry_msgs/msg/Pose"](
+            point, types["geometry_msgs/msg/Quaternion"](**of["orientation"])
+        )
+
+    if kind == ARRAY:
+        return types[kind](header, [pose(of) for of in body["poses"]])
+    with_covariance = types["geometry_msgs/msg/PoseWithCovariance"](
+        pose(body["pose"]["pose"]), np.array(body["pose"]["covariance"])
+    )
+    return types[kind](header, with_covariance)

@@ -1,0 +1,254 @@
+"""Tracks for people and programs: rows of JSON, TUM's trajectory, ROS messages, pictures, video."""
+
+import itertools
+import math
+import os
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from imgloc.errors import OutputError
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.filters.belief import AMBIGUOUS, LOST, UNIQUE, Belief
+from imgloc.geometry import transform_points
+from imgloc.io.files import PathLike, display, write_bytes_atomic
+from imgloc.model import FloatArray, OccupancyGrid, Pose2D, base_of, inverse, plain
+from imgloc.output.canvas import (
+    INK,
+    PAPER,
+    Canvas,
+    Colour,
+    Image,
+    map_canvas,
+    marker_size,
+    scale_bar,
+    text,
+    text_width,
+)
+from imgloc.output.pictures import Picture
+from imgloc.output.tables import as_plain
+from imgloc.sequences import SequenceSummary
+from imgloc.tracking import Moment
+
+COLOURS: dict[str, Colour] = {
+    UNIQUE: (178, 114, 0), AMBIGUOUS: (0, 159, 230), LOST: (80, 80, 80),
+}  # fmt: skip
+_TRUTH: Colour = (60, 20, 220)
+_SIDE = 960  # pixels of the longer side of a video at most
+_DRAWN = 1e-3  # mass of a place that is drawn
+
+
+def moment_row(moment: Moment, mount: Pose2D | None = None) -> dict[str, Any]:
+    """The row of `imgloc track --json`: the pose is null unless it is unique.
+
+    With the mounting of the sensor the poses are those of the robot's base.
+    """
+    belief, at = moment.belief, moment.pose
+    pose = at if at is None or mount is None else base_of(at, mount)
+    row = {
+        "index": moment.index,
+        "stamp": moment.stamp,
+        "age": moment.age,
+        "looked": moment.looked,
+        "verdict": belief.verdict,
+        "pose": pose,
+        "covariance": None if pose is None else moment.covariance,
+        "map_odom": None if pose is None else moment.map_odom,
+        "lost": belief.lost,
+        "mass": float(belief.mass[0]) if len(belief.mass) else 0.0,
+        "neff": belief.neff,
+        "resets": belief.resets,
+    }
+    return dict(plain(row))
+
+
+def tum_text(moments: Iterable[Moment], mount: Pose2D | None = None) -> str:
+    """The trajectory for `evo_ape tum`: ``stamp x y z qx qy qz qw``, of unique poses only."""
+    lines = []
+    for moment in moments:
+        if moment.pose is None or not math.isfinite(moment.stamp):
+            continue
+        pose = moment.pose if mount is None else base_of(moment.pose, mount)
+        z, w = math.sin(pose.theta / 2), math.cos(pose.theta / 2)
+        lines.append(f"{moment.stamp:.9f} {pose.x:.9f} {pose.y:.9f} 0.0 0.0 0.0 {z:.12f} {w:.12f}")
+    return "".join(line + "\n" for line in lines)
+
+
+def track_line(moment: Moment) -> str:
+    """One line for people."""
+    place = f"{'-':>10} {'-':>10} {'-':>12}"
+    if moment.pose is not None:
+        p = moment.pose
+        place = f"{p.x:>10.3f} {p.y:>10.3f} {math.degrees(p.theta):>12.2f}"
+    mass = float(moment.belief.mass[0]) if len(moment.belief.mass) else 0.0
+    head = f"{moment.index:>6} {moment.stamp:>14.3f}  {moment.belief.verdict:<10}"
+    return f"{head} {place} {100 * mass:>7.1f}% {moment.metres:>9.2f}"
+
+
+def track_header() -> str:
+    """What stands above the lines of :func:`track_line`."""
+    place = f"{'x / m':>10} {'y / m':>10} {'theta / deg':>12}"
+    return f"{'index':>6} {'stamp':>14}  {'verdict':<10} {place} {'mass':>8} {'driven/m':>9}"
+
+
+def draw_track(
+    grid: OccupancyGrid, moments: Sequence[Moment], truth: FloatArray | None = None
+) -> Picture:
+    """Draw the path over the map, coloured by verdict; the true path (N, 3) is a thin line.
+
+    While several places fit or none does, the best guess is a small dot: it is not a path.
+    """
+    canvas = map_canvas(grid)
+    back = inverse(grid.origin)
+    if truth is not None and len(truth) > 1:
+        canvas.lines(transform_points(back, truth[:, :2])[None], _TRUTH)
+    size = marker_size(canvas)
+    at = [
+        (m, transform_points(back, np.array([[m.best.x, m.best.y]]))[0])
+        for m in moments
+        if m.best is not None
+    ]
+    for m, xy in at:
+        radius = 0.3 * size if m.belief.verdict == UNIQUE else 0.2 * size
+        canvas.dots(xy[None], COLOURS[m.belief.verdict], radius)
+    for (m, xy), (n, next_xy) in itertools.pairwise(at):
+        if m.belief.verdict == n.belief.verdict == UNIQUE and n.index == m.index + 1:
+            step = np.hypot(*(next_xy - xy))
+            if step < 3.0:
+                canvas.lines(np.stack((xy, next_xy))[None], COLOURS[UNIQUE], 2)
+    last = next((m for m in reversed(moments) if m.pose is not None), None)
+    if last is not None and last.pose is not None:
+        x, y = transform_points(back, np.array([[last.pose.x, last.pose.y]]))[0]
+        theta = last.pose.theta - grid.origin.theta
+        canvas.robot(x, y, theta, COLOURS[UNIQUE], size)
+    scale_bar(canvas)
+    counts = [sum(m.belief.verdict == name for m in moments) for name in COLOURS]
+    words = [
+        (f"{name}: {count} of {len(moments)}", COLOURS[name])
+        for name, count in zip(COLOURS, counts, strict=True)
+    ]
+    if truth is not None:
+        words.append(("true path", _TRUTH))
+    return Picture(_with_legend(canvas.image, words))
+
+
+def _with_legend(image: Image, words: Sequence[tuple[str, Colour]]) -> Image:
+    band = np.full((30, image.shape[1], 3), PAPER[0], np.uint8)
+    x = 12
+    for word, colour in words:
+        if x + 20 + text_width(word) > image.shape[1]:
+            break
+        cv2.circle(band, (x, 15), 5, colour, cv2.FILLED, cv2.LINE_AA)
+        x += 12 + text(band, word, x + 12, 20, INK) + 20
+    return np.concatenate((image, band))
+
+
+def draw_belief(canvas: Canvas, belief: Belief) -> Image:
+    """Draw all places of a belief, grid frame, on a copy of the map: as dark as they are likely."""
+    sheet = Canvas(canvas.image.copy(), canvas.px_per_m)
+    size, colour = marker_size(canvas), COLOURS[belief.verdict]
+    for pose, mass in list(zip(belief.poses, belief.mass, strict=True))[::-1]:
+        if mass < _DRAWN:
+            continue
+        fade = 0.25 + 0.75 * math.sqrt(float(mass))
+        ink = tuple(round(255 + fade * (c - 255)) for c in colour)
+        x, y, theta = pose
+        sheet.robot(x, y, theta, (ink[0], ink[1], ink[2]), size * (0.5 + 0.5 * float(mass)))
+    return sheet.image
+
+
+class Video:
+    """The belief over time as MP4, one frame a scan, written whole or not at all.
+
+    Raises
+    ------
+    OutputError
+        From :meth:`save`, if OpenCV here cannot write MP4, or the file cannot be written.
+    """
+
+    def __init__(self, features: MapFeatures, fps: float = 10.0) -> None:
+        self._canvas = map_canvas(features.grid)
+        scale = min(1.0, _SIDE / max(self._canvas.image.shape[:2]))
+        height, width = (2 * max(1, round(scale * n / 2)) for n in self._canvas.image.shape[:2])
+        self._size = width, height + 30
+        handle, self._path = tempfile.mkstemp(suffix=".mp4")
+        os.close(handle)
+        fourcc = cv2.VideoWriter.fourcc(*"mp4v")
+        self._writer = cv2.VideoWriter(self._path, fourcc, fps, self._size)
+
+    def add(self, moment: Moment) -> None:
+        """Add the frame of a moment."""
+        image = draw_belief(self._canvas, moment.belief)
+        width, height = self._size
+        small = cv2.resize(image, (width, height - 30), interpolation=cv2.INTER_AREA)
+        words = f"{moment.stamp:.1f} s, {moment.metres:.1f} m: {moment.belief.verdict}"
+        verdict = moment.belief.verdict
+        self._writer.write(_with_legend(np.asarray(small, np.uint8), [(words, COLOURS[verdict])]))
+
+    def save(self, path: PathLike, *, force: bool = False) -> None:
+        """Write the file."""
+        good = self._writer.isOpened()
+        self._writer.release()
+        data = Path(self._path).read_bytes()
+        self.close()
+        if not good or not data:
+            raise OutputError(f"{display(path)}: OpenCV here cannot write MP4 videos")
+        write_bytes_atomic(path, data, force=force)
+
+    def close(self) -> None:
+        """Drop what was drawn."""
+        self._writer.release()
+        Path(self._path).unlink(missing_ok=True)
+
+
+def sequence_row(
+    name: str, filter_: str, summary: SequenceSummary, about: Mapping[str, object]
+) -> dict[str, Any]:
+    """The row of `imgloc evaluate --sequence` of one log and filter."""
+    return {"map": name, "filter": filter_, **asdict(summary), **about}
+
+
+def sequence_tables(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Two tables: how a robot is found, and how it is kept."""
+    at = list(rows[0]["right"])
+    found, kept = [], []
+    for row in rows:
+        head = [str(row["map"]), str(row["filter"])]
+        found.append([
+            *head,
+            str(row["odometry"]),
+            str(row["runs"]),
+            *(f"{_share(row['right'][m])} {_share(row['stays'][m])} {_share(row['published'][m])}"
+              for m in at),
+            f"{row['seconds']:.0f}",
+            f"{row['metres']:.1f}",
+            _share(row["enm"]),
+            " ".join(_share(share) for share in row["f3loc"].values()),
+        ])  # fmt: skip
+        kept.append([
+            *head,
+            f"{row['rmse'][0]:.3f}",
+            f"{math.degrees(row['rmse'][1]):.2f}",
+            f"{row['wrong']:.1f} of {row['total']:.0f}",
+            f"{row['kidnapped']['hits']} of {row['kidnapped']['trials']}",
+            f"{row['kidnap_metres']:.1f}",
+            f"{row['speed']:.1f}",
+        ])  # fmt: skip
+    first = (
+        "map", "filter", "odometry", "runs", *(f"{m} m: right stays unique" for m in at),
+        "s", "m", "ENM-MCL", "F3Loc 1 .5 .3 .2 m",
+    )  # fmt: skip
+    second = (
+        "map", "filter", "RMSE / m", "deg", "s unique, wrong", "kidnapped: back", "after m",
+        "x real time",
+    )  # fmt: skip
+    return as_plain(first, found, left=3) + "\n" + as_plain(second, kept, left=2)
+
+
+def _share(share: Mapping[str, Any]) -> str:
+    return "-" if not share["trials"] else f"{share['value']:.2f}"

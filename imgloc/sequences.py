@@ -1,0 +1,383 @@
+"""How well a filter finds and keeps a robot along logs whose poses are known.
+
+Every start is a robot that is switched on somewhere in a log; a kidnapping joins two pieces of a
+log that are far apart, with odometry that noticed nothing. The rules of others stand beside each
+other: shares of right poses against metres driven, and what ENM-MCL, F3Loc and Fox, Burgard and
+Thrun (JAIR 11) call a success.
+"""
+
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from imgloc.errors import ConfigError
+from imgloc.evaluation import Share, share
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.filters.belief import UNIQUE, Filter
+from imgloc.filters.choose import make_filter
+from imgloc.filters.evidence import search
+from imgloc.filters.motion import compose_poses, increments, noisy_odometry
+from imgloc.geometry import wrap
+from imgloc.io.scanset import ScanSet
+from imgloc.model import FloatArray, LaserScan
+from imgloc.options import Options
+from imgloc.tracking import Every, follow
+
+RIGHT = (0.5, float(np.deg2rad(10.0)))
+"""A pose is right if it is within this, metres and radians."""
+AT = (0.0, 1.0, 2.0, 5.0, 10.0)  #: metres driven after which shares are reported
+WRONG = 1.0  #: metres: ``unique`` and farther off than this is confidently wrong
+ENM = (0.3, 20.0)  #: ENM-MCL: RMSE in metres, from so many seconds on
+F3LOC = (10, (1.0, 0.5, 0.3, 0.2))  #: F3Loc: the last frames, within so many metres
+JAIR = (0.45, 10.0)  #: JAIR 11: recovered, within metres for more than so many seconds
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a filter believed along one piece of a log: arrays of N moments."""
+
+    seconds: FloatArray  #: since the start
+    metres: FloatArray  #: driven since the start
+    error: FloatArray  #: (N, 2) metres and radians of the best pose; infinite without one
+    unique: FloatArray  #: 1 where the verdict is ``unique``
+    lost: FloatArray  #: 1 where it is ``lost``
+    cost: float  #: seconds that it took
+    jump: int | None = None  #: moment at which the robot was carried off
+
+    @property
+    def right(self) -> FloatArray:
+        """Whether the best pose is right: 1 or 0."""
+        return np.asarray(np.all(self.error <= RIGHT, axis=1), dtype=np.float64)
+
+
+class Searches:
+    """Searches of scans, each done once: what a scan says does not depend on what is believed.
+
+    Its clock runs as if each had been done anew.
+    """
+
+    def __init__(self, features: MapFeatures, options: Options) -> None:
+        self.features, self.options = features, options
+        self.clock = 0.0  #: seconds of all searches that were asked for
+        self._kept: dict[int, tuple[LaserScan, FloatArray, float]] = {}
+
+    def __call__(self, scan: LaserScan) -> FloatArray:
+        """Poses (M, 3) of a scan, best first."""
+        if id(scan) not in self._kept:
+            start = time.perf_counter()
+            poses = search(self.features, scan, self.options)
+            self._kept[id(scan)] = scan, poses, time.perf_counter() - start
+        _, poses, seconds = self._kept[id(scan)]
+        self.clock += seconds
+        return poses
+
+
+def drive(
+    features: MapFeatures,
+    scans: ScanSet,
+    make: Callable[[], Filter],
+    *,
+    every: Every | None = None,
+    clock: Callable[[], float] = lambda: 0.0,
+    jump: int | None = None,
+) -> Run:
+    """Run a new filter along a log with poses and odometry.
+
+    `clock` tells the seconds of what was not computed again.
+    """
+    if scans.poses is None:
+        raise ConfigError("expected the true pose of each scan")
+    begin, before, rows = time.perf_counter(), clock(), []
+    for moment in follow(features, scans, make(), every=every):
+        error = (np.inf, np.inf)
+        if moment.best is not None:
+            x, y, theta = scans.poses[moment.index]
+            away = float(np.hypot(moment.best.x - x, moment.best.y - y))
+            error = away, abs(float(wrap(moment.best.theta - theta)))
+        verdict = moment.belief.verdict
+        rows.append((moment.stamp, moment.metres, *error, verdict == UNIQUE, verdict == "lost"))
+    cost = time.perf_counter() - begin + clock() - before
+    table = np.array(rows, dtype=np.float64)
+    return Run(
+        table[:, 0] - table[0, 0], table[:, 1], table[:, 2:4], table[:, 4], table[:, 5], cost, jump
+    )
+
+
+def piece(scans: ScanSet, *parts: range) -> ScanSet:
+    """Parts of a log, one after the other: time and odometry run on as if nothing had happened."""
+    index = np.concatenate([np.asarray(part) for part in parts])
+    stamps = np.arange(len(scans), dtype=np.float64) if scans.stamps is None else scans.stamps
+    gaps, steps = np.diff(stamps, prepend=stamps[0]), np.zeros((len(scans), 3))
+    if scans.odom is not None and len(scans) > 1:
+        steps[1:] = increments(scans.odom)
+    gap, step = gaps[index], steps[index]
+    gap[0], step[0] = 0.0, 0.0
+    joints = np.cumsum([len(part) for part in parts])[:-1]
+    gap[joints], step[joints] = np.median(gaps), 0.0  # carried, with the wheels in the air
+    odom = [np.zeros(3)]
+    for one in step[1:]:
+        odom.append(compose_poses(odom[-1], one))
+    return ScanSet(
+        tuple(scans.scans[k] for k in index),
+        None if scans.poses is None else scans.poses[index],
+        np.cumsum(gap),
+        np.array(odom),
+    )
+
+
+def with_odometry(scans: ScanSet, seed: int = 0) -> tuple[ScanSet, str]:
+    """The log with odometry, and which kind: recorded, or of its poses with noise and a bias."""
+    if scans.odom is not None:
+        return scans, "recorded"
+    if scans.poses is None:
+        raise ConfigError("expected odometry, or the poses of the scans to make it of")
+    odom = noisy_odometry(scans.poses, np.random.default_rng(seed))
+    return replace(scans, odom=odom), "of the poses, with noise and bias"
+
+
+def driven(scans: ScanSet) -> FloatArray:
+    """Metres (N,) driven up to each scan, by the true poses."""
+    if scans.poses is None:
+        raise ConfigError("expected the true pose of each scan")
+    steps = np.hypot(*np.diff(scans.poses[:, :2], axis=0).T)
+    return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+def starts(
+    scans: ScanSet, count: int, rng: np.random.Generator, *, ahead: float, seconds: float = 30.0
+) -> list[int]:
+    """Scans at which a robot is switched on: one each 30 s and `count` at random.
+
+    All have `ahead` metres to drive before them, if the log is long enough.
+    """
+    way = driven(scans)
+    last = int(np.searchsorted(way, max(0.0, way[-1] - ahead), side="right"))
+    stamps = np.arange(len(scans), dtype=np.float64) if scans.stamps is None else scans.stamps
+    long = stamps[max(0, last - 1)] - stamps[0]
+    marks = stamps[0] + seconds * np.arange(int(long // seconds) + 1 if seconds < np.inf else 0)
+    regular = np.searchsorted(stamps, marks).tolist()
+    random = rng.integers(0, max(1, last), count).tolist()
+    return [int(k) for k in (*random, *regular)]
+
+
+def start_runs(
+    features: MapFeatures,
+    scans: ScanSet,
+    make: Callable[[], Filter],
+    at: Iterable[int],
+    *,
+    metres: float,
+    every: Every | None = None,
+    clock: Callable[[], float] = lambda: 0.0,
+) -> Iterator[Run]:
+    """Switch a robot on at each of the scans `at` and drive it for `metres`."""
+    way = driven(scans)
+    for first in at:
+        end = int(np.searchsorted(way, way[first] + metres, side="right"))
+        part = piece(scans, range(first, max(first + 1, end)))
+        yield drive(features, part, make, every=every, clock=clock)
+
+
+def kidnap_runs(
+    features: MapFeatures,
+    scans: ScanSet,
+    make: Callable[[], Filter],
+    count: int,
+    rng: np.random.Generator,
+    *,
+    metres: float = 10.0,
+    least: float = 3.0,
+    every: Every | None = None,
+    clock: Callable[[], float] = lambda: 0.0,
+) -> Iterator[Run]:
+    """Drive for `metres`, carry the robot off by at least `least`, drive for as many again."""
+    way, last = driven(scans), 0
+    if scans.poses is not None:
+        last = max(1, int(np.searchsorted(way, max(0.0, way[-1] - metres), side="right")))
+    for _ in range(count):
+        for _ in range(100):
+            first, other = (int(k) for k in rng.integers(0, last, 2))
+            end, final = (
+                int(np.searchsorted(way, way[k] + metres, side="right")) for k in (first, other)
+            )
+            there = np.zeros((2, 3)) if scans.poses is None else scans.poses[[end - 1, other]]
+            if np.hypot(*(there[1] - there[0])[:2]) >= least:
+                break
+        else:
+            continue
+        parts = range(first, max(first + 1, end)), range(other, max(other + 1, final))
+        yield drive(
+            features, piece(scans, *parts), make, every=every, clock=clock, jump=len(parts[0])
+        )
+
+
+@dataclass(frozen=True)
+class Trials:
+    """What is tried on one log."""
+
+    starts: int = 50  #: at random; one each `seconds` comes on top
+    metres: float = 15.0  #: driven from each of them
+    kidnaps: int = 20
+    seed: int = 0
+    seconds: float = 30.0
+    resets: bool = True
+    reset_by: str = "ght-v"  #: whose p(x | z) particles are drawn from
+    every: Every = field(default_factory=Every)
+
+    def at(self, scans: ScanSet) -> list[int]:
+        """The starts in a log."""
+        rng = np.random.default_rng(self.seed)
+        return starts(scans, self.starts, rng, ahead=max(AT), seconds=self.seconds)
+
+    def count(self, scans: ScanSet) -> int:
+        """Number of runs in a log."""
+        return len(self.at(scans)) + self.kidnaps
+
+
+def measure(
+    features: MapFeatures,
+    scans: ScanSet,
+    name: str,
+    trials: Trials,
+    options: Options,
+    *,
+    searches: "Searches | None" = None,
+    advance: Callable[[], None] = lambda: None,
+) -> "SequenceSummary":
+    """Measure the filter called `name` on a log with poses and odometry.
+
+    `searches` are those of earlier measurements of the same scans; `advance` is called after each
+    run.
+    """
+    found = searches or Searches(features, options)
+
+    def make() -> Filter:
+        return make_filter(
+            name, features, options, seed=trials.seed, resets=trials.resets,
+            reset_by=trials.reset_by, find=found,
+        )  # fmt: skip
+
+    runs, kidnaps = list[Run](), list[Run]()
+    rng = np.random.default_rng((trials.seed, 1))
+    of_starts = start_runs(
+        features, scans, make, trials.at(scans), metres=trials.metres, every=trials.every,
+        clock=lambda: found.clock,
+    )  # fmt: skip
+    carried = kidnap_runs(
+        features, scans, make, trials.kidnaps, rng, every=trials.every, clock=lambda: found.clock
+    )
+    for into, some in ((runs, of_starts), (kidnaps, carried)):
+        for run in some:
+            into.append(run)
+            advance()
+    return summarise_runs(runs, kidnaps)
+
+
+@dataclass(frozen=True)
+class SequenceSummary:
+    """A filter on one log."""
+
+    runs: int
+    right: dict[str, Share]  #: right after so many metres
+    stays: dict[str, Share]  #: and at every later moment of the run
+    published: dict[str, Share]  #: right and ``unique`` after so many metres
+    enm: Share  #: success by ENM-MCL's rule, of the runs that are long enough
+    f3loc: dict[str, Share]  #: by F3Loc's, within so many metres
+    seconds: float  #: median until ``unique`` and right for good
+    metres: float  #: the same in metres driven
+    rmse: tuple[float, float]  #: of ``unique`` right moments after that: metres, radians
+    wrong: float  #: seconds ``unique`` and more than :data:`WRONG` off, of all runs
+    wrong_moments: int
+    total: float  #: seconds of all runs
+    kidnapped: Share  #: recovered by JAIR's rule
+    kidnap_metres: float  #: median until right for good after that
+    speed: float  #: seconds of log for a second of work
+
+
+def first_for_good(good: FloatArray) -> int | None:
+    """Index of the first moment from which on all are good; None if the last is not.
+
+    Examples
+    --------
+    >>> first_for_good(np.array([1, 0, 1, 1])), first_for_good(np.array([1, 0]))
+    (2, None)
+    """
+    bad = np.flatnonzero(np.asarray(good) == 0)
+    first = 0 if not len(bad) else int(bad[-1]) + 1
+    return first if first < len(good) else None
+
+
+def _after(run: Run, metres: float) -> int | None:
+    """First moment at which so much was driven; None if the run is shorter."""
+    k = int(np.searchsorted(run.metres, metres - 1e-9))
+    return k if k < len(run.metres) else None
+
+
+def recovered(run: Run) -> float | None:
+    """Metres from the kidnapping until it is recovered from by JAIR's rule; None if never."""
+    if run.jump is None:
+        return None
+    radius, long = JAIR
+    near = run.error[run.jump :, 0] <= radius
+    seconds, metres = run.seconds[run.jump :], run.metres[run.jump :] - run.metres[run.jump]
+    for k in np.flatnonzero(near & ~np.append(False, near[:-1])):
+        until = k + int(np.argmin(np.append(near[k:], False)))
+        # To the end of the run, if that comes first.
+        if seconds[until - 1] - seconds[k] > long or until == len(near):
+            return float(metres[k])
+    return None
+
+
+def summarise_runs(runs: Sequence[Run], kidnaps: Sequence[Run] = ()) -> SequenceSummary:
+    """Make numbers of runs, at least one."""
+    right, stays, published = {}, {}, {}
+    for metres in AT:
+        at = [(run, k) for run in runs if (k := _after(run, metres)) is not None]
+        right[f"{metres:g}"] = share(bool(run.right[k]) for run, k in at)
+        stays[f"{metres:g}"] = share(bool(run.right[k:].all()) for run, k in at)
+        published[f"{metres:g}"] = share(bool(run.right[k] and run.unique[k]) for run, k in at)
+    rmse, after = ENM
+    long = [run.error[run.seconds >= after, 0] for run in runs if run.seconds[-1] > after]
+    frames, radii = F3LOC
+    last = [run.error[-frames:, 0] for run in runs if len(run.seconds) >= frames]
+    # A verdict may be withdrawn later; the pose is to be right from there on.
+    first = [int(np.argmax(run.unique * _for_good(run.right) > 0)) for run in runs]
+    done = [
+        (run, k) for run, k in zip(runs, first, strict=True)
+        if run.unique[k] and run.right[k:].all()
+    ]  # fmt: skip
+    errors = [run.error[k:][run.unique[k:] > 0] for run, k in done]
+    whole = np.concatenate(errors) if errors else np.full((1, 2), np.nan)
+    everything = [*runs, *kidnaps]
+    bad = [(run.unique > 0) & (run.error[:, 0] > WRONG) for run in everything]
+    spans = [np.diff(run.seconds, append=run.seconds[-1]) for run in everything]
+    back = [recovered(run) for run in kidnaps]
+    total = float(sum(run.seconds[-1] for run in everything))
+    return SequenceSummary(
+        runs=len(runs),
+        right=right,
+        stays=stays,
+        published=published,
+        enm=share(bool(np.sqrt(np.mean(np.square(e))) <= rmse) for e in long),
+        f3loc={f"{radius:g}": share(bool((e <= radius).all()) for e in last) for radius in radii},
+        seconds=_median([float(run.seconds[k]) for run, k in done]),
+        metres=_median([float(run.metres[k]) for run, k in done]),
+        rmse=tuple(np.sqrt(np.mean(np.square(whole), axis=0)).tolist()),
+        wrong=float(sum(span[b].sum() for span, b in zip(spans, bad, strict=True))),
+        wrong_moments=int(sum(b.sum() for b in bad)),
+        total=total,
+        kidnapped=share(b is not None for b in back),
+        kidnap_metres=_median([b for b in back if b is not None]),
+        speed=total / max(1e-9, sum(run.cost for run in everything)),
+    )
+
+
+def _for_good(good: FloatArray) -> FloatArray:
+    """Whether this and all later moments are good: 1 or 0."""
+    return np.asarray(np.minimum.accumulate(good[::-1])[::-1])
+
+
+def _median(values: Sequence[float]) -> float:
+    return float(np.median(values)) if values else float("nan")

@@ -1,0 +1,143 @@
+"""A filter along a log: when it looks, what it publishes, and when it says nothing."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from imgloc.errors import ConfigError, ScanError
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.filters.belief import UNIQUE, Belief, Filter
+from imgloc.filters.motion import compose_poses, increments, invert_poses
+from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses, wrap
+from imgloc.io.scanset import ScanSet
+from imgloc.model import FloatArray, Pose2D
+
+
+@dataclass(frozen=True)
+class Every:
+    """How far the robot goes or turns between two scans that are looked at."""
+
+    metres: float = 0.5
+    radians: float = float(np.deg2rad(30.0))
+
+    def __post_init__(self) -> None:
+        for name in ("metres", "radians"):
+            if not 0 <= (value := getattr(self, name)) < np.inf:
+                raise ConfigError(f"every: {name} must be finite and not negative, got {value}")
+
+
+@dataclass(frozen=True)
+class Kidnap:
+    """From a moment on the robot is not where it believes to be: at `pose`, map frame."""
+
+    after: float  #: seconds since the first scan
+    pose: Pose2D
+    deviation: tuple[float, float] = (0.1, 0.05)  #: metres and radians
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What is believed when a scan has come in; poses of the sensor, map frame."""
+
+    index: int  #: of the scan
+    stamp: float  #: seconds; NaN when unknown
+    age: float  #: seconds since the scan that was looked at last
+    looked: bool  #: whether this one was
+    metres: float  #: driven since the first scan, by odometry
+    belief: Belief
+    #: best pose, whatever the verdict; None if there is none
+    best: Pose2D | None
+    covariance: FloatArray  #: (3, 3) of `best`, map frame
+    map_odom: Pose2D | None  #: pose of the odometry's frame in the map, by `best`
+
+    @property
+    def pose(self) -> Pose2D | None:
+        """The pose, if there is one that can be relied upon: only when it is unique."""
+        return self.best if self.belief.verdict == UNIQUE else None
+
+
+def follow(
+    features: MapFeatures,
+    scans: ScanSet,
+    filter_: Filter,
+    *,
+    every: Every | None = None,
+    start: Pose2D | None = None,
+    deviation: tuple[float, float] = (0.5, 0.25),
+    kidnap: Kidnap | None = None,
+    name: str = "log",
+) -> Iterator[Moment]:
+    """Drive a filter along a log: one moment for each scan, as soon as it is there.
+
+    Parameters
+    ----------
+    scans : ScanSet
+        In the order of time, with odometry.
+    filter_ : Filter
+        Of the same features; it is changed.
+    every : Every, optional
+        Scans nearer to the last one that was looked at only move the pose.
+    start, deviation : Pose2D, (float, float), optional
+        Map frame, and how far it may be off, metres and radians; by default from anywhere.
+    kidnap : Kidnap, optional
+    name : str
+        What error messages call the log.
+
+    Raises
+    ------
+    ScanError
+        If there is no odometry, or stamps run backwards.
+    """
+    if scans.odom is None:
+        raise ScanError(
+            f"{name}: odom: missing, expected the odometry of each scan to track a robot"
+        )
+    every, grid = every or Every(), features.grid
+    stamps = np.full(len(scans), np.nan) if scans.stamps is None else scans.stamps
+    if (back := np.flatnonzero(np.diff(stamps) < 0)).size:
+        at = int(back[0])
+        raise ScanError(
+            f"{name}: stamps[{at + 1}]: {stamps[at + 1]:.9g} after {stamps[at]:.9g}, expected the "
+            "order of time"
+        )
+    if start is not None:
+        filter_.place(_local(start, features), deviation)
+    odom = sensor_odometry(scans)
+    steps = np.concatenate((np.zeros((1, 3)), increments(odom)))
+    way, metres, seen = np.full(2, np.inf), 0.0, float(stamps[0])
+    for k, scan in enumerate(scans.scans):
+        filter_.move(steps[k])
+        moved = float(np.hypot(*steps[k, :2])), abs(float(wrap(steps[k, 2])))
+        way, metres = way + moved, metres + moved[0]
+        if kidnap is not None and stamps[k] - stamps[0] >= kidnap.after:
+            filter_.place(_local(kidnap.pose, features), kidnap.deviation)
+            kidnap = None
+        looked = bool(way[0] >= every.metres - 1e-9 or way[1] >= every.radians - 1e-9)
+        if looked or filter_.watch(scan):
+            looked = True
+            filter_.see(scan)
+            way, seen = np.zeros(2), float(stamps[k])
+        belief = filter_.belief
+        best, covariance, map_odom = None, np.full((3, 3), np.nan), None
+        if len(belief.poses):
+            pose = transform_poses(grid.origin, belief.poses[:1])[0]
+            best = Pose2D(*pose)
+            covariance = rotate_covariance(belief.covariance[0], grid.origin.theta)
+            map_odom = Pose2D(*compose_poses(pose, invert_poses(odom[k])))
+        yield Moment(
+            k, float(stamps[k]), float(stamps[k]) - seen, looked, metres, belief, best, covariance,
+            map_odom,
+        )  # fmt: skip
+
+
+def sensor_odometry(scans: ScanSet) -> FloatArray:
+    """Poses (N, 3) of the sensor in the odometry's frame, of those of the robot."""
+    odom = np.zeros((len(scans), 3)) if scans.odom is None else scans.odom
+    mounts = (scan.T_base_laser or Pose2D(0.0, 0.0) for scan in scans.scans)
+    return compose_poses(odom, np.array([(m.x, m.y, m.theta) for m in mounts]))
+
+
+def _local(pose: Pose2D, features: MapFeatures) -> FloatArray:
+    local = in_grid_frame(pose, features.grid)
+    return np.array([local.x, local.y, local.theta])

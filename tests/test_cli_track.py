@@ -1,0 +1,163 @@
+"""`imgloc track` and `imgloc evaluate --sequence`."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command import MAPS, call, rows
+
+from imgloc.filters.motion import noisy_odometry
+from imgloc.io.images import read_image
+from imgloc.io.scans import save_scans
+from imgloc.io.scanset import ScanSet
+from imgloc.model import LaserScan
+from imgloc.simulation import simulate_ranges
+from imgloc.worlds import WORLDS, render
+
+MAP, N = MAPS / "visibility.yaml", 9
+ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    poses = np.array([[4.0 + 0.5 * k, 8.0, 0.02 * k] for k in range(N)])
+    fine = render(WORLDS["visibility"](), 0.05)
+    ranges = simulate_ranges(fine, poses, ANGLES, seed=2, range_max=30.0)
+    scans = tuple(LaserScan(r, ANGLES, range_max=30.0) for r in ranges)
+    odom = noisy_odometry(poses, np.random.default_rng(0))
+    path = tmp_path_factory.mktemp("log") / "log.npz"
+    save_scans(path, ScanSet(scans, poses, 100.0 + np.arange(N), odom))
+    return path
+
+
+@pytest.fixture(scope="module")
+def tracked(log: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
+    folder = tmp_path_factory.mktemp("out")
+    outputs = (
+        "--tum",
+        folder / "a.tum",
+        "--picture",
+        folder / "a.png",
+        "--video",
+        folder / "a.mp4",
+    )
+    run = call("track", MAP, log, "--json", *outputs)
+    assert run.code == 0, run.err
+    return folder, run.out, run.err
+
+
+def test_a_row_for_each_scan_with_the_promised_keys(tracked: tuple[Path, str, str]) -> None:
+    got = rows(tracked[1])
+    assert [row["index"] for row in got] == list(range(N))
+    expected = ["stamp", "age", "verdict", "pose", "covariance", "map_odom", "neff", "resets"]
+    assert all(key in row for row in got for key in expected)
+    for row in got:
+        assert (row["pose"] is None) == (row["verdict"] != "unique")
+        assert (row["covariance"] is None) == (row["verdict"] != "unique")
+    assert got[-1]["verdict"] == "unique"
+    assert abs(got[-1]["pose"]["x"] - (4 + 0.5 * (N - 1))) < 0.3
+    assert "x real time" in tracked[2]
+
+
+def test_tum_has_the_unique_poses(tracked: tuple[Path, str, str]) -> None:
+    lines = (tracked[0] / "a.tum").read_text().splitlines()
+    published = [row for row in rows(tracked[1]) if row["pose"]]
+    assert len(lines) == len(published) > 3
+    for line, row in zip(lines, published, strict=True):
+        words = line.split(" ")
+        assert len(words) == 8
+        assert len(words[0].split(".")[1]) >= 9
+        stamp, x, y, z, qx, qy, qz, qw = map(float, words)
+        assert (stamp, z, qx, qy) == (row["stamp"], 0, 0, 0)
+        assert (x, y) == (pytest.approx(row["pose"]["x"]), pytest.approx(row["pose"]["y"]))
+        assert qz**2 + qw**2 == pytest.approx(1, abs=1e-9)
+        assert 2 * np.arctan2(qz, qw) == pytest.approx(row["pose"]["theta"], abs=1e-9)
+
+
+def test_picture_and_video_show_the_map(tracked: tuple[Path, str, str]) -> None:
+    image = read_image(tracked[0] / "a.png").pixels
+    assert min(image.shape[:2]) > 300
+    movie = cv2.VideoCapture(str(tracked[0] / "a.mp4"))
+    assert int(movie.get(cv2.CAP_PROP_FRAME_COUNT)) == N
+    good, frame = movie.read()
+    assert good
+    assert frame.std() > 10
+
+
+def test_lines_for_people(log: Path) -> None:
+    run = call("track", MAP, log, "--start", "4,8,0", "--every", "5,90", "--no-cache")
+    assert run.code == 0
+    lines = run.out.splitlines()
+    assert "verdict" in lines[0]
+    assert len(lines) == N + 1
+    assert "unique" in lines[-1]
+
+
+def test_jsonl_logs_are_read(log: Path, tmp_path: Path) -> None:
+    data = np.load(log)
+    path = tmp_path / "log.jsonl"
+    path.write_text(
+        "\n".join(
+            json.dumps(
+                {
+                    "ranges": [float(r) for r in data["ranges"][k]],
+                    "angles": data["angles"].tolist(),
+                    "range_max": 30.0,
+                    "stamp": float(data["stamps"][k]),
+                    "odom": data["odom"][k].tolist(),
+                }
+            )
+            for k in range(3)
+        )
+    )
+    run = call("track", MAP, path, "--json")
+    assert run.code == 0, run.err
+    assert [row["stamp"] for row in rows(run.out)] == [100.0, 101.0, 102.0]
+
+
+def test_strict_says_that_the_end_is_not_unique(log: Path) -> None:
+    assert call("track", MAP, log, "--strict", "--kidnap", "8,20,3,1").code == 6
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "expected"),
+    [
+        (["--start", "1,2"], 2, "3 numbers"),
+        (["--start", "1,2,90"], 2, "radians"),
+        (["--kidnap", "5,1,2,90"], 2, "radians"),
+        (["--every", "-1,3"], 2, "metres must be finite"),
+        (["--tum", "a.txt"], 2, "ends in .tum"),
+        (["--filter", "kalman"], 2, "kalman"),
+    ],
+    ids=str,
+)
+def test_refuses(log: Path, words: list[str], code: int, expected: str) -> None:
+    run = call("track", MAP, log, *words)
+    assert (run.code, run.out) == (code, "")
+    assert expected in run.err
+
+
+def test_a_log_without_odometry_is_refused_unless_it_is_made(log: Path, tmp_path: Path) -> None:
+    data = dict(np.load(log))
+    del data["odom"]
+    bare = tmp_path / "bare.npz"
+    np.savez(bare, **data)
+    run = call("track", MAP, bare)
+    assert run.code == 4
+    assert "bare.npz: odom: missing" in run.err
+    assert call("track", MAP, bare, "--simulate-odometry", 1, "--every", "5,90").code == 0
+
+
+def test_sequences_are_evaluated(log: Path) -> None:
+    words = ("--scans", log, "--sequence", "--starts", 2, "--metres", 3)
+    run = call("evaluate", MAP, *words, "--json")
+    assert run.code == 0, run.err
+    (row,) = rows(run.out)
+    assert row["filter"] == "tracker"
+    assert row["odometry"] == "recorded"
+    assert row["right"]["2"]["value"] == 1.0
+    assert row["wrong"] == 0
+    assert call("evaluate", MAP, "--sequence").code == 2
+    assert call("evaluate", MAP, *words, "--filters", "kalman").code == 2

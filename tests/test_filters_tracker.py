@@ -1,0 +1,250 @@
+"""The hypothesis tracker and the particle filter, on scans of bundled worlds along a path."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from places import ANGLES, features_of
+
+from imgloc.errors import ConfigError, ScanError
+from imgloc.filters.belief import Followed, belief_of
+from imgloc.filters.choose import make_filter
+from imgloc.filters.motion import compose_poses, noisy_odometry
+from imgloc.filters.particle import ParticleFilter, ParticleOptions, kld_bound, low_variance
+from imgloc.filters.tracker import Tracker, TrackerOptions
+from imgloc.geometry import transform_poses
+from imgloc.io.scanset import ScanSet
+from imgloc.model import LaserScan, Pose2D, inverse
+from imgloc.options import Options
+from imgloc.sequences import Searches, piece
+from imgloc.simulation import simulate_ranges
+from imgloc.tracking import Every, Kidnap, follow
+from imgloc.worlds import WORLDS, render
+
+WORLD = "visibility"
+
+
+@cache
+def log() -> ScanSet:
+    """Twenty-four scans along the corridor of a world, half a metre apart, with odometry."""
+    poses = np.array([[4.0 + 0.5 * k, 8.0, 0.02 * k] for k in range(24)])
+    fine = render(WORLDS[WORLD](), 0.05)
+    ranges = simulate_ranges(fine, poses, ANGLES, seed=2, range_max=30.0)
+    scans = [LaserScan(r, ANGLES, range_max=30.0, stamp=float(k)) for k, r in enumerate(ranges)]
+    odom = noisy_odometry(poses, np.random.default_rng(0))
+    return ScanSet(tuple(scans), poses, np.arange(24.0), odom)
+
+
+def errors(moments, scans):
+    return [
+        np.inf if m.best is None
+        else float(np.hypot(m.best.x - scans.poses[m.index, 0], m.best.y - scans.poses[m.index, 1]))
+        for m in moments
+    ]  # fmt: skip
+
+
+@cache
+def searches():
+    return Searches(features_of(WORLD), Options())
+
+
+def found(scan):
+    """What a search finds in a scan of the log, done once for all tests."""
+    return searches()(log().scans[int(scan.stamp)])
+
+
+def tracker_of(**how):
+    return make_filter("tracker", features_of(WORLD), Options(), find=found, **how)
+
+
+@cache
+def tracked():
+    return list(follow(features_of(WORLD), log(), tracker_of()))
+
+
+def test_the_log_is_in_free_space() -> None:
+    features = features_of(WORLD)
+    local = transform_poses(inverse(features.grid.origin), log().poses)
+    cells = (local[:, 1::-1] / features.lattice.resolution).astype(int)
+    assert features.free[tuple(cells.T)].all()
+
+
+def test_it_is_found_and_published_only_when_unique() -> None:
+    moments = tracked()
+    assert max(errors(moments, log())[4:]) < 0.3
+    assert moments[0].pose is None  # one scan is not enough to be sure of a track
+    assert moments[-1].pose is not None
+    assert [m.pose is None for m in moments] == [m.belief.verdict != "unique" for m in moments]
+    assert moments[5].metres == pytest.approx(2.5, rel=0.1)
+    values = np.linalg.eigvalsh(moments[-1].covariance)
+    assert (values > 0).all()
+
+
+def test_map_odom_takes_odometry_to_the_map() -> None:
+    last = tracked()[-1]
+    assert last.map_odom is not None
+    assert last.best is not None
+    at = compose_poses(
+        np.array([last.map_odom.x, last.map_odom.y, last.map_odom.theta]), log().odom[-1]
+    )
+    np.testing.assert_allclose(at[:2], (last.best.x, last.best.y), atol=1e-9)
+
+
+def test_the_sensor_stands_beside_what_odometry_is_of() -> None:
+    mount = Pose2D(0.4, -0.1, 0.3)
+    scans = log()
+    back = inverse(mount)
+    odom = compose_poses(scans.odom, np.array([back.x, back.y, back.theta]))
+    from dataclasses import replace
+
+    mounted = tuple(replace(s, T_base_laser=mount) for s in scans.scans)
+    moved = ScanSet(mounted, scans.poses, scans.stamps, odom)
+    moments = list(follow(features_of(WORLD), moved, tracker_of()))
+    for one, other in zip(tracked(), moments, strict=True):
+        assert one.best is not None
+        assert other.best is not None
+        assert one.best.x == pytest.approx(other.best.x, abs=0.02)
+        assert one.best.y == pytest.approx(other.best.y, abs=0.02)
+
+
+def test_a_place_that_the_search_has_not_listed_does_not_die() -> None:
+    """A component is scored where it is, not only where a search looked."""
+    scans, features = log(), features_of(WORLD)
+    truth = transform_poses(inverse(features.grid.origin), scans.poses)
+    elsewhere = np.array([[2.0, 2.0, 1.0], [20.0, 3.0, 0.0]])
+    tracker = Tracker(features, find=lambda _: elsewhere)
+    tracker.place(truth[0], (0.1, 0.05))
+    for k, moment in enumerate(follow(features, scans, tracker)):
+        assert errors([moment], scans)[0] < 0.4, k
+
+
+@pytest.mark.parametrize("name", ["tracker", "particle"])
+def test_a_kidnapping_is_noticed_at_once_and_recovered_from(name: str) -> None:
+    scans, features = log(), features_of(WORLD)
+    chosen = make_filter(name, features, Options(), seed=1, find=found)
+    wrong = Kidnap(10.0, Pose2D(*scans.poses[2]))
+    moments = list(follow(features, scans, chosen, kidnap=wrong))
+    away = errors(moments, scans)
+    assert all(m.belief.verdict != "unique" for m, e in zip(moments, away, strict=True) if e > 1)
+    assert max(away[18:]) < 0.5
+    assert moments[-1].belief.resets > 0
+
+
+def test_without_resets_it_stays_where_it_believes_to_be() -> None:
+    scans, features = log(), features_of(WORLD)
+    tracker = tracker_of(resets=False)
+    wrong = Kidnap(10.0, Pose2D(*scans.poses[2]))
+    moments = list(follow(features, scans, tracker, kidnap=wrong))
+    assert errors(moments, scans)[-1] > 2
+    assert moments[-1].belief.verdict == "lost"
+
+
+def test_a_robot_off_the_map_is_lost() -> None:
+    """Scans of another world fit nowhere."""
+    fine = render(WORLDS["curved"](), 0.05)
+    ranges = simulate_ranges(fine, [[2.9, 4.8, 0.3]], ANGLES, seed=1, range_max=30.0)
+    scans = (LaserScan(ranges[0], ANGLES, range_max=30.0),) * 12
+    odom = np.column_stack((np.arange(12) * 0.6, np.zeros(12), np.zeros(12)))
+    strange = ScanSet(scans, None, np.arange(12.0), odom)
+    tracker = Tracker(features_of(WORLD), find=Searches(features_of(WORLD), Options()))
+    moments = list(follow(features_of(WORLD), strange, tracker))
+    assert all(m.pose is None for m in moments)
+
+
+def test_scans_that_say_nothing_leave_the_belief_alone() -> None:
+    blind = LaserScan(np.full(90, np.inf), np.linspace(-1, 1, 90), range_max=9.0)
+    for name in ("tracker", "particle", "grid"):
+        chosen = make_filter(name, features_of(WORLD), Options())
+        chosen.see(blind)
+        assert not chosen.watch(blind)
+        assert chosen.belief.verdict == "lost"
+
+
+def test_every_decides_what_is_looked_at() -> None:
+    scans = piece(log(), range(10))
+    gap = Every(1.2, 9.0)
+    looked = [m.looked for m in follow(features_of(WORLD), scans, tracker_of(), every=gap)]
+    assert looked[:4] == [True, False, False, True]
+
+
+def test_a_start_is_taken() -> None:
+    scans, features = log(), features_of(WORLD)
+    tracker = Tracker(features, find=lambda _: np.empty((0, 3)))
+    start = Pose2D(*scans.poses[0])
+    first = next(iter(follow(features, scans, tracker, start=start)))
+    assert errors([first], scans)[0] < 0.2
+
+
+def test_refuses_logs_that_cannot_be_followed() -> None:
+    scans, features = log(), features_of(WORLD)
+    bare = ScanSet(scans.scans, scans.poses, scans.stamps)
+    with pytest.raises(ScanError, match=r"a\.npz: odom: missing"):
+        next(follow(features, bare, Tracker(features), name="a.npz"))
+    back = ScanSet(scans.scans, scans.poses, scans.stamps[::-1], scans.odom)
+    with pytest.raises(ScanError, match=r"stamps\[1\]"):
+        next(follow(features, back, Tracker(features)))
+    with pytest.raises(ConfigError, match="metres"):
+        Every(-1.0)
+    with pytest.raises(ConfigError, match="one of tracker, grid, particle"):
+        make_filter("kalman", features, Options())
+
+
+def test_runs_are_the_same_every_time() -> None:
+    scans, features = piece(log(), range(6)), features_of(WORLD)
+
+    def run(name: str) -> list:
+        chosen = make_filter(name, features, Options(), seed=3)
+        return [(m.best, m.belief.verdict) for m in follow(features, scans, chosen)]
+
+    for name in ("tracker", "particle"):
+        assert run(name) == run(name)
+
+
+def test_particles_are_as_many_as_they_need_to_be() -> None:
+    how = ParticleOptions(least=50, most=1500, cut=3)
+    scans, features = piece(log(), range(9)), features_of(WORLD)
+    particles = ParticleFilter(features, how=how)
+    moments = list(follow(features, scans, particles))
+    assert 50 <= len(particles.poses) < 600
+    assert errors(moments, scans)[-1] < 0.4
+    with pytest.raises(ConfigError, match="particles"):
+        ParticleFilter(features, how=ParticleOptions(least=9, most=8))
+
+
+def test_kld_bound_is_that_of_the_chi_square() -> None:
+    # Fox 2003: 1 / (2 error) times the quantile of chi-square with bins - 1 degrees of freedom.
+    assert kld_bound(21, 0.1, 1.6449) == pytest.approx(31.41 / 0.2, rel=0.01)
+
+
+def test_low_variance_draws_as_often_as_expected() -> None:
+    weights = np.array([0.1, 0.25, 0.05, 0.6])
+    counts = np.bincount(low_variance(weights, 1000, np.random.default_rng(0)), minlength=4)
+    assert np.abs(counts - 1000 * weights).max() <= 1
+
+
+def test_places_join_across_the_seam_of_the_circle() -> None:
+    poses = np.array([[0, 0, np.pi - 0.05], [0, 0, -np.pi + 0.05], [5, 5, 0.0]])
+    belief = belief_of(
+        poses, np.array([0.4, 0.4, 0.2]), sure=0.7, lost=False, doubted=False, neff=2, resets=0
+    )
+    assert belief.verdict == "unique"
+    assert abs(abs(belief.poses[0, 2]) - np.pi) < 1e-9
+    doubted = belief_of(
+        poses, np.array([0.4, 0.4, 0.2]), sure=0.7, lost=False, doubted=True, neff=2, resets=0
+    )
+    assert doubted.verdict == "ambiguous"
+
+
+def test_another_best_place_is_followed_anew() -> None:
+    followed, step = Followed(), np.array([0.5, 0.0, 0.0])
+    for k in range(4):
+        followed.best(np.array([0.5 * k, 0.1, 0.0]))
+        followed.move(step)
+    assert followed.metres == pytest.approx(2.0)
+    followed.best(np.array([9.0, 0.0, 0.0]))
+    assert followed.metres == 0
+
+
+def test_options_of_the_tracker_say_what_they_are() -> None:
+    assert TrackerOptions().resets
+    assert Tracker(features_of(WORLD)).belief.lost == 1.0

@@ -1,0 +1,90 @@
+"""Messages for robots: under AMCL's rules, readable by another program."""
+
+import numpy as np
+import pytest
+import yaml
+
+from imgloc.errors import OutputError
+from imgloc.filters.belief import Belief
+from imgloc.geometry import transform_poses
+from imgloc.model import Pose2D
+from imgloc.output.ros import ARRAY, POSE, containing_diagonal, message, write_bag, yaml_text
+from imgloc.tracking import Moment
+
+ORIGIN = Pose2D(-3.0, 2.0, 0.5)
+COVARIANCE = np.array([[0.04, -0.03, 0.001], [-0.03, 0.09, 0.002], [0.001, 0.002, 0.01]])
+
+
+def moment(verdict: str, stamp: float = 12.25) -> Moment:
+    poses = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, -1.0]])
+    belief = Belief(poses, np.array([0.6, 0.4]), np.tile(COVARIANCE, (2, 1, 1)), 0.0, verdict, 2.0)
+    best = Pose2D(*transform_poses(ORIGIN, poses)[0])
+    return Moment(3, stamp, 0.0, True, 1.0, belief, best, COVARIANCE, None)
+
+
+def test_the_diagonal_contains_the_ellipse() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        A = rng.normal(size=(3, 3)) * [1, 0.3, 0.01]
+        C = A.T @ A
+        D = np.diag(containing_diagonal(C))
+        assert np.linalg.eigvalsh(D - C).min() > -1e-12
+        assert np.trace(D) <= 3 * np.trace(C) + 1e-12
+
+
+def test_a_unique_pose_is_what_amcl_takes() -> None:
+    kind, body = message(moment("unique"), ORIGIN) or ("", {})
+    assert kind == POSE
+    assert body["header"]["frame_id"] == "map"
+    assert body["header"]["stamp"] == {"sec": 12, "nanosec": 250_000_000}
+    q = body["pose"]["pose"]["orientation"]
+    assert sum(v * v for v in q.values()) == pytest.approx(1, abs=1e-9)
+    covariance = np.array(body["pose"]["covariance"])
+    assert covariance.shape == (36,)
+    assert ((covariance >= 0) & (covariance <= 1e9)).all()
+    assert covariance[[0, 7, 35]].tolist() == containing_diagonal(COVARIANCE).tolist()
+
+
+def test_several_places_are_an_array_unless_the_best_is_asked_for() -> None:
+    kind, body = message(moment("ambiguous"), ORIGIN) or ("", {})
+    assert kind == ARRAY
+    assert len(body["poses"]) == 2
+    expected = transform_poses(ORIGIN, np.array([[4.0, 5.0, -1.0]]))[0]
+    assert body["poses"][1]["position"]["x"] == pytest.approx(expected[0])
+    assert (message(moment("ambiguous"), ORIGIN, best=True) or ("",))[0] == POSE
+    assert message(moment("lost"), ORIGIN, best=True) is None
+
+
+def test_a_mounting_gives_the_base() -> None:
+    _, bare = message(moment("unique"), ORIGIN) or ("", {})
+    _, based = message(moment("unique"), ORIGIN, mount=Pose2D(0.5, 0.0, 0.0)) or ("", {})
+    at, other = (m["pose"]["pose"]["position"] for m in (bare, based))
+    assert np.hypot(at["x"] - other["x"], at["y"] - other["y"]) == pytest.approx(0.5)
+
+
+def test_yaml_is_read_back() -> None:
+    messages = [m for v in ("unique", "ambiguous", "lost") if (m := message(moment(v), ORIGIN))]
+    read = [d for d in yaml.safe_load_all(yaml_text(messages)) if d]
+    assert read == [body for _, body in messages]
+
+
+def test_a_bag_is_read_back_by_rosbags(tmp_path) -> None:
+    highlevel = pytest.importorskip("rosbags.highlevel", reason="needs the extra ros")
+    messages = [
+        m
+        for k, v in enumerate(("unique", "ambiguous"))
+        if (m := message(moment(v, 5.5 + k), ORIGIN))
+    ]
+    path = tmp_path / "out.bag"
+    write_bag(path, messages)
+    with highlevel.AnyReader([path]) as bag:
+        got = [(c.topic, t, bag.deserialize(raw, c.msgtype)) for c, t, raw in bag.messages()]
+    assert [(topic, t) for topic, t, _ in got] == [
+        ("/initialpose", 5_500_000_000), ("/imgloc/hypotheses", 6_500_000_000),
+    ]  # fmt: skip
+    body = messages[0][1]["pose"]
+    assert got[0][2].pose.pose.position.x == body["pose"]["position"]["x"]
+    np.testing.assert_array_equal(got[0][2].pose.covariance, body["covariance"])
+    assert len(got[1][2].poses) == 2
+    with pytest.raises(OutputError, match="exists"):
+        write_bag(path, messages)

@@ -1,0 +1,72 @@
+"""The tools that measure and draw tracks."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from imgloc.io.maps import save_map
+from imgloc.io.scans import save_scans
+from imgloc.io.scanset import ScanSet
+from imgloc.model import LaserScan
+from imgloc.simulation import simulate_ranges
+from imgloc.worlds import WORLDS, render
+from tools import drive, sequences
+
+ANGLES = np.deg2rad(np.arange(-180, 180, 4.0))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("data") / "hall"
+    path.mkdir()
+    grid = render(WORLDS["visibility"](), 0.1)
+    save_map(path / "map.yaml", grid)
+    poses = np.array([[4.0 + 0.5 * k, 8.0, 0.0] for k in range(7)])
+    ranges = simulate_ranges(render(WORLDS["visibility"](), 0.05), poses, ANGLES, seed=1)
+    scans = tuple(LaserScan(r, ANGLES, range_max=30.0) for r in ranges)
+    save_scans(path / "scans.npz", ScanSet(scans, poses, np.arange(7.0)))
+    return path
+
+
+def test_a_table_a_curve_and_a_track(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib", reason="needs the extra plot")
+    words = f"x {folder} --out {tmp_path} --starts 1 --seconds inf --kidnaps 0 --metres 2"
+    monkeypatch.setattr(sys, "argv", [*words.split(), "--cases", "tracker, no;particle, no"])
+    sequences.main()
+    rows = [json.loads(line) for line in (tmp_path / "sequences.jsonl").read_text().splitlines()]
+    names = ["tracker, no resetting", "particle, no resetting"]
+    assert [row["filter"] for row in rows] == names
+    assert all(row["odometry"].startswith("of the poses") for row in rows)
+    assert rows[0]["right"]["1"]["value"] == 1.0
+    assert "| hall | tracker, no resetting |" in (tmp_path / "sequences.md").read_text()
+    assert (tmp_path / "recall.png").stat().st_size > 1000
+    assert (tmp_path / "track-hall.png").stat().st_size > 1000
+
+
+def test_scans_are_cut_and_stopped() -> None:
+    scan, rng = LaserScan(np.full(90, 8.0), ANGLES, range_max=30.0), np.random.default_rng(0)
+    near = sequences.near(scan, rng)
+    assert np.rad2deg(np.abs(near.angles)).max() <= 45
+    assert near.range_max == 5.0
+    assert not near.valid.any()
+    stopped = sequences.stopped(scan, rng)
+    assert 0.15 < np.mean(stopped.ranges < 8.0) < 0.45
+    assert stopped.ranges.min() > 0.5
+
+
+def test_a_way_keeps_off_the_walls() -> None:
+    grid = render(WORLDS["corridor"](), 0.1)
+    poses = drive.path_between(grid, np.array(drive.STOPS[0]), 0.25)
+    cells = np.floor(poses[:, 1::-1] / 0.1).astype(int)
+    assert grid.free[tuple(cells.T)].all()
+    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    assert steps.max() < 0.27
+    heading = np.arctan2(*np.diff(poses[:, :2], axis=0).T[::-1])
+    assert np.median(np.abs(heading - poses[:-1, 2])) < 0.1
+    with pytest.raises(ValueError, match="free"):
+        drive.path_between(grid, np.array([[0.1, 0.1], [14.0, 5.0]]), 0.25)

@@ -1,0 +1,100 @@
+"""A log of a drive through a bundled world, and the README's picture of its track.
+
+The robot goes from place to place where there is most room, is carried off once, and goes on::
+
+    python -m tools.drive --out tools/track.png --log drive.npz
+"""
+
+import argparse
+import itertools
+from pathlib import Path
+
+import cv2
+import numpy as np
+from skimage.graph import route_through_array
+
+from imgloc.filters.choose import make_filter
+from imgloc.filters.motion import noisy_odometry
+from imgloc.geometry import centre_of, transform_poses
+from imgloc.io.scans import save_scans
+from imgloc.io.scanset import ScanSet
+from imgloc.model import FloatArray, LaserScan, OccupancyGrid
+from imgloc.options import Options
+from imgloc.output.tracks import draw_track
+from imgloc.pipeline import prepare
+from imgloc.sequences import piece
+from imgloc.simulation import simulate_ranges
+from imgloc.tracking import follow
+from imgloc.worlds import WORLDS, render
+
+_ANGLES = np.deg2rad(np.arange(-90, 90.5, 1.0))
+WORLD = "corridor"  #: whose doors repeat
+STOPS = (
+    ((14.0, 5.0), (31.5, 5.2), (31.5, 6.5), (34.5, 8.2)),
+    ((22.0, 5.0), (3.5, 5.0), (3.5, 3.5), (2.5, 1.6)),
+)
+"""Two drives, in the grid frame, metres; between them the robot is carried."""
+_ROOM = 1.0  # metres from a wall beyond which more room is no better
+
+
+def path_between(grid: OccupancyGrid, stops: FloatArray, step: float) -> FloatArray:
+    """Poses (N, 3), map frame, on a way with room through free places (M, 2), `step` metres apart.
+
+    Raises
+    ------
+    ValueError
+        If a place is not free.
+    """
+    room = cv2.distanceTransform(grid.free.astype(np.uint8), cv2.DIST_L2, 5) * grid.resolution
+    cost = np.where(grid.free, 1 + 20 * np.maximum(0, _ROOM - room), 1e6)
+    cells = np.floor(stops[:, ::-1] / grid.resolution).astype(int)
+    if not grid.free[tuple(cells.T)].all():
+        raise ValueError("every stop must be in free space")
+    way = [cells[:1].astype(float)]
+    for a, b in itertools.pairwise(cells):
+        route, _ = route_through_array(cost, a, b, fully_connected=True, geometric=True)
+        way.append(np.array(route[1:], dtype=float))
+    xy = centre_of(np.concatenate(way).astype(np.int64), grid.resolution)
+    kernel = np.hanning(2 * round(0.6 / grid.resolution) + 3)
+    pad = len(kernel) // 2
+    smooth = [
+        np.convolve(np.pad(v, pad, mode="edge"), kernel / kernel.sum(), "valid") for v in xy.T
+    ]
+    along = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(smooth, axis=1)))))
+    at = np.arange(0, along[-1], step)
+    x, y = (np.interp(at, along, v) for v in smooth)
+    theta = np.arctan2(np.gradient(y), np.gradient(x))
+    return transform_poses(grid.origin, np.column_stack((x, y, theta)))
+
+
+def log_of(world: str, poses: FloatArray, seed: int, *, outliers: float = 0.1) -> ScanSet:
+    """The scans at the poses, a tenth of their readings stopped by people, and odometry."""
+    ranges = simulate_ranges(
+        render(WORLDS[world](), 0.02), poses, _ANGLES, seed=seed, range_max=8.0, outliers=outliers
+    )
+    scans = tuple(LaserScan(r, _ANGLES, range_max=8.0) for r in ranges)
+    odom = noisy_odometry(poses, np.random.default_rng(seed))
+    return ScanSet(scans, poses, np.arange(0, len(poses) / 2, 0.5, dtype=np.float64), odom)
+
+
+def main() -> None:
+    """Make the log, follow it, draw it."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--out", type=Path, required=True, help="PNG to write")
+    parser.add_argument("--log", type=Path, help="NPZ to write: for imgloc track")
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    grid = render(WORLDS[WORLD](), 0.1)
+    parts = [path_between(grid, np.array(stops), 0.25) for stops in STOPS]
+    ends = np.cumsum([0, *map(len, parts)])
+    whole = log_of(WORLD, np.concatenate(parts), given.seed)
+    log = piece(whole, *(range(a, b) for a, b in itertools.pairwise(ends.tolist())))
+    if given.log is not None:
+        save_scans(given.log, log, force=True)
+    features = prepare(grid)
+    moments = list(follow(features, log, make_filter("tracker", features, Options())))
+    draw_track(grid, moments, log.poses).save(given.out, force=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,234 @@
+"""Filters along recorded logs: who finds the robot, who keeps it, and what sensor resetting is for.
+
+Run it with the folders of logs, each with ``map.yaml`` and ``scans.npz`` (poses, and odometry if
+it was recorded)::
+
+    python -m tools.sequences ../data/fr079_half ../data/duke_loop5 --out sequences
+
+It writes a table (``sequences.md``, and every number in ``sequences.jsonl``), the shares of right
+poses against metres driven (``recall.png``), and a track of each log over its map.
+"""
+
+import argparse
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imgloc.filters.choose import make_filter
+from imgloc.io.files import write_text_atomic
+from imgloc.io.maps import load_map
+from imgloc.io.scans import load_scans
+from imgloc.io.scanset import ScanSet
+from imgloc.model import LaserScan, Pose2D
+from imgloc.options import Options
+from imgloc.output.json import to_json
+from imgloc.output.pictures import Picture
+from imgloc.output.tracks import draw_track, sequence_row
+from imgloc.pipeline import prepare
+from imgloc.sequences import Searches, Trials, driven, measure, piece, with_odometry
+from imgloc.tracking import follow
+from tools.plots import blank
+from tools.progress import progress
+
+#: Where the sensor sits on the robot whose odometry was recorded, if that is known: of duke_loop5
+#: as odometry and poses agree best while it turns.
+MOUNTS = {"duke_loop5": Pose2D(0.32, 0.0, 0.0)}
+NEAR, VIEW, STOPPED = 5.0, float(np.deg2rad(90.0)), 0.3
+_GRID_CELL = 0.2
+
+
+@dataclass(frozen=True)
+class Case:
+    """A filter, and what is done to the scans."""
+
+    name: str
+    filter: str = "tracker"
+    scans: str = "as recorded"
+    resets: bool = True
+    reset_by: str = "ght-v"
+
+
+CASES = (
+    Case("tracker"),
+    Case("tracker, 5 m and 90 deg", scans="near"),
+    Case("tracker, 30 % stopped short", scans="stopped"),
+    Case("tracker, no resetting", resets=False),
+    Case("particle, GHT-V", "particle"),
+    Case("particle, CBML", "particle", reset_by="cbml"),
+    Case("particle, no resetting", "particle", resets=False),
+    Case("grid", "grid"),
+)
+
+
+def near(scan: LaserScan, _: np.random.Generator) -> LaserScan:
+    """The scan of a sensor that sees 5 m far and 90 degrees wide."""
+    seen = np.abs(scan.angles) <= VIEW / 2
+    reach = min(scan.range_max, NEAR)
+    return replace(scan, ranges=scan.ranges[seen], angles=scan.angles[seen], range_max=reach)
+
+
+def stopped(scan: LaserScan, rng: np.random.Generator) -> LaserScan:
+    """The scan with 30 % of its readings stopped short, anywhere on their way."""
+    ranges = scan.ranges.copy()
+    hit = (rng.random(len(ranges)) < STOPPED) & scan.valid
+    ranges[hit] *= rng.uniform(0.1, 1.0, int(hit.sum()))
+    return replace(scan, ranges=ranges)
+
+
+_CHANGES: Mapping[str, Callable[[LaserScan, np.random.Generator], LaserScan]] = {
+    "as recorded": lambda scan, _: scan, "near": near, "stopped": stopped,
+}  # fmt: skip
+
+
+def changed(scans: ScanSet, how: str, seed: int) -> ScanSet:
+    """The scans as they would have been under other conditions."""
+    rng = np.random.default_rng(seed)
+    return replace(scans, scans=tuple(_CHANGES[how](scan, rng) for scan in scans.scans))
+
+
+def measure_log(
+    folder: Path, cases: Sequence[Case], trials: Trials, advance: Callable[[], None]
+) -> Iterator[dict[str, Any]]:
+    """The rows of one log."""
+    grid, recorded = load_map(folder / "map.yaml"), load_scans(folder / "scans.npz")
+    mount, options = MOUNTS.get(folder.name), Options()
+    if mount is not None:
+        mounted = tuple(replace(scan, T_base_laser=mount) for scan in recorded.scans)
+        recorded = replace(recorded, scans=mounted)
+    recorded, odometry = with_odometry(recorded, trials.seed)
+    fine, coarse = prepare(grid, folder.name), prepare(grid, folder.name, cell=_GRID_CELL)
+    kept: dict[str, tuple[ScanSet, Searches]] = {}
+    for case in cases:
+        if case.scans not in kept:
+            kept[case.scans] = (
+                changed(recorded, case.scans, trials.seed), Searches(fine, options)
+            )  # fmt: skip
+        scans, searches = kept[case.scans]
+        features = coarse if case.filter == "grid" else fine
+        how = replace(trials, resets=case.resets, reset_by=case.reset_by)
+        summary = measure(
+            features, scans, case.filter, how, options, searches=searches, advance=advance
+        )
+        yield sequence_row(folder.name, case.name, summary, {"odometry": odometry})
+
+
+def page(rows: Sequence[Mapping[str, Any]], trials: Trials) -> str:
+    """The table, in Markdown."""
+    head = (
+        "log", "filter", "runs", *(f"{m} m" for m in rows[0]["right"]), "stays, 2 m", "10 m",
+        "unique, 10 m", "s, m to converge", "RMSE m, deg", "s unique, wrong", "kidnapped: back",
+        "after m", "ENM-MCL", "F3Loc 1, .5, .3, .2 m", "x real time",
+    )  # fmt: skip
+    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    for row in rows:
+        cells = [
+            row["map"],
+            row["filter"],
+            str(row["runs"]),
+            *(_share(s) for s in row["right"].values()),
+            _share(row["stays"]["2"]),
+            _share(row["stays"]["10"]),
+            _share(row["published"]["10"]),
+            f"{row['seconds']:.0f}, {row['metres']:.1f}",
+            f"{row['rmse'][0]:.3f}, {np.rad2deg(row['rmse'][1]):.2f}",
+            f"{row['wrong']:.1f} of {row['total']:.0f}",
+            f"{row['kidnapped']['hits']} of {row['kidnapped']['trials']}",
+            f"{row['kidnap_metres']:.1f}",
+            _share(row["enm"]),
+            ", ".join(_share(s) for s in row["f3loc"].values()),
+            f"{row['speed']:.1f}",
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    kinds = sorted({f"{row['map']} {row['odometry']}" for row in rows})
+    return (
+        f"Starts: {trials.starts} at random and one each {trials.seconds:g} s, "
+        f"{trials.metres:g} m each; {trials.kidnaps} kidnappings; seed {trials.seed}. Odometry: "
+        + "; ".join(kinds)
+        + ".\n\n"
+        + "\n".join(lines)
+        + "\n"
+    )
+
+
+def _share(share: Mapping[str, Any]) -> str:
+    return "-" if not share["trials"] else f"{share['value']:.2f}"
+
+
+def draw_recall(rows: Sequence[Mapping[str, Any]]) -> Picture:
+    """Share of right poses against metres driven: all logs together, a curve for each filter."""
+    figure, pixels = blank(7, 4, dpi=120, layout="constrained")
+    axes = figure.add_subplot()
+    for name in dict.fromkeys(row["filter"] for row in rows):
+        mine = [row for row in rows if row["filter"] == name]
+        metres = list(mine[0]["right"])
+        hits = [sum(row["right"][m]["hits"] for row in mine) for m in metres]
+        trials = [max(1, sum(row["right"][m]["trials"] for row in mine)) for m in metres]
+        shares = np.array(hits) / np.array(trials)
+        axes.plot([float(m) for m in metres], shares, marker="o", label=name)
+    axes.set(xlabel="metres driven", ylabel="share of right poses", ylim=(0, 1.02))
+    axes.legend(fontsize=8)
+    axes.grid(alpha=0.3)
+    return Picture(pixels())
+
+
+def draw_log(folder: Path, metres: float = np.inf) -> Picture:
+    """The track of a log over its map, from its first scan on."""
+    grid, scans = load_map(folder / "map.yaml"), load_scans(folder / "scans.npz")
+    mount = MOUNTS.get(folder.name)
+    mounted = tuple(replace(scan, T_base_laser=mount) for scan in scans.scans)
+    scans = with_odometry(replace(scans, scans=mounted))[0]
+    end = int(np.searchsorted(driven(scans), metres, side="right"))
+    scans, features = piece(scans, range(end)), prepare(grid, folder.name)
+    moments = list(follow(features, scans, make_filter("tracker", features, Options())))
+    return draw_track(grid, moments, scans.poses)
+
+
+def main() -> None:
+    """Measure, and write the table and the figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("folders", nargs="+", type=Path, help="with map.yaml and scans.npz")
+    parser.add_argument("--out", type=Path, default=Path("sequences"))
+    parser.add_argument("--starts", type=int, default=50, help="at random (default 50)")
+    parser.add_argument("--seconds", type=float, default=30.0, help="between regular starts")
+    parser.add_argument("--kidnaps", type=int, default=20)
+    parser.add_argument("--metres", type=float, default=15.0)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--cases", help="only those whose name begins so, with ; between")
+    parser.add_argument("--picture", action="store_true", help="only the tracks")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    if not given.picture:
+        trials = Trials(given.starts, given.metres, given.kidnaps, given.seed)
+        trials = replace(trials, seconds=given.seconds)
+        wanted = None if given.cases is None else tuple(given.cases.split(";"))
+        cases = [c for c in CASES if wanted is None or c.name.startswith(wanted)]
+        rows: list[dict[str, Any]] = []
+        for folder in given.folders:
+            count = len(cases) * trials.count(load_scans(folder / "scans.npz"))
+            with progress(folder.name, count) as advance:
+                for row in measure_log(folder, cases, trials, advance):
+                    rows.append(json.loads(to_json(row)))
+                    lines = "".join(to_json(r) + "\n" for r in rows)
+                    write_text_atomic(given.out / "sequences.jsonl", lines, force=True)
+                    table = page([_numbers(r) for r in rows], trials)
+                    write_text_atomic(given.out / "sequences.md", table, force=True)
+        draw_recall(rows).save(given.out / "recall.png", force=True)
+        print((given.out / "sequences.md").read_text())
+    for folder in given.folders:
+        draw_log(folder).save(given.out / f"track-{folder.name}.png", force=True)
+
+
+def _numbers(row: dict[str, Any]) -> dict[str, Any]:
+    """The row with NaN again where JSON has null."""
+    nan = float("nan")
+    out = {k: nan if v is None else v for k, v in row.items()}
+    out["rmse"] = [nan if v is None else v for v in row["rmse"]]
+    return out
+
+
+if __name__ == "__main__":
+    main()
