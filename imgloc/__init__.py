@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from imgloc.__about__ import __version__
 
 if TYPE_CHECKING:
+    from imgloc.batch import BatchSummary, run_batch
     from imgloc.choice import Choice, which
     from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
     from imgloc.evaluation import Evaluation, evaluate
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from imgloc.io.maps import load_map, save_map
     from imgloc.io.scans import load_scans, save_scans
     from imgloc.io.scanset import ScanSet
+    from imgloc.jobs import Job
     from imgloc.model import (
         Evidence,
         GridInfo,
@@ -51,16 +53,17 @@ if TYPE_CHECKING:
     from imgloc.simulation import Sensor, simulate
 
 __all__ = [
-    "ALL_METHODS", "METHODS", "Calibration", "Choice", "ConfigError", "Evaluation", "Evidence",
-    "Explanation", "FusedOptions", "GridInfo", "Hypothesis", "ImglocError", "LaserScan",
-    "Likelihood", "Localization", "MapError", "MapFeatures", "MapReport", "OccupancyGrid",
-    "Options", "OrientedPoints", "OutputError", "Picture", "Pose2D", "Prior", "ScanError",
-    "ScanSet", "Sensor", "Trust", "__version__", "check_map", "draw", "evaluate", "explain",
-    "likelihood", "load_map", "load_scans", "localize", "prepare", "sample_poses", "save_map",
-    "save_scans", "simulate", "which",
+    "ALL_METHODS", "METHODS", "BatchSummary", "Calibration", "Choice", "ConfigError", "Evaluation",
+    "Evidence", "Explanation", "FusedOptions", "GridInfo", "Hypothesis", "ImglocError", "Job",
+    "LaserScan", "Likelihood", "Localization", "MapError", "MapFeatures", "MapReport",
+    "OccupancyGrid", "Options", "OrientedPoints", "OutputError", "Picture", "Pose2D", "Prior",
+    "ScanError", "ScanSet", "Sensor", "Trust", "__version__", "check_map", "draw", "evaluate",
+    "explain", "likelihood", "load_map", "load_scans", "localize", "prepare", "run_batch",
+    "sample_poses", "save_map", "save_scans", "simulate", "which",
 ]  # fmt: skip
 
 _HOMES = {
+    "imgloc.batch": "BatchSummary run_batch",
     "imgloc.choice": "Choice which",
     "imgloc.errors": "ConfigError ImglocError MapError OutputError ScanError",
     "imgloc.evaluation": "Evaluation evaluate",
@@ -70,6 +73,7 @@ _HOMES = {
     "imgloc.io.maps": "load_map save_map",
     "imgloc.io.scans": "load_scans save_scans",
     "imgloc.io.scanset": "ScanSet",
+    "imgloc.jobs": "Job",
     "imgloc.model": "Evidence GridInfo Hypothesis LaserScan Likelihood Localization OccupancyGrid "
     "OrientedPoints Pose2D",
     "imgloc.options": "ALL_METHODS METHODS Calibration FusedOptions Options Prior Trust",

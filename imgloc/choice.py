@@ -13,13 +13,14 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.files import display
-from imgloc.model import LaserScan, Localization
+from imgloc.model import LaserScan, Localization, plain
 from imgloc.options import FUSED, Options, Trust
 from imgloc.pipeline import localize
 from imgloc.search.hypotheses import masses
@@ -50,6 +51,26 @@ class Choice:
     none: float
     log_evidence: Mapping[str, float]  #: nats, relative to the best map's
     temperature: float  #: common to all maps: that of the one that fits best
+
+    def as_row(self, fits: Mapping[str, Localization], index: int = 0) -> dict[str, Any]:
+        """The row of the scan `index` of a file, as `imgloc which --json` writes it.
+
+        `fits` are those that were compared: each map has its pose in the row.
+        """
+        maps = [
+            {
+                "map": name,
+                "probability": share,
+                "log_evidence": self.log_evidence.get(name),
+                "misfit": fits[name].evidence.misfit,
+                "verdict": fits[name].verdict,
+                "pose": fits[name].pose,
+                "explained": fits[name].explained,
+            }
+            for name, share in self.probability.items()
+        ]
+        about = {"verdict": self.verdict, "none": self.none, "temperature": self.temperature}
+        return dict(plain({"index": index, **about, "maps": maps}))
 
 
 def which(

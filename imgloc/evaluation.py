@@ -12,8 +12,8 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from math import nan, sqrt
 from typing import Any
 
@@ -196,6 +196,16 @@ class Evaluation:
     lattice: Lattice
     summary: Summary
     parameters: dict[str, object]
+
+    def as_row(self, name: str, source: Mapping[str, object]) -> dict[str, Any]:
+        """The row of a map, called `name`, as `imgloc evaluate --json` writes it."""
+        return {
+            "map": name,
+            **asdict(self.summary),
+            "lattice": asdict(self.lattice),
+            "source": source,
+            "parameters": self.parameters,
+        }
 
 
 def method_options(method: str, theta_step: float | None = None, threads: int = 1) -> Options:

@@ -16,7 +16,7 @@ from imgloc import LaserScan, Options, Pose2D
 
 FUNCTIONS = {
     "check_map", "draw", "evaluate", "explain", "likelihood", "load_map", "load_scans", "localize",
-    "prepare", "sample_poses", "save_map", "save_scans", "simulate", "which",
+    "prepare", "run_batch", "sample_poses", "save_map", "save_scans", "simulate", "which",
 }  # fmt: skip
 
 

@@ -6,14 +6,17 @@ import typer
 
 from imgloc.__about__ import __version__
 from imgloc.cli.atlas import atlas
+from imgloc.cli.batch import batch
 from imgloc.cli.cache import cache, clear
 from imgloc.cli.calibrate import calibrate
 from imgloc.cli.console import Group, emit
 from imgloc.cli.demo import demo
 from imgloc.cli.evaluate import evaluate
+from imgloc.cli.export import export
 from imgloc.cli.localize import localize
 from imgloc.cli.map import check, show
 from imgloc.cli.options import FORMATS, examples
+from imgloc.cli.report import report
 from imgloc.cli.sample import sample
 from imgloc.cli.simulate import simulate
 from imgloc.cli.which import which
@@ -40,8 +43,8 @@ _HELP = """Where am I on this map?
 Finds the pose of a 2-D laser scan in a map that is an image, without an initial guess, and says
 whether to trust it.
 
-Exit codes: 0 ok, 1 internal or output, 2 usage, 3 bad map, 4 bad scan, 5 some maps failed,
-6 not unique (with --strict), 130 interrupted by Ctrl-C.
+Exit codes: 0 ok, 1 internal or output, 2 usage, 3 bad map, 4 bad scan, 5 some maps or
+items failed, 6 not unique (with --strict), 130 interrupted by Ctrl-C.
 """
 
 
@@ -96,6 +99,18 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc atlas office.yaml --out atlas.png",
         "imgloc atlas office.yaml --out atlas.png --csv atlas.csv --rays 360 --fov-deg 360",
         "imgloc atlas visibility --out atlas.png --range-max 5 --json",
+    ),
+    batch: (
+        "imgloc batch floors --job check --out checked",
+        "imgloc batch floors scans --out found --pictures doubtful",
+        "imgloc batch floors scans --job which --out named --workers 8",
+        "imgloc batch pairs.csv --out found --resume",
+        "imgloc batch images scans --resolution 0.05 --out found --dask tcp://10.0.0.5:8786",
+    ),
+    report: ("imgloc report found", "imgloc report found --out site.html"),
+    export: (
+        "imgloc export found",
+        "imgloc export found --format parquet --out answers.parquet",
     ),
     which: ("imgloc which floors scans.npz", "imgloc which floors scan.csv --range-max 20 --json"),
 }

@@ -74,7 +74,7 @@ def evaluate(
     from imgloc.evaluation import TOLERANCES, Tolerance, method_options
     from imgloc.evaluation import evaluate as measure
     from imgloc.io.calibration import calibration_path, load_calibrations
-    from imgloc.output.json import evaluation_row, to_json
+    from imgloc.output.json import to_json
     from imgloc.output.tables import evaluation_tables
     from imgloc.pipeline import prepare
     from imgloc.simulation import fine_image, is_world, sample_set, simulate
@@ -128,7 +128,7 @@ def evaluate(
                     features, trials, options, tolerances=within, floor=floor, advance=advance
                 )
             LOG.info("%s: %s: S %.2f", name, method, result.summary.index.value)
-            table.append(evaluation_row(name, result, source))
+            table.append(result.as_row(name, source))
             if as_json:
                 emit(to_json(table[-1]))
         del features  # before the next map is loaded

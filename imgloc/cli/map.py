@@ -36,13 +36,13 @@ def check(
     """
     from imgloc.cli import inputs
     from imgloc.io.mapcheck import check_bytes, check_map
-    from imgloc.output.json import report_row, to_json
+    from imgloc.output.json import to_json
     from imgloc.output.tables import report_text
 
     inputs.check_image(map_path, reading, opt.fixed_budget(memory_budget), check_bytes)
     with quiet_libraries():
         report = check_map(map_path, **reading)
-    emit(to_json(report_row(report)) if as_json else report_text(report))
+    emit(to_json(report.as_row()) if as_json else report_text(report))
     if strict and report.warnings:
         raise typer.Exit(MapError.exit_code)
 

@@ -47,7 +47,7 @@ def which(
     from imgloc.choice import choose, find_maps, fit, names_of
     from imgloc.cli import inputs
     from imgloc.options import Options
-    from imgloc.output.json import choice_row, to_json
+    from imgloc.output.json import to_json
     from imgloc.output.tables import CHOICE_HEADER, choice_line
     from imgloc.pipeline import check_options
 
@@ -88,6 +88,6 @@ def which(
         emit(CHOICE_HEADER)
     for k, found in enumerate(fits):
         choice = choose(found, options.trust, sure=sure)
-        emit(to_json(choice_row(choice, found, k)) if as_json else choice_line(k, choice, found))
+        emit(to_json(choice.as_row(found, k)) if as_json else choice_line(k, choice, found))
     if failed:
         raise typer.Exit(FAILED_ROWS)

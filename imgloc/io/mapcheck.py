@@ -26,7 +26,7 @@ from imgloc.io.maps import (
     looks_swapped,
     resolve_settings,
 )
-from imgloc.model import BoolArray, Pose2D
+from imgloc.model import BoolArray, Pose2D, plain
 
 _MANY_GREYS, _HUGE_CELLS = 16, 16_000_000
 _MOST = 10  # greys, and parts, that are listed
@@ -104,6 +104,22 @@ class MapReport:
     def area(self) -> float:
         """Free area, square metres."""
         return self.shares["free"] * self.size[0] * self.size[1]
+
+    def as_row(self) -> dict[str, Any]:
+        """The row of the map, as `imgloc map check --json` writes it."""
+        keys = (
+            "path image kind width height resolution size free_area free_parts origin mode "
+            "semantics negate occupied_thresh free_thresh shares greys grey_levels "
+            "semantics_differ warnings"
+        )
+        named = {
+            "size": dict(zip(("width", "height"), self.size, strict=True)),
+            "free_area": self.area,
+            "origin": plain(self.origin),
+            "greys": [{"value": value, "cells": cells} for value, cells in self.greys],
+            "warnings": [{"code": w.code, "text": w.text} for w in self.warnings],
+        }
+        return {key: named[key] if key in named else getattr(self, key) for key in keys.split()}
 
 
 def check_map(path: PathLike, **reading: Unpack[Reading]) -> MapReport:

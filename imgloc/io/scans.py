@@ -134,6 +134,8 @@ _KINDS = {
     ".yaml": _ECHO, ".yml": _ECHO, ".log": _CARMEN, ".clf": _CARMEN, ".carmen": _CARMEN,
     ".bag": _BAG, ".db3": _BAG, ".mcap": _BAG,
 }  # fmt: skip
+#: Endings of scan files in a folder. A YAML file there is taken for a map's.
+SCAN_ENDINGS = tuple(ending for ending in _KINDS if ending not in (".yaml", ".yml"))
 # What files begin with whose name does not tell.
 _MAGIC = (
     (rb"PK\x03\x04", _NPZ), (rb"#ROSBAG V2", _BAG), (rb"SQLite format 3", _BAG),

@@ -14,6 +14,7 @@ from rich.text import Text
 from imgloc.model import SURE, VERDICTS, Localization, Pose2D, base_of
 
 if TYPE_CHECKING:
+    from imgloc.batch import BatchSummary
     from imgloc.choice import Choice
     from imgloc.io.mapcheck import MapReport
 
@@ -220,6 +221,38 @@ def atlas_text(summary: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def batch_text(summary: "BatchSummary", folder: str) -> str:
+    """Return what the rows of a batch come to, in words.
+
+    Examples
+    --------
+    >>> from imgloc.batch import BatchSummary
+    >>> found = BatchSummary(3, {"ok": 2, "timeout": 1}, {"unique": 9, "ambiguous": 1}, 10, 9)
+    >>> print(batch_text(found, "out"))
+    3 items: 2 ok, 1 timeout
+    10 scans: 9 unique, 1 ambiguous
+    9 of 10 with a known pose are right (90.0 %), 0 unique and wrong
+    0 new rows in 0.0 s: out/results.jsonl
+    """
+    lines = [f"{summary.items:,} items: {_counted(summary.statuses)}"]
+    if summary.verdicts:
+        total = sum(summary.verdicts.values())
+        lines.append(f"{total:,} scans: {_counted(summary.verdicts)}")
+    if summary.known:
+        lines.append(
+            f"{summary.hits:,} of {summary.known:,} with a known pose are right "
+            f"({100 * summary.hits / summary.known:.1f} %), {summary.unique_wrong:,} unique and "
+            "wrong"
+        )
+    lines.append(f"{summary.new:,} new rows in {summary.seconds:.1f} s: {folder}/results.jsonl")
+    return "\n".join(lines)
+
+
+def _counted(counts: Mapping[str, int]) -> str:
+    order = sorted(counts, key=lambda word: (-counts[word], word))
+    return ", ".join(f"{counts[word]:,} {word}" for word in order)
+
+
 def calibration_table(fits: Mapping[str, Any]) -> str:
     """Return the fits of :func:`imgloc.calibrate.fit` by the name of the method."""
     columns = ("method", "scans", "sigma m", "sigma deg", "exponent", "S +- s.e.", "S of the stack")
@@ -239,7 +272,7 @@ def calibration_table(fits: Mapping[str, Any]) -> str:
 
 
 def evaluation_tables(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return three tables of rows of :func:`imgloc.output.json.evaluation_row`."""
+    """Return three tables of rows of :meth:`imgloc.evaluation.Evaluation.as_row`."""
     tables = []
     for title, make in (
         ("Right answers, % [95 % interval]", _success),

@@ -15,6 +15,7 @@ from imgloc.search.rescore import hit_density
 CHANCE = 3.0
 """Nats that a reading lacks where a scan is laid on a map by chance. Of scans laid on the maps of
 other buildings the mean ones lack 2.6, the worst tenth 3.9."""
+CHANCE_TOLD = 1.5  #: the same where the place is known within some limits: a wrong one is refused
 _HEADINGS = 60  # of the room, over the quarter turn after which it is itself again
 _BIN = 0.05  # metres; a wall is looked for in three of them
 _BINS = 400
@@ -23,11 +24,12 @@ _BINS = 400
 def unmapped_score(xy: FloatArray, model: EvidenceModel, *, told: bool = False) -> float:
     """Mean log-density of readings (N, 2) in a building that is on no map, nats.
 
-    That of :func:`best_room`, but never less than :data:`CHANCE` below a perfect fit; and just that
-    where the place was `told`, within some limits: then it is on the map.
+    That of :func:`best_room`, but never less than :data:`CHANCE` below a perfect fit. Where the
+    place was `told`, within some limits, it is no other room: :data:`CHANCE_TOLD` below that.
     """
-    chance = model.best - CHANCE
-    return chance if told else max(best_room(xy, model), chance)
+    if told:
+        return model.best - CHANCE_TOLD
+    return max(best_room(xy, model), model.best - CHANCE)
 
 
 def best_room(xy: FloatArray, model: EvidenceModel) -> float:

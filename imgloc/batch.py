@@ -1,0 +1,442 @@
+"""Every map with every file of scans: one row each, whatever happens to them.
+
+>>> from tempfile import TemporaryDirectory
+>>> from imgloc.io.maps import bundled_maps
+>>> from imgloc.jobs import Job
+>>> with TemporaryDirectory() as folder:
+...     found = run_batch(bundled_maps() / "curved.yaml", None, f"{folder}/out", Job("check"))
+...     found.statuses
+{'ok': 1}
+"""
+
+import contextlib
+import csv
+import hashlib
+import json
+import os
+import queue
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+
+from imgloc.__about__ import __version__
+from imgloc.choice import NO_MAP, names_of
+from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
+from imgloc.io.files import PathLike, display, read_file
+from imgloc.io.maps import YAML_ENDINGS
+from imgloc.io.mapyaml import load_map_yaml
+from imgloc.io.results import Results, Row, read_rows
+from imgloc.io.scans import SCAN_ENDINGS
+from imgloc.jobs import WITHOUT_SCANS, Item, Job, content_hash, files_of, perform
+from imgloc.model import plain
+from imgloc.workers import CrashError, OverdueError, Supervised
+
+STATUSES = ("ok", "failed", "crashed", "timeout")
+IMAGE_ENDINGS = (".png", ".pgm", ".bmp", ".tif", ".tiff")  #: of bare images that may be maps
+TIMEOUT = 3600.0  #: seconds that an item may take
+ATTEMPTS = 2  #: how often an item is begun whose worker dies
+_AT_ONCE = 512  # items that an executor is given beyond those that are done
+_CODES = {MapError: "map", ScanError: "scan", ConfigError: "config", OutputError: "output"}
+_MAX_PAIRS = 256 << 20  # bytes
+
+
+@dataclass
+class BatchSummary:
+    """What the rows of a batch come to."""
+
+    items: int = 0
+    statuses: dict[str, int] = field(default_factory=dict)
+    verdicts: dict[str, int] = field(default_factory=dict)  #: of the answers of all scans
+    known: int = 0  #: answers to scans whose pose is known
+    hits: int = 0  #: of these, those that are right
+    unique_wrong: int = 0  #: and those that are wrong, but ``unique``
+    new: int = 0  #: rows that this run has added
+    seconds: float = 0.0  #: what it took, all in all
+
+    @property
+    def failed(self) -> int:
+        """Items without an answer."""
+        return self.items - self.statuses.get("ok", 0)
+
+    def add(self, row: Row) -> None:
+        """Count a row."""
+        self.items += 1
+        self.statuses[row["status"]] = self.statuses.get(row["status"], 0) + 1
+        for answer in row["answers"]:
+            if "verdict" in answer:
+                verdict = answer["verdict"]
+                if "maps" in answer and verdict not in NO_MAP:
+                    verdict = "named"  # `which` says a map
+                self.verdicts[verdict] = self.verdicts.get(verdict, 0) + 1
+            if "hit" in answer:
+                self.known += 1
+                self.hits += answer["hit"]
+                self.unique_wrong += answer["verdict"] == "unique" and not answer["hit"]
+
+
+def run_batch(
+    maps: PathLike,
+    scans: PathLike | None,
+    out: PathLike,
+    job: Job | None = None,
+    *,
+    workers: int | None = None,
+    executor: Executor | None = None,
+    timeout: float | None = TIMEOUT,
+    memory_limit: int | None = None,
+    resume: bool = False,
+    retry_failed: bool = False,
+    fail_fast: bool = False,
+    items: Sequence[Item] | None = None,
+    on_row: Callable[[Row], None] | None = None,
+) -> BatchSummary:
+    """Do a job with every map and every file of scans, and write a row for each.
+
+    Parameters
+    ----------
+    maps, scans : path
+        As of :func:`find_items`.
+    out : path
+        Folder of the results, see :mod:`imgloc.io.results`.
+    job : Job, optional
+        By default `localize`.
+    workers : int, optional
+        Processes of this machine; by default as many as it has processors.
+    executor : concurrent.futures.Executor, optional
+        Instead of them: whatever can call a function elsewhere. The limits below are its own.
+    timeout, memory_limit : float and int, optional
+        Seconds that an item may take, bytes that a worker may; None is without a limit.
+    resume : bool
+        Go on with results that are there: what has a row with the same contents, parameters and
+        version is not done again; what has `failed`, with `retry_failed`, is.
+    fail_fast : bool
+        Stop after the first row that is not ok.
+    items : sequence of Item, optional
+        Instead of what :func:`find_items` finds.
+    on_row : callable
+        Called with each new row once it is on the disk.
+
+    Returns
+    -------
+    BatchSummary
+        Of all rows in the folder. What goes wrong with an item is in its row.
+
+    Raises
+    ------
+    ConfigError, OutputError
+        If there is nothing to do, or the folder is not to be written to.
+
+    Examples
+    --------
+    See the head of this module.
+    """
+    job, start = job or Job(), time.monotonic()
+    found = list(find_items(maps, scans, job, out=out) if items is None else items)
+    digest = job.digest
+    about = {
+        "imgloc": __version__,
+        "job": job.name,
+        "maps": display(maps),
+        "scans": None if scans is None else display(scans),
+        "parameters": {digest: job.parameters},
+    }
+    new = 0
+    with Results(out, about, resume=resume or retry_failed) as results:
+        todo = remaining(found, job, results.known, retry_failed=retry_failed)
+        with contextlib.ExitStack() as stack:
+            if executor is None:
+                count = min(workers or os.cpu_count() or 1, max(1, len(todo)))
+                executor = Supervised(count, timeout=timeout, memory_limit=memory_limit)
+                stack.callback(executor.shutdown)
+            try:
+                for row, pictures in rows_of(todo, job, executor):
+                    results.add(row, pictures)
+                    new += 1
+                    if on_row is not None:
+                        on_row(row)
+                    if fail_fast and row["status"] != "ok":
+                        executor.shutdown(wait=False, cancel_futures=True)
+                        break
+            except BaseException:
+                executor.shutdown(wait=False, cancel_futures=True)
+                stack.pop_all()  # an interrupt does not wait for anybody
+                raise
+        summary = summarise(read_rows(out))
+        summary.new, summary.seconds = new, round(time.monotonic() - start, 3)
+        results.summarise(vars(summary))
+    return summary
+
+
+def summarise(rows: Iterable[Row]) -> BatchSummary:
+    """Count rows."""
+    summary = BatchSummary()
+    for row in rows:
+        summary.add(row)
+    return summary
+
+
+def remaining(
+    items: Sequence[Item],
+    job: Job,
+    known: Mapping[tuple[str, str | None], tuple[str, str]],
+    *,
+    retry_failed: bool = False,
+) -> list[Item]:
+    """The items that have no row of the same key; `known` are keys and statuses of rows."""
+    digest = job.digest
+
+    def settled(item: Item) -> bool:
+        if item.id not in known:
+            return False
+        key, status = known[item.id]
+        if retry_failed and status != "ok":
+            return False
+        return key == key_of(hashes_of(item), digest)
+
+    return [item for item in items if not settled(item)]
+
+
+def rows_of(
+    items: Iterable[Item], job: Job, executor: Executor
+) -> Iterator[tuple[Row, dict[str, bytes]]]:
+    """Rows of items as they are done, each with its pictures; whatever happens, one for each."""
+    waiting, finished = iter(items), queue.SimpleQueue[Future[Any]]()
+    running: dict[Future[Any], tuple[Item, int, float]] = {}
+
+    def begin(item: Item, attempt: int) -> None:
+        future = executor.submit(work, item, job)
+        running[future] = item, attempt, time.monotonic()
+        future.add_done_callback(finished.put)
+
+    while True:
+        while len(running) < _AT_ONCE and (item := next(waiting, None)) is not None:
+            begin(item, 1)
+        if not running:
+            return
+        try:
+            future = finished.get(timeout=0.2)  # so that an interrupt is noticed
+        except queue.Empty:
+            continue
+        item, attempt, begun = running.pop(future)
+        try:
+            row, pictures = future.result()
+        except BaseException as error:  # a worker that died; a cluster has exceptions of its own
+            if attempt < ATTEMPTS:
+                begin(item, attempt + 1)
+                continue
+            row, pictures = _lost(item, job, error), dict[str, bytes]()
+            row["cost"]["seconds"] = round(time.monotonic() - begun, 3)
+        row["cost"]["attempts"] = attempt
+        yield row, pictures
+
+
+def work(item: Item, job: Job) -> tuple[Row, dict[str, bytes]]:
+    """Do a job with an item, in a worker: its row and its pictures by their names."""
+    start = time.perf_counter()
+    row = _row(item, job)
+    cost, pictures = row["cost"], dict[str, bytes]()
+    try:
+        done = perform(item, job)
+    except Exception as error:
+        row["status"] = "failed"
+        row["code"], row["message"] = _reason(error)
+    else:
+        stem = picture_stem(item)
+        pictures = {f"{stem}-{end}": png for end, png in done.pictures.items()}
+        for answer in done.answers:
+            if "pictures" in answer:
+                answer["pictures"] = [f"{stem}-{end}" for end in answer["pictures"]]
+        row["answers"] = plain(done.answers)
+        cost |= {"ms": [round(ms, 3) for ms in done.ms], **plain(done.cost)}
+    cost["seconds"] = round(time.perf_counter() - start, 3)
+    return row, pictures
+
+
+def _row(item: Item, job: Job) -> Row:
+    hashes, digest = hashes_of(item), job.digest
+    return {
+        "map": item.map,
+        "scans": item.scans,
+        "status": "ok",
+        "code": None,
+        "message": None,
+        "answers": [],
+        "key": key_of(hashes, digest),
+        "hashes": {**hashes, "parameters": digest},
+        "version": __version__,
+        "cost": {},
+    }
+
+
+def _lost(item: Item, job: Job, error: BaseException) -> Row:
+    """The row of an item whose worker has died each time."""
+    row = _row(item, job)
+    row["status"], row["message"] = "crashed", " ".join(str(error).split()) or repr(error)
+    if isinstance(error, OverdueError):
+        row["status"] = "timeout"
+    elif isinstance(error, CrashError):
+        row["code"] = error.signal if error.signal is not None else error.code
+        row["cost"]["last_words"] = error.last_words
+    return row
+
+
+def _reason(error: Exception) -> tuple[str, str]:
+    """Code and message of what a job has raised."""
+    message = " ".join(str(error).split())
+    if isinstance(error, ImglocError):
+        return next((c for kind, c in _CODES.items() if isinstance(error, kind)), "error"), message
+    if isinstance(error, MemoryError) or (
+        isinstance(error, cv2.error) and getattr(error, "code", 0) == cv2.Error.StsNoMem
+    ):
+        return "memory", "out of memory: a smaller map, or a larger --memory-limit"
+    return "internal", f"{type(error).__name__}: {message}"
+
+
+def hashes_of(item: Item) -> dict[str, str | None]:
+    """Hashes of what an item is made of; None for what cannot be read, or is not there."""
+    paths = [file for _, path in item.maps for file in files_of(path)]
+    scans = None if item.scans_path is None else content_hash((item.scans_path,))
+    return {"map": content_hash(paths), "scans": scans}
+
+
+def key_of(hashes: Mapping[str, str | None], parameters: str) -> str:
+    """Key of a row: the same contents, parameters and version give the same row."""
+    return _hash([hashes["map"], hashes["scans"], parameters, __version__])
+
+
+def _hash(value: object) -> str:
+    text = json.dumps(value, sort_keys=True)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def picture_stem(item: Item) -> str:
+    """Beginning of the names of an item's pictures: readable, and no other item's.
+
+    Examples
+    --------
+    >>> picture_stem(Item("a/attic", "run 1.npz", ()))
+    'a-attic--run-1.npz-63f19f06'
+    """
+    words = f"{item.map}--{item.scans or ''}"
+    plainly = "".join(c if c.isascii() and (c.isalnum() or c in "-.") else "-" for c in words)
+    return f"{plainly[:100]}-{_hash(item.id)[:8]}"
+
+
+def find_items(
+    maps: PathLike, scans: PathLike | None, job: Job, *, out: PathLike | None = None
+) -> list[Item]:
+    """Every map with every file of scans, in the order of their names, by map.
+
+    Parameters
+    ----------
+    maps : path
+        A map, a folder tree of them (map_server YAML; with a resolution in the job's reading also
+        images that no YAML names), or a CSV of pairs with the columns ``map`` and ``scans``,
+        relative to itself.
+    scans : path, optional
+        A file of scans or a folder tree of them; none for jobs that look at maps alone, and with
+        pairs.
+    out : path, optional
+        Nothing in this folder is looked at.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, or scans are missing or of no use.
+    """
+    maps, alone = Path(maps), job.name in WITHOUT_SCANS
+    if maps.suffix.lower() == ".csv":
+        if scans is not None:
+            raise ConfigError(f"{display(maps)}: its pairs name the scans, expected no others")
+        return _pairs(maps, job)
+    if scans is not None and alone:
+        raise ConfigError(f"the job {job.name} looks at maps alone: expected no scans")
+    if scans is None and not alone and job.name != "evaluate":
+        raise ConfigError(f"the job {job.name} needs scans: a file, or a folder of them")
+    named_maps = list(_maps_in(maps, job, out))
+    named_scans = [(None, None)] if scans is None else list(_scans_in(Path(scans), out))
+    if job.name == "which":
+        name = display(maps.resolve().name)
+        return [Item(name, s, tuple(named_maps), path) for s, path in named_scans]
+    return [
+        Item(name, s, ((name, path),), scan_path)
+        for name, path in named_maps
+        for s, scan_path in named_scans
+    ]
+
+
+def _maps_in(maps: Path, job: Job, out: PathLike | None) -> Iterator[tuple[str, Path]]:
+    if not maps.is_dir():
+        yield display(maps.name), maps.absolute()
+        return
+    files = [p for p in _files(maps, out) if p.suffix.lower() in (*YAML_ENDINGS, *IMAGE_ENDINGS)]
+    yamls = [p for p in files if p.suffix.lower() in YAML_ENDINGS]
+    images = [p for p in files if p.suffix.lower() in IMAGE_ENDINGS]
+    found = yamls
+    if job.reading.get("resolution") is not None:
+        drawn = set()
+        for path in yamls:
+            with contextlib.suppress(ImglocError):
+                drawn.add(load_map_yaml(path).image.resolve())
+        found = sorted({*yamls, *(p for p in images if p.resolve() not in drawn)})
+    if not found:
+        hint = f"; of its {len(images)} images --resolution makes maps" if images else ""
+        raise ConfigError(f"{display(maps)}: no map, expected map_server YAML files{hint}")
+    for name, path in zip(names_of(found, maps), found, strict=True):
+        yield display(name), path.absolute()
+
+
+def _scans_in(scans: Path, out: PathLike | None) -> Iterator[tuple[str, Path]]:
+    if not scans.is_dir():
+        yield display(scans.name), scans.absolute()
+        return
+    found = [p for p in _files(scans, out) if p.suffix.lower() in SCAN_ENDINGS]
+    # Beside a map there may be what was calibrated for it.
+    found = [p for p in found if not p.name.endswith(".calibration.json")]
+    if not found:
+        raise ConfigError(f"{display(scans)}: no scans, expected {', '.join(SCAN_ENDINGS)}")
+    for path in found:
+        yield display(path.relative_to(scans).as_posix()), path.absolute()
+
+
+def _files(folder: Path, out: PathLike | None) -> list[Path]:
+    """Files of a tree, in the order of their names, but for those in `out`."""
+    aside = None if out is None else Path(out).resolve()
+    found = []
+    for top, folders, names in os.walk(folder, followlinks=False):
+        if aside is not None:
+            folders[:] = [d for d in folders if Path(top, d).resolve() != aside]
+        found += [Path(top, name) for name in names]
+    return sorted(found)
+
+
+def _pairs(path: Path, job: Job) -> list[Item]:
+    name = display(path)
+    if job.name == "which":
+        raise ConfigError(f"{name}: the job which compares all maps of a folder, expected one")
+    data = read_file(path, limit=_MAX_PAIRS, error=ConfigError, what="CSV of pairs")
+    reader = csv.DictReader(data.decode("utf-8-sig", "surrogateescape").splitlines())
+    columns = {"map"} if job.name in (*WITHOUT_SCANS, "evaluate") else {"map", "scans"}
+    if not columns <= set(reader.fieldnames or ()):
+        found = ", ".join(reader.fieldnames or ()) or "nothing"
+        raise ConfigError(f"{name}: got the columns {found}, expected map,scans")
+    items: dict[tuple[str, str | None], Item] = {}
+    for row in reader:
+        map_name, scans = row["map"], row.get("scans") or None
+        if not map_name or (scans is None and "scans" in columns):
+            raise ConfigError(f"{name}: line {reader.line_num}: expected a map and scans")
+        if job.name in WITHOUT_SCANS:
+            scans = None
+        where = path.absolute().parent
+        at, taken = where / map_name, None if scans is None else where / scans
+        item = Item(display(map_name), None if scans is None else display(scans),
+                    ((display(map_name), at),), taken)  # fmt: skip
+        items[item.id] = item
+    if not items:
+        raise ConfigError(f"{name}: no pair, expected a line for each")
+    return sorted(items.values(), key=lambda item: (item.map, item.scans or ""))

@@ -1,0 +1,255 @@
+"""`imgloc batch`: every map of a folder with every file of scans of another, nothing lost."""
+
+import contextlib
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from imgloc.cli import options as opt
+from imgloc.cli.console import emit, say
+from imgloc.cli.options import flag, option
+from imgloc.errors import ConfigError
+from imgloc.io.files import display
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from imgloc.jobs import Item, Job
+
+FAILED_ROWS = 5
+_EVERY = 60.0  # seconds between lines of progress without a terminal
+JobName = StrEnum("JobName", ("LOCALIZE", "EVALUATE", "CHECK", "WHICH", "ATLAS"))
+Pictures = StrEnum("Pictures", ("NONE", "DOUBTFUL", "ALL"))
+
+
+@opt.with_options(opt.mounting, opt.reading, opt.sensor, opt.console)
+def batch(
+    maps: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MAPS",
+            callback=opt.find_map,
+            help="Folder tree of maps (images without a YAML with --resolution), a map, or a CSV "
+            "of pairs with the columns map,scans.",
+        ),
+    ],
+    out: Annotated[Path, option(..., "DIR", "Folder of the results.", show_default=False)],
+    mounting: opt.Mounting,
+    reading: "opt.Reading",
+    sensor: "opt.Sensor",
+    scans: Annotated[
+        Path | None,
+        typer.Argument(metavar="[SCANS]", help="Folder tree of files of scans, or one."),
+    ] = None,
+    job: JobName = typer.Option(JobName.LOCALIZE, help="Whose work is done with each."),
+    method: opt.MethodName = typer.Option(opt.MethodName.FUSED, help="As of localize, evaluate."),
+    top: int = option(5, "N", "Hypotheses listed for a scan.", min=1),
+    cell: opt.Cell = 0.1,
+    theta_step_deg: float | None = option(
+        None, "DEG", "Step of the headings. [default: the method's own]", within=opt.STEP
+    ),
+    range_max: opt.Cut = None,
+    tolerance: Any = option(
+        None, "M,DEG", "How near a known pose is a hit. [default: 0.5,10]", parser=opt.numbers(2)
+    ),
+    sure: float = option(
+        0.5, "P", "For which: probability a map needs.", within=(0.5, 1, "a probability")
+    ),
+    count: int = option(100, "N", "For evaluate without SCANS: scans simulated.", "-n", min=1),
+    seed: opt.Seed = 0,
+    step: float = option(
+        0.5, "M", "For atlas: metres between places.", within=(0.02, 1000, "metres")
+    ),
+    headings: int = option(4, "K", "For atlas: headings at each place.", min=1, max=72),
+    reach: opt.Reach = 30.0,
+    pictures: Pictures = typer.Option(Pictures.NONE, help="Of which answers pictures are kept."),
+    workers: int | None = option(
+        None, "N", "Processes; no row depends on it. [default: all processors]", min=1
+    ),
+    dask: str | None = option(
+        None, "ADDRESS", "Run on a Dask cluster, tcp://host:port, or one started here: local."
+    ),
+    timeout: float = option(
+        3600.0, "S", "Seconds that an item may take.", within=(0.1, 1e7, "seconds")
+    ),
+    memory_limit: Any = option(
+        None,
+        "BYTES",
+        "What a worker may take, such as 512M or 2G. [default: its share of half of what is "
+        "available]",
+        parser=opt.byte_count,
+    ),
+    resume: bool = flag("--resume", "Go on with the results in DIR: what is done stays."),
+    retry_failed: bool = flag("--retry-failed", "Go on, and do what has failed again."),
+    fail_fast: bool = flag("--fail-fast", "Stop at the first item that fails."),
+    dry_run: bool = flag("--dry-run", "Only say what would be done."),
+    as_json: opt.AsJson = False,
+    no_cache: bool = flag("--no-cache", "Prepare the maps anew and keep nothing."),
+    allow_lossy: opt.AllowLossy = False,
+) -> None:
+    """Do a command's work with every map and every file of scans: one row each.
+
+    DIR gets results.jsonl (a row for each item, whatever happens to it), summary.json, run.json and
+    pictures. An item that fails, takes too long, or kills its worker costs itself alone; the exit
+    code is then 5. An interrupted run goes on with --resume. See also imgloc report, imgloc export.
+    """
+    from imgloc.batch import find_items, run_batch
+    from imgloc.cli import inputs
+    from imgloc.evaluation import TOLERANCES, Tolerance
+    from imgloc.features.budget import MIB, default_budget
+    from imgloc.jobs import Job
+    from imgloc.options import FusedOptions, Options
+    from imgloc.output.drawings import DRAWINGS
+    from imgloc.output.json import to_json
+    from imgloc.output.tables import batch_text
+
+    angle = None if theta_step_deg is None else math.radians(theta_step_deg)
+    fused = method == opt.MethodName.FUSED
+    many = opt.count_threads(workers)
+    budget = memory_limit or (None if dask else default_budget() // many)
+    if budget is not None and budget < MIB:
+        raise ConfigError(f"--memory-limit: got {budget} bytes, expected at least 1M")
+    near = TOLERANCES[-1]
+    if tolerance is not None:
+        opt.check_range("--tolerance", tolerance[0], 1e-6, 1e6, "metres")
+        opt.check_range("--tolerance", tolerance[1], 1e-6, 360, "degrees")
+        near = Tolerance(tolerance[0], math.radians(tolerance[1]))
+    what = Job(
+        job.value,
+        Options(
+            method=method.value,
+            theta_step=None if fused else angle,
+            fused=FusedOptions(theta_step=angle) if fused and angle else FusedOptions(),
+            top=top,
+        ),
+        reading=reading,
+        allow_lossy=allow_lossy,
+        cell=cell,
+        range_max=range_max,
+        flipped=mounting.flipped,
+        mount=mounting.pose,
+        tolerance=near,
+        sure=sure,
+        sensor=replace(sensor, range_max=reach),
+        count=count,
+        seed=seed,
+        step=step,
+        headings=headings,
+        pictures=pictures.value,
+        drawings=DRAWINGS,
+        memory_budget=budget,
+        cache=inputs.kept_in(None, wanted=not no_cache),
+    )
+    items = find_items(maps, scans, what, out=out)
+    again = resume or retry_failed
+    todo = _todo(items, what, out, again=again, retry_failed=retry_failed)
+    known = len({path for item in items for _, path in item.maps})
+    files = len({item.scans_path for item in items if item.scans_path is not None})
+    said = f"{len(items):,} items: {known:,} maps, {files:,} files of scans"
+    if len(todo) < len(items):
+        said += f"; {len(items) - len(todo):,} are done"
+    if dry_run:
+        emit(said)
+        return
+    say(said)
+    with _executor(dask, workers, timeout, memory_limit) as executor, _progress(todo) as advance:
+        try:
+            summary = run_batch(
+                maps,
+                scans,
+                out,
+                what,
+                workers=many,
+                executor=executor,
+                timeout=timeout,
+                memory_limit=memory_limit,
+                resume=again,
+                retry_failed=retry_failed,
+                fail_fast=fail_fast,
+                items=todo,
+                on_row=lambda row: advance(row["status"] != "ok"),
+            )
+        except KeyboardInterrupt:
+            say(f"what is done is kept in {display(out)}; --resume goes on")
+            raise
+    emit(to_json(vars(summary)) if as_json else batch_text(summary, display(out)))
+    if summary.failed:
+        raise typer.Exit(FAILED_ROWS)
+
+
+def _todo(
+    items: "list[Item]", job: "Job", out: Path, *, again: bool, retry_failed: bool
+) -> "list[Item]":
+    """What is left to do, without touching anything."""
+    from imgloc.batch import remaining
+    from imgloc.io.results import RESULTS, id_of, read_rows
+
+    if not again or not (out / RESULTS).exists():
+        return items
+    known = {id_of(row): (row["key"], row["status"]) for row in read_rows(out)}
+    return remaining(items, job, known, retry_failed=retry_failed)
+
+
+@contextlib.contextmanager
+def _executor(
+    dask: str | None, workers: int | None, timeout: float, memory_limit: int | None
+) -> "Iterator[Executor | None]":
+    """Where the work is done: None is on this machine, as `run_batch` does it."""
+    if dask is None:
+        yield None
+        return
+    from imgloc.cluster import cluster
+
+    limits = {"timeout": timeout, "memory_limit": memory_limit}
+    with cluster(dask, workers=workers, **limits) as executor:  # type: ignore[arg-type]
+        yield executor
+
+
+@contextlib.contextmanager
+def _progress(todo: "list[Item]") -> Iterator[Callable[[bool], None]]:
+    """A bar with items/s, failures and time left on a terminal; elsewhere a line a minute."""
+    start, done, failed, said = time.monotonic(), 0, 0, time.monotonic()
+    if sys.stderr is not None and sys.stderr.isatty():
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+        from rich.progress import TimeRemainingColumn as Remaining
+
+        columns = (
+            BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
+            TextColumn("{task.fields[failed]:,} failed,"), Remaining(compact=True),
+            TextColumn("left"),
+        )  # fmt: skip
+        with Progress(
+            *columns, console=Console(stderr=True), transient=True, redirect_stdout=False
+        ) as bar:
+            task = bar.add_task("batch", total=len(todo), failed=0, rate="")
+
+            def show(bad: bool) -> None:
+                nonlocal failed, done
+                failed, done = failed + bad, done + 1
+                rate = f"{done / max(time.monotonic() - start, 1e-3):.1f} items/s,"
+                bar.update(task, advance=1, failed=failed, rate=rate)
+
+            yield show
+        return
+
+    def tell(bad: bool) -> None:
+        nonlocal done, failed, said
+        failed, done = failed + bad, done + 1
+        now = time.monotonic()
+        if now - said >= _EVERY:
+            said, rate = now, done / (now - start)
+            left = (len(todo) - done) / rate / 60
+            say(
+                f"{done:,} of {len(todo):,} items, {failed:,} failed, {rate:.2g} items/s, "
+                f"{left:.0f} min left"
+            )
+
+    yield tell

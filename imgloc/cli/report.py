@@ -1,0 +1,48 @@
+"""`imgloc report`: one page about a batch."""
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from imgloc.cli import options as opt
+from imgloc.cli.console import say
+from imgloc.cli.options import option
+from imgloc.io.files import display, write_text_atomic
+
+Results = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results of imgloc batch.")]
+
+
+@opt.with_options(opt.console)
+def report(
+    folder: Results,
+    out: Path | None = option(None, "HTML", "Page to write. [default: DIR/report.html]"),
+    force: opt.Force = False,
+) -> None:
+    """Write one page about a batch: verdicts, errors, times, maps, failures, pictures.
+
+    The page needs no network. Of many pictures it has links to those in DIR, so leave it there.
+    DIR/report.html is written anew each time.
+    """
+    from imgloc.cli import inputs
+    from imgloc.io.files import refuse_existing
+    from imgloc.output.report import MARK, render_report
+
+    target = folder / "report.html" if out is None else out
+    if out is not None:
+        inputs.check_target(out, ".html", force=force)
+    elif not force and os.path.lexists(target) and MARK not in _beginning(target):
+        refuse_existing(target)  # somebody else's
+    html = render_report(folder, beside=target.parent)
+    write_text_atomic(target, html, force=out is None or force)
+    say(f"wrote {display(target)}: {len(html) / 1e6:.1f} MB")
+
+
+def _beginning(path: Path) -> bytes:
+    """The first bytes of a file; none if it is not one."""
+    try:
+        with path.open("rb") as file:
+            return file.read(1000)
+    except OSError:
+        return b""

@@ -1,0 +1,96 @@
+"""A batch on a Dask cluster: the same function, called elsewhere (needs ``imgloc[cluster]``).
+
+On each thread of the cluster's workers an item runs in a process of its own, see
+:mod:`imgloc.workers`: what kills or hangs it is told, as on one machine, and kills no worker.
+"""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
+from typing import Any
+
+from imgloc.__about__ import __version__
+from imgloc.errors import ConfigError
+from imgloc.workers import call_in_child
+
+LOCAL = "local"
+_WAIT = 30.0  # seconds for the scheduler, and for its first worker
+
+
+class ClusterExecutor(Executor):
+    """A client's executor, whose tasks have limits; see :class:`imgloc.workers.Supervised`."""
+
+    def __init__(self, client: Any, timeout: float | None, memory_limit: int | None) -> None:
+        self._inner = client.get_executor(pure=False)
+        self._limits = timeout, memory_limit
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Have a worker of the cluster call a function, which it can import."""
+        future: Future[Any] = self._inner.submit(call_in_child, *self._limits, fn, *args, **kwargs)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Take no more tasks; with `cancel_futures` drop those that have not begun."""
+        self._inner.shutdown(wait=wait and not cancel_futures)
+
+
+@contextlib.contextmanager
+def cluster(
+    address: str,
+    *,
+    workers: int | None = None,
+    timeout: float | None = None,
+    memory_limit: int | None = None,
+) -> Iterator[Executor]:
+    """Give an executor on a cluster that runs, or on one of this machine for as long as it is used.
+
+    Parameters
+    ----------
+    address : str
+        Of the scheduler, as ``tcp://host:8786``, or ``local``.
+    workers : int, optional
+        Of a local one; by default as many as there are processors.
+    timeout, memory_limit : float and int, optional
+        Of each task, see :class:`imgloc.workers.Supervisor`.
+
+    Raises
+    ------
+    ConfigError
+        If Dask is not installed, the cluster does not answer, or its workers have another version.
+    """
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise ConfigError("--dask: needs Dask; install it with: pip install 'imgloc[cluster]'") \
+            from None  # fmt: skip
+    with contextlib.ExitStack() as stack:
+        try:
+            if address == LOCAL:
+                here = LocalCluster(
+                    n_workers=workers, threads_per_worker=1, dashboard_address=None, memory_limit=0
+                )
+                client = stack.enter_context(Client(stack.enter_context(here)))
+            else:
+                client = stack.enter_context(Client(address, timeout=_WAIT))
+            client.wait_for_workers(1, timeout=_WAIT)
+        except (OSError, ValueError, TimeoutError) as e:
+            why = " ".join(str(e).split()) or type(e).__name__
+            raise ConfigError(f"--dask: no cluster with a worker at {address}: {why}") from None
+        try:
+            versions = set(client.run(version).values())
+        except Exception as e:
+            why = f"{type(e).__name__}: {e}"
+            raise ConfigError(f"--dask: imgloc does not run on the workers: {why}") from None
+        if versions != {__version__}:
+            found = ", ".join(sorted(versions))
+            raise ConfigError(f"--dask: the workers have imgloc {found}, expected {__version__}")
+        executor = ClusterExecutor(client, timeout, memory_limit)
+        try:
+            yield executor
+        finally:
+            executor.shutdown(wait=False)
+
+
+def version() -> str:
+    """The version of imgloc where this is called."""
+    return __version__

@@ -1,0 +1,383 @@
+"""What a batch does with each map and scan file: the work of a command, its answers as plain rows.
+
+Everything here runs in a worker, which keeps the maps that it has prepared, up to a limit.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+from collections import OrderedDict
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imgloc.atlas import TOP, atlas_poses, simulate_at, survey
+from imgloc.atlas import summarise as summarise_atlas
+from imgloc.choice import OPTIONS as WHICH
+from imgloc.choice import choose, fit
+from imgloc.errors import ConfigError, ImglocError, MapError, ScanError
+from imgloc.evaluation import TOLERANCES, Tolerance, evaluate, method_options, pose_errors
+from imgloc.features.budget import check_budget, default_budget, scans_bytes
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.store import load_features, save_features
+from imgloc.geometry import poses_of
+from imgloc.io.calibration import calibration_path, load_calibrations
+from imgloc.io.files import display, open_regular
+from imgloc.io.images import image_size
+from imgloc.io.mapcheck import check_bytes, check_map
+from imgloc.io.maps import YAML_ENDINGS, Reading, load_bytes, load_map, resolve_settings
+from imgloc.io.mapyaml import load_map_yaml
+from imgloc.io.scans import load_scans, scans_size
+from imgloc.io.scanset import ScanSet
+from imgloc.model import LaserScan, OccupancyGrid, Pose2D, plain
+from imgloc.options import FUSED, Options, Prior
+from imgloc.pipeline import answer_bytes, localize, prepare
+from imgloc.simulation import Sensor, fine_image, simulate
+
+JOBS = ("localize", "evaluate", "check", "which", "atlas")
+WITHOUT_SCANS = frozenset({"check", "atlas"})  #: jobs that look at maps alone
+PICTURES = ("none", "doubtful", "all")
+#: Draws a picture of an answer, or of a map: PNGs by what they show.
+Drawing = Callable[..., Mapping[str, bytes]]
+_KEPT = 0.5  # share of a worker's memory that prepared maps may take
+
+
+@dataclass(frozen=True)
+class Job:
+    """What is done with each item, and everything that decides its rows.
+
+    The options of methods are those of the command whose name the job has.
+    """
+
+    name: str = "localize"  #: one of :data:`JOBS`
+    options: Options = field(default_factory=Options)
+    #: how images are read, as of :func:`imgloc.load_map`; resolution and origin are of images
+    #: without a YAML alone
+    reading: Reading = field(default_factory=lambda: Reading())
+    allow_lossy: bool = False
+    cell: float = 0.1  #: of the poses, metres
+    range_max: float | None = None  #: readings are cut here, metres
+    flipped: bool = False  #: the sensor is upside down
+    mount: Pose2D | None = None  #: pose of the sensor on the robot
+    #: how near a known pose an answer is a hit
+    tolerance: Tolerance = TOLERANCES[-1]
+    sure: float = 0.5  #: probability that a map needs to be named, of ``which``
+    #: of what is simulated: by ``evaluate`` without scans and by ``atlas``
+    sensor: Sensor = field(default_factory=Sensor)
+    count: int = 100
+    seed: int = 0
+    step: float = 0.5  #: between the places of an atlas, metres
+    headings: int = 4
+    pictures: str = "none"  #: of which answers there are some, one of :data:`PICTURES`
+    drawings: Mapping[str, Drawing] = field(default_factory=dict)
+    #: bytes that a worker may take, by default half of what is available; no answer depends on it
+    memory_budget: int | None = None
+    cache: Path | None = None  #: where prepared maps are kept, nowhere by default
+
+    def __post_init__(self) -> None:
+        for name, known in (("name", JOBS), ("pictures", PICTURES)):
+            if getattr(self, name) not in known:
+                raise ConfigError(
+                    f"{name}: got {getattr(self, name)!r}, expected one of {', '.join(known)}"
+                )
+        if self.name == "which" and self.options.method != FUSED:
+            raise ConfigError(f"maps are compared by the method {FUSED}")
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of what decides the rows, apart from the files and the version."""
+        text = json.dumps(self.parameters, sort_keys=True)
+        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Everything that decides a row, as plain values."""
+        aside = {"drawings", "memory_budget", "cache", "options"}
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in aside}
+        own["reading"] = dict(self.reading)
+        for name in ("tolerance", "sensor"):
+            own[name] = asdict(own[name])
+        options = asdict(replace(self.options, prior=Prior(), threads=1, memory_budget=None))
+        return dict(plain(own | {"options": options}))
+
+
+@dataclass(frozen=True)
+class Item:
+    """A map with a file of scans; several maps for ``which``, no scans for jobs without."""
+
+    map: str  #: names, as the rows have them
+    scans: str | None
+    maps: tuple[tuple[str, Path], ...]  #: name and file of each map
+    scans_path: Path | None = None
+
+    @property
+    def id(self) -> tuple[str, str | None]:
+        """What tells it from all others of a batch."""
+        return self.map, self.scans
+
+    @property
+    def group(self) -> str:
+        """Items of one group use the same maps: a worker is to have as many of one as it can."""
+        return self.map
+
+
+@dataclass
+class Done:
+    """What a job has made of an item."""
+
+    answers: list[dict[str, Any]] = field(default_factory=list)
+    ms: list[float] = field(default_factory=list)  #: time of each answer
+    cost: dict[str, Any] = field(default_factory=dict)  #: what else two runs do not share
+    pictures: dict[str, bytes] = field(default_factory=dict)  #: by the ends of their names
+
+    def draw(self, job: Job, kind: str, doubtful: bool, k: int, *what: Any) -> None:
+        """Add the pictures of the last answer, if they are wanted."""
+        if job.pictures == "none" or (job.pictures == "doubtful" and not doubtful):
+            return
+        if (drawing := job.drawings.get(kind)) is not None:
+            made = drawing(*what)
+            self.pictures |= {f"{k:04d}-{name}.png": png for name, png in made.items()}
+            self.answers[-1]["pictures"] = [f"{k:04d}-{name}.png" for name in made]
+
+
+def perform(item: Item, job: Job) -> Done:
+    """Do a job with an item.
+
+    Raises
+    ------
+    ImglocError
+        If a file, or what is to be done with it, is at fault.
+    """
+    return _WORK[job.name](item, job)
+
+
+def files_of(path: Path) -> list[Path]:
+    """All files that what is said of a map depends on, those that exist and those that do not."""
+    files = [path, calibration_path(path)]
+    if path.suffix.lower() in YAML_ENDINGS:
+        with contextlib.suppress(ImglocError, OSError, ValueError):
+            about = path.stat()
+            files.append(_image_of(path, about.st_mtime_ns, about.st_size))
+    return files
+
+
+@lru_cache(maxsize=4096)
+def _image_of(path: Path, _mtime: int, _size: int) -> Path:
+    return load_map_yaml(path).image
+
+
+def content_hash(paths: "list[Path] | tuple[Path, ...]") -> str | None:
+    """40 hexadecimal digits of the contents of some files; None if the first cannot be read."""
+    digests = [_digest(path) for path in paths]
+    if not digests or digests[0] is None:
+        return None
+    return hashlib.blake2b("/".join(map(str, digests)).encode(), digest_size=20).hexdigest()
+
+
+def _digest(path: Path) -> str | None:
+    try:
+        about = path.stat()
+    except (OSError, ValueError):
+        return None
+    return _digest_of(path, about.st_mtime_ns, about.st_size)
+
+
+@lru_cache(maxsize=4096)
+def _digest_of(path: Path, _mtime: int, _size: int) -> str | None:
+    with (
+        contextlib.suppress(ImglocError, OSError),
+        os.fdopen(open_regular(path, ScanError, "file"), "rb") as file,
+    ):
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=20)).hexdigest()
+    return None
+
+
+_MAPS: "OrderedDict[tuple[object, ...], MapFeatures]" = OrderedDict()
+
+
+def open_map(path: Path, job: Job, options: Options, *, fresh: bool = False) -> MapFeatures:
+    """A map as a worker has it: prepared already, from the cache, or anew.
+
+    ConfigError if it takes more memory than a worker may.
+    """
+    # By what is in its files, and the way it is read.
+    key = (path, content_hash(files_of(path)), repr(sorted(job.reading.items())), job.cell)
+    if fresh or key not in _MAPS:
+        budget = job.memory_budget or default_budget()
+        reading = reading_of(path, job)
+        name, size = display(path), image_size(resolve_settings(path, **reading).image)
+        what = f"{name}: an image of {size.width} x {size.height} pixels"
+        check_budget(load_bytes(size), budget, what, "crop the map")
+        grid = load_map(path, allow_lossy=job.allow_lossy, **reading)
+        parameters = {"cell": job.cell, "memory_budget": job.memory_budget}
+        features = prepare(grid, name, **parameters)
+        height, width = grid.occupied.shape
+        need = features.bytes_for(options.method) + answer_bytes(features, options)
+        what = f"{name}: {options.method} on {height} x {width} cells"
+        check_budget(need, budget, what, "crop the map, use larger cells")
+        if fresh:
+            return features
+        if job.cache is not None:
+            features = load_features(grid, job.cache, parameters)
+        _MAPS[key] = features
+        sizes = {k: f.bytes_for(options.method) for k, f in _MAPS.items()}
+        while len(_MAPS) > 1 and sum(sizes[k] for k in _MAPS) > _KEPT * budget:
+            _MAPS.popitem(last=False)
+    _MAPS.move_to_end(key)
+    return _MAPS[key]
+
+
+def reading_of(path: Path, job: Job) -> Reading:
+    """How one of the maps is to be read: what a YAML says of its frame, it knows best."""
+    reading = job.reading.copy()
+    if path.suffix.lower() in YAML_ENDINGS:
+        reading.pop("resolution", None)
+        reading.pop("origin", None)
+    return reading
+
+
+def open_scans(item: Item, job: Job) -> ScanSet:
+    """The scans of an item as the sensor, mounted as the job says, has recorded them."""
+    path = item.scans_path
+    if path is None:
+        raise ConfigError(f"{job.name}: expected scans")
+    size, name = scans_size(path), display(path)
+    need = scans_bytes(size.scans, size.numbers, size.file_bytes, text=size.text)
+    what = f"{name}: a file of up to {size.scans:,} scans"
+    check_budget(need, job.memory_budget, what, "take fewer scans, in several files")
+    recorded = load_scans(path)
+    return replace(recorded, scans=tuple(_as_mounted(scan, job, name) for scan in recorded.scans))
+
+
+def _as_mounted(scan: LaserScan, job: Job, name: str) -> LaserScan:
+    scan = scan.flipped if job.flipped else scan
+    reach = scan.range_max if job.range_max is None else min(scan.range_max, job.range_max)
+    if reach <= scan.range_min:
+        raise ScanError(f"{name}: range_min is {scan.range_min:g} m, cut at {reach:g} m")
+    return replace(scan, range_max=reach, T_base_laser=job.mount or scan.T_base_laser)
+
+
+def _options(job: Job, path: Path, grid: OccupancyGrid | None = None) -> Options:
+    """The options of a job, on one thread, with what was calibrated for a map."""
+    options = replace(job.options, threads=1, memory_budget=job.memory_budget)
+    if options.method == FUSED or grid is None or options.calibration is not None:
+        return options
+    fitted = load_calibrations(calibration_path(path), grid).get(options.method)
+    return replace(options, calibration=fitted)
+
+
+def _locate(item: Item, job: Job) -> Done:
+    ((_, path),) = item.maps
+    scans = open_scans(item, job)
+    features = open_map(path, job, _options(job, path))
+    options, done = _options(job, path, features.grid), Done()
+    for k, scan in enumerate(scans.scans):
+        answer = localize(features, scan, options)
+        row = answer.as_row(k)
+        done.ms.append(row.pop("timings_ms")["localize"])
+        del row["parameters"]  # the same for all
+        truth = None if scans.poses is None else Pose2D(*scans.poses[k])
+        if truth is not None:
+            row |= _compare(poses_of(answer.hypotheses[:1]), truth, job.tolerance)
+        done.answers.append(row)
+        doubtful = answer.verdict != "unique" or row.get("hit") is False
+        done.draw(job, "answer", doubtful, k, features, answer, scan, truth, options)
+    if job.cache is not None:
+        save_features(features, job.cache)
+    return done
+
+
+def _compare(poses: Any, truth: Pose2D, tolerance: Tolerance) -> dict[str, Any]:
+    """What is said of an answer when the true pose is known."""
+    errors = pose_errors(poses, truth)
+    hit = bool(len(errors) and np.all(errors[0] <= (tolerance.position, tolerance.heading)))
+    position, heading = errors[0].tolist() if len(errors) else (None, None)
+    return {"truth": plain(truth), "hit": hit, "error": {"position": position, "heading": heading}}
+
+
+def _evaluate(item: Item, job: Job) -> Done:
+    ((name, path),) = item.maps
+    options = method_options(job.options.method, job.options.theta_step)
+    options = replace(options, memory_budget=job.memory_budget)
+    # The bytes of the features are part of the row: no others have used them.
+    features = open_map(path, job, options, fresh=True)
+    options = replace(options, calibration=_options(job, path, features.grid).calibration)
+    source: dict[str, object] = {"scans": item.scans}
+    if item.scans_path is None:
+        image = fine_image(path, features.grid)
+        scans = simulate(features.grid, job.count, job.seed, job.sensor, image)
+        source = {"simulated": job.count, "seed": job.seed}
+    else:
+        scans = open_scans(item, job)
+    row = evaluate(features, scans, options, tolerances=(*TOLERANCES, job.tolerance)).as_row(
+        name, source
+    )
+    del row["parameters"]
+    return Done([row], cost={"summary": row.pop("cost")})
+
+
+def _check(item: Item, job: Job) -> Done:
+    ((_, path),) = item.maps
+    reading = reading_of(path, job)
+    size = image_size(resolve_settings(path, **reading).image)
+    what = f"{display(path)}: an image of {size.width} x {size.height} pixels"
+    check_budget(check_bytes(size), job.memory_budget, what, "crop the map")
+    report = check_map(path, **reading)
+    done = Done([report.as_row()])
+    if job.pictures == "all" or (job.pictures == "doubtful" and report.warnings):
+        grid = load_map(path, allow_lossy=True, **reading)
+        done.draw(job, "map", True, 0, grid)
+    return done
+
+
+def _choose(item: Item, job: Job) -> Done:
+    scans, done = open_scans(item, job), Done()
+    options = replace(WHICH, memory_budget=job.memory_budget)
+    fits: list[dict[str, Any]] = [{} for _ in scans.scans]
+    left_out, files = [], dict(item.maps)
+    done.ms = [0.0] * len(fits)
+    for name, path in item.maps:
+        try:
+            features = open_map(path, job, options)
+        except (MapError, ConfigError) as error:
+            left_out.append({"map": name, "message": str(error)})
+            continue
+        for k, scan in enumerate(scans.scans):
+            fits[k][name] = fit(features, scan, options)
+            done.ms[k] += fits[k][name].timings_ms["localize"]
+        if job.cache is not None:
+            save_features(features, job.cache)
+    if len(left_out) == len(item.maps):
+        raise MapError(f"none of the {len(left_out)} maps can be used: {left_out[0]['message']}")
+    for k, (scan, found) in enumerate(zip(scans.scans, fits, strict=True)):
+        choice = choose(found, sure=job.sure)
+        done.answers.append(choice.as_row(found, k) | ({"left_out": left_out} if left_out else {}))
+        best = next(iter(choice.probability))
+        features = open_map(files[best], job, options)
+        named = choice.verdict == best
+        done.draw(job, "answer", not named, k, features, found[best], scan, None, options)
+    return done
+
+
+def _survey(item: Item, job: Job) -> Done:
+    ((_, path),) = item.maps
+    options = Options(top=TOP, memory_budget=job.memory_budget)
+    features, sensor = open_map(path, job, options), job.sensor
+    grid = features.grid
+    poses = atlas_poses(grid, job.step, job.headings, sensor.clearance)
+    scans = simulate_at(grid, poses, sensor, job.seed, fine_image(path, grid))
+    spots = list(survey(grid, scans, options))
+    done = Done([summarise_atlas(spots, job.step)])
+    done.draw(job, "atlas", True, 0, grid, spots, job.step, job.headings)
+    return done
+
+
+_WORK: Mapping[str, Callable[[Item, Job], Done]] = {
+    "localize": _locate, "evaluate": _evaluate, "check": _check, "which": _choose,
+    "atlas": _survey,
+}  # fmt: skip

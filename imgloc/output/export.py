@@ -1,0 +1,121 @@
+"""Results of a batch as one flat table, a row for each scan, for pandas, Polars and DuckDB.
+
+Of an item without an answer there is one row, too: its status says why. Columns of `localize` have
+the best pose, map frame, metres and radians, with its covariance; of other jobs the names of nested
+values are joined by an underscore, and lists are JSON texts.
+"""
+
+import csv
+import io
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from imgloc.errors import ConfigError
+from imgloc.io.files import PathLike
+from imgloc.io.results import Row, read_rows, read_run
+
+FORMATS = ("csv", "parquet")
+_COVARIANCE = {"xx": (0, 0), "xy": (0, 1), "xt": (0, 2), "yy": (1, 1), "yt": (1, 2), "tt": (2, 2)}
+_ITEM = ("map", "scans", "status", "code", "message", "version", "key")
+Columns = dict[str, list[Any]]
+
+
+def as_bytes(folder: PathLike, kind: str) -> bytes:
+    """Return the file of a folder of results in one of :data:`FORMATS`.
+
+    Raises
+    ------
+    OutputError
+        If it is not the folder of a batch, or cannot be read.
+    ConfigError
+        If the format is another one, or Parquet is asked for without pyarrow.
+    """
+    if kind not in FORMATS:
+        raise ConfigError(f"--format: got {kind!r}, expected one of {', '.join(FORMATS)}")
+    return _csv(columns_of(folder)) if kind == "csv" else _parquet(columns_of(folder))
+
+
+def columns_of(folder: PathLike) -> Columns:
+    """The table, column by column; what a row does not have is None."""
+    describe = _DESCRIBED.get(str(read_run(folder)["job"]), _flat)
+    columns: Columns = {}
+    count = 0
+    for row in read_rows(folder):
+        about = {key: row[key] for key in _ITEM}
+        # A signal, an exit code, or the kind of an error: text, so that the column has one type.
+        about["code"] = None if row["code"] is None else str(row["code"])
+        cost = {"item_seconds": row["cost"].get("seconds"), "attempts": row["cost"]["attempts"]}
+        times = row["cost"].get("ms", ())
+        for k, answer in enumerate(row["answers"] or [None]):
+            said = about | ({} if answer is None else describe(answer)) | cost
+            if k < len(times):
+                said["ms"] = times[k]
+            for key in said.keys() - columns.keys():
+                columns[key] = [None] * count
+            for key, values in columns.items():
+                values.append(said.get(key))
+            count += 1
+    first = [key for key in (*_ITEM, *_BEST) if key in columns]
+    return {key: columns[key] for key in [*first, *(k for k in sorted(columns) if k not in first)]}
+
+
+def _located(answer: Row) -> Row:
+    """An answer of `localize`: the best pose, and what it is worth."""
+    kept = ("index", "verdict", "explained", "entropy", "elsewhere", "complete")
+    out = {key: answer[key] for key in kept}
+    out |= {key: answer["evidence"][key] for key in ("misfit", "temperature", "readings", "found")}
+    for best in answer["hypotheses"][:1]:
+        out |= {key: best[key] for key in ("x", "y", "theta", "mass", "log_likelihood")}
+        out |= {f"covariance_{n}": best["covariance"][i][j] for n, (i, j) in _COVARIANCE.items()}
+    for second in answer["hypotheses"][1:2]:
+        out["second_mass"] = second["mass"]
+    if "hit" in answer:
+        out |= _flat({key: answer[key] for key in ("truth", "error")}) | {"hit": answer["hit"]}
+    return out
+
+
+def _flat(answer: Mapping[str, Any], above: str = "") -> Row:
+    """Nested values side by side.
+
+    Examples
+    --------
+    >>> _flat({"a": {"b": 1}, "c": [1, 2]})
+    {'a_b': 1, 'c': '[1, 2]'}
+    """
+    out: Row = {}
+    for key, value in answer.items():
+        if isinstance(value, Mapping):
+            out |= _flat(value, f"{above}{key}_")
+        else:
+            out[above + key] = json.dumps(value) if isinstance(value, list) else value
+    out.pop("map", None)  # an item has its own
+    return out
+
+
+_DESCRIBED: Mapping[str, Callable[[Row], Row]] = {"localize": _located}
+_BEST = (
+    "index", "verdict", "x", "y", "theta", "mass", "second_mass", "elsewhere", "explained",
+    "misfit", "hit", "error_position", "error_heading", "truth_x", "truth_y", "truth_theta", "ms",
+)  # fmt: skip
+
+
+def _csv(columns: Columns) -> bytes:
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*columns.values(), strict=True))
+    return out.getvalue().encode("utf-8", "backslashreplace")
+
+
+def _parquet(columns: Columns) -> bytes:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise ConfigError(
+            "--format parquet: needs pyarrow; install it with: pip install 'imgloc[parquet]'"
+        ) from None
+    buffer = pyarrow.BufferOutputStream()
+    pyarrow.parquet.write_table(pyarrow.table(columns), buffer, compression="zstd")
+    return bytes(buffer.getvalue())

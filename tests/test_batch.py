@@ -1,0 +1,411 @@
+"""Batches: a row for each item whatever happens, none twice, and the same from everywhere."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import MAPS, ROOT, call, command
+from killers import Saboteur
+from places import room_with_a_post
+
+from imgloc.batch import find_items, run_batch
+from imgloc.errors import ConfigError, OutputError
+from imgloc.io.maps import save_map
+from imgloc.io.results import LOCK, RESULTS, SUMMARY, Results, read_rows
+from imgloc.io.scans import load_scans, save_scans
+from imgloc.io.scanset import ScanSet
+from imgloc.jobs import Job
+from imgloc.options import Options
+from imgloc.output.drawings import DRAWINGS
+from imgloc.output.export import columns_of
+from imgloc.output.report import render_report
+from imgloc.simulation import Sensor, simulate
+from imgloc.workers import Supervised
+
+QUICK = Job(options=Options(method="cbml", top=2), cell=0.2)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a small map, and six files with a scan each."""
+    folder = tmp_path_factory.mktemp("site")
+    (folder / "floors").mkdir()
+    (folder / "scans").mkdir()
+    grid = room_with_a_post()
+    save_map(folder / "floors" / "post.yaml", grid)
+    scans = simulate(grid, 40, 1, Sensor(rays=60, fov=6.0, range_max=9.0))
+    save_scans(folder / "all.npz", scans)
+    for k in range(6):
+        one = ScanSet(scans.scans[k : k + 1], poses=scans.poses[k : k + 1])
+        save_scans(folder / "scans" / f"s{k}.npz", one)
+    return folder
+
+
+def timeless(folder: Path) -> list[str]:
+    """Rows in order, without what two runs do not share."""
+    found = [json.dumps({**row, "cost": None}) for row in read_rows(folder)]
+    assert len(found) == len((folder / RESULTS).read_bytes().splitlines())
+    return sorted(found)
+
+
+def in_threads(site: Path, out: Path, **more):
+    """A run in this process: quick, and through the same seam."""
+    with ThreadPoolExecutor(1) as pool:
+        return run_batch(site / "floors", site / "scans", out, QUICK, executor=pool, **more)
+
+
+def test_a_row_for_each_item(site: Path, tmp_path: Path) -> None:
+    seen = []
+    summary = in_threads(site, tmp_path / "out", on_row=seen.append)
+    assert (summary.items, summary.new, summary.known) == (6, 6, 6)
+    assert summary.statuses == {"ok": 6}
+    assert sum(summary.verdicts.values()) == 6
+    found = list(read_rows(tmp_path / "out"))
+    assert [row["scans"] for row in found] == [f"s{k}.npz" for k in range(6)]
+    assert found == seen
+    (answer,) = found[0]["answers"]
+    assert answer["truth"].keys() == {"x", "y", "theta"}
+    assert answer["hit"] == (answer["error"]["position"] <= 0.5)
+    assert {len(v) for v in found[0]["hashes"].values()} == {40, 32}
+    written = json.loads((tmp_path / "out" / SUMMARY).read_text())
+    assert written["statuses"] == {"ok": 6}
+
+
+def test_forty_items_with_killers(site: Path, tmp_path: Path) -> None:
+    scans, all_scans = tmp_path / "scans", load_scans(site / "all.npz")
+    scans.mkdir()
+    names = [f"s{k:02d}.npz" for k in range(34)] + ["sigkill.npz", "sigsegv.npz", "hang.npz"]
+    for k, name in enumerate(names):
+        save_scans(scans / name, ScanSet(all_scans.scans[k : k + 1]))
+    whole = (scans / "s00.npz").read_bytes()
+    (scans / "torn.npz").write_bytes(whole[: len(whole) // 2])
+    (scans / "empty.npz").write_bytes(b"")
+    (scans / "text.csv").write_text("no numbers\n")
+    with Supervised(2) as pool, Supervised(1, timeout=0.3) as impatient:
+        summary = run_batch(
+            site / "floors", scans, tmp_path / "out", QUICK, executor=Saboteur(pool, impatient)
+        )
+    assert summary.statuses == {"ok": 34, "failed": 3, "crashed": 2, "timeout": 1}
+    rows = {row["scans"]: row for row in read_rows(tmp_path / "out")}
+    assert len(rows) == 40
+    assert {n for n, row in rows.items() if row["status"] == "ok"} == set(names[:34])
+    assert (rows["sigkill.npz"]["status"], rows["sigkill.npz"]["code"]) == ("crashed", 9)
+    assert (rows["sigsegv.npz"]["status"], rows["sigsegv.npz"]["code"]) == ("crashed", 11)
+    assert (rows["hang.npz"]["status"], rows["hang.npz"]["message"]) == (
+        "timeout", "took more than 0.3 s",
+    )  # fmt: skip
+    for name in ("torn.npz", "empty.npz", "text.csv"):
+        assert (rows[name]["status"], rows[name]["code"]) == ("failed", "scan")
+        assert name in rows[name]["message"]
+    assert {rows[n]["cost"]["attempts"] for n in names[34:]} == {2}
+    assert {rows[n]["cost"]["attempts"] for n in names[:34]} == {1}
+
+
+def test_workers_change_no_row(site: Path, tmp_path: Path) -> None:
+    run_batch(site / "floors", site / "scans", tmp_path / "two", QUICK, workers=2)
+    in_threads(site, tmp_path / "one")
+    assert timeless(tmp_path / "one") == timeless(tmp_path / "two")
+
+
+def test_resuming_does_what_is_left(site: Path, tmp_path: Path) -> None:
+    whole, out = tmp_path / "whole", tmp_path / "out"
+    in_threads(site, whole)
+    lines = (whole / RESULTS).read_bytes().splitlines(keepends=True)
+    in_threads(site, out)
+    for kept in (b"", lines[0][:50], b"".join(lines[:2]) + lines[2][:-1], b"".join(lines)):
+        (out / RESULTS).write_bytes(kept)  # as a stop leaves it, in the middle of a row or not
+        summary = in_threads(site, out, resume=True)
+        assert summary.new == 6 - kept.count(b"\n")
+        assert timeless(out) == timeless(whole)
+
+
+def test_other_contents_and_parameters_are_done_again(site: Path, tmp_path: Path) -> None:
+    scans, out = tmp_path / "scans", tmp_path / "out"
+    scans.mkdir()
+    for name in ("a.npz", "b.npz"):
+        (scans / name).write_bytes((site / "scans" / "s0.npz").read_bytes())
+
+    def run(job: Job = QUICK, **more):
+        with ThreadPoolExecutor(1) as pool:
+            return run_batch(
+                site / "floors", scans, out, job, executor=pool, resume=True, **more
+            ).new
+
+    assert run() == 2
+    assert run() == 0
+    (scans / "b.npz").write_bytes((site / "scans" / "s1.npz").read_bytes())
+    assert run() == 1
+    coarse = Job(options=Options(method="cbml", top=1), cell=0.2)
+    assert run(coarse) == 2
+    assert len((out / RESULTS).read_bytes().splitlines()) == 2  # one row of each
+    (scans / "b.npz").write_bytes(b"")
+    assert run(coarse) == 1
+    assert run(coarse) == 0
+    assert run(coarse, retry_failed=True) == 1
+    (scans / "b.npz").write_bytes((site / "scans" / "s1.npz").read_bytes())
+    assert run(coarse) == 1
+    assert [row["status"] for row in read_rows(out)] == ["ok", "ok"]
+
+
+def test_failing_fast_stops(site: Path, tmp_path: Path) -> None:
+    scans = tmp_path / "scans"
+    scans.mkdir()
+    (scans / "a.npz").write_bytes(b"")
+    (scans / "b.npz").write_bytes((site / "scans" / "s0.npz").read_bytes())
+    with ThreadPoolExecutor(1) as pool:
+        out = tmp_path / "out"
+        found = run_batch(site / "floors", scans, out, QUICK, executor=pool, fail_fast=True)
+    assert (found.items, found.statuses) == (1, {"failed": 1})
+
+
+def test_a_map_beyond_the_memory_is_a_row(site: Path, tmp_path: Path) -> None:
+    job = replace(QUICK, memory_budget=40 << 20)
+    with ThreadPoolExecutor(1) as pool:
+        found = run_batch(site / "floors", site / "scans", tmp_path / "out", job, executor=pool)
+    assert found.statuses == {"failed": 6}
+    row = next(read_rows(tmp_path / "out"))
+    assert row["code"] == "config"
+    assert "MiB of memory, the budget is 40 MiB" in row["message"]
+
+
+# The folder.
+
+
+def test_nothing_foreign_is_touched(site: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "notes.txt").write_text("mine")
+    in_threads(site, out)
+    before = (out / RESULTS).read_bytes()
+    with pytest.raises(OutputError, match="--resume"):
+        in_threads(site, out)
+    with pytest.raises(OutputError, match="job localize"), ThreadPoolExecutor(1) as pool:
+        run_batch(site / "floors", None, out, Job("check"), executor=pool, resume=True)
+    assert (out / RESULTS).read_bytes() == before
+    (out / "run.json").unlink()
+    with pytest.raises(OutputError, match=r"no run\.json"):
+        in_threads(site, out, resume=True)
+    assert (out / RESULTS).read_bytes() == before
+    assert (out / "notes.txt").read_text() == "mine"
+    with pytest.raises(OutputError, match="there is no folder"):
+        in_threads(site, tmp_path / "a" / "b")
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    for name in ("summary.json", "run.json"):
+        (theirs / name).write_text("{}")
+        for resume in (False, True):
+            with pytest.raises(OutputError, match=r"of others|of this version"):
+                in_threads(site, theirs, resume=resume)
+        assert (theirs / name).read_text() == "{}"
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(OutputError, match="is a file"):
+        in_threads(site, tmp_path / "file")
+
+
+def test_the_second_run_names_the_first(site: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with Results(out, {"job": "localize", "parameters": {}}):
+        run = call("batch", site / "floors", site / "scans", "--out", out)
+        assert run.code == 1
+        assert f"another run writes here, process {os.getpid()}" in run.err
+    assert (out / LOCK).exists()
+    assert in_threads(site, out, resume=True).new == 6
+
+
+def test_a_damaged_row_is_an_error(site: Path, tmp_path: Path) -> None:
+    in_threads(site, tmp_path / "out")
+    path = tmp_path / "out" / RESULTS
+    lines = path.read_bytes().splitlines(keepends=True)
+    lines[1] = b"\x00\xff\n"
+    path.write_bytes(b"".join(lines))
+    for use in (lambda: in_threads(site, tmp_path / "out", resume=True),
+                lambda: list(read_rows(tmp_path / "out"))):  # fmt: skip
+        with pytest.raises(OutputError, match="line 2"):
+            use()
+    assert path.read_bytes() == b"".join(lines)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits of POSIX")
+def test_a_disk_that_is_full_loses_no_row(site: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = command(
+        ["batch", site / "floors", site / "scans", "--out", out, "--method", "cbml", "--cell",
+         0.2, "--workers", 1, "--top", 2, "--no-cache", "--resume"]
+    )  # fmt: skip
+    # Files may not grow beyond 5 KB: a write fails in the middle of a row.
+    limited = ["bash", "-c", 'ulimit -f 5; exec "$@"', "bash", *words]
+    done = subprocess.run(limited, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 1
+    assert f"{out}: results cannot be written: File too large" in done.stderr
+    kept = (out / RESULTS).read_bytes()
+    assert kept.endswith(b"}\n")
+    before = timeless(out)
+    assert 0 < len(before) < 6
+    assert in_threads(site, out, resume=True).new >= 6 - len(before)
+    assert (out / RESULTS).read_bytes().startswith(kept) or timeless(out)
+
+
+# Items.
+
+
+def test_items_are_every_map_with_every_scan(site: Path, tmp_path: Path) -> None:
+    floors = tmp_path / "floors"
+    (floors / "b").mkdir(parents=True)
+    save_map(floors / "a.yaml", room_with_a_post())
+    save_map(floors / "b" / "map.yaml", room_with_a_post())
+    (floors / "b" / "bare.png").write_bytes((floors / "a.png").read_bytes())
+    found = find_items(floors, site / "scans", QUICK)
+    assert len({item.id for item in found}) == 12
+    assert [item.map for item in found][::6] == ["a", "b"]
+    bare = find_items(floors, None, Job("check", reading={"resolution": 0.1}))
+    assert [item.map for item in bare] == ["a.yaml", "b/bare.png", "b"] or len(bare) == 3
+    assert find_items(floors, site / "scans", QUICK, out=floors / "b")[-1].map == "a"
+    (which,) = find_items(floors, site / "all.npz", Job("which"))
+    assert [name for name, _ in which.maps] == ["a", "b"]
+
+
+def test_pairs(site: Path, tmp_path: Path) -> None:
+    pairs = site / "pairs.csv"
+    with pairs.open("w", newline="") as file:
+        csv.writer(file).writerows(
+            [("map", "scans"), ("floors/post.yaml", "scans/s1.npz"), ("gone.yaml", "all.npz")]
+        )
+    with ThreadPoolExecutor(1) as pool:
+        found = run_batch(pairs, None, tmp_path / "out", QUICK, executor=pool)
+    assert found.statuses == {"ok": 1, "failed": 1}
+    (lost,) = [row for row in read_rows(tmp_path / "out") if row["status"] == "failed"]
+    assert (lost["map"], lost["code"]) == ("gone.yaml", "map")
+    assert "no such file" in lost["message"]
+
+
+@pytest.mark.parametrize(
+    ("maps", "scans", "job", "said"),
+    [
+        ("scans", "scans", "localize", "no map"),
+        ("floors", "floors", "localize", "no scans"),
+        ("floors", None, "localize", "needs scans"),
+        ("floors", "scans", "check", "looks at maps alone"),
+        ("bad.csv", None, "localize", "expected map,scans"),
+        ("none.csv", None, "localize", "no pair"),
+    ],
+)
+def test_nothing_to_do_is_an_error(site: Path, maps, scans, job, said) -> None:
+    (site / "bad.csv").write_text("a,b\n1,2\n")
+    (site / "none.csv").write_text("map,scans\n")
+    with pytest.raises(ConfigError, match=said):
+        find_items(site / maps, None if scans is None else site / scans, Job(job))
+
+
+# Jobs.
+
+
+@pytest.mark.parametrize("job", ["evaluate", "check", "which", "atlas"])
+def test_every_command_s_work(site: Path, tmp_path: Path, job: str) -> None:
+    scans = None if job in ("check", "atlas") else site / "scans" / "s0.npz"
+    what = Job(
+        job,
+        Options(method="cbml" if job == "evaluate" else "fused"),
+        cell=0.2,
+        step=2.0,
+        headings=1,
+        sensor=Sensor(rays=60),
+        pictures="all",
+        drawings=DRAWINGS,
+    )
+    with ThreadPoolExecutor(1) as pool:
+        out = tmp_path / "out"
+        found = run_batch(site / "floors", scans, out, what, executor=pool)
+    assert found.statuses == {"ok": 1}, next(read_rows(out))["message"]
+    (row,) = read_rows(out)
+    (answer,) = row["answers"]
+    known = {"evaluate": "index", "check": "shares", "which": "maps", "atlas": "unique_area"}
+    assert known[job] in answer
+    for name in answer.get("pictures", ()):
+        assert (out / "pictures" / name).read_bytes().startswith(b"\x89PNG")
+    assert bool(answer.get("pictures")) == (job != "evaluate")
+    assert "Answer by answer" in render_report(out)
+    assert columns_of(out)["status"] == ["ok"]
+
+
+def test_pictures_of_what_is_doubtful(site: Path, tmp_path: Path) -> None:
+    blind = load_scans(site / "all.npz")[0]
+    far = type(blind)(np.full(60, np.inf), blind.angles, range_max=9.0)
+    save_scans(tmp_path / "blind.npz", ScanSet((far,)))
+    for kind, count in (("none", 0), ("doubtful", 1), ("all", 1)):
+        job = Job(pictures=kind, drawings=DRAWINGS)
+        out = tmp_path / kind
+        with ThreadPoolExecutor(1) as pool:
+            run_batch(site / "floors", tmp_path / "blind.npz", out, job, executor=pool)
+        (row,) = read_rows(out)
+        assert len(row["answers"][0].get("pictures", ())) == count
+
+
+# The command.
+
+
+def test_the_command_says_what_it_comes_to(site: Path, tmp_path: Path) -> None:
+    words = ["batch", site / "floors", site / "scans", "--out", tmp_path / "out"]
+    words += ["--method", "cbml", "--cell", 0.2, "--workers", 1]
+    dry = call(*words, "--dry-run")
+    assert (dry.code, dry.out) == (0, "6 items: 1 maps, 6 files of scans\n")
+    assert not (tmp_path / "out").exists()
+    (site / "scans" / "torn.csv").write_text("x")
+    try:
+        run = call(*words)
+        again = call(*words, "--resume", "--dry-run")
+        retried = call(*words, "--retry-failed", "--json")
+    finally:
+        (site / "scans" / "torn.csv").unlink()
+    assert run.code == 5
+    assert run.out.startswith("7 items: 6 ok, 1 failed\n6 scans: ")
+    assert "of 6 with a known pose are right" in run.out
+    assert again.out == "7 items: 1 maps, 7 files of scans; 7 are done\n"
+    assert retried.code == 5
+    assert json.loads(retried.out)["new"] == 1
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_a_run_that_is_stopped_goes_on(site: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ["batch", site / "floors", site / "scans", "--out", out, "--method", "cbml"]
+    words += ["--cell", "0.2", "--workers", "1", "--resume"]
+    for number, code in ((signal.SIGINT, 130), (signal.SIGKILL, -9)):
+        before = len(list(read_rows(out))) if out.exists() else 0
+        with subprocess.Popen(command(words), stderr=subprocess.PIPE) as run:
+            while run.poll() is None and not (
+                (out / RESULTS).exists() and (out / RESULTS).read_bytes().count(b"\n") > before
+            ):
+                time.sleep(0.01)
+            run.send_signal(number)
+            _, err = run.communicate(timeout=60)
+        if run.returncode != 0:  # else it was done already
+            assert run.returncode == code
+            assert number == signal.SIGKILL or b"--resume goes on" in err
+    assert call(*words).code == 0
+    assert len(timeless(out)) == 6
+    with ThreadPoolExecutor(1) as pool:
+        job = Job(options=Options(method="cbml"), cell=0.2)
+        run_batch(site / "floors", site / "scans", tmp_path / "whole", job, executor=pool)
+    whole = {row["scans"]: row["answers"] for row in read_rows(tmp_path / "whole")}
+    assert {row["scans"]: row["answers"] for row in read_rows(out)} == whole
+
+
+def test_the_script_around_the_same_function(site: Path, tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "tools.localize_folder", site / "floors", site / "scans"]
+    words += [tmp_path / "out", "--workers", "1", "--method", "cbml"]
+    done = subprocess.run(
+        list(map(str, words)), cwd=ROOT, capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) == 7
+    assert len(Path(ROOT / "tools" / "localize_folder.py").read_text().splitlines()) < 80
+    assert MAPS.is_dir()

@@ -1,0 +1,114 @@
+"""A batch on a Dask cluster over loopback: the rows of one machine, and a worker that is killed."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+from command import ROOT, call
+from places import room_with_a_post
+
+from imgloc.batch import run_batch
+from imgloc.cluster import cluster
+from imgloc.errors import ConfigError
+from imgloc.io.maps import save_map
+from imgloc.io.results import read_rows
+from imgloc.io.scans import save_scans
+from imgloc.io.scanset import ScanSet
+from imgloc.jobs import Job
+from imgloc.options import Options
+from imgloc.simulation import Sensor, simulate
+
+distributed = pytest.importorskip(
+    "distributed", reason="the extra imgloc[cluster] is not installed"
+)
+JOB = Job(options=Options(method="cbml", top=2), cell=0.2)
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a small map, twelve files with a scan each, and one that is damaged."""
+    folder = tmp_path_factory.mktemp("site")
+    (folder / "scans").mkdir()
+    grid = room_with_a_post()
+    save_map(folder / "post.yaml", grid)
+    scans = simulate(grid, 12, 1, Sensor(rays=60, fov=6.0, range_max=9.0))
+    for k in range(12):
+        save_scans(folder / "scans" / f"s{k:02d}.npz", ScanSet(scans.scans[k : k + 1]))
+    (folder / "scans" / "torn.npz").write_bytes(b"PK")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A scheduler and two workers, started by the commands of the README, but for the port."""
+    file = tmp_path_factory.mktemp("dask") / "scheduler.json"
+    known = ["--scheduler-file", str(file), "--no-dashboard"]
+    commands = (
+        ["scheduler", "--host", "127.0.0.1", "--port", "0", *known],
+        ["worker", "--nworkers", "2", "--nthreads", "1", "--host", "127.0.0.1", *known],
+    )
+    with contextlib.ExitStack() as stack:
+        for words in commands:
+            run = stack.enter_context(
+                subprocess.Popen(
+                    [sys.executable, "-m", "dask", *words],
+                    cwd=file.parent,
+                    env={**os.environ, "PYTHONPATH": str(ROOT)},
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                )
+            )
+            stack.callback(run.terminate)
+        while not file.exists():
+            time.sleep(0.02)
+        found = json.loads(file.read_text())["address"]
+        with distributed.Client(found) as client:
+            client.wait_for_workers(2, timeout=60)
+        yield found
+
+
+def timeless(folder: Path) -> list[str]:
+    return sorted(json.dumps({**row, "cost": None}) for row in read_rows(folder))
+
+
+def test_the_rows_are_those_of_one_machine_even_if_a_worker_is_killed(
+    site: Path, address: str, tmp_path: Path
+) -> None:
+    with ThreadPoolExecutor(1) as pool:
+        run_batch(site / "post.yaml", site / "scans", tmp_path / "here", JOB, executor=pool)
+    with distributed.Client(address) as client:
+        pids = list(client.run(os.getpid).values())
+
+    def kill_one(_row: object) -> None:
+        if pids:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pids.pop(), signal.SIGKILL)
+            pids.clear()
+
+    with cluster(address, timeout=600.0) as executor:
+        there = tmp_path / "there"
+        summary = run_batch(
+            site / "post.yaml", site / "scans", there, JOB, executor=executor, on_row=kill_one
+        )
+    assert summary.statuses == {"ok": 12, "failed": 1}
+    assert timeless(there) == timeless(tmp_path / "here")
+
+
+def test_the_command_runs_there(site: Path, address: str, tmp_path: Path) -> None:
+    words = ["batch", site / "post.yaml", site / "scans" / "s00.npz", "--out", tmp_path / "out"]
+    run = call(*words, "--dask", address, "--method", "cbml", "--cell", 0.2, "--no-cache")
+    assert (run.code, run.out.splitlines()[0]) == (0, "1 items: 1 ok"), run.err
+
+
+def test_no_cluster_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imgloc.cluster._WAIT", 0.5)
+    with pytest.raises(ConfigError, match="no cluster with a worker"), cluster("tcp://127.0.0.1:9"):
+        pass

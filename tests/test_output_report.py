@@ -1,0 +1,243 @@
+"""The page and the table of a batch: read in a real browser, and by the programs that they are for.
+
+The rows are written here, as a batch would: many, of every kind, without the time to compute them.
+"""
+
+import csv
+import itertools
+import json
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from command import call
+
+from imgloc.io.results import RESULTS
+from imgloc.output.report import histogram, render_report
+
+PNG = bytes.fromhex(
+    "89504e470d0a1a0a0000000d49484452000000010000000108060000001f15c4890000000d49444154"
+    "789c63f8cfc0f01f00050001ff56c72f0d0000000049454e44ae426082"
+)
+CHROMIUM = shutil.which("chromium")
+
+
+def answer(k: int, verdict: str = "unique", error: float | None = None, **more):
+    pose = {"x": 1.0 + k, "y": 2.0, "theta": 0.5, "mass": 0.9, "log_likelihood": -1.5}
+    pose["covariance"] = [[0.01, 0.0, 0.0], [0.0, 0.02, 0.0], [0.0, 0.0, 0.03]]
+    out = {
+        "index": 0, "verdict": verdict, "pose": pose, "hypotheses": [pose], "elsewhere": 0.05,
+        "evidence": {"misfit": 0.25, "temperature": 2.0, "readings": 90, "found": 3},
+        "explained": 0.8, "entropy": 0.1, "complete": True,
+    }  # fmt: skip
+    if error is not None:
+        out |= {"truth": {"x": 1.0, "y": 2.0, "theta": 0.5}, "hit": error <= 0.5}
+        out["error"] = {"position": error, "heading": 0.01}
+    return out | more
+
+
+def row(k: int, where: str, answers: list, status: str = "ok", **more):
+    return {
+        "map": where, "scans": f"run-{k:04d}.npz", "status": status, "code": None, "message": None,
+        "answers": answers, "key": f"{k:032x}", "version": "1.2.3",
+        "hashes": {"map": "a", "scans": "b", "parameters": "p"},
+        "cost": {"seconds": 0.1, "attempts": 1, "ms": [50.0 + k] * len(answers)},
+    } | more  # fmt: skip
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """250 items of three maps, two of which failed, and a name that would be markup."""
+    names = ("attic", "cellar", "</script><b>hall")
+    rows = [
+        row(k, names[k % 3], [answer(k, "unique" if k % 5 else "ambiguous", 0.04 if k % 7 else 3)])
+        for k in range(248)
+    ]
+    picture = {"pictures": ["a-0000-poses.png", "a-0000-likelihood.png"]}
+    rows[4]["answers"][0] |= picture
+    rows.append(row(248, "attic", [], "failed", code="scan", message="run-0248.npz: is empty"))
+    rows.append(row(249, "cellar", [], "crashed", code=9, message="ended by SIGKILL"))
+    write(tmp_path, "localize", rows)
+    (tmp_path / "pictures").mkdir()
+    for name in picture["pictures"]:
+        (tmp_path / "pictures" / name).write_bytes(PNG)
+    return tmp_path
+
+
+def write(folder: Path, job: str, rows: list) -> None:
+    about = {"format": 1, "imgloc": "1.2.3", "job": job, "maps": "floors", "scans": "scans"}
+    about["parameters"] = {"p": {"options": {"method": "fused"}, "cell": 0.1}}
+    (folder / "run.json").write_text(json.dumps(about))
+    (folder / RESULTS).write_text("".join(json.dumps(r) + "\n" for r in rows))
+
+
+class Links(HTMLParser):
+    """Whatever a page would load from elsewhere."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.found: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.found += [v for k, v in attrs if k in ("src", "href") and not v.startswith("data:")]
+
+
+def test_a_page_is_one_file(folder: Path) -> None:
+    assert call("report", folder).code == 0
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert not Links(page).found
+    assert "<b>hall" not in page
+    assert "211" in page  # of 248 are right
+    assert page.count("</script>") == 3
+    assert call("report", folder).code == 0  # again, in place of its own
+    (folder / "report.html").write_text("mine")
+    again = call("report", folder)
+    assert (again.code, (folder / "report.html").read_text()) == (1, "mine")
+    assert "exists already" in again.err
+
+
+def test_what_is_no_folder_of_results_is_an_error(tmp_path: Path) -> None:
+    for command in ("report", "export"):
+        run = call(command, tmp_path)
+        assert run.code == 1
+        assert "expected a folder of results of 'imgloc batch'" in run.err
+        assert not list(tmp_path.iterdir())
+
+
+def test_bars_have_everything_in_them() -> None:
+    bars = histogram([0.001, 0.05, 0.06, 1e6], 0.01, 100.0)
+    assert sum(n for _, _, n in bars) == 4
+    assert all(a[1] == pytest.approx(b[0]) for a, b in itertools.pairwise(bars))
+    assert histogram([], 1, 2) == []
+
+
+@pytest.mark.parametrize("job", ["check", "which", "evaluate", "atlas"])
+def test_other_jobs_have_a_page_and_a_table(tmp_path: Path, job: str) -> None:
+    share = {"hits": 1, "trials": 2, "value": 0.5, "low": 0.1, "high": 0.9}
+    answers = {
+        "check": {"width": 40, "height": 30, "resolution": 0.1, "free_area": 11.5,
+                  "warnings": [{"code": "coarse", "text": "0.5 m per cell"}]},
+        "which": {"index": 0, "verdict": "attic", "none": 0.1, "temperature": 2.0,
+                  "maps": [{"map": "attic", "probability": 0.9, "pose": None}]},
+        "evaluate": {"method": "fused", "trials": 5, "index": {"value": 9.5},
+                     "position": {"p50": 0.04},
+                     "success": [{"at_1": share, "unique_wrong": share}]},
+        "atlas": {"places": 12, "unique": share, "ambiguous": share, "wrong": share,
+                  "unique_area": share},
+    }  # fmt: skip
+    write(tmp_path, job, [row(0, "attic", [answers[job]])])
+    assert "Answer by answer" in render_report(tmp_path)
+    assert call("export", tmp_path).code == 0
+    (found,) = csv.DictReader((tmp_path / "results.csv").read_text().splitlines())
+    assert (found["map"], found["status"]) == ("attic", "ok")
+
+
+def test_a_table_has_a_row_for_each_scan(folder: Path) -> None:
+    assert call("export", folder).code == 0
+    text = (folder / "results.csv").read_text()
+    found = list(csv.DictReader(text.splitlines()))
+    assert len(found) == 250
+    assert found[3]["map"] == "attic"
+    assert [float(found[3][k]) for k in ("x", "theta", "covariance_yy", "error_position")] == [
+        4.0, 0.5, 0.02, 0.04,
+    ]  # fmt: skip
+    assert (found[3]["verdict"], found[3]["hit"]) == ("unique", "True")
+    assert (found[249]["status"], found[249]["code"], found[249]["x"]) == ("crashed", "9", "")
+    again = call("export", folder)
+    assert (again.code, (folder / "results.csv").read_text()) == (1, text)
+
+
+def test_parquet_has_the_values_of_the_csv(folder: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet", reason="imgloc[parquet] is not installed")
+    assert call("export", folder, "--format", "parquet").code == 0
+    table = parquet.read_table(folder / "results.parquet")
+    assert table.num_rows == 250
+    assert table.column("x").to_pylist()[3] == 4.0
+    assert table.column("hit").to_pylist()[248] is None
+    assert table.column("code").to_pylist()[249] == "9"
+
+
+@pytest.fixture(scope="module")
+def browser():
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if CHROMIUM is None:
+        pytest.skip("chromium is not installed")
+    with playwright.sync_playwright() as p:
+        browser = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.mark.parametrize("width", [390, 1280])
+def test_in_a_browser(folder: Path, browser, width: int) -> None:
+    assert call("report", folder).code == 0
+    context = browser.new_context(viewport={"width": width, "height": 800}, offline=True)
+    page = context.new_page()
+    trouble: list[str] = []
+    page.on("console", lambda m: trouble.append(m.text) if m.type in ("error", "warning") else None)
+    page.on("pageerror", lambda e: trouble.append(str(e)))
+    page.goto((folder / "report.html").as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    answers, maps = (page.locator(f"[data-table={name}]") for name in ("answers", "maps"))
+    assert maps.locator("tbody tr").count() == 3
+    assert answers.locator("tbody tr").count() == 100
+    assert answers.locator("output").inner_text() == "248 rows"
+
+    # It sorts: the worst first, then the best.
+    head = answers.get_by_role("button", name="error / m")
+    head.click()
+    assert answers.locator("th[aria-sort=descending]").count() == 1
+    column = [th.inner_text() for th in answers.locator("th").all()].index("error / m")
+    value = answers.locator("tbody tr").first.locator("td").nth(column)
+    assert value.inner_text() == "3.000"
+    head.focus()
+    page.keyboard.press("Enter")
+    assert value.inner_text() == "0.040"
+
+    # It filters, by words and by verdict.
+    answers.locator("input").fill("cellar run-0004")
+    page.wait_for_function(
+        "document.querySelector('[data-table=answers] output').textContent == '1 of 248 rows'"
+    )
+    answers.locator("input").fill("")
+    answers.locator("select").select_option(label="wrong")
+    page.wait_for_function(
+        "document.querySelectorAll('[data-table=answers] tbody tr').length == 36"
+    )
+    answers.locator("select").select_option(label="all")
+
+    # It opens an item, by the keyboard, with its pictures; and the next one.
+    answers.locator("input").fill("run-0004")
+    page.wait_for_function(
+        "document.querySelector('[data-table=answers] output').textContent == '1 of 248 rows'"
+    )
+    answers.locator("tbody button").first.focus()
+    page.keyboard.press("Enter")
+    dialog = page.locator("dialog")
+    assert "run-0004.npz" in dialog.locator("h2").inner_text()
+    assert dialog.locator("img").count() == 2
+    page.wait_for_function(
+        "[...document.querySelectorAll('dialog img')].every(i => i.complete && i.naturalWidth)"
+    )
+    page.keyboard.press("Escape")
+    assert not dialog.is_visible()
+    answers.locator("input").fill("")
+    page.wait_for_function(
+        "document.querySelector('[data-table=answers] output').textContent == '248 rows'"
+    )
+    answers.get_by_role("button", name="Next page").click()
+    answers.locator("tbody button").first.click()
+    title = dialog.locator("h2").inner_text()
+    page.keyboard.press("ArrowRight")
+    assert dialog.locator("h2").inner_text() != title
+    page.keyboard.press("Escape")
+
+    # The gallery has what has pictures, and the failures their messages.
+    assert page.locator("#gallery button").count() == 1
+    failures = page.locator("[data-table=failures] tbody")
+    assert "run-0248.npz: is empty" in failures.inner_text()
+    assert "</script><b>hall" in maps.inner_text()
+    assert not trouble
+    context.close()

@@ -1,0 +1,125 @@
+"""Workers that die, hang and fail: each costs its task, and no other."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from concurrent.futures import CancelledError
+
+import pytest
+from command import ROOT
+from killers import die, double, fail, hang, leave, process, swallow
+
+from imgloc.workers import CrashError, OverdueError, Supervised, call_in_child
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+
+
+def test_what_dies_costs_itself_alone() -> None:
+    with Supervised(2) as pool:
+        good = [pool.submit(double, k) for k in range(10)]
+        killed, torn = pool.submit(die, signal.SIGKILL), pool.submit(die, signal.SIGSEGV)
+        left, failed = pool.submit(leave, 3), pool.submit(fail, "lost")
+        good += [pool.submit(double, k) for k in range(10, 20)]
+        assert [f.result() for f in good] == [2 * k for k in range(20)]
+        for future, code, number in ((killed, -9, 9), (torn, -11, 11), (left, 3, None)):
+            error = future.exception()
+            assert isinstance(error, CrashError)
+            assert (error.code, error.signal) == (code, number)
+        assert "SIGSEGV" in str(torn.exception())
+        with pytest.raises(LookupError, match="lost"):
+            failed.result()
+
+
+def test_what_hangs_is_ended() -> None:
+    with Supervised(1, timeout=0.5) as pool:
+        hung = pool.submit(hang)
+        with pytest.raises(OverdueError, match=r"more than 0\.5 s"):
+            hung.result()
+    with Supervised(1) as pool:  # without a limit a task is not ended
+        assert pool.submit(double, 1).result() == 2
+
+
+def test_memory_has_a_limit() -> None:
+    with Supervised(1, memory_limit=64 << 20) as pool:
+        assert pool.submit(swallow, 8).result() == 8 << 20
+        with pytest.raises(MemoryError):
+            pool.submit(swallow, 256).result()
+        assert pool.submit(swallow, 8).result() == 8 << 20
+
+
+def test_a_pool_ends_at_once_when_it_is_told_so() -> None:
+    pool = Supervised(1)
+    running, waiting = pool.submit(hang), pool.submit(double, 1)
+    while not running.running():
+        time.sleep(0.01)
+    pool.shutdown(cancel_futures=True)  # waits for its threads: that it comes back is the test
+    assert isinstance(running.exception(), CrashError)
+    with pytest.raises(CancelledError):
+        waiting.result()
+    with pytest.raises(RuntimeError, match="closed"):
+        pool.submit(double, 1)
+
+
+def test_what_cannot_be_pickled_is_an_error() -> None:
+    with Supervised(1) as pool:
+        with pytest.raises((AttributeError, TypeError)):
+            pool.submit(lambda: 1).result()
+        with pytest.raises((AttributeError, TypeError)):
+            pool.submit(double, threading.Lock()).result()
+        assert pool.submit(double, 2).result() == 4
+
+
+class Task:
+    def __init__(self, group):
+        self.group = group
+
+
+def test_a_worker_has_tasks_of_one_group_as_long_as_there_are_any() -> None:
+    tasks = [Task(group) for group in "aaaabbbb"]
+    with Supervised(2) as pool:
+        with pool._more:  # no worker looks before all are there
+            found = [(t.group, pool.submit(process, t)) for t in tasks]
+        pids = {g: {f.result() for group, f in found if group == g} for g in "ab"}
+    # Whoever is done first may help the other one, but begins with what nobody has.
+    assert min(len(p) for p in pids.values()) == 1
+
+
+def test_a_cluster_s_thread_has_a_worker_of_its_own() -> None:
+    first = call_in_child(None, None, process, 0)
+    assert first != os.getpid()
+    assert call_in_child(None, None, process, 0) == first
+    with pytest.raises(CrashError):
+        call_in_child(None, None, die, signal.SIGKILL)
+    with pytest.raises(OverdueError):
+        call_in_child(0.5, None, hang)
+    assert call_in_child(None, None, double, 4) == 8
+
+
+def test_workers_do_not_outlive_a_program_that_is_killed() -> None:
+    code = (
+        "import sys; sys.path[:0] = sys.argv[1:]\n"
+        "from killers import hang, process\n"
+        "from imgloc.workers import Supervised\n"
+        "pool = Supervised(1)\n"
+        "print(pool.submit(process, 0).result(), flush=True)\n"
+        "pool.submit(hang).result()\n"
+    )
+    words = [sys.executable, "-c", code, str(ROOT), str(ROOT / "tests")]
+    with subprocess.Popen(words, stdout=subprocess.PIPE) as run:
+        assert run.stdout is not None
+        pid = int(run.stdout.readline())
+        os.kill(pid, 0)  # it is there
+        run.kill()
+    for _ in range(1000):
+        try:
+            os.kill(pid, 0)
+        except ProcessLookupError:
+            return
+        with open(f"/proc/{pid}/stat") as file:  # noqa: PTH123
+            if file.read().rsplit(") ")[-1].startswith("Z"):
+                return  # ended; whoever is its parent now has not noticed
+        time.sleep(0.02)
+    pytest.fail(f"process {pid} is still there")
