@@ -158,7 +158,7 @@ def looks_swapped(grid: OccupancyGrid) -> bool:
         inner = cv2.erode(mask.view(np.uint8), kernel)
         return float(np.count_nonzero(inner)) / max(1, int(np.count_nonzero(mask)))
 
-    return wide(grid.free) < 0.05 and wide(grid.occupied) > 0.3
+    return bool(grid.free.any()) and wide(grid.free) < 0.05 and wide(grid.occupied) > 0.3
 
 
 def require_usable(grid: OccupancyGrid, name: str) -> None:
