@@ -37,7 +37,8 @@ from imgloc.model import plain
 from imgloc.workers import CrashError, OverdueError, Supervised
 
 STATUSES = ("ok", "failed", "crashed", "timeout")
-IMAGE_ENDINGS = (".png", ".pgm", ".bmp", ".tif", ".tiff")  #: of bare images that may be maps
+#: Of bare images that may be maps. JPEG is not among them: photographs of the site may lie about.
+IMAGE_ENDINGS = (".png", ".pgm", ".ppm", ".bmp", ".tif", ".tiff", ".webp")
 TIMEOUT = 3600.0  #: seconds that an item may take
 ATTEMPTS = 2  #: how often an item is begun whose worker dies
 _AT_ONCE = 512  # items that an executor is given beyond those that are done

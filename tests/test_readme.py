@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ README = (ROOT / "README.md").read_text("utf-8")
 SECTION = README[README.index("## From my robot") : README.index("## Files")]
 COMMANDS = re.findall(r"^(?:\$ )?imgloc (.+?)(?: +#.*)?$", SECTION, re.MULTILINE)
 # Others have tests of their own, or write into the user's shell.
-SLOW = ("atlas", "calibrate", "which", "simulate", "--install")
+SLOW = ("atlas", "calibrate", "which", "simulate", "--install", "batch", "report", "export")
 
 
 @pytest.fixture
@@ -30,7 +31,8 @@ def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "scan.csv").write_text(text)
     words = " ".join(f"{r:.3f}" for r in ranges)
     lines = [f"FLASER 181 {words} {k} 0 0 {k} 0 0 {k} robot {k}" for k in range(41)]
-    (tmp_path / "robot.log").write_text("\n".join(lines))
+    for name in ("robot.log", "run.log"):
+        (tmp_path / name).write_text("\n".join(lines))
     monkeypatch.chdir(tmp_path)
 
 
@@ -43,6 +45,21 @@ def test_a_command_of_the_tour_runs(line: str) -> None:
         line = line.replace("3,2,90deg", "8,6,90deg,20,180deg")
     run = call(*shlex.split(line), *extra)
     assert run.code == 0, run.err
+
+
+@pytest.mark.usefixtures("robot")
+def test_the_batch_of_the_tour_its_page_and_its_table() -> None:
+    pytest.importorskip("pyarrow", reason="pyarrow writes Parquet")
+    for folder, names in (("floors", ("map.yaml", "map.png")), ("scans", ("scan.csv",))):
+        Path(folder).mkdir()
+        for name in names:
+            shutil.copy(name, folder)
+    lines = [c for c in COMMANDS if c.startswith(("batch", "report", "export"))]
+    assert len(lines) == 3
+    for line in lines:
+        run = call(*shlex.split(line))
+        assert run.code == 0, run.err
+    assert Path("found/report.html").exists()
 
 
 @pytest.mark.usefixtures("robot")

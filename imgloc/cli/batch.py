@@ -50,7 +50,9 @@ def batch(
     ] = None,
     job: JobName = typer.Option(JobName.LOCALIZE, help="Whose work is done with each."),
     method: opt.MethodName = typer.Option(opt.MethodName.FUSED, help="As of localize, evaluate."),
-    top: int = option(5, "N", "Hypotheses listed for a scan.", min=1),
+    top: int | None = option(
+        None, "N", "Hypotheses listed. [default: 5, or what holds 95 % of the mass]", min=1
+    ),
     cell: opt.Cell = 0.1,
     theta_step_deg: float | None = option(
         None, "DEG", "Step of the headings. [default: the method's own]", within=opt.STEP

@@ -66,7 +66,7 @@ def evaluate(
     ),
     resets: bool = flag("--resets/--no-resets", "Of --sequence: start again when lost.", True),
     mounted: Any = opt.pose_of(
-        "--sensor", "Of --sequence: pose of the sensor on the robot whose odometry it is."
+        "--mounted", "Of --sequence: pose of the sensor on the robot whose odometry it is."
     ),
     as_json: opt.AsJson = False,
     allow_lossy: opt.AllowLossy = False,
