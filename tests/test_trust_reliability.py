@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,10 +11,13 @@ from command import ROOT
 
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
+from imgloc.io.scanset import ScanSet
 from imgloc.model import Hypothesis, Localization, Pose2D
 from imgloc.pipeline import prepare
 from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
+from tools.trust.__main__ import main
+from tools.trust.precision import precision
 from tools.trust.reliability import (
     Judged,
     count_verdicts,
@@ -158,3 +162,20 @@ def test_the_tool_writes_numbers_and_a_picture(tmp_path):
     assert found["recorded"][tmp_path.name]["verdicts"] == {"invalid": 1}
     assert set(found["nees"]) == set(WORLDS)
     assert (tmp_path / "r.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_covariances_are_held_against_truth_halves_and_single_readings(capsys):
+    assert main(["precision", "-n", "1", "--worlds", "curved"]) == 0
+    rows = capsys.readouterr().out.splitlines()
+    assert len(rows) == 2 + 4
+    assert rows[-1].startswith("| curved, noise of 10 cm |")
+    scans = simulate(render(WORLDS["curved"](), 0.1), 1, 0)
+    features = prepare(render(WORLDS["curved"](), 0.1))
+    assert precision("", features, ScanSet((), poses=None)).answers == 0
+    lenient, strict = (
+        precision("", features, replace(scans, poses=scans.poses + (0.08, 0, 0)), truth=truth)
+        for truth in ((1.0, 1.0, 1.0), (1e-6, 1e-6, 1e-6))
+    )
+    assert lenient.inside == 1
+    assert strict.inside < 1  # 8 cm beside the truth is not within a centimetre
+    assert lenient.claimed == strict.claimed

@@ -1,0 +1,100 @@
+"""Do covariances keep what they claim? By true poses, by halves of a scan, by readings left out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.geometry import wrap
+from imgloc.io.scanset import ScanSet
+from imgloc.model import FloatArray, Localization
+from imgloc.pipeline import localize
+
+REGION = 7.815
+"""The 95 % point of chi-square with three degrees of freedom."""
+TRUTH = (0.03, 0.03, float(np.deg2rad(0.4)))
+"""Standard deviations of recorded poses: metres, metres, radians."""
+_NEAR = 0.5  # metres; farther off an answer is wrong, not imprecise
+
+
+@dataclass(frozen=True)
+class Precision:
+    """Of the answers that are ``unique`` and right: shares, and medians of standard deviations."""
+
+    name: str
+    answers: int
+    inside: float  #: true poses within the 95 % region
+    agree: float  #: even and odd readings within their joint 95 % region
+    moved: float  #: scans that one reading less moves by more than two standard deviations
+    claimed: tuple[float, float]  #: metres along x, radians
+    error: tuple[float, float]  #: root mean square, metres along x, radians
+
+
+def precision(
+    name: str, features: MapFeatures, scans: ScanSet, truth: Sequence[float] = TRUTH, seed: int = 0
+) -> Precision:
+    """Measure one set of scans with poses; `truth` are the standard deviations of those."""
+    rows, claimed, errors = [], [], []
+    poses = np.empty((0, 3)) if scans.poses is None else scans.poses
+    for k, (scan, pose) in enumerate(zip(scans.scans, poses, strict=True)):
+        answer = localize(features, scan)
+        found, covariance = _first(answer)
+        error = _difference(found, pose)
+        if answer.verdict != "unique" or np.hypot(*error[:2]) > _NEAR:
+            continue
+        inside = _within(error, covariance + np.diag(np.square(truth)))
+        (a, A), (b, B) = (
+            _first(localize(features, replace(scan, ranges=r, angles=phi)))
+            for r, phi in ((scan.ranges[i::2], scan.angles[i::2]) for i in (0, 1))
+        )
+        ranges = scan.ranges.copy()
+        ranges[np.random.default_rng((seed, k)).choice(np.flatnonzero(scan.valid))] = np.nan
+        less = localize(features, replace(scan, ranges=ranges))
+        step = _difference(_first(less)[0], found)
+        moved = bool(np.any(np.abs(step) > 2 * np.sqrt(np.diag(covariance))))
+        rows.append((inside, _within(_difference(a, b), A + B), moved))
+        claimed.append(np.sqrt(np.diag(covariance))[[0, 2]])
+        errors.append(error[[0, 2]])
+    if not rows:
+        nan = float("nan")
+        return Precision(name, 0, nan, nan, nan, (nan, nan), (nan, nan))
+    shares, sd = np.mean(rows, axis=0), np.median(claimed, axis=0)
+    rms = np.sqrt(np.mean(np.square(errors), axis=0))
+    within, agree, moves = map(float, shares)
+    claim, off = (float(sd[0]), float(sd[1])), (float(rms[0]), float(rms[1]))
+    return Precision(name, len(rows), within, agree, moves, claim, off)
+
+
+def precision_table(rows: Sequence[Precision]) -> str:
+    """The rows as Markdown."""
+    lines = ["| scans | `unique` and right | truth inside | even and odd agree | moved | "]
+    lines[0] += "claimed m, deg | error m, deg |"
+    lines.append("|---" * 7 + "|")
+    for r in rows:
+        claimed, error = (f"{m:.4f}, {np.rad2deg(t):.3f}" for m, t in (r.claimed, r.error))
+        lines.append(
+            f"| {r.name} | {r.answers} | {r.inside:.2f} | {r.agree:.2f} | {r.moved:.2f} "
+            f"| {claimed} | {error} |"
+        )
+    return "\n".join(lines)
+
+
+def _first(answer: Localization) -> tuple[FloatArray, FloatArray]:
+    """Pose (3,) and covariance of the first hypothesis; far off if there is none."""
+    if not answer.hypotheses:
+        return np.full(3, np.inf), np.eye(3)
+    best = answer.hypotheses[0]
+    return np.array([best.pose.x, best.pose.y, best.pose.theta]), best.covariance
+
+
+def _difference(a: FloatArray, b: FloatArray) -> FloatArray:
+    out = np.asarray(a - b)
+    out[2] = wrap(out[2]) if np.isfinite(out[2]) else np.inf
+    return out
+
+
+def _within(error: FloatArray, covariance: FloatArray) -> bool:
+    if not np.isfinite(error).all():
+        return False
+    return bool(error @ np.linalg.solve(covariance, error) < REGION)
