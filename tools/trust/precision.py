@@ -89,7 +89,8 @@ def _first(answer: Localization) -> tuple[FloatArray, FloatArray]:
 
 
 def _difference(a: FloatArray, b: FloatArray) -> FloatArray:
-    out = np.asarray(a - b)
+    with np.errstate(invalid="ignore"):  # where nothing was found
+        out = np.asarray(a - b)
     out[2] = wrap(out[2]) if np.isfinite(out[2]) else np.inf
     return out
 
