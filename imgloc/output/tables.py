@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from imgloc.io.mapcheck import MapReport
 
 _WIDE = 1000  # characters of a line at most: a table is as wide as its cells, wherever it goes
-_UNDER = "sd: standard deviation, of the readings' noise alone"
+_UNDER = "sd: standard deviation, of noise and of errors that a wall shares"
 _LISTED = 3  # maps that a line of `imgloc which` names
 
 
