@@ -62,13 +62,13 @@ def test_names_are_swapped_whatever_their_module():
 def checkout(tmp_path, monkeypatch):
     """A package with one test, which sees one of two functions; its results are kept elsewhere."""
     root = tmp_path / "root"
-    for folder in ("imgloc/search", "tests"):
+    for folder in ("imgloc/search", "tests", "tools"):
         (root / folder).mkdir(parents=True)
     (root / "imgloc" / "__init__.py").touch()
-    (root / "imgloc" / "search" / "a.py").write_text("def f(x):\n    return x + 5\n")
-    (root / "imgloc" / "search" / "b.py").write_text("def g(x):\n    return not x\n")
+    for name in "ab":
+        (root / "imgloc" / "search" / f"{name}.py").write_text("def f(x):\n    return not x\n")
     (root / "tests" / "test_search_a.py").write_text(
-        "from imgloc.search.a import f\n\ndef test_f():\n    assert f(1) == 6\n"
+        "from imgloc.search.a import f\n\ndef test_f():\n    assert f(0)\n"
     )
     monkeypatch.setattr(mutants, "ROOT", root)
     (tmp_path / "kept").mkdir()
@@ -77,13 +77,34 @@ def checkout(tmp_path, monkeypatch):
 
 
 def test_it_says_which_test_notices_and_what_survives(checkout, capsys):
-    words = ["-n", "9", "--paths", "imgloc/search", "--workers", "2"]
-    assert main(words) == 1
+    words = ["-n", "9", "--workers", "2", "--paths"]
+    assert main([*words, "imgloc/search"]) == 1
     said = capsys.readouterr().out
-    assert "| imgloc/search/a.py:2 | `x + 5 -> x - 5` | tests/test_search_a.py::test_f |" in said
+    killed = "| imgloc/search/a.py:2 | `not x -> x` | tests/test_search_a.py::test_f |"
+    assert killed in said
     assert "| imgloc/search/b.py:2 | `not x -> x` | **SURVIVED** |" in said
-    assert said.endswith("\n3 of 4 killed\n")
-    assert (checkout / "imgloc" / "search" / "a.py").read_text().endswith("x + 5\n")
-    (checkout / "tests" / "test_search_a.py").unlink()  # a second run asks nobody
-    assert main(words) == 1
-    assert capsys.readouterr().out == said
+    assert said.endswith("\n1 of 2 killed\n")
+    assert (checkout / "imgloc" / "search" / "a.py").read_text().endswith("not x\n")
+
+
+def test_what_has_been_killed_is_not_asked_again(checkout, capsys, monkeypatch):
+    answers = iter(["tests/test_search_a.py::test_f", ""])  # with the mutant, and without it
+    monkeypatch.setattr(mutants, "killer", lambda folder, some: next(answers))
+    for _ in range(2):  # a third call would be one too many
+        assert main(["--paths", "imgloc/search/a.py"]) == 0
+        assert capsys.readouterr().out.endswith("\n1 of 1 killed\n")
+
+
+def test_a_test_that_always_fails_kills_nothing(checkout):
+    (checkout / "tests" / "test_search_a.py").write_text("def test_f():\n    assert False\n")
+    with pytest.raises(RuntimeError, match=r"test_search_a\.py::test_f fails without a mutant"):
+        main(["--paths", "imgloc/search/a.py", "--workers", "1"])
+
+
+def test_what_does_not_end_has_failed(checkout, monkeypatch):
+    monkeypatch.setattr(mutants, "PATIENCE", 2)
+    (checkout / "tests" / "test_search_a.py").write_text(
+        "import time\n\ndef test_f():\n    time.sleep(600)\n"
+    )
+    said = mutants.killer(checkout, ["tests/test_search_a.py"])
+    assert said == "tests/test_search_a.py::test_f did not end"

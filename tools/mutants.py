@@ -4,9 +4,11 @@
     python -m tools.mutants --seed 0 -n 20 --paths imgloc/features/raycast.py
 
 A mutant changes one operator, sign, wrap, constant, `True`, `min` or the like. In a copy of the
-checkout its own tests run first, then its room's, then all but the slow commands; the first test
-that fails kills it, or taking too long. Prints a Markdown table; exits with 1 if one survived. The
-same seed makes the same mutants of the same code; what one run has killed the next one skips.
+checkout its own tests run first, then its room's, then all others and every example, the slow
+commands last; the first test that fails kills it, or a test that takes too long. A test that kills
+for the first time has to pass without the mutant. Prints a Markdown table; exits with 1 if one
+survived. The same seed makes the same mutants of the same code, and the tests draw the same
+examples; what one run has killed the next one skips.
 """
 
 import argparse
@@ -30,9 +32,10 @@ from queue import SimpleQueue
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
-PATHS = ("imgloc/features", "imgloc/likelihood", "imgloc/search", "imgloc/pipeline.py")
-# Tests of commands and measurements: what they would notice, others do.
-SLOW = r"test_(cli|paper_(?!claims)|bench|trust|atlas|mutants)"
+PATHS = ("imgloc/features", "imgloc/likelihoods", "imgloc/search", "imgloc/pipeline.py")
+SLOW = r"test_(cli|paper_(?!claims)|bench|trust|atlas|batch|cluster|gallery|tools|workers)"
+ENDLESS = " did not end"
+PATIENCE = 120  # seconds for one test, the slowest of which takes a tenth of that
 SYMBOLS: dict[type[ast.AST], tuple[str, tuple[str, ...]]] = {
     ast.Add: ("+", ("-",)), ast.Sub: ("-", ("+",)), ast.Mult: ("*", ("/", "+")),
     ast.Div: ("/", ("*",)), ast.FloorDiv: ("//", ("*", "/")), ast.Pow: ("**", ("*",)),
@@ -126,38 +129,48 @@ def mutated(source: bytes, mutant: Mutant) -> bytes:
 
 
 def stages(path: str, tests: Sequence[str]) -> list[list[str]]:
-    """What to run for a mutant of a file: its own tests, its room's, the rest.
+    """What to run for a mutant of a file: its own tests, its room's, the others, the slow ones.
 
-    >>> stages("imgloc/search/refine.py", ["test_search_peaks.py", "test_model.py", "test_cli.py"])
-    [['imgloc/search/refine.py'], ['tests/test_search_peaks.py'], ['tests/test_model.py']]
+    >>> tests = ["test_search_peaks.py", "test_search_refine.py", "test_model.py", "test_cli.py"]
+    >>> for some in stages("imgloc/search/refine.py", tests): print(*some)
+    tests/test_search_refine.py imgloc/search/refine.py
+    tests/test_search_peaks.py imgloc/search
+    tests/test_model.py imgloc
+    tests/test_cli.py tools
     """
-    names = Path(path).with_suffix("").parts[1:]
-    mine = [t for t in tests if t.startswith(f"test_{'_'.join(names)}")]
-    room = [t for t in tests if t.startswith(f"test_{names[0]}") and t not in mine]
-    rest = [t for t in tests if t not in mine + room and not re.match(SLOW, t)]
-    own, *others = ([f"tests/{t}" for t in some] for some in (mine, room, rest))
-    return [own + [path], *(some for some in others if some)]
+    room, *names = Path(path).with_suffix("").parts[1:]
+    order: list[list[str]] = [[], [], [], []]
+    for name in tests:
+        mine = name.startswith("_".join(("test", room, *names)))
+        order[0 if mine else 1 if name.startswith(f"test_{room}") else 3 if re.match(SLOW, name)
+              else 2].append(f"tests/{name}")  # fmt: skip
+    examples = path, "imgloc/" + room * bool(names), "imgloc", "tools"
+    return [[*some, example.strip("/")] for some, example in zip(order, examples, strict=True)]
 
 
-def killer(folder: Path, some: Sequence[str], timeout: float) -> str:
-    """The test that fails, "" if none does; what takes longer than `timeout` seconds has failed."""
-    command = [sys.executable, "-m", "pytest", "-xq", "-n0", "-p", "no:cacheprovider", *some]
-    with subprocess.Popen(  # noqa: S603
-        command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        env=os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"},
-        start_new_session=True,
-    ) as run:  # fmt: skip
-        try:
-            said, _ = run.communicate(timeout=timeout)
-        except subprocess.TimeoutExpired:
+def killer(folder: Path, some: Sequence[str]) -> str:
+    """The test that fails, "" if none does; what takes longer than `PATIENCE` has failed."""
+    patience = f"faulthandler_timeout={PATIENCE}", "faulthandler_exit_on_timeout=true"
+    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as out:
+        run = subprocess.Popen(  # noqa: S603
+            [sys.executable, "-m", "pytest", "-xv", "-n0", "-p", "no:cacheprovider",
+             "--hypothesis-seed=0", "--deselect=tests/test_mutants.py",
+             "-o", patience[0], "-o", patience[1], *some],
+            cwd=folder, stdout=out, stderr=subprocess.STDOUT, start_new_session=True,
+            env=os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"},
+        )  # fmt: skip
+        code = run.wait()
+        with contextlib.suppress(ProcessLookupError):  # processes that a test has left
             os.killpg(run.pid, signal.SIGKILL)
-            return f"more than {timeout:g} s"
-    if run.returncode in (0, 5):  # 5: there is no test in these files
+        out.seek(0)
+        said = out.read()
+    if code in (0, 5):  # 5: there is no test in these files
         return ""
-    failed = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
-    if failed is None and run.returncode == 4:
+    failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", said, re.MULTILINE)
+    if code == 4 and failed is None:
         raise RuntimeError(f"pytest was called wrongly: {said[-500:]}")
-    return failed[1] if failed else f"pytest ended with {run.returncode}"
+    began = re.findall(r"^\S+::\S+", said, re.MULTILINE)
+    return failed[1] if failed else f"{began[-1] if began else some[0]}{ENDLESS}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -167,7 +180,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("-n", type=int, default=60, help="mutants (default: 60)")
     parser.add_argument("--paths", nargs="+", default=PATHS, help="files or folders of imgloc")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--timeout", type=float, default=300.0, help="seconds; 4, 9 times later on")
     given = parser.parse_args(arguments)
     files = {f.relative_to(ROOT).as_posix(): f for f in sorted((ROOT / "imgloc").rglob("*.py"))}
     sources = {p: f.read_bytes() for p, f in files.items() if p.startswith(tuple(given.paths))}
@@ -187,22 +199,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if (ROOT.parent / "shared").is_dir():  # real data, beside the checkout
                 (copy.parent / "shared").symlink_to(ROOT.parent / "shared")
             free.put(copy)
-        quick = [f"tests/{t}" for t in tests if not re.match(SLOW, t)]
-        if not done and (broken := killer(copy, quick, 10 * given.timeout)):
-            parser.exit(2, f"mutants: error: {broken} fails without a mutant\n")
+        sound = {""}  # tests that pass without a mutant
 
         def test(k: int) -> None:
             mutant, folder = chosen[k], free.get()
             file, source = folder / mutant.path, sources[mutant.path]
-            try:
-                file.write_bytes(mutated(source, mutant))
-                runs = enumerate(stages(mutant.path, tests), 1)
-                told = (killer(folder, some, given.timeout * i**2) for i, some in runs)
-                done[k] = next(filter(None, told), "")
-                print(json.dumps([k, done[k]]), file=log, flush=True)
-            finally:
-                file.write_bytes(source)
-                free.put(folder)
+            file.write_bytes(mutated(source, mutant))
+            runs = (killer(folder, some) for some in stages(mutant.path, tests))
+            by = next(filter(None, runs), "")
+            file.write_bytes(source)
+            if by not in sound and killer(folder, [by.removesuffix(ENDLESS)]):
+                raise RuntimeError(f"{by} fails without a mutant")
+            sound.add(by)
+            done[k] = by
+            print(json.dumps([k, by]), file=log, flush=True)
+            free.put(folder)
 
         with ThreadPoolExecutor(given.workers) as pool:
             list(pool.map(test, [k for k in range(len(chosen)) if k not in done]))
