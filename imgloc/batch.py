@@ -28,6 +28,7 @@ from imgloc.__about__ import __version__
 from imgloc.choice import NO_MAP, names_of
 from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
 from imgloc.io.files import PathLike, display, read_file
+from imgloc.io.images import IMAGE_ENDINGS
 from imgloc.io.maps import YAML_ENDINGS
 from imgloc.io.mapyaml import load_map_yaml
 from imgloc.io.results import Results, Row, read_rows
@@ -37,8 +38,6 @@ from imgloc.model import plain
 from imgloc.workers import CrashError, OverdueError, Supervised
 
 STATUSES = ("ok", "failed", "crashed", "timeout")
-#: Of bare images that may be maps. JPEG is not among them: photographs of the site may lie about.
-IMAGE_ENDINGS = (".png", ".pgm", ".ppm", ".bmp", ".tif", ".tiff", ".webp")
 TIMEOUT = 3600.0  #: seconds that an item may take
 ATTEMPTS = 2  #: how often an item is begun whose worker dies
 _AT_ONCE = 512  # items that an executor is given beyond those that are done
@@ -375,6 +374,7 @@ def _maps_in(maps: Path, job: Job, out: PathLike | None) -> Iterator[tuple[str, 
     if not maps.is_dir():
         yield display(maps.name), maps.absolute()
         return
+    # JPEG is not among the endings: photographs of the site may lie about.
     files = [p for p in _files(maps, out) if p.suffix.lower() in (*YAML_ENDINGS, *IMAGE_ENDINGS)]
     yamls = [p for p in files if p.suffix.lower() in YAML_ENDINGS]
     images = [p for p in files if p.suffix.lower() in IMAGE_ENDINGS]

@@ -560,8 +560,8 @@ class Localization:
         return dict(plain(out))
 
     def to_json(self) -> str:
-        """One line of JSON: :meth:`as_row`; what is not finite is null."""
-        return json.dumps(self.as_row(), allow_nan=False)
+        """One line of JSON: :meth:`as_row`."""
+        return to_json(self.as_row())
 
     def _repr_html_(self) -> str:
         """A table of the hypotheses, for notebooks."""
@@ -594,3 +594,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def to_json(row: Mapping[str, object]) -> str:
+    """Return one line of JSON; what is not finite becomes null."""
+    return json.dumps(plain(row), allow_nan=False)

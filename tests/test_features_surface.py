@@ -228,16 +228,17 @@ def test_bands_cover_every_row_once(monkeypatch):
     assert len(cuts) > 3
 
 
-def test_a_surface_takes_little_memory():
-    occupied = np.tile(blobs(1, 400), (3, 3))
+def test_a_surface_takes_little_memory(monkeypatch):
+    occupied, sides = blobs(1, 400), 6000  # six bands; in one it takes three times as much
+    monkeypatch.setattr(surface, "_SIDES", sides)
     tracemalloc.start()
     try:
         count = len(surface_points(occupied, ~occupied, 0.05))
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    assert count > 50_000
-    assert peak < 600 * 50_000 + 150 * count + 25 * occupied.size  # fits, results, a band
+    assert count > 4 * sides
+    assert peak < 200 * sides + 150 * count + 10 * occupied.size  # a band, its results, the map
 
 
 @settings(max_examples=25, deadline=None)

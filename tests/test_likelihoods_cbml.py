@@ -76,10 +76,11 @@ def test_turning_a_smooth_map_errs_little_in_between():
     xy, alpha = rng.uniform(-1.5, 1.5, (60, 2)), rng.uniform(-3, 3, 60)
     thetas = uniform_thetas(1.3)
     scan = oriented(xy, alpha)
-    for off in (
-        cbml(bmap, xy, thetas, 0.1, engine="remap") - naive.cbml(bmap, xy, thetas, 0.1),
-        cbml_o(vmap, scan, thetas, 0.1, engine="remap") - naive.cbml_o(vmap, scan, thetas, 0.1),
+    for stack in (  # the engines that do not interpolate equal the loops, see below
+        lambda engine: cbml(bmap, xy, thetas, 0.1, engine=engine),
+        lambda engine: cbml_o(vmap, scan, thetas, 0.1, engine=engine),
     ):
+        off = stack("remap") - stack("shift")
         assert np.sqrt(np.mean(off**2)) < 0.015 * len(xy)
         assert np.abs(off).max() < 0.06 * len(xy)
 

@@ -10,7 +10,7 @@ import pytest
 from command import ROOT
 
 from imgloc.io.images import encode_png
-from imgloc.output.json import to_json
+from imgloc.model import to_json
 from tools.paper.__main__ import TIMED_QUICK, Reproduction, as_dict, steps
 from tools.paper.complexity import AXES, Complexity
 from tools.paper.figures import SETTINGS, figure, scene

@@ -23,9 +23,8 @@ from imgloc.io.files import write_text_atomic
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan, Pose2D
+from imgloc.model import LaserScan, Pose2D, to_json
 from imgloc.options import Options
-from imgloc.output.json import to_json
 from imgloc.output.pictures import Picture
 from imgloc.output.tracks import draw_track, sequence_row
 from imgloc.pipeline import prepare

@@ -43,9 +43,8 @@ def atlas(
     from imgloc.features.budget import poses_bytes
     from imgloc.io.atlasrows import Journal, as_csv
     from imgloc.io.cache import cache_key
-    from imgloc.model import plain
+    from imgloc.model import plain, to_json
     from imgloc.options import Options
-    from imgloc.output.json import to_json
     from imgloc.output.pictures import Picture, draw_atlas
     from imgloc.output.tables import atlas_text
     from imgloc.pipeline import prepare

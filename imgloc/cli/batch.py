@@ -107,9 +107,9 @@ def batch(
     from imgloc.evaluation import TOLERANCES, Tolerance
     from imgloc.features.budget import MIB, default_budget
     from imgloc.jobs import Job
+    from imgloc.model import to_json
     from imgloc.options import FusedOptions, Options
     from imgloc.output.drawings import DRAWINGS
-    from imgloc.output.json import to_json
     from imgloc.output.tables import batch_text
 
     angle = None if theta_step_deg is None else math.radians(theta_step_deg)

@@ -14,7 +14,7 @@ def cache(context: typer.Context, as_json: opt.AsJson = False) -> None:
     if context.invoked_subcommand is not None:
         return
     from imgloc.io.cache import cache_info
-    from imgloc.output.json import to_json
+    from imgloc.model import to_json
 
     info = cache_info()
     if as_json:

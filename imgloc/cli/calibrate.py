@@ -57,9 +57,8 @@ def calibrate(
     from imgloc.calibrate import check_trials, disturbed_set, fit, sweep
     from imgloc.cli import inputs
     from imgloc.io.calibration import calibration_path, save_calibrations
-    from imgloc.model import plain
+    from imgloc.model import plain, to_json
     from imgloc.options import Options
-    from imgloc.output.json import to_json
     from imgloc.output.tables import calibration_table
     from imgloc.pipeline import prepare
     from imgloc.simulation import fine_image, is_world, simulate

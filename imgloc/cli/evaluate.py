@@ -86,7 +86,7 @@ def evaluate(
     from imgloc.evaluation import TOLERANCES, Tolerance, method_options
     from imgloc.evaluation import evaluate as measure
     from imgloc.io.calibration import calibration_path, load_calibrations
-    from imgloc.output.json import to_json
+    from imgloc.model import to_json
     from imgloc.output.tables import evaluation_tables
     from imgloc.pipeline import prepare
     from imgloc.simulation import fine_image, is_world, sample_set, simulate

@@ -76,9 +76,8 @@ def localize(
     from imgloc.doubts import doubts
     from imgloc.explanation import explain as reasons
     from imgloc.io.calibration import calibration_path, load_calibrations
-    from imgloc.model import LaserScan, Pose2D
+    from imgloc.model import LaserScan, Pose2D, to_json
     from imgloc.options import FusedOptions, Options
-    from imgloc.output.json import to_json
     from imgloc.output.pages import render_explanation
     from imgloc.output.pictures import draw
     from imgloc.output.tables import (

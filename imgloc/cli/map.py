@@ -36,7 +36,7 @@ def check(
     """
     from imgloc.cli import inputs
     from imgloc.io.mapcheck import check_bytes, check_map
-    from imgloc.output.json import to_json
+    from imgloc.model import to_json
     from imgloc.output.tables import report_text
 
     inputs.check_image(map_path, reading, opt.fixed_budget(memory_budget), check_bytes)

@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 
 F = TypeVar("F", bound=Callable[..., None])
 Range = tuple[float, float, str]  # lowest, highest, unit
-# Endings by which one knows that MAP and SCANS were mixed up.
-_SCANS = (".npz", ".csv", ".jsonl", ".ndjson", ".log", ".clf", ".carmen", ".bag", ".db3", ".mcap")
-_IMAGES = (".png", ".pgm", ".ppm", ".tif", ".tiff", ".bmp", ".webp", ".jpg", ".jpeg")
 _UNITS = {"": 0, "K": 10, "M": 20, "G": 30, "T": 40}
 RADIUS, TOLERANCE = 2.0, 0.8
 """How far from --near a robot may be, and turned how far, unless stated: metres, radians."""
@@ -83,14 +80,15 @@ def numbers(
 
 def find_map(path: str | Path) -> Path:
     """The file of a bundled map that is called by its name, or `path` itself."""
+    from imgloc.errors import MapError
+    from imgloc.io.maps import bundled_maps
+    from imgloc.io.scans import SCAN_ENDINGS
+
     path = Path(path)
-    if path.suffix.lower() in _SCANS and path.exists():
+    if path.suffix.lower() in SCAN_ENDINGS and path.exists():
         raise ConfigError(f"MAP: {path} is a file of scans; the order is MAP, then SCANS")
     if path.name != str(path) or path.suffix or path.exists():
         return path
-    from imgloc.errors import MapError
-    from imgloc.io.maps import bundled_maps
-
     try:
         bundled = bundled_maps() / f"{path}.yaml"
     except MapError:
@@ -100,7 +98,9 @@ def find_map(path: str | Path) -> Path:
 
 def find_scans(path: Path) -> Path:
     """`path` itself, unless it is an image."""
-    if path.suffix.lower() in _IMAGES:
+    from imgloc.io.images import IMAGE_ENDINGS, LOSSY_ENDINGS
+
+    if path.suffix.lower() in (*IMAGE_ENDINGS, *LOSSY_ENDINGS):
         raise ConfigError(f"SCANS: {path} is an image; the order is MAP, then SCANS")
     return path
 

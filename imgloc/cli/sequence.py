@@ -32,8 +32,8 @@ def measure_sequences(
 ) -> None:  # fmt: skip
     """Measure each filter on each log, and print a table or rows."""
     from imgloc.cli import inputs
+    from imgloc.model import to_json
     from imgloc.options import Options
-    from imgloc.output.json import to_json
     from imgloc.output.tracks import sequence_row, sequence_tables
     from imgloc.pipeline import prepare
     from imgloc.sequences import Trials, measure, with_odometry

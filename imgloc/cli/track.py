@@ -82,9 +82,8 @@ def track(
 
     from imgloc.cli import inputs
     from imgloc.filters.choose import make_filter
-    from imgloc.model import Pose2D
+    from imgloc.model import Pose2D, to_json
     from imgloc.options import Options
-    from imgloc.output.json import to_json
     from imgloc.output.ros import message, write_bag, yaml_text
     from imgloc.output.tracks import (
         Video,

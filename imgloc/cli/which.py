@@ -46,8 +46,8 @@ def which(
     """
     from imgloc.choice import choose, find_maps, fit, names_of
     from imgloc.cli import inputs
+    from imgloc.model import to_json
     from imgloc.options import Options
-    from imgloc.output.json import to_json
     from imgloc.output.tables import CHOICE_HEADER, choice_line
     from imgloc.pipeline import check_options
 

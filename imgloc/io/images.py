@@ -30,6 +30,9 @@ Pixels = npt.NDArray[Any]  # uint8 or uint16
 MAX_PIXELS = 128_000_000
 """Of a map, unless said otherwise: more than the 10,000 x 10,000 that are worked with."""
 
+IMAGE_ENDINGS = (".png", ".pgm", ".ppm", ".bmp", ".tif", ".tiff", ".webp")  #: without loss
+LOSSY_ENDINGS = (".jpg", ".jpeg")
+
 _HEAD = 1 << 16  # bytes in which the header of a PGM ends, comments and all
 _KNOWN = "PNG, PGM, PPM, TIFF, BMP, WebP or JPEG"
 # The readers themselves, and not Image.open: that says of damage only that it knows no such

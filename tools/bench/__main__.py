@@ -27,8 +27,7 @@ from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.likelihoods.correlate import ENGINES
-from imgloc.model import OccupancyGrid
-from imgloc.output.json import to_json
+from imgloc.model import OccupancyGrid, to_json
 from imgloc.pipeline import prepare
 from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render

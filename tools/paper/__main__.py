@@ -26,7 +26,7 @@ from imgloc.__about__ import __version__
 from imgloc.errors import ConfigError, ImglocError, OutputError
 from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
 from imgloc.io.images import encode_png
-from imgloc.output.json import to_json
+from imgloc.model import to_json
 from tools.paper.claims import Claim, claims, growth_claims, time_claims
 from tools.paper.complexity import AXES, TIMES, Complexity, draw, measure
 from tools.paper.figures import SETTINGS, figure

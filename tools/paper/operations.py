@@ -27,7 +27,7 @@ from imgloc.features.visibility import WAYS
 from imgloc.index import Index, performance_index
 from imgloc.io.files import refuse_existing, write_text_atomic
 from imgloc.likelihoods.correlate import ENGINES
-from imgloc.output.json import to_json
+from imgloc.model import to_json
 from tools.paper.page import templates
 from tools.paper.table import PLACES, Gain, Outcome, gain, place, truth_of, try_method
 from tools.progress import progress

@@ -29,9 +29,8 @@ from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atom
 from imgloc.io.images import encode_png
 from imgloc.io.maps import load_map
 from imgloc.io.scanset import ScanSet
-from imgloc.model import OccupancyGrid
+from imgloc.model import OccupancyGrid, to_json
 from imgloc.options import Options, Trust
-from imgloc.output.json import to_json
 from imgloc.pipeline import prepare
 from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
