@@ -16,17 +16,17 @@ import ast
 import contextlib
 import hashlib
 import json
+import multiprocessing
 import os
 import random
 import re
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from itertools import accumulate, pairwise
+from itertools import accumulate, islice, pairwise
 from pathlib import Path
 from queue import SimpleQueue
 from typing import NamedTuple
@@ -36,6 +36,8 @@ PATHS = ("imgloc/features", "imgloc/likelihoods", "imgloc/search", "imgloc/pipel
 SLOW = r"test_(cli|paper_(?!claims)|bench|trust|atlas|batch|cluster|gallery|tools|workers)"
 ENDLESS = " did not end"
 PATIENCE = 120  # seconds for one test, the slowest of which takes a tenth of that
+SERVER = multiprocessing.get_context("forkserver")  # what every run needs is loaded once
+SERVER.set_forkserver_preload(["pytest", "hypothesis", "cv2", "skimage.measure", "rich", "typer"])
 SYMBOLS: dict[type[ast.AST], tuple[str, tuple[str, ...]]] = {
     ast.Add: ("+", ("-",)), ast.Sub: ("-", ("+",)), ast.Mult: ("*", ("/", "+")),
     ast.Div: ("/", ("*",)), ast.FloorDiv: ("//", ("*", "/")), ast.Pow: ("**", ("*",)),
@@ -78,10 +80,7 @@ def mutants_of(path: str, source: bytes) -> list[Mutant]:
         new = source[first:start] + text.encode() + source[end:last]
         parts = (part.decode(errors="ignore") for part in (source[first:last], new))
         said = (re.sub(r"\s+", " ", part) for part in parts)
-        mutant = Mutant(path, node.lineno, start, end, text, " -> ".join(said))
-        with contextlib.suppress(SyntaxError):
-            compile(mutated(source, mutant), path, "exec", dont_inherit=True)
-            out.append(mutant)
+        out.append(Mutant(path, node.lineno, start, end, text, " -> ".join(said)))
 
     for node in _changeable(ast.parse(source)):
         start, end = span(node)
@@ -128,6 +127,13 @@ def mutated(source: bytes, mutant: Mutant) -> bytes:
     return source[: mutant.start] + mutant.text.encode() + source[mutant.end :]
 
 
+def compiles(source: bytes, mutant: Mutant) -> bool:
+    """Whether the change leaves a program."""
+    with contextlib.suppress(SyntaxError):
+        return bool(compile(mutated(source, mutant), mutant.path, "exec", dont_inherit=True))
+    return False
+
+
 def stages(path: str, tests: Sequence[str]) -> list[list[str]]:
     """What to run for a mutant of a file: its own tests, its room's, the others, the slow ones.
 
@@ -150,27 +156,43 @@ def stages(path: str, tests: Sequence[str]) -> list[list[str]]:
 
 def killer(folder: Path, some: Sequence[str]) -> str:
     """The test that fails, "" if none does; what takes longer than `PATIENCE` has failed."""
-    patience = f"faulthandler_timeout={PATIENCE}", "faulthandler_exit_on_timeout=true"
-    with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as out:
-        run = subprocess.Popen(  # noqa: S603
-            [sys.executable, "-m", "pytest", "-xv", "-n0", "-p", "no:cacheprovider",
-             "--hypothesis-seed=0", "--deselect=tests/test_mutants.py",
-             "-o", patience[0], "-o", patience[1], *some],
-            cwd=folder, stdout=out, stderr=subprocess.STDOUT, start_new_session=True,
-            env=os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"},
-        )  # fmt: skip
-        code = run.wait()
+    with tempfile.NamedTemporaryFile("r", encoding="utf-8", errors="replace") as out:
+        run = SERVER.Process(target=_tested, args=(folder, some, out.name, PATIENCE))
+        run.start()
+        run.join()
         with contextlib.suppress(ProcessLookupError):  # processes that a test has left
-            os.killpg(run.pid, signal.SIGKILL)
-        out.seek(0)
+            os.killpg(run.pid or 0, signal.SIGKILL)
         said = out.read()
-    if code in (0, 5):  # 5: there is no test in these files
+    if run.exitcode in (0, 5):  # 5: there is no test in these files
         return ""
     failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", said, re.MULTILINE)
-    if code == 4 and failed is None:
+    if run.exitcode == 4 and failed is None:
         raise RuntimeError(f"pytest was called wrongly: {said[-500:]}")
     began = re.findall(r"^\S+::\S+", said, re.MULTILINE)
     return failed[1] if failed else f"{began[-1] if began else some[0]}{ENDLESS}"
+
+
+def _tested(folder: Path, some: Sequence[str], out: str, patience: int) -> None:
+    """Run pytest in this process, forked from one that has loaded all libraries, not imgloc."""
+    os.setsid()
+    with Path(out).open("wb") as file:
+        os.dup2(file.fileno(), 1)
+        os.dup2(file.fileno(), 2)
+    os.chdir(folder)
+    os.environ |= {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+    sys.dont_write_bytecode = True
+    sys.path[:] = [str(folder), *(p for p in sys.path if p not in ("", str(ROOT)))]
+    for name in [n for n in sys.modules if n.partition(".")[0] in ("imgloc", "tools")]:
+        del sys.modules[name]
+    import pytest
+
+    code = pytest.main(
+        ["-xv", "-n0", "-p", "no:cacheprovider", "--hypothesis-seed=0", f"--rootdir={folder}",
+         "-o", f"faulthandler_timeout={patience}", "-o", "faulthandler_exit_on_timeout=true",
+         "--deselect=tests/test_mutants.py", *some]
+    )  # fmt: skip
+    sys.stdout.flush()
+    os._exit(int(code))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -179,12 +201,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("-n", type=int, default=60, help="mutants (default: 60)")
     parser.add_argument("--paths", nargs="+", default=PATHS, help="files or folders of imgloc")
+    parser.add_argument("--near", action="store_true", help="only tests of the file and its room")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     given = parser.parse_args(arguments)
     files = {f.relative_to(ROOT).as_posix(): f for f in sorted((ROOT / "imgloc").rglob("*.py"))}
     sources = {p: f.read_bytes() for p, f in files.items() if p.startswith(tuple(given.paths))}
     every = [m for path, source in sources.items() for m in mutants_of(path, source)]
-    chosen = random.Random(given.seed).sample(every, min(given.n, len(every)))  # noqa: S311
+    random.Random(given.seed).shuffle(every)  # noqa: S311
+    chosen = list(islice((m for m in every if compiles(sources[m.path], m)), given.n))
     digest = hashlib.sha256(repr(chosen).encode() + b"".join(sources.values())).hexdigest()
     journal = Path(tempfile.gettempdir()) / f"imgloc-mutants-{digest[:16]}.jsonl"
     told = journal.read_text("utf-8").splitlines() if journal.exists() else []
@@ -205,8 +229,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             mutant, folder = chosen[k], free.get()
             file, source = folder / mutant.path, sources[mutant.path]
             file.write_bytes(mutated(source, mutant))
-            runs = (killer(folder, some) for some in stages(mutant.path, tests))
-            by = next(filter(None, runs), "")
+            order = stages(mutant.path, tests)[: 2 if given.near else None]
+            by = next(filter(None, (killer(folder, some) for some in order)), "")
             file.write_bytes(source)
             if by not in sound and killer(folder, [by.removesuffix(ENDLESS)]):
                 raise RuntimeError(f"{by} fails without a mutant")
