@@ -31,14 +31,20 @@ def first(scans: Path, *options: object) -> dict:
     return rows(out)[0]
 
 
+@pytest.fixture(scope="module")
+def plain(scans: Path) -> dict:
+    """What is said without any option."""
+    return first(scans)
+
+
 def away(row: dict, scans: Path) -> float:
     poses = load_scans(scans).poses
     assert poses is not None
     return float(np.hypot(row["pose"]["x"] - poses[0, 0], row["pose"]["y"] - poses[0, 1]))
 
 
-def test_near_makes_an_ambiguous_scan_unique(scans: Path) -> None:
-    assert first(scans)["verdict"] == "ambiguous"
+def test_near_makes_an_ambiguous_scan_unique(scans: Path, plain: dict) -> None:
+    assert plain["verdict"] == "ambiguous"
     told = first(scans, "--near", "2.5,1.5,-1.7")
     assert told["verdict"] == "unique"
     assert away(told, scans) < 0.1
@@ -125,8 +131,8 @@ def test_a_black_region_is_refused(scans: Path, tmp_path: Path) -> None:
     assert "no white pixel" in run.err
 
 
-def test_the_base_is_behind_a_sensor_mounted_in_front(scans: Path) -> None:
-    plain, mounted = first(scans), first(scans, "--sensor", "0.5,0,0")
+def test_the_base_is_behind_a_sensor_mounted_in_front(scans: Path, plain: dict) -> None:
+    mounted = first(scans, "--sensor", "0.5,0,0")
     assert plain["base_pose"] is None
     assert mounted["pose"] == plain["pose"]
     back = mounted["base_pose"]
@@ -157,8 +163,8 @@ def test_a_scan_without_a_pose_has_no_base(scans: Path, tmp_path: Path) -> None:
     assert out[1].split()[1:] == ["invalid", *"--------"]
 
 
-def test_the_mounting_is_recorded(scans: Path) -> None:
-    parameters = first(scans)["parameters"]
+def test_the_mounting_is_recorded(scans: Path, plain: dict) -> None:
+    parameters = plain["parameters"]
     assert (parameters["sensor"], parameters["flipped"]) == (None, False)
     parameters = first(scans, "--sensor", "0.5,0,0.1", "--flipped")["parameters"]
     assert parameters["sensor"] == {"x": 0.5, "y": 0.0, "theta": 0.1}
@@ -176,12 +182,12 @@ def test_a_base_turned_against_its_sensor() -> None:
     assert [base.x, base.y, base.theta] == pytest.approx([2.0, 0.0, 0.0])
 
 
-def test_flipped_undoes_a_sensor_upside_down(scans: Path, tmp_path: Path) -> None:
+def test_flipped_undoes_a_sensor_upside_down(scans: Path, plain: dict, tmp_path: Path) -> None:
     data = dict(np.load(scans))
     data["angles"] = -data["angles"]
     np.savez(tmp_path / "flipped.npz", **data)
     assert first(tmp_path / "flipped.npz")["verdict"] != "unique"
-    assert first(tmp_path / "flipped.npz", "--flipped")["pose"] == first(scans)["pose"]
+    assert first(tmp_path / "flipped.npz", "--flipped")["pose"] == plain["pose"]
 
 
 def test_scans_that_fit_if_mirrored_bring_a_hint(tmp_path: Path) -> None:

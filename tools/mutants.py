@@ -37,7 +37,7 @@ SLOW = r"test_(cli|paper_(?!claims)|bench|trust|atlas|batch|cluster|gallery|tool
 ENDLESS = " did not end"
 PATIENCE = 120  # seconds for one test, the slowest of which takes a tenth of that
 SERVER = multiprocessing.get_context("forkserver")  # what every run needs is loaded once
-SERVER.set_forkserver_preload(["pytest", "hypothesis", "cv2", "skimage.measure", "rich", "typer"])
+SERVER.set_forkserver_preload(["pytest", "cv2", "skimage.measure", "jinja2", "rich", "typer"])
 SYMBOLS: dict[type[ast.AST], tuple[str, tuple[str, ...]]] = {
     ast.Add: ("+", ("-",)), ast.Sub: ("-", ("+",)), ast.Mult: ("*", ("/", "+")),
     ast.Div: ("/", ("*",)), ast.FloorDiv: ("//", ("*", "/")), ast.Pow: ("**", ("*",)),
@@ -166,10 +166,10 @@ def killer(folder: Path, some: Sequence[str]) -> str:
     if run.exitcode in (0, 5):  # 5: there is no test in these files
         return ""
     failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", said, re.MULTILINE)
-    if run.exitcode == 4 and failed is None:
-        raise RuntimeError(f"pytest was called wrongly: {said[-500:]}")
     began = re.findall(r"^\S+::\S+", said, re.MULTILINE)
-    return failed[1] if failed else f"{began[-1] if began else some[0]}{ENDLESS}"
+    if failed is None and not began:
+        raise RuntimeError(f"pytest did not come to the tests: {said[-500:]}")
+    return failed[1] if failed else f"{began[-1]}{ENDLESS}"
 
 
 def _tested(folder: Path, some: Sequence[str], out: str, patience: int) -> None:
@@ -232,12 +232,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             order = stages(mutant.path, tests)[: 2 if given.near else None]
             by = next(filter(None, (killer(folder, some) for some in order)), "")
             file.write_bytes(source)
-            if by not in sound and killer(folder, [by.removesuffix(ENDLESS)]):
+            unsound = by not in sound and killer(folder, [by.removesuffix(ENDLESS)])
+            free.put(folder)
+            if unsound:
                 raise RuntimeError(f"{by} fails without a mutant")
             sound.add(by)
             done[k] = by
             print(json.dumps([k, by]), file=log, flush=True)
-            free.put(folder)
 
         with ThreadPoolExecutor(given.workers) as pool:
             list(pool.map(test, [k for k in range(len(chosen)) if k not in done]))
