@@ -1,5 +1,6 @@
 """`--memory-budget` of the commands: said with -v, refused before anything is loaded or done."""
 
+import json
 import logging
 import os
 import re
@@ -282,34 +283,39 @@ def test_no_command_decodes_an_image_over_the_budget(
     assert "m.png: damaged PNG data" in more.err
 
 
+EACH = """
+import json, os, re, sys
+sys.path.insert(0, sys.argv[1])
+import imgloc.cli.inputs
+from imgloc.cli import main
+for words in json.loads(sys.argv[2]):
+    if os.fork():  # each in a process of its own, which begins with a peak of its own
+        os.wait()
+        continue
+    try:
+        main(words)
+    except SystemExit as end:
+        with open("/proc/self/status") as status:
+            print(json.dumps([end.code, int(re.search(r"VmHWM:\\s+(\\d+)", status.read())[1])]))
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)
+"""
+
+
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc")
-@pytest.mark.parametrize("command", READERS, ids=lambda command: " ".join(map(str, command[:2])))
-def test_a_refused_command_has_taken_no_memory(
-    command: list[object], sources: Callable[[bytes], Path]
-) -> None:
+def test_a_refused_command_has_taken_no_memory(sources: Callable[[bytes], Path]) -> None:
     blank = cv2.imencode(".png", np.full((6000, 6000), 254, np.uint8))[1].tobytes()
     folder = sources(blank)
-    start = (
-        "import atexit, sys\n"
-        "sys.path.insert(0, sys.argv.pop(1))\n"
-        "atexit.register(lambda: print(open('/proc/self/status').read()))\n"
-        "from imgloc.cli import main\n"
-        "main()"
-    )
-    call_of = [
-        sys.executable,
-        "-c",
-        start,
-        ROOT,
-        *words(command, folder),
-        "--memory-budget",
-        "50M",
-    ]
-    done = subprocess.run(list(map(str, call_of)), capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "6000 x 6000 pixels needs" in done.stderr
-    (peak,) = re.findall(r"VmHWM:\s+(\d+) kB", done.stdout)
-    assert int(peak) < 140 * 1024  # Python, NumPy and OpenCV; the image would be 200 MiB more
+    given = [[*map(str, words(c, folder)), "--memory-budget", "50M"] for c in READERS]
+    done = subprocess.run(
+        [sys.executable, "-c", EACH, ROOT, json.dumps(given)],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    codes, peaks = zip(*map(json.loads, done.stdout.splitlines()), strict=True)
+    assert codes == (2,) * len(READERS)
+    assert done.stderr.count("6000 x 6000 pixels needs") == len(READERS)
+    assert max(peaks) < 140 * 1024  # Python, NumPy and OpenCV; the image would be 200 MiB more
 
 
 def test_headers_are_read_without_the_rest(tmp_path: Path) -> None:

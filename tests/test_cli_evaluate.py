@@ -84,8 +84,18 @@ def test_recorded_scans_of_a_sensor_upside_down(scans: Path, tmp_path: Path) -> 
 
 
 def test_the_same_for_every_run_and_number_of_threads() -> None:
-    words = ("evaluate", "curved", "-n", 1, "--methods", "fused,cbml,ght-v", "--json", "--threads")
-    one, two = (spawn(*words, n) for n in (1, 2))
+    words = (
+        "evaluate",
+        "curved",
+        "-n",
+        1,
+        "--methods",
+        "fused,cbml,ght-v",
+        "--cell",
+        0.2,
+        "--json",
+    )
+    one, two = (spawn(*words, "--threads", n) for n in (1, 2))
     assert one.code == 0
     assert without_cost(one.out) == without_cost(two.out)
 
@@ -124,7 +134,7 @@ def test_several_maps_with_scans_of_their_own(scans: Path, tmp_path: Path) -> No
 
 
 def test_range_max_cuts_recorded_readings(scans: Path) -> None:
-    words = (CURVED, "--scans", scans, "--methods", "cbml")
+    words = (CURVED, "--scans", scans, "--methods", "cbml", "--cell", 0.2)
     (whole,), (short,) = evaluated(*words), evaluated(*words, "--range-max", 2)
     assert short["work"] < whole["work"]
     assert short["source"]["range_max"] == 2
