@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from imgloc.calibrate import SharedFit
 from imgloc.model import SURE, VERDICTS, Localization, Pose2D, base_of
 
 if TYPE_CHECKING:
@@ -96,6 +97,8 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
             facts.append(("error", f"{away:.3f} m, {math.degrees(turned):.2f} deg"))
         explained = f"{100 * answer.explained:.0f} % of the rays explained"
         facts.append(("trust", f"{explained}, entropy {answer.entropy:.3f} nats"))
+        if (bent := bent_words(evidence.scale, evidence.thinner)) is not None:
+            facts.append(("map", f"fits far better with {bent}"))
         poses = f"{evidence.listed} listed"
         if evidence.found > evidence.listed:
             unlisted = _percent(evidence.unlisted)
@@ -125,6 +128,20 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
             lines[-1] += "; rows are in the order of log L, the score"
         lines[-1] += f"; {_percent(rest)} of the mass is in none of these rows"
     return "\n".join(lines)
+
+
+def bent_words(scale: float, thinner: float) -> str | None:
+    """Say what error of all readings was allowed for; None if none was.
+
+    Examples
+    --------
+    >>> bent_words(1.0486, 0.1), bent_words(1.0, 0.0)
+    ('ranges x 1.049 and walls 0.10 m thinner on each side', None)
+    """
+    said = [f"ranges x {scale:.3f}"] if scale != 1.0 else []
+    if thinner > 0:
+        said.append(f"walls {thinner:.2f} m thinner on each side")
+    return " and ".join(said) or None
 
 
 def run_words(verdicts: Sequence[str], errors: Sequence[tuple[float, float]]) -> str:
@@ -251,6 +268,20 @@ def batch_text(summary: "BatchSummary", folder: str) -> str:
 def _counted(counts: Mapping[str, int]) -> str:
     order = sorted(counts, key=lambda word: (-counts[word], word))
     return ", ".join(f"{counts[word]:,} {word}" for word in order)
+
+
+def shared_words(found: SharedFit, resolution: float) -> str:
+    """Say what :func:`imgloc.calibrate.fit_shared` found on a map of cells of so many metres."""
+    shared, error = found.shared, found.deviation
+    right = "as the map has it"
+    if abs(shared.scale - 1) > max(2 * error, 0.002):
+        right = f"the map's cells are of {resolution / shared.scale:.4g} m, or ranges are off"
+    facts = [
+        ("scans", f"{found.used} of {found.asked} fit at one place"),
+        ("scale", f"ranges x {shared.scale:.4f} +- {error:.4f}: {right}"),
+        ("walls", f"{shared.thinner * resolution:.2f} m thinner on each side than drawn"),
+    ]
+    return "\n".join(f"{name:<6} {fact}" for name, fact in facts)
 
 
 def calibration_table(fits: Mapping[str, Any]) -> str:
