@@ -119,7 +119,7 @@ def cases_away(
 
 
 def listed(make: Callable[..., Iterator[Case]], given: Sequence[Any]) -> list[Case]:
-    """The cases that a function of these arguments makes, on one thread: for a process of its own."""
+    """The cases that a function of these arguments makes, on one thread, for a process."""
     cv2.setNumThreads(1)
     return list(make(*given))
 
