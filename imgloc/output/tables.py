@@ -157,10 +157,10 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
         ]
         columns = ("#", "mass", "x / m", "y / m", "theta / deg", "sd xy / m", "sd deg", "log L")
         lines += ["", as_plain(columns, rows), _UNDER]
+        lines.append(f"{_percent(_unlisted(answer))} of the mass is in none of these rows")
         masses = [h.mass for h in answer.hypotheses]
         if masses != sorted(masses, reverse=True):  # a peak may be higher than it holds
-            lines[-1] += "; rows are in the order of log L, the score"
-        lines[-1] += f"; {_percent(_unlisted(answer))} of the mass is in none of these rows"
+            lines[-1] += "; they are in the order of log L, the score"
     return "\n".join(lines)
 
 
