@@ -86,6 +86,14 @@ def test_the_batch_of_the_tour_its_page_and_its_table() -> None:
 
 
 @pytest.mark.usefixtures("robot")
+def test_a_batch_of_pairs_runs() -> None:
+    Path("pairs.csv").write_text("map,scans\nfloors/gh25/map.yaml,runs/scan.csv\n")
+    run = call("batch", "pairs.csv", "--out", "found")
+    assert run.code == 0, run.err
+    assert run.out.startswith("1 items: 1 ok\n1 scans: 1 unique\n")
+
+
+@pytest.mark.usefixtures("robot")
 def test_the_lines_of_python_run() -> None:
     (block,) = re.findall(r"^```python\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
     names: dict[str, object] = {}
