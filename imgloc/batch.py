@@ -18,7 +18,7 @@ import queue
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -135,6 +135,8 @@ def run_batch(
     See the head of this module.
     """
     job, start = job or Job(), time.monotonic()
+    if job.memory_budget is None:  # an executor may know what each of its tasks can have
+        job = replace(job, memory_budget=getattr(executor, "memory_share", None))
     found = list(find_items(maps, scans, job, out=out) if items is None else items)
     digest = job.digest
     about = {

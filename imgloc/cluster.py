@@ -5,12 +5,14 @@ On each thread of the cluster's workers an item runs in a process of its own, se
 """
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future
 from typing import Any
 
 from imgloc.__about__ import __version__
 from imgloc.errors import ConfigError
+from imgloc.features.budget import default_budget
 from imgloc.workers import call_in_child
 
 LOCAL = "local"
@@ -20,9 +22,12 @@ _WAIT = 30.0  # seconds for the scheduler, and for its first worker
 class ClusterExecutor(Executor):
     """A client's executor, whose tasks have limits; see :class:`imgloc.workers.Supervised`."""
 
-    def __init__(self, client: Any, timeout: float | None, memory_limit: int | None) -> None:
+    def __init__(
+        self, client: Any, timeout: float | None, memory_limit: int | None, share: int | None = None
+    ) -> None:
         self._inner = client.get_executor(pure=False)
         self._limits = timeout, memory_limit
+        self.memory_share = share  #: bytes that an item may take if a job does not say
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Have a worker of the cluster call a function, which it can import."""
@@ -84,11 +89,33 @@ def cluster(
         if versions != {__version__}:
             found = ", ".join(sorted(versions))
             raise ConfigError(f"--dask: the workers have imgloc {found}, expected {__version__}")
-        executor = ClusterExecutor(client, timeout, memory_limit)
+        share = memory_share(client.scheduler_info(-1)["workers"], client.run(default_budget))
+        executor = ClusterExecutor(client, timeout, memory_limit, share)
         try:
             yield executor
         finally:
             executor.shutdown(wait=False)
+
+
+def memory_share(workers: Mapping[str, Mapping[str, Any]], budgets: Mapping[str, int]) -> int:
+    """Bytes for each thread of any worker: threads of one machine share what there is.
+
+    `workers` are as a scheduler has them, by address; `budgets` what may be taken where each is.
+
+    Examples
+    --------
+    >>> one = {"host": "a", "nthreads": 2, "memory_limit": 0}
+    >>> other = {"host": "b", "nthreads": 1, "memory_limit": 300}
+    >>> memory_share({"a:1": one, "a:2": one, "b:1": other}, {"a:1": 800, "a:2": 800, "b:1": 900})
+    200
+    """
+    threads = Counter[str]()
+    for about in workers.values():
+        threads[about["host"]] += about["nthreads"]
+    shares = [budgets[at] // threads[about["host"]] for at, about in workers.items()]
+    # A worker may have been given less.
+    shares += [w["memory_limit"] // w["nthreads"] for w in workers.values() if w["memory_limit"]]
+    return min(shares)
 
 
 def version() -> str:

@@ -37,6 +37,7 @@ from imgloc.mapindex import MapIndex, open_index
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, plain
 from imgloc.options import FUSED, Options, Prior
 from imgloc.pipeline import answer_bytes, localize, prepare
+from imgloc.search.priors import Known, leaves_none
 from imgloc.simulation import Sensor, fine_image, simulate
 
 JOBS = ("localize", "evaluate", "check", "which", "atlas")
@@ -64,6 +65,8 @@ class Job:
     range_max: float | None = None  #: readings are cut here, metres
     flipped: bool = False  #: the sensor is upside down
     mount: Pose2D | None = None  #: pose of the sensor on the robot
+    #: what is known of all poses, of ``localize``; but for a place also of ``which``
+    known: Known = field(default_factory=Known)
     #: how near a known pose an answer is a hit
     tolerance: Tolerance = TOLERANCES[-1]
     sure: float = 0.5  #: probability that a map needs to be named, of ``which``
@@ -87,6 +90,8 @@ class Job:
                 )
         if self.name == "which" and self.options.method != FUSED:
             raise ConfigError(f"maps are compared by the method {FUSED}")
+        if self.name == "which" and self.known.near is not None:
+            raise ConfigError("a place is known of one map, not of several to choose from")
 
     @cached_property
     def digest(self) -> str:
@@ -100,7 +105,7 @@ class Job:
         aside = {"drawings", "memory_budget", "cache", "options"}
         own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in aside}
         own["reading"] = dict(self.reading)
-        for name in ("tolerance", "sensor"):
+        for name in ("tolerance", "sensor", "known"):
             own[name] = asdict(own[name])
         options = asdict(replace(self.options, prior=Prior(), threads=1, memory_budget=None))
         return dict(plain(own | {"options": options}))
@@ -226,6 +231,7 @@ def _locate(item: Item, job: Job) -> Done:
     scans = open_scans(item, job)
     features = open_map(path, job, _options(job, path))
     options, done = _options(job, path, features.grid), Done()
+    options = replace(options, prior=job.known.prior(features.grid))
     for k, scan in enumerate(scans.scans):
         answer = localize(features, scan, options)
         row = answer.as_row(k)
@@ -288,6 +294,7 @@ def _check(item: Item, job: Job) -> Done:
 def _choose(item: Item, job: Job) -> Done:
     scans, done = open_scans(item, job), Done()
     options = replace(WHICH, memory_budget=job.memory_budget)
+    coarse = replace(options, prior=Prior(None, job.known.heading))
     index, errors = _index_of(item, job, options)
     left_out = [{"map": name, "message": str(error)} for name, error in errors.items()]
     if not index.names:
@@ -295,15 +302,18 @@ def _choose(item: Item, job: Job) -> Done:
     files = dict(item.maps)
 
     @contextlib.contextmanager
-    def opened(name: str) -> Iterator[Opened]:
+    def opened(name: str) -> Iterator[Opened | None]:
         features = open_map(files[name], job, options)
-        yield features, options
+        prior = job.known.prior(features.grid)
+        yield None if leaves_none(prior, features) else (features, replace(options, prior=prior))
         if job.cache is not None:
             save_features(features, job.cache)
 
-    bounds = [index.bounds(scan, options) for scan in scans.scans]
+    bounds = [index.bounds(scan, coarse) for scan in scans.scans]
     named = [dict(zip(index.names, of.tolist(), strict=True)) for of in bounds]
     for k, found in enumerate(search(scans.scans, named, opened)):
+        if not found:
+            raise ConfigError("no map has a place in which the robot can be")
         choice = choose(found, sure=job.sure, ruled_out=len(index.names) - len(found))
         done.ms.append(sum(answer.timings_ms["localize"] for answer in found.values()))
         done.answers.append(choice.as_row(found, k) | ({"left_out": left_out} if left_out else {}))

@@ -81,6 +81,7 @@ def which(
     from imgloc.output.pictures import draw
     from imgloc.output.tables import CHOICE_HEADER, choice_line
     from imgloc.pipeline import check_options
+    from imgloc.search.priors import leaves_none
 
     if known.near is not None or known.region is not None:
         said = "--near" if known.near is not None else "--region"
@@ -133,7 +134,7 @@ def which(
             features = prepare(files[name])
             prior = inputs.prior_of(known, features.grid)
             here = replace(options, prior=prior)
-            if prior.cells is not None and not (prior.cells & features.standable).any():
+            if leaves_none(prior, features):
                 LOG.info("%s: has no place for the robot", display(files[name]))
                 yield None
                 return
@@ -145,10 +146,7 @@ def which(
         yield features, here
         inputs.keep_features(features, folder)
 
-    coarse = options
-    if known.heading is not None:
-        yaw, tolerance, *_ = (*known.heading, opt.TOLERANCE)
-        coarse = replace(options, prior=Prior(None, (yaw, tolerance)))
+    coarse = replace(options, prior=Prior(None, inputs.known_of(known).heading))
     bounds = [
         dict(zip(found.names, found.bounds(scan, coarse).tolist(), strict=True)) for scan in scans
     ]
