@@ -152,38 +152,47 @@ def search(
     list of dict of str to Localization
         For each scan its :func:`fit` in maps, best bounds first.
     """
-    order = [sorted(of, key=lambda name: (-of[name], name)) for of in bounds]
+    usable = [dict(of) for of in bounds]
     found: list[dict[str, Localization]] = [{} for _ in scans]
-    unusable = set[str]()
     while True:
         asked: dict[str, list[int]] = {}
         for k, fits in enumerate(found):
-            left = [name for name in order[k] if name not in fits and name not in unusable]
-            for name in left[: _more(fits)]:
+            for name in next_maps(usable[k], fits):
                 asked.setdefault(name, []).append(k)
         if not asked:
-            return found
+            return [{n: fits[n] for n in best_first(of) if n in fits}
+                    for of, fits in zip(usable, found, strict=True)]  # fmt: skip
         for name, these in sorted(asked.items()):
             with open_map(name) as opened:
-                if opened is None:
-                    unusable.add(name)
-                    continue
                 for k in these:
-                    found[k][name] = fit(opened[0], scans[k], opened[1])
-                    advance()
-        found = [{n: fits[n] for n in order[k] if n in fits} for k, fits in enumerate(found)]
+                    if opened is None:
+                        del usable[k][name]
+                    else:
+                        found[k][name] = fit(opened[0], scans[k], opened[1])
+                        advance()
 
 
-def _more(fits: Mapping[str, Localization]) -> int:
-    """How many more maps are to be searched, of those after `fits`, best bounds first."""
+def best_first(bounds: Mapping[str, float]) -> list[str]:
+    """Names of maps in the order in which they are searched."""
+    return sorted(bounds, key=lambda name: (-bounds[name], name))
+
+
+def next_maps(bounds: Mapping[str, float], fits: Mapping[str, Localization]) -> list[str]:
+    """Maps that are to be searched besides those of `fits`; none if these are enough."""
+    order = best_first(bounds)
+    more = _more([fits[name] for name in order if name in fits])
+    return [name for name in order if name not in fits][:more]
+
+
+def _more(fits: Sequence[Localization]) -> int:
+    """How many more maps are to be searched after these, which have the best bounds."""
     if len(fits) < FIRST:
         return FIRST - len(fits)
-    if len(fits) >= MOST or not any(f.hypotheses for f in fits.values()):
+    if len(fits) >= MOST or not any(f.hypotheses for f in fits):
         return 0
     _, temperature = _best(fits, Trust())
-    evidence = [log_evidence(f, temperature) for f in fits.values()]
-    third = sorted(evidence)[-3]
-    return NEXT if max(evidence[-NEXT:]) >= third else 0
+    evidence = [log_evidence(f, temperature) for f in fits]
+    return NEXT if max(evidence[-NEXT:]) >= sorted(evidence)[-3] else 0
 
 
 def choose(
@@ -220,7 +229,7 @@ def choose(
         return Choice("invalid", blank, unknown, {}, trust.temperature, ruled_out)
     if not any(f.hypotheses for f in fits.values()):
         return Choice("none", dict.fromkeys(fits, 0.0), 1.0, {}, trust.temperature, ruled_out)
-    best, temperature = _best(fits, trust)
+    best, temperature = _best(fits.values(), trust)
     said = best.evidence
     evidence = {name: log_evidence(f, temperature) for name, f in fits.items()}
     top = max(evidence.values())
@@ -241,9 +250,9 @@ def choose(
     return Choice(verdict, probability, none, relative, temperature, ruled_out)
 
 
-def _best(fits: Mapping[str, Localization], trust: Trust) -> tuple[Localization, float]:
+def _best(fits: Iterable[Localization], trust: Trust) -> tuple[Localization, float]:
     """The answer that fits best, of those with a pose, and its temperature: that of all maps."""
-    best = min((f for f in fits.values() if f.hypotheses), key=lambda f: f.evidence.misfit)
+    best = min((f for f in fits if f.hypotheses), key=lambda f: f.evidence.misfit)
     return best, trust.temperature_at(best.evidence.misfit, best.evidence.readings).value
 
 

@@ -5,10 +5,11 @@ On each thread of the cluster's workers an item runs in a process of its own, se
 """
 
 import contextlib
+import socket
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future
-from typing import Any
+from typing import Any, NamedTuple
 
 from imgloc.__about__ import __version__
 from imgloc.errors import ConfigError
@@ -89,7 +90,7 @@ def cluster(
         if versions != {__version__}:
             found = ", ".join(sorted(versions))
             raise ConfigError(f"--dask: the workers have imgloc {found}, expected {__version__}")
-        share = memory_share(client.scheduler_info(-1)["workers"], client.run(default_budget))
+        share = memory_share(client.run(Machine.here).values())
         executor = ClusterExecutor(client, timeout, memory_limit, share)
         try:
             yield executor
@@ -97,25 +98,34 @@ def cluster(
             executor.shutdown(wait=False)
 
 
-def memory_share(workers: Mapping[str, Mapping[str, Any]], budgets: Mapping[str, int]) -> int:
-    """Bytes for each thread of any worker: threads of one machine share what there is.
+class Machine(NamedTuple):
+    """What a worker of the cluster has."""
 
-    `workers` are as a scheduler has them, by address; `budgets` what may be taken where each is.
+    host: str
+    threads: int
+    limit: int  #: bytes that the worker was given, 0 if it may take any
+    budget: int  #: bytes that its machine has to give, for all its workers
+
+    @classmethod
+    def here(cls, dask_worker: Any) -> "Machine":
+        """That of a worker; Dask passes the worker by this name."""
+        limit = dask_worker.memory_manager.memory_limit or 0
+        return cls(socket.gethostname(), dask_worker.state.nthreads, limit, default_budget())
+
+
+def memory_share(workers: Iterable[Machine]) -> int:
+    """Bytes for each thread of any worker: threads of one machine share what there is.
 
     Examples
     --------
-    >>> one = {"host": "a", "nthreads": 2, "memory_limit": 0}
-    >>> other = {"host": "b", "nthreads": 1, "memory_limit": 300}
-    >>> memory_share({"a:1": one, "a:2": one, "b:1": other}, {"a:1": 800, "a:2": 800, "b:1": 900})
+    >>> memory_share([Machine("a", 2, 0, 800), Machine("a", 2, 0, 800), Machine("b", 1, 300, 900)])
     200
     """
-    threads = Counter[str]()
-    for about in workers.values():
-        threads[about["host"]] += about["nthreads"]
-    shares = [budgets[at] // threads[about["host"]] for at, about in workers.items()]
-    # A worker may have been given less.
-    shares += [w["memory_limit"] // w["nthreads"] for w in workers.values() if w["memory_limit"]]
-    return min(shares)
+    workers, threads = list(workers), Counter[str]()
+    for worker in workers:
+        threads[worker.host] += worker.threads
+    shares = [worker.budget // threads[worker.host] for worker in workers]
+    return min(shares + [worker.limit // worker.threads for worker in workers if worker.limit])
 
 
 def version() -> str:

@@ -115,6 +115,7 @@ def open_index(
     errors: dict[str, MapError | ConfigError] = {}
     seen, used, cells = dict[str, list[Any]](), dict[str, tuple[Level, float]](), 0
     for name, path in maps.items():
+        path = path.absolute()
         stamps, digest = kept.find(path, about)
         entry = kept.entries.get(digest)
         try:

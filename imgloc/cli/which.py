@@ -71,12 +71,12 @@ def which(
     named only if the scan has a unique place in it. A scan with too few readings is invalid. A map
     that cannot be used is reported and left out; the exit code is then 5.
     """
-    from imgloc.choice import FIRST, choose, names_of, search
+    from imgloc.choice import FIRST, OPTIONS, choose, names_of, search
     from imgloc.cli import inputs
     from imgloc.io.folders import find_maps
     from imgloc.io.maps import reading_of
     from imgloc.mapindex import open_index
-    from imgloc.options import Options, Prior
+    from imgloc.options import Prior
     from imgloc.output.json import to_json
     from imgloc.output.pictures import draw
     from imgloc.output.tables import CHOICE_HEADER, choice_line
@@ -102,7 +102,7 @@ def which(
     for path in targets.values():
         read = [file for map_path in paths for file in inputs.files_of(map_path)]
         inputs.check_target(path, ".png", force=force, inputs=read)
-    options = Options(top=20, threads=taken.threads, memory_budget=budget)
+    options = replace(OPTIONS, threads=taken.threads, memory_budget=budget)
     folder = inputs.kept_in(None, wanted=not no_cache)
 
     failed: dict[str, ImglocError] = {}

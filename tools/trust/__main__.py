@@ -42,7 +42,7 @@ from tools.plots import blank
 from tools.progress import progress
 from tools.recorded import scans_beside
 from tools.trust.fit import Case, cases_at_home, cases_away, conditions_table, fit_trust
-from tools.trust.naming import ask_all, naming_shares, scans_of
+from tools.trust.naming import ask_all, bound_all, naming_shares, scans_of
 from tools.trust.precision import precision, precision_table
 from tools.trust.reliability import Judged, draw_reliability, judged, reliability, summary
 from tools.trust.robustness import (
@@ -314,9 +314,10 @@ def run_which(given: argparse.Namespace) -> int:
     cv2.setNumThreads(cores := os.cpu_count() or 1)
     with progress("which", len(maps) * len(asked)) as advance:
         fits = ask_all(maps, asked, threads=cores, advance=advance)
+    bounds = bound_all(maps, asked, threads=cores)
     out: dict[str, object] = {"seed": given.seed, "scans": len(asked), "maps": len(maps)}
     for sure in SURE:
-        shares = naming_shares(asked, fits, sure=sure, buildings=buildings)
+        shares = naming_shares(asked, fits, bounds, sure=sure, buildings=buildings)
         out[f"named with {sure:g} or more"] = shares
     print(json.dumps(out, indent=1))
     return 0
