@@ -81,9 +81,9 @@ def make_site(folder: Path, items: int, seed: int) -> None:
     """Files of one scan each, simulated in a bundled world."""
     folder.mkdir()
     scans = simulate(load_map(bundled_maps() / "curved.yaml"), items, seed, Sensor(range_max=20.0))
-    for k in range(items):
-        one = ScanSet(scans.scans[k : k + 1], poses=scans.poses[k : k + 1])
-        save_scans(folder / f"{k:03d}.npz", one)
+    for k, scan in enumerate(scans.scans):
+        poses = None if scans.poses is None else scans.poses[k : k + 1]
+        save_scans(folder / f"{k:03d}.npz", ScanSet((scan,), poses=poses))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

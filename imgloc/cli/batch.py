@@ -123,7 +123,8 @@ def batch(
 
     DIR gets results.jsonl (a row for each item, whatever happens to it), summary.json, run.json and
     pictures. An item that fails, takes too long, or kills its worker costs itself alone; the exit
-    code is then 5. An interrupted run goes on with --resume. See also imgloc report, imgloc export.
+    code is then 5. An interrupted run goes on with --resume. An option that is of other jobs alone
+    is refused. See also imgloc report, imgloc export.
     """
     from imgloc.batch import find_items, run_batch
     from imgloc.cli import inputs
@@ -137,9 +138,9 @@ def batch(
 
     given = _given(context, job.value, scans is not None, maps)
     opt.check_known(near, heading)
-    told = opt.Known(near, heading, None, sensor.clearance if "clearance" in given else None)
-    if job.value in _SIMULATED:  # a robot that is simulated, not one that has been there
-        told = opt.Known(None, None, None, None)
+    # Of simulated robots a clearance is another matter.
+    cleared = "clearance" in given and job in (JobName.LOCALIZE, JobName.WHICH)
+    told = opt.Known(near, heading, None, sensor.clearance if cleared else None)
     angle = None if theta_step_deg is None else math.radians(theta_step_deg)
     fused = method == opt.MethodName.FUSED
     many = opt.count_threads(workers)
