@@ -51,16 +51,17 @@ if TYPE_CHECKING:
     from imgloc.output.pictures import Picture, draw
     from imgloc.pipeline import likelihood, localize, prepare
     from imgloc.sample import sample_poses
+    from imgloc.search.priors import Known
     from imgloc.simulation import Sensor, simulate
     from imgloc.tracking import Every, Moment, follow
 
 __all__ = [
     "ALL_METHODS", "METHODS", "BatchSummary", "Calibration", "Choice", "ConfigError", "Evaluation",
     "Every", "Evidence", "Explanation", "FusedOptions", "GridInfo", "Hypothesis", "ImglocError",
-    "Job", "LaserScan", "Likelihood", "Localization", "MapError", "MapFeatures", "MapReport",
-    "Moment", "OccupancyGrid", "Options", "OrientedPoints", "OutputError", "Picture", "Pose2D",
-    "Prior", "ScanError", "ScanSet", "Sensor", "Trust", "__version__", "check_map", "draw",
-    "evaluate", "explain", "follow", "likelihood", "load_map", "load_scans", "localize",
+    "Job", "Known", "LaserScan", "Likelihood", "Localization", "MapError", "MapFeatures",
+    "MapReport", "Moment", "OccupancyGrid", "Options", "OrientedPoints", "OutputError", "Picture",
+    "Pose2D", "Prior", "ScanError", "ScanSet", "Sensor", "Trust", "__version__", "check_map",
+    "draw", "evaluate", "explain", "follow", "likelihood", "load_map", "load_scans", "localize",
     "make_filter", "prepare", "run_batch", "sample_poses", "save_map", "save_scans", "simulate",
     "which",
 ]  # fmt: skip
@@ -84,6 +85,7 @@ _HOMES = {
     "imgloc.output.pictures": "Picture draw",
     "imgloc.pipeline": "likelihood localize prepare",
     "imgloc.sample": "sample_poses",
+    "imgloc.search.priors": "Known",
     "imgloc.simulation": "Sensor simulate",
     "imgloc.tracking": "Every Moment follow",
 }

@@ -18,7 +18,7 @@ import queue
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +27,12 @@ import cv2
 from imgloc.__about__ import __version__
 from imgloc.choice import NO_MAP, names_of
 from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
+from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import PathLike, display, read_file
-from imgloc.io.images import IMAGE_ENDINGS
-from imgloc.io.maps import YAML_ENDINGS
-from imgloc.io.mapyaml import load_map_yaml
+from imgloc.io.folders import files_in, find_maps
 from imgloc.io.results import Results, Row, read_rows
 from imgloc.io.scans import SCAN_ENDINGS
-from imgloc.jobs import WITHOUT_SCANS, Item, Job, content_hash, files_of, perform
+from imgloc.jobs import WITHOUT_SCANS, Item, Job, perform
 from imgloc.model import plain
 from imgloc.workers import CrashError, OverdueError, Supervised
 
@@ -136,6 +135,8 @@ def run_batch(
     See the head of this module.
     """
     job, start = job or Job(), time.monotonic()
+    if job.memory_budget is None:  # an executor may know what each of its tasks can have
+        job = replace(job, memory_budget=getattr(executor, "memory_share", None))
     found = list(find_items(maps, scans, job, out=out) if items is None else items)
     digest = job.digest
     about = {
@@ -374,20 +375,7 @@ def _maps_in(maps: Path, job: Job, out: PathLike | None) -> Iterator[tuple[str, 
     if not maps.is_dir():
         yield display(maps.name), maps.absolute()
         return
-    # JPEG is not among the endings: photographs of the site may lie about.
-    files = [p for p in _files(maps, out) if p.suffix.lower() in (*YAML_ENDINGS, *IMAGE_ENDINGS)]
-    yamls = [p for p in files if p.suffix.lower() in YAML_ENDINGS]
-    images = [p for p in files if p.suffix.lower() in IMAGE_ENDINGS]
-    found = yamls
-    if job.reading.get("resolution") is not None:
-        drawn = set()
-        for path in yamls:
-            with contextlib.suppress(ImglocError):
-                drawn.add(load_map_yaml(path).image.resolve())
-        found = sorted({*yamls, *(p for p in images if p.resolve() not in drawn)})
-    if not found:
-        hint = f"; of its {len(images)} images --resolution makes maps" if images else ""
-        raise ConfigError(f"{display(maps)}: no map, expected map_server YAML files{hint}")
+    found = find_maps(maps, images=job.reading.get("resolution") is not None, aside=out)
     for name, path in zip(names_of(found, maps), found, strict=True):
         yield display(name), path.absolute()
 
@@ -396,24 +384,13 @@ def _scans_in(scans: Path, out: PathLike | None) -> Iterator[tuple[str, Path]]:
     if not scans.is_dir():
         yield display(scans.name), scans.absolute()
         return
-    found = [p for p in _files(scans, out) if p.suffix.lower() in SCAN_ENDINGS]
+    found = [p for p in files_in(scans, out) if p.suffix.lower() in SCAN_ENDINGS]
     # Beside a map there may be what was calibrated for it.
     found = [p for p in found if not p.name.endswith(".calibration.json")]
     if not found:
         raise ConfigError(f"{display(scans)}: no scans, expected {', '.join(SCAN_ENDINGS)}")
     for path in found:
         yield display(path.relative_to(scans).as_posix()), path.absolute()
-
-
-def _files(folder: Path, out: PathLike | None) -> list[Path]:
-    """Files of a tree, in the order of their names, but for those in `out`."""
-    aside = None if out is None else Path(out).resolve()
-    found = []
-    for top, folders, names in os.walk(folder, followlinks=False):
-        if aside is not None:
-            folders[:] = [d for d in folders if Path(top, d).resolve() != aside]
-        found += [Path(top, name) for name in names]
-    return sorted(found)
 
 
 def _pairs(path: Path, job: Job) -> list[Item]:

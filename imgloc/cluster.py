@@ -5,12 +5,15 @@ On each thread of the cluster's workers an item runs in a process of its own, se
 """
 
 import contextlib
-from collections.abc import Callable, Iterator
+import socket
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future
-from typing import Any
+from typing import Any, NamedTuple
 
 from imgloc.__about__ import __version__
 from imgloc.errors import ConfigError
+from imgloc.features.budget import default_budget
 from imgloc.workers import call_in_child
 
 LOCAL = "local"
@@ -20,9 +23,12 @@ _WAIT = 30.0  # seconds for the scheduler, and for its first worker
 class ClusterExecutor(Executor):
     """A client's executor, whose tasks have limits; see :class:`imgloc.workers.Supervised`."""
 
-    def __init__(self, client: Any, timeout: float | None, memory_limit: int | None) -> None:
+    def __init__(
+        self, client: Any, timeout: float | None, memory_limit: int | None, share: int | None = None
+    ) -> None:
         self._inner = client.get_executor(pure=False)
         self._limits = timeout, memory_limit
+        self.memory_share = share  #: bytes that an item may take if a job does not say
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Have a worker of the cluster call a function, which it can import."""
@@ -84,11 +90,42 @@ def cluster(
         if versions != {__version__}:
             found = ", ".join(sorted(versions))
             raise ConfigError(f"--dask: the workers have imgloc {found}, expected {__version__}")
-        executor = ClusterExecutor(client, timeout, memory_limit)
+        share = memory_share(client.run(Machine.here).values())
+        executor = ClusterExecutor(client, timeout, memory_limit, share)
         try:
             yield executor
         finally:
             executor.shutdown(wait=False)
+
+
+class Machine(NamedTuple):
+    """What a worker of the cluster has."""
+
+    host: str
+    threads: int
+    limit: int  #: bytes that the worker was given, 0 if it may take any
+    budget: int  #: bytes that its machine has to give, for all its workers
+
+    @classmethod
+    def here(cls, dask_worker: Any) -> "Machine":
+        """That of a worker; Dask passes the worker by this name."""
+        limit = dask_worker.memory_manager.memory_limit or 0
+        return cls(socket.gethostname(), dask_worker.state.nthreads, limit, default_budget())
+
+
+def memory_share(workers: Iterable[Machine]) -> int:
+    """Bytes for each thread of any worker: threads of one machine share what there is.
+
+    Examples
+    --------
+    >>> memory_share([Machine("a", 2, 0, 800), Machine("a", 2, 0, 800), Machine("b", 1, 300, 900)])
+    200
+    """
+    workers, threads = list(workers), Counter[str]()
+    for worker in workers:
+        threads[worker.host] += worker.threads
+    shares = [worker.budget // threads[worker.host] for worker in workers]
+    return min(shares + [worker.limit // worker.threads for worker in workers if worker.limit])
 
 
 def version() -> str:

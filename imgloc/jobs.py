@@ -6,11 +6,10 @@ Everything here runs in a worker, which keeps the maps that it has prepared, up 
 import contextlib
 import hashlib
 import json
-import os
 from collections import OrderedDict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,24 +18,26 @@ import numpy as np
 from imgloc.atlas import TOP, atlas_poses, simulate_at, survey
 from imgloc.atlas import summarise as summarise_atlas
 from imgloc.choice import OPTIONS as WHICH
-from imgloc.choice import choose, fit
-from imgloc.errors import ConfigError, ImglocError, MapError, ScanError
+from imgloc.choice import Opened, choose, search
+from imgloc.errors import ConfigError, MapError, ScanError
 from imgloc.evaluation import TOLERANCES, Tolerance, evaluate, method_options, pose_errors
 from imgloc.features.budget import check_budget, default_budget, scans_bytes
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.store import load_features, save_features
 from imgloc.geometry import poses_of
-from imgloc.io.calibration import calibrated, calibration_path
-from imgloc.io.files import display, open_regular
+from imgloc.io.calibration import calibrated
+from imgloc.io.contents import content_hash, files_of
+from imgloc.io.files import display
 from imgloc.io.images import image_size
 from imgloc.io.mapcheck import check_bytes, check_map
-from imgloc.io.maps import YAML_ENDINGS, Reading, load_bytes, load_map, resolve_settings
-from imgloc.io.mapyaml import load_map_yaml
+from imgloc.io.maps import Reading, load_bytes, load_map, reading_of, resolve_settings
 from imgloc.io.scans import load_scans, scans_size
 from imgloc.io.scanset import ScanSet
+from imgloc.mapindex import MapIndex, open_index
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, plain
 from imgloc.options import FUSED, Options, Prior
 from imgloc.pipeline import answer_bytes, localize, prepare
+from imgloc.search.priors import Known, leaves_none
 from imgloc.simulation import Sensor, fine_image, simulate
 
 JOBS = ("localize", "evaluate", "check", "which", "atlas")
@@ -64,6 +65,8 @@ class Job:
     range_max: float | None = None  #: readings are cut here, metres
     flipped: bool = False  #: the sensor is upside down
     mount: Pose2D | None = None  #: pose of the sensor on the robot
+    #: what is known of all poses, of ``localize``; but for a place also of ``which``
+    known: Known = field(default_factory=Known)
     #: how near a known pose an answer is a hit
     tolerance: Tolerance = TOLERANCES[-1]
     sure: float = 0.5  #: probability that a map needs to be named, of ``which``
@@ -87,6 +90,8 @@ class Job:
                 )
         if self.name == "which" and self.options.method != FUSED:
             raise ConfigError(f"maps are compared by the method {FUSED}")
+        if self.name == "which" and self.known.near is not None:
+            raise ConfigError("a place is known of one map, not of several to choose from")
 
     @cached_property
     def digest(self) -> str:
@@ -100,7 +105,7 @@ class Job:
         aside = {"drawings", "memory_budget", "cache", "options"}
         own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in aside}
         own["reading"] = dict(self.reading)
-        for name in ("tolerance", "sensor"):
+        for name in ("tolerance", "sensor", "known"):
             own[name] = asdict(own[name])
         options = asdict(replace(self.options, prior=Prior(), threads=1, memory_budget=None))
         return dict(plain(own | {"options": options}))
@@ -156,47 +161,6 @@ def perform(item: Item, job: Job) -> Done:
     return _WORK[job.name](item, job)
 
 
-def files_of(path: Path) -> list[Path]:
-    """All files that what is said of a map depends on, those that exist and those that do not."""
-    files = [path, calibration_path(path)]
-    if path.suffix.lower() in YAML_ENDINGS:
-        with contextlib.suppress(ImglocError, OSError, ValueError):
-            about = path.stat()
-            files.append(_image_of(path, about.st_mtime_ns, about.st_size))
-    return files
-
-
-@lru_cache(maxsize=4096)
-def _image_of(path: Path, _mtime: int, _size: int) -> Path:
-    return load_map_yaml(path).image
-
-
-def content_hash(paths: "list[Path] | tuple[Path, ...]") -> str | None:
-    """40 hexadecimal digits of the contents of some files; None if the first cannot be read."""
-    digests = [_digest(path) for path in paths]
-    if not digests or digests[0] is None:
-        return None
-    return hashlib.blake2b("/".join(map(str, digests)).encode(), digest_size=20).hexdigest()
-
-
-def _digest(path: Path) -> str | None:
-    try:
-        about = path.stat()
-    except (OSError, ValueError):
-        return None
-    return _digest_of(path, about.st_mtime_ns, about.st_size)
-
-
-@lru_cache(maxsize=4096)
-def _digest_of(path: Path, _mtime: int, _size: int) -> str | None:
-    with (
-        contextlib.suppress(ImglocError, OSError),
-        os.fdopen(open_regular(path, ScanError, "file"), "rb") as file,
-    ):
-        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=20)).hexdigest()
-    return None
-
-
 _MAPS: "OrderedDict[tuple[object, ...], MapFeatures]" = OrderedDict()
 
 
@@ -209,7 +173,7 @@ def open_map(path: Path, job: Job, options: Options, *, fresh: bool = False) -> 
     key = (path, content_hash(files_of(path)), repr(sorted(job.reading.items())), job.cell)
     if fresh or key not in _MAPS:
         budget = job.memory_budget or default_budget()
-        reading = reading_of(path, job)
+        reading = reading_of(path, job.reading)
         name, size = display(path), image_size(resolve_settings(path, **reading).image)
         what = f"{name}: an image of {size.width} x {size.height} pixels"
         check_budget(load_bytes(size), budget, what, "crop the map")
@@ -230,15 +194,6 @@ def open_map(path: Path, job: Job, options: Options, *, fresh: bool = False) -> 
             _MAPS.popitem(last=False)
     _MAPS.move_to_end(key)
     return _MAPS[key]
-
-
-def reading_of(path: Path, job: Job) -> Reading:
-    """How one of the maps is to be read: what a YAML says of its frame, it knows best."""
-    reading = job.reading.copy()
-    if path.suffix.lower() in YAML_ENDINGS:
-        reading.pop("resolution", None)
-        reading.pop("origin", None)
-    return reading
 
 
 def open_scans(item: Item, job: Job) -> ScanSet:
@@ -275,6 +230,7 @@ def _locate(item: Item, job: Job) -> Done:
     scans = open_scans(item, job)
     features = open_map(path, job, _options(job, path))
     options, done = _options(job, path, features.grid), Done()
+    options = replace(options, prior=job.known.prior(features.grid))
     for k, scan in enumerate(scans.scans):
         answer = localize(features, scan, options)
         row = answer.as_row(k)
@@ -325,7 +281,7 @@ def _evaluate(item: Item, job: Job) -> Done:
 
 def _check(item: Item, job: Job) -> Done:
     ((_, path),) = item.maps
-    reading = reading_of(path, job)
+    reading = reading_of(path, job.reading)
     size = image_size(resolve_settings(path, **reading).image)
     what = f"{display(path)}: an image of {size.width} x {size.height} pixels"
     check_budget(check_bytes(size), job.memory_budget, what, "crop the map")
@@ -340,30 +296,53 @@ def _check(item: Item, job: Job) -> Done:
 def _choose(item: Item, job: Job) -> Done:
     scans, done = open_scans(item, job), Done()
     options = replace(WHICH, memory_budget=job.memory_budget)
-    fits: list[dict[str, Any]] = [{} for _ in scans.scans]
-    left_out, files = [], dict(item.maps)
-    done.ms = [0.0] * len(fits)
-    for name, path in item.maps:
-        try:
-            features = open_map(path, job, options)
-        except (MapError, ConfigError) as error:
-            left_out.append({"map": name, "message": str(error)})
-            continue
-        for k, scan in enumerate(scans.scans):
-            fits[k][name] = fit(features, scan, options)
-            done.ms[k] += fits[k][name].timings_ms["localize"]
+    coarse = replace(options, prior=Prior(None, job.known.heading))
+    index, errors = _index_of(item, job, options)
+    left_out = [{"map": name, "message": str(error)} for name, error in errors.items()]
+    if not index.names:
+        raise MapError(f"none of the {len(left_out)} maps can be used: {left_out[0]['message']}")
+    files = dict(item.maps)
+
+    @contextlib.contextmanager
+    def opened(name: str) -> Iterator[Opened | None]:
+        features = open_map(files[name], job, options)
+        prior = job.known.prior(features.grid)
+        yield None if leaves_none(prior, features) else (features, replace(options, prior=prior))
         if job.cache is not None:
             save_features(features, job.cache)
-    if len(left_out) == len(item.maps):
-        raise MapError(f"none of the {len(left_out)} maps can be used: {left_out[0]['message']}")
-    for k, (scan, found) in enumerate(zip(scans.scans, fits, strict=True)):
-        choice = choose(found, sure=job.sure)
+
+    bounds = [index.bounds(scan, coarse) for scan in scans.scans]
+    named = [dict(zip(index.names, of.tolist(), strict=True)) for of in bounds]
+    for k, found in enumerate(search(scans.scans, named, opened)):
+        if not found:
+            raise ConfigError("no map has a place in which the robot can be")
+        choice = choose(found, sure=job.sure, ruled_out=len(index.names) - len(found))
+        done.ms.append(sum(answer.timings_ms["localize"] for answer in found.values()))
         done.answers.append(choice.as_row(found, k) | ({"left_out": left_out} if left_out else {}))
         best = next(iter(choice.probability))
         features = open_map(files[best], job, options)
-        named = choice.verdict == best
-        done.draw(job, "answer", not named, k, features, found[best], scan, None, options)
+        doubtful = choice.verdict != best
+        scan = scans.scans[k]
+        done.draw(job, "answer", doubtful, k, features, found[best], scan, None, options)
     return done
+
+
+_INDEX: dict[tuple[object, ...], tuple[MapIndex, dict[str, MapError | ConfigError]]] = {}
+
+
+def _index_of(
+    item: Item, job: Job, options: Options
+) -> tuple[MapIndex, dict[str, MapError | ConfigError]]:
+    """The index of the maps of an item, as a worker has it already, or anew."""
+    contents = tuple(content_hash(files_of(path)) for _, path in item.maps)
+    key = (item.maps, contents, job.digest, job.memory_budget)
+    if key not in _INDEX:
+        _INDEX.clear()
+        _INDEX[key] = open_index(
+            dict(item.maps), lambda path: open_map(path, job, options),
+            about="", memory_budget=job.memory_budget or default_budget(),
+        )  # fmt: skip
+    return _INDEX[key]
 
 
 def _survey(item: Item, job: Job) -> Done:

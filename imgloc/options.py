@@ -198,7 +198,7 @@ class FusedOptions:
     #: misfit, nats per reading, above which readings may share an error, see
     #: :mod:`imgloc.search.adapt`; nats that they must gain; how far a scale may be from 1, a factor
     strained: float = 0.5
-    adapted: float = 20.0
+    adapted: float = 40.0
     most_scaled: float = 1.15
     #: two poses nearer than this, metres and radians, are one hypothesis
     separation: tuple[float, float] = (0.5, float(np.deg2rad(15.0)))

@@ -19,17 +19,21 @@ from places import room_with_a_post
 
 from imgloc.batch import find_items, run_batch
 from imgloc.errors import ConfigError, OutputError
+from imgloc.geometry import wrap
 from imgloc.io.maps import save_map
 from imgloc.io.results import LOCK, RESULTS, SUMMARY, Results, read_rows
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.jobs import Job
+from imgloc.model import Pose2D
 from imgloc.options import Options
 from imgloc.output.drawings import DRAWINGS
 from imgloc.output.export import columns_of
 from imgloc.output.report import render_report
+from imgloc.search.priors import Known
 from imgloc.simulation import Sensor, simulate
 from imgloc.workers import Supervised
+from tools.killloop import kill_loop
 
 QUICK = Job(options=Options(method="cbml", top=2), cell=0.2)
 
@@ -373,6 +377,68 @@ def test_the_command_says_what_it_comes_to(site: Path, tmp_path: Path) -> None:
     assert json.loads(retried.out)["new"] == 1
 
 
+@pytest.mark.parametrize(
+    ("job", "words", "said"),
+    [
+        ("check", ["--method", "cbml"], "--method: is of localize, evaluate"),
+        ("check", ["--heading", "1"], "--heading: is of localize, which, not of check"),
+        ("localize", ["--sure", "0.9"], "--sure: is of which, not of localize"),
+        ("localize", ["-n", "3"], "-n: is of evaluate without SCANS, not of localize"),
+        ("evaluate", ["--rays", "90"], "--rays: is of evaluate without SCANS, atlas, not of"),
+        ("which", ["--near", "1,2,3"], "--near: is of localize, not of which"),
+        ("which", ["--method", "fused"], "--method: is of localize"),
+    ],
+)
+def test_an_option_that_the_job_would_not_notice_is_refused(
+    site: Path, tmp_path: Path, job: str, words: list[str], said: str
+) -> None:
+    scans = [] if job == "check" else [site / "scans"]
+    out = tmp_path / "out"
+    run = call("batch", site / "floors", *scans, "--job", job, "--out", out, *words, "--dry-run")
+    assert (run.code, run.out) == (2, "")
+    assert said in run.err
+
+
+def test_what_is_known_of_the_poses(site: Path, tmp_path: Path) -> None:
+    one = site / "scans" / "s0.npz"
+    truth = Pose2D(*np.load(one)["poses"][0])
+
+    def poses(known: Known | None = None) -> list[Pose2D]:
+        out = tmp_path / str(len(list(tmp_path.iterdir())))
+        job = replace(QUICK, options=Options(method="cbml"), known=known or Known())
+        with ThreadPoolExecutor(1) as pool:
+            run_batch(site / "floors", one, out, job, executor=pool)
+        (row,) = read_rows(out)
+        return [Pose2D(h["x"], h["y"], h["theta"]) for h in row["answers"][0]["hypotheses"]]
+
+    def turn(pose: Pose2D) -> float:
+        return abs(float(wrap(pose.theta - truth.theta)))
+
+    assert max(map(turn, poses())) > 0.5
+    assert max(map(turn, poses(Known(heading=(truth.theta, 0.2))))) < 0.3
+    near = poses(Known(near=(truth.x, truth.y, truth.theta, 0.5, 3.0)))
+    assert max(np.hypot(p.x - truth.x, p.y - truth.y) for p in near) < 0.8
+    assert min(min(p.x, p.y) for p in poses(Known(clearance=0.8))) > 0.5
+    words = ["batch", site / "floors", one, "--out", tmp_path / "told", "--method", "cbml"]
+    words += ["--cell", 0.2, "--heading", f"{truth.theta},0.2", "--clearance", 0.4, "--no-cache"]
+    assert call(*words, "--workers", 1).code == 0
+    (row,) = read_rows(tmp_path / "told")
+    assert abs(row["answers"][0]["pose"]["theta"] - truth.theta) < 0.3
+    (said,) = json.loads((tmp_path / "told" / "run.json").read_text())["parameters"].values()
+    assert (said["known"]["clearance"], said["known"]["near"]) == (0.4, None)
+
+
+def test_a_place_is_known_of_one_map(site: Path, tmp_path: Path) -> None:
+    floors = tmp_path / "floors"
+    floors.mkdir()
+    for name in "ab":
+        save_map(floors / f"{name}.yaml", room_with_a_post())
+    words = ["batch", floors, site / "scans", "--out", tmp_path / "out", "--near", "1,2,0"]
+    run = call(*words, "--dry-run")
+    assert run.code == 2
+    assert "--near: is about one map, not about 2" in run.err
+
+
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_a_run_that_is_stopped_goes_on(site: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
@@ -397,6 +463,14 @@ def test_a_run_that_is_stopped_goes_on(site: Path, tmp_path: Path) -> None:
         run_batch(site / "floors", site / "scans", tmp_path / "whole", job, executor=pool)
     whole = {row["scans"]: row["answers"] for row in read_rows(tmp_path / "whole")}
     assert {row["scans"]: row["answers"] for row in read_rows(out)} == whole
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_a_batch_that_is_killed_again_and_again_in_short(site: Path, tmp_path: Path) -> None:
+    words = ("--method", "cbml", "--cell", "0.2", "--workers", "1", "--no-cache")
+    found = kill_loop(site / "floors", site / "scans", tmp_path, 2, 1, *words)
+    assert (found.items, found.equal, len(found.after)) == (6, True, 2)
+    assert found.after == sorted(found.after)
 
 
 def test_the_script_around_the_same_function(site: Path, tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from places import room_with_a_post
 from imgloc.batch import run_batch
 from imgloc.cluster import cluster
 from imgloc.errors import ConfigError
+from imgloc.features.budget import default_budget
 from imgloc.io.maps import save_map
 from imgloc.io.results import read_rows
 from imgloc.io.scans import save_scans
@@ -112,3 +113,9 @@ def test_no_cluster_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("imgloc.cluster._WAIT", 0.5)
     with pytest.raises(ConfigError, match="no cluster with a worker"), cluster("tcp://127.0.0.1:9"):
         pass
+
+
+def test_items_share_the_memory_of_their_machine(address: str) -> None:
+    with cluster(address) as executor:
+        # Two workers of a thread each on one machine, which others use, too.
+        assert default_budget() / 4 < executor.memory_share < default_budget()

@@ -13,7 +13,7 @@ from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
-from tools.trust.naming import ask_all, naming_shares, scans_of
+from tools.trust.naming import ask_all, bound_all, naming_shares, scans_of
 
 
 @pytest.fixture(scope="module")
@@ -33,15 +33,17 @@ def test_the_right_map_is_named_and_a_wrong_name_is_noticed(maps):
     calls = []
     fits = ask_all(maps, asked, threads=1, advance=lambda: calls.append(1))
     assert len(calls) == 8
-    found = naming_shares(asked, fits, sure=0.5, buildings={})
+    bounds = bound_all(maps, asked, threads=1)
+    found = naming_shares(asked, fits, bounds, sure=0.5, buildings={})
+    assert found["as of a search of all maps to the end"]["trials"] == 8
     named = found["right"]["hits"]
     assert named >= 3
     assert len(found["not right"]) == 4 - named
     other = {"curved": "corridor", "corridor": "curved"}
     swapped = [(other[name], scan) for name, scan in asked]
-    wrong = naming_shares(swapped, fits, sure=0.5, buildings={})
+    wrong = naming_shares(swapped, fits, bounds, sure=0.5, buildings={})
     assert (wrong["right"]["hits"], wrong["wrong"]["hits"]) == (0, named)
-    one = naming_shares(swapped, fits, sure=0.5, buildings=dict.fromkeys(maps, "house"))
+    one = naming_shares(swapped, fits, bounds, sure=0.5, buildings=dict.fromkeys(maps, "house"))
     assert (one["right"]["hits"], one["wrong"]["hits"]) == (named, 0)
 
 

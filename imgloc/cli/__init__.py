@@ -120,7 +120,12 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc track office.yaml log.npz --start 3,2,0 --sensor 0.3,0,0",
         "imgloc track office.yaml log.npz --kidnap 60,12,3,1.5 --video out.mp4",
     ),
-    which: ("imgloc which floors scans.npz", "imgloc which floors scan.csv --range-max 20 --json"),
+    which: (
+        "imgloc which floors scans.npz",
+        "imgloc which floors scan.csv --range-max 20 --heading 90deg --json",
+        "imgloc which sites --index sites.npz --build",
+        "imgloc which sites scans.npz --index sites.npz --picture where.png",
+    ),
 }
 _MAP: dict[Callable[..., None], tuple[str, ...]] = {
     check: ("imgloc map check office.yaml", "imgloc map check a.yaml --json"),

@@ -29,8 +29,29 @@ JobName = StrEnum("JobName", ("LOCALIZE", "EVALUATE", "CHECK", "WHICH", "ATLAS")
 Pictures = StrEnum("Pictures", ("NONE", "DOUBTFUL", "ALL"))
 
 
+_SCANS = ("localize", "which", "evaluate with SCANS")
+_SIMULATED = ("evaluate without SCANS", "atlas")
+_EVALUATE = ("evaluate with SCANS", "evaluate without SCANS")
+#: Of which jobs options are that others would not notice.
+_OF = {
+    **dict.fromkeys(("method", "theta_step_deg", "tolerance"), ("localize", *_EVALUATE)),
+    **dict.fromkeys(("range_max", "sensor", "flipped"), _SCANS),
+    **dict.fromkeys(("rays", "fov_deg", "sigma", "outliers", "dropped", "mount"), _SIMULATED),
+    **dict.fromkeys(("reach", "seed"), _SIMULATED),
+    **dict.fromkeys(("step", "headings"), ("atlas",)),
+    **dict.fromkeys(("top", "near"), ("localize",)),
+    "heading": ("localize", "which"),
+    "clearance": ("localize", "which", *_SIMULATED),
+    "sure": ("which",),
+    "count": ("evaluate without SCANS",),
+    "cell": ("localize", "which", *_EVALUATE, "atlas"),
+    "pictures": ("localize", "which", "check", "atlas"),
+}  # fmt: skip
+
+
 @opt.with_options(opt.mounting, opt.reading, opt.sensor, opt.console)
 def batch(
+    context: typer.Context,
     maps: Annotated[
         Path,
         typer.Argument(
@@ -58,6 +79,8 @@ def batch(
     theta_step_deg: float | None = option(
         None, "DEG", "Step of the headings. [default: the method's own]", within=opt.STEP
     ),
+    near: Any = opt.NEAR,
+    heading: Any = opt.HEADING,
     range_max: opt.Cut = None,
     tolerance: Any = option(
         None, "M,DEG", "How near a known pose is a hit. [default: 0.5,10]", parser=opt.numbers(2)
@@ -101,7 +124,8 @@ def batch(
 
     DIR gets results.jsonl (a row for each item, whatever happens to it), summary.json, run.json and
     pictures. An item that fails, takes too long, or kills its worker costs itself alone; the exit
-    code is then 5. An interrupted run goes on with --resume. See also imgloc report, imgloc export.
+    code is then 5. An interrupted run goes on with --resume. An option that is of other jobs alone
+    is refused. See also imgloc report, imgloc export.
     """
     from imgloc.batch import find_items, run_batch
     from imgloc.cli import inputs
@@ -113,17 +137,22 @@ def batch(
     from imgloc.output.drawings import DRAWINGS
     from imgloc.output.tables import batch_text
 
+    given = _given(context, job.value, scans is not None, maps)
+    opt.check_known(near, heading)
+    # Of simulated robots a clearance is another matter.
+    cleared = "clearance" in given and job in (JobName.LOCALIZE, JobName.WHICH)
+    told = opt.Known(near, heading, None, sensor.clearance if cleared else None)
     angle = None if theta_step_deg is None else math.radians(theta_step_deg)
     fused = method == opt.MethodName.FUSED
     many = opt.count_threads(workers)
     budget = memory_limit or (None if dask else default_budget() // many)
     if budget is not None and budget < MIB:
         raise ConfigError(f"--memory-limit: got {budget} bytes, expected at least 1M")
-    near = TOLERANCES[-1]
+    close = TOLERANCES[-1]
     if tolerance is not None:
         opt.check_range("--tolerance", tolerance[0], 1e-6, 1e6, "metres")
         opt.check_range("--tolerance", tolerance[1], 1e-6, 360, "degrees")
-        near = Tolerance(tolerance[0], math.radians(tolerance[1]))
+        close = Tolerance(tolerance[0], math.radians(tolerance[1]))
     what = Job(
         job.value,
         Options(
@@ -138,7 +167,8 @@ def batch(
         range_max=range_max,
         flipped=mounting.flipped,
         mount=mounting.pose,
-        tolerance=near,
+        known=inputs.known_of(told),
+        tolerance=close,
         sure=sure,
         sensor=replace(sensor, range_max=reach),
         count=count,
@@ -154,6 +184,8 @@ def batch(
     again = resume or retry_failed
     todo = _todo(items, what, out, again=again, retry_failed=retry_failed)
     known = len({path for item in items for _, path in item.maps})
+    if near is not None and known > 1:
+        raise ConfigError(f"--near: is about one map, not about {known:,}")
     files = len({item.scans_path for item in items if item.scans_path is not None})
     said = f"{len(items):,} items: {known:,} maps, {files:,} files of scans"
     if len(todo) < len(items):
@@ -185,6 +217,26 @@ def batch(
     emit(to_json(vars(summary)) if as_json else batch_text(summary, display(out)))
     if summary.failed:
         raise typer.Exit(FAILED_ROWS)
+
+
+def _given(context: typer.Context, job: str, with_scans: bool, maps: Path) -> set[str]:
+    """Names of the options that were given; one that is of other jobs alone is refused."""
+    ways = {job}
+    if job == "evaluate":
+        ways = {"evaluate with SCANS" if with_scans else "evaluate without SCANS"}
+        if maps.suffix.lower() == ".csv":  # whose lines may have scans
+            ways = set(_EVALUATE)
+    given = set()
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        source = context.get_parameter_source(name)
+        if source is None or source.name != "COMMANDLINE":
+            continue
+        given.add(name)
+        if name in _OF and ways.isdisjoint(_OF[name]):
+            option, jobs = max(parameter.opts, key=len), ", ".join(_OF[name])
+            raise ConfigError(f"{option}: is of {jobs}, not of {' or '.join(sorted(ways))}")
+    return given
 
 
 def _todo(

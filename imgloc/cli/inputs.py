@@ -20,7 +20,6 @@ from imgloc.errors import ConfigError, MapError, OutputError, ScanError
 from imgloc.features.budget import MIB, PROCESS, check_budget, scans_bytes, simulate_bytes
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.store import load_features, save_features
-from imgloc.geometry import in_grid_frame
 from imgloc.io.cache import cache_folder
 from imgloc.io.files import display, refuse_existing
 from imgloc.io.images import ImageSize, image_size, read_image
@@ -36,7 +35,7 @@ from imgloc.io.maps import (
 from imgloc.io.mapyaml import load_map_yaml
 from imgloc.io.scans import load_scans, scans_size
 from imgloc.io.scanset import ScanSet
-from imgloc.model import BoolArray, LaserScan, OccupancyGrid, Pose2D
+from imgloc.model import BoolArray, LaserScan, OccupancyGrid
 from imgloc.options import Options, Prior
 from imgloc.pipeline import answer_bytes, prepare
 from imgloc.search import priors
@@ -253,33 +252,31 @@ def keep_features(features: MapFeatures, folder: Path | None) -> None:
         LOG.info("kept the prepared map in %s", folder)
 
 
-def prior_of(known: Known, grid: OccupancyGrid, *, allow_lossy: bool = False) -> Prior:
-    """Make the prior of a map; its region may be a JPEG if the map may."""
-    prior = Prior()
+def known_of(known: Known) -> priors.Known:
+    """What the options say that holds for any map, with their defaults."""
+    near = heading = None
     if known.near is not None:
         x, y, yaw, *rest = known.near
         radius, tolerance = (*rest, *(RADIUS, TOLERANCE)[len(rest) :])
-        at = in_grid_frame(Pose2D(x, y, yaw), grid)
-        disc = priors.near(grid.info, at.x, at.y, radius)
-        about = {"x": x, "y": y, "theta": yaw, "radius": radius, "tolerance": tolerance}
-        prior &= Prior(disc, (at.theta, tolerance), {"near": about})
+        near = x, y, yaw, radius, tolerance
     if known.heading is not None:
-        yaw, tolerance = (*known.heading, TOLERANCE)[:2]
-        about = {"theta": yaw, "tolerance": tolerance}
-        prior &= Prior(None, (yaw - grid.origin.theta, tolerance), {"heading": about})
+        yaw, tolerance, *_ = *known.heading, TOLERANCE
+        heading = yaw, tolerance
+    return priors.Known(near, heading, known.clearance)
+
+
+def prior_of(known: Known, grid: OccupancyGrid, *, allow_lossy: bool = False) -> Prior:
+    """Make the prior of a map; its region may be a JPEG if the map may."""
+    prior = known_of(known).prior(grid)
     if known.region is not None:
         cells = _region(known.region, grid, allow_lossy)
         prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})
-    if known.clearance:
-        cells = priors.clearance(grid, known.clearance)
-        prior &= Prior(cells, None, {"clearance": known.clearance})
     return prior
 
 
 def check_prior(known: Known, features: MapFeatures, options: Options) -> None:
     """Refuse a prior without a cell in which a sensor can be, by the option that leaves none."""
-    cells = options.prior.cells
-    if cells is None or (cells & features.standable).any():
+    if not priors.leaves_none(options.prior, features):
         return
     said = {
         "--near": known.near and ",".join(f"{value:g}" for value in known.near),

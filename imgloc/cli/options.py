@@ -276,21 +276,25 @@ class Known(NamedTuple):
     clearance: float | None
 
 
+NEAR = option(
+    None,
+    "X,Y,YAW[,R[,T]]",
+    "Only poses within R metres of a pose in the map frame and turned from it by at "
+    f"most T radians, or 90deg. [default: R = {RADIUS:g}, T = {TOLERANCE:g}]",
+    parser=numbers(3, 5, angles=(2, 4)),
+)
+HEADING = option(
+    None,
+    "YAW[,T]",
+    "Only poses with this heading in the map frame (a compass), up to T; radians, or 90deg. "
+    f"[default: T = {TOLERANCE:g}]",
+    parser=numbers(1, 2, angles=(0, 1)),
+)
+
+
 def known(
-    near: Any = option(
-        None,
-        "X,Y,YAW[,R[,T]]",
-        "Only poses within R metres of a pose in the map frame and turned from it by at "
-        f"most T radians, or 90deg. [default: R = {RADIUS:g}, T = {TOLERANCE:g}]",
-        parser=numbers(3, 5, angles=(2, 4)),
-    ),
-    heading: Any = option(
-        None,
-        "YAW[,T]",
-        "Only poses with this heading in the map frame (a compass), up to T; radians, or 90deg. "
-        f"[default: T = {TOLERANCE:g}]",
-        parser=numbers(1, 2, angles=(0, 1)),
-    ),
+    near: Any = NEAR,
+    heading: Any = HEADING,
     region: Path | None = option(
         None, "PNG", "Only poses in the white part of an image as large as the map's."
     ),
@@ -302,6 +306,12 @@ def known(
     ),
 ) -> Known:
     """Options of the prior."""
+    check_known(near, heading)
+    return Known(near, heading, region, clearance)
+
+
+def check_known(near: tuple[float, ...] | None, heading: tuple[float, ...] | None) -> None:
+    """Refuse poses in degrees, and limits out of their ranges."""
     if near is not None and len(near) > 3:
         check_range("--near, R", near[3], 0.01, 1e6, "metres")
     for option, given, yaw, tolerance in (("--near", near, 2, 4), ("--heading", heading, 0, 1)):
@@ -309,7 +319,6 @@ def known(
             check_yaw(option, given[yaw])
             if len(given) > tolerance:
                 check_range(f"{option}, T", given[tolerance], 0.001, 3.2, "radians")
-    return Known(near, heading, region, clearance)
 
 
 class Logs(NamedTuple):

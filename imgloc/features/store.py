@@ -161,7 +161,7 @@ def features_key(features: MapFeatures) -> str:
     """
     names = [f.name for f in fields(features) if f.name not in _NO_MATTER]
     parameters: dict[str, object] = {name: getattr(features, name) for name in names}
-    return entries.cache_key(features.grid, parameters, code=_code())
+    return entries.cache_key(features.grid, parameters, code=code_digest())
 
 
 def load_features(
@@ -193,8 +193,8 @@ def save_features(features: MapFeatures, folder: PathLike, *, max_bytes: int = M
 
 
 @cache
-def _code() -> str:
-    """Digest of the source of this package."""
+def code_digest() -> str:
+    """Digest of the source of this package: features of another one may be others."""
     digest = hashlib.blake2b(digest_size=8)
     for path in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(path.read_bytes())

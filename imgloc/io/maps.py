@@ -143,6 +143,15 @@ def load_bytes(size: ImageSize) -> int:
     return pixel * size.width * size.height + _TEXT * size.file_bytes + _TABLES
 
 
+def reading_of(path: Path, reading: Reading) -> Reading:
+    """How one of several maps is to be read: what a YAML says of its frame, it knows best."""
+    out = reading.copy()
+    if path.suffix.lower() in YAML_ENDINGS:
+        out.pop("resolution", None)
+        out.pop("origin", None)
+    return out
+
+
 def looks_swapped(grid: OccupancyGrid) -> bool:
     """Whether black and white are swapped: free space thin as walls, walls wide as rooms.
 

@@ -1,4 +1,4 @@
-"""Can answers be trusted? Each of five measurements says its part.
+"""Can answers be trusted? Each of six measurements says its part.
 
     python -m tools.trust reliability -n 100                          # scans in each world
     python -m tools.trust reliability --sets ../data/*/map.yaml       # and recorded ones
@@ -8,6 +8,7 @@
     python -m tools.trust fit --sets ../data/*/map.yaml               # constants of trust
     python -m tools.trust precision --sets ../data/*/map.yaml         # covariances
     python -m tools.trust which maps ../data --same fr079,fr079_half  # names of maps
+    python -m tools.trust thousand maps ../data --full
 
 `python -m tools.trust NAME --help` says more.
 """
@@ -21,14 +22,16 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from multiprocessing import get_context
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import cv2
 import numpy as np
 
-from imgloc.choice import find_maps, names_of
+from imgloc.choice import names_of
 from imgloc.errors import ConfigError, ImglocError
 from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
+from imgloc.io.folders import find_maps
 from imgloc.io.images import encode_png
 from imgloc.io.maps import load_map
 from imgloc.io.scanset import ScanSet
@@ -49,7 +52,7 @@ from tools.trust.fit import (
     listed,
     trust_of,
 )
-from tools.trust.naming import ask_all, naming_shares, scans_of
+from tools.trust.naming import ask_all, bound_all, naming_shares, scans_of
 from tools.trust.precision import precision, precision_table
 from tools.trust.reliability import Judged, draw_reliability, judged, reliability, summary
 from tools.trust.robustness import (
@@ -59,6 +62,7 @@ from tools.trust.robustness import (
     robustness,
     robustness_table,
 )
+from tools.trust.thousand import ask_thousand, make_thousand
 
 QUICK = ("visibility", "curved")
 POINTS, POINTS_RECORDED = 5.0, 2.0  # that localize may lie behind the oracle
@@ -90,6 +94,12 @@ WHICH = """How often does `imgloc which` name the right map? Over the maps of so
 Scans are those recorded beside a map (scans.npz, with poses), or simulated in it. Each is asked
 of all maps, and again with its own map left out, when `none` or `undecided` are the answers to
 give. Maps of one building, named with --same, count as one. Prints a JSON object."""
+
+THOUSAND = """What does it cost to ask a thousand maps, and are the answers those of a full search?
+
+The maps are cut out of those of some folders, turned and mirrored; scans are simulated in some of
+them. Prints a JSON object: seconds of the processor to build the index, to ask one map and all, and
+how many times the one the other is."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -150,6 +160,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument("--seed", type=int, default=0)
     one.add_argument("--range-max", type=float, default=20.0, help="metres")
     one.add_argument("--same", action="append", default=[], help="names of one building")
+
+    one = tools.add_parser("thousand", description=THOUSAND, formatter_class=raw)
+    one.set_defaults(run=run_thousand)
+    one.add_argument("folders", type=Path, nargs="+", help="folders of maps")
+    one.add_argument("-n", type=int, default=1000, help="maps that are made of them")
+    one.add_argument("--scans", type=int, default=5)
+    one.add_argument("--seed", type=int, default=0)
+    one.add_argument("--full", action="store_true", help="search all maps to the end, too")
 
     given = parser.parse_args(arguments)
     try:
@@ -317,11 +335,22 @@ def run_which(given: argparse.Namespace) -> int:
     cv2.setNumThreads(cores := os.cpu_count() or 1)
     with progress("which", len(maps) * len(asked)) as advance:
         fits = ask_all(maps, asked, threads=cores, advance=advance)
+    bounds = bound_all(maps, asked, threads=cores)
     out: dict[str, object] = {"seed": given.seed, "scans": len(asked), "maps": len(maps)}
     for sure in SURE:
-        shares = naming_shares(asked, fits, sure=sure, buildings=buildings)
+        shares = naming_shares(asked, fits, bounds, sure=sure, buildings=buildings)
         out[f"named with {sure:g} or more"] = shares
     print(json.dumps(out, indent=1))
+    return 0
+
+
+def run_thousand(given: argparse.Namespace) -> int:
+    """Make maps, ask them, and count."""
+    sources = [path for folder in given.folders for path in find_maps(folder)]
+    with TemporaryDirectory(prefix="imgloc-") as made, progress("thousand", given.scans) as advance:
+        scans = make_thousand(sources, Path(made), given.n, given.scans, given.seed)
+        found = ask_thousand(Path(made), scans, full=given.full, advance=advance)
+    print(json.dumps(asdict(found) | {"times": found.times}, indent=1))
     return 0
 
 

@@ -1,15 +1,16 @@
 """How often is the right map named? `imgloc which`, asked with scans whose map is known."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from imgloc.choice import choose, fit
+from imgloc.choice import OPTIONS, Choice, choose, fit, next_maps
 from imgloc.errors import ConfigError
 from imgloc.evaluation import share
 from imgloc.io.maps import load_map
+from imgloc.mapindex import open_index
 from imgloc.model import LaserScan, Localization
-from imgloc.options import Options
 from imgloc.pipeline import prepare
 from imgloc.simulation import Sensor, simulate
 from tools.recorded import scans_beside
@@ -53,14 +54,36 @@ def ask_all(
     for name, path in maps.items():
         features = prepare(load_map(path), threads=threads)
         for (_, scan), found in zip(asked, fits, strict=True):
-            found[name] = fit(features, scan, Options(top=20, threads=threads))
+            found[name] = fit(features, scan, replace(OPTIONS, threads=threads))
             advance()
     return fits
+
+
+def bound_all(
+    maps: Mapping[str, Path], asked: Sequence[Asked], *, threads: int
+) -> tuple[dict[str, float], ...]:
+    """How well each scan can fit each map, by its name."""
+    index, errors = open_index(maps, lambda path: prepare(load_map(path)), about="")
+    if errors:
+        raise next(iter(errors.values()))
+    options = replace(OPTIONS, threads=threads)
+    found = [index.bounds(scan, options).tolist() for _, scan in asked]
+    return tuple(dict(zip(index.names, of, strict=True)) for of in found)
+
+
+def followed(fits: Mapping[str, Localization], bounds: Mapping[str, float], sure: float) -> Choice:
+    """What `which` answers of the maps of `fits`, some of which it does not search to the end."""
+    some: dict[str, Localization] = {}
+    left = {name: bounds[name] for name in fits}
+    while names := next_maps(left, some):
+        some |= {name: fits[name] for name in names}
+    return choose(some, sure=sure, ruled_out=len(fits) - len(some))
 
 
 def naming_shares(
     asked: Sequence[Asked],
     fits: Sequence[Mapping[str, Localization]],
+    bounds: Sequence[Mapping[str, float]],
     *,
     sure: float,
     buildings: Mapping[str, str],
@@ -69,24 +92,29 @@ def naming_shares(
 
     Parameters
     ----------
-    asked, fits
-        Of :func:`scans_of` and :func:`ask_all`.
+    asked, fits, bounds
+        Of :func:`scans_of`, :func:`ask_all` and :func:`bound_all`.
     sure : float
         Probability that a map needs to be named.
     buildings : mapping of str to str
         Names of maps that count as one: those of equal value.
     """
-    right, wrong, silent = [], [], []
-    for (name, _), found in zip(asked, fits, strict=True):
+    right, wrong, silent, same = [], [], [], []
+    for (name, _), found, of in zip(asked, fits, bounds, strict=True):
         home = {m for m in found if buildings.get(m, m) == buildings.get(name, name)}
-        verdict = choose(found, sure=sure).verdict
+        verdict = followed(found, of, sure).verdict
         away = {m: f for m, f in found.items() if m not in home}
         right.append(verdict in home)
         wrong.append(verdict in away)
-        silent.append(not away or choose(away, sure=sure).verdict not in away)
+        silent.append(not away or followed(away, of, sure).verdict not in away)
+        for some in (found, away):
+            if some:
+                full = choose(some, sure=sure).verdict
+                same.append(followed(some, of, sure).verdict == full)
     return {
         "right": vars(share(right)),
         "wrong": vars(share(wrong)),
         "silent without its map": vars(share(silent)),
+        "as of a search of all maps to the end": vars(share(same)),
         "not right": [k for k, yes in enumerate(right) if not yes],
     }

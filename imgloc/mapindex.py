@@ -1,0 +1,227 @@
+"""What `which` looks at of hundreds of maps before it opens any: their coarse levels, in one file.
+
+A map has an entry as long as its files hold what they held. It is told by the times and sizes of
+the files, and where these differ by their contents.
+"""
+
+import hashlib
+import io
+import json
+import logging
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from imgloc.errors import ConfigError, MapError, OutputError
+from imgloc.features.budget import check_budget
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.pyramid import Level
+from imgloc.features.scanpoints import one_per_place
+from imgloc.features.store import code_digest
+from imgloc.io.contents import content_hash, files_of
+from imgloc.io.files import display, open_file, reason, write_bytes_atomic
+from imgloc.model import FloatArray, LaserScan
+from imgloc.options import Options
+from imgloc.search.mosaic import Mosaic, best_fits, mosaics
+
+LOG = logging.getLogger(__name__)
+LEVEL = 2
+"""Of the pyramid: cells four times as large as those of the poses."""
+_FORMAT = "imgloc index of maps, 1"
+_YOUNG = 2_000_000_000  # ns before the index was written; a younger file may change unnoticed
+_LIMIT = 1 << 36  # bytes of a file
+_BESIDE = 6  # bytes for each cell of a level: itself, in a mosaic, and sums there
+
+
+@dataclass(frozen=True)
+class MapIndex:
+    """The coarse levels of some maps, in their order."""
+
+    names: tuple[str, ...]
+    levels: tuple[Level, ...]
+    turns: tuple[float, ...]  #: yaws of the origins, radians
+
+    @cached_property
+    def tiles(self) -> tuple[Mosaic, ...]:
+        """All of them, side by side."""
+        return tuple(mosaics(self.levels, self.turns))
+
+    def bounds(self, scan: LaserScan, options: Options) -> FloatArray:
+        """How much of a scan can fall on walls, for each map: (M,), 0..1.
+
+        It is the most that any pose with a heading of the prior reaches on the coarse level,
+        which has nearly all that a close look can find.
+        """
+        fused = options.fused
+        xy = one_per_place(scan, fused.place).spread(fused.few_rays).xy[:: fused.skip]
+        return best_fits(
+            self.tiles, xy, len(self.names), theta_step=2 * fused.theta_step,
+            prior=options.prior, threads=options.threads,
+        )  # fmt: skip
+
+
+def index_of(maps: Mapping[str, MapFeatures]) -> MapIndex:
+    """The index of maps that are there."""
+    levels = tuple(features.pyramid[LEVEL] for features in maps.values())
+    turns = tuple(features.grid.origin.theta for features in maps.values())
+    return MapIndex(tuple(maps), levels, turns)
+
+
+def open_index(
+    maps: Mapping[str, Path],
+    prepare: Callable[[Path], MapFeatures],
+    *,
+    about: str,
+    file: Path | None = None,
+    memory_budget: int | None = None,
+    advance: Callable[[], object] = lambda: None,
+) -> tuple[MapIndex, dict[str, MapError | ConfigError]]:
+    """Read the index of some maps, and prepare those that are not in it, or not as they are now.
+
+    Parameters
+    ----------
+    maps : mapping of str to Path
+        By their names.
+    prepare : callable
+        What reads and prepares one of the maps.
+    about : str
+        What else decides the levels: how the maps are read.
+    file : path, optional
+        Where the index is kept; it is written if it is not there, or has changed.
+    memory_budget : int, optional
+        Bytes that the index may take; None is half of what is available.
+    advance : callable
+        Called after each map.
+
+    Returns
+    -------
+    index, errors : MapIndex, dict of str to MapError or ConfigError
+        Maps that cannot be used are not in the index, but among the errors.
+
+    Raises
+    ------
+    OutputError
+        If the file is something else, or cannot be written.
+    ConfigError
+        If the index takes more memory than it may.
+    """
+    kept = _Kept() if file is None else _load(file, memory_budget)
+    levels, turns, names = list[Level](), list[float](), list[str]()
+    errors: dict[str, MapError | ConfigError] = {}
+    seen, used, cells = dict[str, list[Any]](), dict[str, tuple[Level, float]](), 0
+    for name, path in maps.items():
+        path = path.absolute()
+        stamps, digest = kept.find(path, about)
+        entry = kept.entries.get(digest)
+        try:
+            if entry is None:
+                features = prepare(path)
+                entry = features.pyramid[LEVEL], features.grid.origin.theta
+                del features
+            cells += entry[0].image.size
+            what = f"the index of {len(names) + 1:,} maps"
+            check_budget(_BESIDE * cells, memory_budget, what, "look at fewer maps")
+        except (MapError, ConfigError) as error:
+            errors[name] = error
+        else:
+            names.append(name)
+            levels.append(entry[0])
+            turns.append(entry[1])
+            seen[str(path)], used[digest] = [stamps, digest], entry
+        advance()
+    if file is not None and (kept.stale or kept.seen.keys() != seen.keys()):
+        _save(file, used, seen)
+    return MapIndex(tuple(names), tuple(levels), tuple(turns)), errors
+
+
+class _Kept:
+    """What a file holds."""
+
+    def __init__(self) -> None:
+        self.entries: dict[str, tuple[Level, float]] = {}  # level and yaw by contents
+        self.seen: dict[str, list[Any]] = {}  # of each map the stamps of its files, and contents
+        self.written = 0  # ns
+        self.stale = False  # whether contents had to be looked at
+
+    def find(self, path: Path, about: str) -> tuple[list[list[Any]], str]:
+        """Stamps of the files of a map, and what tells its contents."""
+        if str(path) in self.seen:
+            stamps, digest = self.seen[str(path)]
+            now = [_stamp(Path(stamp[0])) for stamp in stamps]
+            if now == stamps and all((s[1] or 0) < self.written - _YOUNG for s in stamps):
+                return stamps, str(digest)
+            self.stale = True
+        files = files_of(path)
+        text = f"{content_hash(files)} {about}"
+        digest = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+        return [_stamp(file) for file in files], digest
+
+
+def _stamp(file: Path) -> list[Any]:
+    """Name, time in ns and size of a file; None for those of one that is not there."""
+    try:
+        about = file.stat()
+    except (OSError, ValueError):
+        return [str(file), None, None]
+    return [str(file), about.st_mtime_ns, about.st_size]
+
+
+def _save(
+    file: Path, entries: Mapping[str, tuple[Level, float]], seen: Mapping[str, object]
+) -> None:
+    levels = [level for level, _ in entries.values()]
+    shapes = [
+        [digest, *level.image.shape, level.resolution, turn]
+        for digest, (level, turn) in entries.items()
+    ]
+    about = {
+        "format": _FORMAT, "code": code_digest(), "written": time.time_ns(),
+        "levels": shapes, "maps": seen,
+    }  # fmt: skip
+    nothing = [np.empty(0, np.uint8)]
+    images = np.concatenate([level.image.ravel() for level in levels] or nothing)
+    free = np.concatenate([level.free.ravel() for level in levels] or nothing)
+    head = np.frombuffer(json.dumps(about).encode(), np.uint8)
+    buffer = io.BytesIO()
+    np.savez(buffer, about=head, images=images, free=np.packbits(free.astype(bool)))
+    write_bytes_atomic(file, buffer.getvalue(), force=True)
+
+
+def _load(file: Path, memory_budget: int | None) -> _Kept:
+    """What a file holds; nothing if it is not there, or was made by another version."""
+    kept = _Kept()
+    if not file.exists():
+        return kept
+    name = display(file)
+    try:
+        with (
+            open_file(file, limit=_LIMIT, error=OutputError, what="index") as (source, size),
+            np.load(source, allow_pickle=False) as archive,
+        ):
+            check_budget(_BESIDE * size, memory_budget, f"{name}: an index", "look at fewer maps")
+            about = json.loads(archive["about"].tobytes())
+            if about["format"].rpartition(",")[0] != _FORMAT.rpartition(",")[0]:
+                raise ValueError("of another kind")
+            if (about["format"], about["code"]) != (_FORMAT, code_digest()):
+                LOG.info("%s: made by another version, built anew", name)
+                return kept
+            images, free = archive["images"], np.unpackbits(archive["free"]).view(bool)
+            at = 0
+            for digest, height, width, resolution, turn in about["levels"]:
+                part, shape = slice(at, at + height * width), (height, width)
+                level = Level(images[part].reshape(shape), free[part].reshape(shape), resolution)
+                kept.entries[digest] = level, turn
+                at += height * width
+            kept.seen, kept.written = about["maps"], about["written"]
+            return kept
+    except ConfigError:
+        raise
+    except Exception as e:  # a file that is not what it says can end in anything
+        raise OutputError(
+            f"{name}: is no index of maps ({reason(e)}); expected another name, or remove it"
+        ) from None
