@@ -25,9 +25,13 @@ class Sight:
     gained: float  #: nats, tempered, by which the best one beats a building on no map
 
 
-def sight(features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Options) -> Sight:
+def readings_of(scan: LaserScan, options: Options) -> Readings:
+    """The readings that a search scores poses by: what the functions below are asked with."""
+    return one_per_place(scan, options.fused.place).spread(options.fused.rays)
+
+
+def sight(features: MapFeatures, seen: Readings, poses: FloatArray, options: Options) -> Sight:
     """Score poses (C, 3), C > 0, of the grid frame as they are."""
-    seen = _readings(scan, options)
     scores = score_poses(features, seen, poses, options)
     order = np.argsort(-scores.log_likelihood, kind="stable")
     found = weigh(features, Modes(poses[order], scores.select(order), seen), options)
@@ -40,11 +44,9 @@ def sight(features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Op
     return Sight(poses, log, covariance, misfit, found.gained)
 
 
-def settled(
-    features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Options
-) -> FloatArray:
+def settled(features: MapFeatures, seen: Readings, poses: FloatArray) -> FloatArray:
     """The poses moved to where the scan fits best around them, by half a metre at most."""
-    return refine(poses, _readings(scan, options).xy, features.field, sigmas=_SETTLE)
+    return refine(poses, seen.xy, features.field, sigmas=_SETTLE)
 
 
 def search(features: MapFeatures, scan: LaserScan, options: Options) -> FloatArray:
@@ -52,15 +54,14 @@ def search(features: MapFeatures, scan: LaserScan, options: Options) -> FloatArr
     return find_modes(features, scan, options).poses
 
 
-def misfit_near(
-    features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Options
-) -> float:
-    """Least misfit of poses (C, 3), C > 0, once they have settled, nats per reading."""
-    seen, poses = _readings(scan, options), settled(features, scan, poses, options)
+def misfit_at(features: MapFeatures, seen: Readings, poses: FloatArray, options: Options) -> float:
+    """Least misfit of poses (C, 3), C > 0, as they are, nats per reading."""
     best = float(score_poses(features, seen, poses, options).log_likelihood.max())
     return options.fused.model.best - best / len(seen)
 
 
-def _readings(scan: LaserScan, options: Options) -> Readings:
-    """The readings that a search scores poses by."""
-    return one_per_place(scan, options.fused.place).spread(options.fused.rays)
+def misfit_near(
+    features: MapFeatures, seen: Readings, poses: FloatArray, options: Options
+) -> float:
+    """Least misfit of poses (C, 3), C > 0, once they have settled, nats per reading."""
+    return misfit_at(features, seen, settled(features, seen, poses), options)

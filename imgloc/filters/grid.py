@@ -16,7 +16,7 @@ import numpy as np
 from imgloc.features.budget import check_budget
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import NOWHERE, STRANGE, Belief, Followed, belief_of
-from imgloc.filters.evidence import misfit_near, sight
+from imgloc.filters.evidence import misfit_near, readings_of, sight
 from imgloc.filters.motion import MotionNoise, deviations
 from imgloc.geometry import centre_of, rotation, wrap
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, LaserScan
@@ -232,7 +232,8 @@ class GridFilter:
         flat = self._belief.ravel()
         some = np.argsort(-flat, kind="stable")[: self.how.box_cells]
         some = some[flat[some] > 1e-9]
-        seen = sight(self.features, scan, self._poses(some), self._few)
+        readings = readings_of(scan, self._few)
+        seen = sight(self.features, readings, self._poses(some), self._few)
         out = np.zeros_like(flat)
         gain = (seen.log_likelihood - seen.log_likelihood.max()) * new
         out[some] = flat[some] * np.exp(gain).astype(np.float32)
@@ -252,7 +253,7 @@ class GridFilter:
 
     def _misfit_at_best(self, scan: LaserScan) -> float:
         best = self._poses(np.array([int(np.argmax(self._belief))]))
-        return misfit_near(self.features, scan, best, self.options)
+        return misfit_near(self.features, readings_of(scan, self.options), best, self.options)
 
     def _normalise(self) -> None:
         whole = float(self._belief.sum(dtype=np.float64))

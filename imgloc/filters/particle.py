@@ -17,7 +17,7 @@ import numpy as np
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import NOWHERE, STRANGE, Belief, Followed, belief_of
-from imgloc.filters.evidence import misfit_near, sight
+from imgloc.filters.evidence import misfit_near, readings_of, sight
 from imgloc.filters.motion import MotionNoise, sample_motion
 from imgloc.geometry import cell_of, inside, theta_bin, transform_poses, wrap
 from imgloc.model import FloatArray, IntArray, LaserScan, inverse
@@ -148,7 +148,7 @@ class ParticleFilter:
             self.weights = np.full(len(self.poses), 1 / len(self.poses))
         new = float(np.clip((self._way / how.fresh).sum(), how.least_new, 1.0))
         self._way = np.zeros(2)
-        seen = sight(self.features, scan, self.poses, self._few)
+        seen = sight(self.features, readings_of(scan, self._few), self.poses, self._few)
         log = seen.log_likelihood * new + self._cut(scan)
         weights = self.weights * np.exp(log - log.max())
         self.weights = weights / weights.sum()
@@ -214,7 +214,7 @@ class ParticleFilter:
 
     def _misfit_at_best(self, scan: LaserScan) -> float:
         best = self.belief.poses[:1]
-        return misfit_near(self.features, scan, best, self.options)
+        return misfit_near(self.features, readings_of(scan, self.options), best, self.options)
 
     @property
     def belief(self) -> Belief:

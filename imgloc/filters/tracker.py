@@ -16,8 +16,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.scanpoints import Readings
 from imgloc.filters.belief import AMBIGUOUS, LOST, NOWHERE, STRANGE, UNIQUE, Belief
-from imgloc.filters.evidence import Sight, misfit_near, search, settled, sight
+from imgloc.filters.evidence import (
+    Sight,
+    misfit_at,
+    misfit_near,
+    readings_of,
+    search,
+    settled,
+    sight,
+)
 from imgloc.filters.motion import MotionNoise, move_gaussians
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray, IntArray, LaserScan
@@ -134,8 +143,12 @@ class Tracker:
         """Whether a scan that is not to be looked at contradicts what is believed: look at it."""
         if len(self._poses) == 0 or scan.directions < max(1, self.options.trust.readings):
             return False
+        return self._contradicted(readings_of(scan, self.options))
+
+    def _contradicted(self, readings: Readings) -> bool:
+        """Whether the best component fits abruptly worse than before."""
         best = int(np.argmax(self._mass))
-        misfit = misfit_near(self.features, scan, self._poses[best : best + 1], self.options)
+        misfit = misfit_near(self.features, readings, self._poses[best : best + 1], self.options)
         if misfit > self._last + self.how.surprise[1]:
             return True
         self._last = misfit
@@ -150,15 +163,16 @@ class Tracker:
         new = float(min(1.0, (self._way / how.fresh).sum()))
         new, self._way = (max(how.least, new) if self._seen else 1.0), np.zeros(2)
         self._seen = True
-        found = np.empty((0, 3))
-        if self.watch(scan) or self._unsearched >= how.search or self.belief.verdict != UNIQUE:
+        readings, found = readings_of(scan, self.options), np.empty((0, 3))
+        contradicted = known > 0 and self._contradicted(readings)
+        if contradicted or self._unsearched >= how.search or self.belief.verdict != UNIQUE:
             found, self._unsearched = self._find(scan)[: 2 * how.births], 0.0
-        near = settled(self.features, scan, self._poses, self.options)
+        near = settled(self.features, readings, self._poses)
         poses = np.concatenate((self._poses, near, found))
         if not len(poses):
             self._lost = 1.0
             return
-        seen = sight(self.features, scan, poses, self.options)
+        seen = sight(self.features, readings, poses, self.options)
         best = float(seen.log_likelihood.max())
         relative = np.maximum((seen.log_likelihood - best) * new, -how.drop)
 
@@ -189,7 +203,7 @@ class Tracker:
             self._bear(seen, 2 * known, relative)
         self._tidy()
         if len(self._mass):
-            last = float(sight(self.features, scan, self._poses[:1], self.options).misfit[0])
+            last = misfit_at(self.features, readings, self._poses[:1], self.options)
             before = last if np.isnan(self._usual) else self._usual
             self._last, self._usual = last, before + _HABIT * (last - before)
 
