@@ -23,7 +23,7 @@ from imgloc.geometry import wrap
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan
 from imgloc.options import Options
-from imgloc.tracking import Every, follow
+from imgloc.tracking import Every, follow, robot_poses
 
 RIGHT = (0.5, float(np.deg2rad(10.0)))
 """A pose is right if it is within this, metres and radians."""
@@ -87,13 +87,14 @@ def drive(
 
     `clock` tells the seconds of what was not computed again.
     """
-    if scans.poses is None:
+    truth = robot_poses(scans)
+    if truth is None:
         raise ConfigError("expected the true pose of each scan")
     begin, before, rows = time.perf_counter(), clock(), []
     for moment in follow(features, scans, make(), every=every):
         error = (np.inf, np.inf)
         if moment.best is not None:
-            x, y, theta = scans.poses[moment.index]
+            x, y, theta = truth[moment.index]
             away = float(np.hypot(moment.best.x - x, moment.best.y - y))
             error = away, abs(float(wrap(moment.best.theta - theta)))
         verdict = moment.belief.verdict
@@ -131,9 +132,10 @@ def with_odometry(scans: ScanSet, seed: int = 0) -> tuple[ScanSet, str]:
     """The log with odometry, and which kind: recorded, or of its poses with noise and a bias."""
     if scans.odom is not None:
         return scans, "recorded"
-    if scans.poses is None:
+    truth = robot_poses(scans)
+    if truth is None:
         raise ConfigError("expected odometry, or the poses of the scans to make it of")
-    odom = noisy_odometry(scans.poses, np.random.default_rng(seed))
+    odom = noisy_odometry(truth, np.random.default_rng(seed))
     return replace(scans, odom=odom), "of the poses, with noise and bias"
 
 

@@ -322,7 +322,9 @@ class Logs(NamedTuple):
 
 def logs(
     topic: str | None = option(
-        None, "NAME", "Of a log with several lasers, this one. [default: the front laser]"
+        None,
+        "NAME",
+        "Of a log with several lasers, this one, or with commas some. [default: the front laser]",
     ),
     fov_deg: float | None = option(
         None,
