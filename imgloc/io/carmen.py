@@ -280,7 +280,8 @@ def _laser_poses(messages: Sequence[_Message]) -> tuple[FloatArray | None, Pose2
     if len(pairs) != len(messages):
         return None, None
     offsets = [compose(inverse(robot), laser) for laser, robot in pairs]
-    away = np.array([(p.x, p.y, math.remainder(p.theta, math.tau)) for p in offsets])
+    turn = offsets[0].theta  # about it, for one that looks back is at pi and at -pi
+    away = np.array([(p.x, p.y, turn + math.remainder(p.theta - turn, math.tau)) for p in offsets])
     middle = np.median(away, axis=0)
     if np.all(np.abs(away - middle) < _RIGID):
         # At the robot's own place is where it is if nobody has said where.
