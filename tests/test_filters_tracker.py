@@ -213,6 +213,17 @@ def test_particles_are_as_many_as_they_need_to_be() -> None:
         ParticleFilter(features, how=ParticleOptions(least=9, most=8))
 
 
+@pytest.mark.parametrize("method", ["beam", "ght-v"])
+def test_particles_are_weighed_by_any_method(method: str) -> None:
+    features = features_of(WORLD)
+    here = transform_poses(inverse(features.grid.origin), log().poses)[0]
+    there = here + [3.0, 0.0, 1.0]
+    particles = ParticleFilter(features, how=ParticleOptions(weigh_by=method, cut=0))
+    particles.poses, particles.weights = np.array([there, here]), np.full(2, 0.5)
+    particles.see(log()[0])
+    assert np.hypot(*(particles.belief.poses[0] - here)[:2]) < 0.2
+
+
 def test_kld_bound_is_that_of_the_chi_square() -> None:
     # Fox 2003: 1 / (2 error) times the quantile of chi-square with bins - 1 degrees of freedom.
     assert kld_bound(21, 0.1, 1.6449) == pytest.approx(31.41 / 0.2, rel=0.01)

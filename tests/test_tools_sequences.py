@@ -40,7 +40,7 @@ def test_a_table_a_curve_and_a_track(
 ) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra plot")
     words = f"x {folder} --out {tmp_path} --starts 1 --seconds inf --kidnaps 0 --metres 2"
-    monkeypatch.setattr(sys, "argv", [*words.split(), "--cases", "tracker, no;particle, no"])
+    monkeypatch.setattr(sys, "argv", [*words.split(), "--cases", "tracker, no*;particle, no*"])
     sequences.main()
     rows = [json.loads(line) for line in (tmp_path / "sequences.jsonl").read_text().splitlines()]
     names = ["tracker, no resetting", "particle, no resetting"]

@@ -15,6 +15,7 @@ import io
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -244,7 +245,7 @@ def main() -> None:
     parser.add_argument("--kidnaps", type=int, default=20)
     parser.add_argument("--metres", type=float, default=15.0)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--cases", help="only those whose name begins so, with ; between")
+    parser.add_argument("--cases", default="*", help="only those: patterns with ; between")
     parser.add_argument("--searches", type=Path, help="folder that keeps what searches found")
     parser.add_argument("--picture", action="store_true", help="only the tracks")
     given = parser.parse_args()
@@ -252,8 +253,8 @@ def main() -> None:
     if not given.picture:
         trials = Trials(given.starts, given.metres, given.kidnaps, given.seed)
         trials = replace(trials, seconds=given.seconds)
-        wanted = None if given.cases is None else tuple(given.cases.split(";"))
-        cases = [c for c in CASES if wanted is None or c.name.startswith(wanted)]
+        wanted = given.cases.split(";")
+        cases = [c for c in CASES if any(fnmatchcase(c.name, pattern) for pattern in wanted)]
         rows: list[dict[str, Any]] = []
         for folder in given.folders:
             count = len(cases) * trials.count(load_scans(folder / "scans.npz"))

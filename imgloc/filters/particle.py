@@ -21,7 +21,7 @@ from imgloc.filters.evidence import misfit_near, sight, view_of
 from imgloc.filters.motion import MotionNoise, sample_motion
 from imgloc.geometry import cell_of, inside, theta_bin, transform_poses, wrap
 from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D, inverse
-from imgloc.options import Options
+from imgloc.options import FUSED, Options
 from imgloc.pipeline import likelihood, posterior_of
 from imgloc.sample import sample_poses
 from imgloc.search.hypotheses import first_in_cell
@@ -39,7 +39,8 @@ class ParticleOptions:
     quantile: float = 2.33  #: of the normal distribution: 2.33 is 99 %
     bins: tuple[float, float] = (0.5, float(np.deg2rad(15.0)))  #: metres and radians
     noise: MotionNoise = field(default_factory=MotionNoise)
-    rays: int = 40  #: readings that weigh particles
+    weigh_by: str = "fused"  #: whose likelihood weighs them: ``fused`` or a method
+    rays: int = 40  #: readings by which ``fused`` does
     #: metres and radians of motion after which a scan says something entirely new
     fresh: tuple[float, float] = (1.0, 0.8)
     least_new: float = 0.2  #: share of a scan's evidence that counts without any motion
@@ -148,7 +149,10 @@ class ParticleFilter:
         new = float(np.clip((habit.way / how.fresh).sum(), how.least_new, 1.0))
         habit.way = np.zeros(2)
         seen = sight(self.features, view_of(scan, self._few), self.poses, self._few)
-        log = seen.log_likelihood * new + self._cut(scan)
+        log = seen.log_likelihood
+        if how.weigh_by != FUSED:
+            log = self._log_density(scan, how.weigh_by)
+        log = log * new + self._cut(scan)
         weights = self.weights * np.exp(log - log.max())
         self.weights = weights / weights.sum()
         # Of the particles as they are weighted now: those put in by the last reset count little.
@@ -194,7 +198,11 @@ class ParticleFilter:
         self._looks += 1
         if not self.how.cut or self._looks % self.how.cut:
             return np.zeros(len(self.poses))
-        options = replace(self.options, method="ght-v")
+        return np.minimum(0.0, self._log_density(scan, "ght-v"))
+
+    def _log_density(self, scan: LaserScan, method: str) -> FloatArray:
+        """Logarithm of a method's p(x | z) at the particles, relative to a uniform one's."""
+        options = replace(self.options, method=method)
         stack = likelihood(self.features, scan, options)
         posterior = posterior_of(self.features, scan, stack, options)
         poses = view_of(scan, options).sensor(self.poses)
@@ -204,7 +212,7 @@ class ParticleFilter:
         density = np.zeros(len(cells))
         density[there] = posterior[k[there], cells[there, 0], cells[there, 1]]
         uniform = 1 / max(1, len(stack.thetas) * int(np.count_nonzero(self.features.free)))
-        return np.asarray(np.minimum(0.0, np.log(density / uniform + _FLOOR)))
+        return np.asarray(np.log(density / uniform + _FLOOR))
 
     @property
     def _few(self) -> Options:

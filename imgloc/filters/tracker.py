@@ -34,6 +34,7 @@ from imgloc.options import Options
 from imgloc.search.hypotheses import separated
 
 _SURE = 1e5  # odds of being lost, at most
+_MAPPED = 1.1  # log-odds of a scan being of its map, and found, where trust was fitted: 3 in 4
 _MOST = 3.0  # nats that being lost can gain by one scan
 _NOTHING, _RESET = 1e-7, 0.2  # mass of a component that is dropped; put in at once: a reset
 
@@ -54,18 +55,13 @@ class TrackerOptions:
     #: chance of being carried off: for each scan's worth of motion, and where the best component
     #: fits abruptly worse than in the scan before. A place that has changed is approached.
     leak: tuple[float, float] = (0.0001, 0.02)
-    #: logarithm of the likelihood of a scan somewhere unknown, relative to that at the best
-    #: component: constant, per nat of misfit there, and per nat that it lacks to the best place
-    #: that the search has found. Where all scans fit badly, on an old map, but best where the robot
-    #: is followed, it is not lost.
-    doubt: tuple[float, float, float] = (-7.9, 2.0, 3.4)
     patience: float = 0.6  #: odds of being lost that one scan can lead to, at most
     #: of the map, as far as scans share it: standard deviations, metres and radians
     error: tuple[float, float] = (0.03, 0.006)
     gate: float = 12.0  #: squared Mahalanobis distance up to which a pose may be a component's
     #: components nearer than this are one, metres and radians
     merge: tuple[float, float] = (0.3, 0.15)
-    mass: float = 0.95  #: of the best component, to be ``unique``
+    mass: float = 0.99  #: of the best component, to be ``unique``
     #: metres that it has to be followed for before it is: at first, and where it replaces another
     sure: tuple[float, float] = (1.5, 4.0)
     #: metres between two searches while the best component is unique and fits as usual: other
@@ -172,7 +168,6 @@ class Tracker:
 
         # Each component where it is, where it settles, or at a mode that may be it.
         at, gain = self._follow(seen, relative, new)
-        misfit = float(seen.misfit[at].min(initial=np.inf))
         leak = how.leak[0] * new
         if known:
             leader = float(seen.misfit[at[np.argmax(self._mass)]])
@@ -185,8 +180,8 @@ class Tracker:
         mass = self._mass * np.exp(gain)
         if known:
             mass *= (1 - lost) / self._mass.sum()
-            unexplained = (1.0, misfit, misfit - float(seen.misfit.min()))
-            gone = lost * float(np.exp(new * min(_MOST, np.dot(how.doubt, unexplained))))
+            gained = seen.gained - best + float(seen.log_likelihood[at].max())
+            gone = lost * float(np.exp(new * min(_MOST, self._doubt(gained))))
             # Somebody may stand in the way once: a second scan has to agree.
             odds = max(how.patience, np.exp(_MOST) * lost / (1 - lost))
             lost = min(gone, odds * float(mass.sum()))
@@ -198,6 +193,14 @@ class Tracker:
         self._tidy()
         if len(self._mass):
             habit.learn(misfit_at(self.features, view, self._poses[:1], self.options))
+
+    def _doubt(self, gained: float) -> float:
+        """How much likelier a scan is somewhere unknown than where it gains so much, nats.
+
+        What a single scan is trusted by, without what was known before of the cases that is from.
+        """
+        elsewhere = self.options.trust.mass_elsewhere(gained, 1.0)
+        return float(np.log(elsewhere / (1 - elsewhere))) + _MAPPED
 
     def _follow(self, seen: Sight, relative: FloatArray, new: float) -> tuple[IntArray, FloatArray]:
         """For each component the pose that it is at, and what it gains there, nats."""
