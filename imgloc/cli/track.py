@@ -113,8 +113,7 @@ def track(
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     folder = inputs.kept_in(cache, wanted=not no_cache)
     scans = inputs.load_set(log, taken.memory_budget, logs)
-    if mounting.sensor is not None and len({scan.T_base_laser for scan in scans.scans}) > 1:
-        raise ConfigError("--sensor: the log has several lasers, each with a place of its own")
+    mounting.check(scans.scans)
     cut = tuple(mounting.mount(inputs.cut_scan(scan, range_max)) for scan in scans.scans)
     scans = replace(scans, scans=cut)
     if simulate_odometry is not None:
