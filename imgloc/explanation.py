@@ -108,7 +108,7 @@ class Explanation:
     """One answer, and what its :class:`~imgloc.model.Evidence` does not say."""
 
     grid: OccupancyGrid
-    scan: LaserScan
+    scan: LaserScan  #: as it was laid on the map: its lengths multiplied by the evidence's scale
     answer: Localization
     options: Options
     fits: tuple[HypothesisFit, ...]  #: the hypotheses, best first
@@ -128,8 +128,11 @@ def explain(
         Of :func:`imgloc.pipeline.localize` with the same features, scan and options.
     options : Options, optional
     """
-    options = options or Options()
-    local = [in_grid_frame(h, features.grid.info) for h in answer.hypotheses]
+    options, said = options or Options(), answer.evidence
+    # With the error that the answer has allowed for.
+    scan, grid = scan.scaled(said.scale), features.grid
+    features = features.thinner(round(said.thinner / grid.resolution))
+    local = [in_grid_frame(h, grid.info) for h in answer.hypotheses]
     score = np.array([h.log_likelihood for h in local])
     if local and options.method != FUSED:  # of votes, say: what its readings say there
         score = settle(features, scan, poses_of(local), options)[1].log_likelihood
@@ -145,7 +148,7 @@ def explain(
         for given, h, total in zip(answer.hypotheses, local, score, strict=True)
     )
     layers = tuple(layers_of(features, scan, options)) if answer.verdict != "invalid" else ()
-    return Explanation(features.grid, scan, answer, options, fits, layers)
+    return Explanation(grid, scan, answer, options, fits, layers)
 
 
 def explain_rays(

@@ -450,6 +450,10 @@ class Evidence:
     unmapped: float = math.nan  #: nats per reading in a building that is on no map
     #: nats, divided by the score's temperature, by which the best pose fits better than that
     gained: float = math.nan
+    #: what the readings were multiplied by, and metres that walls lost on each side: where they fit
+    #: far better so, because the map's scale or theirs is off, or its walls are drawn too thick
+    scale: float = 1.0
+    thinner: float = 0.0
     #: what made masses of the log-likelihoods
     temperature: Temperature = field(default_factory=Temperature)
     #: (L,) Of each listed hypothesis: logarithm of its volume as a share of that of all poses
@@ -540,7 +544,7 @@ class Localization:
         ]
         evidence = {"readings": e.readings, "misfit": e.misfit, "temperature": t.value}
         evidence |= {name: getattr(t, name) for name in ("base", "strain", "number", "cell")}
-        rest = ("unmapped", "gained", "found", "listed", "unlisted")
+        rest = ("unmapped", "gained", "scale", "thinner", "found", "listed", "unlisted")
         evidence |= {name: getattr(e, name) for name in rest}
         out = {
             "index": index,

@@ -195,9 +195,22 @@ class FusedOptions:
     #: proposals nearer than this, metres and radians, are of one place, and one pose
     twins: tuple[float, float] = (0.1, float(np.deg2rad(3.0)))
     same: tuple[float, float] = (0.02, float(np.deg2rad(0.7)))
+    #: misfit, nats per reading, above which readings may share an error, see
+    #: :mod:`imgloc.search.adapt`; nats that they must gain; how far a scale may be from 1, a factor
+    strained: float = 0.5
+    adapted: float = 20.0
+    most_scaled: float = 1.15
     #: two poses nearer than this, metres and radians, are one hypothesis
     separation: tuple[float, float] = (0.5, float(np.deg2rad(15.0)))
     model: EvidenceModel = field(default_factory=EvidenceModel)  #: the score
+
+
+@dataclass(frozen=True)
+class Shared:
+    """An error that all readings of a sensor on a map share, see :mod:`imgloc.search.adapt`."""
+
+    scale: float = 1.0  #: what their lengths are multiplied by
+    thinner: int = 0  #: cells that walls lose on each side
 
 
 @dataclass(frozen=True)
@@ -281,6 +294,8 @@ class Options:
         have them as further proposals.
     prior : Prior
         The poses that may be.
+    shared : Shared
+        Of ``fused``: what is known of the map's scale and walls, see `imgloc calibrate --scans`.
     fused : FusedOptions
     trust : Trust
     calibration : Calibration, optional
@@ -296,6 +311,7 @@ class Options:
     time_budget: float | None = None
     exact: bool = False
     prior: Prior = field(default_factory=Prior)
+    shared: Shared = field(default_factory=Shared)
     fused: FusedOptions = field(default_factory=FusedOptions)
     trust: Trust = field(default_factory=Trust)
     calibration: Calibration | None = None

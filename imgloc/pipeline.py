@@ -40,7 +40,8 @@ from imgloc.model import (
     OccupancyGrid,
     Temperature,
 )
-from imgloc.options import ALL_METHODS, DEFAULTS, FUSED, METHODS, Options, Prior
+from imgloc.options import ALL_METHODS, DEFAULTS, FUSED, METHODS, Options, Prior, Shared
+from imgloc.search.adapt import adapt
 from imgloc.search.background import unmapped_score
 from imgloc.search.branch_and_bound import best_poses
 from imgloc.search.hypotheses import as_hypotheses, covariances, masses, modes
@@ -54,6 +55,7 @@ from imgloc.search.trust import judge
 MODES = 20
 """Poses that are looked for, however few are listed: no verdict depends on the list's length."""
 _LAST = 20  # proposals that get the second look when time is up
+_ROUNDS = 3  # of searches with an error that the readings share
 
 
 def prepare(grid: OccupancyGrid, name: str = "map", **parameters: Any) -> MapFeatures:
@@ -119,7 +121,7 @@ def localize(
     if scan.directions < max(1, options.trust.readings):
         found = NOTHING
     elif options.method == FUSED:  # propose, refine, score, separate; then weigh
-        found = weigh(features, find_modes(features, scan, options), options)
+        found = weigh(features, find_adapted_modes(features, scan, options), options)
     elif options.exact:
         found = find_exact(features, scan, options)
     else:
@@ -151,6 +153,8 @@ def localize(
             misfit=found.misfit,
             unmapped=found.unmapped,
             gained=found.gained,
+            scale=found.shared.scale,
+            thinner=found.shared.thinner * features.grid.resolution,
             temperature=found.temperature,
             log_volume=_log_volumes(hypotheses, features),
             checks=checks,
@@ -170,6 +174,15 @@ class Modes:
     scores: Scores
     readings: Readings  #: those that were scored
     complete: bool = True  #: the search came to its end
+    #: (L, 3) those that got the second look, before they had it
+    looked: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    shared: Shared = field(default_factory=Shared)  #: the error that was allowed for
+
+    @property
+    def mean_score(self) -> float:
+        """Nats per reading of the best pose; -inf without one."""
+        best = self.scores.log_likelihood[:1].sum()
+        return float(best) / len(self.readings) if len(self.poses) else float("-inf")
 
 
 def find_modes(
@@ -213,24 +226,54 @@ def find_modes(
     # Refine: all with a few rays, then the best ones with more of them.
     poses = refine(np.concatenate(proposals), few.xy, features.field, sigmas=(0.2, 0.1))
     poses = standing(poses, prior, features)
-    poses = shortlist(poses, few, features, fused)
+    looked = shortlist(poses, few, features, fused)
     late = time.monotonic() > deadline
     if late:
-        poses = poses[:_LAST]
-    poses = refine(poses, many.xy, features.field, sigmas=(0.1, 0.05))
+        looked = looked[:_LAST]
+    poses = refine(looked, many.xy, features.field, sigmas=(0.1, 0.05))
     poses = standing(poses, prior, features)
 
     # Score, and separate.
     scores = score_poses(features, many, poses, options)
     distance, angle = fused.separation
     apart = modes(poses, scores.log_likelihood, distance=distance, angle=angle)
-    return Modes(poses[apart], scores.select(apart), many, complete=not late)
+    return Modes(poses[apart], scores.select(apart), many, complete=not late, looked=looked)
+
+
+def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options) -> Modes:
+    """Search for all poses, and again if the readings fit far better with an error they share.
+
+    Parameters
+    ----------
+    features, scan, options
+        As of :func:`find_modes`.
+    """
+
+    def find(shared: Shared) -> Modes:
+        there = features.thinner(shared.thinner)
+        return replace(find_modes(there, scan.scaled(shared.scale), options), shared=shared)
+
+    fused, found = options.fused, find(options.shared)
+    for _ in range(_ROUNDS):
+        fits = found.mean_score >= fused.model.best - fused.strained
+        if fits or not (found.complete and len(found.poses)):
+            break
+        places = np.concatenate((found.poses[:1], found.looked))
+        about = (found.readings, places, found.shared)
+        shared = adapt(features, *about, options.prior, fused)
+        if shared == found.shared:
+            break
+        again = find(shared)
+        if again.mean_score <= found.mean_score:
+            break
+        found = again
+    return found
 
 
 def score_poses(
     features: MapFeatures, readings: Readings, poses: FloatArray, options: Options
 ) -> Scores:
-    """Scores of poses (C, 3), grid frame, by some readings of a scan."""
+    """Scores of poses (C, 3), or with a scale (C, 4), grid frame, by some readings of a scan."""
     ranges, angles, model = readings.ranges, readings.angles, options.fused.model
     return rescore(poses, ranges, angles, features.field, features.walls, model)
 
@@ -249,6 +292,7 @@ class Found:
     explained: float = 0.0  #: share of the readings that the best pose explains
     temperature: Temperature = field(default_factory=Temperature)  #: what made shares of nats
     readings: int = 0  #: how many decided about the misfit
+    shared: Shared = field(default_factory=Shared)  #: error that was allowed for
     #: share of the best, as far as it says something about the true pose being none of them: votes
     #: are spread where walls are few, too, so that those of a stack say nothing
     lead: float = 0.0
@@ -263,6 +307,7 @@ def weigh(features: MapFeatures, found: Modes, options: Options) -> Found:
     """What separated, scored poses are worth: shares and covariances."""
     if len(found.poses) == 0:
         return replace(NOTHING, complete=found.complete)
+    features = features.thinner(found.shared.thinner)
     xy, score = found.readings.xy, found.scores.log_likelihood
     fit, temperature = _fit(features, found.readings, found.scores, options)
     share = masses(score, temperature.value)
@@ -275,6 +320,7 @@ def weigh(features: MapFeatures, found: Modes, options: Options) -> Found:
         temperature=temperature,
         lead=float(share[0]),
         complete=found.complete,
+        shared=found.shared,
         **fit,
     )
 

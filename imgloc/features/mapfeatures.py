@@ -1,12 +1,13 @@
 """Everything the algorithms need to know about a map, computed when first asked for."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
+from skimage.morphology import thin
 
 from imgloc.errors import ConfigError
 from imgloc.features.budget import (
@@ -34,6 +35,8 @@ from imgloc.model import BoolArray, Float32Array, GridInfo, OccupancyGrid, Orien
 
 #: Metres of wall to each surface point that votes for proposals: votes find places.
 VOTER_SPACING = 0.25
+#: Of a map of more cells than this no walls are made thinner: each time takes its features again.
+PEELED_CELLS = 1 << 23
 #: With more cells than this at four times `cell`, the search starts at eight times.
 COARSE_CELLS = 1 << 17
 
@@ -126,6 +129,30 @@ class MapFeatures:
     def walls(self) -> Float32Array:
         """Distance to the nearest occupied cell, in cells, for casting rays."""
         return read_only(distance_image(self.grid.occupied))
+
+    @property
+    def peels(self) -> bool:
+        """Whether :meth:`thinner` walls are worth their memory: not of very large maps."""
+        return self.grid.occupied.size <= PEELED_CELLS
+
+    def thinner(self, cells: int) -> "MapFeatures":
+        """Features of the same map with walls that lose so many cells on each side.
+
+        Lines of one cell stay (:func:`skimage.morphology.thin`); what was wall is free. They are
+        kept as long as these features.
+        """
+        if cells == 0:
+            return self
+        if cells not in self._thinner:
+            walls = self.thinner(cells - 1).grid.occupied
+            walls = thin(walls, max_num_iter=1)
+            free = self.grid.free | (self.grid.occupied & ~walls)
+            self._thinner[cells] = replace(self, grid=replace(self.grid, occupied=walls, free=free))
+        return self._thinner[cells]
+
+    @cached_property
+    def _thinner(self) -> dict[int, "MapFeatures"]:
+        return {}
 
     @cached_property
     def standable(self) -> BoolArray:

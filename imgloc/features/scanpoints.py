@@ -11,6 +11,7 @@ from imgloc.model import BoolArray, FloatArray, IntArray, LaserScan, OrientedPoi
 _GRAZING = np.deg2rad(10.0)
 _MAX_GAP = np.deg2rad(20.0)  # neighbours further apart than this say nothing about each other
 _MIN_NEIGHBOURS = 3
+_END, _MANY = 0.99, 0.05  # share of the sensor's reach, and of the readings, that lie beyond
 
 
 def scan_points(
@@ -144,7 +145,8 @@ def one_per_place(scan: LaserScan, side: float) -> Readings:
     """Draw the valid endpoints of a scan as an image, and read off one point for each cell.
 
     Rays are dense where a wall is near, and all of them share its error on the map: counted one by
-    one, a near surface outvotes the far walls that tell where the robot is.
+    one, a near surface outvotes the far walls that tell where the robot is. Many readings in the
+    last hundredth of the sensor's reach are no distances but what it says of glass and of nothing.
 
     Parameters
     ----------
@@ -159,7 +161,11 @@ def one_per_place(scan: LaserScan, side: float) -> Readings:
     >>> readings.ranges.round(3).tolist(), readings.angles.round(3).tolist()
     ([1.0, 5.0], [0.02, 0.5])
     """
-    xy = scan_xy(scan)[scan.valid]
+    seen = scan.valid
+    at_end = seen & (scan.ranges > _END * scan.range_max)
+    if _MANY * seen.sum() < at_end.sum() < seen.sum():
+        seen &= ~at_end
+    xy = scan_xy(scan)[seen]
     cells = np.floor(xy / side)
     _, cell, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     x, y = (np.bincount(cell.ravel(), along) / count for along in xy.T)

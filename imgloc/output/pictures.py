@@ -122,7 +122,9 @@ def draw(
         shades = np.linspace(255, 0, 64).astype(np.uint8)[None, :, None].repeat(3, axis=2)
         return Picture(colour_bar(image, shades, ("least", "greatest"), title))
     if isinstance(answer, Localization):
-        points = np.zeros((0, 2)) if scan is None else scan_xy(scan)[scan.valid]
+        points = np.zeros((0, 2))
+        if scan is not None:
+            points = scan_xy(scan)[scan.valid] * answer.evidence.scale
         hypotheses = [in_grid_frame(h, grid.info) for h in answer.hypotheses]
         note = f"verdict: {answer.verdict}; {_not_drawn(answer)}" if hypotheses else ""
         return Picture(draw_hypotheses(grid, points, hypotheses, truth=local, note=note))

@@ -96,6 +96,8 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
             facts.append(("error", f"{away:.3f} m, {math.degrees(turned):.2f} deg"))
         explained = f"{100 * answer.explained:.0f} % of the rays explained"
         facts.append(("trust", f"{explained}, entropy {answer.entropy:.3f} nats"))
+        if (bent := bent_words(evidence.scale, evidence.thinner)) is not None:
+            facts.append(("map", f"fits far better with {bent}"))
         poses = f"{evidence.listed} listed"
         if evidence.found > evidence.listed:
             unlisted = _percent(evidence.unlisted)
@@ -125,6 +127,20 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
             lines[-1] += "; rows are in the order of log L, the score"
         lines[-1] += f"; {_percent(rest)} of the mass is in none of these rows"
     return "\n".join(lines)
+
+
+def bent_words(scale: float, thinner: float) -> str | None:
+    """Say what error of all readings was allowed for; None if none was.
+
+    Examples
+    --------
+    >>> bent_words(1.0486, 0.1), bent_words(1.0, 0.0)
+    ('ranges x 1.049 and walls 0.10 m thinner on each side', None)
+    """
+    said = [f"ranges x {scale:.3f}"] if scale != 1.0 else []
+    if thinner > 0:
+        said.append(f"walls {thinner:.2f} m thinner on each side")
+    return " and ".join(said) or None
 
 
 def run_words(verdicts: Sequence[str], errors: Sequence[tuple[float, float]]) -> str:

@@ -8,7 +8,8 @@ from imgloc.features.distance import DistanceField
 from imgloc.geometry import wrap
 from imgloc.model import Float32Array, FloatArray
 
-_MAX_STEP = np.array([0.1, 0.1, np.deg2rad(2.0)])
+_MAX_STEP = np.array([0.1, 0.1, np.deg2rad(2.0), 0.02])
+_SCALE = 1.0  # m²: what holds a scale near 1, square of an error of 0.1 m over one of 10 %
 _OFF_EVERY_MAP = 1e6  # metres; what float32 still squares
 
 
@@ -24,8 +25,8 @@ def refine(
 
     Parameters
     ----------
-    poses : (C, 3) float array
-        Grid frame: metres, metres, radians.
+    poses : (C, 3) or (C, 4) float array
+        Grid frame: metres, metres, radians; and the scale of the readings, if that is free.
     xy : (N, 2) float array
         Scan points, sensor frame, metres.
     field : DistanceField
@@ -34,7 +35,7 @@ def refine(
         Widths of the robust (Geman-McClure) kernel, metres, in the order in which to use
         them; endpoints much farther from a wall than that have no say.
     iterations : int
-        Steps for each width; a pose moves at most 0.1 m and 2 degrees a step.
+        Steps for each width; a pose moves at most 0.1 m, 2 degrees and 2 % a step.
     """
     poses = np.array(poses, dtype=np.float64)
     for sigma in sigmas if len(poses) and len(xy) else ():
@@ -42,8 +43,10 @@ def refine(
             A, b, _ = normal_equations(poses, xy, field, sigma)
             # A corridor leaves one direction free: a little damping keeps the pose where it is.
             A[:, range(3), range(3)] += 1e-3 * len(xy)
-            step = np.linalg.solve(A, b[..., None])[..., 0]
-            poses -= np.clip(step, -_MAX_STEP, _MAX_STEP)
+            A[:, 3:, 3:] += _SCALE
+            b[:, 3:] += _SCALE * (poses[:, 3:] - 1)
+            step, most = np.linalg.solve(A, b[..., None])[..., 0], _MAX_STEP[: poses.shape[1]]
+            poses -= np.clip(step, -most, most)
     poses[:, 2] = wrap(poses[:, 2])
     return poses
 
@@ -53,11 +56,15 @@ def normal_equations(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Weighted ``J^T J`` (C, 3, 3) and ``J^T e`` (C, 3) of the endpoint distances e.
 
-    The third result, (C,), is the weighted mean of ``e^2``, m²: how well the scan fits.
+    With a scale they are (C, 4, 4) and (C, 4). The third result, (C,), is the weighted mean of
+    ``e^2``, m²: how well the scan fits.
     """
     dx, dy, distance, gx, gy = endpoints(poses, xy, field)
     weight = 1 / np.square(1 + np.square(distance / np.float32(sigma)))
-    J = np.stack((gx, gy, dx * gy - dy * gx), axis=1)
+    by = [gx, gy, dx * gy - dy * gx]
+    if poses.shape[1] == 4:
+        by.append((dx * gx + dy * gy) / poses[:, 3:].astype(np.float32))
+    J = np.stack(by, axis=1)
     weighted = J * weight[:, None]
     A = weighted @ J.transpose(0, 2, 1)
     b = weighted @ distance[..., None]
@@ -68,9 +75,13 @@ def normal_equations(
 def endpoints(
     poses: FloatArray, xy: FloatArray, field: DistanceField
 ) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array, Float32Array]:
-    """Turned points ``R_theta p`` (dx, dy) and distance, gx, gy there, each (C, N) float32."""
+    """Turned points ``R_theta p`` (dx, dy) and distance, gx, gy there, each (C, N) float32.
+
+    Poses (C, 4) have a scale: ``s R_theta p``.
+    """
     p = np.clip(xy, -_OFF_EVERY_MAP, _OFF_EVERY_MAP).astype(np.float32)
-    x, y, theta = (v[:, None] for v in np.asarray(poses, dtype=np.float64).T)
-    c, s = np.cos(theta).astype(np.float32), np.sin(theta).astype(np.float32)
+    x, y, theta, *scale = (v[:, None] for v in np.asarray(poses, dtype=np.float64).T)
+    size = scale[0] if scale else 1.0
+    c, s = (size * np.cos(theta)).astype(np.float32), (size * np.sin(theta)).astype(np.float32)
     dx, dy = c * p[:, 0] - s * p[:, 1], s * p[:, 0] + c * p[:, 1]
     return dx, dy, *field.lookup(x.astype(np.float32) + dx, y.astype(np.float32) + dy)

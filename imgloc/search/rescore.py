@@ -60,8 +60,8 @@ def rescore(
 
     Parameters
     ----------
-    poses : (C, 3) float array
-        Grid frame.
+    poses : (C, 3) or (C, 4) float array
+        Grid frame; with a scale of the readings.
     ranges, angles : (N,) float arrays
         Valid readings only.
     field, walls : DistanceField, (H, W) float32 array
@@ -70,8 +70,10 @@ def rescore(
     """
     density, distance = _endpoint_density(poses, ranges, angles, field, model)
     margin = model.margin + field.resolution / 2
+    if poses.shape[1] == 4:
+        ranges = ranges * poses[:, 3:]
     reach = np.maximum(ranges - margin, 1e-3)
-    psi = poses[:, 2:] + angles
+    psi = poses[:, 2:3] + angles
     seen = cast_rays(walls, poses[:, None, :2], psi, reach, field.resolution)
     beyond = np.maximum(ranges - seen - margin, 0).astype(np.float32)  # 0 where nothing is met
     shifted = np.exp(-np.square(beyond / np.float32(model.displaced)))

@@ -19,7 +19,7 @@ from imgloc.geometry import cell_of, in_map_frame, transform_points
 from imgloc.io.scanset import ScanSet
 from imgloc.model import BoolArray, FloatArray, LaserScan, OccupancyGrid, Pose2D, inverse
 from imgloc.options import Options, Trust
-from imgloc.pipeline import find_modes, prepare
+from imgloc.pipeline import find_adapted_modes, prepare
 from imgloc.search.background import unmapped_score
 from imgloc.search.hypotheses import masses
 from imgloc.search.trust import judge
@@ -69,7 +69,7 @@ def case_of(
     options = Options()
     if scan.directions < options.trust.readings:
         return None
-    found = find_modes(features, scan, options)
+    found = find_adapted_modes(features, scan, options)
     if len(found.poses) == 0:
         return None
     score, n = found.scores.log_likelihood[:MODES], len(found.readings)

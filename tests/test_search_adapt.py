@@ -1,0 +1,170 @@
+"""Errors that all readings share are found where they are, and only there."""
+
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+
+from imgloc.explanation import explain
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.scanpoints import one_per_place
+from imgloc.model import LaserScan, OccupancyGrid
+from imgloc.options import FusedOptions, Options, Shared
+from imgloc.output.pictures import draw
+from imgloc.output.tables import answer_text
+from imgloc.pipeline import localize
+from imgloc.search.adapt import adapt
+from imgloc.search.refine import normal_equations, refine
+from imgloc.search.rescore import rescore
+from imgloc.simulation import Sensor, simulate
+from imgloc.worlds import WORLDS, render
+
+AS_IT_IS = Options(fused=FusedOptions(strained=float("inf")))
+
+
+@cache
+def world():
+    """A world at 10 cm, with scans taken in it at 1 cm."""
+    grid = render(WORLDS["curved"](), 0.1)
+    sensor = Sensor(fov=2 * np.pi, rays=181, range_max=30.0)
+    return grid, simulate(grid, 6, 4, sensor, render(WORLDS["curved"](), 0.01))
+
+
+@cache
+def features():
+    return MapFeatures(world()[0])
+
+
+@cache
+def thick_features():
+    grid = world()[0]
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+    occupied = cv2.dilate(grid.occupied.astype(np.uint8), disc) > 0
+    return MapFeatures(replace(grid, occupied=occupied, free=grid.free & ~occupied))
+
+
+def away(answer, pose):
+    return float(np.hypot(answer.pose.x - pose[0], answer.pose.y - pose[1]))
+
+
+def test_walls_lose_cells_but_lines_stay():
+    occupied = np.zeros((12, 14), bool)
+    occupied[2:7, 2:12] = True  # five cells thick
+    occupied[9, 2:12] = True  # a line
+    there = MapFeatures(OccupancyGrid(occupied, ~occupied, 0.1))
+    assert there.thinner(0) is there
+    twice = there.thinner(2)
+    assert twice is there.thinner(2)
+    assert twice.grid.occupied[9].sum() >= 9  # it may lose its ends
+    rows = np.flatnonzero(twice.grid.occupied[:8, 7])
+    assert rows.tolist() == [4]
+    assert np.array_equal(twice.grid.free, ~twice.grid.occupied)
+    assert twice.cell == there.cell
+
+
+def test_a_pose_may_carry_a_scale():
+    scans = world()[1]
+    seen = one_per_place(scans.scans[0], 0.07)
+    poses = np.array([scans.poses[0], scans.poses[0] + (0.1, 0.0, 0.05)])
+    one, half = (np.column_stack((poses, np.full(2, s))) for s in (1.0, 0.5))
+    about = (features().field, features().walls, FusedOptions().model)
+    same = rescore(one, seen.ranges, seen.angles, *about).log_likelihood
+    assert same == pytest.approx(rescore(poses, seen.ranges, seen.angles, *about).log_likelihood)
+    halved = rescore(half, seen.ranges, seen.angles, *about).log_likelihood
+    assert halved == pytest.approx(
+        rescore(poses, 0.5 * seen.ranges, seen.angles, *about).log_likelihood, rel=1e-5
+    )
+    A, b, _ = normal_equations(one, seen.xy, features().field, 0.1)
+    without, rest, _ = normal_equations(poses, seen.xy, features().field, 0.1)
+    assert A.shape == (2, 4, 4)
+    assert A[:, :3, :3] == pytest.approx(without, rel=1e-4)
+    assert b[:, :3] == pytest.approx(rest, rel=1e-4)
+
+
+def test_the_slope_of_a_scale_is_its_difference():
+    pose = np.array([[*world()[1].poses[1], 1.01]])
+    xy, step = one_per_place(world()[1].scans[1], 0.07).xy, np.array([0, 0, 0, 1e-3])
+    # With a kernel as wide as this b is half the slope of the sum of squares.
+    at = (normal_equations(pose + k * step, xy, features().field, 1e3) for k in (-1, 0, 1))
+    (_, _, less), (_, b, _), (_, _, more) = at
+    assert b[0, 3] == pytest.approx(len(xy) * (more - less)[0] / 4e-3, rel=0.1)
+
+
+def test_refining_finds_a_scale():
+    for scan, pose in zip(world()[1].scans[:3], world()[1].poses, strict=False):
+        xy = 0.96 * one_per_place(scan, 0.07).xy
+        found = refine(np.array([[*pose, 1.0]]), xy, features().field, sigmas=(0.3, 0.1, 0.05))
+        assert found[0, 3] * 0.96 == pytest.approx(1, abs=0.01)
+
+
+@pytest.mark.parametrize("factor", [0.95, 1.05])
+def test_ranges_of_another_scale_are_placed(factor):
+    for scan, pose in zip(world()[1].scans, world()[1].poses, strict=True):
+        answer = localize(features(), scan.scaled(factor))
+        assert away(answer, pose) < 0.1
+        assert answer.verdict == "unique"
+        assert answer.evidence.scale * factor == pytest.approx(1, abs=0.02)
+        assert answer.evidence.misfit < 0.5
+
+
+def test_walls_that_are_too_thick_are_seen_as_such():
+    for scan, pose in zip(world()[1].scans, world()[1].poses, strict=True):
+        answer, plain = (localize(thick_features(), scan, o) for o in (Options(), AS_IT_IS))
+        assert away(answer, pose) < 0.1
+        assert answer.evidence.thinner == pytest.approx(0.2)
+        assert answer.evidence.scale == 1.0
+        assert answer.evidence.misfit < plain.evidence.misfit - 0.5
+        assert (plain.evidence.thinner, plain.evidence.scale) == (0.0, 1.0)
+
+
+def test_an_exact_map_is_left_alone():
+    for scan in world()[1].scans:
+        said = localize(features(), scan).evidence
+        assert (said.scale, said.thinner) == (1.0, 0.0)
+    pose, seen = np.array([world()[1].poses[0]]), one_per_place(world()[1].scans[0], 0.07)
+    options = Options()
+    assert adapt(features(), seen, pose, Shared(), options.prior, options.fused) == Shared()
+
+
+def test_no_scale_is_farther_off_than_allowed():
+    scan = world()[1].scans[0].scaled(0.9)
+    narrow = Options(fused=FusedOptions(most_scaled=1.02))
+    assert abs(np.log(localize(features(), scan, narrow).evidence.scale)) <= np.log(1.02) + 1e-9
+
+
+def test_what_is_known_is_where_the_search_begins():
+    scan, pose = world()[1].scans[2].scaled(1 / 1.12), world()[1].poses[2]
+    known = Options(shared=Shared(scale=1.12), fused=AS_IT_IS.fused)
+    answer = localize(features(), scan, known)
+    assert away(answer, pose) < 0.05
+    assert answer.evidence.scale == 1.12
+    assert answer.parameters["shared"] == {"scale": 1.12, "thinner": 0}
+
+
+def test_explanations_and_words_allow_for_it():
+    scan = world()[1].scans[0]
+    answer = localize(thick_features(), scan)
+    why = explain(thick_features(), scan, answer)
+    best = answer.evidence.best - answer.evidence.misfit
+    assert why.fits[0].per_reading == pytest.approx(best)
+    assert why.fits[0].rays.counts["agrees"] > 0.8 * scan.valid.sum()
+    assert "walls 0.20 m thinner" in answer_text("scan 0", answer)
+    far = scan.scaled(0.95)
+    answer = localize(features(), far)
+    assert explain(features(), far, answer).fits[0].rays.counts["agrees"] > 0.8 * scan.valid.sum()
+    drawn = draw(features(), answer, far).image
+    undone = replace(answer, evidence=replace(answer.evidence, scale=1.0))
+    assert np.array_equal(drawn, draw(features(), undone, far.scaled(answer.evidence.scale)).image)
+
+
+def test_many_readings_at_the_end_of_the_reach_are_none():
+    ranges = np.full(100, 3.0)
+    ranges[:20] = 29.9
+    scan = LaserScan(ranges, np.linspace(0, 3, 100), range_max=30.0)
+    assert one_per_place(scan, 0.07).ranges.max() < 4
+    few = replace(scan, ranges=np.where(np.arange(100) < 3, 29.9, 3.0))
+    assert one_per_place(few, 0.07).ranges.max() > 29
+    all_of_them = replace(scan, ranges=np.full(100, 29.9))
+    assert len(one_per_place(all_of_them, 0.07)) == 100
