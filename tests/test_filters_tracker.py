@@ -104,8 +104,9 @@ def test_the_sensor_stands_beside_what_odometry_is_of() -> None:
         assert one.best is not None
         assert other.best is not None
         sensor = compose(other.best, mount)
-        assert one.best.x == pytest.approx(sensor.x, abs=0.02)
-        assert one.best.y == pytest.approx(sensor.y, abs=0.02)
+        # Not the same: what odometry may be wrong by is that of the robot's own motion.
+        assert one.best.x == pytest.approx(sensor.x, abs=0.03)
+        assert one.best.y == pytest.approx(sensor.y, abs=0.03)
         assert one.best.theta == pytest.approx(sensor.theta, abs=0.05)
 
 
