@@ -7,6 +7,9 @@ one trial's stack is kept.
 Scans are simulated in the map itself, where every wall is where the map has it. A real map has
 errors and a real place has people: two thirds of the scans are disturbed, so that what is fitted
 does not believe a scan more than it deserves there.
+
+The map's own errors are not simulated: recorded scans, whose poses need not be known, say together
+of what scale it is and by how much its walls are too thick.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,13 +21,23 @@ import numpy as np
 from imgloc.errors import ConfigError
 from imgloc.evaluation import cell_of_pose
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.geometry import inside
+from imgloc.features.scanpoints import evenly, one_per_place
+from imgloc.geometry import in_grid_frame, inside
 from imgloc.index import FLOOR, Index, index_of
 from imgloc.io.scanset import ScanSet
 from imgloc.likelihoods.posterior import smoothed
-from imgloc.model import Float32Array, FloatArray, LaserScan, Likelihood, OccupancyGrid, Pose2D
-from imgloc.options import LOG_METHODS, Calibration, Options, scale
-from imgloc.pipeline import likelihood
+from imgloc.model import (
+    Float32Array,
+    FloatArray,
+    LaserScan,
+    Likelihood,
+    Localization,
+    OccupancyGrid,
+    Pose2D,
+)
+from imgloc.options import LOG_METHODS, Calibration, Options, Shared, scale
+from imgloc.pipeline import likelihood, localize
+from imgloc.search.refine import refine
 from imgloc.simulation import Sensor, simulate
 
 SIGMAS_XY = (0.0, 0.1, 0.2)  #: metres tried
@@ -32,6 +45,9 @@ SIGMAS_THETA = tuple(float(np.deg2rad(deg)) for deg in (0.0, 5.0, 10.0, 15.0))  
 EXPONENTS = np.geomspace(0.25, 256.0, 61)  #: 1 / temperature tried, in steps of an eighth
 LEAST = 20
 """Trials, of all maps together, below which nothing is fitted: a few lucky scans promise all."""
+SCANS = 20  #: at most, that say together what error they share
+LEAST_FIT = 5  #: of them, that must fit the map at one place
+_STARTS = (1.0, 0.9, 1.1)  # scales at which the search begins
 _BINS = 8192
 _WALLS = 0.1  # metres by which walls are displaced
 _SHARED = 10.0  # readings over which they are so alike
@@ -186,3 +202,91 @@ def fit(sweeps: Sequence[Sweep]) -> CalibrationFit:
     calibration = Calibration(sigma_xy, sigma_theta, float(1 / EXPONENTS[hottest]))
     bare = index_of(np.concatenate([s.bare for s in sweeps]), floor)
     return CalibrationFit(calibration, index_of(logs[:, c, hottest], floor), bare)
+
+
+@dataclass(frozen=True)
+class SharedFit:
+    """An error that the scans of a sensor share on a map."""
+
+    shared: Shared
+    deviation: float  #: standard error of its scale
+    used: int  #: scans that fit the map at one place
+    asked: int
+
+
+def fit_shared(
+    features: MapFeatures,
+    scans: Sequence[LaserScan],
+    options: Options | None = None,
+    *,
+    advance: Callable[[], None] = lambda: None,
+) -> SharedFit:
+    """Say of what scale a map is, and by how much its walls are too thick, from scans.
+
+    Hard EM without poses: each of some evenly picked scans is placed where it fits best at any
+    scale near 0.9, 1 or 1.1 and with walls of any thickness; the medians of those that are
+    ``unique`` are given to all, and what remains of the scale where they then are is the median
+    and the standard error of the result.
+
+    Parameters
+    ----------
+    features : MapFeatures
+    scans : sequence of LaserScan
+        Of one sensor. `advance` is called once for each of :data:`SCANS` at most.
+    options : Options, optional
+        Of ``fused``.
+
+    Raises
+    ------
+    ConfigError
+        If fewer than :data:`LEAST_FIT` of the scans fit the map at one place.
+    """
+    options = options or Options()
+    some = [scans[k] for k in evenly(len(scans), SCANS)]
+    found = []
+    for scan in some:
+        tried = (Shared(start) for start in _STARTS)
+        found.append(min((_bent(features, scan, options, s) for s in tried), key=_misfit))
+        advance()
+    sure = [answer.evidence for answer in found if answer.verdict == "unique"]
+    if len(sure) < LEAST_FIT:
+        raise ConfigError(
+            f"{len(sure)} of {len(some)} scans fit this map at one place, expected at least "
+            f"{LEAST_FIT} to say what error they share; are they from here?"
+        )
+    cells = np.median([said.thinner for said in sure]) / features.grid.resolution
+    shared = Shared(float(np.median([said.scale for said in sure])), round(float(cells)))
+    for _ in range(2):
+        left = [_left(features, scan, options, shared) for scan in some]
+        steps = np.array([step for step in left if step is not None])
+        if len(steps) < LEAST_FIT:
+            break
+        middle = float(np.median(steps))
+        spread = 1.4826 * float(np.median(np.abs(steps - middle)))  # of a Gaussian, as a deviation
+        shared = replace(shared, scale=shared.scale * middle)
+        error = 1.2533 * spread / np.sqrt(len(steps))  # of a median
+    return SharedFit(shared, float(error), len(steps), len(some))
+
+
+def _misfit(answer: Localization) -> float:
+    """Misfit of an answer; inf without a pose."""
+    return float(np.nan_to_num(answer.evidence.misfit, nan=np.inf))
+
+
+def _bent(features: MapFeatures, scan: LaserScan, options: Options, shared: Shared) -> Localization:
+    """The answer that begins at an error of all readings and looks for a better one."""
+    eager = replace(options.fused, strained=0.0)
+    return localize(features, scan, replace(options, shared=shared, fused=eager))
+
+
+def _left(features: MapFeatures, scan: LaserScan, options: Options, shared: Shared) -> float | None:
+    """By what a scan would multiply a known scale where it then fits; None if nowhere alone."""
+    known = replace(options.fused, strained=float("inf"))
+    answer = localize(features, scan, replace(options, shared=shared, fused=known))
+    if answer.verdict != "unique":
+        return None
+    pose = in_grid_frame(answer.hypotheses[0], features.grid.info).pose
+    seen = one_per_place(scan.scaled(shared.scale), options.fused.place)
+    there = features.thinner(shared.thinner).field
+    begin = np.array([[pose.x, pose.y, pose.theta, 1.0]])
+    return float(refine(begin, seen.xy, there, sigmas=(0.1, 0.05))[0, 3])

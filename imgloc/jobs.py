@@ -26,7 +26,7 @@ from imgloc.features.budget import check_budget, default_budget, scans_bytes
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.store import load_features, save_features
 from imgloc.geometry import poses_of
-from imgloc.io.calibration import calibration_path, load_calibrations
+from imgloc.io.calibration import calibrated, calibration_path
 from imgloc.io.files import display, open_regular
 from imgloc.io.images import image_size
 from imgloc.io.mapcheck import check_bytes, check_map
@@ -265,10 +265,9 @@ def _as_mounted(scan: LaserScan, job: Job, name: str) -> LaserScan:
 def _options(job: Job, path: Path, grid: OccupancyGrid | None = None) -> Options:
     """The options of a job, on one thread, with what was calibrated for a map."""
     options = replace(job.options, threads=1, memory_budget=job.memory_budget)
-    if options.method == FUSED or grid is None or options.calibration is not None:
+    if grid is None or options.calibration is not None:
         return options
-    fitted = load_calibrations(calibration_path(path), grid).get(options.method)
-    return replace(options, calibration=fitted)
+    return calibrated(options, path, grid)
 
 
 def _locate(item: Item, job: Job) -> Done:
@@ -306,7 +305,10 @@ def _evaluate(item: Item, job: Job) -> Done:
     options = replace(options, memory_budget=job.memory_budget)
     # The bytes of the features are part of the row: no others have used them.
     features = open_map(path, job, options, fresh=True)
-    options = replace(options, calibration=_options(job, path, features.grid).calibration)
+    known = _options(job, path, features.grid)
+    options = replace(options, calibration=known.calibration)
+    if item.scans_path is not None:  # what is simulated in the map has no error of its own
+        options = replace(options, shared=known.shared)
     source: dict[str, object] = {"scans": item.scans}
     if item.scans_path is None:
         image = fine_image(path, features.grid)

@@ -34,7 +34,7 @@ def test_what_is_fitted_is_used(office: Path) -> None:
     assert about["sensor"]["rays"] == 61
     assert about["theta_step_deg"] == 15
     assert about["index"]["calibrated"]["trials"] == 20
-    fitted = load_calibrations(path, load_map(office))
+    fitted = load_calibrations(path, load_map(office))[0]
     assert list(fitted) == ["ght-v"]
     assert fitted["ght-v"] != DEFAULTS["ght-v"]
     scans = office.with_name("scans.npz")
@@ -81,7 +81,8 @@ def test_maps_that_share_a_fit(office: Path) -> None:
     words = [10 if word == 20 else word for word in QUICK]  # 20 in all
     assert call("calibrate", office, twin, *words).code == 0
     one, two = (
-        load_calibrations(p.with_suffix(".calibration.json"), load_map(p)) for p in (office, twin)
+        load_calibrations(p.with_suffix(".calibration.json"), load_map(p))[0]
+        for p in (office, twin)
     )
     assert one == two != {}
 
@@ -111,7 +112,7 @@ def test_refuses(office: Path, words: list[str], code: int, expected: str) -> No
 def test_other_methods_keep_their_fits(office: Path) -> None:
     path, grid = office.with_name("curved.calibration.json"), load_map(office)
     assert call("calibrate", office, *QUICK).code == 0
-    votes = load_calibrations(path, grid)
+    votes = load_calibrations(path, grid)[0]
     words = (
         "--methods",
         "cbml",
@@ -126,7 +127,7 @@ def test_other_methods_keep_their_fits(office: Path) -> None:
         "--force",
     )
     assert call("calibrate", office, *words).code == 0
-    both = load_calibrations(path, grid)
+    both = load_calibrations(path, grid)[0]
     assert list(both) == ["ght-v", "cbml"]
     assert both["ght-v"] == votes["ght-v"]
 
@@ -147,3 +148,41 @@ def test_refuses_to_overwrite_before_any_work(office: Path) -> None:
     assert (code, out) == (1, "")
     assert "--force" in err
     assert path.read_text() == "mine"
+
+
+def test_recorded_scans_say_what_error_they_share(office: Path) -> None:
+    scans, path = office.with_name("scans.npz"), office.with_name("curved.calibration.json")
+    words = ("simulate", office, "-n", 6, "--rays", 121, "--fov-deg", 360, "--out", scans)
+    assert call(*words).code == 0
+    longer = ("--resolution", 0.096)  # 4 % too small: so are the walls
+    assert call("calibrate", office, *QUICK, *longer).code == 0
+    code, out, err = call("calibrate", office, *longer, "--scans", scans, "--force")
+    assert (code, f"wrote {path}" in err) == (0, True)
+    content = json.loads(path.read_text())
+    assert content["shared"]["scale"] == pytest.approx(0.96, abs=0.01)
+    assert list(content["methods"]) == ["ght-v"]  # what was there is kept
+    assert content["about"]["shared"]["asked"] == 6
+    assert "6 of 6 fit at one place" in out
+    assert "cells are of 0.09" in out or "cells are of 0.10" in out
+    for row in rows(call("localize", office, scans, *longer, "--json").out):
+        assert row["parameters"]["shared"] == content["shared"]
+        assert row["evidence"]["scale"] == content["shared"]["scale"]
+    # What is simulated in the map as it is has no such error.
+    quick = ("-n", 1, "--rays", 121, "--methods", "fused", "--json", *longer)
+    (row,) = rows(call("evaluate", office, *quick).out)
+    assert row["parameters"]["shared"] == {"scale": 1.0, "thinner": 0}
+    (row,) = rows(call("calibrate", office, *longer, "--scans", scans, "--dry-run", "--json").out)
+    assert row["shared"]["scale"] == content["shared"]["scale"]
+    assert call("localize", office, scans, "--index", 0).code == 0  # of another resolution: unused
+
+
+def test_scans_from_elsewhere_say_nothing(office: Path) -> None:
+    scans = office.with_name("scans.csv")
+    scans.write_text("".join(f"{0.1 * k},{1 + 0.1 * (k % 3)}\n" for k in range(-15, 16)))
+    run = call("calibrate", office, "--scans", scans)
+    assert (run.code, run.out) == (2, "")
+    assert "of 1 scans fit this map at one place, expected at least 5" in " ".join(run.err.split())
+    run = call("calibrate", office, MAPS / "visibility.yaml", "--scans", scans)
+    assert (run.code, run.out) == (2, "")
+    assert "--scans: expected one MAP" in run.err
+    assert not office.with_name("curved.calibration.json").exists()

@@ -9,13 +9,14 @@ import pytest
 
 from imgloc.errors import OutputError
 from imgloc.io.calibration import (
+    calibrated,
     calibration_path,
     load_calibrations,
     map_hash,
     save_calibrations,
 )
 from imgloc.model import OccupancyGrid, Pose2D
-from imgloc.options import Calibration
+from imgloc.options import Calibration, Options, Shared
 
 WALL = np.eye(4, dtype=bool)
 GRID = OccupancyGrid(WALL, ~WALL, 0.1)
@@ -31,7 +32,7 @@ def path(tmp_path: Path) -> Path:
 
 def test_what_is_stored_is_found_again(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     assert path.name == "office.v2.calibration.json"
-    assert load_calibrations(path, GRID) == FITTED
+    assert load_calibrations(path, GRID)[0] == FITTED
     content = json.loads(path.read_text())
     assert content["about"] == {"ght-v": {"seed": 3}, "beam": {"seed": 3}}
     assert content["map_hash"] == map_hash(GRID)
@@ -39,8 +40,8 @@ def test_what_is_stored_is_found_again(path: Path, caplog: pytest.LogCaptureFixt
 
 
 def test_no_file_no_calibrations(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    assert load_calibrations(tmp_path / "a.calibration.json", GRID) == {}
-    assert load_calibrations(tmp_path, GRID) == {}
+    assert load_calibrations(tmp_path / "a.calibration.json", GRID) == ({}, Shared())
+    assert load_calibrations(tmp_path, GRID) == ({}, Shared())
     assert not caplog.records
 
 
@@ -62,7 +63,7 @@ def test_the_hash_is_of_what_is_seen_in_the_map() -> None:
 
 def test_of_another_map_it_is_not_used(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     finer = OccupancyGrid(WALL, ~WALL, 0.05)
-    assert load_calibrations(path, finer) == {}
+    assert load_calibrations(path, finer) == ({}, Shared())
     (record,) = caplog.records
     assert record.levelno == logging.WARNING
     assert "office.v2.calibration.json: not used" in record.getMessage()
@@ -91,7 +92,7 @@ def test_a_damaged_file_is_not_used(
     path: Path, change: dict[str, object], expected: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
-    assert load_calibrations(path, GRID) == {}
+    assert load_calibrations(path, GRID) == ({}, Shared())
     assert expected in caplog.text
 
 
@@ -100,20 +101,20 @@ def test_what_is_no_such_file_is_not_used(
     path: Path, content: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
     path.write_bytes(content)
-    assert load_calibrations(path, GRID) == {}
+    assert load_calibrations(path, GRID) == ({}, Shared())
     assert len(caplog.records) == 1
 
 
 def test_nothing_is_overwritten_unless_told_to(path: Path) -> None:
     with pytest.raises(OutputError, match="--force"):
         save_calibrations(path, GRID, {}, {})
-    assert load_calibrations(path, GRID) == FITTED
+    assert load_calibrations(path, GRID)[0] == FITTED
 
 
 def test_other_methods_are_kept(path: Path) -> None:
     new = {"cbml": Calibration(0.1, 0.0, 0.5), "beam": Calibration(temperature=0.7)}
     save_calibrations(path, GRID, new, {name: {"seed": 4} for name in new}, force=True)
-    assert load_calibrations(path, GRID) == FITTED | new
+    assert load_calibrations(path, GRID)[0] == FITTED | new
     about = json.loads(path.read_text())["about"]
     assert {name: said["seed"] for name, said in about.items()} == {
         "ght-v": 3, "beam": 4, "cbml": 4,
@@ -124,17 +125,47 @@ def test_other_methods_are_kept(path: Path) -> None:
 def test_a_file_that_is_of_no_use_is_replaced(path: Path, damage: str) -> None:
     path.write_text(damage)
     save_calibrations(path, GRID, {"cbml": Calibration()}, {}, force=True)
-    assert load_calibrations(path, GRID) == {"cbml": Calibration()}
+    assert load_calibrations(path, GRID)[0] == {"cbml": Calibration()}
 
 
 def test_what_is_of_another_map_is_not_kept(path: Path) -> None:
     finer = OccupancyGrid(WALL, ~WALL, 0.05)
     save_calibrations(path, finer, {"cbml": Calibration()}, {}, force=True)
-    assert load_calibrations(path, finer) == {"cbml": Calibration()}
+    assert load_calibrations(path, finer)[0] == {"cbml": Calibration()}
 
 
 @pytest.mark.parametrize("about", [[], 7, {"seed": 1}, {"beam": float("nan")}])
 def test_fits_of_which_nothing_is_said_are_kept(path: Path, about: object) -> None:
     path.write_text(json.dumps(json.loads(path.read_text()) | {"about": about}))
     save_calibrations(path, GRID, {}, {}, force=True)
-    assert load_calibrations(path, GRID) == FITTED
+    assert load_calibrations(path, GRID)[0] == FITTED
+
+
+def test_scale_and_walls_are_kept_and_come_with_the_options(path: Path) -> None:
+    shared = Shared(1.0426, 2)
+    save_calibrations(path, GRID, {}, {"shared": {"asked": 9}}, shared=shared, force=True)
+    assert load_calibrations(path, GRID) == (FITTED, shared)
+    save_calibrations(path, GRID, {"cbml": Calibration()}, {}, force=True)
+    assert load_calibrations(path, GRID) == (FITTED | {"cbml": Calibration()}, shared)
+    assert json.loads(path.read_text())["about"]["shared"] == {"asked": 9}
+    options = calibrated(Options("ght-v", top=3), path.with_name("office.v2.yaml"), GRID)
+    assert options == Options("ght-v", top=3, calibration=FITTED["ght-v"], shared=shared)
+    nothing = calibrated(Options(), path.with_name("other.yaml"), GRID)
+    assert nothing == Options()
+
+
+def test_a_file_of_before_has_no_error(path: Path) -> None:
+    content = json.loads(path.read_text())
+    del content["shared"]
+    path.write_text(json.dumps(content))
+    assert load_calibrations(path, GRID) == (FITTED, Shared())
+
+
+@pytest.mark.parametrize(
+    "shared", [{"scale": 0.0, "thinner": 0}, {"scale": 1.0}, {"scale": "1", "thinner": 0}, [1, 2]]
+)
+def test_an_error_that_cannot_be_is_not_used(path: Path, shared: object, caplog) -> None:
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"shared": shared}))
+    with caplog.at_level(logging.WARNING):
+        assert load_calibrations(path, GRID) == ({}, Shared())
+    assert "shared" in caplog.text

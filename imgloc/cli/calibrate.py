@@ -1,4 +1,4 @@
-"""`imgloc calibrate`: what the evidence of each method is worth in a map."""
+"""`imgloc calibrate`: what evidence is worth in a map, and what error all its readings share."""
 
 import math
 from collections.abc import Callable
@@ -33,6 +33,9 @@ def calibrate(
     sensor: "opt.Sensor",
     reading: "opt.Reading",
     resources: opt.Take,
+    scans: list[Path] | None = option(
+        None, "FILE", "Recorded scans: fit the scale of the map and the thickness of its walls."
+    ),
     methods: str = option(",".join(_STACKS), "NAMES", "With commas between."),
     count: int = option(30, "N", "Scans of each map.", "-n", "--count", min=1, max=10_000),
     seed: int = option(1000, "N", "Of what is simulated; evaluate with another.", min=0),
@@ -47,14 +50,18 @@ def calibrate(
     force: opt.Force = False,
     allow_lossy: opt.AllowLossy = False,
 ) -> None:
-    """Fit the posterior of a map's methods on simulated scans, and keep it beside the map.
+    """Fit what a map's methods are worth, or with --scans its scale and walls; keep it beside it.
 
     A stack of votes or log-likelihoods becomes a probability by a blur in x, y and theta and an
     exponent; those with the greatest S (eq. 12) are stored in MAP.calibration.json with the hash of
     the map, where localize and evaluate find them. Without that file they use defaults. With
     --force what the file has of other methods is kept.
+
+    With --scans, whose poses need not be known, it is by how much all readings are too long or too
+    short for the map and by how much its walls are drawn too thick: as of a floor plan. The default
+    method begins with that ever after.
     """
-    from imgloc.calibrate import check_trials, disturbed_set, fit, sweep
+    from imgloc.calibrate import LEAST, check_trials, disturbed_set, fit, sweep
     from imgloc.cli import inputs
     from imgloc.io.calibration import calibration_path, save_calibrations
     from imgloc.model import plain
@@ -77,9 +84,14 @@ def calibrate(
                 f"of imgloc; give {display(path)} if that is meant, else --dry-run or a copy"
             )
         inputs.check_target(target, ".json", force=force)
-    check_trials(count * len(paths))
+    check_trials(LEAST if scans is not None else count * len(paths))
     taken = resources()
     budget = taken.memory_budget
+    if scans is not None:
+        if len(paths) > 1:
+            raise ConfigError("--scans: expected one MAP, the one that they are from")
+        _with_scans(paths[0], scans, reading, taken, as_json, dry_run, force, allow_lossy)
+        return
     laser = replace(sensor, range_max=range_max)
     grids: list[OccupancyGrid] = []
     for path in paths:
@@ -110,9 +122,9 @@ def calibrate(
     for method, options in plans.items():
         sweeps = []
         with progress(method, count * len(maps), lines=False) as advance:
-            for path, grid, scans in zip(paths, grids, sets, strict=True):
+            for path, grid, told in zip(paths, grids, sets, strict=True):
                 features = prepare(grid, display(path), cell=cell, threads=taken.threads)
-                sweeps.append(sweep(features, scans, options, advance=advance))
+                sweeps.append(sweep(features, told, options, advance=advance))
         fits[method] = fit(sweeps)
         LOG.info("%s: %s", method, asdict(fits[method].calibration))
     about = {"maps": [display(path) for path in paths], "seed": seed, "trials": count}
@@ -128,4 +140,39 @@ def calibrate(
         each = {m: about | {"theta_step_deg": steps.get(m), "index": index[m]} for m in fits}
         calibrations = {method: f.calibration for method, f in fits.items()}
         save_calibrations(target, grid, calibrations, plain(each), force=force)
+        say(f"wrote {display(target)}")
+
+
+def _with_scans(
+    path: Path,
+    files: list[Path],
+    reading: "opt.Reading",
+    taken: "opt.Resources",
+    as_json: bool,
+    dry_run: bool,
+    force: bool,
+    allow_lossy: bool,
+) -> None:
+    """Fit the error that recorded scans share on one map."""
+    from imgloc.calibrate import SCANS, fit_shared
+    from imgloc.cli import inputs
+    from imgloc.io.calibration import calibration_path, save_calibrations
+    from imgloc.options import Options
+    from imgloc.output.json import to_json
+    from imgloc.output.tables import shared_words
+    from imgloc.pipeline import prepare
+
+    budget = taken.memory_budget
+    grid = inputs.load_grid(path, budget, allow_lossy=allow_lossy, **reading)
+    some = [scan for file in files for scan in inputs.load_set(file, budget).scans]
+    options = Options(threads=taken.threads, memory_budget=budget)
+    features = prepare(grid, display(path), threads=taken.threads)
+    inputs.check_answer(features, options, display(path), scans=some)
+    with progress("scans", min(SCANS, len(some)), lines=False) as advance:
+        found = fit_shared(features, some, options, advance=advance)
+    about = asdict(found) | {"scans": [display(file) for file in files]}
+    emit(to_json(about) if as_json else shared_words(found, grid.resolution))
+    if not dry_run:
+        target = calibration_path(path)
+        save_calibrations(target, grid, {}, {"shared": about}, shared=found.shared, force=force)
         say(f"wrote {display(target)}")

@@ -116,7 +116,7 @@ def evaluate(
         # The folder of a map.yaml says more than its name.
         name = display((given.stem == "map" and given.parent.name) or given.stem)
         grid = inputs.load_grid(path, budget, allow_lossy=allow_lossy, **reading)
-        calibrations = load_calibrations(calibration_path(path), grid)
+        calibrations, shared = load_calibrations(calibration_path(path), grid)
         source: dict[str, object] = {"map": where}
         if scans is None:
             laser = replace(sensor, range_max=30.0 if range_max is None else range_max)
@@ -138,6 +138,8 @@ def evaluate(
             theta_step = None if step is None else math.radians(step)
             options = method_options(method, theta_step, taken.threads)
             options = replace(options, calibration=calibrations.get(method), memory_budget=budget)
+            if scans is not None:  # what is simulated in the map has no error of its own
+                options = replace(options, shared=shared)
             # All of them before the first one takes its time.
             features = prepare(grid, where, cell=side)
             inputs.check_answer(features, options, where, scans=trials.scans)

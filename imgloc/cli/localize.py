@@ -75,7 +75,7 @@ def localize(
     from imgloc.cli import inputs
     from imgloc.doubts import doubts
     from imgloc.explanation import explain as reasons
-    from imgloc.io.calibration import calibration_path, load_calibrations
+    from imgloc.io.calibration import calibrated
     from imgloc.model import LaserScan, Pose2D
     from imgloc.options import FusedOptions, Options
     from imgloc.output.json import to_json
@@ -118,8 +118,8 @@ def localize(
         time_budget=time_budget,
         exact=exact_argmax,
         prior=inputs.prior_of(known, grid, allow_lossy=allow_lossy),
-        calibration=load_calibrations(calibration_path(map_path), grid).get(method.value),
     )
+    options = calibrated(options, map_path, grid)
     folder = inputs.kept_in(cache, wanted=not no_cache)
     sets = [inputs.load_set(path, taken.memory_budget, logs) for path in scans_paths]
     for scans in sets:

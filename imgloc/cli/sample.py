@@ -47,7 +47,7 @@ def sample(
     import numpy as np
 
     from imgloc.cli import inputs
-    from imgloc.io.calibration import calibration_path, load_calibrations
+    from imgloc.io.calibration import calibrated
     from imgloc.options import Options
     from imgloc.sample import sample_poses
 
@@ -65,8 +65,8 @@ def sample(
         threads=taken.threads,
         memory_budget=taken.memory_budget,
         theta_step=None if theta_step_deg is None else math.radians(theta_step_deg),
-        calibration=load_calibrations(calibration_path(map_path), grid).get(method.value),
     )
+    options = calibrated(options, map_path, grid)
     features = inputs.open_features(
         grid, display(map_path), None, options,
         scans=scans.scans, cell=cell, threads=taken.threads,

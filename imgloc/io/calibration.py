@@ -1,4 +1,4 @@
-"""Calibrations of a map's methods, in a JSON file beside the map.
+"""What was calibrated for a map, in a JSON file beside it: its methods, its scale and walls.
 
 The file says for which cells it was made: a map that has been redrawn since is another map, and
 what was fitted on the old one is not used.
@@ -8,6 +8,7 @@ import contextlib
 import json
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from imgloc.errors import ConfigError
 from imgloc.io.cache import cells_digest
 from imgloc.io.files import PathLike, display, write_text_atomic
 from imgloc.model import OccupancyGrid
-from imgloc.options import DEFAULTS, Calibration
+from imgloc.options import DEFAULTS, Calibration, Options, Shared
 
 LOG = logging.getLogger(__name__)
 
@@ -41,47 +42,62 @@ def save_calibrations(
     calibrations: Mapping[str, Calibration],
     about: Mapping[str, Mapping[str, object]],
     *,
+    shared: Shared | None = None,
     force: bool = False,
 ) -> None:
     """Write what was fitted on a map, beside what the file has of its other methods.
 
     `calibrations` and `about` (what decided them, as plain values: seed, trials, sensor ...) are by
-    method. With `force` a file that exists is changed, and one that is damaged or of another map
-    replaced; without, it is an OutputError, as is what cannot be written.
+    method, `shared` is the error of all its scans. With `force` a file that exists is changed, and
+    one that is damaged or of another map replaced; without, it is an OutputError, as is what
+    cannot be written.
     """
     kept, said = dict[str, Calibration](), None
     if force and Path(path).is_file():
         with contextlib.suppress(*_UNUSABLE):
-            kept, said = _read(Path(path), grid)
-    old = {name: said[name] for name in kept if name in said} if isinstance(said, dict) else {}
+            kept, said, known = _read(Path(path), grid)
+            shared = known if shared is None else shared
+    old = said if isinstance(said, dict) else {}
+    old = {name: old[name] for name in (*kept, "shared") if name in old}
     content = {
         "format": _FORMAT,
         "imgloc": __version__,
         "map_hash": map_hash(grid),
         "methods": {name: vars(fitted) for name, fitted in {**kept, **calibrations}.items()},
+        "shared": vars(shared or Shared()),
         "about": {**old, **about},
     }
     write_text_atomic(path, json.dumps(content, indent=2, allow_nan=False) + "\n", force=force)
 
 
-def load_calibrations(path: PathLike, grid: OccupancyGrid) -> dict[str, Calibration]:
-    """Read what was fitted on a map, by method.
+def calibrated(options: Options, map_path: PathLike, grid: OccupancyGrid) -> Options:
+    """The options with what was calibrated for a map: for their method, and of its scale and walls.
 
-    Empty, for the defaults to hold, if there is no file, or it is damaged or of another map; then
+    They stay as they are if there is no such file, or it is damaged or of another map.
+    """
+    methods, shared = load_calibrations(calibration_path(map_path), grid)
+    return replace(options, calibration=methods.get(options.method), shared=shared)
+
+
+def load_calibrations(path: PathLike, grid: OccupancyGrid) -> tuple[dict[str, Calibration], Shared]:
+    """Read what was fitted on a map: by method, and of its scale and walls.
+
+    Nothing, for the defaults to hold, if there is no file, or it is damaged or of another map; then
     a warning is logged that says why.
     """
     if not Path(path).is_file():
-        return {}
+        return {}, Shared()
     try:
-        return _read(Path(path), grid)[0]
+        methods, _, shared = _read(Path(path), grid)
     except _UNUSABLE as e:
         hint = "make it anew with `imgloc calibrate`"
         LOG.warning("%s: not used, the defaults are: %s; %s", display(path), e, hint)
-        return {}
+        return {}, Shared()
+    return methods, shared
 
 
-def _read(file: Path, grid: OccupancyGrid) -> tuple[dict[str, Calibration], Any]:
-    """Calibrations by method, and what the file says about them; one of `_UNUSABLE` if not."""
+def _read(file: Path, grid: OccupancyGrid) -> tuple[dict[str, Calibration], Any, Shared]:
+    """Calibrations by method, what the file says about them, the shared error; or `_UNUSABLE`."""
     with file.open("rb") as stream:
         text = stream.read(_MOST + 1)
     if len(text) > _MOST:
@@ -94,13 +110,24 @@ def _read(file: Path, grid: OccupancyGrid) -> tuple[dict[str, Calibration], Any]
     methods = content.get("methods")
     if not isinstance(methods, dict) or not set(methods) <= set(DEFAULTS):
         raise ValueError(f"methods: expected an object with keys of {', '.join(DEFAULTS)}")
-    found, names = dict[str, Calibration](), vars(Calibration()).keys()
-    for name, values in methods.items():
-        if not isinstance(values, dict) or values.keys() != names:
-            raise ValueError(f"methods.{name}: expected an object with {', '.join(names)}")
-        for key, value in values.items():
-            if isinstance(value, bool) or not isinstance(value, int | float):
-                raise ValueError(f"methods.{name}.{key}: got {value!r}, expected a number")
-        found[name] = Calibration(**{key: float(value) for key, value in values.items()})
+    found = {
+        name: Calibration(**_numbers(f"methods.{name}", values, vars(Calibration())))
+        for name, values in methods.items()
+    }
+    known = _numbers("shared", content.get("shared", vars(Shared())), vars(Shared()))
+    shared = Shared(known["scale"], int(known["thinner"]))
+    if not (0.5 <= shared.scale <= 2 and 0 <= shared.thinner <= 100):
+        raise ValueError(f"shared: got {known}, expected a scale from 0.5 to 2 and cells")
     # NaN and infinity, which JSON has not, are not written again.
-    return found, json.loads(json.dumps(content.get("about")), parse_constant=lambda _: None)
+    about = json.loads(json.dumps(content.get("about")), parse_constant=lambda _: None)
+    return found, about, shared
+
+
+def _numbers(name: str, values: object, wanted: Mapping[str, object]) -> dict[str, float]:
+    """The numbers of an object of a file, whose keys are those wanted; else a ValueError."""
+    if not isinstance(values, dict) or values.keys() != wanted.keys():
+        raise ValueError(f"{name}: expected an object with {', '.join(wanted)}")
+    for key, value in values.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(f"{name}.{key}: got {value!r}, expected a number")
+    return {key: float(value) for key, value in values.items()}

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from imgloc.calibrate import SharedFit
 from imgloc.model import SURE, VERDICTS, Localization, Pose2D, base_of
 
 if TYPE_CHECKING:
@@ -267,6 +268,20 @@ def batch_text(summary: "BatchSummary", folder: str) -> str:
 def _counted(counts: Mapping[str, int]) -> str:
     order = sorted(counts, key=lambda word: (-counts[word], word))
     return ", ".join(f"{counts[word]:,} {word}" for word in order)
+
+
+def shared_words(found: SharedFit, resolution: float) -> str:
+    """Say what :func:`imgloc.calibrate.fit_shared` found on a map of cells of so many metres."""
+    shared, error = found.shared, found.deviation
+    right = "as the map has it"
+    if abs(shared.scale - 1) > max(2 * error, 0.002):
+        right = f"the map's cells are of {resolution / shared.scale:.4g} m, or ranges are off"
+    facts = [
+        ("scans", f"{found.used} of {found.asked} fit at one place"),
+        ("scale", f"ranges x {shared.scale:.4f} +- {error:.4f}: {right}"),
+        ("walls", f"{shared.thinner * resolution:.2f} m thinner on each side than drawn"),
+    ]
+    return "\n".join(f"{name:<6} {fact}" for name, fact in facts)
 
 
 def calibration_table(fits: Mapping[str, Any]) -> str:
