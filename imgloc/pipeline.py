@@ -44,7 +44,7 @@ from imgloc.options import ALL_METHODS, DEFAULTS, FUSED, METHODS, Options, Prior
 from imgloc.search.adapt import adapt
 from imgloc.search.background import unmapped_score
 from imgloc.search.branch_and_bound import best_poses
-from imgloc.search.hypotheses import as_hypotheses, covariances, masses, modes
+from imgloc.search.hypotheses import as_hypotheses, covariances, masses, modes, spreads
 from imgloc.search.peaks import peaks_of_posterior
 from imgloc.search.priors import on_lattice, pyramid_levels, standing
 from imgloc.search.proposals import propose_endpoints, propose_votes
@@ -176,6 +176,8 @@ class Modes:
     complete: bool = True  #: the search came to its end
     #: (L, 3) those that got the second look, before they had it
     looked: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    #: (C, 3, 3) second moments of the maxima of the score around each, if they are known
+    spread: FloatArray | None = None
     shared: Shared = field(default_factory=Shared)  #: the error that was allowed for
 
     @property
@@ -237,7 +239,10 @@ def find_modes(
     scores = score_poses(features, many, poses, options)
     distance, angle = fused.separation
     apart = modes(poses, scores.log_likelihood, distance=distance, angle=angle)
-    return Modes(poses[apart], scores.select(apart), many, complete=not late, looked=looked)
+    close = {"within": (distance, angle), "same": fused.same}
+    spread = spreads(poses, scores.log_likelihood, apart, **close)
+    found = Modes(poses[apart], scores.select(apart), many, complete=not late)
+    return replace(found, looked=looked, spread=spread)
 
 
 def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options) -> Modes:
@@ -312,11 +317,11 @@ def weigh(features: MapFeatures, found: Modes, options: Options) -> Found:
     fit, temperature = _fit(features, found.readings, found.scores, options)
     share = masses(score, temperature.value)
     listed = found.poses[: options.listed(share)]
+    covariance = _covariances(features, listed, xy, options, 2 * min(options.fused.model.sigmas))
+    if found.spread is not None:
+        covariance = covariance + found.spread[: len(listed)]
     return Found(
-        found.poses,
-        score,
-        share,
-        _covariances(features, listed, xy, options, 2 * min(options.fused.model.sigmas)),
+        *(found.poses, score, share, covariance),
         temperature=temperature,
         lead=float(share[0]),
         complete=found.complete,

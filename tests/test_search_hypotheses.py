@@ -12,7 +12,7 @@ from imgloc.features.distance import distance_field
 from imgloc.geometry import rotate_covariance, transform_points
 from imgloc.likelihoods.posterior import entropy
 from imgloc.model import Pose2D
-from imgloc.search.hypotheses import as_hypotheses, covariances, masses, modes
+from imgloc.search.hypotheses import as_hypotheses, covariances, masses, modes, spreads
 
 scores = arrays(float, st.integers(1, 12), elements=st.floats(-2000, 2000))
 seeds = st.integers(0, 2**32 - 1)
@@ -210,3 +210,17 @@ def test_hypotheses_keep_the_order_of_their_arrays():
     assert as_hypotheses(np.empty((0, 3)), np.empty(0), np.empty(0), np.empty((0, 3, 3))) == ()
     with pytest.raises(ValueError, match="shorter"):
         as_hypotheses(poses, score, np.array([1.0]), np.stack([np.eye(3)] * 2))
+
+
+def test_a_mode_is_as_wide_as_its_maxima_are_apart():
+    poses = np.array([[1, 2, 3.1], [1.2, 2, 3.1], [1, 2, -3.1], [1, 2.001, 3.1], [1.6, 2, 3.1]])
+    score = np.array([0.0, np.log(0.5), -50.0, -0.1, 0.0])
+    about = {"within": (0.5, 0.3), "same": (0.02, 0.02)}
+    here, there = spreads(poses, score, np.array([0, 4]), **about)
+    # The second counts half as much as the first; the fourth is the first, the fifth another mode.
+    assert here[0, 0] == pytest.approx(0.2**2 * 0.5 / 1.5, rel=1e-6)
+    assert here[1, 1] == pytest.approx(0)
+    assert there[0, 0] == pytest.approx(0.4**2 * 0.5 / 1.5, rel=1e-6)
+    score[2] = 0.0  # 0.083 across the half turn
+    both = spreads(poses, score, np.array([0]), **about)[0]
+    assert both[2, 2] == pytest.approx((2 * np.pi - 6.2) ** 2 / 2.5, rel=1e-6)

@@ -47,6 +47,12 @@ def test_known_constants_come_back():
     assert float(row[-2]) < 0.05  # calibrated
 
 
+def test_a_temperature_that_is_held_stays():
+    fit = fit_trust(made(), held=(3.0, 5.0))
+    assert (fit.temperature, fit.strain) == (3.0, 5.0)
+    assert fit.loss[1] < fit.now[1]
+
+
 def test_disturbances_change_what_they_say_and_nothing_else():
     grid = render(WORLDS["curved"](), 0.1)
     scan = simulate(grid, 1, 0).scans[0]

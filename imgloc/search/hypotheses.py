@@ -150,6 +150,46 @@ def covariances(
     return np.asarray((out + out.transpose(0, 2, 1)) / 2)
 
 
+def spreads(
+    poses: FloatArray,
+    score: FloatArray,
+    best: IntArray,
+    *,
+    within: tuple[float, float],
+    same: tuple[float, float],
+) -> FloatArray:
+    """Second moments (C, 3, 3) of the poses around each mode's best one.
+
+    Between two layers of a wall, or where a wall is drawn twice, the score has several maxima that
+    are close together: how firmly the scan holds in one of them says nothing about the others.
+
+    Parameters
+    ----------
+    poses, score : (M, 3) and (M,) float arrays
+        All that were refined; nats.
+    best : (C,) int array
+        Which are the best of their modes, see :func:`modes`.
+    within, same : (float, float)
+        Metres and radians: poses of one mode, and poses that are one.
+
+    Examples
+    --------
+    >>> poses = np.array([[0, 0, 0], [0.1, 0, 0], [5, 0, 0.0]])
+    >>> about = {"within": (0.5, 0.2), "same": (0.02, 0.01)}
+    >>> spreads(poses, np.zeros(3), np.array([0, 2]), **about)[:, 0, 0].round(4).tolist()
+    [0.005, 0.0]
+    """
+    order = np.argsort(-score, kind="stable")
+    order = order[first_in_cell(poses[order], *same)]
+    away = poses[order] - poses[best][:, None]
+    away[..., 2] = wrap(away[..., 2])
+    near = np.hypot(away[..., 0], away[..., 1]) < within[0]
+    near &= np.abs(away[..., 2]) < within[1]
+    weight = near * np.exp(np.minimum(score[order] - score[best][:, None], 0))
+    weight = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
+    return np.asarray(np.einsum("cm,cmi,cmj->cij", weight, away, away))
+
+
 def _jackknife(
     poses: FloatArray,
     xy: FloatArray,

@@ -16,9 +16,12 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -38,7 +41,7 @@ from imgloc.worlds import WORLDS, render
 from tools.plots import blank
 from tools.progress import progress
 from tools.recorded import scans_beside
-from tools.trust.fit import Case, cases_at_home, cases_away, conditions_table, fit_trust
+from tools.trust.fit import Case, cases_at_home, cases_away, conditions_table, fit_trust, trust_of
 from tools.trust.naming import ask_all, naming_shares, scans_of
 from tools.trust.precision import precision, precision_table
 from tools.trust.reliability import Judged, draw_reliability, judged, reliability, summary
@@ -74,7 +77,7 @@ FIT = """The constants of trust, fitted to scans of worlds and recorded sets in 
 
 Prints a JSON object with the constants, on what they were fitted, and the losses: of what was
 fitted to, of buildings that were left out, of the constants as they are now. Then, as Markdown,
-what the constants as they are now make of each condition."""
+what the constants as they are now make of each condition, and what the fitted ones would."""
 WHICH = """How often does `imgloc which` name the right map? Over the maps of some folders.
 
 Scans are those recorded beside a map (scans.npz, with poses), or simulated in it. Each is asked
@@ -118,6 +121,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument("--worlds", default=",".join(WORLDS), help="with commas between")
     one.add_argument("--sets", type=Path, nargs="*", default=[], help="maps with scans.npz")
     one.add_argument("--maps", type=Path, nargs="*", default=[], help="more maps, without scans")
+    one.add_argument(
+        "--hold-temperature", action="store_true", help="fit only the log-odds of being elsewhere"
+    )
+    one.add_argument("--workers", type=int, default=threads)
     one.add_argument("--same", action="append", default=[], help="names of one building")
     one.add_argument("--range-max", type=float, default=20.0, help="of recorded scans, metres")
 
@@ -244,19 +251,31 @@ def run_fit(given: argparse.Namespace) -> int:
     one = {name: group for group in given.same for name in group.split(",")}
     recorded = [path.parent.name for path in given.sets]
     maps = {name: homes[name][0] for name in recorded} | others
+    jobs: list[tuple[Callable[..., Iterator[Case]], tuple[Any, ...]]] = []
+    for name, (grid, scans) in homes.items():
+        jobs.append((cases_at_home, (one.get(name, name), grid, scans, seed)))
+    for name, grid in maps.items():
+        away = [r for r in recorded if one.get(r, r) != one.get(name, name)]
+        foreign = [s for r in away for s in homes[r][1].scans[: max(1, n // 4)]]
+        jobs.append((cases_away, (one.get(name, name), grid, foreign, max(1, n // 6), seed)))
     cases: list[Case] = []
-    with progress("fit", len(homes) + len(maps)) as advance:
-        for name, (grid, scans) in homes.items():
-            cases += cases_at_home(one.get(name, name), grid, scans, seed)
+    pool = ProcessPoolExecutor(given.workers, mp_context=get_context("spawn"))
+    with progress("fit", len(jobs)) as advance, pool as workers:
+        for some in workers.map(_listed, *zip(*jobs, strict=True)):
+            cases += some
             advance()
-        for name, grid in maps.items():
-            away = [r for r in recorded if one.get(r, r) != one.get(name, name)]
-            foreign = [s for r in away for s in homes[r][1].scans[: max(1, n // 4)]]
-            cases += cases_away(one.get(name, name), grid, foreign, max(1, n // 6), seed)
-            advance()
-    print(to_json({"n": n, "seed": seed, "range_max": given.range_max} | asdict(fit_trust(cases))))
-    print(conditions_table(cases, Trust()))
+    held = None
+    if given.hold_temperature:
+        held = Trust().temperature, Trust().strain
+    fit = fit_trust(cases, held)
+    print(to_json({"n": n, "seed": seed, "range_max": given.range_max} | asdict(fit)))
+    print(conditions_table(cases, Trust()), conditions_table(cases, trust_of(fit)), sep="\n\n")
     return 0
+
+
+def _listed(make: Callable[..., Iterator[Case]], given: tuple[Any, ...]) -> list[Case]:
+    cv2.setNumThreads(1)
+    return list(make(*given))
 
 
 def run_precision(given: argparse.Namespace) -> int:

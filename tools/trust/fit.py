@@ -124,19 +124,22 @@ def mapped(grid: OccupancyGrid, pose: FloatArray) -> bool:
     return bool(grid.free[tuple(near)].any())
 
 
-def fit_trust(cases: Sequence[Case]) -> TrustFit:
+def fit_trust(cases: Sequence[Case], held: tuple[float, float] | None = None) -> TrustFit:
     """Fit temperature and log-odds to all cases, and to those of all buildings but one, each once.
+
+    A temperature and strain that are `held` are not fitted.
 
     Cases count so that every building and condition has the root of its number of cases.
     """
-    scale, odds = _fit(cases)
+    fixed = None if held is None else np.array(held) / (1, MARGIN)
+    scale, odds = _fit(cases, fixed)
     out = np.zeros(2)
     weights = _weights(cases)
     for name in sorted({c.building for c in cases}):
         home = np.array([c.building == name for c in cases])
         rest, some = ([c for c, h in zip(cases, home, strict=True) if h == x] for x in (0, 1))
         if rest:
-            out += weights[home].sum() / weights.sum() * np.array(_losses(some, *_fit(rest)))
+            out += weights[home].sum() / weights.sum() * np.array(_losses(some, *_fit(rest, fixed)))
     trust = Trust()
     now = np.array([trust.temperature, trust.strain / MARGIN])
     odds_now = np.array(trust.elsewhere) - (PRIOR, 0, 0)
@@ -152,13 +155,15 @@ def fit_trust(cases: Sequence[Case]) -> TrustFit:
     )
 
 
-def _fit(cases: Sequence[Case]) -> tuple[FloatArray, FloatArray]:
+def _fit(cases: Sequence[Case], fixed: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Temperature and strain (2,), then log-odds (3,), by what they lose."""
     trust = Trust()
     start = np.log([trust.temperature, trust.strain])
     # Both are positive; Nelder and Mead's way needs no slope, of which a clipped share has none.
-    found = minimize(lambda p: _temperature_loss(cases, np.exp(p)), start, method="Nelder-Mead")
-    scale = np.exp(found.x)
+    scale = fixed
+    if scale is None:
+        found = minimize(lambda p: _temperature_loss(cases, np.exp(p)), start, method="Nelder-Mead")
+        scale = np.exp(found.x)
     X, y, w = _regressors(cases, scale), _lost(cases), _weights(cases)
 
     def loss(b: FloatArray) -> float:
