@@ -9,8 +9,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.model import LaserScan
-from imgloc.options import Options
+from imgloc.model import Evidence, LaserScan
+from imgloc.options import Options, Shared
 from imgloc.pipeline import localize
 
 _TRIED = 3  # doubtful scans that are looked at in another way
@@ -68,6 +68,33 @@ def doubts(
     return [
         "most scans do not fit this map. Look at one with --index 0 --explain why.html, and at the "
         "map with imgloc map check; imgloc which tells which of several maps it is from"
+    ]
+
+
+def bent(evidence: Sequence[Evidence], known: Shared) -> list[str]:
+    """Say that most scans fit a map only with an error that all readings share, and what helps.
+
+    None if fewer than half do, or it is `known` already; in a list, as of :func:`doubts`.
+
+    Examples
+    --------
+    >>> bent([Evidence(scale=1.05), Evidence(scale=1.04), Evidence()], Shared())[0][:67]
+    'most scans fit this map far better with their ranges multiplied by '
+    >>> bent([Evidence(scale=1.05), Evidence(scale=1.05)], Shared(1.05))
+    []
+    """
+    scales = [said.scale for said in evidence if said.scale != known.scale]
+    thinner = [said.thinner for said in evidence if said.thinner > 0 and known.thinner == 0]
+    found = ""
+    if 2 * len(scales) > len(evidence):
+        found = f"their ranges multiplied by {np.median(scales):.3f}"
+    elif 2 * len(thinner) > len(evidence):
+        found = f"walls that are {np.median(thinner):.2f} m thinner on each side"
+    if not found:
+        return []
+    return [
+        f"most scans fit this map far better with {found}: is it drawn, or of another scale? "
+        "imgloc calibrate MAP --scans FILE finds that once for all, which is faster and surer"
     ]
 
 

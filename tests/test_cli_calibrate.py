@@ -155,6 +155,9 @@ def test_recorded_scans_say_what_error_they_share(office: Path) -> None:
     words = ("simulate", office, "-n", 6, "--rays", 121, "--fov-deg", 360, "--out", scans)
     assert call(*words).code == 0
     longer = ("--resolution", 0.096)  # 4 % too small: so are the walls
+    said = " ".join(call("localize", office, scans, *longer).err.split())
+    assert "most scans fit this map far better with their ranges multiplied by 0.9" in said
+    assert "imgloc calibrate MAP --scans FILE" in said
     assert call("calibrate", office, *QUICK, *longer).code == 0
     code, out, err = call("calibrate", office, *longer, "--scans", scans, "--force")
     assert (code, f"wrote {path}" in err) == (0, True)
@@ -164,7 +167,9 @@ def test_recorded_scans_say_what_error_they_share(office: Path) -> None:
     assert content["about"]["shared"]["asked"] == 6
     assert "6 of 6 fit at one place" in out
     assert "cells are of 0.09" in out or "cells are of 0.10" in out
-    for row in rows(call("localize", office, scans, *longer, "--json").out):
+    run = call("localize", office, scans, *longer, "--json")
+    assert "most scans" not in run.err
+    for row in rows(run.out):
         assert row["parameters"]["shared"] == content["shared"]
         assert row["evidence"]["scale"] == content["shared"]["scale"]
     # What is simulated in the map as it is has no such error.

@@ -1,13 +1,17 @@
 """`imgloc evaluate`, from the command line to its table and its JSON."""
 
+import contextlib
 import dataclasses
+import importlib
 import json
+import os
+import subprocess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from command import MAPS, call, rows, spawn
+from command import MAPS, call, command, rows, spawn
 
 from imgloc.geometry import transform_poses
 from imgloc.io.maps import load_map, save_map
@@ -153,6 +157,28 @@ def test_the_table_shows_every_method_thrice() -> None:
     assert len(tables) == 3
     for table in tables:
         assert len({len(line) for line in table.splitlines()[1:]}) == 1
+
+
+@pytest.mark.skipif(os.name != "posix", reason="terminals of POSIX")
+def test_no_line_of_the_table_is_wider_than_the_terminal() -> None:
+    pty, termios = (importlib.import_module(name) for name in ("pty", "termios"))
+    leader, follower = pty.openpty()
+    termios.tcsetwinsize(follower, (24, 80))
+    words = command(["evaluate", "curved", "-n", 1, "--methods", "fused", "--tolerance", "0.3,10"])
+    plain = {key: value for key, value in os.environ.items() if key not in ("COLUMNS", "LINES")}
+    with subprocess.Popen(words, stdout=follower, stderr=subprocess.DEVNULL, env=plain) as run:
+        os.close(follower)
+        shown = b""
+        with contextlib.suppress(OSError):  # so a terminal says that its other end is closed
+            while piece := os.read(leader, 100_000):
+                shown += piece
+    os.close(leader)
+    assert run.returncode == 0
+    lines = shown.decode().splitlines()
+    assert max(map(len, lines)) <= 80
+    assert sum(line.startswith("| curved | fused ") for line in lines) > 3
+    for name in ("unique, wrong", "features MiB", "within 1 cell %"):
+        assert sum(name in line for line in lines) == 1
 
 
 @pytest.mark.parametrize(

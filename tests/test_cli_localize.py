@@ -180,6 +180,19 @@ def test_text_is_a_table_for_one_scan_and_a_line_for_each_of_several(scans: Path
     assert [line.split()[:2] for line in several[1:]] == [[str(k), "unique"] for k in range(3)]
 
 
+def test_a_line_says_how_much_mass_is_not_listed(tmp_path: Path) -> None:
+    words = ["corridor", tmp_path / "short.npz", "--top", 1]
+    assert call("simulate", "corridor", "-n", 2, "--range-max", 3, "--out", words[1]).code == 0
+    answers = rows(call("localize", *words, "--json").out)
+    header, *lines = call("localize", *words).out.splitlines()
+    assert max(map(len, [header, *lines])) <= 80
+    start = header.index("unlisted")
+    for line, answer in zip(lines, answers, strict=True):
+        rest = 100 * (1 - answer["hypotheses"][0]["mass"])
+        assert line[start : start + 8].split() == [f"{rest:.1f}", "%"]
+    assert max(1 - answer["hypotheses"][0]["mass"] for answer in answers) > 0.1
+
+
 def test_pictures_are_numbered_when_there_are_several(scans: Path, tmp_path: Path) -> None:
     words = ["localize", CURVED, scans, "--picture", tmp_path / "out.png", "--threads", 1]
     assert call(*words, "--index", 1).code == 0

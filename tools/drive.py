@@ -20,6 +20,7 @@ from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid
 from imgloc.options import Options
+from imgloc.output.pictures import Picture
 from imgloc.output.tracks import draw_track
 from imgloc.pipeline import prepare
 from imgloc.sequences import piece
@@ -77,6 +78,22 @@ def log_of(world: str, poses: FloatArray, seed: int, *, outliers: float = 0.1) -
     return ScanSet(scans, poses, np.arange(0, len(poses) / 2, 0.5, dtype=np.float64), odom)
 
 
+def drive(seed: int = 1) -> ScanSet:
+    """The log of both drives, one after the other."""
+    grid = render(WORLDS[WORLD](), 0.1)
+    parts = [path_between(grid, np.array(stops), 0.25) for stops in STOPS]
+    ends = np.cumsum([0, *map(len, parts)])
+    whole = log_of(WORLD, np.concatenate(parts), seed)
+    return piece(whole, *(range(a, b) for a, b in itertools.pairwise(ends.tolist())))
+
+
+def draw_drive(log: ScanSet) -> Picture:
+    """The track that the tracker makes of the log."""
+    features = prepare(render(WORLDS[WORLD](), 0.1))
+    moments = list(follow(features, log, make_filter("tracker", features, Options())))
+    return draw_track(features.grid, moments, log.poses)
+
+
 def main() -> None:
     """Make the log, follow it, draw it."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -84,16 +101,10 @@ def main() -> None:
     parser.add_argument("--log", type=Path, help="NPZ to write: for imgloc track")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
-    grid = render(WORLDS[WORLD](), 0.1)
-    parts = [path_between(grid, np.array(stops), 0.25) for stops in STOPS]
-    ends = np.cumsum([0, *map(len, parts)])
-    whole = log_of(WORLD, np.concatenate(parts), given.seed)
-    log = piece(whole, *(range(a, b) for a, b in itertools.pairwise(ends.tolist())))
+    log = drive(given.seed)
     if given.log is not None:
         save_scans(given.log, log, force=True)
-    features = prepare(grid)
-    moments = list(follow(features, log, make_filter("tracker", features, Options())))
-    draw_track(grid, moments, log.poses).save(given.out, force=True)
+    draw_drive(log).save(given.out, force=True)
 
 
 if __name__ == "__main__":

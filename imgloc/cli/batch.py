@@ -35,7 +35,8 @@ def batch(
         Path,
         typer.Argument(
             metavar="MAPS",
-            callback=opt.find_map,
+            # A CSV here is one of pairs.
+            callback=lambda path: path if path.suffix.lower() == ".csv" else opt.find_map(path),
             help="Folder tree of maps (images without a YAML with --resolution), a map, or a CSV "
             "of pairs with the columns map,scans.",
         ),

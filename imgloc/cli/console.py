@@ -8,6 +8,7 @@ import contextlib
 import errno
 import logging
 import os
+import shutil
 import sys
 import traceback
 from collections.abc import Callable, Iterator
@@ -83,6 +84,13 @@ def emit(text: str) -> None:
             raise
         _drop_stdout()
         raise OutputError(f"standard output: cannot be written: {e.strerror}") from None
+
+
+def width() -> int | None:
+    """Columns of the terminal that the result goes to; None if it goes elsewhere."""
+    if sys.stdout is None or not sys.stdout.isatty():
+        return None
+    return shutil.get_terminal_size().columns
 
 
 def say(message: str) -> None:

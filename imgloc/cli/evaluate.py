@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import LOG, emit, progress
+from imgloc.cli.console import LOG, emit, progress, width
 from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
@@ -156,7 +156,7 @@ def evaluate(
                 emit(to_json(table[-1]))
         del features  # before the next map is loaded
     if not as_json:
-        emit(evaluation_tables(table))
+        emit(evaluation_tables(table, width()))
 
 
 def _check_sources(

@@ -34,4 +34,4 @@ def export(
     inputs.check_target(target, f".{form.value}", force=force)
     data = as_bytes(folder, form.value)
     write_bytes_atomic(target, data, force=force)
-    say(f"wrote {display(target)}: {len(data) / 1e6:.1f} MB")
+    say(f"wrote {display(target)}: {len(data) / 1000:,.0f} kB")

@@ -73,10 +73,10 @@ def localize(
     in the map frame. Look at the mass of the second hypothesis before trusting the first.
     """
     from imgloc.cli import inputs
-    from imgloc.doubts import doubts
+    from imgloc.doubts import bent, doubts
     from imgloc.explanation import explain as reasons
     from imgloc.io.calibration import calibrated
-    from imgloc.model import LaserScan, Pose2D
+    from imgloc.model import Evidence, LaserScan, Pose2D
     from imgloc.options import FusedOptions, Options
     from imgloc.output.json import to_json
     from imgloc.output.pages import render_explanation
@@ -151,7 +151,7 @@ def localize(
     if many and not as_json:
         on_robot = any(scan.T_base_laser is not None for scan in every)
         emit(answer_header(on_robot or mounting.sensor is not None))
-    looked_at, verdicts = list[LaserScan](), list[str]()
+    looked_at, verdicts, evidence = list[LaserScan](), list[str](), list[Evidence]()
     errors, shown = list[tuple[float, float]](), ""
     with progress("localize", len(queue)) as advance:
         for n, (file, scans, k) in zip(numbers, queue, strict=True):
@@ -160,15 +160,16 @@ def localize(
             truth = None if scans.poses is None else Pose2D(*scans.poses[k])
             looked_at.append(scan)
             verdicts.append(answer.verdict)
+            evidence.append(answer.evidence)
             if answer.pose is not None and truth is not None:
                 errors.append(difference(answer.pose, truth))
             LOG.info("%s, scan %d: %s, %s", file, k, answer.verdict, times_words(answer))
             if n in targets:
                 draw(grid, answer, scan, truth=truth).save(targets[n], force=force)
             if n in pages:
-                why = reasons(features, scan, answer, options)
+                reason = reasons(features, scan, answer, options)
                 title = f"{Path(file).name}, scan {k}, on {display(map_path.name)}"
-                html = render_explanation(why, title, truth=truth)
+                html = render_explanation(reason, title, truth=truth)
                 write_text_atomic(pages[n], html, force=force)
             advance()
             if several and not as_json and file != shown:
@@ -193,7 +194,8 @@ def localize(
             )  # fmt: skip
     # Rows that are all invalid say why themselves, to a program.
     if fused and time_budget is None and not (as_json and set(verdicts) == {"invalid"}):
-        for doubt in doubts(features, looked_at, verdicts, options, flipped=mounting.flipped):
+        why = doubts(features, looked_at, verdicts, options, flipped=mounting.flipped)
+        for doubt in (*why, *bent(evidence, options.shared)):
             LOG.warning("%s", doubt)
     if strict and set(verdicts) != {"unique"}:
         raise typer.Exit(NOT_UNIQUE)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import LOG, emit, progress
+from imgloc.cli.console import LOG, emit, progress, width
 from imgloc.io.files import display
 
 GRID_CELL = 0.2  # metres: of the grid filter, whose stacks are held whole
@@ -62,4 +62,4 @@ def measure_sequences(
             if as_json:
                 emit(to_json(rows[-1]))
     if not as_json:
-        emit(sequence_tables(rows))
+        emit(sequence_tables(rows, width()))

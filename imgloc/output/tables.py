@@ -24,8 +24,17 @@ _UNDER = "sd: standard deviation, of noise and of errors that a wall shares"
 _LISTED = 3  # maps that a line of `imgloc which` names
 
 
-def as_plain(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 0) -> str:
+def as_plain(
+    columns: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    left: int = 0,
+    width: int | None = None,
+) -> str:
     """Format a table of cells under headings, `left` of the columns flush left; none is ever cut.
+
+    What is wider than `width` characters goes on in further tables, below, with the `left` columns
+    again.
 
     Examples
     --------
@@ -35,7 +44,34 @@ def as_plain(columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int
     +---+---+
     | x | 1 |
     +---+---+
+    >>> print(as_plain(("a", "b", "c"), [("x", "1", "2")], left=1, width=10))
+    +---+---+
+    | a | b |
+    +---+---+
+    | x | 1 |
+    +---+---+
+    +---+---+
+    | a | c |
+    +---+---+
+    | x | 2 |
+    +---+---+
     """
+    if width is not None:
+        sizes = [3 + max(map(len, column)) for column in zip(columns, *rows, strict=True)]
+        last = left + 1
+        while last < len(sizes) and sum(sizes[: last + 1]) < width:
+            last += 1
+        if last < len(sizes):
+            halves = [list(range(last)), [*range(left), *range(last, len(sizes))]]
+            return "\n".join(
+                as_plain(
+                    [columns[k] for k in half],
+                    [[row[k] for k in half] for row in rows],
+                    left=left,
+                    width=width,
+                )
+                for half in halves
+            )
     table = Table(box=box.ASCII2)
     for k, name in enumerate(columns):
         table.add_column(Text(name), justify="left" if k < left else "right", no_wrap=True)
@@ -59,21 +95,23 @@ def difference(a: Pose2D, b: Pose2D) -> tuple[float, float]:
 
 def answer_header(mounted: bool = False) -> str:
     """Return what stands above the lines of :func:`answer_line`; `mounted` if they have a base."""
-    base = f"  {'base x':>10} {'base y':>10} {'base theta':>12}" if mounted else ""
-    place = f"{'x / m':>10} {'y / m':>10} {'theta / deg':>12}"
-    return f"{'index':>6}  {'verdict':<10} {place} {'mass':>8} {'explained':>10}{base}"
+    base = f"  {'base x':>9} {'base y':>9} {'base theta':>11}" if mounted else ""
+    place = f"{'x / m':>9} {'y / m':>9} {'theta / deg':>11}"
+    shares = f"{'mass':>8} {'unlisted':>8} {'explained':>10}"
+    return f"{'index':>6}  {'verdict':<10} {place} {shares}{base}"
 
 
 def answer_line(index: int, answer: Localization) -> str:
     """Return one line for one scan, to be written as soon as it is known."""
-    mass, explained, mount = "-", "-", answer.T_base_laser
-    place = base = f"{'-':>10} {'-':>10} {'-':>12}"
+    mass, rest, explained, mount = "-", "-", "-", answer.T_base_laser
+    place = base = f"{'-':>9} {'-':>9} {'-':>11}"
     if answer.pose is not None:
         mass, explained = _percent(answer.hypotheses[0].mass), _percent(answer.explained)
+        rest = _percent(_unlisted(answer))
         place = _place(answer.pose)
         base = place if mount is None else _place(base_of(answer.pose, mount))
     more = ("" if mount is None else f"  {base}") + ("" if answer.complete else "  out of time")
-    return f"{index:>6}  {answer.verdict:<10} {place} {mass:>8} {explained:>10}{more}"
+    return f"{index:>6}  {answer.verdict:<10} {place} {mass:>8} {rest:>8} {explained:>10}{more}"
 
 
 def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -> str:
@@ -122,12 +160,16 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
         ]
         columns = ("#", "mass", "x / m", "y / m", "theta / deg", "sd xy / m", "sd deg", "log L")
         lines += ["", as_plain(columns, rows), _UNDER]
-        rest = max(0.0, 1.0 - sum(h.mass for h in answer.hypotheses))
+        lines.append(f"{_percent(_unlisted(answer))} of the mass is in none of these rows")
         masses = [h.mass for h in answer.hypotheses]
         if masses != sorted(masses, reverse=True):  # a peak may be higher than it holds
-            lines[-1] += "; rows are in the order of log L, the score"
-        lines[-1] += f"; {_percent(rest)} of the mass is in none of these rows"
+            lines[-1] += "; they are in the order of log L, the score"
     return "\n".join(lines)
+
+
+def _unlisted(answer: Localization) -> float:
+    """Mass that is in none of the hypotheses listed."""
+    return max(0.0, 1.0 - sum(h.mass for h in answer.hypotheses))
 
 
 def bent_words(scale: float, thinner: float) -> str | None:
@@ -171,7 +213,7 @@ def times_words(answer: Localization) -> str:
 
 
 def _place(pose: Pose2D) -> str:
-    return f"{pose.x:10.3f} {pose.y:10.3f} {math.degrees(pose.theta):12.2f}"
+    return f"{pose.x:9.3f} {pose.y:9.3f} {math.degrees(pose.theta):11.2f}"
 
 
 def _percent(share: float) -> str:
@@ -302,8 +344,8 @@ def calibration_table(fits: Mapping[str, Any]) -> str:
     return as_plain(columns, rows, left=1)
 
 
-def evaluation_tables(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Return three tables of rows of :meth:`imgloc.evaluation.Evaluation.as_row`."""
+def evaluation_tables(rows: Sequence[Mapping[str, Any]], width: int | None = None) -> str:
+    """Return tables, as of :func:`as_plain`, of rows of `imgloc.evaluation.Evaluation.as_row`."""
     tables = []
     for title, make in (
         ("Right answers, % [95 % interval]", _success),
@@ -314,7 +356,7 @@ def evaluation_tables(rows: Sequence[Mapping[str, Any]]) -> str:
             {"map": row["map"], "method": row["method"], "n": str(row["trials"]), **make(row)}
             for row in rows
         ]
-        table = as_plain(list(cells[0]), [list(c.values()) for c in cells], left=2)
+        table = as_plain(list(cells[0]), [list(c.values()) for c in cells], left=2, width=width)
         tables.append(f"{title}\n{table}")
     return "\n\n".join(tables)
 

@@ -215,8 +215,8 @@ def sequence_row(
     return {"map": name, "filter": filter_, **asdict(summary), **about}
 
 
-def sequence_tables(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Two tables: how a robot is found, and how it is kept."""
+def sequence_tables(rows: Sequence[Mapping[str, Any]], width: int | None = None) -> str:
+    """Two tables, as :func:`as_plain`: how a robot is found, and how it is kept."""
     at = list(rows[0]["right"])
     found, kept = [], []
     for row in rows:
@@ -249,7 +249,8 @@ def sequence_tables(rows: Sequence[Mapping[str, Any]]) -> str:
         "map", "filter", "RMSE / m", "deg", "s unique, wrong", "kidnapped: back", "after m",
         "x real time",
     )  # fmt: skip
-    return as_plain(first, found, left=3) + "\n" + as_plain(second, kept, left=2)
+    tables = ((first, found, 3), (second, kept, 2))
+    return "\n".join(as_plain(names, cells, left=n, width=width) for names, cells, n in tables)
 
 
 def _share(share: Mapping[str, Any]) -> str:

@@ -1,4 +1,7 @@
-"""Where is one scan enough? Simulated from a raster of places, answered, drawn by verdict."""
+"""An atlas
+========
+
+Where is one scan enough? Simulated from a raster of places, answered, drawn by verdict."""
 
 from imgloc import Options, Picture, Sensor, load_map
 from imgloc.atlas import TOP, atlas_poses, simulate_at, survey

@@ -1,4 +1,7 @@
-"""A folder of files of scans, whatever their formats: every answer, without an exception."""
+"""A folder of scans
+=================
+
+A folder of files of scans, whatever their formats: every answer, without an exception."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -1,4 +1,7 @@
-"""A map from a drawing program: black walls on white, no YAML, just a resolution."""
+"""A map from a PNG
+================
+
+A map from a drawing program: black walls on white, no YAML, just a resolution."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory

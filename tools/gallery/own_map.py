@@ -1,4 +1,7 @@
-"""A map maker of your own: rays of scans with known poses, counted, are a map to localize in."""
+"""Your own map maker
+==================
+
+A map maker of your own: rays of scans with known poses, counted, are a map to localize in."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,7 @@
-"""A score of your own: rank the hypotheses anew by the share of readings within 10 cm of a wall."""
+"""Your own score
+==============
+
+A score of your own: rank the hypotheses anew by the share of readings within 10 cm of a wall."""
 
 import math
 from dataclasses import replace

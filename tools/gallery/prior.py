@@ -1,4 +1,7 @@
-"""A corridor repeats itself: one scan fits many places, until it is known roughly where it was."""
+"""What is known beforehand
+========================
+
+A corridor repeats itself: one scan fits many places, until it is known roughly where it was."""
 
 import math
 

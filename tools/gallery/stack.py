@@ -1,4 +1,7 @@
-"""A likelihood is a stack of images, (theta, y, x): any operation on images is one on it."""
+"""A likelihood as images
+======================
+
+A likelihood is a stack of images, (theta, y, x): any operation on images is one on it."""
 
 import numpy as np
 

@@ -1,4 +1,7 @@
-"""Which of several maps is a scan from? Its likelihood averaged over each of them says so."""
+"""Which map?
+==========
+
+Which of several maps is a scan from? Its likelihood averaged over each of them says so."""
 
 from imgloc import Picture, draw, load_map, localize, prepare, simulate, which
 from imgloc.io.maps import bundled_maps

@@ -41,7 +41,15 @@ from imgloc.worlds import WORLDS, render
 from tools.plots import blank
 from tools.progress import progress
 from tools.recorded import scans_beside
-from tools.trust.fit import Case, cases_at_home, cases_away, conditions_table, fit_trust, trust_of
+from tools.trust.fit import (
+    Case,
+    cases_at_home,
+    cases_away,
+    conditions_table,
+    fit_trust,
+    listed,
+    trust_of,
+)
 from tools.trust.naming import ask_all, naming_shares, scans_of
 from tools.trust.precision import precision, precision_table
 from tools.trust.reliability import Judged, draw_reliability, judged, reliability, summary
@@ -261,7 +269,7 @@ def run_fit(given: argparse.Namespace) -> int:
     cases: list[Case] = []
     pool = ProcessPoolExecutor(given.workers, mp_context=get_context("spawn"))
     with progress("fit", len(jobs)) as advance, pool as workers:
-        for some in workers.map(_listed, *zip(*jobs, strict=True)):
+        for some in workers.map(listed, *zip(*jobs, strict=True)):
             cases += some
             advance()
     held = None
@@ -271,11 +279,6 @@ def run_fit(given: argparse.Namespace) -> int:
     print(to_json({"n": n, "seed": seed, "range_max": given.range_max} | asdict(fit)))
     print(conditions_table(cases, Trust()), conditions_table(cases, trust_of(fit)), sep="\n\n")
     return 0
-
-
-def _listed(make: Callable[..., Iterator[Case]], given: tuple[Any, ...]) -> list[Case]:
-    cv2.setNumThreads(1)
-    return list(make(*given))
 
 
 def run_precision(given: argparse.Namespace) -> int:

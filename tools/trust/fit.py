@@ -7,9 +7,11 @@ scans whose place is found from those whose place is not. Each building is left 
 """
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
+import cv2
 import numpy as np
 from scipy.optimize import minimize
 
@@ -114,6 +116,12 @@ def cases_away(
         case = case_of(features, scan, None, building, condition)
         if case is not None:
             yield case
+
+
+def listed(make: Callable[..., Iterator[Case]], given: Sequence[Any]) -> list[Case]:
+    """The cases that a function of these arguments makes, on one thread, for a process."""
+    cv2.setNumThreads(1)
+    return list(make(*given))
 
 
 def mapped(grid: OccupancyGrid, pose: FloatArray) -> bool:

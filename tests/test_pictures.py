@@ -1,0 +1,32 @@
+"""README's pictures show what the code draws."""
+
+import re
+
+import cv2
+import pytest
+from command import ROOT
+
+from tools import pictures
+
+
+@pytest.mark.parametrize("name", ["demo", "fig2"])  # that of the track takes longer: .ci/run
+def test_a_picture_is_what_the_code_draws(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert pictures.main(["--check", name]) == 0, capsys.readouterr().out
+
+
+def test_a_stale_picture_is_noticed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    there, made_by = pictures.load(pictures.FOLDER / "track.png")
+    assert re.fullmatch(r"OpenCV \d+\.\d+", made_by)
+    now = cv2.circle(there.copy(), (600, 140), 12, (60, 20, 220), -1)  # a robot that was not there
+    monkeypatch.setattr(pictures, "LETTERS", made_by)
+    monkeypatch.setattr(pictures, "PICTURES", {"track": lambda: now})
+    assert pictures.main(["--check"]) == 1
+    assert "python -m tools.pictures track" in capsys.readouterr().out
+
+
+def test_every_picture_of_the_readme_is_made_by_the_command() -> None:
+    readme = (ROOT / "README.md").read_text("utf-8")
+    shown = re.findall(r"!\[[^]]*\]\(tools/(\w+)\.png\)", readme)
+    assert sorted(shown) == sorted(pictures.PICTURES)

@@ -1,0 +1,64 @@
+"""Sphinx: the README and the guides, the API from its docstrings, the gallery with its pictures.
+
+python -m sphinx -W tools/docs pages
+"""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from numpydoc.xref import DEFAULT_LINKS
+
+import imgloc
+
+sys.path.insert(0, str(Path(__file__).parents[2]))  # tools, which is not installed
+
+
+project, author = "imgloc", "the authors of imgloc"
+version = release = imgloc.__version__
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.viewcode",
+    "numpydoc",
+    "myst_parser",
+    "sphinx_gallery.gen_gallery",
+]
+templates_path = ["templates"]
+html_theme = "alabaster"
+html_theme_options = {"description": "Where am I on this map?", "page_width": "1150px"}
+html_show_sourcelink = html_show_copyright = False
+autodoc_typehints = "none"  # numpydoc's sections say them
+numpydoc_show_class_members = False
+numpydoc_xref_param_type, numpydoc_xref_ignore = True, "all"
+# Types of imgloc are links; those of Python are not, as the build needs no network.
+numpydoc_xref_aliases = {name: name for name in DEFAULT_LINKS}
+numpydoc_xref_aliases |= {name: f"imgloc.{name}" for name in imgloc.__all__}
+myst_heading_anchors = 2
+suppress_warnings = ["config.cache"]  # the function below is not a plain value
+
+
+def pictures(_block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
+    """Call `picture()` of a script of the gallery, and show what it returns."""
+    from sphinx_gallery.scrapers import figure_rst
+
+    make = block_vars["example_globals"].get("picture")
+    if make is None:
+        return ""
+    path = next(block_vars["image_path_iterator"])
+    make().save(path, force=True)
+    return str(figure_rst([path], gallery_conf["src_dir"]))
+
+
+sphinx_gallery_conf = {
+    "examples_dirs": "../gallery",
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"/(?!__)\w+\.py$",
+    "ignore_pattern": r"__\w+__\.py$",
+    "image_scrapers": (pictures,),
+    "reset_modules": (),
+    "write_computation_times": False,
+    "download_all_examples": False,
+    "show_signature": False,
+    "abort_on_example_error": True,
+}
