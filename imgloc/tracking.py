@@ -8,15 +8,15 @@ import numpy as np
 from imgloc.errors import ConfigError, ScanError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import UNIQUE, Belief, Filter
-from imgloc.filters.motion import compose_poses, increments, invert_poses
-from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses, wrap
+from imgloc.filters.motion import compose_poses, increments, invert_poses, way_of
+from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, Pose2D
 
 
 @dataclass(frozen=True)
 class Every:
-    """How far the robot goes or turns between two scans that are looked at."""
+    """How far the robot goes or turns between two scans of a laser that are looked at."""
 
     metres: float = 0.5
     radians: float = float(np.deg2rad(30.0))
@@ -38,7 +38,11 @@ class Kidnap:
 
 @dataclass(frozen=True)
 class Moment:
-    """What is believed when a scan has come in; poses of the sensor, map frame."""
+    """What is believed when a scan has come in.
+
+    Poses, in the map frame, are those of the robot; of a scan without a `T_base_laser`, of its
+    sensor.
+    """
 
     index: int  #: of the scan
     stamp: float  #: seconds; NaN when unknown
@@ -73,11 +77,11 @@ def follow(
     Parameters
     ----------
     scans : ScanSet
-        In the order of time, with odometry.
+        In the order of time, with odometry. Of several lasers, each scan says where its own sits.
     filter_ : Filter
         Of the same features; it is changed.
     every : Every, optional
-        Scans nearer to the last one that was looked at only move the pose.
+        Scans nearer to the last one of their laser that was looked at only move the pose.
     start, deviation : Pose2D, (float, float), optional
         Map frame, and how far it may be off, metres and radians; by default from anywhere.
     kidnap : Kidnap, optional
@@ -103,39 +107,41 @@ def follow(
         )
     if start is not None:
         filter_.place(_local(start, features), deviation)
-    odom = sensor_odometry(scans)
-    steps = np.concatenate((np.zeros((1, 3)), increments(odom)))
-    way, metres, seen = np.full(2, np.inf), 0.0, float(stamps[0])
+    steps = np.concatenate((np.zeros((1, 3)), increments(scans.odom)))
+    ways = {scan.T_base_laser: np.full(2, np.inf) for scan in scans.scans}
+    metres, seen = 0.0, float(stamps[0])
     for k, scan in enumerate(scans.scans):
         filter_.move(steps[k])
-        moved = float(np.hypot(*steps[k, :2])), abs(float(wrap(steps[k, 2])))
-        way, metres = way + moved, metres + moved[0]
+        moved = way_of(steps[k])
+        ways = {laser: way + moved for laser, way in ways.items()}
+        metres += float(moved[0])
         if kidnap is not None and stamps[k] - stamps[0] >= kidnap.after:
             filter_.place(_local(kidnap.pose, features), kidnap.deviation)
             kidnap = None
-        looked = bool(way[0] >= every.metres - 1e-9 or way[1] >= every.radians - 1e-9)
-        if looked or filter_.watch(scan):
-            looked = True
+        far = ways[scan.T_base_laser] >= np.array([every.metres, every.radians]) - 1e-9
+        looked = bool(far.any()) or filter_.watch(scan)
+        if looked:
             filter_.see(scan)
-            way, seen = np.zeros(2), float(stamps[k])
+            ways[scan.T_base_laser], seen = np.zeros(2), float(stamps[k])
         belief = filter_.belief
         best, covariance, map_odom = None, np.full((3, 3), np.nan), None
         if len(belief.poses):
             pose = transform_poses(grid.origin, belief.poses[:1])[0]
             best = Pose2D(*pose)
             covariance = rotate_covariance(belief.covariance[0], grid.origin.theta)
-            map_odom = Pose2D(*compose_poses(pose, invert_poses(odom[k])))
+            map_odom = Pose2D(*compose_poses(pose, invert_poses(scans.odom[k])))
         yield Moment(
             k, float(stamps[k]), float(stamps[k]) - seen, looked, metres, belief, best, covariance,
             map_odom,
         )  # fmt: skip
 
 
-def sensor_odometry(scans: ScanSet) -> FloatArray:
-    """Poses (N, 3) of the sensor in the odometry's frame, of those of the robot."""
-    odom = np.zeros((len(scans), 3)) if scans.odom is None else scans.odom
+def robot_poses(scans: ScanSet) -> FloatArray | None:
+    """Known poses (N, 3) of the robot, map frame: those of the sensors where these are all."""
+    if scans.poses is None:
+        return None
     mounts = (scan.T_base_laser or Pose2D(0.0, 0.0) for scan in scans.scans)
-    return compose_poses(odom, np.array([(m.x, m.y, m.theta) for m in mounts]))
+    return compose_poses(scans.poses, invert_poses(np.array([(m.x, m.y, m.theta) for m in mounts])))
 
 
 def _local(pose: Pose2D, features: MapFeatures) -> FloatArray:

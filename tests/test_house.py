@@ -9,7 +9,7 @@ from command import ROOT
 ROOMS = (
     "__about__ errors", "model", "geometry", "options", "io", "features", "likelihoods", "search",
     "pipeline",
-    "explanation doubts choice sample atlas simulation worlds evaluation index calibrate",
+    "explanation doubts mapindex choice sample atlas simulation worlds evaluation index calibrate",
     "filters tracking sequences", "batch jobs workers cluster", "output", "cli",
 )  # fmt: skip
 PLACE = {name: k for k, room in enumerate(ROOMS) for name in room.split()}

@@ -168,6 +168,32 @@ def test_of_several_topics_one_is_named(tmp_path: Path) -> None:
     assert len(load_scans(path, topic="rear")) == 2
     with pytest.raises(ScanError, match=r"no scans on /up; it has /front"):
         load_scans(path, topic="/up")
+    with pytest.raises(ScanError, match=r"/front: it is not known where it sits"):
+        load_scans(path, topic="/front,/rear")
+
+
+def test_several_lasers_are_one_set_each_at_its_place(tmp_path: Path) -> None:
+    m = messages_of(True)
+    content = [
+        ("/tf_static", TF, m.transform("base_link", "front", 0.3)),
+        ("/tf_static", TF, m.transform("base_link", "rear", -0.2, (0.0, 0.0, 1.0, 0.0))),
+        ("/odom", ODOM, m.odometry(1.0, 0.0, 0.0, "base_link")),
+        *(("/front", SCAN, m.scan(t, "front")) for t in (1.0, 2.0)),
+        *(("/rear", SCAN, m.scan(t, "rear", (1.0, 2.0, 3.0))) for t in (1.1, 1.9)),
+        ("/odom", ODOM, m.odometry(2.0, 1.0, 0.0, "base_link")),
+    ]
+    path = write(tmp_path / "a.bag", "bag", content)
+    scans = load_scans(path, topic="/front, rear")
+    assert scans.stamps is not None
+    assert scans.odom is not None
+    np.testing.assert_allclose(scans.stamps, [1.0, 1.1, 1.9, 2.0])
+    np.testing.assert_allclose(scans.odom[:, 0], [0.0, 0.1, 0.9, 1.0], atol=1e-9)
+    front, rear = Pose2D(0.3, 0.0, 0.0), Pose2D(-0.2, 0.0, math.pi)
+    assert [scan.T_base_laser for scan in scans.scans] == [front, rear, rear, front]
+    assert [len(scan.ranges) for scan in scans.scans] == [4, 3, 3, 4]
+    assert scans_size(path, topic="/front,/rear").scans == 4
+    with pytest.raises(ScanError, match="/front and front sit at the same place"):
+        load_scans(path, topic="/front,front")
 
 
 def test_what_is_no_bag_or_has_no_scans_is_one_error(tmp_path: Path) -> None:

@@ -89,6 +89,23 @@ def test_a_laser_is_chosen_by_name(tmp_path: Path) -> None:
         load_scans(path, topic="ROBOTLASER1")
 
 
+def test_front_and_rear_are_one_set_each_at_its_place(tmp_path: Path) -> None:
+    rear = f"RLASER 181 {RANGES} 0.7 2 3.6415926 1 2 0.5 1211.4 host 3.5"
+    front = FLASER.replace("1.2 2 0.5 1 2", "1 2 0.5 1 2")
+    path = log(tmp_path, front, rear)
+    scans = load_scans(path, topic="FLASER,RLASER")
+    back, at = (scan.T_base_laser for scan in scans.scans)
+    assert scans.stamps is not None
+    assert scans.stamps.tolist() == [1211.4, 1211.5]
+    assert at == Pose2D(0.0, 0.0, 0.0)
+    assert back is not None
+    assert back.x == pytest.approx(-0.2633, abs=1e-3)
+    assert abs(back.theta) == pytest.approx(math.pi, abs=1e-4)
+    assert load_scans(path, topic="FLASER")[0].T_base_laser is None
+    with pytest.raises(ScanError, match="FLASER: no stamps"):
+        load_scans(log(tmp_path, front.replace("1211.5", "nan"), rear), topic="FLASER,RLASER")
+
+
 def test_what_a_sick_writes_for_nothing_tells_how_far_it_reaches(tmp_path: Path) -> None:
     near = FLASER.replace(" 1.05 ", " 8.183 ")
     (scan,) = load_scans(log(tmp_path, near)).scans

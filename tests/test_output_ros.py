@@ -55,13 +55,6 @@ def test_several_places_are_an_array_unless_the_best_is_asked_for() -> None:
     assert message(moment("lost"), ORIGIN, best=True) is None
 
 
-def test_a_mounting_gives_the_base() -> None:
-    _, bare = message(moment("unique"), ORIGIN) or ("", {})
-    _, based = message(moment("unique"), ORIGIN, mount=Pose2D(0.5, 0.0, 0.0)) or ("", {})
-    at, other = (m["pose"]["pose"]["position"] for m in (bare, based))
-    assert np.hypot(at["x"] - other["x"], at["y"] - other["y"]) == pytest.approx(0.5)
-
-
 def test_yaml_is_read_back() -> None:
     messages = [m for v in ("unique", "ambiguous", "lost") if (m := message(moment(v), ORIGIN))]
     read = [d for d in yaml.safe_load_all(yaml_text(messages)) if d]

@@ -2,15 +2,19 @@
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from imgloc.io.maps import save_map
-from imgloc.io.scans import save_scans
+from imgloc.io.maps import load_map, save_map
+from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan
+from imgloc.model import FloatArray, LaserScan
+from imgloc.options import Options
+from imgloc.pipeline import prepare
+from imgloc.sequences import Searches, Trials, measure, with_odometry
 from imgloc.simulation import simulate_ranges
 from imgloc.worlds import WORLDS, render
 from tools import drive, sequences
@@ -36,7 +40,7 @@ def test_a_table_a_curve_and_a_track(
 ) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra plot")
     words = f"x {folder} --out {tmp_path} --starts 1 --seconds inf --kidnaps 0 --metres 2"
-    monkeypatch.setattr(sys, "argv", [*words.split(), "--cases", "tracker, no;particle, no"])
+    monkeypatch.setattr(sys, "argv", [*words.split(), "--cases", "tracker, no*;particle, no*"])
     sequences.main()
     rows = [json.loads(line) for line in (tmp_path / "sequences.jsonl").read_text().splitlines()]
     names = ["tracker, no resetting", "particle, no resetting"]
@@ -46,6 +50,38 @@ def test_a_table_a_curve_and_a_track(
     assert "| hall | tracker, no resetting |" in (tmp_path / "sequences.md").read_text()
     assert (tmp_path / "recall.png").stat().st_size > 1000
     assert (tmp_path / "track-hall.png").stat().st_size > 1000
+
+
+def test_searches_that_are_shared_change_nothing_but_the_time(folder: Path, tmp_path: Path) -> None:
+    """However many starts and kidnappings: each scan is searched once, or on another day."""
+    features = prepare(load_map(folder / "map.yaml"), cell=0.2)
+    log = with_odometry(load_scans(folder / "scans.npz"))[0]
+    trials = Trials(starts=3, metres=2.0, kidnaps=1, seconds=np.inf)
+    done: list[int] = []
+
+    class Forgets(Searches):
+        def __call__(self, scan: LaserScan) -> FloatArray:
+            done.append(id(scan))
+            return self.anew(scan)[0]
+
+    def run(searches: Searches) -> dict[str, object]:
+        found = asdict(measure(features, log, "tracker", trials, Options(), searches=searches))
+        return {key: repr(value) for key, value in found.items() if key != "speed"}
+
+    expected = run(Forgets(features, Options()))
+    assert len(done) > len(set(done))
+    assert run(Searches(features, Options())) == expected
+    first = sequences.KeptSearches(features, Options(), tmp_path / "kept")
+    assert run(first) == expected
+    first.save()
+    again = sequences.KeptSearches(features, Options(), tmp_path / "kept")
+    again.features = None  # type: ignore[assignment]  # of no use: nothing is searched
+    assert run(again) == expected
+    assert again.clock == first.clock > 0
+    other = sequences.KeptSearches(features, Options(top=1), tmp_path / "kept")
+    other.features = None  # type: ignore[assignment]
+    with pytest.raises(AttributeError):
+        other(log[0])
 
 
 def test_scans_are_cut_and_stopped() -> None:

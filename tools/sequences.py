@@ -10,20 +10,25 @@ poses against metres driven (``recall.png``), and a track of each log over its m
 """
 
 import argparse
+import hashlib
+import io
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import imgloc
+from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.choose import make_filter
-from imgloc.io.files import write_text_atomic
+from imgloc.io.files import write_bytes_atomic, write_text_atomic
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan, Pose2D, to_json
+from imgloc.model import FloatArray, LaserScan, Pose2D, to_json
 from imgloc.options import Options
 from imgloc.output.pictures import Picture
 from imgloc.output.tracks import draw_track, sequence_row
@@ -89,8 +94,50 @@ def changed(scans: ScanSet, how: str, seed: int) -> ScanSet:
     return replace(scans, scans=tuple(_CHANGES[how](scan, rng) for scan in scans.scans))
 
 
+class KeptSearches(Searches):
+    """Searches that are kept in a folder for another day: they are most of the work.
+
+    What was found by other code, on another map or with other options is not taken for them.
+    """
+
+    def __init__(self, features: MapFeatures, options: Options, folder: Path) -> None:
+        super().__init__(features, options)
+        grid, package = features.grid, Path(imgloc.__file__).parent
+        rooms = ("features", "likelihoods", "search")
+        code = [path for room in rooms for path in sorted((package / room).glob("*.py"))]
+        code += [package / "pipeline.py", package / "options.py"]
+        about = repr((options, grid.info)).encode() + grid.occupied.tobytes() + grid.free.tobytes()
+        about += b"".join(path.read_bytes() for path in code)
+        self._file = folder / f"{hashlib.sha256(about).hexdigest()[:20]}.npz"
+        self._old: dict[str, FloatArray] = {}
+        if self._file.exists():
+            with np.load(self._file) as old:
+                self._old = dict(old)
+
+    def anew(self, scan: LaserScan) -> tuple[FloatArray, float]:
+        """Search a scan unless it was done on another day."""
+        limits = np.array([scan.range_min, scan.range_max])
+        content = b"".join(a.tobytes() for a in (scan.ranges, scan.angles, limits))
+        key = hashlib.sha256(content).hexdigest()
+        if key not in self._old:
+            poses, seconds = super().anew(scan)
+            self._old[key] = np.vstack(([seconds, 0.0, 0.0], poses))
+        return self._old[key][1:], float(self._old[key][0, 0])
+
+    def save(self) -> None:
+        """Keep what was found, with the time that it took."""
+        self._file.parent.mkdir(parents=True, exist_ok=True)
+        buffer = io.BytesIO()
+        np.savez(buffer, allow_pickle=False, **self._old)
+        write_bytes_atomic(self._file, buffer.getvalue(), force=True)
+
+
 def measure_log(
-    folder: Path, cases: Sequence[Case], trials: Trials, advance: Callable[[], None]
+    folder: Path,
+    cases: Sequence[Case],
+    trials: Trials,
+    advance: Callable[[], None],
+    keep: Path | None = None,
 ) -> Iterator[dict[str, Any]]:
     """The rows of one log."""
     grid, recorded = load_map(folder / "map.yaml"), load_scans(folder / "scans.npz")
@@ -103,15 +150,16 @@ def measure_log(
     kept: dict[str, tuple[ScanSet, Searches]] = {}
     for case in cases:
         if case.scans not in kept:
-            kept[case.scans] = (
-                changed(recorded, case.scans, trials.seed), Searches(fine, options)
-            )  # fmt: skip
+            anew = Searches(fine, options) if keep is None else KeptSearches(fine, options, keep)
+            kept[case.scans] = changed(recorded, case.scans, trials.seed), anew
         scans, searches = kept[case.scans]
         features = coarse if case.filter == "grid" else fine
         how = replace(trials, resets=case.resets, reset_by=case.reset_by)
         summary = measure(
             features, scans, case.filter, how, options, searches=searches, advance=advance
         )
+        if isinstance(searches, KeptSearches):
+            searches.save()
         yield sequence_row(folder.name, case.name, summary, {"odometry": odometry})
 
 
@@ -196,20 +244,21 @@ def main() -> None:
     parser.add_argument("--kidnaps", type=int, default=20)
     parser.add_argument("--metres", type=float, default=15.0)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--cases", help="only those whose name begins so, with ; between")
+    parser.add_argument("--cases", default="*", help="only those: patterns with ; between")
+    parser.add_argument("--searches", type=Path, help="folder that keeps what searches found")
     parser.add_argument("--picture", action="store_true", help="only the tracks")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     if not given.picture:
         trials = Trials(given.starts, given.metres, given.kidnaps, given.seed)
         trials = replace(trials, seconds=given.seconds)
-        wanted = None if given.cases is None else tuple(given.cases.split(";"))
-        cases = [c for c in CASES if wanted is None or c.name.startswith(wanted)]
+        wanted = given.cases.split(";")
+        cases = [c for c in CASES if any(fnmatchcase(c.name, pattern) for pattern in wanted)]
         rows: list[dict[str, Any]] = []
         for folder in given.folders:
             count = len(cases) * trials.count(load_scans(folder / "scans.npz"))
             with progress(folder.name, count) as advance:
-                for row in measure_log(folder, cases, trials, advance):
+                for row in measure_log(folder, cases, trials, advance, given.searches):
                     rows.append(json.loads(to_json(row)))
                     lines = "".join(to_json(r) + "\n" for r in rows)
                     write_text_atomic(given.out / "sequences.jsonl", lines, force=True)

@@ -121,6 +121,8 @@ def localize(
     options = calibrated(options, map_path, grid)
     folder = inputs.kept_in(cache, wanted=not no_cache)
     sets = [inputs.load_set(path, taken.memory_budget, logs) for path in scans_paths]
+    for scans in sets:
+        mounting.check(scans.scans)
     every = [scan for scans in sets for scan in scans.scans]
     features = inputs.open_features(
         grid, display(map_path), folder, options,

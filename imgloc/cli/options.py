@@ -5,7 +5,7 @@ import inspect
 import math
 import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -331,7 +331,9 @@ class Logs(NamedTuple):
 
 def logs(
     topic: str | None = option(
-        None, "NAME", "Of a log with several lasers, this one. [default: the front laser]"
+        None,
+        "NAME",
+        "Of a log with several lasers, this one, or with commas some. [default: the front laser]",
     ),
     fov_deg: float | None = option(
         None,
@@ -360,6 +362,11 @@ class Mounting:
         from imgloc.model import Pose2D
 
         return None if self.sensor is None else Pose2D(*self.sensor)
+
+    def check(self, scans: "Iterable[LaserScan]") -> None:
+        """Refuse one pose for several lasers that say where they sit."""
+        if self.sensor is not None and len({scan.T_base_laser for scan in scans}) > 1:
+            raise ConfigError("--sensor: the log has several lasers, each with a place of its own")
 
     def mount(self, scan: "LaserScan") -> "LaserScan":
         """The scan as that of a sensor that is mounted upright, with the mounting pose given."""

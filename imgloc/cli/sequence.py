@@ -46,6 +46,7 @@ def measure_sequences(
         name = display((path.stem == "map" and path.parent.name) or path.stem)
         grid = inputs.load_grid(path, taken.memory_budget, allow_lossy=allow_lossy, **reading)
         scans = inputs.load_set(log, taken.memory_budget)
+        mounting.check(scans.scans)
         cut = [mounting.mount(inputs.cut_scan(scan, plan.range_max)) for scan in scans.scans]
         scans, odometry = with_odometry(replace(scans, scans=tuple(cut)), plan.seed)
         trials = Trials(plan.starts, plan.metres, seed=plan.seed, resets=plan.resets)

@@ -73,7 +73,8 @@ def track(
 
     A line for each scan: unique (the pose is given), ambiguous (several places fit) or lost (no
     place that is known does). No pose is given unless it is unique; the last one is never repeated.
-    Poses are those of the sensor, with --sensor those of the robot's base, in the map frame.
+    Poses are those of the robot's base in the map frame; of the sensor where neither the log nor
+    --sensor says where that sits. Several lasers are followed together (--topic /front,/rear).
     """
     import math
     from dataclasses import replace
@@ -94,7 +95,7 @@ def track(
         tum_text,
     )
     from imgloc.sequences import with_odometry
-    from imgloc.tracking import Every, Kidnap, follow
+    from imgloc.tracking import Every, Kidnap, follow, robot_poses
 
     if cache is not None and no_cache:
         raise ConfigError("--cache and --no-cache: expected one of them")
@@ -111,6 +112,7 @@ def track(
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     folder = inputs.kept_in(cache, wanted=not no_cache)
     scans = inputs.load_set(log, taken.memory_budget, logs)
+    mounting.check(scans.scans)
     cut = tuple(mounting.mount(inputs.cut_scan(scan, range_max)) for scan in scans.scans)
     scans = replace(scans, scans=cut)
     if simulate_odometry is not None:
@@ -142,7 +144,7 @@ def track(
         with progress("track", len(scans)) as advance:
             for moment in run:
                 moments.append(moment)
-                emit(to_json(moment_row(moment, mounting.pose)) if as_json else track_line(moment))
+                emit(to_json(moment_row(moment)) if as_json else track_line(moment))
                 if movie is not None:
                     movie.add(moment)
                 gone = moment.stamp - moments[0].stamp
@@ -150,10 +152,10 @@ def track(
                 advance("" if math.isnan(gone) else f"{gone / took:.1f} x real time")
         inputs.keep_features(features, folder)
         if tum is not None:
-            write_text_atomic(tum, tum_text(moments, mounting.pose), force=force)
+            write_text_atomic(tum, tum_text(moments), force=force)
             LOG.info("wrote %s", display(tum))
         if ros is not None:
-            found = (message(m, grid.origin, mount=mounting.pose, best=best) for m in moments)
+            found = (message(m, grid.origin, best=best) for m in moments)
             messages = [given for given in found if given is not None]
             if ros.suffix.lower() == ".bag":
                 write_bag(ros, messages, force=force)
@@ -161,8 +163,7 @@ def track(
                 write_text_atomic(ros, yaml_text(messages), force=force)
             LOG.info("wrote %s", display(ros))
         if picture is not None:
-            truth = None if scans.poses is None else np.asarray(scans.poses)
-            draw_track(grid, moments, truth).save(picture, force=force)
+            draw_track(grid, moments, robot_poses(scans)).save(picture, force=force)
             LOG.info("wrote %s", display(picture))
         if movie is not None and video is not None:
             movie.save(video, force=force)

@@ -1,23 +1,24 @@
 """What a filter believes at one moment, whichever filter it is."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
-from imgloc.filters.motion import compose_poses
+from imgloc.filters.motion import compose_poses, way_of
 from imgloc.geometry import wrap
-from imgloc.model import FloatArray, LaserScan
+from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.search.hypotheses import separated
 
 UNIQUE, AMBIGUOUS, LOST = VERDICTS = ("unique", "ambiguous", "lost")
 STRANGE = 1.0
 """Misfit, nats per reading, that is taken for usual where nothing was seen yet."""
+_HABIT = 0.3  # share of a scan in what is the usual misfit
 
 
 @dataclass(frozen=True)
 class Belief:
-    """Where the sensor may be: places, best first, in the grid frame."""
+    """Where the robot may be: places, best first, in the grid frame."""
 
     poses: FloatArray  #: (M, 3)
     mass: FloatArray  #: (M,) of each place; with `lost` they sum to at most 1
@@ -32,10 +33,13 @@ NOWHERE = Belief(np.empty((0, 3)), np.empty(0), np.empty((0, 3, 3)), 1.0, LOST, 
 
 
 class Filter(Protocol):
-    """What :mod:`imgloc.tracking` drives along a log."""
+    """What :mod:`imgloc.tracking` drives along a log.
+
+    The poses are those of the robot; of scans without a `T_base_laser`, of the sensor.
+    """
 
     def move(self, increment: FloatArray) -> None:
-        """Take a motion (3,) of the sensor, in its frame before."""
+        """Take a motion (3,) of the robot, in its frame before."""
 
     def see(self, scan: LaserScan) -> None:
         """Take a scan."""
@@ -49,6 +53,59 @@ class Filter(Protocol):
     @property
     def belief(self) -> Belief:
         """What is believed now."""
+
+
+@dataclass
+class Habit:
+    """What a filter remembers of one laser of a robot: another one sees other walls."""
+
+    #: metres and radians since the last scan that was taken
+    way: FloatArray = field(default_factory=lambda: np.full(2, np.inf))
+    usual: float = np.nan  #: misfit, in the long run
+    last: float = np.nan  #: misfit of the last scan
+    doubted: bool = False  #: it was much more than usual
+
+    def expect(self, misfit: float) -> None:
+        """Say what a scan is expected to lack, if nothing is known of that."""
+        if np.isnan(self.usual):
+            self.usual = self.last = misfit
+
+    def learn(self, misfit: float) -> None:
+        """Take the misfit of a scan."""
+        self.expect(misfit)
+        self.last, self.usual = misfit, self.usual + _HABIT * (misfit - self.usual)
+
+
+class Habits:
+    """A :class:`Habit` for each place at which a scan's laser sits."""
+
+    def __init__(self) -> None:
+        self._of: dict[Pose2D | None, Habit] = {}
+        self._placed = False
+
+    def of(self, scan: LaserScan) -> Habit:
+        """That of the laser of a scan."""
+        if scan.T_base_laser not in self._of:
+            self._of[scan.T_base_laser] = Habit()
+            if self._placed:
+                self._of[scan.T_base_laser].expect(STRANGE)
+        return self._of[scan.T_base_laser]
+
+    @property
+    def doubted(self) -> bool:
+        """Whether what one of the lasers saw is doubted."""
+        return any(habit.doubted for habit in self._of.values())
+
+    def move(self, increment: FloatArray) -> None:
+        """Take a motion (3,)."""
+        for habit in self._of.values():
+            habit.way = habit.way + way_of(increment)
+
+    def place(self) -> None:
+        """A place was told: scans are expected to fit there."""
+        self._placed = True
+        for habit in self._of.values():
+            habit.expect(STRANGE)
 
 
 PLACE = (0.75, 0.5)

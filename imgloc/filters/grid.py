@@ -15,16 +15,17 @@ import numpy as np
 
 from imgloc.features.budget import check_budget
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.belief import NOWHERE, STRANGE, Belief, Followed, belief_of
-from imgloc.filters.evidence import misfit_near, sight
+from imgloc.filters.belief import NOWHERE, Belief, Followed, Habit, Habits, belief_of
+from imgloc.filters.evidence import misfit_near, sight, view_of
 from imgloc.filters.motion import MotionNoise, deviations
 from imgloc.geometry import centre_of, rotation, wrap
-from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, LaserScan
+from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, LaserScan, inverse
 from imgloc.options import Options
 from imgloc.pipeline import likelihood, posterior_of
 
 _FINE = 32  # warpAffine interpolates between so many places of a pixel
 _COPIES = 4  # stacks that are held at a time
+_EXACT = MotionNoise(0.0, 0.0, 0.0, 0.0, (0.0, 0.0))
 
 
 @dataclass(frozen=True)
@@ -146,9 +147,8 @@ class GridFilter:
         self._box = (slice(0, shape[1]), slice(0, shape[2]))
         self._belief = np.zeros(shape, np.float32)
         self._belief[:] = self._free / max(1, shape[0] * int(np.count_nonzero(self._free)))
-        self._pending, self._way = np.zeros(3), np.full(2, np.inf)
-        self._misfit, self._usual, self._resets, self._seen = 0.0, np.nan, 0, False
-        self._followed = Followed()
+        self._resets, self._seen = 0, False
+        self._habits, self._last, self._followed = Habits(), Habit(), Followed()
 
     @property
     def stack(self) -> Float32Array:
@@ -173,14 +173,14 @@ class GridFilter:
         stack = turned[:, None, None] * (y[:, None] * x * self._free)
         self._belief, self._seen = (stack / max(1e-300, stack.sum())).astype(np.float32), True
         self._sparse()
-        self._usual = STRANGE if np.isnan(self._usual) else self._usual
+        self._habits.place()
 
     def move(self, increment: FloatArray) -> None:
-        """Take a motion (3,) of the sensor, in its frame before."""
+        """Take a motion (3,) of the robot, in its frame before."""
         if not np.any(increment):
             return
         self._followed.move(increment)
-        self._way = self._way + (np.hypot(*increment[:2]), abs(wrap(increment[2])))
+        self._habits.move(increment)
         if not self._seen:
             return  # what is uniform stays so
         self._belief = predict(
@@ -192,33 +192,37 @@ class GridFilter:
         """Whether a scan contradicts the best place."""
         if not self._seen or scan.directions < max(1, self.options.trust.readings):
             return False
-        return self._misfit_at_best(scan) > self._misfit + self.how.surprise
+        return self._misfit_at_best(scan) > self._habits.of(scan).last + self.how.surprise
 
     def see(self, scan: LaserScan) -> None:
         """Take a scan; one with too few readings says nothing."""
         if scan.directions < max(1, self.options.trust.readings):
             return
-        how = self.how
-        new = float(np.clip((self._way / how.fresh).sum(), how.least, 1.0)) if self._seen else 1.0
+        how, habit = self.how, self._habits.of(scan)
+        new = float(np.clip((habit.way / how.fresh).sum(), how.least, 1.0)) if self._seen else 1.0
         before = self._misfit_at_best(scan) if self._seen else 0.0
-        surprised = self._seen and before > self._usual + how.surprise
+        surprised = self._seen and before > habit.usual + how.surprise
         if surprised:
             self._dense()
         if self._belief.shape[1:] == self.lattice.shape:
             self._multiply_all(scan, new, mix=surprised and how.resets)
         else:
             self._multiply_box(scan, new)
-        self._way, self._seen = np.zeros(2), True
+        habit.way, self._seen, self._last = np.zeros(2), True, habit
         self._sparse()
-        self._misfit = self._misfit_at_best(scan)
-        usual = self._misfit if np.isnan(self._usual) else self._usual
-        self._usual = usual + 0.3 * (self._misfit - usual)
+        habit.learn(self._misfit_at_best(scan))
         self._followed.best(self.belief.poses[0])
 
     def _multiply_all(self, scan: LaserScan, new: float, *, mix: bool) -> None:
         stack = likelihood(self.features, scan, self.options)
         posterior = posterior_of(self.features, scan, stack, self.options)
         uniform = 1 / max(1, posterior.shape[0] * int(np.count_nonzero(self._free)))
+        if scan.T_base_laser is not None:  # where the robot is if its sensor is there
+            back = inverse(scan.T_base_laser)
+            move = np.array([back.x, back.y, back.theta])
+            posterior = predict(
+                posterior, self.thetas, self.lattice.resolution, self._free, move, _EXACT
+            )
         if not posterior.any():
             return
         if mix:
@@ -232,7 +236,8 @@ class GridFilter:
         flat = self._belief.ravel()
         some = np.argsort(-flat, kind="stable")[: self.how.box_cells]
         some = some[flat[some] > 1e-9]
-        seen = sight(self.features, scan, self._poses(some), self._few)
+        view = view_of(scan, self._few)
+        seen = sight(self.features, view, self._poses(some), self._few)
         out = np.zeros_like(flat)
         gain = (seen.log_likelihood - seen.log_likelihood.max()) * new
         out[some] = flat[some] * np.exp(gain).astype(np.float32)
@@ -252,7 +257,7 @@ class GridFilter:
 
     def _misfit_at_best(self, scan: LaserScan) -> float:
         best = self._poses(np.array([int(np.argmax(self._belief))]))
-        return misfit_near(self.features, scan, best, self.options)
+        return misfit_near(self.features, view_of(scan, self.options), best, self.options)
 
     def _normalise(self) -> None:
         whole = float(self._belief.sum(dtype=np.float64))
@@ -297,8 +302,8 @@ class GridFilter:
         some = some[np.lexsort((some, -flat[some]))]
         poses, mass = self._poses(some), flat[some]
         return belief_of(
-            poses, mass, sure=self.how.mass, lost=self._misfit > self.how.misfit,
-            doubted=self._misfit > self._usual + self.how.surprise
+            poses, mass, sure=self.how.mass, lost=self._last.last > self.how.misfit,
+            doubted=self._last.last > self._last.usual + self.how.surprise
             or self._followed.metres < self.how.sure,
             neff=1 / float(np.square(flat).sum()), resets=self._resets,
         )  # fmt: skip

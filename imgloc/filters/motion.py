@@ -78,6 +78,11 @@ def increments(odom: FloatArray) -> FloatArray:
     return compose_poses(invert_poses(odom[:-1]), odom[1:])
 
 
+def way_of(increment: FloatArray) -> FloatArray:
+    """Metres and radians (2,) of a motion (3,), neither of them negative."""
+    return np.array([np.hypot(increment[0], increment[1]), abs(wrap(increment[2]))])
+
+
 def turn_go_turn(increment: FloatArray) -> FloatArray:
     """First turn, distance and second turn (..., 3) of increments (..., 3): radians, m, radians.
 

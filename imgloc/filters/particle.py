@@ -16,12 +16,12 @@ import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.belief import NOWHERE, STRANGE, Belief, Followed, belief_of
-from imgloc.filters.evidence import misfit_near, sight
+from imgloc.filters.belief import NOWHERE, Belief, Followed, Habit, Habits, belief_of
+from imgloc.filters.evidence import misfit_near, sight, view_of
 from imgloc.filters.motion import MotionNoise, sample_motion
 from imgloc.geometry import cell_of, inside, theta_bin, transform_poses, wrap
-from imgloc.model import FloatArray, IntArray, LaserScan, inverse
-from imgloc.options import Options
+from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D, inverse
+from imgloc.options import FUSED, Options
 from imgloc.pipeline import likelihood, posterior_of
 from imgloc.sample import sample_poses
 from imgloc.search.hypotheses import first_in_cell
@@ -39,7 +39,8 @@ class ParticleOptions:
     quantile: float = 2.33  #: of the normal distribution: 2.33 is 99 %
     bins: tuple[float, float] = (0.5, float(np.deg2rad(15.0)))  #: metres and radians
     noise: MotionNoise = field(default_factory=MotionNoise)
-    rays: int = 40  #: readings that weigh particles
+    weigh_by: str = "fused"  #: whose likelihood weighs them: ``fused`` or a method
+    rays: int = 40  #: readings by which ``fused`` does
     #: metres and radians of motion after which a scan says something entirely new
     fresh: tuple[float, float] = (1.0, 0.8)
     least_new: float = 0.2  #: share of a scan's evidence that counts without any motion
@@ -83,7 +84,7 @@ def low_variance(weights: FloatArray, n: int, rng: np.random.Generator) -> IntAr
 
 
 class ParticleFilter:
-    """Weighted poses of the sensor, grid frame.
+    """Weighted poses of the robot, grid frame; see :class:`~imgloc.filters.belief.Filter`.
 
     Parameters
     ----------
@@ -93,8 +94,8 @@ class ParticleFilter:
     seed : int
         Of every draw.
     draw : callable, optional
-        Gives poses (n, 3), map frame, drawn from p(x | z) of a scan with a generator, instead of
-        :func:`imgloc.sample.sample_poses`.
+        Gives poses (n, 3) of the sensor, map frame, drawn from p(x | z) of a scan with a
+        generator, instead of :func:`imgloc.sample.sample_poses`.
     """
 
     def __init__(
@@ -113,22 +114,21 @@ class ParticleFilter:
         self._rng = np.random.default_rng(seed)
         self._draw = draw or self._sample
         self.poses, self.weights = np.empty((0, 3)), np.empty(0)
-        self._long, self._short, self._looks, self._resets = 0.0, 0.0, 0, 0
-        self._way = np.full(2, np.inf)
-        self._misfit, self._usual, self._followed = np.inf, np.nan, Followed()
+        self._means: dict[Pose2D | None, tuple[float, float]] = {}  # of each laser, long and short
+        self._looks, self._resets = 0, 0
+        self._habits, self._last, self._followed = Habits(), Habit(), Followed()
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
         """Believe to be at a pose (3,), grid frame, with deviations in metres and radians."""
         spread = (deviation[0], deviation[0], deviation[1])
         self.poses = pose + self._rng.standard_normal((self.how.least * 2, 3)) * spread
         self.weights = np.full(len(self.poses), 1 / len(self.poses))
-        self._misfit = STRANGE
-        self._usual = STRANGE if np.isnan(self._usual) else self._usual
+        self._habits.place()
 
     def move(self, increment: FloatArray) -> None:
-        """Take a motion (3,) of the sensor, in its frame before."""
+        """Take a motion (3,) of the robot, in its frame before."""
         self._followed.move(increment)
-        self._way = self._way + (np.hypot(*increment[:2]), abs(wrap(increment[2])))
+        self._habits.move(increment)
         if len(self.poses) and np.any(increment):
             self.poses = sample_motion(self.poses, increment, self.how.noise, self._rng)
 
@@ -136,37 +136,38 @@ class ParticleFilter:
         """Whether a scan contradicts the best place."""
         if not len(self.poses) or scan.directions < max(1, self.options.trust.readings):
             return False
-        return self._misfit_at_best(scan) > self._misfit + self.how.surprise
+        return self._misfit_at_best(scan) > self._habits.of(scan).last + self.how.surprise
 
     def see(self, scan: LaserScan) -> None:
         """Take a scan; one with too few readings says nothing."""
         if scan.directions < max(1, self.options.trust.readings):
             return
-        how, first = self.how, not len(self.poses)
+        how, habit, first = self.how, self._habits.of(scan), not len(self.poses)
         if first:
             self.poses = self._new(scan, how.most)
             self.weights = np.full(len(self.poses), 1 / len(self.poses))
-        new = float(np.clip((self._way / how.fresh).sum(), how.least_new, 1.0))
-        self._way = np.zeros(2)
-        seen = sight(self.features, scan, self.poses, self._few)
-        log = seen.log_likelihood * new + self._cut(scan)
+        new = float(np.clip((habit.way / how.fresh).sum(), how.least_new, 1.0))
+        habit.way = np.zeros(2)
+        seen = sight(self.features, view_of(scan, self._few), self.poses, self._few)
+        log = seen.log_likelihood
+        if how.weigh_by != FUSED:
+            log = self._log_density(scan, how.weigh_by)
+        log = log * new + self._cut(scan)
         weights = self.weights * np.exp(log - log.max())
         self.weights = weights / weights.sum()
         # Of the particles as they are weighted now: those put in by the last reset count little.
         mean = float(self.weights @ np.exp(-seen.misfit))
         # Lenser and Veloso: the share that is drawn anew follows the running likelihood.
         slow, fast = how.alphas
-        self._long = mean if first else self._long + slow * (mean - self._long)
-        self._short = mean if first else self._short + fast * (mean - self._short)
-        share = (
-            max(0.0, 1 - how.slack * self._short / max(1e-300, self._long)) if how.resets else 0.0
-        )
+        long, short = (mean, mean) if first else self._means.get(scan.T_base_laser, (mean, mean))
+        long, short = long + slow * (mean - long), short + fast * (mean - short)
+        self._means[scan.T_base_laser] = long, short
+        share = max(0.0, 1 - how.slack * short / max(1e-300, long)) if how.resets else 0.0
         neff = 1 / float(np.square(self.weights).sum())
         if first or share > 0 or neff < len(self.weights) / 2:
             self._resample(scan, share)
-        self._misfit = self._misfit_at_best(scan)
-        usual = self._misfit if np.isnan(self._usual) else self._usual
-        self._usual = usual + 0.3 * (self._misfit - usual)
+        habit.learn(self._misfit_at_best(scan))
+        self._last = habit
         self._followed.best(self.belief.poses[0])
 
     def _resample(self, scan: LaserScan, share: float) -> None:
@@ -185,8 +186,8 @@ class ParticleFilter:
         self.poses, self.weights = old, np.full(len(old), 1 / len(old))
 
     def _new(self, scan: LaserScan, n: int) -> FloatArray:
-        poses = self._draw(scan, n, self._rng)
-        return transform_poses(inverse(self.features.grid.origin), poses)
+        poses = transform_poses(inverse(self.features.grid.origin), self._draw(scan, n, self._rng))
+        return view_of(scan, self.options).robot(poses)
 
     def _sample(self, scan: LaserScan, n: int, rng: np.random.Generator) -> FloatArray:
         how = replace(self.options, method=self.how.reset_by)
@@ -197,16 +198,21 @@ class ParticleFilter:
         self._looks += 1
         if not self.how.cut or self._looks % self.how.cut:
             return np.zeros(len(self.poses))
-        options = replace(self.options, method="ght-v")
+        return np.minimum(0.0, self._log_density(scan, "ght-v"))
+
+    def _log_density(self, scan: LaserScan, method: str) -> FloatArray:
+        """Logarithm of a method's p(x | z) at the particles, relative to a uniform one's."""
+        options = replace(self.options, method=method)
         stack = likelihood(self.features, scan, options)
         posterior = posterior_of(self.features, scan, stack, options)
-        cells = cell_of(self.poses[:, :2], self.features.lattice.resolution)
+        poses = view_of(scan, options).sensor(self.poses)
+        cells = cell_of(poses[:, :2], self.features.lattice.resolution)
         there = inside(cells, self.features.lattice)
-        k = theta_bin(self.poses[:, 2], len(stack.thetas))
+        k = theta_bin(poses[:, 2], len(stack.thetas))
         density = np.zeros(len(cells))
         density[there] = posterior[k[there], cells[there, 0], cells[there, 1]]
         uniform = 1 / max(1, len(stack.thetas) * int(np.count_nonzero(self.features.free)))
-        return np.asarray(np.minimum(0.0, np.log(density / uniform + _FLOOR)))
+        return np.asarray(np.log(density / uniform + _FLOOR))
 
     @property
     def _few(self) -> Options:
@@ -214,7 +220,7 @@ class ParticleFilter:
 
     def _misfit_at_best(self, scan: LaserScan) -> float:
         best = self.belief.poses[:1]
-        return misfit_near(self.features, scan, best, self.options)
+        return misfit_near(self.features, view_of(scan, self.options), best, self.options)
 
     @property
     def belief(self) -> Belief:
@@ -231,8 +237,8 @@ class ParticleFilter:
         order = np.lexsort((-self.weights, -crowd))
         poses, weights = self.poses[order], self.weights[order]
         return belief_of(
-            poses, weights, sure=self.how.mass, lost=self._misfit > self.how.misfit,
-            doubted=self._misfit > self._usual + self.how.surprise
+            poses, weights, sure=self.how.mass, lost=self._last.last > self.how.misfit,
+            doubted=self._last.last > self._last.usual + self.how.surprise
             or self._followed.metres < self.how.sure,
             neff=1 / float(np.square(weights).sum()), resets=self._resets,
         )  # fmt: skip

@@ -16,16 +16,25 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.belief import AMBIGUOUS, LOST, NOWHERE, STRANGE, UNIQUE, Belief
-from imgloc.filters.evidence import Sight, misfit_near, search, settled, sight
-from imgloc.filters.motion import MotionNoise, move_gaussians
+from imgloc.filters.belief import AMBIGUOUS, LOST, NOWHERE, UNIQUE, Belief, Habit, Habits
+from imgloc.filters.evidence import (
+    Sight,
+    View,
+    misfit_at,
+    misfit_near,
+    search,
+    settled,
+    sight,
+    view_of,
+)
+from imgloc.filters.motion import MotionNoise, move_gaussians, way_of
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray, IntArray, LaserScan
 from imgloc.options import Options
 from imgloc.search.hypotheses import separated
 
 _SURE = 1e5  # odds of being lost, at most
-_HABIT = 0.3  # share of a scan in what is the usual misfit
+_MAPPED = 1.1  # log-odds of a scan being of its map, and found, where trust was fitted: 3 in 4
 _MOST = 3.0  # nats that being lost can gain by one scan
 _NOTHING, _RESET = 1e-7, 0.2  # mass of a component that is dropped; put in at once: a reset
 
@@ -46,18 +55,13 @@ class TrackerOptions:
     #: chance of being carried off: for each scan's worth of motion, and where the best component
     #: fits abruptly worse than in the scan before. A place that has changed is approached.
     leak: tuple[float, float] = (0.0001, 0.02)
-    #: logarithm of the likelihood of a scan somewhere unknown, relative to that at the best
-    #: component: constant, per nat of misfit there, and per nat that it lacks to the best place
-    #: that the search has found. Where all scans fit badly, on an old map, but best where the robot
-    #: is followed, it is not lost.
-    doubt: tuple[float, float, float] = (-7.9, 2.0, 3.4)
     patience: float = 0.6  #: odds of being lost that one scan can lead to, at most
     #: of the map, as far as scans share it: standard deviations, metres and radians
     error: tuple[float, float] = (0.03, 0.006)
     gate: float = 12.0  #: squared Mahalanobis distance up to which a pose may be a component's
     #: components nearer than this are one, metres and radians
     merge: tuple[float, float] = (0.3, 0.15)
-    mass: float = 0.95  #: of the best component, to be ``unique``
+    mass: float = 0.99  #: of the best component, to be ``unique``
     #: metres that it has to be followed for before it is: at first, and where it replaces another
     sure: tuple[float, float] = (1.5, 4.0)
     #: metres between two searches while the best component is unique and fits as usual: other
@@ -71,7 +75,7 @@ class TrackerOptions:
 
 
 class Tracker:
-    """A mixture of Gaussians over poses of the sensor, grid frame.
+    """A mixture of Gaussians over poses of the robot, grid frame; see :class:`Filter`.
 
     Parameters
     ----------
@@ -80,7 +84,7 @@ class Tracker:
         Of the search in each scan.
     how : TrackerOptions, optional
     find : callable, optional
-        Gives the poses (M, 3) that a scan allows, best first, instead of a search.
+        Gives the poses (M, 3) of the sensor that a scan allows, best first, instead of a search.
 
     Examples
     --------
@@ -107,9 +111,8 @@ class Tracker:
         self._find = find or (lambda scan: search(features, scan, self.options))
         self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
         self._mass, self._followed = np.empty(0), np.empty(0)
-        self._lost, self._resets, self._seen = 1.0, 0, False
-        self._way, self._unsearched = np.zeros(2), 0.0
-        self._usual, self._last, self._doubted = np.nan, np.nan, False
+        self._lost, self._resets, self._unsearched = 1.0, 0, 0.0
+        self._habits = Habits()
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
         """Believe to be at a pose (3,), with deviations in metres and radians."""
@@ -117,16 +120,15 @@ class Tracker:
         self._poses = np.asarray(pose, dtype=np.float64).reshape(1, 3)
         self._covariance = np.diag([metres, metres, radians])[None] ** 2
         self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
-        if np.isnan(self._usual):
-            self._usual = self._last = STRANGE
+        self._habits.place()
 
     def move(self, increment: FloatArray) -> None:
-        """Take a motion (3,) of the sensor, in its frame before."""
+        """Take a motion (3,) of the robot, in its frame before."""
         self._poses, self._covariance = move_gaussians(
             self._poses, self._covariance, increment, self.how.noise
         )
-        metres, radians = float(np.hypot(*increment[:2])), abs(float(wrap(increment[2])))
-        self._way += metres, radians
+        self._habits.move(increment)
+        metres = float(way_of(increment)[0])
         self._unsearched += metres
         self._followed = self._followed + metres
 
@@ -134,12 +136,15 @@ class Tracker:
         """Whether a scan that is not to be looked at contradicts what is believed: look at it."""
         if len(self._poses) == 0 or scan.directions < max(1, self.options.trust.readings):
             return False
+        return self._contradicted(view_of(scan, self.options), self._habits.of(scan))
+
+    def _contradicted(self, view: View, habit: Habit) -> bool:
+        """Whether the best component fits abruptly worse than before."""
         best = int(np.argmax(self._mass))
-        misfit = misfit_near(self.features, scan, self._poses[best : best + 1], self.options)
-        if misfit > self._last + self.how.surprise[1]:
+        misfit = misfit_near(self.features, view, self._poses[best : best + 1], self.options)
+        if misfit > habit.last + self.how.surprise[1]:
             return True
-        self._last = misfit
-        self._doubted = misfit > self._usual + self.how.surprise[0]
+        habit.last, habit.doubted = misfit, misfit > habit.usual + self.how.surprise[0]
         return False
 
     def see(self, scan: LaserScan) -> None:
@@ -147,38 +152,36 @@ class Tracker:
         if scan.directions < max(1, self.options.trust.readings):
             return
         how, known = self.how, len(self._poses)
-        new = float(min(1.0, (self._way / how.fresh).sum()))
-        new, self._way = (max(how.least, new) if self._seen else 1.0), np.zeros(2)
-        self._seen = True
-        found = np.empty((0, 3))
-        if self.watch(scan) or self._unsearched >= how.search or self.belief.verdict != UNIQUE:
-            found, self._unsearched = self._find(scan)[: 2 * how.births], 0.0
-        near = settled(self.features, scan, self._poses, self.options)
+        habit, view, found = self._habits.of(scan), view_of(scan, self.options), np.empty((0, 3))
+        new, habit.way = float(np.clip((habit.way / how.fresh).sum(), how.least, 1)), np.zeros(2)
+        contradicted = known > 0 and self._contradicted(view, habit)
+        if contradicted or self._unsearched >= how.search or self.belief.verdict != UNIQUE:
+            found, self._unsearched = view.robot(self._find(scan)[: 2 * how.births]), 0.0
+        near = settled(self.features, view, self._poses)
         poses = np.concatenate((self._poses, near, found))
         if not len(poses):
             self._lost = 1.0
             return
-        seen = sight(self.features, scan, poses, self.options)
+        seen = sight(self.features, view, poses, self.options)
         best = float(seen.log_likelihood.max())
         relative = np.maximum((seen.log_likelihood - best) * new, -how.drop)
 
         # Each component where it is, where it settles, or at a mode that may be it.
         at, gain = self._follow(seen, relative, new)
-        misfit = float(seen.misfit[at].min(initial=np.inf))
         leak = how.leak[0] * new
         if known:
             leader = float(seen.misfit[at[np.argmax(self._mass)]])
-            if leader > self._last + how.surprise[1]:
+            if leader > habit.last + how.surprise[1]:
                 leak, new = how.leak[1], max(new, how.startle)
                 relative = np.maximum((seen.log_likelihood - best) * new, -how.drop)
                 at, gain = self._follow(seen, relative, new)
-            self._doubted = leader > self._usual + how.surprise[0]
+            habit.doubted = leader > habit.usual + how.surprise[0]
         lost = self._lost + leak * (1 - self._lost)
         mass = self._mass * np.exp(gain)
         if known:
             mass *= (1 - lost) / self._mass.sum()
-            unexplained = (1.0, misfit, misfit - float(seen.misfit.min()))
-            gone = lost * float(np.exp(new * min(_MOST, np.dot(how.doubt, unexplained))))
+            gained = seen.gained - best + float(seen.log_likelihood[at].max())
+            gone = lost * float(np.exp(new * min(_MOST, self._doubt(gained))))
             # Somebody may stand in the way once: a second scan has to agree.
             odds = max(how.patience, np.exp(_MOST) * lost / (1 - lost))
             lost = min(gone, odds * float(mass.sum()))
@@ -189,9 +192,15 @@ class Tracker:
             self._bear(seen, 2 * known, relative)
         self._tidy()
         if len(self._mass):
-            last = float(sight(self.features, scan, self._poses[:1], self.options).misfit[0])
-            before = last if np.isnan(self._usual) else self._usual
-            self._last, self._usual = last, before + _HABIT * (last - before)
+            habit.learn(misfit_at(self.features, view, self._poses[:1], self.options))
+
+    def _doubt(self, gained: float) -> float:
+        """How much likelier a scan is somewhere unknown than where it gains so much, nats.
+
+        What a single scan is trusted by, without what was known before of the cases that is from.
+        """
+        elsewhere = self.options.trust.mass_elsewhere(gained, 1.0)
+        return float(np.log(elsewhere / (1 - elsewhere))) + _MAPPED
 
     def _follow(self, seen: Sight, relative: FloatArray, new: float) -> tuple[IntArray, FloatArray]:
         """For each component the pose that it is at, and what it gains there, nats."""
@@ -279,7 +288,7 @@ class Tracker:
         verdict = AMBIGUOUS
         if self._lost > 0.5 or not len(mass):
             verdict = LOST
-        elif not self._doubted and mass[0] >= self.how.mass:
+        elif not self._habits.doubted and mass[0] >= self.how.mass:
             verdict = UNIQUE if self._followed[order[0]] >= self.how.sure[0] else AMBIGUOUS
         neff = float(np.square(mass.sum()) / max(1e-300, np.square(mass).sum()))
         return Belief(

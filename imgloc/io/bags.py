@@ -11,6 +11,7 @@ import numpy as np
 
 from imgloc.errors import ScanError
 from imgloc.io.files import PathLike, display, reason
+from imgloc.io.lasers import lasers_of, together
 from imgloc.io.odometry import odometry_at
 from imgloc.io.scanset import MAX_READINGS, Entry, ScanSet, ScansSize, collect
 from imgloc.model import FloatArray, Pose2D
@@ -30,7 +31,7 @@ _Frames = dict[str, tuple[str, FloatArray]]
 
 
 def read_bag(path: PathLike, *, topic: str | None = None) -> ScanSet:
-    """Read the scans of one topic of a bag, with the robot's odometry and the sensor's place.
+    """Read the scans of a topic of a bag, with the robot's odometry and the sensor's place.
 
     `odom` is the robot's pose at the time of each scan, from nav_msgs/Odometry, else from the
     transforms below a frame called ``odom``; None if a scan is more than a second from it.
@@ -43,9 +44,12 @@ def read_bag(path: PathLike, *, topic: str | None = None) -> ScanSet:
         A ``.bag``, ``.db3`` or ``.mcap`` file, or the folder of a ROS 2 recording. ScanError if it
         is damaged, or rosbags is not installed (the extra ``ros``).
     topic : str, optional
-        Of sensor_msgs/LaserScan. By default ``/scan``, or the only one.
+        Of sensor_msgs/LaserScan. By default ``/scan``, or the only one. Of several, with commas
+        between, each scan has its own `T_base_laser`.
     """
     name = display(path)
+    if topic is not None and len(topics := lasers_of(topic)) > 1:
+        return together({t: read_bag(path, topic=t) for t in topics}, name)
     with _opened(path, name) as bag:
         chosen = _choose(bag, topic, name)
         odometry = _by_type(bag, _ODOMETRY)
@@ -80,6 +84,9 @@ def read_bag(path: PathLike, *, topic: str | None = None) -> ScanSet:
 def bag_size(path: PathLike, *, topic: str | None = None) -> ScansSize:
     """How much :func:`read_bag` would read: messages of the topic, readings of its first."""
     name = display(path)
+    if topic is not None and len(topics := lasers_of(topic)) > 1:
+        sizes = [bag_size(path, topic=t) for t in topics]
+        return ScansSize(sum(s.scans for s in sizes), sum(s.numbers for s in sizes), 0)
     with _opened(path, name) as bag:
         connections = [c for c in bag.connections if c.topic == _choose(bag, topic, name)]
         count = sum(c.msgcount for c in connections)
@@ -145,7 +152,7 @@ def _choose(bag: Any, topic: str | None, name: str) -> str:
             raise ScanError(f"{name}: no scans on {topic}; it has {there}")
         return match[0]
     if "/scan" not in topics and len(topics) > 1:
-        raise ScanError(f"{name}: scans on several topics, expected --topic with one: {there}")
+        raise ScanError(f"{name}: scans on several topics, expected --topic with some: {there}")
     return "/scan" if "/scan" in topics else next(iter(topics))
 
 

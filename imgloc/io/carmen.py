@@ -21,6 +21,7 @@ import numpy as np
 
 from imgloc.errors import ScanError
 from imgloc.io.files import PathLike, display, read_file
+from imgloc.io.lasers import lasers_of, together
 from imgloc.io.odometry import odometry_at
 from imgloc.io.scanset import MAX_READINGS, Entry, ScanSet, collect, spread, wrong
 from imgloc.model import FloatArray, Pose2D, compose, inverse
@@ -68,12 +69,16 @@ def read_carmen(path: PathLike, *, topic: str | None = None, fov: float | None =
     path : path
         ScanError, with the line, if it cannot be read, or holds no laser.
     topic : str, optional
-        Messages of which laser, by the word they begin with; the front laser by default.
+        Messages of which laser, by the word they begin with; the front laser by default. Of
+        several, with commas between, each scan has its own `T_base_laser`.
     fov : float, optional
         Angle from the first to the last ray, radians, of lasers that do not say it (FLASER,
         RLASER, Laser). 180, 181, 360 and 361 readings need none, those are SICK scanners, nor
         does a log whose parameters have ``laser_front_laser_resolution``.
     """
+    if topic is not None and len(words := lasers_of(topic)) > 1:
+        sets = {word: read_carmen(path, topic=word, fov=fov) for word in words}
+        return together({word: _placed(scans) for word, scans in sets.items()}, display(path))
     name, lines = display(path), _lines(path)
     first = [line.split(None, 1)[0] for _, line in lines]
     counts = Counter(word for word in first if _LASERS.fullmatch(word))
@@ -104,6 +109,14 @@ def read_carmen(path: PathLike, *, topic: str | None = None, fov: float | None =
     if not messages:
         raise ScanError(f"{name}: holds no whole {chosen}, expected at least one")
     return _assemble(messages, moves, parameters, fov, name, rear=chosen == "RLASER")
+
+
+def _placed(scans: ScanSet) -> ScanSet:
+    """The scans of a laser that is at the robot's own place where nothing else is said."""
+    if scans.poses is not None or scans.odom is None:
+        return scans
+    at = tuple(replace(s, T_base_laser=s.T_base_laser or Pose2D(0.0, 0.0)) for s in scans.scans)
+    return replace(scans, scans=at)
 
 
 def _lines(path: PathLike) -> list[tuple[int, str]]:
@@ -267,7 +280,8 @@ def _laser_poses(messages: Sequence[_Message]) -> tuple[FloatArray | None, Pose2
     if len(pairs) != len(messages):
         return None, None
     offsets = [compose(inverse(robot), laser) for laser, robot in pairs]
-    away = np.array([(p.x, p.y, math.remainder(p.theta, math.tau)) for p in offsets])
+    turn = offsets[0].theta  # about it, for one that looks back is at pi and at -pi
+    away = np.array([(p.x, p.y, turn + math.remainder(p.theta - turn, math.tau)) for p in offsets])
     middle = np.median(away, axis=0)
     if np.all(np.abs(away - middle) < _RIGID):
         # At the robot's own place is where it is if nobody has said where.

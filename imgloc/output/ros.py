@@ -19,7 +19,7 @@ import yaml
 from imgloc.errors import OutputError
 from imgloc.geometry import transform_poses
 from imgloc.io.files import PathLike, display, write_bytes_atomic
-from imgloc.model import FloatArray, Pose2D, base_of
+from imgloc.model import FloatArray, Pose2D
 from imgloc.tracking import Moment
 
 POSE, ARRAY = "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseArray"
@@ -47,7 +47,6 @@ def message(
     moment: Moment,
     origin: Pose2D,
     *,
-    mount: Pose2D | None = None,
     frame: str = "map",
     best: bool = False,
 ) -> tuple[str, dict[str, Any]] | None:
@@ -57,8 +56,6 @@ def message(
     ----------
     origin : Pose2D
         Of the grid, in whose frame beliefs are.
-    mount : Pose2D, optional
-        Of the sensor on the robot, whose pose is then written.
     best : bool
         Whether one pose is written although several fit.
     """
@@ -74,19 +71,15 @@ def message(
         covariance = diagonal.ravel().tolist()
         return POSE, {
             "header": header,
-            "pose": {"pose": _pose(_based(pose, mount)), "covariance": covariance},
+            "pose": {"pose": _pose(pose), "covariance": covariance},
         }
     if moment.belief.verdict == "lost" or not len(moment.belief.poses):
         return None
     poses = transform_poses(origin, moment.belief.poses[:_LISTED])
     return ARRAY, {
         "header": header,
-        "poses": [_pose(_based(Pose2D(*row), mount)) for row in poses],
+        "poses": [_pose(Pose2D(*row)) for row in poses],
     }
-
-
-def _based(pose: Pose2D, mount: Pose2D | None) -> Pose2D:
-    return pose if mount is None else base_of(pose, mount)
 
 
 def _pose(pose: Pose2D) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import AMBIGUOUS, LOST, UNIQUE, Belief
 from imgloc.geometry import transform_points
 from imgloc.io.files import PathLike, display, write_bytes_atomic
-from imgloc.model import FloatArray, OccupancyGrid, Pose2D, base_of, inverse, plain
+from imgloc.model import FloatArray, OccupancyGrid, inverse, plain
 from imgloc.output.canvas import (
     INK,
     PAPER,
@@ -41,15 +41,12 @@ COLOURS: dict[str, Colour] = {
 _TRUTH: Colour = (60, 20, 220)
 _SIDE = 960  # pixels of the longer side of a video at most
 _DRAWN = 1e-3  # mass of a place that is drawn
+_CARRIED = 1.0  # metres beyond twice what odometry says: no driving
 
 
-def moment_row(moment: Moment, mount: Pose2D | None = None) -> dict[str, Any]:
-    """The row of `imgloc track --json`: the pose is null unless it is unique.
-
-    With the mounting of the sensor the poses are those of the robot's base.
-    """
-    belief, at = moment.belief, moment.pose
-    pose = at if at is None or mount is None else base_of(at, mount)
+def moment_row(moment: Moment) -> dict[str, Any]:
+    """The row of `imgloc track --json`: the pose is null unless it is unique."""
+    belief, pose = moment.belief, moment.pose
     row = {
         "index": moment.index,
         "stamp": moment.stamp,
@@ -67,13 +64,13 @@ def moment_row(moment: Moment, mount: Pose2D | None = None) -> dict[str, Any]:
     return dict(plain(row))
 
 
-def tum_text(moments: Iterable[Moment], mount: Pose2D | None = None) -> str:
+def tum_text(moments: Iterable[Moment]) -> str:
     """The trajectory for `evo_ape tum`: ``stamp x y z qx qy qz qw``, of unique poses only."""
     lines = []
     for moment in moments:
         if moment.pose is None or not math.isfinite(moment.stamp):
             continue
-        pose = moment.pose if mount is None else base_of(moment.pose, mount)
+        pose = moment.pose
         z, w = math.sin(pose.theta / 2), math.cos(pose.theta / 2)
         lines.append(f"{moment.stamp:.9f} {pose.x:.9f} {pose.y:.9f} 0.0 0.0 0.0 {z:.12f} {w:.12f}")
     return "".join(line + "\n" for line in lines)
@@ -101,12 +98,17 @@ def draw_track(
 ) -> Picture:
     """Draw the path over the map, coloured by verdict; the true path (N, 3) is a thin line.
 
+    It has a gap where the robot got farther than odometry knows: there it was carried.
+
     While several places fit or none does, the best guess is a small dot: it is not a path.
     """
     canvas = map_canvas(grid)
     back = inverse(grid.origin)
     if truth is not None and len(truth) > 1:
-        canvas.lines(transform_points(back, truth[:, :2])[None], _TRUTH)
+        carried = np.hypot(*np.diff(truth[:, :2], axis=0).T)
+        carried -= 2 * np.diff([m.metres for m in moments])
+        for part in np.split(truth, np.flatnonzero(carried > _CARRIED) + 1):
+            canvas.lines(transform_points(back, part[:, :2])[None], _TRUTH)
     size = marker_size(canvas)
     at = [
         (m, transform_points(back, np.array([[m.best.x, m.best.y]]))[0])

@@ -1,0 +1,63 @@
+"""Several lasers on one robot: the scans of all in the order of time, each with its own place.
+
+They are never joined to one scan: what a reading passed through depends on where it started.
+"""
+
+import itertools
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from imgloc.errors import ScanError
+from imgloc.io.scanset import ScanSet
+from imgloc.model import FloatArray, IntArray
+
+
+def lasers_of(topic: str) -> list[str]:
+    """The names in a list with commas.
+
+    Examples
+    --------
+    >>> lasers_of("/front, /rear"), lasers_of("/scan")
+    (['/front', '/rear'], ['/scan'])
+    """
+    return [word for word in map(str.strip, topic.split(",")) if word]
+
+
+def together(sets: Mapping[str, ScanSet], name: str) -> ScanSet:
+    """The scans of several lasers as one set, in the order of their stamps.
+
+    Poses and odometry are kept if all have them.
+
+    Parameters
+    ----------
+    sets : mapping
+        By the name of the laser.
+    name : str
+        Of the file. ScanError if a laser has no stamps, or its place is unknown or that of
+        another.
+    """
+    for laser, scans in sets.items():
+        if scans.stamps is None or not np.isfinite(scans.stamps).all():
+            raise ScanError(f"{name}: {laser}: no stamps, expected them of each of several lasers")
+        if any(scan.T_base_laser is None for scan in scans.scans):
+            where = "expected transforms from the robot's base to each of several lasers"
+            raise ScanError(f"{name}: {laser}: it is not known where it sits, {where}")
+    for (a, one), (b, other) in itertools.combinations(sets.items(), 2):
+        if one[0].T_base_laser == other[0].T_base_laser:
+            raise ScanError(f"{name}: {a} and {b} sit at the same place, expected one of them")
+    every = list(sets.values())
+    stamps = np.concatenate([s.stamps for s in every if s.stamps is not None])
+    order = np.argsort(stamps, kind="stable")
+    joined = [scan for s in every for scan in s.scans]
+    return ScanSet(
+        tuple(joined[k] for k in order),
+        _all([s.poses for s in every], order),
+        stamps[order],
+        _all([s.odom for s in every], order),
+    )
+
+
+def _all(parts: Sequence[FloatArray | None], order: IntArray) -> FloatArray | None:
+    given = [part for part in parts if part is not None]
+    return np.concatenate(given)[order] if len(given) == len(parts) else None
