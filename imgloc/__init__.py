@@ -46,6 +46,7 @@ if TYPE_CHECKING:
         FusedOptions,
         Options,
         Prior,
+        Shared,
         Trust,
     )
     from imgloc.output.pictures import Picture, draw
@@ -60,10 +61,10 @@ __all__ = [
     "Every", "Evidence", "Explanation", "FusedOptions", "GridInfo", "Hypothesis", "ImglocError",
     "Job", "Known", "LaserScan", "Likelihood", "Localization", "MapError", "MapFeatures",
     "MapReport", "Moment", "OccupancyGrid", "Options", "OrientedPoints", "OutputError", "Picture",
-    "Pose2D", "Prior", "ScanError", "ScanSet", "Sensor", "Trust", "__version__", "check_map",
-    "draw", "evaluate", "explain", "follow", "likelihood", "load_map", "load_scans", "localize",
-    "make_filter", "prepare", "run_batch", "sample_poses", "save_map", "save_scans", "simulate",
-    "which",
+    "Pose2D", "Prior", "ScanError", "ScanSet", "Sensor", "Shared", "Trust", "__version__",
+    "check_map", "draw", "evaluate", "explain", "follow", "likelihood", "load_map", "load_scans",
+    "localize", "make_filter", "prepare", "run_batch", "sample_poses", "save_map", "save_scans",
+    "simulate", "which",
 ]  # fmt: skip
 
 _HOMES = {
@@ -81,7 +82,7 @@ _HOMES = {
     "imgloc.jobs": "Job",
     "imgloc.model": "Evidence GridInfo Hypothesis LaserScan Likelihood Localization OccupancyGrid "
     "OrientedPoints Pose2D",
-    "imgloc.options": "ALL_METHODS METHODS Calibration FusedOptions Options Prior Trust",
+    "imgloc.options": "ALL_METHODS METHODS Calibration FusedOptions Options Prior Shared Trust",
     "imgloc.output.pictures": "Picture draw",
     "imgloc.pipeline": "likelihood localize prepare",
     "imgloc.sample": "sample_poses",

@@ -145,7 +145,7 @@ def test_the_base_is_behind_a_sensor_mounted_in_front(scans: Path, plain: dict) 
 def test_the_base_is_in_the_table_of_several_scans(scans: Path) -> None:
     plain = call("localize", WORLD, scans).out.splitlines()
     mounted = call("localize", WORLD, scans, "--sensor", "0.5,0,0.1").out.splitlines()
-    assert mounted[0] == plain[0] + "      base x     base y   base theta"
+    assert mounted[0] == plain[0] + "     base x    base y  base theta"
     bases = [r["base_pose"] for r in rows(call(
         "localize", WORLD, scans, "--sensor", "0.5,0,0.1", "--json").out)]  # fmt: skip
     for before, after, base in zip(plain[1:], mounted[1:], bases, strict=True):
@@ -160,7 +160,7 @@ def test_a_scan_without_a_pose_has_no_base(scans: Path, tmp_path: Path) -> None:
     np.savez(tmp_path / "blind.npz", ranges=blind, angles=np.arange(30) / 30)
     out = call("localize", WORLD, tmp_path / "blind.npz", "--sensor", "0.5,0,0").out.splitlines()
     assert {len(line) for line in out} == {len(out[0])}
-    assert out[1].split()[1:] == ["invalid", *"--------"]
+    assert out[1].split()[1:] == ["invalid", *"---------"]
 
 
 def test_the_mounting_is_recorded(scans: Path, plain: dict) -> None:

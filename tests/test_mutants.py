@@ -59,7 +59,7 @@ def test_names_are_swapped_whatever_their_module():
 
 
 @pytest.fixture
-def checkout(tmp_path, monkeypatch):
+def checkout(tmp_path, tmp_path_factory, monkeypatch):
     """A package with one test, which sees one of two functions; its results are kept elsewhere."""
     root = tmp_path / "root"
     for folder in ("imgloc/search", "tests", "tools"):
@@ -71,8 +71,8 @@ def checkout(tmp_path, monkeypatch):
         "from imgloc.search.a import f\n\ndef test_f():\n    assert f(0)\n"
     )
     monkeypatch.setattr(mutants, "ROOT", root)
-    (tmp_path / "kept").mkdir()
-    monkeypatch.setattr(mutants.tempfile, "tempdir", str(tmp_path / "kept"))
+    # The path of a socket may be no longer than some 100 letters.
+    monkeypatch.setattr(mutants.tempfile, "tempdir", str(tmp_path_factory.mktemp("k")))
     return root
 
 
