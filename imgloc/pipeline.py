@@ -251,12 +251,16 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
     Parameters
     ----------
     features, scan, options
-        As of :func:`find_modes`.
+        As of :func:`find_modes`; a budget of time is that of all searches together.
     """
+    start = time.monotonic()
 
     def find(shared: Shared) -> Modes:
+        left = options
+        if options.time_budget is not None:
+            left = replace(options, time_budget=start + options.time_budget - time.monotonic())
         there = features.thinner(shared.thinner)
-        return replace(find_modes(there, scan.scaled(shared.scale), options), shared=shared)
+        return replace(find_modes(there, scan.scaled(shared.scale), left), shared=shared)
 
     fused, found = options.fused, find(options.shared)
     for _ in range(_ROUNDS):
@@ -269,6 +273,8 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
         if shared == found.shared:
             break
         again = find(shared)
+        if not again.complete:
+            return replace(found, complete=False)
         if again.mean_score <= found.mean_score:
             break
         found = again

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from imgloc import pipeline
 from imgloc.explanation import explain
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import one_per_place
@@ -141,6 +142,24 @@ def test_what_is_known_is_where_the_search_begins():
     assert away(answer, pose) < 0.05
     assert answer.evidence.scale == 1.12
     assert answer.parameters["shared"] == {"scale": 1.12, "thinner": 0}
+
+
+def test_time_is_that_of_all_searches(monkeypatch):
+    scan, now = world()[1].scans[0].scaled(0.95), [0.0]
+    monkeypatch.setattr("imgloc.pipeline.time.monotonic", lambda: now[0])
+    found = pipeline.find_modes
+
+    def slow(*given):
+        out = found(*given)
+        now[0] += 6.0
+        return out
+
+    monkeypatch.setattr(pipeline, "find_modes", slow)
+    answer = localize(features(), scan, Options(time_budget=10.0))
+    assert (answer.complete, answer.evidence.scale) == (True, pytest.approx(1 / 0.95, abs=0.02))
+    answer = localize(features(), scan, Options(time_budget=5.0))  # gone before the second
+    assert (answer.complete, answer.evidence.scale) == (False, 1.0)
+    assert answer.verdict != "unique"
 
 
 def test_explanations_and_words_allow_for_it():

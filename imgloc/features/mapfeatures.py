@@ -36,7 +36,7 @@ from imgloc.model import BoolArray, Float32Array, GridInfo, OccupancyGrid, Orien
 #: Metres of wall to each surface point that votes for proposals: votes find places.
 VOTER_SPACING = 0.25
 #: Of a map of more cells than this no walls are made thinner: each time takes its features again.
-PEELED_CELLS = 1 << 23
+PEELED_CELLS = 6_000_000
 #: With more cells than this at four times `cell`, the search starts at eight times.
 COARSE_CELLS = 1 << 17
 
