@@ -62,6 +62,8 @@ class Job:
     reading: Reading = field(default_factory=lambda: Reading())
     allow_lossy: bool = False
     cell: float = 0.1  #: of the poses, metres
+    topic: str | None = None  #: which laser of a log with several, as of :func:`imgloc.load_scans`
+    range_scale: float = 1.0  #: metres of a range
     range_max: float | None = None  #: readings are cut here, metres
     flipped: bool = False  #: the sensor is upside down
     mount: Pose2D | None = None  #: pose of the sensor on the robot
@@ -201,16 +203,17 @@ def open_scans(item: Item, job: Job) -> ScanSet:
     path = item.scans_path
     if path is None:
         raise ConfigError(f"{job.name}: expected scans")
-    size, name = scans_size(path), display(path)
+    size, name = scans_size(path, topic=job.topic), display(path)
     need = scans_bytes(size.scans, size.numbers, size.file_bytes, text=size.text)
     what = f"{name}: a file of up to {size.scans:,} scans"
     check_budget(need, job.memory_budget, what, "take fewer scans, in several files")
-    recorded = load_scans(path)
+    recorded = load_scans(path, topic=job.topic)
     return replace(recorded, scans=tuple(_as_mounted(scan, job, name) for scan in recorded.scans))
 
 
 def _as_mounted(scan: LaserScan, job: Job, name: str) -> LaserScan:
     scan = scan.flipped if job.flipped else scan
+    scan = scan if job.range_scale == 1 else scan.scaled(job.range_scale)
     reach = scan.range_max if job.range_max is None else min(scan.range_max, job.range_max)
     if reach <= scan.range_min:
         raise ScanError(f"{name}: range_min is {scan.range_min:g} m, cut at {reach:g} m")

@@ -399,6 +399,30 @@ def test_an_option_that_the_job_would_not_notice_is_refused(
     assert said in run.err
 
 
+def test_units_and_lasers_of_all_files(site: Path, tmp_path: Path) -> None:
+    scans = load_scans(site / "all.npz")
+    longer = tuple(scan.scaled(1000) for scan in scans.scans[:2])
+    save_scans(tmp_path / "mm.npz", ScanSet(longer, poses=scans.poses[:2]))
+    words = ["batch", site / "floors", tmp_path / "mm.npz", "--workers", 1, "--no-cache"]
+    out = tmp_path / "out"
+    assert call(*words, "--range-scale", 0.001, "--range-max", 8, "--out", out).code == 0
+    (row,) = read_rows(out)
+    with ThreadPoolExecutor(1) as pool:
+        save_scans(tmp_path / "m.npz", ScanSet(scans.scans[:2], poses=scans.poses[:2]))
+        there, job = tmp_path / "there", Job(range_max=8.0)
+        run_batch(site / "floors", tmp_path / "m.npz", there, job, executor=pool)
+    (metres,) = read_rows(there)
+    for a, b in zip(row["answers"], metres["answers"], strict=True):
+        assert a["error"]["position"] == pytest.approx(b["error"]["position"], abs=1e-6)
+    log, far = tmp_path / "run.log", " ".join(["2.0"] * 181)
+    log.write_text(f"FLASER 181 {far} 0 0 0 0 0 0 1 robot 1\n")
+    words[2] = log
+    assert call(*words, "--topic", "FLASER", "--out", tmp_path / "front").code == 0
+    assert call(*words, "--topic", "RLASER", "--out", tmp_path / "rear").code == 5
+    (row,) = read_rows(tmp_path / "rear")
+    assert "RLASER" in json.dumps(row)
+
+
 def test_what_is_known_of_the_poses(site: Path, tmp_path: Path) -> None:
     one = site / "scans" / "s0.npz"
     truth = Pose2D(*np.load(one)["poses"][0])

@@ -35,7 +35,7 @@ _EVALUATE = ("evaluate with SCANS", "evaluate without SCANS")
 #: Of which jobs options are that others would not notice.
 _OF = {
     **dict.fromkeys(("method", "theta_step_deg", "tolerance"), ("localize", *_EVALUATE)),
-    **dict.fromkeys(("range_max", "sensor", "flipped"), _SCANS),
+    **dict.fromkeys(("topic", "range_scale", "range_max", "sensor", "flipped"), _SCANS),
     **dict.fromkeys(("rays", "fov_deg", "sigma", "outliers", "dropped", "mount"), _SIMULATED),
     **dict.fromkeys(("reach", "seed"), _SIMULATED),
     **dict.fromkeys(("step", "headings"), ("atlas",)),
@@ -81,6 +81,8 @@ def batch(
     ),
     near: Any = opt.NEAR,
     heading: Any = opt.HEADING,
+    topic: str | None = option(None, "NAME", "Of logs with several lasers, this one."),
+    range_scale: float = opt.RANGE_SCALE,
     range_max: opt.Cut = None,
     tolerance: Any = option(
         None, "M,DEG", "How near a known pose is a hit. [default: 0.5,10]", parser=opt.numbers(2)
@@ -164,6 +166,8 @@ def batch(
         reading=reading,
         allow_lossy=allow_lossy,
         cell=cell,
+        topic=topic,
+        range_scale=range_scale,
         range_max=range_max,
         flipped=mounting.flipped,
         mount=mounting.pose,

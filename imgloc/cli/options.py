@@ -329,6 +329,11 @@ class Logs(NamedTuple):
     scale: float = 1.0
 
 
+RANGE_SCALE: Any = option(
+    1.0, "F", "Metres of a range: 0.001 of millimetres.", within=(1e-6, 1e6, "a factor")
+)
+
+
 def logs(
     topic: str | None = option(
         None,
@@ -341,9 +346,7 @@ def logs(
         "Angle from the first to the last ray, where the file does not say it.",
         within=(0.01, 360, "degrees"),
     ),
-    range_scale: float = option(
-        1.0, "F", "Metres of a range: 0.001 of millimetres.", within=(1e-6, 1e6, "a factor")
-    ),
+    range_scale: float = RANGE_SCALE,
 ) -> Logs:
     """Options of how files of scans are read."""
     return Logs(topic, None if fov_deg is None else math.radians(fov_deg), range_scale)
