@@ -47,7 +47,7 @@ LEAST = 20
 """Trials, of all maps together, below which nothing is fitted: a few lucky scans promise all."""
 SCANS = 20  #: at most, that say together what error they share
 LEAST_FIT = 5  #: of them, that must fit the map at one place
-_STARTS = (1.0, 0.9, 1.1)  # scales at which the search begins
+_STARTS, _MOST_SCALED = (1.0, 0.9, 1.1), 1.06  # where the search for a scale begins; and ends
 _BINS = 8192
 _WALLS = 0.1  # metres by which walls are displaced
 _SHARED = 10.0  # readings over which they are so alike
@@ -265,6 +265,9 @@ def fit_shared(
         spread = 1.4826 * float(np.median(np.abs(steps - middle)))  # of a Gaussian, as a deviation
         shared = replace(shared, scale=shared.scale * middle)
         error = 1.2533 * spread / np.sqrt(len(steps))  # of a median
+    # A wall is drawn in cells: half a cell at the usual distance is as much of a scale.
+    far = np.median(np.concatenate([scan.ranges[scan.valid] for scan in some]))
+    error = np.hypot(error, features.grid.resolution / 2 / far)
     return SharedFit(shared, float(error), len(steps), len(some))
 
 
@@ -275,7 +278,7 @@ def _misfit(answer: Localization) -> float:
 
 def _bent(features: MapFeatures, scan: LaserScan, options: Options, shared: Shared) -> Localization:
     """The answer that begins at an error of all readings and looks for a better one."""
-    eager = replace(options.fused, strained=0.0)
+    eager = replace(options.fused, strained=0.0, most_scaled=_MOST_SCALED)
     return localize(features, scan, replace(options, shared=shared, fused=eager))
 
 

@@ -71,30 +71,33 @@ def doubts(
     ]
 
 
-def bent(evidence: Sequence[Evidence], known: Shared) -> list[str]:
+def bent(placed: Sequence[Evidence], count: int, known: Shared, resolution: float) -> list[str]:
     """Say that most scans fit a map only with an error that all readings share, and what helps.
 
-    None if fewer than half do, or it is `known` already; in a list, as of :func:`doubts`.
+    None if fewer than half do, or it is `known` already; in a list, as of :func:`doubts`. Of
+    `count` scans those that were `placed` count; the map's cells are of `resolution` metres.
 
     Examples
     --------
-    >>> bent([Evidence(scale=1.05), Evidence(scale=1.04), Evidence()], Shared())[0][:67]
+    >>> there = [Evidence(scale=1.05), Evidence(scale=1.05)]
+    >>> bent(there, 3, Shared(), 0.05)[0][:67]
     'most scans fit this map far better with their ranges multiplied by '
-    >>> bent([Evidence(scale=1.05), Evidence(scale=1.05)], Shared(1.05))
-    []
+    >>> bent(there, 4, Shared(), 0.05), bent(there, 2, Shared(1.05), 0.05)
+    ([], [])
     """
-    scales = [said.scale for said in evidence if said.scale != known.scale]
-    thinner = [said.thinner for said in evidence if said.thinner > 0 and known.thinner == 0]
-    found = ""
-    if 2 * len(scales) > len(evidence):
-        found = f"their ranges multiplied by {np.median(scales):.3f}"
-    elif 2 * len(thinner) > len(evidence):
+    scales = [said.scale for said in placed if said.scale != known.scale]
+    thinner = [said.thinner for said in placed if said.thinner > 0 and known.thinner == 0]
+    if 2 * len(scales) > count:
+        factor = float(np.median(scales))
+        cells = f"are its cells of {resolution / factor:.4g} m? Then say so (--resolution)"
+        found = f"their ranges multiplied by {factor:.3f}: {cells}, as poses are in its metres"
+    elif 2 * len(thinner) > count:
         found = f"walls that are {np.median(thinner):.2f} m thinner on each side"
-    if not found:
+    else:
         return []
     return [
-        f"most scans fit this map far better with {found}: is it drawn, or of another scale? "
-        "imgloc calibrate MAP --scans FILE finds that once for all, which is faster and surer"
+        f"most scans fit this map far better with {found}. imgloc calibrate MAP --scans FILE finds "
+        "it once for all, which is faster and surer"
     ]
 
 

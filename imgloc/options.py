@@ -196,10 +196,11 @@ class FusedOptions:
     twins: tuple[float, float] = (0.1, float(np.deg2rad(3.0)))
     same: tuple[float, float] = (0.02, float(np.deg2rad(0.7)))
     #: misfit, nats per reading, above which readings may share an error, see
-    #: :mod:`imgloc.search.adapt`; nats that they must gain; how far a scale may be from 1, a factor
+    #: :mod:`imgloc.search.adapt`; nats that they must gain; how far a scale may be from the
+    #: one that is known, a factor: with more of it any building fits
     strained: float = 0.5
     adapted: float = 40.0
-    most_scaled: float = 1.15
+    most_scaled: float = 1.07
     #: two poses nearer than this, metres and radians, are one hypothesis
     separation: tuple[float, float] = (0.5, float(np.deg2rad(15.0)))
     model: EvidenceModel = field(default_factory=EvidenceModel)  #: the score

@@ -268,8 +268,7 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
         if fits or not (found.complete and len(found.poses)):
             break
         places = np.concatenate((found.poses[:1], found.looked))
-        about = (found.readings, places, found.shared)
-        shared = adapt(features, *about, options.prior, fused)
+        shared = adapt(features, found.readings, places, found.shared, options)
         if shared == found.shared:
             break
         again = find(shared)

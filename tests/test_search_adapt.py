@@ -125,8 +125,7 @@ def test_an_exact_map_is_left_alone():
         said = localize(features(), scan).evidence
         assert (said.scale, said.thinner) == (1.0, 0.0)
     pose, seen = np.array([world()[1].poses[0]]), one_per_place(world()[1].scans[0], 0.07)
-    options = Options()
-    assert adapt(features(), seen, pose, Shared(), options.prior, options.fused) == Shared()
+    assert adapt(features(), seen, pose, Shared(), Options()) == Shared()
 
 
 def test_no_scale_is_farther_off_than_allowed():

@@ -76,7 +76,7 @@ def localize(
     from imgloc.doubts import bent, doubts
     from imgloc.explanation import explain as reasons
     from imgloc.io.calibration import calibrated
-    from imgloc.model import Evidence, LaserScan, Pose2D, to_json
+    from imgloc.model import SURE, Evidence, LaserScan, Pose2D, to_json
     from imgloc.options import FusedOptions, Options
     from imgloc.output.pages import render_explanation
     from imgloc.output.pictures import draw
@@ -150,7 +150,7 @@ def localize(
     if many and not as_json:
         on_robot = any(scan.T_base_laser is not None for scan in every)
         emit(answer_header(on_robot or mounting.sensor is not None))
-    looked_at, verdicts, evidence = list[LaserScan](), list[str](), list[Evidence]()
+    looked_at, verdicts, placed = list[LaserScan](), list[str](), list[Evidence]()
     errors, shown = list[tuple[float, float]](), ""
     with progress("localize", len(queue)) as advance:
         for n, (file, scans, k) in zip(numbers, queue, strict=True):
@@ -159,7 +159,8 @@ def localize(
             truth = None if scans.poses is None else Pose2D(*scans.poses[k])
             looked_at.append(scan)
             verdicts.append(answer.verdict)
-            evidence.append(answer.evidence)
+            if answer.verdict in SURE:
+                placed.append(answer.evidence)
             if answer.pose is not None and truth is not None:
                 errors.append(difference(answer.pose, truth))
             LOG.info("%s, scan %d: %s, %s", file, k, answer.verdict, times_words(answer))
@@ -194,7 +195,7 @@ def localize(
     # Rows that are all invalid say why themselves, to a program.
     if fused and time_budget is None and not (as_json and set(verdicts) == {"invalid"}):
         why = doubts(features, looked_at, verdicts, options, flipped=mounting.flipped)
-        for doubt in (*why, *bent(evidence, options.shared)):
+        for doubt in (*why, *bent(placed, len(queue), options.shared, grid.resolution)):
             LOG.warning("%s", doubt)
     if strict and set(verdicts) != {"unique"}:
         raise typer.Exit(NOT_UNIQUE)

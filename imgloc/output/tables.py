@@ -136,7 +136,10 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
         explained = f"{100 * answer.explained:.0f} % of the rays explained"
         facts.append(("trust", f"{explained}, entropy {answer.entropy:.3f} nats"))
         if (bent := bent_words(evidence.scale, evidence.thinner)) is not None:
-            facts.append(("map", f"fits far better with {bent}"))
+            known: Any = answer.parameters.get("shared")
+            calibrated = known is not None and known["scale"] == evidence.scale
+            how = "as calibrated, " if calibrated else "fits far better with "
+            facts.append(("map", how + bent))
         poses = f"{evidence.listed} listed"
         if evidence.found > evidence.listed:
             unlisted = _percent(evidence.unlisted)

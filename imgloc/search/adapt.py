@@ -11,7 +11,7 @@ import numpy as np
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings
 from imgloc.model import FloatArray
-from imgloc.options import FusedOptions, Prior, Shared
+from imgloc.options import Options, Shared
 from imgloc.search.priors import standing
 from imgloc.search.refine import refine
 from imgloc.search.rescore import rescore
@@ -27,8 +27,7 @@ def adapt(
     readings: Readings,
     places: FloatArray,
     now: Shared,
-    prior: Prior,
-    options: FusedOptions,
+    options: Options,
 ) -> Shared:
     """The error with which the readings fit far better than with that of `now`; or `now`.
 
@@ -42,21 +41,23 @@ def adapt(
         Where they may have been seen from, the best fit of `now` first; grid frame.
     now : Shared
         The error that is allowed for already.
-    prior, options
-        The poses that may be; the score, and what is far better.
+    options : Options
+        The poses that may be; the score, what is far better, and how far a scale may be from the
+        one that is known.
     """
+    fused = options.fused
     count, readings = len(readings), readings.spread(_READINGS)
 
     def score_of(poses: FloatArray, there: MapFeatures) -> FloatArray:
-        seen = (readings.ranges, readings.angles, there.field, there.walls, options.model)
+        seen = (readings.ranges, readings.angles, there.field, there.walls, fused.model)
         return rescore(poses, *seen).log_likelihood
 
     def best(poses: FloatArray, thinner: int) -> tuple[float, Shared]:
         there = features.thinner(thinner)
         poses = refine(poses, readings.xy, there.field, sigmas=_SIGMAS)
-        poses = standing(poses, prior, there)
+        poses = standing(poses, options.prior, there)
         scale = now.scale * (poses[:, 3] if poses.shape[1] == 4 else np.ones(len(poses)))
-        small = np.abs(np.log(scale)) <= np.log(options.most_scaled)
+        small = np.abs(np.log(scale / options.shared.scale)) <= np.log(fused.most_scaled)
         score = score_of(poses[small], there)
         if len(score) == 0:
             return float("-inf"), now
@@ -77,4 +78,4 @@ def adapt(
         walls = again
     score, shared = max(found, walls, key=lambda one: one[0])
     gain = (score - score_of(places[:1], features.thinner(now.thinner))[0]) / len(readings)
-    return shared if gain * count > options.adapted else now
+    return shared if gain * count > fused.adapted else now
