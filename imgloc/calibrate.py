@@ -249,18 +249,13 @@ def fit_shared(
         found.append(min((_bent(features, scan, options, s) for s in tried), key=_misfit))
         advance()
     sure = [answer.evidence for answer in found if answer.verdict == "unique"]
-    if len(sure) < LEAST_FIT:
-        raise ConfigError(
-            f"{len(sure)} of {len(some)} scans fit this map at one place, expected at least "
-            f"{LEAST_FIT} to say what error they share; are they from here?"
-        )
+    _enough(len(sure), len(some))
     cells = np.median([said.thinner for said in sure]) / features.grid.resolution
     shared = Shared(float(np.median([said.scale for said in sure])), round(float(cells)))
     for _ in range(2):
         left = [_left(features, scan, options, shared) for scan in some]
         steps = np.array([step for step in left if step is not None])
-        if len(steps) < LEAST_FIT:
-            break
+        _enough(len(steps), len(some))
         middle = float(np.median(steps))
         spread = 1.4826 * float(np.median(np.abs(steps - middle)))  # of a Gaussian, as a deviation
         shared = replace(shared, scale=shared.scale * middle)
@@ -269,6 +264,15 @@ def fit_shared(
     far = np.median(np.concatenate([scan.ranges[scan.valid] for scan in some]))
     error = np.hypot(error, features.grid.resolution / 2 / far)
     return SharedFit(shared, float(error), len(steps), len(some))
+
+
+def _enough(fit: int, asked: int) -> None:
+    """Refuse to speak of an error that only a few scans share."""
+    if fit < LEAST_FIT:
+        raise ConfigError(
+            f"{fit} of {asked} scans fit this map at one place, expected at least {LEAST_FIT} to "
+            "say what error they share; are they from here?"
+        )
 
 
 def _misfit(answer: Localization) -> float:

@@ -5,7 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from imgloc.calibrate import EXPONENTS, Sweep, densities, disturbed_set, fit, sweep
+from imgloc import calibrate
+from imgloc.calibrate import (
+    EXPONENTS,
+    Sweep,
+    densities,
+    disturbed_set,
+    fit,
+    fit_shared,
+    sweep,
+)
 from imgloc.errors import ConfigError
 from imgloc.evaluation import cell_of_pose
 from imgloc.index import density_in_stack, performance_index
@@ -159,3 +168,12 @@ def test_a_calibrated_posterior_knows_more_than_the_bare_stack() -> None:
         bare.append(density_in_stack(stack.values, at, features.free))
         sure.append(density_in_stack(p, at, features.free))
     assert performance_index(sure).value > performance_index(bare).value + 2
+
+
+def test_an_error_that_few_scans_share_in_the_end_is_none(monkeypatch) -> None:
+    features, told = prepare(room()), simulate(room(), 5, 4, Sensor(rays=181, fov=6.2))
+    assert fit_shared(features, told.scans).shared.scale == pytest.approx(1, abs=0.01)
+    # Each fits at an error of its own, none at that of all.
+    monkeypatch.setattr(calibrate, "_left", lambda *given: None)
+    with pytest.raises(ConfigError, match="0 of 5 scans fit this map at one place"):
+        fit_shared(features, told.scans)

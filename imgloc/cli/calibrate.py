@@ -61,7 +61,7 @@ def calibrate(
     short for the map and by how much its walls are drawn too thick: as of a floor plan. The default
     method begins with that ever after.
     """
-    from imgloc.calibrate import LEAST, check_trials, disturbed_set, fit, sweep
+    from imgloc.calibrate import check_trials, disturbed_set, fit, sweep
     from imgloc.cli import inputs
     from imgloc.io.calibration import calibration_path, save_calibrations
     from imgloc.model import plain, to_json
@@ -83,14 +83,14 @@ def calibrate(
                 f"of imgloc; give {display(path)} if that is meant, else --dry-run or a copy"
             )
         inputs.check_target(target, ".json", force=force)
-    check_trials(LEAST if scans is not None else count * len(paths))
-    taken = resources()
-    budget = taken.memory_budget
     if scans is not None:
         if len(paths) > 1:
             raise ConfigError("--scans: expected one MAP, the one that they are from")
-        _with_scans(paths[0], scans, reading, taken, as_json, dry_run, force, allow_lossy)
+        _with_scans(paths[0], scans, reading, resources(), as_json, dry_run, force, allow_lossy)
         return
+    check_trials(count * len(paths))
+    taken = resources()
+    budget = taken.memory_budget
     laser = replace(sensor, range_max=range_max)
     grids: list[OccupancyGrid] = []
     for path in paths:
