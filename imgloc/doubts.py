@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.io.maps import DRAWN, looks_drawn
 from imgloc.model import Evidence, LaserScan
 from imgloc.options import Options, Shared
 from imgloc.pipeline import localize
@@ -46,6 +47,7 @@ def doubts(
     if 2 * counts["invalid"] > len(scans):
         return [_too_few(doubtful)]
     tried = [scan for scan in doubtful if scan.directions][:_TRIED]
+    drawn = [f"the map: {DRAWN}"] if looks_drawn(features.grid) else []
 
     def all_unique(changed: Iterable[LaserScan]) -> bool:
         verdicts = (localize(features, scan, options).verdict for scan in changed)
@@ -54,7 +56,7 @@ def doubts(
     if all_unique(scan.flipped for scan in tried):
         option = "Leave out" if flipped else "Try"
         mirrored = "scans like these fit at one place if they are mirrored"
-        return [f"{mirrored}: is the sensor upside down? {option} --flipped"]
+        return [f"{mirrored}: is the sensor upside down? {option} --flipped", *drawn]
     resolution = features.grid.resolution
     for factor in _FACTORS:
         if all_unique(scan.scaled(factor) for scan in tried):
@@ -62,9 +64,9 @@ def doubts(
             why = f"are they {units}?" if units else "is the map's resolution right?"
             other = "" if units else f", or --resolution {resolution / factor:g}"
             fits = f"scans like these fit at one place if their ranges are multiplied by {factor:g}"
-            return [f"{fits}: {why} Try --range-scale {factor:g}{other}"]
-    if 2 * counts["no-match"] <= len(scans):
-        return []
+            return [f"{fits}: {why} Try --range-scale {factor:g}{other}", *drawn]
+    if drawn or 2 * counts["no-match"] <= len(scans):
+        return drawn
     return [
         "most scans do not fit this map. Look at one with --index 0 --explain why.html, and at the "
         "map with imgloc map check; imgloc which tells which of several maps it is from"

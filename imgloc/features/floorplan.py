@@ -17,6 +17,8 @@ from skimage.measure import label
 from skimage.morphology import disk, skeletonize
 
 from imgloc.errors import ConfigError, MapError
+from imgloc.features.distance import distance_transform
+from imgloc.geometry import rotation
 from imgloc.model import (
     BoolArray,
     Float32Array,
@@ -43,12 +45,14 @@ _LIGHT = np.array([0.35, 0.65])  # of the tones of ink and of paper: the faintes
 # How many pens thick a wall is at least, and how many pixels of the plan, with its soft edges;
 # metres that this may come to.
 _BOLD, _LINES, _BOLDEST = 1.5, 2.2, 0.12
+_ACROSS, _SOFT = 3, 1.6  # pixels of the plan that a line is wide at most, least; soft edges, too
 _THINNER = (1.0, 0.6, 0.35)  # of the thinnest wall: tried where thicker ones enclose nothing
 _GAPS = (0.3, 0.7, 1.2, 1.8, 2.4, 3.2, 4.0)  # metres: openings in the outer walls
 _ENOUGH = 0.9  # share of what the widest gap closes that is enough
 _LEAST = 4.0  # square metres inside a building
 _STRIP = 2.5  # how many times as long as wide a space between two lines of a wall is
-_CELLS = 5  # of a hatched wall, at least
+# Cells of a hatched wall, at least; metres between them, and square metres of one, at most.
+_CELLS, _HATCHED, _LITTLE = 5, 0.08, 0.06
 _ROOM = 1.0  # metres: what encloses a wider space than that is no furniture
 _PIECE, _PILLAR = 1.5, 0.18  # metres: what is shorter has to be a pillar, which is wider
 _LETTER, _WORD = 0.65, 3  # metres that a letter is high at most; how many of them make a text
@@ -188,17 +192,19 @@ def plan_to_map(
     holes &= ~_furniture(drawn, thickest / pixel, pixel)
     pen = _pen(bold, 2 * _LETTER / pixel) * pixel
     thin = max(thinnest, min(max(_BOLD * pen, _LINES * resolution), _BOLDEST))
-    solid = _closed(bold | holes, 0.03 / pixel)
+    # The lines between two spaces of a wall are in it, and half of the lines along it.
+    body = _closed(holes, max(0.04, _ACROSS * resolution) / pixel) & (drawn | holes)
+    line = max(_pen(drawn, 2 * _LETTER / pixel), _SOFT * resolution / pixel)
+    body = _grown(body, round(line / 2)) & (drawn | body)
     for share in _THINNER:
-        found = _walls(drawn, solid, holes, share * thin, thickest, pixel)
-        frame = _frame(found[0], parts, pixel, gap)
-        inside, closed = _inside(found[0] & ~frame, parts, pixel, gap)
+        walls, pillars, swings = _walls(drawn, bold, body, holes, share * thin, thickest, pixel)
+        frame = _frame(walls, parts, pixel, gap)
+        inside, closed = _inside(walls & ~frame, parts, pixel, gap)
         if np.count_nonzero(inside) * cell**2 >= _LEAST:
             break
-    walls, swings = found
-    if not inside.any():
+    else:
         raise MapError(_nothing(drawn, walls, pixel, thin, thickest, gap))
-    walls = _touching(walls & ~frame, _finer(inside, parts))
+    walls = _touching(walls & ~frame | pillars, _finer(inside, parts))
     kinds = _kinds(drawn, walls, _finer(inside, parts), hatching, frame, swings, pixel)
     middle = skeletonize(walls)
     through = (2 * _depth(walls)[middle] - 0.5) * pixel
@@ -221,15 +227,16 @@ def plan_to_map(
 
 
 def _walls(
-    drawn: BoolArray, solid: BoolArray, holes: BoolArray, thinnest: float, thickest: float,
-    pixel: float,
-) -> tuple[BoolArray, list[Swing]]:  # fmt: skip
-    """Walls no thinner than `thinnest`, metres, doors open; and the swings of these."""
+    drawn: BoolArray, bold: BoolArray, body: BoolArray, holes: BoolArray, thinnest: float,
+    thickest: float, pixel: float,
+) -> tuple[BoolArray, BoolArray, list[Swing]]:  # fmt: skip
+    """Walls no thinner than `thinnest`, metres, doors open; pillars; and the swings of doors."""
     least = max(2.0, thinnest / pixel)
-    rough = _standing(_opened(solid, least), drawn, pixel)
+    solid = _opened(bold, least) | body
+    rough, _ = _standing(_opened(solid, least), drawn, pixel)
     swings = _swings(drawn, rough, pixel)
     solid = _without_leaves(solid, holes, swings, thickest / pixel, 0.1 / pixel)
-    return _standing(_opened(solid, least), drawn, pixel), swings
+    return *_standing(_opened(solid, least), drawn, pixel), swings
 
 
 def plan_bytes(height: int, width: int, resolution: float, cell: float | None = None) -> int:
@@ -241,9 +248,7 @@ def plan_bytes(height: int, width: int, resolution: float, cell: float | None = 
 
 def _depth(mask: BoolArray) -> Float32Array:
     """Distance of each pixel of a mask from the nearest one outside, beyond the border too."""
-    padded = cv2.copyMakeBorder(mask.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT)
-    out = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
-    return np.asarray(out, np.float32)
+    return distance_transform(np.pad(mask, 1).astype(np.uint8))[1:-1, 1:-1]
 
 
 def _opened(mask: BoolArray, thickness: float) -> BoolArray:
@@ -312,16 +317,18 @@ def _between_lines(drawn: BoolArray, thick: float, pixel: float) -> tuple[BoolAr
     half = _depth(~drawn)
     narrow = ~_met(labels, len(stats), half > thick / 2)
     narrow[0] = False
+    for border in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
+        narrow[border] = False
     holes = narrow[labels]
     # Narrow spaces side by side are a wall only if they are as thick as one together.
     deep = _met(labels, len(stats), holes & (_depth(drawn | holes) > 0.55 * thick + 2))
     width = np.zeros(len(stats), np.float32)
     np.maximum.at(width, labels[holes], 2 * half[holes])
     long = stats[:, cv2.CC_STAT_AREA] >= _STRIP * np.maximum(width, 1) ** 2
-    # What is as long as wide belongs to a wall if it is one of many cells that are hatched.
-    compact = narrow & ~deep & ~long
-    cells = compact[labels]
-    strip, found = _pieces(_closed(cells, 0.05 / pixel))
+    # What is not belongs to a wall if it is one of many cells between the lines of a hatching.
+    little = stats[:, cv2.CC_STAT_AREA] < _LITTLE / pixel**2
+    cells = (narrow & ~deep & (little | ~long))[labels]
+    strip, found = _pieces(_closed(cells, _HATCHED / pixel))
     members = np.zeros(len(found), np.int64)
     first = np.unique(labels[cells], return_index=True)[1]
     np.add.at(members, strip[cells][first], 1)
@@ -389,9 +396,9 @@ def _arc(
     rng: np.random.Generator,
 ) -> Swing | None:  # fmt: skip
     """The best quarter circle through some of the points (N, 2), if it is that of a door."""
-    a, b, c = (points[rng.integers(len(points), size=_TRIALS)] for _ in range(3))
+    a, b, d = (points[rng.integers(len(points), size=_TRIALS)] for _ in range(3))
     # The centre is as far from one of the points as from the two others: two linear equations.
-    u, v = b - a, c - a
+    u, v = b - a, d - a
     area = 2 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
     apart = np.abs(area) > 1
     a, u, v, area = a[apart], u[apart], v[apart], area[apart]
@@ -418,11 +425,21 @@ def _arc(
         if not _QUARTER[0] < length[n] < _QUARTER[1]:
             continue
         middle = first[n] + length[n] / 2
+        # The circle that fits best to its own part: x² + y² = 2 a x + 2 b y + c.
+        own = on[(np.arctan2(on[:, 1], on[:, 0]) - first[n]) % (2 * np.pi) <= length[n]]
+        sides = np.column_stack((2 * own, np.ones(len(own))))
+        (x, y, c), *_ = np.linalg.lstsq(sides, (own**2).sum(axis=1), rcond=None)
+        centre[k], radius[k] = centre[k] + (x, y), np.sqrt(c + x * x + y * y)
         turns = middle + np.array([-np.pi / 4, np.pi / 4])
         tips = centre[k] + radius[k] * np.column_stack((np.cos(turns), np.sin(turns)))
+        along = middle + np.linspace(-0.6, 0.6, 25)
+        beside = np.column_stack((np.cos(along), np.sin(along))) * radius[k]
+        if np.mean(_at(to_ink, centre[k] + np.concatenate((0.8 * beside, 1.2 * beside))) < 2) > 0.4:
+            continue  # it is part of something thick
         leaves = centre[k] + np.linspace(0.1, 0.9, 30)[:, None, None] * (tips - centre[k])
         drawn = (_at(to_ink, leaves.reshape(-1, 2)) < 3).reshape(30, 2).mean(axis=0)
-        if drawn.max() > 0.8 and _at(to_wall, tips).min() < _HANGS / pixel:
+        fits = _LEAF[0] < radius[k] * pixel < _LEAF[1]
+        if fits and drawn.max() > 0.8 and _at(to_wall, tips).min() < _HANGS / pixel:
             return Swing(centre[k], (tips[0], tips[1]), float(radius[k]))
     return None
 
@@ -447,9 +464,9 @@ def _without_leaves(
     middle = across.copy()
     for swing in swings:
         for end in swing.ends:
-            for image, ends, wide in ((across, (0.06, 0.97), round(leaf)), (middle, (0.2, 0.8), 5)):
+            for image, ends in ((across, (0.06, 0.97)), (middle, (0.2, 0.8))):
                 p, q = (np.rint(swing.hinge + s * (end - swing.hinge)).astype(int) for s in ends)
-                cv2.line(image, p.tolist(), q.tolist(), 1, max(1, wide))
+                cv2.line(image, p.tolist(), q.tolist(), 1, max(1, round(leaf)))
     thin = (across > 0) & ~_opened(solid, leaf)
     labels, stats = _pieces(holes, 4)
     small = stats[:, cv2.CC_STAT_AREA] < 1.5 * thick * max(swing.radius for swing in swings)
@@ -457,18 +474,18 @@ def _without_leaves(
     return solid & ~thin & ~crossed[labels]
 
 
-def _standing(walls: BoolArray, drawn: BoolArray, pixel: float) -> BoolArray:
-    """The pieces of wall that are long, or pillars: filled, and nearly as wide as long."""
+def _standing(walls: BoolArray, drawn: BoolArray, pixel: float) -> tuple[BoolArray, BoolArray]:
+    """The pieces of wall that are long; and pillars: filled, and nearly as wide as long."""
     labels, stats = _pieces(walls)
     area = np.maximum(1, stats[:, cv2.CC_STAT_AREA])
     span = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) * pixel
     ink = np.bincount(labels[drawn], minlength=len(stats)) / area
     wide = np.zeros(len(stats), np.float32)
     np.maximum.at(wide, labels[walls], 2 * _depth(walls)[walls])
-    pillar = (ink > 0.9) & (wide * pixel > _PILLAR) & (area < 4 * wide**2)
-    keep = (span >= _PIECE) | pillar
-    keep[0] = False
-    return keep[labels]
+    long = span >= _PIECE
+    pillar = ~long & (ink > 0.9) & (wide * pixel > _PILLAR) & (area < 4 * wide**2)
+    long[0] = pillar[0] = False
+    return long[labels], pillar[labels]
 
 
 def _touching(walls: BoolArray, inside: BoolArray) -> BoolArray:
@@ -551,8 +568,7 @@ def _as_grid(
     pad = round(0.5 / cell)
     left, low = x - pad, y - pad
     rows, columns = slice(y, y + high), slice(x, x + wide)
-    turned = np.array([[np.cos(origin.theta), -np.sin(origin.theta)],
-                       [np.sin(origin.theta), np.cos(origin.theta)]]) @ (left * cell, low * cell)  # fmt: skip
+    turned = rotation(origin.theta) @ (left * cell, low * cell)
     corner = Pose2D(origin.x + turned[0], origin.y + turned[1], origin.theta)
     return OccupancyGrid(
         np.pad(occupied[rows, columns], pad), np.pad(free[rows, columns], pad), cell, corner
