@@ -64,7 +64,7 @@ def test_walls_stand_where_they_were_drawn(
     assert found.thickness[2] == pytest.approx(0.3, abs=0.02 + 2 * resolution)
     assert found.length == pytest.approx(2 * (8.7 + 5.2) + 5.2 - 1.9, rel=0.12)
     if turn == 0:
-        assert found.size == pytest.approx(b.size, abs=0.06)
+        assert found.size == pytest.approx(b.size, abs=0.03 + 2 * resolution)
 
 
 def test_what_is_drawn_besides_walls_is_named_and_gone() -> None:
@@ -80,7 +80,8 @@ def test_what_is_drawn_besides_walls_is_named_and_gone() -> None:
     bare = plan_to_map(upright(draw_plan(b, 0.02, clutter=False)), 0.02)
     assert sum(removed.area for removed in bare.removed) < 0.05  # of the lines of the window
     here, there = (on_sheet(f, solid(b, CELL).shape)[0] for f in (found, bare))
-    assert np.mean(here != there) < 0.003
+    assert not (here & ~grown(there)).any()
+    assert not (there & ~grown(here)).any()
 
 
 def test_walls_of_single_lines_are_found_where_nothing_thicker_is() -> None:

@@ -45,6 +45,7 @@ _LIGHT = np.array([0.35, 0.65])  # of the tones of ink and of paper: the faintes
 # How many pens thick a wall is at least, and how many pixels of the plan, with its soft edges;
 # metres that this may come to.
 _BOLD, _LINES, _BOLDEST = 1.5, 2.2, 0.12
+_DENSE = 2.5  # lines thick that a hatched wall is at least, where it is nearly black
 _ACROSS, _SOFT = 3, 1.6  # pixels of the plan that a line is wide at most, least; soft edges, too
 _THINNER = (1.0, 0.6, 0.35)  # of the thinnest wall: tried where thicker ones enclose nothing
 _GAPS = (0.3, 0.7, 1.2, 1.8, 2.4, 3.2, 4.0)  # metres: openings in the outer walls
@@ -60,6 +61,7 @@ _LEAF = (0.45, 1.4)  # metres: widths of a door's leaf
 _HANGS = 0.25  # metres between a door and the wall that it hangs on
 _QUARTER, _HOLE = np.deg2rad((60, 115)), np.deg2rad(6)  # lengths of a swing, and holes in it
 _TRIALS, _POINTS = 400, 400  # circles through three of so many points
+_SPECK = 0.001  # square metres of ink that count as a piece
 _SHADES, _TONES, _FLAT = 8, 4, 0.75  # a drawing has few tones: this share of it near four of them
 
 
@@ -196,6 +198,9 @@ def plan_to_map(
     body = _closed(holes, max(0.04, _ACROSS * resolution) / pixel) & (drawn | holes)
     line = max(_pen(drawn, 2 * _LETTER / pixel), _SOFT * resolution / pixel)
     body = _grown(body, round(line / 2)) & (drawn | body)
+    # A narrow hatched wall is more ink than paper.
+    dense = _opened(drawn | holes, _DENSE * line) & _grown(holes, round(_HATCHED / pixel))
+    body |= dense
     for share in _THINNER:
         walls, pillars, swings = _walls(drawn, bold, body, holes, share * thin, thickest, pixel)
         frame = _frame(walls, parts, pixel, gap)
@@ -619,7 +624,8 @@ def _counted(kinds: npt.NDArray[np.uint8], swings: int, pixel: float) -> tuple[R
     out = []
     for k in range(_SWING, len(KINDS)):
         mask = kinds == k
-        count = swings if k == _SWING else int(label(mask, connectivity=2).max())
+        sizes = _pieces(mask)[1][1:, cv2.CC_STAT_AREA]
+        count = swings if k == _SWING else int(np.count_nonzero(sizes > _SPECK / pixel**2))
         if count:
             out.append(Removed(KINDS[k], count, float(np.count_nonzero(mask)) * pixel**2))
     return tuple(out)

@@ -204,7 +204,8 @@ def _warnings(
         is_205 = np.round(np.arange(full + 1) * (255 / full)) == 205
         trap = int(np.count_nonzero(is_205[sums] & free))
     # Where grey 205 is read as free, that is why nothing is unknown.
-    known = n["free"] and n["occupied"] and not trap and lacks_unknown(grid)
+    swapped = looks_swapped(grid)
+    known = n["free"] and n["occupied"] and not (trap or swapped) and lacks_unknown(grid)
     drawn = known and looks_drawn(grid)
     found = {
         "unknown-key": unknown_keys,
@@ -220,7 +221,7 @@ def _warnings(
         "grey-205": trap,
         "no-walls": not n["occupied"],
         "mostly-occupied": n["occupied"] > 0.5 * sums.size,
-        "swapped": looks_swapped(grid),
+        "swapped": swapped,
         "plan": drawn,
         "no-unknown": known and not drawn,
         "scale": n["free"] and not 2 < area < 4e6,

@@ -65,8 +65,8 @@ def run(given: argparse.Namespace) -> int:
     maps = given.maps.split(",")
     cv2.setNumThreads(os.cpu_count() or 1)
     with progress("plans", len(seeds) * given.n * len(drawn) * len(maps)) as advance:
-        rows = list(measure(seeds, given.n, drawn, maps, advance))
-    print(table(rows))
+        for line in table(measure(seeds, given.n, drawn, maps, advance)):
+            print(line, flush=True)
     return 0
 
 

@@ -1,6 +1,6 @@
 """Scans of true buildings, located on their plans, on maps made of these, and on their walls."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -130,13 +130,10 @@ def _judge(grid: OccupancyGrid, scans: ScanSet, row: Row, advance: Callable[[], 
         advance()
 
 
-def table(rows: Sequence[Row]) -> str:
-    """The rows as Markdown."""
-    lines = ["| plan | located on | first right | unique | unique and wrong | no-match |"]
-    lines.append("|---|---|---|---|---|---|")
+def table(rows: Iterable[Row]) -> Iterator[str]:
+    """The lines of a Markdown table, each as soon as its row is there."""
+    yield "| plan | located on | first right | unique | unique and wrong | no-match |"
+    yield "|---|---|---|---|---|---|"
     for r in rows:
-        lines.append(
-            f"| {r.drawn} | {r.where} | {r.right} of {r.scans} | {r.unique} | {r.wrong} | "
-            f"{r.nothing} |"
-        )
-    return "\n".join(lines)
+        counts = f"{r.right} of {r.scans} | {r.unique} | {r.wrong} | {r.nothing}"
+        yield f"| {r.drawn} | {r.where} | {counts} |"
