@@ -186,7 +186,7 @@ class FusedOptions:
     vote_peaks: int = 100  #: how many peaks of the votes become proposals
     #: side of the squares of which each counts as one reading, metres
     place: float = 0.07
-    few_rays: int = 64  #: such readings of the first look at all proposals, and of the second at
+    few_rays: int = 48  #: such readings of the first look at all proposals, and of the second at
     rays: int = 180  #: the best
     #: how many places get the second look, and how many poses, which may be of one place: between
     #: two layers of a wall the score has several maxima
