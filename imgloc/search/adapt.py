@@ -18,8 +18,8 @@ from imgloc.search.rescore import best_of
 
 _SIGMAS = (0.3, 0.15, 0.07)  # metres: a scale that is 5 % off moves the far readings by as much
 _THINNER = 10  # cells, at most
-_SCALES, _PLACES = (0.95, 1.0, 1.05), 60  # at which the scale begins, at how many of the places
-_READINGS = 90  # that are asked
+_SCALES = 0.95, 1.0, 1.05  # at which the scale begins
+_PLACES, _READINGS = 40, 60  # that are asked
 
 
 def adapt(
@@ -58,8 +58,8 @@ def adapt(
         return score, Shared(float(scale[small][k]), thinner) if k >= 0 else now
 
     # A reading that is too long ends behind its wall, and would be drawn to the other side of it.
-    some = places[:_PLACES]
-    scaled = [np.column_stack((some, np.full(len(some), scale))) for scale in _SCALES]
+    places = places[:_PLACES]
+    scaled = [np.column_stack((places, np.full(len(places), scale))) for scale in _SCALES]
     found = best(np.concatenate(scaled), now.thinner)
     walls = float("-inf"), now
     for n in range(now.thinner + 1, _THINNER + 1):
