@@ -229,7 +229,7 @@ class Trust:
     #: log-odds that the true pose is none of the hypotheses: constant, per nat of evidence by which
     #: the best fits better than a building on no map would, per share of the mass that it does not
     #: hold. A logistic regression, see ``python -m tools.trust fit``
-    elsewhere: tuple[float, float, float] = (-3.14, -0.46, 2.58)
+    elsewhere: tuple[float, float, float] = (-3.39, -0.46, 2.72)
     most: float = 30.0  #: nats of such evidence; more says no more
     mass: float = 0.9  #: mass that the best pose needs to be ``unique``
     correlated: float = 2.9  #: how many neighbouring readings share one error, for the covariances
