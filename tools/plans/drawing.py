@@ -93,11 +93,12 @@ def building(seed: int, turn: float = 0.0) -> Building:
     south, north = wall(0, h, width, h, outer), wall(0, depth - h, width, depth - h, outer)
     west, east = wall(h, 0, h, depth, outer), wall(width - h, 0, width - h, depth, outer)
     sides = [wall(0, low, width, low, 0.2), wall(0, high, width, high, 0.2)]
-    for end, hinge in ((west, 0), (east, 1)):
-        kind = "double" if end == west else "door"
+    for facade, hinge in ((west, 0), (east, 1)):
+        kind = "double" if facade == west else "door"
         wide = 1.6 if kind == "double" else 1.0
         middle = (low + high) / 2 - wide / 2
-        openings.append(Opening(end, middle, wide, kind, 1 if end == east else -1, hinge))
+        side = 1 if facade == east else -1
+        openings.append(Opening(facade, middle, wide, kind, side, hinge))
 
     for row, (side, bottom, top) in enumerate(
         zip(sides, (outer, high + 0.1), (low - 0.1, depth - outer), strict=True)
@@ -305,14 +306,14 @@ def draw_plan(
             walls.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE
         )
         for outline in outlines:
-            corners = fixed((outline[:, 0].astype(np.float64) + 0.5) * FINE)
-            cv2.polylines(image, [corners], True, 0, line, cv2.LINE_AA, _SHIFT)
+            turned = fixed((outline[:, 0].astype(np.float64) + 0.5) * FINE)
+            cv2.polylines(image, [turned], True, 0, line, cv2.LINE_AA, _SHIFT)
     if style != "lines":
         for o in b.openings:
             if o.kind == "window":  # three lines between the ends of the wall
                 a, end, thick = b.walls[o.wall]
-                for k in (-0.5, 0.0, 0.5):
-                    c = _piece((a, end, 2 * k * thick + 1e-9), o.start, o.start + o.width)
+                for part in (-0.5, 0.0, 0.5):
+                    c = _piece((a, end, 2 * part * thick + 1e-9), o.start, o.start + o.width)
                     stroke(c[:2])
     if clutter:
         for o in b.openings:
