@@ -141,11 +141,11 @@ def test_map_check_knows_maps_without_unknown_and_swapped_ones(tmp_path: Path) -
 
 
 def test_localize_says_that_its_map_is_a_plan_where_scans_do_not_fit(tmp_path: Path) -> None:
-    (tmp_path / "plan.png").write_bytes(encode_png(draw_plan(cabin(), 0.07)))
-    noise = np.random.default_rng(1).uniform(0.5, 9, (1, 40))
-    np.savez(tmp_path / "s.npz", ranges=noise, angles=np.linspace(-3, 3, 40), range_max=20.0)
+    (tmp_path / "plan.png").write_bytes(encode_png(draw_plan(cabin(), 0.1)))
+    noise = np.random.default_rng(1).uniform(0.5, 9, (1, 14))
+    np.savez(tmp_path / "s.npz", ranges=noise, angles=np.linspace(-3, 3, 14), range_max=20.0)
     words = ("localize", tmp_path / "plan.png", tmp_path / "s.npz", "--no-cache")
-    run = call(*words, "--resolution", 0.07)
+    run = call(*words, "--resolution", 0.1)
     assert run.code == 0
     assert "a floor plan? Then its text, furniture and door swings count as walls" in run.err
     assert "imgloc map plan makes a map of it" in run.err
