@@ -117,10 +117,11 @@ def test_nothing_is_overwritten_by_chance_and_the_plan_never(folder: Path) -> No
 
 
 def test_map_check_knows_a_plan(folder: Path) -> None:
-    (row,) = rows(call("map", "check", folder / "drawing.png", "--resolution", 0.02, "--json").out)
-    codes = {w["code"]: w["text"] for w in row["warnings"]}
-    assert "imgloc map plan makes a map of it" in codes["plan"]
-    assert "no-unknown" not in codes
+    for name in ("drawing.png", "drawing.jpg"):
+        (row,) = rows(call("map", "check", folder / name, "--resolution", 0.02, "--json").out)
+        codes = {w["code"]: w["text"] for w in row["warnings"]}
+        assert "imgloc map plan makes a map of it" in codes["plan"], name
+        assert "no-unknown" not in codes
 
 
 def test_map_check_knows_maps_without_unknown_and_swapped_ones(tmp_path: Path) -> None:

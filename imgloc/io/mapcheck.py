@@ -203,9 +203,9 @@ def _warnings(
         full = image.white * min(image.channels, 3)
         is_205 = np.round(np.arange(full + 1) * (255 / full)) == 205
         trap = int(np.count_nonzero(is_205[sums] & free))
-    # Where grey 205 is read as free, that is why nothing is unknown.
-    swapped = looks_swapped(grid)
-    known = n["free"] and n["occupied"] and not (trap or swapped) and lacks_unknown(grid)
+    # Where much grey 205 is read as free, that is why nothing is unknown.
+    swapped, few = looks_swapped(grid), 200 * trap < sums.size
+    known = n["free"] and n["occupied"] and few and not swapped and lacks_unknown(grid)
     drawn = known and looks_drawn(grid)
     found = {
         "unknown-key": unknown_keys,
