@@ -11,6 +11,7 @@ fork nor an importable main module, and it may run within a worker of a cluster.
 """
 
 import contextlib
+import importlib
 import os
 import pickle
 import queue
@@ -27,8 +28,8 @@ from typing import Any, ParamSpec, TypeVar
 P = ParamSpec("P")
 T = TypeVar("T")
 _START = (
-    "import pickle, sys; sys.path[:], limit = pickle.load(sys.stdin.buffer); "
-    "from imgloc.workers import serve; serve(limit)"
+    "import pickle, sys; sys.path[:], *about = pickle.load(sys.stdin.buffer); "
+    "from imgloc.workers import serve; serve(*about)"
 )
 # There are as many workers as processors.
 _ONE_THREAD = dict.fromkeys(
@@ -75,8 +76,8 @@ class OverdueError(Exception):
 class Supervisor:
     """One worker: a process that is started when it is needed, and again when it has died.
 
-    A task may take `timeout` seconds, and a worker `memory_limit` bytes beside what it has when its
-    first task begins (where the system can limit that); None is without a limit.
+    A task may take `timeout` seconds, and a worker `memory_limit` bytes beside what it has with the
+    module of its first task (where the system can limit that); None is without a limit.
     """
 
     def __init__(self, timeout: float | None = None, memory_limit: int | None = None) -> None:
@@ -89,7 +90,7 @@ class Supervisor:
         """Call a function there; what it raises is raised here, or CrashError, or OverdueError."""
         task = pickle.dumps((function, args, kwargs))
         if self._process is None or self._process.poll() is not None:
-            self._start()
+            self._start(getattr(function, "__module__", __name__))
         process, self._late = self._process, False
         assert process is not None
         assert process.stdin is not None
@@ -148,7 +149,7 @@ class Supervisor:
         self._late = True
         self.kill()
 
-    def _start(self) -> None:
+    def _start(self, module: str) -> None:
         self.stop()
         self._said.seek(0)
         self._said.truncate()
@@ -164,7 +165,7 @@ class Supervisor:
         try:
             assert self._process.stdin is not None
             assert self._process.stdout is not None
-            pickle.dump((sys.path, self.memory_limit), self._process.stdin)
+            pickle.dump((sys.path, module, self.memory_limit), self._process.stdin)
             self._process.stdin.flush()
             pickle.load(self._process.stdout)  # noqa: S301  (it is ready: its time begins)
         except (EOFError, OSError, pickle.UnpicklingError):
@@ -258,8 +259,11 @@ class Supervised(Executor):
         supervisor.close()
 
 
-def serve(memory_limit: int | None) -> None:
-    """Be the process of a :class:`Supervisor`: call what comes in, send back what comes out."""
+def serve(module: str, memory_limit: int | None) -> None:
+    """Be the process of a :class:`Supervisor`: call what comes in, send back what comes out.
+
+    What is called is of this module; importing it is neither of the first task's time nor memory.
+    """
     source, sink = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)  # what a library prints is no result
@@ -273,7 +277,10 @@ def serve(memory_limit: int | None) -> None:
         os._exit(1)  # it has gone, be it killed
 
     threading.Thread(target=receive, daemon=True).start()
-    answer, limited = pickle.dumps("ready"), False
+    with contextlib.suppress(Exception):  # the task will say
+        importlib.import_module(module)
+    limit_memory(memory_limit)
+    answer = pickle.dumps("ready")
     while True:
         sink.write(answer)
         sink.flush()
@@ -281,9 +288,6 @@ def serve(memory_limit: int | None) -> None:
             function, args, kwargs = tasks.get(timeout=_IDLE)
         except queue.Empty:
             os._exit(0)
-        if not limited:  # what the first task has imported is not its own
-            limit_memory(memory_limit)
-            limited = True
         try:
             answer = pickle.dumps((True, function(*args, **kwargs)))
         except Exception as error:

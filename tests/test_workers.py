@@ -1,5 +1,6 @@
 """Workers that die, hang and fail: each costs its task, and no other."""
 
+import importlib
 import os
 import signal
 import subprocess
@@ -7,6 +8,7 @@ import sys
 import threading
 import time
 from concurrent.futures import CancelledError
+from pathlib import Path
 
 import pytest
 from command import ROOT
@@ -40,6 +42,17 @@ def test_what_hangs_is_ended() -> None:
             hung.result()
     with Supervised(1) as pool:  # without a limit a task is not ended
         assert pool.submit(double, 1).result() == 2
+
+
+def test_what_a_task_needs_to_begin_is_not_of_its_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = ("import sys, time", "if sys.argv[0] == '-c':  # in a worker", "    time.sleep(1.0)",
+             "def triple(value):", "    return 3 * value")  # fmt: skip
+    (tmp_path / "slow_to_import.py").write_text("\n".join(lines))
+    monkeypatch.syspath_prepend(tmp_path)
+    with Supervised(1, timeout=0.5) as pool:
+        assert pool.submit(importlib.import_module("slow_to_import").triple, 2).result() == 6
 
 
 def test_memory_has_a_limit() -> None:
