@@ -90,7 +90,7 @@ class Supervisor:
         """Call a function there; what it raises is raised here, or CrashError, or OverdueError."""
         task = pickle.dumps((function, args, kwargs))
         if self._process is None or self._process.poll() is not None:
-            self._start(getattr(function, "__module__", __name__))
+            self.start(getattr(function, "__module__", __name__))
         process, self._late = self._process, False
         assert process is not None
         assert process.stdin is not None
@@ -149,7 +149,8 @@ class Supervisor:
         self._late = True
         self.kill()
 
-    def _start(self, module: str) -> None:
+    def start(self, module: str) -> None:
+        """Start the process, and have it import a module; CrashError if it ends."""
         self.stop()
         self._said.seek(0)
         self._said.truncate()
@@ -183,23 +184,37 @@ class Supervised(Executor):
     A task whose worker dies raises :class:`CrashError`, one that takes too long
     :class:`OverdueError`; no other task notices. A worker takes tasks with the `group` (an
     attribute of their first argument) that it had before, or one that no other worker has, as long
-    as there are any.
+    as there are any. There are no more workers than tasks; but the first one starts at once, if the
+    `module` of its tasks is known.
     """
 
     def __init__(
-        self, workers: int, *, timeout: float | None = None, memory_limit: int | None = None
+        self,
+        workers: int,
+        *,
+        timeout: float | None = None,
+        memory_limit: int | None = None,
+        module: str | None = None,
     ) -> None:
         self._tasks: deque[tuple[Future[Any], Callable[..., Any], Any, Any]] = deque()
         self._more = threading.Condition()
-        self._closed = False
+        self._closed, self._module = False, module
         self._groups: dict[int, object] = {}
-        self._supervisors = [Supervisor(timeout, memory_limit) for _ in range(max(1, workers))]
-        self._threads = [
-            threading.Thread(target=self._look_after, args=(k, s), daemon=True)
-            for k, s in enumerate(self._supervisors)
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._workers, self._limits = max(1, workers), (timeout, memory_limit)
+        self._open = 0  # tasks that are not done
+        self._supervisors: list[Supervisor] = []
+        self._threads: list[threading.Thread] = []
+        if module is not None:
+            self._hire()
+
+    def _hire(self) -> None:
+        """Add a worker."""
+        supervisor = Supervisor(*self._limits)
+        arguments = len(self._threads), supervisor
+        thread = threading.Thread(target=self._look_after, args=arguments, daemon=True)
+        self._supervisors.append(supervisor)
+        self._threads.append(thread)
+        thread.start()
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> "Future[T]":
         """Have a worker call a function, which it can import, with arguments that are pickled."""
@@ -208,6 +223,9 @@ class Supervised(Executor):
             if self._closed:
                 raise RuntimeError("the pool is closed")
             self._tasks.append((future, fn, args, kwargs))
+            self._open += 1
+            if len(self._threads) < min(self._workers, self._open):
+                self._hire()
             self._more.notify()
         return future
 
@@ -246,16 +264,21 @@ class Supervised(Executor):
             return task
 
     def _look_after(self, worker: int, supervisor: Supervisor) -> None:
+        if worker == 0 and self._module is not None:
+            with contextlib.suppress(CrashError, OSError):  # the first task will say
+                supervisor.start(self._module)
         while (task := self._next(worker)) is not None:
             future, function, args, kwargs = task
             if not future.set_running_or_notify_cancel():
                 continue
+            tell: Callable[[Any], None] = future.set_result
             try:
-                result = supervisor.run(function, *args, **kwargs)
+                value = supervisor.run(function, *args, **kwargs)
             except BaseException as error:
-                future.set_exception(error)
-            else:
-                future.set_result(result)
+                tell, value = future.set_exception, error
+            with self._more:
+                self._open -= 1
+            tell(value)
         supervisor.close()
 
 

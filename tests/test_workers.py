@@ -76,6 +76,17 @@ def test_a_pool_ends_at_once_when_it_is_told_so() -> None:
         pool.submit(double, 1)
 
 
+def test_there_are_no_more_workers_than_tasks() -> None:
+    with Supervised(64, module="killers") as pool:
+        assert len(pool._threads) == 1
+        assert pool.submit(double, 1).result() == 2
+        both = [pool.submit(hang), pool.submit(hang)]
+        while not all(future.running() for future in both):
+            time.sleep(0.01)
+        assert len(pool._threads) == 2
+        pool.shutdown(cancel_futures=True)
+
+
 def test_what_cannot_be_pickled_is_an_error() -> None:
     with Supervised(1) as pool:
         with pytest.raises((AttributeError, TypeError)):
