@@ -56,7 +56,7 @@ def test_several_files_each_with_its_name_and_its_indices(scans: Path, tmp_path:
         "1",
     ]
     assert sorted(p.name for p in tmp_path.glob("p-*")) == [f"p-000{k}.png" for k in range(4)]
-    assert re.search(r"wrote \S+p-0000\.png to \S+p-0003\.png", table.err)
+    assert re.search(r"wrote 4 files, \S+p-0000\.png to \S+p-0003\.png", table.err)
     found = rows(call("localize", "curved", scans, again, OFF, "--json").out)
     assert [(row["parameters"]["scans"], row["index"]) for row in found] == [
         (str(path), k) for path in (scans, again) for k in (0, 1)

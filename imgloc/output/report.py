@@ -150,7 +150,9 @@ def render_report(
             for column in _FAILURES:
                 failures[column.key].append(row[column.key])
         for k, answer in enumerate(row["answers"]):
-            said = {"map": row["map"], "scans": row["scans"], "k": k} | of_job(answer, row, k)
+            index = answer.get("index") if "verdict" in answer else None  # S of `evaluate` else
+            said = {"map": row["map"], "scans": row["scans"], "k": k if index is None else index}
+            said |= of_job(answer, row, k)
             for column in columns:
                 answers[column.key].append(_short(said.get(column.key), column.digits))
             answers["pictures"].append(answer.get("pictures") or 0)
