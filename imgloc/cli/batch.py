@@ -221,7 +221,7 @@ def batch(
         except KeyboardInterrupt:
             say(f"what is done is kept in {display(out)}; --resume goes on")
             raise
-    emit(to_json(vars(summary)) if as_json else batch_text(summary, display(out)))
+    emit(to_json(summary.as_row()) if as_json else batch_text(summary, display(out)))
     if summary.failed:
         raise typer.Exit(FAILED_ROWS)
 

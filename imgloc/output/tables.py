@@ -293,7 +293,7 @@ def batch_text(summary: "BatchSummary", folder: str) -> str:
     >>> print(batch_text(found, "out"))
     3 items: 2 ok, 1 timeout
     10 scans: 9 unique, 1 ambiguous
-    9 of 10 with a known pose are right (90.0 %), 0 unique and wrong
+    of 10 scans with a known pose 9 are right (90.0 %), 0 unique and wrong
     0 new rows in 0.0 s: out/results.jsonl
     """
     lines = [f"{summary.items:,} items: {_counted(summary.statuses)}"]
@@ -301,11 +301,18 @@ def batch_text(summary: "BatchSummary", folder: str) -> str:
         total = sum(summary.verdicts.values())
         lines.append(f"{total:,} scans: {_counted(summary.verdicts)}")
     if summary.known:
-        lines.append(
-            f"{summary.hits:,} of {summary.known:,} with a known pose are right "
-            f"({100 * summary.hits / summary.known:.1f} %), {summary.unique_wrong:,} unique and "
-            "wrong"
-        )
+        right = f"{summary.hits:,} are right ({100 * summary.hits / summary.known:.1f} %)"
+        wrong = f"{summary.unique_wrong:,} unique and wrong"
+        lines.append(f"of {summary.known:,} scans with a known pose {right}, {wrong}")
+        if summary.pairs > summary.files:
+            lines.append(
+                "  a pose counts on each map that its file is tried with: "
+                f"{summary.pairs:,} pairs of {summary.files:,} files; a CSV of pairs (map,scans) "
+                "says which map is whose"
+            )
+    for hint in summary.hints:
+        tried = f"{hint['items']} of {hint['of']} doubtful items looked at again"
+        lines.append(f"{tried}, such as {hint['first'][0]}: {hint['hint']}")
     lines.append(f"{summary.new:,} new rows in {summary.seconds:.1f} s: {folder}/results.jsonl")
     return "\n".join(lines)
 
