@@ -454,7 +454,7 @@ def _laid_out(image: Image, legend: Image, inset: Image | None) -> Image:
     (height, width), gap = image.shape[:2], round(7 * enlarged(image))
     parts = [part for part in (legend, inset) if part is not None]
     highs, wides = [len(p) for p in parts], [p.shape[1] for p in parts]
-    beside = _beside(image, legend) is not None
+    beside = inset is not None and _beside(image, legend) is not None
     if beside:
         size = max(height, sum(highs) + 3 * gap), width + max(wides) + 2 * gap
     else:
