@@ -32,7 +32,7 @@ class Doubt:
 
 def doubts(
     features: MapFeatures, scans: Sequence[LaserScan], verdicts: Sequence[str], options: Options,
-    *, flipped: bool = False,
+    *, flipped: bool = False, range_scale: float = 1.0,
 ) -> list[Doubt]:  # fmt: skip
     """Say what most likely keeps most of some scans from being placed, and what mends it.
 
@@ -44,6 +44,8 @@ def doubts(
         What was located, and with which verdict.
     flipped : bool
         Whether the scans were taken for those of a sensor that hangs upside down.
+    range_scale : float
+        What their ranges were multiplied by already.
 
     Returns
     -------
@@ -79,7 +81,7 @@ def doubts(
             why = f"are they {units}?" if units else "is the map's resolution right?"
             other = "" if units else f", or --resolution {resolution / factor:g}"
             fits = f"{like} at one place if ranges are multiplied by {factor:g}"
-            text = f"{fits}: {why} Try --range-scale {factor:g}{other}"
+            text = f"{fits}: {why} Try --range-scale {factor * range_scale:g}{other}"
             return [Doubt(text, f"fits with ranges x {factor:g}: {why}")]
     if 2 * counts["no-match"] <= len(scans):
         return []

@@ -4,7 +4,7 @@ A file of scans that fits one of its maps is as it should be, though it fits non
 """
 
 import contextlib
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
@@ -26,6 +26,9 @@ class Doubtful:
 
     _said: dict[Id, Said] = field(default_factory=dict)
     _fits: set[str] = field(default_factory=set)  # files of which most scans are unique somewhere
+    # Of each map, of the scans of such files: those with an error that all readings share, above
+    # one half.
+    _bent: Counter[str] = field(default_factory=Counter)
 
     def noting(self, rows: Iterable[Row]) -> Iterator[Row]:
         """The rows, each noted on its way."""
@@ -36,23 +39,31 @@ class Doubtful:
             yield row
 
     def _note(self, item: Id, answers: Sequence[Row]) -> None:
-        unique = sum(answer["verdict"] == "unique" for answer in answers)
         evidence = [answer["evidence"] for answer in answers]
-        bent = [e.get("scale", 1.0) != 1.0 or e.get("thinner", 0.0) > 0 for e in evidence]
-        if 2 * unique >= len(answers):
-            self._fits.add(str(item[1]))
-            if 2 * sum(bent) <= len(answers):
-                return
-        self._said[item] = [
+        said = [
             (answer["verdict"], e.get("scale", 1.0), e.get("thinner", 0.0))
             for answer, e in zip(answers, evidence, strict=True)
         ]
+        count = Counter(verdict for verdict, _, _ in said)
+        lost, unique = count["no-match"] + count["invalid"], count["unique"]
+        bent = sum(scale != 1.0 or thinner > 0 for _, scale, thinner in said)
+        if 2 * unique >= len(said):
+            self._fits.add(str(item[1]))
+            self._bent[item[0]] += 2 * bent - len(said)
+            if 2 * bent > len(said):
+                self._said[item] = said
+        elif 2 * lost >= len(said) - unique:  # what is ambiguous fits
+            self._said[item] = said
 
     def of(self, items: Iterable[Item]) -> list[tuple[Item, Said]]:
         """A few of the items that are doubtful: of many files, and each with other maps."""
-        there = [item for item in items if item.id in self._said]
-        unique = {item.id for item in there if _mostly_unique(self._said[item.id])}
-        there = [item for item in there if item.id in unique or item.scans not in self._fits]
+
+        def doubted(item: Item) -> bool:
+            if item.id in self._said and _unique(self._said[item.id]):
+                return self._bent[item.map] > 0
+            return item.id in self._said and item.scans not in self._fits
+
+        there = [item for item in items if doubted(item)]
         files = {name: k for k, name in enumerate(sorted({str(i.scans) for i in there}))}
         maps = {name: k for k, name in enumerate(sorted({i.map for i in there}))}
         thin = max(1, -(-len(files) // _TRIED))
@@ -65,7 +76,8 @@ class Doubtful:
         return [(item, self._said[item.id]) for item in sorted(there, key=turn)[:_TRIED]]
 
 
-def _mostly_unique(said: Said) -> bool:
+def _unique(said: Said) -> bool:
+    """Whether at least half of an item's scans are."""
     return 2 * sum(verdict == "unique" for verdict, _, _ in said) >= len(said)
 
 

@@ -270,7 +270,9 @@ def look_again(item: Item, job: Job, said: Sequence[tuple[str, float, float]]) -
     options = replace(options, prior=job.known.prior(features.grid))
     verdicts = [verdict for verdict, _, _ in said]
     placed = [Evidence(scale=s, thinner=t) for v, s, t in said if v in SURE]
-    found = doubts(features, scans.scans, verdicts, options, flipped=job.flipped)
+    found = doubts(
+        features, scans.scans, verdicts, options, flipped=job.flipped, range_scale=job.range_scale
+    )
     return [*found, *bent(placed, len(said), options.shared, features.grid.resolution)]
 
 

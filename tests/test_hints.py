@@ -89,3 +89,20 @@ def test_doubtful_items_are_of_many_files_and_maps(found: tuple[Path, BatchSumma
     assert len(tried) == 12
     assert len({it.scans for it in tried}) == 10
     assert len({it.map for it in tried}) == 5
+
+
+def test_a_few_scans_that_are_bent_are_no_reason_to_say_so(
+    found: tuple[Path, BatchSummary],
+) -> None:
+    folder, _ = found
+    rows = {(row["map"], row["scans"]): row for row in read_rows(folder / "out")}
+    good = rows["curved", "good.npz"]
+    bent = json.loads(json.dumps(good))
+    for answer in bent["answers"]:
+        answer["evidence"]["scale"] = 1.04
+    for straight, count in ((3, 0), (1, 2)):
+        some = [bent, bent, *[good] * straight]
+        doubtful, items = Doubtful(), [Item("curved", f"{k}", ()) for k in range(len(some))]
+        named = (row | {"scans": item.scans} for row, item in zip(some, items, strict=True))
+        assert len(list(doubtful.noting(named))) == len(some)
+        assert len(doubtful.of(items)) == count

@@ -159,7 +159,9 @@ def localize(
     def wrong(some: list[LaserScan], said: list[str], sure: list[Evidence]) -> list[Doubt]:
         if not fused or time_budget is not None:
             return []
-        likely = doubts(features, some, said, options, flipped=mounting.flipped)
+        likely = doubts(
+            features, some, said, options, flipped=mounting.flipped, range_scale=logs.scale
+        )
         return [*likely, *bent(sure, len(some), options.shared, grid.resolution)]
 
     with progress("localize", len(queue)) as advance:

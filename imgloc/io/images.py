@@ -184,13 +184,15 @@ def encode_picture(image: npt.NDArray[np.uint8]) -> bytes:
     """
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 3 or 0 in image.shape:
         raise ValueError(f"image {image.shape} {image.dtype} must be uint8 BGR")
-    full = PIL.Image.fromarray(np.ascontiguousarray(image[..., ::-1]))
+    pixels = np.ascontiguousarray(image[..., ::-1])
+    full = PIL.Image.fromarray(pixels)
     method = PIL.Image.Quantize.MAXCOVERAGE
     few = full.quantize(256, method, dither=PIL.Image.Dither.NONE)
-    index, palette = np.asarray(few), np.reshape(few.getpalette() or [], (-1, 3))
-    for k in np.argsort(-np.bincount(index.ravel()))[:8]:  # large areas keep their colour
-        palette[k] = np.median(np.asarray(full)[index == k], axis=0)
-    few.putpalette(palette.ravel().tolist())
+    # The mean of what it stands for: greys stay grey, and large areas keep their colour.
+    index = np.asarray(few).ravel()
+    count = np.maximum(1, np.bincount(index, minlength=256))
+    sums = [np.bincount(index, pixels[..., k].ravel(), minlength=256) for k in range(3)]
+    few.putpalette(np.rint(np.array(sums) / count).T.astype(int).ravel().tolist())
     out = io.BytesIO()
     few.save(out, "png")
     return out.getvalue()

@@ -137,7 +137,11 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
         facts.append(("trust", f"{explained}, entropy {answer.entropy:.3f} nats"))
         if (bent := bent_words(evidence.scale, evidence.thinner)) is not None:
             known: Any = answer.parameters.get("shared")
-            calibrated = known is not None and known["scale"] == evidence.scale
+            calibrated = (
+                known is not None
+                and known["scale"] == evidence.scale
+                and (known["thinner"] > 0 or not evidence.thinner)
+            )
             how = "as calibrated, " if calibrated else "fits far better with "
             facts.append(("map", how + bent))
         poses = f"{evidence.listed} listed"
