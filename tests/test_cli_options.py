@@ -142,6 +142,18 @@ def test_the_base_is_behind_a_sensor_mounted_in_front(scans: Path, plain: dict) 
     assert mounted["hypotheses"][0]["base"] == back
 
 
+def test_a_narrow_terminal_has_the_base_in_a_line_of_its_own(
+    scans: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wide = call("localize", WORLD, scans, "--sensor", "0.5,0,0.1").out.splitlines()
+    monkeypatch.setattr("imgloc.cli.localize.width", lambda: 80)
+    narrow = call("localize", WORLD, scans, "--sensor", "0.5,0,0.1").out.splitlines()
+    assert max(map(len, narrow)) < 80 < max(map(len, wide))
+    assert narrow[0] == wide[0][: len(narrow[0])]
+    for both, sensor, base in zip(wide[1:], narrow[1::2], narrow[2::2], strict=True):
+        assert both.split() == [*sensor.split(), *base.split()[1:]]
+
+
 def test_the_base_is_in_the_table_of_several_scans(scans: Path) -> None:
     plain = call("localize", WORLD, scans).out.splitlines()
     mounted = call("localize", WORLD, scans, "--sensor", "0.5,0,0.1").out.splitlines()

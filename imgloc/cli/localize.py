@@ -7,12 +7,13 @@ from pathlib import Path
 import typer
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, say
+from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, say, width
 from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
 
 _MANY = 5  # scans whose verdicts one does not count oneself
+_WIDE = 112  # columns of a line with the poses of the sensor and of the base
 
 
 @opt.with_options(
@@ -150,9 +151,10 @@ def localize(
     )
     inputs.check_prior(known, features, options)
     check_options(features, options)
+    on_robot = any(scan.T_base_laser is not None for scan in every) or mounting.sensor is not None
+    narrow = (width() or _WIDE) < _WIDE
     if many and not as_json:
-        on_robot = any(scan.T_base_laser is not None for scan in every)
-        emit(answer_header(on_robot or mounting.sensor is not None))
+        emit(answer_header(on_robot and not narrow))
     looked_at, verdicts, placed = list[LaserScan](), list[str](), list[Evidence]()
     errors, shown, hints = list[tuple[float, float]](), "", list[Doubt]()
 
@@ -199,7 +201,7 @@ def localize(
                 about |= {"range_max": scan.range_max, "sensor": mounting.pose}
                 emit(to_json(answer.as_row(k, **about, flipped=mounting.flipped)))
             elif many:
-                emit(answer_line(k, answer))
+                emit(answer_line(k, answer, narrow=narrow))
             else:
                 emit(answer_text(f"scan {k}", answer, truth))
     inputs.keep_features(features, folder)

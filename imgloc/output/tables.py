@@ -101,8 +101,11 @@ def answer_header(mounted: bool = False) -> str:
     return f"{'index':>6}  {'verdict':<10} {place} {shares}{base}"
 
 
-def answer_line(index: int, answer: Localization) -> str:
-    """Return one line for one scan, to be written as soon as it is known."""
+def answer_line(index: int, answer: Localization, *, narrow: bool = False) -> str:
+    """Return one line for one scan, to be written as soon as it is known.
+
+    Where it is `narrow` the pose of the base is in a line of its own, below that of the sensor.
+    """
     mass, rest, explained, mount = "-", "-", "-", answer.T_base_laser
     place = base = f"{'-':>9} {'-':>9} {'-':>11}"
     if answer.pose is not None:
@@ -110,7 +113,9 @@ def answer_line(index: int, answer: Localization) -> str:
         rest = _percent(_unlisted(answer))
         place = _place(answer.pose)
         base = place if mount is None else _place(base_of(answer.pose, mount))
-    more = ("" if mount is None else f"  {base}") + ("" if answer.complete else "  out of time")
+    more = "" if mount is None or narrow else f"  {base}"
+    more += "" if answer.complete else "  out of time"
+    more += f"\n{'':>6}  {'base':<10} {base}" if narrow and mount is not None else ""
     return f"{index:>6}  {answer.verdict:<10} {place} {mass:>8} {rest:>8} {explained:>10}{more}"
 
 
