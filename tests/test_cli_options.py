@@ -1,6 +1,7 @@
 """Priors, mounting, budgets and the map cache, through the real command."""
 
 import logging
+import sys
 from pathlib import Path
 
 import cv2
@@ -146,7 +147,7 @@ def test_a_narrow_terminal_has_the_base_in_a_line_of_its_own(
     scans: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wide = call("localize", WORLD, scans, "--sensor", "0.5,0,0.1").out.splitlines()
-    monkeypatch.setattr("imgloc.cli.localize.width", lambda: 80)
+    monkeypatch.setattr(sys.modules["imgloc.cli.localize"], "width", lambda: 80)
     narrow = call("localize", WORLD, scans, "--sensor", "0.5,0,0.1").out.splitlines()
     assert max(map(len, narrow)) < 80 < max(map(len, wide))
     assert narrow[0] == wide[0][: len(narrow[0])]

@@ -316,7 +316,8 @@ def batch_text(summary: "BatchSummary", folder: str) -> str:
         if summary.pairs > summary.files:
             lines.append(
                 "  a pose counts on each map that its file is tried with: "
-                f"{summary.pairs:,} pairs of {summary.files:,} files; a CSV of pairs (map,scans) "
+                f"{summary.pairs:,} pairs of {summary.files:,} "
+                f"file{'s' * (summary.files != 1)}; a CSV of pairs (map,scans) "
                 "says which map is whose"
             )
     for hint in summary.hints:
