@@ -69,6 +69,7 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
     localize: (
         "imgloc localize office.yaml scans.npz",
         "imgloc localize office.yaml scans.npz --index 3 --picture answer.png",
+        "imgloc localize office.yaml run.log --index 7,100:120 --explain why.html",
         "imgloc localize office.png scan.csv --resolution 0.05 --origin -12.5,-8,0",
         "imgloc localize office.yaml monday.log tuesday.bag --sensor 0.2,0,180deg",
         "imgloc localize office.yaml - < scan.csv",

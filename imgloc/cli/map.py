@@ -222,12 +222,13 @@ def _likelihood(
 ) -> "Picture":
     """The likelihood of a scan at every position, at its best heading there, over the map."""
     from imgloc.cli import inputs
+    from imgloc.io.scanset import Chosen
     from imgloc.options import Options
     from imgloc.output.pictures import draw
     from imgloc.pipeline import likelihood
 
     held = inputs.load_set(scans, opt.fixed_budget(budget))
-    (k,) = inputs.choose(len(held), index, display(scans))
+    (k,) = Chosen(str(index)).of(len(held), display(scans))
     options = Options(method=method, memory_budget=opt.fixed_budget(budget))
     features = inputs.open_features(grid, name, None, options, scans=held.scans)
     return draw(grid, likelihood(features, held[k], options))
