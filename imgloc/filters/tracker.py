@@ -141,7 +141,10 @@ class Tracker:
     def _contradicted(self, view: View, habit: Habit) -> bool:
         """Whether the best component fits abruptly worse than before."""
         best = int(np.argmax(self._mass))
-        misfit = misfit_near(self.features, view, self._poses[best : best + 1], self.options)
+        at = slice(best, best + 1)
+        misfit = misfit_near(
+            self.features, view, self._poses[at], self.options, self._covariance[at]
+        )
         if misfit > habit.last + self.how.surprise[1]:
             return True
         habit.last, habit.doubted = misfit, misfit > habit.usual + self.how.surprise[0]
@@ -157,7 +160,7 @@ class Tracker:
         contradicted = known > 0 and self._contradicted(view, habit)
         if contradicted or self._unsearched >= how.search or self.belief.verdict != UNIQUE:
             found, self._unsearched = view.robot(self._find(scan)[: 2 * how.births]), 0.0
-        near = settled(self.features, view, self._poses)
+        near = settled(self.features, view, self._poses, self._covariance)
         poses = np.concatenate((self._poses, near, found))
         if not len(poses):
             self._lost = 1.0
