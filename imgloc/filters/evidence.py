@@ -3,6 +3,9 @@
 Poses are those of the robot, on which each scan says where its sensor sits: scans of several lasers
 are scored one after the other, each from where its own rays start. Of a scan that does not say it,
 robot and sensor are one.
+
+What is known of the scale of the readings, `Options.shared`, is applied once, by :func:`usable`; of
+the walls, by the features that a filter takes.
 """
 
 from dataclasses import dataclass
@@ -22,6 +25,8 @@ _FEW = 64  # readings of the first look around a pose
 _STEP = (0.4, float(np.deg2rad(2.0)))  # between the poses of it, metres and radians
 _REACH = 2.5  # standard deviations that it goes, and
 _FARTHEST = (1.2, 0.7)  # metres and radians, at most
+_SCALES = (0.95, 1.0, 1.05)  # at which that of the readings begins
+_MOST = 3000  # poses of all first looks together: time has an end
 _CLOSER = 3  # of them that are moved to where they fit best
 _WIDTHS = (0.3, 0.1)  # of the kernel that tells which: of the first look, and of the last, metres
 
@@ -40,6 +45,13 @@ class View:
     def robot(self, poses: FloatArray) -> FloatArray:
         """Where the robot is if its sensor is at the poses."""
         return compose_poses(poses, invert_poses(self.mount))
+
+
+def usable(scan: LaserScan, options: Options) -> LaserScan | None:
+    """The scan at the scale that is known; None if it has so few readings that it says nothing."""
+    if scan.directions < max(1, options.trust.readings):
+        return None
+    return scan if options.shared.scale == 1 else scan.scaled(options.shared.scale)
 
 
 def view_of(scan: LaserScan, options: Options) -> View:
@@ -81,14 +93,17 @@ def sight(features: MapFeatures, view: View, poses: FloatArray, options: Options
 def settled(
     features: MapFeatures, view: View, poses: FloatArray, covariance: FloatArray | None = None
 ) -> FloatArray:
-    """The poses (C, 3) moved to where the scan fits best around them.
+    """The poses (C, 3), best first, moved to where the scan fits best around them.
 
     By half a metre and some degrees at most; with the covariance (C, 3, 3) of each, as far as that
     allows: of readings that are far away, few are near their walls unless the heading is right.
     """
     if covariance is None or not len(poses):
         return view.robot(_refined(features, view, view.sensor(poses)))
-    some = [_around(*one) for one in zip(poses, covariance, strict=True)]
+    some, count = list[FloatArray](), 0
+    for pose, spread in zip(poses, covariance, strict=True):
+        some.append(_around(pose, spread) if count < _MOST else pose[None])
+        count += len(some[-1])
     owner = np.repeat(np.arange(len(poses)), [len(one) for one in some])
     at = view.sensor(np.concatenate(some))
     best = _best_of(owner, _met(features, at, view.readings.spread(_FEW).xy, _WIDTHS[0]), _CLOSER)
@@ -150,3 +165,16 @@ def misfit_near(
 ) -> float:
     """Least misfit of poses once they have settled, nats per reading."""
     return misfit_at(features, view, settled(features, view, poses, covariance), options)
+
+
+def stretched(
+    features: MapFeatures, view: View, pose: FloatArray, options: Options
+) -> tuple[float, float]:
+    """By what to multiply the readings to fit best at a pose (3,), and what that gains, nats."""
+    same = np.tile(view.sensor(pose), (len(_SCALES), 1))
+    poses = np.column_stack((same, _SCALES))
+    poses = refine(poses, view.readings.xy, features.field, sigmas=(0.3, *_SETTLE[1:]))
+    poses = np.concatenate((np.append(same[0], 1.0)[None], poses))
+    score = score_poses(features, view.readings, poses, options).log_likelihood
+    best = 1 + int(np.argmax(score[1:]))
+    return float(poses[best, 3]), float(score[best] - score[0])
