@@ -119,13 +119,13 @@ def _around(pose: FloatArray, covariance: FloatArray) -> FloatArray:
     along, across = (_steps(float(np.sqrt(max(0.0, v))), 0) for v in values)
     grid = np.stack(np.meshgrid(turned, along, across, indexing="ij"), axis=-1).reshape(-1, 3)
     xy = grid[:, :1] * lever + grid[:, 1:] @ axes.T
-    return pose + np.column_stack((xy, grid[:, 0]))
+    return np.asarray(pose + np.column_stack((xy, grid[:, 0])))
 
 
 def _steps(deviation: float, kind: int) -> FloatArray:
     """Offsets in metres (0) or radians (1) on both sides of none."""
     n = int(min(_REACH * deviation, _FARTHEST[kind]) / _STEP[kind] + 0.5)
-    return _STEP[kind] * np.arange(-n, n + 1)
+    return _STEP[kind] * np.arange(-n, n + 1.0)
 
 
 def _refined(features: MapFeatures, view: View, at: FloatArray) -> FloatArray:
@@ -135,7 +135,8 @@ def _refined(features: MapFeatures, view: View, at: FloatArray) -> FloatArray:
 def _met(features: MapFeatures, at: FloatArray, xy: FloatArray, width: float) -> FloatArray:
     """How many of the points (N, 2) poses (C, 3) of the sensor put on walls, softly: (C,)."""
     distance = endpoints(at, xy, features.field)[2]
-    return (1 / (1 + np.square(distance / np.float32(width)))).sum(axis=1, dtype=np.float64)
+    met = 1 / (1 + np.square(distance / np.float32(width)))
+    return np.asarray(met.sum(axis=1, dtype=np.float64))
 
 
 def _best_of(owner: IntArray, score: FloatArray, n: int) -> IntArray:

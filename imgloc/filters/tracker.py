@@ -66,6 +66,7 @@ class TrackerOptions:
     mass: float = 0.99  #: of the best component, to be ``unique``
     #: metres that it has to be followed for before it is: at first, and where it replaces another
     sure: tuple[float, float] = (1.5, 4.0)
+    agree: int = 2  #: scans in a row that have to leave it so much: one with few readings may err
     #: metres between two searches while what is followed fits as usual: other places are then only
     #: looked at where they are followed. At first, and most; twice as far after each search that
     #: left the best component unique
@@ -119,7 +120,7 @@ class Tracker:
         self._find = find or (lambda scan: search(self.features, scan, self.options))
         self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
         self._mass, self._followed = np.empty(0), np.empty(0)
-        self._lost, self._resets = 1.0, 0
+        self._lost, self._resets, self._agreed = 1.0, 0, 0
         self._unsearched, self._pause = 0.0, self.how.search[0]  # metres
         self._habits, self._scales = Habits(), list[tuple[float, float]]()
 
@@ -129,6 +130,7 @@ class Tracker:
         self._poses = np.asarray(pose, dtype=np.float64).reshape(1, 3)
         self._covariance = np.diag([metres, metres, radians])[None] ** 2
         self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
+        self._agreed = 0
         self._habits.place()
 
     def move(self, increment: FloatArray) -> None:
@@ -210,6 +212,7 @@ class Tracker:
         if how.resets or not known:
             self._bear(seen, 2 * known, relative)
         self._tidy()
+        self._agreed = self._agreed + 1 if (self._mass[:1] >= how.mass).any() else 0
         if len(self._mass):
             habit.learn(misfit_at(self.features, view, self._poses[:1], self.options))
             alone = self._lost < 0.5 and self._mass[0] >= how.mass * self._mass.sum()
@@ -320,7 +323,7 @@ class Tracker:
         verdict = AMBIGUOUS
         if self._lost > 0.5 or not len(mass):
             verdict = LOST
-        elif not self._habits.doubted and mass[0] >= self.how.mass:
+        elif not self._habits.doubted and self._agreed >= self.how.agree:
             verdict = UNIQUE if self._followed[order[0]] >= self.how.sure[0] else AMBIGUOUS
         neff = float(np.square(mass.sum()) / max(1e-300, np.square(mass).sum()))
         return Belief(
