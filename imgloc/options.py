@@ -186,7 +186,7 @@ class FusedOptions:
     vote_peaks: int = 100  #: how many peaks of the votes become proposals
     #: side of the squares of which each counts as one reading, metres
     place: float = 0.07
-    few_rays: int = 64  #: such readings of the first look at all proposals, and of the second at
+    few_rays: int = 48  #: such readings of the first look at all proposals, and of the second at
     rays: int = 180  #: the best
     #: how many places get the second look, and how many poses, which may be of one place: between
     #: two layers of a wall the score has several maxima
@@ -229,7 +229,7 @@ class Trust:
     #: log-odds that the true pose is none of the hypotheses: constant, per nat of evidence by which
     #: the best fits better than a building on no map would, per share of the mass that it does not
     #: hold. A logistic regression, see ``python -m tools.trust fit``
-    elsewhere: tuple[float, float, float] = (-3.14, -0.46, 2.58)
+    elsewhere: tuple[float, float, float] = (-3.39, -0.46, 2.72)
     most: float = 30.0  #: nats of such evidence; more says no more
     mass: float = 0.9  #: mass that the best pose needs to be ``unique``
     correlated: float = 2.9  #: how many neighbouring readings share one error, for the covariances

@@ -99,7 +99,7 @@ def test_an_uncertain_normal_is_given_more_room() -> None:
 
 
 @given(st.floats(-3.0, 3.0))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_where_the_sensor_looks_is_of_no_importance(turn) -> None:
     features = prepare(room_with_a_post())
     scan = seen_from(features, (3.0, 2.4, 0.0))

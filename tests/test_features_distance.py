@@ -93,7 +93,7 @@ def test_beyond_the_border_nothing_is_occupied():
 
 
 @given(seeds)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_walls_and_gaps_change_places_with_the_sign(seed):
     occupied = np.random.default_rng(seed).random((7, 9)) < 0.5
     occupied = np.pad(np.pad(occupied, 1, constant_values=True), 20)
@@ -103,7 +103,7 @@ def test_walls_and_gaps_change_places_with_the_sign(seed):
 
 
 @given(seeds, st.integers(0, 3), st.booleans())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_turned_and_mirrored_maps_have_turned_and_mirrored_distances(seed, turns, mirror):
     occupied = np.random.default_rng(seed).random((6, 11)) < 0.2
 
@@ -119,7 +119,7 @@ def test_turned_and_mirrored_maps_have_turned_and_mirrored_distances(seed, turns
 
 @pytest.mark.parametrize("side", ["left", "right", "down", "up"])
 @given(data=st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_lookups_are_exact_along_a_straight_wall(side, data):
     resolution = data.draw(st.sampled_from([0.05, 0.1, 1.0]))
     n, thick = 24, 5
@@ -200,7 +200,7 @@ def test_rows_of_the_table_are_the_cells_in_order():
 
 
 @given(seeds)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_at_centres_the_lookup_is_the_image_and_no_slope_is_steeper_than_one(seed):
     rng = np.random.default_rng(seed)
     occupied = rng.random((7, 8)) < 0.25

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from imgloc.features.distance import signed_distance
@@ -27,7 +27,6 @@ def members(shape, factor, row, column):
 
 
 @given(sizes, st.integers(1, 4), st.integers(0, 2**32 - 1))
-@settings(deadline=None)
 def test_a_block_is_set_if_any_of_its_cells_is(shape, factor, seed):
     mask = np.random.default_rng(seed).random(shape) < 0.2
     got = any_of_blocks(mask, factor)

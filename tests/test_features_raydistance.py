@@ -102,7 +102,7 @@ def test_slanted_faces_have_no_bias(angle_deg):
     assert error.std() < 0.4
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.floats(0, np.pi / 2), st.integers(2, 30))
 def test_walls_one_pixel_wide_do_not_leak(angle, n_psi):
     image = np.zeros((80, 80), np.uint8)
@@ -128,7 +128,7 @@ def test_cells_beside_a_wall_are_not_inside_it():
     assert (stack[away][:, inner] == 0).mean() < 0.01
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 1000), st.integers(1, 3))
 def test_turning_the_map_turns_the_directions(seed, quarters):
     occupied = blobs(seed)

@@ -152,7 +152,7 @@ def test_a_half_turn_does_have_one():
     assert points.valid[3:].all()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 1000), st.floats(-7.0, 7.0))
 def test_order_and_heading_of_the_rays_do_not_matter(seed, turn):
     rng = np.random.default_rng(seed)

@@ -241,7 +241,7 @@ def test_a_surface_takes_little_memory(monkeypatch):
     assert peak < 200 * sides + 150 * count + 10 * occupied.size  # a band, its results, the map
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10_000))
 def test_points_lie_between_wall_and_free_space_and_face_it(seed):
     occupied = blobs(seed)
@@ -261,7 +261,7 @@ def test_points_lie_between_wall_and_free_space_and_face_it(seed):
     assert points.xy.tobytes() == again.xy.tobytes()  # deterministic
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(0, 10_000), st.integers(1, 3))
 def test_turning_the_map_turns_the_surface(seed, quarters):
     occupied = blobs(seed)

@@ -105,7 +105,7 @@ def test_headings_that_are_excluded_have_nothing(method):
 
 
 @given(arrays(np.float32, (6, 3, 4), elements=st.integers(0, 100)), st.integers(0, 5))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_smoothing_keeps_the_sum_along_theta_and_turns_with_the_stack(values, turn):
     got = smooth(values, 0, 0.9)
     np.testing.assert_allclose(got.sum(axis=0), values.sum(axis=0), rtol=1e-4)

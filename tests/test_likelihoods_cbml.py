@@ -295,7 +295,7 @@ def test_refuses_a_vmap_that_is_not_one():
             cbml_o(np.full((2, 3, 4), value, np.float32), points, ONE, 0.1)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seeds, st.sampled_from(EXACT))
 def test_turning_the_field_turns_the_answer(seed, engine):
     vmap, points = random_case(seed, (5, 8))
@@ -308,7 +308,7 @@ def test_turning_the_field_turns_the_answer(seed, engine):
     )
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seeds)
 def test_order_of_the_rays_and_opposite_normals(seed):
     vmap, points = random_case(seed)

@@ -316,7 +316,7 @@ def test_tiles_cover_every_pose_once():
         assert (covered == 1).all()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seeds, st.sampled_from(EXACT))
 def test_turning_the_map_turns_the_answer(seed, engine):
     image, xy = random_case(seed, (6, 9), 15, 0.8)
@@ -326,7 +326,7 @@ def test_turning_the_map_turns_the_answer(seed, engine):
     np.testing.assert_array_equal(np.roll(turn(stack), 2, axis=0), turned)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seeds, st.sampled_from(EXACT))
 def test_order_of_the_rays_does_not_matter_and_votes_add(seed, engine):
     image, xy = random_case(seed)
@@ -340,7 +340,7 @@ def test_order_of_the_rays_does_not_matter_and_votes_add(seed, engine):
     np.testing.assert_array_equal(parts[0] + parts[1], stack)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seeds, st.integers(0, 4), st.integers(0, 4))
 def test_moving_the_map_moves_the_answer(seed, rows, columns):
     image, xy = random_case(seed, (5, 6), 9, 0.3)

@@ -238,7 +238,7 @@ def test_refuses_a_visibility_that_does_not_fit(shape):
         ght_v(surface, np.ones(shape, dtype=np.float32), points, 4, (7, 10), 0.1)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seeds)
 def test_random_cases_equal_the_listing(seed):
     surface, points, vis = random_case(seed, (6, 5), m=9, n=7)
@@ -248,7 +248,7 @@ def test_random_cases_equal_the_listing(seed):
     )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seeds)
 def test_turning_the_map_turns_the_votes(seed):
     surface, points, vis = random_case(seed, (6, 9), m=40, n=20)
@@ -261,7 +261,7 @@ def test_turning_the_map_turns_the_votes(seed):
     np.testing.assert_array_equal(np.roll(stack.swapaxes(1, 2)[..., ::-1], 2, axis=0), again)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seeds, st.floats(-7, 7))
 def test_order_of_points_and_heading_of_the_sensor(seed, turn):
     surface, points, vis = random_case(seed, m=30, n=20)

@@ -253,7 +253,7 @@ def test_refuses_bad_uncertainty(options, message):
         Uncertainty(**options)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seeds, st.booleans())
 def test_turning_the_map_turns_the_votes(seed, once):
     surface, points, vis = random_case(seed, m=40, n=12)

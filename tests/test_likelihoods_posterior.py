@@ -30,7 +30,7 @@ def naive(values, log, free):
 
 @pytest.mark.parametrize("method", METHODS)
 @given(values=stacks, free=masks)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_posterior_equals_the_loops(method, values, free):
     before = values.copy()
     got = posterior(values, method, free)
@@ -41,7 +41,7 @@ def test_posterior_equals_the_loops(method, values, free):
 
 @pytest.mark.parametrize("method", METHODS)
 @given(values=stacks, free=masks)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_posterior_equals_that_of_the_whole_stack(method, values, free):
     # Slices are summed in another order, which the last bit may show.
     if method in LOG_METHODS:
@@ -56,7 +56,7 @@ def test_posterior_equals_that_of_the_whole_stack(method, values, free):
 
 
 @given(values=stacks, free=masks, temperature=st.sampled_from([0.5, 3.0, 15.0, 1e4]))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_temperature_divides_the_evidence(values, free, temperature):
     got = posterior(values, "beam", free, temperature=temperature)
     np.testing.assert_allclose(got, naive(values / temperature, True, free), atol=1e-5)
@@ -102,7 +102,7 @@ def test_the_beam_model_is_the_one_that_is_a_logarithm():
 
 
 @given(stacks, st.floats(-1e4, 1e4))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_constant_of_the_scan_drops_out_of_a_log_likelihood(values, constant):
     values = np.rint(values)  # so that the sum is exact in float32
     free = np.ones((2, 4), bool)
@@ -112,7 +112,7 @@ def test_a_constant_of_the_scan_drops_out_of_a_log_likelihood(values, constant):
 
 @pytest.mark.parametrize("method", VOTES)
 @given(values=stacks, power=st.integers(-10, 10))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_the_unit_of_a_vote_drops_out(method, values, power):
     free = np.ones((2, 4), bool)
     scaled = values * np.float32(2.0**power)

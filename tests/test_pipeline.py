@@ -96,7 +96,7 @@ def test_trust_is_an_option():
 
 @pytest.mark.parametrize("method", ["fused", "ght-v"])
 @given(st.builds(Pose2D, st.floats(-50, 50), st.floats(-50, 50), st.floats(-np.pi, np.pi)))
-@settings(max_examples=2, deadline=None)
+@settings(max_examples=2)
 def test_an_origin_with_a_yaw_takes_the_answer_along(method, origin):
     grid = grid_of("curved")
     there = OccupancyGrid(grid.occupied, grid.free, grid.resolution, origin)

@@ -53,7 +53,7 @@ def test_draws_are_uniform_inside_a_cell():
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 50))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_the_same_seed_the_same_poses(seed, n):
     a, b = (draw_poses(P, THETAS, GRID, n, np.random.default_rng(seed)) for _ in range(2))
     assert a.shape == (n, 3)

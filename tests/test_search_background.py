@@ -28,7 +28,7 @@ def points(box, n=30):
     st.tuples(st.floats(0.5, 6), st.floats(0.5, 6), st.floats(0.5, 6), st.floats(0.5, 6)),
     st.floats(-np.pi, np.pi),
 )
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_a_room_is_a_room_wherever_the_sensor_is_and_looks(sides, turn):
     left, right, bottom, top = sides
     xy = points((-left, right, -bottom, top))

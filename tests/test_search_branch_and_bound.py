@@ -67,7 +67,7 @@ def same(a: Best, b: Best) -> bool:
     return np.array_equal(a.cells, b.cells) and np.array_equal(a.scores, b.scores)
 
 
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=1000)
 @given(DRAWN)
 def test_argmax_is_that_of_the_stack(drawn: dict) -> None:
     bmap, wanted, xy, thetas = problem(drawn)
@@ -81,7 +81,7 @@ def test_argmax_is_that_of_the_stack(drawn: dict) -> None:
         assert best.scores[0] == masked.max()
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(DRAWN, st.integers(2, 12), st.floats(0.0, 12.0), st.floats(0.0, 4.0))
 def test_separated_poses_are_those_of_the_stack(
     drawn: dict, count: int, distance: float, angle: float
@@ -93,7 +93,7 @@ def test_separated_poses_are_those_of_the_stack(
     assert same(best, exhaustive(stack, wanted, thetas, count, distance, angle))
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(DRAWN)
 def test_a_block_is_bounded_and_no_more_than_by_its_own_points(drawn: dict) -> None:
     bmap, wanted, xy, thetas = problem(drawn)

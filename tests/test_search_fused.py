@@ -79,7 +79,7 @@ def test_endpoints_of_readings_and_the_origin_for_what_is_none():
 
 
 @given(seeds)
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=4)
 def test_votes_propose_the_true_pose(seed):
     (pose,) = poses_of(seed)
     proposals = propose_votes(features_of(), scan_at(pose), OPTIONS)
@@ -101,7 +101,7 @@ def test_a_scan_without_a_surface_casts_no_votes():
 
 
 @given(seeds)
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=4)
 def test_the_true_pose_is_found(seed):
     (pose,) = poses_of(seed)
     found = clear_answer(features_of(), scan_at(pose))
@@ -142,7 +142,7 @@ def test_what_is_returned(name):
 
 
 @given(seeds, st.integers(2, 4))
-@settings(max_examples=2, deadline=None)
+@settings(max_examples=2)
 def test_threads_and_repetition_change_nothing(seed, threads):
     scan = scan_at(poses_of(seed)[0])
     first = find_modes(features_of(), scan, Options())
@@ -157,7 +157,7 @@ def test_threads_and_repetition_change_nothing(seed, threads):
 
 
 @given(seeds, st.integers(1, 3))
-@settings(max_examples=2, deadline=None)
+@settings(max_examples=2)
 def test_a_turned_map_turns_the_answer(seed, turns):
     scan = scan_at(poses_of(seed)[0])
     pose = clear_answer(features_of(), scan)
@@ -171,7 +171,7 @@ def test_a_turned_map_turns_the_answer(seed, turns):
 
 
 @given(seeds)
-@settings(max_examples=2, deadline=None)
+@settings(max_examples=2)
 def test_a_mirrored_world_has_the_mirrored_answer(seed):
     scan = scan_at(poses_of(seed)[0])
     x, y, theta = clear_answer(features_of(), scan)
@@ -183,7 +183,7 @@ def test_a_mirrored_world_has_the_mirrored_answer(seed):
 
 
 @given(seeds, st.integers(0, 13), st.integers(0, 13))
-@settings(max_examples=2, deadline=None)
+@settings(max_examples=2)
 def test_unknown_land_around_the_map_shifts_the_answer(seed, left, below):
     scan = scan_at(poses_of(seed)[0])
     pose = clear_answer(features_of(), scan)
@@ -192,7 +192,7 @@ def test_unknown_land_around_the_map_shifts_the_answer(seed, left, below):
 
 
 @given(seeds, st.floats(-np.pi, np.pi))
-@settings(max_examples=2, deadline=None)
+@settings(max_examples=2)
 def test_a_sensor_mounted_askew_is_a_turned_pose(seed, turn):
     pose = poses_of(seed)[0]
     scan = scan_at(pose)
@@ -202,7 +202,7 @@ def test_a_sensor_mounted_askew_is_a_turned_pose(seed, turn):
 
 
 @given(seeds)
-@settings(max_examples=2, deadline=None)
+@settings(max_examples=2)
 def test_the_order_of_the_readings_is_of_no_importance(seed):
     scan = scan_at(poses_of(seed)[0])
     order = np.random.default_rng(seed).permutation(len(scan.ranges))
@@ -213,7 +213,7 @@ def test_the_order_of_the_readings_is_of_no_importance(seed):
 
 
 @given(seeds)
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=3)
 def test_lost_readings_are_no_evidence(seed):
     pose = poses_of(seed)[0]
     scan = scan_at(pose)

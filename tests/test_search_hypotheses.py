@@ -76,7 +76,6 @@ def near(a, b, distance, angle):
 
 
 @given(seeds)
-@settings(deadline=None)
 def test_modes_are_the_best_of_their_neighbourhood(seed):
     poses, score = poses_and_scores(seed)
     expected = []
@@ -87,7 +86,7 @@ def test_modes_are_the_best_of_their_neighbourhood(seed):
 
 
 @given(seeds, st.integers(1, 4))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_how_many_proposals_led_there_says_nothing(seed, copies):
     poses, score = poses_and_scores(seed)
     found = modes(poses, score, distance=0.8, angle=1.0)
@@ -156,7 +155,7 @@ def random_room(seed):
 
 
 @given(seeds, st.sampled_from([0.05, 0.3]), st.sampled_from([1.0, 8.0]))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_covariances_are_positive_definite_and_no_larger_than_a_mode(seed, sigma, correlated):
     wall, poses, xy = random_room(seed)
     got = laplace(distance_field(wall, RESOLUTION), poses, xy, sigma, correlated)
@@ -168,7 +167,7 @@ def test_covariances_are_positive_definite_and_no_larger_than_a_mode(seed, sigma
 
 
 @given(seeds)
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_covariances_turn_with_the_map(seed):
     wall, poses, xy = random_room(seed)
     turned = np.ascontiguousarray(np.rot90(wall, -1))  # rows go up: counter-clockwise
@@ -183,7 +182,7 @@ def test_covariances_turn_with_the_map(seed):
 
 
 @given(st.floats(-np.pi, np.pi))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_a_corridor_is_long_along_itself_whatever_the_heading(theta):
     wall = np.zeros((40, 120), bool)
     wall[[9, 30]] = True

@@ -52,7 +52,6 @@ def moments(probability, peaks, radius=2):
 
 
 @given(shapes, seeds, st.integers(0, 3))
-@settings(deadline=None)
 def test_moments_equal_the_loops(shape, seed, radius):
     probability = stack_of(seed, shape)
     peaks = find_peaks(probability, 3, radius=max(1, radius))
@@ -65,7 +64,6 @@ def test_moments_equal_the_loops(shape, seed, radius):
 
 
 @given(shapes, seeds)
-@settings(deadline=None)
 def test_masses_are_shares_and_covariances_positive_definite(shape, seed):
     probability = stack_of(seed, shape)
     poses, mass, covariance = moments(probability, find_peaks(probability, 50, radius=2))
@@ -77,7 +75,7 @@ def test_masses_are_shares_and_covariances_positive_definite(shape, seed):
 
 
 @given(seeds, st.integers(0, 8))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_the_answer_turns_with_the_stack(seed, turn):
     probability = stack_of(seed, (9, 6, 7))
     peaks = find_peaks(probability, 4)

@@ -67,7 +67,6 @@ def naive_separated(poses, n, distance, angle):
 
 
 @given(shapes, seeds, st.sampled_from([0.3, 0.7, 2.0]))
-@settings(deadline=None)
 def test_smoothing_along_theta_equals_the_loops(shape, seed, sigma):
     values = np.random.default_rng(seed).random(shape).astype(np.float32)
     got = smooth(values, 0, sigma)
@@ -93,7 +92,6 @@ def test_nothing_comes_in_from_outside_the_image():
 
 
 @given(shapes, seeds, st.integers(0, 6))
-@settings(deadline=None)
 def test_smoothing_commutes_with_turning_the_circle(shape, seed, turn):
     values = np.random.default_rng(seed).random(shape).astype(np.float32)
     turned = smooth(np.roll(values, turn, axis=0), 0.8, 0.7)
@@ -117,7 +115,7 @@ def test_smoothing_leaves_its_input_alone(px, bins):
 
 
 @given(shapes, seeds, st.integers(0, 3), st.integers(1, 3), st.integers(1, 300))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_peaks_equal_the_loops(shape, seed, radius, top, n):
     # Few distinct values: plateaus everywhere, and negative ones as in CBML-O.
     values = np.random.default_rng(seed).integers(-1, top + 1, shape).astype(np.float32)
@@ -125,7 +123,7 @@ def test_peaks_equal_the_loops(shape, seed, radius, top, n):
 
 
 @given(shapes, seeds, st.integers(1, 300), st.integers(1, 9))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_peaks_may_be_sorted_a_few_at_a_time(shape, seed, n, few):
     values = np.random.default_rng(seed).integers(0, 4, shape).astype(np.float32)
     before = peaks_module._FEW
@@ -173,7 +171,6 @@ def test_a_read_only_stack_and_a_view_of_one_have_peaks():
 
 
 @given(shapes, seeds, st.integers(1, 2))
-@settings(deadline=None)
 def test_peaks_of_distinct_values_turn_with_the_circle(shape, seed, radius):
     rng = np.random.default_rng(seed)
     values = (1 + rng.permutation(math.prod(shape))).reshape(shape).astype(np.float32)
@@ -230,7 +227,7 @@ def poses_of(seed, n):
 
 
 @given(seeds, st.integers(0, 25), st.integers(1, 30), st.booleans())
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_separation_equals_the_greedy_loops(seed, m, n, wrapped):
     poses = poses_of(seed, m)
     if wrapped:
@@ -242,7 +239,7 @@ def test_separation_equals_the_greedy_loops(seed, m, n, wrapped):
 
 
 @given(seeds)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_picked_poses_are_apart_and_the_others_have_a_better_neighbour(seed):
     poses = poses_of(seed, 30)
     picked, owner = separated(poses, 30, distance=0.5, angle=0.3)

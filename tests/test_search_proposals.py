@@ -109,7 +109,7 @@ def naive_propose(levels, xy, thetas, keep):
     st.sampled_from([30, 45, 72]),
     st.sampled_from([(0.6, 6), (0.02, 1)]),  # the second: most poses meet nothing at all
 )
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 def test_coarse_to_fine_equals_the_loops(seed, keep, step, fit):
     levels, xy = random_case(seed, sigma=fit[0], n=fit[1], margin=0)
     thetas = uniform_thetas(np.deg2rad(60 if step == 72 else step))
@@ -130,7 +130,7 @@ def test_the_exhaustive_level_may_be_cut_into_any_chunks(monkeypatch, cells):
 
 
 @given(seeds, st.sampled_from([0.05, 0.6]))
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 def test_with_all_kept_each_block_proposes_its_best_pose(seed, sigma):
     # A narrow fit and no land around: coarse poses that meet nothing have finer ones that do.
     levels, xy = random_case(seed, sigma=sigma, margin=0)
@@ -151,7 +151,7 @@ def test_with_all_kept_each_block_proposes_its_best_pose(seed, sigma):
 
 
 @given(seeds, st.tuples(*[st.integers(1, 60)] * 3))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_what_is_proposed_is_scored_truly_sorted_and_free(seed, keep):
     levels, xy = random_case(seed)
     poses, scores = propose_endpoints(levels, xy, theta_step=STEP, keep=keep)
@@ -167,7 +167,7 @@ def test_what_is_proposed_is_scored_truly_sorted_and_free(seed, keep):
 
 
 @given(seeds)
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 def test_threads_and_the_order_of_points_change_nothing(seed):
     levels, xy = random_case(seed, shape=(40, 60))
     once = propose_endpoints(levels, xy, theta_step=STEP, keep=(40, 80, 80))
@@ -180,7 +180,7 @@ def test_threads_and_the_order_of_points_change_nothing(seed):
 
 
 @given(seeds, st.integers(1, 3))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_a_turned_map_has_the_turned_best_pose(seed, turns):
     rng = np.random.default_rng(seed)
     occupied = rng.random((16, 24)) < 0.08

@@ -47,7 +47,7 @@ def random_case(seed, c=4, n=7):
 
 
 @given(seeds)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_endpoints_are_the_transformed_points(seed):
     field, poses, xy = random_case(seed)
     dx, dy, distance, gx, gy = endpoints(poses, xy, field)
@@ -62,7 +62,7 @@ def test_endpoints_are_the_transformed_points(seed):
 
 
 @given(seeds, st.sampled_from([0.05, 0.3]))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_normal_equations_equal_the_loops(seed, sigma):
     field, poses, xy = random_case(seed)
     A, b, square = normal_equations(poses, xy, field, sigma)
@@ -84,7 +84,7 @@ def test_normal_equations_equal_the_loops(seed, sigma):
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @given(seed=seeds)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_the_jacobian_is_the_slope_of_the_distance(axis, seed):
     field, poses, xy = random_case(seed, c=1, n=25)
     h = 1e-3
@@ -99,7 +99,7 @@ def test_the_jacobian_is_the_slope_of_the_distance(axis, seed):
 
 
 @given(in_room, st.floats(-0.15, 0.15), st.floats(-0.15, 0.15), st.floats(-5, 5))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_pose_that_is_off_finds_its_place(pose, dx, dy, degrees):
     start = row(pose) + (dx, dy, np.deg2rad(degrees))
     ((x, y, theta),) = refine(start, seen_from(pose), FIELD, sigmas=(0.3, 0.2, 0.1, 0.05))
@@ -110,7 +110,7 @@ def test_a_pose_that_is_off_finds_its_place(pose, dx, dy, degrees):
 
 
 @given(in_room)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_the_true_pose_stays_where_it_is(pose):
     ((x, y, theta),) = refine(row(pose), seen_from(pose), FIELD, sigmas=(0.1, 0.05))
     assert np.hypot(x - pose.x, y - pose.y) < 0.005
@@ -147,7 +147,7 @@ def test_a_corridor_leaves_a_pose_where_it_is_along_it():
 
 
 @given(seeds, st.integers(1, 4))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_a_step_is_short(seed, steps):
     field, poses, xy = random_case(seed, c=9)
     moved = refine(poses, xy, field, sigmas=(0.5,), iterations=steps)
@@ -156,7 +156,7 @@ def test_a_step_is_short(seed, steps):
 
 
 @given(seeds)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_poses_do_not_know_of_each_other_and_points_have_no_order(seed):
     field, poses, xy = random_case(seed)
     together = refine(poses, xy, field, sigmas=(0.3,), iterations=1)
@@ -166,7 +166,7 @@ def test_poses_do_not_know_of_each_other_and_points_have_no_order(seed):
 
 
 @given(in_room, st.integers(0, 9), st.integers(0, 9))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_moving_the_corner_of_the_map_moves_the_pose(pose, left, below):
     field = distance_field(np.pad(room(), ((below, 0), (left, 0)), mode="edge"), RESOLUTION)
     start, shift = row(pose) + (0.1, -0.05, 0.02), np.array([left, below, 0]) * RESOLUTION
@@ -177,7 +177,7 @@ def test_moving_the_corner_of_the_map_moves_the_pose(pose, left, below):
 
 
 @given(in_room)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_a_quarter_turn_of_the_map_turns_the_pose(pose):
     turned = distance_field(np.ascontiguousarray(np.rot90(room(), -1)), RESOLUTION)
     # Rows go up: this turns the plane counter-clockwise, about its corner, then back into x > 0.

@@ -63,7 +63,7 @@ def naive_log_density(d, shifted, model):
 
 
 @given(seeds, st.sampled_from([EvidenceModel(), EvidenceModel((0.1,), 0.5, 4.0, 0.01, 0.2, 0.3)]))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 def test_the_score_equals_the_loops(seed, model):
     wall, poses, rng = room_with_pillars(seed)
     poses = poses[:2]
@@ -195,7 +195,7 @@ def test_off_the_map_nothing_is_met():
 
 
 @given(seeds)
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_readings_have_no_order_and_poses_are_alone(seed):
     wall, poses, rng = room_with_pillars(seed)
     ranges, angles = rng.uniform(0.1, 5, 20), rng.uniform(-3, 3, 20)
@@ -208,7 +208,7 @@ def test_readings_have_no_order_and_poses_are_alone(seed):
 
 
 @given(seeds)
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_the_true_pose_explains_its_scan_and_beats_its_neighbours(seed):
     wall, poses, rng = room_with_pillars(seed)
     angles = np.linspace(-np.pi, np.pi, 90, endpoint=False)

@@ -64,12 +64,14 @@ class DistanceField:
     width: int
     resolution: float  #: side of a cell, metres
 
-    def index(self, x: Float32Array, y: Float32Array) -> npt.NDArray[np.int32]:
-        """Rows of `table` for points given in cells; the last row for points off the map."""
+    def index(self, column: Float32Array, row: Float32Array) -> npt.NDArray[np.int32]:
+        """Rows of `table` for cells, whole numbers; the last row for cells off the map."""
         with np.errstate(invalid="ignore"):
-            column, row = np.floor(x).astype(np.int32), np.floor(y).astype(np.int32)
-        inside = (column >= 0) & (column < self.width) & (row >= 0) & (row < self.height)
-        return np.where(inside, row * self.width + column, np.int32(self.height * self.width))
+            c, r = column.astype(np.int32), row.astype(np.int32)
+        # As unsigned numbers those below 0 are beyond the map, too.
+        inside = (c.view(np.uint32) < self.width) & (r.view(np.uint32) < self.height)
+        last = np.int32(self.height * self.width)
+        return np.asarray((r * np.int32(self.width) + c - last) * inside + last)  # no `where`: 1/3
 
     def lookup(
         self, x: npt.ArrayLike, y: npt.ArrayLike
@@ -86,11 +88,15 @@ class DistanceField:
         """
         u = np.asarray(x, dtype=np.float32) / np.float32(self.resolution)
         v = np.asarray(y, dtype=np.float32) / np.float32(self.resolution)
-        rows = self.table.take(self.index(u, v), axis=0)
+        column, row = np.floor(u), np.floor(v)
+        rows = self.table.take(self.index(column, row).astype(np.intp), axis=0)
         gx = rows[..., 1] * np.float32(SLOPE)
         gy = rows[..., 2] * np.float32(SLOPE)
-        du, dv = u - np.floor(u) - np.float32(0.5), v - np.floor(v) - np.float32(0.5)
-        off = np.float32(self.resolution) * (gx * du + gy * dv)
+        u -= column
+        v -= row
+        u -= np.float32(0.5)
+        v -= np.float32(0.5)
+        off = np.float32(self.resolution) * (gx * u + gy * v)
         off += rows[..., 0] * np.float32(UNIT)
         return off, gx, gy
 

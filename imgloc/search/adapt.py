@@ -14,12 +14,12 @@ from imgloc.model import FloatArray
 from imgloc.options import Options, Shared
 from imgloc.search.priors import standing
 from imgloc.search.refine import refine
-from imgloc.search.rescore import rescore
+from imgloc.search.rescore import best_of
 
 _SIGMAS = (0.3, 0.15, 0.07)  # metres: a scale that is 5 % off moves the far readings by as much
 _THINNER = 10  # cells, at most
-_SCALES, _PLACES = (0.95, 1.0, 1.05), 60  # at which the scale begins, at how many of the places
-_READINGS = 90  # that are asked
+_SCALES = 0.95, 1.0, 1.05  # at which the scale begins
+_PLACES, _READINGS = 40, 60  # that are asked
 
 
 def adapt(
@@ -48,25 +48,18 @@ def adapt(
     fused = options.fused
     count, readings = len(readings), readings.spread(_READINGS)
 
-    def score_of(poses: FloatArray, there: MapFeatures) -> FloatArray:
-        seen = (readings.ranges, readings.angles, there.field, there.walls, fused.model)
-        return rescore(poses, *seen).log_likelihood
-
     def best(poses: FloatArray, thinner: int) -> tuple[float, Shared]:
         there = features.thinner(thinner)
         poses = refine(poses, readings.xy, there.field, sigmas=_SIGMAS)
         poses = standing(poses, options.prior, there)
         scale = now.scale * (poses[:, 3] if poses.shape[1] == 4 else np.ones(len(poses)))
         small = np.abs(np.log(scale / options.shared.scale)) <= np.log(fused.most_scaled)
-        score = score_of(poses[small], there)
-        if len(score) == 0:
-            return float("-inf"), now
-        k = int(score.argmax())
-        return float(score[k]), Shared(float(scale[small][k]), thinner)
+        k, score = best_of(poses[small], readings, there, fused.model)
+        return score, Shared(float(scale[small][k]), thinner) if k >= 0 else now
 
     # A reading that is too long ends behind its wall, and would be drawn to the other side of it.
-    some = places[:_PLACES]
-    scaled = [np.column_stack((some, np.full(len(some), scale))) for scale in _SCALES]
+    places = places[:_PLACES]
+    scaled = [np.column_stack((places, np.full(len(places), scale))) for scale in _SCALES]
     found = best(np.concatenate(scaled), now.thinner)
     walls = float("-inf"), now
     for n in range(now.thinner + 1, _THINNER + 1):
@@ -77,5 +70,6 @@ def adapt(
             break
         walls = again
     score, shared = max(found, walls, key=lambda one: one[0])
-    gain = (score - score_of(places[:1], features.thinner(now.thinner))[0]) / len(readings)
+    before = best_of(places[:1], readings, features.thinner(now.thinner), fused.model)[1]
+    gain = (score - before) / len(readings)
     return shared if gain * count > fused.adapted else now

@@ -14,6 +14,7 @@ _BLOCKS = 12  # of neighbouring readings, that are left out in turn
 # How much more than their variance counts: walls are longer than blocks. And the place of a wall,
 # in cells. Both by even and odd readings of recorded scans, and by the errors of simulated ones.
 _SHARED, _WALLS = 2.0, 0.1
+_TOGETHER = 64  # poses that are compared with all others at a time
 
 
 def masses(log_likelihood: FloatArray, temperature: float) -> FloatArray:
@@ -80,16 +81,18 @@ def separated(
     x, y, theta = np.ascontiguousarray(poses.T)
     theta = wrap(theta)
     picked: list[int] = []
-    for i in range(len(poses)):
-        if len(picked) == n:
-            break
-        if owner[i] >= 0:
-            continue
-        near = np.square(x - x[i]) + np.square(y - y[i]) < distance * distance
-        turn = np.abs(theta - theta[i])
+    for start in range(0, len(poses), _TOGETHER):
+        rest, rows = slice(start, None), slice(start, start + _TOGETHER)
+        dx, dy, turn = (v[rest] - v[rows, None] for v in (x, y, theta))
+        turn = np.abs(turn)
+        near = np.square(dx) + np.square(dy) < distance * distance
         near &= np.minimum(turn, 2 * np.pi - turn) < angle
-        owner[near & (owner < 0)] = len(picked)
-        picked.append(i)
+        for i in np.flatnonzero(owner[rows] < 0) + start:
+            if len(picked) == n:
+                return np.asarray(picked, dtype=np.int64), owner
+            if owner[i] < 0:
+                owner[rest][near[i - start] & (owner[rest] < 0)] = len(picked)
+                picked.append(int(i))
     return np.asarray(picked, dtype=np.int64), owner
 
 
@@ -102,9 +105,13 @@ def modes(
     pose: how many proposals led there says nothing about it.
     """
     order = np.argsort(-score, kind="stable")
-    count = len(order) if most is None else most
-    picked, _ = separated(poses[order], count, distance=distance, angle=angle)
-    return np.asarray(order[picked])
+    n = len(order) if most is None else most
+    some = 2 * n  # nearly always enough: who is picked depends on those before alone
+    while True:
+        picked, _ = separated(poses[order[:some]], n, distance=distance, angle=angle)
+        if len(picked) == n or some >= len(order):
+            return np.asarray(order[picked])
+        some *= 2
 
 
 def covariances(

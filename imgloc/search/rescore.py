@@ -25,7 +25,7 @@ from imgloc.options import EvidenceModel, FusedOptions
 from imgloc.search.hypotheses import first_in_cell, modes
 from imgloc.search.refine import endpoints
 
-_BATCH = 256  # proposals that are scored at a time
+_BATCH, _FEW = 256, 64  # proposals that are scored at a time: all that are near the best, it alone
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,32 @@ def rescore(
     return Scores(log_likelihood, on_surface, shifted < model.absent)
 
 
+def best_of(
+    poses: FloatArray, readings: Readings, features: MapFeatures, model: EvidenceModel
+) -> tuple[int, float]:
+    """Index and score of the pose with the best score, as if all had been scored."""
+    most = _most(poses, readings, features.field, model)
+    order = np.argsort(-most, kind="stable")
+    best, score = -1, float("-inf")
+    for start in range(0, len(order), _FEW):
+        if most[order[start]] < score:
+            break
+        part = order[start : start + _FEW]
+        seen = (readings.ranges, readings.angles, features.field, features.walls)
+        found = rescore(poses[part], *seen, model).log_likelihood
+        if found.max() > score:
+            best, score = int(part[found.argmax()]), float(found.max())
+    return best, score
+
+
+def _most(
+    poses: FloatArray, readings: Readings, field: DistanceField, model: EvidenceModel
+) -> FloatArray:
+    """What no score (C,) exceeds, nats: that of the ends alone; what is in their way takes away."""
+    density = _endpoint_density(poses, readings.ranges, readings.angles, field, model)[0]
+    return np.asarray(np.log(density).sum(axis=1, dtype=np.float64))
+
+
 def _endpoint_density(
     poses: FloatArray,
     ranges: FloatArray,
@@ -115,9 +141,7 @@ def shortlist(
     for all.
     """
     ranges, angles, field = readings.ranges, readings.angles, features.field
-    # No score exceeds that of the ends alone: the visibility constraint only takes away.
-    density = _endpoint_density(poses, ranges, angles, field, options.model)[0]
-    most = np.log(density).sum(axis=1, dtype=np.float64)
+    most = _most(poses, readings, field, options.model)
     order = np.argsort(-most, kind="stable")
     order = order[first_in_cell(poses[order], *options.same)]
     distance, angle = options.twins
