@@ -151,7 +151,7 @@ def run_batch(
         todo = remaining(found, job, results.known, retry_failed=retry_failed)
         with contextlib.ExitStack() as stack:
             if executor is None:
-                count = min(workers or os.cpu_count() or 1, max(1, len(todo)))
+                count = workers or os.cpu_count() or 1
                 executor = Supervised(count, timeout=timeout, memory_limit=memory_limit)
                 stack.callback(executor.shutdown)
             try:

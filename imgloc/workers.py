@@ -11,6 +11,7 @@ fork nor an importable main module, and it may run within a worker of a cluster.
 """
 
 import contextlib
+import importlib
 import os
 import pickle
 import queue
@@ -27,8 +28,8 @@ from typing import Any, ParamSpec, TypeVar
 P = ParamSpec("P")
 T = TypeVar("T")
 _START = (
-    "import pickle, sys; sys.path[:], limit = pickle.load(sys.stdin.buffer); "
-    "from imgloc.workers import serve; serve(limit)"
+    "import pickle, sys; sys.path[:], *about = pickle.load(sys.stdin.buffer); "
+    "from imgloc.workers import serve; serve(*about)"
 )
 # There are as many workers as processors.
 _ONE_THREAD = dict.fromkeys(
@@ -75,8 +76,8 @@ class OverdueError(Exception):
 class Supervisor:
     """One worker: a process that is started when it is needed, and again when it has died.
 
-    A task may take `timeout` seconds, and a worker `memory_limit` bytes beside what it has when its
-    first task begins (where the system can limit that); None is without a limit.
+    A task may take `timeout` seconds, and a worker `memory_limit` bytes beside what it has with the
+    module of its first task (where the system can limit that); None is without a limit.
     """
 
     def __init__(self, timeout: float | None = None, memory_limit: int | None = None) -> None:
@@ -89,7 +90,7 @@ class Supervisor:
         """Call a function there; what it raises is raised here, or CrashError, or OverdueError."""
         task = pickle.dumps((function, args, kwargs))
         if self._process is None or self._process.poll() is not None:
-            self._start()
+            self.start(getattr(function, "__module__", __name__))
         process, self._late = self._process, False
         assert process is not None
         assert process.stdin is not None
@@ -148,7 +149,8 @@ class Supervisor:
         self._late = True
         self.kill()
 
-    def _start(self) -> None:
+    def start(self, module: str) -> None:
+        """Start the process, and have it import a module; CrashError if it ends."""
         self.stop()
         self._said.seek(0)
         self._said.truncate()
@@ -164,7 +166,7 @@ class Supervisor:
         try:
             assert self._process.stdin is not None
             assert self._process.stdout is not None
-            pickle.dump((sys.path, self.memory_limit), self._process.stdin)
+            pickle.dump((sys.path, module, self.memory_limit), self._process.stdin)
             self._process.stdin.flush()
             pickle.load(self._process.stdout)  # noqa: S301  (it is ready: its time begins)
         except (EOFError, OSError, pickle.UnpicklingError):
@@ -182,23 +184,37 @@ class Supervised(Executor):
     A task whose worker dies raises :class:`CrashError`, one that takes too long
     :class:`OverdueError`; no other task notices. A worker takes tasks with the `group` (an
     attribute of their first argument) that it had before, or one that no other worker has, as long
-    as there are any.
+    as there are any. There are no more workers than tasks; but the first one starts at once, if the
+    `module` of its tasks is known.
     """
 
     def __init__(
-        self, workers: int, *, timeout: float | None = None, memory_limit: int | None = None
+        self,
+        workers: int,
+        *,
+        timeout: float | None = None,
+        memory_limit: int | None = None,
+        module: str | None = None,
     ) -> None:
         self._tasks: deque[tuple[Future[Any], Callable[..., Any], Any, Any]] = deque()
         self._more = threading.Condition()
-        self._closed = False
+        self._closed, self._module = False, module
         self._groups: dict[int, object] = {}
-        self._supervisors = [Supervisor(timeout, memory_limit) for _ in range(max(1, workers))]
-        self._threads = [
-            threading.Thread(target=self._look_after, args=(k, s), daemon=True)
-            for k, s in enumerate(self._supervisors)
-        ]
-        for thread in self._threads:
-            thread.start()
+        self._workers, self._limits = max(1, workers), (timeout, memory_limit)
+        self._open = 0  # tasks that are not done
+        self._supervisors: list[Supervisor] = []
+        self._threads: list[threading.Thread] = []
+        if module is not None:
+            self._hire()
+
+    def _hire(self) -> None:
+        """Add a worker."""
+        supervisor = Supervisor(*self._limits)
+        arguments = len(self._threads), supervisor
+        thread = threading.Thread(target=self._look_after, args=arguments, daemon=True)
+        self._supervisors.append(supervisor)
+        self._threads.append(thread)
+        thread.start()
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> "Future[T]":
         """Have a worker call a function, which it can import, with arguments that are pickled."""
@@ -207,6 +223,9 @@ class Supervised(Executor):
             if self._closed:
                 raise RuntimeError("the pool is closed")
             self._tasks.append((future, fn, args, kwargs))
+            self._open += 1
+            if len(self._threads) < min(self._workers, self._open):
+                self._hire()
             self._more.notify()
         return future
 
@@ -245,21 +264,29 @@ class Supervised(Executor):
             return task
 
     def _look_after(self, worker: int, supervisor: Supervisor) -> None:
+        if worker == 0 and self._module is not None:
+            with contextlib.suppress(CrashError, OSError):  # the first task will say
+                supervisor.start(self._module)
         while (task := self._next(worker)) is not None:
             future, function, args, kwargs = task
             if not future.set_running_or_notify_cancel():
                 continue
+            tell: Callable[[Any], None] = future.set_result
             try:
-                result = supervisor.run(function, *args, **kwargs)
+                value = supervisor.run(function, *args, **kwargs)
             except BaseException as error:
-                future.set_exception(error)
-            else:
-                future.set_result(result)
+                tell, value = future.set_exception, error
+            with self._more:
+                self._open -= 1
+            tell(value)
         supervisor.close()
 
 
-def serve(memory_limit: int | None) -> None:
-    """Be the process of a :class:`Supervisor`: call what comes in, send back what comes out."""
+def serve(module: str, memory_limit: int | None) -> None:
+    """Be the process of a :class:`Supervisor`: call what comes in, send back what comes out.
+
+    What is called is of this module; importing it is neither of the first task's time nor memory.
+    """
     source, sink = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(2, 1)  # what a library prints is no result
@@ -273,7 +300,10 @@ def serve(memory_limit: int | None) -> None:
         os._exit(1)  # it has gone, be it killed
 
     threading.Thread(target=receive, daemon=True).start()
-    answer, limited = pickle.dumps("ready"), False
+    with contextlib.suppress(Exception):  # the task will say
+        importlib.import_module(module)
+    limit_memory(memory_limit)
+    answer = pickle.dumps("ready")
     while True:
         sink.write(answer)
         sink.flush()
@@ -281,9 +311,6 @@ def serve(memory_limit: int | None) -> None:
             function, args, kwargs = tasks.get(timeout=_IDLE)
         except queue.Empty:
             os._exit(0)
-        if not limited:  # what the first task has imported is not its own
-            limit_memory(memory_limit)
-            limited = True
         try:
             answer = pickle.dumps((True, function(*args, **kwargs)))
         except Exception as error:

@@ -494,7 +494,7 @@ def test_a_batch_that_is_killed_again_and_again_in_short(site: Path, tmp_path: P
     words = ("--method", "cbml", "--cell", "0.2", "--workers", "1", "--no-cache")
     found = kill_loop(site / "floors", site / "scans", tmp_path, 2, 1, *words)
     assert (found.items, found.equal, len(found.after)) == (6, True, 2)
-    assert found.after == sorted(found.after)
+    assert found.ended >= 1
 
 
 def test_the_script_around_the_same_function(site: Path, tmp_path: Path) -> None:

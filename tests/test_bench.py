@@ -18,6 +18,7 @@ from imgloc.pipeline import prepare
 from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 from tools.bench.__main__ import bench_tables, main
+from tools.bench.fleets import batch_costs, row_costs
 from tools.bench.measure import (
     PAIR_HEADINGS,
     added,
@@ -91,6 +92,21 @@ def test_memory_of_the_command_on_large_maps(case):
     assert small["seconds"] > 0
     with pytest.raises(ImglocError, match="localize"):
         memory(case[0].grid, scans, (1,))  # a map without a wall
+
+
+def test_batches_are_measured_beside_plain_loops(case):
+    costs, ratios = batch_costs(case[0].grid, ScanSet((case[1],) * 3), 1)
+    assert costs["one worker"]["seconds"] > costs["answers of one worker"]["seconds"]
+    assert costs["one worker"]["processor"] > costs["one loop"]["processor"]  # its start
+    told = costs["one worker"]["seconds"] / costs["two workers"]["seconds"]
+    assert ratios["one worker / two workers"] == told
+
+
+def test_a_table_and_a_page_of_many_rows_are_measured(case):
+    pytest.importorskip("pyarrow", reason="imgloc[parquet] is not installed")
+    costs = row_costs(case[0].grid, ScanSet((case[1],), poses=np.zeros((1, 3))), 120)
+    assert all(costs[name]["rss_mib"] > 10 for name in ("export", "export, Parquet", "report"))
+    assert len(costs) in (3, 9)  # with a browser, and without one
 
 
 def test_floors_say_why_they_are_not_known(tmp_path):
@@ -176,7 +192,7 @@ def test_rays_of_the_engines_are_as_many_and_as_long_as_said():
         (["--scans", "0"], "scans must be at least 1, got 0"),
         (
             ["--parts", "cost"],
-            "a part is one of costs, engines, localize, growth, memory, got 'cost'",
+            "a part is one of costs, engines, localize, growth, memory, batch, rows, got 'cost'",
         ),
     ],
 )

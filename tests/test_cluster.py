@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import pytest
 from command import ROOT, call
+from killers import Saboteur
 from places import room_with_a_post
 
 from imgloc.batch import run_batch
@@ -62,7 +64,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
                 subprocess.Popen(
                     [sys.executable, "-m", "dask", *words],
                     cwd=file.parent,
-                    env={**os.environ, "PYTHONPATH": str(ROOT)},
+                    env={**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}"},
                     stdout=subprocess.DEVNULL,
                     stderr=subprocess.DEVNULL,
                 )
@@ -101,6 +103,21 @@ def test_the_rows_are_those_of_one_machine_even_if_a_worker_is_killed(
         )
     assert summary.statuses == {"ok": 12, "failed": 1}
     assert timeless(there) == timeless(tmp_path / "here")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_what_kills_its_worker_or_hangs_is_told(site: Path, address: str, tmp_path: Path) -> None:
+    (tmp_path / "scans").mkdir()
+    for name in ("good", "hang", "sigkill", "sigsegv"):
+        shutil.copy(site / "scans" / "s00.npz", tmp_path / "scans" / f"{name}.npz")
+    with cluster(address) as pool, cluster(address, timeout=0.5) as impatient:
+        there, both = tmp_path / "there", Saboteur(pool, impatient)
+        run_batch(site / "post.yaml", tmp_path / "scans", there, JOB, executor=both)
+    found = {row["scans"]: (row["status"], row["code"]) for row in read_rows(there)}
+    assert found == {
+        "good.npz": ("ok", None), "hang.npz": ("timeout", None), "sigkill.npz": ("crashed", 9),
+        "sigsegv.npz": ("crashed", 11),
+    }  # fmt: skip
 
 
 def test_the_command_runs_there(site: Path, address: str, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Workers that die, hang and fail: each costs its task, and no other."""
 
+import importlib
 import os
 import signal
 import subprocess
@@ -7,6 +8,7 @@ import sys
 import threading
 import time
 from concurrent.futures import CancelledError
+from pathlib import Path
 
 import pytest
 from command import ROOT
@@ -42,6 +44,17 @@ def test_what_hangs_is_ended() -> None:
         assert pool.submit(double, 1).result() == 2
 
 
+def test_what_a_task_needs_to_begin_is_not_of_its_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines = ("import sys, time", "if sys.argv[0] == '-c':  # in a worker", "    time.sleep(1.0)",
+             "def triple(value):", "    return 3 * value")  # fmt: skip
+    (tmp_path / "slow_to_import.py").write_text("\n".join(lines))
+    monkeypatch.syspath_prepend(tmp_path)
+    with Supervised(1, timeout=0.5) as pool:
+        assert pool.submit(importlib.import_module("slow_to_import").triple, 2).result() == 6
+
+
 def test_memory_has_a_limit() -> None:
     with Supervised(1, memory_limit=64 << 20) as pool:
         assert pool.submit(swallow, 8).result() == 8 << 20
@@ -61,6 +74,17 @@ def test_a_pool_ends_at_once_when_it_is_told_so() -> None:
         waiting.result()
     with pytest.raises(RuntimeError, match="closed"):
         pool.submit(double, 1)
+
+
+def test_there_are_no_more_workers_than_tasks() -> None:
+    with Supervised(64, module="killers") as pool:
+        assert len(pool._threads) == 1
+        assert pool.submit(double, 1).result() == 2
+        both = [pool.submit(hang), pool.submit(hang)]
+        while not all(future.running() for future in both):
+            time.sleep(0.01)
+        assert len(pool._threads) == 2
+        pool.shutdown(cancel_futures=True)
 
 
 def test_what_cannot_be_pickled_is_an_error() -> None:

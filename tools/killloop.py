@@ -3,8 +3,9 @@
     python -m tools.killloop -n 20 --seed 0
 
 A folder of scans is located once without interruption. Then the same is begun and killed (SIGKILL)
-at `n` random moments, each time to go on, and at last let run to its end. The rows must be equal
-but for their timings: none twice, none missing. Prints a JSON object; the exit code is 1 if not.
+at `n` random moments, each time to go on; a run that ends before its moment is followed by one from
+the beginning, and the last one is let run to its end. The rows must be equal but for their timings:
+none twice, none missing. Prints a JSON object; the exit code is 1 if not.
 """
 
 import argparse
@@ -32,9 +33,9 @@ class Killed:
     """What became of the rows."""
 
     items: int
-    kills: int  #: of runs that were still busy
-    after: list[int]  #: rows there were after each
-    equal: bool  #: whether the rows are those of a run without interruption
+    after: list[int]  #: rows there were after each time that it was killed
+    ended: int  #: how often it came to the end
+    equal: bool  #: whether the rows were each time those of a run without interruption
     seconds: float  #: that this run took
 
 
@@ -45,27 +46,34 @@ def kill_loop(
     """Kill ``imgloc batch MAPS SCANS`` with more `words` at `n` moments; results are in `out`."""
     rng = random.Random(seed)  # noqa: S311  (no secret)
     batch = [sys.executable, "-m", "imgloc", "batch", str(maps), str(scans), *words, "--out"]
-    whole, torn = out / "whole", out / "torn"
+    whole, torn = out / "whole", [out / "torn-0"]
     start = time.monotonic()
     _run([*batch, str(whole)])
     seconds = time.monotonic() - start
-    after, kills = [], 0
-    for _ in range(n):
+    after: list[int] = []
+    while len(after) < n:
         with subprocess.Popen(  # noqa: S603  (our own interpreter)
-            [*batch, str(torn), "--resume"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            [*batch, str(torn[-1]), "--resume"],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
         ) as run:
             try:
                 run.wait(rng.uniform(0.0, seconds))
+                torn.append(out / f"torn-{len(torn)}")
+                continue
             except subprocess.TimeoutExpired:
-                kills += 1
                 run.send_signal(signal.SIGKILL)
-        after.append(len(list(read_rows(torn))) if (torn / RESULTS).exists() else 0)
+        there = (torn[-1] / RESULTS).exists()
+        after.append(len(list(read_rows(torn[-1]))) if there else 0)
         advance()
-    _run([*batch, str(torn), "--resume"])
-    expected, found = _timeless(whole), _timeless(torn)
-    lines = len((torn / RESULTS).read_bytes().splitlines())
-    equal = expected == found and lines == len(expected)
-    return Killed(len(expected), kills, after, equal, round(seconds, 1))
+    _run([*batch, str(torn[-1]), "--resume"])
+    expected = _timeless(whole)
+    equal = all(
+        _timeless(folder) == expected
+        and len((folder / RESULTS).read_bytes().splitlines()) == len(expected)
+        for folder in torn
+    )
+    return Killed(len(expected), after, len(torn), equal, round(seconds, 1))
 
 
 def _run(words: Sequence[str]) -> None:

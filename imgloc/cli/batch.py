@@ -129,6 +129,9 @@ def batch(
     code is then 5. An interrupted run goes on with --resume. An option that is of other jobs alone
     is refused. See also imgloc report, imgloc export.
     """
+    given = _given(context, job.value, scans is not None, maps)
+    many = opt.count_threads(workers)
+    pool = None if dask or dry_run else _pool(context, many, timeout, memory_limit)
     from imgloc.batch import find_items, run_batch
     from imgloc.cli import inputs
     from imgloc.evaluation import TOLERANCES, Tolerance
@@ -139,14 +142,12 @@ def batch(
     from imgloc.output.drawings import DRAWINGS
     from imgloc.output.tables import batch_text
 
-    given = _given(context, job.value, scans is not None, maps)
     opt.check_known(near, heading)
     # Of simulated robots a clearance is another matter.
     cleared = "clearance" in given and job in (JobName.LOCALIZE, JobName.WHICH)
     told = opt.Known(near, heading, None, sensor.clearance if cleared else None)
     angle = None if theta_step_deg is None else math.radians(theta_step_deg)
     fused = method == opt.MethodName.FUSED
-    many = opt.count_threads(workers)
     budget = memory_limit or (None if dask else default_budget() // many)
     if budget is not None and budget < MIB:
         raise ConfigError(f"--memory-limit: got {budget} bytes, expected at least 1M")
@@ -198,17 +199,14 @@ def batch(
         emit(said)
         return
     say(said)
-    with _executor(dask, workers, timeout, memory_limit) as executor, _progress(todo) as advance:
+    with _cluster(dask, workers, timeout, memory_limit) as there, _progress(todo) as advance:
         try:
             summary = run_batch(
                 maps,
                 scans,
                 out,
                 what,
-                workers=many,
-                executor=executor,
-                timeout=timeout,
-                memory_limit=memory_limit,
+                executor=there or pool,
                 resume=again,
                 retry_failed=retry_failed,
                 fail_fast=fail_fast,
@@ -256,11 +254,23 @@ def _todo(
     return remaining(items, job, known, retry_failed=retry_failed)
 
 
+def _pool(
+    context: typer.Context, workers: int, timeout: float, memory_limit: int | None
+) -> "Executor":
+    """Workers of this machine until the command ends; one starts while the command does."""
+    from imgloc.workers import Supervised
+
+    limits: dict[str, Any] = {"timeout": timeout, "memory_limit": memory_limit}
+    pool = Supervised(workers, module="imgloc.batch", **limits)
+    context.call_on_close(lambda: pool.shutdown(cancel_futures=True))
+    return pool
+
+
 @contextlib.contextmanager
-def _executor(
+def _cluster(
     dask: str | None, workers: int | None, timeout: float, memory_limit: int | None
 ) -> "Iterator[Executor | None]":
-    """Where the work is done: None is on this machine, as `run_batch` does it."""
+    """Workers elsewhere, if they are wanted."""
     if dask is None:
         yield None
         return

@@ -7,7 +7,6 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from skimage.morphology import thin
 
 from imgloc.errors import ConfigError
 from imgloc.features.budget import (
@@ -144,6 +143,8 @@ class MapFeatures:
         if cells == 0:
             return self
         if cells not in self._thinner:
+            from skimage.morphology import thin  # half of all that imgloc would import, seldom used
+
             walls = self.thinner(cells - 1).grid.occupied
             walls = thin(walls, max_num_iter=1)
             free = self.grid.free | (self.grid.occupied & ~walls)

@@ -196,7 +196,7 @@ def _npz_size(path: PathLike) -> ScansSize:
             key = info.filename.removesuffix(".npy")
             if key in KEYS:
                 with archive.open(info) as member:
-                    shapes[key] = _check_header(member, info.file_size, name, key)
+                    shapes[key], _, _ = _check_header(member, info.file_size, name, key)
     ranges = shapes.get("ranges", ())
     total = sum(math.prod(shape) for shape in shapes.values())
     return ScansSize(ranges[0] if len(ranges) == 2 else 1, total, length)
@@ -222,9 +222,9 @@ def _members(data: bytes, name: str) -> dict[str, FloatArray]:
             if key in arrays:
                 raise ScanError(f"{name}: {key}: in the archive twice, expected once")
             with archive.open(info) as file:
-                _check_header(file, info.file_size, name, key)
-            with archive.open(info) as file:
-                value = np.lib.format.read_array(file, allow_pickle=False)
+                shape, fortran, dtype = _check_header(file, info.file_size, name, key)
+                value = np.frombuffer(file.read(), dtype)
+            value = value.reshape(shape, order="F" if fortran else "C")
             arrays[key] = numbers(value, name, key, ndim=(0, 1, 2))
     return arrays
 
@@ -241,12 +241,14 @@ def _explained(name: str) -> Iterator[None]:
         raise ScanError(f"{name}: NPZ that cannot be opened: {e}") from None
 
 
-def _check_header(file: IO[bytes], size: int, name: str, key: str) -> tuple[int, ...]:
-    """Check type and shape of a member before its data are inflated; return the shape."""
+def _check_header(
+    file: IO[bytes], size: int, name: str, key: str
+) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Check type and shape of a member before its data are inflated; return the header."""
     form = np.lib.format
     read = {(1, 0): form.read_array_header_1_0, (2, 0): form.read_array_header_2_0}
     try:
-        shape, _, dtype = read[form.read_magic(file)](file)
+        shape, fortran, dtype = read[form.read_magic(file)](file)
     except (ValueError, KeyError, SyntaxError, TypeError, tokenize.TokenError):
         raise ScanError(f"{name}: {key}: damaged header, expected a NumPy array") from None
     if dtype.hasobject:
@@ -263,4 +265,4 @@ def _check_header(file: IO[bytes], size: int, name: str, key: str) -> tuple[int,
     if (expected := file.tell() + count * dtype.itemsize) != size:
         hint = f"expected {expected:,} for shape {shape}; copy the file again"
         raise ScanError(f"{name}: {key}: {size:,} bytes, {hint}")
-    return tuple(shape)
+    return tuple(shape), fortran, dtype

@@ -5,6 +5,8 @@
     python -m tools.bench --parts engines        # how far engine="auto" is from the best one
     python -m tools.bench --parts localize --sets ../data/*/map.yaml   # on recorded scans, too
     python -m tools.bench --parts memory         # of the command on large maps, up to 25 hectares
+    python -m tools.bench --parts batch --scans 200 --repeats 1   # batches beside plain loops
+    python -m tools.bench --parts rows           # a table and a page of 100,000 rows
 
 Prints Markdown: medians over the repeats with their spread. Compare ratios, not times, between
 machines.
@@ -31,6 +33,7 @@ from imgloc.model import OccupancyGrid, to_json
 from imgloc.pipeline import prepare
 from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
+from tools.bench.fleets import batch_costs, row_costs
 from tools.bench.measure import (
     answer_times,
     as_row,
@@ -46,8 +49,10 @@ from tools.recorded import scans_beside
 
 PARTS = ("costs", "engines", "localize", "growth")
 """What is measured by default."""
-LARGE = "memory"
-"""What takes gigabytes, and is measured if it is asked for."""
+LARGE = ("memory", "batch", "rows")
+"""What takes gigabytes or minutes, and is measured if it is asked for."""
+ROWS = 100_000
+"""Rows of a batch of which there is a table and a page."""
 SIDES = (4_000, 10_000)
 """Cells along a side of the large maps, of 5 cm."""
 BOUND_SCANS = 10
@@ -67,11 +72,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--range-max", type=float, default=20.0, help="metres, of their scans")
     parser.add_argument(
-        "--parts", default=",".join(PARTS), help=f"with commas between; {LARGE} is not a default"
+        "--parts",
+        default=",".join(PARTS),
+        help=f"with commas between; {', '.join(LARGE)} are not by default",
     )
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--scans", type=int, default=50, help="answers of localize")
+    parser.add_argument("--scans", type=int, default=50, help="answers of localize; of a batch")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(arguments)
     try:
@@ -112,10 +119,11 @@ def run_bench(
         Maps with recorded scans beside them, for the answers.
     parts : tuple of str
         Of :data:`PARTS`: stacks and votes beside plain references and C; engines beside
-        ``auto``; answers; answers as the map grows. And :data:`LARGE`: memory of large maps.
+        ``auto``; answers; answers as the map grows. And of :data:`LARGE`: memory of large maps;
+        batches beside plain loops; a table and a page of many rows.
     repeats, threads : int
     scans : int
-        Answers of `localize` on each map.
+        Answers of `localize` on each map, and of a batch.
     range_max : float
         Of recorded scans, metres.
 
@@ -130,8 +138,8 @@ def run_bench(
         if number < 1:
             raise ConfigError(f"{name} must be at least 1, got {number}")
     for part in parts:
-        if part not in (*PARTS, LARGE):
-            raise ConfigError(f"a part is one of {', '.join((*PARTS, LARGE))}, got {part!r}")
+        if part not in (*PARTS, *LARGE):
+            raise ConfigError(f"a part is one of {', '.join((*PARTS, *LARGE))}, got {part!r}")
     cv2.setNumThreads(1)  # what has threads says so
     out: dict[str, Any] = {
         "machine": {
@@ -172,8 +180,13 @@ def run_bench(
         out["exponents"] = {
             key: fit_exponent(areas, [row[key] for row in grown]) for key in ("ms", "rss_mib")
         }
-    if LARGE in parts:
+    if "memory" in parts:
         out["memory"] = memory(*(maps["B"] if "B" in maps else _world(0.05, 1)), SIDES)
+    if "batch" in parts:
+        grid, told = next(iter(maps.values()))
+        out["batch"], out["batches"] = batch_costs(grid, ScanSet(told.scans[:scans]), repeats)
+    if "rows" in parts:
+        out["rows"] = row_costs(*_world(0.1, 5), ROWS)
     return out
 
 
@@ -206,7 +219,9 @@ def bench_tables(results: Mapping[str, Any]) -> str:
     for key, (head, cells) in _TABLES.items():
         if key in results:
             found = results[key]
-            rows = [{"name": k, **r} for k, r in found.items()] if key == "localize" else found
+            rows = (
+                [{"name": k, **r} for k, r in found.items()] if isinstance(found, dict) else found
+            )
             parts.append(_table(head, map(cells, rows)))
     for key, title in _TITLES.items():
         if key in results:
@@ -247,17 +262,25 @@ _TABLES: Mapping[str, tuple[str, Callable[[Row], Sequence[object]]]] = {
         "cells a side | of m | imgloc localize, s | peak MiB",
         lambda r: (r["side"], f"{r['cell']:g}", f"{r['seconds']:.1f}", f"{r['rss_mib']:.0f}"),
     ),
+    "batch": ("batch | s | processor, s", lambda r: _cost(r)[:3]),
+    "rows": ("rows | s | processor, s | peak MiB", lambda r: _cost(r)),
 }  # fmt: skip
 _TITLES = {
     "auto_over_best": "auto / best",
     "floors": "the same in C, ns",
     "exponents": "exponents of growth in the area",
+    "batches": "batches",
 }
 
 
 def _table(head: str, rows: Iterable[Sequence[object]]) -> str:
     lines = [f"| {head} |", "|" + "---:|" * (head.count("|") + 1)]
     return "\n".join(lines + [f"| {' | '.join(map(str, row))} |" for row in rows])
+
+
+def _cost(row: Row) -> Sequence[object]:
+    costs = [row.get(key) for key in ("seconds", "processor", "rss_mib")]
+    return row["name"], *("" if c is None else f"{c:.2f}" for c in costs)
 
 
 def _number(value: float | str) -> str:

@@ -46,9 +46,9 @@ def floors(problem: Path) -> Mapping[str, float | str]:
             if built.returncode:
                 out[name] = f"not compiled: {_last_line(built.stderr)}"
                 continue
-            command = [str(program), str(problem / "mapA.pgm"), str(problem / "scans_10m.txt")]
+            begin = [str(program), str(problem / "mapA.pgm"), str(problem / "scans_10m.txt")]
             done = subprocess.run(  # noqa: S603
-                [*command, *arguments], check=False, capture_output=True, text=True
+                [*begin, *arguments], check=False, capture_output=True, text=True
             )
         found = re.search(pattern, done.stdout)
         if found:
@@ -73,8 +73,8 @@ def growth(world: str, times: Sequence[int], repeats: int) -> tuple[Mapping[str,
     """
     rows = []
     for side in times:
-        command = [sys.executable, "-c", _GROW, world, str(side), str(repeats)]
-        rows.append(_measured(command, f"localize on {world}, {side} x {side} times"))
+        run = [sys.executable, "-c", _GROW, world, str(side), str(repeats)]
+        rows.append(measured(run, f"localize on {world}, {side} x {side} times"))
     return tuple(rows)
 
 
@@ -96,16 +96,24 @@ def memory(
             occupied, free = (np.tile(v, times)[:side, :side] for v in (grid.occupied, grid.free))
             large = OccupancyGrid(occupied.copy(), free.copy(), grid.resolution)
             save_map(yaml, large, force=True)
-            given = ["localize", str(yaml), str(scan), "--no-cache", "--memory-budget", "64G"]
-            command = [sys.executable, "-c", _PEAK + _COMMAND, *given]
-            found = _measured(command, f"imgloc {' '.join(given)}")
+            found = command("localize", yaml, scan, "--no-cache", "--memory-budget", "64G")
             rows.append({"side": side, "cell": grid.resolution, **found})
     return tuple(rows)
 
 
-def _measured(command: Sequence[str], what: str) -> Mapping[str, float]:
-    """What a Python process prints last, as JSON."""
-    done = subprocess.run(command, check=False, capture_output=True, text=True)  # noqa: S603
+def command(*words: object) -> Mapping[str, float]:
+    """What an imgloc command takes: ``seconds``, ``processor`` seconds, ``rss_mib`` at its peak.
+
+    Of a batch the processor's time is that of its workers, too; raises ImglocError if it fails.
+    """
+    given = [str(word) for word in words]
+    run = [sys.executable, "-c", _PEAK + _COMMAND, *given]
+    return measured(run, f"imgloc {' '.join(given)}")
+
+
+def measured(run: Sequence[str], what: str) -> Mapping[str, float]:
+    """What a Python process prints last, as JSON; raises ImglocError if it fails."""
+    done = subprocess.run(run, check=False, capture_output=True, text=True)  # noqa: S603
     if done.returncode:
         raise ImglocError(f"{what} ended with {done.returncode}: {_last_line(done.stderr)}")
     found: Mapping[str, float] = json.loads(_last_line(done.stdout))
@@ -128,10 +136,11 @@ def peak():
     return most / (1024 * 1024 if sys.platform == "darwin" else 1024)
 """
 _COMMAND = """
-import atexit
+import atexit, os
 start = time.perf_counter()
 def tell():
-    print(json.dumps({"rss_mib": peak(), "seconds": time.perf_counter() - start}))
+    print(json.dumps({"rss_mib": peak(), "seconds": time.perf_counter() - start,
+                      "processor": sum(os.times()[:4])}))
 atexit.register(tell)
 from imgloc.cli import main
 main()
