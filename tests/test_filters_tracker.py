@@ -153,6 +153,15 @@ def test_a_tracker_that_knows_its_place_seldom_searches_the_map() -> None:
     assert asked == [0.0, 3.0, 9.0, 21.0]  # after 1.5 m, then twice as far each time, up to 6 m
 
 
+def test_unique_takes_two_scans_that_agree_or_one_and_a_place_that_was_told() -> None:
+    features, scans = features_of(WORLD), piece(log(), range(4, 7))
+    for start, expected in ((None, "ambiguous"), (Pose2D(*scans.poses[0]), "unique")):
+        chosen = Tracker(features, how=TrackerOptions(sure=(0.0, 0.0)), find=found)
+        moments = list(follow(features, scans, chosen, start=start, every=Every(0.0, 0.0)))
+        assert moments[0].belief.mass[0] >= 0.99
+        assert [moments[k].belief.verdict for k in (0, -1)] == [expected, "unique"]
+
+
 def test_a_heading_is_looked_for_as_far_as_it_may_be_off() -> None:
     features = features_of(WORLD)
     truth = transform_poses(inverse(features.grid.origin), log().poses)[:1]

@@ -130,7 +130,7 @@ class Tracker:
         self._poses = np.asarray(pose, dtype=np.float64).reshape(1, 3)
         self._covariance = np.diag([metres, metres, radians])[None] ** 2
         self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
-        self._agreed = 0
+        self._agreed = self.how.agree - 1  # one scan has to agree with what was told
         self._habits.place()
 
     def move(self, increment: FloatArray) -> None:
