@@ -32,6 +32,7 @@ from imgloc.search.mosaic import Mosaic, best_fits, mosaics
 LOG = logging.getLogger(__name__)
 LEVEL = 2
 """Of the pyramid: cells four times as large as those of the poses."""
+_READINGS = 32  # of a scan: a map that is dropped here is not looked at again
 _FORMAT = "imgloc index of maps, 1"
 _YOUNG = 2_000_000_000  # ns before the index was written; a younger file may change unnoticed
 _LIMIT = 1 << 36  # bytes of a file
@@ -58,7 +59,7 @@ class MapIndex:
         which has nearly all that a close look can find.
         """
         fused = options.fused
-        xy = one_per_place(scan, fused.place).spread(fused.few_rays).xy[:: fused.skip]
+        xy = one_per_place(scan, fused.place).spread(_READINGS).xy
         return best_fits(
             self.tiles, xy, len(self.names), theta_step=2 * fused.theta_step,
             prior=options.prior, threads=options.threads,
