@@ -66,7 +66,8 @@ class TrackerOptions:
     mass: float = 0.99  #: of the best component, to be ``unique``
     #: metres that it has to be followed for before it is: at first, and where it replaces another
     sure: tuple[float, float] = (1.5, 4.0)
-    agree: int = 2  #: scans in a row that have to leave it so much: one with few readings may err
+    #: scans in a row that have to leave it so much, and readings that each needs to count
+    agree: tuple[int, int] = (2, 30)
     #: metres between two searches while what is followed fits as usual: other places are then only
     #: looked at where they are followed. At first, and most; twice as far after each search that
     #: left the best component unique
@@ -130,7 +131,7 @@ class Tracker:
         self._poses = np.asarray(pose, dtype=np.float64).reshape(1, 3)
         self._covariance = np.diag([metres, metres, radians])[None] ** 2
         self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
-        self._agreed = self.how.agree - 1  # one scan has to agree with what was told
+        self._agreed = self.how.agree[0] - 1  # one scan has to agree with what was told
         self._habits.place()
 
     def move(self, increment: FloatArray) -> None:
@@ -212,7 +213,8 @@ class Tracker:
         if how.resets or not known:
             self._bear(seen, 2 * known, relative)
         self._tidy()
-        self._agreed = self._agreed + 1 if (self._mass[:1] >= how.mass).any() else 0
+        agrees = (self._mass[:1] >= how.mass).any()
+        self._agreed = self._agreed + (len(view.readings) >= how.agree[1]) if agrees else 0
         if len(self._mass):
             habit.learn(misfit_at(self.features, view, self._poses[:1], self.options))
             alone = self._lost < 0.5 and self._mass[0] >= how.mass * self._mass.sum()
@@ -323,7 +325,7 @@ class Tracker:
         verdict = AMBIGUOUS
         if self._lost > 0.5 or not len(mass):
             verdict = LOST
-        elif not self._habits.doubted and self._agreed >= self.how.agree:
+        elif not self._habits.doubted and self._agreed >= self.how.agree[0]:
             verdict = UNIQUE if self._followed[order[0]] >= self.how.sure[0] else AMBIGUOUS
         neff = float(np.square(mass.sum()) / max(1e-300, np.square(mass).sum()))
         return Belief(
