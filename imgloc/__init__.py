@@ -21,10 +21,12 @@ if TYPE_CHECKING:
     from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
     from imgloc.evaluation import Evaluation, evaluate
     from imgloc.explanation import Explanation, explain
+    from imgloc.features.floorplan import FloorPlan, plan_to_map
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.filters.choose import make_filter
     from imgloc.io.mapcheck import MapReport, check_map
     from imgloc.io.maps import load_map, save_map
+    from imgloc.io.plans import load_plan
     from imgloc.io.scans import load_scans, save_scans
     from imgloc.io.scanset import ScanSet
     from imgloc.jobs import Job
@@ -58,13 +60,13 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ALL_METHODS", "METHODS", "BatchSummary", "Calibration", "Choice", "ConfigError", "Evaluation",
-    "Every", "Evidence", "Explanation", "FusedOptions", "GridInfo", "Hypothesis", "ImglocError",
-    "Job", "Known", "LaserScan", "Likelihood", "Localization", "MapError", "MapFeatures",
-    "MapReport", "Moment", "OccupancyGrid", "Options", "OrientedPoints", "OutputError", "Picture",
-    "Pose2D", "Prior", "ScanError", "ScanSet", "Sensor", "Shared", "Trust", "__version__",
-    "check_map", "draw", "evaluate", "explain", "follow", "likelihood", "load_map", "load_scans",
-    "localize", "make_filter", "prepare", "run_batch", "sample_poses", "save_map", "save_scans",
-    "simulate", "which",
+    "Every", "Evidence", "Explanation", "FloorPlan", "FusedOptions", "GridInfo", "Hypothesis",
+    "ImglocError", "Job", "Known", "LaserScan", "Likelihood", "Localization", "MapError",
+    "MapFeatures", "MapReport", "Moment", "OccupancyGrid", "Options", "OrientedPoints",
+    "OutputError", "Picture", "Pose2D", "Prior", "ScanError", "ScanSet", "Sensor", "Shared",
+    "Trust", "__version__", "check_map", "draw", "evaluate", "explain", "follow", "likelihood",
+    "load_map", "load_plan", "load_scans", "localize", "make_filter", "plan_to_map", "prepare",
+    "run_batch", "sample_poses", "save_map", "save_scans", "simulate", "which",
 ]  # fmt: skip
 
 _HOMES = {
@@ -73,10 +75,12 @@ _HOMES = {
     "imgloc.errors": "ConfigError ImglocError MapError OutputError ScanError",
     "imgloc.evaluation": "Evaluation evaluate",
     "imgloc.explanation": "Explanation explain",
+    "imgloc.features.floorplan": "FloorPlan plan_to_map",
     "imgloc.features.mapfeatures": "MapFeatures",
     "imgloc.filters.choose": "make_filter",
     "imgloc.io.mapcheck": "MapReport check_map",
     "imgloc.io.maps": "load_map save_map",
+    "imgloc.io.plans": "load_plan",
     "imgloc.io.scans": "load_scans save_scans",
     "imgloc.io.scanset": "ScanSet",
     "imgloc.jobs": "Job",

@@ -27,10 +27,11 @@ import cv2
 from imgloc.__about__ import __version__
 from imgloc.choice import NO_MAP, names_of
 from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
+from imgloc.hints import Doubtful, hints_of
 from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import PathLike, display, read_file
 from imgloc.io.folders import files_in, find_maps
-from imgloc.io.results import Results, Row, read_rows
+from imgloc.io.results import Results, Row, read_rows, read_summary
 from imgloc.io.scans import SCAN_ENDINGS
 from imgloc.jobs import WITHOUT_SCANS, Item, Job, perform
 from imgloc.model import plain
@@ -54,6 +55,11 @@ class BatchSummary:
     known: int = 0  #: answers to scans whose pose is known
     hits: int = 0  #: of these, those that are right
     unique_wrong: int = 0  #: and those that are wrong, but ``unique``
+    #: pairs of a map with a file that has poses, which hold for the map that the file is from
+    pairs: int = 0
+    files: int = 0  #: files with known poses
+    hints: list[dict[str, Any]] = field(default_factory=list)  #: see :mod:`imgloc.hints`
+    _files: set[str] = field(default_factory=set)
     new: int = 0  #: rows that this run has added
     seconds: float = 0.0  #: what it took, all in all
 
@@ -62,9 +68,17 @@ class BatchSummary:
         """Items without an answer."""
         return self.items - self.statuses.get("ok", 0)
 
+    def as_row(self) -> Row:
+        """What ``summary.json`` has of it."""
+        return {name: value for name, value in vars(self).items() if name != "_files"}
+
     def add(self, row: Row) -> None:
         """Count a row."""
         self.items += 1
+        if any("hit" in answer for answer in row["answers"]):
+            self.pairs += 1
+            self._files.add(row["scans"])
+            self.files = len(self._files)
         self.statuses[row["status"]] = self.statuses.get(row["status"], 0) + 1
         for answer in row["answers"]:
             if "verdict" in answer:
@@ -163,13 +177,18 @@ def run_batch(
                     if fail_fast and row["status"] != "ok":
                         executor.shutdown(wait=False, cancel_futures=True)
                         break
+                doubtful = Doubtful()
+                summary = summarise(doubtful.noting(read_rows(out)))
+                if not todo:  # they are those of the run before
+                    summary.hints = read_summary(out).get("hints", [])
+                elif not (fail_fast and summary.failed):
+                    summary.hints = hints_of(doubtful.of(found), job, executor)
             except BaseException:
                 executor.shutdown(wait=False, cancel_futures=True)
                 stack.pop_all()  # an interrupt does not wait for anybody
                 raise
-        summary = summarise(read_rows(out))
         summary.new, summary.seconds = new, round(time.monotonic() - start, 3)
-        results.summarise(vars(summary))
+        results.summarise(summary.as_row())
     return summary
 
 

@@ -5,10 +5,12 @@ Upside down, other units, a map of another scale: each is one more answer for a 
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.io.maps import DRAWN, SWAPPED, looks_drawn, looks_swapped
 from imgloc.model import Evidence, LaserScan
 from imgloc.options import Options, Shared
 from imgloc.pipeline import localize
@@ -19,10 +21,19 @@ _TRIED = 3  # doubtful scans that are looked at in another way
 _FACTORS = (0.001, 0.01, 0.5, 2.0, 0.1, 10.0, 0.2, 5.0, 0.25, 4.0, 0.4, 2.5)
 
 
+@dataclass(frozen=True)
+class Doubt:
+    """What most likely is wrong, and what mends it."""
+
+    text: str  #: a sentence or two
+    short: str  #: the same for a picture
+    found: bool = True  #: tried, and it helps; otherwise it is where to look
+
+
 def doubts(
     features: MapFeatures, scans: Sequence[LaserScan], verdicts: Sequence[str], options: Options,
-    *, flipped: bool = False,
-) -> list[str]:  # fmt: skip
+    *, flipped: bool = False, range_scale: float = 1.0,
+) -> list[Doubt]:  # fmt: skip
     """Say what most likely keeps most of some scans from being placed, and what mends it.
 
     Parameters
@@ -33,45 +44,58 @@ def doubts(
         What was located, and with which verdict.
     flipped : bool
         Whether the scans were taken for those of a sensor that hangs upside down.
+    range_scale : float
+        What their ranges were multiplied by already.
 
     Returns
     -------
-    list of str
-        Sentences, the likeliest cause first; none if at least half of the scans are unique.
+    list of Doubt
+        The likeliest cause; none if at least half of the scans are unique.
     """
     doubtful = [s for s, v in zip(scans, verdicts, strict=True) if v != "unique"]
     counts = Counter(verdicts)
     if 2 * len(doubtful) <= len(scans):
         return []
     if 2 * counts["invalid"] > len(scans):
-        return [_too_few(doubtful)]
+        few = _too_few(doubtful)
+        short = "millimetres? --range-scale 0.001" if "milli" in few else "look at --range-max"
+        return [Doubt(few, f"too few readings: {short}")]
+    if looks_swapped(features.grid):
+        return [Doubt(SWAPPED, "black and white of the map look swapped: --negate")]
     tried = [scan for scan in doubtful if scan.directions][:_TRIED]
+    plan = Doubt(f"the map: {DRAWN}", "the map looks like a drawing: imgloc map plan")
+    drawn = [plan] if looks_drawn(features.grid) else []
 
     def all_unique(changed: Iterable[LaserScan]) -> bool:
         verdicts = (localize(features, scan, options).verdict for scan in changed)
         return bool(tried) and all(verdict == "unique" for verdict in verdicts)
 
+    like = "this scan fits" if len(scans) == 1 else "scans like these fit"
     if all_unique(scan.flipped for scan in tried):
         option = "Leave out" if flipped else "Try"
-        mirrored = "scans like these fit at one place if they are mirrored"
-        return [f"{mirrored}: is the sensor upside down? {option} --flipped"]
+        mirrored = f"{like} at one place if mirrored"
+        text = f"{mirrored}: is the sensor upside down? {option} --flipped"
+        return [Doubt(text, "fits if mirrored: --flipped"), *drawn]
     resolution = features.grid.resolution
     for factor in _FACTORS:
         if all_unique(scan.scaled(factor) for scan in tried):
             units = {0.001: "millimetres", 0.01: "centimetres"}.get(factor)
             why = f"are they {units}?" if units else "is the map's resolution right?"
             other = "" if units else f", or --resolution {resolution / factor:g}"
-            fits = f"scans like these fit at one place if their ranges are multiplied by {factor:g}"
-            return [f"{fits}: {why} Try --range-scale {factor:g}{other}"]
-    if 2 * counts["no-match"] <= len(scans):
-        return []
-    return [
-        "most scans do not fit this map. Look at one with --index 0 --explain why.html, and at the "
-        "map with imgloc map check; imgloc which tells which of several maps it is from"
-    ]
+            fits = f"{like} at one place if ranges are multiplied by {factor:g}"
+            text = f"{fits}: {why} Try --range-scale {factor * range_scale:g}{other}"
+            return [Doubt(text, f"fits with ranges x {factor:g}: {why}"), *drawn]
+    if drawn or 2 * counts["no-match"] <= len(scans):
+        return drawn
+    none = "this scan does" if len(scans) == 1 else "most scans do"
+    text = (
+        f"{none} not fit this map. Look at one with --index 0 --explain why.html, and at the map "
+        "with imgloc map check; imgloc which tells which of several maps it is from"
+    )
+    return [Doubt(text, "another map? see imgloc map check, imgloc which", found=False)]
 
 
-def bent(placed: Sequence[Evidence], count: int, known: Shared, resolution: float) -> list[str]:
+def bent(placed: Sequence[Evidence], count: int, known: Shared, resolution: float) -> list[Doubt]:
     """Say that most scans fit a map only with an error that all readings share, and what helps.
 
     None if fewer than half do, or it is `known` already; in a list, as of :func:`doubts`. Of
@@ -80,7 +104,7 @@ def bent(placed: Sequence[Evidence], count: int, known: Shared, resolution: floa
     Examples
     --------
     >>> there = [Evidence(scale=1.05), Evidence(scale=1.05)]
-    >>> bent(there, 3, Shared(), 0.05)[0][:67]
+    >>> bent(there, 3, Shared(), 0.05)[0].text[:67]
     'most scans fit this map far better with their ranges multiplied by '
     >>> bent(there, 4, Shared(), 0.05), bent(there, 2, Shared(1.05), 0.05)
     ([], [])
@@ -91,14 +115,17 @@ def bent(placed: Sequence[Evidence], count: int, known: Shared, resolution: floa
         factor = float(np.median(scales))
         cells = f"are its cells of {resolution / factor:.4g} m? Then say so (--resolution)"
         found = f"their ranges multiplied by {factor:.3f}: {cells}, as poses are in its metres"
+        short = f"ranges x {factor:.3f}"
     elif 2 * len(thinner) > count:
-        found = f"walls that are {np.median(thinner):.2f} m thinner on each side"
+        found = short = f"walls that are {np.median(thinner):.2f} m thinner on each side"
     else:
         return []
-    return [
-        f"most scans fit this map far better with {found}. imgloc calibrate MAP --scans FILE finds "
+    which = "this scan fits" if count == 1 else "most scans fit"
+    text = (
+        f"{which} this map far better with {found}. imgloc calibrate MAP --scans FILE finds "
         "it once for all, which is faster and surer"
-    ]
+    )
+    return [Doubt(text, f"fits far better with {short}: imgloc calibrate")]
 
 
 def _too_few(scans: Sequence[LaserScan]) -> str:

@@ -7,7 +7,7 @@ import contextlib
 import hashlib
 import json
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +19,7 @@ from imgloc.atlas import TOP, atlas_poses, simulate_at, survey
 from imgloc.atlas import summarise as summarise_atlas
 from imgloc.choice import OPTIONS as WHICH
 from imgloc.choice import Opened, choose, search
+from imgloc.doubts import Doubt, bent, doubts
 from imgloc.errors import ConfigError, MapError, ScanError
 from imgloc.evaluation import TOLERANCES, Tolerance, evaluate, method_options, pose_errors
 from imgloc.features.budget import check_budget, default_budget, scans_bytes
@@ -32,9 +33,9 @@ from imgloc.io.images import image_size
 from imgloc.io.mapcheck import check_bytes, check_map
 from imgloc.io.maps import Reading, load_bytes, load_map, reading_of, resolve_settings
 from imgloc.io.scans import load_scans, scans_size
-from imgloc.io.scanset import ScanSet
+from imgloc.io.scanset import Chosen, ScanSet
 from imgloc.mapindex import MapIndex, open_index
-from imgloc.model import LaserScan, OccupancyGrid, Pose2D, plain
+from imgloc.model import SURE, Evidence, LaserScan, OccupancyGrid, Pose2D, plain
 from imgloc.options import FUSED, Options, Prior
 from imgloc.pipeline import answer_bytes, localize, prepare
 from imgloc.search.priors import Known, leaves_none
@@ -65,6 +66,7 @@ class Job:
     topic: str | None = None  #: which laser of a log with several, as of :func:`imgloc.load_scans`
     range_scale: float = 1.0  #: metres of a range
     range_max: float | None = None  #: readings are cut here, metres
+    chosen: Chosen = field(default_factory=Chosen)  #: which scans of a file are looked at
     flipped: bool = False  #: the sensor is upside down
     mount: Pose2D | None = None  #: pose of the sensor on the robot
     #: what is known of all poses, of ``localize``; but for a place also of ``which``
@@ -107,7 +109,7 @@ class Job:
         aside = {"drawings", "memory_budget", "cache", "options"}
         own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in aside}
         own["reading"] = dict(self.reading)
-        for name in ("tolerance", "sensor", "known"):
+        for name in ("tolerance", "sensor", "known", "chosen"):
             own[name] = asdict(own[name])
         options = asdict(replace(self.options, prior=Prior(), threads=1, memory_budget=None))
         return dict(plain(own | {"options": options}))
@@ -198,8 +200,11 @@ def open_map(path: Path, job: Job, options: Options, *, fresh: bool = False) -> 
     return _MAPS[key]
 
 
-def open_scans(item: Item, job: Job) -> ScanSet:
-    """The scans of an item as the sensor, mounted as the job says, has recorded them."""
+def open_scans(item: Item, job: Job) -> tuple[ScanSet, list[int]]:
+    """The scans of an item as the sensor, mounted as the job says, has recorded them.
+
+    Those that the job has chosen, and their indices in the file.
+    """
     path = item.scans_path
     if path is None:
         raise ConfigError(f"{job.name}: expected scans")
@@ -208,7 +213,10 @@ def open_scans(item: Item, job: Job) -> ScanSet:
     what = f"{name}: a file of up to {size.scans:,} scans"
     check_budget(need, job.memory_budget, what, "take fewer scans, in several files")
     recorded = load_scans(path, topic=job.topic)
-    return replace(recorded, scans=tuple(_as_mounted(scan, job, name) for scan in recorded.scans))
+    indices = job.chosen.of(len(recorded), name)
+    recorded = recorded.take(indices)
+    scans = tuple(_as_mounted(scan, job, name) for scan in recorded.scans)
+    return replace(recorded, scans=scans), indices
 
 
 def _as_mounted(scan: LaserScan, job: Job, name: str) -> LaserScan:
@@ -230,16 +238,16 @@ def _options(job: Job, path: Path, grid: OccupancyGrid | None = None) -> Options
 
 def _locate(item: Item, job: Job) -> Done:
     ((_, path),) = item.maps
-    scans = open_scans(item, job)
+    scans, indices = open_scans(item, job)
     features = open_map(path, job, _options(job, path))
     options, done = _options(job, path, features.grid), Done()
     options = replace(options, prior=job.known.prior(features.grid))
-    for k, scan in enumerate(scans.scans):
+    for n, (k, scan) in enumerate(zip(indices, scans.scans, strict=True)):
         answer = localize(features, scan, options)
         row = answer.as_row(k)
         done.ms.append(row.pop("timings_ms")["localize"])
         del row["parameters"]  # the same for all
-        truth = None if scans.poses is None else Pose2D(*scans.poses[k])
+        truth = None if scans.poses is None else Pose2D(*scans.poses[n])
         if truth is not None:
             row |= _compare(poses_of(answer.hypotheses[:1]), truth, job.tolerance)
         done.answers.append(row)
@@ -248,6 +256,24 @@ def _locate(item: Item, job: Job) -> Done:
     if job.cache is not None:
         save_features(features, job.cache)
     return done
+
+
+def look_again(item: Item, job: Job, said: Sequence[tuple[str, float, float]]) -> list[Doubt]:
+    """What may be wrong with an item of ``localize``: tried on a few of its scans.
+
+    `said` is of each its verdict, and the scale and the thinner walls it was fitted with.
+    """
+    ((_, path),) = item.maps
+    scans, _ = open_scans(item, job)
+    features = open_map(path, job, _options(job, path))
+    options = _options(job, path, features.grid)
+    options = replace(options, prior=job.known.prior(features.grid))
+    verdicts = [verdict for verdict, _, _ in said]
+    placed = [Evidence(scale=s, thinner=t) for v, s, t in said if v in SURE]
+    found = doubts(
+        features, scans.scans, verdicts, options, flipped=job.flipped, range_scale=job.range_scale
+    )
+    return [*found, *bent(placed, len(said), options.shared, features.grid.resolution)]
 
 
 def _compare(poses: Any, truth: Pose2D, tolerance: Tolerance) -> dict[str, Any]:
@@ -274,7 +300,7 @@ def _evaluate(item: Item, job: Job) -> Done:
         scans = simulate(features.grid, job.count, job.seed, job.sensor, image)
         source = {"simulated": job.count, "seed": job.seed}
     else:
-        scans = open_scans(item, job)
+        scans, _ = open_scans(item, job)
     row = evaluate(features, scans, options, tolerances=(*TOLERANCES, job.tolerance)).as_row(
         name, source
     )
@@ -297,7 +323,7 @@ def _check(item: Item, job: Job) -> Done:
 
 
 def _choose(item: Item, job: Job) -> Done:
-    scans, done = open_scans(item, job), Done()
+    (scans, indices), done = open_scans(item, job), Done()
     options = replace(WHICH, memory_budget=job.memory_budget)
     coarse = replace(options, prior=Prior(None, job.known.heading))
     index, errors = _index_of(item, job, options)
@@ -316,7 +342,8 @@ def _choose(item: Item, job: Job) -> Done:
 
     bounds = [index.bounds(scan, coarse) for scan in scans.scans]
     named = [dict(zip(index.names, of.tolist(), strict=True)) for of in bounds]
-    for k, found in enumerate(search(scans.scans, named, opened)):
+    looked_at = zip(indices, scans.scans, search(scans.scans, named, opened), strict=True)
+    for k, scan, found in looked_at:
         if not found:
             raise ConfigError("no map has a place in which the robot can be")
         choice = choose(found, sure=job.sure, ruled_out=len(index.names) - len(found))
@@ -325,7 +352,6 @@ def _choose(item: Item, job: Job) -> Done:
         best = next(iter(choice.probability))
         features = open_map(files[best], job, options)
         doubtful = choice.verdict != best
-        scan = scans.scans[k]
         done.draw(job, "answer", doubtful, k, features, found[best], scan, None, options)
     return done
 

@@ -371,7 +371,7 @@ def test_the_command_says_what_it_comes_to(site: Path, tmp_path: Path) -> None:
         (site / "scans" / "torn.csv").unlink()
     assert run.code == 5
     assert run.out.startswith("7 items: 6 ok, 1 failed\n6 scans: ")
-    assert "of 6 with a known pose are right" in run.out
+    assert "of 6 scans with a known pose" in run.out
     assert again.out == "7 items: 1 maps, 7 files of scans; 7 are done\n"
     assert retried.code == 5
     assert json.loads(retried.out)["new"] == 1

@@ -1,5 +1,6 @@
 """`imgloc localize --explain`, from file to file."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -111,3 +112,31 @@ def test_a_real_scan_on_a_real_map_and_on_a_wrong_one(shared: Path, tmp_path: Pa
         page = out.read_text(encoding="utf-8")
         assert any(f"<span class=word>{verdict}</span>" in page for verdict in verdicts)
         assert len(page) < 3_000_000
+
+
+@pytest.mark.parametrize("width", [390, 1400])
+def test_a_browser_shows_the_page_without_scrolling_sideways(
+    scans: Path, tmp_path: Path, width: int
+) -> None:
+    sync = pytest.importorskip("playwright.sync_api")
+    if (chromium := shutil.which("chromium")) is None:
+        pytest.skip("chromium is not installed")
+    out = tmp_path / "why.html"
+    words = ["localize", CURVED, scans, "--index", 0, "--range-scale", 1000, "--explain", out]
+    assert "ranges are multiplied by 0.001" in call(*words).err
+    with sync.sync_playwright() as p:
+        browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        page, said = browser.new_page(viewport={"width": width, "height": 900}), list[str]()
+        page.on("console", lambda message: said.append(message.text))
+        page.on("pageerror", lambda error: said.append(str(error)))
+        page.goto(out.as_uri())
+        size = page.evaluate("[document.documentElement.scrollWidth, innerWidth]")
+        hint = page.locator(".next li").inner_text()
+        gap = page.evaluate("""[...document.querySelectorAll('main > *')].map(
+            (e) => e.getBoundingClientRect()).reduce(([gap, end], {top, bottom}) =>
+            [Math.max(gap, top - end), bottom], [0, 0])[0]""")
+        browser.close()
+    assert said == []
+    assert size[0] <= size[1] == width
+    assert "Try --range-scale 1" in hint
+    assert gap < 120  # pixels of nothing

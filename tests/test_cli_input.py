@@ -9,7 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import call, rows, spawn
+from command import MAPS, call, rows, spawn
+from places import room_with_a_post
+
+from imgloc.io.maps import save_map
+from imgloc.io.scans import save_scans
+from imgloc.simulation import Sensor, simulate
 
 OFF = "--no-cache"
 
@@ -56,7 +61,7 @@ def test_several_files_each_with_its_name_and_its_indices(scans: Path, tmp_path:
         "1",
     ]
     assert sorted(p.name for p in tmp_path.glob("p-*")) == [f"p-000{k}.png" for k in range(4)]
-    assert re.search(r"wrote \S+p-0000\.png to \S+p-0003\.png", table.err)
+    assert re.search(r"wrote 4 files, \S+p-0000\.png to \S+p-0003\.png", table.err)
     found = rows(call("localize", "curved", scans, again, OFF, "--json").out)
     assert [(row["parameters"]["scans"], row["index"]) for row in found] == [
         (str(path), k) for path in (scans, again) for k in (0, 1)
@@ -136,3 +141,69 @@ def test_completion_is_installed_and_completes(tmp_path: Path) -> None:
 
 def test_the_help_of_the_whole_says_what_ctrl_c_ends_with() -> None:
     assert "130" in spawn("--help").out
+
+
+QUICK = ("--method", "cbml", "--cell", 0.5, "--theta-step-deg", 30)
+
+
+def twelve(folder: Path) -> tuple[Path, Path]:
+    """A small map, and twelve small scans."""
+    grid, scans = room_with_a_post(), folder / "a.npz"
+    save_map(folder / "m.yaml", grid)
+    save_scans(scans, simulate(grid, 12, 3, Sensor(rays=20, range_max=9.0)))
+    return folder / "m.yaml", scans
+
+
+def indices(*words: object) -> list[int]:
+    run = call("localize", *words, OFF, "--json", *QUICK)
+    assert run.code == 0, run.err
+    return [row["index"] for row in rows(run.out)]
+
+
+def test_scans_are_chosen_by_lists_ranges_and_samples(tmp_path: Path) -> None:
+    both = where, path = twelve(tmp_path)
+    assert indices(*both, "--index", "7,2,2") == [7, 2]
+    assert indices(*both, "--index", "3", "--index", "8:") == [3, 8, 9, 10, 11]
+    assert indices(*both, "--index", "::5") == [0, 5, 10]
+    some = indices(*both, "--sample", 3)
+    assert some == sorted(some)
+    assert len(set(some)) == 3
+    assert (
+        some == indices(*both, "--sample", 3) != indices(*both, "--sample", 3, "--sample-seed", 2)
+    )
+    assert set(indices(*both, "--index", "::5", "--sample", 2)) < {0, 5, 10}
+    words = ("evaluate", where, "--scans", path, "--methods", "cbml", "--json", *QUICK[2:])
+    (row,) = rows(call(*words, "--index", "2:6").out)
+    assert (row["trials"], row["source"]["index"]) == (4, "2:6")
+    out = tmp_path / "a.csv"
+    run = call("sample", *both, "--index", "4,6", "-n", 5, "--out", out)
+    assert run.code == 0, run.err
+    assert [line.split(",")[0] for line in out.read_text().splitlines()[1::5]] == ["4", "6"]
+    found = tmp_path / "found"
+    run = call("batch", *both, "--out", found, "--index", "1,5", "--workers", 1, *QUICK)
+    assert run.code == 0, run.err
+    assert [a["index"] for a in rows((found / "results.jsonl").read_text())[0]["answers"]] == [1, 5]
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("localize", "--index", "3-5"), "got '3-5', expected indices from 0, ranges A:B"),
+        (("localize", "--index", "1:4:0"), "got '1:4:0', expected indices from 0"),
+        (("localize", "--index", "4,12"), "got 12, expected 0 to 11: a.npz has 12 scans"),
+        (("localize", "--index", "12:"), "got 12:, expected 0 to 11"),
+        (("localize", "--index", "5:2"), "got 5:2, expected 0 to 11"),
+        (("which", "--index", "3"), "got 3, expected a name that ends in .npz"),
+        (("evaluate", "--index", "3"), "--index: expected --scans to take from"),
+    ],
+)
+def test_what_is_no_choice_of_scans_is_said(
+    words: tuple[str, ...], expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    twelve(tmp_path)
+    named = {"which": (MAPS, "a.npz"), "evaluate": ("curved",)}
+    where = named.get(words[0], ("m.yaml", "a.npz"))
+    run = call(words[0], *where, *words[1:])
+    assert (run.code, run.out) == (2, "")
+    assert expected in run.err

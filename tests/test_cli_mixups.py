@@ -48,6 +48,11 @@ def test_units_are_recognised_and_mended(
     run = call("localize", "curved", path, OFF)
     assert run.code == 0
     assert re.search(hint, run.err), run.err
+    if "multiplied" in hint:  # the page and the picture of one of them say it, too
+        page = path.with_suffix(".html")
+        said = call("localize", "curved", path, OFF, "--index", 1, "--explain", page, "--force")
+        assert re.search("this scan fits at one place if ranges are " + hint[:14], said.err)
+        assert "What to look at next" in page.read_text("utf-8")
     (option,) = re.findall(r"--range-scale (\S+?)[,\s]", run.err + "\n")
     mended = rows(call("localize", "curved", path, OFF, "--json", "--range-scale", option).out)
     assert [row["verdict"] for row in mended] == ["unique", "unique"]

@@ -1,6 +1,7 @@
 """Priors, mounting, budgets and the map cache, through the real command."""
 
 import logging
+import sys
 from pathlib import Path
 
 import cv2
@@ -140,6 +141,18 @@ def test_the_base_is_behind_a_sensor_mounted_in_front(scans: Path, plain: dict) 
     assert back["x"] == pytest.approx(plain["pose"]["x"] - 0.5 * np.cos(theta))
     assert back["y"] == pytest.approx(plain["pose"]["y"] - 0.5 * np.sin(theta))
     assert mounted["hypotheses"][0]["base"] == back
+
+
+def test_a_narrow_terminal_has_the_base_in_a_line_of_its_own(
+    scans: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wide = call("localize", WORLD, scans, "--sensor", "0.5,0,0.1").out.splitlines()
+    monkeypatch.setattr(sys.modules["imgloc.cli.localize"], "width", lambda: 80)
+    narrow = call("localize", WORLD, scans, "--sensor", "0.5,0,0.1").out.splitlines()
+    assert max(map(len, narrow)) < 80 < max(map(len, wide))
+    assert narrow[0] == wide[0][: len(narrow[0])]
+    for both, sensor, base in zip(wide[1:], narrow[1::2], narrow[2::2], strict=True):
+        assert both.split() == [*sensor.split(), *base.split()[1:]]
 
 
 def test_the_base_is_in_the_table_of_several_scans(scans: Path) -> None:

@@ -10,7 +10,7 @@ ROOMS = (
     "__about__ errors", "model", "geometry", "options", "io", "features", "likelihoods", "search",
     "pipeline",
     "explanation doubts mapindex choice sample atlas simulation worlds evaluation index calibrate",
-    "filters tracking sequences", "batch jobs workers cluster", "output", "cli",
+    "filters tracking sequences", "batch hints jobs workers cluster", "output", "cli",
 )  # fmt: skip
 PLACE = {name: k for k, room in enumerate(ROOMS) for name in room.split()}
 FILES = sorted(p.relative_to(ROOT) for p in (ROOT / "imgloc").rglob("*.py"))

@@ -6,6 +6,7 @@ import pytest
 
 from imgloc.errors import OutputError
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.io.images import encode_png
 from imgloc.model import (
     Evidence,
     GridInfo,
@@ -18,7 +19,18 @@ from imgloc.model import (
     Pose2D,
     compose,
 )
-from imgloc.output.canvas import INK, PALETTE, PAPER, SHADE, TURQUOISE, Canvas, draw_map, wheel
+from imgloc.output import pictures
+from imgloc.output.canvas import (
+    INK,
+    PALETTE,
+    PAPER,
+    SHADE,
+    TURQUOISE,
+    Canvas,
+    draw_map,
+    text,
+    wheel,
+)
 from imgloc.output.features import (
     SUBJECTS,
     draw_bmap,
@@ -357,7 +369,7 @@ def test_a_legend_says_what_is_left_out():
     )
     assert _not_drawn(answer(seven[0], found=1)) == "elsewhere: 10.0 %"
     assert text_rows(seven[0]) == text_rows(*seven[:2]) - 24
-    assert draw(room(), answer()).image.shape == draw_map(room()).shape  # nothing to be said
+    assert text_rows() == 640 + 24 + 28  # the verdict, if nothing else
 
 
 def test_a_picture_is_saved_whole_and_never_over_another(tmp_path):
@@ -408,6 +420,56 @@ def test_a_scan_that_is_small_on_the_map_gets_an_inset() -> None:
     assert small.shape[1] == large.shape[1]
 
 
+def test_numbers_of_poses_at_one_place_stand_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = list[tuple[str, int, int]]()
+
+    def write(image, message, x, y, colour=INK, size=13):
+        if colour == INK and message.isdigit() and size == 15:
+            written.append((message, x, y))
+        return text(image, message, x, y, colour, size)
+
+    monkeypatch.setattr(pictures, "text", write)
+    turned = [hypothesis(3.0, 2.0, theta, 0.2) for theta in (0.0, 0.0, 1.6, 3.1, 0.0)]
+    draw_hypotheses(room(), np.zeros((0, 2)), turned, scale=10, truth=Pose2D(3.0, 2.0, 0.0))
+    assert [message for message, _, _ in written] == list("12345")
+    for k, (_, x, y) in enumerate(written):
+        for _, u, v in written[:k]:
+            assert abs(x - u) >= 9 or abs(y - v) >= 14
+        assert max(abs(x + 4 - 300), abs(y - 5 - 200)) > 15  # and off the cross
+
+
+def test_the_legend_stands_beside_a_high_map_and_is_as_high() -> None:
+    wall = np.pad(np.zeros((300, 100), bool), 2, constant_values=True)
+    points = np.array([(0.5, 0.0), (0.5, 0.3)])
+    grid = OccupancyGrid(wall, ~wall, 0.1)
+    high = draw_hypotheses(grid, points, [hypothesis(5.0, 5.0, 0.0)], scale=4)
+    assert high.shape[0] == 4 * 304
+    frame = np.argwhere(np.all(high[:, 4 * 104 :] == INK, axis=2))
+    assert np.ptp(frame[:, 0]) > 0.6 * 4 * 304  # the inset takes what is left
+
+
+def test_what_is_unknown_around_a_map_is_left_out() -> None:
+    occupied, points = np.zeros((400, 600), bool), np.zeros((0, 2))
+    occupied[150:250, 200] = occupied[150:250, 300] = True
+    free = np.zeros_like(occupied)
+    free[150:250, 201:300] = True
+    grid = OccupancyGrid(occupied, free, 0.1)
+    near = draw_hypotheses(grid, points, [hypothesis(25.0, 20.0, 0.0)], scale=4)
+    assert near.shape[1] < 4 * 300
+    there = np.argwhere(np.all(near == (146, 140, 134), axis=2))
+    assert np.ptp(there[:, 0]) + 1 == 400
+    far = draw_hypotheses(grid, points, [hypothesis(25.0, 20.0, 0.0), hypothesis(59.0, 1.0, 0.0)],
+                          scale=4)  # fmt: skip
+    assert far.shape[1] == 4 * (600 - 187)  # up to the pose that is out there
+
+
+def test_a_note_stands_below_and_wraps() -> None:
+    short, long = (draw(room(), answer(), note=note).image for note in ("mm?", "word " * 90))
+    assert len(short) == 640 + 2 * 24 + 28
+    assert len(long) > len(short) + 4 * 24
+    assert long.shape[1] == short.shape[1] == 960
+
+
 def test_words_grow_with_the_picture() -> None:
     few = draw_hypotheses(room(), np.zeros((0, 2)), [hypothesis(1.0, 1.0, 0.0)], scale=10)
     many = draw_hypotheses(room(), np.zeros((0, 2)), [hypothesis(1.0, 1.0, 0.0)], scale=80)
@@ -421,3 +483,17 @@ def test_distances_have_their_colours_where_robots_are() -> None:
     colours = [image[1, 8 * k + 1].tolist() for k in range(4)]
     assert colours[2] == colours[3]
     assert colours[0] != colours[1]
+
+
+def test_a_picture_that_is_saved_is_small_and_looks_the_same() -> None:
+    def saved(picture):
+        data = np.frombuffer(picture._repr_png_(), np.uint8)
+        return cv2.imdecode(data, cv2.IMREAD_COLOR), len(data)
+
+    picture = draw(room(), answer(*(hypothesis(3.0, 2.0, k, 0.5 / (k + 1)) for k in range(5))))
+    back, size = saved(picture)
+    assert np.abs(back.astype(int) - picture.image).max() <= 16
+    for colour in (PAPER, PALETTE[0]):
+        assert np.all(back[np.all(picture.image == colour, axis=2)] == colour)
+    assert size < 0.5 * len(encode_png(picture.image))
+    assert np.array_equal(saved(draw(room()))[0], draw_map(room()))

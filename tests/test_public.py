@@ -15,8 +15,9 @@ import imgloc
 from imgloc import LaserScan, Options, Pose2D
 
 FUNCTIONS = {
-    "check_map", "draw", "evaluate", "explain", "likelihood", "load_map", "load_scans", "localize",
-    "prepare", "run_batch", "sample_poses", "save_map", "save_scans", "simulate", "which",
+    "check_map", "draw", "evaluate", "explain", "likelihood", "load_map", "load_plan", "load_scans",
+    "localize", "plan_to_map", "prepare", "run_batch", "sample_poses", "save_map", "save_scans",
+    "simulate", "which",
 }  # fmt: skip
 
 

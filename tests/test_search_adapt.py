@@ -168,7 +168,7 @@ def test_explanations_and_words_allow_for_it():
     best = answer.evidence.best - answer.evidence.misfit
     assert why.fits[0].per_reading == pytest.approx(best)
     assert why.fits[0].rays.counts["agrees"] > 0.8 * scan.valid.sum()
-    assert "walls 0.20 m thinner" in answer_text("scan 0", answer)
+    assert "fits far better with walls 0.20 m thinner" in answer_text("scan 0", answer)
     far = scan.scaled(0.95)
     answer = localize(features(), far)
     assert explain(features(), far, answer).fits[0].rays.counts["agrees"] > 0.8 * scan.valid.sum()

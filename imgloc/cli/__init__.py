@@ -14,7 +14,7 @@ from imgloc.cli.demo import demo
 from imgloc.cli.evaluate import evaluate
 from imgloc.cli.export import export
 from imgloc.cli.localize import localize
-from imgloc.cli.map import check, show
+from imgloc.cli.map import check, plan, show
 from imgloc.cli.options import FORMATS, examples
 from imgloc.cli.report import report
 from imgloc.cli.sample import sample
@@ -69,6 +69,7 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
     localize: (
         "imgloc localize office.yaml scans.npz",
         "imgloc localize office.yaml scans.npz --index 3 --picture answer.png",
+        "imgloc localize office.yaml run.log --index 7,100:120 --explain why.html",
         "imgloc localize office.png scan.csv --resolution 0.05 --origin -12.5,-8,0",
         "imgloc localize office.yaml monday.log tuesday.bag --sensor 0.2,0,180deg",
         "imgloc localize office.yaml - < scan.csv",
@@ -135,6 +136,10 @@ _MAP: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc map show office.yaml --what visibility --at 3.5,2 --out fan.png",
         "imgloc map show office.yaml --what likelihood --scans scan.csv --out where.png",
     ),
+    plan: (
+        "imgloc map plan drawing.png --resolution 0.02 --out office.yaml --picture plan-check.png",
+        "imgloc map plan drawing.jpg --distance 210,880,1650,880,24.5 --out office.yaml",
+    ),
 }
 _CACHE: dict[Callable[..., None], tuple[str, ...]] = {clear: ("imgloc cache clear",)}
 
@@ -150,7 +155,7 @@ for group, commands in ((app, _COMMANDS), (maps, _MAP), (kept, _CACHE)):
     for command, lines in commands.items():
         more = FORMATS if command is localize else ""
         group.command(epilog=examples(*lines, more=more))(command)
-app.add_typer(maps, name="map", help="Look at a map: what is in it, what may be wrong with it.")
+app.add_typer(maps, name="map", help="Look at a map, or make one of a floor plan.")
 app.add_typer(kept, name="cache")
 
 

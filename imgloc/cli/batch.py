@@ -35,6 +35,7 @@ _EVALUATE = ("evaluate with SCANS", "evaluate without SCANS")
 #: Of which jobs options are that others would not notice.
 _OF = {
     **dict.fromkeys(("method", "theta_step_deg", "tolerance"), ("localize", *_EVALUATE)),
+    **dict.fromkeys(("index", "sample", "sample_seed"), _SCANS),
     **dict.fromkeys(("topic", "range_scale", "range_max", "sensor", "flipped"), _SCANS),
     **dict.fromkeys(("rays", "fov_deg", "sigma", "outliers", "dropped", "mount"), _SIMULATED),
     **dict.fromkeys(("reach", "seed"), _SIMULATED),
@@ -49,7 +50,7 @@ _OF = {
 }  # fmt: skip
 
 
-@opt.with_options(opt.mounting, opt.reading, opt.sensor, opt.console)
+@opt.with_options(opt.mounting, opt.reading, opt.sensor, opt.chosen, opt.console)
 def batch(
     context: typer.Context,
     maps: Annotated[
@@ -66,6 +67,7 @@ def batch(
     mounting: opt.Mounting,
     reading: "opt.Reading",
     sensor: "opt.Sensor",
+    chosen: "opt.Chosen",
     scans: Annotated[
         Path | None,
         typer.Argument(metavar="[SCANS]", help="Folder tree of files of scans, or one."),
@@ -170,6 +172,7 @@ def batch(
         topic=topic,
         range_scale=range_scale,
         range_max=range_max,
+        chosen=chosen,
         flipped=mounting.flipped,
         mount=mounting.pose,
         known=inputs.known_of(told),
@@ -216,7 +219,7 @@ def batch(
         except KeyboardInterrupt:
             say(f"what is done is kept in {display(out)}; --resume goes on")
             raise
-    emit(to_json(vars(summary)) if as_json else batch_text(summary, display(out)))
+    emit(to_json(summary.as_row()) if as_json else batch_text(summary, display(out)))
     if summary.failed:
         raise typer.Exit(FAILED_ROWS)
 

@@ -19,7 +19,7 @@ _MAX_SCANS = 100_000
 _FLOOR = (1e-12, 0.5, "a share")
 
 
-@opt.with_options(opt.sensor, opt.reading, opt.resources, opt.console)
+@opt.with_options(opt.sensor, opt.reading, opt.chosen, opt.resources, opt.console)
 def evaluate(
     maps: Annotated[
         list[Path],
@@ -29,6 +29,7 @@ def evaluate(
     ],
     sensor: "opt.Sensor",
     reading: "opt.Reading",
+    chosen: "opt.Chosen",
     resources: opt.Take,
     methods: str = option(_METHODS, "NAMES", "With commas between."),
     count: int | None = option(
@@ -41,8 +42,6 @@ def evaluate(
     scans: list[Path] | None = option(
         None, "FILE", "Recorded scans with poses; once for each MAP."
     ),
-    sample: int | None = option(None, "N", "Of the recorded scans take N. [default: all]", min=1),
-    sample_seed: int = option(1, "N", "Seed that decides which.", min=0),
     flipped: opt.Flipped = False,
     tolerance: list[str] | None = option(
         None, "M,DEG", "Report success within this too; the last rules unique, wrong."
@@ -86,6 +85,7 @@ def evaluate(
     from imgloc.evaluation import TOLERANCES, Tolerance, method_options
     from imgloc.evaluation import evaluate as measure
     from imgloc.io.calibration import calibration_path, load_calibrations
+    from imgloc.io.scanset import Chosen
     from imgloc.model import to_json
     from imgloc.output.tables import evaluation_tables
     from imgloc.pipeline import prepare
@@ -96,16 +96,18 @@ def evaluate(
 
         if scans is None or len(scans) != len(maps):
             raise ConfigError("--sequence: expected --scans, recorded ones, once for each MAP")
+        if chosen != Chosen():
+            raise ConfigError("--index, --sample: with --sequence logs are followed as a whole")
         names = opt.names_of("--filters", filters, ["tracker", "grid", "particle"])
         plan = Plan(names, begin, metres, seed, range_max, resets, mounted, flipped)
         measure_sequences(maps, scans, plan, resources(), reading, as_json, allow_lossy)
         return
-    chosen = opt.methods_of(methods, list(opt.MethodName))
-    steps = opt.for_each("--theta-step-deg", theta_step_deg, chosen, *opt.STEP)
-    cells = opt.for_each("--cell", cell, chosen, *opt.SIDE)
+    names = opt.methods_of(methods, list(opt.MethodName))
+    steps = opt.for_each("--theta-step-deg", theta_step_deg, names, *opt.STEP)
+    cells = opt.for_each("--cell", cell, names, *opt.SIDE)
     opt.check_range("--range-max", range_max, 1e-3, 10_000 if scans is None else 1e6, "metres")
     tolerances = [_tolerance(text) for text in tolerance or ()]
-    _check_sources(maps, scans, count, sample, sensor, flipped=flipped)
+    _check_sources(maps, scans, count, chosen, sensor, flipped=flipped)
     taken = resources()
     budget = taken.memory_budget
     within = (*TOLERANCES, *(Tolerance(m, math.radians(deg)) for m, deg in tolerances))
@@ -127,13 +129,15 @@ def evaluate(
             source |= {"seed": seed, "sensor": asdict(laser)}
         else:
             recorded, file = inputs.load_set(scans[k], budget), display(scans[k])
-            picked = sample_set(recorded, sample, sample_seed, file)
+            asked = recorded.take(Chosen(chosen.index).of(len(recorded), file))
+            picked = sample_set(asked, chosen.sample, chosen.seed, file)
             cut = tuple(inputs.cut_scan(scan, range_max, flipped=flipped) for scan in picked.scans)
             trials = replace(picked, scans=cut)
-            source |= {"scans": file, "sample": sample, "sample_seed": sample_seed}
+            source |= {"scans": file, "sample": chosen.sample, "sample_seed": chosen.seed}
             source |= {"range_max": range_max, "flipped": flipped}
+            source |= {} if chosen.index is None else {"index": chosen.index}
         plans = []
-        for method in chosen:
+        for method in names:
             step, side = steps.get(method), cells.get(method, 0.1)
             theta_step = None if step is None else math.radians(step)
             options = method_options(method, theta_step, taken.threads)
@@ -160,7 +164,7 @@ def evaluate(
 
 
 def _check_sources(
-    maps: Sequence[Path], scans: Sequence[Path] | None, count: int | None, sample: int | None,
+    maps: Sequence[Path], scans: Sequence[Path] | None, count: int | None, chosen: "opt.Chosen",
     sensor: "opt.Sensor", *, flipped: bool,
 ) -> None:  # fmt: skip
     """Refuse options that would be ignored."""
@@ -169,7 +173,11 @@ def _check_sources(
     n, many = 0 if scans is None else len(scans), count or 0
     simulated = (
         (flipped, "--flipped: expected --scans; simulated sensors are upright"),
-        (sample is not None, "--sample: expected --scans to take from; -n is for simulated scans"),
+        (
+            chosen.sample is not None,
+            "--sample: expected --scans to take from; -n is for simulated scans",
+        ),
+        (chosen.index is not None, "--index: expected --scans to take from"),
         (many > _MAX_SCANS, f"-n: got {many:,}, expected at most {_MAX_SCANS:,} scans"),
     )
     recorded = (

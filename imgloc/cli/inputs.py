@@ -86,17 +86,6 @@ def numbered(path: Path | None, indices: Sequence[int]) -> dict[int, Path]:
     return {k: path.with_name(f"{path.stem}-{k:04d}{path.suffix}") for k in indices}
 
 
-def choose(count: int, index: int | None, name: str) -> range:
-    """Indices of the scans asked for, of `count` in the file called `name`."""
-    if index is None:
-        return range(count)
-    if index >= count:
-        raise ConfigError(
-            f"--index: got {index}, expected 0 to {count - 1}: {name} has {count} scans"
-        )
-    return range(index, index + 1)
-
-
 def cut_scan(scan: LaserScan, range_max: float | None, *, flipped: bool = False) -> LaserScan:
     """The scan that a sensor with a shorter reach, or one upright, would have recorded."""
     scan = scan.flipped if flipped else scan

@@ -7,15 +7,18 @@ from pathlib import Path
 import typer
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, say
+from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, say, width
 from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
 
 _MANY = 5  # scans whose verdicts one does not count oneself
+_WIDE = 112  # columns of a line with the poses of the sensor and of the base
 
 
-@opt.with_options(opt.known, opt.mounting, opt.reading, opt.logs, opt.resources, opt.console)
+@opt.with_options(
+    opt.known, opt.mounting, opt.reading, opt.logs, opt.chosen, opt.resources, opt.console
+)
 def localize(
     map_path: opt.MapPath,
     scans_paths: opt.ScansPaths,
@@ -23,6 +26,7 @@ def localize(
     mounting: opt.Mounting,
     reading: "opt.Reading",
     logs: opt.Logs,
+    chosen: "opt.Chosen",
     resources: opt.Take,
     method: opt.MethodName = typer.Option(
         opt.MethodName.FUSED,
@@ -38,7 +42,6 @@ def localize(
     explain: Path | None = option(
         None, "HTML", "Say why, ray by ray, on a page of its own; several scans: NAME-0003.html."
     ),
-    index: opt.Index = None,
     strict: bool = flag("--strict", "Exit with 6 unless every scan is unique."),
     range_max: opt.Cut = None,
     theta_step_deg: float | None = option(
@@ -73,9 +76,10 @@ def localize(
     in the map frame. Look at the mass of the second hypothesis before trusting the first.
     """
     from imgloc.cli import inputs
-    from imgloc.doubts import bent, doubts
+    from imgloc.doubts import Doubt, bent, doubts
     from imgloc.explanation import explain as reasons
     from imgloc.io.calibration import calibrated
+    from imgloc.io.maps import SWAPPED
     from imgloc.model import SURE, Evidence, LaserScan, Pose2D, to_json
     from imgloc.options import FusedOptions, Options
     from imgloc.output.pages import render_explanation
@@ -132,7 +136,7 @@ def localize(
     queue = [
         (inputs.name_of(path), scans, k)
         for path, scans in zip(scans_paths, sets, strict=True)
-        for k in inputs.choose(len(scans), index, inputs.name_of(path))
+        for k in chosen.of(len(scans), inputs.name_of(path))
     ]
     many, several = len(queue) > 1, len(sets) > 1
     # Files are numbered through all sets, as two of these may have the same index.
@@ -147,11 +151,21 @@ def localize(
     )
     inputs.check_prior(known, features, options)
     check_options(features, options)
+    on_robot = any(scan.T_base_laser is not None for scan in every) or mounting.sensor is not None
+    narrow = (width() or _WIDE) < _WIDE
     if many and not as_json:
-        on_robot = any(scan.T_base_laser is not None for scan in every)
-        emit(answer_header(on_robot or mounting.sensor is not None))
+        emit(answer_header(on_robot and not narrow))
     looked_at, verdicts, placed = list[LaserScan](), list[str](), list[Evidence]()
-    errors, shown = list[tuple[float, float]](), ""
+    errors, shown, hints = list[tuple[float, float]](), "", list[Doubt]()
+
+    def wrong(some: list[LaserScan], said: list[str], sure: list[Evidence]) -> list[Doubt]:
+        if not fused or time_budget is not None:
+            return []
+        likely = doubts(
+            features, some, said, options, flipped=mounting.flipped, range_scale=logs.scale
+        )
+        return [*likely, *bent(sure, len(some), options.shared, grid.resolution)]
+
     with progress("localize", len(queue)) as advance:
         for n, (file, scans, k) in zip(numbers, queue, strict=True):
             scan = mounting.mount(inputs.cut_scan(scans[k], range_max))
@@ -164,12 +178,19 @@ def localize(
             if answer.pose is not None and truth is not None:
                 errors.append(difference(answer.pose, truth))
             LOG.info("%s, scan %d: %s, %s", file, k, answer.verdict, times_words(answer))
+            if n in targets or n in pages:
+                sure = [answer.evidence] if answer.verdict in SURE else []
+                hints = wrong([scan], [answer.verdict], sure)
             if n in targets:
-                draw(grid, answer, scan, truth=truth).save(targets[n], force=force)
+                short = "; ".join(hint.short for hint in hints)
+                image = draw(grid, answer, scan, truth=truth, note=short)
+                image.save(targets[n], force=force)
             if n in pages:
                 reason = reasons(features, scan, answer, options)
                 title = f"{Path(file).name}, scan {k}, on {display(map_path.name)}"
-                html = render_explanation(reason, title, truth=truth)
+                html = render_explanation(
+                    reason, title, truth=truth, hints=[hint.text for hint in hints]
+                )
                 write_text_atomic(pages[n], html, force=force)
             advance()
             if several and not as_json and file != shown:
@@ -180,7 +201,7 @@ def localize(
                 about |= {"range_max": scan.range_max, "sensor": mounting.pose}
                 emit(to_json(answer.as_row(k, **about, flipped=mounting.flipped)))
             elif many:
-                emit(answer_line(k, answer))
+                emit(answer_line(k, answer, narrow=narrow))
             else:
                 emit(answer_text(f"scan {k}", answer, truth))
     inputs.keep_features(features, folder)
@@ -190,12 +211,16 @@ def localize(
         if written := [display(path) for path in files.values()]:
             LOG.log(
                 logging.INFO if as_json or len(written) == 1 else logging.WARNING,
-                "wrote %s", written[0] if len(written) == 1 else f"{written[0]} to {written[-1]}",
+                "wrote %s",
+                written[0] if len(written) == 1
+                else f"{len(written)} files, {written[0]} to {written[-1]}",
             )  # fmt: skip
     # Rows that are all invalid say why themselves, to a program.
-    if fused and time_budget is None and not (as_json and set(verdicts) == {"invalid"}):
-        why = doubts(features, looked_at, verdicts, options, flipped=mounting.flipped)
-        for doubt in (*why, *bent(placed, len(queue), options.shared, grid.resolution)):
-            LOG.warning("%s", doubt)
+    if not (as_json and set(verdicts) == {"invalid"}):
+        if many or not (targets or pages):
+            hints = wrong(looked_at, verdicts, placed)
+        for hint in hints:
+            if hint.text != SWAPPED:  # is said when the map is read
+                LOG.warning("%s", hint.text)
     if strict and set(verdicts) != {"unique"}:
         raise typer.Exit(NOT_UNIQUE)

@@ -18,6 +18,7 @@ from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
     from imgloc.io.maps import Reading as Reading
+    from imgloc.io.scanset import Chosen as Chosen
     from imgloc.model import LaserScan, Pose2D
     from imgloc.simulation import Sensor as Sensor
 
@@ -172,10 +173,10 @@ Scans (ranges in metres, angles in radians, counter-clockwise, 0 forward):
   .yaml                   ros2 topic echo -f /scan > scans.yaml
   -                       standard input, any of these
 """
-Index = Annotated[int | None, option(..., "I", "Only scan I, counted from 0.", "--index", min=0)]
 _CLEARANCE = (0, 1000, "metres")
 _READINGS = "Cut readings at M metres: there, no return."
 Cut = Annotated[float | None, option(..., "M", _READINGS, within=(1e-3, 1e6, "metres"))]
+Index = Annotated[int | None, option(..., "I", "Only scan I, counted from 0.", "--index", min=0)]
 SHARE = (0, 1, "a share")
 REACH = (0.01, 10_000, "metres")
 Reach = Annotated[float, option(..., "M", "Reach of the sensor, metres.", within=REACH)]
@@ -216,6 +217,24 @@ def reading(
         "free_thresh": free_thresh,
         "negate": negate,
     }
+
+
+def chosen(
+    index: list[str] | None = option(
+        None,
+        "LIST",
+        "Only these scans, counted from 0: 3 or 3,7,10:20 (without 20) or ::10 (every tenth); "
+        "may be repeated.",
+    ),
+    sample: int | None = option(
+        None, "N", "Of these only N, at random; the same ones each time.", min=1
+    ),
+    sample_seed: int = option(1, "N", "Seed that decides which.", min=0),
+) -> "Chosen":
+    """Options of which scans of a file are looked at."""
+    from imgloc.io.scanset import Chosen
+
+    return Chosen(",".join(index) if index else None, sample, sample_seed)
 
 
 class Resources(NamedTuple):

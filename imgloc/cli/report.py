@@ -36,7 +36,9 @@ def report(
         refuse_existing(target)  # somebody else's
     html = render_report(folder, beside=target.parent)
     write_text_atomic(target, html, force=out is None or force)
-    say(f"wrote {display(target)}: {len(html) / 1e6:.1f} MB")
+    size = len(html.encode())
+    said = f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{size / 1e3:.0f} kB"
+    say(f"wrote {display(target)}: {said}")
 
 
 def _beginning(path: Path) -> bytes:

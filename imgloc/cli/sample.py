@@ -15,12 +15,13 @@ from imgloc.io.files import display, write_text_atomic
 _MOST = 10_000_000  # poses in all
 
 
-@opt.with_options(opt.reading, opt.logs, opt.resources, opt.console)
+@opt.with_options(opt.reading, opt.logs, opt.chosen, opt.resources, opt.console)
 def sample(
     map_path: opt.MapPath,
     scans_path: opt.ScansPath,
     reading: "opt.Reading",
     logs: opt.Logs,
+    chosen: "opt.Chosen",
     resources: opt.Take,
     out: Annotated[Path, option(..., "CSV", "File to write.", show_default=False)],
     count: int = option(500, "N", "Poses for each scan.", "-n", "--count", min=1),
@@ -28,7 +29,6 @@ def sample(
     method: opt.MethodName = typer.Option(
         opt.MethodName.FUSED, help="Whose posterior; fused draws around its hypotheses."
     ),
-    index: opt.Index = None,
     range_max: opt.Cut = None,
     flipped: opt.Flipped = False,
     theta_step_deg: float | None = option(
@@ -57,9 +57,9 @@ def sample(
     taken = resources()
     grid = inputs.load_grid(map_path, taken.memory_budget, allow_lossy=allow_lossy, **reading)
     scans = inputs.load_set(scans_path, taken.memory_budget, logs)
-    chosen = inputs.choose(len(scans), index, display(scans_path))
-    if count * len(chosen) > _MOST:
-        raise ConfigError(f"-n: {count:,} poses of {len(chosen):,} scans are more than {_MOST:,}")
+    indices = chosen.of(len(scans), display(scans_path))
+    if count * len(indices) > _MOST:
+        raise ConfigError(f"-n: {count:,} poses of {len(indices):,} scans are more than {_MOST:,}")
     options = Options(
         method=method.value,
         threads=taken.threads,
@@ -72,8 +72,8 @@ def sample(
         scans=scans.scans, cell=cell, threads=taken.threads,
     )  # fmt: skip
     lines = ["scan,x,y,theta"]
-    with progress("sample", len(chosen)) as advance:
-        for k in chosen:
+    with progress("sample", len(indices)) as advance:
+        for k in indices:
             # Each scan has draws of its own, whichever others are drawn from.
             rng = np.random.default_rng((seed, k))
             scan = inputs.cut_scan(scans[k], range_max, flipped=flipped)
@@ -84,4 +84,4 @@ def sample(
             advance()
     write_text_atomic(out, "\n".join(lines) + "\n", force=force)
     LOG.info("seed %d", seed)
-    say(f"wrote {display(out)}: {count} poses for each of {len(chosen)} scans")
+    say(f"wrote {display(out)}: {count} poses for each of {len(indices)} scans")

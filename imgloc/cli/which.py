@@ -1,6 +1,7 @@
 """`imgloc which`: which of the maps in a folder a scan is from."""
 
 import contextlib
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -91,6 +92,11 @@ def which(
     if scans_path is None and not build:
         raise ConfigError("expected scans, or --build with --index")
     if index is not None:  # of what is there, nothing is replaced but an index
+        if re.fullmatch(r"[\d:,]+", str(index)):
+            raise ConfigError(
+                f"--index: got {index}, expected a name that ends in .npz: here it is of all maps "
+                "what is looked at; which takes all scans of a file"
+            )
         inputs.check_target(index, ".npz", force=True)
     taken = resources()
     budget = taken.memory_budget

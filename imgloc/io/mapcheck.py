@@ -16,17 +16,20 @@ import numpy.typing as npt
 from imgloc.io.files import PathLike, display
 from imgloc.io.images import MAX_PIXELS, ImageSize, MapImage, read_image
 from imgloc.io.maps import (
+    DRAWN,
     MAX_SIDE,
     SWAPPED,
     MapSettings,
     Reading,
     channel_sum,
     grid_of,
+    lacks_unknown,
     load_bytes,
+    looks_drawn,
     looks_swapped,
     resolve_settings,
 )
-from imgloc.model import BoolArray, Pose2D, plain
+from imgloc.model import OccupancyGrid, Pose2D, plain
 
 _MANY_GREYS, _HUGE_CELLS = 16, 16_000_000
 _MOST = 10  # greys, and parts, that are listed
@@ -51,6 +54,9 @@ _WARNINGS = {
     "no-walls": "no cell is occupied: nothing can be localized",
     "mostly-occupied": "{share:.0%} of the cells are occupied; is negate right?",
     "swapped": SWAPPED,
+    "plan": DRAWN,
+    "no-unknown": "nothing is unknown: what lies beyond the walls counts as free, where a robot "
+    "may be",
     "scale": "the free space is {free_area:.3g} square metres in all on a map of {wide:.4g} x "
     "{high:.4g} m; is the resolution, {resolution:g} m per cell, right?",
     "no-free": "no cell is free: nothing can be localized",
@@ -164,7 +170,7 @@ def check_map(path: PathLike, **reading: Unpack[Reading]) -> MapReport:
         greys=tuple((round(int(i) / channels, 2), int(histogram[i])) for i in order),
         grey_levels=len(levels),
         semantics_differ=differ,
-        warnings=_warnings(settings, image, sums, grid.free, counts, swapped=looks_swapped(grid)),
+        warnings=_warnings(settings, image, sums, grid, counts),
     )
 
 
@@ -180,11 +186,11 @@ def _histogram(sums: npt.NDArray[Any], size: int) -> npt.NDArray[np.intp]:
 
 
 def _warnings(
-    used: MapSettings, image: MapImage, sums: npt.NDArray[Any], free: BoolArray, n: dict[str, int],
-    *, swapped: bool,
+    used: MapSettings, image: MapImage, sums: npt.NDArray[Any], grid: OccupancyGrid,
+    n: dict[str, int],
 ) -> tuple[MapWarning, ...]:  # fmt: skip
     """Findings about the file, its frame and reading, and the greys; `n` counts cells."""
-    height, width = free.shape
+    (height, width), free = grid.info.shape, grid.free
     said, clear, trap, tinted = used.yaml, 0, 0, 0
     unknown_keys, area = said.unknown_keys if said else (), n["free"] * used.resolution**2
     if image.channels == 4:
@@ -197,6 +203,10 @@ def _warnings(
         full = image.white * min(image.channels, 3)
         is_205 = np.round(np.arange(full + 1) * (255 / full)) == 205
         trap = int(np.count_nonzero(is_205[sums] & free))
+    # Where much grey 205 is read as free, that is why nothing is unknown.
+    swapped, few = looks_swapped(grid), 200 * trap < sums.size
+    known = n["free"] and n["occupied"] and few and not swapped and lacks_unknown(grid)
+    drawn = known and looks_drawn(grid)
     found = {
         "unknown-key": unknown_keys,
         "default-threshold": said and None in (said.occupied_thresh, said.free_thresh),
@@ -212,6 +222,8 @@ def _warnings(
         "no-walls": not n["occupied"],
         "mostly-occupied": n["occupied"] > 0.5 * sums.size,
         "swapped": swapped,
+        "plan": drawn,
+        "no-unknown": known and not drawn,
         "scale": n["free"] and not 2 < area < 4e6,
         "no-free": not n["free"],
         "many-greys": n["levels"] > _MANY_GREYS and used.mode == "trinary",

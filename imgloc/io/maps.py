@@ -170,6 +170,32 @@ def looks_swapped(grid: OccupancyGrid) -> bool:
     return bool(grid.free.any()) and wide(grid.free) < 0.05 and wide(grid.occupied) > 0.3
 
 
+DRAWN = (
+    "nothing is unknown and it is free all around: a floor plan? Then its text, furniture and door "
+    "swings count as walls; imgloc map plan makes a map of it"
+)
+
+
+def looks_drawn(grid: OccupancyGrid) -> bool:
+    """Whether a map is drawn on paper: nothing is unknown but the edges of lines, the margin free.
+
+    Examples
+    --------
+    >>> plan = np.pad(np.zeros((60, 80), bool), 2, constant_values=True)
+    >>> around = np.pad(plan, 9)
+    >>> [looks_drawn(OccupancyGrid(wall, ~wall, 0.1)) for wall in (plan, around)]
+    [False, True]
+    """
+    edge = np.concatenate((grid.free[0], grid.free[-1], grid.free[:, 0], grid.free[:, -1]))
+    return lacks_unknown(grid) and bool(edge.mean() > 0.8)
+
+
+def lacks_unknown(grid: OccupancyGrid) -> bool:
+    """Whether next to nothing is unknown but the soft edges of what is drawn."""
+    inner = cv2.erode(grid.unknown.view(np.uint8), np.ones((3, 3), np.uint8))
+    return float(np.count_nonzero(inner)) < 0.005 * inner.size
+
+
 def require_usable(grid: OccupancyGrid, name: str) -> None:
     """Raise MapError if `grid` has no occupied or no free cell: nothing can be localized."""
     for what, found in (("occupied", grid.occupied.any()), ("free", grid.free.any())):

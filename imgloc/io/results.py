@@ -180,6 +180,15 @@ def read_run(folder: PathLike) -> Row:
     raise OutputError(f"{name}: no {RUN} of this version, expected a {_FOLDER}")
 
 
+def read_summary(folder: PathLike) -> Row:
+    """What the last run that came to its end said of the rows; empty if none has."""
+    try:
+        found = json.loads((Path(folder) / SUMMARY).read_bytes())
+    except (OSError, ValueError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
 def read_rows(folder: PathLike) -> Iterator[Row]:
     """Rows of a folder, the last one of each item; what a stop has torn is left out.
 

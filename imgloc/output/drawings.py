@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from imgloc.atlas import Spot
 from imgloc.explanation import layers_of
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.io.images import encode_png
+from imgloc.io.images import encode_picture
 from imgloc.jobs import Drawing
 from imgloc.model import LaserScan, Localization, OccupancyGrid, Pose2D
 from imgloc.options import Options
@@ -21,26 +21,26 @@ def draw_answer(
     options: Options,
 ) -> dict[str, bytes]:
     """The scan over the map at each hypothesis, and the likelihood of every place."""
-    out = {"poses": encode_png(draw(features.grid, answer, scan, truth=truth).image)}
+    out = {"poses": encode_picture(draw(features.grid, answer, scan, truth=truth).image)}
     if answer.verdict != "invalid":
         # Of the default method two propose where to look; the first is the endpoints.
         layer = next(layers_of(features, scan, options))
         if layer.likelihood is not None:
             picture = draw_likelihood(layer.likelihood, grid=features.grid)
-            out["likelihood"] = encode_png(picture)
+            out["likelihood"] = encode_picture(picture)
     return out
 
 
 def draw_checked(grid: OccupancyGrid) -> dict[str, bytes]:
     """A map as it is read."""
-    return {"map": encode_png(draw_map(grid))}
+    return {"map": encode_picture(draw_map(grid))}
 
 
 def draw_survey(
     grid: OccupancyGrid, spots: Sequence[Spot], step: float, headings: int
 ) -> dict[str, bytes]:
     """Where on a map one scan is enough."""
-    return {"atlas": encode_png(draw_atlas(grid, spots, step=step, headings=headings))}
+    return {"atlas": encode_picture(draw_atlas(grid, spots, step=step, headings=headings))}
 
 
 DRAWINGS: Mapping[str, Drawing] = {"answer": draw_answer, "map": draw_checked, "atlas": draw_survey}

@@ -5,7 +5,7 @@ numbers become text.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -30,17 +30,20 @@ DRAWN = 12
 
 
 def render_explanation(
-    e: Explanation, title: str, *, truth: Pose2D | None = None, version: str = __version__
-) -> str:
+    e: Explanation, title: str, *, truth: Pose2D | None = None, hints: Sequence[str] = (),
+    version: str = __version__,
+) -> str:  # fmt: skip
     """Write the page, HTML; its `title` says what was localized where.
 
-    With the `truth`, the pose of the sensor in the map frame, the error is stated.
+    With the `truth`, the pose of the sensor in the map frame, the error is stated. The `hints` say
+    what to look at next.
     """
     poses, rays = [f.hypothesis.pose for f in e.fits], [f.rays for f in e.fits]
     return svg.ENVIRONMENT.get_template("explain.html").render(
         e=e,
         title=title,
         truth=truth,
+        hints=hints,
         version=version,
         drawn=DRAWN,
         headlines=HEADLINES,

@@ -1,5 +1,6 @@
 """Pictures of answers: likelihood stacks, ranked hypotheses, the atlas of a map."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -11,7 +12,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import in_grid_frame, transform_points, transform_poses
 from imgloc.io.files import PathLike, write_bytes_atomic
-from imgloc.io.images import encode_png
+from imgloc.io.images import encode_picture
 from imgloc.model import (
     BoolArray,
     FloatArray,
@@ -68,10 +69,10 @@ class Picture:
 
     def save(self, path: PathLike, *, force: bool = False) -> None:
         """Write it as PNG, whole or not at all; an OutputError if it exists, without `force`."""
-        write_bytes_atomic(path, encode_png(self.image), force=force)
+        write_bytes_atomic(path, encode_picture(self.image), force=force)
 
     def _repr_png_(self) -> bytes:
-        return encode_png(self.image)
+        return encode_picture(self.image)
 
 
 def draw(
@@ -80,6 +81,7 @@ def draw(
     scan: LaserScan | None = None,
     *,
     truth: Pose2D | None = None,
+    note: str = "",
     what: str = "map",
     at: tuple[float, float] | None = None,
 ) -> Picture:
@@ -92,6 +94,8 @@ def draw(
         The scan is laid on the map at each hypothesis.
     truth : Pose2D, optional
         True pose of the sensor, map frame.
+    note : str
+        What else is to stand below an answer of a scan.
     what, at : str, and (float, float) in metres, map frame
         Without an answer: as of :func:`imgloc.output.features.draw_feature`.
 
@@ -126,8 +130,9 @@ def draw(
         if scan is not None:
             points = scan_xy(scan)[scan.valid] * answer.evidence.scale
         hypotheses = [in_grid_frame(h, grid.info) for h in answer.hypotheses]
-        note = f"verdict: {answer.verdict}; {_not_drawn(answer)}" if hypotheses else ""
-        return Picture(draw_hypotheses(grid, points, hypotheses, truth=local, note=note))
+        left = f"; {_not_drawn(answer)}" if hypotheses else ""
+        notes = [f"verdict: {answer.verdict}{left}", *([note] if note else [])]
+        return Picture(draw_hypotheses(grid, points, hypotheses, truth=local, notes=notes))
     if answer is not None:
         raise TypeError(f"expected a Localization or a Likelihood to draw, got {answer!r}")
     if features is None and what == "map":
@@ -178,21 +183,66 @@ def draw_hypotheses(
     truth: Pose2D | None = None,
     top: int = _TOP,
     scale: int | None = None,
-    note: str = "",
+    notes: Sequence[str] = (),
 ) -> Image:
     """Draw where a scan may have been taken: the scan laid on the map at each hypothesis.
 
     The points `scan_xy` (N, 2) are in the sensor's frame, metres. The `top` of the hypotheses, best
     first, grid frame, are drawn with ellipses of two standard deviations; the true pose, grid
-    frame, with a cross. The legend below has the mass and the pose, in the map frame, of each, and
-    the `note`. A cell is `scale` pixels wide.
+    frame, with a cross. The legend, below or beside a high map, has the mass and the pose, in the
+    map frame, of each, and the `notes`. A cell is `scale` pixels wide. Of a map that is mostly
+    unknown what is known is drawn.
     """
-    canvas = map_canvas(grid, scale)
     shown = [(h, PALETTE[k % len(PALETTE)]) for k, h in enumerate(hypotheses[:top])]
-    _lay(canvas, scan_xy, shown, truth)
+    poses = [h.pose for h, _ in shown] + ([] if truth is None else [truth])
+    rows, columns = _known(grid, poses)
+    part, here, true = _part(grid, rows, columns, shown, truth)
+    canvas = map_canvas(part, scale)
+    _lay(canvas, scan_xy, here, true)
     scale_bar(canvas)
-    inset = _inset(grid, canvas, scan_xy, shown, truth)
-    return _with_legend(canvas.image, shown, grid.origin, truth, note, inset)
+    f = enlarged(canvas.image)
+    legend = _legend(f, shown, grid.origin, truth, notes)
+    if legend is None:
+        return canvas.image
+    size = _beside(canvas.image, legend) or (round(340 * f),) * 2
+    inset = _inset(grid, size, scan_xy, shown, truth)
+    return _laid_out(canvas.image, legend, inset)
+
+
+def _known(grid: OccupancyGrid, poses: Sequence[Pose2D]) -> tuple[slice, slice]:
+    """Rows and columns of a map that are worth a look: what is known of it, and the poses.
+
+    All of them, unless these are less than half of it.
+    """
+    there = grid.occupied | grid.free
+    for pose in poses:
+        at = np.array((pose.y, pose.x)) // grid.resolution
+        row, column = np.clip(at.astype(np.int64), 0, np.array(there.shape) - 1)
+        there[row, column] = True
+    spare, kept = 1 + max(there.shape) // 50, []
+    for axis in (1, 0):
+        (found,) = np.nonzero(there.any(axis=axis))
+        low, high = (int(found[0]), int(found[-1])) if len(found) else (0, len(there))
+        kept.append(slice(max(0, low - spare), min(there.shape[1 - axis], high + spare + 1)))
+    rows, columns = kept
+    if 2 * (rows.stop - rows.start) * (columns.stop - columns.start) > there.size:
+        return slice(0, there.shape[0]), slice(0, there.shape[1])
+    return rows, columns
+
+
+def _part(
+    grid: OccupancyGrid, rows: slice, columns: slice,
+    shown: Sequence[tuple[Hypothesis, Colour]], truth: Pose2D | None,
+) -> tuple[OccupancyGrid, list[tuple[Hypothesis, Colour]], Pose2D | None]:  # fmt: skip
+    """Rows and columns of a map, with poses in the grid frame of that part."""
+    part = OccupancyGrid(grid.occupied[rows, columns], grid.free[rows, columns], grid.resolution)
+    x, y = columns.start * grid.resolution, rows.start * grid.resolution
+
+    def moved(p: Pose2D) -> Pose2D:
+        return Pose2D(p.x - x, p.y - y, p.theta)
+
+    here = [(replace(h, pose=moved(h.pose)), colour) for h, colour in shown]
+    return part, here, None if truth is None else moved(truth)
 
 
 def _lay(
@@ -202,58 +252,96 @@ def _lay(
     """Draw hypotheses with their numbers, the bolder the more mass they have, and the truth."""
     most = max((h.mass for h, _ in shown), default=0.0)
     bold = [0.3 + 0.7 * (h.mass / most) ** 0.5 if most > 0 else 1.0 for h, _ in shown]
-    full, f = marker_size(canvas), enlarged(canvas.image)
+    full = marker_size(canvas)
     every = list(enumerate(zip(shown, bold, strict=True), start=1))[::-1]
     for _, ((hypothesis, colour), share) in every:
         points = transform_points(hypothesis.pose, scan_xy)
         canvas.dots(points, faded(colour, share), max(1.2, 0.28 * full) * (0.5 + 0.5 * share))
-    for number, ((hypothesis, colour), share) in every:
+    for _, ((hypothesis, colour), share) in every:
         pose, size, ink = hypothesis.pose, full * (0.6 + 0.4 * share), faded(colour, share)
         ellipse = (pose.x, pose.y) + 2 * deviation_ellipse(hypothesis.covariance)
         canvas.polygon(ellipse, ink, 0.25)
         canvas.lines(ellipse[None], ink)
         canvas.robot(pose.x, pose.y, pose.theta, ink, size)
-        # The number stands behind the robot, where its nose is not.
-        back = (full + 9 * f) / canvas.px_per_m
-        at = (pose.x - back * np.cos(pose.theta), pose.y - back * np.sin(pose.theta))
-        x, y = np.rint(canvas.pixels(np.array([at]))[0]).astype(int).tolist()
-        big, word = round(15 * f), str(number)
-        left, low = x - text_width(word, big) // 2, y + round(5 * f)
+    if truth is not None:
+        _cross(canvas, truth.x, truth.y, 1.5 * full)
+    _number(canvas, [h.pose for h, _ in shown], truth, full)
+
+
+def _number(canvas: Canvas, poses: Sequence[Pose2D], truth: Pose2D | None, size: float) -> None:
+    """Write the numbers of poses, each where neither a mark nor another number is.
+
+    Behind its robot if it can be; a line leads to one that has to stand farther off.
+    """
+    f = enlarged(canvas.image)
+    big, high = round(15 * f), 8 * f
+    height, width = canvas.image.shape[:2]
+    taken = list[tuple[float, float, float, float]]()  # left, right, top, bottom
+    spots = canvas.pixels(np.array([(p.x, p.y) for p in poses]))
+    for (x, y), pose in zip(spots.tolist(), poses, strict=True):
+        nose = (x + 1.4 * size * np.cos(pose.theta), y - 1.4 * size * np.sin(pose.theta))
+        for (u, v), r in (((x, y), size), (nose, 0.8 * size)):
+            taken.append((u - r, u + r, v - r, v + r))
+    if truth is not None:
+        ((x, y),) = canvas.pixels(np.array([(truth.x, truth.y)])).tolist()
+        r = 1.5 * size
+        taken.append((x - r, x + r, y - r, y + r))
+    for number, ((x, y), pose) in enumerate(zip(spots.tolist(), poses, strict=True), start=1):
+        if not (0 <= x < width and 0 <= y < height):
+            continue
+        word, best = str(number), (np.inf, x, y, 1.0)
+        half = text_width(word, big) / 2 + f
+        for far, turn in itertools.product((1.0, 1.6, 2.4, 3.4), range(8)):
+            angle = pose.theta + np.pi + (turn + 1) // 2 * (-1) ** turn * np.pi / 4
+            away = far * (size + 9 * f)
+            u, v = x + away * np.cos(angle), y - away * np.sin(angle)
+            covered = sum(
+                max(0.0, min(u + half, right) - max(u - half, left))
+                * max(0.0, min(v + high, bottom) - max(v - high, top))
+                for left, right, top, bottom in taken
+            )
+            inside = half < u < width - half and high < v < height - high
+            cost = covered / (4 * half * high) + 0.1 * far + 0.01 * turn + (not inside)
+            if cost < best[0] - 1e-9:
+                best = cost, u, v, far
+        _, u, v, far = best
+        taken.append((u - half, u + half, v - high, v + high))
+        if far > 1:
+            lead = np.array([[(x, y), (u, v)]])
+            lead[0] += ((lead[0, ::-1] - lead[0]) / np.hypot(u - x, v - y)) * [[size], [high]]
+            for ink, thick in ((PAPER, 3), (INK, 1)):
+                cv2.polylines(canvas.image, [np.rint(lead[0]).astype(np.int32)], False, ink,
+                              round(thick * f), cv2.LINE_AA)  # fmt: skip
+        left, low = round(u) - text_width(word, big) // 2, round(v) + round(5 * f)
         for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):
             text(canvas.image, word, left + dx * round(2 * f), low + dy * round(2 * f), PAPER, big)
         text(canvas.image, word, left, low, INK, big)
-    if truth is not None:
-        _cross(canvas, truth.x, truth.y, 1.5 * full)
 
 
 def _inset(
-    grid: OccupancyGrid, canvas: Canvas, scan_xy: FloatArray,
+    grid: OccupancyGrid, size: tuple[int, int], scan_xy: FloatArray,
     shown: Sequence[tuple[Hypothesis, Colour]], truth: Pose2D | None,
 ) -> Image | None:  # fmt: skip
-    """The place of the best hypothesis, larger, if the scan is small on the map."""
+    """The place of the best hypothesis, larger, if the scan is small on the map.
+
+    Its `size`, width and height in pixels, is about that.
+    """
     if not shown or not len(scan_xy):
         return None
     reach = float(np.percentile(np.hypot(*scan_xy.T), 80))
-    height, width = grid.occupied.shape
-    half = int(np.ceil(max(2.0, 1.1 * reach) / grid.resolution))
-    if 5 * half > max(height, width):
+    least = int(np.ceil(max(2.0, 1.1 * reach) / grid.resolution))
+    if 5 * least > max(grid.occupied.shape):
         return None
-    pose = shown[0][0].pose
-    row, column = int(pose.y / grid.resolution), int(pose.x / grid.resolution)
-    rows = slice(max(0, row - half), min(height, row + half))
-    columns = slice(max(0, column - half), min(width, column + half))
-    if rows.stop <= rows.start or columns.stop <= columns.start:
-        return None
-    part = OccupancyGrid(grid.occupied[rows, columns], grid.free[rows, columns], grid.resolution)
-    side = round(340 * enlarged(canvas.image))
-    close = map_canvas(part, max(1, round(side / (2 * half))))
-    away = Pose2D(columns.start * grid.resolution, rows.start * grid.resolution)
-
-    def moved(p: Pose2D) -> Pose2D:
-        return Pose2D(p.x - away.x, p.y - away.y, p.theta)
-
-    near = [(replace(h, pose=moved(h.pose)), c) for h, c in shown]
-    _lay(close, scan_xy, near, None if truth is None else moved(truth))
+    cell = max(1, round(min(size) / (2 * least)))
+    pose, kept = shown[0][0].pose, []
+    for at, pixels, end in zip((pose.y, pose.x), size[::-1], grid.occupied.shape, strict=True):
+        middle, half = int(at / grid.resolution), round(pixels / (2 * cell))
+        kept.append(slice(max(0, middle - half), min(end, middle + half)))
+        if kept[-1].stop <= kept[-1].start:
+            return None
+    part, near, true = _part(grid, kept[0], kept[1], shown, truth)
+    close = map_canvas(part, cell)
+    _lay(close, scan_xy, near, true)
     scale_bar(close)
     cv2.rectangle(close.image, (0, 0), (close.image.shape[1] - 1, len(close.image) - 1), INK, 2)
     return close.image
@@ -286,46 +374,44 @@ def _under(canvas: Canvas, grid: OccupancyGrid) -> tuple[BoolArray, BoolArray]:
     return np.pad(grid.free, 1)[index], np.pad(grid.occupied, 1)[index]
 
 
-def _with_legend(
-    image: Image,
+def _legend(
+    f: float,
     shown: Sequence[tuple[Hypothesis, Colour]],
     origin: Pose2D,
     truth: Pose2D | None,
-    note: str,
-    inset: Image | None = None,
-) -> Image:
-    """Put a line per hypothesis below a picture: mark, bar and share of mass, pose; the inset."""
+    notes: Sequence[str],
+) -> Image | None:
+    """A line per hypothesis: mark, bar and share of mass, pose; and the notes. None of nothing.
+
+    Words are `f` times as large as on a screen.
+    """
     poses = [h.pose for h, _ in shown] + ([truth] if truth is not None else [])
-    if not poses:
-        return image
-    f = enlarged(image)
     size, row = round(13 * f), round(_ROW * f)
 
     def px(length: float) -> int:
         return round(length * f)
 
-    table = transform_poses(origin, np.array([(p.x, p.y, p.theta) for p in poses]))
-    lines = [("x / m", "y / m", "theta / deg")]
-    lines += [(f"{x:.2f}", f"{y:.2f}", f"{np.rad2deg(theta):.1f}") for x, y, theta in table]
-    columns = [px(24) + max(text_width(line[k], size) for line in lines) for k in range(3)]
-    ends = px(272) + np.cumsum(columns)
-    height, width = image.shape[:2]
-    rows = len(lines) + bool(note)
-    words = max(int(ends[-1]), px(44) + text_width(note, size)) + px(14)
-    beside = 0 if inset is None else inset.shape[1] + px(14)
-    wide = max(width, words + beside)
-    below = max(row * rows + px(14), 0 if inset is None else len(inset) + px(14))
-    out = np.full((height + below, wide, 3), 255, np.uint8)
-    out[:height, :width] = image
-    if inset is not None:
-        top, left = height + px(7), wide - px(7) - inset.shape[1]
-        out[top : top + len(inset), left : left + inset.shape[1]] = inset
-    base = height + px(21)
+    lines, ends = list[tuple[str, str, str]](), np.array([px(440)])
+    if poses:
+        table = transform_poses(origin, np.array([(p.x, p.y, p.theta) for p in poses]))
+        lines = [("x / m", "y / m", "theta / deg")]
+        lines += [(f"{x:.2f}", f"{y:.2f}", f"{np.rad2deg(theta):.1f}") for x, y, theta in table]
+        columns = [px(24) + max(text_width(line[k], size) for line in lines) for k in range(3)]
+        ends = px(272) + np.cumsum(columns)
+    left = px(44) if poses else px(14)
+    said = [line for note in notes for line in _wrapped(note, int(ends[-1]) - left, size)]
+    rows = len(lines) + len(said)
+    if not rows:
+        return None
+    wide = max(int(ends[-1]), *(left + text_width(line, size) for line in said), 0) + px(14)
+    out = np.full((row * rows + px(14), wide, 3), 255, np.uint8)
+    base = px(21)
     for k, line in enumerate(lines):
         y = base + k * row
         for end, word in zip(ends.tolist(), line, strict=True):
             text(out, word, end - text_width(word, size), y, size=size)
-    text(out, "mass", px(266) - text_width("mass", size), base, size=size)
+    if shown:
+        text(out, "mass", px(266) - text_width("mass", size), base, size=size)
     for k, (hypothesis, colour) in enumerate(shown, start=1):
         y = base + k * row
         Canvas(out, 1.0).robot(px(22), len(out) - y + 4.5 * f, 0.0, colour, 5.5 * f)
@@ -333,13 +419,53 @@ def _with_legend(
         out[y - px(10) : y + 1, px(68) : px(188)] = SHADE
         share = min(1.0, max(0.0, hypothesis.mass))
         out[y - px(10) : y + 1, px(68) : px(68) + round(px(120) * share)] = colour
-        said = f"{100 * hypothesis.mass:.1f} %"
-        text(out, said, px(266) - text_width(said, size), y, size=size)
+        mass = f"{100 * hypothesis.mass:.1f} %"
+        text(out, mass, px(266) - text_width(mass, size), y, size=size)
     if truth is not None:
         y = base + len(poses) * row
         _cross(Canvas(out, 1.0), px(23), len(out) - y + 4.5 * f, 5 * f)
         text(out, "true pose", px(44), y, size=size)
-    text(out, note, px(44), base + len(lines) * row, size=size)
+    for k, words in enumerate(said, start=len(lines)):
+        text(out, words, left, base + k * row, size=size)
+    return out
+
+
+def _wrapped(words: str, width: int, size: int) -> list[str]:
+    """A text as lines of at most `width` pixels, unless a word is longer."""
+    lines = [""]
+    for word in words.split():
+        longer = f"{lines[-1]} {word}".lstrip()
+        if lines[-1] and text_width(longer, size) > width:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines
+
+
+def _beside(image: Image, legend: Image) -> tuple[int, int] | None:
+    """Width and height in pixels that are left below a legend beside a high picture."""
+    (height, width), gap = image.shape[:2], round(7 * enlarged(image))
+    high, wide = height - len(legend) - 3 * gap, legend.shape[1] - gap
+    return (wide, min(high, 2 * wide)) if height > 1.5 * width and high > wide / 2 else None
+
+
+def _laid_out(image: Image, legend: Image, inset: Image | None) -> Image:
+    """Put the legend and the inset below a picture, or beside one that is high."""
+    (height, width), gap = image.shape[:2], round(7 * enlarged(image))
+    parts = [part for part in (legend, inset) if part is not None]
+    highs, wides = [len(p) for p in parts], [p.shape[1] for p in parts]
+    beside = inset is not None and _beside(image, legend) is not None
+    if beside:
+        size = max(height, sum(highs) + 3 * gap), width + max(wides) + 2 * gap
+    else:
+        size = height + max(highs) + 2 * gap, max(width, sum(wides) + 2 * gap)
+    out = np.full((*size, 3), 255, np.uint8)
+    out[:height, :width] = image
+    top, left = (gap, width + gap) if beside else (height + gap, 0)
+    out[top : top + highs[0], left : left + wides[0]] = legend
+    if inset is not None:
+        top, left = (top + highs[0] + gap, left) if beside else (top, size[1] - gap - wides[1])
+        out[top : top + highs[1], left : left + wides[1]] = inset
     return out
 
 

@@ -21,12 +21,12 @@ from markupsafe import Markup
 from imgloc.__about__ import __version__
 from imgloc.batch import BatchSummary
 from imgloc.io.files import PathLike, display
-from imgloc.io.results import PICTURES, Row, read_rows, read_run
+from imgloc.io.results import PICTURES, Row, read_rows, read_run, read_summary
 from imgloc.output.pages import flat
 from imgloc.output.svg import ENVIRONMENT
 
 MARK = b'<meta name="generator" content="imgloc report">'  #: is near the beginning of the page
-EMBEDDED = 16 << 20
+EMBEDDED = 8 << 20
 """Bytes of pictures that the page takes into itself; of more it takes none."""
 _VERDICTS = ("unique", "named", "ambiguous", "undecided", "no-match", "none", "invalid")
 _BARS = 28  # of a histogram
@@ -150,7 +150,9 @@ def render_report(
             for column in _FAILURES:
                 failures[column.key].append(row[column.key])
         for k, answer in enumerate(row["answers"]):
-            said = {"map": row["map"], "scans": row["scans"], "k": k} | of_job(answer, row, k)
+            index = answer.get("index") if "verdict" in answer else None  # S of `evaluate` else
+            said = {"map": row["map"], "scans": row["scans"], "k": k if index is None else index}
+            said |= of_job(answer, row, k)
             for column in columns:
                 answers[column.key].append(_short(said.get(column.key), column.digits))
             answers["pictures"].append(answer.get("pictures") or 0)
@@ -172,6 +174,7 @@ def render_report(
         versions=versions.most_common(),
         version=version,
         verdicts=_in_order(summary.verdicts),
+        hints=read_summary(folder).get("hints", []),
         statuses=sorted(summary.statuses.items(), key=lambda kv: -kv[1]),
         kinds=_kinds(failures),
         error_bars=histogram(errors, 0.01, 100.0),

@@ -18,7 +18,7 @@ from imgloc.explanation import RayFit
 from imgloc.features.pyramid import any_of_blocks
 from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import rotation
-from imgloc.io.images import encode_png
+from imgloc.io.images import encode_picture
 from imgloc.model import BoolArray, FloatArray, Hypothesis, LaserScan, OccupancyGrid, Pose2D
 from imgloc.output.canvas import INK, PAPER, SHADE, Image, deviation_ellipse, round_length
 
@@ -123,7 +123,7 @@ def marks(kind: str, at: FloatArray) -> str:
 
 def data_of(picture: Image) -> str:
     """A picture as the text of a ``data:image/png;base64`` address."""
-    return base64.b64encode(encode_png(picture)).decode("ascii")
+    return base64.b64encode(encode_picture(picture)).decode("ascii")
 
 
 def map_image(grid: OccupancyGrid, view: View) -> Markup:

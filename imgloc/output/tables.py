@@ -17,6 +17,7 @@ from imgloc.model import SURE, VERDICTS, Localization, Pose2D, base_of
 if TYPE_CHECKING:
     from imgloc.batch import BatchSummary
     from imgloc.choice import Choice
+    from imgloc.features.floorplan import FloorPlan
     from imgloc.io.mapcheck import MapReport
 
 _WIDE = 1000  # characters of a line at most: a table is as wide as its cells, wherever it goes
@@ -101,8 +102,11 @@ def answer_header(mounted: bool = False) -> str:
     return f"{'index':>6}  {'verdict':<10} {place} {shares}{base}"
 
 
-def answer_line(index: int, answer: Localization) -> str:
-    """Return one line for one scan, to be written as soon as it is known."""
+def answer_line(index: int, answer: Localization, *, narrow: bool = False) -> str:
+    """Return one line for one scan, to be written as soon as it is known.
+
+    Where it is `narrow` the pose of the base is in a line of its own, below that of the sensor.
+    """
     mass, rest, explained, mount = "-", "-", "-", answer.T_base_laser
     place = base = f"{'-':>9} {'-':>9} {'-':>11}"
     if answer.pose is not None:
@@ -110,7 +114,9 @@ def answer_line(index: int, answer: Localization) -> str:
         rest = _percent(_unlisted(answer))
         place = _place(answer.pose)
         base = place if mount is None else _place(base_of(answer.pose, mount))
-    more = ("" if mount is None else f"  {base}") + ("" if answer.complete else "  out of time")
+    more = "" if mount is None or narrow else f"  {base}"
+    more += "" if answer.complete else "  out of time"
+    more += f"\n{'':>6}  {'base':<10} {base}" if narrow and mount is not None else ""
     return f"{index:>6}  {answer.verdict:<10} {place} {mass:>8} {rest:>8} {explained:>10}{more}"
 
 
@@ -137,7 +143,11 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
         facts.append(("trust", f"{explained}, entropy {answer.entropy:.3f} nats"))
         if (bent := bent_words(evidence.scale, evidence.thinner)) is not None:
             known: Any = answer.parameters.get("shared")
-            calibrated = known is not None and known["scale"] == evidence.scale
+            calibrated = (
+                known is not None
+                and known["scale"] == evidence.scale
+                and (known["thinner"] > 0 or not evidence.thinner)
+            )
             how = "as calibrated, " if calibrated else "fits far better with "
             facts.append(("map", how + bent))
         poses = f"{evidence.listed} listed"
@@ -267,6 +277,29 @@ def report_text(report: "MapReport") -> str:
     return "\n".join(lines + [f"    {w}" for w in report.warnings])
 
 
+def plan_text(name: str, resolution: float, plan: "FloorPlan", out: str) -> str:
+    """Return what was found on a floor plan and what was taken from it."""
+    low, median, high = plan.thickness
+    doors = "no swings found"
+    if plan.doors:
+        doors = f"{len(plan.doors)} swings, leaves of {plan.doors[0]:.2f} to {plan.doors[-1]:.2f} m"
+    height, width = plan.grid.info.shape
+    corner = plan.grid.origin
+    lines = [
+        name,
+        f"  plan        {resolution:.4g} m a pixel" + (", light on dark" if plan.inverted else ""),
+        f"  building    {plan.size[0]:.2f} x {plan.size[1]:.2f} m, {plan.free_area:.1f} m2 free",
+        f"  walls       {plan.walls} pieces, {plan.length:.0f} m; {low:.2f} to {high:.2f} m thick, "
+        f"median {median:.2f} m",
+        f"  doors       {doors}; in outer walls openings up to {plan.gap:g} m count as closed",
+        "  removed" + ("" if plan.removed else "     nothing"),
+        *(f"    {r.kind:<24} {r.count:>5,} {r.area:>8.2f} m2" for r in plan.removed),
+        f"  map         {out}: {width:,} x {height:,} cells of {plan.grid.resolution:g} m, "
+        f"corner at x {corner.x:g}, y {corner.y:g}",
+    ]
+    return "\n".join(lines)
+
+
 def atlas_text(summary: Mapping[str, Any]) -> str:
     """Return the shares of :func:`imgloc.atlas.summarise`."""
     meanings = {
@@ -293,7 +326,7 @@ def batch_text(summary: "BatchSummary", folder: str) -> str:
     >>> print(batch_text(found, "out"))
     3 items: 2 ok, 1 timeout
     10 scans: 9 unique, 1 ambiguous
-    9 of 10 with a known pose are right (90.0 %), 0 unique and wrong
+    of 10 scans with a known pose 9 are right (90.0 %), 0 unique and wrong
     0 new rows in 0.0 s: out/results.jsonl
     """
     lines = [f"{summary.items:,} items: {_counted(summary.statuses)}"]
@@ -301,11 +334,19 @@ def batch_text(summary: "BatchSummary", folder: str) -> str:
         total = sum(summary.verdicts.values())
         lines.append(f"{total:,} scans: {_counted(summary.verdicts)}")
     if summary.known:
-        lines.append(
-            f"{summary.hits:,} of {summary.known:,} with a known pose are right "
-            f"({100 * summary.hits / summary.known:.1f} %), {summary.unique_wrong:,} unique and "
-            "wrong"
-        )
+        right = f"{summary.hits:,} are right ({100 * summary.hits / summary.known:.1f} %)"
+        wrong = f"{summary.unique_wrong:,} unique and wrong"
+        lines.append(f"of {summary.known:,} scans with a known pose {right}, {wrong}")
+        if summary.pairs > summary.files:
+            lines.append(
+                "  a pose counts on each map that its file is tried with: "
+                f"{summary.pairs:,} pairs of {summary.files:,} "
+                f"file{'s' * (summary.files != 1)}; a CSV of pairs (map,scans) "
+                "says which map is whose"
+            )
+    for hint in summary.hints:
+        tried = f"{hint['items']} of {hint['of']} doubtful items looked at again"
+        lines.append(f"{tried}, such as {hint['first'][0]}: {hint['hint']}")
     lines.append(f"{summary.new:,} new rows in {summary.seconds:.1f} s: {folder}/results.jsonl")
     return "\n".join(lines)
 

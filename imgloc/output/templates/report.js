@@ -147,6 +147,7 @@
     made.loading = "lazy";
     made.alt = `${name.replace(/^.*-([a-z]+)\.png$/, "$1")} of ${title(i)}`;
     made.src = address(name);
+    made.onclick = () => made.classList.toggle("full");
     return made;
   };
   function show(i) {

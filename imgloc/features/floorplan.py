@@ -1,0 +1,693 @@
+"""From a floor plan to a map: walls as solid bodies, all else that is drawn taken away.
+
+An architect draws a wall filled, as two lines, hatched between these, or as one thick line; and
+besides walls doors with their swings, windows, stairs, furniture, names and dimensions. What tells
+them apart is thickness: a wall is what lines close together enclose, and what is thicker than a
+pen. The rest a laser never meets, or not where it is drawn: it is neither wall nor obstacle.
+"""
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from skimage.filters import threshold_otsu
+from skimage.measure import label
+from skimage.morphology import disk, skeletonize
+
+from imgloc.errors import ConfigError, MapError
+from imgloc.features.distance import distance_transform
+from imgloc.geometry import rotation
+from imgloc.model import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    IntArray,
+    OccupancyGrid,
+    Pose2D,
+    plain,
+)
+
+CELL = 0.05  #: metres of a cell of the map, unless a pixel of the plan is larger
+THINNEST, THICKEST = 0.07, 0.5  #: of walls, metres
+KINDS = (
+    "paper", "walls", "door swings", "text", "furniture and symbols", "stairs and hatching",
+    "thin lines", "outside the building", "a frame round the sheet",
+)  # fmt: skip
+"""What a pixel of a plan may be, by its number in :attr:`FloorPlan.kinds`."""
+_WALL, _SWING, _TEXT, _SYMBOL, _HATCH, _LINE, _OUTSIDE, _FRAME = range(1, len(KINDS))
+
+_PARTS, _MOST = (4, 3, 2, 1), 16_000_000  # pixels along a cell, the finest of at most so many
+_BYTES = 60  # of each such pixel, at the peak
+_FAINT = 0.15  # share of a larger pixel that is enough ink: a thin line must not break
+_LIGHT = np.array([0.35, 0.65])  # of the tones of ink and of paper: the faintest line
+# How many pens thick a wall is at least, and how many pixels of the plan, with its soft edges;
+# metres that this may come to.
+_BOLD, _LINES, _BOLDEST = 1.5, 2.2, 0.12
+_DENSE = 2.5  # lines thick that a hatched wall is at least, where it is nearly black
+_ACROSS, _SOFT = 3, 1.6  # pixels of the plan that a line is wide at most, least; soft edges, too
+_THINNER = (1.0, 0.6, 0.35)  # of the thinnest wall: tried where thicker ones enclose nothing
+_GAPS = (0.3, 0.7, 1.2, 1.8, 2.4, 3.2, 4.0)  # metres: openings in the outer walls
+_ENOUGH = 0.9  # share of what the widest gap closes that is enough
+_LEAST = 4.0  # square metres inside a building
+_STRIP = 2.5  # how many times as long as wide a space between two lines of a wall is
+# Cells of a hatched wall, at least; metres between them, and square metres of one, at most.
+_CELLS, _HATCHED, _LITTLE = 5, 0.08, 0.06
+_ROOM = 1.0  # metres: what encloses a wider space than that is no furniture
+_PIECE, _PILLAR = 1.5, 0.18  # metres: what is shorter has to be a pillar, which is wider
+_LETTER, _WORD = 0.65, 3  # metres that a letter is high at most; how many of them make a text
+_LEAF = (0.45, 1.4)  # metres: widths of a door's leaf
+_HANGS = 0.25  # metres between a door and the wall that it hangs on
+_QUARTER, _HOLE = np.deg2rad((60, 115)), np.deg2rad(6)  # lengths of a swing, and holes in it
+_TRIALS, _POINTS = 400, 400  # circles through three of so many points
+_SPECK = 0.001  # square metres of ink that count as a piece
+_SHADES, _TONES, _FLAT = 8, 4, 0.75  # a drawing has few tones: this share of it near four of them
+
+
+@dataclass(frozen=True)
+class Removed:
+    """What of one kind was taken from a plan."""
+
+    kind: str  #: of :data:`KINDS`
+    count: int  #: connected pieces
+    area: float  #: of their ink, square metres
+
+
+@dataclass(frozen=True, eq=False)
+class FloorPlan:
+    """What :func:`plan_to_map` made of a plan."""
+
+    grid: OccupancyGrid  #: the map: walls occupied, rooms free, all around the building unknown
+    #: (H, W) uint8: what each pixel was taken for, an index of :data:`KINDS`; row 0 is the lowest
+    #: y, its first corner that of the plan
+    kinds: npt.NDArray[np.uint8]
+    pixel: float  #: side of a pixel of `kinds`, metres
+    size: tuple[float, float]  #: width and height of the building, metres
+    walls: int  #: connected pieces of wall
+    length: float  #: of their middle lines together, metres
+    #: of walls, metres: 5 % of their length are thinner, and 5 % thicker, than the first and last;
+    #: the second is the median
+    thickness: tuple[float, float, float]
+    doors: tuple[float, ...]  #: widths of the leaves whose swings were found, metres
+    removed: tuple[Removed, ...]  #: by kind, in the order of :data:`KINDS`
+    gap: float  #: openings in the outer walls up to so wide count as closed, metres
+    thinnest: float  #: what is thinner was no wall, metres
+    inverted: bool  #: the plan was light on dark
+
+    @property
+    def free_area(self) -> float:
+        """Of the map, square metres."""
+        return float(np.count_nonzero(self.grid.free)) * self.grid.resolution**2
+
+    def as_row(self) -> dict[str, Any]:
+        """What was found, as `imgloc map plan --json` writes it."""
+        low, median, high = self.thickness
+        return {
+            "size": dict(zip(("width", "height"), self.size, strict=True)),
+            "walls": {
+                "pieces": self.walls,
+                "length": self.length,
+                "thickness": {"low": low, "median": median, "high": high},
+            },
+            "doors": self.doors,
+            "removed": [asdict(removed) for removed in self.removed],
+            "free_area": self.free_area,
+            "gap": self.gap,
+            "thinnest": self.thinnest,
+            "inverted": self.inverted,
+            "cell": self.grid.resolution,
+            "cells": dict(zip(("height", "width"), self.grid.info.shape, strict=True)),
+            "origin": plain(self.grid.origin),
+        }
+
+
+@dataclass(frozen=True)
+class Swing:
+    """The arc of a door: hinge, and the two ends of the leaf, (2,) pixels."""
+
+    hinge: FloatArray
+    ends: tuple[FloatArray, FloatArray]
+    radius: float
+
+
+def plan_to_map(
+    grey: npt.NDArray[np.uint8],
+    resolution: float,
+    *,
+    origin: Pose2D | None = None,
+    cell: float | None = None,
+    thinnest: float = THINNEST,
+    thickest: float = THICKEST,
+    gap: float | None = None,
+    ink: float | None = None,
+) -> FloorPlan:
+    """Make a map of a floor plan: walls as they stand, everything else that is drawn taken away.
+
+    Parameters
+    ----------
+    grey : (H, W) uint8 array
+        The plan, row 0 its lowest; 255 is white.
+    resolution : float
+        Metres a pixel.
+    origin : Pose2D, optional
+        Of the lower-left corner of the plan in the map frame; default (0, 0, 0).
+    cell : float, optional
+        Side of a cell of the map, metres; default :data:`CELL`, or a pixel if that is larger.
+    thinnest, thickest : float
+        Of walls, metres: what is thinner is a line, what is wider between two lines a room. Where
+        such walls enclose nothing, thinner ones are looked for.
+    gap : float, optional
+        Openings in the outer walls up to so wide, metres, count as closed when inside is told from
+        outside; by default as wide as is needed.
+    ink : float, optional
+        Darkness, 0..1, from which on a pixel is ink; by default Otsu's threshold.
+
+    Returns
+    -------
+    FloorPlan
+
+    Raises
+    ------
+    ConfigError
+        If a parameter is out of its range.
+    MapError
+        If it is no plan: a photo, a map that a robot made, no wall, nothing that walls enclose.
+
+    Examples
+    --------
+    Two rooms, whose walls are drawn as two lines 0.2 m apart:
+
+    >>> plan = np.full((300, 420), 255, np.uint8)
+    >>> for x, y, wide, high in ((40, 40, 340, 220), (50, 50, 180, 200), (240, 50, 130, 200)):
+    ...     plan = cv2.rectangle(plan, (x, y), (x + wide, y + high), 0, 1)
+    >>> found = plan_to_map(plan, 0.02)
+    >>> found.walls, [round(metres, 1) for metres in (*found.size, found.thickness[1])]
+    (1, [6.8, 4.4, 0.2])
+    """
+    _check(resolution, cell, thinnest, thickest, gap, ink)
+    refuse_strange(grey)
+    cell = max(CELL, resolution) if cell is None else cell
+    drawn, bold, parts, inverted = _sheet(grey, resolution, cell, ink)
+    pixel = cell / parts
+    holes, hatching = _between_lines(drawn, thickest / pixel, pixel)
+    holes &= ~_furniture(drawn, thickest / pixel, pixel)
+    pen = _pen(bold, 2 * _LETTER / pixel) * pixel
+    thin = max(thinnest, min(max(_BOLD * pen, _LINES * resolution), _BOLDEST))
+    # The lines between two spaces of a wall are in it, and half of the lines along it.
+    body = _closed(holes, max(0.04, _ACROSS * resolution) / pixel) & (drawn | holes)
+    line = max(_pen(drawn, 2 * _LETTER / pixel), _SOFT * resolution / pixel)
+    body = _grown(body, round(line / 2)) & (drawn | body)
+    # A narrow hatched wall is more ink than paper.
+    dense = _opened(drawn | holes, _DENSE * line) & _grown(holes, round(_HATCHED / pixel))
+    body |= dense
+    for share in _THINNER:
+        walls, pillars, swings = _walls(drawn, bold, body, holes, share * thin, thickest, pixel)
+        frame = _frame(walls, parts, pixel, gap)
+        inside, closed = _inside(walls & ~frame, parts, pixel, gap)
+        if np.count_nonzero(inside) * cell**2 >= _LEAST:
+            break
+    else:
+        raise MapError(_nothing(drawn, walls, pixel, thin, thickest, gap))
+    walls = _touching(walls & ~frame | pillars, _finer(inside, parts))
+    kinds = _kinds(drawn, walls, _finer(inside, parts), hatching, frame, swings, pixel)
+    middle = skeletonize(walls)
+    through = (2 * _depth(walls)[middle] - 0.5) * pixel
+    low, median, high = np.percentile(through, (5, 50, 95)).tolist()
+    rows, columns = (np.flatnonzero(walls.any(axis=axis)) for axis in (1, 0))
+    return FloorPlan(
+        grid=_as_grid(walls, middle, inside, cell, Pose2D(0, 0) if origin is None else origin),
+        kinds=kinds,
+        pixel=pixel,
+        size=(float(np.ptp(columns) + 1) * pixel, float(np.ptp(rows) + 1) * pixel),
+        walls=int(label(walls, connectivity=2).max()),
+        length=len(through) * pixel,
+        thickness=(low, median, high),
+        doors=tuple(sorted(swing.radius * pixel for swing in swings)),
+        removed=_counted(kinds, len(swings), pixel),
+        gap=closed,
+        thinnest=share * thin,
+        inverted=inverted,
+    )
+
+
+def _walls(
+    drawn: BoolArray, bold: BoolArray, body: BoolArray, holes: BoolArray, thinnest: float,
+    thickest: float, pixel: float,
+) -> tuple[BoolArray, BoolArray, list[Swing]]:  # fmt: skip
+    """Walls no thinner than `thinnest`, metres, doors open; pillars; and the swings of doors."""
+    least = max(2.0, thinnest / pixel)
+    solid = _opened(bold, least) | body
+    rough, _ = _standing(_opened(solid, least), drawn, pixel)
+    swings = _swings(drawn, rough, pixel)
+    solid = _without_leaves(solid, holes, swings, thickest / pixel, 0.1 / pixel)
+    return *_standing(_opened(solid, least), drawn, pixel), swings
+
+
+def plan_bytes(height: int, width: int, resolution: float, cell: float | None = None) -> int:
+    """Peak of :func:`plan_to_map` for a plan of so many pixels, besides the plan, bytes."""
+    area = height * width * resolution**2
+    most = area / (min(cell or CELL, CELL) / _PARTS[0]) ** 2
+    return round(_BYTES * min(most, max(_MOST, height * width))) + 3 * height * width
+
+
+def _depth(mask: BoolArray) -> Float32Array:
+    """Distance of each pixel of a mask from the nearest one outside, beyond the border too."""
+    return distance_transform(np.pad(mask, 1).astype(np.uint8))[1:-1, 1:-1]
+
+
+def _opened(mask: BoolArray, thickness: float) -> BoolArray:
+    """The parts of a mask that are at least so many pixels thick."""
+    size = (max(1, round(thickness)),) * 2
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, size)
+    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0
+
+
+def _grown(mask: BoolArray, by: int) -> BoolArray:
+    return cv2.dilate(mask.astype(np.uint8), disk(by)) > 0
+
+
+def _pieces(mask: BoolArray, connectivity: int = 8) -> tuple[npt.NDArray[np.int32], IntArray]:
+    """Labels of the connected pieces, and left, top, width, height and area of each, 0 first."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(
+        mask.astype(np.uint8), connectivity=connectivity
+    )
+    return np.asarray(labels, np.int32), np.asarray(stats, np.int64)
+
+
+def _met(labels: npt.NDArray[np.int32], count: int, where: BoolArray) -> BoolArray:
+    """Which labels lie somewhere in a mask, (count,); 0 does not."""
+    out = np.zeros(count, np.bool_)
+    out[labels[where]] = True
+    out[0] = False
+    return out
+
+
+def _sheet(
+    grey: npt.NDArray[np.uint8], resolution: float, cell: float, ink: float | None
+) -> tuple[BoolArray, BoolArray, int, bool]:
+    """What is drawn, and what is as dark as ink, in pixels a whole number of which are a cell.
+
+    A thin line whose pixels are half white must not break; but a line is not to look like a wall.
+    """
+    limit = float(threshold_otsu(grey)) if ink is None else 255 * (1 - ink)
+    inverted = bool(np.count_nonzero(grey <= limit) > 0.5 * grey.size)
+    if inverted:
+        grey = 255 - grey
+        limit = 254 - limit if ink is None else limit
+    dark = grey <= limit
+    tones = np.array([np.median(grey[dark]), np.median(grey[~dark])])
+    faint = limit if ink is not None else max(limit, _LIGHT @ tones)
+    high, wide = (side * resolution for side in grey.shape)
+    for parts in (max(1, round(n * cell / CELL)) for n in _PARTS):
+        pixel = cell / parts
+        size = round(wide / pixel), round(high / pixel)
+        if size[0] * size[1] <= _MOST:
+            break
+    if resolution < pixel:
+        masks = [
+            cv2.resize(m.astype(np.float32), size, interpolation=cv2.INTER_AREA) > share
+            for m, share in ((grey <= faint, _FAINT), (dark, 0.5))
+        ]
+    else:
+        larger = cv2.resize(grey, size, interpolation=cv2.INTER_LINEAR)
+        masks = [larger <= faint, larger <= limit]
+    drawn, bold = (np.pad(m, [(0, -side % parts) for side in m.shape]) for m in masks)
+    return drawn, bold, parts, inverted
+
+
+def _between_lines(drawn: BoolArray, thick: float, pixel: float) -> tuple[BoolArray, BoolArray]:
+    """Spaces between the lines of a wall, and those of stairs, tiles and other hatching."""
+    labels, stats = _pieces(~drawn, 4)
+    half = _depth(~drawn)
+    narrow = ~_met(labels, len(stats), half > thick / 2)
+    narrow[0] = False
+    for border in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
+        narrow[border] = False
+    holes = narrow[labels]
+    # Narrow spaces side by side are a wall only if they are as thick as one together.
+    deep = _met(labels, len(stats), holes & (_depth(drawn | holes) > 0.55 * thick + 2))
+    width = np.zeros(len(stats), np.float32)
+    np.maximum.at(width, labels[holes], 2 * half[holes])
+    long = stats[:, cv2.CC_STAT_AREA] >= _STRIP * np.maximum(width, 1) ** 2
+    # What is not belongs to a wall if it is one of many cells between the lines of a hatching.
+    little = stats[:, cv2.CC_STAT_AREA] < _LITTLE / pixel**2
+    cells = (narrow & ~deep & (little | ~long))[labels]
+    strip, found = _pieces(_closed(cells, _HATCHED / pixel))
+    members = np.zeros(len(found), np.int64)
+    first = np.unique(labels[cells], return_index=True)[1]
+    np.add.at(members, strip[cells][first], 1)
+    hatched = _met(labels, len(stats), cells & (members >= _CELLS)[strip])
+    wall = narrow & ~deep & (long | hatched)
+    return wall[labels], (narrow & deep)[labels]
+
+
+def _pen(bold: BoolArray, letter: float) -> float:
+    """Width of the lines of letters and symbols, pixels; 0 if there are next to none."""
+    labels, stats = _pieces(bold)
+    _, _, wide, high, area = stats.T
+    small = (area > 12) & (area < 0.4 * wide * high) & (np.maximum(wide, high) < letter)
+    if np.count_nonzero(small) < 5:
+        return 0.0
+    depth = np.bincount(labels.ravel(), _depth(bold).ravel(), len(stats))[small] / area[small]
+    return float(np.median(4 * depth - 2.2))
+
+
+def _closed(mask: BoolArray, by: float) -> BoolArray:
+    kernel = np.ones((2 * round(by / 2) + 1,) * 2, np.uint8)
+    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, kernel) > 0
+
+
+def _furniture(drawn: BoolArray, thick: float, pixel: float) -> BoolArray:
+    """What stands alone, is too thick for a wall, and encloses no room: with what is within."""
+    labels, stats = _pieces(drawn)
+    out = np.zeros_like(drawn)
+    for k, (x, y, wide, high, area) in enumerate(stats[1:].tolist(), 1):
+        if not 2 * thick < np.hypot(wide, high) < 6.0 / pixel:
+            continue
+        own = np.pad(labels[y : y + high, x : x + wide] == k, 1).astype(np.uint8)
+        around = own.copy()
+        cv2.floodFill(around, None, (0, 0), 2)
+        filled = around != 2
+        if area > 0.8 * np.count_nonzero(filled) or _depth(filled).max() < 0.55 * thick + 1:
+            continue
+        if _depth(filled & (own == 0)).max() < _ROOM / 2 / pixel:
+            out[y : y + high, x : x + wide] |= filled[1:-1, 1:-1]
+    return out
+
+
+def _swings(drawn: BoolArray, walls: BoolArray, pixel: float) -> list[Swing]:
+    """The quarter circles among thin lines that hang on a wall and end at one: doors that swing."""
+    rng = np.random.default_rng(0)
+    to_wall, to_ink = _depth(~walls), _depth(~drawn)
+    labels, stats = _pieces(drawn & ~_grown(walls, 2))
+    found: list[Swing] = []
+    for k, (x, y, wide, high, _) in enumerate(stats[1:].tolist(), 1):
+        if not 0.7 * _LEAF[0] / pixel < max(wide, high) < 6.0 / pixel:
+            continue
+        own = labels[y : y + high, x : x + wide] == k
+        if to_wall[y : y + high, x : x + wide][own].min() > 0.1 / pixel:
+            continue
+        points = np.asarray(np.argwhere(own)[:, ::-1] + np.array([x, y]), np.float64)
+        while len(points) > 12 and (swing := _arc(points, to_wall, to_ink, pixel, rng)):
+            found.append(swing)
+            away = np.hypot(*(points - swing.hinge).T) - swing.radius
+            points = points[np.abs(away) > 3]
+    return found
+
+
+def _arc(
+    points: FloatArray, to_wall: Float32Array, to_ink: Float32Array, pixel: float,
+    rng: np.random.Generator,
+) -> Swing | None:  # fmt: skip
+    """The best quarter circle through some of the points (N, 2), if it is that of a door."""
+    a, b, d = (points[rng.integers(len(points), size=_TRIALS)] for _ in range(3))
+    # The centre is as far from one of the points as from the two others: two linear equations.
+    u, v = b - a, d - a
+    area = 2 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+    apart = np.abs(area) > 1
+    a, u, v, area = a[apart], u[apart], v[apart], area[apart]
+    uu, vv = (u**2).sum(axis=1) / area, (v**2).sum(axis=1) / area
+    off = np.column_stack((v[:, 1] * uu - u[:, 1] * vv, u[:, 0] * vv - v[:, 0] * uu))
+    radius, centre = np.hypot(*off.T), a + off
+    ok = (radius > _LEAF[0] / pixel) & (radius < _LEAF[1] / pixel)
+    ok &= _at(to_wall, centre) < _HANGS / pixel
+    radius, centre = radius[ok], centre[ok]
+    some = points[rng.permutation(len(points))[:_POINTS]]
+    away = np.hypot(*(some[None] - centre[:, None]).transpose(2, 0, 1)) - radius[:, None]
+    order = np.argsort(-np.count_nonzero(np.abs(away) < 1.5, axis=1), kind="stable")
+    for k in order[:10].tolist():
+        to = points - centre[k]
+        on = to[np.abs(np.hypot(*to.T) - radius[k]) < 2]
+        turn = np.sort(np.arctan2(on[:, 1], on[:, 0]))
+        # The longest way around without a hole.
+        ends = np.flatnonzero(np.diff(turn, append=turn[:1] + 2 * np.pi) > _HOLE)
+        if not len(ends):
+            continue
+        first = turn[(np.roll(ends, 1) + 1) % len(turn)]
+        length = (turn[ends] - first) % (2 * np.pi)
+        n = int(length.argmax())
+        if not _QUARTER[0] < length[n] < _QUARTER[1]:
+            continue
+        middle = first[n] + length[n] / 2
+        # The circle that fits best to its own part: x² + y² = 2 a x + 2 b y + c.
+        own = on[(np.arctan2(on[:, 1], on[:, 0]) - first[n]) % (2 * np.pi) <= length[n]]
+        sides = np.column_stack((2 * own, np.ones(len(own))))
+        (x, y, c), *_ = np.linalg.lstsq(sides, (own**2).sum(axis=1), rcond=None)
+        centre[k], radius[k] = centre[k] + (x, y), np.sqrt(c + x * x + y * y)
+        turns = middle + np.array([-np.pi / 4, np.pi / 4])
+        tips = centre[k] + radius[k] * np.column_stack((np.cos(turns), np.sin(turns)))
+        along = middle + np.linspace(-0.6, 0.6, 25)
+        beside = np.column_stack((np.cos(along), np.sin(along))) * radius[k]
+        if np.mean(_at(to_ink, centre[k] + np.concatenate((0.8 * beside, 1.2 * beside))) < 2) > 0.4:
+            continue  # it is part of something thick
+        leaves = centre[k] + np.linspace(0.1, 0.9, 30)[:, None, None] * (tips - centre[k])
+        drawn = (_at(to_ink, leaves.reshape(-1, 2)) < 3).reshape(30, 2).mean(axis=0)
+        fits = _LEAF[0] < radius[k] * pixel < _LEAF[1]
+        if fits and drawn.max() > 0.8 and _at(to_wall, tips).min() < _HANGS / pixel:
+            return Swing(centre[k], (tips[0], tips[1]), float(radius[k]))
+    return None
+
+
+def _at(image: Float32Array, points: FloatArray) -> Float32Array:
+    """Pixels of an image at points (N, 2); infinite beyond it."""
+    column, row = np.rint(points).astype(np.int64).T
+    height, width = image.shape
+    on = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    out = np.full(len(points), np.inf, np.float32)
+    out[on] = image[row[on], column[on]]
+    return out
+
+
+def _without_leaves(
+    solid: BoolArray, holes: BoolArray, swings: list[Swing], thick: float, leaf: float
+) -> BoolArray:
+    """Walls without what is drawn across doors: leaves, open or closed, and thresholds."""
+    if not swings:
+        return solid
+    across = np.zeros(solid.shape, np.uint8)
+    middle = across.copy()
+    for swing in swings:
+        for end in swing.ends:
+            for image, ends in ((across, (0.06, 0.97)), (middle, (0.2, 0.8))):
+                p, q = (np.rint(swing.hinge + s * (end - swing.hinge)).astype(int) for s in ends)
+                cv2.line(image, p.tolist(), q.tolist(), 1, max(1, round(leaf)))
+    thin = (across > 0) & ~_opened(solid, leaf)
+    labels, stats = _pieces(holes, 4)
+    small = stats[:, cv2.CC_STAT_AREA] < 1.5 * thick * max(swing.radius for swing in swings)
+    crossed = _met(labels, len(stats), holes & (middle > 0)) & small
+    return solid & ~thin & ~crossed[labels]
+
+
+def _standing(walls: BoolArray, drawn: BoolArray, pixel: float) -> tuple[BoolArray, BoolArray]:
+    """The pieces of wall that are long; and pillars: filled, and nearly as wide as long."""
+    labels, stats = _pieces(walls)
+    area = np.maximum(1, stats[:, cv2.CC_STAT_AREA])
+    span = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) * pixel
+    ink = np.bincount(labels[drawn], minlength=len(stats)) / area
+    wide = np.zeros(len(stats), np.float32)
+    np.maximum.at(wide, labels[walls], 2 * _depth(walls)[walls])
+    long = span >= _PIECE
+    pillar = ~long & (ink > 0.9) & (wide * pixel > _PILLAR) & (area < 4 * wide**2)
+    long[0] = pillar[0] = False
+    return long[labels], pillar[labels]
+
+
+def _touching(walls: BoolArray, inside: BoolArray) -> BoolArray:
+    """The pieces of wall at the inside of the building."""
+    labels, stats = _pieces(walls)
+    return _met(labels, len(stats), walls & _grown(inside, 4))[labels]
+
+
+def _coarser(mask: BoolArray, parts: int) -> Float32Array:
+    """Share of each cell that is in a mask of pixels."""
+    size = mask.shape[1] // parts, mask.shape[0] // parts
+    out = cv2.resize(mask.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    return np.asarray(out, np.float32)
+
+
+def _finer(mask: BoolArray, parts: int) -> BoolArray:
+    return np.repeat(np.repeat(mask, parts, axis=0), parts, axis=1)
+
+
+def _inside(
+    walls: BoolArray, parts: int, pixel: float, gap: float | None
+) -> tuple[BoolArray, float]:
+    """Cells that the walls enclose, with doors in the outer walls closed, up to which width."""
+    taken = _coarser(walls, parts) > 0
+    gaps = _GAPS if gap is None else (gap,)
+    found = [(_enclosed(taken, g / 2 / (parts * pixel)), g) for g in gaps]
+    most = max(np.count_nonzero(cells) for cells, _ in found)
+    enough = [np.count_nonzero(cells) >= _ENOUGH * most for cells, _ in found]
+    # One more: a disc that only just fails to get through a door reaches far into it.
+    return found[min(int(np.argmax(enough)) + 1, len(found) - 1)]
+
+
+def _enclosed(taken: BoolArray, radius: float) -> BoolArray:
+    """Cells that a disc from outside does not reach; in cells."""
+    pad = int(np.ceil(radius)) + 3
+    taken = np.pad(taken, pad)
+    closed = taken | (_depth(_depth(~taken) <= radius) > radius)
+    cores, _ = _pieces(~closed, 4)
+    outside = cores == cores[0, 0]
+    # What only the disc's size keeps it from, a corner outside, or a door: what has an inner side.
+    seals, stats = _pieces(closed & ~taken)
+    out, inner = (_met(seals, len(stats), _grown(m, 2)) for m in (outside, (cores > 0) & ~outside))
+    shut = inner | ~out
+    shut[0] = False
+    within = ((cores > 0) & ~outside) | shut[seals]
+    return np.asarray(within[pad:-pad, pad:-pad])
+
+
+def _frame(walls: BoolArray, parts: int, pixel: float, gap: float | None) -> BoolArray:
+    """The frame that is drawn round a sheet, if there is one: a ring with a building in it."""
+    labels, stats = _pieces(walls)
+    none = np.zeros_like(walls)
+    if len(stats) < 3:
+        return none
+    k = 1 + int(np.argmax(stats[1:, 2] * stats[1:, 3]))
+    x, y, wide, high, area = stats[k].tolist()
+    rest = walls & (labels != k)
+    left, top, width, height = cv2.boundingRect(rest.astype(np.uint8))
+    around = 0.3 / pixel
+    within = min(left - x, top - y, x + wide - left - width, y + high - top - height) > around
+    if not within or area > 0.1 * wide * high:
+        return none
+    inside, _ = _inside(rest, parts, pixel, gap)
+    lone = np.count_nonzero(inside) * parts**2 > 0.2 * wide * high
+    thick = [np.median(_depth(m)[skeletonize(m)]) for m in (labels == k, rest)] if lone else [1, 0]
+    return labels == k if thick[0] <= thick[1] else none
+
+
+def _as_grid(
+    walls: BoolArray, middle: BoolArray, inside: BoolArray, cell: float, origin: Pose2D
+) -> OccupancyGrid:
+    """The map, cropped to the building, half a metre around it."""
+    parts = len(walls) // len(inside)
+    share = _coarser(walls, parts)
+    # A wall thinner than a cell may fill no half of any: then its middle counts.
+    occupied = (share >= 0.5) | (_coarser(middle, parts) * parts > 0.75)
+    near = cv2.dilate(inside.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)))
+    free = (inside | ((share > 0) & (near > 0))) & ~occupied
+    x, y, wide, high = cv2.boundingRect((free | occupied).astype(np.uint8))
+    pad = round(0.5 / cell)
+    left, low = x - pad, y - pad
+    rows, columns = slice(y, y + high), slice(x, x + wide)
+    turned = rotation(origin.theta) @ (left * cell, low * cell)
+    corner = Pose2D(origin.x + turned[0], origin.y + turned[1], origin.theta)
+    return OccupancyGrid(
+        np.pad(occupied[rows, columns], pad), np.pad(free[rows, columns], pad), cell, corner
+    )
+
+
+def _kinds(
+    drawn: BoolArray, walls: BoolArray, inside: BoolArray, hatching: BoolArray, frame: BoolArray,
+    swings: list[Swing], pixel: float,
+) -> npt.NDArray[np.uint8]:  # fmt: skip
+    """What each pixel was taken for."""
+    arcs = np.zeros(drawn.shape, np.uint8)
+    for swing in swings:
+        a, b = (np.arctan2(*(end - swing.hinge)[::-1]) for end in swing.ends)
+        turns = a + np.linspace(0, 1, 30) * ((b - a + np.pi) % (2 * np.pi) - np.pi)
+        arc = swing.hinge + swing.radius * np.column_stack((np.cos(turns), np.sin(turns)))
+        outline = np.rint(np.concatenate(([swing.hinge], arc, [swing.hinge]))).astype(np.int32)
+        cv2.polylines(arcs, [outline], False, 1, round(0.12 / pixel))
+    rest = drawn & ~_grown(walls, 2) & (arcs == 0)
+    labels, stats = _pieces(rest)
+    count, area = len(stats), np.maximum(1, stats[:, cv2.CC_STAT_AREA])
+
+    def share(mask: BoolArray) -> FloatArray:
+        return np.bincount(labels[mask & rest], minlength=count) / area
+
+    wide, high = stats[:, cv2.CC_STAT_WIDTH] * pixel, stats[:, cv2.CC_STAT_HEIGHT] * pixel
+    small = np.maximum(wide, high) <= _LETTER
+    small[0] = False
+    words, found = _pieces(_closed(small[labels], 0.2 / pixel))
+    first = np.unique(labels, return_index=True)[1]
+    word = words.ravel()[first]
+    letters = np.bincount(word[small], minlength=len(found))
+    span = np.hypot(wide, high)
+    kind = np.full(count, _SYMBOL, np.uint8)
+    kind[(span > 0.8) & (area * pixel**2 < 0.06 * span)] = _LINE
+    kind[small & (letters[word] >= _WORD)] = _TEXT
+    kind[share(_grown(hatching, 2)) > 0.4] = _HATCH
+    kind[share(_grown(inside, 2)) < 0.5] = _OUTSIDE
+    kind[share(frame) > 0.5] = _FRAME
+    kind[0] = 0
+    out = kind[labels]
+    out[drawn & ~_grown(walls, 2) & (arcs > 0)] = _SWING
+    out[walls] = _WALL
+    return out
+
+
+def _counted(kinds: npt.NDArray[np.uint8], swings: int, pixel: float) -> tuple[Removed, ...]:
+    out = []
+    for k in range(_SWING, len(KINDS)):
+        mask = kinds == k
+        sizes = _pieces(mask)[1][1:, cv2.CC_STAT_AREA]
+        count = swings if k == _SWING else int(np.count_nonzero(sizes > _SPECK / pixel**2))
+        if count:
+            out.append(Removed(KINDS[k], count, float(np.count_nonzero(mask)) * pixel**2))
+    return tuple(out)
+
+
+def refuse_strange(grey: npt.NDArray[np.uint8]) -> None:
+    """Raise MapError for what is no plan: one tone only, a photo, a map that a robot made."""
+    counts = np.bincount(grey.ravel(), minlength=256)
+    border = np.concatenate((grey[0], grey[-1], grey[:, 0], grey[:, -1]))
+    unknown = np.count_nonzero(np.abs(border.astype(int) - 205) <= 2) / len(border)
+    known = counts[:10].sum() + counts[200:211].sum() + counts[245:].sum()
+    if unknown > 0.5 and known > 0.98 * grey.size:
+        raise MapError(
+            "it has the greys of a map that a robot made (205 is unknown), expected a floor plan: "
+            "use it as it is"
+        )
+    if np.count_nonzero(counts) < 2:
+        raise MapError("it has one tone only, expected a floor plan with dark walls")
+    flat, left = 0, counts.copy()
+    for _ in range(_TONES):
+        tone = int(left.argmax())
+        near = slice(max(0, tone - _SHADES), tone + _SHADES + 1)
+        flat += int(left[near].sum())
+        left[near] = 0
+    if flat < _FLAT * grey.size:
+        raise MapError(
+            f"only {flat / grey.size:.0%} of it are of a few tones, expected a drawing: a photo? "
+            "Scan the plan, or export it from its CAD program"
+        )
+
+
+def _nothing(
+    drawn: BoolArray, walls: BoolArray, pixel: float, thin: float, thick: float,
+    gap: float | None,
+) -> str:  # fmt: skip
+    """Why there is no building in a plan."""
+    _, _, wide, high = cv2.boundingRect(drawn.astype(np.uint8))
+    what = f"the drawing is {wide * pixel:.3g} x {high * pixel:.3g} m; is the resolution right?"
+    if np.count_nonzero(walls) * pixel**2 < 0.2:
+        return (
+            f"no walls found: no ink is {thin * _THINNER[-1]:.2f} m thick, and no lines run less "
+            f"than {thick:g} m apart; {what}"
+        )
+    widest = _GAPS[-1] if gap is None else gap
+    return (
+        f"walls were found, but they enclose nothing of {_LEAST:g} square metres, not even if "
+        f"openings of {widest:g} m are closed; {what} A wider --gap closes more"
+    )
+
+
+def _check(
+    resolution: float, cell: float | None, thinnest: float, thickest: float, gap: float | None,
+    ink: float | None,
+) -> None:  # fmt: skip
+    """Raise ConfigError for a parameter that is out of its range."""
+    limits = {
+        "resolution": (resolution, 0.0005, 1.0), "cell": (cell, 0.01, 1.0),
+        "thinnest": (thinnest, 0.005, 1.0), "thickest": (thickest, 0.05, 3.0),
+        "gap": (gap, 0.0, 30.0), "ink": (ink, 0.01, 0.99),
+    }  # fmt: skip
+    for name, (value, low, high) in limits.items():
+        if value is not None and not low <= value <= high:
+            raise ConfigError(f"--{name}: got {value:g}, expected {low:g} to {high:g}")
+    if thinnest >= thickest:
+        raise ConfigError(f"--thinnest {thinnest:g}: expected less than --thickest {thickest:g}")

@@ -1,0 +1,104 @@
+"""What to look at after a batch: of scans that fit no map a few are looked at again.
+
+A file of scans that fits one of its maps is as it should be, though it fits none of the others.
+"""
+
+import contextlib
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from typing import Any
+
+from imgloc.doubts import Doubt
+from imgloc.io.results import Id, Row, id_of
+from imgloc.jobs import Item, Job, look_again
+from imgloc.options import FUSED
+
+_TRIED = 12  # items at most
+_NAMED = 2  # of those that a hint is about
+Said = list[tuple[str, float, float]]  # of each scan its verdict, and what it was fitted with
+
+
+@dataclass
+class Doubtful:
+    """The items of a batch that most likely have something wrong, among the rows noted."""
+
+    _said: dict[Id, Said] = field(default_factory=dict)
+    _fits: set[str] = field(default_factory=set)  # files of which most scans are unique somewhere
+    # Of each map, of the scans of such files: those with an error that all readings share, above
+    # one half.
+    _bent: Counter[str] = field(default_factory=Counter)
+
+    def noting(self, rows: Iterable[Row]) -> Iterator[Row]:
+        """The rows, each noted on its way."""
+        for row in rows:
+            answers = row["answers"]
+            if answers and "hypotheses" in answers[0] and row["scans"] is not None:
+                self._note(id_of(row), answers)
+            yield row
+
+    def _note(self, item: Id, answers: Sequence[Row]) -> None:
+        evidence = [answer["evidence"] for answer in answers]
+        said = [
+            (answer["verdict"], e.get("scale", 1.0), e.get("thinner", 0.0))
+            for answer, e in zip(answers, evidence, strict=True)
+        ]
+        count = Counter(verdict for verdict, _, _ in said)
+        lost, unique = count["no-match"] + count["invalid"], count["unique"]
+        bent = sum(scale != 1.0 or thinner > 0 for _, scale, thinner in said)
+        if 2 * unique >= len(said):
+            self._fits.add(str(item[1]))
+            self._bent[item[0]] += 2 * bent - len(said)
+            if 2 * bent > len(said):
+                self._said[item] = said
+        elif 2 * lost >= len(said) - unique:  # what is ambiguous fits
+            self._said[item] = said
+
+    def of(self, items: Iterable[Item]) -> list[tuple[Item, Said]]:
+        """A few of the items that are doubtful: of many files, and each with other maps."""
+
+        def doubted(item: Item) -> bool:
+            if item.id in self._said and _unique(self._said[item.id]):
+                return self._bent[item.map] > 0
+            return item.id in self._said and item.scans not in self._fits
+
+        there = [item for item in items if doubted(item)]
+        files = {name: k for k, name in enumerate(sorted({str(i.scans) for i in there}))}
+        maps = {name: k for k, name in enumerate(sorted({i.map for i in there}))}
+        thin = max(1, -(-len(files) // _TRIED))
+        there = [item for item in there if files[str(item.scans)] % thin == 0]
+
+        def turn(item: Item) -> tuple[int, int]:
+            file = files[str(item.scans)] // thin
+            return (maps[item.map] - file) % len(maps), file
+
+        return [(item, self._said[item.id]) for item in sorted(there, key=turn)[:_TRIED]]
+
+
+def _unique(said: Said) -> bool:
+    """Whether at least half of an item's scans are."""
+    return 2 * sum(verdict == "unique" for verdict, _, _ in said) >= len(said)
+
+
+def hints_of(
+    doubtful: Sequence[tuple[Item, Said]], job: Job, executor: Executor
+) -> list[dict[str, Any]]:
+    """Look at items again: each hint with how many of them it is about, and the first of these.
+
+    What helps where it was tried comes alone; only without any it is said where else to look.
+    """
+    if job.name != "localize" or job.options.method != FUSED:
+        return []
+    begun = [(item, executor.submit(look_again, item, job, said)) for item, said in doubtful]
+    found = defaultdict[Doubt, list[str]](list)
+    for item, future in begun:
+        with contextlib.suppress(Exception):  # its row is there; a hint is all that is missed
+            for hint in future.result():
+                found[hint].append(f"{item.scans} on {item.map}")
+    sure = any(hint.found for hint in found)
+    return [
+        {"hint": hint.text, "items": len(names), "of": len(begun), "first": names[:_NAMED]}
+        for hint, names in sorted(found.items(), key=lambda kv: (-len(kv[1]), kv[0].text))
+        if hint.found or not sure
+    ]

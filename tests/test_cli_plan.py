@@ -1,0 +1,160 @@
+"""`imgloc map plan`; what `map check` and `localize` say of a plan that is taken for a map."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from cabin import cabin
+from command import MAPS, call, rows
+
+from imgloc.io.images import encode_png, read_image
+from imgloc.io.maps import load_map
+from imgloc.io.scans import load_scans, save_scans
+from tools.plans.drawing import draw_plan
+from tools.plans.measure import Drawn, measure, scans_of, table
+
+PIXEL = 0.025
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plan as PNG and as JPEG, its map made by the command, and scans of the building."""
+    out = tmp_path_factory.mktemp("plan")
+    image = draw_plan(cabin(), PIXEL)
+    (out / "drawing.png").write_bytes(encode_png(image))
+    (out / "drawing.jpg").write_bytes(cv2.imencode(".jpg", image)[1].tobytes())
+    save_scans(out / "scans.npz", scans_of(cabin(), 3, 4))
+    run = call(
+        "map", "plan", out / "drawing.png", "--resolution", PIXEL, "-o", out / "map.yaml",
+        "--picture", out / "seen.png",
+    )  # fmt: skip
+    assert run.code == 0, run.err
+    (out / "said.txt").write_text(run.out)
+    return out
+
+
+def test_the_map_is_written_and_said_in_words(folder: Path) -> None:
+    said = (folder / "said.txt").read_text()
+    assert f"plan        {PIXEL} m a pixel" in said
+    assert "building    9." in said
+    assert "doors       2 swings, leaves of 0." in said
+    assert "    text   " in said
+    assert "    stairs and hatching" in said
+    grid = load_map(folder / "map.yaml")
+    assert grid.resolution == 0.05
+    assert 35 < np.count_nonzero(grid.free) * 0.05**2 < 46
+    assert not grid.free[0].any()
+    assert "unknown" in (check := call("map", "check", folder / "map.yaml").out)
+    assert "warnings    none" in check
+    picture = read_image(folder / "seen.png").pixels
+    assert len({tuple(colour) for colour in picture.reshape(-1, 3)[::37].tolist()}) > 6
+
+
+def test_scans_are_located_on_the_map_and_not_on_the_plan(folder: Path) -> None:
+    words = ("localize", folder / "map.yaml", folder / "scans.npz", "--no-cache", "--json")
+    truths = load_scans(folder / "scans.npz").poses
+    assert truths is not None
+    for row, truth in zip(rows(call(*words).out), truths, strict=True):
+        assert row["verdict"] in ("unique", "ambiguous")
+        assert np.hypot(row["pose"]["x"] - truth[0], row["pose"]["y"] - truth[1]) < 0.3
+
+
+def test_the_scale_may_be_two_points_and_a_plan_a_jpeg(folder: Path) -> None:
+    # The lower dimension line, 9 m, from the upper left corner.
+    left, right, low = 2.5 / PIXEL, 11.5 / PIXEL, 300
+    out = folder / "again.yaml"
+    run = call(
+        "map", "plan", folder / "drawing.jpg", "--distance", f"{left},{low},{right},{low},9",
+        "--out", out, "--json", "--origin", "1,2,90deg", "--cell", 0.1,
+    )  # fmt: skip
+    assert run.code == 0, run.err
+    (row,) = rows(run.out)
+    assert row["resolution"] == pytest.approx(PIXEL)
+    assert row["size"]["width"] == pytest.approx(9.0, abs=0.1)
+    assert row["walls"]["thickness"]["high"] == pytest.approx(0.3, abs=0.06)
+    assert len(row["doors"]) == 2
+    assert {"kind", "count", "area"} == set(row["removed"][0])
+    grid = load_map(out)
+    assert grid.origin.theta == pytest.approx(np.pi / 2)
+    assert (row["cells"]["height"], row["cells"]["width"]) == grid.info.shape
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ("", 2, "the scale is missing, expected --resolution, metres a pixel, or --distance"),
+        ("--resolution 0.02 --distance 1,1,9,9,3", 2, "the scale is given twice"),
+        ("--distance 1,1,9000,9,3", 2, "9000,9 is not on the image, which has 560 x 420 pixels"),
+        ("--distance 5,5,5,5,3", 2, "expected two points and metres between them"),
+        ("--distance 1,1,9,9,0", 2, "expected two points and metres between them"),
+        ("--resolution 0.02 --thinnest 0.6", 2, "--thinnest 0.6: expected less than --thickest"),
+        ("--resolution 0.0006", 3, "drawing.png: no walls found"),
+        ("--resolution 0.025 --memory-budget 1M", 2, "crop the plan"),
+    ],
+)
+def test_what_cannot_be_done_is_one_clear_line(
+    folder: Path, tmp_path: Path, words: str, code: int, said: str
+) -> None:
+    plan, out = folder / "drawing.png", tmp_path / "out.yaml"
+    run = call("map", "plan", plan, "--out", out, *words.split())
+    assert (run.code, run.out) == (code, "")
+    assert said in run.err
+    assert len(run.err.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_overwritten_by_chance_and_the_plan_never(folder: Path) -> None:
+    words = ("map", "plan", folder / "drawing.png", "--resolution", PIXEL, "--out")
+    assert "exists already" in call(*words, folder / "map.yaml").err
+    before = (folder / "drawing.png").read_bytes()
+    run = call(*words, folder / "drawing.yaml", "--force")
+    assert run.code == 1
+    assert "drawing.png: is read by this command" in run.err
+    assert (folder / "drawing.png").read_bytes() == before
+    run = call(*words, folder / "new.yaml", "--picture", folder / "new.png")
+    assert (run.code, "is the image of the map" in run.err) == (2, True)
+
+
+def test_map_check_knows_a_plan(folder: Path) -> None:
+    for name in ("drawing.png", "drawing.jpg"):
+        (row,) = rows(call("map", "check", folder / name, "--resolution", 0.02, "--json").out)
+        codes = {w["code"]: w["text"] for w in row["warnings"]}
+        assert "imgloc map plan makes a map of it" in codes["plan"], name
+        assert "no-unknown" not in codes
+
+
+def test_map_check_knows_maps_without_unknown_and_swapped_ones(tmp_path: Path) -> None:
+    pixels = read_image(MAPS / "visibility.png").pixels
+    unknown = pixels == 205
+    inner = np.where(pixels == 0, 0, 254).astype(np.uint8)[6:-6, 6:-6]
+    made = {"inner": np.pad(inner, 3), "swapped": 255 - pixels}
+    made["swapped-205"] = np.where(unknown, 205, 255 - pixels).astype(np.uint8)
+    made["swapped-128"] = np.where(unknown, 128, 255 - pixels).astype(np.uint8)
+    for name, image in made.items():
+        path = tmp_path / f"{name}.png"
+        path.write_bytes(encode_png(image))
+        (row,) = rows(call("map", "check", path, "--resolution", 0.1, "--json").out)
+        codes = {w["code"] for w in row["warnings"]}
+        assert ("swapped" in codes) == (name != "inner"), name
+        assert ("no-unknown" in codes) == (name == "inner"), name
+        assert "plan" not in codes
+
+
+def test_localize_says_that_its_map_is_a_plan_where_scans_do_not_fit(tmp_path: Path) -> None:
+    (tmp_path / "plan.png").write_bytes(encode_png(draw_plan(cabin(), 0.1)))
+    noise = np.random.default_rng(1).uniform(0.5, 9, (1, 14))
+    np.savez(tmp_path / "s.npz", ranges=noise, angles=np.linspace(-3, 3, 14), range_max=20.0)
+    words = ("localize", tmp_path / "plan.png", tmp_path / "s.npz", "--no-cache")
+    run = call(*words, "--resolution", 0.1)
+    assert run.code == 0
+    assert "a floor plan? Then its text, furniture and door swings count as walls" in run.err
+    assert "imgloc map plan makes a map of it" in run.err
+
+
+def test_the_measurement_of_plans_counts_what_it_says() -> None:
+    found = list(measure((7,), 2, (Drawn("filled", 0.04),), ("map plan",), made=cabin))
+    assert [(row.where, row.scans, row.right, row.wrong) for row in found] == [
+        ("map plan", 2, 2, 0)
+    ]
+    assert list(table(found))[2].startswith("| filled, 0.04 m a pixel | map plan | 2 of 2 | ")

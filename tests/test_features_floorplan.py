@@ -1,0 +1,167 @@
+"""From drawings of a building whose walls are known to its map; and what is no plan."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from cabin import cabin
+
+from imgloc.errors import ConfigError, MapError
+from imgloc.features.floorplan import FloorPlan, plan_to_map
+from imgloc.io.plans import load_plan
+from imgloc.model import BoolArray, Pose2D
+from tools.plans.drawing import Image, draw_plan, inside, solid
+
+CELL = 0.05
+
+
+def upright(image: Image) -> Image:
+    """Row 0 the lowest, as the algorithms have it."""
+    return np.ascontiguousarray(image[::-1])
+
+
+def grown(mask: BoolArray, cells: int = 1) -> BoolArray:
+    size = (2 * cells + 1,) * 2
+    return cv2.dilate(mask.astype(np.uint8), np.ones(size, np.uint8)) > 0
+
+
+def on_sheet(found: FloorPlan, shape: tuple[int, int]) -> tuple[BoolArray, BoolArray]:
+    """What is occupied and what is free, in the cells of the whole sheet."""
+    grid = found.grid
+    column, row = (round(c / CELL) for c in (grid.origin.x, grid.origin.y))
+    height, width = grid.info.shape
+    out = []
+    for mask in (grid.occupied, grid.free):
+        sheet = np.zeros((shape[0] + 40, shape[1] + 40), np.bool_)
+        sheet[row + 20 : row + 20 + height, column + 20 : column + 20 + width] = mask
+        out.append(sheet[20:-20, 20:-20])
+    return out[0], out[1]
+
+
+@pytest.fixture(scope="module")
+def plain() -> tuple[Image, FloorPlan]:
+    """A plan with filled walls, and what was found on it."""
+    plan = upright(draw_plan(cabin(), 0.02))
+    return plan, plan_to_map(plan, 0.02)
+
+
+@pytest.mark.parametrize(
+    ("style", "resolution", "noise", "turn"),
+    [
+        ("filled", 0.01, 30, 0.4),
+        ("outlined", 0.025, 50, 0.25),
+        ("hatched", 0.015, None, 0.0),
+        ("grey", 0.05, None, 0.0),
+    ],
+)
+def test_walls_stand_where_they_were_drawn(
+    style: str, resolution: float, noise: int | None, turn: float
+) -> None:
+    b = cabin(turn=turn)
+    found = plan_to_map(upright(draw_plan(b, resolution, style, noise=noise)), resolution)
+    walls, within = solid(b, CELL), inside(b, CELL)
+    occupied, free = on_sheet(found, walls.shape)
+    # The pillar of an outlined plan is a square like a stool, and the ends of walls are rounded.
+    assert np.mean(grown(occupied)[walls]) > 0.96
+    assert np.mean(grown(walls)[occupied]) > 0.98
+    assert np.mean(free[within & ~grown(walls)]) > 0.97
+    assert not free[~grown(within, 4)].any()  # but for the doorstep
+    assert found.thickness[0] == pytest.approx(0.12, abs=0.05)
+    # Where walls are outlined and tinted, the outline is part of them.
+    assert found.thickness[2] == pytest.approx(0.3, abs=0.02 + 2 * resolution)
+    assert found.length == pytest.approx(2 * (8.7 + 5.2) + 5.2 - 1.9, rel=0.12)
+    if turn == 0:
+        assert found.size == pytest.approx(b.size, abs=0.03 + 2 * resolution)
+
+
+def test_what_is_drawn_besides_walls_is_named_and_gone(plain: tuple[Image, FloorPlan]) -> None:
+    b, found = cabin(), plain[1]
+    assert found.size == pytest.approx(b.size, abs=0.06)
+    assert found.doors == pytest.approx((0.9, 1.0), abs=0.05)
+    counts = {removed.kind: removed.count for removed in found.removed}
+    assert counts["door swings"] == 2
+    assert counts["text"] >= 12
+    assert counts["furniture and symbols"] >= 1
+    assert counts["stairs and hatching"] >= 1
+    assert counts["outside the building"] >= 5
+    bare = plan_to_map(upright(draw_plan(b, 0.02, clutter=False)), 0.02)
+    assert sum(removed.area for removed in bare.removed) < 0.05  # of the lines of the window
+    here, there = (on_sheet(f, solid(b, CELL).shape)[0] for f in (found, bare))
+    assert not (here & ~grown(there)).any()
+    assert not (there & ~grown(here)).any()
+
+
+def test_walls_of_single_lines_are_found_where_nothing_thicker_is() -> None:
+    b = cabin()
+    found = plan_to_map(upright(draw_plan(b, 0.03, "lines")), 0.03)
+    walls = solid(b, CELL)
+    occupied, free = on_sheet(found, walls.shape)
+    assert np.mean(grown(walls)[occupied]) > 0.95
+    assert found.free_area == pytest.approx(8.7 * 5.2, rel=0.06)
+    assert free[round((2.5 + 3.9) / CELL), round((2.5 + 5.2) / CELL)]  # the door
+
+
+def test_a_threshold_does_not_close_a_door(plain: tuple[Image, FloorPlan]) -> None:
+    plan = plain[0].copy()
+    # In the door of the inner wall: two lines from jamb to jamb.
+    bottom, top = (round((2.5 + 0.25 + s) / 0.02) for s in (3.4, 4.3))
+    for x in (5.2 - 0.06, 5.2 + 0.06):
+        column = round((2.5 + x) / 0.02)
+        cv2.line(plan, (column, bottom), (column, top), 0, 1)
+    found = plan_to_map(plan, 0.02)
+    free = on_sheet(found, solid(cabin(), CELL).shape)[1]
+    assert free[round((2.5 + 0.25 + 3.85) / CELL), round((2.5 + 5.2) / CELL)]
+
+
+def test_light_on_dark_and_a_frame_round_the_sheet(plain: tuple[Image, FloorPlan]) -> None:
+    plan, wanted = plain[0], plain[1].grid
+    blue = plan_to_map(255 - plan, 0.02)
+    assert blue.inverted
+    assert np.array_equal(blue.grid.occupied, wanted.occupied)
+    high, wide = plan.shape
+    framed = cv2.rectangle(plan.copy(), (12, 12), (wide - 13, high - 13), 0, 5)
+    found = plan_to_map(framed, 0.02)
+    assert found.removed[-1].kind == "a frame round the sheet"
+    assert np.mean(found.grid.occupied != wanted.occupied) < 0.002
+
+
+def test_the_frame_of_the_map_is_that_of_the_plan(plain: tuple[Image, FloorPlan]) -> None:
+    plan, here = plain
+    there = plan_to_map(plan, 0.02, origin=Pose2D(10.0, -3.0, np.pi / 2))
+    x, y = here.grid.origin.x, here.grid.origin.y
+    assert (x, y) == pytest.approx((2.0, 2.0), abs=0.051)
+    assert there.grid.origin.x == pytest.approx(10.0 - y)
+    assert there.grid.origin.y == pytest.approx(-3.0 + x)
+    assert there.grid.origin.theta == pytest.approx(np.pi / 2)
+
+
+def test_what_is_no_plan_is_refused() -> None:
+    rng = np.random.default_rng(3)
+    blurred = cv2.GaussianBlur(rng.uniform(0, 255, (300, 400)), (0, 0), 9)
+    photo = cv2.normalize(blurred, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    recorded = np.full((200, 300), 205, np.uint8)
+    recorded[50:150, 60:250] = 254
+    cv2.rectangle(recorded, (60, 50), (249, 149), 0, 2)
+    words = cv2.putText(np.full((400, 600), 255, np.uint8), "TITLE", (50, 200), 0, 1, 0, 2)
+    shed = np.full((400, 600), 255, np.uint8)
+    shed[100:110, 100:500] = shed[100:350, 100:110] = 0  # two walls
+    for image, said in (
+        (photo, "of a few tones, expected a drawing: a photo"),
+        (recorded, "greys of a map that a robot made"),
+        (np.full((50, 50), 255, np.uint8), "one tone only"),
+        (words, "no walls found"),
+        (shed, "they enclose nothing"),
+    ):
+        with pytest.raises(MapError, match=said):
+            plan_to_map(image, 0.02)
+    with pytest.raises(ConfigError, match="--thickest"):
+        plan_to_map(shed, 0.02, thinnest=0.6)
+
+
+def test_recorded_maps_are_no_plans(shared: Path) -> None:
+    maps = sorted((shared / "data").glob("map_*/map.png"))
+    assert maps
+    for path in maps:
+        with pytest.raises(MapError, match="a robot made"):
+            plan_to_map(load_plan(path), 0.05)

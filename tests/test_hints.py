@@ -1,0 +1,108 @@
+"""What a batch says at its end of scans that fit nowhere: the cause, tried, and where."""
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import MAPS
+
+from imgloc.batch import BatchSummary, run_batch
+from imgloc.hints import Doubtful
+from imgloc.io.results import read_rows
+from imgloc.io.scans import save_scans
+from imgloc.jobs import Item
+from imgloc.output.report import render_report
+from imgloc.output.tables import batch_text
+from imgloc.simulation import Sensor, simulate
+from imgloc.worlds import WORLDS, render
+
+MILLIMETRES = "if ranges are multiplied by 0.001: are they millimetres? Try --range-scale 0.001"
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, BatchSummary]:
+    """A batch of two maps with two files of one of them, one of these in millimetres."""
+    folder = tmp_path_factory.mktemp("site")
+    for name in ("floors", "scans"):
+        (folder / name).mkdir()
+    for name in ("curved", "visibility"):
+        for ending in (".yaml", ".png"):
+            (folder / "floors" / f"{name}{ending}").write_bytes(
+                (MAPS / (name + ending)).read_bytes()
+            )
+    scans = simulate(render(WORLDS["curved"](), 0.1), 2, 5, Sensor(rays=180, fov=2 * np.pi))
+    save_scans(folder / "scans" / "good.npz", scans)
+    with np.load(folder / "scans" / "good.npz") as held:
+        changed = dict(held) | {"ranges": 1000 * held["ranges"], "range_max": 30_000.0}
+    np.savez(folder / "scans" / "mm.npz", **changed)
+    with ThreadPoolExecutor(2) as threads:
+        summary = run_batch(folder / "floors", folder / "scans", folder / "out", executor=threads)
+    return folder, summary
+
+
+def test_a_batch_ends_with_what_keeps_scans_from_fitting(found: tuple[Path, BatchSummary]) -> None:
+    folder, summary = found
+    (hint,) = summary.hints
+    assert hint["hint"].endswith(MILLIMETRES)
+    # What fits one of the maps is not doubtful on the other.
+    assert (hint["items"], hint["of"], hint["first"]) == (1, 2, ["mm.npz on curved"])
+    text = batch_text(summary, "out")
+    assert "1 of 2 doubtful items looked at again, such as mm.npz on curved: scans like" in text
+    assert json.loads((folder / "out" / "summary.json").read_text())["hints"] == summary.hints
+    page = render_report(folder / "out")
+    assert "What to look at next" in page
+    assert MILLIMETRES in page
+
+
+def test_known_poses_are_said_to_count_on_every_map(found: tuple[Path, BatchSummary]) -> None:
+    _, summary = found
+    assert (summary.known, summary.pairs, summary.files) == (8, 4, 2)
+    text = batch_text(summary, "out")
+    assert "of 8 scans with a known pose 2 are right (25.0 %), 0 unique and wrong" in text
+    assert "4 pairs of 2 files; a CSV of pairs (map,scans) says which map is whose" in text
+    assert "pairs" not in batch_text(BatchSummary(known=3, hits=3, pairs=2, files=2), "out")
+
+
+def test_a_run_with_nothing_left_to_do_keeps_the_hints(found: tuple[Path, BatchSummary]) -> None:
+    folder, summary = found
+    with ThreadPoolExecutor(1) as threads:
+        where = (folder / "floors", folder / "scans", folder / "out")
+        again = run_batch(*where, executor=threads, resume=True)
+    assert (again.new, again.hints) == (0, summary.hints)
+
+
+def test_doubtful_items_are_of_many_files_and_maps(found: tuple[Path, BatchSummary]) -> None:
+    folder, _ = found
+    rows = list(read_rows(folder / "out"))
+    item = Item("curved", "mm.npz", ())
+    doubtful = Doubtful()
+    assert list(doubtful.noting(rows)) == rows
+    assert [it.id for it, _ in doubtful.of([item])] == [item.id]
+    (bad,) = (row for row in rows if (row["map"], row["scans"]) == item.id)
+    many = Doubtful()
+    items = [Item(f"m{m}", f"f{f}.npz", ()) for m in range(5) for f in range(40)]
+    for _ in many.noting(bad | {"map": it.map, "scans": it.scans} for it in items):
+        pass
+    tried = [it for it, _ in many.of(items)]
+    assert len(tried) == 12
+    assert len({it.scans for it in tried}) == 10
+    assert len({it.map for it in tried}) == 5
+
+
+def test_a_few_scans_that_are_bent_are_no_reason_to_say_so(
+    found: tuple[Path, BatchSummary],
+) -> None:
+    folder, _ = found
+    rows = {(row["map"], row["scans"]): row for row in read_rows(folder / "out")}
+    good = rows["curved", "good.npz"]
+    bent = json.loads(json.dumps(good))
+    for answer in bent["answers"]:
+        answer["evidence"]["scale"] = 1.04
+    for straight, count in ((3, 0), (1, 2)):
+        some = [bent, bent, *[good] * straight]
+        doubtful, items = Doubtful(), [Item("curved", f"{k}", ()) for k in range(len(some))]
+        named = (row | {"scans": item.scans} for row, item in zip(some, items, strict=True))
+        assert len(list(doubtful.noting(named))) == len(some)
+        assert len(doubtful.of(items)) == count

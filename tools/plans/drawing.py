@@ -1,0 +1,367 @@
+"""Buildings that are not there: as an architect draws them, and as a laser sees them.
+
+The two come from the same walls, doors and windows. The laser also sees furniture that is on no
+plan, the leaves of doors that stand open, and neither text nor dimension lines.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from imgloc.geometry import rotation
+from imgloc.model import BoolArray, FloatArray, OccupancyGrid, Pose2D
+
+Image = npt.NDArray[np.uint8]
+FINE = 0.01  #: metres a cell of the true world
+STYLES = ("filled", "outlined", "hatched", "grey", "lines")
+"""How walls are drawn: black, two lines, hatched between these, grey between these, one line."""
+_SHIFT = 8  # fractional bits of the positions that cv2 draws
+_AROUND = 2.5  # metres of paper around a building, for dimensions and titles
+_PEN = 0.02  # metres: the width of a thin line, at least a pixel
+
+
+@dataclass(frozen=True)
+class Opening:
+    """A door, a window or a passage in a wall."""
+
+    wall: int  #: its index
+    start: float  #: metres from the beginning of the wall, as the next
+    width: float
+    kind: str  #: ``door``, ``double`` (two leaves), ``window`` or ``passage``
+    side: int = 1  #: to which side of the wall leaves turn: 1 is the left one
+    hinge: int = 0  #: of a door: 0 if it is at its start
+    angle: float = np.pi / 2  #: by which leaves stand open in the true world
+
+
+@dataclass(frozen=True)
+class Building:
+    """A building of straight walls, metres; turned as a whole about its lower left corner."""
+
+    size: tuple[float, float]
+    walls: tuple[tuple[FloatArray, FloatArray, float], ...]  #: from, to, thickness
+    openings: tuple[Opening, ...]
+    pillars: tuple[FloatArray, ...]
+    symbols: tuple[tuple[str, FloatArray], ...]  #: drawn: ``box``, ``circle``, ``stairs``; corners
+    names: tuple[tuple[str, FloatArray], ...]  #: and where they are written
+    things: tuple[FloatArray, ...]  #: polygons that stand there and are not drawn
+    turn: float = 0.0  #: radians
+    corner: FloatArray = field(default_factory=lambda: np.zeros(2))  #: added after the turn
+
+    def placed(self, xy: npt.ArrayLike) -> FloatArray:
+        """Points (..., 2) of the building in the frame of its plan."""
+        return np.asarray(np.asarray(xy) @ rotation(self.turn).T + self.corner)
+
+    @property
+    def extent(self) -> tuple[float, float]:
+        """Width and height of the sheet, metres."""
+        w, h = self.size
+        wide, high = self.placed([(0, 0), (w, 0), (w, h), (0, h)]).max(axis=0) + _AROUND
+        return float(wide), float(high)
+
+
+def box(x0: float, y0: float, x1: float, y1: float) -> FloatArray:
+    """Corners of a rectangle."""
+    return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], np.float64)
+
+
+def building(seed: int, turn: float = 0.0) -> Building:
+    """An office floor: rooms of random widths on both sides of a corridor, and a hall.
+
+    Outer walls are 0.3 to 0.4 m thick, those of the corridor 0.2, the others 0.1 to 0.15.
+    """
+    rng = np.random.default_rng(seed)
+    width, depth = rng.uniform(24, 34), rng.uniform(13, 16)
+    outer, low = rng.uniform(0.3, 0.4), rng.uniform(4.5, 6.0)
+    high = low + rng.uniform(1.8, 2.4)
+    walls: list[tuple[FloatArray, FloatArray, float]] = []
+    openings: list[Opening] = []
+    symbols: list[tuple[str, FloatArray]] = []
+    names: list[tuple[str, FloatArray]] = []
+    pillars: list[FloatArray] = []
+    things: list[FloatArray] = []
+    rooms: list[FloatArray] = []
+
+    def wall(x0: float, y0: float, x1: float, y1: float, thick: float) -> int:
+        walls.append((np.array([x0, y0]), np.array([x1, y1]), thick))
+        return len(walls) - 1
+
+    # Outer walls by their centre lines, ends overlapping at the corners.
+    h = outer / 2
+    south, north = wall(0, h, width, h, outer), wall(0, depth - h, width, depth - h, outer)
+    west, east = wall(h, 0, h, depth, outer), wall(width - h, 0, width - h, depth, outer)
+    sides = [wall(0, low, width, low, 0.2), wall(0, high, width, high, 0.2)]
+    for facade, hinge in ((west, 0), (east, 1)):
+        kind = "double" if facade == west else "door"
+        wide = 1.6 if kind == "double" else 1.0
+        middle = (low + high) / 2 - wide / 2
+        side = 1 if facade == east else -1
+        openings.append(Opening(facade, middle, wide, kind, side, hinge))
+
+    for row, (side, bottom, top) in enumerate(
+        zip(sides, (outer, high + 0.1), (low - 0.1, depth - outer), strict=True)
+    ):
+        x, number, facade = outer, 0, (south, north)[row]
+        while x < width - outer - 2.0:
+            left, length = x, rng.uniform(2.6, 6.5)
+            if width - outer - (x + length) < 2.6:
+                length = width - outer - x
+            x += length
+            if x < width - outer - 1e-6:
+                thin = float(rng.choice([0.1, 0.12, 0.15]))
+                part = wall(x, bottom - 0.05, x, top + 0.05, thin)
+                if rng.random() < 0.35:  # a door to the next room
+                    where = rng.uniform(0.4, top - bottom - 1.4)
+                    openings.append(
+                        Opening(part, where, 0.8, "door", int(rng.choice([-1, 1])), 0,
+                                rng.uniform(1.2, 1.7))
+                    )  # fmt: skip
+            wide = float(rng.choice([0.8, 0.9, 1.0]))
+            inside = 1 if row == 1 else -1  # walls run to the right: their left side is up
+            kind = "passage" if length > 5.8 else "door"
+            where = rng.uniform(left + 0.25, x - 2 * wide - 0.25)
+            openings.append(
+                Opening(side, where, wide * (2 if kind == "passage" else 1), kind, inside,
+                        int(rng.integers(2)), rng.uniform(1.1, 1.7))
+            )  # fmt: skip
+            if length > 2.9:
+                glass = rng.uniform(1.0, min(2.4, length - 1.2))
+                at = left + (length - glass) / 2
+                openings.append(Opening(facade, at, glass, "window"))
+            centre = np.array([left + length / 2, (bottom + top) / 2])
+            names.append((f"{'AB'[row]}{number + 1:02d} {length * (top - bottom):.0f} m2", centre))
+            number += 1
+            if length > 5.0:
+                c = centre + (rng.uniform(-1, 1), rng.uniform(0.5, 1.2))
+                pillars.append(box(*(c - 0.2), *(c + 0.2)))
+            rooms.append(box(left, bottom, x, top))
+    doors = []
+    for o in openings:
+        a, end, _ = walls[o.wall]
+        if o.kind != "window":
+            doors.append(a + (end - a) * ((o.start + o.width / 2) / np.hypot(*(end - a))))
+    for corners in rooms:
+        _furnish(rng, corners, [*doors, *(p.mean(axis=0) for p in pillars)], symbols, things)
+    return Building(
+        (width, depth), tuple(walls), tuple(openings), tuple(pillars), tuple(symbols),
+        tuple(names), tuple(things), turn,
+        np.array([_AROUND + (depth * np.sin(turn)), _AROUND]),
+    )  # fmt: skip
+
+
+def _furnish(
+    rng: np.random.Generator, room: FloatArray, doors: list[FloatArray],
+    symbols: list[tuple[str, FloatArray]], things: list[FloatArray],
+) -> None:  # fmt: skip
+    """Symbols on the plan, and things in the room, which are not the same; not before `doors`."""
+    (x0, y0), (x1, y1) = room[0], room[2]
+    wide, high = x1 - x0, y1 - y0
+    taken = [(c, 1.4) for c in doors]
+
+    def put(width: float, height: float) -> FloatArray | None:
+        for _ in range(20):
+            c = rng.uniform(
+                (x0 + 0.2 + width, y0 + 0.2 + height), (x1 - 0.2 - width, y1 - 0.2 - height)
+            )
+            reach = float(np.hypot(width, height))
+            if all(np.hypot(*(c - at)) > reach + far for at, far in taken):
+                taken.append((c, reach))
+                return np.asarray(c)
+        return None
+
+    if wide < 3.4 and rng.random() < 0.4:
+        symbols.append(("stairs", box(x0 + 0.3, y0 + 1.4, x0 + 1.5, y1 - 1.4)))
+        return
+    if rng.random() < 0.5:  # a cupboard near the wall
+        symbols.append(("box", box(x1 - 0.7, y1 - 2.2, x1 - 0.1, y1 - 0.5)))
+        taken.append((np.array([x1 - 0.4, y1 - 1.3]), 0.9))
+    for _ in range(int(wide * high / 7)):
+        if (c := put(0.7, 0.6)) is not None:
+            symbols.append(("box", box(c[0] - 0.7, c[1] - 0.1, c[0] + 0.7, c[1] + 0.6)))
+            symbols.append(("circle", np.array([c - (0, 0.36), c - (0.22, 0.36)])))
+    taken = [(c, 1.4) for c in doors]
+    for _ in range(int(wide * high / 9)):
+        half = rng.uniform(0.15, 0.45, 2)
+        if (c := put(*half)) is not None:
+            things.append(box(*-half, *half) @ rotation(rng.uniform(0, 7)).T + c)
+
+
+def _piece(wall: tuple[FloatArray, FloatArray, float], start: float, end: float) -> FloatArray:
+    """Corners of a part of a wall."""
+    a, b, thick = wall
+    along = (b - a) / np.hypot(*(b - a))
+    across = np.array([-along[1], along[0]]) * thick / 2
+    p, q = a + along * start, a + along * end
+    return np.array([p - across, q - across, q + across, p + across])
+
+
+def _leaves(b: Building, o: Opening) -> list[tuple[FloatArray, FloatArray, float]]:
+    """Hinge, direction of the closed leaf (its length is the leaf's), and the sign of its turn."""
+    a, end, thick = b.walls[o.wall]
+    along = (end - a) / np.hypot(*(end - a))
+    across = np.array([-along[1], along[0]]) * o.side
+    start, stop = (a + along * s + across * thick / 2 for s in (o.start, o.start + o.width))
+    if o.kind == "double":
+        half = along * o.width / 2
+        return [(start, half, float(o.side)), (stop, -half, -float(o.side))]
+    if o.kind == "door" and o.hinge == 0:
+        return [(start, along * o.width, float(o.side))]
+    return [(stop, -along * o.width, -float(o.side))] if o.kind == "door" else []
+
+
+def solid(b: Building, cell: float, *, windows: bool = True) -> BoolArray:
+    """Walls and pillars on the sheet, without doors and passages: (H, W), row 0 the lowest y."""
+    wide, high = (round(side / cell) for side in b.extent)
+    image = np.zeros((high, wide), np.uint8)
+
+    def fill(corners: FloatArray, value: int) -> None:
+        fixed = np.rint((b.placed(corners) / cell - 0.5) * (1 << _SHIFT)).astype(np.int32)
+        cv2.fillPoly(image, [fixed], value, cv2.LINE_8, _SHIFT)
+
+    for wall in b.walls:
+        fill(_piece(wall, 0, float(np.hypot(*(wall[1] - wall[0])))), 1)
+    for o in b.openings:
+        if o.kind != "window" or not windows:
+            # A little deeper than the wall, which is drawn with its outline.
+            a, end, thick = b.walls[o.wall]
+            fill(_piece((a, end, thick + 4 * cell), o.start, o.start + o.width), 0)
+    for pillar in b.pillars:
+        fill(pillar, 1)
+    return image > 0
+
+
+def inside(b: Building, cell: float) -> BoolArray:
+    """What is within the outer walls, walls and all; as :func:`solid`."""
+    wide, high = (round(side / cell) for side in b.extent)
+    image = np.zeros((high, wide), np.uint8)
+    fixed = np.rint((b.placed(box(0, 0, *b.size)) / cell - 0.5) * (1 << _SHIFT)).astype(np.int32)
+    cv2.fillPoly(image, [fixed], 1, cv2.LINE_8, _SHIFT)
+    return image > 0
+
+
+def true_world(b: Building, cell: float = FINE) -> OccupancyGrid:
+    """What a laser meets: walls, leaves of open doors, furniture. Outside is unknown."""
+    occupied = solid(b, cell).astype(np.uint8)
+
+    def fill(corners: FloatArray) -> None:
+        fixed = np.rint((b.placed(corners) / cell - 0.5) * (1 << _SHIFT)).astype(np.int32)
+        cv2.fillPoly(occupied, [fixed], 1, cv2.LINE_8, _SHIFT)
+
+    for thing in b.things:
+        fill(thing)
+    for o in b.openings:
+        for hinge, leaf, sign in _leaves(b, o):
+            tip = hinge + leaf @ rotation(sign * o.angle).T
+            fill(_piece((hinge, tip, 0.04), 0, float(np.hypot(*leaf))))
+    return OccupancyGrid(occupied > 0, inside(b, cell) & (occupied == 0), cell, Pose2D(0, 0))
+
+
+def draw_plan(
+    b: Building, resolution: float, style: str = "filled", *, clutter: bool = True,
+    noise: int | None = None, pen: float = _PEN,
+) -> Image:  # fmt: skip
+    """The plan of a building, (H, W) grey, top row first, of so many metres a pixel.
+
+    `noise` is the quality of a JPEG that the plan went through, 1 to 100.
+    """
+    walls = solid(b, FINE, windows=False)
+    wide, high = (round(side / resolution) for side in b.extent)
+    line = max(1, round(pen / resolution))
+    share = cv2.resize(walls.astype(np.float32), (wide, high), interpolation=cv2.INTER_AREA)
+    image = np.full((high, wide), 255, np.uint8)
+
+    def fixed(xy: FloatArray) -> npt.NDArray[np.int32]:
+        return np.rint((xy / resolution - 0.5) * (1 << _SHIFT)).astype(np.int32)
+
+    def stroke(xy: FloatArray, closed: bool = False, ink: int = 0, width: int = line) -> None:
+        cv2.polylines(image, [fixed(b.placed(xy))], closed, ink, width, cv2.LINE_AA, _SHIFT)
+
+    if style == "filled":
+        image[:] = np.rint(255 * (1 - share))
+    elif style == "lines":
+        for k, (a, end, _) in enumerate(b.walls):
+            length = float(np.hypot(*(end - a)))
+            gaps = sorted(
+                (o.start, o.start + o.width)
+                for o in b.openings
+                if o.wall == k and o.kind != "window"
+            )
+            cuts = [0.0, *(s for gap in gaps for s in gap), length]
+            for s, t in zip(cuts[::2], cuts[1::2], strict=True):
+                stroke(a + np.outer([s, t], (end - a) / length), width=2 * line)
+        for pillar in b.pillars:
+            stroke(pillar, closed=True)
+    else:
+        if style == "grey":
+            image[:] = np.rint(255 - 95 * share)
+        if style == "hatched":
+            lines = np.full_like(image, 255)
+            step = max(4, round(0.09 / resolution))
+            for k in range(-high, wide, step):
+                cv2.line(lines, (k, 0), (k + high, high), 0, 1, cv2.LINE_AA)
+            image[:] = np.where(share > 0.5, lines, image)
+        outlines, _ = cv2.findContours(
+            walls.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE
+        )
+        for outline in outlines:
+            turned = fixed((outline[:, 0].astype(np.float64) + 0.5) * FINE)
+            cv2.polylines(image, [turned], True, 0, line, cv2.LINE_AA, _SHIFT)
+    if style != "lines":
+        for o in b.openings:
+            if o.kind == "window":  # three lines between the ends of the wall
+                a, end, thick = b.walls[o.wall]
+                for part in (-0.5, 0.0, 0.5):
+                    c = _piece((a, end, 2 * part * thick + 1e-9), o.start, o.start + o.width)
+                    stroke(c[:2])
+    if clutter:
+        for o in b.openings:
+            for hinge, leaf, sign in _leaves(b, o):
+                turns = np.linspace(0, sign * np.pi / 2, 24)
+                arc = np.array([hinge + leaf @ rotation(t).T for t in turns])
+                stroke(arc)
+                stroke(_piece((hinge, arc[-1], 0.04), 0, float(np.hypot(*leaf))), closed=True)
+        for kind, corners in b.symbols:
+            if kind == "circle":
+                radius = float(np.hypot(*(corners[1] - corners[0])))
+                around = np.linspace(0, 2 * np.pi, 33)
+                stroke(corners[0] + radius * np.column_stack((np.cos(around), np.sin(around))))
+                continue
+            stroke(corners, closed=True)
+            if kind == "stairs":
+                for y in np.arange(corners[0, 1], corners[2, 1], 0.28):
+                    stroke(np.array([(corners[0, 0], y), (corners[2, 0], y)]))
+    image = np.ascontiguousarray(image[::-1])
+    if clutter:
+        _write(image, b, resolution, line)
+    if noise is not None:
+        _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, noise])
+        image = np.asarray(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE), np.uint8)
+    return image
+
+
+def _write(image: Image, b: Building, resolution: float, line: int) -> None:
+    """Names of rooms, dimension lines, a title; upright, on an image whose top row is first."""
+
+    def word(text: str, xy: Sequence[float], height: float = 0.28) -> None:
+        scale = height / resolution / 22
+        size, _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, line)
+        at = round(xy[0] / resolution - size[0] / 2), round(len(image) - xy[1] / resolution)
+        cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, scale, 0, line, cv2.LINE_AA)
+
+    def stroke(a: Sequence[float], c: Sequence[float]) -> None:
+        p, q = ((round(x / resolution), round(len(image) - y / resolution)) for x, y in (a, c))
+        cv2.line(image, p, q, 0, line, cv2.LINE_AA)
+
+    for text, xy in b.names:
+        word(text, b.placed(xy).tolist())
+    corners = b.placed(box(0, 0, *b.size))
+    (x0, y0), (x1, y1) = corners.min(axis=0), corners.max(axis=0)
+    for y in (y0 - 0.8, y0 - 1.4):
+        stroke((x0 - 0.3, y), (x1 + 0.3, y))
+        for x in np.linspace(x0, x1, 2 if y < y0 - 1 else 7):
+            stroke((x - 0.15, y - 0.15), (x + 0.15, y + 0.15))
+            stroke((x, y - 0.25), (x, y + 0.6))
+    word(f"{b.size[0]:.2f}", ((x0 + x1) / 2, y0 - 1.3))
+    word("LEVEL 2 - OFFICES  1:100", (x0 + 5.0, y1 + 1.2), 0.5)

@@ -1,0 +1,139 @@
+"""Scans of true buildings, located on their plans, on maps made of these, and on their walls."""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from imgloc.features.floorplan import FloorPlan, plan_to_map
+from imgloc.geometry import wrap
+from imgloc.io.files import write_bytes_atomic
+from imgloc.io.images import encode_png
+from imgloc.io.maps import load_map
+from imgloc.io.scanset import ScanSet
+from imgloc.model import OccupancyGrid
+from imgloc.options import Options
+from imgloc.pipeline import localize, prepare
+from imgloc.simulation import Sensor, simulate
+from tools.plans.drawing import Building, Image, building, draw_plan, inside, solid, true_world
+
+CELL = 0.05  #: metres: of the maps that plans are compared with
+NEAR, TURNED = 0.5, float(np.deg2rad(10))  #: of a right answer, metres and radians
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """How plans are drawn."""
+
+    style: str  #: of :data:`tools.plans.drawing.STYLES`
+    resolution: float  #: metres a pixel
+    noise: int | None = None  #: quality of a JPEG that they went through
+    turn: float = 0.0  #: radians, of the building on the sheet
+
+    def __str__(self) -> str:
+        said = f"{self.style}, {self.resolution:g} m a pixel"
+        said += "" if self.noise is None else f", JPEG of quality {self.noise}"
+        return said + (f", turned by {np.rad2deg(self.turn):.0f} deg" if self.turn else "")
+
+
+DRAWN = (
+    Drawn("filled", 0.02), Drawn("outlined", 0.02, turn=0.3), Drawn("hatched", 0.02, 50),
+    Drawn("grey", 0.05), Drawn("lines", 0.03), Drawn("filled", 0.01, 30),
+)  # fmt: skip
+MAPS = ("plan", "map plan", "removed is unknown", "walls")
+"""What scans are located on: the plan as it is; the map made of it, free where things were removed;
+the same, unknown there; the walls as they stand, without furniture."""
+
+
+@dataclass
+class Row:
+    """What became of some scans."""
+
+    drawn: str
+    where: str  #: of :data:`MAPS`
+    scans: int = 0
+    right: int = 0  #: the first answer is
+    unique: int = 0
+    wrong: int = 0  #: ``unique``, and not right
+    nothing: int = 0  #: ``no-match``
+
+
+def measure(
+    seeds: Sequence[int], n: int, drawn: Sequence[Drawn], maps: Sequence[str],
+    advance: Callable[[], None] = lambda: None, made: Callable[..., Building] = building,
+) -> Iterator[Row]:  # fmt: skip
+    """Locate `n` scans of each building of `seeds`, on each of `maps` of plans as `drawn`.
+
+    Buildings are `made` of a seed and a turn.
+    """
+    for how in drawn:
+        rows = {where: Row(str(how), where) for where in maps}
+        for seed in seeds:
+            b = made(seed, how.turn)
+            scans = scans_of(b, n, seed)
+            image = draw_plan(b, how.resolution, how.style, noise=how.noise)
+            for where, row in rows.items():
+                _judge(map_of(b, image, how.resolution, where), scans, row, advance)
+        yield from rows.values()
+
+
+def scans_of(b: Building, n: int, seed: int) -> ScanSet:
+    """Scans of 270 degrees and 12 m, with noise of 2 cm, where there is room for a robot."""
+    sensor = Sensor(rays=271, fov=1.5 * np.pi, range_max=12.0)
+    return simulate(true_world(b, CELL), n, seed, sensor, true_world(b))
+
+
+def map_of(b: Building, image: Image, resolution: float, where: str) -> OccupancyGrid:
+    """One of :data:`MAPS` of a building and its plan."""
+    if where == "walls":
+        walls = solid(b, CELL)
+        return OccupancyGrid(walls, inside(b, CELL) & ~walls, CELL)
+    if where == "plan":
+        with TemporaryDirectory() as folder:
+            path = Path(folder, "plan.png")
+            write_bytes_atomic(path, encode_png(image))
+            return load_map(path, resolution=resolution)
+    found = plan_to_map(np.ascontiguousarray(image[::-1]), resolution)
+    return found.grid if where == "map plan" else _unknown(found)
+
+
+def _unknown(found: FloorPlan) -> OccupancyGrid:
+    """The map with the cells unknown from which something was removed."""
+    grid = found.grid
+    parts = round(grid.resolution / found.pixel)
+    height, width = (side // parts for side in found.kinds.shape)
+    taken = (found.kinds > 1).reshape(height, parts, width, parts).any(axis=(1, 3))
+    column, row = round(grid.origin.x / grid.resolution), round(grid.origin.y / grid.resolution)
+    padded = np.pad(taken, 100)
+    rows, columns = grid.info.shape
+    here = padded[row + 100 : row + 100 + rows, column + 100 : column + 100 + columns]
+    return replace(grid, free=grid.free & ~here)
+
+
+def _judge(grid: OccupancyGrid, scans: ScanSet, row: Row, advance: Callable[[], None]) -> None:
+    features = prepare(grid)
+    poses = np.empty((0, 3)) if scans.poses is None else scans.poses
+    for scan, truth in zip(scans.scans, poses, strict=True):
+        answer = localize(features, scan, Options(top=1))
+        pose, right = answer.pose, False
+        if answer.hypotheses:
+            first = answer.hypotheses[0].pose
+            near = np.hypot(first.x - truth[0], first.y - truth[1]) < NEAR
+            right = bool(near and abs(wrap(first.theta - truth[2])) < TURNED)
+        row.scans += 1
+        row.right += right
+        row.unique += answer.verdict == "unique"
+        row.wrong += answer.verdict == "unique" and pose is not None and not right
+        row.nothing += answer.verdict == "no-match"
+        advance()
+
+
+def table(rows: Iterable[Row]) -> Iterator[str]:
+    """The lines of a Markdown table, each as soon as its row is there."""
+    yield "| plan | located on | first right | unique | unique and wrong | no-match |"
+    yield "|---|---|---|---|---|---|"
+    for r in rows:
+        counts = f"{r.right} of {r.scans} | {r.unique} | {r.wrong} | {r.nothing}"
+        yield f"| {r.drawn} | {r.where} | {counts} |"
