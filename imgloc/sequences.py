@@ -59,7 +59,7 @@ class Searches:
     """
 
     def __init__(self, features: MapFeatures, options: Options) -> None:
-        self.features, self.options = features, options
+        self.features, self.options = features.thinner(options.shared.thinner), options
         self.clock = 0.0  #: processor seconds of all searches that were asked for
         self._kept: dict[int, tuple[LaserScan, FloatArray, float]] = {}
 

@@ -1,6 +1,8 @@
 """`imgloc track` and `imgloc evaluate --sequence`."""
 
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,10 +11,13 @@ import pytest
 from command import MAPS, call, rows
 
 from imgloc.filters.motion import noisy_odometry
+from imgloc.io.calibration import calibration_path, save_calibrations
 from imgloc.io.images import read_image
-from imgloc.io.scans import save_scans
+from imgloc.io.maps import load_map
+from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan
+from imgloc.options import Shared
 from imgloc.simulation import simulate_ranges
 from imgloc.worlds import WORLDS, render
 
@@ -115,6 +120,22 @@ def test_jsonl_logs_are_read(log: Path, tmp_path: Path) -> None:
     run = call("track", MAP, path, "--json")
     assert run.code == 0, run.err
     assert [row["stamp"] for row in rows(run.out)] == [100.0, 101.0, 102.0]
+
+
+def test_what_was_calibrated_for_the_map_is_used(log: Path, tmp_path: Path) -> None:
+    for name in ("visibility.yaml", "visibility.png"):
+        shutil.copy(MAPS / name, tmp_path)
+    here = tmp_path / "visibility.yaml"
+    recorded = load_scans(log)
+    short = tuple(scan.scaled(0.88) for scan in recorded.scans)
+    save_scans(tmp_path / "short.npz", replace(recorded, scans=short))
+    save_calibrations(calibration_path(here), load_map(here), {}, {}, shared=Shared(1 / 0.88))
+    run = call("track", here, tmp_path / "short.npz", "--json")
+    assert run.code == 0, run.err
+    last = rows(run.out)[-1]
+    assert last["verdict"] == "unique"
+    assert abs(last["pose"]["x"] - (4 + 0.5 * (N - 1))) < 0.15
+    assert "multiplied" not in run.err
 
 
 def test_strict_says_that_the_end_is_not_unique(log: Path) -> None:

@@ -1,5 +1,6 @@
 """The hypothesis tracker and the particle filter, on scans of bundled worlds along a path."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,13 +10,14 @@ from places import ANGLES, features_of
 from imgloc.errors import ConfigError, ScanError
 from imgloc.filters.belief import Followed, belief_of
 from imgloc.filters.choose import make_filter
+from imgloc.filters.evidence import settled, view_of
 from imgloc.filters.motion import compose_poses, noisy_odometry
 from imgloc.filters.particle import ParticleFilter, ParticleOptions, kld_bound, low_variance
 from imgloc.filters.tracker import Tracker, TrackerOptions
 from imgloc.geometry import transform_poses
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, Pose2D, compose, inverse
-from imgloc.options import Options
+from imgloc.options import Options, Shared
 from imgloc.sequences import Searches, piece
 from imgloc.simulation import simulate_ranges
 from imgloc.tracking import Every, Kidnap, follow
@@ -95,8 +97,6 @@ def test_the_sensor_stands_beside_what_odometry_is_of() -> None:
     scans = log()
     back = inverse(mount)
     odom = compose_poses(scans.odom, np.array([back.x, back.y, back.theta]))
-    from dataclasses import replace
-
     mounted = tuple(replace(s, T_base_laser=mount) for s in scans.scans)
     moved = ScanSet(mounted, scans.poses, scans.stamps, odom)
     moments = list(follow(features_of(WORLD), moved, tracker_of()))
@@ -140,6 +140,84 @@ def test_without_resets_it_stays_where_it_believes_to_be() -> None:
     moments = list(follow(features, scans, tracker, kidnap=wrong))
     assert errors(moments, scans)[-1] > 2
     assert moments[-1].belief.verdict == "lost"
+
+
+def test_a_tracker_that_knows_its_place_seldom_searches_the_map() -> None:
+    asked = []
+
+    def find(scan):
+        asked.append(scan.stamp)
+        return found(scan)
+
+    list(follow(features_of(WORLD), log(), Tracker(features_of(WORLD), find=find)))
+    assert asked == [0.0, 3.0, 9.0, 21.0]  # after 1.5 m, then twice as far each time, up to 6 m
+
+
+def test_unique_takes_two_scans_that_agree_or_one_and_a_place_that_was_told() -> None:
+    features, scans = features_of(WORLD), piece(log(), range(4, 7))
+    for start, expected in ((None, "ambiguous"), (Pose2D(*scans.poses[0]), "unique")):
+        chosen = Tracker(features, how=TrackerOptions(sure=(0.0, 0.0)), find=found)
+        moments = list(follow(features, scans, chosen, start=start, every=Every(0.0, 0.0)))
+        assert moments[0].belief.mass[0] >= 0.99
+        assert [moments[k].belief.verdict for k in (0, -1)] == [expected, "unique"]
+
+
+def test_a_heading_is_looked_for_as_far_as_it_may_be_off() -> None:
+    features = features_of(WORLD)
+    truth = transform_poses(inverse(features.grid.origin), log().poses)[:1]
+    view, off = view_of(log()[0], Options()), truth + [0.1, -0.1, 0.3]
+    covariance = np.diag([0.1, 0.1, 0.2])[None] ** 2
+    assert np.abs(settled(features, view, off) - truth)[0, 2] > 0.1
+    near = settled(features, view, off, covariance)
+    assert np.hypot(*(near - truth)[0, :2]) < 0.1
+    assert np.abs(near - truth)[0, 2] < 0.02
+
+
+def test_an_early_pose_is_looked_around_first_when_there_are_too_many() -> None:
+    features = features_of(WORLD)
+    truth = transform_poses(inverse(features.grid.origin), log().poses)[:1]
+    view, off = view_of(log()[0], Options()), truth + [0.1, -0.1, 0.3]
+    poses, wide = np.repeat(off, 12, axis=0), np.diag([0.5, 0.5, 0.2]) ** 2
+    near = settled(features, view, poses, np.repeat(wide[None], 12, axis=0))
+    away = np.abs(near - truth)[:, 2]
+    assert away[0] < 0.02
+    assert away[-1] > 0.1
+
+
+def shortened(scans: ScanSet, factor: float) -> ScanSet:
+    """The log as a sensor records it whose ranges are wrong by a factor."""
+    return replace(scans, scans=tuple(scan.scaled(factor) for scan in scans.scans))
+
+
+@pytest.mark.parametrize("name", ["tracker", "particle", "grid"])
+def test_what_is_known_of_the_scale_is_used(name: str) -> None:
+    features = features_of(WORLD)
+    truth = transform_poses(inverse(features.grid.origin), log().poses)[0]
+    known = Options(shared=Shared(1 / 0.9))
+    beliefs = []
+    for scans, options in ((log(), Options()), (shortened(log(), 0.9), known)):
+        chosen = make_filter(name, features, options, find=lambda _: np.empty((0, 3)))
+        chosen.place(truth, (0.1, 0.05))
+        chosen.see(scans[0])
+        assert not chosen.watch(scans[0])
+        beliefs.append(chosen.belief.poses[0])
+    np.testing.assert_allclose(*beliefs, atol=0.02)
+
+
+def test_walls_that_are_known_to_be_too_thick_are_thinner() -> None:
+    for name in ("tracker", "particle", "grid"):
+        chosen = make_filter(name, features_of(WORLD), Options(shared=Shared(1.0, 1)))
+        walls = np.count_nonzero(chosen.features.grid.occupied)
+        assert 0 < walls < np.count_nonzero(features_of(WORLD).grid.occupied)
+
+
+def test_a_scale_is_found_along_the_way_and_only_where_there_is_one() -> None:
+    features, truth = features_of(WORLD), Pose2D(*log().poses[0])
+    for factor in (1.0, 0.95):
+        tracker = Tracker(features, find=lambda _: np.empty((0, 3)))
+        moments = list(follow(features, shortened(log(), factor), tracker, start=truth))
+        assert tracker.options.shared.scale == pytest.approx(1 / factor, abs=0.01 * (factor < 1))
+        assert errors(moments, log())[-1] < 0.2
 
 
 def test_a_robot_off_the_map_is_lost() -> None:

@@ -32,6 +32,7 @@ def measure_sequences(
 ) -> None:  # fmt: skip
     """Measure each filter on each log, and print a table or rows."""
     from imgloc.cli import inputs
+    from imgloc.io.calibration import calibrated
     from imgloc.model import to_json
     from imgloc.options import Options
     from imgloc.output.tracks import sequence_row, sequence_tables
@@ -40,11 +41,12 @@ def measure_sequences(
 
     mounting = opt.Mounting(plan.sensor, plan.flipped)
     rows: list[dict[str, Any]] = []
-    options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
+    plain = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     for given, log in zip(maps, logs, strict=True):
         path = opt.find_map(given)
         name = display((path.stem == "map" and path.parent.name) or path.stem)
         grid = inputs.load_grid(path, taken.memory_budget, allow_lossy=allow_lossy, **reading)
+        options = calibrated(plain, path, grid)
         scans = inputs.load_set(log, taken.memory_budget)
         mounting.check(scans.scans)
         cut = [mounting.mount(inputs.cut_scan(scan, plan.range_max)) for scan in scans.scans]

@@ -83,6 +83,7 @@ def track(
 
     from imgloc.cli import inputs
     from imgloc.filters.choose import make_filter
+    from imgloc.io.calibration import calibrated
     from imgloc.model import Pose2D, to_json
     from imgloc.options import Options
     from imgloc.output.ros import message, write_bag, yaml_text
@@ -110,6 +111,7 @@ def track(
     taken = resources()
     grid = inputs.load_grid(map_path, taken.memory_budget, allow_lossy=allow_lossy, **reading)
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
+    options = calibrated(options, map_path, grid)
     folder = inputs.kept_in(cache, wanted=not no_cache)
     scans = inputs.load_set(log, taken.memory_budget, logs)
     mounting.check(scans.scans)
@@ -172,5 +174,11 @@ def track(
     counts = ", ".join(f"{verdicts.count(v)} {v}" for v in ("unique", "ambiguous", "lost"))
     speed = "" if math.isnan(gone) else f"; {gone / took:.1f} x real time"
     say(f"{len(moments)} scans, {moments[-1].metres:.1f} m: {counts}{speed}")
+    if (scale := chosen.options.shared.scale) != options.shared.scale:
+        LOG.warning(
+            "the scans fit this map far better with their ranges multiplied by %.3f and were taken "
+            "so once that was clear; imgloc calibrate MAP --scans LOG finds it once for all",
+            scale,
+        )
     if strict and verdicts[-1] != "unique":
         raise typer.Exit(NOT_UNIQUE)

@@ -8,6 +8,7 @@ import numpy as np
 from imgloc.filters.motion import compose_poses, way_of
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray, LaserScan, Pose2D
+from imgloc.options import Options
 from imgloc.search.hypotheses import separated
 
 UNIQUE, AMBIGUOUS, LOST = VERDICTS = ("unique", "ambiguous", "lost")
@@ -37,6 +38,8 @@ class Filter(Protocol):
 
     The poses are those of the robot; of scans without a `T_base_laser`, of the sensor.
     """
+
+    options: Options  #: with what is known by now of the scale of its scans
 
     def move(self, increment: FloatArray) -> None:
         """Take a motion (3,) of the robot, in its frame before."""

@@ -3,6 +3,9 @@
 Poses are those of the robot, on which each scan says where its sensor sits: scans of several lasers
 are scored one after the other, each from where its own rays start. Of a scan that does not say it,
 robot and sensor are one.
+
+What is known of the scale of the readings, `Options.shared`, is applied once, by :func:`usable`; of
+the walls, by the features that a filter takes.
 """
 
 from dataclasses import dataclass
@@ -12,12 +15,20 @@ import numpy as np
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings, one_per_place
 from imgloc.filters.motion import compose_poses, invert_poses
-from imgloc.model import FloatArray, LaserScan, Pose2D
+from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import Modes, find_modes, score_poses, weigh
-from imgloc.search.refine import refine
+from imgloc.search.refine import endpoints, refine
 
 _SETTLE = (0.2, 0.1, 0.05)  # widths of the kernel, metres
+_FEW = 64  # readings of the first look around a pose
+_STEP = (0.4, float(np.deg2rad(2.0)))  # between the poses of it, metres and radians
+_REACH = 2.5  # standard deviations that it goes, and
+_FARTHEST = (1.2, 0.7)  # metres and radians, at most
+_SCALES = (0.95, 1.0, 1.05)  # at which that of the readings begins
+_MOST = 3000  # poses of all first looks together: time has an end
+_CLOSER = 3  # of them that are moved to where they fit best
+_WIDTHS = (0.3, 0.1)  # of the kernel that tells which: of the first look, and of the last, metres
 
 
 @dataclass(frozen=True)
@@ -34,6 +45,13 @@ class View:
     def robot(self, poses: FloatArray) -> FloatArray:
         """Where the robot is if its sensor is at the poses."""
         return compose_poses(poses, invert_poses(self.mount))
+
+
+def usable(scan: LaserScan, options: Options) -> LaserScan | None:
+    """The scan at the scale that is known; None if it has so few readings that it says nothing."""
+    if scan.directions < max(1, options.trust.readings):
+        return None
+    return scan if options.shared.scale == 1 else scan.scaled(options.shared.scale)
 
 
 def view_of(scan: LaserScan, options: Options) -> View:
@@ -72,10 +90,60 @@ def sight(features: MapFeatures, view: View, poses: FloatArray, options: Options
     return Sight(poses, log, covariance, misfit, found.gained)
 
 
-def settled(features: MapFeatures, view: View, poses: FloatArray) -> FloatArray:
-    """The poses moved to where the scan fits best around them, by half a metre at most."""
-    at = refine(view.sensor(poses), view.readings.xy, features.field, sigmas=_SETTLE)
-    return view.robot(at)
+def settled(
+    features: MapFeatures, view: View, poses: FloatArray, covariance: FloatArray | None = None
+) -> FloatArray:
+    """The poses (C, 3), best first, moved to where the scan fits best around them.
+
+    By half a metre and some degrees at most; with the covariance (C, 3, 3) of each, as far as that
+    allows: of readings that are far away, few are near their walls unless the heading is right.
+    """
+    if covariance is None or not len(poses):
+        return view.robot(_refined(features, view, view.sensor(poses)))
+    some, count = list[FloatArray](), 0
+    for pose, spread in zip(poses, covariance, strict=True):
+        some.append(_around(pose, spread) if count < _MOST else pose[None])
+        count += len(some[-1])
+    owner = np.repeat(np.arange(len(poses)), [len(one) for one in some])
+    at = view.sensor(np.concatenate(some))
+    best = _best_of(owner, _met(features, at, view.readings.spread(_FEW).xy, _WIDTHS[0]), _CLOSER)
+    at, owner = _refined(features, view, at[best]), owner[best]
+    return view.robot(at[_best_of(owner, _met(features, at, view.readings.xy, _WIDTHS[1]), 1)])
+
+
+def _around(pose: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Poses (K, 3) all over a Gaussian, itself among them: a heading moves the place along."""
+    turned = _steps(float(np.sqrt(covariance[2, 2])), 1)
+    lever = covariance[:2, 2] / max(1e-12, covariance[2, 2])
+    values, axes = np.linalg.eigh(covariance[:2, :2] - np.outer(lever, covariance[:2, 2]))
+    along, across = (_steps(float(np.sqrt(max(0.0, v))), 0) for v in values)
+    grid = np.stack(np.meshgrid(turned, along, across, indexing="ij"), axis=-1).reshape(-1, 3)
+    xy = grid[:, :1] * lever + grid[:, 1:] @ axes.T
+    return np.asarray(pose + np.column_stack((xy, grid[:, 0])))
+
+
+def _steps(deviation: float, kind: int) -> FloatArray:
+    """Offsets in metres (0) or radians (1) on both sides of none."""
+    n = int(min(_REACH * deviation, _FARTHEST[kind]) / _STEP[kind] + 0.5)
+    return _STEP[kind] * np.arange(-n, n + 1.0)
+
+
+def _refined(features: MapFeatures, view: View, at: FloatArray) -> FloatArray:
+    return refine(at, view.readings.xy, features.field, sigmas=_SETTLE)
+
+
+def _met(features: MapFeatures, at: FloatArray, xy: FloatArray, width: float) -> FloatArray:
+    """How many of the points (N, 2) poses (C, 3) of the sensor put on walls, softly: (C,)."""
+    distance = endpoints(at, xy, features.field)[2]
+    met = 1 / (1 + np.square(distance / np.float32(width)))
+    return np.asarray(met.sum(axis=1, dtype=np.float64))
+
+
+def _best_of(owner: IntArray, score: FloatArray, n: int) -> IntArray:
+    """Indices of the `n` greatest scores of each owner, owner after owner."""
+    order = np.lexsort((-score, owner))
+    first = np.searchsorted(owner[order], owner[order])
+    return order[np.arange(len(order)) - first < n]
 
 
 def search(features: MapFeatures, scan: LaserScan, options: Options) -> FloatArray:
@@ -89,6 +157,25 @@ def misfit_at(features: MapFeatures, view: View, poses: FloatArray, options: Opt
     return options.fused.model.best - float(scores.log_likelihood.max()) / len(view.readings)
 
 
-def misfit_near(features: MapFeatures, view: View, poses: FloatArray, options: Options) -> float:
+def misfit_near(
+    features: MapFeatures,
+    view: View,
+    poses: FloatArray,
+    options: Options,
+    covariance: FloatArray | None = None,
+) -> float:
     """Least misfit of poses once they have settled, nats per reading."""
-    return misfit_at(features, view, settled(features, view, poses), options)
+    return misfit_at(features, view, settled(features, view, poses, covariance), options)
+
+
+def stretched(
+    features: MapFeatures, view: View, pose: FloatArray, options: Options
+) -> tuple[float, float]:
+    """By what to multiply the readings to fit best at a pose (3,), and what that gains, nats."""
+    same = np.tile(view.sensor(pose), (len(_SCALES), 1))
+    poses = np.column_stack((same, _SCALES))
+    poses = refine(poses, view.readings.xy, features.field, sigmas=(0.3, *_SETTLE[1:]))
+    poses = np.concatenate((np.append(same[0], 1.0)[None], poses))
+    score = score_poses(features, view.readings, poses, options).log_likelihood
+    best = 1 + int(np.argmax(score[1:]))
+    return float(poses[best, 3]), float(score[best] - score[0])

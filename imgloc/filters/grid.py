@@ -16,7 +16,7 @@ import numpy as np
 from imgloc.features.budget import check_budget
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import NOWHERE, Belief, Followed, Habit, Habits, belief_of
-from imgloc.filters.evidence import misfit_near, sight, view_of
+from imgloc.filters.evidence import misfit_near, sight, usable, view_of
 from imgloc.filters.motion import MotionNoise, deviations
 from imgloc.geometry import centre_of, rotation, wrap
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, LaserScan, inverse
@@ -136,8 +136,9 @@ class GridFilter:
     def __init__(
         self, features: MapFeatures, options: Options | None = None, how: GridOptions | None = None
     ) -> None:
-        self.features, self.how = features, how or GridOptions()
+        self.how = how or GridOptions()
         self.options = replace(options or Options(), method=self.how.method)
+        self.features = features = features.thinner(self.options.shared.thinner)
         self.thetas, self.lattice = self.options.thetas, features.lattice
         shape = (len(self.thetas), *self.lattice.shape)
         what = f"a grid filter of {shape[0]} headings x {shape[1]} x {shape[2]} cells"
@@ -190,14 +191,18 @@ class GridFilter:
 
     def watch(self, scan: LaserScan) -> bool:
         """Whether a scan contradicts the best place."""
-        if not self._seen or scan.directions < max(1, self.options.trust.readings):
+        seen = usable(scan, self.options)
+        if seen is None or not self._seen:
             return False
-        return self._misfit_at_best(scan) > self._habits.of(scan).last + self.how.surprise
+        return self._misfit_at_best(seen) > self._habits.of(seen).last + self.how.surprise
 
     def see(self, scan: LaserScan) -> None:
         """Take a scan; one with too few readings says nothing."""
-        if scan.directions < max(1, self.options.trust.readings):
-            return
+        seen = usable(scan, self.options)
+        if seen is not None:
+            self._see(seen)
+
+    def _see(self, scan: LaserScan) -> None:
         how, habit = self.how, self._habits.of(scan)
         new = float(np.clip((habit.way / how.fresh).sum(), how.least, 1.0)) if self._seen else 1.0
         before = self._misfit_at_best(scan) if self._seen else 0.0

@@ -17,7 +17,7 @@ import numpy as np
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import NOWHERE, Belief, Followed, Habit, Habits, belief_of
-from imgloc.filters.evidence import misfit_near, sight, view_of
+from imgloc.filters.evidence import misfit_near, sight, usable, view_of
 from imgloc.filters.motion import MotionNoise, sample_motion
 from imgloc.geometry import cell_of, inside, theta_bin, transform_poses, wrap
 from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D, inverse
@@ -107,10 +107,11 @@ class ParticleFilter:
         seed: int = 0,
         draw: Callable[[LaserScan, int, np.random.Generator], FloatArray] | None = None,
     ) -> None:
-        self.features, self.how = features, how or ParticleOptions()
+        self.how = how or ParticleOptions()
         if not 1 <= self.how.least <= self.how.most:
             raise ConfigError(f"particles: got {self.how.least} to {self.how.most}")
         self.options = replace(options or Options(), top=20)
+        self.features = features.thinner(self.options.shared.thinner)
         self._rng = np.random.default_rng(seed)
         self._draw = draw or self._sample
         self.poses, self.weights = np.empty((0, 3)), np.empty(0)
@@ -134,14 +135,18 @@ class ParticleFilter:
 
     def watch(self, scan: LaserScan) -> bool:
         """Whether a scan contradicts the best place."""
-        if not len(self.poses) or scan.directions < max(1, self.options.trust.readings):
+        seen = usable(scan, self.options)
+        if seen is None or not len(self.poses):
             return False
-        return self._misfit_at_best(scan) > self._habits.of(scan).last + self.how.surprise
+        return self._misfit_at_best(seen) > self._habits.of(seen).last + self.how.surprise
 
     def see(self, scan: LaserScan) -> None:
         """Take a scan; one with too few readings says nothing."""
-        if scan.directions < max(1, self.options.trust.readings):
-            return
+        seen = usable(scan, self.options)
+        if seen is not None:
+            self._see(seen)
+
+    def _see(self, scan: LaserScan) -> None:
         how, habit, first = self.how, self._habits.of(scan), not len(self.poses)
         if first:
             self.poses = self._new(scan, how.most)

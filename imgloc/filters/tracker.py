@@ -25,6 +25,8 @@ from imgloc.filters.evidence import (
     search,
     settled,
     sight,
+    stretched,
+    usable,
     view_of,
 )
 from imgloc.filters.motion import MotionNoise, move_gaussians, way_of
@@ -64,13 +66,20 @@ class TrackerOptions:
     mass: float = 0.99  #: of the best component, to be ``unique``
     #: metres that it has to be followed for before it is: at first, and where it replaces another
     sure: tuple[float, float] = (1.5, 4.0)
-    #: metres between two searches while the best component is unique and fits as usual: other
-    #: places are then only looked at where they are followed
-    search: float = 1.5
+    #: scans in a row that have to leave it so much, and readings that each needs to count
+    agree: tuple[int, int] = (2, 30)
+    #: metres between two searches while what is followed fits as usual: other places are then only
+    #: looked at where they are followed. At first, and most; twice as far after each search that
+    #: left the best component unique
+    search: tuple[float, float] = (1.5, 6.0)
+    known: float = 0.01  #: chance of being lost, at most, for that
     #: nats per reading that the best component may lack more than usual to stay ``unique``, and
     #: more than in the scan before to be no surprise
     surprise: tuple[float, float] = (0.5, 0.7)
     startle: float = 0.5  #: share of its evidence that a surprising scan has at least
+    #: so many scans that fit best at another scale, by this logarithm in the median, and gain so
+    #: many nats together, are given it: none of the logs that these filters were made with does
+    stretch: tuple[int, float, float] = (6, 0.015, 150.0)
     resets: bool = True  #: whether lost mass is put where scans find places: sensor resetting
 
 
@@ -106,13 +115,15 @@ class Tracker:
         how: TrackerOptions | None = None,
         find: Search | None = None,
     ) -> None:
-        self.features, self.how = features, how or TrackerOptions()
+        self.how = how or TrackerOptions()
         self.options = replace(options or Options(), top=1000)  # covariances of all
-        self._find = find or (lambda scan: search(features, scan, self.options))
+        self.features = features.thinner(self.options.shared.thinner)
+        self._find = find or (lambda scan: search(self.features, scan, self.options))
         self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
         self._mass, self._followed = np.empty(0), np.empty(0)
-        self._lost, self._resets, self._unsearched = 1.0, 0, 0.0
-        self._habits = Habits()
+        self._lost, self._resets, self._agreed = 1.0, 0, 0
+        self._unsearched, self._pause = 0.0, self.how.search[0]  # metres
+        self._habits, self._scales = Habits(), list[tuple[float, float]]()
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
         """Believe to be at a pose (3,), with deviations in metres and radians."""
@@ -120,6 +131,7 @@ class Tracker:
         self._poses = np.asarray(pose, dtype=np.float64).reshape(1, 3)
         self._covariance = np.diag([metres, metres, radians])[None] ** 2
         self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
+        self._agreed = self.how.agree[0] - 1  # one scan has to agree with what was told
         self._habits.place()
 
     def move(self, increment: FloatArray) -> None:
@@ -134,14 +146,18 @@ class Tracker:
 
     def watch(self, scan: LaserScan) -> bool:
         """Whether a scan that is not to be looked at contradicts what is believed: look at it."""
-        if len(self._poses) == 0 or scan.directions < max(1, self.options.trust.readings):
+        seen = usable(scan, self.options)
+        if seen is None or not len(self._poses):
             return False
-        return self._contradicted(view_of(scan, self.options), self._habits.of(scan))
+        return self._contradicted(view_of(seen, self.options), self._habits.of(seen))
 
     def _contradicted(self, view: View, habit: Habit) -> bool:
         """Whether the best component fits abruptly worse than before."""
         best = int(np.argmax(self._mass))
-        misfit = misfit_near(self.features, view, self._poses[best : best + 1], self.options)
+        at = slice(best, best + 1)
+        misfit = misfit_near(
+            self.features, view, self._poses[at], self.options, self._covariance[at]
+        )
         if misfit > habit.last + self.how.surprise[1]:
             return True
         habit.last, habit.doubted = misfit, misfit > habit.usual + self.how.surprise[0]
@@ -149,15 +165,21 @@ class Tracker:
 
     def see(self, scan: LaserScan) -> None:
         """Take a scan; one with too few readings says nothing."""
-        if scan.directions < max(1, self.options.trust.readings):
-            return
+        seen = usable(scan, self.options)
+        if seen is not None:
+            self._see(seen)
+
+    def _see(self, scan: LaserScan) -> None:
         how, known = self.how, len(self._poses)
         habit, view, found = self._habits.of(scan), view_of(scan, self.options), np.empty((0, 3))
         new, habit.way = float(np.clip((habit.way / how.fresh).sum(), how.least, 1)), np.zeros(2)
         contradicted = known > 0 and self._contradicted(view, habit)
-        if contradicted or self._unsearched >= how.search or self.belief.verdict != UNIQUE:
+        strange = contradicted or self._habits.doubted or self._lost > how.known
+        if strange or self._unsearched >= self._pause:
             found, self._unsearched = view.robot(self._find(scan)[: 2 * how.births]), 0.0
-        near = settled(self.features, view, self._poses)
+            sure = not strange and self.belief.verdict == UNIQUE
+            self._pause = min(2 * self._pause, how.search[1]) if sure else how.search[0]
+        near = settled(self.features, view, self._poses, self._covariance)
         poses = np.concatenate((self._poses, near, found))
         if not len(poses):
             self._lost = 1.0
@@ -191,8 +213,23 @@ class Tracker:
         if how.resets or not known:
             self._bear(seen, 2 * known, relative)
         self._tidy()
+        agrees = (self._mass[:1] >= how.mass).any()
+        self._agreed = self._agreed + (len(view.readings) >= how.agree[1]) if agrees else 0
         if len(self._mass):
             habit.learn(misfit_at(self.features, view, self._poses[:1], self.options))
+            alone = self._lost < 0.5 and self._mass[0] >= how.mass * self._mass.sum()
+            if alone and habit.last > self.options.fused.strained:
+                self._stretch(view)
+
+    def _stretch(self, view: View) -> None:
+        """Allow for another scale of the readings, once some scans together fit far better so."""
+        (count, least, gain), shared = self.how.stretch, self.options.shared
+        self._scales.append(stretched(self.features, view, self._poses[0], self.options))
+        scales, gains = np.array(self._scales[-count:]).T
+        middle, most = float(np.median(scales)), np.log(self.options.fused.most_scaled)
+        if len(gains) == count and gains.sum() > gain and least < abs(np.log(middle)) < most:
+            shared = replace(shared, scale=shared.scale * middle)
+            self.options, self._scales = replace(self.options, shared=shared), []
 
     def _doubt(self, gained: float) -> float:
         """How much likelier a scan is somewhere unknown than where it gains so much, nats.
@@ -288,7 +325,7 @@ class Tracker:
         verdict = AMBIGUOUS
         if self._lost > 0.5 or not len(mass):
             verdict = LOST
-        elif not self._habits.doubted and mass[0] >= self.how.mass:
+        elif not self._habits.doubted and self._agreed >= self.how.agree[0]:
             verdict = UNIQUE if self._followed[order[0]] >= self.how.sure[0] else AMBIGUOUS
         neff = float(np.square(mass.sum()) / max(1e-300, np.square(mass).sum()))
         return Belief(
