@@ -59,6 +59,7 @@ _PIECE, _PILLAR = 1.5, 0.18  # metres: what is shorter has to be a pillar, which
 _LETTER, _WORD = 0.65, 3  # metres that a letter is high at most; how many of them make a text
 _LEAF = (0.45, 1.4)  # metres: widths of a door's leaf
 _HANGS = 0.25  # metres between a door and the wall that it hangs on
+_LEAF_THICK = 0.1  # metres that a leaf is thick at most
 _QUARTER, _HOLE = np.deg2rad((60, 115)), np.deg2rad(6)  # lengths of a swing, and holes in it
 _TRIALS, _POINTS = 400, 400  # circles through three of so many points
 _SPECK = 0.001  # square metres of ink that count as a piece
@@ -240,7 +241,12 @@ def _walls(
     solid = _opened(bold, least) | body
     rough, _ = _standing(_opened(solid, least), drawn, pixel)
     swings = _swings(drawn, rough, pixel)
-    solid = _without_leaves(solid, holes, swings, thickest / pixel, 0.1 / pixel)
+    # The leaf of a door may be as thick as the thinnest wall, and hide its own swing.
+    bolder, _ = _standing(_opened(solid, _LEAF_THICK / pixel), drawn, pixel)
+    for swing in _swings(drawn, bolder, pixel):
+        if all(np.hypot(*(swing.hinge - s.hinge)) > _HANGS / pixel for s in swings):
+            swings.append(swing)
+    solid = _without_leaves(solid, holes, swings, thickest / pixel, _LEAF_THICK / pixel)
     return *_standing(_opened(solid, least), drawn, pixel), swings
 
 

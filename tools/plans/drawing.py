@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 import numpy.typing as npt
+import PIL.Image
+from PIL import ImageDraw, ImageFont
 
 from imgloc.geometry import rotation
 from imgloc.model import BoolArray, FloatArray, OccupancyGrid, Pose2D
@@ -345,10 +347,11 @@ def _write(image: Image, b: Building, resolution: float, line: int) -> None:
     """Names of rooms, dimension lines, a title; upright, on an image whose top row is first."""
 
     def word(text: str, xy: Sequence[float], height: float = 0.28) -> None:
-        scale = height / resolution / 22
-        size, _ = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, line)
-        at = round(xy[0] / resolution - size[0] / 2), round(len(image) - xy[1] / resolution)
-        cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, scale, 0, line, cv2.LINE_AA)
+        # Not cv2.putText, whose letters are others from version to version.
+        sheet, font = PIL.Image.fromarray(image), ImageFont.load_default(height / resolution / 0.7)
+        at = xy[0] / resolution, len(image) - xy[1] / resolution
+        ImageDraw.Draw(sheet).text(at, text, fill=0, font=font, anchor="ms")
+        image[:] = np.asarray(sheet)
 
     def stroke(a: Sequence[float], c: Sequence[float]) -> None:
         p, q = ((round(x / resolution), round(len(image) - y / resolution)) for x, y in (a, c))
