@@ -348,7 +348,10 @@ def _write(image: Image, b: Building, resolution: float, line: int) -> None:
 
     def word(text: str, xy: Sequence[float], height: float = 0.28) -> None:
         # Not cv2.putText, whose letters are others from version to version.
-        sheet, font = PIL.Image.fromarray(image), ImageFont.load_default(height / resolution / 0.7)
+        sheet, font = (
+            PIL.Image.fromarray(image),
+            ImageFont.load_default(round(height / resolution / 0.7)),
+        )
         at = xy[0] / resolution, len(image) - xy[1] / resolution
         ImageDraw.Draw(sheet).text(at, text, fill=0, font=font, anchor="ms")
         image[:] = np.asarray(sheet)
