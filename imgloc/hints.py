@@ -26,6 +26,7 @@ class Doubtful:
 
     _said: dict[Id, Said] = field(default_factory=dict)
     _fits: set[str] = field(default_factory=set)  # files of which most scans are unique somewhere
+    _single: set[str] = field(default_factory=set)  # files of one scan
     # Of each map, of the scans of such files: those with an error that all readings share, above
     # one half.
     _bent: Counter[str] = field(default_factory=Counter)
@@ -45,6 +46,8 @@ class Doubtful:
             for answer, e in zip(answers, evidence, strict=True)
         ]
         count = Counter(verdict for verdict, _, _ in said)
+        if len(said) == 1:
+            self._single.add(str(item[1]))
         lost, unique = count["no-match"] + count["invalid"], count["unique"]
         bent = sum(scale != 1.0 or thinner > 0 for _, scale, thinner in said)
         if 2 * unique >= len(said):
@@ -57,11 +60,15 @@ class Doubtful:
 
     def of(self, items: Iterable[Item]) -> list[tuple[Item, Said]]:
         """A few of the items that are doubtful: of many files, and each with other maps."""
+        # One scan that fits nowhere is nothing unusual: files of one speak together.
+        fine = self._fits
+        if 2 * len(self._single - fine) <= len(self._single):
+            fine = fine | self._single
 
         def doubted(item: Item) -> bool:
             if item.id in self._said and _unique(self._said[item.id]):
                 return self._bent[item.map] > 0
-            return item.id in self._said and item.scans not in self._fits
+            return item.id in self._said and item.scans not in fine
 
         there = [item for item in items if doubted(item)]
         files = {name: k for k, name in enumerate(sorted({str(i.scans) for i in there}))}

@@ -91,6 +91,21 @@ def test_doubtful_items_are_of_many_files_and_maps(found: tuple[Path, BatchSumma
     assert len({it.map for it in tried}) == 5
 
 
+@pytest.mark.parametrize(("lost", "tried"), [(15, 0), (25, 9)])
+def test_a_file_of_one_scan_is_doubtful_where_most_are(
+    found: tuple[Path, BatchSummary], lost: int, tried: int
+) -> None:
+    rows = {(row["map"], row["scans"]): row for row in read_rows(found[0] / "out")}
+    good, bad = (rows["curved", name] for name in ("good.npz", "mm.npz"))
+    items = [Item("curved", f"f{k}.npz", ()) for k in range(40)]
+    doubtful = Doubtful()
+    for k, item in enumerate(items):
+        row = bad if k < lost else good
+        said = {"scans": item.scans, "answers": row["answers"][:1]}
+        list(doubtful.noting([row | said]))
+    assert len(doubtful.of(items)) == tried
+
+
 def test_a_few_scans_that_are_bent_are_no_reason_to_say_so(
     found: tuple[Path, BatchSummary],
 ) -> None:
