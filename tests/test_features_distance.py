@@ -195,6 +195,7 @@ def test_rows_of_the_table_are_the_cells_in_order():
     x, y = np.array([0.0, 3.99, 0.5, 4.0, np.nan]), np.array([0.0, 2.99, 1.0, 1.0, 1.0])
     assert field.index(x.astype(np.float32), y.astype(np.float32)).tolist() == [0, 11, 4, 12, 12]
     assert field.table.shape == (13, 4)
+    assert [v.item() for v in field.lookup(1e30, -1e30)] == [FARTHEST, 0, 0]
     exact = signed_distance(np.eye(3, 4, dtype=bool), 0.5)
     np.testing.assert_allclose(field.distance, exact, atol=UNIT / 2 + 1e-6)
 

@@ -66,12 +66,13 @@ class DistanceField:
 
     def index(self, column: Float32Array, row: Float32Array) -> npt.NDArray[np.int32]:
         """Rows of `table` for cells, whole numbers; the last row for cells off the map."""
-        with np.errstate(invalid="ignore"):
-            c, r = column.astype(np.int32), row.astype(np.int32)
-        # As unsigned numbers those below 0 are beyond the map, too.
-        inside = (c.view(np.uint32) < self.width) & (r.view(np.uint32) < self.height)
         last = np.int32(self.height * self.width)
-        return np.asarray((r * np.int32(self.width) + c - last) * inside + last)  # no `where`: 1/3
+        with np.errstate(invalid="ignore", over="ignore"):  # of what is off the map anyway
+            c, r = column.astype(np.int32), row.astype(np.int32)
+            # As unsigned numbers those below 0 are beyond the map, too.
+            inside = (c.view(np.uint32) < self.width) & (r.view(np.uint32) < self.height)
+            # np.where would take as long as all the rest.
+            return np.asarray((r * np.int32(self.width) + c - last) * inside + last)
 
     def lookup(
         self, x: npt.ArrayLike, y: npt.ArrayLike

@@ -25,7 +25,8 @@ from imgloc.options import EvidenceModel, FusedOptions
 from imgloc.search.hypotheses import first_in_cell, modes
 from imgloc.search.refine import endpoints
 
-_BATCH, _FEW = 256, 64  # proposals that are scored at a time: all that are near the best, it alone
+_BATCH = 256  # proposals that are scored at a time
+_FEW = 64  # the same where only the best one is asked for
 
 
 @dataclass(frozen=True)
