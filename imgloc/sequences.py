@@ -17,7 +17,7 @@ from imgloc.evaluation import Share, share
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import UNIQUE, Filter
 from imgloc.filters.choose import make_filter
-from imgloc.filters.evidence import search
+from imgloc.filters.evidence import Places, search
 from imgloc.filters.motion import compose_poses, increments, noisy_odometry
 from imgloc.geometry import wrap
 from imgloc.io.scanset import ScanSet
@@ -61,21 +61,21 @@ class Searches:
     def __init__(self, features: MapFeatures, options: Options) -> None:
         self.features, self.options = features.thinner(options.shared.thinner), options
         self.clock = 0.0  #: processor seconds of all searches that were asked for
-        self._kept: dict[int, tuple[LaserScan, FloatArray, float]] = {}
+        self._kept: dict[int, tuple[LaserScan, Places, float]] = {}
 
-    def __call__(self, scan: LaserScan) -> FloatArray:
-        """Poses (M, 3) of a scan, best first."""
+    def __call__(self, scan: LaserScan) -> Places:
+        """The places of a scan."""
         if id(scan) not in self._kept:
             self._kept[id(scan)] = scan, *self.anew(scan)
-        _, poses, seconds = self._kept[id(scan)]
+        _, places, seconds = self._kept[id(scan)]
         self.clock += seconds
-        return poses
+        return places
 
-    def anew(self, scan: LaserScan) -> tuple[FloatArray, float]:
-        """Search a scan that was not searched yet: its poses, and how long that took."""
+    def anew(self, scan: LaserScan) -> tuple[Places, float]:
+        """Search a scan that was not searched yet: its places, and how long that took."""
         start = time.process_time()
-        poses = search(self.features, scan, self.options)
-        return poses, time.process_time() - start
+        places = search(self.features, scan, self.options)
+        return places, time.process_time() - start
 
 
 def drive(
@@ -156,7 +156,8 @@ def starts(
 ) -> list[int]:
     """Scans at which a robot is switched on: one each 30 s and `count` at random.
 
-    All have `ahead` metres to drive before them, if the log is long enough.
+    All have `ahead` metres to drive before them, if the log is long enough. No scan is drawn twice,
+    if there are enough: what was the same once is the same again.
     """
     way = driven(scans)
     last = int(np.searchsorted(way, max(0.0, way[-1] - ahead), side="right"))
@@ -164,7 +165,7 @@ def starts(
     long = stamps[max(0, last - 1)] - stamps[0]
     marks = stamps[0] + seconds * np.arange(int(long // seconds) + 1 if seconds < np.inf else 0)
     regular = np.searchsorted(stamps, marks).tolist()
-    random = rng.integers(0, max(1, last), count).tolist()
+    random = rng.choice(max(1, last), count, replace=count > last).tolist()
     return [int(k) for k in (*random, *regular)]
 
 

@@ -10,7 +10,7 @@ from command import MAPS, call, rows
 from places import POSES, error, features_of
 
 from imgloc.filters.choose import make_filter
-from imgloc.filters.evidence import search, sight, view_of
+from imgloc.filters.evidence import NO_PLACES, search, sight, view_of
 from imgloc.filters.motion import compose_poses, noisy_odometry
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, Pose2D, compose
@@ -98,7 +98,7 @@ def test_two_lasers_find_what_one_does_not(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["tracker", "particle", "grid"])
 def test_every_filter_follows_the_robot_not_its_lasers(name: str) -> None:
     features, scans = features_of("visibility"), log(FRONT, REAR)
-    chosen = make_filter(name, features, Options(), seed=1, find=lambda _: np.empty((0, 3)))
+    chosen = make_filter(name, features, Options(), seed=1, find=lambda _: NO_PLACES)
     start = Pose2D(*PATH[0])
     moments = list(follow(features, scans, chosen, start=start, deviation=(0.2, 0.1)))
     truth = robot_poses(scans)

@@ -10,7 +10,7 @@ from places import ANGLES, features_of
 from imgloc.errors import ConfigError, ScanError
 from imgloc.filters.belief import Followed, belief_of
 from imgloc.filters.choose import make_filter
-from imgloc.filters.evidence import settled, view_of
+from imgloc.filters.evidence import NO_PLACES, Places, settled, view_of
 from imgloc.filters.motion import compose_poses, noisy_odometry
 from imgloc.filters.particle import ParticleFilter, ParticleOptions, kld_bound, low_variance
 from imgloc.filters.tracker import Tracker, TrackerOptions
@@ -114,11 +114,23 @@ def test_a_place_that_the_search_has_not_listed_does_not_die() -> None:
     """A component is scored where it is, not only where a search looked."""
     scans, features = log(), features_of(WORLD)
     truth = transform_poses(inverse(features.grid.origin), scans.poses)
-    elsewhere = np.array([[2.0, 2.0, 1.0], [20.0, 3.0, 0.0]])
+    elsewhere = Places(np.array([[2.0, 2.0, 1.0], [20.0, 3.0, 0.0]]), np.zeros((2, 3, 3)))
     tracker = Tracker(features, find=lambda _: elsewhere)
     tracker.place(truth[0], (0.1, 0.05))
     for k, moment in enumerate(follow(features, scans, tracker)):
         assert errors([moment], scans)[0] < 0.4, k
+
+
+def test_which_of_close_maxima_it_is_may_show_with_the_next_scan() -> None:
+    """A search that says how far its maxima are apart is followed from one to another."""
+    scans, features = piece(log(), range(2)), features_of(WORLD)
+    beside = transform_poses(inverse(features.grid.origin), scans.poses[:1]) + [0.35, 0.0, 0.0]
+    for deviation, verdict in ((0.0, "lost"), (0.15, "ambiguous")):
+        places = Places(beside, np.diag([deviation**2, deviation**2, 0.0])[None])
+        tracker = Tracker(features, find=lambda scan, at=places: NO_PLACES if scan.stamp else at)
+        moments = list(follow(features, scans, tracker))
+        assert (errors(moments, scans)[-1] < 0.1) == (deviation > 0)
+        assert moments[-1].belief.verdict == verdict
 
 
 @pytest.mark.parametrize("name", ["tracker", "particle"])
@@ -196,7 +208,7 @@ def test_what_is_known_of_the_scale_is_used(name: str) -> None:
     known = Options(shared=Shared(1 / 0.9))
     beliefs = []
     for scans, options in ((log(), Options()), (shortened(log(), 0.9), known)):
-        chosen = make_filter(name, features, options, find=lambda _: np.empty((0, 3)))
+        chosen = make_filter(name, features, options, find=lambda _: NO_PLACES)
         chosen.place(truth, (0.1, 0.05))
         chosen.see(scans[0])
         assert not chosen.watch(scans[0])
@@ -214,7 +226,7 @@ def test_walls_that_are_known_to_be_too_thick_are_thinner() -> None:
 def test_a_scale_is_found_along_the_way_and_only_where_there_is_one() -> None:
     features, truth = features_of(WORLD), Pose2D(*log().poses[0])
     for factor in (1.0, 0.95):
-        tracker = Tracker(features, find=lambda _: np.empty((0, 3)))
+        tracker = Tracker(features, find=lambda _: NO_PLACES)
         moments = list(follow(features, shortened(log(), factor), tracker, start=truth))
         assert tracker.options.shared.scale == pytest.approx(1 / factor, abs=0.01 * (factor < 1))
         assert errors(moments, log())[-1] < 0.2
@@ -250,7 +262,7 @@ def test_every_decides_what_is_looked_at() -> None:
 
 def test_a_start_is_taken() -> None:
     scans, features = log(), features_of(WORLD)
-    tracker = Tracker(features, find=lambda _: np.empty((0, 3)))
+    tracker = Tracker(features, find=lambda _: NO_PLACES)
     start = Pose2D(*scans.poses[0])
     first = next(iter(follow(features, scans, tracker, start=start)))
     assert errors([first], scans)[0] < 0.2

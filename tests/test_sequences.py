@@ -68,6 +68,8 @@ def test_starts_have_way_ahead() -> None:
     assert max(driven(log)[at]) <= driven(log)[-1] - 10 + 0.5
     short = starts(log, 3, np.random.default_rng(0), ahead=1000.0)
     assert set(short) == {0}
+    some = starts(log, 12, np.random.default_rng(0), ahead=10.0, seconds=np.inf)
+    assert len(set(some)) == len(some) == 12
 
 
 def test_right_for_good() -> None:

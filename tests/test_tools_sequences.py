@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from imgloc.filters.evidence import Places
 from imgloc.io.maps import load_map, save_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.model import FloatArray, LaserScan
+from imgloc.model import LaserScan
 from imgloc.options import Options
 from imgloc.pipeline import prepare
 from imgloc.sequences import Searches, Trials, measure, with_odometry
@@ -60,7 +61,7 @@ def test_searches_that_are_shared_change_nothing_but_the_time(folder: Path, tmp_
     done: list[int] = []
 
     class Forgets(Searches):
-        def __call__(self, scan: LaserScan) -> FloatArray:
+        def __call__(self, scan: LaserScan) -> Places:
             done.append(id(scan))
             return self.anew(scan)[0]
 

@@ -24,6 +24,7 @@ import numpy as np
 import imgloc
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.choose import make_filter
+from imgloc.filters.evidence import Places
 from imgloc.io.files import write_bytes_atomic, write_text_atomic
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
@@ -106,7 +107,8 @@ class KeptSearches(Searches):
         rooms = ("features", "likelihoods", "search")
         code = [path for room in rooms for path in sorted((package / room).glob("*.py"))]
         code += [package / "pipeline.py", package / "options.py"]
-        about = repr((options, grid.info)).encode() + grid.occupied.tobytes() + grid.free.tobytes()
+        about = repr((options, grid.info, Places.__match_args__)).encode()
+        about += grid.occupied.tobytes() + grid.free.tobytes()
         about += b"".join(path.read_bytes() for path in code)
         self._file = folder / f"{hashlib.sha256(about).hexdigest()[:20]}.npz"
         self._old: dict[str, FloatArray] = {}
@@ -114,15 +116,18 @@ class KeptSearches(Searches):
             with np.load(self._file) as old:
                 self._old = dict(old)
 
-    def anew(self, scan: LaserScan) -> tuple[FloatArray, float]:
+    def anew(self, scan: LaserScan) -> tuple[Places, float]:
         """Search a scan unless it was done on another day."""
         limits = np.array([scan.range_min, scan.range_max])
         content = b"".join(a.tobytes() for a in (scan.ranges, scan.angles, limits))
         key = hashlib.sha256(content).hexdigest()
         if key not in self._old:
-            poses, seconds = super().anew(scan)
-            self._old[key] = np.vstack(([seconds, 0.0, 0.0], poses))
-        return self._old[key][1:], float(self._old[key][0, 0])
+            places, seconds = super().anew(scan)
+            rows = np.column_stack((places.poses, places.spread.reshape(-1, 9)))
+            self._old[key] = np.vstack((np.full(12, seconds), rows))
+        rows = self._old[key][1:]
+        places = Places(rows[:, :3], rows[:, 3:].reshape(-1, 3, 3))
+        return places, float(self._old[key][0, 0])
 
     def save(self) -> None:
         """Keep what was found, with the time that it took."""

@@ -5,10 +5,11 @@ from collections.abc import Callable
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import Filter
+from imgloc.filters.evidence import Places
 from imgloc.filters.grid import GridFilter, GridOptions
 from imgloc.filters.particle import ParticleFilter, ParticleOptions
 from imgloc.filters.tracker import Tracker, TrackerOptions
-from imgloc.model import FloatArray, LaserScan
+from imgloc.model import LaserScan
 from imgloc.options import Options
 
 FILTERS = ("tracker", "grid", "particle")
@@ -22,7 +23,7 @@ def make_filter(
     seed: int = 0,
     resets: bool = True,
     reset_by: str = "ght-v",
-    find: Callable[[LaserScan], FloatArray] | None = None,
+    find: Callable[[LaserScan], Places] | None = None,
 ) -> Filter:
     """Make a filter that knows nothing yet.
 
@@ -37,7 +38,7 @@ def make_filter(
     reset_by : str
         The method whose p(x | z) particles are drawn from.
     find : callable, optional
-        Instead of the search of poses in a scan: gives those of a search that was done before.
+        Instead of the search of places in a scan: gives those of a search that was done before.
     """
     if name == "tracker":
         return Tracker(features, options, TrackerOptions(resets=resets), find)

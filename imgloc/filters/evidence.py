@@ -72,12 +72,19 @@ class Sight:
     gained: float  #: nats, tempered, by which the best one beats a building on no map
 
 
-def sight(features: MapFeatures, view: View, poses: FloatArray, options: Options) -> Sight:
-    """Score poses as they are."""
+def sight(
+    features: MapFeatures,
+    view: View,
+    poses: FloatArray,
+    options: Options,
+    spread: FloatArray | None = None,
+) -> Sight:
+    """Score poses as they are; a `spread` (C, 3, 3) as of :class:`Places` widens covariances."""
     seen, at = view.readings, view.sensor(poses)
     scores = score_poses(features, seen, at, options)
     order = np.argsort(-scores.log_likelihood, kind="stable")
-    found = weigh(features, Modes(at[order], scores.select(order), seen), options)
+    wider = None if spread is None else spread[order]
+    found = weigh(features, Modes(at[order], scores.select(order), seen, spread=wider), options)
     back = np.argsort(order, kind="stable")
     score = found.log_likelihood[back]
     misfit = options.fused.model.best - score / len(seen)
@@ -146,9 +153,27 @@ def _best_of(owner: IntArray, score: FloatArray, n: int) -> IntArray:
     return order[np.arange(len(order)) - first < n]
 
 
-def search(features: MapFeatures, scan: LaserScan, options: Options) -> FloatArray:
-    """All separated poses (M, 3) of the **sensor** that one scan allows, grid frame, best first."""
-    return find_modes(features, scan, options).poses
+@dataclass(frozen=True)
+class Places:
+    """Where the **sensor** may be by one scan: separated poses, grid frame, best first."""
+
+    poses: FloatArray  #: (M, 3)
+    #: (M, 3, 3) second moments of the maxima around each: which of them it is, one scan cannot tell
+    spread: FloatArray
+
+    def best(self, n: int) -> "Places":
+        """The `n` best of them, if there are so many."""
+        return Places(self.poses[:n], self.spread[:n])
+
+
+NO_PLACES = Places(np.empty((0, 3)), np.empty((0, 3, 3)))
+
+
+def search(features: MapFeatures, scan: LaserScan, options: Options) -> Places:
+    """All places that one scan allows."""
+    found = find_modes(features, scan, options)
+    alone = np.zeros((len(found.poses), 3, 3))
+    return Places(found.poses, alone if found.spread is None else found.spread)
 
 
 def misfit_at(features: MapFeatures, view: View, poses: FloatArray, options: Options) -> float:

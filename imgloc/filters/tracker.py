@@ -18,6 +18,8 @@ import numpy as np
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import AMBIGUOUS, LOST, NOWHERE, UNIQUE, Belief, Habit, Habits
 from imgloc.filters.evidence import (
+    NO_PLACES,
+    Places,
     Sight,
     View,
     misfit_at,
@@ -40,7 +42,7 @@ _MAPPED = 1.1  # log-odds of a scan being of its map, and found, where trust was
 _MOST = 3.0  # nats that being lost can gain by one scan
 _NOTHING, _RESET = 1e-7, 0.2  # mass of a component that is dropped; put in at once: a reset
 
-Search = Callable[[LaserScan], FloatArray]
+Search = Callable[[LaserScan], Places]
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ class Tracker:
         Of the search in each scan.
     how : TrackerOptions, optional
     find : callable, optional
-        Gives the poses (M, 3) of the sensor that a scan allows, best first, instead of a search.
+        Gives the places that a scan allows, instead of a search.
 
     Examples
     --------
@@ -171,20 +173,21 @@ class Tracker:
 
     def _see(self, scan: LaserScan) -> None:
         how, known = self.how, len(self._poses)
-        habit, view, found = self._habits.of(scan), view_of(scan, self.options), np.empty((0, 3))
+        habit, view, found = self._habits.of(scan), view_of(scan, self.options), NO_PLACES
         new, habit.way = float(np.clip((habit.way / how.fresh).sum(), how.least, 1)), np.zeros(2)
         contradicted = known > 0 and self._contradicted(view, habit)
         strange = contradicted or self._habits.doubted or self._lost > how.known
         if strange or self._unsearched >= self._pause:
-            found, self._unsearched = view.robot(self._find(scan)[: 2 * how.births]), 0.0
+            found, self._unsearched = self._find(scan).best(2 * how.births), 0.0
             sure = not strange and self.belief.verdict == UNIQUE
             self._pause = min(2 * self._pause, how.search[1]) if sure else how.search[0]
         near = settled(self.features, view, self._poses, self._covariance)
-        poses = np.concatenate((self._poses, near, found))
+        poses = np.concatenate((self._poses, near, view.robot(found.poses)))
+        spread = np.concatenate((np.zeros((2 * known, 3, 3)), found.spread))
         if not len(poses):
             self._lost = 1.0
             return
-        seen = sight(self.features, view, poses, self.options)
+        seen = sight(self.features, view, poses, self.options, spread)
         best = float(seen.log_likelihood.max())
         relative = np.maximum((seen.log_likelihood - best) * new, -how.drop)
 
