@@ -85,6 +85,19 @@ def test_searches_that_are_shared_change_nothing_but_the_time(folder: Path, tmp_
         other(log[0])
 
 
+def test_what_was_found_is_kept_when_it_is_stopped(folder: Path, tmp_path: Path) -> None:
+    def stop() -> None:
+        raise KeyboardInterrupt
+
+    trials = Trials(starts=1, metres=1.0, kidnaps=0, seconds=np.inf)
+    rows = sequences.measure_log(folder, sequences.CASES[:1], trials, stop, tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        next(rows)
+    (kept,) = tmp_path.glob("*.npz")
+    with np.load(kept) as found:
+        assert len(found) >= 1
+
+
 def test_scans_are_cut_and_stopped() -> None:
     scan, rng = LaserScan(np.full(90, 8.0), ANGLES, range_max=30.0), np.random.default_rng(0)
     near = sequences.near(scan, rng)

@@ -160,11 +160,13 @@ def measure_log(
         scans, searches = kept[case.scans]
         features = coarse if case.filter == "grid" else fine
         how = replace(trials, resets=case.resets, reset_by=case.reset_by)
-        summary = measure(
-            features, scans, case.filter, how, options, searches=searches, advance=advance
-        )
-        if isinstance(searches, KeptSearches):
-            searches.save()
+        try:
+            summary = measure(
+                features, scans, case.filter, how, options, searches=searches, advance=advance
+            )
+        finally:  # who stops it goes on from there another day
+            if isinstance(searches, KeptSearches):
+                searches.save()
         yield sequence_row(folder.name, case.name, summary, {"odometry": odometry})
 
 
