@@ -145,6 +145,29 @@ def test_a_kidnapping_is_noticed_at_once_and_recovered_from(name: str) -> None:
     assert moments[-1].belief.resets > 0
 
 
+def test_who_is_carried_off_is_followed_from_the_first_scan_that_tells_where_to() -> None:
+    carried = piece(log(), range(6), range(16, 20))
+    moments = list(follow(features_of(WORLD), carried, tracker_of()))
+    assert [m.belief.verdict for m in moments[5:7]] == ["unique", "ambiguous"]
+    assert errors(moments, carried)[6] < 0.1
+    assert 0.03 < 1 - moments[6].belief.mass[0] < 0.2  # it may have been somebody in the way
+
+
+def test_somebody_in_the_way_once_makes_no_robot_move() -> None:
+    """A scan that fits nowhere tells no other place."""
+    scans, features = piece(log(), range(7)), features_of(WORLD)
+    hidden = np.where(np.arange(len(ANGLES)) < 0.7 * len(ANGLES), 0.6, scans[5].ranges)
+    scans = replace(
+        scans, scans=(*scans.scans[:5], replace(scans[5], ranges=hidden), *scans.scans[6:])
+    )
+    seen = Searches(features, Options())
+    tracker = Tracker(features, find=lambda s: seen(s) if s is scans[5] else found(s))
+    moments = list(follow(features, scans, tracker))
+    assert moments[5].belief.verdict == "ambiguous"
+    assert moments[5].belief.mass[0] < 0.99
+    assert max(errors(moments, scans)) < 0.1
+
+
 def test_without_resets_it_stays_where_it_believes_to_be() -> None:
     scans, features = log(), features_of(WORLD)
     tracker = tracker_of(resets=False)

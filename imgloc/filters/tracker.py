@@ -35,7 +35,7 @@ from imgloc.filters.motion import MotionNoise, move_gaussians, way_of
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray, IntArray, LaserScan
 from imgloc.options import Options
-from imgloc.search.hypotheses import separated
+from imgloc.search.hypotheses import masses, separated
 
 _SURE = 1e5  # odds of being lost, at most
 _MAPPED = 1.1  # log-odds of a scan being of its map, and found, where trust was fitted: 3 in 4
@@ -207,8 +207,10 @@ class Tracker:
             mass *= (1 - lost) / self._mass.sum()
             gained = seen.gained - best + float(seen.log_likelihood[at].max())
             gone = lost * float(np.exp(new * min(_MOST, self._doubt(gained))))
-            # Somebody may stand in the way once: a second scan has to agree.
-            odds = max(how.patience, np.exp(_MOST) * lost / (1 - lost))
+            # Somebody may stand in the way once: a second scan has to agree, unless this one is
+            # trusted to tell on its own where it is from.
+            alone = self._told(seen, 2 * known) if how.resets else 0.0
+            odds = max(how.patience, alone, np.exp(_MOST) * lost / (1 - lost))
             lost = min(gone, odds * float(mass.sum()))
         self._mass, self._lost = mass, lost
         self._settle(seen, at)
@@ -241,6 +243,16 @@ class Tracker:
         """
         elsewhere = self.options.trust.mass_elsewhere(gained, 1.0)
         return float(np.log(elsewhere / (1 - elsewhere))) + _MAPPED
+
+    def _told(self, seen: Sight, first: int) -> float:
+        """Odds of the places from the index `first` on, by a single scan; capped as doubt is."""
+        log = seen.log_likelihood
+        if first == len(log):
+            return 0.0
+        share = masses(log[first:], 1.0).max()
+        gained = seen.gained - float(log.max() - log[first:].max())
+        elsewhere = self.options.trust.mass_elsewhere(gained, float(share))
+        return min(float(np.exp(_MOST)), (1 - elsewhere) / elsewhere)
 
     def _follow(self, seen: Sight, relative: FloatArray, new: float) -> tuple[IntArray, FloatArray]:
         """For each component the pose that it is at, and what it gains there, nats."""
