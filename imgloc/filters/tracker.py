@@ -209,8 +209,8 @@ class Tracker:
             gone = lost * float(np.exp(new * min(_MOST, self._doubt(gained))))
             # Somebody may stand in the way once: a second scan has to agree, unless this one is
             # trusted to tell on its own where it is from.
-            alone = self._told(seen, 2 * known) if how.resets else 0.0
-            odds = max(how.patience, alone, np.exp(_MOST) * lost / (1 - lost))
+            told = self._told(seen, 2 * known) if how.resets else 0.0
+            odds = max(how.patience, told, np.exp(_MOST) * lost / (1 - lost))
             lost = min(gone, odds * float(mass.sum()))
         self._mass, self._lost = mass, lost
         self._settle(seen, at)
