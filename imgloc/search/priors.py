@@ -55,10 +55,15 @@ def nearest(prior: Prior, poses: FloatArray, resolution: float) -> FloatArray:
 def standing(poses: FloatArray, prior: Prior, features: MapFeatures) -> FloatArray:
     """The poses at which a sensor can be and may be, moved there if they are just beside."""
     poses = nearest(prior, poses, features.grid.resolution)
+    return poses[stands(poses, prior, features)]
+
+
+def stands(poses: FloatArray, prior: Prior, features: MapFeatures) -> BoolArray:
+    """Whether a sensor can be, and may be, at each of the poses (C, 3), grid frame: (C,) bool."""
     cells = cell_of(poses[:, :2], features.grid.resolution)
-    on_map = inside(cells, features.grid.info)
-    poses, cells = poses[on_map], cells[on_map]
-    return poses[features.standable[cells[:, 0], cells[:, 1]]]
+    ok = inside(cells, features.grid.info)
+    ok[ok] = features.standable[tuple(cells[ok].T)]
+    return ok & prior.admits(poses, features.grid.resolution)
 
 
 def on_lattice(prior: Prior, free: BoolArray, factor: int) -> BoolArray:
