@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
-from imgloc.features.fields import bmap, in_levels, vmap
+from imgloc.features.fields import bmap, vmap
 from imgloc.model import OrientedPoints
 
 
@@ -110,10 +110,3 @@ def test_sigma_out_of_range(sigma):
 def test_shape_and_resolution_out_of_range(shape, resolution):
     with pytest.raises(ConfigError, match=r"shape|resolution"):
         bmap(np.zeros((1, 2)), shape, resolution, 0.1)
-
-
-def test_levels_are_those_of_0_to_1():
-    assert in_levels(np.array([[0.0, 0.5, 1.0]], np.float32)).tolist() == [[0, 128, 255]]
-    for wrong in (-0.1, 1.1, np.nan):
-        with pytest.raises(ValueError, match=r"0\.\.1"):
-            in_levels(np.array([[0.5, wrong]], np.float32))

@@ -147,7 +147,7 @@ def test_tiny_scans(count):
 
 
 @pytest.mark.parametrize(
-    ("step_deg", "lost", "known"), [(1, 3, 1), (1, 4, 0), (20, 0, 1), (22, 0, 0)]
+    ("step_deg", "lost", "known"), [(1, 3, 1), (1, 4, 0), (20, 0, 1), (21, 0, 0)]
 )
 def test_rounding_does_not_decide_what_is_beside_a_ray(step_deg, lost, known):
     # Three rays, some lost, and three more, wherever they begin: three alone have no normal.

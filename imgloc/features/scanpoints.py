@@ -11,7 +11,7 @@ from imgloc.model import BoolArray, FloatArray, IntArray, LaserScan, OrientedPoi
 _GRAZING = np.deg2rad(10.0)
 # Neighbours further apart say nothing about each other: no whole number of readings, no angle of a
 # regular scan, where rounding would decide. Three readings lost in a row are no end of a surface.
-_GAP, _MAX_GAP = 4.5, np.deg2rad(21.0)
+_GAP, _MAX_GAP = 4.5, np.deg2rad(20.7)
 _MIN_NEIGHBOURS = 3
 _END, _MANY = 0.99, 0.05  # share of the sensor's reach, and of the readings, that lie beyond
 
