@@ -14,6 +14,7 @@ from imgloc.features.floorplan import (
     Swing,
     _furniture,
     _kinds,
+    _pen,
     _sheet,
     _standing,
     _swings,
@@ -177,6 +178,15 @@ def test_a_map_that_a_robot_made_is_known_by_its_border(turns: int) -> None:
     recorded[:, [0, -1]] = 205  # in half of its border that is all
     with pytest.raises(MapError, match="a robot made"):
         refuse_strange(np.rot90(recorded, turns))
+
+
+@pytest.mark.parametrize("width", [2, 3, 5])
+def test_the_pen_is_as_wide_as_the_strokes_of_letters(width: int) -> None:
+    sheet = np.zeros((60, 300), np.bool_)
+    for x in range(10, 290, 40):  # seven times an L
+        sheet[10:40, x : x + width] = sheet[40 - width : 40, x : x + 25] = True
+    assert _pen(sheet, 50.0) == pytest.approx(width, abs=0.4)
+    assert _pen(sheet[:, :170], 50.0) == 0  # four are too few
 
 
 def test_what_stands_alone_and_encloses_no_room_is_furniture() -> None:

@@ -91,6 +91,15 @@ def test_noisy_room(count, fov):
     assert 0.4 < np.median(score) < 1.0
 
 
+@pytest.mark.parametrize(("given", "metres"), [({}, 0.25), ({"width": 0.4}, 0.4)])
+def test_a_normal_is_that_of_so_much_wall(given, metres):
+    step = np.deg2rad(0.5)
+    angles = step * np.arange(-80, 81)
+    middle = scan_points(2 / np.cos(angles), angles, every(angles), **given).sigma_alpha[80]
+    n = 2 * np.floor(metres / (2 * step)) + 1  # points that far to either side, 2 m ahead
+    assert middle == pytest.approx(0.02 / (2 * step * np.sqrt(n * (n * n - 1) / 12)), rel=0.05)
+
+
 def test_noise_as_expected_does_not_narrow_the_window():
     angles, rng = np.deg2rad(np.arange(-60, 60.1, 0.5)), np.random.default_rng(0)
     ranges = 2 / np.cos(angles)

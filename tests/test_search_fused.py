@@ -91,6 +91,17 @@ def test_votes_propose_the_true_pose(seed):
     assert near.any()
 
 
+def test_votes_three_cells_apart_are_for_two_places(monkeypatch):
+    features, scan = features_of(), scan_at((6.0, 5.0, 1.0))
+    votes = np.zeros_like(cast_votes(features, scan, OPTIONS))
+    votes[7, 20, 20] = votes[7, 20, 23] = 1
+    monkeypatch.setattr("imgloc.search.proposals.ght_v", lambda *_, **__: votes)
+    found = propose_votes(features, scan, OPTIONS)
+    cell, theta = OPTIONS.vote_cell, 7 * 2 * np.pi / OPTIONS.vote_headings
+    expected = [(20.5 * cell, 20.5 * cell, theta), (23.5 * cell, 20.5 * cell, theta)]
+    np.testing.assert_allclose(found[np.argsort(found[:, 0])], expected)
+
+
 def test_headings_that_cannot_be_get_no_votes():
     scan = scan_at((6.0, 5.0, 1.0))
     votes = cast_votes(features_of(), scan, OPTIONS)
