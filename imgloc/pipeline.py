@@ -392,7 +392,7 @@ def exact_poses(
     if prior.cells is not None:
         where = on_lattice(prior, features.free, features.factor)
         pooled = replace(pooled, where=block_masks(where, pooled.top))
-    (distance, angle), n = options.fused.separation, max(options.top or 0, MODES)
+    (distance, angle), n = options.fused.separation, max(options.top or MODES, MODES)
     xy, some, threads = scan_xy(scan)[scan.valid], thetas[wanted], options.threads
     best = best_poses(pooled, xy, some, count=n, distance=distance, angle=angle, threads=threads)
     xy = centre_of(best.cells[:, 1:], features.lattice.resolution)
@@ -408,7 +408,7 @@ def find_in_stack(
     hold more mass.
     """
     probability = posterior_of(features, scan, stack, options)
-    n = 4 * max(options.top or 0, MODES)  # more than modes: some are neighbours on the slope of one
+    n = 4 * max(options.top or MODES, MODES)  # some are neighbours on the slope of one mode
     cell, apart = stack.grid.resolution, options.fused.separation
     poses, share, covariance, peaks = peaks_of_posterior(
         probability, stack.thetas, cell, n=n, separation=apart
