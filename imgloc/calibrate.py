@@ -73,7 +73,9 @@ class CalibrationFit:
     bare: Index
 
 
-def disturbed_set(grid: OccupancyGrid, n: int, seed: int, sensor: Sensor) -> ScanSet:
+def disturbed_set(
+    grid: OccupancyGrid, n: int, seed: int, sensor: Sensor, fine: OccupancyGrid | None = None
+) -> ScanSet:
     """Simulate scans of which one third is as the sensor says and two thirds are worse.
 
     Of each three scans the second has 50 % of its rays stopped by something that the map does not
@@ -84,7 +86,7 @@ def disturbed_set(grid: OccupancyGrid, n: int, seed: int, sensor: Sensor) -> Sca
     """
     crowd = replace(sensor, outliers=max(0.5, sensor.outliers))
     worn = replace(sensor, outliers=max(0.1, sensor.outliers), dropped=max(0.1, sensor.dropped))
-    sets = [simulate(grid, n, seed, kind) for kind in (sensor, crowd, worn)]
+    sets = [simulate(grid, n, seed, kind, fine) for kind in (sensor, crowd, worn)]
     rng = np.random.default_rng(seed)
     thirds = (sets[0].scans, sets[1].scans, [_displaced(scan, rng) for scan in sets[2].scans])
     scans = tuple(thirds[k % 3][k] for k in range(n))
