@@ -280,7 +280,7 @@ def _pairs(a: FloatArray, b: FloatArray, reach: float) -> tuple[IntArray, IntArr
 
 
 def layers_of(features: MapFeatures, scan: LaserScan, options: Options) -> Iterator[Layer]:
-    """Yield the likelihoods of what proposed, or the stack itself of another method.
+    """Yield the likelihoods of what may propose, or the stack itself of another method.
 
     The scan has at least one valid reading. What a picture may take of memory the options say.
     """

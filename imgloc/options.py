@@ -195,6 +195,8 @@ class FusedOptions:
     #: proposals nearer than this, metres and radians, are of one place, and one pose
     twins: tuple[float, float] = (0.1, float(np.deg2rad(3.0)))
     same: tuple[float, float] = (0.02, float(np.deg2rad(0.7)))
+    #: misfit of all endpoint proposals, nats per reading, above which votes propose, too
+    unfit: float = 0.8
     #: misfit, nats per reading, above which readings may share an error, see
     #: :mod:`imgloc.search.adapt`; nats that they must gain; how far a scale may be from the
     #: one that is known, a factor: with more of it any building fits

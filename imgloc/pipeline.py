@@ -192,9 +192,10 @@ def find_modes(
 ) -> Modes:
     """Search for all poses that fit a scan, by the default method.
 
-    Endpoint correlation and GHT-V votes fail differently, so that both propose; the score that
-    decides is a third one. Most proposals are dropped after a look with a few rays. When the
-    time of the `options` is up, only the best so far are followed.
+    Endpoint correlation and GHT-V votes fail differently: where nothing that the one proposes
+    fits, the other proposes, too. The score that decides is a third one. Most proposals are
+    dropped after a look with a few rays. When the time of the `options` is up, only the best so
+    far are followed.
 
     Parameters
     ----------
@@ -207,7 +208,13 @@ def find_modes(
     few, many = seen.spread(fused.few_rays), seen.spread(fused.rays)
     deadline = time.monotonic() + (np.inf if options.time_budget is None else options.time_budget)
 
-    # Propose.
+    def look(proposals: FloatArray, before: FloatArray) -> FloatArray:
+        """The best of them, refined, and of those that got this look before."""
+        poses = refine(proposals, few.xy, features.field, sigmas=(0.2, 0.1))
+        poses = np.concatenate((before, standing(poses, prior, features)))
+        return shortlist(poses, few, features, fused)
+
+    # Propose, refine with a few rays, and look which are worth more of them.
     endpoints, _ = propose_endpoints(
         levels := pyramid_levels(prior, features.pyramid, features.grid.resolution),
         few.xy,
@@ -217,21 +224,21 @@ def find_modes(
         prior=prior,
         threads=options.threads,
     )
-    proposals = [endpoints, np.empty((0, 3)) if more is None else more]
-    if time.monotonic() <= deadline:
-        proposals.insert(1, propose_votes(features, scan, fused, prior, options.threads))
     if time.monotonic() > deadline:
-        proposals[0] = endpoints[: fused.second_look]
+        endpoints = endpoints[: fused.second_look]
+    proposals = [endpoints, np.empty((0, 3)) if more is None else more]
     if options.exact:
         proposals.append(exact_poses(features, scan, options)[0])
-
-    # Refine: all with a few rays, then the best ones with more of them.
-    poses = refine(np.concatenate(proposals), few.xy, features.field, sigmas=(0.2, 0.1))
-    poses = standing(poses, prior, features)
-    looked = shortlist(poses, few, features, fused)
+    looked = look(np.concatenate(proposals), np.empty((0, 3)))
+    fit = score_poses(features, few, looked[:1], options).log_likelihood.sum() / len(few)
+    unfit = not len(looked) or fit < fused.model.best - fused.unfit
+    if unfit and time.monotonic() <= deadline:
+        looked = look(propose_votes(features, scan, fused, prior, options.threads), looked)
     late = time.monotonic() > deadline
     if late:
         looked = looked[:_LAST]
+
+    # Refine with more rays.
     poses = refine(looked, many.xy, features.field, sigmas=(0.1, 0.05))
     poses = standing(poses, prior, features)
 

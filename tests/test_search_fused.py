@@ -100,6 +100,17 @@ def test_a_scan_without_a_surface_casts_no_votes():
 # --- the search
 
 
+def test_votes_propose_only_where_endpoints_do_not_fit():
+    features, scan = MapFeatures(world()), scan_at((6.0, 5.0, 1.0))
+    found = find_modes(features, scan, Options())
+    assert_close(found.poses[0], (6.0, 5.0, 1.0))
+    assert "voters" not in vars(features)
+    # Readings of nowhere: half of them stop short, at random.
+    short = np.random.default_rng(3).uniform(0.2, 1.0, len(ANGLES)) ** 2
+    find_modes(features, dataclasses.replace(scan, ranges=scan.ranges * short), Options())
+    assert "voters" in vars(features)
+
+
 @given(seeds)
 @settings(max_examples=4)
 def test_the_true_pose_is_found(seed):

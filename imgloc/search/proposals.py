@@ -1,8 +1,8 @@
 """Where to look closely: poses proposed by endpoint correlation, and by coarse GHT-V votes.
 
 The correlation of CBML with a narrow kernel and a fine theta step proposes the true pose
-almost always, on clean and on old maps alike. Only the coarsest level is exhaustive; every
-finer one is evaluated around what the level before it kept.
+almost always, on clean and on old maps alike; votes find some of the others. Only the coarsest
+level is exhaustive; every finer one is evaluated around what the level before it kept.
 """
 
 from collections.abc import Sequence

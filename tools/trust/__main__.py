@@ -7,6 +7,7 @@
     python -m tools.trust robustness --sets ../data/*/map.yaml        # recorded scans instead
     python -m tools.trust fit --sets ../data/*/map.yaml               # constants of trust
     python -m tools.trust precision --sets ../data/*/map.yaml         # covariances
+    python -m tools.trust scale --sets ../data/*/map.yaml             # calibrate --scans
     python -m tools.trust which maps ../data --same fr079,fr079_half  # names of maps
     python -m tools.trust thousand maps ../data --full
 
@@ -62,6 +63,7 @@ from tools.trust.robustness import (
     robustness,
     robustness_table,
 )
+from tools.trust.scale import scale_rows, scale_table
 from tools.trust.thousand import ask_thousand, make_thousand
 
 QUICK = ("visibility", "curved")
@@ -89,6 +91,10 @@ FIT = """The constants of trust, fitted to scans of worlds and recorded sets in 
 Prints a JSON object with the constants, on what they were fitted, and the losses: of what was
 fitted to, of buildings that were left out, of the constants as they are now. Then, as Markdown,
 what the constants as they are now make of each condition, and what the fitted ones would."""
+SCALE = """Maps whose cells say another size than they have, before and after `calibrate --scans`.
+
+Of each set some scans are for the calibration, without their poses, and others are localized.
+Prints a Markdown table: the scale found, and the shares of scans whose first answer is right."""
 WHICH = """How often does `imgloc which` name the right map? Over the maps of some folders.
 
 Scans are those recorded beside a map (scans.npz, with poses), or simulated in it. Each is asked
@@ -152,6 +158,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument("--worlds", default=",".join(WORLDS), help="with commas between")
     one.add_argument("--sets", type=Path, nargs="*", default=[], help="maps with scans.npz")
     one.add_argument("--range-max", type=float, default=20.0, help="of recorded scans, metres")
+
+    one = tools.add_parser("scale", description=SCALE, formatter_class=raw)
+    one.set_defaults(run=run_scale)
+    one.add_argument("-n", type=int, default=30, help="scans of each set, as many again to fit to")
+    one.add_argument("--seed", type=int, default=1)
+    one.add_argument("--factors", default="0.9,1.1", help="of the maps, with commas between")
+    one.add_argument("--sets", type=Path, nargs="+", required=True, help="maps with scans.npz")
+    one.add_argument("--range-max", type=float, default=20.0, help="of the scans, metres")
 
     one = tools.add_parser("which", description=WHICH, formatter_class=raw)
     one.set_defaults(run=run_which)
@@ -320,6 +334,19 @@ def run_precision(given: argparse.Namespace) -> int:
             rows.append(precision(name, prepare(load_map(path), name), scans))
             advance()
     print(precision_table(rows))
+    return 0
+
+
+def run_scale(given: argparse.Namespace) -> int:
+    """Calibrate maps of a wrong scale, print the table."""
+    factors = [float(text) for text in given.factors.split(",")]
+    rows = []
+    with progress("scale", len(factors) * len(given.sets)) as advance:
+        for path in given.sets:
+            scans = scans_beside(path, 2 * given.n, given.seed, given.range_max)
+            known, asked = (scans.take(range(k, len(scans), 2)) for k in (0, 1))
+            rows += scale_rows(path.parent.name, load_map(path), known, asked, factors, advance)
+    print(scale_table(rows))
     return 0
 
 

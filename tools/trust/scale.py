@@ -1,0 +1,89 @@
+"""Maps of a wrong scale: what `imgloc calibrate --scans` finds, and how good answers then are."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from imgloc.calibrate import fit_shared
+from imgloc.evaluation import pose_errors
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.io.scanset import ScanSet
+from imgloc.model import FloatArray, OccupancyGrid, Pose2D, compose, inverse
+from imgloc.options import Options, Shared
+from imgloc.pipeline import localize, prepare
+from tools.trust.reliability import RIGHT
+
+
+@dataclass(frozen=True)
+class ScaleRow:
+    """A map whose cells say another size than they have: shares of scans whose first is right."""
+
+    name: str
+    factor: float  #: by which the size of a cell is wrong
+    found: float  #: the scale of the scans that calibration finds; right is `factor`
+    deviation: float  #: that it claims
+    undisturbed: float
+    before: float  #: with the wrong scale
+    after: float  #: with that of the calibration
+
+
+def scaled_map(grid: OccupancyGrid, factor: float) -> OccupancyGrid:
+    """The map with cells of another size."""
+    return replace(grid, resolution=grid.resolution * factor)
+
+
+def scaled_pose(pose: FloatArray, origin: Pose2D, factor: float) -> FloatArray:
+    """Where a pose (3,), map frame, is on :func:`scaled_map`.
+
+    Examples
+    --------
+    >>> scaled_pose(np.array([3.0, 2.0, 0.5]), Pose2D(1.0, 0.0, 0.0), 1.1).round(3).tolist()
+    [3.2, 2.2, 0.5]
+    """
+    local = compose(inverse(origin), Pose2D(*pose))
+    there = compose(origin, Pose2D(local.x * factor, local.y * factor, local.theta))
+    return np.array([there.x, there.y, there.theta])
+
+
+def scale_rows(
+    name: str,
+    grid: OccupancyGrid,
+    known: ScanSet,
+    asked: ScanSet,
+    factors: Sequence[float],
+    advance: Callable[[], None] = lambda: None,
+) -> list[ScaleRow]:
+    """Calibrate by scans `known`, without their poses, and localize those `asked`, with poses."""
+
+    def right(features: MapFeatures, factor: float, shared: Shared) -> float:
+        hits = []
+        poses = np.empty((0, 3)) if asked.poses is None else asked.poses
+        for scan, pose in zip(asked.scans, poses, strict=True):
+            found = localize(features, scan, Options(shared=shared)).pose
+            there = Pose2D(*scaled_pose(pose, grid.origin, factor))
+            at = np.full((1, 3), np.inf) if found is None else [[found.x, found.y, found.theta]]
+            hits.append(bool(np.all(pose_errors(np.array(at), there) <= RIGHT)))
+        return float(np.mean(hits))
+
+    rows, home = [], right(prepare(grid, name), 1.0, Shared())
+    for factor in factors:
+        features = prepare(scaled_map(grid, factor), name)
+        fit = fit_shared(features, known.scans)
+        before, after = (right(features, factor, s) for s in (Shared(), fit.shared))
+        rows.append(ScaleRow(name, factor, fit.shared.scale, fit.deviation, home, before, after))
+        advance()
+    return rows
+
+
+def scale_table(rows: Sequence[ScaleRow]) -> str:
+    """The rows as Markdown."""
+    lines = ["| set | map x | scale found | claimed | off | undisturbed | before | calibrated |"]
+    lines.append("|---" * 8 + "|")
+    for r in rows:
+        off = 100 * (r.found / r.factor - 1)
+        lines.append(
+            f"| {r.name} | {r.factor:g} | {r.found:.4f} | {r.deviation:.4f} | {off:+.2f} % "
+            f"| {r.undisturbed:.2f} | {r.before:.2f} | {r.after:.2f} |"
+        )
+    return "\n".join(lines)
