@@ -37,7 +37,6 @@ from imgloc.jobs import WITHOUT_SCANS, Item, Job, perform
 from imgloc.model import plain
 from imgloc.workers import CrashError, OverdueError, Supervised
 
-STATUSES = ("ok", "failed", "crashed", "timeout")
 TIMEOUT = 3600.0  #: seconds that an item may take
 ATTEMPTS = 2  #: how often an item is begun whose worker dies
 _AT_ONCE = 512  # items that an executor is given beyond those that are done

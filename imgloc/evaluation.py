@@ -75,8 +75,8 @@ class Share:
     high: float
 
 
-def share(happened: Iterable[bool], z: float = Z95) -> Share:
-    """Count and give Wilson's interval of `z` standard deviations, sensible at 0 and 1 too.
+def share(happened: Iterable[bool]) -> Share:
+    """Count and give Wilson's 95 % interval, sensible at 0 and 1 too.
 
     Examples
     --------
@@ -90,9 +90,9 @@ def share(happened: Iterable[bool], z: float = Z95) -> Share:
     hits, n = sum(outcomes), len(outcomes)
     if n == 0:
         return Share(0, 0, nan, 0.0, 1.0)
-    p, square = hits / n, z * z / n
+    p, square = hits / n, Z95 * Z95 / n
     middle = (p + square / 2) / (1 + square)
-    half = z * sqrt(p * (1 - p) / n + square / (4 * n)) / (1 + square)
+    half = Z95 * sqrt(p * (1 - p) / n + square / (4 * n)) / (1 + square)
     return Share(hits, n, p, max(0.0, middle - half), min(1.0, middle + half))
 
 

@@ -384,9 +384,10 @@ class Hypothesis:
     Parameters
     ----------
     pose : Pose2D
-        Of the sensor; the map frame in everything that leaves the program.
+        Of the sensor; the map frame in everything that leaves the program. Of ``fused``: the mean
+        of the maxima of a mode.
     log_likelihood : float
-        Nats, up to a constant of the scan.
+        Nats, up to a constant of the scan. Of ``fused``: of the best of these maxima.
     mass : float
         Share of the posterior probability, 0..1; all hypotheses sum to at most 1.
     covariance : (3, 3) float array

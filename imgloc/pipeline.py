@@ -25,7 +25,7 @@ from imgloc.features.budget import check_budget, exact_bytes, fused_bytes, stack
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import block_masks
 from imgloc.features.scanpoints import Readings, one_per_place, scan_xy
-from imgloc.geometry import centre_of, in_map_frame, uniform_thetas
+from imgloc.geometry import centre_of, in_map_frame, uniform_thetas, wrap
 from imgloc.io.maps import require_usable
 from imgloc.likelihoods.posterior import calibrated, entropy
 from imgloc.likelihoods.stacks import stack_of
@@ -44,9 +44,9 @@ from imgloc.options import ALL_METHODS, DEFAULTS, FUSED, METHODS, Options, Prior
 from imgloc.search.adapt import adapt
 from imgloc.search.background import unmapped_score
 from imgloc.search.branch_and_bound import best_poses
-from imgloc.search.hypotheses import as_hypotheses, covariances, masses, modes, spreads
+from imgloc.search.hypotheses import as_hypotheses, centres, covariances, masses, modes
 from imgloc.search.peaks import peaks_of_posterior
-from imgloc.search.priors import on_lattice, pyramid_levels, standing
+from imgloc.search.priors import on_lattice, pyramid_levels, standing, stands
 from imgloc.search.proposals import propose_endpoints, propose_votes
 from imgloc.search.refine import refine
 from imgloc.search.rescore import Scores, rescore, shortlist
@@ -55,6 +55,7 @@ from imgloc.search.trust import judge
 MODES = 20
 """Poses that are looked for, however few are listed: no verdict depends on the list's length."""
 _LAST = 20  # proposals that get the second look when time is up
+_MAXIMA = 0.5  # share of the spread of a mode's maxima by which their mean may be off
 _ROUNDS = 3  # of searches with an error that the readings share
 
 
@@ -168,15 +169,15 @@ def localize(
 
 @dataclass(frozen=True)
 class Modes:
-    """What the search found, best first: C separated poses of the grid frame; there may be none."""
+    """What the search found, best first: C separated modes of the grid frame; there may be none."""
 
-    poses: FloatArray
-    scores: Scores
+    poses: FloatArray  #: (C, 3) the mean of the maxima of each, if a sensor can be there
+    scores: Scores  #: of the best of them
     readings: Readings  #: those that were scored
     complete: bool = True  #: the search came to its end
     #: (L, 3) those that got the second look, before they had it
     looked: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
-    #: (C, 3, 3) second moments of the maxima of the score around each, if they are known
+    #: (C, 3, 3) second moments of the maxima around those poses, if they are known
     spread: FloatArray | None = None
     shared: Shared = field(default_factory=Shared)  #: the error that was allowed for
 
@@ -244,12 +245,28 @@ def find_modes(
 
     # Score, and separate.
     scores = score_poses(features, many, poses, options)
+    poses, scores, spread = separate(features, poses, scores, len(many), options)
+    return Modes(poses, scores, many, complete=not late, looked=looked, spread=spread)
+
+
+def separate(
+    features: MapFeatures, poses: FloatArray, scores: Scores, n: int, options: Options
+) -> tuple[FloatArray, Scores, FloatArray]:
+    """Modes of refined poses (M, 3) that were scored by `n` readings, best first.
+
+    Their poses (C, 3), each in the mean of its maxima if a sensor can be there, the scores of the
+    best of these, and their second moments (C, 3, 3) around the mean.
+    """
+    fused, score = options.fused, scores.log_likelihood
     distance, angle = fused.separation
-    apart = modes(poses, scores.log_likelihood, distance=distance, angle=angle)
-    close = {"within": (distance, angle), "same": fused.same}
-    spread = spreads(poses, scores.log_likelihood, apart, **close)
-    found = Modes(poses[apart], scores.select(apart), many, complete=not late)
-    return replace(found, looked=looked, spread=spread)
+    best = modes(poses, score, distance=distance, angle=angle)
+    tempered = score / _temperature(features, scores, n, options).value
+    mean, spread = centres(poses, tempered, best, within=fused.separation, same=fused.same)
+    off = np.where(stands(mean, options.prior, features)[:, None], 0, poses[best] - mean)
+    off[:, 2] = wrap(off[:, 2])
+    mean, spread = mean + off, spread + off[:, :, None] * off[:, None]
+    apart = modes(mean, score[best], distance=distance, angle=angle)  # some have met
+    return mean[apart], scores.select(best[apart]), spread[apart]
 
 
 def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options) -> Modes:
@@ -331,7 +348,7 @@ def weigh(features: MapFeatures, found: Modes, options: Options) -> Found:
     listed = found.poses[: options.listed(share)]
     covariance = _covariances(features, listed, xy, options, 2 * min(options.fused.model.sigmas))
     if found.spread is not None:
-        covariance = covariance + found.spread[: len(listed)]
+        covariance = covariance + _MAXIMA * found.spread[: len(listed)]
     return Found(
         *(found.poses, score, share, covariance),
         temperature=temperature,
@@ -375,7 +392,7 @@ def exact_poses(
     if prior.cells is not None:
         where = on_lattice(prior, features.free, features.factor)
         pooled = replace(pooled, where=block_masks(where, pooled.top))
-    (distance, angle), n = options.fused.separation, max(options.top or 0, MODES)
+    (distance, angle), n = options.fused.separation, max(options.top or MODES, MODES)
     xy, some, threads = scan_xy(scan)[scan.valid], thetas[wanted], options.threads
     best = best_poses(pooled, xy, some, count=n, distance=distance, angle=angle, threads=threads)
     xy = centre_of(best.cells[:, 1:], features.lattice.resolution)
@@ -391,7 +408,7 @@ def find_in_stack(
     hold more mass.
     """
     probability = posterior_of(features, scan, stack, options)
-    n = 4 * max(options.top or 0, MODES)  # more than modes: some are neighbours on the slope of one
+    n = 4 * max(options.top or MODES, MODES)  # some are neighbours on the slope of one mode
     cell, apart = stack.grid.resolution, options.fused.separation
     poses, share, covariance, peaks = peaks_of_posterior(
         probability, stack.thetas, cell, n=n, separation=apart
@@ -432,11 +449,11 @@ def _fit(
 ) -> tuple[dict[str, Any], Temperature]:
     """How well the best pose fits, as :class:`Found` has it, and the temperature of its score."""
     n, model = len(readings), options.fused.model
-    total = float(scores.log_likelihood[0])
+    total = float(scores.log_likelihood.max())
     misfit = model.best - total / n
     told = options.prior.cells is not None or options.prior.heading is not None
     unmapped = unmapped_score(readings.xy, model, told=told)
-    temperature = options.trust.temperature_at(misfit, n, features.grid.resolution)
+    temperature = _temperature(features, scores, n, options)
     said = {
         "misfit": misfit,
         "unmapped": unmapped,
@@ -445,6 +462,13 @@ def _fit(
         "readings": n,
     }
     return said, temperature
+
+
+def _temperature(features: MapFeatures, scores: Scores, n: int, options: Options) -> Temperature:
+    """Of `n` readings, of whose scores the best counts."""
+    best = float(scores.log_likelihood.max(initial=-np.inf))
+    misfit = options.fused.model.best - best / n
+    return options.trust.temperature_at(misfit, n, features.grid.resolution)
 
 
 def _covariances(

@@ -5,7 +5,7 @@ import io
 import json
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,11 +22,16 @@ class Run(NamedTuple):
 
 
 def call(*arguments: object) -> Run:
-    """Run main() here, with its output caught."""
-    out, err, code = io.StringIO(), io.StringIO(), None
+    """Run imgloc's main() here."""
+    return run(main, *arguments)
+
+
+def run(program: Callable[[list[str]], int | None], *arguments: object) -> Run:
+    """Run a program's main() here, with its output caught."""
+    out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         try:
-            main([str(a) for a in arguments])
+            code = program([str(a) for a in arguments])
         except SystemExit as e:
             code = e.code
     assert isinstance(code, int | None)

@@ -1,6 +1,7 @@
 """Fixtures that every room shares."""
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -15,9 +16,20 @@ settings.load_profile("same")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_configure(config: pytest.Config) -> None:
-    """Let `--benchmark-only` say enough: benchmarks are off in other runs."""
+    """Let `--benchmark-only` say enough (benchmarks are off in other runs); keep bytecode."""
     if config.getoption("benchmark_only", False):
         config.option.benchmark_enable = True
+    if sys.dont_write_bytecode and config.pluginmanager.has_plugin("cacheprovider"):
+        # Not beside the source, then: without any each command of a test compiles all of imgloc.
+        folder = str(config.rootpath / config.getini("cache_dir") / "bytecode")
+        os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+        os.environ["PYTHONPYCACHEPREFIX"] = sys.pycache_prefix = folder
+        sys.dont_write_bytecode = False
+
+
+def pytest_collection_finish() -> None:
+    """Leave bytecode to other processes from here on: tests may limit what this one writes."""
+    sys.dont_write_bytecode = True
 
 
 @pytest.fixture(scope="session", autouse=True)

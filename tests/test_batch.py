@@ -246,7 +246,7 @@ def test_a_disk_that_is_full_loses_no_row(site: Path, tmp_path: Path) -> None:
          0.2, "--workers", 1, "--top", 2, "--no-cache", "--resume"]
     )  # fmt: skip
     # Files may not grow beyond 5 KB: a write fails in the middle of a row.
-    limited = ["bash", "-c", 'ulimit -f 5; exec "$@"', "bash", *words]
+    limited = ["bash", "-c", 'ulimit -f 5; PYTHONDONTWRITEBYTECODE=1 exec "$@"', "bash", *words]
     done = subprocess.run(limited, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 1
     assert f"{out}: results cannot be written: File too large" in done.stderr

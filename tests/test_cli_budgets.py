@@ -38,11 +38,18 @@ DEMO = ["demo", "--map", "curved", "--out", "{}/d.png", "--threads", 1]
 BOTH = r"on 130 x 160 cells of 0.1 m \((\d+) MiB\) with features of 130 x 160 cells \((\d+) MiB\)"
 
 
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two scans and their poses."""
+    path = tmp_path_factory.mktemp("simulated") / "scans.npz"
+    assert call("simulate", CURVED, "-n", 2, "--rays", 61, "--out", path).code == 0
+    return path
+
+
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path: Path, simulated: Path) -> Path:
     """An empty one beside some scans."""
-    run = call("simulate", CURVED, "-n", 2, "--rays", 61, "--out", tmp_path / "scans.npz")
-    assert run.code == 0
+    shutil.copy(simulated, tmp_path)
     (tmp_path / "here").mkdir()
     return tmp_path / "here"
 
@@ -252,12 +259,11 @@ def damaged_png(side: int) -> bytes:
 
 
 @pytest.fixture
-def sources(tmp_path: Path) -> Callable[[bytes], Path]:
+def sources(tmp_path: Path, simulated: Path) -> Callable[[bytes], Path]:
     """Make a folder with a map of the image given, and with two scans and their poses."""
 
     def make(image: bytes) -> Path:
-        run = call("simulate", CURVED, "-n", 2, "--rays", 61, "--out", tmp_path / "s.npz")
-        assert run.code == 0
+        shutil.copy(simulated, tmp_path / "s.npz")
         (tmp_path / "m.png").write_bytes(image)
         (tmp_path / "m.yaml").write_text("{image: m.png, resolution: 0.05, origin: [0, 0, 0]}")
         return tmp_path

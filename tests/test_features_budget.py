@@ -11,7 +11,6 @@ from imgloc.calibrate import disturbed_set, sweep
 from imgloc.errors import ConfigError
 from imgloc.features.budget import (
     MIB,
-    UNKNOWN_RAM,
     available_bytes,
     check_budget,
     default_budget,
@@ -202,7 +201,7 @@ def test_other_systems(tmp_path: Path, text: str, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("os.sysconf", pages.__getitem__, raising=False)
     assert available_bytes(tmp_path / "meminfo", tmp_path) == 2_048_000
     monkeypatch.delattr("os.sysconf")
-    assert available_bytes(tmp_path / "meminfo", tmp_path) == UNKNOWN_RAM
+    assert available_bytes(tmp_path / "meminfo", tmp_path) == 4096 * MIB
 
 
 def test_half_of_it_is_the_default() -> None:

@@ -8,7 +8,19 @@ import pytest
 from cabin import cabin
 
 from imgloc.errors import ConfigError, MapError
-from imgloc.features.floorplan import FloorPlan, plan_to_map
+from imgloc.features.floorplan import (
+    KINDS,
+    FloorPlan,
+    Swing,
+    _furniture,
+    _kinds,
+    _pen,
+    _sheet,
+    _standing,
+    _swings,
+    plan_to_map,
+    refuse_strange,
+)
 from imgloc.io.plans import load_plan
 from imgloc.model import BoolArray, Pose2D
 from tools.plans.drawing import Image, draw_plan, inside, solid
@@ -157,6 +169,90 @@ def test_what_is_no_plan_is_refused() -> None:
             plan_to_map(image, 0.02)
     with pytest.raises(ConfigError, match="--thickest"):
         plan_to_map(shed, 0.02, thinnest=0.6)
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_a_map_that_a_robot_made_is_known_by_its_border(turns: int) -> None:
+    recorded = np.full((100, 6), 254, np.uint8)
+    recorded[40, 3] = 0
+    recorded[:, [0, -1]] = 205  # in half of its border that is all
+    with pytest.raises(MapError, match="a robot made"):
+        refuse_strange(np.rot90(recorded, turns))
+
+
+@pytest.mark.parametrize("width", [2, 3, 5])
+def test_the_pen_is_as_wide_as_the_strokes_of_letters(width: int) -> None:
+    sheet = np.zeros((60, 300), np.bool_)
+    for x in range(10, 290, 40):  # seven times an L
+        sheet[10:40, x : x + width] = sheet[40 - width : 40, x : x + 25] = True
+    assert _pen(sheet, 50.0) == pytest.approx(width, abs=0.4)
+    assert _pen(sheet[:, :170], 50.0) == 0  # four are too few
+
+
+def test_what_stands_alone_and_encloses_no_room_is_furniture() -> None:
+    drawn, there = np.zeros((300, 400), np.bool_), np.zeros((300, 400), np.bool_)
+    for y, x, high, wide in (
+        (20, 30, 40, 60),  # a table of 0.8 x 1.2 m
+        (20, 150, 80, 120),  # a room
+        (150, 40, 20, 60),  # no thicker than a wall
+    ):
+        drawn[y : y + high, x : x + wide] = True
+        drawn[y + 1 : y + high - 1, x + 1 : x + wide - 1] = False
+    drawn[200:250, 200:250] = True  # solid: a pillar
+    there[20:60, 30:90] = True
+    assert np.array_equal(_furniture(drawn, 0.5 / 0.02, 0.02), there)
+
+
+def test_a_pillar_is_filled_wide_and_about_square() -> None:
+    walls = np.zeros((200, 200), np.bool_)
+    boxes = {"pillar": (5, 5, 10, 10), "thin": (5, 30, 8, 8), "wide": (30, 5, 10, 50)}
+    boxes |= {"empty": (60, 30, 12, 12), "long": (100, 5, 10, 76)}
+    for y, x, high, wide in boxes.values():
+        walls[y : y + high, x : x + wide] = True
+    drawn = walls.copy()
+    drawn[62:70, 32:40] = False
+    long, pillars = _standing(walls, drawn, 0.02)
+    found = [{n for n, (y, x, _, _) in boxes.items() if m[y, x]} for m in (long, pillars)]
+    assert found == [{"long"}, {"pillar"}]
+
+
+@pytest.mark.parametrize("leaf", [True, False])
+def test_an_arc_is_a_door_if_it_has_a_leaf(leaf: bool) -> None:
+    walls = np.zeros((120, 200), np.uint8)
+    walls[20:30, :60] = walls[20:30, 105:] = 1  # 0.2 m thick, with an opening of 0.9 m
+    drawn = cv2.ellipse(walls.copy(), (60, 25), (45, 45), 0, 0, 90, 1, 1)
+    if leaf:
+        drawn = cv2.line(drawn, (60, 25), (60, 70), 1, 1)
+    found = _swings(drawn > 0, walls > 0, 0.02)
+    assert len(found) == leaf
+    if leaf:
+        assert found[0].hinge == pytest.approx((60, 25), abs=4)
+        assert found[0].radius == pytest.approx(45, abs=4)
+
+
+@pytest.mark.parametrize("middle_deg", [0, 45, 90, 135, 180, 225, 270, 315])
+def test_the_swing_of_a_door_is_a_quarter_circle(middle_deg: int) -> None:
+    ring = cv2.circle(np.zeros((120, 120), np.uint8), (60, 60), 45, 1, 1) > 0
+    hinge, middle = np.array([60.0, 60.0]), np.deg2rad(middle_deg)
+    a, b = (hinge + 45 * np.array([np.cos(t), np.sin(t)]) for t in middle + [-np.pi / 4, np.pi / 4])
+    none = np.zeros_like(ring)
+    kinds = _kinds(ring, none, ~none, none, none, [Swing(hinge, (a, b), 45.0)], 0.02)
+    y, x = np.nonzero(kinds == KINDS.index("door swings"))
+    off = np.rad2deg(np.abs(np.angle(np.exp(1j * (np.arctan2(y - 60, x - 60) - middle)))))
+    assert off.max() == pytest.approx(45, abs=6)  # it is drawn 6 pixels wide
+    assert len(off) == pytest.approx(np.count_nonzero(ring) / 4, rel=0.15)
+
+
+@pytest.mark.parametrize("resolution", [0.01, 0.02])  # finer than what is worked on, and coarser
+def test_ink_is_what_is_as_dark_as_that(resolution: float) -> None:
+    plan = np.full((60, 60), 255, np.uint8)
+    plan[20:40, 10:30], plan[20:40, 30:50] = 102, 103  # a darkness of 0.6, and less
+    drawn, bold, parts, _ = _sheet(plan, resolution, 0.05, 0.6)
+    scale = resolution / (0.05 / parts)
+    for mask in (drawn, bold):
+        row = mask[round(30 * scale)]
+        assert row[round(12 * scale) : round(28 * scale)].all()
+        assert not row[round(32 * scale) :].any()
 
 
 def test_recorded_maps_are_no_plans(shared: Path) -> None:

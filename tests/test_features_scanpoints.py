@@ -49,6 +49,8 @@ def test_the_normal_of_a_wall_points_back_at_the_sensor(direction_deg):
     points = scan_points(ranges, angles, every(angles))
     assert points.valid.all()
     assert degrees_off(points.alpha, direction + np.pi).max() < 1e-5
+    ahead = scan_points(ranges, angles - direction, every(angles))
+    np.testing.assert_allclose(points.sigma_alpha, ahead.sigma_alpha, rtol=1e-6)
     assert (
         np.einsum("ij,ij->i", points.xy, np.cos([points.alpha, points.alpha - np.pi / 2]).T) < 0
     ).all()
@@ -87,6 +89,25 @@ def test_noisy_room(count, fov):
     assert np.percentile(error, 95) < 7
     # sigma_alpha describes the error: half of a normal distribution lies within 0.67 sigma.
     assert 0.4 < np.median(score) < 1.0
+
+
+@pytest.mark.parametrize(("given", "metres"), [({}, 0.25), ({"width": 0.4}, 0.4)])
+def test_a_normal_is_that_of_so_much_wall(given, metres):
+    step = np.deg2rad(0.5)
+    angles = step * np.arange(-80, 81)
+    middle = scan_points(2 / np.cos(angles), angles, every(angles), **given).sigma_alpha[80]
+    n = 2 * np.floor(metres / (2 * step)) + 1  # points that far to either side, 2 m ahead
+    assert middle == pytest.approx(0.02 / (2 * step * np.sqrt(n * (n * n - 1) / 12)), rel=0.05)
+
+
+def test_noise_as_expected_does_not_narrow_the_window():
+    angles, rng = np.deg2rad(np.arange(-60, 60.1, 0.5)), np.random.default_rng(0)
+    ranges = 2 / np.cos(angles)
+    quiet = scan_points(ranges, angles, every(angles)).sigma_alpha
+    noisy = [ranges + rng.normal(0, 0.02, len(angles)) for _ in range(20)]
+    sigma = np.array([scan_points(r, angles, every(angles)).sigma_alpha for r in noisy])
+    # Half as many points would make it 2.8 times as large. Three sigmas are one in 370, or so.
+    assert np.mean(sigma > 1.8 * quiet) < 0.005
 
 
 def test_less_noise_gives_smaller_sigma():
@@ -134,6 +155,18 @@ def test_tiny_scans(count):
     assert len(scan_points(np.ones(5), np.zeros(5), np.zeros(5, bool))) == 0
 
 
+@pytest.mark.parametrize(
+    ("step_deg", "lost", "known"), [(1, 3, 1), (1, 4, 0), (20, 0, 1), (21, 0, 0)]
+)
+def test_rounding_does_not_decide_what_is_beside_a_ray(step_deg, lost, known):
+    # Three rays, some lost, and three more, wherever they begin: three alone have no normal.
+    ray = np.array([0, 1, 2, 3 + lost, 4 + lost, 5 + lost])
+    for turn in np.linspace(-3, 3, 25):
+        angles = np.deg2rad(step_deg) * ray + turn
+        points = scan_points(np.ones(6), angles, every(angles))
+        assert np.isfinite(points.alpha).tolist() == 6 * [bool(known)]
+
+
 def test_a_full_turn_has_no_seam():
     angles = fan(360, 360)  # -180 .. 179 deg, the wall behind crosses the seam
     ranges, normal = box(angles, 4.0, 3.0)
@@ -173,7 +206,8 @@ def test_order_and_heading_of_the_rays_do_not_matter(seed, turn):
 
 
 @pytest.mark.parametrize(
-    "kwargs", [{"sigma_range": 0.0}, {"width": -1.0}, {"sigma_range": float("nan")}]
+    "kwargs",
+    [{"sigma_range": 0.0}, {"width": 0.0}, {"width": -1.0}, {"sigma_range": float("nan")}],
 )
 def test_wrong_parameters(kwargs):
     with pytest.raises(ValueError, match="positive"):

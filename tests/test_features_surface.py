@@ -134,6 +134,16 @@ def test_round_surfaces(radius, hollow):
     assert len(points) == pytest.approx(2 * np.pi * radius, rel=0.1)
 
 
+@pytest.mark.parametrize("radius", [17, 20, 24])
+def test_a_gentle_curve_is_followed_by_more_than_the_narrowest_window(radius):
+    y, x = np.mgrid[:60, :60] + 0.5
+    disc = np.hypot(x - 30.2, y - 29.7) < radius
+    points = surface_points(disc, ~disc, 1.0)
+    out = points.xy - (30.2, 29.7)
+    assert np.median(degrees_off(points.alpha, np.arctan2(*out.T[::-1]))) < 1.8
+    assert np.rad2deg(np.median(points.sigma_alpha)) < 3  # of seven points it would be four
+
+
 def test_a_single_cell_has_four_uncertain_normals():
     occupied, free = grid(".....", ".....", "..#..", ".....", ".....")
     points = surface_points(occupied, free, 1.0)

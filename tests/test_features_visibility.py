@@ -7,7 +7,7 @@ import pytest
 
 from imgloc.errors import ConfigError
 from imgloc.features.surface import surface_points
-from imgloc.features.visibility import WAYS, unwrapped, visibility_frames
+from imgloc.features.visibility import WAYS, _first_wall, unwrapped, visibility_frames
 from imgloc.geometry import wrap
 from imgloc.model import OrientedPoints
 
@@ -61,6 +61,19 @@ def test_an_intervening_wall_stops_the_view(by):
     occupied[:, 30] = True
     vis = absolute(occupied, wall_point(0.2, 2.0, 0.0), 0.1, 4, 30.0, by)
     np.testing.assert_allclose(vis[0], [2.8, 0, 0, 0], atol=0.01)
+
+
+@both
+def test_a_wall_at_the_horizon_itself_is_seen(by):
+    surface = wall_point(0.2, 2.0, 0.0)
+    (far,) = visibility_frames(room(), surface, 0.1, 1, 30.0, by=by)[0]
+    assert visibility_frames(room(), surface, 0.1, 1, float(far), by=by)[0, 0] == far
+    assert visibility_frames(room(), surface, 0.1, 1, 0.99 * float(far), by=by)[0, 0] == np.inf
+
+
+def test_the_first_wall_lies_between_two_samples_half_a_cell_apart():
+    polar = np.array([[0, 255, 0, 0], [0, 0, 255, 255], [255, 0, 0, 0], [0, 0, 0, 99]], np.uint8)
+    assert _first_wall(polar).tolist() == [0.25, 0.75, 0.0, np.inf]
 
 
 def test_nothing_within_the_horizon_is_infinite_and_behind_is_zero():
@@ -169,6 +182,13 @@ def test_unwrapping_is_that_of_opencv():
     ours = unwrapped(image, np.array([[20.5, 15.5]]), np.arange(8)[:, None] * np.pi / 4, 10.0)
     theirs = cv2.warpPolar(image, (20, 8), (20.0, 15.0), 10.0, cv2.INTER_LINEAR)
     assert np.abs(ours[:, :20].astype(int) - theirs).max() <= 6  # positions in steps of 1/32
+
+
+def test_a_ray_starts_in_the_first_cell_that_is_clear():
+    row = np.array([[1, 1, 0, 1]], bool)  # the point is fitted 0.4 cells into the wall
+    for x, sees in ((0.6, 2.4), (1.1, 1.9), (1.6, 1.4)):
+        frames = visibility_frames(row, wall_point(x, 0.5, 0.0), 1.0, 1, 9.0)
+        assert frames[0, 0] == pytest.approx(sees, abs=0.01)
 
 
 def test_rays_of_fitted_points_do_not_start_inside_their_wall():

@@ -11,7 +11,7 @@ from imgloc.likelihoods import correlate as engines
 from imgloc.likelihoods import shift
 from imgloc.likelihoods.correlate import EXACT, choose_engine, correlate
 from imgloc.likelihoods.slices import cell_offsets
-from imgloc.likelihoods.spectral import multiply_packed
+from imgloc.likelihoods.spectral import multiply_packed, needs_double
 
 seeds = st.integers(0, 2**32 - 1)
 every_engine = pytest.mark.parametrize("engine", EXACT)
@@ -119,6 +119,14 @@ def test_engines_agree_to_the_bit_over_several_tiles(shape):
     stacks = [correlate(image, xy, thetas, 0.1, engine=engine) for engine in EXACT]
     np.testing.assert_array_equal(stacks[0], stacks[1])
     np.testing.assert_array_equal(stacks[0], stacks[2])
+
+
+def test_double_precision_is_for_many_readings_in_one_cell():
+    image = np.full((100, 100), 255, np.uint8)
+    apart = np.stack(np.divmod(np.arange(100), 10), axis=-1)[None]
+    assert not needs_double(image, apart)  # norms of 10 and 25,500, of which 6e-8: 0.015
+    assert needs_double(image, np.zeros_like(apart))  # a norm of 100: 0.15, and 0.1 is allowed
+    assert not needs_double(image, np.zeros_like(apart)[:, :60])
 
 
 def test_dft_is_exact_where_single_precision_is_not():

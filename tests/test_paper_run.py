@@ -7,11 +7,11 @@ import subprocess
 import sys
 
 import pytest
-from command import ROOT
+from command import ROOT, run
 
 from imgloc.io.images import encode_png
 from imgloc.model import to_json
-from tools.paper.__main__ import TIMED_QUICK, Reproduction, as_dict, steps
+from tools.paper.__main__ import TIMED_QUICK, Reproduction, as_dict, main, steps
 from tools.paper.complexity import AXES, Complexity
 from tools.paper.figures import SETTINGS, figure, scene
 from tools.paper.table import PAIRS, STEPS_DEG, table
@@ -19,18 +19,15 @@ from tools.paper.table import PAIRS, STEPS_DEG, table
 NOTHING = Complexity("curved", (), ())
 
 
-def run(*arguments):
-    return subprocess.run(
-        [sys.executable, "-m", "tools.paper", *map(str, arguments)],
-        capture_output=True, text=True, check=False,
-        cwd=ROOT, env={"PATH": "/usr/bin:/bin", "MPLBACKEND": "agg"},
-    )  # fmt: skip
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("paper") / "new" / "folder"
-    done = run("--out", out, "--quick", "-n", 2, "--seed", 0, "--worlds", "curved", "curved")
+    words = ("--quick", "-n", "2", "--seed", "0", "--worlds", "curved", "curved")
+    done = subprocess.run(
+        [sys.executable, "-m", "tools.paper", "--out", out, *words],
+        capture_output=True, text=True, check=False,
+        cwd=ROOT, env={"PATH": "/usr/bin:/bin", "MPLBACKEND": "agg"},
+    )  # fmt: skip
     assert "Traceback" not in done.stderr
     assert done.stdout.strip().endswith("report.html"), done.stderr
     return out
@@ -109,9 +106,9 @@ def test_threads_change_no_picture(folder):
 
 def test_nothing_is_overwritten_unless_forced(folder):
     before = (folder / "results.json").read_bytes()
-    done = run("--out", folder, "--quick", "-n", 2)
-    assert done.returncode == 1
-    assert re.search(r"results\.json.*exists", done.stderr)
+    done = run(main, "--out", folder, "--quick", "-n", 2)
+    assert done.code == 1
+    assert re.search(r"results\.json.*exists", done.err)
     assert (folder / "results.json").read_bytes() == before
 
 
@@ -124,7 +121,7 @@ def test_nothing_is_overwritten_unless_forced(folder):
     ],
 )
 def test_wrong_numbers_are_refused_at_once(tmp_path, arguments, message):
-    done = run("--out", tmp_path / "x", *arguments)
-    assert done.returncode == 2
-    assert message in done.stderr
+    done = run(main, "--out", tmp_path / "x", *arguments)
+    assert done.code == 2
+    assert message in done.err
     assert not (tmp_path / "x").exists()

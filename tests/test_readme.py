@@ -103,8 +103,9 @@ def test_the_example_files_are_read() -> None:
 
 @pytest.mark.parametrize("name", list(PAGES))
 def test_every_command_of_a_page_parses(name: str) -> None:
+    tree = typer.main.get_command(app)
     for line in commands(PAGES[name]):
-        command, words = typer.main.get_command(app), shlex.split(line)
+        command, words = tree, shlex.split(line)
         while hasattr(command, "commands"):
             command = command.commands[words.pop(0)]
         with command.make_context("imgloc", words):

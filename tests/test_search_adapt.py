@@ -58,6 +58,7 @@ def test_walls_lose_cells_but_lines_stay():
     assert there.thinner(0) is there
     twice = there.thinner(2)
     assert twice is there.thinner(2)
+    assert np.flatnonzero(there.thinner(1).grid.occupied[:8, 7]).tolist() == [3, 4, 5]
     assert twice.grid.occupied[9].sum() >= 9  # it may lose its ends
     rows = np.flatnonzero(twice.grid.occupied[:8, 7])
     assert rows.tolist() == [4]
@@ -93,6 +94,13 @@ def test_the_slope_of_a_scale_is_its_difference():
     assert b[0, 3] == pytest.approx(len(xy) * (more - less)[0] / 4e-3, rel=0.1)
 
 
+def test_a_scale_moves_by_two_percent_a_step():
+    xy = 0.9 * one_per_place(world()[1].scans[0], 0.07).xy
+    pose, much = np.array([[*world()[1].poses[0], 1.0]]), (5.0,)
+    once, twice = (refine(pose, xy, features().field, sigmas=much, iterations=n) for n in (1, 2))
+    assert [once[0, 3], twice[0, 3]] == pytest.approx([1.02, 1.04])
+
+
 def test_refining_finds_a_scale():
     for scan, pose in zip(world()[1].scans[:3], world()[1].poses, strict=False):
         xy = 0.96 * one_per_place(scan, 0.07).xy
@@ -120,12 +128,25 @@ def test_walls_that_are_too_thick_are_seen_as_such():
         assert (plain.evidence.thinner, plain.evidence.scale) == (0.0, 1.0)
 
 
+def test_no_more_cells_are_taken_off_than_allowed(monkeypatch):
+    monkeypatch.setattr("imgloc.search.adapt._THINNER", 1)
+    assert localize(thick_features(), world()[1].scans[0]).evidence.thinner < 0.15
+
+
 def test_an_exact_map_is_left_alone():
     for scan in world()[1].scans:
         said = localize(features(), scan).evidence
         assert (said.scale, said.thinner) == (1.0, 0.0)
     pose, seen = np.array([world()[1].poses[0]]), one_per_place(world()[1].scans[0], 0.07)
     assert adapt(features(), seen, pose, Shared(), Options()) == Shared()
+
+
+def test_what_fits_is_not_searched_again(monkeypatch):
+    asked = []
+    monkeypatch.setattr(pipeline, "adapt", lambda *given: asked.append(given) or given[3])
+    for scan, n in ((world()[1].scans[0], 0), (world()[1].scans[0].scaled(0.95), 1)):
+        localize(features(), scan)
+        assert len(asked) == n
 
 
 def test_no_scale_is_farther_off_than_allowed():

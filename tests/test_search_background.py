@@ -48,6 +48,12 @@ def test_sides_that_are_not_seen_cost_nothing_and_what_is_no_wall_does():
     )  # a point on the sensor
 
 
+def test_a_wall_far_away_is_a_wall():
+    y = np.linspace(-3.0, 3.0, 30)
+    for x in (15.0, 25.0, -40.0):  # beyond 20 m they are not told apart
+        assert best_room(np.stack((0 * y + x, y), 1), MODEL) == pytest.approx(MODEL.best, abs=1e-4)
+
+
 def seen_in(free, x, y, cell=0.02):
     """What is seen of a building, (H, W) free cells, from within."""
     angles = np.deg2rad(np.arange(-180, 180, 1.0))

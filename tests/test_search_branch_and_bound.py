@@ -110,6 +110,20 @@ def test_a_block_is_bounded_and_no_more_than_by_its_own_points(drawn: dict) -> N
     assert (top[:, ~pooled.where[-1]] == 0).all()
 
 
+def test_a_descent_ends_in_a_pose_of_each_block() -> None:
+    rng = np.random.default_rng(5)
+    bmap = rng.integers(0, 3, (13, 21)).astype(np.float32) / 2
+    pooled = pooled_maps(bmap, np.ones(bmap.shape, bool), 1.0, top=2)
+    xy, thetas = rng.normal(0, 3, (8, 2)), uniform_thetas(np.pi / 3)
+    blocks = np.stack(np.unravel_index(np.arange(6 * 4 * 6), (6, 4, 6)), axis=1)
+    bounds = _Bounds(pooled, xy, thetas)
+    bounds.of_top(threads=1)
+    poses, scores = bounds.descend(blocks)
+    assert sorted((poses // (1, 4, 4)).tolist()) == blocks.tolist()
+    stack = cbml(bmap, xy, thetas, 1.0, engine="shift")
+    np.testing.assert_array_equal(scores, np.rint(255 * stack[tuple(poses.T)]))
+
+
 def test_first_of_equal_poses_in_index_order() -> None:
     bmap = np.ones((40, 50), dtype=np.float32)
     wanted = np.ones((40, 50), dtype=bool)

@@ -14,9 +14,9 @@ from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import Readings, one_per_place, scan_xy
 from imgloc.geometry import cell_of, inside, transform_poses, wrap
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
-from imgloc.options import FusedOptions, Options
+from imgloc.options import FusedOptions, Options, Prior
 from imgloc.pipeline import find_modes
-from imgloc.search.proposals import propose_votes
+from imgloc.search.proposals import cast_votes, propose_votes
 from imgloc.search.rescore import rescore, shortlist
 from imgloc.simulation import sample_free_poses, simulate_ranges
 from imgloc.worlds import WORLDS, render
@@ -91,6 +91,26 @@ def test_votes_propose_the_true_pose(seed):
     assert near.any()
 
 
+def test_votes_three_cells_apart_are_for_two_places(monkeypatch):
+    features, scan = features_of(), scan_at((6.0, 5.0, 1.0))
+    votes = np.zeros_like(cast_votes(features, scan, OPTIONS))
+    votes[7, 20, 20] = votes[7, 20, 23] = 1
+    monkeypatch.setattr("imgloc.search.proposals.ght_v", lambda *_, **__: votes)
+    found = propose_votes(features, scan, OPTIONS)
+    cell, theta = OPTIONS.vote_cell, 7 * 2 * np.pi / OPTIONS.vote_headings
+    expected = [(20.5 * cell, 20.5 * cell, theta), (23.5 * cell, 20.5 * cell, theta)]
+    np.testing.assert_allclose(found[np.argsort(found[:, 0])], expected)
+
+
+def test_headings_that_cannot_be_get_no_votes():
+    scan = scan_at((6.0, 5.0, 1.0))
+    votes = cast_votes(features_of(), scan, OPTIONS)
+    told = cast_votes(features_of(), scan, OPTIONS, Prior(heading=(np.pi / 2, 0.2)))
+    # Of 24 headings, 15 degrees apart, those within 0.2 radians and half a step of 90 degrees.
+    assert np.flatnonzero(told.any(axis=(1, 2))).tolist() == [5, 6, 7]
+    np.testing.assert_array_equal(told[5:8], votes[5:8])
+
+
 def test_a_scan_without_a_surface_casts_no_votes():
     angles = np.linspace(0, 6, 12)
     scan = LaserScan(1.0 + 5.0 * (np.arange(12) % 2), angles)  # a depth jump at every reading
@@ -138,7 +158,9 @@ def test_what_is_returned(name):
         features.walls,
         OPTIONS.model,
     )
-    np.testing.assert_allclose(evidence.log_likelihood, again.log_likelihood)
+    # Of the best maximum of each mode; the pose is the mean of them.
+    less = np.abs(evidence.log_likelihood - again.log_likelihood) / len(found.readings)
+    assert less.max() < 0.1
     assert np.all(np.diff(evidence.log_likelihood) <= 0)
     # Where a robot can be, and none of them another one's neighbour.
     cells = cell_of(poses[:, :2], features.grid.resolution)

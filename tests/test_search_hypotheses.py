@@ -12,7 +12,7 @@ from imgloc.features.distance import distance_field
 from imgloc.geometry import rotate_covariance, transform_points
 from imgloc.likelihoods.posterior import entropy
 from imgloc.model import Pose2D
-from imgloc.search.hypotheses import as_hypotheses, covariances, masses, modes, spreads
+from imgloc.search.hypotheses import as_hypotheses, centres, covariances, masses, modes
 
 scores = arrays(float, st.integers(1, 12), elements=st.floats(-2000, 2000))
 seeds = st.integers(0, 2**32 - 1)
@@ -211,15 +211,20 @@ def test_hypotheses_keep_the_order_of_their_arrays():
         as_hypotheses(poses, score, np.array([1.0]), np.stack([np.eye(3)] * 2))
 
 
-def test_a_mode_is_as_wide_as_its_maxima_are_apart():
+def test_a_mode_is_where_its_maxima_are_and_as_wide_as_they_are_apart():
     poses = np.array([[1, 2, 3.1], [1.2, 2, 3.1], [1, 2, -3.1], [1, 2.001, 3.1], [1.6, 2, 3.1]])
     score = np.array([0.0, np.log(0.5), -50.0, -0.1, 0.0])
     about = {"within": (0.5, 0.3), "same": (0.02, 0.02)}
-    here, there = spreads(poses, score, np.array([0, 4]), **about)
+    (at, beside), (here, there) = centres(poses, score, np.array([0, 4]), **about)
     # The second counts half as much as the first; the fourth is the first, the fifth another mode.
-    assert here[0, 0] == pytest.approx(0.2**2 * 0.5 / 1.5, rel=1e-6)
+    np.testing.assert_allclose(at, (1 + 0.2 / 3, 2, 3.1))
+    assert here[0, 0] == pytest.approx(0.2**2 * 2 / 9, rel=1e-6)
     assert here[1, 1] == pytest.approx(0)
-    assert there[0, 0] == pytest.approx(0.4**2 * 0.5 / 1.5, rel=1e-6)
-    score[2] = 0.0  # 0.083 across the half turn
-    both = spreads(poses, score, np.array([0]), **about)[0]
-    assert both[2, 2] == pytest.approx((2 * np.pi - 6.2) ** 2 / 2.5, rel=1e-6)
+    np.testing.assert_allclose(beside, (1.6 - 0.4 / 3, 2, 3.1))
+    assert there[0, 0] == pytest.approx(0.4**2 * 2 / 9, rel=1e-6)
+    turn = 2 * np.pi - 6.2
+    score[2] = -1.0  # across the half turn
+    (at,), (both,) = centres(poses[[0, 2]], score[[0, 2]], np.array([0]), **about)
+    share = 1 / (1 + np.exp(1.0))
+    assert at[2] == pytest.approx(3.1 + share * turn)
+    assert both[2, 2] == pytest.approx(share * (1 - share) * turn**2, rel=1e-6)

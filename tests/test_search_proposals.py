@@ -150,11 +150,11 @@ def test_with_all_kept_each_block_proposes_its_best_pose(seed, sigma):
     assert scores[0] == pytest.approx(expected.max())  # the exhaustive argmax is the first
 
 
-@given(seeds, st.tuples(*[st.integers(1, 60)] * 3))
+@given(seeds, st.tuples(*[st.integers(1, 60)] * 3), st.integers(1, 3))
 @settings(max_examples=15)
-def test_what_is_proposed_is_scored_truly_sorted_and_free(seed, keep):
+def test_what_is_proposed_is_scored_truly_sorted_and_free(seed, keep, skip):
     levels, xy = random_case(seed)
-    poses, scores = propose_endpoints(levels, xy, theta_step=STEP, keep=keep)
+    poses, scores = propose_endpoints(levels, xy, theta_step=STEP, keep=keep, skip=skip)
     assert 0 < len(poses) <= keep[0]
     assert np.all(np.diff(scores) <= 0)
     cells = cell_of(poses[:, :2], RESOLUTION)

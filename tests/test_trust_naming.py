@@ -1,18 +1,17 @@
 """Shares of scans whose map is named, for scans whose map is known."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from command import ROOT
+from command import run
 
 from imgloc.errors import ConfigError
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
+from tools.trust.__main__ import main
 from tools.trust.naming import ask_all, bound_all, naming_shares, scans_of
 
 
@@ -69,14 +68,6 @@ def test_nothing_to_ask(maps, n, some, said):
 # --- the command
 
 
-def run_tool(*words):
-    return subprocess.run(
-        [sys.executable, "-m", "tools.trust", "which", *map(str, words)],
-        capture_output=True, text=True, check=False,
-        cwd=ROOT, env={"PATH": "/usr/bin:/bin"},
-    )  # fmt: skip
-
-
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Two maps, one of them with scans beside it, and a map that is another name of one."""
@@ -90,9 +81,9 @@ def folder(tmp_path_factory):
 
 
 def test_recorded_and_simulated_scans_are_asked_of_all_maps(folder):
-    done = run_tool(folder, "-n", 2)
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
+    done = run(main, "which", folder, "-n", 2)
+    assert done.code == 0, done.err
+    found = json.loads(done.out)
     assert (found["scans"], found["maps"]) == (2, 2)
     named = found["named with 0.5 or more"]
     assert (named["right"]["hits"], named["wrong"]["hits"]) == (2, 0)
@@ -101,8 +92,8 @@ def test_recorded_and_simulated_scans_are_asked_of_all_maps(folder):
 
 
 def test_two_maps_of_one_building_count_as_one(folder):
-    done = run_tool(folder, "-n", 2, "--same", "curved,corridor")
-    named = json.loads(done.stdout)["named with 0.5 or more"]
+    done = run(main, "which", folder, "-n", 2, "--same", "curved,corridor")
+    named = json.loads(done.out)["named with 0.5 or more"]
     assert named["right"]["hits"] == 2
     assert named["silent without its map"]["hits"] == 2  # none is left
 
@@ -112,7 +103,7 @@ def test_two_maps_of_one_building_count_as_one(folder):
     [(("-n", 0), 2, "at least 1"), (("--range-max", 0), 2, "reach"), (("nowhere",), 2, "nowhere")],
 )
 def test_refusals_are_one_line(folder, words, code, said):
-    done = run_tool(folder, *words)
-    assert (done.returncode, done.stdout) == (code, "")
-    assert done.stderr.count("\n") == 1
-    assert said in done.stderr
+    done = run(main, "which", folder, *words)
+    assert (done.code, done.out) == (code, "")
+    assert done.err.count("\n") == 1
+    assert said in done.err

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command import ROOT
+from command import ROOT, run
 
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
@@ -125,14 +125,6 @@ def test_the_summary_counts_simulated_recorded_and_other_maps():
     assert said["recorded"]["c"]["nees"]["mean"] == 3.0
 
 
-def run_tool(*words):
-    return subprocess.run(
-        [sys.executable, "-m", "tools.trust", "reliability", *map(str, words)],
-        capture_output=True, text=True, check=False,
-        cwd=ROOT, env={"PATH": "/usr/bin:/bin"},
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
@@ -142,10 +134,11 @@ def run_tool(*words):
     ],
 )
 def test_the_tool_refuses_in_one_line_before_it_measures(words, code, said):
-    done = run_tool(*[ROOT / w if "tools/" in str(w) else w for w in words])
-    assert (done.returncode, done.stdout) == (code, "")
-    assert done.stderr.count("\n") == 1
-    assert said in done.stderr
+    words = [ROOT / w if "tools/" in str(w) else w for w in words]
+    done = run(main, "reliability", *words)
+    assert (done.code, done.out) == (code, "")
+    assert done.err.count("\n") == 1
+    assert said in done.err
 
 
 def test_the_tool_writes_numbers_and_a_picture(tmp_path):
@@ -154,7 +147,12 @@ def test_the_tool_writes_numbers_and_a_picture(tmp_path):
     save_map(tmp_path / "map.yaml", grid)
     save_scans(tmp_path / "scans.npz", simulate(grid, 2, 3, Sensor()))
     words = ("-n", 1, "--picture", tmp_path / "r.png", "--sets", tmp_path / "map.yaml")
-    done = run_tool(*words, "--range-max", 0.31)  # from where a robot can be there is nothing
+    done = subprocess.run(
+        [sys.executable, "-m", "tools.trust", "reliability", *map(str, words),
+         "--range-max", "0.31"],  # from where a robot can be there is nothing
+        capture_output=True, text=True, check=False,
+        cwd=ROOT, env={"PATH": "/usr/bin:/bin"},
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["range_max"] == 0.31

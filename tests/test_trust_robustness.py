@@ -1,13 +1,11 @@
 """The oracle of the score, and the table of conditions beside it."""
 
 import json
-import subprocess
-import sys
 from dataclasses import fields
 
 import numpy as np
 import pytest
-from command import ROOT
+from command import run
 
 from imgloc.cli.options import Mounting
 from imgloc.errors import ConfigError
@@ -24,6 +22,7 @@ from imgloc.simulation import Sensor, simulate, simulate_ranges
 from imgloc.worlds import WORLDS, render
 from tools.recorded import cut_set
 from tools.trust import robustness as room
+from tools.trust.__main__ import main
 from tools.trust.exhaustive import exhaustive, joined, score_level
 from tools.trust.robustness import (
     CONDITIONS,
@@ -232,28 +231,24 @@ def recorded_set(tmp_path):
 
 
 def run_tool(*words):
-    return subprocess.run(
-        [sys.executable, "-m", "tools.trust", "robustness", "--threads", "1", *map(str, words)],
-        capture_output=True, text=True, check=False,
-        cwd=ROOT, env={"PATH": "/usr/bin:/bin"},
-    )  # fmt: skip
+    return run(main, "robustness", "--threads", 1, *words)
 
 
 def test_the_tool_measures_recorded_sets(recorded_set, tmp_path):
     out = tmp_path / "out.json"
     words = ("-n", 2, "--sets", recorded_set, recorded_set, "--out", out)
     done = run_tool(*words)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count("\n| here | 100 % ") == 2
+    assert done.code == 0, done.err
+    assert done.out.count("\n| here | 100 % ") == 2
     found = json.loads(out.read_text())
     assert (found["n"], found["sets"], found["range_max"]) == (2, ["here", "here"], 20.0)
     assert [row["oracle"]["trials"] for row in found["rows"]] == [2, 2]
     again = run_tool(*words)
-    assert (again.returncode, "Traceback" in again.stderr) == (1, False)
-    assert "exists already" in again.stderr
+    assert (again.code, "Traceback" in again.err) == (1, False)
+    assert "exists already" in again.err
     # Within 0.4 m of a robot with a clearance of 0.3 m there is little to see.
     short = run_tool(*words, "--range-max", 0.4, "--force")
-    assert (short.returncode, "| here | 0 % " in short.stdout) == (0, True)
+    assert (short.code, "| here | 0 % " in short.out) == (0, True)
     assert json.loads(out.read_text())["range_max"] == 0.4
 
 
@@ -268,8 +263,8 @@ def test_the_tool_measures_recorded_sets(recorded_set, tmp_path):
 )
 def test_the_tool_refuses_in_one_line(words, code, said):
     done = run_tool(*words)
-    assert (done.returncode, done.stderr.count("\n")) == (code, 1)
-    assert said in done.stderr
+    assert (done.code, done.err.count("\n")) == (code, 1)
+    assert said in done.err
 
 
 def test_a_shorter_reach_is_positive():

@@ -8,7 +8,6 @@ the beginning, and the last one is let run to its end. The rows must be equal bu
 none twice, none missing. Prints a JSON object; the exit code is 1 if not.
 """
 
-import argparse
 import json
 import random
 import signal
@@ -22,10 +21,10 @@ from tempfile import TemporaryDirectory
 
 from imgloc.io.maps import bundled_maps, load_map
 from imgloc.io.results import RESULTS, read_rows
-from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
 from imgloc.simulation import Sensor, simulate
 from tools.progress import progress
+from tools.recorded import save_each
+from tools.script import parser_of
 
 
 @dataclass
@@ -85,29 +84,19 @@ def _timeless(folder: Path) -> list[str]:
     return sorted(json.dumps({**row, "cost": None}) for row in read_rows(folder))
 
 
-def make_site(folder: Path, items: int, seed: int) -> None:
-    """Files of one scan each, simulated in a bundled world."""
-    folder.mkdir()
-    scans = simulate(load_map(bundled_maps() / "curved.yaml"), items, seed, Sensor(range_max=20.0))
-    for k, scan in enumerate(scans.scans):
-        poses = None if scans.poses is None else scans.poses[k : k + 1]
-        save_scans(folder / f"{k:03d}.npz", ScanSet((scan,), poses=poses))
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line, measure, print; return the exit code."""
-    raw = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser("tools.killloop", description=__doc__, formatter_class=raw)
+    parser = parser_of("tools.killloop", __doc__)
     parser.add_argument("-n", type=int, default=20, help="how often it is killed")
     parser.add_argument("--items", type=int, default=40)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args(arguments)
     with TemporaryDirectory(prefix="imgloc-") as folder, progress("killed", given.n) as advance:
-        site = Path(folder)
-        make_site(site / "scans", given.items, given.seed)
+        site, maps = Path(folder), bundled_maps() / "curved.yaml"
+        sensor = Sensor(range_max=20.0)
+        save_each(site / "scans", simulate(load_map(maps), given.items, given.seed, sensor))
         words = ("--workers", str(given.workers), "--pictures", "doubtful")
-        maps = bundled_maps() / "curved.yaml"
         found = kill_loop(maps, site / "scans", site, given.n, given.seed, *words, advance=advance)
     print(json.dumps(asdict(found)))
     return 0 if found.equal else 1

@@ -4,7 +4,6 @@ python -m tools.pictures            # writes tools/demo.png, fig2.png and track.
 python -m tools.pictures --check    # says which of them no longer show what the code draws
 """
 
-import argparse
 import contextlib
 import io
 import sys
@@ -22,6 +21,7 @@ from imgloc.io.files import write_bytes_atomic
 from imgloc.output.canvas import Image
 from tools.drive import draw_drive, drive
 from tools.paper.figures import figure
+from tools.script import parser_of
 
 FOLDER = Path(__file__).parent
 STALE, OTHER_LETTERS = 0.0002, 0.01
@@ -89,9 +89,7 @@ def difference(a: Image, b: Image) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the pictures, or check them; 1 if one is stale."""
-    parser = argparse.ArgumentParser(
-        "tools.pictures", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("tools.pictures", __doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(PICTURES))
     parser.add_argument("--check", action="store_true", help="write nothing, say what is stale")
     given = parser.parse_args(arguments)

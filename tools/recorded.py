@@ -1,11 +1,11 @@
-"""Scans that were recorded in a map, with the true pose of each."""
+"""Files of scans: those that were recorded in a map, with the true pose of each; one a scan."""
 
 from dataclasses import replace
 from pathlib import Path
 
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
-from imgloc.io.scans import load_scans
+from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.simulation import sample_set
 
@@ -26,6 +26,14 @@ def scans_beside(path: Path, n: int, seed: int, range_max: float) -> ScanSet:
         raise ConfigError(f"n must be at least 1, got {n}")
     file = path.with_name("scans.npz")
     return cut_set(sample_set(load_scans(file), n, seed, display(file)), range_max)
+
+
+def save_each(folder: Path, scans: ScanSet) -> None:
+    """Make a folder with a file of each scan, and of its pose if that is known."""
+    folder.mkdir()
+    for k, scan in enumerate(scans.scans):
+        poses = None if scans.poses is None else scans.poses[k : k + 1]
+        save_scans(folder / f"{k:04d}.npz", ScanSet((scan,), poses=poses))
 
 
 def cut_set(scans: ScanSet, range_max: float) -> ScanSet:

@@ -1,8 +1,10 @@
 """The command line: parses, calls and prints. What it calls is imported when a command runs."""
 
+import functools
 from collections.abc import Callable, Sequence
 
 import typer
+from typer.main import get_command
 
 from imgloc.__about__ import __version__
 from imgloc.cli.atlas import atlas
@@ -29,7 +31,6 @@ app = typer.Typer(
     cls=Group,
     no_args_is_help=True,
     rich_markup_mode=None,
-    pretty_exceptions_enable=False,
     context_settings=_OPTIONS,
     epilog=examples(
         "imgloc demo",
@@ -158,6 +159,8 @@ for group, commands in ((app, _COMMANDS), (maps, _MAP), (kept, _CACHE)):
 app.add_typer(maps, name="map", help="Look at a map, or make one of a floor plan.")
 app.add_typer(kept, name="cache")
 
+_command_of = functools.cache(get_command)  # which is most of what a short command takes
+
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; it always ends in a SystemExit with the exit code.
@@ -167,4 +170,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
     arguments : sequence of str, optional
         Without the program's name; ``sys.argv[1:]`` by default.
     """
-    app(None if arguments is None else list(arguments), prog_name="imgloc")
+    _command_of(app)(None if arguments is None else list(arguments), prog_name="imgloc")

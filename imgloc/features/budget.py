@@ -93,7 +93,7 @@ def surface_count(grid: OccupancyGrid) -> int:
 
 
 def features_bytes(
-    shape: tuple[int, int], *, points: int, n_psi: int = 72, factor: int = 1, voters: int = VOTERS
+    shape: tuple[int, int], *, points: int, factor: int, n_psi: int = 72, voters: int = VOTERS
 ) -> int:
     """Peak of computing what a method uses of a map, besides the map itself.
 

@@ -488,7 +488,7 @@ def _without_leaves(
 def _standing(walls: BoolArray, drawn: BoolArray, pixel: float) -> tuple[BoolArray, BoolArray]:
     """The pieces of wall that are long; and pillars: filled, and nearly as wide as long."""
     labels, stats = _pieces(walls)
-    area = np.maximum(1, stats[:, cv2.CC_STAT_AREA])
+    area = stats[:, cv2.CC_STAT_AREA]
     span = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) * pixel
     ink = np.bincount(labels[drawn], minlength=len(stats)) / area
     wide = np.zeros(len(stats), np.float32)
@@ -551,7 +551,7 @@ def _frame(walls: BoolArray, parts: int, pixel: float, gap: float | None) -> Boo
     none = np.zeros_like(walls)
     if len(stats) < 3:
         return none
-    k = 1 + int(np.argmax(stats[1:, 2] * stats[1:, 3]))
+    k = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_WIDTH]))
     x, y, wide, high, area = stats[k].tolist()
     rest = walls & (labels != k)
     left, top, width, height = cv2.boundingRect(rest.astype(np.uint8))
@@ -600,7 +600,7 @@ def _kinds(
         cv2.polylines(arcs, [outline], False, 1, round(0.12 / pixel))
     rest = drawn & ~_grown(walls, 2) & (arcs == 0)
     labels, stats = _pieces(rest)
-    count, area = len(stats), np.maximum(1, stats[:, cv2.CC_STAT_AREA])
+    count, area = len(stats), stats[:, cv2.CC_STAT_AREA]
 
     def share(mask: BoolArray) -> FloatArray:
         return np.bincount(labels[mask & rest], minlength=count) / area

@@ -9,7 +9,9 @@ from imgloc.model import BoolArray, FloatArray, IntArray, LaserScan, OrientedPoi
 
 # A wall is followed up to this angle between ray and wall (Borges & Aldon 2004, breakpoints).
 _GRAZING = np.deg2rad(10.0)
-_MAX_GAP = np.deg2rad(20.0)  # neighbours further apart than this say nothing about each other
+# Neighbours further apart say nothing about each other: no whole number of readings, no angle of a
+# regular scan, where rounding would decide. Three readings lost in a row are no end of a surface.
+_GAP, _MAX_GAP = 4.5, np.deg2rad(20.7)
 _MIN_NEIGHBOURS = 3
 _END, _MANY = 0.99, 0.05  # share of the sensor's reach, and of the readings, that lie beyond
 
@@ -89,7 +91,7 @@ def scan_points(
 
     middle = np.arange(n, 2 * n)
     first, last, ray = first[middle], last[middle], turn[middle]
-    line, sigma, excess = np.full(n, np.nan), np.full(n, np.inf), np.full(n, np.inf)
+    best = np.array([[np.nan], [np.inf], [np.inf]]).repeat(n, axis=1)
     for reach in (width, width / 2):
         half = np.minimum(reach / np.maximum(depth[middle], 1e-9), np.pi / 4)
         low = np.minimum(np.searchsorted(turn, ray - half, "left"), middle - _MIN_NEIGHBOURS)
@@ -97,10 +99,10 @@ def scan_points(
         for a, b in ((low, high), (middle, high), (low, middle)):  # around, after, before
             a, b = np.maximum(a, first), np.minimum(b, last)
             fit = _regress(moments, a, b + 1, ray, sigma_range)
-            take = (excess > 3.0) & (fit[2] < excess)
-            for out, value in zip((line, sigma, excess), fit, strict=True):
-                out[take] = value[take]
+            take = (best[2] > 3.0) & (fit[2] < best[2])
+            best[:, take] = fit[:, take]
 
+    line, sigma, _ = best
     normal = line + np.pi / 2
     away = np.cos(normal - ray) > 0
     alpha, sigma_alpha = np.empty(n), np.empty(n)
@@ -186,7 +188,7 @@ def _surfaces(rho: FloatArray, phi: FloatArray, sigma: float) -> tuple[IntArray,
     jump = np.abs(np.diff(rho))
     near = np.minimum(rho[1:], rho[:-1])
     broken = (jump > 5 * sigma + near * gap / np.tan(_GRAZING)) | (
-        gap > min(4 * np.median(gap[: len(rho) // 3]), _MAX_GAP)  # of one turn
+        gap > min(_GAP * np.median(gap[: len(rho) // 3]), _MAX_GAP)  # of one turn
     )
     surface = np.concatenate(([0], np.cumsum(broken)))
     starts = np.concatenate(([0], np.flatnonzero(broken) + 1, [len(rho)]))
@@ -195,8 +197,8 @@ def _surfaces(rho: FloatArray, phi: FloatArray, sigma: float) -> tuple[IntArray,
 
 def _regress(
     moments: FloatArray, low: IntArray, high: IntArray, ray: FloatArray, sigma_range: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Fit lines to the points ``low..high-1``: direction, standard error, excess.
+) -> FloatArray:
+    """Fit lines to the points ``low..high-1``: direction, standard error, excess; (3, N).
 
     The excess is by how many standard deviations of chi-square the residuals are larger than
     the noise explains. Where a window has fewer than three neighbours: NaN, inf, inf.
@@ -216,8 +218,4 @@ def _regress(
         unbiased = residual * m / (m - 2)
         sigma = np.sqrt(np.maximum(noise, unbiased) / (m * (mean + spread)))
         excess = (unbiased / sigma_range**2 - 1) * np.sqrt((m - 2) / 2)
-    return (
-        np.where(enough, line, np.nan),
-        np.where(enough, sigma, np.inf),
-        np.where(enough, excess, np.inf),
-    )
+    return np.where(enough, (line, sigma, excess), [[np.nan], [np.inf], [np.inf]])

@@ -88,7 +88,7 @@ def _bands(occupied: BoolArray) -> list[tuple[int, int]]:
     sides = np.zeros(height, np.int64)
     for row in range(height):  # by row: the differences of a whole map would be another map
         sides[row] = np.count_nonzero(occupied[row, 1:] != occupied[row, :-1])
-        sides[row] += np.count_nonzero(occupied[row] != occupied[row - 1]) if row else 0
+        sides[row] += np.count_nonzero(occupied[row] != occupied[row - 1])  # row 0: the last
     part = np.maximum(np.cumsum(sides) // _SIDES, np.arange(height) // max(1, _CELLS // width))
     cuts = [0, *(np.flatnonzero(np.diff(part)) + 1).tolist(), height]
     return list(itertools.pairwise(cuts))
@@ -168,7 +168,7 @@ def _fit(
 
     # Moments of the window (relative to its centre, in cells), widened step by step.
     mean, square, cross = np.zeros((n, 2)), np.zeros((n, 2)), np.zeros(n)
-    fits: dict[int, tuple[FloatArray, FloatArray, FloatArray, FloatArray]] = {}
+    fits: dict[int, FloatArray] = {}  # (n, 5): direction, residual, sigma, and the window's middle
     for k in range(1, max(_WINDOWS) + 1):
         after, before = points[neighbour(k)] - points, points[neighbour(-k)] - points
         mean += after + before
@@ -177,27 +177,28 @@ def _fit(
         if k in (1, 2, *_WINDOWS):
             m = 2 * k + 1
             cov = (square - mean**2 / m) / m
-            fits[k] = _principal(cov, cross / m - mean.prod(axis=1) / m**2, after - before, m)
-            fits[k] = (*fits[k][:3], points + mean / m)
+            line = _principal(cov, cross / m - mean.prod(axis=1) / m**2, after - before, m)
+            fits[k] = np.column_stack((*line, points + mean / m))
 
     # Each point takes its first choice that is straight: the widest window first, then, at
-    # corners, the straighter of the two windows that end at the point.
+    # corners, the straighter of the two windows that end at the point. A window that goes all
+    # around an outline never is.
     side = _WINDOWS[-1]
     ends = np.stack((neighbour(side), neighbour(-side)))
-    end = ends[np.argmin(fits[side][1][ends], axis=0), index]
-    corner = fits[side][1] > _CORNER
+    residual = fits[side][:, 1]
+    end = ends[np.argmin(residual[ends], axis=0), index]
+    corner = residual > _CORNER
     choices = [(k, index) for k in _WINDOWS] + [(side, np.where(corner, end, index))]
-    chosen = [array.copy() for array in fits[1]]  # specks: the chord of the two neighbours
+    chosen = fits[1].copy()  # specks: the chord of the two neighbours
     open_ = np.ones(n, np.bool_)
     for k, at in choices:
-        take = open_ & (fits[k][1][at] <= _STRAIGHT) & (length > 2 * k)
-        for out, fit in zip(chosen, fits[k], strict=True):
-            out[take] = fit[at[take]]
+        take = open_ & (fits[k][at, 1] <= _STRAIGHT)
+        chosen[take] = fits[k][at[take]]
         open_ &= ~take
     round_ = open_ & (length > 4)  # tight curves
-    for out, fit in zip(chosen, fits[2], strict=True):
-        out[round_] = fit[round_]
-    angle, _, sigma, centre = chosen
+    chosen[round_] = fits[2][round_]
+    angle, _, sigma = chosen[:, :3].T
+    centre = chosen[:, 3:]
 
     alpha = angle + np.pi / 2  # the wall is on the right of the contour, free space on its left
     normal = np.column_stack((np.cos(alpha), np.sin(alpha)))
@@ -208,7 +209,7 @@ def _fit(
 
 def _principal(
     var: FloatArray, cov: FloatArray, forward: FloatArray, m: int
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Direction, rms residual and sigma of the line through `m` points with these moments."""
     half, mean = (var[:, 0] - var[:, 1]) / 2, (var[:, 0] + var[:, 1]) / 2
     spread = np.hypot(half, cov)
@@ -219,7 +220,7 @@ def _principal(
     # staircase of the cells allows (1/12 of a cell²).
     with np.errstate(divide="ignore"):
         sigma = np.sqrt((residual + 1 / 12) / (m * (mean + spread)))
-    return np.where(backward, angle + np.pi, angle), np.sqrt(residual), sigma, forward
+    return np.where(backward, angle + np.pi, angle), np.sqrt(residual), sigma
 
 
 def _sample(image: BoolArray, xy: FloatArray) -> BoolArray:

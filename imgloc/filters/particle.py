@@ -9,7 +9,6 @@
 * GHT-V every once in a while "to cut hypotheses based on the visibility constraints" (Sec. V).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -93,9 +92,6 @@ class ParticleFilter:
     how : ParticleOptions, optional
     seed : int
         Of every draw.
-    draw : callable, optional
-        Gives poses (n, 3) of the sensor, map frame, drawn from p(x | z) of a scan with a
-        generator, instead of :func:`imgloc.sample.sample_poses`.
     """
 
     def __init__(
@@ -105,7 +101,6 @@ class ParticleFilter:
         how: ParticleOptions | None = None,
         *,
         seed: int = 0,
-        draw: Callable[[LaserScan, int, np.random.Generator], FloatArray] | None = None,
     ) -> None:
         self.how = how or ParticleOptions()
         if not 1 <= self.how.least <= self.how.most:
@@ -113,7 +108,6 @@ class ParticleFilter:
         self.options = replace(options or Options(), top=20)
         self.features = features.thinner(self.options.shared.thinner)
         self._rng = np.random.default_rng(seed)
-        self._draw = draw or self._sample
         self.poses, self.weights = np.empty((0, 3)), np.empty(0)
         self._means: dict[Pose2D | None, tuple[float, float]] = {}  # of each laser, long and short
         self._looks, self._resets = 0, 0
@@ -191,12 +185,10 @@ class ParticleFilter:
         self.poses, self.weights = old, np.full(len(old), 1 / len(old))
 
     def _new(self, scan: LaserScan, n: int) -> FloatArray:
-        poses = transform_poses(inverse(self.features.grid.origin), self._draw(scan, n, self._rng))
-        return view_of(scan, self.options).robot(poses)
-
-    def _sample(self, scan: LaserScan, n: int, rng: np.random.Generator) -> FloatArray:
         how = replace(self.options, method=self.how.reset_by)
-        return sample_poses(self.features, scan, n, rng, how)
+        drawn = sample_poses(self.features, scan, n, self._rng, how)
+        poses = transform_poses(inverse(self.features.grid.origin), drawn)
+        return view_of(scan, self.options).robot(poses)
 
     def _cut(self, scan: LaserScan) -> FloatArray:
         """Nats that GHT-V takes from the particles, every once in a while."""

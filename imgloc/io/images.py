@@ -95,11 +95,11 @@ class ImageSize(NamedTuple):
     grey: bool
 
 
-def image_size(path: PathLike, *, max_pixels: int = MAX_PIXELS) -> ImageSize:
+def image_size(path: PathLike) -> ImageSize:
     """Look at the header of an image file, and nothing else of it; errors as in `read_image`."""
-    limit, name = _longest(max_pixels), display(path)
+    limit, name = _longest(MAX_PIXELS), display(path)
     with open_file(path, limit=limit, error=MapError, what="map image") as (file, length):
-        image = _opened(file, name, max_pixels)
+        image = _opened(file, name, MAX_PIXELS)
     grey = image.mode in _GREY_MODES and "transparency" not in image.info
     return ImageSize(*image.size, length, grey)
 

@@ -150,7 +150,7 @@ def shift_sum(
     height, width = images[0].shape
     weights = 1 << powers
     part = np.cumsum(weights) // max(1, limit - int(weights.max(initial=1)))
-    bounds = np.flatnonzero(np.diff(part, prepend=-1, append=-1))
+    bounds = [*np.unique(part, return_index=True)[1].tolist(), len(part)]
     dr, dc = offsets.T
     for t in tiles:
         total = scratch[: math.prod(t.shape)].reshape(t.shape)
@@ -160,7 +160,7 @@ def shift_sum(
         target_box = (r0 - t.r0, r1 - t.r0, c0 - t.c0, c1 - t.c0)
         box = np.column_stack((*target_box, r0 + dr, r1 + dr, c0 + dc, c1 + dc, which, powers))
         target = out[t.r0 : t.r1, t.c0 : t.c1]
-        for start, stop in pairwise(bounds.tolist()):
+        for start, stop in pairwise(bounds):
             boxes = box[start:stop][inside[start:stop]].tolist()
             if not boxes:
                 continue

@@ -163,14 +163,12 @@ def wheel(direction: npt.ArrayLike, strength: npt.ArrayLike) -> Image:
     return np.asarray(bgr, dtype=np.uint8).reshape(hsv.shape)
 
 
-def draw_map(
-    grid: OccupancyGrid, *, scale: int | None = None, faded: bool = False, bar: bool = True
-) -> Image:
+def draw_map(grid: OccupancyGrid, *, scale: int | None = None, bar: bool = True) -> Image:
     """Draw a map: walls dark, free space white, unknown space grey, and a scale bar.
 
-    A cell is `scale` pixels wide, as in :func:`sheet`. A background is `faded`: its walls are grey.
+    A cell is `scale` pixels wide, as in :func:`sheet`.
     """
-    canvas = map_canvas(grid, scale, faded=faded)
+    canvas = map_canvas(grid, scale, faded=False)
     if bar:
         scale_bar(canvas)
     return canvas.image
@@ -185,7 +183,7 @@ def deviation_ellipse(covariance: FloatArray, n: int = 64) -> FloatArray:
 
 
 def map_canvas(grid: OccupancyGrid, scale: int | None = None, *, faded: bool = True) -> Canvas:
-    """Return a canvas with the map, to draw on."""
+    """Return a canvas with the map, to draw on; `faded`, its walls are grey."""
     colours = np.array([SHADE, PAPER, (146, 140, 134) if faded else INK], dtype=np.uint8)
     classes = np.where(grid.occupied, 2, grid.free.astype(np.int64))
     return sheet(colours[classes], grid.info, scale)

@@ -108,20 +108,18 @@ def draw_surface(
     return canvas.image
 
 
-def draw_field(
-    vmap: Float32Array, resolution: float, *, scale: int | None = None, step: int | None = None
-) -> Image:
+def draw_field(vmap: Float32Array, resolution: float, *, scale: int | None = None) -> Image:
     """Draw a blurred vector field (Fig. 4c): colour is direction, saturation is intensity.
 
     `vmap` (2, H, W) has the x and y components in cells with a side of `resolution` metres. Arrows
-    are `step` cells apart, by default about 14 pixels.
+    are about 14 pixels apart.
     """
     x, y = (np.asarray(v, dtype=np.float64) for v in vmap)
     strength = np.hypot(x, y)
     strength = strength / max(float(strength.max()), 1e-12)
     info = GridInfo(x.shape[0], x.shape[1], resolution)
     canvas = sheet(wheel(np.arctan2(y, x), 0.55 * strength), info, scale)
-    apart = step or max(1, round(14 / (canvas.px_per_m * resolution)))
+    apart = max(1, round(14 / (canvas.px_per_m * resolution)))
     rows, columns = _strongest(strength, apart)
     centre = (np.column_stack((columns // apart, rows // apart)) + 0.5) * apart * resolution
     length = 0.9 * apart * resolution

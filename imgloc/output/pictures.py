@@ -519,19 +519,17 @@ def _key(width: int, kinds: Sequence[str]) -> Image:
 def mosaic(
     pictures: Sequence[tuple[str, Image]],
     columns: int | None = None,
-    gap: int = 16,
     *,
     top: bool = False,
 ) -> Image:
     """Lay pictures of any sizes out on a white sheet, each with its caption, which is first, below.
 
-    They are `gap` pixels apart; without `columns` the sheet is about as wide as 4 : 3. Of a row the
+    Without `columns` the sheet is about as wide as 4 : 3. Of a row the
     lower edges are aligned, or the `top` ones. Without a picture it is a ValueError.
     """
     if not pictures:
         raise ValueError("a mosaic needs at least one picture")
-    caption = 26
-    n = len(pictures)
+    gap, caption, n = 16, 26, len(pictures)
     cells = [(max(p.shape[1], text_width(c)), p.shape[0] + caption) for c, p in pictures]
     if columns is None:
         area = float(np.mean([w / h for w, h in cells]))

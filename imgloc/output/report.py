@@ -122,9 +122,7 @@ class _OfMap:
     ms: list[float] = field(default_factory=list)
 
 
-def render_report(
-    folder: PathLike, *, beside: PathLike | None = None, version: str = __version__
-) -> str:
+def render_report(folder: PathLike, *, beside: PathLike | None = None) -> str:
     """Write the page about a folder of results, HTML; it is to be `beside` others in a folder.
 
     Raises
@@ -172,7 +170,7 @@ def render_report(
         run=run,
         summary=summary,
         versions=versions.most_common(),
-        version=version,
+        version=__version__,
         verdicts=_in_order(summary.verdicts),
         hints=read_summary(folder).get("hints", []),
         statuses=sorted(summary.statuses.items(), key=lambda kv: -kv[1]),

@@ -44,11 +44,7 @@ def containing_diagonal(covariance: FloatArray) -> FloatArray:
 
 
 def message(
-    moment: Moment,
-    origin: Pose2D,
-    *,
-    frame: str = "map",
-    best: bool = False,
+    moment: Moment, origin: Pose2D, *, best: bool = False
 ) -> tuple[str, dict[str, Any]] | None:
     """The message of a moment, its type first; None while no place is known.
 
@@ -62,7 +58,7 @@ def message(
     stamp = moment.stamp if math.isfinite(moment.stamp) else 0.0
     whole = math.floor(stamp)
     seconds = {"sec": whole, "nanosec": min(999_999_999, round(1e9 * (stamp - whole)))}
-    header = {"stamp": seconds, "frame_id": frame}
+    header = {"stamp": seconds, "frame_id": "map"}
     pose = moment.best if best and moment.belief.verdict != "lost" else moment.pose
     if pose is not None:
         diagonal = np.zeros((6, 6))

@@ -199,14 +199,14 @@ def draw_rays(grid: OccupancyGrid, pose: Pose2D, fit: RayFit, view: View, name: 
 
 
 def draw_overview(
-    grid: OccupancyGrid, poses: Sequence[Pose2D], best: RayFit | None = None, px: float = 1000.0,
-    *, truth: Pose2D | None = None,
+    grid: OccupancyGrid, poses: Sequence[Pose2D], best: RayFit | None = None, *,
+    truth: Pose2D | None = None,
 ) -> Markup:  # fmt: skip
-    """The whole map with every pose on it, best first, grid frame, and axes; `px` pixels wide.
+    """The whole map with every pose on it, best first, grid frame, and axes.
 
     The rays of the best one end in dots; the true pose, grid frame, gets a cross.
     """
-    view = _known_part(grid, [*poses, *([] if truth is None else [truth])], px)
+    view = _known_part(grid, [*poses, *([] if truth is None else [truth])], 1000.0)
     height, width = (n * grid.resolution for n in grid.occupied.shape)
     (x, y), (x1, y1) = view.at(0, height), view.at(width, 0)
     ends = ""
@@ -257,7 +257,7 @@ def _axes(grid: OccupancyGrid, view: View) -> list[tuple[str, str, float, float]
     return axes
 
 
-def draw_covariance(hypothesis: Hypothesis, px: float = 190.0) -> Markup:
+def draw_covariance(hypothesis: Hypothesis) -> Markup:
     """One and two standard deviations of the position, and two of the heading as a wedge.
 
     It has a scale of its own: the ellipse is mostly too small to be seen on the map.
@@ -265,7 +265,7 @@ def draw_covariance(hypothesis: Hypothesis, px: float = 190.0) -> Markup:
     theta = hypothesis.pose.theta
     unit = deviation_ellipse(hypothesis.covariance, 73)
     reach = 2.6 * max(float(np.linalg.norm(unit, axis=1).max()), 1e-6)
-    view = View(-reach, -reach, 2 * reach, 2 * reach, px)
+    view = View(-reach, -reach, 2 * reach, 2 * reach, 190.0)
     turn = min(2 * float(np.sqrt(max(hypothesis.covariance[2, 2], 0.0))), np.pi)
     arc = theta + np.linspace(-turn, turn, 25)
     wedge = np.vstack(((0.0, 0.0), 0.9 * reach * np.column_stack((np.cos(arc), np.sin(arc)))))
@@ -278,7 +278,7 @@ def draw_covariance(hypothesis: Hypothesis, px: float = 190.0) -> Markup:
     return macro("covariance", view=view, paths=paths)
 
 
-def draw_scan(scan: LaserScan, px: float = 300.0) -> Markup:
+def draw_scan(scan: LaserScan) -> Markup:
     """A scan as the sensor sees it, forward up: its points, and the rays without a return."""
     ahead = rotation(np.pi / 2)
     points = scan_xy(scan)[scan.valid] @ ahead.T
@@ -287,7 +287,7 @@ def draw_scan(scan: LaserScan, px: float = 300.0) -> Markup:
     angles = scan.angles[scan.no_return] + np.pi / 2
     out = reach * np.column_stack((np.cos(angles), np.sin(angles)))
     drawn = np.concatenate((np.zeros((1, 2)), near, 1.05 * out))
-    view = _around(drawn, 0.06, 0.05, px)
+    view = _around(drawn, 0.06, 0.05, 300.0)
     return macro(
         "scan",
         view=view,

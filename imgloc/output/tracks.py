@@ -173,7 +173,7 @@ class Video:
         From :meth:`save`, if OpenCV here cannot write MP4, or the file cannot be written.
     """
 
-    def __init__(self, features: MapFeatures, fps: float = 10.0) -> None:
+    def __init__(self, features: MapFeatures) -> None:
         self._canvas = map_canvas(features.grid)
         scale = min(1.0, _SIDE / max(self._canvas.image.shape[:2]))
         height, width = (2 * max(1, round(scale * n / 2)) for n in self._canvas.image.shape[:2])
@@ -181,7 +181,7 @@ class Video:
         handle, self._path = tempfile.mkstemp(suffix=".mp4")
         os.close(handle)
         fourcc = cv2.VideoWriter.fourcc(*"mp4v")
-        self._writer = cv2.VideoWriter(self._path, fourcc, fps, self._size)
+        self._writer = cv2.VideoWriter(self._path, fourcc, 10.0, self._size)
 
     def add(self, moment: Moment) -> None:
         """Add the frame of a moment."""

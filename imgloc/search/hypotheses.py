@@ -157,23 +157,24 @@ def covariances(
     return np.asarray((out + out.transpose(0, 2, 1)) / 2)
 
 
-def spreads(
+def centres(
     poses: FloatArray,
     score: FloatArray,
     best: IntArray,
     *,
     within: tuple[float, float],
     same: tuple[float, float],
-) -> FloatArray:
-    """Second moments (C, 3, 3) of the poses around each mode's best one.
+) -> tuple[FloatArray, FloatArray]:
+    """Mean (C, 3) and covariance (C, 3, 3) of the maxima of each mode, by what they score.
 
     Between two layers of a wall, or where a wall is drawn twice, the score has several maxima that
-    are close together: how firmly the scan holds in one of them says nothing about the others.
+    are close together: how firmly the scan holds in one of them says nothing about the others, and
+    which one is the best is chance. Their mean is nearer to the true pose, by a third.
 
     Parameters
     ----------
     poses, score : (M, 3) and (M,) float arrays
-        All that were refined; nats.
+        All that were refined; nats, divided by the temperature.
     best : (C,) int array
         Which are the best of their modes, see :func:`modes`.
     within, same : (float, float)
@@ -183,8 +184,9 @@ def spreads(
     --------
     >>> poses = np.array([[0, 0, 0], [0.1, 0, 0], [5, 0, 0.0]])
     >>> about = {"within": (0.5, 0.2), "same": (0.02, 0.01)}
-    >>> spreads(poses, np.zeros(3), np.array([0, 2]), **about)[:, 0, 0].round(4).tolist()
-    [0.005, 0.0]
+    >>> mean, covariance = centres(poses, np.zeros(3), np.array([0, 2]), **about)
+    >>> mean[:, 0].round(3).tolist(), covariance[:, 0, 0].round(4).tolist()
+    ([0.05, 5.0], [0.0025, 0.0])
     """
     order = np.argsort(-score, kind="stable")
     order = order[first_in_cell(poses[order], *same)]
@@ -192,9 +194,16 @@ def spreads(
     away[..., 2] = wrap(away[..., 2])
     near = np.hypot(away[..., 0], away[..., 1]) < within[0]
     near &= np.abs(away[..., 2]) < within[1]
-    weight = near * np.exp(np.minimum(score[order] - score[best][:, None], 0))
+    below = score[order] - score[best][:, None]
+    near &= below <= 0  # what scores more is of a better mode beside this one
+    weight = near * np.exp(np.minimum(below, 0))
     weight = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
-    return np.asarray(np.einsum("cm,cmi,cmj->cij", weight, away, away))
+    mean = np.einsum("cm,cmi->ci", weight, away)
+    away -= mean[:, None]
+    covariance = np.einsum("cm,cmi,cmj->cij", weight, away, away)
+    mean += poses[best]
+    mean[:, 2] = wrap(mean[:, 2])
+    return mean, covariance
 
 
 def _jackknife(

@@ -55,10 +55,15 @@ def nearest(prior: Prior, poses: FloatArray, resolution: float) -> FloatArray:
 def standing(poses: FloatArray, prior: Prior, features: MapFeatures) -> FloatArray:
     """The poses at which a sensor can be and may be, moved there if they are just beside."""
     poses = nearest(prior, poses, features.grid.resolution)
+    return poses[stands(poses, prior, features)]
+
+
+def stands(poses: FloatArray, prior: Prior, features: MapFeatures) -> BoolArray:
+    """Whether a sensor can be, and may be, at each of the poses (C, 3), grid frame: (C,) bool."""
     cells = cell_of(poses[:, :2], features.grid.resolution)
-    on_map = inside(cells, features.grid.info)
-    poses, cells = poses[on_map], cells[on_map]
-    return poses[features.standable[cells[:, 0], cells[:, 1]]]
+    ok = inside(cells, features.grid.info)
+    ok[ok] = features.standable[tuple(cells[ok].T)]
+    return ok & prior.admits(poses, features.grid.resolution)
 
 
 def on_lattice(prior: Prior, free: BoolArray, factor: int) -> BoolArray:
@@ -71,12 +76,11 @@ def on_lattice(prior: Prior, free: BoolArray, factor: int) -> BoolArray:
 def around(
     prior: Prior, shape: tuple[int, int], cell: float, resolution: float
 ) -> BoolArray | None:
-    """Cells of another lattice, `cell` metres, that lie in the set or touch it."""
+    """Cells of another lattice over the map, `cell` metres, that lie in the set or touch it."""
     if prior.cells is None:
         return None
     row, column = (
-        np.minimum((np.arange(n) + 0.5) * (resolution / cell), most - 1).astype(np.intp)
-        for n, most in zip(prior.cells.shape, shape, strict=True)
+        ((np.arange(n) + 0.5) * (resolution / cell)).astype(np.intp) for n in prior.cells.shape
     )
     # Rows and columns that meet in one lattice cell are neighbours: no list of cells is made.
     first, left = (np.flatnonzero(np.diff(at, prepend=-1)) for at in (row, column))
@@ -188,15 +192,14 @@ def _nearest_cells(mask: BoolArray, cells: IntArray, resolution: float) -> IntAr
     """For each (row, col) of (C, 2) the cell of `mask` that is nearest; itself if all are far."""
     reach = min(int(np.ceil(SLIP[0] / resolution)), _REACH)
     side = np.arange(-reach, reach + 1)
-    offsets = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
-    square = np.square(offsets).sum(axis=1)
-    order = np.argsort(square, kind="stable")
-    offsets = offsets[order[square[order] <= reach**2]]
+    square = np.add.outer(side**2, side**2)
+    offsets = np.argwhere(square <= reach**2)
+    offsets = offsets[np.argsort(square[tuple(offsets.T)], kind="stable")] - reach
     info = GridInfo(mask.shape[0], mask.shape[1], resolution)
     out, left = cells.copy(), np.arange(len(cells))
     while len(left) and len(offsets):
         # Nearly all are found by the first look: few are left for the many offsets far away.
-        some, offsets = np.split(offsets, [max(1, _LOOKS // len(left))])
+        some, offsets = np.split(offsets, [1 + _LOOKS // len(left)])
         looks = cells[left, None] + some
         hit = inside(looks, info)
         hit[hit] = mask[tuple(looks[hit].T)]

@@ -157,7 +157,8 @@ def _largest(stack: Float32Array, n: int, free: BoolArray) -> IntArray:
     Zeros count: what a coarse pose misses by a cell one of its finer ones may meet.
     """
     values = stack.ravel()
-    threshold = np.partition(values, values.size - n)[values.size - n] if n < values.size else 0.0
+    rank = values.size - min(n, values.size)
+    threshold = np.partition(values, rank)[rank]
     above = np.flatnonzero(values > threshold)
     # Poses that are not free are 0 as well.
     at = stack == threshold if threshold > 0 else (stack == 0) & free

@@ -12,7 +12,6 @@ Prints Markdown: medians over the repeats with their spread. Compare ratios, not
 machines.
 """
 
-import argparse
 import os
 import platform
 import sys
@@ -23,7 +22,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgloc.errors import ConfigError, ImglocError
+from imgloc.errors import ConfigError
 from imgloc.features.scanpoints import scan_points
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
@@ -46,6 +45,7 @@ from tools.bench.measure import (
 from tools.bench.outside import floors, growth, memory
 from tools.paper.complexity import fit_exponent
 from tools.recorded import scans_beside
+from tools.script import ended, parser_of
 
 PARTS = ("costs", "engines", "localize", "growth")
 """What is measured by default."""
@@ -63,9 +63,7 @@ Row = Mapping[str, Any]
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line, measure, print."""
-    parser = argparse.ArgumentParser(
-        "tools.bench", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("tools.bench", __doc__)
     parser.add_argument("--problem", type=Path, help="folder with mapA, mapB and scans_10m.npz")
     parser.add_argument(
         "--sets", type=Path, nargs="*", default=[], help="maps with a scans.npz beside them"
@@ -81,21 +79,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--scans", type=int, default=50, help="answers of localize; of a batch")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(arguments)
-    try:
-        results = run_bench(
-            given.problem,
-            sets=given.sets,
-            range_max=given.range_max,
-            parts=tuple(given.parts.split(",")),
-            repeats=given.repeats,
-            threads=given.threads,
-            scans=given.scans,
-        )
-    except ImglocError as error:
-        print(f"bench: error: {error}", file=sys.stderr)
-        return error.exit_code
-    print(to_json(results) if given.json else bench_tables(results))
-    return 0
+
+    def run() -> int:
+        asked = {k: v for k, v in vars(given).items() if k != "json"}
+        results = run_bench(**asked | {"parts": tuple(given.parts.split(","))})
+        print(to_json(results) if given.json else bench_tables(results))
+        return 0
+
+    return ended("bench", run)
 
 
 def run_bench(

@@ -16,10 +16,10 @@ import numpy as np
 from imgloc.batch import run_batch
 from imgloc.io.maps import save_map
 from imgloc.io.results import RESULTS, read_rows
-from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.model import OccupancyGrid
 from tools.bench.outside import command
+from tools.recorded import save_each
 
 Cost = Mapping[str, float]
 """``seconds`` and ``processor`` seconds."""
@@ -78,10 +78,7 @@ def _site(grid: OccupancyGrid, scans: ScanSet) -> Iterator[tuple[Path, Path]]:
     with TemporaryDirectory(prefix="imgloc-") as folder:
         yaml, files = Path(folder) / "map.yaml", Path(folder) / "scans"
         save_map(yaml, grid)
-        files.mkdir()
-        for k, scan in enumerate(scans.scans):
-            poses = None if scans.poses is None else scans.poses[k : k + 1]
-            save_scans(files / f"{k:04d}.npz", ScanSet((scan,), poses=poses))
+        save_each(files, scans)
         yield yaml, files
 
 

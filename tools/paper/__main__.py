@@ -23,8 +23,8 @@ import cv2
 import numpy as np
 
 from imgloc.__about__ import __version__
-from imgloc.errors import ConfigError, ImglocError, OutputError
-from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
+from imgloc.errors import ConfigError
+from imgloc.io.files import write_bytes_atomic, write_text_atomic
 from imgloc.io.images import encode_png
 from imgloc.model import to_json
 from tools.paper.claims import Claim, claims, growth_claims, time_claims
@@ -33,6 +33,7 @@ from tools.paper.figures import SETTINGS, figure
 from tools.paper.page import render_report
 from tools.paper.table import PAIRS, PLACES, STEPS_DEG, Ratio, TableRow, measure_ratios, table
 from tools.progress import progress
+from tools.script import ended, make_folder, parser_of
 
 FILES = ("results.json", "report.html", *(f"{name}.png" for name in (*SETTINGS, "complexity")))
 QUICK = 3
@@ -43,9 +44,7 @@ TIMED, TIMED_QUICK = (8, 3), (2, 1)
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line, run, write the files; return the exit code."""
-    parser = argparse.ArgumentParser(
-        "tools.paper", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("tools.paper", __doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder, made if need be")
     parser.add_argument("--quick", action="store_true", help=f"{QUICK} trials, time nothing twice")
     parser.add_argument("-n", type=int, help="trials in each world (default: 100)")
@@ -57,11 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--force", action="store_true", help="overwrite files in --out")
     given = parser.parse_args(arguments)
-    try:
-        return run(given)
-    except ImglocError as error:
-        print(f"paper: error: {error}", file=sys.stderr)
-        return error.exit_code
+    return ended("paper", lambda: run(given))
 
 
 def run(given: argparse.Namespace) -> int:
@@ -72,13 +67,7 @@ def run(given: argparse.Namespace) -> int:
             f"-n {n}, --seed {given.seed} and --threads {given.threads}: expected at least "
             "2 trials, a seed of 0 or more, 1 thread or more"
         )
-    try:
-        given.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{given.out}: cannot be made: {error.strerror}") from None
-    if not given.force:
-        for name in FILES:  # now, not after minutes of work
-            refuse_existing(given.out / name)
+    make_folder(given.out, FILES, force=given.force)
     cv2.setNumThreads(given.threads)
     worlds = tuple(dict.fromkeys(given.worlds))
     total = steps(n, worlds, quick=given.quick)

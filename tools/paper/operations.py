@@ -19,18 +19,19 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgloc.errors import ConfigError, ImglocError
+from imgloc.errors import ConfigError
 from imgloc.evaluation import Share, share
 from imgloc.features.gradients import SOURCES
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.visibility import WAYS
 from imgloc.index import Index, performance_index
-from imgloc.io.files import refuse_existing, write_text_atomic
+from imgloc.io.files import write_text_atomic
 from imgloc.likelihoods.correlate import ENGINES
 from imgloc.model import to_json
 from tools.paper.page import templates
 from tools.paper.table import PLACES, Gain, Outcome, gain, place, truth_of, try_method
 from tools.progress import progress
+from tools.script import ended, make_folder, parser_of
 
 CARD = ("filter2d", "remap", "image", "polar")
 """Those that the project's card names."""
@@ -182,11 +183,7 @@ def render_operations(rows: Sequence[OperationRow], n: int, seed: int) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line, compare, write the page and print the table."""
-    parser = argparse.ArgumentParser(
-        "tools.paper.operations",
-        description=__doc__,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = parser_of("tools.paper.operations", __doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder, made if need be")
     parser.add_argument("-n", type=int, help="scans in each world (default: 40)")
     parser.add_argument("--quick", action="store_true", help="3 scans in each world")
@@ -195,25 +192,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--threads", type=int, default=1, help="(default: 1)")
     parser.add_argument("--force", action="store_true", help="overwrite files in --out")
     given = parser.parse_args(arguments)
+    return ended("operations", lambda: run(given))
+
+
+def run(given: argparse.Namespace) -> int:
+    """Do what the command line asks for."""
     n = given.n if given.n is not None else 3 if given.quick else 40
-    page, plain = given.out / "operations.html", given.out / "operations.json"
-    try:
-        if given.seed < 0 or given.threads < 1:
-            raise ConfigError("expected a seed of 0 or more and 1 thread or more")
-        given.out.mkdir(parents=True, exist_ok=True)
-        for path in () if given.force else (page, plain):
-            refuse_existing(path)
-        cv2.setNumThreads(given.threads)
-        worlds = tuple(dict.fromkeys(given.worlds))
-        total = n * len(worlds) * len(OPERATIONS)
-        with progress("image operations", total) as advance:
-            rows = compare(n, given.seed, worlds=worlds, threads=given.threads, advance=advance)
-        told = {"n": n, "seed": given.seed, "rows": list(map(asdict, rows))}
-        write_text_atomic(plain, to_json(told) + "\n", force=given.force)
-        write_text_atomic(page, render_operations(rows, n, given.seed), force=given.force)
-    except ImglocError as error:
-        print(f"operations: error: {error}", file=sys.stderr)
-        return error.exit_code
+    if given.seed < 0 or given.threads < 1:
+        raise ConfigError("expected a seed of 0 or more and 1 thread or more")
+    make_folder(given.out, ("operations.html", "operations.json"), force=given.force)
+    cv2.setNumThreads(given.threads)
+    worlds = tuple(dict.fromkeys(given.worlds))
+    with progress("image operations", n * len(worlds) * len(OPERATIONS)) as advance:
+        rows = compare(n, given.seed, worlds=worlds, threads=given.threads, advance=advance)
+    told = {"n": n, "seed": given.seed, "rows": list(map(asdict, rows))}
+    write_text_atomic(given.out / "operations.json", to_json(told) + "\n", force=given.force)
+    page = render_operations(rows, n, given.seed)
+    write_text_atomic(given.out / "operations.html", page, force=given.force)
     print(markdown(rows))
     return 0
 

@@ -10,24 +10,23 @@ walls, doors, windows, stairs; the scans also see furniture that is on no plan, 
 
 import argparse
 import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 
-from imgloc.errors import ConfigError, ImglocError
+from imgloc.errors import ConfigError
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
 from tools.plans.drawing import STYLES, building, draw_plan
 from tools.plans.measure import DRAWN, MAPS, measure, table
 from tools.progress import progress
+from tools.script import ended, parser_of
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line, measure, print; return the exit code."""
-    raw = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser("tools.plans", description=__doc__, formatter_class=raw)
+    parser = parser_of("tools.plans", __doc__)
     parser.add_argument("-n", type=int, default=20, help="scans in each building (default: 20)")
     parser.add_argument("--seeds", default="1,2,3", help="of buildings, with commas between")
     parser.add_argument("--styles", default=",".join(STYLES), help="of walls, with commas between")
@@ -35,11 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--draw", type=Path, metavar="DIR", help="draw the plans there instead")
     parser.add_argument("--force", action="store_true", help="overwrite plans that are there")
     given = parser.parse_args(arguments)
-    try:
-        return run(given)
-    except ImglocError as error:
-        print(f"tools.plans: error: {error}", file=sys.stderr)
-        return error.exit_code
+    return ended("tools.plans", lambda: run(given))
 
 
 def run(given: argparse.Namespace) -> int:

@@ -1,0 +1,34 @@
+"""What the command lines of the scripts share."""
+
+import argparse
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+from imgloc.errors import ImglocError, OutputError
+from imgloc.io.files import refuse_existing
+
+
+def parser_of(name: str, about: str | None) -> argparse.ArgumentParser:
+    """A parser whose help shows the docstring of a module line by line."""
+    raw = argparse.RawDescriptionHelpFormatter
+    return argparse.ArgumentParser(name, description=about, formatter_class=raw)
+
+
+def ended(name: str, work: Callable[[], int]) -> int:
+    """The exit code of some work; an error of imgloc is one line on standard error."""
+    try:
+        return work()
+    except ImglocError as error:
+        print(f"{name}: error: {error}", file=sys.stderr)
+        return error.exit_code
+
+
+def make_folder(folder: Path, files: Iterable[str], *, force: bool) -> None:
+    """Make a folder for these files; one that is there is an OutputError now, before any work."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{folder}: cannot be made: {error.strerror}") from None
+    for name in () if force else files:
+        refuse_existing(folder / name)
