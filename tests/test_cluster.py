@@ -70,7 +70,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
                 )
             )
             stack.callback(run.terminate)
-        while not file.exists():
+        while not (file.exists() and file.read_text().endswith("}")):  # it is not written at once
             time.sleep(0.02)
         found = json.loads(file.read_text())["address"]
         with distributed.Client(found) as client:
