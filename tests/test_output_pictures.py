@@ -439,13 +439,13 @@ def test_numbers_of_poses_at_one_place_stand_apart(monkeypatch: pytest.MonkeyPat
 
 
 def test_the_legend_stands_beside_a_high_map_and_is_as_high() -> None:
-    wall = np.pad(np.zeros((300, 100), bool), 2, constant_values=True)
+    wall = np.pad(np.zeros((320, 100), bool), 2, constant_values=True)
     points = np.array([(0.5, 0.0), (0.5, 0.3)])
     grid = OccupancyGrid(wall, ~wall, 0.1)
     high = draw_hypotheses(grid, points, [hypothesis(5.0, 5.0, 0.0)], scale=4)
-    assert high.shape[0] == 4 * 304
+    assert high.shape[0] == 4 * 324
     frame = np.argwhere(np.all(high[:, 4 * 104 :] == INK, axis=2))
-    assert np.ptp(frame[:, 0]) > 0.6 * 4 * 304  # the inset takes what is left
+    assert np.ptp(frame[:, 0]) > 0.6 * 4 * 324  # the inset takes what is left
 
 
 def test_what_is_unknown_around_a_map_is_left_out() -> None:
