@@ -260,7 +260,8 @@ def separate(
     fused, score = options.fused, scores.log_likelihood
     distance, angle = fused.separation
     best = modes(poses, score, distance=distance, angle=angle)
-    tempered = score / _temperature(features, scores, n, options).value
+    misfit = _misfit(scores, n, options)
+    tempered = score / options.trust.temperature_at(misfit, n, features.grid.resolution).value
     mean, spread = centres(poses, tempered, best, within=fused.separation, same=fused.same)
     off = np.where(stands(mean, options.prior, features)[:, None], 0, poses[best] - mean)
     off[:, 2] = wrap(off[:, 2])
@@ -449,26 +450,23 @@ def _fit(
 ) -> tuple[dict[str, Any], Temperature]:
     """How well the best pose fits, as :class:`Found` has it, and the temperature of its score."""
     n, model = len(readings), options.fused.model
-    total = float(scores.log_likelihood.max())
-    misfit = model.best - total / n
+    misfit = _misfit(scores, n, options)
     told = options.prior.cells is not None or options.prior.heading is not None
     unmapped = unmapped_score(readings.xy, model, told=told)
-    temperature = _temperature(features, scores, n, options)
+    temperature = options.trust.temperature_at(misfit, n, features.grid.resolution)
     said = {
         "misfit": misfit,
         "unmapped": unmapped,
-        "gained": (total - unmapped * n) / temperature.value,
+        "gained": (model.best - misfit - unmapped) * n / temperature.value,
         "explained": float(scores.explained[0]),
         "readings": n,
     }
     return said, temperature
 
 
-def _temperature(features: MapFeatures, scores: Scores, n: int, options: Options) -> Temperature:
-    """Of `n` readings, of whose scores the best counts."""
-    best = float(scores.log_likelihood.max(initial=-np.inf))
-    misfit = options.fused.model.best - best / n
-    return options.trust.temperature_at(misfit, n, features.grid.resolution)
+def _misfit(scores: Scores, n: int, options: Options) -> float:
+    """Nats per reading, of `n`, that the best of some scores lacks."""
+    return options.fused.model.best - float(scores.log_likelihood.max(initial=-np.inf)) / n
 
 
 def _covariances(

@@ -22,9 +22,8 @@ from tempfile import TemporaryDirectory
 from imgloc.io.maps import bundled_maps, load_map
 from imgloc.io.results import RESULTS, read_rows
 from imgloc.simulation import Sensor, simulate
-from tools.progress import progress
 from tools.recorded import save_each
-from tools.script import parser_of
+from tools.script import parser_of, progress
 
 
 @dataclass

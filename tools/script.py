@@ -3,8 +3,10 @@
 import argparse
 import sys
 from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
 from pathlib import Path
 
+from imgloc.cli import console
 from imgloc.errors import ImglocError, OutputError
 from imgloc.io.files import refuse_existing
 
@@ -32,3 +34,11 @@ def make_folder(folder: Path, files: Iterable[str], *, force: bool) -> None:
         raise OutputError(f"{folder}: cannot be made: {error.strerror}") from None
     for name in () if force else files:
         refuse_existing(folder / name)
+
+
+def progress(title: str, total: int) -> AbstractContextManager[Callable[..., None]]:
+    """Show a progress bar on standard error, if that is a terminal.
+
+    What it yields is to be called after each of `total` steps.
+    """
+    return console.progress(title, total, lines=False)

@@ -37,7 +37,7 @@ from imgloc.pipeline import prepare
 from imgloc.sequences import Searches, Trials, driven, measure, piece, with_odometry
 from imgloc.tracking import follow
 from tools.plots import blank
-from tools.progress import progress
+from tools.script import progress
 
 #: Where the sensor sits on the robot whose odometry was recorded, if that is known: of duke_loop5
 #: as odometry and poses agree best while it turns.

@@ -32,8 +32,7 @@ from tools.paper.complexity import AXES, TIMES, Complexity, draw, measure
 from tools.paper.figures import SETTINGS, figure
 from tools.paper.page import render_report
 from tools.paper.table import PAIRS, PLACES, STEPS_DEG, Ratio, TableRow, measure_ratios, table
-from tools.progress import progress
-from tools.script import ended, make_folder, parser_of
+from tools.script import ended, make_folder, parser_of, progress
 
 FILES = ("results.json", "report.html", *(f"{name}.png" for name in (*SETTINGS, "complexity")))
 QUICK = 3

@@ -30,8 +30,7 @@ from imgloc.likelihoods.correlate import ENGINES
 from imgloc.model import to_json
 from tools.paper.page import templates
 from tools.paper.table import PLACES, Gain, Outcome, gain, place, truth_of, try_method
-from tools.progress import progress
-from tools.script import ended, make_folder, parser_of
+from tools.script import ended, make_folder, parser_of, progress
 
 CARD = ("filter2d", "remap", "image", "polar")
 """Those that the project's card names."""

@@ -20,8 +20,7 @@ from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
 from tools.plans.drawing import STYLES, building, draw_plan
 from tools.plans.measure import DRAWN, MAPS, measure, table
-from tools.progress import progress
-from tools.script import ended, parser_of
+from tools.script import ended, parser_of, progress
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -30,7 +30,7 @@ import cv2
 import numpy as np
 
 from imgloc.choice import names_of
-from imgloc.errors import ConfigError, ImglocError
+from imgloc.errors import ConfigError
 from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
 from imgloc.io.folders import find_maps
 from imgloc.io.images import encode_png
@@ -42,8 +42,8 @@ from imgloc.pipeline import prepare
 from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 from tools.plots import blank
-from tools.progress import progress
 from tools.recorded import scans_beside
+from tools.script import ended, parser_of, progress
 from tools.trust.fit import (
     Case,
     cases_at_home,
@@ -110,8 +110,7 @@ how many times the one the other is."""
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line, measure, print; return the exit code."""
-    raw = argparse.RawDescriptionHelpFormatter
-    parser = argparse.ArgumentParser("tools.trust", description=__doc__, formatter_class=raw)
+    parser, raw = parser_of("tools.trust", __doc__), argparse.RawDescriptionHelpFormatter
     tools = parser.add_subparsers(dest="tool", required=True)
     threads = os.cpu_count() or 1
 
@@ -184,12 +183,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument("--full", action="store_true", help="search all maps to the end, too")
 
     given = parser.parse_args(arguments)
-    try:
-        code: int = given.run(given)
-    except ImglocError as error:
-        print(f"{given.tool}: error: {error}", file=sys.stderr)
-        return error.exit_code
-    return code
+    return ended(given.tool, lambda: given.run(given))
 
 
 def run_reliability(given: argparse.Namespace) -> int:
