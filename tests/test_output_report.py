@@ -106,6 +106,14 @@ def test_what_is_no_folder_of_results_is_an_error(tmp_path: Path) -> None:
         assert not list(tmp_path.iterdir())
 
 
+def test_a_batch_without_any_answer_has_a_page(tmp_path: Path) -> None:
+    failed = [row(k, "attic", [], "failed", code="scan", message="it is empty") for k in range(2)]
+    write(tmp_path, "localize", failed)
+    page = render_report(tmp_path)
+    assert page.count("it is empty") == 1  # texts stand in the page once
+    assert '"answers":{"columns":[],"count":0,"pictures":[]}' in page
+
+
 def test_bars_have_everything_in_them() -> None:
     bars = histogram([0.001, 0.05, 0.06, 1e6], 0.01, 100.0)
     assert sum(n for _, _, n in bars) == 4

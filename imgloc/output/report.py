@@ -240,7 +240,7 @@ def _table(columns: Sequence[Column], values: Mapping[str, list[Any]]) -> dict[s
             texts = {text: k for k, text in enumerate(dict.fromkeys(values[column.key]))}
             said |= {"values": [texts[v] for v in values[column.key]], "texts": list(texts)}
         out.append(said)
-    return {"columns": out, "count": len(values[columns[0].key])}
+    return {"columns": out, "count": len(next(iter(values.values())))}
 
 
 def _table_of_maps(maps: Mapping[str, _OfMap]) -> dict[str, Any]:
