@@ -35,57 +35,82 @@ _SHOWN = 12  # kinds of failures that are listed with how often they were
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table, as the page's script shows it."""
+    """A column of a table, as the page's script shows it, and what of a row it shows."""
 
     key: str
     title: str
     digits: int | None = None  #: after the point; None is text
-    unit: str = ""
+    unit: str = ""  #: shares are shown as %, radians as °
+    #: where it stands in a row, keys and indices with points between; by default its own key
+    at: str | Callable[[Row], Any] = ""
+
+    def of(self, row: Row) -> Any:
+        """What a row says here, as it is shown; None where it says nothing."""
+        value = self.at(row) if callable(self.at) else _at(row, self.at or self.key)
+        if isinstance(value, bool):
+            return "yes" if value else "no"
+        if self.digits is None or value is None or not math.isfinite(value):
+            return value if self.digits is None else None
+        value = {"%": 100 * value, "°": math.degrees(value)}.get(self.unit[:1], value)
+        return round(value, self.digits or None)
+
+
+def _at(value: Any, place: str) -> Any:
+    for step in place.split("."):
+        if isinstance(value, list):
+            value = value[int(step)] if value else None
+        elif value is not None:
+            value = value.get(step)
+    return value
+
+
+def _explained(answer: Row) -> Any:
+    return answer["explained"] if answer["hypotheses"] else None
 
 
 _ANSWERS: Mapping[str, tuple[Column, ...]] = {
     "localize": (
         Column("verdict", "verdict"),
-        Column("mass", "mass", 1, "%"),
-        Column("explained", "explained", 0, "%"),
-        Column("misfit", "misfit", 3, "nats"),
-        Column("x", "x", 2, "m"),
-        Column("y", "y", 2, "m"),
-        Column("theta", "heading", 1, "°"),
-        Column("error", "error", 3, "m"),
-        Column("turn", "turned", 1, "°"),
+        Column("mass", "mass", 1, "%", "hypotheses.0.mass"),
+        Column("explained", "explained", 0, "%", _explained),
+        Column("misfit", "misfit", 3, "nats", "evidence.misfit"),
+        Column("x", "x", 2, "m", "hypotheses.0.x"),
+        Column("y", "y", 2, "m", "hypotheses.0.y"),
+        Column("theta", "heading", 1, "°", "hypotheses.0.theta"),
+        Column("error", "error", 3, "m", "error.position"),
+        Column("turn", "turned", 1, "°", "error.heading"),
         Column("hit", "hit"),
         Column("ms", "time", 0, "ms"),
     ),
     "which": (
         Column("verdict", "verdict"),
-        Column("best", "best map"),
-        Column("probability", "probability", 1, "%"),
+        Column("best", "best map", at="maps.0.map"),
+        Column("probability", "probability", 1, "%", "maps.0.probability"),
         Column("none", "none of them", 1, "%"),
         Column("ms", "time", 0, "ms"),
     ),
     "evaluate": (
         Column("method", "method"),
         Column("trials", "scans", 0),
-        Column("index", "S", 2, "nats"),
-        Column("right", "right", 1, "%"),
-        Column("wrong", "unique, wrong", 1, "%"),
-        Column("error", "median error", 3, "m"),
+        Column("index", "S", 2, "nats", "index.value"),
+        Column("right", "right", 1, "%", "success.-1.at_1.value"),
+        Column("wrong", "unique, wrong", 1, "%", "success.-1.unique_wrong.value"),
+        Column("error", "median error", 3, "m", "position.p50"),
     ),
     "check": (
         Column("width", "width", 0, "cells"),
         Column("height", "height", 0, "cells"),
         Column("resolution", "cell", 3, "m"),
-        Column("area", "free", 1, "m²"),
-        Column("warnings", "warnings", 0),
-        Column("codes", "what"),
+        Column("area", "free", 1, "m²", "free_area"),
+        Column("warnings", "warnings", 0, at=lambda answer: len(answer["warnings"])),
+        Column("codes", "what", at=lambda answer: ", ".join(w["code"] for w in answer["warnings"])),
     ),
     "atlas": (
         Column("places", "places", 0),
-        Column("unique", "unique", 1, "%"),
-        Column("ambiguous", "ambiguous", 1, "%"),
-        Column("wrong", "wrong", 1, "%"),
-        Column("area", "one scan is enough", 1, "% of the area"),
+        Column("unique", "unique", 1, "%", "unique.value"),
+        Column("ambiguous", "ambiguous", 1, "%", "ambiguous.value"),
+        Column("wrong", "wrong", 1, "%", "wrong.value"),
+        Column("area", "one scan is enough", 1, "% of the area", "unique_area.value"),
     ),
 }
 _ITEM = (Column("map", "map"), Column("scans", "scans"), Column("k", "scan", 0))
@@ -110,16 +135,17 @@ _FAILURES = (
 
 
 @dataclass
-class _OfMap:
-    """What the items of one map come to."""
+class _Counted(BatchSummary):
+    """What rows come to, with what their errors and times are made of."""
 
-    items: int = 0
-    failed: int = 0
-    verdicts: Counter[str] = field(default_factory=Counter)
-    known: int = 0
-    hits: int = 0
-    errors: list[float] = field(default_factory=list)
+    errors: list[float] = field(default_factory=list)  #: metres, of answers with a known pose
     ms: list[float] = field(default_factory=list)
+
+    def add(self, row: Row) -> None:
+        super().add(row)
+        self.ms += row["cost"].get("ms", ())
+        errors = [answer["error"]["position"] for answer in row["answers"] if "hit" in answer]
+        self.errors += [error for error in errors if error is not None]
 
 
 def render_report(folder: PathLike, *, beside: PathLike | None = None) -> str:
@@ -130,41 +156,34 @@ def render_report(folder: PathLike, *, beside: PathLike | None = None) -> str:
     OutputError
         If it is not the folder of a batch, or cannot be read.
     """
-    run, summary = read_run(folder), BatchSummary()
+    run, summary = read_run(folder), _Counted()
     job = str(run["job"])
     columns = [*_ITEM, *_ANSWERS[job]]
-    answers: dict[str, list[Any]] = {column.key: [] for column in columns} | {"pictures": []}
-    failures: dict[str, list[Any]] = {column.key: [] for column in _FAILURES}
-    maps: dict[str, _OfMap] = {}
-    versions: Counter[str] = Counter()
-    of_job = _DESCRIBED[job]
+    answers, failures, pictures = list[list[Any]](), list[list[Any]](), list[Any]()
+    kinds = Counter[tuple[str, str]]()
+    maps, versions = dict[str, _Counted](), Counter[str]()
     for row in read_rows(folder):
         summary.add(row)
+        maps.setdefault(row["map"], _Counted()).add(row)
         versions[row["version"]] += 1
-        of_map = maps.setdefault(row["map"], _OfMap())
-        of_map.items += 1
         if row["status"] != "ok":
-            of_map.failed += 1
-            for column in _FAILURES:
-                failures[column.key].append(row[column.key])
+            failures.append([column.of(row) for column in _FAILURES])
+            kinds[row["status"], str(row["code"])] += 1
+        times = row["cost"].get("ms", ())
         for k, answer in enumerate(row["answers"]):
             index = answer.get("index") if "verdict" in answer else None  # S of `evaluate` else
-            said = {"map": row["map"], "scans": row["scans"], "k": k if index is None else index}
-            said |= of_job(answer, row, k)
-            for column in columns:
-                answers[column.key].append(_short(said.get(column.key), column.digits))
-            answers["pictures"].append(answer.get("pictures") or 0)
-            _count(of_map, answer, row, k)
-    errors = [e for m in maps.values() for e in m.errors]
-    times = [t for m in maps.values() for t in m.ms]
-    shown = [column for column in columns if any(v is not None for v in answers[column.key])]
+            about = {"map": row["map"], "scans": row["scans"], "k": k if index is None else index}
+            said = {**answer, **about, "ms": times[k] if k < len(times) else None}
+            answers.append([column.of(said) for column in columns])
+            pictures.append(answer.get("pictures") or 0)
+    of_maps = [_of_map(name, m, summary.verdicts) for name, m in sorted(maps.items())]
     data = {
-        "answers": _table(shown, answers) | {"pictures": answers["pictures"]},
-        "maps": _table_of_maps(maps),
-        "failures": _table(_FAILURES, failures),
+        "answers": _table(columns, answers) | {"pictures": pictures},
+        "maps": _table(_MAPS, of_maps),
+        "failures": _table(_FAILURES, failures, whole=True),
         "folder": Path(os.path.relpath(Path(folder) / PICTURES, beside or folder)).as_posix(),
     }
-    embedded = _embedded(Path(folder) / PICTURES, answers["pictures"])
+    embedded = _embedded(Path(folder) / PICTURES, pictures)
     return ENVIRONMENT.get_template("report.html").render(
         title=f"{display(Path(folder).resolve().name)}: {job}",
         run=run,
@@ -174,12 +193,12 @@ def render_report(folder: PathLike, *, beside: PathLike | None = None) -> str:
         verdicts=_in_order(summary.verdicts),
         hints=read_summary(folder).get("hints", []),
         statuses=sorted(summary.statuses.items(), key=lambda kv: -kv[1]),
-        kinds=_kinds(failures),
-        error_bars=histogram(errors, 0.01, 100.0),
-        time_bars=histogram(times, 1.0, 1e5),
-        error_middle=_median(errors),
-        time_middle=_median(times),
-        pictured=sum(bool(p) for p in answers["pictures"]),
+        kinds=[(*kind, n) for kind, n in kinds.most_common(_SHOWN)],
+        error_bars=histogram(summary.errors, 0.01, 100.0),
+        time_bars=histogram(summary.ms, 1.0, 1e5),
+        error_middle=_median(summary.errors),
+        time_middle=_median(summary.ms),
+        pictured=sum(map(bool, pictures)),
         linked=embedded is None,
         parameters=[(digest, list(flat(p))) for digest, p in run["parameters"].items()],
         data=_script(data),
@@ -218,53 +237,37 @@ def brief(value: float) -> str:
     return f"{float(f'{value:.3g}'):,}".removesuffix(".0")
 
 
-def _count(of_map: _OfMap, answer: Row, row: Row, k: int) -> None:
-    if "verdict" in answer:
-        named = "maps" in answer and answer["verdict"] not in _VERDICTS
-        of_map.verdicts["named" if named else answer["verdict"]] += 1
-    if k < len(row["cost"].get("ms", ())):
-        of_map.ms.append(row["cost"]["ms"][k])
-    if "hit" in answer:
-        of_map.known += 1
-        of_map.hits += answer["hit"]
-        if (error := answer["error"]["position"]) is not None:
-            of_map.errors.append(error)
+def _table(
+    columns: Sequence[Column], lines: Sequence[Sequence[Any]], *, whole: bool = False
+) -> dict[str, Any]:
+    """A table for the page's script: columns, each with its values; texts by their number.
 
-
-def _table(columns: Sequence[Column], values: Mapping[str, list[Any]]) -> dict[str, Any]:
-    """A table for the page's script: columns, each with its values; texts by their number."""
+    Columns that say nothing in any line are left out, unless it is to be `whole`.
+    """
     out = []
-    for column in columns:
-        said = {**vars(column), "values": values[column.key]}
+    for k, column in enumerate(columns):
+        values = [line[k] for line in lines]
+        if not whole and all(value is None for value in values):
+            continue
+        shown = ("key", "title", "digits", "unit")
+        said = {name: getattr(column, name) for name in shown} | {"values": values}
         if column.digits is None:
-            texts = {text: k for k, text in enumerate(dict.fromkeys(values[column.key]))}
-            said |= {"values": [texts[v] for v in values[column.key]], "texts": list(texts)}
+            texts = {text: n for n, text in enumerate(dict.fromkeys(values))}
+            said |= {"values": [texts[value] for value in values], "texts": list(texts)}
         out.append(said)
-    return {"columns": out, "count": len(next(iter(values.values())))}
+    return {"columns": out, "count": len(lines)}
 
 
-def _table_of_maps(maps: Mapping[str, _OfMap]) -> dict[str, Any]:
-    values: dict[str, list[Any]] = {column.key: [] for column in _MAPS}
-    for name, m in sorted(maps.items()):
-        row: dict[str, Any] = {
-            "map": name, "items": m.items, "failed": m.failed,
-            "answers": sum(m.verdicts.values()) or None, **m.verdicts, "known": m.known or None,
-            "right": 100 * m.hits / m.known if m.known else None,
-            "error": _median(m.errors), "ms": _median(m.ms),
-        }  # fmt: skip
-        for column in _MAPS:
-            values[column.key].append(_short(row.get(column.key), column.digits))
-    kept = [c for c in _MAPS if any(v is not None for v in values[c.key])]
-    for column in kept:
-        if column.key in _VERDICTS:
-            values[column.key] = [v or 0 for v in values[column.key]]
-    return _table(kept, values)
-
-
-def _kinds(failures: Mapping[str, list[Any]]) -> list[tuple[str, str, int]]:
-    """Kinds of failures, how often they were, most often first."""
-    pairs = Counter(zip(failures["status"], map(str, failures["code"]), strict=True))
-    return [(status, code, n) for (status, code), n in pairs.most_common(_SHOWN)]
+def _of_map(name: str, m: _Counted, verdicts: Iterable[str]) -> list[Any]:
+    """The line of a map in the table of all; of the `verdicts` each has a number."""
+    row = {
+        "map": name, "items": m.items, "failed": m.failed,
+        "answers": sum(m.verdicts.values()) or None, **{v: m.verdicts.get(v, 0) for v in verdicts},
+        "known": m.known or None,
+        "right": m.hits / m.known if m.known else None,
+        "error": _median(m.errors), "ms": _median(m.ms),
+    }  # fmt: skip
+    return [column.of(row) for column in _MAPS]
 
 
 def _in_order(verdicts: Mapping[str, int]) -> list[tuple[str, int]]:
@@ -274,12 +277,6 @@ def _in_order(verdicts: Mapping[str, int]) -> list[tuple[str, int]]:
 
 def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if len(values) else None
-
-
-def _short(value: Any, digits: int | None) -> Any:
-    if digits is None or value is None:
-        return value
-    return None if not math.isfinite(value) else round(value, digits) if digits else round(value)
 
 
 def _embedded(folder: Path, pictures: Iterable[Any]) -> dict[str, str] | None:
@@ -299,60 +296,4 @@ def _script(data: object) -> Markup:
     return Markup(text.replace("<", "\\u003c").replace("\u2028", "\\u2028"))  # noqa: S704
 
 
-def _located(answer: Row, row: Row, k: int) -> dict[str, Any]:
-    best = answer["hypotheses"][0] if answer["hypotheses"] else None
-    out = {"verdict": answer["verdict"], "misfit": answer["evidence"]["misfit"]}
-    if k < len(row["cost"].get("ms", ())):
-        out["ms"] = row["cost"]["ms"][k]
-    if best is not None:
-        out |= {"x": best["x"], "y": best["y"], "theta": math.degrees(best["theta"])}
-        out |= {"mass": 100 * best["mass"], "explained": 100 * (answer["explained"] or 0)}
-    if "hit" in answer:
-        error = answer["error"]
-        turned = None if error["heading"] is None else math.degrees(error["heading"])
-        out |= {"hit": "yes" if answer["hit"] else "no", "error": error["position"]}
-        out["turn"] = turned
-    return out
-
-
-def _named(answer: Row, row: Row, k: int) -> dict[str, Any]:
-    best = answer["maps"][0]
-    probability = best["probability"]
-    return {
-        "verdict": answer["verdict"],
-        "best": best["map"],
-        "probability": None if probability is None else 100 * probability,
-        "none": None if answer["none"] is None else 100 * answer["none"],
-        "ms": row["cost"]["ms"][k] if k < len(row["cost"].get("ms", ())) else None,
-    }
-
-
-def _measured(answer: Row, _row: Row, _k: int) -> dict[str, Any]:
-    success = answer["success"][-1]
-    return {
-        "method": answer["method"],
-        "trials": answer["trials"],
-        "index": answer["index"]["value"],
-        "right": 100 * success["at_1"]["value"],
-        "wrong": 100 * success["unique_wrong"]["value"],
-        "error": answer["position"]["p50"],
-    }
-
-
-def _checked(answer: Row, _row: Row, _k: int) -> dict[str, Any]:
-    codes = [w["code"] for w in answer["warnings"]]
-    own = {key: answer[key] for key in ("width", "height", "resolution")}
-    about = {"area": answer["free_area"], "warnings": len(codes), "codes": ", ".join(codes)}
-    return own | about
-
-
-def _surveyed(answer: Row, _row: Row, _k: int) -> dict[str, Any]:
-    shares = {kind: 100 * answer[kind]["value"] for kind in ("unique", "ambiguous", "wrong")}
-    return {"places": answer["places"], **shares, "area": 100 * answer["unique_area"]["value"]}
-
-
-_DESCRIBED: Mapping[str, Callable[[Row, Row, int], dict[str, Any]]] = {
-    "localize": _located, "which": _named, "evaluate": _measured, "check": _checked,
-    "atlas": _surveyed,
-}  # fmt: skip
 ENVIRONMENT.filters["brief"] = brief
