@@ -303,19 +303,6 @@ class SequenceSummary:
     speed: float  #: seconds of log for a second of one processor
 
 
-def first_for_good(good: FloatArray) -> int | None:
-    """Index of the first moment from which on all are good; None if the last is not.
-
-    Examples
-    --------
-    >>> first_for_good(np.array([1, 0, 1, 1])), first_for_good(np.array([1, 0]))
-    (2, None)
-    """
-    bad = np.flatnonzero(np.asarray(good) == 0)
-    first = 0 if not len(bad) else int(bad[-1]) + 1
-    return first if first < len(good) else None
-
-
 def _after(run: Run, metres: float) -> int | None:
     """First moment at which so much was driven; None if the run is shorter."""
     k = int(np.searchsorted(run.metres, metres - 1e-9))
@@ -350,7 +337,7 @@ def summarise_runs(runs: Sequence[Run], kidnaps: Sequence[Run] = ()) -> Sequence
     frames, radii = F3LOC
     last = [run.error[-frames:, 0] for run in runs if len(run.seconds) >= frames]
     # A verdict may be withdrawn later; the pose is to be right from there on.
-    first = [int(np.argmax(run.unique * _for_good(run.right) > 0)) for run in runs]
+    first = [int(np.argmax(run.unique * for_good(run.right) > 0)) for run in runs]
     done = [
         (run, k) for run, k in zip(runs, first, strict=True)
         if run.unique[k] and run.right[k:].all()
@@ -381,8 +368,8 @@ def summarise_runs(runs: Sequence[Run], kidnaps: Sequence[Run] = ()) -> Sequence
     )
 
 
-def _for_good(good: FloatArray) -> FloatArray:
-    """Whether this and all later moments are good: 1 or 0."""
+def for_good(good: FloatArray) -> FloatArray:
+    """Whether this and all later moments are good: 1 or 0 each, (N,)."""
     return np.asarray(np.minimum.accumulate(good[::-1])[::-1])
 
 

@@ -10,7 +10,7 @@ from imgloc.model import LaserScan
 from imgloc.sequences import (
     Run,
     driven,
-    first_for_good,
+    for_good,
     piece,
     recovered,
     starts,
@@ -73,9 +73,9 @@ def test_starts_have_way_ahead() -> None:
 
 
 def test_right_for_good() -> None:
-    assert first_for_good(np.array([1, 1])) == 0
-    assert first_for_good(np.array([0, 0])) is None
-    assert first_for_good(np.array([0, 1, 0, 1, 1])) == 3
+    assert for_good(np.array([1, 1])).tolist() == [1, 1]
+    assert for_good(np.array([0, 0])).tolist() == [0, 0]
+    assert for_good(np.array([0, 1, 0, 1, 1])).tolist() == [0, 0, 0, 1, 1]
 
 
 def test_shares_are_of_the_moments_and_of_all_later_ones() -> None:

@@ -92,15 +92,18 @@ def evaluate(
     from imgloc.simulation import fine_image, is_world, sample_set, simulate
 
     if sequence:
-        from imgloc.cli.sequence import Plan, measure_sequences
+        from imgloc.cli.sequence import measure_sequences
+        from imgloc.sequences import Trials
 
         if scans is None or len(scans) != len(maps):
             raise ConfigError("--sequence: expected --scans, recorded ones, once for each MAP")
         if chosen != Chosen():
             raise ConfigError("--index, --sample: with --sequence logs are followed as a whole")
         names = opt.names_of("--filters", filters, ["tracker", "grid", "particle"])
-        plan = Plan(names, begin, metres, seed, range_max, resets, mounted, flipped)
-        measure_sequences(maps, scans, plan, resources(), reading, as_json, allow_lossy)
+        measure_sequences(
+            maps, scans, names, Trials(begin, metres, seed=seed, resets=resets),
+            opt.Mounting(mounted, flipped), range_max, resources(), reading, as_json, allow_lossy,
+        )  # fmt: skip
         return
     names = opt.methods_of(methods, list(opt.MethodName))
     steps = opt.for_each("--theta-step-deg", theta_step_deg, names, *opt.STEP)
@@ -170,25 +173,19 @@ def _check_sources(
     """Refuse options that would be ignored."""
     from imgloc.simulation import Sensor
 
-    n, many = 0 if scans is None else len(scans), count or 0
-    simulated = (
-        (flipped, "--flipped: expected --scans; simulated sensors are upright"),
-        (
-            chosen.sample is not None,
-            "--sample: expected --scans to take from; -n is for simulated scans",
-        ),
-        (chosen.index is not None, "--index: expected --scans to take from"),
-        (many > _MAX_SCANS, f"-n: got {many:,}, expected at most {_MAX_SCANS:,} scans"),
-    )
-    recorded = (
-        (n != len(maps), f"--scans: got {n} for {len(maps)} maps, expected one each"),
-        (count is not None, "-n: recorded scans are not simulated; use --sample"),
-        (
-            sensor != Sensor(),
-            "--scans: options of a simulated sensor do not go with recorded scans",
-        ),
-    )
-    for wrong, message in simulated if scans is None else recorded:
+    n, many, sampled = len(scans or ()), count or 0, chosen.sample is not None
+    simulated = {
+        "--flipped: expected --scans; simulated sensors are upright": flipped,
+        "--sample: expected --scans to take from; -n is for simulated scans": sampled,
+        "--index: expected --scans to take from": chosen.index is not None,
+        f"-n: got {many:,}, expected at most {_MAX_SCANS:,} scans": many > _MAX_SCANS,
+    }
+    recorded = {
+        f"--scans: got {n} for {len(maps)} maps, expected one each": n != len(maps),
+        "-n: recorded scans are not simulated; use --sample": count is not None,
+        "--scans: options of a simulated sensor do not go with recorded scans": sensor != Sensor(),
+    }
+    for message, wrong in (simulated if scans is None else recorded).items():
         if wrong:
             raise ConfigError(message)
 

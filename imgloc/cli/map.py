@@ -2,7 +2,7 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -11,10 +11,6 @@ from imgloc.cli.console import emit, quiet_libraries, say
 from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import display
-
-if TYPE_CHECKING:
-    from imgloc.model import OccupancyGrid
-    from imgloc.output.pictures import Picture
 
 Subject = StrEnum(
     "Subject", ("MAP", "BMAP", "VMAP", "SURFACE", "VISIBILITY", "DISTANCE", "LIKELIHOOD")
@@ -86,8 +82,11 @@ def show(
     from imgloc.cli import inputs
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.geometry import cell_of, in_grid_frame, inside
+    from imgloc.io.scanset import Chosen
     from imgloc.model import Pose2D
+    from imgloc.options import Options
     from imgloc.output.pictures import draw
+    from imgloc.pipeline import likelihood
 
     inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
     if (scans is None) == (what == Subject.LIKELIHOOD):
@@ -99,10 +98,10 @@ def show(
     for name, value in (("--sigma", sigma), ("--cell", cell)):
         if value is not None and what not in (Subject.BMAP, Subject.VMAP):
             raise ConfigError(f"{name}: only --what bmap and --what vmap are blurred")
+    budget = opt.fixed_budget(memory_budget)
     grid = inputs.load_grid(
-        map_path, opt.fixed_budget(memory_budget),
-        allow_lossy=allow_lossy, usable=what != Subject.MAP, **reading,
-    )  # fmt: skip
+        map_path, budget, allow_lossy=allow_lossy, usable=what != Subject.MAP, **reading
+    )
     features = MapFeatures(grid, cell=cell or grid.resolution, sigma=sigma or 0.1)
     if at is not None:
         there = in_grid_frame(Pose2D(*at), grid)
@@ -113,9 +112,11 @@ def show(
     if scans is None:
         picture = draw(features, what=what.value, at=at)
     else:
-        picture = _likelihood(
-            grid, scans, index or 0, method.value, memory_budget, display(map_path)
-        )
+        held = inputs.load_set(scans, budget)
+        (k,) = Chosen(str(index or 0)).of(len(held), display(scans))
+        options = Options(method=method.value, memory_budget=budget)
+        features = inputs.open_features(grid, display(map_path), None, options, scans=held.scans)
+        picture = draw(grid, likelihood(features, held[k], options))
     picture.save(out, force=force)
     height, width = picture.image.shape[:2]
     say(f"wrote {display(out)}: {what.value}, {width} x {height} pixels")
@@ -215,20 +216,3 @@ def plan(
         emit(plan_text(name, resolution, found, display(out)))
     if picture is not None:
         say(f"wrote {display(picture)}")
-
-
-def _likelihood(
-    grid: "OccupancyGrid", scans: Path, index: int, method: str, budget: int | None, name: str
-) -> "Picture":
-    """The likelihood of a scan at every position, at its best heading there, over the map."""
-    from imgloc.cli import inputs
-    from imgloc.io.scanset import Chosen
-    from imgloc.options import Options
-    from imgloc.output.pictures import draw
-    from imgloc.pipeline import likelihood
-
-    held = inputs.load_set(scans, opt.fixed_budget(budget))
-    (k,) = Chosen(str(index)).of(len(held), display(scans))
-    options = Options(method=method, memory_budget=opt.fixed_budget(budget))
-    features = inputs.open_features(grid, name, None, options, scans=held.scans)
-    return draw(grid, likelihood(features, held[k], options))

@@ -1,33 +1,23 @@
 """`imgloc evaluate --sequence`: filters along logs whose poses are known."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress, width
 from imgloc.io.files import display
 
+if TYPE_CHECKING:
+    from imgloc.sequences import Trials
+
 GRID_CELL = 0.2  # metres: of the grid filter, whose stacks are held whole
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What is measured."""
-
-    filters: Sequence[str]
-    starts: int  #: at random; one each 30 s comes on top
-    metres: float
-    seed: int
-    range_max: float | None
-    resets: bool
-    sensor: tuple[float, float, float] | None
-    flipped: bool
-
-
 def measure_sequences(
-    maps: Sequence[Path], logs: Sequence[Path], plan: Plan, taken: opt.Resources,
+    maps: Sequence[Path], logs: Sequence[Path], filters: Sequence[str], trials: "Trials",
+    mounting: opt.Mounting, range_max: float | None, taken: opt.Resources,
     reading: "opt.Reading", as_json: bool, allow_lossy: bool,
 ) -> None:  # fmt: skip
     """Measure each filter on each log, and print a table or rows."""
@@ -37,9 +27,8 @@ def measure_sequences(
     from imgloc.options import Options
     from imgloc.output.tracks import sequence_row, sequence_tables
     from imgloc.pipeline import prepare
-    from imgloc.sequences import Trials, measure, with_odometry
+    from imgloc.sequences import measure, with_odometry
 
-    mounting = opt.Mounting(plan.sensor, plan.flipped)
     rows: list[dict[str, Any]] = []
     plain = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     for given, log in zip(maps, logs, strict=True):
@@ -49,17 +38,16 @@ def measure_sequences(
         options = calibrated(plain, path, grid)
         scans = inputs.load_set(log, taken.memory_budget)
         mounting.check(scans.scans)
-        cut = [mounting.mount(inputs.cut_scan(scan, plan.range_max)) for scan in scans.scans]
-        scans, odometry = with_odometry(replace(scans, scans=tuple(cut)), plan.seed)
-        trials = Trials(plan.starts, plan.metres, seed=plan.seed, resets=plan.resets)
-        for filter_ in plan.filters:
+        cut = [mounting.mount(inputs.cut_scan(scan, range_max)) for scan in scans.scans]
+        scans, odometry = with_odometry(replace(scans, scans=tuple(cut)), trials.seed)
+        for filter_ in filters:
             cell = {"cell": GRID_CELL} if filter_ == "grid" else {}
             features = prepare(grid, display(path), threads=taken.threads, **cell)
             inputs.check_answer(features, options, display(path), scans=scans.scans)
             with progress(f"{name}: {filter_}", trials.count(scans), lines=False) as advance:
                 summary = measure(features, scans, filter_, trials, options, advance=advance)
             LOG.info("%s: %s: %s wrong seconds", name, filter_, summary.wrong)
-            about = {"odometry": odometry, "log": display(log), "resets": plan.resets}
+            about = {"odometry": odometry, "log": display(log), "resets": trials.resets}
             rows.append(sequence_row(name, filter_, summary, about))
             if as_json:
                 emit(to_json(rows[-1]))

@@ -24,6 +24,7 @@ from imgloc.output.canvas import (
     Canvas,
     Colour,
     Image,
+    faded,
     map_canvas,
     marker_size,
     scale_bar,
@@ -157,10 +158,9 @@ def draw_belief(canvas: Canvas, belief: Belief) -> Image:
     for pose, mass in list(zip(belief.poses, belief.mass, strict=True))[::-1]:
         if mass < _DRAWN:
             continue
-        fade = 0.25 + 0.75 * math.sqrt(float(mass))
-        ink = tuple(round(255 + fade * (c - 255)) for c in colour)
+        ink = faded(colour, 0.25 + 0.75 * math.sqrt(float(mass)))
         x, y, theta = pose
-        sheet.robot(x, y, theta, (ink[0], ink[1], ink[2]), size * (0.5 + 0.5 * float(mass)))
+        sheet.robot(x, y, theta, ink, size * (0.5 + 0.5 * float(mass)))
     return sheet.image
 
 
