@@ -418,14 +418,19 @@ def _pairs(path: Path, job: Job) -> list[Item]:
     data = read_file(path, limit=_MAX_PAIRS, error=ConfigError, what="CSV of pairs")
     reader = csv.DictReader(data.decode("utf-8-sig", "surrogateescape").splitlines())
     columns = {"map"} if job.name in (*WITHOUT_SCANS, "evaluate") else {"map", "scans"}
-    if not columns <= set(reader.fieldnames or ()):
-        found = ", ".join(reader.fieldnames or ()) or "nothing"
+    try:
+        there, rows = reader.fieldnames or (), [(reader.line_num, row) for row in reader]
+    except csv.Error as error:
+        line = reader.line_num + 1
+        raise ConfigError(f"{name}: line {line}: {error}, expected map,scans") from None
+    if not columns <= set(there):
+        found = ", ".join(there) or "nothing"
         raise ConfigError(f"{name}: got the columns {found}, expected map,scans")
     items: dict[tuple[str, str | None], Item] = {}
-    for row in reader:
+    for line, row in rows:
         map_name, scans = row["map"], row.get("scans") or None
         if not map_name or (scans is None and "scans" in columns):
-            raise ConfigError(f"{name}: line {reader.line_num}: expected a map and scans")
+            raise ConfigError(f"{name}: line {line}: expected a map and scans")
         if job.name in WITHOUT_SCANS:
             scans = None
         where = path.absolute().parent

@@ -300,11 +300,13 @@ def test_pairs(site: Path, tmp_path: Path) -> None:
         ("floors", "scans", "check", "looks at maps alone"),
         ("bad.csv", None, "localize", "expected map,scans"),
         ("none.csv", None, "localize", "no pair"),
+        ("long.csv", None, "localize", r"line 2: field larger than .* expected map,scans"),
     ],
 )
 def test_nothing_to_do_is_an_error(site: Path, maps, scans, job, said) -> None:
     (site / "bad.csv").write_text("a,b\n1,2\n")
     (site / "none.csv").write_text("map,scans\n")
+    (site / "long.csv").write_text(f"map,scans\n{'a' * 200_000},b\n")
     with pytest.raises(ConfigError, match=said):
         find_items(site / maps, None if scans is None else site / scans, Job(job))
 
