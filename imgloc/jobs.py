@@ -173,8 +173,9 @@ def open_map(path: Path, job: Job, options: Options, *, fresh: bool = False) -> 
 
     ConfigError if it takes more memory than a worker may.
     """
-    # By what is in its files, and the way it is read.
-    key = (path, content_hash(files_of(path)), repr(sorted(job.reading.items())), job.cell)
+    # By what is in its files, and the way it is read: a worker of a cluster has many a job.
+    way = (repr(sorted(job.reading.items())), job.allow_lossy, job.cell, job.memory_budget)
+    key = (path, content_hash(files_of(path)), *way)
     if fresh or key not in _MAPS:
         budget = job.memory_budget or default_budget()
         reading = reading_of(path, job.reading)

@@ -12,19 +12,20 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import PIL.Image
 import pytest
 from command import MAPS, ROOT, call, command
 from killers import Saboteur
 from places import room_with_a_post
 
 from imgloc.batch import find_items, run_batch
-from imgloc.errors import ConfigError, OutputError
+from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.geometry import wrap
 from imgloc.io.maps import save_map
 from imgloc.io.results import LOCK, RESULTS, SUMMARY, Results, read_rows
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.jobs import Job
+from imgloc.jobs import Item, Job, perform
 from imgloc.model import Pose2D
 from imgloc.options import Options
 from imgloc.output.drawings import DRAWINGS
@@ -340,6 +341,17 @@ def test_every_command_s_work(site: Path, tmp_path: Path, job: str) -> None:
     assert bool(answer.get("pictures")) == (job != "evaluate")
     assert "Answer by answer" in render_report(out)
     assert columns_of(out)["status"] == ["ok"]
+
+
+def test_a_worker_that_has_a_lossy_map_refuses_it_still(site: Path, tmp_path: Path) -> None:
+    jpeg = tmp_path / "post.jpg"
+    with PIL.Image.open(site / "floors" / "post.png") as image:
+        image.convert("L").save(jpeg, quality=95)
+    item = Item("post", "s0.npz", (("post", jpeg),), site / "scans" / "s0.npz")
+    job = replace(QUICK, reading={"resolution": 0.1}, allow_lossy=True)
+    assert perform(item, job).answers
+    with pytest.raises(MapError, match="pass --allow-lossy"):
+        perform(item, replace(job, allow_lossy=False))
 
 
 def test_pictures_of_what_is_doubtful(site: Path, tmp_path: Path) -> None:
