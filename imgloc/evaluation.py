@@ -50,7 +50,7 @@ from imgloc.model import (
     Localization,
     Pose2D,
 )
-from imgloc.options import FUSED, LOG_METHODS, FusedOptions, Options
+from imgloc.options import FUSED, LOG_METHODS, Options
 from imgloc.pipeline import effective, likelihood, localize, posterior_of
 
 Z95 = 1.959964  #: quantile of the normal distribution for intervals of 95 %
@@ -219,11 +219,10 @@ def method_options(method: str, theta_step: float | None = None, threads: int = 
     30
     """
     if method == FUSED:
-        fused = FusedOptions() if theta_step is None else FusedOptions(theta_step=theta_step)
-        return Options(method=method, threads=threads, top=_MIXTURE, fused=fused)
-    default = np.deg2rad(PAPER_STEPS_DEG.get(method, 3.0))
-    step = float(default if theta_step is None else theta_step)
-    return Options(method=method, threads=threads, top=LISTED, theta_step=step)
+        return Options(threads=threads, top=_MIXTURE).stepped(theta_step)
+    paper = float(np.deg2rad(PAPER_STEPS_DEG.get(method, 3.0)))
+    step = paper if theta_step is None else theta_step
+    return Options(method, LISTED, step, threads=threads)
 
 
 def evaluate(

@@ -240,9 +240,7 @@ def _options(job: Job, path: Path, grid: OccupancyGrid | None = None) -> Options
 def _locate(item: Item, job: Job) -> Done:
     ((_, path),) = item.maps
     scans, indices = open_scans(item, job)
-    features = open_map(path, job, _options(job, path))
-    options, done = _options(job, path, features.grid), Done()
-    options = replace(options, prior=job.known.prior(features.grid))
+    (features, options), done = _opened(path, job), Done()
     for n, (k, scan) in enumerate(zip(indices, scans.scans, strict=True)):
         answer = localize(features, scan, options)
         row = answer.as_row(k)
@@ -259,6 +257,13 @@ def _locate(item: Item, job: Job) -> Done:
     return done
 
 
+def _opened(path: Path, job: Job) -> Opened:
+    """A map, and the options with what is known of it."""
+    features = open_map(path, job, _options(job, path))
+    options = _options(job, path, features.grid)
+    return features, replace(options, prior=job.known.prior(features.grid))
+
+
 def look_again(item: Item, job: Job, said: Sequence[tuple[str, float, float]]) -> list[Doubt]:
     """What may be wrong with an item of ``localize``: tried on a few of its scans.
 
@@ -266,9 +271,7 @@ def look_again(item: Item, job: Job, said: Sequence[tuple[str, float, float]]) -
     """
     ((_, path),) = item.maps
     scans, _ = open_scans(item, job)
-    features = open_map(path, job, _options(job, path))
-    options = _options(job, path, features.grid)
-    options = replace(options, prior=job.known.prior(features.grid))
+    features, options = _opened(path, job)
     verdicts = [verdict for verdict, _, _ in said]
     placed = [Evidence(scale=s, thinner=t) for v, s, t in said if v in SURE]
     found = doubts(
@@ -287,8 +290,9 @@ def _compare(poses: Any, truth: Pose2D, tolerance: Tolerance) -> dict[str, Any]:
 
 def _evaluate(item: Item, job: Job) -> Done:
     ((name, path),) = item.maps
-    options = method_options(job.options.method, job.options.theta_step)
-    options = replace(options, memory_budget=job.memory_budget)
+    given = job.options
+    step = given.fused.theta_step if given.method == FUSED else given.theta_step
+    options = replace(method_options(given.method, step), memory_budget=job.memory_budget)
     # The bytes of the features are part of the row: no others have used them.
     features = open_map(path, job, options, fresh=True)
     known = _options(job, path, features.grid)

@@ -5,7 +5,7 @@
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -335,6 +335,17 @@ class Options:
         held = np.cumsum(share)
         enough = int(np.searchsorted(held, MOST_OF_IT * held[-1:].sum())) + 1
         return min(max(AT_LEAST, enough), AT_MOST, len(share))
+
+    def stepped(self, theta_step: float | None) -> "Options":
+        """The options with a step for the headings of their method, radians; with None as they are.
+
+        Of ``fused`` it is that of the endpoint correlation.
+        """
+        if theta_step is None:
+            return self
+        if self.method == FUSED:
+            return replace(self, fused=replace(self.fused, theta_step=theta_step))
+        return replace(self, theta_step=theta_step)
 
     @property
     def step(self) -> float:

@@ -343,6 +343,16 @@ def test_every_command_s_work(site: Path, tmp_path: Path, job: str) -> None:
     assert columns_of(out)["status"] == ["ok"]
 
 
+def test_fused_is_evaluated_with_the_step_that_was_asked_for(site: Path) -> None:
+    floor = (("post", site / "floors" / "post.yaml"),)
+    item = Item("post", "s0.npz", floor, site / "scans" / "s0.npz")
+    fine, coarse = (
+        perform(item, Job("evaluate", Options().stepped(step), cell=0.2)).answers[0]
+        for step in (None, np.pi / 2)
+    )
+    assert fine["index"]["value"] != coarse["index"]["value"]
+
+
 def test_a_worker_that_has_a_lossy_map_refuses_it_still(site: Path, tmp_path: Path) -> None:
     jpeg = tmp_path / "post.jpg"
     with PIL.Image.open(site / "floors" / "post.png") as image:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import emit, say
+from imgloc.cli.console import bar_of, emit, say
 from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
@@ -140,7 +140,7 @@ def batch(
     from imgloc.features.budget import MIB, default_budget
     from imgloc.jobs import Job
     from imgloc.model import to_json
-    from imgloc.options import FusedOptions, Options
+    from imgloc.options import Options
     from imgloc.output.drawings import DRAWINGS
     from imgloc.output.tables import batch_text
 
@@ -149,7 +149,6 @@ def batch(
     cleared = "clearance" in given and job in (JobName.LOCALIZE, JobName.WHICH)
     told = opt.Known(near, heading, None, sensor.clearance if cleared else None)
     angle = None if theta_step_deg is None else math.radians(theta_step_deg)
-    fused = method == opt.MethodName.FUSED
     budget = memory_limit or (None if dask else default_budget() // many)
     if budget is not None and budget < MIB:
         raise ConfigError(f"--memory-limit: got {budget} bytes, expected at least 1M")
@@ -160,12 +159,7 @@ def batch(
         close = Tolerance(tolerance[0], math.radians(tolerance[1]))
     what = Job(
         job.value,
-        Options(
-            method=method.value,
-            theta_step=None if fused else angle,
-            fused=FusedOptions(theta_step=angle) if fused and angle else FusedOptions(),
-            top=top,
-        ),
+        Options(method=method.value, top=top).stepped(angle),
         reading=reading,
         allow_lossy=allow_lossy,
         cell=cell,
@@ -287,41 +281,33 @@ def _cluster(
 @contextlib.contextmanager
 def _progress(todo: "list[Item]") -> Iterator[Callable[[bool], None]]:
     """A bar with items/s, failures and time left on a terminal; elsewhere a line a minute."""
-    start, done, failed, said = time.monotonic(), 0, 0, time.monotonic()
-    if sys.stderr is not None and sys.stderr.isatty():
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-        from rich.progress import TimeRemainingColumn as Remaining
+    start = said = time.monotonic()
+    done = failed = 0
+    with contextlib.ExitStack() as stack:
+        bar = None
+        if sys.stderr is not None and sys.stderr.isatty():
+            from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+            from rich.progress import TimeRemainingColumn as Remaining
 
-        columns = (
-            BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
-            TextColumn("{task.fields[failed]:,} failed,"), Remaining(compact=True),
-            TextColumn("left"),
-        )  # fmt: skip
-        with Progress(
-            *columns, console=Console(stderr=True), transient=True, redirect_stdout=False
-        ) as bar:
+            columns = (
+                BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}"),
+                TextColumn("{task.fields[failed]:,} failed,"), Remaining(compact=True),
+                TextColumn("left"),
+            )  # fmt: skip
+            bar = stack.enter_context(bar_of(*columns))
             task = bar.add_task("batch", total=len(todo), failed=0, rate="")
 
-            def show(bad: bool) -> None:
-                nonlocal failed, done
-                failed, done = failed + bad, done + 1
-                rate = f"{done / max(time.monotonic() - start, 1e-3):.1f} items/s,"
-                bar.update(task, advance=1, failed=failed, rate=rate)
+        def advance(bad: bool) -> None:
+            nonlocal done, failed, said
+            failed, done, now = failed + bad, done + 1, time.monotonic()
+            rate = done / max(now - start, 1e-3)
+            if bar is not None:
+                bar.update(task, advance=1, failed=failed, rate=f"{rate:.1f} items/s,")
+            elif now - said >= _EVERY:
+                said, left = now, (len(todo) - done) / rate / 60
+                say(
+                    f"{done:,} of {len(todo):,} items, {failed:,} failed, {rate:.2g} items/s, "
+                    f"{left:.0f} min left"
+                )
 
-            yield show
-        return
-
-    def tell(bad: bool) -> None:
-        nonlocal done, failed, said
-        failed, done = failed + bad, done + 1
-        now = time.monotonic()
-        if now - said >= _EVERY:
-            said, rate = now, done / (now - start)
-            left = (len(todo) - done) / rate / 60
-            say(
-                f"{done:,} of {len(todo):,} items, {failed:,} failed, {rate:.2g} items/s, "
-                f"{left:.0f} min left"
-            )
-
-    yield tell
+        yield advance

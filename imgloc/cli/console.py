@@ -118,6 +118,21 @@ def quiet_libraries() -> Iterator[None]:
         yield
 
 
+def bar_of(*columns: Any, disable: bool = False) -> Any:
+    """A progress bar of rich on standard error, which goes when it is done."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    # Without the redirection: results go to stdout, where they belong.
+    return Progress(
+        *columns,
+        console=Console(stderr=True),
+        transient=True,
+        redirect_stdout=False,
+        disable=disable,
+    )
+
+
 @contextlib.contextmanager
 def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable[..., None]]:
     """Show a progress bar on standard error, if that is a terminal.
@@ -129,18 +144,14 @@ def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable
     crowded = lines and total > 1 and sys.stdout is not None and sys.stdout.isatty()
     terminal = sys.stderr is not None and sys.stderr.isatty()
     quiet = not terminal or crowded or LOG.isEnabledFor(logging.INFO)
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
     from rich.progress import TimeRemainingColumn as Remaining
 
     columns = (
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Remaining(),
         TextColumn("{task.fields[note]}"),
     )  # fmt: skip
-    # Without the redirection: results go to stdout, where they belong.
-    with Progress(
-        *columns, console=Console(stderr=True), transient=True, redirect_stdout=False, disable=quiet
-    ) as bar:
+    with bar_of(*columns, disable=quiet) as bar:
         task = bar.add_task(title, total=total if total > 1 else None, note="")
 
         def advance(note: str = "") -> None:

@@ -81,7 +81,7 @@ def localize(
     from imgloc.io.calibration import calibrated
     from imgloc.io.maps import SWAPPED
     from imgloc.model import SURE, Evidence, LaserScan, Pose2D, to_json
-    from imgloc.options import FusedOptions, Options
+    from imgloc.options import Options
     from imgloc.output.pages import render_explanation
     from imgloc.output.pictures import draw
     from imgloc.output.tables import (
@@ -112,8 +112,6 @@ def localize(
     fused = method == opt.MethodName.FUSED
     options = Options(
         method=method.value,
-        theta_step=None if fused else step,
-        fused=FusedOptions(theta_step=step) if fused and step is not None else FusedOptions(),
         top=top,
         engine=engine.value,
         threads=taken.threads,
@@ -122,7 +120,7 @@ def localize(
         exact=exact_argmax,
         prior=inputs.prior_of(known, grid, allow_lossy=allow_lossy),
     )
-    options = calibrated(options, map_path, grid)
+    options = calibrated(options.stepped(step), map_path, grid)
     folder = inputs.kept_in(cache, wanted=not no_cache)
     sets = [inputs.load_set(path, taken.memory_budget, logs) for path in scans_paths]
     for scans in sets:
