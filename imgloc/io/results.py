@@ -20,6 +20,8 @@ RESULTS, RUN, SUMMARY, PICTURES = "results.jsonl", "run.json", "summary.json", "
 LOCK = ".imgloc-batch.lock"
 _FORMAT = 1
 _FOLDER = "folder of results of 'imgloc batch'"
+#: what a row has, whatever became of its item
+_KEYS = {"map", "scans", "status", "code", "message", "answers", "key", "version", "cost"}
 Row = dict[str, Any]
 Id = tuple[str, str | None]
 
@@ -171,6 +173,7 @@ def read_run(folder: PathLike) -> Row:
             isinstance(about, dict)
             and about.get("format") == _FORMAT
             and isinstance(about.get("parameters"), dict)
+            and isinstance(about.get("job"), str)
         ):
             return about
     except FileNotFoundError:
@@ -227,7 +230,7 @@ def _lines(file: IO[bytes]) -> Iterator[bytes]:
 def _parse(line: bytes, k: int, name: str) -> Row:
     try:
         row = json.loads(line)
-        if isinstance(row, dict) and {"map", "scans", "key", "status"} <= row.keys():
+        if isinstance(row, dict) and row.keys() >= _KEYS:
             return row
     except ValueError:
         pass

@@ -20,6 +20,7 @@ from markupsafe import Markup
 
 from imgloc.__about__ import __version__
 from imgloc.batch import BatchSummary
+from imgloc.errors import OutputError
 from imgloc.io.files import PathLike, display
 from imgloc.io.results import PICTURES, Row, read_rows, read_run, read_summary
 from imgloc.output.pages import flat
@@ -157,7 +158,9 @@ def render_report(folder: PathLike, *, beside: PathLike | None = None) -> str:
         If it is not the folder of a batch, or cannot be read.
     """
     run, summary = read_run(folder), _Counted()
-    job = str(run["job"])
+    if (job := run["job"]) not in _ANSWERS:
+        known = ", ".join(_ANSWERS)
+        raise OutputError(f"{display(folder)}: results of the job {job!r}, expected {known}")
     columns = [*_ITEM, *_ANSWERS[job]]
     answers, failures, pictures = list[list[Any]](), list[list[Any]](), list[Any]()
     kinds = Counter[tuple[str, str]]()
