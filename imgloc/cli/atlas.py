@@ -51,8 +51,7 @@ def atlas(
     from imgloc.simulation import fine_image, is_world
 
     inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
-    if csv is not None:
-        inputs.check_target(csv, ".csv", force=force)
+    inputs.check_target(csv, ".csv", force=force)
     budget, name = opt.fixed_budget(memory_budget), display(map_path)
     grid = inputs.load_grid(map_path, budget, allow_lossy=allow_lossy, **reading)
     height, width = grid.occupied.shape

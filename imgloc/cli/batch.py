@@ -86,8 +86,8 @@ def batch(
     topic: str | None = option(None, "NAME", "Of logs with several lasers, this one."),
     range_scale: float = opt.RANGE_SCALE,
     range_max: opt.Cut = None,
-    tolerance: Any = option(
-        None, "M,DEG", "How near a known pose is a hit. [default: 0.5,10]", parser=opt.numbers(2)
+    tolerance: str | None = option(
+        None, "M,DEG", "How near a known pose is a hit. [default: 0.5,10]"
     ),
     sure: float = option(
         0.5, "P", "For which: probability a map needs.", within=(0.5, 1, "a probability")
@@ -136,7 +136,7 @@ def batch(
     pool = None if dask or dry_run else _pool(context, many, timeout, memory_limit)
     from imgloc.batch import find_items, run_batch
     from imgloc.cli import inputs
-    from imgloc.evaluation import TOLERANCES, Tolerance
+    from imgloc.evaluation import TOLERANCES
     from imgloc.features.budget import MIB, default_budget
     from imgloc.jobs import Job
     from imgloc.model import to_json
@@ -152,11 +152,6 @@ def batch(
     budget = memory_limit or (None if dask else default_budget() // many)
     if budget is not None and budget < MIB:
         raise ConfigError(f"--memory-limit: got {budget} bytes, expected at least 1M")
-    close = TOLERANCES[-1]
-    if tolerance is not None:
-        opt.check_range("--tolerance", tolerance[0], 1e-6, 1e6, "metres")
-        opt.check_range("--tolerance", tolerance[1], 1e-6, 360, "degrees")
-        close = Tolerance(tolerance[0], math.radians(tolerance[1]))
     what = Job(
         job.value,
         Options(method=method.value, top=top).stepped(angle),
@@ -170,7 +165,7 @@ def batch(
         flipped=mounting.flipped,
         mount=mounting.pose,
         known=inputs.known_of(told),
-        tolerance=close,
+        tolerance=TOLERANCES[-1] if tolerance is None else opt.tolerance_of(tolerance),
         sure=sure,
         sensor=replace(sensor, range_max=reach),
         count=count,

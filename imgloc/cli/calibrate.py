@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _STACKS = [name.value for name in opt.MethodName if name != opt.MethodName.FUSED]
 
 
-@opt.with_options(opt.sensor, opt.reading, opt.resources, opt.console)
+@opt.with_options(opt.sensor, opt.reading, opt.taken, opt.console)
 def calibrate(
     maps: Annotated[
         list[Path],
@@ -32,7 +32,7 @@ def calibrate(
     ],
     sensor: "opt.Sensor",
     reading: "opt.Reading",
-    resources: opt.Take,
+    taken: opt.Resources,
     scans: list[Path] | None = option(
         None, "FILE", "Recorded scans: fit the scale of the map and the thickness of its walls."
     ),
@@ -86,10 +86,9 @@ def calibrate(
     if scans is not None:
         if len(paths) > 1:
             raise ConfigError("--scans: expected one MAP, the one that they are from")
-        _with_scans(paths[0], scans, reading, resources(), as_json, dry_run, force, allow_lossy)
+        _with_scans(paths[0], scans, reading, taken, as_json, dry_run, force, allow_lossy)
         return
     check_trials(count * len(paths))
-    taken = resources()
     budget = taken.memory_budget
     laser = replace(sensor, range_max=range_max)
     grids: list[OccupancyGrid] = []

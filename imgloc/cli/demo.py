@@ -18,9 +18,9 @@ _OUT = Path("imgloc-demo.png")
 DemoMap = StrEnum("DemoMap", ("DOUBLE_WALL", "VISIBILITY", "LARGE", "CURVED", "CORRIDOR"))
 
 
-@opt.with_options(opt.resources, opt.console)
+@opt.with_options(opt.taken, opt.console)
 def demo(
-    resources: opt.Take,
+    taken: opt.Resources,
     name: DemoMap = flag("--map", "Bundled map.", DemoMap.DOUBLE_WALL),
     seed: int = option(0, "N", "Seed of the pose and of the noise.", min=0),
     out: Path | None = option(
@@ -49,9 +49,7 @@ def demo(
     from imgloc.simulation import simulate
 
     maps = bundled_maps()
-    if out is not None:
-        inputs.check_target(out, ".png", force=force, inputs=maps.glob("*.png"))
-    taken = resources()
+    inputs.check_target(out, ".png", force=force, inputs=maps.glob("*.png"))
     path = maps / f"{name.value}.yaml"
     grid = load_map(path)
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)

@@ -19,7 +19,7 @@ _MAX_SCANS = 100_000
 _FLOOR = (1e-12, 0.5, "a share")
 
 
-@opt.with_options(opt.sensor, opt.reading, opt.chosen, opt.resources, opt.console)
+@opt.with_options(opt.sensor, opt.reading, opt.chosen, opt.taken, opt.console)
 def evaluate(
     maps: Annotated[
         list[Path],
@@ -30,7 +30,7 @@ def evaluate(
     sensor: "opt.Sensor",
     reading: "opt.Reading",
     chosen: "opt.Chosen",
-    resources: opt.Take,
+    taken: opt.Resources,
     methods: str = option(_METHODS, "NAMES", "With commas between."),
     count: int | None = option(
         None, "N", "Scans simulated. [default: 100]", "-n", "--count", min=1
@@ -82,7 +82,7 @@ def evaluate(
     Everything but what is under "cost" is the same in every run.
     """
     from imgloc.cli import inputs
-    from imgloc.evaluation import TOLERANCES, Tolerance, method_options
+    from imgloc.evaluation import TOLERANCES, method_options
     from imgloc.evaluation import evaluate as measure
     from imgloc.io.calibration import calibration_path, load_calibrations
     from imgloc.io.scanset import Chosen
@@ -102,18 +102,16 @@ def evaluate(
         names = opt.names_of("--filters", filters, ["tracker", "grid", "particle"])
         measure_sequences(
             maps, scans, names, Trials(begin, metres, seed=seed, resets=resets),
-            opt.Mounting(mounted, flipped), range_max, resources(), reading, as_json, allow_lossy,
+            opt.Mounting(mounted, flipped), range_max, taken, reading, as_json, allow_lossy,
         )  # fmt: skip
         return
     names = opt.methods_of(methods, list(opt.MethodName))
     steps = opt.for_each("--theta-step-deg", theta_step_deg, names, *opt.STEP)
     cells = opt.for_each("--cell", cell, names, *opt.SIDE)
     opt.check_range("--range-max", range_max, 1e-3, 10_000 if scans is None else 1e6, "metres")
-    tolerances = [_tolerance(text) for text in tolerance or ()]
+    within = (*TOLERANCES, *map(opt.tolerance_of, tolerance or ()))
     _check_sources(maps, scans, count, chosen, sensor, flipped=flipped)
-    taken = resources()
     budget = taken.memory_budget
-    within = (*TOLERANCES, *(Tolerance(m, math.radians(deg)) for m, deg in tolerances))
     table: list[dict[str, Any]] = []
     for k, given in enumerate(maps):
         path = opt.find_map(given)
@@ -188,11 +186,3 @@ def _check_sources(
     for message, wrong in (simulated if scans is None else recorded).items():
         if wrong:
             raise ConfigError(message)
-
-
-def _tolerance(text: str) -> tuple[float, float]:
-    metres, comma, degrees = text.partition(",")
-    if not comma:
-        raise ConfigError(f"--tolerance: got {text!r}, expected metres and degrees, M,DEG")
-    away = opt.number_of("--tolerance", metres, 1e-6, 1e6, "metres")
-    return away, opt.number_of("--tolerance", degrees, 1e-6, 360, "degrees")

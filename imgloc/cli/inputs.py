@@ -53,11 +53,16 @@ def files_of(map_path: Path) -> list[Path]:
     return files
 
 
-def check_target(path: Path, ending: str, *, force: bool, inputs: Iterable[Path] = ()) -> None:
+def check_target(
+    path: Path | None, ending: str, *, force: bool, inputs: Iterable[Path] = ()
+) -> None:
     """Refuse an output file before the work that it is to hold: one without the `ending`, or there.
 
-    With `force` one that is there may be replaced, but for `inputs`, which the command reads.
+    With `force` one that is there may be replaced, but for `inputs`, which the command reads. None,
+    an option that was not given, passes.
     """
+    if path is None:
+        return
     if path.suffix.lower() != ending:
         raise ConfigError(f"{display(path)}: expected a name that ends in {ending}")
     if not path.parent.is_dir():
@@ -216,6 +221,8 @@ def check_answer(
 def kept_in(given: Path | None, *, wanted: bool) -> Path | None:
     """Where prepared maps are kept: the folder given, else the user's; None for nowhere."""
     if not wanted:
+        if given is not None:
+            raise ConfigError("--cache and --no-cache: expected one of them")
         return None
     try:
         return given or cache_folder()

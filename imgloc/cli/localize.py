@@ -17,7 +17,7 @@ _WIDE = 112  # columns of a line with the poses of the sensor and of the base
 
 
 @opt.with_options(
-    opt.known, opt.mounting, opt.reading, opt.logs, opt.chosen, opt.resources, opt.console
+    opt.known, opt.mounting, opt.reading, opt.logs, opt.chosen, opt.taken, opt.console
 )
 def localize(
     map_path: opt.MapPath,
@@ -27,7 +27,7 @@ def localize(
     reading: "opt.Reading",
     logs: opt.Logs,
     chosen: "opt.Chosen",
-    resources: opt.Take,
+    taken: opt.Resources,
     method: opt.MethodName = typer.Option(
         opt.MethodName.FUSED,
         help="How: fused searches and re-scores, the others are the paper's stacks.",
@@ -95,16 +95,13 @@ def localize(
     from imgloc.pipeline import check_options
     from imgloc.pipeline import localize as locate
 
-    if cache is not None and no_cache:
-        raise ConfigError("--cache and --no-cache: expected one of them")
+    folder = inputs.kept_in(cache, wanted=not no_cache)
     if engine != opt.EngineName.AUTO and method not in (opt.MethodName.CBML, opt.MethodName.CBML_O):
         raise ConfigError(f"--engine: {method.value} does not correlate; use cbml or cbml-o")
     read = [*inputs.files_of(map_path), *([] if known.region is None else [known.region])]
     outputs = ((picture, ".png", read), (explain, ".html", list[Path]()))
     for path, ending, sources in outputs:
-        if path is not None:
-            inputs.check_target(path, ending, force=force, inputs=sources)
-    taken = resources()
+        inputs.check_target(path, ending, force=force, inputs=sources)
     grid = inputs.load_grid(
         map_path, taken.memory_budget, allow_lossy=allow_lossy, usable=False, **reading
     )
@@ -121,7 +118,6 @@ def localize(
         prior=inputs.prior_of(known, grid, allow_lossy=allow_lossy),
     )
     options = calibrated(options.stepped(step), map_path, grid)
-    folder = inputs.kept_in(cache, wanted=not no_cache)
     sets = [inputs.load_set(path, taken.memory_budget, logs) for path in scans_paths]
     for scans in sets:
         mounting.check(scans.scans)

@@ -180,8 +180,7 @@ def plan(
 
     png = out.with_suffix(".png")
     for target, ending in ((out, ".yaml"), (png, ".png"), (picture, ".png")):
-        if target is not None:
-            inputs.check_target(target, ending, force=force, inputs=[path])
+        inputs.check_target(target, ending, force=force, inputs=[path])
     if picture is not None and picture.resolve() == png.resolve():
         raise ConfigError(f"--picture: {display(picture)} is the image of the map; another name")
     name, budget = display(path), opt.fixed_budget(memory_budget)

@@ -17,6 +17,7 @@ from imgloc.cli.console import configure
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
+    from imgloc.evaluation import Tolerance
     from imgloc.io.maps import Reading as Reading
     from imgloc.io.scanset import Chosen as Chosen
     from imgloc.model import LaserScan, Pose2D
@@ -244,24 +245,17 @@ class Resources(NamedTuple):
     memory_budget: int
 
 
-Take = Callable[[], Resources]
-
-
-def resources(
+def taken(
     threads: int | None = option(
         None, "N", "Threads; no result depends on it. [default: all processors]", min=1
     ),
     memory_budget: MemoryBudget = None,
-) -> Take:
-    """Options of what a command may take; call the result when its work begins."""
+) -> Resources:
+    """Options of what a command may take."""
+    import cv2
 
-    def take() -> Resources:
-        import cv2
-
-        cv2.setNumThreads(count_threads(threads))
-        return Resources(count_threads(threads), fixed_budget(memory_budget))
-
-    return take
+    cv2.setNumThreads(count_threads(threads))
+    return Resources(count_threads(threads), fixed_budget(memory_budget))
 
 
 def fixed_budget(memory_budget: int | None) -> int:
@@ -462,6 +456,17 @@ def number_of(option: str, text: str, low: float, high: float, unit: str) -> flo
         raise ConfigError(f"{option}: got {text!r}, expected a number") from None
     check_range(option, value, low, high, unit)
     return value
+
+
+def tolerance_of(text: str) -> "Tolerance":
+    """How near a known pose is a hit, of --tolerance M,DEG."""
+    from imgloc.evaluation import Tolerance
+
+    metres, comma, degrees = text.partition(",")
+    if not comma:
+        raise ConfigError(f"--tolerance: got {text!r}, expected metres and degrees, M,DEG")
+    away = number_of("--tolerance", metres, 1e-6, 1e6, "metres")
+    return Tolerance(away, math.radians(number_of("--tolerance", degrees, 1e-6, 360, "degrees")))
 
 
 def methods_of(text: str, known: Sequence[str]) -> list[str]:

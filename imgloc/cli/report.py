@@ -30,9 +30,8 @@ def report(
     from imgloc.output.report import MARK, render_report
 
     target = folder / "report.html" if out is None else out
-    if out is not None:
-        inputs.check_target(out, ".html", force=force)
-    elif not force and os.path.lexists(target) and MARK not in _beginning(target):
+    inputs.check_target(out, ".html", force=force)
+    if out is None and not force and os.path.lexists(target) and MARK not in _beginning(target):
         refuse_existing(target)  # somebody else's
     html = render_report(folder, beside=target.parent)
     write_text_atomic(target, html, force=out is None or force)

@@ -15,14 +15,14 @@ from imgloc.io.files import display, write_text_atomic
 _MOST = 10_000_000  # poses in all
 
 
-@opt.with_options(opt.reading, opt.logs, opt.chosen, opt.resources, opt.console)
+@opt.with_options(opt.reading, opt.logs, opt.chosen, opt.taken, opt.console)
 def sample(
     map_path: opt.MapPath,
     scans_path: opt.ScansPath,
     reading: "opt.Reading",
     logs: opt.Logs,
     chosen: "opt.Chosen",
-    resources: opt.Take,
+    taken: opt.Resources,
     out: Annotated[Path, option(..., "CSV", "File to write.", show_default=False)],
     count: int = option(500, "N", "Poses for each scan.", "-n", "--count", min=1),
     seed: int = option(0, "N", "Of the draws.", min=0),
@@ -54,7 +54,6 @@ def sample(
     if theta_step_deg is not None and method == opt.MethodName.FUSED:
         raise ConfigError("--theta-step-deg: fused has no stack of headings")
     inputs.check_target(out, ".csv", force=force, inputs=[scans_path])
-    taken = resources()
     grid = inputs.load_grid(map_path, taken.memory_budget, allow_lossy=allow_lossy, **reading)
     scans = inputs.load_set(scans_path, taken.memory_budget, logs)
     indices = chosen.of(len(scans), display(scans_path))

@@ -20,7 +20,7 @@ FilterName = StrEnum(
 _EVERY = "Look at a scan once the robot has gone M metres or turned DEG degrees. [default: 0.5,30]"
 
 
-@opt.with_options(opt.mounting, opt.reading, opt.logs, opt.resources, opt.console)
+@opt.with_options(opt.mounting, opt.reading, opt.logs, opt.taken, opt.console)
 def track(
     map_path: opt.MapPath,
     log: Annotated[
@@ -35,7 +35,7 @@ def track(
     mounting: opt.Mounting,
     reading: "opt.Reading",
     logs: opt.Logs,
-    resources: opt.Take,
+    taken: opt.Resources,
     filter_: FilterName = typer.Option(FilterName.TRACKER, "--filter", help="Which filter."),
     start: Any = opt.pose_of("--start", "Where the robot starts, about. [default: anywhere]"),
     kidnap: Any = option(
@@ -98,21 +98,17 @@ def track(
     from imgloc.sequences import with_odometry
     from imgloc.tracking import Every, Kidnap, follow, robot_poses
 
-    if cache is not None and no_cache:
-        raise ConfigError("--cache and --no-cache: expected one of them")
+    folder = inputs.kept_in(cache, wanted=not no_cache)
     if kidnap is not None:
         opt.check_yaw("--kidnap", kidnap[3])
     read = [*inputs.files_of(map_path), log]
     ending_of_ros = ".bag" if ros is not None and ros.suffix.lower() == ".bag" else ".yaml"
     outputs = ((tum, ".tum"), (ros, ending_of_ros), (picture, ".png"), (video, ".mp4"))
     for path, ending in outputs:
-        if path is not None:
-            inputs.check_target(path, ending, force=force, inputs=read)
-    taken = resources()
+        inputs.check_target(path, ending, force=force, inputs=read)
     grid = inputs.load_grid(map_path, taken.memory_budget, allow_lossy=allow_lossy, **reading)
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     options = calibrated(options, map_path, grid)
-    folder = inputs.kept_in(cache, wanted=not no_cache)
     scans = inputs.load_set(log, taken.memory_budget, logs)
     mounting.check(scans.scans)
     cut = tuple(mounting.mount(inputs.cut_scan(scan, range_max)) for scan in scans.scans)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 FAILED_ROWS = 5
 
 
-@opt.with_options(opt.known, opt.reading, opt.logs, opt.resources, opt.console)
+@opt.with_options(opt.known, opt.reading, opt.logs, opt.taken, opt.console)
 def which(
     maps_dir: Annotated[
         Path,
@@ -34,7 +34,7 @@ def which(
     known: opt.Known,
     reading: "opt.Reading",
     logs: opt.Logs,
-    resources: opt.Take,
+    taken: opt.Resources,
     scans_path: Annotated[
         Path | None,
         typer.Argument(
@@ -98,7 +98,6 @@ def which(
                 "what is looked at; which takes all scans of a file"
             )
         inputs.check_target(index, ".npz", force=True)
-    taken = resources()
     budget = taken.memory_budget
     paths = find_maps(maps_dir, images=reading["resolution"] is not None)
     files = dict(zip(names_of(paths, maps_dir), paths, strict=True))
