@@ -8,7 +8,7 @@ values are joined by an underscore, and lists are JSON texts.
 import csv
 import io
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from imgloc.errors import ConfigError
@@ -75,22 +75,27 @@ def _located(answer: Row) -> Row:
     return out
 
 
-def _flat(answer: Mapping[str, Any], above: str = "") -> Row:
-    """Nested values side by side.
+def flat(
+    values: Mapping[str, object], between: str = ".", above: str = ""
+) -> Iterator[tuple[str, object]]:
+    """Name and value of everything in nested mappings.
 
     Examples
     --------
-    >>> _flat({"a": {"b": 1}, "c": [1, 2]})
-    {'a_b': 1, 'c': '[1, 2]'}
+    >>> list(flat({"a": 1, "b": {"c": 2}}))
+    [('a', 1), ('b.c', 2)]
     """
-    out: Row = {}
-    for key, value in answer.items():
+    for key, value in values.items():
         if isinstance(value, Mapping):
-            out |= _flat(value, f"{above}{key}_")
+            yield from flat(value, between, f"{above}{key}{between}")
         else:
-            out[above + key] = json.dumps(value) if isinstance(value, list) else value
-    out.pop("map", None)  # an item has its own
-    return out
+            yield above + key, value
+
+
+def _flat(answer: Row) -> Row:
+    """Nested values side by side; without the map, which the item has."""
+    said = {key: value for key, value in flat(answer, "_") if key != "map"}
+    return {key: json.dumps(v) if isinstance(v, list) else v for key, v in said.items()}
 
 
 _DESCRIBED: Mapping[str, Callable[[Row], Row]] = {"localize": _located}

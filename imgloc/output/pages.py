@@ -5,7 +5,7 @@ numbers become text.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from imgloc.explanation import Explanation
 from imgloc.geometry import in_grid_frame, rotate_covariance
 from imgloc.model import Hypothesis, Pose2D, base_of
 from imgloc.output import svg
+from imgloc.output.export import flat
 from imgloc.output.pictures import draw_likelihood
 from imgloc.output.tables import difference
 
@@ -162,21 +163,6 @@ def known_words(prior: Mapping[str, Any]) -> str:
                 words = f"within {value['radius']:g} m of {place}, {words}"
         said.append(words)
     return ", ".join(said)
-
-
-def flat(values: Mapping[str, object], above: str = "") -> Iterator[tuple[str, object]]:
-    """Name and value of everything in nested mappings.
-
-    Examples
-    --------
-    >>> list(flat({"a": 1, "b": {"c": 2}}))
-    [('a', 1), ('b.c', 2)]
-    """
-    for key, value in values.items():
-        if isinstance(value, Mapping):
-            yield from flat(value, f"{above}{key}.")
-        else:
-            yield f"{above}{key}", value
 
 
 _FILTERS: tuple[Callable[..., object], ...] = (

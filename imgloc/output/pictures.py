@@ -194,78 +194,104 @@ def draw_hypotheses(
     unknown what is known is drawn.
     """
     shown = [(h, PALETTE[k % len(PALETTE)]) for k, h in enumerate(hypotheses[:top])]
-    poses = [h.pose for h, _ in shown] + ([] if truth is None else [truth])
-    rows, columns = _known(grid, poses)
-    part, here, true = _part(grid, rows, columns, shown, truth)
-    canvas = map_canvas(part, scale)
-    _lay(canvas, scan_xy, here, true)
-    scale_bar(canvas)
-    f = enlarged(canvas.image)
-    legend = _legend(f, shown, grid.origin, truth, notes)
+    scene = _Scene(grid, scan_xy, shown, truth)
+    image = scene.part(*scene.known()).drawn(scale)
+    f = enlarged(image)
+    legend = _legend(f, scene, notes)
     if legend is None:
+        return image
+    size = _beside(image, legend) or (round(340 * f),) * 2
+    return _laid_out(image, legend, scene.inset(size))
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """A map, or a part of it, with what is drawn on it; poses are in the grid frame."""
+
+    grid: OccupancyGrid
+    scan_xy: FloatArray  #: (N, 2), the sensor's frame, metres
+    shown: Sequence[tuple[Hypothesis, Colour]]
+    truth: Pose2D | None
+
+    @property
+    def poses(self) -> list[Pose2D]:
+        """All poses, the true one last."""
+        return [h.pose for h, _ in self.shown] + ([] if self.truth is None else [self.truth])
+
+    def known(self) -> tuple[slice, slice]:
+        """Rows and columns of the map that are worth a look: what is known of it, and the poses.
+
+        All of them, unless these are less than half of it.
+        """
+        there = self.grid.occupied | self.grid.free
+        for pose in self.poses:
+            at = np.array((pose.y, pose.x)) // self.grid.resolution
+            row, column = np.clip(at.astype(np.int64), 0, np.array(there.shape) - 1)
+            there[row, column] = True
+        spare, kept = 1 + max(there.shape) // 50, []
+        for axis in (1, 0):
+            (found,) = np.nonzero(there.any(axis=axis))
+            low, high = (int(found[0]), int(found[-1])) if len(found) else (0, len(there))
+            kept.append(slice(max(0, low - spare), min(there.shape[1 - axis], high + spare + 1)))
+        rows, columns = kept
+        if 2 * (rows.stop - rows.start) * (columns.stop - columns.start) > there.size:
+            return slice(0, there.shape[0]), slice(0, there.shape[1])
+        return rows, columns
+
+    def part(self, rows: slice, columns: slice) -> "_Scene":
+        """The same on some rows and columns of the map."""
+        grid, cell = self.grid, self.grid.resolution
+
+        def moved(p: Pose2D) -> Pose2D:
+            return Pose2D(p.x - columns.start * cell, p.y - rows.start * cell, p.theta)
+
+        part = OccupancyGrid(grid.occupied[rows, columns], grid.free[rows, columns], cell)
+        here = [(replace(h, pose=moved(h.pose)), colour) for h, colour in self.shown]
+        return _Scene(part, self.scan_xy, here, None if self.truth is None else moved(self.truth))
+
+    def drawn(self, scale: int | None) -> Image:
+        """Draw hypotheses with their numbers, the bolder the more mass they have, and the truth."""
+        canvas, shown, truth = map_canvas(self.grid, scale), self.shown, self.truth
+        most = max((h.mass for h, _ in shown), default=0.0)
+        bold = [0.3 + 0.7 * (h.mass / most) ** 0.5 if most > 0 else 1.0 for h, _ in shown]
+        full = marker_size(canvas)
+        every = list(zip(shown, bold, strict=True))[::-1]
+        for (hypothesis, colour), share in every:
+            points = transform_points(hypothesis.pose, self.scan_xy)
+            canvas.dots(points, faded(colour, share), max(1.2, 0.28 * full) * (0.5 + 0.5 * share))
+        for (hypothesis, colour), share in every:
+            pose, size, ink = hypothesis.pose, full * (0.6 + 0.4 * share), faded(colour, share)
+            ellipse = (pose.x, pose.y) + 2 * deviation_ellipse(hypothesis.covariance)
+            canvas.polygon(ellipse, ink, 0.25)
+            canvas.lines(ellipse[None], ink)
+            canvas.robot(pose.x, pose.y, pose.theta, ink, size)
+        if truth is not None:
+            _cross(canvas, truth.x, truth.y, 1.5 * full)
+        _number(canvas, [h.pose for h, _ in shown], truth, full)
+        scale_bar(canvas)
         return canvas.image
-    size = _beside(canvas.image, legend) or (round(340 * f),) * 2
-    inset = _inset(grid, size, scan_xy, shown, truth)
-    return _laid_out(canvas.image, legend, inset)
 
+    def inset(self, size: tuple[int, int]) -> Image | None:
+        """The place of the best hypothesis, larger, if the scan is small on the map.
 
-def _known(grid: OccupancyGrid, poses: Sequence[Pose2D]) -> tuple[slice, slice]:
-    """Rows and columns of a map that are worth a look: what is known of it, and the poses.
-
-    All of them, unless these are less than half of it.
-    """
-    there = grid.occupied | grid.free
-    for pose in poses:
-        at = np.array((pose.y, pose.x)) // grid.resolution
-        row, column = np.clip(at.astype(np.int64), 0, np.array(there.shape) - 1)
-        there[row, column] = True
-    spare, kept = 1 + max(there.shape) // 50, []
-    for axis in (1, 0):
-        (found,) = np.nonzero(there.any(axis=axis))
-        low, high = (int(found[0]), int(found[-1])) if len(found) else (0, len(there))
-        kept.append(slice(max(0, low - spare), min(there.shape[1 - axis], high + spare + 1)))
-    rows, columns = kept
-    if 2 * (rows.stop - rows.start) * (columns.stop - columns.start) > there.size:
-        return slice(0, there.shape[0]), slice(0, there.shape[1])
-    return rows, columns
-
-
-def _part(
-    grid: OccupancyGrid, rows: slice, columns: slice,
-    shown: Sequence[tuple[Hypothesis, Colour]], truth: Pose2D | None,
-) -> tuple[OccupancyGrid, list[tuple[Hypothesis, Colour]], Pose2D | None]:  # fmt: skip
-    """Rows and columns of a map, with poses in the grid frame of that part."""
-    part = OccupancyGrid(grid.occupied[rows, columns], grid.free[rows, columns], grid.resolution)
-    x, y = columns.start * grid.resolution, rows.start * grid.resolution
-
-    def moved(p: Pose2D) -> Pose2D:
-        return Pose2D(p.x - x, p.y - y, p.theta)
-
-    here = [(replace(h, pose=moved(h.pose)), colour) for h, colour in shown]
-    return part, here, None if truth is None else moved(truth)
-
-
-def _lay(
-    canvas: Canvas, scan_xy: FloatArray, shown: Sequence[tuple[Hypothesis, Colour]],
-    truth: Pose2D | None,
-) -> None:  # fmt: skip
-    """Draw hypotheses with their numbers, the bolder the more mass they have, and the truth."""
-    most = max((h.mass for h, _ in shown), default=0.0)
-    bold = [0.3 + 0.7 * (h.mass / most) ** 0.5 if most > 0 else 1.0 for h, _ in shown]
-    full = marker_size(canvas)
-    every = list(enumerate(zip(shown, bold, strict=True), start=1))[::-1]
-    for _, ((hypothesis, colour), share) in every:
-        points = transform_points(hypothesis.pose, scan_xy)
-        canvas.dots(points, faded(colour, share), max(1.2, 0.28 * full) * (0.5 + 0.5 * share))
-    for _, ((hypothesis, colour), share) in every:
-        pose, size, ink = hypothesis.pose, full * (0.6 + 0.4 * share), faded(colour, share)
-        ellipse = (pose.x, pose.y) + 2 * deviation_ellipse(hypothesis.covariance)
-        canvas.polygon(ellipse, ink, 0.25)
-        canvas.lines(ellipse[None], ink)
-        canvas.robot(pose.x, pose.y, pose.theta, ink, size)
-    if truth is not None:
-        _cross(canvas, truth.x, truth.y, 1.5 * full)
-    _number(canvas, [h.pose for h, _ in shown], truth, full)
+        Its `size`, width and height in pixels, is about that.
+        """
+        if not self.shown or not len(self.scan_xy):
+            return None
+        reach, cell = float(np.percentile(np.hypot(*self.scan_xy.T), 80)), self.grid.resolution
+        least, shape = int(np.ceil(max(2.0, 1.1 * reach) / cell)), self.grid.occupied.shape
+        if 5 * least > max(shape):
+            return None
+        scale = max(1, round(min(size) / (2 * least)))
+        pose, kept = self.shown[0][0].pose, []
+        for at, pixels, end in zip((pose.y, pose.x), size[::-1], shape, strict=True):
+            middle, half = int(at / cell), round(pixels / (2 * scale))
+            kept.append(slice(max(0, middle - half), min(end, middle + half)))
+            if kept[-1].stop <= kept[-1].start:
+                return None
+        close = self.part(kept[0], kept[1]).drawn(scale)
+        cv2.rectangle(close, (0, 0), (close.shape[1] - 1, len(close) - 1), INK, 2)
+        return close
 
 
 def _number(canvas: Canvas, poses: Sequence[Pose2D], truth: Pose2D | None, size: float) -> None:
@@ -318,35 +344,6 @@ def _number(canvas: Canvas, poses: Sequence[Pose2D], truth: Pose2D | None, size:
         text(canvas.image, word, left, low, INK, big)
 
 
-def _inset(
-    grid: OccupancyGrid, size: tuple[int, int], scan_xy: FloatArray,
-    shown: Sequence[tuple[Hypothesis, Colour]], truth: Pose2D | None,
-) -> Image | None:  # fmt: skip
-    """The place of the best hypothesis, larger, if the scan is small on the map.
-
-    Its `size`, width and height in pixels, is about that.
-    """
-    if not shown or not len(scan_xy):
-        return None
-    reach = float(np.percentile(np.hypot(*scan_xy.T), 80))
-    least = int(np.ceil(max(2.0, 1.1 * reach) / grid.resolution))
-    if 5 * least > max(grid.occupied.shape):
-        return None
-    cell = max(1, round(min(size) / (2 * least)))
-    pose, kept = shown[0][0].pose, []
-    for at, pixels, end in zip((pose.y, pose.x), size[::-1], grid.occupied.shape, strict=True):
-        middle, half = int(at / grid.resolution), round(pixels / (2 * cell))
-        kept.append(slice(max(0, middle - half), min(end, middle + half)))
-        if kept[-1].stop <= kept[-1].start:
-            return None
-    part, near, true = _part(grid, kept[0], kept[1], shown, truth)
-    close = map_canvas(part, cell)
-    _lay(close, scan_xy, near, true)
-    scale_bar(close)
-    cv2.rectangle(close.image, (0, 0), (close.image.shape[1] - 1, len(close.image) - 1), INK, 2)
-    return close.image
-
-
 def _not_drawn(answer: Localization) -> str:
     """What a picture of an answer leaves out, in words."""
     more = answer.evidence.found - min(_TOP, len(answer.hypotheses))
@@ -374,18 +371,12 @@ def _under(canvas: Canvas, grid: OccupancyGrid) -> tuple[BoolArray, BoolArray]:
     return np.pad(grid.free, 1)[index], np.pad(grid.occupied, 1)[index]
 
 
-def _legend(
-    f: float,
-    shown: Sequence[tuple[Hypothesis, Colour]],
-    origin: Pose2D,
-    truth: Pose2D | None,
-    notes: Sequence[str],
-) -> Image | None:
+def _legend(f: float, scene: _Scene, notes: Sequence[str]) -> Image | None:
     """A line per hypothesis: mark, bar and share of mass, pose; and the notes. None of nothing.
 
     Words are `f` times as large as on a screen.
     """
-    poses = [h.pose for h, _ in shown] + ([truth] if truth is not None else [])
+    poses, shown = scene.poses, scene.shown
     size, row = round(13 * f), round(_ROW * f)
 
     def px(length: float) -> int:
@@ -393,7 +384,7 @@ def _legend(
 
     lines, ends = list[tuple[str, str, str]](), np.array([px(440)])
     if poses:
-        table = transform_poses(origin, np.array([(p.x, p.y, p.theta) for p in poses]))
+        table = transform_poses(scene.grid.origin, np.array([(p.x, p.y, p.theta) for p in poses]))
         lines = [("x / m", "y / m", "theta / deg")]
         lines += [(f"{x:.2f}", f"{y:.2f}", f"{np.rad2deg(theta):.1f}") for x, y, theta in table]
         columns = [px(24) + max(text_width(line[k], size) for line in lines) for k in range(3)]
@@ -421,7 +412,7 @@ def _legend(
         out[y - px(10) : y + 1, px(68) : px(68) + round(px(120) * share)] = colour
         mass = f"{100 * hypothesis.mass:.1f} %"
         text(out, mass, px(266) - text_width(mass, size), y, size=size)
-    if truth is not None:
+    if scene.truth is not None:
         y = base + len(poses) * row
         _cross(Canvas(out, 1.0), px(23), len(out) - y + 4.5 * f, 5 * f)
         text(out, "true pose", px(44), y, size=size)

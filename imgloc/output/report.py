@@ -23,7 +23,8 @@ from imgloc.batch import BatchSummary
 from imgloc.errors import OutputError
 from imgloc.io.files import PathLike, display
 from imgloc.io.results import PICTURES, Row, read_rows, read_run, read_summary
-from imgloc.output.pages import flat
+from imgloc.output.export import flat
+from imgloc.output.pages import percent
 from imgloc.output.svg import ENVIRONMENT
 
 MARK = b'<meta name="generator" content="imgloc report">'  #: is near the beginning of the page
@@ -299,4 +300,4 @@ def _script(data: object) -> Markup:
     return Markup(text.replace("<", "\\u003c").replace("\u2028", "\\u2028"))  # noqa: S704
 
 
-ENVIRONMENT.filters["brief"] = brief
+ENVIRONMENT.filters |= {"brief": brief, "percent": percent}
