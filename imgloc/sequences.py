@@ -6,6 +6,7 @@ other: shares of right poses against metres driven, and what ENM-MCL, F3Loc and 
 Thrun (JAIR 11) call a success.
 """
 
+import itertools
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -83,19 +84,15 @@ def drive(
     features: MapFeatures,
     scans: ScanSet,
     make: Callable[[], Filter],
-    *,
-    every: Every | None = None,
-    clock: Callable[[], float] = lambda: 0.0,
+    every: Every,
+    searches: Searches,
     jump: int | None = None,
 ) -> Run:
-    """Run a new filter along a log with poses and odometry.
-
-    `clock` tells the seconds of what was not computed again.
-    """
+    """Run a new filter, which searches so, along a log with poses and odometry."""
     truth = robot_poses(scans)
     if truth is None:
         raise ConfigError("expected the true pose of each scan")
-    begin, before, rows = time.process_time(), clock(), []
+    begin, before, rows = time.process_time(), searches.clock, []
     for moment in follow(features, scans, make(), every=every):
         error = (np.inf, np.inf)
         if moment.best is not None:
@@ -104,7 +101,7 @@ def drive(
             error = away, abs(float(wrap(moment.best.theta - theta)))
         verdict = moment.belief.verdict
         rows.append((moment.stamp, moment.metres, *error, verdict == UNIQUE, verdict == "lost"))
-    cost = time.process_time() - begin + clock() - before
+    cost = time.process_time() - begin + searches.clock - before
     table = np.array(rows, dtype=np.float64)
     return Run(
         table[:, 0] - table[0, 0], table[:, 1], table[:, 2:4], table[:, 4], table[:, 5], cost, jump
@@ -170,53 +167,36 @@ def starts(
     return [int(k) for k in (*random, *regular)]
 
 
-def start_runs(
-    features: MapFeatures,
-    scans: ScanSet,
-    make: Callable[[], Filter],
-    at: Iterable[int],
-    *,
-    metres: float,
-    every: Every | None = None,
-    clock: Callable[[], float] = lambda: 0.0,
-) -> Iterator[Run]:
-    """Switch a robot on at each of the scans `at` and drive it for `metres`."""
+def from_starts(scans: ScanSet, at: Iterable[int], metres: float) -> Iterator[ScanSet]:
+    """The pieces of a log that begin with the scans `at` and are `metres` long."""
     way = driven(scans)
     for first in at:
         end = int(np.searchsorted(way, way[first] + metres, side="right"))
-        part = piece(scans, range(first, max(first + 1, end)))
-        yield drive(features, part, make, every=every, clock=clock)
+        yield piece(scans, range(first, max(first + 1, end)))
 
 
-def kidnap_runs(
-    features: MapFeatures,
-    scans: ScanSet,
-    make: Callable[[], Filter],
-    count: int,
-    rng: np.random.Generator,
-    *,
-    every: Every | None = None,
-    clock: Callable[[], float] = lambda: 0.0,
-) -> Iterator[Run]:
-    """Drive, carry the robot off, drive on: as far as :data:`CARRIED` says."""
-    (metres, least), way, last = CARRIED, driven(scans), 0
-    if scans.poses is not None:
-        last = max(1, int(np.searchsorted(way, max(0.0, way[-1] - metres), side="right")))
+def kidnappings(
+    scans: ScanSet, count: int, rng: np.random.Generator
+) -> Iterator[tuple[ScanSet, int]]:
+    """Drive, carry the robot off, drive on: as far as :data:`CARRIED` says.
+
+    Pieces of a log, each with the moment at which the robot is carried off.
+    """
+    (metres, least), way = CARRIED, driven(scans)
+    places = np.zeros((len(scans), 3)) if scans.poses is None else scans.poses
+    last = max(1, int(np.searchsorted(way, max(0.0, way[-1] - metres), side="right")))
     for _ in range(count):
         for _ in range(100):
             first, other = (int(k) for k in rng.integers(0, last, 2))
             end, final = (
                 int(np.searchsorted(way, way[k] + metres, side="right")) for k in (first, other)
             )
-            there = np.zeros((2, 3)) if scans.poses is None else scans.poses[[end - 1, other]]
-            if np.hypot(*(there[1] - there[0])[:2]) >= least:
+            if np.hypot(*(places[other] - places[end - 1])[:2]) >= least:
                 break
         else:
             continue
-        parts = range(first, max(first + 1, end)), range(other, max(other + 1, final))
-        yield drive(
-            features, piece(scans, *parts), make, every=every, clock=clock, jump=len(parts[0])
-        )
+        before, after = range(first, max(first + 1, end)), range(other, max(other + 1, final))
+        yield piece(scans, before, after), len(before)
 
 
 @dataclass(frozen=True)
@@ -267,17 +247,11 @@ def measure(
 
     runs, kidnaps = list[Run](), list[Run]()
     rng = np.random.default_rng((trials.seed, 1))
-    of_starts = start_runs(
-        features, scans, make, trials.at(scans), metres=trials.metres, every=trials.every,
-        clock=lambda: found.clock,
-    )  # fmt: skip
-    carried = kidnap_runs(
-        features, scans, make, trials.kidnaps, rng, every=trials.every, clock=lambda: found.clock
-    )
-    for into, some in ((runs, of_starts), (kidnaps, carried)):
-        for run in some:
-            into.append(run)
-            advance()
+    alone = ((runs, part, None) for part in from_starts(scans, trials.at(scans), trials.metres))
+    carried = ((kidnaps, *some) for some in kidnappings(scans, trials.kidnaps, rng))
+    for into, part, jump in itertools.chain(alone, carried):
+        into.append(drive(features, part, make, trials.every, found, jump))
+        advance()
     return summarise_runs(runs, kidnaps)
 
 
