@@ -23,7 +23,6 @@ from skimage.measure import block_reduce
 
 from imgloc.errors import ConfigError
 from imgloc.features.budget import MIB, check_budget
-from imgloc.features.distance import DistanceField
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import coarse_info
 from imgloc.features.raycast import cast_rays
@@ -136,12 +135,11 @@ def explain(
     score = np.array([h.log_likelihood for h in local])
     if local and options.method != FUSED:  # of votes, say: what its readings say there
         score = settle(features, scan, poses_of(local), options)[1].log_likelihood
-    about = (features.surface, features.field, features.walls, options.fused.model)
     fits = tuple(
         HypothesisFit(
             given.pose,
             h,
-            explain_rays(h.pose, scan, *about),
+            explain_rays(h.pose, scan, features, options.fused.model),
             float(total) / answer.evidence.readings,
             min(1.0, h.mass / max(1 - answer.elsewhere, 1e-12)),
         )
@@ -152,22 +150,12 @@ def explain(
 
 
 def explain_rays(
-    pose: Pose2D,
-    scan: LaserScan,
-    surface: OrientedPoints,
-    field: DistanceField,
-    walls: Float32Array,
-    model: EvidenceModel,
+    pose: Pose2D, scan: LaserScan, features: MapFeatures, model: EvidenceModel
 ) -> RayFit:
-    """Say what each ray of a scan says about a pose.
+    """Say what each ray of a scan says about a pose of the sensor, grid frame.
 
-    Parameters
-    ----------
-    pose : Pose2D
-        Of the sensor, grid frame, as the `surface` of the map.
-    field, walls, model
-        As in :func:`~imgloc.search.rescore.rescore`, whose questions about surface and wall
-        these are. That of the normals is not part of its score.
+    The questions about surface and wall are those of :func:`~imgloc.search.rescore.rescore`, with
+    the same `model`; that of the normals is not part of its score.
 
     Examples
     --------
@@ -180,8 +168,7 @@ def explain_rays(
     >>> f = MapFeatures(OccupancyGrid(wall, ~wall, 0.1))
     >>> scan = LaserScan([1.0, 0.4, np.inf], [0.0, 0.0, 0.5], range_max=9.0)
     >>> for x in (1.0, 1.6):
-    ...     at, model = Pose2D(x, 2.0), EvidenceModel()
-    ...     explain_rays(at, scan, f.surface, f.field, f.walls, model).kind.tolist()
+    ...     explain_rays(Pose2D(x, 2.0), scan, f, EvidenceModel()).kind.tolist()
     ['agrees', 'unexplained', 'no_return']
     ['visibility', 'agrees', 'no_return']
     """
@@ -192,6 +179,7 @@ def explain_rays(
     if len(used) == 0:
         return RayFit(kind, end, wall)
     end[used] = transform_points(pose, scan_xy(scan)[used])
+    field, walls = features.field, features.walls
     ranges, angles = scan.ranges[used], scan.angles[used]
     here = np.array([[pose.x, pose.y, pose.theta]])
     evidence = rescore(here, ranges, angles, field, walls, model)
@@ -208,7 +196,7 @@ def explain_rays(
         wrap(pose.theta + angles[asked]),
         wrap(pose.theta + points.alpha),
         np.where(points.valid, points.sigma_alpha, np.inf),
-        surface,
+        features.surface,
         reach=2 * max(model.sigmas) + 2 * field.resolution,
     )
     kind[used[asked[~faces]]] = "orientation"

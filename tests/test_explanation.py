@@ -20,7 +20,7 @@ ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
 
 def rays_at(features, scan, pose) -> RayFit:
     model = Options().fused.model
-    return explain_rays(pose, scan, features.surface, features.field, features.walls, model)
+    return explain_rays(pose, scan, features, model)
 
 
 @pytest.fixture(scope="module")
