@@ -48,6 +48,19 @@ def test_standard_input_is_read_whatever_it_is(
     assert through_stdin(monkeypatch, b"").err.startswith("imgloc: error: standard input: the file")
 
 
+@pytest.mark.parametrize(
+    "words",
+    [("sample", "curved", "-"), ("map", "show", "curved", "--what=likelihood", "--scans=-")],
+)
+def test_standard_input_has_a_name(
+    words: tuple[str, ...], scans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(scans.read_bytes())))
+    out = tmp_path / ("a.csv" if words[0] == "sample" else "a.png")
+    run = call(*words, "--index", 9, "--out", out)
+    assert (run.code, "standard input has 2 scans" in run.err) == (2, True)
+
+
 def test_several_files_each_with_its_name_and_its_indices(scans: Path, tmp_path: Path) -> None:
     again = tmp_path / "b.npz"
     again.write_bytes(scans.read_bytes())

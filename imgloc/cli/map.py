@@ -113,7 +113,7 @@ def show(
         picture = draw(features, what=what.value, at=at)
     else:
         held = inputs.load_set(scans, budget)
-        (k,) = Chosen(str(index or 0)).of(len(held), display(scans))
+        (k,) = Chosen(str(index or 0)).of(len(held), inputs.name_of(scans))
         options = Options(method=method.value, memory_budget=budget)
         features = inputs.open_features(grid, display(map_path), None, options, scans=held.scans)
         picture = draw(grid, likelihood(features, held[k], options))

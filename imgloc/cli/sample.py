@@ -56,7 +56,7 @@ def sample(
     inputs.check_target(out, ".csv", force=force, inputs=[scans_path])
     grid = inputs.load_grid(map_path, taken.memory_budget, allow_lossy=allow_lossy, **reading)
     scans = inputs.load_set(scans_path, taken.memory_budget, logs)
-    indices = chosen.of(len(scans), display(scans_path))
+    indices = chosen.of(len(scans), inputs.name_of(scans_path))
     if count * len(indices) > _MOST:
         raise ConfigError(f"-n: {count:,} poses of {len(indices):,} scans are more than {_MOST:,}")
     options = Options(
