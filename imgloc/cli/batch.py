@@ -74,13 +74,9 @@ def batch(
     ] = None,
     job: JobName = typer.Option(JobName.LOCALIZE, help="Whose work is done with each."),
     method: opt.MethodName = typer.Option(opt.MethodName.FUSED, help="As of localize, evaluate."),
-    top: int | None = option(
-        None, "N", "Hypotheses listed. [default: 5, or what holds 95 % of the mass]", min=1
-    ),
+    top: opt.Top = None,
     cell: opt.Cell = 0.1,
-    theta_step_deg: float | None = option(
-        None, "DEG", "Step of the headings. [default: the method's own]", within=opt.STEP
-    ),
+    theta_step_deg: opt.StepDeg = None,
     near: Any = opt.NEAR,
     heading: Any = opt.HEADING,
     topic: str | None = option(None, "NAME", "Of logs with several lasers, this one."),

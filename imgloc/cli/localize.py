@@ -32,9 +32,7 @@ def localize(
         opt.MethodName.FUSED,
         help="How: fused searches and re-scores, the others are the paper's stacks.",
     ),
-    top: int | None = option(
-        None, "N", "Hypotheses listed. [default: 5, or what holds 95 % of the mass]", min=1
-    ),
+    top: opt.Top = None,
     as_json: opt.AsJson = False,
     picture: Path | None = option(
         None, "PNG", "Draw the scan at each hypothesis; several scans: NAME-0003.png and so on."
@@ -44,9 +42,7 @@ def localize(
     ),
     strict: bool = flag("--strict", "Exit with 6 unless every scan is unique."),
     range_max: opt.Cut = None,
-    theta_step_deg: float | None = option(
-        None, "DEG", "Step of the headings. [default: the method's own]", within=opt.STEP
-    ),
+    theta_step_deg: opt.StepDeg = None,
     cell: opt.Cell = 0.1,
     engine: opt.EngineName = typer.Option(
         opt.EngineName.AUTO, help="Of the correlations of cbml and cbml-o."
@@ -62,10 +58,8 @@ def localize(
         "answers depend on the machine.",
         within=(0.001, 1e6, "seconds"),
     ),
-    cache: Path | None = option(
-        None, "DIR", "Where prepared maps are kept. [default: the user's cache folder]"
-    ),
-    no_cache: bool = flag("--no-cache", "Prepare the map anew and keep nothing."),
+    cache: opt.CacheDir = None,
+    no_cache: opt.NoCache = False,
     force: opt.Force = False,
     allow_lossy: opt.AllowLossy = False,
 ) -> None:

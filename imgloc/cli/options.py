@@ -185,6 +185,13 @@ Seed = Annotated[int, option(..., "N", "Seed of everything random.", min=0)]
 SIDE = (0.001, 10, "metres")
 Cell = Annotated[float, option(..., "M", "Cell of the poses, metres.", within=SIDE)]
 STEP = (0.05, 180, "degrees")
+_OWN = "Step of the headings. [default: the method's own]"
+StepDeg = Annotated[float | None, option(..., "DEG", _OWN, within=STEP)]
+_LISTED = "Hypotheses listed. [default: 5, or what holds 95 % of the mass]"
+Top = Annotated[int | None, option(..., "N", _LISTED, min=1)]
+_KEPT = "Where prepared maps are kept. [default: the user's cache folder]"
+CacheDir = Annotated[Path | None, option(..., "DIR", _KEPT)]
+NoCache = Annotated[bool, flag("--no-cache", "Prepare the map anew and keep nothing.", ...)]
 Flipped = Annotated[
     bool, flag("--flipped", "The sensor is upside down: its angles run clockwise.", ...)
 ]

@@ -62,10 +62,8 @@ def track(
     seed: opt.Seed = 0,
     range_max: opt.Cut = None,
     strict: bool = flag("--strict", "Exit with 6 unless the last pose is unique."),
-    cache: Path | None = option(
-        None, "DIR", "Where prepared maps are kept. [default: the user's cache folder]"
-    ),
-    no_cache: bool = flag("--no-cache", "Prepare the map anew and keep nothing."),
+    cache: opt.CacheDir = None,
+    no_cache: opt.NoCache = False,
     force: opt.Force = False,
     allow_lossy: opt.AllowLossy = False,
 ) -> None:
