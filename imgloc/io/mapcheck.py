@@ -113,19 +113,17 @@ class MapReport:
 
     def as_row(self) -> dict[str, Any]:
         """The row of the map, as `imgloc map check --json` writes it."""
-        keys = (
-            "path image kind width height resolution size free_area free_parts origin mode "
-            "semantics negate occupied_thresh free_thresh shares greys grey_levels "
-            "semantics_differ warnings"
-        )
-        named = {
+        first = ("path", "image", "kind", "width", "height", "resolution")
+        return {
+            **{key: getattr(self, key) for key in first},
             "size": dict(zip(("width", "height"), self.size, strict=True)),
             "free_area": self.area,
+            "free_parts": self.free_parts,
+            **vars(self),  # all the rest, in its order
             "origin": plain(self.origin),
             "greys": [{"value": value, "cells": cells} for value, cells in self.greys],
-            "warnings": [{"code": w.code, "text": w.text} for w in self.warnings],
+            "warnings": [warning._asdict() for warning in self.warnings],
         }
-        return {key: named[key] if key in named else getattr(self, key) for key in keys.split()}
 
 
 def check_map(path: PathLike, **reading: Unpack[Reading]) -> MapReport:
