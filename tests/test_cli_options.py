@@ -306,10 +306,13 @@ def test_no_bytes(text: str) -> None:
 
 
 def test_some_numbers_are_enough() -> None:
-    assert numbers(3, 5)("1,2,3,4") == (1.0, 2.0, 3.0, 4.0)
+    parse = numbers(3, (8.0, 9.0))
+    assert parse("1,2,3") == (1.0, 2.0, 3.0, 8.0, 9.0)
+    assert parse("1,2,3,4") == (1.0, 2.0, 3.0, 4.0, 9.0)
+    assert parse("1,2,3,4,5") == (1.0, 2.0, 3.0, 4.0, 5.0)
     for wrong in ("1,2", "1,2,3,4,5,6", "1,2,x"):
         with pytest.raises(typer.BadParameter, match="3 to 5"):
-            numbers(3, 5)(wrong)
+            parse(wrong)
 
 
 def test_opencv_is_not_asked_to_read_a_mask(tmp_path: Path, scans: Path) -> None:

@@ -139,11 +139,11 @@ def batch(
     from imgloc.options import Options
     from imgloc.output.drawings import DRAWINGS
     from imgloc.output.tables import batch_text
+    from imgloc.search.priors import Known
 
     opt.check_known(near, heading)
     # Of simulated robots a clearance is another matter.
     cleared = "clearance" in given and job in (JobName.LOCALIZE, JobName.WHICH)
-    told = opt.Known(near, heading, None, sensor.clearance if cleared else None)
     angle = None if theta_step_deg is None else math.radians(theta_step_deg)
     budget = memory_limit or (None if dask else default_budget() // many)
     if budget is not None and budget < MIB:
@@ -160,7 +160,7 @@ def batch(
         chosen=chosen,
         flipped=mounting.flipped,
         mount=mounting.pose,
-        known=inputs.known_of(told),
+        known=Known(near, heading, sensor.clearance if cleared else None),
         tolerance=TOLERANCES[-1] if tolerance is None else opt.tolerance_of(tolerance),
         sure=sure,
         sensor=replace(sensor, range_max=reach),

@@ -124,13 +124,8 @@ def bar_of(*columns: Any, disable: bool = False) -> Any:
     from rich.progress import Progress
 
     # Without the redirection: results go to stdout, where they belong.
-    return Progress(
-        *columns,
-        console=Console(stderr=True),
-        transient=True,
-        redirect_stdout=False,
-        disable=disable,
-    )
+    to = Console(stderr=True)
+    return Progress(*columns, console=to, transient=True, redirect_stdout=False, disable=disable)
 
 
 @contextlib.contextmanager
@@ -138,8 +133,7 @@ def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable
     """Show a progress bar on standard error, if that is a terminal.
 
     What it yields is to be called after each of `total` steps, with a note if there is one to
-    show. If each of several writes `lines`
-    of the result to a terminal, those are progress enough.
+    show. If each of several writes `lines` of the result to a terminal, those are progress enough.
     """
     crowded = lines and total > 1 and sys.stdout is not None and sys.stdout.isatty()
     terminal = sys.stderr is not None and sys.stderr.isatty()

@@ -99,7 +99,7 @@ def evaluate(
             raise ConfigError("--sequence: expected --scans, recorded ones, once for each MAP")
         if chosen != Chosen():
             raise ConfigError("--index, --sample: with --sequence logs are followed as a whole")
-        names = opt.names_of("--filters", filters, ["tracker", "grid", "particle"])
+        names = opt.names_of("--filters", filters, list(opt.FilterName))
         measure_sequences(
             maps, scans, names, Trials(begin, metres, seed=seed, resets=resets),
             opt.Mounting(mounted, flipped), range_max, taken, reading, as_json, allow_lossy,

@@ -248,22 +248,9 @@ def keep_features(features: MapFeatures, folder: Path | None) -> None:
         LOG.info("kept the prepared map in %s", folder)
 
 
-def known_of(known: Known) -> priors.Known:
-    """What the options say that holds for any map, with their defaults."""
-    near = heading = None
-    if known.near is not None:
-        x, y, yaw, *rest = known.near
-        radius, tolerance = (*rest, *(RADIUS, TOLERANCE)[len(rest) :])
-        near = x, y, yaw, radius, tolerance
-    if known.heading is not None:
-        yaw, tolerance, *_ = *known.heading, TOLERANCE
-        heading = yaw, tolerance
-    return priors.Known(near, heading, known.clearance)
-
-
 def prior_of(known: Known, grid: OccupancyGrid, *, allow_lossy: bool = False) -> Prior:
     """Make the prior of a map; its region may be a JPEG if the map may."""
-    prior = known_of(known).prior(grid)
+    prior = priors.Known(known.near, known.heading, known.clearance).prior(grid)
     if known.region is not None:
         cells = _region(known.region, grid, allow_lossy)
         prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})
@@ -274,8 +261,10 @@ def check_prior(known: Known, features: MapFeatures, options: Options) -> None:
     """Refuse a prior without a cell in which a sensor can be, by the option that leaves none."""
     if not priors.leaves_none(options.prior, features):
         return
+    near: tuple[float, ...] = known.near or ()
+    near = near[:3] if near[3:] == (RADIUS, TOLERANCE) else near
     said = {
-        "--near": known.near and ",".join(f"{value:g}" for value in known.near),
+        "--near": ",".join(f"{value:g}" for value in near),
         "--region": known.region and display(known.region),
         "--clearance": known.clearance and f"{known.clearance:g}",
     }

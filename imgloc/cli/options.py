@@ -36,6 +36,7 @@ MethodName = StrEnum(
     (("FUSED", "fused"), ("CBML", "cbml"), ("CBML_O", "cbml-o"), ("GHT", "ght"),
      ("GHT_V", "ght-v"), ("BEAM", "beam")),
 )  # fmt: skip
+FilterName = StrEnum("FilterName", ("TRACKER", "GRID", "PARTICLE"))
 EngineName = StrEnum("EngineName", ("AUTO", "FILTER2D", "SHIFT", "DFT", "REMAP"))
 ModeName = StrEnum("ModeName", ("TRINARY", "SCALE", "RAW"))
 SemanticsName = StrEnum("SemanticsName", ("NAV2", "ROS1"))
@@ -50,15 +51,15 @@ def byte_count(text: str) -> int:
 
 
 def numbers(
-    least: int, most: int | None = None, *, pose: str = "", angles: Sequence[int] = ()
+    least: int, rest: tuple[float, ...] = (), *, pose: str = "", angles: Sequence[int] = ()
 ) -> Callable[[str], tuple[float, ...]]:
-    """Return a parser of `least` to `most` finite numbers with commas between them.
+    """Return a parser of `least` finite numbers with commas between them, or more.
 
-    The third may be the yaw of the option `pose`, which is refused if it was meant in degrees.
-    Those at `angles`, and that yaw, may be written as degrees: 90deg.
+    Of those that may follow, `rest` is what they are if they do not. The third may be the yaw of
+    the option `pose`, which is refused if it was meant in degrees. Those at `angles`, and that yaw,
+    may be written as degrees: 90deg.
     """
-    angles = (2,) if pose else angles
-    most = least if most is None else most
+    angles, most = (2,) if pose else angles, least + len(rest)
     count = f"{least}" if least == most else f"{least} to {most}"
 
     def parse(text: str) -> tuple[float, ...]:
@@ -75,7 +76,7 @@ def numbers(
             raise typer.BadParameter(f"got {text!r}, expected {count} numbers with commas between")
         if pose:
             check_yaw(pose, values[2])
-        return values
+        return values + rest[len(values) - least :]
 
     return parse
 
@@ -290,8 +291,8 @@ def console(
 class Known(NamedTuple):
     """What the options say of the pose, map frame; None where they say nothing."""
 
-    near: tuple[float, ...] | None
-    heading: tuple[float, ...] | None
+    near: tuple[float, float, float, float, float] | None
+    heading: tuple[float, float] | None
     region: Path | None
     clearance: float | None
 
@@ -301,14 +302,14 @@ NEAR = option(
     "X,Y,YAW[,R[,T]]",
     "Only poses within R metres of a pose in the map frame and turned from it by at "
     f"most T radians, or 90deg. [default: R = {RADIUS:g}, T = {TOLERANCE:g}]",
-    parser=numbers(3, 5, angles=(2, 4)),
+    parser=numbers(3, (RADIUS, TOLERANCE), angles=(2, 4)),
 )
 HEADING = option(
     None,
     "YAW[,T]",
     "Only poses with this heading in the map frame (a compass), up to T; radians, or 90deg. "
     f"[default: T = {TOLERANCE:g}]",
-    parser=numbers(1, 2, angles=(0, 1)),
+    parser=numbers(1, (TOLERANCE,), angles=(0, 1)),
 )
 
 
@@ -332,13 +333,12 @@ def known(
 
 def check_known(near: tuple[float, ...] | None, heading: tuple[float, ...] | None) -> None:
     """Refuse poses in degrees, and limits out of their ranges."""
-    if near is not None and len(near) > 3:
+    if near is not None:
         check_range("--near, R", near[3], 0.01, 1e6, "metres")
-    for option, given, yaw, tolerance in (("--near", near, 2, 4), ("--heading", heading, 0, 1)):
+    for option, given in (("--near", near), ("--heading", heading)):
         if given is not None:
-            check_yaw(option, given[yaw])
-            if len(given) > tolerance:
-                check_range(f"{option}, T", given[tolerance], 0.001, 3.2, "radians")
+            check_yaw(option, given[2 if given is near else 0])
+            check_range(f"{option}, T", given[-1], 0.001, 3.2, "radians")
 
 
 class Logs(NamedTuple):

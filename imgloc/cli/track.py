@@ -2,7 +2,6 @@
 
 import contextlib
 import time
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,9 +13,6 @@ from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
 
-FilterName = StrEnum(
-    "FilterName", (("TRACKER", "tracker"), ("GRID", "grid"), ("PARTICLE", "particle"))
-)
 _EVERY = "Look at a scan once the robot has gone M metres or turned DEG degrees. [default: 0.5,30]"
 
 
@@ -36,7 +32,9 @@ def track(
     reading: "opt.Reading",
     logs: opt.Logs,
     taken: opt.Resources,
-    filter_: FilterName = typer.Option(FilterName.TRACKER, "--filter", help="Which filter."),
+    filter_: opt.FilterName = typer.Option(
+        opt.FilterName.TRACKER, "--filter", help="Which filter."
+    ),
     start: Any = opt.pose_of("--start", "Where the robot starts, about. [default: anywhere]"),
     kidnap: Any = option(
         None,

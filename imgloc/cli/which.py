@@ -151,7 +151,7 @@ def which(
         yield features, here
         inputs.keep_features(features, folder)
 
-    coarse = replace(options, prior=Prior(None, inputs.known_of(known).heading))
+    coarse = replace(options, prior=Prior(None, known.heading))
     bounds = [
         dict(zip(found.names, found.bounds(scan, coarse).tolist(), strict=True)) for scan in scans
     ]
