@@ -30,7 +30,7 @@ from imgloc.likelihoods.correlate import ENGINES
 from imgloc.model import to_json
 from tools.paper.page import templates
 from tools.paper.table import PLACES, Gain, Outcome, gain, place, truth_of, try_method
-from tools.script import ended, make_folder, parser_of, progress
+from tools.script import ended, make_folder, parser_of, progress, table_lines
 
 CARD = ("filter2d", "remap", "image", "polar")
 """Those that the project's card names."""
@@ -162,16 +162,16 @@ def worse(row: OperationRow, base: OperationRow) -> str:
 def markdown(rows: Sequence[OperationRow]) -> str:
     """The rows as a Markdown table; the card's operations are marked."""
     head = "world | method | by | S | gain | in its cell | or next | map, ms | scan, ms | worse"
-    lines = [f"| {head} |", "|" + "---|" * 10]
-    for r in rows:
-        by = f"{r.operation}{' (card)' if r.card else ''}{', default' if r.default else ''}"
-        paired = "" if r.default else f"{r.gain.value:+.2f} ± {r.gain.standard_error:.2f}"
-        lines.append(
-            f"| {r.world} | {r.method} | {by} | {r.index.value:.2f} | {paired} | "
-            f"{100 * r.exact.value:.0f} % | {100 * r.near.value:.0f} % | {r.prepare_ms:.1f} | "
-            f"{r.ms:.1f} | {r.worse} |"
-        )
-    return "\n".join(lines)
+    cells = (
+        (r.world, r.method,
+         f"{r.operation}{' (card)' if r.card else ''}{', default' if r.default else ''}",
+         f"{r.index.value:.2f}",
+         "" if r.default else f"{r.gain.value:+.2f} ± {r.gain.standard_error:.2f}",
+         *(f"{100 * share.value:.0f} %" for share in (r.exact, r.near)),
+         f"{r.prepare_ms:.1f}", f"{r.ms:.1f}", r.worse)
+        for r in rows
+    )  # fmt: skip
+    return "\n".join(table_lines(head, cells))
 
 
 def render_operations(rows: Sequence[OperationRow], n: int, seed: int) -> str:

@@ -25,6 +25,8 @@ from imgloc.pipeline import find_adapted_modes, prepare
 from imgloc.search.background import unmapped_score
 from imgloc.search.hypotheses import masses
 from imgloc.search.trust import judge
+from tools.recorded import with_poses
+from tools.script import table_lines
 from tools.trust.disturb import MAPS, ROOMS, SCANS, unmapped
 from tools.trust.reliability import LEAST, RIGHT, Judged, reliability
 
@@ -88,13 +90,12 @@ def case_of(
 
 def cases_at_home(building: str, grid: OccupancyGrid, scans: ScanSet, seed: int) -> Iterator[Case]:
     """Every scan of a set with poses: as it is, disturbed, and on disturbed maps."""
-    truth = np.empty((0, 3)) if scans.poses is None else scans.poses
     for k, (name, change_map) in enumerate(MAPS.items()):
         changed = change_map(grid, np.random.default_rng((seed, k)))
         features = prepare(changed, building)
         some = SCANS if changed is grid else {name: SCANS["undisturbed"]}
         for condition, change in some.items():
-            for i, (scan, pose) in enumerate(zip(scans.scans, truth, strict=True)):
+            for i, (scan, pose) in enumerate(with_poses(scans)):
                 there = pose if mapped(changed, pose) else None
                 disturbed = change(scan, np.random.default_rng((seed, i)))
                 case = case_of(features, disturbed, there, building, condition)
@@ -230,20 +231,17 @@ def conditions_table(cases: Sequence[Case], trust: Trust) -> str:
     Right is the first mode; of the ``unique`` it is said how many are wrong; the error of the
     calibration is of all modes of 1 % and more.
     """
-    lines = ["| condition | scans | first right | unique | wrong | no-match | calibration |"]
-    lines.append("|---" * 7 + "|")
+    rows = []
     for condition in dict.fromkeys(c.condition for c in cases):
         some = [c for c in cases if c.condition == condition]
         told = [_judged(c, trust) for c in some]
-        first = share(bool(c.right[:1].any()) for c in some).value
-        unique = share(j.verdict == "unique" for j in told).value
-        lines.append(
-            f"| {condition} | {len(some)} | {first:.2f} | {unique:.2f} "
-            f"| {sum(j.wrong for j in told)} "
-            f"| {share(j.verdict == 'no-match' for j in told).value:.2f} "
-            f"| {reliability(told)[1]:.3f} |"
-        )
-    return "\n".join(lines)
+        first = share(c.right[0] for c in some).value
+        unique, none = (share(j.verdict == v for j in told).value for v in ("unique", "no-match"))
+        wrong, error = sum(j.wrong for j in told), reliability(told)[1]
+        shares = (f"{first:.2f}", f"{unique:.2f}", wrong, f"{none:.2f}", f"{error:.3f}")
+        rows.append((condition, len(some), *shares))
+    head = "condition | scans | first right | unique | wrong | no-match | calibration"
+    return "\n".join(table_lines(head, rows))
 
 
 def _judged(case: Case, trust: Trust) -> Judged:

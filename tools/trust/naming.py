@@ -14,6 +14,7 @@ from imgloc.model import LaserScan, Localization
 from imgloc.pipeline import prepare
 from imgloc.simulation import Sensor, simulate
 from tools.recorded import scans_beside
+from tools.script import at_least_one
 
 Asked = tuple[str, LaserScan]
 """The name of a map, and a scan taken in it."""
@@ -27,8 +28,7 @@ def scans_of(
     Those recorded beside a map (scans.npz, with poses), if there are any; else simulated ones.
     ConfigError if `n` is less than 1, or there is no map.
     """
-    if n < 1:
-        raise ConfigError(f"n must be at least 1, got {n}")
+    at_least_one(n=n)
     if not maps:
         raise ConfigError("there is no map to take scans in")
     each = -(-n // len(maps))

@@ -16,6 +16,8 @@ from imgloc.geometry import wrap
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, Localization
 from imgloc.pipeline import localize
+from tools.recorded import with_poses
+from tools.script import table_lines
 
 REGION = 7.815
 """The 95 % point of chi-square with three degrees of freedom."""
@@ -42,8 +44,7 @@ def precision(
 ) -> Precision:
     """Measure one set of scans with poses; `truth` are the standard deviations of those."""
     rows, claimed, errors = [], [], []
-    poses = np.empty((0, 3)) if scans.poses is None else scans.poses
-    for k, (scan, pose) in enumerate(zip(scans.scans, poses, strict=True)):
+    for k, (scan, pose) in enumerate(with_poses(scans)):
         answer = localize(features, scan)
         found, covariance = _first(answer)
         error = _difference(found, pose)
@@ -74,16 +75,13 @@ def precision(
 
 def precision_table(rows: Sequence[Precision]) -> str:
     """The rows as Markdown."""
-    lines = ["| scans | `unique` and right | truth inside | halves agree | moved | "]
-    lines[0] += "claimed m, deg | error m, deg |"
-    lines.append("|---" * 7 + "|")
-    for r in rows:
-        claimed, error = (f"{m:.4f}, {np.rad2deg(t):.3f}" for m, t in (r.claimed, r.error))
-        lines.append(
-            f"| {r.name} | {r.answers} | {r.inside:.2f} | {r.agree:.2f} | {r.moved:.2f} "
-            f"| {claimed} | {error} |"
-        )
-    return "\n".join(lines)
+    head = "scans | `unique` and right | truth inside | halves agree | moved"
+    cells = (
+        (r.name, r.answers, *(f"{share:.2f}" for share in (r.inside, r.agree, r.moved)),
+         *(f"{m:.4f}, {np.rad2deg(t):.3f}" for m, t in (r.claimed, r.error)))
+        for r in rows
+    )  # fmt: skip
+    return "\n".join(table_lines(f"{head} | claimed m, deg | error m, deg", cells))
 
 
 def _halves(scan: LaserScan) -> list[tuple[FloatArray, FloatArray]]:

@@ -12,6 +12,8 @@ from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, OccupancyGrid, Pose2D, compose, inverse
 from imgloc.options import Options, Shared
 from imgloc.pipeline import localize, prepare
+from tools.recorded import with_poses
+from tools.script import table_lines
 from tools.trust.reliability import RIGHT
 
 
@@ -58,8 +60,7 @@ def scale_rows(
 
     def right(features: MapFeatures, factor: float, shared: Shared) -> float:
         hits = []
-        poses = np.empty((0, 3)) if asked.poses is None else asked.poses
-        for scan, pose in zip(asked.scans, poses, strict=True):
+        for scan, pose in with_poses(asked):
             found = localize(features, scan, Options(shared=shared)).pose
             there = Pose2D(*scaled_pose(pose, grid.origin, factor))
             at = np.full((1, 3), np.inf) if found is None else [[found.x, found.y, found.theta]]
@@ -78,12 +79,11 @@ def scale_rows(
 
 def scale_table(rows: Sequence[ScaleRow]) -> str:
     """The rows as Markdown."""
-    lines = ["| set | map x | scale found | claimed | off | undisturbed | before | calibrated |"]
-    lines.append("|---" * 8 + "|")
-    for r in rows:
-        off = 100 * (r.found / r.factor - 1)
-        lines.append(
-            f"| {r.name} | {r.factor:g} | {r.found:.4f} | {r.deviation:.4f} | {off:+.2f} % "
-            f"| {r.undisturbed:.2f} | {r.before:.2f} | {r.after:.2f} |"
-        )
-    return "\n".join(lines)
+    head = "set | map x | scale found | claimed | off | undisturbed | before | calibrated"
+    cells = (
+        (r.name, f"{r.factor:g}", f"{r.found:.4f}", f"{r.deviation:.4f}",
+         f"{100 * (r.found / r.factor - 1):+.2f} %",
+         *(f"{share:.2f}" for share in (r.undisturbed, r.before, r.after)))
+        for r in rows
+    )  # fmt: skip
+    return "\n".join(table_lines(head, cells))
