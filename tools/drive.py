@@ -5,7 +5,6 @@ The robot goes from place to place where there is most room, is carried off once
     python -m tools.drive --out tools/track.png --log drive.npz
 """
 
-import argparse
 import itertools
 from pathlib import Path
 
@@ -27,6 +26,7 @@ from imgloc.sequences import piece
 from imgloc.simulation import simulate_ranges
 from imgloc.tracking import follow
 from imgloc.worlds import WORLDS, render
+from tools.script import parser_of
 
 _ANGLES = np.deg2rad(np.arange(-90, 90.5, 1.0))
 WORLD = "corridor"  #: whose doors repeat
@@ -68,11 +68,10 @@ def path_between(grid: OccupancyGrid, stops: FloatArray, step: float) -> FloatAr
     return transform_poses(grid.origin, np.column_stack((x, y, theta)))
 
 
-def log_of(world: str, poses: FloatArray, seed: int, *, outliers: float = 0.1) -> ScanSet:
+def log_of(poses: FloatArray, seed: int) -> ScanSet:
     """The scans at the poses, a tenth of their readings stopped by people, and odometry."""
-    ranges = simulate_ranges(
-        render(WORLDS[world](), 0.02), poses, _ANGLES, seed=seed, range_max=8.0, outliers=outliers
-    )
+    fine = render(WORLDS[WORLD](), 0.02)
+    ranges = simulate_ranges(fine, poses, _ANGLES, seed=seed, range_max=8.0, outliers=0.1)
     scans = tuple(LaserScan(r, _ANGLES, range_max=8.0) for r in ranges)
     odom = noisy_odometry(poses, np.random.default_rng(seed))
     return ScanSet(scans, poses, np.arange(0, len(poses) / 2, 0.5, dtype=np.float64), odom)
@@ -83,7 +82,7 @@ def drive(seed: int = 1) -> ScanSet:
     grid = render(WORLDS[WORLD](), 0.1)
     parts = [path_between(grid, np.array(stops), 0.25) for stops in STOPS]
     ends = np.cumsum([0, *map(len, parts)])
-    whole = log_of(WORLD, np.concatenate(parts), seed)
+    whole = log_of(np.concatenate(parts), seed)
     return piece(whole, *(range(a, b) for a, b in itertools.pairwise(ends.tolist())))
 
 
@@ -96,7 +95,7 @@ def draw_drive(log: ScanSet) -> Picture:
 
 def main() -> None:
     """Make the log, follow it, draw it."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of("tools.drive", __doc__)
     parser.add_argument("--out", type=Path, required=True, help="PNG to write")
     parser.add_argument("--log", type=Path, help="NPZ to write: for imgloc track")
     parser.add_argument("--seed", type=int, default=1)

@@ -29,7 +29,8 @@ from imgloc.io.files import write_text_atomic
 from imgloc.likelihoods.correlate import ENGINES
 from imgloc.model import to_json
 from tools.paper.page import templates
-from tools.paper.table import PLACES, Gain, Outcome, gain, place, truth_of, try_method
+from tools.paper.table import PLACES, Gain, Outcome, gain, place, try_method
+from tools.recorded import with_poses
 from tools.script import ended, make_folder, parser_of, progress, table_lines
 
 CARD = ("filter2d", "remap", "image", "polar")
@@ -93,25 +94,22 @@ def compare(
         fresh, scans = place(world, n, seed, threads)
         for method in methods:
             option, needed = _FEATURE[method]
-            ready: dict[str, MapFeatures] = {}
-            times: dict[str, float] = {}
+            ready: dict[str, tuple[MapFeatures, float]] = {}
             for op in OPERATIONS[method]:
                 if not option and ready:  # what engines need of the map is the same
-                    ready[op], times[op] = next(iter(ready.values())), next(iter(times.values()))
+                    ready[op] = next(iter(ready.values()))
                     continue
                 changed: dict[str, Any] = {option: op} if option else {}
-                ready[op], start = replace(fresh, **changed), time.perf_counter()
-                getattr(ready[op], needed)
-                times[op] = 1e3 * (time.perf_counter() - start)
+                features, start = replace(fresh, **changed), time.perf_counter()
+                getattr(features, needed)
+                ready[op] = features, 1e3 * (time.perf_counter() - start)
             trials: dict[str, list[Outcome]] = {op: [] for op in ready}
-            for k, scan in enumerate(scans.scans):
-                for op, features in ready.items():
+            for scan, pose in with_poses(scans):
+                for op, (features, _) in ready.items():
                     engine = "auto" if option else op
-                    trials[op].append(
-                        try_method(method, features, scan, truth_of(scans, k), threads, engine)
-                    )
+                    trials[op].append(try_method(method, features, scan, pose, threads, engine))
                 advance()
-            rows += _rows(world, method, trials, times)
+            rows += _rows(world, method, trials, {op: ms for op, (_, ms) in ready.items()})
     return tuple(rows)
 
 

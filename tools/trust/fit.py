@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 
 from imgloc.evaluation import pose_errors, share
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.geometry import cell_of, in_map_frame, transform_points
+from imgloc.geometry import cell_of, transform_points, transform_poses
 from imgloc.io.scanset import ScanSet
 from imgloc.model import BoolArray, FloatArray, LaserScan, OccupancyGrid, Pose2D, inverse
 from imgloc.options import Options, Trust
@@ -79,9 +79,8 @@ def case_of(
     score, n = found.scores.log_likelihood[:MODES], len(found.readings)
     right = np.zeros(len(score), bool)
     if pose is not None:
-        there = [in_map_frame(Pose2D(*p), features.grid.info) for p in found.poses[:MODES]]
-        errors = pose_errors(np.array([(p.x, p.y, p.theta) for p in there]), Pose2D(*pose))
-        right = np.all(errors <= RIGHT, axis=1)
+        there = transform_poses(features.grid.origin, found.poses[:MODES])
+        right = np.all(pose_errors(there, Pose2D(*pose)) <= RIGHT, axis=1)
     model, each = options.fused.model, float(score[0]) / n
     gap = each - unmapped_score(found.readings.xy, model)
     cell = features.grid.resolution
@@ -166,25 +165,25 @@ def fit_trust(cases: Sequence[Case], held: tuple[float, float] | None = None) ->
 
 def _fit(cases: Sequence[Case], fixed: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Temperature and strain (2,), then log-odds (3,), by what they lose."""
-    trust = Trust()
-    start = np.log([trust.temperature, trust.strain])
-    # Both are positive; Nelder and Mead's way needs no slope, of which a clipped share has none.
     scale = fixed
     if scale is None:
+        start = np.log([Trust().temperature, Trust().strain])
+        # Both are positive; Nelder and Mead's way needs no slope: a clipped share has none.
         found = minimize(lambda p: _temperature_loss(cases, np.exp(p)), start, method="Nelder-Mead")
         scale = np.exp(found.x)
-    X, y, w = _regressors(cases, scale), _lost(cases), _weights(cases)
-
-    def loss(b: FloatArray) -> float:
-        return float(w @ np.logaddexp(0, np.where(y, -1, 1) * (X @ b)) / w.sum() + 1e-4 * b @ b)
-
-    return scale, np.asarray(minimize(loss, np.zeros(3)).x)
+    lose = _elsewhere_loss(cases, scale)
+    return scale, np.asarray(minimize(lambda b: lose(b) + 1e-4 * b @ b, np.zeros(3)).x)
 
 
 def _losses(cases: Sequence[Case], scale: FloatArray, odds: FloatArray) -> tuple[float, float]:
-    X, y, w = _regressors(cases, scale), _lost(cases), _weights(cases)
-    elsewhere = np.logaddexp(0, np.where(y, -1, 1) * (X @ odds))
-    return _temperature_loss(cases, scale), float(w @ elsewhere / w.sum())
+    return _temperature_loss(cases, scale), _elsewhere_loss(cases, scale)(odds)
+
+
+def _elsewhere_loss(cases: Sequence[Case], scale: FloatArray) -> Callable[[FloatArray], float]:
+    """Of log-odds (3,): the mean of minus the logarithm of what was the case."""
+    X, w = _regressors(cases, scale), _weights(cases)
+    sign = np.where(_lost(cases), -1, 1)
+    return lambda odds: float(w @ np.logaddexp(0, sign * (X @ odds)) / w.sum())
 
 
 def _temperature(case: Case, scale: FloatArray) -> float:
@@ -197,8 +196,7 @@ def _temperature_loss(cases: Sequence[Case], scale: FloatArray) -> float:
     mine = [not lost for lost in _lost(cases)]
     weights, home = _weights(cases)[mine], [c for c, m in zip(cases, mine, strict=True) if m]
     mass = [masses(c.score, _temperature(c, scale))[c.right].sum() for c in home]
-    loss = -weights @ np.log(np.maximum(mass, 1e-9)) / max(weights.sum(), 1e-9)
-    return float(loss)
+    return float(-weights @ np.log(np.maximum(mass, 1e-9)) / max(weights.sum(), 1e-9))
 
 
 def _regressors(cases: Sequence[Case], scale: FloatArray) -> FloatArray:
