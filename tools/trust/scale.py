@@ -30,13 +30,8 @@ class ScaleRow:
     after: float  #: with that of the calibration
 
 
-def scaled_map(grid: OccupancyGrid, factor: float) -> OccupancyGrid:
-    """The map with cells of another size."""
-    return replace(grid, resolution=grid.resolution * factor)
-
-
 def scaled_pose(pose: FloatArray, origin: Pose2D, factor: float) -> FloatArray:
-    """Where a pose (3,), map frame, is on :func:`scaled_map`.
+    """Where a pose (3,), map frame, is if the cells of the map are so many times as large.
 
     Examples
     --------
@@ -69,7 +64,7 @@ def scale_rows(
 
     rows, home = [], right(prepare(grid, name), 1.0, Shared())
     for factor in factors:
-        features = prepare(scaled_map(grid, factor), name)
+        features = prepare(replace(grid, resolution=grid.resolution * factor), name)
         fit = fit_shared(features, known.scans)
         before, after = (right(features, factor, s) for s in (Shared(), fit.shared))
         rows.append(ScaleRow(name, factor, fit.shared.scale, fit.deviation, home, before, after))
