@@ -12,19 +12,13 @@ import cv2
 import numpy as np
 from skimage.graph import route_through_array
 
-from imgloc.filters.choose import make_filter
+from imgloc import Options, Picture, ScanSet, follow, make_filter, prepare, save_scans
 from imgloc.filters.motion import noisy_odometry
 from imgloc.geometry import centre_of, transform_poses
-from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid
-from imgloc.options import Options
-from imgloc.output.pictures import Picture
 from imgloc.output.tracks import draw_track
-from imgloc.pipeline import prepare
 from imgloc.sequences import piece
 from imgloc.simulation import simulate_ranges
-from imgloc.tracking import follow
 from imgloc.worlds import WORLDS, render
 from tools.script import parser_of
 

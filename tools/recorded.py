@@ -4,11 +4,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, ScanSet, load_map, load_scans, save_scans
 from imgloc.io.files import display
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid
 from imgloc.simulation import Sensor, sample_set, simulate
 from imgloc.worlds import WORLDS, render

@@ -20,20 +20,13 @@ from typing import Any
 import numpy as np
 
 import imgloc
-from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.choose import make_filter
+from imgloc import MapFeatures, Options, Picture, ScanSet, follow, load_map, load_scans, make_filter
 from imgloc.filters.evidence import Places
 from imgloc.io.files import write_bytes_atomic, write_text_atomic
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans
-from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, to_json
-from imgloc.options import Options
-from imgloc.output.pictures import Picture
 from imgloc.output.tracks import draw_track, sequence_row
 from imgloc.pipeline import prepare
 from imgloc.sequences import Searches, Trials, measure, with_odometry
-from imgloc.tracking import follow
 from tools.plots import blank
 from tools.script import parser_of, progress, table_lines
 

@@ -23,15 +23,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, ScanSet, Sensor, load_map, load_scans, prepare, simulate
 from imgloc.features.scanpoints import scan_points
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans
-from imgloc.io.scanset import ScanSet
 from imgloc.likelihoods.correlate import ENGINES
 from imgloc.model import OccupancyGrid, to_json
-from imgloc.pipeline import prepare
-from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 from tools.bench.fleets import batch_costs, row_costs
 from tools.bench.measure import (

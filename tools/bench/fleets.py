@@ -13,11 +13,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from imgloc.batch import run_batch
-from imgloc.io.maps import save_map
+from imgloc import OccupancyGrid, ScanSet, run_batch, save_map
 from imgloc.io.results import RESULTS, read_rows
-from imgloc.io.scanset import ScanSet
-from imgloc.model import OccupancyGrid
 from tools.bench.outside import command
 from tools.recorded import save_each
 

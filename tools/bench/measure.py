@@ -18,9 +18,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from imgloc import LaserScan, MapFeatures, OccupancyGrid, Options, localize, prepare
 from imgloc.features.distance import distance_image
 from imgloc.features.fields import bmap
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import scan_points, scan_xy
 from imgloc.features.surface import surface_points
@@ -29,9 +29,7 @@ from imgloc.likelihoods.cbml import cbml, cbml_o, project
 from imgloc.likelihoods.correlate import ENGINES, EXACT, correlate
 from imgloc.likelihoods.ght import ght, ght_v
 from imgloc.likelihoods.slices import cell_offsets
-from imgloc.model import Float32Array, FloatArray, LaserScan, OccupancyGrid
-from imgloc.options import Options
-from imgloc.pipeline import localize, prepare
+from imgloc.model import Float32Array, FloatArray
 from imgloc.search.branch_and_bound import best_poses
 from imgloc.worlds import WORLDS, render
 from tools.script import at_least_one

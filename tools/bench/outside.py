@@ -12,12 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imgloc.errors import ImglocError
-from imgloc.io.maps import save_map
-from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.model import OccupancyGrid
-from imgloc.pipeline import localize, prepare
+from imgloc import ImglocError, OccupancyGrid, ScanSet, localize, prepare, save_map, save_scans
 from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 from tools.bench.measure import HEADINGS, PAIR_HEADINGS, tiled

@@ -7,20 +7,12 @@ from types import MappingProxyType
 import cv2
 import numpy as np
 
+from imgloc import GridInfo, LaserScan, Likelihood, OccupancyGrid, OrientedPoints, Pose2D
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import centre_of, transform_points, uniform_thetas
 from imgloc.index import global_maximum
-from imgloc.model import (
-    FloatArray,
-    GridInfo,
-    LaserScan,
-    Likelihood,
-    OccupancyGrid,
-    OrientedPoints,
-    Pose2D,
-    compose,
-)
+from imgloc.model import FloatArray, compose
 from imgloc.output.canvas import PAPER, Canvas, Image, draw_map, marker_size
 from imgloc.output.features import draw_bmap, draw_field, draw_surface
 from imgloc.output.pictures import draw_likelihood, mosaic

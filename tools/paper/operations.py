@@ -19,10 +19,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, MapFeatures
 from imgloc.evaluation import Share, share
 from imgloc.features.gradients import SOURCES
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.visibility import WAYS
 from imgloc.index import Index, performance_index
 from imgloc.io.files import write_text_atomic

@@ -14,15 +14,14 @@ from types import MappingProxyType
 
 import numpy as np
 
+from imgloc import LaserScan, MapFeatures, ScanSet
 from imgloc.evaluation import PAPER_STEPS_DEG, Z95, Share, share
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import cell_of, theta_bin, uniform_thetas
 from imgloc.index import FLOOR, Index, density_in_stack, global_maximum, performance_index
-from imgloc.io.scanset import ScanSet
 from imgloc.likelihoods import stacks
 from imgloc.likelihoods.ght import ght_v
-from imgloc.model import Float32Array, FloatArray, LaserScan
+from imgloc.model import Float32Array, FloatArray
 from imgloc.options import DEFAULTS
 from tools.paper.uncertainty import Uncertainty, vote_spread
 from tools.recorded import in_world, with_poses

@@ -7,15 +7,11 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from imgloc import FloorPlan, OccupancyGrid, Options, Pose2D, ScanSet, load_map, plan_to_map
 from imgloc.evaluation import pose_errors
-from imgloc.features.floorplan import FloorPlan, plan_to_map
 from imgloc.geometry import poses_of
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
-from imgloc.io.maps import load_map
-from imgloc.io.scanset import ScanSet
-from imgloc.model import OccupancyGrid, Pose2D
-from imgloc.options import Options
 from imgloc.pipeline import localize, prepare
 from imgloc.simulation import Sensor, simulate
 from tools.plans.drawing import Building, Image, building, draw_plan, inside, solid, true_world

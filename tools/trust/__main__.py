@@ -30,16 +30,12 @@ from typing import Any
 import cv2
 import numpy as np
 
+from imgloc import ConfigError, Options, Sensor, Trust, load_map, prepare
 from imgloc.choice import names_of
-from imgloc.errors import ConfigError
 from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
 from imgloc.io.folders import find_maps
 from imgloc.io.images import encode_png
-from imgloc.io.maps import load_map
 from imgloc.model import to_json
-from imgloc.options import Options, Trust
-from imgloc.pipeline import prepare
-from imgloc.simulation import Sensor
 from imgloc.worlds import WORLDS
 from tools.plots import blank
 from tools.recorded import in_world, recorded_sets

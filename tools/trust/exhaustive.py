@@ -12,13 +12,12 @@ from dataclasses import fields, replace
 import numpy as np
 from skimage.measure import block_reduce
 
+from imgloc import FusedOptions, LaserScan, MapFeatures, Options
 from imgloc.features.distance import signed_distance
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import Level, any_of_blocks
 from imgloc.features.scanpoints import one_per_place
 from imgloc.geometry import uniform_thetas
-from imgloc.model import LaserScan
-from imgloc.options import EvidenceModel, FusedOptions, Options
+from imgloc.options import EvidenceModel
 from imgloc.pipeline import Modes, find_modes
 from imgloc.search.hypotheses import modes
 from imgloc.search.proposals import propose_all

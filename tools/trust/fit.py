@@ -15,13 +15,11 @@ import cv2
 import numpy as np
 from scipy.optimize import minimize
 
+from imgloc import LaserScan, MapFeatures, OccupancyGrid, Options, Pose2D, ScanSet, Trust, prepare
 from imgloc.evaluation import pose_errors, share
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import cell_of, transform_points, transform_poses
-from imgloc.io.scanset import ScanSet
-from imgloc.model import BoolArray, FloatArray, LaserScan, OccupancyGrid, Pose2D, inverse
-from imgloc.options import Options, Trust
-from imgloc.pipeline import find_adapted_modes, prepare
+from imgloc.model import BoolArray, FloatArray, inverse
+from imgloc.pipeline import find_adapted_modes
 from imgloc.search.background import unmapped_score
 from imgloc.search.hypotheses import masses
 from imgloc.search.trust import judge

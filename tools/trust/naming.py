@@ -5,14 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from imgloc.choice import OPTIONS, Choice, choose, fit, next_maps
-from imgloc.errors import ConfigError
+from imgloc import Choice, ConfigError, LaserScan, Localization, Sensor, load_map, prepare, simulate
+from imgloc.choice import OPTIONS, choose, fit, next_maps
 from imgloc.evaluation import share
-from imgloc.io.maps import load_map
 from imgloc.mapindex import open_index
-from imgloc.model import LaserScan, Localization
-from imgloc.pipeline import prepare
-from imgloc.simulation import Sensor, simulate
 from tools.recorded import scans_beside
 from tools.script import at_least_one
 

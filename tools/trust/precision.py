@@ -11,11 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imgloc.features.mapfeatures import MapFeatures
+from imgloc import LaserScan, Localization, MapFeatures, ScanSet, localize
 from imgloc.geometry import wrap
-from imgloc.io.scanset import ScanSet
-from imgloc.model import FloatArray, LaserScan, Localization
-from imgloc.pipeline import localize
+from imgloc.model import FloatArray
 from tools.recorded import with_poses
 from tools.script import table_lines
 

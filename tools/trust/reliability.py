@@ -6,13 +6,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import numpy.typing as npt
 
+from imgloc import Localization, MapFeatures, Options, Pose2D, ScanSet, localize
 from imgloc.evaluation import Share, pose_errors, share
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import poses_of, wrap
-from imgloc.io.scanset import ScanSet
-from imgloc.model import BoolArray, FloatArray, Localization, Pose2D
-from imgloc.options import Options
-from imgloc.pipeline import localize
+from imgloc.model import BoolArray, FloatArray
 from tools.plots import blank
 from tools.recorded import with_poses
 

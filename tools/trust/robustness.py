@@ -14,14 +14,10 @@ from types import MappingProxyType
 
 import numpy as np
 
+from imgloc import LaserScan, MapFeatures, Options, Pose2D, ScanSet, Sensor, localize, prepare
 from imgloc.evaluation import Share, pose_errors, share
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import in_map_frame
-from imgloc.io.scanset import ScanSet
-from imgloc.model import FloatArray, LaserScan, Pose2D, base_of
-from imgloc.options import Options
-from imgloc.pipeline import localize, prepare
-from imgloc.simulation import Sensor
+from imgloc.model import FloatArray, base_of
 from imgloc.worlds import WORLDS, render
 from tools.recorded import in_world, with_poses
 from tools.script import at_least_one, one_of, table_lines

@@ -5,13 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imgloc import MapFeatures, OccupancyGrid, Options, Pose2D, ScanSet, Shared, localize, prepare
 from imgloc.calibrate import fit_shared
 from imgloc.evaluation import pose_errors
-from imgloc.features.mapfeatures import MapFeatures
-from imgloc.io.scanset import ScanSet
-from imgloc.model import FloatArray, OccupancyGrid, Pose2D, compose, inverse
-from imgloc.options import Options, Shared
-from imgloc.pipeline import localize, prepare
+from imgloc.model import FloatArray, compose, inverse
 from tools.recorded import with_poses
 from tools.script import table_lines
 from tools.trust.reliability import RIGHT
