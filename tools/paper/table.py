@@ -14,10 +14,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from imgloc import LaserScan, MapFeatures, ScanSet
-from imgloc.evaluation import PAPER_STEPS_DEG, Z95, Share, share
+from imgloc import LaserScan, MapFeatures, Pose2D, ScanSet
+from imgloc.evaluation import PAPER_STEPS_DEG, Z95, Share, cell_of_pose, share
 from imgloc.features.scanpoints import scan_points
-from imgloc.geometry import cell_of, theta_bin, uniform_thetas
+from imgloc.geometry import theta_bin, uniform_thetas
 from imgloc.index import FLOOR, Index, density_in_stack, global_maximum, performance_index
 from imgloc.likelihoods import stacks
 from imgloc.likelihoods.ght import ght_v
@@ -97,8 +97,7 @@ def try_method(
     :data:`imgloc.options.DEFAULTS`, as in an answer of ``imgloc localize``.
     """
     thetas = thetas_of(method)
-    row, col = cell_of(truth[:2], CELL).tolist()
-    at = int(theta_bin(truth[2], len(thetas))), row, col
+    at = cell_of_pose(features, Pose2D(*truth), len(thetas))
     start = time.perf_counter()
     stack = stack_of(method, features, scan, thetas, threads, engine)
     ms = 1e3 * (time.perf_counter() - start)

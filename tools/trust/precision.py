@@ -64,10 +64,9 @@ def precision(
     if not rows:
         nan = float("nan")
         return Precision(name, 0, nan, nan, nan, (nan, nan), (nan, nan))
-    shares, sd = np.mean(rows, axis=0), np.median(claimed, axis=0)
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
-    within, agree, moves = map(float, shares)
-    claim, off = (float(sd[0]), float(sd[1])), (float(rms[0]), float(rms[1]))
+    within, agree, moves = np.mean(rows, axis=0).tolist()
+    claim, off = (tuple(v.tolist()) for v in (np.median(claimed, axis=0), rms))
     return Precision(name, len(rows), within, agree, moves, claim, off)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from imgloc import MapFeatures, OccupancyGrid, Options, Pose2D, ScanSet, Shared, localize, prepare
 from imgloc.calibrate import fit_shared
 from imgloc.evaluation import pose_errors
+from imgloc.geometry import poses_of
 from imgloc.model import FloatArray, compose, inverse
 from tools.recorded import with_poses
 from tools.script import table_lines
@@ -53,10 +54,9 @@ def scale_rows(
     def right(features: MapFeatures, factor: float, shared: Shared) -> float:
         hits = []
         for scan, pose in with_poses(asked):
-            found = localize(features, scan, Options(shared=shared)).pose
+            found = poses_of(localize(features, scan, Options(shared=shared)).hypotheses[:1])
             there = Pose2D(*scaled_pose(pose, grid.origin, factor))
-            at = np.full((1, 3), np.inf) if found is None else [[found.x, found.y, found.theta]]
-            hits.append(bool(np.all(pose_errors(np.array(at), there) <= RIGHT)))
+            hits.append((pose_errors(found, there) <= RIGHT).all(axis=1).any())
         return float(np.mean(hits))
 
     rows, home = [], right(prepare(grid, name), 1.0, Shared())
