@@ -17,7 +17,7 @@ from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 from tools.bench.measure import HEADINGS, PAIR_HEADINGS, tiled
 
-_ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def floors(problem: Path) -> Mapping[str, float | str]:
@@ -111,7 +111,7 @@ def command(*words: object) -> Mapping[str, float]:
 
 def measured(run: Sequence[str], what: str) -> Mapping[str, float]:
     """What a Python process prints last, as JSON; raises ImglocError if it fails."""
-    done = subprocess.run(run, check=False, capture_output=True, text=True, cwd=_ROOT)  # noqa: S603
+    done = subprocess.run(run, check=False, capture_output=True, text=True, cwd=ROOT)  # noqa: S603
     if done.returncode:
         raise ImglocError(f"{what} ended with {done.returncode}: {_last_line(done.stderr)}")
     found: Mapping[str, float] = json.loads(_last_line(done.stdout))

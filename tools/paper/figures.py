@@ -119,11 +119,11 @@ def draw_comparison(s: Scene, *, scale: int) -> Image:
     return _panels([first], grid, s.truth, s.points, s.stacks, scale)
 
 
-def draw_fields(s: Scene, *, scale: int = 9) -> Image:
+def draw_fields(s: Scene) -> Image:
     """Draw what CBML and CBML-O make of :data:`WINDOW_FIG_4`, and what comes of it near a pose."""
     grid, cell = s.features.grid, s.features.grid.resolution
     x0, y0, x1, y1 = (round(v / cell) for v in WINDOW_FIG_4)
-    part = np.s_[y0:y1, x0:x1]
+    part, scale = np.s_[y0:y1, x0:x1], 9
     shift = np.array((x0, y0)) * cell
     local = s.features.surface.xy - shift
     seen = np.all((local >= 0) & (local <= np.array((x1 - x0, y1 - y0)) * cell), axis=1)

@@ -259,14 +259,14 @@ def true_world(b: Building, cell: float = FINE) -> OccupancyGrid:
 
 def draw_plan(
     b: Building, resolution: float, style: str = "filled", *, clutter: bool = True,
-    noise: int | None = None, pen: float = _PEN,
+    noise: int | None = None,
 ) -> Image:  # fmt: skip
     """The plan of a building, (H, W) grey, top row first, of so many metres a pixel.
 
     `noise` is the quality of a JPEG that the plan went through, 1 to 100.
     """
     walls = solid(b, FINE, windows=False)
-    line, image = max(1, round(pen / resolution)), b.sheet(resolution, 255)
+    line, image = max(1, round(_PEN / resolution)), b.sheet(resolution, 255)
     high, wide = image.shape
     share = cv2.resize(walls.astype(np.float32), (wide, high), interpolation=cv2.INTER_AREA)
 

@@ -160,7 +160,7 @@ _CELL, _REACH, _CLEAR = 0.01, 20.0, 0.3  # metres: of a room's image, of the sen
 ROOMS = ("closed room", "room with a door", "dead end", "lift")
 
 
-def unmapped(kind: str, rng: Rng, fov: float = 2 * np.pi, rays: int = 361) -> LaserScan:
+def unmapped(kind: str, rng: Rng, fov: float = 2 * np.pi) -> LaserScan:
     """A scan from within a simple place that is in no map: one of :data:`ROOMS`."""
     width, height = rng.uniform(*((1.2, 2.4) if kind == "lift" else (2.5, 9.0)), 2)
     beyond = 0.0  # metres that are free behind the upper side
@@ -178,9 +178,9 @@ def unmapped(kind: str, rng: Rng, fov: float = 2 * np.pi, rays: int = 361) -> La
         free[10 + rows : 20 + rows, door : door + 90] = True
         free[20 + rows : 20 + rows + far - 10, :] = True
     at = 0.1 + rng.uniform(_CLEAR, (width - _CLEAR, height - _CLEAR))
-    angles = ray_angles(rays, fov)
+    angles = ray_angles(361, fov)
     psi = rng.uniform(-np.pi, np.pi) + angles
     ranges = cast_rays(distance_image(~free), at, psi, _REACH, _CELL).astype(np.float64)
-    ranges += 0.02 * rng.standard_normal(rays)
+    ranges += 0.02 * rng.standard_normal(len(angles))
     ranges[ranges > _REACH] = np.inf
     return LaserScan(np.maximum(ranges, 1e-3), angles, range_max=_REACH)
