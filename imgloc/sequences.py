@@ -31,6 +31,7 @@ AT = (0.0, 1.0, 2.0, 5.0, 10.0)  #: metres driven after which shares are reporte
 WRONG = 1.0  #: metres: ``unique`` and farther off than this is confidently wrong
 ENM = (0.3, 20.0)  #: ENM-MCL: RMSE in metres, from so many seconds on
 F3LOC = (10, (1.0, 0.5, 0.3, 0.2))  #: F3Loc: the last frames, within so many metres
+CARRIED = (10.0, 3.0)  #: a kidnapping: metres driven before and after it, and at least in it
 JAIR = (0.45, 10.0)  #: JAIR 11: recovered, within metres for more than so many seconds
 
 
@@ -194,13 +195,11 @@ def kidnap_runs(
     count: int,
     rng: np.random.Generator,
     *,
-    metres: float = 10.0,
-    least: float = 3.0,
     every: Every | None = None,
     clock: Callable[[], float] = lambda: 0.0,
 ) -> Iterator[Run]:
-    """Drive for `metres`, carry the robot off by at least `least`, drive for as many again."""
-    way, last = driven(scans), 0
+    """Drive, carry the robot off, drive on: as far as :data:`CARRIED` says."""
+    (metres, least), way, last = CARRIED, driven(scans), 0
     if scans.poses is not None:
         last = max(1, int(np.searchsorted(way, max(0.0, way[-1] - metres), side="right")))
     for _ in range(count):

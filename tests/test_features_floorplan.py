@@ -104,6 +104,12 @@ def test_what_is_drawn_besides_walls_is_named_and_gone(plain: tuple[Image, Floor
     assert not (there & ~grown(here)).any()
 
 
+def test_a_hatched_wall_that_is_more_ink_than_paper_is_one_wall() -> None:
+    found = plan_to_map(upright(draw_plan(cabin(), 0.04, "hatched")), 0.04)
+    assert found.thickness[1] == pytest.approx(0.3, abs=0.05)
+    assert found.length == pytest.approx(2 * (8.7 + 5.2) + 5.2 - 1.9, rel=0.2)
+
+
 def test_walls_of_single_lines_are_found_where_nothing_thicker_is() -> None:
     b = cabin()
     found = plan_to_map(upright(draw_plan(b, 0.03, "lines")), 0.03)

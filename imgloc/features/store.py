@@ -183,10 +183,10 @@ def load_features(
         return fresh
 
 
-def save_features(features: MapFeatures, folder: PathLike, *, max_bytes: int = MAX_BYTES) -> bool:
+def save_features(features: MapFeatures, folder: PathLike) -> bool:
     """Keep what has been computed so far; return whether something had to be written."""
     key = features_key(features)
-    arrays = features_to_arrays(features, max_bytes=max_bytes)
+    arrays = features_to_arrays(features)
     if not arrays or arrays.keys() <= entries.entry_names(folder, key):
         return False
     return entries.store_entry(folder, key, arrays)
