@@ -175,7 +175,7 @@ def test_auto_beside_every_engine():
 
 
 def test_rays_of_the_engines_are_as_many_and_as_long_as_said():
-    grid = tiled(700)  # more than one tile
+    grid = tiled(render(WORLDS["large"](), 0.1), 700)  # more than one tile
     assert grid.occupied.shape == (700, 700)
     lengths = np.hypot(*seen(grid, 25, 90).T)
     assert lengths.shape == (90,)

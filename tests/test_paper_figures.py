@@ -1,5 +1,7 @@
 """Figs. 1, 2, 4 and 5: what their stacks show, and that the panels show it."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -114,25 +116,25 @@ def test_a_scan_lies_on_a_trace_of_the_map():
 
 
 def test_fields_have_arrows_and_six_panels(scenes):
-    image = draw_fields(scenes["fig4"], window=(21.0, 20.0, 27.0, 26.0))
+    image = draw_fields(scenes["fig4"])
     assert image.shape[1] > 2.5 * 60 * 9  # three panels of 60 cells
     saturation = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)[..., 1]
     assert (saturation > 100).mean() > 0.02  # directions are colours
 
 
 def test_comparisons_mark_the_pose_in_each_panel(scenes):
-    s, f = scenes["fig2"], scenes["fig2"].features
-    image = draw_comparison(f.grid, s.truth, s.points, s.stacks, scale=2)
+    s = scenes["fig2"]
+    image = draw_comparison(s, scale=2)
     red = (image == RED).all(axis=2).astype(np.uint8)
     count = cv2.connectedComponents(cv2.dilate(red, np.ones((5, 5), np.uint8)))[0] - 1
     assert count == 2 + len(s.stacks)
 
 
 def test_a_maximum_is_marked_where_it_is_not_the_true_pose(scenes):
-    s, f = scenes["fig2"], scenes["fig2"].features
+    s = scenes["fig2"]
     marked = []
     for truth in (s.truth, Pose2D(s.truth.x + 2.0, s.truth.y, s.truth.theta)):
-        image = draw_comparison(f.grid, truth, s.points, s.stacks, scale=2)
+        image = draw_comparison(replace(s, truth=truth), scale=2)
         blue = (image == BLUE).all(axis=2).astype(np.uint8)
         marked.append(cv2.connectedComponents(cv2.dilate(blue, np.ones((5, 5), np.uint8)))[0] - 1)
     assert marked == [0, len(s.stacks)]

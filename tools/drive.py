@@ -5,7 +5,6 @@ The robot goes from place to place where there is most room, is carried off once
     python -m tools.drive --out tools/track.png --log drive.npz
 """
 
-import argparse
 import itertools
 from pathlib import Path
 
@@ -13,20 +12,15 @@ import cv2
 import numpy as np
 from skimage.graph import route_through_array
 
-from imgloc.filters.choose import make_filter
+from imgloc import Options, Picture, ScanSet, follow, make_filter, prepare, save_scans
 from imgloc.filters.motion import noisy_odometry
 from imgloc.geometry import centre_of, transform_poses
-from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid
-from imgloc.options import Options
-from imgloc.output.pictures import Picture
 from imgloc.output.tracks import draw_track
-from imgloc.pipeline import prepare
 from imgloc.sequences import piece
 from imgloc.simulation import simulate_ranges
-from imgloc.tracking import follow
 from imgloc.worlds import WORLDS, render
+from tools.script import parser_of
 
 _ANGLES = np.deg2rad(np.arange(-90, 90.5, 1.0))
 WORLD = "corridor"  #: whose doors repeat
@@ -68,11 +62,10 @@ def path_between(grid: OccupancyGrid, stops: FloatArray, step: float) -> FloatAr
     return transform_poses(grid.origin, np.column_stack((x, y, theta)))
 
 
-def log_of(world: str, poses: FloatArray, seed: int, *, outliers: float = 0.1) -> ScanSet:
+def log_of(poses: FloatArray, seed: int) -> ScanSet:
     """The scans at the poses, a tenth of their readings stopped by people, and odometry."""
-    ranges = simulate_ranges(
-        render(WORLDS[world](), 0.02), poses, _ANGLES, seed=seed, range_max=8.0, outliers=outliers
-    )
+    fine = render(WORLDS[WORLD](), 0.02)
+    ranges = simulate_ranges(fine, poses, _ANGLES, seed=seed, range_max=8.0, outliers=0.1)
     scans = tuple(LaserScan(r, _ANGLES, range_max=8.0) for r in ranges)
     odom = noisy_odometry(poses, np.random.default_rng(seed))
     return ScanSet(scans, poses, np.arange(0, len(poses) / 2, 0.5, dtype=np.float64), odom)
@@ -83,7 +76,7 @@ def drive(seed: int = 1) -> ScanSet:
     grid = render(WORLDS[WORLD](), 0.1)
     parts = [path_between(grid, np.array(stops), 0.25) for stops in STOPS]
     ends = np.cumsum([0, *map(len, parts)])
-    whole = log_of(WORLD, np.concatenate(parts), seed)
+    whole = log_of(np.concatenate(parts), seed)
     return piece(whole, *(range(a, b) for a, b in itertools.pairwise(ends.tolist())))
 
 
@@ -96,7 +89,7 @@ def draw_drive(log: ScanSet) -> Picture:
 
 def main() -> None:
     """Make the log, follow it, draw it."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of("tools.drive", __doc__)
     parser.add_argument("--out", type=Path, required=True, help="PNG to write")
     parser.add_argument("--log", type=Path, help="NPZ to write: for imgloc track")
     parser.add_argument("--seed", type=int, default=1)

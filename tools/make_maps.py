@@ -7,7 +7,6 @@ a change of a world:
     python -m tools.make_maps --picture worlds.png
 """
 
-import argparse
 from pathlib import Path
 
 from imgloc.io.files import write_bytes_atomic
@@ -16,23 +15,16 @@ from imgloc.io.maps import save_map
 from imgloc.output.canvas import draw_map
 from imgloc.output.pictures import mosaic
 from imgloc.worlds import WORLDS, render
+from tools.script import parser_of
 
 RESOLUTION = 0.1
 """Side of a cell of the bundled maps, metres: the paper's."""
 
 
 def make_maps(folder: Path) -> list[Path]:
-    """Write every bundled world into `folder` as PNG and YAML, over what is there.
+    """Write every bundled world as PNG and YAML, over what is there; the paths of the YAML files.
 
-    Parameters
-    ----------
-    folder : Path
-        Made if it does not exist.
-
-    Returns
-    -------
-    list of Path
-        Of the YAML files.
+    The folder is made if it does not exist.
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
@@ -45,9 +37,7 @@ def make_maps(folder: Path) -> list[Path]:
 
 def main() -> None:
     """Parse the command line and write the files."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = parser_of("tools.make_maps", __doc__)
     beside = Path(__file__).resolve().parents[1] / "maps"
     parser.add_argument("--out", type=Path, default=beside, help="folder (default: maps/)")
     parser.add_argument("--picture", type=Path, help="also draw all worlds into this PNG")

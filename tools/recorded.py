@@ -1,13 +1,15 @@
-"""Files of scans: those that were recorded in a map, with the true pose of each; one a scan."""
+"""Scans with the true pose of each: recorded ones beside a map, simulated ones of a world."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, ScanSet, load_map, load_scans, save_scans
 from imgloc.io.files import display
-from imgloc.io.scans import load_scans, save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.simulation import sample_set
+from imgloc.model import FloatArray, LaserScan, OccupancyGrid
+from imgloc.simulation import Sensor, sample_set, simulate
+from imgloc.worlds import WORLDS, render
+from tools.script import at_least_one
 
 
 def scans_beside(path: Path, n: int, seed: int, range_max: float) -> ScanSet:
@@ -22,18 +24,38 @@ def scans_beside(path: Path, n: int, seed: int, range_max: float) -> ScanSet:
     ConfigError
         If `n` is less than 1 or the reach not positive.
     """
-    if n < 1:
-        raise ConfigError(f"n must be at least 1, got {n}")
+    at_least_one(n=n)
     file = path.with_name("scans.npz")
     return cut_set(sample_set(load_scans(file), n, seed, display(file)), range_max)
+
+
+def recorded_sets(
+    paths: Iterable[Path], n: int, seed: int, range_max: float
+) -> list[tuple[str, OccupancyGrid, ScanSet]]:
+    """The maps, called as their folders are, with the scans beside them: :func:`scans_beside`."""
+    sets = [(path, scans_beside(path, n, seed, range_max)) for path in paths]
+    return [(path.parent.name, load_map(path), scans) for path, scans in sets]
+
+
+def in_world(
+    name: str, n: int, seed: int, sensor: Sensor | None = None, cell: float = 0.1
+) -> tuple[OccupancyGrid, ScanSet]:
+    """The map of a bundled world, and `n` scans taken in the world itself."""
+    at_least_one(n=n)
+    grid = render(WORLDS[name](), cell)
+    return grid, simulate(grid, n, seed, sensor, render(WORLDS[name](), 0.01))
+
+
+def with_poses(scans: ScanSet) -> Iterator[tuple[LaserScan, FloatArray]]:
+    """Each scan with its pose (3,), map frame; ValueError if these are not known."""
+    return zip(scans.scans, () if scans.poses is None else scans.poses, strict=True)
 
 
 def save_each(folder: Path, scans: ScanSet) -> None:
     """Make a folder with a file of each scan, and of its pose if that is known."""
     folder.mkdir()
-    for k, scan in enumerate(scans.scans):
-        poses = None if scans.poses is None else scans.poses[k : k + 1]
-        save_scans(folder / f"{k:04d}.npz", ScanSet((scan,), poses=poses))
+    for k in range(len(scans)):
+        save_scans(folder / f"{k:04d}.npz", scans.take([k]))
 
 
 def cut_set(scans: ScanSet, range_max: float) -> ScanSet:

@@ -2,12 +2,12 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 
 from imgloc.cli import console
-from imgloc.errors import ImglocError, OutputError
+from imgloc.errors import ConfigError, ImglocError, OutputError
 from imgloc.io.files import refuse_existing
 
 
@@ -26,6 +26,21 @@ def ended(name: str, work: Callable[[], int]) -> int:
         return error.exit_code
 
 
+def at_least_one(**numbers: int) -> None:
+    """ConfigError unless each of these numbers is 1 or more."""
+    for name, number in numbers.items():
+        if number < 1:
+            raise ConfigError(f"{name} must be at least 1, got {number}")
+
+
+def one_of(names: Iterable[str], known: Iterable[str]) -> None:
+    """ConfigError unless each of these names is known."""
+    known = tuple(known)
+    for name in names:
+        if name not in known:
+            raise ConfigError(f"expected one of {', '.join(known)}, got {name!r}")
+
+
 def make_folder(folder: Path, files: Iterable[str], *, force: bool) -> None:
     """Make a folder for these files; one that is there is an OutputError now, before any work."""
     try:
@@ -42,3 +57,21 @@ def progress(title: str, total: int) -> AbstractContextManager[Callable[..., Non
     What it yields is to be called after each of `total` steps.
     """
     return console.progress(title, total, lines=False)
+
+
+def table_lines(head: str, rows: Iterable[Iterable[object]], rule: str = "---") -> Iterator[str]:
+    r"""The lines of a Markdown table, each as soon as its row is there.
+
+    `head` has the names of the columns with `` | `` between them, `rule` what is below each.
+
+    Examples
+    --------
+    >>> print(*table_lines("world | S", [("curved", 2.5)], "---:"), sep="\n")
+    | world | S |
+    |---:|---:|
+    | curved | 2.5 |
+    """
+    yield f"| {head} |"
+    yield "|" + f"{rule}|" * (head.count(" | ") + 1)
+    for row in rows:
+        yield f"| {' | '.join(map(str, row))} |"

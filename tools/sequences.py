@@ -9,10 +9,8 @@ It writes a table (``sequences.md``, and every number in ``sequences.jsonl``), t
 poses against metres driven (``recall.png``), and a track of each log over its map.
 """
 
-import argparse
 import hashlib
 import io
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -22,22 +20,15 @@ from typing import Any
 import numpy as np
 
 import imgloc
-from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.choose import make_filter
+from imgloc import MapFeatures, Options, Picture, ScanSet, follow, load_map, load_scans, make_filter
 from imgloc.filters.evidence import Places
 from imgloc.io.files import write_bytes_atomic, write_text_atomic
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.model import FloatArray, LaserScan, Pose2D, to_json
-from imgloc.options import Options
-from imgloc.output.pictures import Picture
+from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, to_json
 from imgloc.output.tracks import draw_track, sequence_row
 from imgloc.pipeline import prepare
-from imgloc.sequences import Searches, Trials, driven, measure, piece, with_odometry
-from imgloc.tracking import follow
+from imgloc.sequences import Searches, Trials, measure, with_odometry
 from tools.plots import blank
-from tools.script import progress
+from tools.script import parser_of, progress, table_lines
 
 #: Where the sensor sits on the robot whose odometry was recorded, if that is known: of duke_loop5
 #: as odometry and poses agree best while it turns.
@@ -137,6 +128,15 @@ class KeptSearches(Searches):
         write_bytes_atomic(self._file, buffer.getvalue(), force=True)
 
 
+def load_log(folder: Path, seed: int = 0) -> tuple[OccupancyGrid, ScanSet, str]:
+    """A map, scans of the sensor where it sits, with odometry, and where that is from."""
+    scans = load_scans(folder / "scans.npz")
+    if (mount := MOUNTS.get(folder.name)) is not None:
+        mounted = tuple(replace(scan, T_base_laser=mount) for scan in scans.scans)
+        scans = replace(scans, scans=mounted)
+    return load_map(folder / "map.yaml"), *with_odometry(scans, seed)
+
+
 def measure_log(
     folder: Path,
     cases: Sequence[Case],
@@ -145,12 +145,7 @@ def measure_log(
     keep: Path | None = None,
 ) -> Iterator[dict[str, Any]]:
     """The rows of one log."""
-    grid, recorded = load_map(folder / "map.yaml"), load_scans(folder / "scans.npz")
-    mount, options = MOUNTS.get(folder.name), Options()
-    if mount is not None:
-        mounted = tuple(replace(scan, T_base_laser=mount) for scan in recorded.scans)
-        recorded = replace(recorded, scans=mounted)
-    recorded, odometry = with_odometry(recorded, trials.seed)
+    options, (grid, recorded, odometry) = Options(), load_log(folder, trials.seed)
     fine, coarse = prepare(grid, folder.name), prepare(grid, folder.name, cell=_GRID_CELL)
     kept: dict[str, tuple[ScanSet, Searches]] = {}
     for case in cases:
@@ -172,38 +167,31 @@ def measure_log(
 
 def page(rows: Sequence[Mapping[str, Any]], trials: Trials) -> str:
     """The table, in Markdown."""
+    right = " | ".join(f"{m} m" for m in rows[0]["right"])
     head = (
-        "log", "filter", "runs", *(f"{m} m" for m in rows[0]["right"]), "stays, 2 m", "10 m",
-        "unique, 10 m", "s, m to converge", "RMSE m, deg", "s unique, wrong", "kidnapped: back",
-        "after m", "ENM-MCL", "F3Loc 1, .5, .3, .2 m", "x real time",
+        f"log | filter | runs | {right} | stays, 2 m | 10 m | unique, 10 m | s, m to converge | "
+        "RMSE m, deg | s unique, wrong | kidnapped: back | after m | ENM-MCL | "
+        "F3Loc 1, .5, .3, .2 m | x real time"
+    )
+    cells = (
+        (row["map"], row["filter"], row["runs"],
+         *map(_share, row["right"].values()),
+         _share(row["stays"]["2"]), _share(row["stays"]["10"]), _share(row["published"]["10"]),
+         f"{row['seconds']:.0f}, {row['metres']:.1f}",
+         f"{row['rmse'][0]:.3f}, {np.rad2deg(row['rmse'][1]):.2f}",
+         f"{row['wrong']:.1f} of {row['total']:.0f}",
+         f"{row['kidnapped']['hits']} of {row['kidnapped']['trials']}",
+         f"{row['kidnap_metres']:.1f}", _share(row["enm"]),
+         ", ".join(map(_share, row["f3loc"].values())), f"{row['speed']:.1f}")
+        for row in rows
     )  # fmt: skip
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for row in rows:
-        cells = [
-            row["map"],
-            row["filter"],
-            str(row["runs"]),
-            *(_share(s) for s in row["right"].values()),
-            _share(row["stays"]["2"]),
-            _share(row["stays"]["10"]),
-            _share(row["published"]["10"]),
-            f"{row['seconds']:.0f}, {row['metres']:.1f}",
-            f"{row['rmse'][0]:.3f}, {np.rad2deg(row['rmse'][1]):.2f}",
-            f"{row['wrong']:.1f} of {row['total']:.0f}",
-            f"{row['kidnapped']['hits']} of {row['kidnapped']['trials']}",
-            f"{row['kidnap_metres']:.1f}",
-            _share(row["enm"]),
-            ", ".join(_share(s) for s in row["f3loc"].values()),
-            f"{row['speed']:.1f}",
-        ]
-        lines.append("| " + " | ".join(cells) + " |")
     kinds = sorted({f"{row['map']} {row['odometry']}" for row in rows})
     return (
         f"Starts: {trials.starts} at random and one each {trials.seconds:g} s, "
         f"{trials.metres:g} m each; {trials.kidnaps} kidnappings; seed {trials.seed}. Odometry: "
         + "; ".join(kinds)
         + ".\n\n"
-        + "\n".join(lines)
+        + "\n".join(table_lines(head, cells))
         + "\n"
     )
 
@@ -229,21 +217,17 @@ def draw_recall(rows: Sequence[Mapping[str, Any]]) -> Picture:
     return Picture(pixels())
 
 
-def draw_log(folder: Path, metres: float = np.inf) -> Picture:
-    """The track of a log over its map, from its first scan on."""
-    grid, scans = load_map(folder / "map.yaml"), load_scans(folder / "scans.npz")
-    mount = MOUNTS.get(folder.name)
-    mounted = tuple(replace(scan, T_base_laser=mount) for scan in scans.scans)
-    scans = with_odometry(replace(scans, scans=mounted))[0]
-    end = int(np.searchsorted(driven(scans), metres, side="right"))
-    scans, features = piece(scans, range(end)), prepare(grid, folder.name)
+def draw_log(folder: Path) -> Picture:
+    """The track of a log over its map."""
+    grid, scans, _ = load_log(folder)
+    features = prepare(grid, folder.name)
     moments = list(follow(features, scans, make_filter("tracker", features, Options())))
     return draw_track(grid, moments, scans.poses)
 
 
 def main() -> None:
     """Measure, and write the table and the figures."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = parser_of("tools.sequences", __doc__)
     parser.add_argument("folders", nargs="+", type=Path, help="with map.yaml and scans.npz")
     parser.add_argument("--out", type=Path, default=Path("sequences"))
     parser.add_argument("--starts", type=int, default=50, help="at random (default 50)")
@@ -266,23 +250,14 @@ def main() -> None:
             count = len(cases) * trials.count(load_scans(folder / "scans.npz"))
             with progress(folder.name, count) as advance:
                 for row in measure_log(folder, cases, trials, advance, given.searches):
-                    rows.append(json.loads(to_json(row)))
+                    rows.append(row)
                     lines = "".join(to_json(r) + "\n" for r in rows)
                     write_text_atomic(given.out / "sequences.jsonl", lines, force=True)
-                    table = page([_numbers(r) for r in rows], trials)
-                    write_text_atomic(given.out / "sequences.md", table, force=True)
+                    write_text_atomic(given.out / "sequences.md", page(rows, trials), force=True)
         draw_recall(rows).save(given.out / "recall.png", force=True)
         print((given.out / "sequences.md").read_text())
     for folder in given.folders:
         draw_log(folder).save(given.out / f"track-{folder.name}.png", force=True)
-
-
-def _numbers(row: dict[str, Any]) -> dict[str, Any]:
-    """The row with NaN again where JSON has null."""
-    nan = float("nan")
-    out = {k: nan if v is None else v for k, v in row.items()}
-    out["rmse"] = [nan if v is None else v for v in row["rmse"]]
-    return out
 
 
 if __name__ == "__main__":

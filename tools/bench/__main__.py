@@ -12,25 +12,21 @@ Prints Markdown: medians over the repeats with their spread. Compare ratios, not
 machines.
 """
 
+import argparse
 import os
 import platform
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, ScanSet, Sensor, load_map, load_scans, prepare, simulate
 from imgloc.features.scanpoints import scan_points
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans
-from imgloc.io.scanset import ScanSet
 from imgloc.likelihoods.correlate import ENGINES
 from imgloc.model import OccupancyGrid, to_json
-from imgloc.pipeline import prepare
-from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 from tools.bench.fleets import batch_costs, row_costs
 from tools.bench.measure import (
@@ -44,13 +40,15 @@ from tools.bench.measure import (
 )
 from tools.bench.outside import floors, growth, memory
 from tools.paper.complexity import fit_exponent
-from tools.recorded import scans_beside
-from tools.script import ended, parser_of
+from tools.recorded import recorded_sets
+from tools.script import at_least_one, ended, parser_of, table_lines
 
 PARTS = ("costs", "engines", "localize", "growth")
-"""What is measured by default."""
+"""What is measured by default: stacks and votes beside plain references and C; engines beside
+``auto``; answers; answers as the map grows."""
 LARGE = ("memory", "batch", "rows")
-"""What takes gigabytes or minutes, and is measured if it is asked for."""
+"""What takes gigabytes or minutes, and is measured if it is asked for: memory of large maps;
+batches beside plain loops; a table and a page of many rows."""
 ROWS = 100_000
 """Rows of a batch of which there is a table and a page."""
 SIDES = (4_000, 10_000)
@@ -80,43 +78,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args(arguments)
 
-    def run() -> int:
-        asked = {k: v for k, v in vars(given).items() if k != "json"}
-        results = run_bench(**asked | {"parts": tuple(given.parts.split(","))})
-        print(to_json(results) if given.json else bench_tables(results))
-        return 0
-
-    return ended("bench", run)
+    return ended("bench", lambda: run(given))
 
 
-def run_bench(
-    problem: Path | None,
-    *,
-    sets: Sequence[Path] = (),
-    parts: tuple[str, ...] = PARTS,
-    repeats: int,
-    threads: int,
-    scans: int,
-    range_max: float = 20.0,
-) -> dict[str, Any]:
-    """Measure, as one set of plain values.
+def run(given: argparse.Namespace) -> int:
+    """Measure, and print what was found."""
+    results = run_bench(given)
+    print(to_json(results) if given.json else bench_tables(results))
+    return 0
 
-    Parameters
-    ----------
-    problem : Path, optional
-        Folder with mapA, mapB, ``scans_10m.npz`` and the floors in C; by default the bundled
-        world ``large`` is the only map.
-    sets : sequence of Path
-        Maps with recorded scans beside them, for the answers.
-    parts : tuple of str
-        Of :data:`PARTS`: stacks and votes beside plain references and C; engines beside
-        ``auto``; answers; answers as the map grows. And of :data:`LARGE`: memory of large maps;
-        batches beside plain loops; a table and a page of many rows.
-    repeats, threads : int
-    scans : int
-        Answers of `localize` on each map, and of a batch.
-    range_max : float
-        Of recorded scans, metres.
+
+def run_bench(given: argparse.Namespace) -> dict[str, Any]:
+    """Measure what the command line asks for, as one set of plain values.
 
     Raises
     ------
@@ -125,9 +98,9 @@ def run_bench(
     ScanError
         If a set has no scans with poses.
     """
-    for name, number in (("repeats", repeats), ("threads", threads), ("scans", scans)):
-        if number < 1:
-            raise ConfigError(f"{name} must be at least 1, got {number}")
+    problem, repeats, threads = given.problem, given.repeats, given.threads
+    at_least_one(repeats=repeats, threads=threads, scans=given.scans)
+    parts = given.parts.split(",")
     for part in parts:
         if part not in (*PARTS, *LARGE):
             raise ConfigError(f"a part is one of {', '.join((*PARTS, *LARGE))}, got {part!r}")
@@ -138,10 +111,8 @@ def run_bench(
             "python": platform.python_version(), "numpy": np.__version__, "opencv": cv2.__version__,
         }
     }  # fmt: skip
-    maps = _maps(problem, scans)
-    recorded = {
-        path.parent.name: (load_map(path), scans_beside(path, scans, 0, range_max)) for path in sets
-    }
+    maps = _maps(problem, given.scans)
+    recorded = recorded_sets(given.sets, given.scans, 0, given.range_max)
     if "costs" in parts:
         name, (grid, told) = next(iter(maps.items()))
         # A scan that sees too little to have normals would give no votes to time.
@@ -161,8 +132,8 @@ def run_bench(
         out |= {"engines": rows, "auto_over_best": engine_summary(rows)}
     if "localize" in parts:
         out["localize"] = {
-            name: answer_times(grid, s.scans[:scans], threads, repeats)
-            for name, (grid, s) in (maps | recorded).items()
+            name: answer_times(grid, scans.scans[: given.scans], threads, repeats)
+            for name, grid, scans in (*((k, *of) for k, of in maps.items()), *recorded)
         }
     if "growth" in parts:
         grown = growth("large", (1, 2, 4), repeats)
@@ -175,7 +146,9 @@ def run_bench(
         out["memory"] = memory(*(maps["B"] if "B" in maps else _world(0.05, 1)), SIDES)
     if "batch" in parts:
         grid, told = next(iter(maps.values()))
-        out["batch"], out["batches"] = batch_costs(grid, ScanSet(told.scans[:scans]), repeats)
+        out["batch"], out["batches"] = batch_costs(
+            grid, ScanSet(told.scans[: given.scans]), repeats
+        )
     if "rows" in parts:
         out["rows"] = row_costs(*_world(0.1, 5), ROWS)
     return out
@@ -213,10 +186,13 @@ def bench_tables(results: Mapping[str, Any]) -> str:
             rows = (
                 [{"name": k, **r} for k, r in found.items()] if isinstance(found, dict) else found
             )
-            parts.append(_table(head, map(cells, rows)))
+            parts.append("\n".join(table_lines(head, map(cells, rows), "---:")))
     for key, title in _TITLES.items():
         if key in results:
-            said = ", ".join(f"{name} {_number(v)}" for name, v in results[key].items())
+            said = ", ".join(
+                f"{name} {v if isinstance(v, str) else format(v, '.4g')}"
+                for name, v in results[key].items()
+            )
             parts.append(f"{title}: {said or 'not measured'}")
     return "\n\n".join(parts)
 
@@ -264,18 +240,9 @@ _TITLES = {
 }
 
 
-def _table(head: str, rows: Iterable[Sequence[object]]) -> str:
-    lines = [f"| {head} |", "|" + "---:|" * (head.count("|") + 1)]
-    return "\n".join(lines + [f"| {' | '.join(map(str, row))} |" for row in rows])
-
-
 def _cost(row: Row) -> Sequence[object]:
     costs = [row.get(key) for key in ("seconds", "processor", "rss_mib")]
     return row["name"], *("" if c is None else f"{c:.2f}" for c in costs)
-
-
-def _number(value: float | str) -> str:
-    return value if isinstance(value, str) else f"{value:.4g}"
 
 
 if __name__ == "__main__":

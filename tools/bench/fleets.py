@@ -11,14 +11,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import cv2
 import numpy as np
 
-from imgloc.batch import run_batch
-from imgloc.io.maps import save_map
+from imgloc import load_map, load_scans, localize, prepare, run_batch, save_map
 from imgloc.io.results import RESULTS, read_rows
 from imgloc.io.scanset import ScanSet
 from imgloc.model import OccupancyGrid
-from tools.bench.outside import command
+from tools.bench.outside import ROOT, command
 from tools.recorded import save_each
 
 Cost = Mapping[str, float]
@@ -89,7 +89,7 @@ def _loops(yaml: Path, files: Path, count: int) -> Cost:
             stack.enter_context(
                 subprocess.Popen(  # noqa: S603  (our own interpreter)
                     [sys.executable, "-c", _LOOP, str(yaml), str(files), str(k), str(count)],
-                    stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+                    stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT,
                 )
             )
             for k in range(count)
@@ -105,25 +105,22 @@ def _loops(yaml: Path, files: Path, count: int) -> Cost:
     return {"seconds": max(f[0] for f in found), "processor": sum(f[1] for f in found)}
 
 
-_LOOP = """
-import json, sys, time
-from pathlib import Path
-import cv2
-from imgloc.io.maps import load_map
-from imgloc.io.scans import load_scans
-from imgloc.pipeline import localize, prepare
-cv2.setNumThreads(1)
-files = sorted(Path(sys.argv[2]).iterdir())[int(sys.argv[3])::int(sys.argv[4])]
-scans = [load_scans(file).scans[0] for file in files]
-features = prepare(load_map(sys.argv[1]))
-localize(features, scans[0])
-print("ready", flush=True)
-sys.stdin.readline()
-start = time.perf_counter(), time.process_time()
-for scan in scans:
-    localize(features, scan)
-print(json.dumps([time.perf_counter() - start[0], time.process_time() - start[1]]))
-"""
+_LOOP = "import sys; from tools.bench.fleets import loop; loop(*sys.argv[1:])"
+
+
+def loop(yaml: str, folder: str, first: str, step: str) -> None:
+    """Answer every `step`-th file of scans, from when a line is read; print what that took."""
+    cv2.setNumThreads(1)
+    files = sorted(Path(folder).iterdir())[int(first) :: int(step)]
+    scans = [load_scans(file)[0] for file in files]
+    features = prepare(load_map(yaml))
+    localize(features, scans[0])
+    print("ready", flush=True)
+    sys.stdin.readline()
+    start = time.perf_counter(), time.process_time()
+    for scan in scans:
+        localize(features, scan)
+    print(json.dumps([time.perf_counter() - start[0], time.process_time() - start[1]]))
 
 
 def row_costs(grid: OccupancyGrid, scans: ScanSet, count: int) -> dict[str, Cost]:

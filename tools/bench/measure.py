@@ -18,10 +18,9 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgloc.errors import ConfigError
+from imgloc import LaserScan, MapFeatures, OccupancyGrid, Options, localize, prepare
 from imgloc.features.distance import distance_image
 from imgloc.features.fields import bmap
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import scan_points, scan_xy
 from imgloc.features.surface import surface_points
@@ -30,11 +29,10 @@ from imgloc.likelihoods.cbml import cbml, cbml_o, project
 from imgloc.likelihoods.correlate import ENGINES, EXACT, correlate
 from imgloc.likelihoods.ght import ght, ght_v
 from imgloc.likelihoods.slices import cell_offsets
-from imgloc.model import Float32Array, FloatArray, LaserScan, OccupancyGrid
-from imgloc.options import Options
-from imgloc.pipeline import localize, prepare
+from imgloc.model import Float32Array, FloatArray
 from imgloc.search.branch_and_bound import best_poses
 from imgloc.worlds import WORLDS, render
+from tools.script import at_least_one
 
 
 @dataclass(frozen=True)
@@ -85,8 +83,7 @@ def in_turns(
     >>> one.name, len(one.seconds)
     ('nothing', 3)
     """
-    if repeats < 1:
-        raise ConfigError(f"repeats must be at least 1, got {repeats}")
+    at_least_one(repeats=repeats)
     for *_, call in cases:
         call()
     seconds: dict[str, list[float]] = {name: [] for name, *_ in cases}
@@ -106,8 +103,7 @@ def answer_times(
     What a scan takes is the median of `repeats` answers to it: the tail is that of the scans, not
     of what else the machine had to do.
     """
-    if not scans:
-        raise ConfigError("scans must be at least 1, got 0")
+    at_least_one(scans=len(scans))
     features, options = prepare(grid, threads=threads), Options(threads=threads)
     cv2.setNumThreads(threads)
 
@@ -275,19 +271,14 @@ def engine_rows(
     rows: list[Mapping[str, Any]] = []
     thetas = uniform_thetas(2 * np.pi / headings) + 0.1  # none of them along the walls
     for size in sizes:
-        grid = tiled(size)
+        grid = tiled(render(WORLDS["large"](), _CELL), size)
         surface = surface_points(grid.occupied, grid.free, _CELL)
         image = np.rint(255 * bmap(surface.xy, (size, size), _CELL, _CELL)).astype(np.uint8)
         out = np.empty((headings, size, size), dtype=np.float32)
         for reach, n in product(reaches, rays):
             xy = seen(grid, reach, n)
-            calls = {
-                engine: lambda engine=engine, xy=xy, image=image, out=out: correlate(
-                    image, xy, thetas, _CELL, engine=engine, out=out
-                )
-                for engine in (*ENGINES, "auto")
-            }
-            ms = _least(calls, repeats)
+            run = partial(correlate, image, xy, thetas, _CELL, out=out)
+            ms = _least({e: partial(run, engine=e) for e in (*ENGINES, "auto")}, repeats)
             best = min(EXACT, key=ms.__getitem__)  # those that `auto` chooses from
             about = {"size": size, "reach": reach, "rays": n, "ms": ms, "best": best}
             rows.append(about | {"ratio": ms["auto"] / ms[best]})
@@ -310,13 +301,11 @@ def engine_summary(rows: Sequence[Mapping[str, Any]]) -> Mapping[str, float]:
     }
 
 
-def tiled(size: int) -> OccupancyGrid:
-    """The world ``large``, repeated or cut to `size` cells a side."""
-    one = render(WORLDS["large"](), _CELL)
-    height, width = one.occupied.shape
-    times = (-(-size // height), -(-size // width))
+def tiled(one: OccupancyGrid, size: int) -> OccupancyGrid:
+    """A map, repeated or cut to `size` cells a side."""
+    times = [-(-size // n) for n in one.occupied.shape]
     occupied, free = (np.tile(v, times)[:size, :size] for v in (one.occupied, one.free))
-    return OccupancyGrid(occupied, free, _CELL)
+    return OccupancyGrid(occupied.copy(), free.copy(), one.resolution)
 
 
 def seen(grid: OccupancyGrid, reach: int, rays: int) -> FloatArray:

@@ -6,17 +6,18 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from imgloc.errors import ImglocError
-from imgloc.io.maps import save_map
-from imgloc.io.scans import save_scans
-from imgloc.io.scanset import ScanSet
-from imgloc.model import OccupancyGrid
-from tools.bench.measure import HEADINGS, PAIR_HEADINGS
+from imgloc import ImglocError, OccupancyGrid, ScanSet, localize, prepare, save_map, save_scans
+from imgloc.simulation import Sensor, simulate
+from imgloc.worlds import WORLDS, render
+from tools.bench.measure import HEADINGS, PAIR_HEADINGS, tiled
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def floors(problem: Path) -> Mapping[str, float | str]:
@@ -73,7 +74,7 @@ def growth(world: str, times: Sequence[int], repeats: int) -> tuple[Mapping[str,
     """
     rows = []
     for side in times:
-        run = [sys.executable, "-c", _GROW, world, str(side), str(repeats)]
+        run = [sys.executable, "-c", _PEAK + _GROW, world, str(side), str(repeats)]
         rows.append(measured(run, f"localize on {world}, {side} x {side} times"))
     return tuple(rows)
 
@@ -92,10 +93,7 @@ def memory(
         scan, yaml = Path(folder) / "scan.npz", Path(folder) / "map.yaml"
         save_scans(scan, ScanSet(scans.scans[:1]))
         for side in sides:
-            times = [-(-side // n) for n in grid.occupied.shape]
-            occupied, free = (np.tile(v, times)[:side, :side] for v in (grid.occupied, grid.free))
-            large = OccupancyGrid(occupied.copy(), free.copy(), grid.resolution)
-            save_map(yaml, large, force=True)
+            save_map(yaml, tiled(grid, side), force=True)
             found = command("localize", yaml, scan, "--no-cache", "--memory-budget", "64G")
             rows.append({"side": side, "cell": grid.resolution, **found})
     return tuple(rows)
@@ -113,7 +111,7 @@ def command(*words: object) -> Mapping[str, float]:
 
 def measured(run: Sequence[str], what: str) -> Mapping[str, float]:
     """What a Python process prints last, as JSON; raises ImglocError if it fails."""
-    done = subprocess.run(run, check=False, capture_output=True, text=True)  # noqa: S603
+    done = subprocess.run(run, check=False, capture_output=True, text=True, cwd=ROOT)  # noqa: S603
     if done.returncode:
         raise ImglocError(f"{what} ended with {done.returncode}: {_last_line(done.stderr)}")
     found: Mapping[str, float] = json.loads(_last_line(done.stdout))
@@ -145,29 +143,23 @@ atexit.register(tell)
 from imgloc.cli import main
 main()
 """
-_GROW = (
-    _PEAK
-    + """
-import numpy as np
-from imgloc.simulation import Sensor, simulate
-from imgloc.worlds import WORLDS, render
-from imgloc.model import OccupancyGrid
-from imgloc.pipeline import localize, prepare
-world, side, repeats = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
-one = render(WORLDS[world](), 0.1)
-scans = simulate(one, repeats + 1, 0, Sensor(range_max=10.0))
-grid = OccupancyGrid(np.tile(one.occupied, (side, side)), np.tile(one.free, (side, side)), 0.1)
-features = prepare(grid)
-start = time.perf_counter()
-localize(features, scans.scans[0])
-first = time.perf_counter() - start
-seconds = []
-for scan in scans.scans[1:]:
-    start = time.perf_counter()
-    localize(features, scan)
-    seconds.append(time.perf_counter() - start)
-area = grid.occupied.size * 0.01
-print(json.dumps({"area": area, "ms": 1e3 * float(np.median(seconds)),
-                  "prepare_s": first - float(np.median(seconds)), "rss_mib": peak()}))
+_GROW = """
+from tools.bench.outside import grown
+print(json.dumps(grown(sys.argv[1], *map(int, sys.argv[2:])) | {"rss_mib": peak()}))
 """
-)
+
+
+def grown(world: str, side: int, repeats: int) -> dict[str, float]:
+    """What :func:`growth` says of one size, but for the memory, in this process."""
+    one = render(WORLDS[world](), 0.1)
+    scans = simulate(one, repeats + 1, 0, Sensor(range_max=10.0)).scans
+    occupied, free = (np.tile(v, (side, side)) for v in (one.occupied, one.free))
+    grid = OccupancyGrid(occupied, free, one.resolution)
+    features, seconds = prepare(grid), []
+    for scan in scans:
+        start = time.perf_counter()
+        localize(features, scan)
+        seconds.append(time.perf_counter() - start)
+    median = float(np.median(seconds[1:]))
+    area = grid.occupied.size * grid.resolution**2
+    return {"area": area, "ms": 1e3 * median, "prepare_s": seconds[0] - median}

@@ -13,9 +13,9 @@ import argparse
 import os
 import platform
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +27,11 @@ from imgloc.errors import ConfigError
 from imgloc.io.files import write_bytes_atomic, write_text_atomic
 from imgloc.io.images import encode_png
 from imgloc.model import to_json
-from tools.paper.claims import Claim, claims, growth_claims, time_claims
-from tools.paper.complexity import AXES, TIMES, Complexity, draw, measure
+from tools.paper.claims import claims, growth_claims, time_claims
+from tools.paper.complexity import AXES, TIMES, draw, measure
 from tools.paper.figures import SETTINGS, figure
 from tools.paper.page import render_report
-from tools.paper.table import PAIRS, PLACES, STEPS_DEG, Ratio, TableRow, measure_ratios, table
+from tools.paper.table import PAIRS, PLACES, STEPS_DEG, TableRow, measure_ratios, table
 from tools.script import ended, make_folder, parser_of, progress
 
 FILES = ("results.json", "report.html", *(f"{name}.png" for name in (*SETTINGS, "complexity")))
@@ -71,41 +71,21 @@ def run(given: argparse.Namespace) -> int:
     worlds = tuple(dict.fromkeys(given.worlds))
     total = steps(n, worlds, quick=given.quick)
     with progress("the paper's experiment", total) as advance:
-        found = reproduce(
-            n, given.seed, worlds=worlds, quick=given.quick, threads=given.threads, advance=advance
+        results, pictures = reproduce(
+            n, given.seed, worlds, quick=given.quick, threads=given.threads, advance=advance
         )
-    results = as_dict(found)
-    for name, png in found.pictures.items():
+    for name, png in pictures.items():
         write_bytes_atomic(given.out / f"{name}.png", png, force=given.force)
     write_text_atomic(given.out / "results.json", to_json(results) + "\n", force=given.force)
-    page = render_report(results, found.pictures)  # last, when all the rest is there
+    page = render_report(results, pictures)  # last, when all the rest is there
     write_text_atomic(given.out / "report.html", page, force=given.force)
-    for row in found.rows:
-        paper = "" if row.paper is None else f", the paper's {row.paper:.2f}"
-        print(f"{row.world} {row.method}: S {row.index.value:.2f}{paper}")
-    for claim in (*found.claims, *found.time_claims):
-        print(f"{'holds' if claim.holds else 'FAILS'}: {claim.text} ({claim.found})")
+    for row in results["table"]:
+        paper = "" if row["paper"] is None else f", the paper's {row['paper']:.2f}"
+        print(f"{row['world']} {row['method']}: S {row['index']['value']:.2f}{paper}")
+    for claim in (*results["claims"], *results["cost"]["claims"]):
+        print(f"{'holds' if claim['holds'] else 'FAILS'}: {claim['text']} ({claim['found']})")
     print(given.out / "report.html")
-    return 0 if found.holds else 1
-
-
-@dataclass(frozen=True)
-class Reproduction:
-    """What was measured and drawn."""
-
-    n: int
-    seed: int
-    rows: tuple[TableRow, ...]
-    ratios: tuple[Ratio, ...]
-    claims: tuple[Claim, ...]  #: about the index, the maxima and counted work
-    time_claims: tuple[Claim, ...]  #: about times, which are this machine's
-    complexity: Complexity
-    pictures: Mapping[str, bytes]  #: PNG files by name
-
-    @property
-    def holds(self) -> bool:
-        """Whether all that is firm in what the paper says is so here; times apart."""
-        return all(claim.holds for claim in self.claims if claim.firm)
+    return 0 if results["holds"] else 1
 
 
 def steps(n: int, worlds: Sequence[str] = tuple(PLACES), *, quick: bool = False) -> int:
@@ -117,20 +97,21 @@ def steps(n: int, worlds: Sequence[str] = tuple(PLACES), *, quick: bool = False)
 
 
 def reproduce(
-    n: int = 100,
-    seed: int = 0,
-    *,
-    worlds: Sequence[str] = tuple(PLACES),
-    quick: bool = False,
-    threads: int = 1,
-    advance: Callable[[], None] = lambda: None,
-) -> Reproduction:
+    n: int, seed: int, worlds: Sequence[str], *, quick: bool, threads: int,
+    advance: Callable[[], None],
+) -> tuple[dict[str, Any], dict[str, bytes]]:  # fmt: skip
     """Run the experiment of Sec. VI, draw Figs. 1, 2, 4 and 5, measure the appendix.
 
     `n` trials in each of the `worlds` (some of :data:`~tools.paper.table.PLACES`), of the table and
     the run times; `seed` of everything random. If `quick`, only count the work of the appendix and
     time little. No number but the times depends on `threads`. `advance` is called :func:`steps`
-    times. ConfigError if `n` is less than 1, or there is no such world.
+    times.
+
+    Returns
+    -------
+    results, pictures : dict
+        Plain values for ``results.json`` and the report, of which two runs differ only in what is
+        under ``cost``; PNG files by name.
     """
     rows = table(n, seed, worlds=worlds, threads=threads, advance=advance)
     timed, repeats = TIMED_QUICK if quick else TIMED
@@ -140,46 +121,41 @@ def reproduce(
     with suppress(ConfigError):  # without matplotlib the table of exponents says it all
         pictures["complexity"] = encode_png(draw(grown))
     said = claims(rows) + growth_claims(grown)
-    return Reproduction(n, seed, rows, ratios, said, time_claims(ratios), grown, pictures)
-
-
-def as_dict(reproduction: Reproduction) -> dict[str, Any]:
-    """Everything but the pictures as plain values, for ``results.json`` and the report.
-
-    Two runs differ only in what is under ``cost``.
-    """
-    grown = reproduction.complexity
     samples, fits = [asdict(s) for s in grown.samples], [asdict(f) for f in grown.fits]
-    keys = ("method", "axis", "value")
-    return {
+    results = {
         "paper": "A. Censi, A comparison of algorithms for likelihood approximation in "
         "Bayesian localization",
         "version": __version__,
         "libraries": {
             "python": platform.python_version(), "numpy": np.__version__, "opencv": cv2.__version__,
         },
-        "n": reproduction.n,
-        "seed": reproduction.seed,
-        "holds": reproduction.holds,
-        "claims": [asdict(claim) for claim in reproduction.claims],
-        "table": [_row(row) for row in reproduction.rows],
+        "n": n,
+        "seed": seed,
+        # All that is firm in what the paper says; times apart.
+        "holds": all(claim.holds for claim in said if claim.firm),
+        "claims": [asdict(claim) for claim in said],
+        "table": [as_dict(row) for row in rows],
         "complexity": {
             "world": grown.world,
             "samples": [{k: v for k, v in s.items() if k not in TIMES} for s in samples],
             "fits": [f for f in fits if f["quantity"] not in TIMES],
         },
         "cost": {
-            "claims": [asdict(claim) for claim in reproduction.time_claims],
-            "ratios": [asdict(ratio) for ratio in reproduction.ratios],
+            "claims": [asdict(claim) for claim in time_claims(ratios)],
+            "ratios": [asdict(ratio) for ratio in ratios],
             "complexity": {
-                "samples": [{k: s[k] for k in (*keys, *TIMES)} for s in samples],
+                "samples": [
+                    {k: s[k] for k in ("method", "axis", "value", *TIMES)} for s in samples
+                ],
                 "fits": [f for f in fits if f["quantity"] in TIMES],
             },
         },
     }  # fmt: skip
+    return results, pictures
 
 
-def _row(row: TableRow) -> dict[str, Any]:
+def as_dict(row: TableRow) -> dict[str, Any]:
+    """A row of the table as plain values."""
     out = asdict(row)
     del out["ms"]
     out["cost"] = {"ms": row.median_ms}

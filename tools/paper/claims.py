@@ -79,7 +79,7 @@ def growth_claims(grown: Complexity) -> tuple[Claim, ...]:
     for method, powers in EXPONENTS.items():
         found = {axis: grown.exponent(method, axis, "work") for axis in powers}
         said = ", ".join(f"{axis}^{power:g}" for axis, power in powers.items())
-        told = ", ".join(f"{axis}^{_signless(power)}" for axis, power in found.items())
+        told = ", ".join(f"{axis}^{round(power, 2) + 0.0:.2f}" for axis, power in found.items())
         near = all(abs(found[axis] - power) <= WITHIN for axis, power in powers.items())
         out.append(Claim(f"{method.upper()}: the work of a scan grows with {said}", near, told))
     return (*out, *_beyond(grown))
@@ -113,8 +113,3 @@ def _beyond(grown: Complexity) -> tuple[Claim, ...]:
             f"{100 * min(shares):.0f} to {100 * max(shares):.0f} % of its votes",
         ),
     )
-
-
-def _signless(power: float) -> str:
-    """Two digits, without the sign of a zero."""
-    return f"{power:.2f}".replace("-0.00", "0.00")

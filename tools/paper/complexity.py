@@ -105,10 +105,8 @@ class Complexity:
 
     def exponent(self, method: str, axis: str, quantity: str) -> float:
         """The exponent of one fit; KeyError if it was not measured."""
-        for fit in self.fits:
-            if (fit.method, fit.axis, fit.quantity) == (method, axis, quantity):
-                return fit.exponent
-        raise KeyError((method, axis, quantity))
+        found = {(fit.method, fit.axis, fit.quantity): fit.exponent for fit in self.fits}
+        return found[method, axis, quantity]
 
 
 def measure(

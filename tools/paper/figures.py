@@ -7,19 +7,12 @@ from types import MappingProxyType
 import cv2
 import numpy as np
 
+from imgloc import GridInfo, LaserScan, Likelihood, OccupancyGrid, OrientedPoints, Pose2D
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
-from imgloc.geometry import transform_points, uniform_thetas
-from imgloc.model import (
-    FloatArray,
-    GridInfo,
-    LaserScan,
-    Likelihood,
-    OccupancyGrid,
-    OrientedPoints,
-    Pose2D,
-    compose,
-)
+from imgloc.geometry import centre_of, transform_points, uniform_thetas
+from imgloc.index import global_maximum
+from imgloc.model import FloatArray, compose
 from imgloc.output.canvas import PAPER, Canvas, Image, draw_map, marker_size
 from imgloc.output.features import draw_bmap, draw_field, draw_surface
 from imgloc.output.pictures import draw_likelihood, mosaic
@@ -110,72 +103,53 @@ def scene(name: str, *, threads: int = 1, advance: Callable[[], None] = lambda: 
 def figure(name: str, threads: int = 1, advance: Callable[[], None] = lambda: None) -> Image:
     """Compute and draw a figure of :data:`SETTINGS`, (H, W, 3) BGR."""
     s = scene(name, threads=threads, advance=advance)
-    if name == "fig4":
-        return draw_fields(s, window=WINDOW_FIG_4)
-    return draw_comparison(
-        s.features.grid, s.truth, s.points, s.stacks, scale=1 if name == "fig5" else 3
+    return (
+        draw_fields(s) if name == "fig4" else draw_comparison(s, scale=1 if name == "fig5" else 3)
     )
 
 
-def draw_comparison(
-    grid: OccupancyGrid,
-    truth: Pose2D,
-    points: OrientedPoints,
-    stacks: Sequence[tuple[str, Likelihood]],
-    *,
-    scale: int,
-) -> Image:
+def draw_comparison(s: Scene, *, scale: int) -> Image:
     """Draw the map and each method's likelihood, as Figs. 1, 2 and 5 have it.
 
-    Parameters
-    ----------
-    grid : OccupancyGrid
-    truth : Pose2D
-        Grid frame; a red ring in every panel. A blue cross is a maximum that is elsewhere.
-    points : OrientedPoints
-        Of the scan, sensor frame.
-    stacks : sequence of (str, Likelihood)
-        Captions and stacks. The scan stands between the second and the third.
-    scale : int
-        Pixels per cell.
+    The true pose is a red ring in every panel; a blue cross is a maximum that is elsewhere. The
+    scan stands between the second stack and the third. `scale` is in pixels per cell.
     """
-    panels = [("Map, true pose", ring(draw_map(grid, scale=scale), grid.info, truth))]
-    panels += [(caption, _likelihood(stack, grid, truth, scale)) for caption, stack in stacks]
-    panels.insert(3, ("Scan with its normals", draw_scan(grid, truth, points, scale=scale)))
-    return mosaic(lettered(panels), columns=3)
+    grid = s.features.grid
+    first = ("Map, true pose", ring(draw_map(grid, scale=scale), grid.info, s.truth))
+    return _panels([first], grid, s.truth, s.points, s.stacks, scale)
 
 
-def draw_fields(s: Scene, *, window: tuple[float, float, float, float], scale: int = 9) -> Image:
-    """Draw what CBML and CBML-O make of a part of a map, Fig. 4, and what comes of it near a pose.
-
-    Parameters
-    ----------
-    s : Scene
-    window : (float, float, float, float)
-        As :data:`WINDOW_FIG_4`.
-    scale : int
-        Pixels per cell.
-    """
+def draw_fields(s: Scene) -> Image:
+    """Draw what CBML and CBML-O make of :data:`WINDOW_FIG_4`, and what comes of it near a pose."""
     grid, cell = s.features.grid, s.features.grid.resolution
-    x0, y0, x1, y1 = (round(v / cell) for v in window)
-    part = np.s_[y0:y1, x0:x1]
-    info = replace(grid.info, height=y1 - y0, width=x1 - x0)
+    x0, y0, x1, y1 = (round(v / cell) for v in WINDOW_FIG_4)
+    part, scale = np.s_[y0:y1, x0:x1], 9
     shift = np.array((x0, y0)) * cell
     local = s.features.surface.xy - shift
     seen = np.all((local >= 0) & (local <= np.array((x1 - x0, y1 - y0)) * cell), axis=1)
-    near = s.features.surface.select(seen)
-    near = OrientedPoints(near.xy - shift, near.alpha, near.sigma_alpha, near.valid)
+    near = replace(s.features.surface.select(seen), xy=local[seen])
     here = Pose2D(s.truth.x - float(shift[0]), s.truth.y - float(shift[1]), s.truth.theta)
     cut = OccupancyGrid(grid.occupied[part], grid.free[part], cell)
+    drawn = ring(draw_surface(cut, near, scale=scale), cut.info, here)
     panels = [
-        ("Map: surface points, true pose", ring(draw_surface(cut, near, scale=scale), info, here)),
-        ("bmap", draw_bmap(s.features.bmap[part], info, scale=scale)),
+        ("Map: surface points, true pose", drawn),
+        ("bmap", draw_bmap(s.features.bmap[part], cut.info, scale=scale)),
         ("Vector field", draw_field(s.features.vmap[:, *part], cell, scale=scale)),
     ]
-    for caption, stack in s.stacks:
-        shown = Likelihood(stack.values[:, *part], stack.thetas, info, stack.method)
-        panels.append((caption, _likelihood(shown, cut, here, scale)))
-    panels.insert(3, ("Scan with its normals", draw_scan(cut, here, s.points, scale=scale)))
+    stacks = [
+        (caption, replace(stack, values=stack.values[:, *part], grid=cut.info))
+        for caption, stack in s.stacks
+    ]
+    return _panels(panels, cut, here, s.points, stacks, scale)
+
+
+def _panels(
+    first: list[tuple[str, Image]], grid: OccupancyGrid, truth: Pose2D, points: OrientedPoints,
+    stacks: Sequence[tuple[str, Likelihood]], scale: int,
+) -> Image:  # fmt: skip
+    """The first panels, the scan as the fourth, the stacks."""
+    panels = [*first, *((caption, _likelihood(s, grid, truth, scale)) for caption, s in stacks)]
+    panels.insert(3, ("Scan with its normals", draw_scan(grid, truth, points, scale=scale)))
     return mosaic(lettered(panels), columns=3)
 
 
@@ -183,10 +157,7 @@ def draw_scan(
     grid: OccupancyGrid, truth: Pose2D, points: OrientedPoints, *, scale: int | None = None
 ) -> Image:
     """Draw a scan (sensor frame) with its normals at its true pose (grid frame), on a pale map."""
-    there = OrientedPoints(
-        transform_points(truth, points.xy), points.alpha + truth.theta, points.sigma_alpha,
-        points.valid,
-    )  # fmt: skip
+    there = replace(points, xy=transform_points(truth, points.xy), alpha=points.alpha + truth.theta)
     # Walls are drawn as what is unknown, pale: the scan is what is to be seen.
     sheet = OccupancyGrid(np.zeros_like(grid.occupied), ~grid.occupied, grid.resolution)
     return ring(draw_surface(sheet, there, scale=scale), grid.info, truth)
@@ -194,9 +165,7 @@ def draw_scan(
 
 def _likelihood(stack: Likelihood, grid: OccupancyGrid, truth: Pose2D, scale: int) -> Image:
     """One method's panel: its likelihood, the true pose, the maximum if it is elsewhere."""
-    best = np.where(grid.free, stack.values.max(axis=0), -np.inf)
-    row, column = np.unravel_index(int(best.argmax()), best.shape)
-    at = np.array((column + 0.5, row + 0.5)) * stack.grid.resolution
+    at = centre_of(np.array(global_maximum(stack.values, grid.free)[1:]), stack.grid.resolution)
     panel = ring(draw_likelihood(stack, grid=grid, scale=scale), stack.grid, truth)
     elsewhere = np.hypot(*(at - (truth.x, truth.y))) > _APART
     return cross(panel, stack.grid, at) if elsewhere else panel

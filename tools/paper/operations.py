@@ -19,18 +19,18 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgloc.errors import ConfigError
+from imgloc import ConfigError, MapFeatures
 from imgloc.evaluation import Share, share
 from imgloc.features.gradients import SOURCES
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.visibility import WAYS
 from imgloc.index import Index, performance_index
 from imgloc.io.files import write_text_atomic
 from imgloc.likelihoods.correlate import ENGINES
 from imgloc.model import to_json
 from tools.paper.page import templates
-from tools.paper.table import PLACES, Gain, Outcome, gain, place, truth_of, try_method
-from tools.script import ended, make_folder, parser_of, progress
+from tools.paper.table import PLACES, Gain, Outcome, gain, place, try_method
+from tools.recorded import with_poses
+from tools.script import ended, make_folder, parser_of, progress, table_lines
 
 CARD = ("filter2d", "remap", "image", "polar")
 """Those that the project's card names."""
@@ -93,25 +93,22 @@ def compare(
         fresh, scans = place(world, n, seed, threads)
         for method in methods:
             option, needed = _FEATURE[method]
-            ready: dict[str, MapFeatures] = {}
-            times: dict[str, float] = {}
+            ready: dict[str, tuple[MapFeatures, float]] = {}
             for op in OPERATIONS[method]:
                 if not option and ready:  # what engines need of the map is the same
-                    ready[op], times[op] = next(iter(ready.values())), next(iter(times.values()))
+                    ready[op] = next(iter(ready.values()))
                     continue
                 changed: dict[str, Any] = {option: op} if option else {}
-                ready[op], start = replace(fresh, **changed), time.perf_counter()
-                getattr(ready[op], needed)
-                times[op] = 1e3 * (time.perf_counter() - start)
+                features, start = replace(fresh, **changed), time.perf_counter()
+                getattr(features, needed)
+                ready[op] = features, 1e3 * (time.perf_counter() - start)
             trials: dict[str, list[Outcome]] = {op: [] for op in ready}
-            for k, scan in enumerate(scans.scans):
-                for op, features in ready.items():
+            for scan, pose in with_poses(scans):
+                for op, (features, _) in ready.items():
                     engine = "auto" if option else op
-                    trials[op].append(
-                        try_method(method, features, scan, truth_of(scans, k), threads, engine)
-                    )
+                    trials[op].append(try_method(method, features, scan, pose, threads, engine))
                 advance()
-            rows += _rows(world, method, trials, times)
+            rows += _rows(world, method, trials, {op: ms for op, (_, ms) in ready.items()})
     return tuple(rows)
 
 
@@ -162,16 +159,16 @@ def worse(row: OperationRow, base: OperationRow) -> str:
 def markdown(rows: Sequence[OperationRow]) -> str:
     """The rows as a Markdown table; the card's operations are marked."""
     head = "world | method | by | S | gain | in its cell | or next | map, ms | scan, ms | worse"
-    lines = [f"| {head} |", "|" + "---|" * 10]
-    for r in rows:
-        by = f"{r.operation}{' (card)' if r.card else ''}{', default' if r.default else ''}"
-        paired = "" if r.default else f"{r.gain.value:+.2f} ± {r.gain.standard_error:.2f}"
-        lines.append(
-            f"| {r.world} | {r.method} | {by} | {r.index.value:.2f} | {paired} | "
-            f"{100 * r.exact.value:.0f} % | {100 * r.near.value:.0f} % | {r.prepare_ms:.1f} | "
-            f"{r.ms:.1f} | {r.worse} |"
-        )
-    return "\n".join(lines)
+    cells = (
+        (r.world, r.method,
+         f"{r.operation}{' (card)' if r.card else ''}{', default' if r.default else ''}",
+         f"{r.index.value:.2f}",
+         "" if r.default else f"{r.gain.value:+.2f} ± {r.gain.standard_error:.2f}",
+         *(f"{100 * share.value:.0f} %" for share in (r.exact, r.near)),
+         f"{r.prepare_ms:.1f}", f"{r.ms:.1f}", r.worse)
+        for r in rows
+    )  # fmt: skip
+    return "\n".join(table_lines(head, cells))
 
 
 def render_operations(rows: Sequence[OperationRow], n: int, seed: int) -> str:

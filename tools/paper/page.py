@@ -37,7 +37,7 @@ def render_report(results: Row, pictures: Mapping[str, bytes]) -> str:
     Parameters
     ----------
     results : mapping
-        As in ``results.json``, see :func:`tools.paper.__main__.as_dict`.
+        As in ``results.json``, see :func:`tools.paper.__main__.reproduce`.
     pictures : mapping of str to bytes
         PNG files by name: the figures', and ``complexity`` if there is one.
 

@@ -14,20 +14,18 @@ from types import MappingProxyType
 
 import numpy as np
 
-from imgloc.errors import ConfigError
-from imgloc.evaluation import PAPER_STEPS_DEG, Z95, Share, share
-from imgloc.features.mapfeatures import MapFeatures
+from imgloc import LaserScan, MapFeatures, Pose2D, ScanSet
+from imgloc.evaluation import PAPER_STEPS_DEG, Z95, Share, cell_of_pose, share
 from imgloc.features.scanpoints import scan_points
-from imgloc.geometry import cell_of, theta_bin, uniform_thetas
+from imgloc.geometry import theta_bin, uniform_thetas
 from imgloc.index import FLOOR, Index, density_in_stack, global_maximum, performance_index
-from imgloc.io.scanset import ScanSet
 from imgloc.likelihoods import stacks
 from imgloc.likelihoods.ght import ght_v
-from imgloc.model import Float32Array, FloatArray, LaserScan, Pose2D
+from imgloc.model import Float32Array, FloatArray
 from imgloc.options import DEFAULTS
-from imgloc.simulation import Sensor, simulate
-from imgloc.worlds import WORLDS, render
 from tools.paper.uncertainty import Uncertainty, vote_spread
+from tools.recorded import in_world, with_poses
+from tools.script import at_least_one, one_of
 
 CELL = 0.1
 """Side of a cell of the pose space, metres: the paper's."""
@@ -58,8 +56,7 @@ class Outcome:
 
 def place(world: str, n: int, seed: int, threads: int = 1) -> tuple[MapFeatures, ScanSet]:
     """The map of a world and scans in it, as ``imgloc evaluate`` makes them."""
-    grid = render(WORLDS[world](), MAP_CELL)
-    scans = simulate(grid, n, seed, Sensor(), render(WORLDS[world](), 0.01))
+    grid, scans = in_world(world, n, seed, cell=MAP_CELL)
     return MapFeatures(grid, cell=CELL, threads=threads), scans
 
 
@@ -90,18 +87,17 @@ def try_method(
     method: str,
     features: MapFeatures,
     scan: LaserScan,
-    truth: Pose2D,
+    truth: FloatArray,
     threads: int = 1,
     engine: str = "auto",
 ) -> Outcome:
-    """Compute a method's stack and look where the true pose (grid frame) stands in it.
+    """Compute a method's stack and look where the true pose (3,), grid frame, stands in it.
 
     The log-likelihoods of ``beam`` are divided by the temperature of
     :data:`imgloc.options.DEFAULTS`, as in an answer of ``imgloc localize``.
     """
     thetas = thetas_of(method)
-    row, col = cell_of(np.array((truth.x, truth.y)), CELL).tolist()
-    at = int(theta_bin(truth.theta, len(thetas))), row, col
+    at = cell_of_pose(features, Pose2D(*truth), len(thetas))
     start = time.perf_counter()
     stack = stack_of(method, features, scan, thetas, threads, engine)
     ms = 1e3 * (time.perf_counter() - start)
@@ -112,7 +108,7 @@ def try_method(
     found = global_maximum(stack, features.free)
     off = np.abs(np.subtract(found, at))
     off[0] = min(off[0], len(thetas) - off[0])  # around the circle
-    wide = theta_bin(np.array((thetas[found[0]], truth.theta)), round(360 / WIDE_DEG))
+    wide = theta_bin(np.array((thetas[found[0]], truth[2])), round(360 / WIDE_DEG))
     return Outcome(
         density=density_in_stack(stack, at, features.free, log=log),
         bare=bare,
@@ -121,12 +117,6 @@ def try_method(
         wide=bool(not off[1:].any() and (off[0] == 0 or wide[0] == wide[1])),
         ms=ms,
     )
-
-
-def truth_of(scans: ScanSet, k: int) -> Pose2D:
-    """True pose of a scan of :func:`place`; the map frame of a world is its grid frame."""
-    poses = np.empty((0, 3)) if scans.poses is None else scans.poses
-    return Pose2D(*poses[k])
 
 
 PLACES: Mapping[str, str] = MappingProxyType(
@@ -219,20 +209,16 @@ def table(
     >>> [(r.method, r.index.trials) for r in table(2, worlds=["curved"], methods=["ght"])]
     [('ght', 2)]
     """
-    if n < 1:
-        raise ConfigError(f"n must be at least 1, got {n}")
-    for name, known in [(w, PLACES) for w in worlds] + [(m, STEPS_DEG) for m in methods]:
-        if name not in known:
-            raise ConfigError(f"expected one of {', '.join(known)}, got {name!r}")
+    at_least_one(n=n)
+    one_of(worlds, PLACES)
+    one_of(methods, STEPS_DEG)
     rows: list[TableRow] = []
     for world in worlds:
         features, scans = place(world, n, seed, threads)
         trials: dict[str, list[Outcome]] = {method: [] for method in methods}
-        for k, scan in enumerate(scans.scans):
+        for scan, pose in with_poses(scans):  # a world's map frame is its grid frame
             for method in methods:
-                trials[method].append(
-                    try_method(method, features, scan, truth_of(scans, k), threads)
-                )
+                trials[method].append(try_method(method, features, scan, pose, threads))
                 advance()
         free = int(np.count_nonzero(features.free))
         rows += [_row(world, method, free, trials) for method in methods]

@@ -17,6 +17,8 @@ from imgloc.geometry import rotation
 from imgloc.model import BoolArray, FloatArray, OccupancyGrid, Pose2D
 
 Image = npt.NDArray[np.uint8]
+Wall = tuple[FloatArray, FloatArray, float]
+"""From, to, thickness: metres."""
 FINE = 0.01  #: metres a cell of the true world
 STYLES = ("filled", "outlined", "hatched", "grey", "lines")
 """How walls are drawn: black, two lines, hatched between these, grey between these, one line."""
@@ -38,17 +40,19 @@ class Opening:
     angle: float = np.pi / 2  #: by which leaves stand open in the true world
 
 
-@dataclass(frozen=True)
+@dataclass
 class Building:
     """A building of straight walls, metres; turned as a whole about its lower left corner."""
 
     size: tuple[float, float]
-    walls: tuple[tuple[FloatArray, FloatArray, float], ...]  #: from, to, thickness
-    openings: tuple[Opening, ...]
-    pillars: tuple[FloatArray, ...]
-    symbols: tuple[tuple[str, FloatArray], ...]  #: drawn: ``box``, ``circle``, ``stairs``; corners
-    names: tuple[tuple[str, FloatArray], ...]  #: and where they are written
-    things: tuple[FloatArray, ...]  #: polygons that stand there and are not drawn
+    walls: list[Wall] = field(default_factory=list)
+    openings: list[Opening] = field(default_factory=list)
+    pillars: list[FloatArray] = field(default_factory=list)
+    #: drawn: ``box``, ``circle``, ``stairs``; corners
+    symbols: list[tuple[str, FloatArray]] = field(default_factory=list)
+    names: list[tuple[str, FloatArray]] = field(default_factory=list)  #: and where they are written
+    #: polygons that stand there and are not drawn
+    things: list[FloatArray] = field(default_factory=list)
     turn: float = 0.0  #: radians
     corner: FloatArray = field(default_factory=lambda: np.zeros(2))  #: added after the turn
 
@@ -62,6 +66,20 @@ class Building:
         w, h = self.size
         wide, high = self.placed([(0, 0), (w, 0), (w, h), (0, h)]).max(axis=0) + _AROUND
         return float(wide), float(high)
+
+    def sheet(self, cell: float, ink: int = 0) -> Image:
+        """An empty sheet, (H, W), of so many metres a pixel."""
+        wide, high = (round(side / cell) for side in self.extent)
+        return np.full((high, wide), ink, np.uint8)
+
+    def fill(self, image: Image, corners: FloatArray, cell: float, ink: int = 1) -> None:
+        """Fill a polygon of the building on its sheet, row 0 the lowest y."""
+        cv2.fillPoly(image, [_fixed(self.placed(corners), cell)], ink, cv2.LINE_8, _SHIFT)
+
+    def opened(self, o: Opening, deeper: float = 0.0) -> FloatArray:
+        """Corners of the part of a wall where an opening is."""
+        a, end, thick = self.walls[o.wall]
+        return _piece((a, end, thick + deeper), o.start, o.start + o.width)
 
 
 def box(x0: float, y0: float, x1: float, y1: float) -> FloatArray:
@@ -78,17 +96,12 @@ def building(seed: int, turn: float = 0.0) -> Building:
     width, depth = rng.uniform(24, 34), rng.uniform(13, 16)
     outer, low = rng.uniform(0.3, 0.4), rng.uniform(4.5, 6.0)
     high = low + rng.uniform(1.8, 2.4)
-    walls: list[tuple[FloatArray, FloatArray, float]] = []
-    openings: list[Opening] = []
-    symbols: list[tuple[str, FloatArray]] = []
-    names: list[tuple[str, FloatArray]] = []
-    pillars: list[FloatArray] = []
-    things: list[FloatArray] = []
-    rooms: list[FloatArray] = []
+    corner = np.array([_AROUND + (depth * np.sin(turn)), _AROUND])
+    b, rooms = Building((width, depth), turn=turn, corner=corner), list[FloatArray]()
 
     def wall(x0: float, y0: float, x1: float, y1: float, thick: float) -> int:
-        walls.append((np.array([x0, y0]), np.array([x1, y1]), thick))
-        return len(walls) - 1
+        b.walls.append((np.array([x0, y0]), np.array([x1, y1]), thick))
+        return len(b.walls) - 1
 
     # Outer walls by their centre lines, ends overlapping at the corners.
     h = outer / 2
@@ -100,7 +113,7 @@ def building(seed: int, turn: float = 0.0) -> Building:
         wide = 1.6 if kind == "double" else 1.0
         middle = (low + high) / 2 - wide / 2
         side = 1 if facade == east else -1
-        openings.append(Opening(facade, middle, wide, kind, side, hinge))
+        b.openings.append(Opening(facade, middle, wide, kind, side, hinge))
 
     for row, (side, bottom, top) in enumerate(
         zip(sides, (outer, high + 0.1), (low - 0.1, depth - outer), strict=True)
@@ -116,7 +129,7 @@ def building(seed: int, turn: float = 0.0) -> Building:
                 part = wall(x, bottom - 0.05, x, top + 0.05, thin)
                 if rng.random() < 0.35:  # a door to the next room
                     where = rng.uniform(0.4, top - bottom - 1.4)
-                    openings.append(
+                    b.openings.append(
                         Opening(part, where, 0.8, "door", int(rng.choice([-1, 1])), 0,
                                 rng.uniform(1.2, 1.7))
                     )  # fmt: skip
@@ -124,39 +137,32 @@ def building(seed: int, turn: float = 0.0) -> Building:
             inside = 1 if row == 1 else -1  # walls run to the right: their left side is up
             kind = "passage" if length > 5.8 else "door"
             where = rng.uniform(left + 0.25, x - 2 * wide - 0.25)
-            openings.append(
+            b.openings.append(
                 Opening(side, where, wide * (2 if kind == "passage" else 1), kind, inside,
                         int(rng.integers(2)), rng.uniform(1.1, 1.7))
             )  # fmt: skip
             if length > 2.9:
                 glass = rng.uniform(1.0, min(2.4, length - 1.2))
                 at = left + (length - glass) / 2
-                openings.append(Opening(facade, at, glass, "window"))
+                b.openings.append(Opening(facade, at, glass, "window"))
             centre = np.array([left + length / 2, (bottom + top) / 2])
-            names.append((f"{'AB'[row]}{number + 1:02d} {length * (top - bottom):.0f} m2", centre))
+            b.names.append(
+                (f"{'AB'[row]}{number + 1:02d} {length * (top - bottom):.0f} m2", centre)
+            )
             number += 1
             if length > 5.0:
                 c = centre + (rng.uniform(-1, 1), rng.uniform(0.5, 1.2))
-                pillars.append(box(*(c - 0.2), *(c + 0.2)))
+                b.pillars.append(box(*(c - 0.2), *(c + 0.2)))
             rooms.append(box(left, bottom, x, top))
-    doors = []
-    for o in openings:
-        a, end, _ = walls[o.wall]
-        if o.kind != "window":
-            doors.append(a + (end - a) * ((o.start + o.width / 2) / np.hypot(*(end - a))))
+    doors = [b.opened(o).mean(axis=0) for o in b.openings if o.kind != "window"]
     for corners in rooms:
-        _furnish(rng, corners, [*doors, *(p.mean(axis=0) for p in pillars)], symbols, things)
-    return Building(
-        (width, depth), tuple(walls), tuple(openings), tuple(pillars), tuple(symbols),
-        tuple(names), tuple(things), turn,
-        np.array([_AROUND + (depth * np.sin(turn)), _AROUND]),
-    )  # fmt: skip
+        _furnish(rng, corners, [*doors, *(p.mean(axis=0) for p in b.pillars)], b)
+    return b
 
 
 def _furnish(
-    rng: np.random.Generator, room: FloatArray, doors: list[FloatArray],
-    symbols: list[tuple[str, FloatArray]], things: list[FloatArray],
-) -> None:  # fmt: skip
+    rng: np.random.Generator, room: FloatArray, doors: list[FloatArray], b: Building
+) -> None:
     """Symbols on the plan, and things in the room, which are not the same; not before `doors`."""
     (x0, y0), (x1, y1) = room[0], room[2]
     wide, high = x1 - x0, y1 - y0
@@ -174,28 +180,34 @@ def _furnish(
         return None
 
     if wide < 3.4 and rng.random() < 0.4:
-        symbols.append(("stairs", box(x0 + 0.3, y0 + 1.4, x0 + 1.5, y1 - 1.4)))
+        b.symbols.append(("stairs", box(x0 + 0.3, y0 + 1.4, x0 + 1.5, y1 - 1.4)))
         return
     if rng.random() < 0.5:  # a cupboard near the wall
-        symbols.append(("box", box(x1 - 0.7, y1 - 2.2, x1 - 0.1, y1 - 0.5)))
+        b.symbols.append(("box", box(x1 - 0.7, y1 - 2.2, x1 - 0.1, y1 - 0.5)))
         taken.append((np.array([x1 - 0.4, y1 - 1.3]), 0.9))
     for _ in range(int(wide * high / 7)):
         if (c := put(0.7, 0.6)) is not None:
-            symbols.append(("box", box(c[0] - 0.7, c[1] - 0.1, c[0] + 0.7, c[1] + 0.6)))
-            symbols.append(("circle", np.array([c - (0, 0.36), c - (0.22, 0.36)])))
+            b.symbols.append(("box", box(c[0] - 0.7, c[1] - 0.1, c[0] + 0.7, c[1] + 0.6)))
+            b.symbols.append(("circle", np.array([c - (0, 0.36), c - (0.22, 0.36)])))
     taken = [(c, 1.4) for c in doors]
     for _ in range(int(wide * high / 9)):
         half = rng.uniform(0.15, 0.45, 2)
         if (c := put(*half)) is not None:
-            things.append(box(*-half, *half) @ rotation(rng.uniform(0, 7)).T + c)
+            b.things.append(box(*-half, *half) @ rotation(rng.uniform(0, 7)).T + c)
 
 
-def _piece(wall: tuple[FloatArray, FloatArray, float], start: float, end: float) -> FloatArray:
-    """Corners of a part of a wall."""
+def _fixed(xy: FloatArray, cell: float) -> npt.NDArray[np.int32]:
+    """Points of a sheet as cv2 takes them: pixels, with :data:`_SHIFT` fractional bits."""
+    return np.rint((xy / cell - 0.5) * (1 << _SHIFT)).astype(np.int32)
+
+
+def _piece(wall: Wall, start: float = 0.0, end: float | None = None) -> FloatArray:
+    """Corners of a wall, or of a part of it."""
     a, b, thick = wall
-    along = (b - a) / np.hypot(*(b - a))
+    length = np.hypot(*(b - a))
+    along = (b - a) / length
     across = np.array([-along[1], along[0]]) * thick / 2
-    p, q = a + along * start, a + along * end
+    p, q = a + along * start, a + along * (length if end is None else end)
     return np.array([p - across, q - across, q + across, p + across])
 
 
@@ -215,70 +227,52 @@ def _leaves(b: Building, o: Opening) -> list[tuple[FloatArray, FloatArray, float
 
 def solid(b: Building, cell: float, *, windows: bool = True) -> BoolArray:
     """Walls and pillars on the sheet, without doors and passages: (H, W), row 0 the lowest y."""
-    wide, high = (round(side / cell) for side in b.extent)
-    image = np.zeros((high, wide), np.uint8)
-
-    def fill(corners: FloatArray, value: int) -> None:
-        fixed = np.rint((b.placed(corners) / cell - 0.5) * (1 << _SHIFT)).astype(np.int32)
-        cv2.fillPoly(image, [fixed], value, cv2.LINE_8, _SHIFT)
-
+    image = b.sheet(cell)
     for wall in b.walls:
-        fill(_piece(wall, 0, float(np.hypot(*(wall[1] - wall[0])))), 1)
+        b.fill(image, _piece(wall), cell)
     for o in b.openings:
         if o.kind != "window" or not windows:
             # A little deeper than the wall, which is drawn with its outline.
-            a, end, thick = b.walls[o.wall]
-            fill(_piece((a, end, thick + 4 * cell), o.start, o.start + o.width), 0)
+            b.fill(image, b.opened(o, 4 * cell), cell, 0)
     for pillar in b.pillars:
-        fill(pillar, 1)
+        b.fill(image, pillar, cell)
     return image > 0
 
 
 def inside(b: Building, cell: float) -> BoolArray:
     """What is within the outer walls, walls and all; as :func:`solid`."""
-    wide, high = (round(side / cell) for side in b.extent)
-    image = np.zeros((high, wide), np.uint8)
-    fixed = np.rint((b.placed(box(0, 0, *b.size)) / cell - 0.5) * (1 << _SHIFT)).astype(np.int32)
-    cv2.fillPoly(image, [fixed], 1, cv2.LINE_8, _SHIFT)
+    image = b.sheet(cell)
+    b.fill(image, box(0, 0, *b.size), cell)
     return image > 0
 
 
 def true_world(b: Building, cell: float = FINE) -> OccupancyGrid:
     """What a laser meets: walls, leaves of open doors, furniture. Outside is unknown."""
     occupied = solid(b, cell).astype(np.uint8)
-
-    def fill(corners: FloatArray) -> None:
-        fixed = np.rint((b.placed(corners) / cell - 0.5) * (1 << _SHIFT)).astype(np.int32)
-        cv2.fillPoly(occupied, [fixed], 1, cv2.LINE_8, _SHIFT)
-
     for thing in b.things:
-        fill(thing)
+        b.fill(occupied, thing, cell)
     for o in b.openings:
         for hinge, leaf, sign in _leaves(b, o):
-            tip = hinge + leaf @ rotation(sign * o.angle).T
-            fill(_piece((hinge, tip, 0.04), 0, float(np.hypot(*leaf))))
+            b.fill(occupied, _piece((hinge, hinge + leaf @ rotation(sign * o.angle).T, 0.04)), cell)
     return OccupancyGrid(occupied > 0, inside(b, cell) & (occupied == 0), cell, Pose2D(0, 0))
 
 
 def draw_plan(
     b: Building, resolution: float, style: str = "filled", *, clutter: bool = True,
-    noise: int | None = None, pen: float = _PEN,
+    noise: int | None = None,
 ) -> Image:  # fmt: skip
     """The plan of a building, (H, W) grey, top row first, of so many metres a pixel.
 
     `noise` is the quality of a JPEG that the plan went through, 1 to 100.
     """
     walls = solid(b, FINE, windows=False)
-    wide, high = (round(side / resolution) for side in b.extent)
-    line = max(1, round(pen / resolution))
+    line, image = max(1, round(_PEN / resolution)), b.sheet(resolution, 255)
+    high, wide = image.shape
     share = cv2.resize(walls.astype(np.float32), (wide, high), interpolation=cv2.INTER_AREA)
-    image = np.full((high, wide), 255, np.uint8)
 
-    def fixed(xy: FloatArray) -> npt.NDArray[np.int32]:
-        return np.rint((xy / resolution - 0.5) * (1 << _SHIFT)).astype(np.int32)
-
-    def stroke(xy: FloatArray, closed: bool = False, ink: int = 0, width: int = line) -> None:
-        cv2.polylines(image, [fixed(b.placed(xy))], closed, ink, width, cv2.LINE_AA, _SHIFT)
+    def stroke(xy: FloatArray, closed: bool = False, width: int = line) -> None:
+        points = _fixed(b.placed(xy), resolution)
+        cv2.polylines(image, [points], closed, 0, width, cv2.LINE_AA, _SHIFT)
 
     if style == "filled":
         image[:] = np.rint(255 * (1 - share))
@@ -308,22 +302,21 @@ def draw_plan(
             walls.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_SIMPLE
         )
         for outline in outlines:
-            turned = fixed((outline[:, 0].astype(np.float64) + 0.5) * FINE)
+            turned = _fixed((outline[:, 0].astype(np.float64) + 0.5) * FINE, resolution)
             cv2.polylines(image, [turned], True, 0, line, cv2.LINE_AA, _SHIFT)
     if style != "lines":
         for o in b.openings:
             if o.kind == "window":  # three lines between the ends of the wall
-                a, end, thick = b.walls[o.wall]
-                for part in (-0.5, 0.0, 0.5):
-                    c = _piece((a, end, 2 * part * thick + 1e-9), o.start, o.start + o.width)
-                    stroke(c[:2])
+                right, left = (c := b.opened(o))[:2], c[:1:-1]
+                for ends in (right, (right + left) / 2, left):
+                    stroke(ends)
     if clutter:
         for o in b.openings:
             for hinge, leaf, sign in _leaves(b, o):
                 turns = np.linspace(0, sign * np.pi / 2, 24)
                 arc = np.array([hinge + leaf @ rotation(t).T for t in turns])
                 stroke(arc)
-                stroke(_piece((hinge, arc[-1], 0.04), 0, float(np.hypot(*leaf))), closed=True)
+                stroke(_piece((hinge, arc[-1], 0.04)), closed=True)
         for kind, corners in b.symbols:
             if kind == "circle":
                 radius = float(np.hypot(*(corners[1] - corners[0])))
@@ -348,10 +341,8 @@ def _write(image: Image, b: Building, resolution: float, line: int) -> None:
 
     def word(text: str, xy: Sequence[float], height: float = 0.28) -> None:
         # Not cv2.putText, whose letters are others from version to version.
-        sheet, font = (
-            PIL.Image.fromarray(image),
-            ImageFont.load_default(round(height / resolution / 0.7)),
-        )
+        sheet = PIL.Image.fromarray(image)
+        font = ImageFont.load_default(round(height / resolution / 0.7))
         at = xy[0] / resolution, len(image) - xy[1] / resolution
         ImageDraw.Draw(sheet).text(at, text, fill=0, font=font, anchor="ms")
         image[:] = np.asarray(sheet)

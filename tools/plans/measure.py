@@ -7,17 +7,16 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from imgloc.features.floorplan import FloorPlan, plan_to_map
-from imgloc.geometry import wrap
+from imgloc import FloorPlan, OccupancyGrid, Options, Pose2D, ScanSet, load_map, plan_to_map
+from imgloc.evaluation import pose_errors
+from imgloc.geometry import poses_of
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
-from imgloc.io.maps import load_map
-from imgloc.io.scanset import ScanSet
-from imgloc.model import OccupancyGrid
-from imgloc.options import Options
 from imgloc.pipeline import localize, prepare
 from imgloc.simulation import Sensor, simulate
 from tools.plans.drawing import Building, Image, building, draw_plan, inside, solid, true_world
+from tools.recorded import with_poses
+from tools.script import table_lines
 
 CELL = 0.05  #: metres: of the maps that plans are compared with
 NEAR, TURNED = 0.5, float(np.deg2rad(10))  #: of a right answer, metres and radians
@@ -114,26 +113,22 @@ def _unknown(found: FloorPlan) -> OccupancyGrid:
 
 def _judge(grid: OccupancyGrid, scans: ScanSet, row: Row, advance: Callable[[], None]) -> None:
     features = prepare(grid)
-    poses = np.empty((0, 3)) if scans.poses is None else scans.poses
-    for scan, truth in zip(scans.scans, poses, strict=True):
+    for scan, truth in with_poses(scans):
         answer = localize(features, scan, Options(top=1))
-        pose, right = answer.pose, False
-        if answer.hypotheses:
-            first = answer.hypotheses[0].pose
-            near = np.hypot(first.x - truth[0], first.y - truth[1]) < NEAR
-            right = bool(near and abs(wrap(first.theta - truth[2])) < TURNED)
+        errors = pose_errors(poses_of(answer.hypotheses), Pose2D(*truth))
+        right = bool((errors < (NEAR, TURNED)).all(axis=1).any())
         row.scans += 1
         row.right += right
         row.unique += answer.verdict == "unique"
-        row.wrong += answer.verdict == "unique" and pose is not None and not right
+        row.wrong += answer.verdict == "unique" and not right
         row.nothing += answer.verdict == "no-match"
         advance()
 
 
 def table(rows: Iterable[Row]) -> Iterator[str]:
     """The lines of a Markdown table, each as soon as its row is there."""
-    yield "| plan | located on | first right | unique | unique and wrong | no-match |"
-    yield "|---|---|---|---|---|---|"
-    for r in rows:
-        counts = f"{r.right} of {r.scans} | {r.unique} | {r.wrong} | {r.nothing}"
-        yield f"| {r.drawn} | {r.where} | {counts} |"
+    cells = (
+        (r.drawn, r.where, f"{r.right} of {r.scans}", r.unique, r.wrong, r.nothing) for r in rows
+    )
+    head = "plan | located on | first right | unique | unique and wrong | no-match"
+    return table_lines(head, cells)

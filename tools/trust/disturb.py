@@ -7,6 +7,7 @@ drawn and seen from inside.
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 
 import cv2
@@ -58,73 +59,54 @@ def glass(scan: LaserScan, rng: Rng) -> LaserScan:
     return with_ranges(scan, np.where(neighbours(scan, rng, 0.3), far, scan.ranges))
 
 
-def noise(sigma: float) -> ScanChange:
+def noise(scan: LaserScan, rng: Rng, sigma: float) -> LaserScan:
     """Gaussian noise of the ranges, metres."""
-    return lambda scan, rng: with_ranges(
-        scan, scan.ranges + sigma * rng.standard_normal(len(scan.ranges))
-    )
+    return with_ranges(scan, scan.ranges + sigma * rng.standard_normal(len(scan.ranges)))
 
 
-def short(share: float) -> ScanChange:
+def short(scan: LaserScan, rng: Rng, share: float) -> LaserScan:
     """A share of the rays, each on its own, stopped anywhere before the wall."""
-
-    def change(scan: LaserScan, rng: Rng) -> LaserScan:
-        hit, where = rng.random((2, len(scan.ranges)))
-        return with_ranges(scan, np.where(hit < share, where, 1) * scan.ranges)
-
-    return change
+    hit, where = rng.random((2, len(scan.ranges)))
+    return with_ranges(scan, np.where(hit < share, where, 1) * scan.ranges)
 
 
-def few(n: int) -> ScanChange:
+def few(scan: LaserScan, _: Rng, n: int) -> LaserScan:
     """At most `n` rays, evenly spread."""
-
-    def change(scan: LaserScan, _: Rng) -> LaserScan:
-        pick = np.linspace(0, len(scan.ranges) - 1, min(n, len(scan.ranges))).round().astype(int)
-        return replace(scan, ranges=scan.ranges[pick], angles=scan.angles[pick])
-
-    return change
+    pick = np.linspace(0, len(scan.ranges) - 1, min(n, len(scan.ranges))).round().astype(int)
+    return replace(scan, ranges=scan.ranges[pick], angles=scan.angles[pick])
 
 
-def reach(metres: float) -> ScanChange:
+def reach(scan: LaserScan, _: Rng, metres: float) -> LaserScan:
     """A sensor of a shorter reach."""
-    return lambda scan, _: replace(scan, range_max=min(scan.range_max, metres))
+    return replace(scan, range_max=min(scan.range_max, metres))
 
 
-def view(degrees: float) -> ScanChange:
+def view(scan: LaserScan, _: Rng, degrees: float) -> LaserScan:
     """A narrower view, ahead."""
-
-    def change(scan: LaserScan, _: Rng) -> LaserScan:
-        keep = np.abs(scan.angles - np.median(scan.angles)) <= np.deg2rad(degrees / 2)
-        return replace(scan, ranges=scan.ranges[keep], angles=scan.angles[keep])
-
-    return change
+    keep = np.abs(scan.angles - np.median(scan.angles)) <= np.deg2rad(degrees / 2)
+    return replace(scan, ranges=scan.ranges[keep], angles=scan.angles[keep])
 
 
-def scaled_ranges(factor: float) -> ScanChange:
+def scaled_ranges(scan: LaserScan, _: Rng, factor: float) -> LaserScan:
     """A constant relative error of the ranges."""
-    return lambda scan, _: with_ranges(scan, factor * scan.ranges)
-
-
-def same(scan: LaserScan, _: Rng) -> LaserScan:
-    """As it was."""
-    return scan
+    return with_ranges(scan, factor * scan.ranges)
 
 
 SCANS: Mapping[str, ScanChange] = MappingProxyType(
     {
-        "undisturbed": same,
+        "undisturbed": lambda scan, _: scan,
         "people": people,
         "body": body,
         "glass": glass,
-        "noise of 5 cm": noise(0.05),
-        "noise of 10 cm": noise(0.1),
-        "noise of 30 cm": noise(0.3),
-        "40 % of the rays stopped short": short(0.4),
-        "18 beams": few(18),
-        "reach of 5 m": reach(5.0),
-        "view of 90 deg": view(90.0),
-        "ranges x 0.95": scaled_ranges(0.95),
-        "ranges x 1.05": scaled_ranges(1.05),
+        "noise of 5 cm": partial(noise, sigma=0.05),
+        "noise of 10 cm": partial(noise, sigma=0.1),
+        "noise of 30 cm": partial(noise, sigma=0.3),
+        "40 % of the rays stopped short": partial(short, share=0.4),
+        "18 beams": partial(few, n=18),
+        "reach of 5 m": partial(reach, metres=5.0),
+        "view of 90 deg": partial(view, degrees=90.0),
+        "ranges x 0.95": partial(scaled_ranges, factor=0.95),
+        "ranges x 1.05": partial(scaled_ranges, factor=1.05),
     }
 )
 
@@ -137,25 +119,21 @@ def dilated(grid: OccupancyGrid, _: Rng, cells: int = 2) -> OccupancyGrid:
     return replace(grid, occupied=occupied, free=grid.free & ~occupied)
 
 
-def displaced(metres: float, over: float = 8.0) -> MapChange:
+def displaced(grid: OccupancyGrid, rng: Rng, metres: float, over: float = 8.0) -> OccupancyGrid:
     """Walls moved by a smooth field of up to so many metres."""
-
-    def change(grid: OccupancyGrid, rng: Rng) -> OccupancyGrid:
-        height, width = grid.occupied.shape
-        knots = tuple(max(3, round(n * grid.resolution / over)) for n in (width, height))
-        field = rng.uniform(-1, 1, (2, knots[1], knots[0])).astype(np.float32)
-        dx, dy = (cv2.resize(f, (width, height), interpolation=cv2.INTER_CUBIC) for f in field)
-        length = float(np.sqrt(dx * dx + dy * dy).max())
-        step = np.float32(metres / grid.resolution / length)
-        x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-
-        def moved(image: BoolArray) -> BoolArray:
-            to = (x + step * dx, y + step * dy)
-            return np.asarray(cv2.remap(image.astype(np.uint8), *to, cv2.INTER_NEAREST) > 0)
-
-        return replace(grid, occupied=moved(grid.occupied), free=moved(grid.free))
-
-    return change
+    height, width = grid.occupied.shape
+    knots = tuple(max(3, round(n * grid.resolution / over)) for n in (width, height))
+    field = rng.uniform(-1, 1, (2, knots[1], knots[0])).astype(np.float32)
+    dx, dy = (cv2.resize(f, (width, height), interpolation=cv2.INTER_CUBIC) for f in field)
+    length = float(np.sqrt(dx * dx + dy * dy).max())
+    step = np.float32(metres / grid.resolution / length)
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    to = (x + step * dx, y + step * dy)
+    occupied, free = (
+        np.asarray(cv2.remap(image.astype(np.uint8), *to, cv2.INTER_NEAREST) > 0)
+        for image in (grid.occupied, grid.free)
+    )
+    return replace(grid, occupied=occupied, free=free)
 
 
 def half(grid: OccupancyGrid, rng: Rng) -> OccupancyGrid:
@@ -168,17 +146,12 @@ def half(grid: OccupancyGrid, rng: Rng) -> OccupancyGrid:
     return replace(grid, occupied=grid.occupied & keep, free=grid.free & keep)
 
 
-def intact(grid: OccupancyGrid, _: Rng) -> OccupancyGrid:
-    """As it was."""
-    return grid
-
-
 MAPS: Mapping[str, MapChange] = MappingProxyType(
     {
-        "undisturbed": intact,
+        "undisturbed": lambda grid, _: grid,
         "walls dilated by 2 cells": dilated,
-        "walls displaced by up to 0.15 m": displaced(0.15),
-        "walls displaced by up to 0.3 m": displaced(0.3),
+        "walls displaced by up to 0.15 m": partial(displaced, metres=0.15),
+        "walls displaced by up to 0.3 m": partial(displaced, metres=0.3),
         "half the map": half,
     }
 )
@@ -187,7 +160,7 @@ _CELL, _REACH, _CLEAR = 0.01, 20.0, 0.3  # metres: of a room's image, of the sen
 ROOMS = ("closed room", "room with a door", "dead end", "lift")
 
 
-def unmapped(kind: str, rng: Rng, fov: float = 2 * np.pi, rays: int = 361) -> LaserScan:
+def unmapped(kind: str, rng: Rng, fov: float = 2 * np.pi) -> LaserScan:
     """A scan from within a simple place that is in no map: one of :data:`ROOMS`."""
     width, height = rng.uniform(*((1.2, 2.4) if kind == "lift" else (2.5, 9.0)), 2)
     beyond = 0.0  # metres that are free behind the upper side
@@ -205,9 +178,9 @@ def unmapped(kind: str, rng: Rng, fov: float = 2 * np.pi, rays: int = 361) -> La
         free[10 + rows : 20 + rows, door : door + 90] = True
         free[20 + rows : 20 + rows + far - 10, :] = True
     at = 0.1 + rng.uniform(_CLEAR, (width - _CLEAR, height - _CLEAR))
-    angles = ray_angles(rays, fov)
+    angles = ray_angles(361, fov)
     psi = rng.uniform(-np.pi, np.pi) + angles
     ranges = cast_rays(distance_image(~free), at, psi, _REACH, _CELL).astype(np.float64)
-    ranges += 0.02 * rng.standard_normal(rays)
+    ranges += 0.02 * rng.standard_normal(len(angles))
     ranges[ranges > _REACH] = np.inf
     return LaserScan(np.maximum(ranges, 1e-3), angles, range_max=_REACH)

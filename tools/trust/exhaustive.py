@@ -12,17 +12,16 @@ from dataclasses import fields, replace
 import numpy as np
 from skimage.measure import block_reduce
 
+from imgloc import FusedOptions, LaserScan, MapFeatures, Options
 from imgloc.features.distance import signed_distance
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import Level, any_of_blocks
 from imgloc.features.scanpoints import one_per_place
 from imgloc.geometry import uniform_thetas
-from imgloc.model import LaserScan
-from imgloc.options import EvidenceModel, FusedOptions, Options
+from imgloc.options import EvidenceModel
 from imgloc.pipeline import Modes, find_modes
 from imgloc.search.hypotheses import modes
 from imgloc.search.proposals import propose_all
-from imgloc.search.rescore import Scores
+from imgloc.search.rescore import Scores, hit_density
 
 KEEP = 20_000
 """Poses that are refined; a search looks at some three thousand."""
@@ -102,11 +101,7 @@ def score_level(features: MapFeatures, model: EvidenceModel, factor: int) -> Lev
     cells of the map in each cell of the lattice.
     """
     distance = signed_distance(features.grid.occupied, features.grid.resolution)
-    density = np.full(distance.shape, (1 - model.hit) / model.span)
-    for sigma in model.sigmas:
-        peak = model.hit / (len(model.sigmas) * sigma * np.sqrt(2 * np.pi))
-        density += peak * np.exp(-0.5 * (distance / sigma) ** 2)
-    gain = np.log(density / ((1 - model.hit) / model.span))
+    gain = np.log(hit_density(distance, model) / ((1 - model.hit) / model.span))
     image = block_reduce(gain, factor, np.mean)
     scaled = np.rint(255 * image / max(float(image.max()), 1e-9)).astype(np.uint8)
     free = any_of_blocks(features.grid.free, factor)

@@ -15,16 +15,16 @@ import cv2
 import numpy as np
 from scipy.optimize import minimize
 
+from imgloc import LaserScan, MapFeatures, OccupancyGrid, Options, Pose2D, ScanSet, Trust, prepare
 from imgloc.evaluation import pose_errors, share
-from imgloc.features.mapfeatures import MapFeatures
-from imgloc.geometry import cell_of, in_map_frame, transform_points
-from imgloc.io.scanset import ScanSet
-from imgloc.model import BoolArray, FloatArray, LaserScan, OccupancyGrid, Pose2D, inverse
-from imgloc.options import Options, Trust
-from imgloc.pipeline import find_adapted_modes, prepare
+from imgloc.geometry import cell_of, transform_points, transform_poses
+from imgloc.model import BoolArray, FloatArray, inverse
+from imgloc.pipeline import find_adapted_modes
 from imgloc.search.background import unmapped_score
 from imgloc.search.hypotheses import masses
 from imgloc.search.trust import judge
+from tools.recorded import with_poses
+from tools.script import table_lines
 from tools.trust.disturb import MAPS, ROOMS, SCANS, unmapped
 from tools.trust.reliability import LEAST, RIGHT, Judged, reliability
 
@@ -77,9 +77,8 @@ def case_of(
     score, n = found.scores.log_likelihood[:MODES], len(found.readings)
     right = np.zeros(len(score), bool)
     if pose is not None:
-        there = [in_map_frame(Pose2D(*p), features.grid.info) for p in found.poses[:MODES]]
-        errors = pose_errors(np.array([(p.x, p.y, p.theta) for p in there]), Pose2D(*pose))
-        right = np.all(errors <= RIGHT, axis=1)
+        there = transform_poses(features.grid.origin, found.poses[:MODES])
+        right = np.all(pose_errors(there, Pose2D(*pose)) <= RIGHT, axis=1)
     model, each = options.fused.model, float(score[0]) / n
     gap = each - unmapped_score(found.readings.xy, model)
     cell = features.grid.resolution
@@ -88,13 +87,12 @@ def case_of(
 
 def cases_at_home(building: str, grid: OccupancyGrid, scans: ScanSet, seed: int) -> Iterator[Case]:
     """Every scan of a set with poses: as it is, disturbed, and on disturbed maps."""
-    truth = np.empty((0, 3)) if scans.poses is None else scans.poses
     for k, (name, change_map) in enumerate(MAPS.items()):
         changed = change_map(grid, np.random.default_rng((seed, k)))
         features = prepare(changed, building)
         some = SCANS if changed is grid else {name: SCANS["undisturbed"]}
         for condition, change in some.items():
-            for i, (scan, pose) in enumerate(zip(scans.scans, truth, strict=True)):
+            for i, (scan, pose) in enumerate(with_poses(scans)):
                 there = pose if mapped(changed, pose) else None
                 disturbed = change(scan, np.random.default_rng((seed, i)))
                 case = case_of(features, disturbed, there, building, condition)
@@ -165,25 +163,25 @@ def fit_trust(cases: Sequence[Case], held: tuple[float, float] | None = None) ->
 
 def _fit(cases: Sequence[Case], fixed: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Temperature and strain (2,), then log-odds (3,), by what they lose."""
-    trust = Trust()
-    start = np.log([trust.temperature, trust.strain])
-    # Both are positive; Nelder and Mead's way needs no slope, of which a clipped share has none.
     scale = fixed
     if scale is None:
+        start = np.log([Trust().temperature, Trust().strain])
+        # Both are positive; Nelder and Mead's way needs no slope: a clipped share has none.
         found = minimize(lambda p: _temperature_loss(cases, np.exp(p)), start, method="Nelder-Mead")
         scale = np.exp(found.x)
-    X, y, w = _regressors(cases, scale), _lost(cases), _weights(cases)
-
-    def loss(b: FloatArray) -> float:
-        return float(w @ np.logaddexp(0, np.where(y, -1, 1) * (X @ b)) / w.sum() + 1e-4 * b @ b)
-
-    return scale, np.asarray(minimize(loss, np.zeros(3)).x)
+    lose = _elsewhere_loss(cases, scale)
+    return scale, np.asarray(minimize(lambda b: lose(b) + 1e-4 * b @ b, np.zeros(3)).x)
 
 
 def _losses(cases: Sequence[Case], scale: FloatArray, odds: FloatArray) -> tuple[float, float]:
-    X, y, w = _regressors(cases, scale), _lost(cases), _weights(cases)
-    elsewhere = np.logaddexp(0, np.where(y, -1, 1) * (X @ odds))
-    return _temperature_loss(cases, scale), float(w @ elsewhere / w.sum())
+    return _temperature_loss(cases, scale), _elsewhere_loss(cases, scale)(odds)
+
+
+def _elsewhere_loss(cases: Sequence[Case], scale: FloatArray) -> Callable[[FloatArray], float]:
+    """Of log-odds (3,): the mean of minus the logarithm of what was the case."""
+    X, w = _regressors(cases, scale), _weights(cases)
+    sign = np.where(_lost(cases), -1, 1)
+    return lambda odds: float(w @ np.logaddexp(0, sign * (X @ odds)) / w.sum())
 
 
 def _temperature(case: Case, scale: FloatArray) -> float:
@@ -196,8 +194,7 @@ def _temperature_loss(cases: Sequence[Case], scale: FloatArray) -> float:
     mine = [not lost for lost in _lost(cases)]
     weights, home = _weights(cases)[mine], [c for c, m in zip(cases, mine, strict=True) if m]
     mass = [masses(c.score, _temperature(c, scale))[c.right].sum() for c in home]
-    loss = -weights @ np.log(np.maximum(mass, 1e-9)) / max(weights.sum(), 1e-9)
-    return float(loss)
+    return float(-weights @ np.log(np.maximum(mass, 1e-9)) / max(weights.sum(), 1e-9))
 
 
 def _regressors(cases: Sequence[Case], scale: FloatArray) -> FloatArray:
@@ -230,20 +227,17 @@ def conditions_table(cases: Sequence[Case], trust: Trust) -> str:
     Right is the first mode; of the ``unique`` it is said how many are wrong; the error of the
     calibration is of all modes of 1 % and more.
     """
-    lines = ["| condition | scans | first right | unique | wrong | no-match | calibration |"]
-    lines.append("|---" * 7 + "|")
+    rows = []
     for condition in dict.fromkeys(c.condition for c in cases):
         some = [c for c in cases if c.condition == condition]
         told = [_judged(c, trust) for c in some]
-        first = share(bool(c.right[:1].any()) for c in some).value
-        unique = share(j.verdict == "unique" for j in told).value
-        lines.append(
-            f"| {condition} | {len(some)} | {first:.2f} | {unique:.2f} "
-            f"| {sum(j.wrong for j in told)} "
-            f"| {share(j.verdict == 'no-match' for j in told).value:.2f} "
-            f"| {reliability(told)[1]:.3f} |"
-        )
-    return "\n".join(lines)
+        first = share(c.right[0] for c in some).value
+        unique, none = (share(j.verdict == v for j in told).value for v in ("unique", "no-match"))
+        wrong, error = sum(j.wrong for j in told), reliability(told)[1]
+        shares = (f"{first:.2f}", f"{unique:.2f}", wrong, f"{none:.2f}", f"{error:.3f}")
+        rows.append((condition, len(some), *shares))
+    head = "condition | scans | first right | unique | wrong | no-match | calibration"
+    return "\n".join(table_lines(head, rows))
 
 
 def _judged(case: Case, trust: Trust) -> Judged:

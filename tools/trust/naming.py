@@ -5,15 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from imgloc.choice import OPTIONS, Choice, choose, fit, next_maps
-from imgloc.errors import ConfigError
+from imgloc import Choice, ConfigError, LaserScan, Localization, Sensor, load_map, prepare, simulate
+from imgloc.choice import OPTIONS, choose, fit, next_maps
 from imgloc.evaluation import share
-from imgloc.io.maps import load_map
 from imgloc.mapindex import open_index
-from imgloc.model import LaserScan, Localization
-from imgloc.pipeline import prepare
-from imgloc.simulation import Sensor, simulate
 from tools.recorded import scans_beside
+from tools.script import at_least_one
 
 Asked = tuple[str, LaserScan]
 """The name of a map, and a scan taken in it."""
@@ -27,8 +24,7 @@ def scans_of(
     Those recorded beside a map (scans.npz, with poses), if there are any; else simulated ones.
     ConfigError if `n` is less than 1, or there is no map.
     """
-    if n < 1:
-        raise ConfigError(f"n must be at least 1, got {n}")
+    at_least_one(n=n)
     if not maps:
         raise ConfigError("there is no map to take scans in")
     each = -(-n // len(maps))

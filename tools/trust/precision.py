@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imgloc.features.mapfeatures import MapFeatures
+from imgloc import LaserScan, Localization, MapFeatures, ScanSet, localize
 from imgloc.geometry import wrap
-from imgloc.io.scanset import ScanSet
-from imgloc.model import FloatArray, LaserScan, Localization
-from imgloc.pipeline import localize
+from imgloc.model import FloatArray
+from tools.recorded import with_poses
+from tools.script import table_lines
 
 REGION = 7.815
 """The 95 % point of chi-square with three degrees of freedom."""
@@ -38,12 +38,11 @@ class Precision:
 
 
 def precision(
-    name: str, features: MapFeatures, scans: ScanSet, truth: Sequence[float] = TRUTH, seed: int = 0
+    name: str, features: MapFeatures, scans: ScanSet, truth: Sequence[float] = TRUTH
 ) -> Precision:
     """Measure one set of scans with poses; `truth` are the standard deviations of those."""
     rows, claimed, errors = [], [], []
-    poses = np.empty((0, 3)) if scans.poses is None else scans.poses
-    for k, (scan, pose) in enumerate(zip(scans.scans, poses, strict=True)):
+    for k, (scan, pose) in enumerate(with_poses(scans)):
         answer = localize(features, scan)
         found, covariance = _first(answer)
         error = _difference(found, pose)
@@ -55,7 +54,7 @@ def precision(
             for r, phi in _halves(scan)
         )
         ranges = scan.ranges.copy()
-        ranges[np.random.default_rng((seed, k)).choice(np.flatnonzero(scan.valid))] = np.nan
+        ranges[np.random.default_rng((0, k)).choice(np.flatnonzero(scan.valid))] = np.nan
         less = localize(features, replace(scan, ranges=ranges))
         step = _difference(_first(less)[0], found)
         moved = bool(np.any(np.abs(step) > 2 * np.sqrt(np.diag(covariance))))
@@ -65,25 +64,21 @@ def precision(
     if not rows:
         nan = float("nan")
         return Precision(name, 0, nan, nan, nan, (nan, nan), (nan, nan))
-    shares, sd = np.mean(rows, axis=0), np.median(claimed, axis=0)
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
-    within, agree, moves = map(float, shares)
-    claim, off = (float(sd[0]), float(sd[1])), (float(rms[0]), float(rms[1]))
+    within, agree, moves = np.mean(rows, axis=0).tolist()
+    claim, off = (tuple(v.tolist()) for v in (np.median(claimed, axis=0), rms))
     return Precision(name, len(rows), within, agree, moves, claim, off)
 
 
 def precision_table(rows: Sequence[Precision]) -> str:
     """The rows as Markdown."""
-    lines = ["| scans | `unique` and right | truth inside | halves agree | moved | "]
-    lines[0] += "claimed m, deg | error m, deg |"
-    lines.append("|---" * 7 + "|")
-    for r in rows:
-        claimed, error = (f"{m:.4f}, {np.rad2deg(t):.3f}" for m, t in (r.claimed, r.error))
-        lines.append(
-            f"| {r.name} | {r.answers} | {r.inside:.2f} | {r.agree:.2f} | {r.moved:.2f} "
-            f"| {claimed} | {error} |"
-        )
-    return "\n".join(lines)
+    head = "scans | `unique` and right | truth inside | halves agree | moved"
+    cells = (
+        (r.name, r.answers, *(f"{share:.2f}" for share in (r.inside, r.agree, r.moved)),
+         *(f"{m:.4f}, {np.rad2deg(t):.3f}" for m, t in (r.claimed, r.error)))
+        for r in rows
+    )  # fmt: skip
+    return "\n".join(table_lines(f"{head} | claimed m, deg | error m, deg", cells))
 
 
 def _halves(scan: LaserScan) -> list[tuple[FloatArray, FloatArray]]:

@@ -6,14 +6,12 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import numpy.typing as npt
 
+from imgloc import Localization, MapFeatures, Options, Pose2D, ScanSet, localize
 from imgloc.evaluation import Share, pose_errors, share
-from imgloc.features.mapfeatures import MapFeatures
-from imgloc.geometry import wrap
-from imgloc.io.scanset import ScanSet
-from imgloc.model import BoolArray, FloatArray, Localization, Pose2D
-from imgloc.options import Options
-from imgloc.pipeline import localize
+from imgloc.geometry import poses_of, wrap
+from imgloc.model import BoolArray, FloatArray
 from tools.plots import blank
+from tools.recorded import with_poses
 
 RIGHT = (0.5, float(np.deg2rad(15.0)))
 """A hypothesis this near the true pose is right: the separation of hypotheses."""
@@ -52,8 +50,7 @@ def judged(
     advance: Callable[[], None] = lambda: None,
 ) -> Iterator[Judged]:
     """Locate scans whose poses (map frame) are known; `advance` is called after each."""
-    truth = np.empty((0, 3)) if scans.poses is None else scans.poses
-    for scan, pose in zip(scans.scans, truth, strict=True):
+    for scan, pose in with_poses(scans):
         yield judge_answer(localize(features, scan, options), Pose2D(*pose))
         advance()
 
@@ -61,7 +58,7 @@ def judged(
 def judge_answer(answer: Localization, truth: Pose2D) -> Judged:
     """Compare one answer with the true pose, both in the map frame."""
     told = [h for h in answer.hypotheses if h.mass >= LEAST]
-    poses = np.array([(h.pose.x, h.pose.y, h.pose.theta) for h in told]).reshape(-1, 3)
+    poses = poses_of(told)
     errors = pose_errors(poses, truth)
     right = np.all(errors <= RIGHT, axis=1)
     unique = answer.verdict == "unique"

@@ -14,16 +14,13 @@ from types import MappingProxyType
 
 import numpy as np
 
-from imgloc.errors import ConfigError
+from imgloc import LaserScan, MapFeatures, Options, Pose2D, ScanSet, Sensor, localize, prepare
 from imgloc.evaluation import Share, pose_errors, share
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import in_map_frame
-from imgloc.io.scanset import ScanSet
-from imgloc.model import FloatArray, LaserScan, Pose2D, base_of
-from imgloc.options import Options
-from imgloc.pipeline import localize, prepare
-from imgloc.simulation import Sensor, simulate
+from imgloc.model import FloatArray, base_of
 from imgloc.worlds import WORLDS, render
+from tools.recorded import in_world, with_poses
+from tools.script import at_least_one, one_of, table_lines
 from tools.trust.exhaustive import exhaustive
 
 TOLERANCE = (0.5, float(np.deg2rad(10.0)))
@@ -135,18 +132,15 @@ def robustness(
     ConfigError
         If there is no trial, or no such world or condition.
     """
-    if n < 1:
-        raise ConfigError(f"n must be at least 1, got {n}")
-    for name, known in [(w, WORLDS) for w in worlds] + [(c, CONDITIONS) for c in conditions]:
-        if name not in known:
-            raise ConfigError(f"expected one of {', '.join(known)}, got {name!r}")
+    at_least_one(n=n)
+    one_of(worlds, WORLDS)
+    one_of(conditions, CONDITIONS)
     rows = []
     for name in conditions:
-        trials = []
+        trials: list[RobustnessTrial] = []
         for world in worlds:
-            for trial in _trials(world, CONDITIONS[name], n, seed, threads):
-                trials.append(trial)
-                advance()
+            features, scans = condition_of(world, CONDITIONS[name], n, seed, threads)
+            trials += _trials(features, scans, threads, advance)
         rows.append(row_of(name, trials))
     return tuple(rows)
 
@@ -163,11 +157,7 @@ def recorded_row(
 
     `threads` and `advance` as of :func:`robustness`; `advance` is called after each scan.
     """
-    trials = []
-    for trial in _trials_of(features, scans, threads):
-        trials.append(trial)
-        advance()
-    return row_of(name, trials)
+    return row_of(name, list(_trials(features, scans, threads, advance)))
 
 
 def row_of(name: str, trials: Sequence[RobustnessTrial]) -> RobustnessRow:
@@ -191,24 +181,25 @@ def row_of(name: str, trials: Sequence[RobustnessTrial]) -> RobustnessRow:
     )
 
 
-def _trials(
+def condition_of(
     world: str, condition: Condition, n: int, seed: int, threads: int
-) -> Iterator[RobustnessTrial]:
+) -> tuple[MapFeatures, ScanSet]:
+    """The map of a world and scans in it, as the condition has them."""
     features = prepare(render(WORLDS[world](), condition.cell), threads=threads)
     # The poses are those of the map at 10 cm, whatever its cells now.
-    scans = simulate(
-        render(WORLDS[world](), 0.1), n, seed, condition.sensor, render(WORLDS[world](), 0.01)
-    )
+    _, scans = in_world(world, n, seed, condition.sensor)
     if condition.flipped:
         told = tuple(upside_down(scan).flipped for scan in scans.scans)
         scans = replace(scans, scans=told)
-    yield from _trials_of(features, scans, threads)
+    return features, scans
 
 
-def _trials_of(features: MapFeatures, scans: ScanSet, threads: int) -> Iterator[RobustnessTrial]:
-    truth = np.empty((0, 3)) if scans.poses is None else scans.poses
-    for scan, pose in zip(scans.scans, truth, strict=True):
+def _trials(
+    features: MapFeatures, scans: ScanSet, threads: int, advance: Callable[[], None]
+) -> Iterator[RobustnessTrial]:
+    for scan, pose in with_poses(scans):
         yield _trial(features, scan, Pose2D(*pose), threads)
+        advance()
 
 
 def _trial(features: MapFeatures, scan: LaserScan, pose: Pose2D, threads: int) -> RobustnessTrial:
@@ -260,16 +251,13 @@ def tied(
 def robustness_table(rows: Sequence[RobustnessRow]) -> str:
     """The rows as Markdown."""
     head = "condition | success@1 | oracle | behind | among equals, both | ties | unique | wrong"
-    lines = [f"| {head} |", "|---" * 8 + "|"]
-    for row in rows:
-        lines.append(
-            f"| {row.condition} | {_interval(row.localize_first)} | "
-            f"{_interval(row.oracle_first)} | {row.behind:.0f} | "
-            f"{_percent(row.localize)}, {_percent(row.oracle)} | "
-            f"{_percent(row.ties)} | {_percent(row.unique)} | "
-            f"{row.wrong.hits} of {row.wrong.trials} |"
-        )
-    return "\n".join(lines)
+    cells = (
+        (r.condition, _interval(r.localize_first), _interval(r.oracle_first), f"{r.behind:.0f}",
+         f"{_percent(r.localize)}, {_percent(r.oracle)}", _percent(r.ties), _percent(r.unique),
+         f"{r.wrong.hits} of {r.wrong.trials}")
+        for r in rows
+    )  # fmt: skip
+    return "\n".join(table_lines(head, cells))
 
 
 def _percent(share: Share) -> str:

@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from imgloc import MapFeatures, OccupancyGrid, Options, Pose2D, ScanSet, Shared, localize, prepare
 from imgloc.calibrate import fit_shared
 from imgloc.evaluation import pose_errors
-from imgloc.features.mapfeatures import MapFeatures
-from imgloc.io.scanset import ScanSet
-from imgloc.model import FloatArray, OccupancyGrid, Pose2D, compose, inverse
-from imgloc.options import Options, Shared
-from imgloc.pipeline import localize, prepare
+from imgloc.geometry import poses_of
+from imgloc.model import FloatArray, compose, inverse
+from tools.recorded import with_poses
+from tools.script import table_lines
 from tools.trust.reliability import RIGHT
 
 
@@ -28,13 +28,8 @@ class ScaleRow:
     after: float  #: with that of the calibration
 
 
-def scaled_map(grid: OccupancyGrid, factor: float) -> OccupancyGrid:
-    """The map with cells of another size."""
-    return replace(grid, resolution=grid.resolution * factor)
-
-
 def scaled_pose(pose: FloatArray, origin: Pose2D, factor: float) -> FloatArray:
-    """Where a pose (3,), map frame, is on :func:`scaled_map`.
+    """Where a pose (3,), map frame, is if the cells of the map are so many times as large.
 
     Examples
     --------
@@ -58,17 +53,15 @@ def scale_rows(
 
     def right(features: MapFeatures, factor: float, shared: Shared) -> float:
         hits = []
-        poses = np.empty((0, 3)) if asked.poses is None else asked.poses
-        for scan, pose in zip(asked.scans, poses, strict=True):
-            found = localize(features, scan, Options(shared=shared)).pose
+        for scan, pose in with_poses(asked):
+            found = poses_of(localize(features, scan, Options(shared=shared)).hypotheses[:1])
             there = Pose2D(*scaled_pose(pose, grid.origin, factor))
-            at = np.full((1, 3), np.inf) if found is None else [[found.x, found.y, found.theta]]
-            hits.append(bool(np.all(pose_errors(np.array(at), there) <= RIGHT)))
+            hits.append((pose_errors(found, there) <= RIGHT).all(axis=1).any())
         return float(np.mean(hits))
 
     rows, home = [], right(prepare(grid, name), 1.0, Shared())
     for factor in factors:
-        features = prepare(scaled_map(grid, factor), name)
+        features = prepare(replace(grid, resolution=grid.resolution * factor), name)
         fit = fit_shared(features, known.scans)
         before, after = (right(features, factor, s) for s in (Shared(), fit.shared))
         rows.append(ScaleRow(name, factor, fit.shared.scale, fit.deviation, home, before, after))
@@ -78,12 +71,11 @@ def scale_rows(
 
 def scale_table(rows: Sequence[ScaleRow]) -> str:
     """The rows as Markdown."""
-    lines = ["| set | map x | scale found | claimed | off | undisturbed | before | calibrated |"]
-    lines.append("|---" * 8 + "|")
-    for r in rows:
-        off = 100 * (r.found / r.factor - 1)
-        lines.append(
-            f"| {r.name} | {r.factor:g} | {r.found:.4f} | {r.deviation:.4f} | {off:+.2f} % "
-            f"| {r.undisturbed:.2f} | {r.before:.2f} | {r.after:.2f} |"
-        )
-    return "\n".join(lines)
+    head = "set | map x | scale found | claimed | off | undisturbed | before | calibrated"
+    cells = (
+        (r.name, f"{r.factor:g}", f"{r.found:.4f}", f"{r.deviation:.4f}",
+         f"{100 * (r.found / r.factor - 1):+.2f} %",
+         *(f"{share:.2f}" for share in (r.undisturbed, r.before, r.after)))
+        for r in rows
+    )  # fmt: skip
+    return "\n".join(table_lines(head, cells))

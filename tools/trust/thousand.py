@@ -13,14 +13,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from imgloc import ConfigError, Sensor, load_map, prepare, save_map, simulate
 from imgloc.choice import NO_MAP, OPTIONS, Choice, choose, fit, search
-from imgloc.errors import ConfigError
 from imgloc.io.folders import find_maps
-from imgloc.io.maps import load_map, save_map
 from imgloc.mapindex import open_index
 from imgloc.model import BoolArray, FloatArray, LaserScan, OccupancyGrid
-from imgloc.pipeline import prepare
-from imgloc.simulation import Sensor, simulate
 
 SIDES = (14.0, 30.0)
 """Metres: shortest and longest side of a piece."""
