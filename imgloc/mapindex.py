@@ -12,12 +12,13 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from imgloc.errors import ConfigError, MapError, OutputError
+from imgloc.errors import ConfigError, ImglocError, MapError, OutputError
 from imgloc.features.budget import check_budget
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import Level
@@ -201,8 +202,8 @@ def _load(file: Path, memory_budget: int | None) -> _Kept:
     name = display(file)
     try:
         with (
-            open_file(file, limit=_LIMIT, error=OutputError, what="index") as (source, size),
-            np.load(source, allow_pickle=False) as archive,
+            open_file(file, limit=_LIMIT, error=OutputError, what="map index") as (source, size),
+            _archive(source) as archive,
         ):
             check_budget(_BESIDE * size, memory_budget, f"{name}: an index", "look at fewer maps")
             about = json.loads(archive["about"].tobytes())
@@ -220,9 +221,16 @@ def _load(file: Path, memory_budget: int | None) -> _Kept:
                 at += height * width
             kept.seen, kept.written = about["maps"], about["written"]
             return kept
-    except ConfigError:
+    except ImglocError:  # it cannot be read, or is too large: not its contents
         raise
     except Exception as e:  # a file that is not what it says can end in anything
         raise OutputError(
             f"{name}: is no index of maps ({reason(e)}); expected another name, or remove it"
         ) from None
+
+
+def _archive(source: BufferedReader) -> Any:
+    """The arrays of an NPZ; of another file NumPy would say how to read it unsafely."""
+    if source.peek(2)[:2] != b"PK":
+        raise ValueError("no NPZ")
+    return np.load(source, allow_pickle=False)

@@ -92,6 +92,8 @@ def follow(
     ------
     ScanError
         If there is no odometry, or stamps run backwards.
+    ConfigError
+        If `start` or `kidnap` is outside of the map, or `kidnap` outside of the log's time.
     """
     if scans.odom is None:
         raise ScanError(
@@ -105,8 +107,10 @@ def follow(
             f"{name}: stamps[{at + 1}]: {stamps[at + 1]:.9g} after {stamps[at]:.9g}, expected the "
             "order of time"
         )
+    if kidnap is not None:
+        _check_kidnap(kidnap, features, stamps)
     if start is not None:
-        filter_.place(_local(start, features), deviation)
+        filter_.place(_local("start", start, features), deviation)
     steps = np.concatenate((np.zeros((1, 3)), increments(scans.odom)))
     ways = {scan.T_base_laser: np.full(2, np.inf) for scan in scans.scans}
     metres, seen = 0.0, float(stamps[0])
@@ -116,7 +120,7 @@ def follow(
         ways = {laser: way + moved for laser, way in ways.items()}
         metres += float(moved[0])
         if kidnap is not None and stamps[k] - stamps[0] >= kidnap.after:
-            filter_.place(_local(kidnap.pose, features), kidnap.deviation)
+            filter_.place(_local("kidnap", kidnap.pose, features), kidnap.deviation)
             kidnap = None
         far = ways[scan.T_base_laser] >= np.array([every.metres, every.radians]) - 1e-9
         looked = bool(far.any()) or filter_.watch(scan)
@@ -144,6 +148,23 @@ def robot_poses(scans: ScanSet) -> FloatArray | None:
     return compose_poses(scans.poses, invert_poses(np.array([(m.x, m.y, m.theta) for m in mounts])))
 
 
-def _local(pose: Pose2D, features: MapFeatures) -> FloatArray:
-    local = in_grid_frame(pose, features.grid)
+def _check_kidnap(kidnap: Kidnap, features: MapFeatures, stamps: FloatArray) -> None:
+    """Refuse what would never happen."""
+    _local("kidnap", kidnap.pose, features)
+    since = stamps - stamps[0]
+    latest = float(np.max(since, initial=-np.inf, where=np.isfinite(since)))
+    if not 0 <= kidnap.after <= latest:
+        log = f"0 to {latest:g} s of the log" if latest >= 0 else "a log with stamps"
+        raise ConfigError(f"kidnap: got {kidnap.after:g} s, expected {log}")
+
+
+def _local(given: str, pose: Pose2D, features: MapFeatures) -> FloatArray:
+    """`pose` in the grid frame; refused, by what gave it, if it is outside of the map."""
+    local, grid = in_grid_frame(pose, features.grid), features.grid
+    height, width = np.array(grid.occupied.shape) * grid.resolution
+    if not (0 <= local.x <= width and 0 <= local.y <= height):
+        raise ConfigError(
+            f"{given}: {pose.x:g},{pose.y:g} is outside of the map, which has {width:.1f} x "
+            f"{height:.1f} m, its lower-left corner at {grid.origin.x:g},{grid.origin.y:g}"
+        )
     return np.array([local.x, local.y, local.theta])

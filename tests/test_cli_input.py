@@ -112,6 +112,8 @@ def test_angles_may_be_degrees(scans: Path) -> None:
     assert wrong.code == 2
     hint = call("localize", "curved", scans, "--near", "1,2,90")
     assert "are these degrees? write 90deg" in hint.err
+    turned = call("localize", "curved", scans, "--heading", "400deg")
+    assert (turned.code, "expected -360deg to 360deg" in turned.err) == (2, True)
 
 
 def test_formats_are_in_the_help_and_their_examples_are_read(tmp_path: Path) -> None:

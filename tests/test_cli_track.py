@@ -139,7 +139,7 @@ def test_what_was_calibrated_for_the_map_is_used(log: Path, tmp_path: Path) -> N
 
 
 def test_strict_says_that_the_end_is_not_unique(log: Path) -> None:
-    assert call("track", MAP, log, "--strict", "--kidnap", "8,20,3,1").code == 6
+    assert call("track", MAP, log, "--strict", "--kidnap", "8,20,3,60deg").code == 6
 
 
 @pytest.mark.parametrize(
@@ -148,6 +148,12 @@ def test_strict_says_that_the_end_is_not_unique(log: Path) -> None:
         (["--start", "1,2"], 2, "3 numbers"),
         (["--start", "1,2,90"], 2, "radians"),
         (["--kidnap", "5,1,2,90"], 2, "radians"),
+        (["--kidnap", "5,1,2,400deg"], 2, "expected -360deg to 360deg"),
+        (["--kidnap", "9,1,2,0"], 2, "kidnap: got 9 s, expected 0 to 8 s of the log"),
+        (["--kidnap", "-1,1,2,0"], 2, "expected 0 to 8 s of the log"),
+        (["--kidnap", "1,-1,2,0"], 2, "kidnap: -1,2 is outside of the map"),
+        (["--start", "1,900,0"], 2, "start: 1,900 is outside of the map"),
+        (["--best"], 2, "--ros"),
         (["--every", "-1,3"], 2, "metres must be finite"),
         (["--tum", "a.txt"], 2, "ends in .tum"),
         (["--filter", "kalman"], 2, "kalman"),
@@ -167,8 +173,17 @@ def test_a_log_without_odometry_is_refused_unless_it_is_made(log: Path, tmp_path
     np.savez(bare, **data)
     run = call("track", MAP, bare)
     assert run.code == 4
-    assert "bare.npz: odom: missing" in run.err
+    assert (run.out, "bare.npz: odom: missing" in run.err) == ("", True)
     assert call("track", MAP, bare, "--simulate-odometry", 1, "--every", "5,90").code == 0
+
+
+def test_a_log_without_stamps_cannot_say_when_it_is_kidnapped(log: Path, tmp_path: Path) -> None:
+    data = dict(np.load(log))
+    del data["stamps"]
+    np.savez(tmp_path / "bare.npz", **data)
+    run = call("track", MAP, tmp_path / "bare.npz", "--kidnap", "1,4,8,0")
+    assert (run.code, run.out) == (2, "")
+    assert "expected a log with stamps" in run.err
 
 
 def test_sequences_are_evaluated(log: Path) -> None:

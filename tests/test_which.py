@@ -209,9 +209,13 @@ def test_what_is_no_index_is_not_overwritten(site: Path) -> None:
     for data in (b"a diary", (site / "s.npz").read_bytes()):
         file = site / "mine.npz"
         file.write_bytes(data)
-        with pytest.raises(OutputError, match="is no index of maps"):
+        with pytest.raises(OutputError, match="is no index of maps") as said:
             opened_index(site, file)
+        assert "pickle" not in str(said.value)
         assert file.read_bytes() == data
+    with pytest.raises(OutputError, match="is a folder, expected a map index") as said:
+        opened_index(site, site)
+    assert "remove it" not in str(said.value)
 
 
 def test_an_index_of_another_version_is_made_anew(site: Path, monkeypatch) -> None:

@@ -62,14 +62,16 @@ def numbers(
     angles, most = (2,) if pose else angles, least + len(rest)
     count = f"{least}" if least == most else f"{least} to {most}"
 
+    def value_of(k: int, word: str) -> float:
+        if k not in angles or not word.endswith("deg"):
+            return float(word)
+        if abs(degrees := float(word[:-3])) > 360:
+            raise typer.BadParameter(f"got {word}, expected -360deg to 360deg")
+        return math.radians(degrees)
+
     def parse(text: str) -> tuple[float, ...]:
         try:
-            values = tuple(
-                math.radians(float(word[:-3]))
-                if k in angles and word.endswith("deg")
-                else float(word)
-                for k, word in enumerate(map(str.strip, text.split(",")))
-            )
+            values = tuple(value_of(k, word.strip()) for k, word in enumerate(text.split(",")))
         except ValueError:
             values = ()
         if not least <= len(values) <= most or not all(map(math.isfinite, values)):

@@ -40,7 +40,7 @@ def track(
         None,
         "T,X,Y,YAW",
         "After T seconds the filter believes to be at this pose: a robot carried off.",
-        parser=opt.numbers(4),
+        parser=opt.numbers(4, angles=(3,)),
     ),
     every: Any = option(None, "M,DEG", _EVERY, parser=opt.numbers(2)),
     resets: bool = flag("--resets/--no-resets", "Draw from p(x | z) when lost.", True),
@@ -92,9 +92,11 @@ def track(
         tum_text,
     )
     from imgloc.sequences import with_odometry
-    from imgloc.tracking import Every, Kidnap, follow, robot_poses
+    from imgloc.tracking import Every, Kidnap, Moment, follow, robot_poses
 
     folder = inputs.kept_in(cache, wanted=not no_cache)
+    if best and ros is None:
+        raise ConfigError("--best: is of --ros alone, which is not given")
     if kidnap is not None:
         opt.check_yaw("--kidnap", kidnap[3])
     read = [*inputs.files_of(map_path), log]
@@ -118,13 +120,11 @@ def track(
     )
     chosen = make_filter(filter_.value, features, options, seed=seed, resets=resets)
     gap = Every() if every is None else Every(every[0], math.radians(every[1]))
-    moments = []
+    moments: list[Moment] = []
     movie = None if video is None else Video(features)
     with contextlib.ExitStack() as undo:
         if movie is not None:
             undo.callback(movie.close)
-        if not as_json:
-            emit(track_header())
         run = follow(
             features,
             scans,
@@ -137,6 +137,8 @@ def track(
         begin = time.perf_counter()
         with progress("track", len(scans)) as advance:
             for moment in run:
+                if not (moments or as_json):
+                    emit(track_header())
                 moments.append(moment)
                 emit(to_json(moment_row(moment)) if as_json else track_line(moment))
                 if movie is not None:

@@ -271,7 +271,7 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
     ranges = np.atleast_2d(arrays["ranges"])
     n = len(ranges)
     if not ranges.size:
-        raise wrong(f"{name}: ranges", f"shape {ranges.shape}", "at least one reading")
+        raise wrong(f"{name}: ranges", f"shape {ranges.shape}", "at least one scan and one reading")
     readings, angles = ranges.shape[1], arrays.get("angles")
     if angles is None:
         if not all(key in arrays and arrays[key].size == 1 for key in _STEPS):
