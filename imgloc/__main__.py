@@ -1,6 +1,18 @@
-"""``python -m imgloc``: the command line."""
+"""The command ``imgloc``, and ``python -m imgloc``: however early it is interrupted."""
 
-from imgloc.cli import main
+import sys
+
+
+def main() -> None:
+    """Run the command line; Ctrl-C while it is being loaded ends it as any other does."""
+    try:
+        from imgloc.cli import main as command_line
+
+        command_line()
+    except KeyboardInterrupt:
+        print("imgloc: interrupted", file=sys.stderr)
+        sys.exit(130)
+
 
 if __name__ == "__main__":
     main()

@@ -1,6 +1,7 @@
 """The command line as a whole: help, versions, exit codes, the end of a run that fails."""
 
 import ast
+import builtins
 import importlib
 import os
 import re
@@ -16,6 +17,7 @@ import typer
 from command import MAPS, ROOT, call, command, rows, spawn
 
 import imgloc
+from imgloc.__main__ import main as imgloc_command
 from imgloc.cli import app
 from imgloc.cli.console import Group, emit
 from imgloc.cli.demo import DemoMap
@@ -221,6 +223,23 @@ def test_interrupt_exits_with_130_and_without_a_traceback(scans: Path) -> None:
     assert run.returncode == 130
     assert err.decode() == "imgloc: interrupted\n"
     assert len(rows(out.decode())) < 39
+
+
+def test_an_interrupt_while_the_command_line_is_loaded(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    real = builtins.__import__
+
+    def interrupted(name: str, *rest: Any) -> Any:
+        if name == "imgloc.cli":
+            raise KeyboardInterrupt
+        return real(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", interrupted)
+    with pytest.raises(SystemExit) as end:
+        imgloc_command()
+    assert end.value.code == 130
+    assert capsys.readouterr() == ("", "imgloc: interrupted\n")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="pipes of POSIX")

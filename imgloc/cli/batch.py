@@ -216,17 +216,7 @@ def _given(context: typer.Context, job: str, with_scans: bool, maps: Path) -> se
         ways = {"evaluate with SCANS" if with_scans else "evaluate without SCANS"}
         if maps.suffix.lower() == ".csv":  # whose lines may have scans
             ways = set(_EVALUATE)
-    given = set()
-    for parameter in context.command.params:
-        name = parameter.name or ""
-        source = context.get_parameter_source(name)
-        if source is None or source.name != "COMMANDLINE":
-            continue
-        given.add(name)
-        if name in _OF and ways.isdisjoint(_OF[name]):
-            option, jobs = max(parameter.opts, key=len), ", ".join(_OF[name])
-            raise ConfigError(f"{option}: is of {jobs}, not of {' or '.join(sorted(ways))}")
-    return given
+    return opt.given(context, _OF, ways)
 
 
 def _todo(

@@ -17,10 +17,19 @@ from imgloc.io.files import display
 _METHODS = ",".join(opt.MethodName)
 _MAX_SCANS = 100_000
 _FLOOR = (1e-12, 0.5, "a share")
+_SCANS, _SEQUENCE = ("evaluate without --sequence",), ("evaluate --sequence",)
+#: Of which of the two options are that the other would not notice.
+_OF = {
+    **dict.fromkeys(("methods", "count", "tolerance", "theta_step_deg", "cell", "floor"), _SCANS),
+    **dict.fromkeys(("rays", "fov_deg", "sigma", "outliers", "dropped"), _SCANS),
+    **dict.fromkeys(("clearance", "mount", "index", "sample", "sample_seed"), _SCANS),
+    **dict.fromkeys(("filters", "begin", "metres", "resets", "mounted"), _SEQUENCE),
+}
 
 
 @opt.with_options(opt.sensor, opt.reading, opt.chosen, opt.taken, opt.console)
 def evaluate(
+    context: typer.Context,
     maps: Annotated[
         list[Path],
         typer.Argument(
@@ -91,14 +100,13 @@ def evaluate(
     from imgloc.pipeline import prepare
     from imgloc.simulation import fine_image, is_world, sample_set, simulate
 
+    opt.given(context, _OF, set(_SEQUENCE if sequence else _SCANS))
     if sequence:
         from imgloc.cli.sequence import measure_sequences
         from imgloc.sequences import Trials
 
         if scans is None or len(scans) != len(maps):
             raise ConfigError("--sequence: expected --scans, recorded ones, once for each MAP")
-        if chosen != Chosen():
-            raise ConfigError("--index, --sample: with --sequence logs are followed as a whole")
         names = opt.names_of("--filters", filters, list(opt.FilterName))
         measure_sequences(
             maps, scans, names, Trials(begin, metres, seed=seed, resets=resets),

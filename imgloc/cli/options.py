@@ -5,7 +5,7 @@ import inspect
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -544,6 +544,24 @@ def with_options(*groups: Callable[..., Any]) -> Callable[[F], Callable[..., Non
         return run
 
     return decorate
+
+
+def given(context: typer.Context, of: Mapping[str, Sequence[str]], ways: set[str]) -> set[str]:
+    """Names of the options that were given, none of which is of other ways to work alone.
+
+    `of` says of which ways an option is that others would not notice.
+    """
+    names = set()
+    for parameter in context.command.params:
+        name = parameter.name or ""
+        source = context.get_parameter_source(name)
+        if source is None or source.name != "COMMANDLINE":
+            continue
+        names.add(name)
+        if name in of and ways.isdisjoint(of[name]):
+            option, theirs = max(parameter.opts, key=len), ", ".join(of[name])
+            raise ConfigError(f"{option}: is of {theirs}, not of {' or '.join(sorted(ways))}")
+    return names
 
 
 def examples(*lines: str, more: str = "") -> str:
