@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from imgloc.errors import ConfigError
+from imgloc.errors import ConfigError, expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.mapindex import index_of
 from imgloc.model import LaserScan, Localization, plain
@@ -112,6 +112,7 @@ def which(
     >>> which({"hall": prepare(OccupancyGrid(wall, ~wall, 0.1))}, blind).verdict
     'invalid'
     """
+    expect(maps, Mapping, "maps")
     options = options or OPTIONS
     bounds = dict.fromkeys(maps, 0.0)
     if len(maps) > FIRST:

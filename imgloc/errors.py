@@ -1,4 +1,4 @@
-"""The exceptions of imgloc: one base, one class per kind of input.
+"""The exceptions of imgloc: one base, one class per kind of input; and arguments of another kind.
 
 A message is one line that names the file, the key, the value received, what was
 expected and, where there is one, the next step. The command line prints the message and
@@ -34,3 +34,31 @@ class OutputError(ImglocError):
     """A result cannot be written: no folder, no space, or a file that is not ours."""
 
     exit_code = 1
+
+
+_MADE = {
+    "OccupancyGrid": "load_map(path) reads one",
+    "MapFeatures": "prepare(grid) makes them",
+    "LaserScan": "load_scans(path)[k] is one",
+    "ScanSet": "load_scans(path) reads one",
+    "Options": 'Options(method="...") makes them',
+    "Mapping": "{name: prepare(grid)}",
+    "Localization": "localize(features, scan) gives one",
+}
+
+
+def expect(value: object, kind: type, name: str) -> None:
+    """Raise TypeError for an argument of another kind: a grid for features, a string for options.
+
+    Examples
+    --------
+    >>> expect(1, str, "method")
+    Traceback (most recent call last):
+        ...
+    TypeError: method must be str, got int 1
+    """
+    if not isinstance(value, kind):
+        made = f": {_MADE[kind.__name__]}" if kind.__name__ in _MADE else ""
+        raise TypeError(
+            f"{name} must be {kind.__name__}, got {type(value).__name__} {value!r:.40}{made}"
+        )

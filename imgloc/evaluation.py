@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from imgloc.errors import ConfigError
+from imgloc.errors import ConfigError, expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import (
@@ -253,6 +253,9 @@ def evaluate(
     ConfigError
         If there are no scans or no poses, or an option is out of its range.
     """
+    expect(features, MapFeatures, "features")
+    expect(scans, ScanSet, "scans")
+    expect(options, Options, "options")
     if not len(scans) or scans.poses is None:
         raise ConfigError("expected at least one scan, and the true pose of each")
     first = next(run_trials(features, scans, options)).ms

@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from skimage.measure import block_reduce
 
-from imgloc.errors import ConfigError
+from imgloc.errors import ConfigError, expect
 from imgloc.features.budget import MIB, check_budget
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import coarse_info
@@ -127,6 +127,9 @@ def explain(
         Of :func:`imgloc.pipeline.localize` with the same features, scan and options.
     options : Options, optional
     """
+    expect(features, MapFeatures, "features")
+    expect(scan, LaserScan, "scan")
+    expect(answer, Localization, "answer")
     options, said = options or Options(), answer.evidence
     # With the error that the answer has allowed for.
     scan, grid = scan.scaled(said.scale), features.grid

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from imgloc.errors import ConfigError
+from imgloc.errors import ConfigError, expect
 from imgloc.features.budget import check_budget, exact_bytes, fused_bytes, stack_bytes
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import block_masks
@@ -77,7 +77,7 @@ def prepare(grid: OccupancyGrid, name: str = "map", **parameters: Any) -> MapFea
     TypeError
         If `grid` is none: a path, say, that :func:`imgloc.load_map` should read first.
     """
-    _expect(grid, OccupancyGrid, "grid", "load_map(path) reads one")
+    expect(grid, OccupancyGrid, "grid")
     require_usable(grid, name)
     return MapFeatures(grid, **parameters)
 
@@ -117,7 +117,7 @@ def localize(
     """
     options = Options() if options is None else options
     check_options(features, options)
-    _expect(scan, LaserScan, "scan", "load_scans(path)[k] is one")
+    expect(scan, LaserScan, "scan")
     start = time.perf_counter()
     if scan.directions < max(1, options.trust.readings):
         found = NOTHING
@@ -511,7 +511,7 @@ def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -
     """
     if isinstance(options, str):
         options = Options(options)
-    _expect(features, MapFeatures, "features", "prepare(grid) makes them")
+    expect(features, MapFeatures, "features")
     check_method(options.method, tuple(METHODS))
     thetas, lattice = options.thetas, features.lattice
     method, threads, budget = options.method, options.threads, options.memory_budget
@@ -543,8 +543,8 @@ def check_method(name: str, known: Sequence[str]) -> None:
 
 def check_options(features: MapFeatures, options: Options) -> None:
     """Refuse what :func:`localize` cannot do, by its errors, before anything is done."""
-    _expect(features, MapFeatures, "features", "prepare(grid) makes them")
-    _expect(options, Options, "options", 'Options(method="...") makes them')
+    expect(features, MapFeatures, "features")
+    expect(options, Options, "options")
     if options.top is not None and options.top < 1:
         raise ConfigError(f"top must be at least 1, got {options.top}")
     check_method(options.method, ALL_METHODS)
@@ -600,11 +600,3 @@ def effective(options: Options, features: MapFeatures) -> dict[str, object]:
     }
     out = {key: value for key, value in out.items() if key not in hidden}
     return out | {"map": about_map, "seed": None}
-
-
-def _expect(value: object, kind: type, name: str, hint: str) -> None:
-    """Refuse an argument of another kind: a grid for features, a string for options."""
-    if not isinstance(value, kind):
-        raise TypeError(
-            f"{name} must be {kind.__name__}, got {type(value).__name__} {value!r:.40}: {hint}"
-        )

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from imgloc.errors import ConfigError
+from imgloc.errors import ConfigError, expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import centre_of, transform_poses, wrap
 from imgloc.model import BoolArray, Float32Array, FloatArray, GridInfo, LaserScan, Localization
@@ -40,6 +40,8 @@ def sample_poses(
     >>> sample_poses(features, blind, 5, np.random.default_rng(0)).shape
     (5, 3)
     """
+    expect(features, MapFeatures, "features")
+    expect(scan, LaserScan, "scan")
     options = options or Options()
     lattice = features.lattice
     if scan.directions < options.trust.readings or options.method == FUSED:

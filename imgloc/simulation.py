@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.errors import ConfigError, MapError, ScanError
+from imgloc.errors import ConfigError, MapError, ScanError, expect
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
 from imgloc.geometry import cell_of, inside, transform_poses
@@ -78,6 +78,7 @@ def simulate(
     >>> scans.scans[0].ranges.shape, scans.poses.shape
     ((181,), (2, 3))
     """
+    expect(grid, OccupancyGrid, "grid")
     _check_seed(seed)
     sensor = sensor or Sensor()
     angles = ray_angles(sensor.rays, sensor.fov)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from imgloc.errors import ConfigError, ScanError
+from imgloc.errors import ConfigError, ScanError, expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import UNIQUE, Belief, Filter
 from imgloc.filters.motion import compose_poses, increments, invert_poses, way_of
@@ -95,6 +95,8 @@ def follow(
     ConfigError
         If `start` or `kidnap` is outside of the map, or `kidnap` outside of the log's time.
     """
+    expect(features, MapFeatures, "features")
+    expect(scans, ScanSet, "scans")
     if scans.odom is None:
         raise ScanError(
             f"{name}: odom: missing, expected the odometry of each scan to track a robot"

@@ -97,6 +97,26 @@ def test_an_answer_shows_itself(room):
     assert len(repr(scans[0])) < 120
 
 
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda f, scan: imgloc.explain(f, scan, "unique"), "answer must be Localization"),
+        (lambda f, scan: imgloc.explain(f.grid, scan, None), "features must be MapFeatures"),
+        (lambda f, scan: imgloc.evaluate(f, [scan], Options()), "scans must be ScanSet, got list"),
+        (lambda f, _: imgloc.simulate(f, 1, seed=0), "grid must be OccupancyGrid"),
+        (lambda f, scan: imgloc.which([f], scan), r"maps must be Mapping, .*\{name: prepare"),
+        (lambda f, _: imgloc.sample_poses(f, "scan.csv", 1, None), "scan must be LaserScan"),
+        (lambda f, scan: next(imgloc.follow(f, scan, None)), "scans must be ScanSet"),
+        (lambda *_: imgloc.plan_to_map("plan.png", 0.02), "grey must be ndarray, got str"),
+    ],
+)
+def test_arguments_of_another_kind_are_named(call, says):
+    wall = np.pad(np.zeros((8, 9), bool), 1, constant_values=True)
+    features = imgloc.prepare(imgloc.OccupancyGrid(wall, ~wall, 0.1))
+    with pytest.raises(TypeError, match=says):
+        call(features, LaserScan([0.4, 0.5], [0.0, 1.0], range_max=9.0))
+
+
 def test_the_robot_stands_where_its_sensor_is_not():
     mount = Pose2D(0.5, 0.0, np.pi / 2)
     there = imgloc.Hypothesis(Pose2D(2.0, 1.0, np.pi / 2), 0.0, 1.0, np.eye(3))

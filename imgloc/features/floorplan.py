@@ -16,7 +16,7 @@ from skimage.filters import threshold_otsu
 from skimage.measure import label
 from skimage.morphology import disk, skeletonize
 
-from imgloc.errors import ConfigError, MapError
+from imgloc.errors import ConfigError, MapError, expect
 from imgloc.features.distance import distance_transform
 from imgloc.geometry import rotation
 from imgloc.model import (
@@ -186,6 +186,7 @@ def plan_to_map(
     >>> found.walls, [round(metres, 1) for metres in (*found.size, found.thickness[1])]
     (1, [6.8, 4.4, 0.2])
     """
+    expect(grey, np.ndarray, "grey")
     _check(resolution, cell, thinnest, thickest, gap, ink)
     refuse_strange(grey)
     cell = max(CELL, resolution) if cell is None else cell
