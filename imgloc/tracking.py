@@ -13,6 +13,8 @@ from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, Pose2D
 
+_FASTEST = 50.0  # metres a second: no robot on the ground is
+
 
 @dataclass(frozen=True)
 class Every:
@@ -91,7 +93,7 @@ def follow(
     Raises
     ------
     ScanError
-        If there is no odometry, or stamps run backwards.
+        If there is no odometry, it is in millimetres, or stamps run backwards.
     ConfigError
         If `start` or `kidnap` is outside of the map, or `kidnap` outside of the log's time.
     """
@@ -109,11 +111,18 @@ def follow(
             f"{name}: stamps[{at + 1}]: {stamps[at + 1]:.9g} after {stamps[at]:.9g}, expected the "
             "order of time"
         )
+    steps = np.concatenate((np.zeros((1, 3)), increments(scans.odom)))
+    way, seconds = np.hypot(*steps[1:, :2].T), np.diff(stamps)
+    moving = (way > 0) & (seconds > 0)
+    if moving.any() and (speed := float(np.median(way[moving] / seconds[moving]))) > _FASTEST:
+        raise ScanError(
+            f"{name}: odom: it says {speed:.4g} m/s, expected metres; are these millimetres? "
+            "divide them by 1000"
+        )
     if kidnap is not None:
         _check_kidnap(kidnap, features, stamps)
     if start is not None:
         filter_.place(_local("start", start, features), deviation)
-    steps = np.concatenate((np.zeros((1, 3)), increments(scans.odom)))
     ways = {scan.T_base_laser: np.full(2, np.inf) for scan in scans.scans}
     metres, seen = 0.0, float(stamps[0])
     for k, scan in enumerate(scans.scans):

@@ -46,6 +46,8 @@ def test_standard_input_is_read_whatever_it_is(
     assert (run.code, run.out) == (4, "")
     assert run.err.startswith("imgloc: error: standard input: line 1: angles: missing")
     assert through_stdin(monkeypatch, b"").err.startswith("imgloc: error: standard input: the file")
+    twice = through_stdin(monkeypatch, b"1,2,3\n", "-")
+    assert (twice.code, "standard input can be read only once" in twice.err) == (2, True)
 
 
 @pytest.mark.parametrize(

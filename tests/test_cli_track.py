@@ -1,6 +1,7 @@
 """`imgloc track` and `imgloc evaluate --sequence`."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -175,6 +176,15 @@ def test_a_log_without_odometry_is_refused_unless_it_is_made(log: Path, tmp_path
     assert run.code == 4
     assert (run.out, "bare.npz: odom: missing" in run.err) == ("", True)
     assert call("track", MAP, bare, "--simulate-odometry", 1, "--every", "5,90").code == 0
+
+
+def test_odometry_in_millimetres_is_refused(log: Path, tmp_path: Path) -> None:
+    data = dict(np.load(log))
+    data["odom"] = data["odom"] * (1000, 1000, 1)
+    np.savez(tmp_path / "mm.npz", **data)
+    run = call("track", MAP, tmp_path / "mm.npz")
+    assert (run.code, run.out) == (4, "")
+    assert re.search(r"mm.npz: odom: it says [45]\d\d(.\d)? m/s, .* millimetres", run.err)
 
 
 def test_a_log_without_stamps_cannot_say_when_it_is_kidnapped(log: Path, tmp_path: Path) -> None:

@@ -96,6 +96,8 @@ def localize(
     outputs = ((picture, ".png", read), (explain, ".html", list[Path]()))
     for path, ending, sources in outputs:
         inputs.check_target(path, ending, force=force, inputs=sources)
+    if list(map(str, scans_paths)).count("-") > 1:
+        raise ConfigError("-: got it more than once, but standard input can be read only once")
     grid = inputs.load_grid(
         map_path, taken.memory_budget, allow_lossy=allow_lossy, usable=False, **reading
     )
