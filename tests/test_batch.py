@@ -390,6 +390,7 @@ def test_the_command_says_what_it_comes_to(site: Path, tmp_path: Path) -> None:
     try:
         run = call(*words)
         again = call(*words, "--resume", "--dry-run")
+        other = call(*words, "--resume", "--dry-run", "--top", 3)
         retried = call(*words, "--retry-failed", "--json")
     finally:
         (site / "scans" / "torn.csv").unlink()
@@ -397,6 +398,7 @@ def test_the_command_says_what_it_comes_to(site: Path, tmp_path: Path) -> None:
     assert run.out.startswith("7 items: 6 ok, 1 failed\n6 scans: ")
     assert "of 6 scans with a known pose" in run.out
     assert again.out == "7 items: 1 maps, 7 files of scans; 7 are done\n"
+    assert "; 6 were done with other options, files or versions, and are done anew" in other.out
     assert retried.code == 5
     assert json.loads(retried.out)["new"] == 1
 

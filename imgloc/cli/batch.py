@@ -21,7 +21,7 @@ from imgloc.io.files import display
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from imgloc.jobs import Item, Job
+    from imgloc.jobs import Item
 
 FAILED_ROWS = 5
 _EVERY = 60.0  # seconds between lines of progress without a terminal
@@ -130,7 +130,7 @@ def batch(
     given = _given(context, job.value, scans is not None, maps)
     many = opt.count_threads(workers)
     pool = None if dask or dry_run else _pool(context, many, timeout, memory_limit)
-    from imgloc.batch import find_items, run_batch
+    from imgloc.batch import find_items, remaining, run_batch
     from imgloc.cli import inputs
     from imgloc.evaluation import TOLERANCES
     from imgloc.features.budget import MIB, default_budget
@@ -175,7 +175,8 @@ def batch(
     )
     items = find_items(maps, scans, what, out=out)
     again = resume or retry_failed
-    todo = _todo(items, what, out, again=again, retry_failed=retry_failed)
+    rows = _rows(out) if again else {}
+    todo = remaining(items, what, rows, retry_failed=retry_failed)
     known = len({path for item in items for _, path in item.maps})
     if near is not None and known > 1:
         raise ConfigError(f"--near: is about one map, not about {known:,}")
@@ -183,6 +184,8 @@ def batch(
     said = f"{len(items):,} items: {known:,} maps, {files:,} files of scans"
     if len(todo) < len(items):
         said += f"; {len(items) - len(todo):,} are done"
+    if anew := sum(rows.get(item.id, ("", ""))[1] == "ok" for item in todo):
+        said += f"; {anew:,} were done with other options, files or versions, and are done anew"
     if dry_run:
         emit(said)
         return
@@ -219,17 +222,13 @@ def _given(context: typer.Context, job: str, with_scans: bool, maps: Path) -> se
     return opt.given(context, _OF, ways)
 
 
-def _todo(
-    items: "list[Item]", job: "Job", out: Path, *, again: bool, retry_failed: bool
-) -> "list[Item]":
-    """What is left to do, without touching anything."""
-    from imgloc.batch import remaining
+def _rows(out: Path) -> dict[tuple[str, str | None], tuple[str, str]]:
+    """Keys and statuses of the rows that are there, by their items."""
     from imgloc.io.results import RESULTS, id_of, read_rows
 
-    if not again or not (out / RESULTS).exists():
-        return items
-    known = {id_of(row): (row["key"], row["status"]) for row in read_rows(out)}
-    return remaining(items, job, known, retry_failed=retry_failed)
+    if not (out / RESULTS).exists():
+        return {}
+    return {id_of(row): (row["key"], row["status"]) for row in read_rows(out)}
 
 
 def _pool(
