@@ -290,7 +290,7 @@ def test_refuses_a_vmap_that_is_not_one():
     _, points = random_case(11)
     with pytest.raises(ValueError, match=r"\(2, H, W\)"):
         cbml_o(np.zeros((3, 4), np.float32), points, ONE, 0.1)
-    for value in (1.2, np.nan):
+    for value in (0.75, 1.2, np.nan):  # both components: 0.75 is a length of 1.06
         with pytest.raises(ValueError, match="length"):
             cbml_o(np.full((2, 3, 4), value, np.float32), points, ONE, 0.1)
 

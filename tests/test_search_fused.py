@@ -15,9 +15,9 @@ from imgloc.features.scanpoints import Readings, one_per_place, scan_xy
 from imgloc.geometry import cell_of, inside, transform_poses, wrap
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import FusedOptions, Options, Prior
-from imgloc.pipeline import find_modes
+from imgloc.pipeline import find_modes, separate
 from imgloc.search.proposals import cast_votes, propose_votes
-from imgloc.search.rescore import rescore, shortlist
+from imgloc.search.rescore import Scores, rescore, shortlist
 from imgloc.simulation import sample_free_poses, simulate_ranges
 from imgloc.worlds import WORLDS, render
 
@@ -76,6 +76,22 @@ def poses_of(seed, n=1):
 def test_endpoints_of_readings_and_the_origin_for_what_is_none():
     scan = LaserScan([2.0, 3.0, NAN, INF, 9.0], [0, np.pi / 2, 0, 0, 0], range_max=8.0)
     np.testing.assert_allclose(scan_xy(scan), [[2, 0], [0, 3], [0, 0], [0, 0], [0, 0]], atol=1e-12)
+
+
+@pytest.mark.parametrize(("screen", "x"), [(False, 2.05), (True, 1.9)])
+def test_a_mode_is_at_the_mean_of_its_maxima_unless_that_is_in_a_wall(screen, x):
+    wall = np.pad(np.zeros((36, 36), bool), 2, constant_values=True)
+    wall[10:30, 20] |= screen  # from x = 2.0 m to 2.1 m
+    features = MapFeatures(OccupancyGrid(wall, ~wall, 0.1))
+    poses = np.array([[1.9, 2.0, 0.2], [2.2, 2.0, 0.2], [3.5, 1.0, 0.0]])
+    scores = Scores(np.array([-50.0, -50.0, -90.0]), np.ones((3, 4), bool), np.eye(3, 4) > 0)
+    mean, best, spread = separate(features, poses, scores, 4, Options())
+    np.testing.assert_allclose(mean, [[x, 2.0, 0.2], [3.5, 1.0, 0.0]], atol=1e-12)
+    np.testing.assert_array_equal(best.log_likelihood, [-50.0, -90.0])
+    np.testing.assert_array_equal(best.crossed, scores.crossed[[0, 2]])
+    second = ((1.9 - x) ** 2 + (2.2 - x) ** 2) / 2  # moment around where the mode is
+    np.testing.assert_allclose(spread[0], np.diag([second, 0, 0]), atol=1e-12)
+    np.testing.assert_allclose(spread[1], np.zeros((3, 3)), atol=1e-12)
 
 
 @given(seeds)
