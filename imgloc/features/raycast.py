@@ -15,6 +15,7 @@ from imgloc.model import Float32Array
 _NUDGE = np.float32(1 / 128)
 _DIAGONAL = np.float32(np.sqrt(2))
 _STALE = 0.5  # share of ended rays among those that are carried on
+_WHOLE = 1 << 24  # float32 holds all whole numbers below
 
 
 def cast_rays(
@@ -68,84 +69,64 @@ def cast_rays(
     x, y, psi = np.broadcast_arrays(start[..., 0], start[..., 1], np.asarray(angles, np.float64))
     if not (np.isfinite(x).all() and np.isfinite(y).all() and np.isfinite(psi).all()):
         raise ValueError("origins and angles must be finite")
-    reach = np.broadcast_to(lengths / resolution, psi.shape)
-    rays = (x / resolution, y / resolution, np.cos(psi), np.sin(psi), reach)
-    cells = _march(distance, *(v.ravel().astype(np.float32) for v in rays))
+    at = np.stack((x.ravel(), y.ravel())) / resolution
+    along = np.stack((np.cos(psi), np.sin(psi))).reshape(2, -1)
+    reach = np.broadcast_to(lengths / resolution, psi.shape).ravel()
+    cells = _march(distance, *(v.astype(np.float32) for v in (at, along, reach)))
     return (cells * np.float32(resolution)).reshape(psi.shape)
 
 
 def _march(
-    distance: Float32Array,
-    x0: Float32Array,
-    y0: Float32Array,
-    dx: Float32Array,
-    dy: Float32Array,
-    reach: Float32Array,
+    distance: Float32Array, start: Float32Array, along: Float32Array, reach: Float32Array
 ) -> Float32Array:
-    """:func:`cast_rays` in cells, all arrays flat: length of each ray, inf if it meets nothing.
+    """:func:`cast_rays` in cells: length (N,) of each ray, inf if it meets nothing.
 
-    What a ray does depends on that ray alone. One that has ended stands still, or goes on where
-    nothing counts any more, until so many have ended that it pays to drop them.
+    `start` and `along` are (2, N), x and y. What a ray does depends on that ray alone. One that
+    has ended stands still, or goes on where nothing counts any more, until so many have ended that
+    it pays to drop them.
     """
     height, width = distance.shape
-    image = distance.reshape(-1)
-    out = np.full(x0.size, np.inf, dtype=np.float32)
-    ray = np.flatnonzero((x0 >= 0) & (x0 < width) & (y0 >= 0) & (y0 < height))
-    x0, y0, dx, dy, reach = (v[ray] for v in (x0, y0, dx, dy, reach))
-    ux, ix, exit_x = _axis(x0, dx, width)
-    uy, iy, exit_y = _axis(y0, dy, height)
+    image, side = distance.reshape(-1), np.array([[width], [height]], np.float32)
+    exact = np.float32 if image.size < _WHOLE else np.float64  # of the index of a cell
+    out = np.full(reach.size, np.inf, dtype=np.float32)
+    ray = np.flatnonzero(((start >= 0) & (start < side)).all(axis=0))
+    start, along, reach = start.take(ray, axis=1), along.take(ray, axis=1), reach[ray]
+    # The border that it makes for in a cell, 0 or 1, and its length per cell, along each axis; a
+    # ray across an axis never gets to either border.
+    ahead = (along >= 0).astype(np.float32)
+    inverse = np.reciprocal(along, out=np.full_like(along, 1e30), where=along != 0)
     # Off the map there is nothing; a ray looks at its first cell wherever that is.
-    reach = np.minimum(reach, np.maximum(np.minimum(exit_x, exit_y) - _NUDGE / 2, 0))
+    exits = ((ahead * side - start) * inverse).min(axis=0)
+    reach = np.minimum(reach, np.maximum(exits - _NUDGE / 2, 0))
     t = np.zeros(ray.size, dtype=np.float32)
-    floats = np.empty((5, ray.size), dtype=np.float32)
-    integers = np.empty((2, ray.size), dtype=np.intp)
-    bools = np.empty((2, ray.size), dtype=np.bool_)
     while ray.size:
-        px, py, near, other, step = (v[: ray.size] for v in floats)
-        row, column = (v[: ray.size] for v in integers)
-        ended, free = (v[: ray.size] for v in bools)
-        for p, d, start, cell, index in ((px, dx, x0, near, column), (py, dy, y0, other, row)):
-            np.multiply(t, d, out=p)
-            np.add(p, start, out=p)
-            np.floor(p, out=cell)
-            np.copyto(index, cell, casting="unsafe")
-        np.multiply(row, width, out=row)
-        np.add(row, column, out=row)
-        image.take(row, out=step, mode="clip")  # beyond its reach a ray may be anywhere
-        np.greater(step, 0, out=free)
+        p = t * along
+        p += start
+        cell = np.floor(p)
+        index = np.multiply(cell[1], width, dtype=exact)
+        index += cell[0]
+        # Beyond its reach a ray may be anywhere.
+        step = image.take(index.astype(np.intp), mode="clip")
+        free, moves = step > 0, np.minimum(step, 1)  # 0 in a wall; all others are 1 away at least
         # Length of ray to the next border of cells along each axis.
-        for cell, u, p, i in ((near, ux, px, ix), (other, uy, py, iy)):
-            np.add(cell, u, out=cell)
-            np.subtract(cell, p, out=cell)
-            np.multiply(cell, i, out=cell)
-        np.minimum(near, other, out=near)
+        cell += ahead
+        cell -= p
+        cell *= inverse
         # The point and the wall may each be half a diagonal away from their cell's centre.
-        np.subtract(step, _DIAGONAL, out=step)
-        np.maximum(step, near, out=step)
-        np.add(step, _NUDGE, out=step)
-        np.multiply(step, free, out=step)
-        np.add(t, step, out=t)
-        np.less_equal(t, reach, out=ended)
-        np.logical_and(ended, free, out=ended)
-        np.logical_not(ended, out=ended)
-        if np.count_nonzero(ended) > _STALE * ray.size:
-            done = np.flatnonzero(ended)
+        step -= _DIAGONAL
+        np.maximum(step, np.minimum(cell[0], cell[1]), out=step)
+        step += _NUDGE
+        step *= moves
+        t += step
+        goes_on = t <= reach
+        goes_on &= free
+        if np.count_nonzero(goes_on) < (1 - _STALE) * ray.size:
+            done = np.flatnonzero(~goes_on)
             done = done[~free[done] & (t[done] <= reach[done])]
             out[ray[done]] = np.maximum(t[done] - _NUDGE, 0)
-            live = np.flatnonzero(~ended)
-            ray = ray[live]
-            x0, y0, dx, dy, ux, uy, ix, iy, t, reach = (
-                v[live] for v in (x0, y0, dx, dy, ux, uy, ix, iy, t, reach)
+            live = np.flatnonzero(goes_on)
+            ray, t, reach = ray[live], t[live], reach[live]
+            start, along, ahead, inverse = (
+                v.take(live, axis=1) for v in (start, along, ahead, inverse)
             )
     return out
-
-
-def _axis(
-    start: Float32Array, direction: Float32Array, size: int
-) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """The border that rays make for in a cell (0 or 1), length per cell, length to the map's."""
-    ahead = (direction >= 0).astype(np.float32)
-    # A ray across the axis never gets to either.
-    inverse = np.reciprocal(direction, out=np.full_like(direction, 1e30), where=direction != 0)
-    border = (ahead * np.float32(size) - start) * inverse
-    return ahead, inverse, np.asarray(border, dtype=np.float32)
