@@ -152,17 +152,19 @@ def _exhaustive(
 
 
 def _largest(stack: Float32Array, n: int, free: BoolArray) -> IntArray:
-    """Indices of the `n` largest values in free cells; of equal ones, those that come first.
+    """Indices of the `n` largest sums in free cells, and of all that equal the last of them.
 
-    Zeros count: what a coarse pose misses by a cell one of its finer ones may meet.
+    They are of integers. Zeros count, so many that there are `n`, those that come first: what a
+    coarse pose misses by a cell one of its finer ones may meet.
     """
-    values = stack.ravel()
-    rank = values.size - min(n, values.size)
-    threshold = np.partition(values, rank)[rank]
-    above = np.flatnonzero(values > threshold)
-    # Poses that are not free are 0 as well.
-    at = stack == threshold if threshold > 0 else (stack == 0) & free
-    return np.sort(np.concatenate((above, np.flatnonzero(at)[: n - len(above)])))
+    # A histogram: partitions take long where many are equal, and most are 0 on some maps.
+    reached = np.bincount(stack.ravel().astype(np.intp))[::-1].cumsum() >= n
+    threshold = len(reached) - 1 - int(reached.argmax()) if reached.any() else 0
+    if threshold > 0:
+        return np.flatnonzero(stack >= threshold)
+    above = np.flatnonzero(stack)
+    zeros = np.flatnonzero((stack == 0) & free)  # what is not free is 0 as well
+    return np.sort(np.concatenate((above, zeros[: max(0, n - len(above))])))
 
 
 def _parents(nodes: IntArray, spread: IntArray, wanted: BoolArray) -> IntArray:
