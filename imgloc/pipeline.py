@@ -209,8 +209,8 @@ def find_modes(
     few, many = seen.spread(fused.few_rays), seen.spread(fused.rays)
     deadline = time.monotonic() + (np.inf if options.time_budget is None else options.time_budget)
 
-    def look(proposals: FloatArray, before: FloatArray) -> FloatArray:
-        """The best of them, refined, and of those that got this look before."""
+    def look(proposals: FloatArray, before: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The best of them, refined, and of those that got this look before; and their scores."""
         poses = refine(proposals, few.xy, features.field, sigmas=(0.2, 0.1))
         poses = np.concatenate((before, standing(poses, prior, features)))
         return shortlist(poses, few, features, fused)
@@ -230,11 +230,10 @@ def find_modes(
     proposals = [endpoints, np.empty((0, 3)) if more is None else more]
     if options.exact:
         proposals.append(exact_poses(features, scan, options)[0])
-    looked = look(np.concatenate(proposals), np.empty((0, 3)))
-    fit = score_poses(features, few, looked[:1], options).log_likelihood.sum() / len(few)
-    unfit = not len(looked) or fit < fused.model.best - fused.unfit
+    looked, score = look(np.concatenate(proposals), np.empty((0, 3)))
+    unfit = not len(looked) or score[0] < (fused.model.best - fused.unfit) * len(few)
     if unfit and time.monotonic() <= deadline:
-        looked = look(propose_votes(features, scan, fused, prior, options.threads), looked)
+        looked, _ = look(propose_votes(features, scan, fused, prior, options.threads), looked)
     late = time.monotonic() > deadline
     if late:
         looked = looked[:_LAST]

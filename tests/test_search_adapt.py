@@ -78,8 +78,8 @@ def test_a_pose_may_carry_a_scale():
     assert halved == pytest.approx(
         rescore(poses, 0.5 * seen.ranges, seen.angles, *about).log_likelihood, rel=1e-5
     )
-    A, b, _ = normal_equations(one, seen.xy, features().field, 0.1)
-    without, rest, _ = normal_equations(poses, seen.xy, features().field, 0.1)
+    (A,), (b,), _ = normal_equations(one, seen.xy, features().field, 0.1)
+    (without,), (rest,), _ = normal_equations(poses, seen.xy, features().field, 0.1)
     assert A.shape == (2, 4, 4)
     assert A[:, :3, :3] == pytest.approx(without, rel=1e-4)
     assert b[:, :3] == pytest.approx(rest, rel=1e-4)
@@ -90,7 +90,7 @@ def test_the_slope_of_a_scale_is_its_difference():
     xy, step = one_per_place(world()[1].scans[1], 0.07).xy, np.array([0, 0, 0, 1e-3])
     # With a kernel as wide as this b is half the slope of the sum of squares.
     at = (normal_equations(pose + k * step, xy, features().field, 1e3) for k in (-1, 0, 1))
-    (_, _, less), (_, b, _), (_, _, more) = at
+    (_, _, less), (_, (b,), _), (_, _, more) = at
     assert b[0, 3] == pytest.approx(len(xy) * (more - less)[0] / 4e-3, rel=0.1)
 
 

@@ -324,4 +324,8 @@ def test_two_layers_of_a_wall_have_a_maximum_each():
     readings = Readings(scan.ranges[scan.valid][::3], scan.angles[scan.valid][::3])
     for closer, expected in ((0, 2), (40, 3)):
         options = dataclasses.replace(OPTIONS, closer=closer)
-        assert len(shortlist(poses, readings, features, options)) == expected
+        kept, score = shortlist(poses, readings, features, options)
+        assert len(kept) == expected
+        seen = (readings.ranges, readings.angles, features.field, features.walls)
+        np.testing.assert_array_equal(score, rescore(kept, *seen, options.model).log_likelihood)
+        assert score[0] == score.max()

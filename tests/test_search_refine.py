@@ -65,7 +65,7 @@ def test_endpoints_are_the_transformed_points(seed):
 @settings(max_examples=30)
 def test_normal_equations_equal_the_loops(seed, sigma):
     field, poses, xy = random_case(seed)
-    A, b, square = normal_equations(poses, xy, field, sigma)
+    (A,), (b,), square = normal_equations(poses, xy, field, sigma)
     dx, dy, distance, gx, gy = (v.astype(float) for v in endpoints(poses, xy, field))
     for i in range(len(poses)):
         JtJ, Jte, total, weights = np.zeros((3, 3)), np.zeros(3), 0.0, 0.0
@@ -80,6 +80,18 @@ def test_normal_equations_equal_the_loops(seed, sigma):
         np.testing.assert_allclose(A[i], JtJ, rtol=1e-4, atol=1e-4)
         np.testing.assert_allclose(b[i], Jte, rtol=1e-4, atol=1e-4)
         assert square[i] == pytest.approx(total / weights, rel=1e-3, abs=1e-8)
+
+
+def test_normal_equations_of_blocks_are_those_of_their_readings():
+    field, poses, xy = random_case(3, n=11)
+    A, b, square = normal_equations(poses, xy, field, 0.3, 3)
+    assert len(A) == len(b) == 3
+    for k, block in enumerate((xy[:4], xy[4:7], xy[7:])):
+        (alone,), (rest,), _ = normal_equations(poses, block, field, 0.3)
+        np.testing.assert_allclose(A[k], alone, rtol=1e-5, atol=1e-5)
+        np.testing.assert_allclose(b[k], rest, rtol=1e-5, atol=1e-5)
+    np.testing.assert_array_equal(square, normal_equations(poses, xy, field, 0.3)[2])
+    assert len(normal_equations(poses, xy[:2], field, 0.3, 3)[0]) == 2
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

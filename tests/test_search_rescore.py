@@ -8,13 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imgloc.features.distance import distance_field, distance_image
-from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
-from imgloc.features.scanpoints import Readings
-from imgloc.model import OccupancyGrid
 from imgloc.options import EvidenceModel
 from imgloc.search.refine import endpoints
-from imgloc.search.rescore import best_of, rescore
+from imgloc.search.rescore import rescore
 
 RESOLUTION = 0.1
 seeds = st.integers(0, 2**32 - 1)
@@ -221,22 +218,6 @@ def test_the_true_pose_explains_its_scan_and_beats_its_neighbours(seed):
     got = score(wall, np.vstack((true, others)), ranges, angles)
     assert got.log_likelihood.argmax() == 0
     assert got.explained[0] > 0.95
-
-
-def test_the_best_of_many_is_found_without_scoring_all():
-    wall = np.zeros((50, 70), bool)
-    wall[:, [0, 14, 20, 69]] = True
-    features, model = MapFeatures(OccupancyGrid(wall, ~wall, RESOLUTION)), EvidenceModel()
-    # The reading of the first hundred ends on a wall, but behind another one; that of the others
-    # some 10 cm before one, with nothing in between.
-    x = np.concatenate((np.linspace(1.19, 1.21, 100), np.linspace(5.98, 6.02, 100)))
-    poses = np.column_stack((x, np.full((200, 1), 2.5), np.zeros(200)))
-    readings = Readings(np.array([0.8]), np.array([0.0]))
-    every = score(wall, poses, readings.ranges, readings.angles).log_likelihood
-    assert every[:100].max() < every[100:].min()
-    k, most = best_of(poses, readings, features, model)
-    assert k == every.argmax()
-    assert most == every.max()
 
 
 def test_evidence_is_selected_together():

@@ -14,7 +14,7 @@ from imgloc.model import FloatArray
 from imgloc.options import Options, Shared
 from imgloc.search.priors import standing
 from imgloc.search.refine import refine
-from imgloc.search.rescore import best_of
+from imgloc.search.rescore import rescore
 
 _SIGMAS = (0.3, 0.15, 0.07)  # metres: a scale that is 5 % off moves the far readings by as much
 _THINNER = 10  # cells, at most
@@ -48,14 +48,21 @@ def adapt(
     fused = options.fused
     count, readings = len(readings), readings.spread(_READINGS)
 
+    def score_of(poses: FloatArray, there: MapFeatures) -> FloatArray:
+        seen = readings.ranges, readings.angles, there.field, there.walls
+        return rescore(poses, *seen, fused.model).log_likelihood
+
     def best(poses: FloatArray, thinner: int) -> tuple[float, Shared]:
         there = features.thinner(thinner)
         poses = refine(poses, readings.xy, there.field, sigmas=_SIGMAS)
         poses = standing(poses, options.prior, there)
         scale = now.scale * (poses[:, 3] if poses.shape[1] == 4 else np.ones(len(poses)))
         small = np.abs(np.log(scale / options.shared.scale)) <= np.log(fused.most_scaled)
-        k, score = best_of(poses[small], readings, there, fused.model)
-        return score, Shared(float(scale[small][k]), thinner) if k >= 0 else now
+        if not small.any():
+            return float("-inf"), now
+        score = score_of(poses[small], there)
+        k = int(score.argmax())
+        return float(score[k]), Shared(float(scale[small][k]), thinner)
 
     # A reading that is too long ends behind its wall, and would be drawn to the other side of it.
     places = places[:_PLACES]
@@ -70,6 +77,6 @@ def adapt(
             break
         walls = again
     score, shared = max(found, walls, key=lambda one: one[0])
-    before = best_of(places[:1], readings, features.thinner(now.thinner), fused.model)[1]
-    gain = (score - before) / len(readings)
+    before = score_of(places[:1], features.thinner(now.thinner))
+    gain = (score - before[0]) / len(readings)
     return shared if gain * count > fused.adapted else now

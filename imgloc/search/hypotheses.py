@@ -1,7 +1,5 @@
 """From scored poses to hypotheses: separated modes with masses and covariances."""
 
-from itertools import pairwise
-
 import numpy as np
 
 from imgloc.errors import ConfigError
@@ -140,8 +138,8 @@ def covariances(
         Half-widths of a mode, metres and radians. A corridor leaves its own direction
         undetermined; the mode is no longer than this all the same.
     """
-    A, _, square = normal_equations(poses, xy, field, sigma)
-    jackknife = _jackknife(poses, xy, field, sigma, extent)
+    blocks, b, square = normal_equations(poses, xy, field, sigma, _BLOCKS)
+    A, jackknife = blocks.sum(axis=0), _jackknife(blocks, b, sigma, extent)
     # No finer than a twentieth of a cell, however well the scan seems to fit.
     variance = correlated * np.maximum(square, np.square(field.resolution / 20))
     information = A / variance[:, None, None]
@@ -207,24 +205,16 @@ def centres(
 
 
 def _jackknife(
-    poses: FloatArray,
-    xy: FloatArray,
-    field: DistanceField,
-    sigma: float,
-    extent: tuple[float, float],
+    A: FloatArray, b: FloatArray, sigma: float, extent: tuple[float, float]
 ) -> FloatArray:
-    """Covariance (C, 3, 3) of poses by leaving out each of some blocks of neighbouring readings."""
-    ends = np.linspace(0, len(xy), min(_BLOCKS, len(xy)) + 1).round().astype(int)
-    blocks = [xy[a:b] for a, b in pairwise(ends)]
-    parts = [normal_equations(poses, block, field, sigma)[:2] for block in blocks]
-    A, b = (np.stack([part[k] for part in parts]) for k in (0, 1))
+    """Covariance (C, 3, 3) of poses by leaving out each block of :func:`normal_equations`."""
     left = A.sum(axis=0) - A
     # What a block alone holds in place moves no farther than the mode is long.
     scale = np.square(sigma) / np.square([extent[0], extent[0], extent[1]])
     left[..., range(3), range(3)] += scale
     moved = -np.linalg.solve(left, (b.sum(axis=0) - b)[..., None])[..., 0]
     moved -= moved.mean(axis=0)
-    n = len(blocks)
+    n = len(b)
     return np.asarray((n - 1) / n * np.einsum("gci,gcj->cij", moved, moved))
 
 

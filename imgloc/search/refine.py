@@ -1,6 +1,7 @@
 """Move poses to where their endpoints meet the walls, all poses at once."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -40,7 +41,7 @@ def refine(
     poses = np.array(poses, dtype=np.float64)
     for sigma in sigmas if len(poses) and len(xy) else ():
         for _ in range(iterations):
-            A, b, _ = normal_equations(poses, xy, field, sigma)
+            (A,), (b,), _ = normal_equations(poses, xy, field, sigma)
             # A corridor leaves one direction free: a little damping keeps the pose where it is.
             A[:, range(3), range(3)] += 1e-3 * len(xy)
             A[:, 3:, 3:] += _SCALE
@@ -52,12 +53,13 @@ def refine(
 
 
 def normal_equations(
-    poses: FloatArray, xy: FloatArray, field: DistanceField, sigma: float
+    poses: FloatArray, xy: FloatArray, field: DistanceField, sigma: float, blocks: int = 1
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Weighted ``J^T J`` (C, 3, 3) and ``J^T e`` (C, 3) of the endpoint distances e.
+    """Weighted ``J^T J`` (G, C, 3, 3) and ``J^T e`` (G, C, 3) of the endpoint distances e.
 
-    With a scale they are (C, 4, 4) and (C, 4). The third result, (C,), is the weighted mean of
-    ``e^2``, m²: how well the scan fits.
+    Of each of `blocks` of neighbouring readings, or of as many as there are readings; with a scale
+    they are (G, C, 4, 4) and (G, C, 4). The third result, (C,), is the weighted mean of ``e^2``
+    over all, m²: how well the scan fits.
     """
     dx, dy, distance, gx, gy = endpoints(poses, xy, field)
     weight = 1 / np.square(1 + np.square(distance / np.float32(sigma)))
@@ -66,8 +68,10 @@ def normal_equations(
         by.append((dx * gx + dy * gy) / poses[:, 3:].astype(np.float32))
     J = np.stack(by, axis=1)
     weighted = J * weight[:, None]
-    A = weighted @ J.transpose(0, 2, 1)
-    b = weighted @ distance[..., None]
+    ends = np.linspace(0, len(xy), min(blocks, len(xy)) + 1).round().astype(int)
+    parts = [np.s_[..., a:b] for a, b in pairwise(ends)]
+    A = np.stack([weighted[part] @ J[part].transpose(0, 2, 1) for part in parts])
+    b = np.stack([weighted[part] @ distance[part][..., None] for part in parts])
     square = (weight * np.square(distance)).sum(axis=1) / weight.sum(axis=1)
     return A.astype(np.float64), b[..., 0].astype(np.float64), square.astype(np.float64)
 

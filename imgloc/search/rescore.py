@@ -25,9 +25,6 @@ from imgloc.options import EvidenceModel, FusedOptions
 from imgloc.search.hypotheses import first_in_cell, modes
 from imgloc.search.refine import endpoints
 
-_BATCH = 256  # proposals that are scored at a time
-_FEW = 64  # the same where only the best one is asked for
-
 
 @dataclass(frozen=True)
 class Scores:
@@ -84,32 +81,6 @@ def rescore(
     return Scores(log_likelihood, on_surface, shifted < model.absent)
 
 
-def best_of(
-    poses: FloatArray, readings: Readings, features: MapFeatures, model: EvidenceModel
-) -> tuple[int, float]:
-    """Index and score of the pose with the best score, as if all had been scored."""
-    most = _most(poses, readings, features.field, model)
-    order = np.argsort(-most, kind="stable")
-    best, score = -1, float("-inf")
-    for start in range(0, len(order), _FEW):
-        if most[order[start]] < score:
-            break
-        part = order[start : start + _FEW]
-        seen = (readings.ranges, readings.angles, features.field, features.walls)
-        found = rescore(poses[part], *seen, model).log_likelihood
-        if found.max() > score:
-            best, score = int(part[found.argmax()]), float(found.max())
-    return best, score
-
-
-def _most(
-    poses: FloatArray, readings: Readings, field: DistanceField, model: EvidenceModel
-) -> FloatArray:
-    """What no score (C,) exceeds, nats: that of the ends alone; what is in their way takes away."""
-    density = _endpoint_density(poses, readings.ranges, readings.angles, field, model)[0]
-    return np.asarray(np.log(density).sum(axis=1, dtype=np.float64))
-
-
 def _endpoint_density(
     poses: FloatArray,
     ranges: FloatArray,
@@ -134,31 +105,23 @@ def hit_density(distance: Float32Array, model: EvidenceModel) -> Float32Array:
 
 def shortlist(
     poses: FloatArray, readings: Readings, features: MapFeatures, options: FusedOptions
-) -> FloatArray:
+) -> tuple[FloatArray, FloatArray]:
     """The best places with a few rays, and the best poses: those that get the second look.
 
-    Scored in the order of what they can reach at most, until none that is left can be among
-    the places: the same ones as if all had been scored. Of poses that have met, the first stands
-    for all.
+    And their scores, the best one first. Of poses that have met, that stands for all whose readings
+    end best.
     """
-    ranges, angles, field = readings.ranges, readings.angles, features.field
-    most = _most(poses, readings, field, options.model)
-    order = np.argsort(-most, kind="stable")
-    order = order[first_in_cell(poses[order], *options.same)]
-    distance, angle = options.twins
-    seen, score = np.empty(0, np.int64), np.empty(0)
-    best, start, size = seen, 0, _BATCH
-    while start < len(order):
-        part = order[start : start + size]
-        start, size = start + size, 2 * size
-        scores = rescore(poses[part], ranges, angles, field, features.walls, options.model)
-        seen, score = np.append(seen, part), np.append(score, scores.log_likelihood)
-        by_index = np.argsort(seen)
-        seen, score = seen[by_index], score[by_index]
-        best = modes(poses[seen], score, distance=distance, angle=angle, most=options.second_look)
-        rest = most[order[start : start + 1]]
-        if len(best) == options.second_look and (rest < score[best[-1]]).all():
-            break
-    distance, angle = options.same
-    close = modes(poses[seen], score, distance=distance, angle=angle, most=options.closer)
-    return poses[seen[np.concatenate((best, np.setdiff1d(close, best)))]]
+    ranges, angles, field, model = readings.ranges, readings.angles, features.field, options.model
+    density = _endpoint_density(poses, ranges, angles, field, model)[0]
+    ends = np.log(density).sum(axis=1, dtype=np.float64)
+    order = np.argsort(-ends, kind="stable")
+    poses = poses[np.sort(order[first_in_cell(poses[order], *options.same)])]
+    score = rescore(poses, ranges, angles, field, features.walls, model).log_likelihood
+    best, close = (
+        modes(poses, score, distance=distance, angle=angle, most=most)
+        for (distance, angle), most in (
+            (options.twins, options.second_look), (options.same, options.closer)
+        )
+    )  # fmt: skip
+    both = np.concatenate((best, np.setdiff1d(close, best)))
+    return poses[both], score[both]
