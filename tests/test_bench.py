@@ -33,7 +33,7 @@ from tools.bench.measure import (
     tiled,
     vote_cases,
 )
-from tools.bench.outside import floors, growth, memory
+from tools.bench.outside import exhaustive_search, floors, growth, memory
 
 
 @pytest.fixture(scope="module")
@@ -121,6 +121,17 @@ def test_floors_in_c(shared):
     found = floors(shared / "problem")
     assert set(found) == {"cbml", "ght", "ght-v"}
     assert all(0 < value < 1000 for value in found.values())
+    assert 1 < exhaustive_search(shared / "problem", 1) < 10_000
+
+
+@needs_compiler
+def test_the_least_of_some_runs_in_c_counts(tmp_path):
+    (tmp_path / "floor").mkdir()
+    counts = '#include <stdio.h>\nint main(int c, char **v) { FILE *f = fopen("%s", "a+"); '
+    counts += 'fputs("x", f); printf("query median %%ld.5 ms", 10 - ftell(f)); return 0; }'
+    (tmp_path / "floor" / "cbml.c").write_text(counts % (tmp_path / "runs"))
+    assert exhaustive_search(tmp_path, 3) == 7.5
+    assert exhaustive_search(tmp_path, 1) == 6.5
 
 
 @needs_compiler
@@ -142,6 +153,7 @@ def test_a_floor_is_known_or_says_why_not(tmp_path, source, expected):
     found = floors(tmp_path)
     if isinstance(expected, float):
         assert found["cbml"] == expected
+        assert exhaustive_search(tmp_path, 1).startswith("not understood")
     else:
         assert found["cbml"].startswith(expected)
         assert len(found["cbml"]) > len("not compiled: ")

@@ -100,7 +100,7 @@ def answer_times(
 ) -> dict[str, float]:
     """How long answers take, see :func:`answer_summary`; ConfigError without a scan.
 
-    What a scan takes is the median of `repeats` answers to it: the tail is that of the scans, not
+    What a scan takes is the least of `repeats` answers to it: the tail is that of the scans, not
     of what else the machine had to do.
     """
     at_least_one(scans=len(scans))
@@ -115,7 +115,7 @@ def answer_times(
     first = taken(scans[0])
     turns = [[taken(scan) for scan in scans] for _ in range(repeats)]
     cv2.setNumThreads(1)
-    return answer_summary([first, *np.median(turns, axis=0).tolist()])
+    return answer_summary([first, *np.min(turns, axis=0).tolist()])
 
 
 def answer_summary(ms: Sequence[float]) -> dict[str, float]:
