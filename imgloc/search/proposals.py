@@ -27,7 +27,7 @@ from imgloc.search.lookups import sums_under
 from imgloc.search.peaks import find_peaks
 from imgloc.search.priors import around
 
-_CHUNK_CELLS = 1 << 19  # of the exhaustive level's stack: 2 MB at a time
+_CHUNK_CELLS = 1 << 20  # of the exhaustive level's stack: 4 MB at a time
 _FIRST_CELLS = 1 << 18  # of its first piece
 _FEWEST_LEVELS = 6  # of grey besides 0
 _BLOCK = 2  # cells and headings a side: one proposal each
