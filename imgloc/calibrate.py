@@ -122,7 +122,7 @@ def sweep(
         ((0.0, 0.0),) if log else tuple((xy, th) for xy in SIGMAS_XY for th in SIGMAS_THETA)
     )
     logs, bare = np.empty((len(scans), len(configurations), len(EXPONENTS))), np.empty(len(scans))
-    for i, (scan, pose) in enumerate(zip(scans.scans, scans.poses, strict=True)):
+    for i, (scan, pose) in enumerate(scans.with_poses()):
         stack = likelihood(features, scan, options)
         powers = EXPONENTS / scale(options.method, int(scan.valid.sum()))
         at = cell_of_pose(features, Pose2D(*pose), len(stack.thetas))

@@ -74,7 +74,8 @@ def doubts(
     if all_unique(scan.flipped for scan in tried):
         option = "Leave out" if flipped else "Try"
         mirrored = f"{like} at one place if mirrored"
-        text = f"{mirrored}: is the sensor upside down? {option} --flipped"
+        why = "is the sensor upside down, or the map's image mirrored?"
+        text = f"{mirrored}: {why} {option} --flipped"
         return [Doubt(text, "fits if mirrored: --flipped"), *drawn]
     resolution = features.grid.resolution
     for factor in _FACTORS:

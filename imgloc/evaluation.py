@@ -285,8 +285,7 @@ def run_trials(features: MapFeatures, scans: ScanSet, options: Options) -> Itera
     The arguments are those of :func:`evaluate`. Features that are not computed yet are so within
     the time of the first trial; the stack of a scan is dropped before the next one is computed.
     """
-    poses = np.empty((0, 3)) if scans.poses is None else scans.poses
-    for scan, pose in zip(scans.scans, poses, strict=True):
+    for scan, pose in scans.with_poses():
         yield _trial(features, scan, Pose2D(*pose), options)
 
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError, OutputError, ScanError
-from imgloc.io.scans import load_scans, read_npz, save_scans, write_npz
+from imgloc.io.scans import load_scans, read_npz, save_scans, scans_size, write_npz
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan
 
@@ -305,3 +305,11 @@ def test_real_scans(shared: Path) -> None:
         )
         assert all(s.valid.sum() > 20 for s in scans.scans[:20]), path
     assert load_scans(shared / "data" / "duke_loop5" / "scans.npz")[0].range_max == 8.0
+
+
+def test_a_topic_is_of_logs_that_have_some(tmp_path):
+    path = tmp_path / "a.npz"
+    save_scans(path, ScanSet((LaserScan([1.0], [0.0]),)))
+    for read in (load_scans, scans_size):
+        with pytest.raises(ScanError, match=r"a.npz: has one laser, expected no topic, got /scan"):
+            read(path, topic="/scan")

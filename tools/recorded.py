@@ -1,12 +1,12 @@
 """Scans with the true pose of each: recorded ones beside a map, simulated ones of a world."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 from imgloc import ConfigError, ScanSet, load_map, load_scans, save_scans
 from imgloc.io.files import display
-from imgloc.model import FloatArray, LaserScan, OccupancyGrid
+from imgloc.model import OccupancyGrid
 from imgloc.simulation import Sensor, sample_set, simulate
 from imgloc.worlds import WORLDS, render
 from tools.script import at_least_one
@@ -44,11 +44,6 @@ def in_world(
     at_least_one(n=n)
     grid = render(WORLDS[name](), cell)
     return grid, simulate(grid, n, seed, sensor, render(WORLDS[name](), 0.01))
-
-
-def with_poses(scans: ScanSet) -> Iterator[tuple[LaserScan, FloatArray]]:
-    """Each scan with its pose (3,), map frame; ValueError if these are not known."""
-    return zip(scans.scans, () if scans.poses is None else scans.poses, strict=True)
 
 
 def save_each(folder: Path, scans: ScanSet) -> None:

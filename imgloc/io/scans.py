@@ -52,16 +52,16 @@ def load_scans(path: PathLike, *, topic: str | None = None, fov: float | None = 
         angles radians in the sensor's frame, counter-clockwise, 0 forward. Ranges are kept as
         recorded; NaN, +inf and codes are what :class:`~imgloc.model.LaserScan` says they are.
     topic : str, optional
-        Of a log with several lasers, which.
+        Of a log with several lasers, which; a ScanError for a file that has one.
     fov : float, optional
         Angle from the first to the last ray, radians, where a CSV or a log does not say it.
     """
-    return _kind(path).read(path, topic, fov)
+    return _kind(path, topic).read(path, topic, fov)
 
 
 def scans_size(path: PathLike, *, topic: str | None = None) -> ScansSize:
     """How much :func:`load_scans` would load, at most; errors are those that headers show."""
-    return _kind(path).size(path, topic)
+    return _kind(path, topic).size(path, topic)
 
 
 def save_scans(path: PathLike, scans: ScanSet, *, force: bool = False) -> None:
@@ -159,7 +159,16 @@ _CONVERTED = {
 }
 
 
-def _kind(path: PathLike) -> _Kind:
+def _kind(path: PathLike, topic: str | None) -> _Kind:
+    """The kind of a file; a ScanError if it has no topics and one is asked for."""
+    kind = _kind_of(path)
+    if topic is not None and kind not in (_CARMEN, _BAG):
+        hint = "a topic or message is of a ROS bag or a CARMEN log; leave it out"
+        raise ScanError(f"{display(path)}: has one laser, expected no topic, got {topic}: {hint}")
+    return kind
+
+
+def _kind_of(path: PathLike) -> _Kind:
     """The kind of a file by the ending of its name, else by how it begins."""
     name, lower, file = display(path), str(path).lower(), Path(path)
     ending = file.suffix.lower()

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -61,6 +61,10 @@ class ScanSet:
 
     def __getitem__(self, index: int) -> LaserScan:
         return self.scans[index]
+
+    def with_poses(self) -> Iterator[tuple[LaserScan, FloatArray]]:
+        """Each scan with its pose (3,), map frame; ValueError if these are not known."""
+        return zip(self.scans, () if self.poses is None else self.poses, strict=True)
 
     def take(self, indices: Sequence[int]) -> "ScanSet":
         """The scans at some indices, in their order, with what was recorded beside them."""

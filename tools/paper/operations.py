@@ -29,7 +29,6 @@ from imgloc.likelihoods.correlate import ENGINES
 from imgloc.model import to_json
 from tools.paper.page import templates
 from tools.paper.table import PLACES, Gain, Outcome, gain, place, try_method
-from tools.recorded import with_poses
 from tools.script import ended, make_folder, parser_of, progress, table_lines
 
 CARD = ("filter2d", "remap", "image", "polar")
@@ -103,7 +102,7 @@ def compare(
                 getattr(features, needed)
                 ready[op] = features, 1e3 * (time.perf_counter() - start)
             trials: dict[str, list[Outcome]] = {op: [] for op in ready}
-            for scan, pose in with_poses(scans):
+            for scan, pose in scans.with_poses():
                 for op, (features, _) in ready.items():
                     engine = "auto" if option else op
                     trials[op].append(try_method(method, features, scan, pose, threads, engine))

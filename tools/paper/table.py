@@ -24,7 +24,7 @@ from imgloc.likelihoods.ght import ght_v
 from imgloc.model import Float32Array, FloatArray
 from imgloc.options import DEFAULTS
 from tools.paper.uncertainty import Uncertainty, vote_spread
-from tools.recorded import in_world, with_poses
+from tools.recorded import in_world
 from tools.script import at_least_one, one_of
 
 CELL = 0.1
@@ -216,7 +216,7 @@ def table(
     for world in worlds:
         features, scans = place(world, n, seed, threads)
         trials: dict[str, list[Outcome]] = {method: [] for method in methods}
-        for scan, pose in with_poses(scans):  # a world's map frame is its grid frame
+        for scan, pose in scans.with_poses():  # a world's map frame is its grid frame
             for method in methods:
                 trials[method].append(try_method(method, features, scan, pose, threads))
                 advance()

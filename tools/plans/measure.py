@@ -15,7 +15,6 @@ from imgloc.io.images import encode_png
 from imgloc.pipeline import localize, prepare
 from imgloc.simulation import Sensor, simulate
 from tools.plans.drawing import Building, Image, building, draw_plan, inside, solid, true_world
-from tools.recorded import with_poses
 from tools.script import table_lines
 
 CELL = 0.05  #: metres: of the maps that plans are compared with
@@ -113,7 +112,7 @@ def _unknown(found: FloorPlan) -> OccupancyGrid:
 
 def _judge(grid: OccupancyGrid, scans: ScanSet, row: Row, advance: Callable[[], None]) -> None:
     features = prepare(grid)
-    for scan, truth in with_poses(scans):
+    for scan, truth in scans.with_poses():
         answer = localize(features, scan, Options(top=1))
         errors = pose_errors(poses_of(answer.hypotheses), Pose2D(*truth))
         right = bool((errors < (NEAR, TURNED)).all(axis=1).any())

@@ -23,7 +23,6 @@ from imgloc.pipeline import find_adapted_modes
 from imgloc.search.background import unmapped_score
 from imgloc.search.hypotheses import masses
 from imgloc.search.trust import judge
-from tools.recorded import with_poses
 from tools.script import table_lines
 from tools.trust.disturb import MAPS, ROOMS, SCANS, unmapped
 from tools.trust.reliability import LEAST, RIGHT, Judged, reliability
@@ -92,7 +91,7 @@ def cases_at_home(building: str, grid: OccupancyGrid, scans: ScanSet, seed: int)
         features = prepare(changed, building)
         some = SCANS if changed is grid else {name: SCANS["undisturbed"]}
         for condition, change in some.items():
-            for i, (scan, pose) in enumerate(with_poses(scans)):
+            for i, (scan, pose) in enumerate(scans.with_poses()):
                 there = pose if mapped(changed, pose) else None
                 disturbed = change(scan, np.random.default_rng((seed, i)))
                 case = case_of(features, disturbed, there, building, condition)

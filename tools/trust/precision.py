@@ -14,7 +14,6 @@ import numpy as np
 from imgloc import LaserScan, Localization, MapFeatures, ScanSet, localize
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray
-from tools.recorded import with_poses
 from tools.script import table_lines
 
 REGION = 7.815
@@ -42,7 +41,7 @@ def precision(
 ) -> Precision:
     """Measure one set of scans with poses; `truth` are the standard deviations of those."""
     rows, claimed, errors = [], [], []
-    for k, (scan, pose) in enumerate(with_poses(scans)):
+    for k, (scan, pose) in enumerate(scans.with_poses()):
         answer = localize(features, scan)
         found, covariance = _first(answer)
         error = _difference(found, pose)

@@ -11,7 +11,6 @@ from imgloc.evaluation import Share, pose_errors, share
 from imgloc.geometry import poses_of, wrap
 from imgloc.model import BoolArray, FloatArray
 from tools.plots import blank
-from tools.recorded import with_poses
 
 RIGHT = (0.5, float(np.deg2rad(15.0)))
 """A hypothesis this near the true pose is right: the separation of hypotheses."""
@@ -50,7 +49,7 @@ def judged(
     advance: Callable[[], None] = lambda: None,
 ) -> Iterator[Judged]:
     """Locate scans whose poses (map frame) are known; `advance` is called after each."""
-    for scan, pose in with_poses(scans):
+    for scan, pose in scans.with_poses():
         yield judge_answer(localize(features, scan, options), Pose2D(*pose))
         advance()
 

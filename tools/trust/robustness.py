@@ -19,7 +19,7 @@ from imgloc.evaluation import Share, pose_errors, share
 from imgloc.geometry import in_map_frame
 from imgloc.model import FloatArray, base_of
 from imgloc.worlds import WORLDS, render
-from tools.recorded import in_world, with_poses
+from tools.recorded import in_world
 from tools.script import at_least_one, one_of, table_lines
 from tools.trust.exhaustive import exhaustive
 
@@ -197,7 +197,7 @@ def condition_of(
 def _trials(
     features: MapFeatures, scans: ScanSet, threads: int, advance: Callable[[], None]
 ) -> Iterator[RobustnessTrial]:
-    for scan, pose in with_poses(scans):
+    for scan, pose in scans.with_poses():
         yield _trial(features, scan, Pose2D(*pose), threads)
         advance()
 

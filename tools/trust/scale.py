@@ -10,7 +10,6 @@ from imgloc.calibrate import fit_shared
 from imgloc.evaluation import pose_errors
 from imgloc.geometry import poses_of
 from imgloc.model import FloatArray, compose, inverse
-from tools.recorded import with_poses
 from tools.script import table_lines
 from tools.trust.reliability import RIGHT
 
@@ -53,7 +52,7 @@ def scale_rows(
 
     def right(features: MapFeatures, factor: float, shared: Shared) -> float:
         hits = []
-        for scan, pose in with_poses(asked):
+        for scan, pose in asked.with_poses():
             found = poses_of(localize(features, scan, Options(shared=shared)).hypotheses[:1])
             there = Pose2D(*scaled_pose(pose, grid.origin, factor))
             hits.append((pose_errors(found, there) <= RIGHT).all(axis=1).any())
