@@ -5,16 +5,19 @@ Upside down, other units, a map of another scale: each is one more answer for a 
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.maps import DRAWN, SWAPPED, looks_drawn, looks_swapped
-from imgloc.model import Evidence, LaserScan
+from imgloc.model import SURE, Evidence, LaserScan
 from imgloc.options import Options, Shared
 from imgloc.pipeline import localize
 
+Said = Sequence[tuple[str, Evidence]]
+"""Of each scan, the verdict and what it rests on."""
+_FITS = 0.25  # nats per reading; where the best pose lacks less, several places fit as they are
 _TRIED = 3  # doubtful scans that are looked at in another way
 # By which ranges are off, the likeliest first: millimetres, centimetres, feet; round slips of the
 # resolution.
@@ -31,7 +34,7 @@ class Doubt:
 
 
 def doubts(
-    features: MapFeatures, scans: Sequence[LaserScan], verdicts: Sequence[str], options: Options,
+    features: MapFeatures, scans: Sequence[LaserScan], said: Said, options: Options,
     *, flipped: bool = False, range_scale: float = 1.0,
 ) -> list[Doubt]:  # fmt: skip
     """Say what most likely keeps most of some scans from being placed, and what mends it.
@@ -40,8 +43,8 @@ def doubts(
     ----------
     features, options
         Those of the answers.
-    scans, verdicts : sequences of one length
-        What was located, and with which verdict.
+    scans, said : sequences of one length
+        What was located, and what was answered.
     flipped : bool
         Whether the scans were taken for those of a sensor that hangs upside down.
     range_scale : float
@@ -50,10 +53,22 @@ def doubts(
     Returns
     -------
     list of Doubt
-        The likeliest cause; none if at least half of the scans are unique.
+        The likeliest cause; none if at least half of the scans fit. And what :func:`bent` says.
     """
-    doubtful = [s for s, v in zip(scans, verdicts, strict=True) if v != "unique"]
-    counts = Counter(verdicts)
+    likely = _doubts(features, scans, said, options, flipped, range_scale)
+    return [*likely, *bent(said, options.shared, features.grid.resolution)]
+
+
+def _doubts(
+    features: MapFeatures, scans: Sequence[LaserScan], said: Said, options: Options,
+    flipped: bool, range_scale: float,
+) -> list[Doubt]:  # fmt: skip
+    doubtful = [
+        scan
+        for scan, (verdict, evidence) in zip(scans, said, strict=True)
+        if verdict not in SURE or (verdict != "unique" and evidence.misfit >= _FITS)
+    ]
+    counts = Counter(verdict for verdict, _ in said)
     if 2 * len(doubtful) <= len(scans):
         return []
     if 2 * counts["invalid"] > len(scans):
@@ -66,8 +81,11 @@ def doubts(
     plan = Doubt(f"the map: {DRAWN}", "the map looks like a drawing: imgloc map plan")
     drawn = [plan] if looks_drawn(features.grid) else []
 
+    # Votes find a few places more where nothing fits, which takes longer than all the rest.
+    quick = replace(options, fused=replace(options.fused, unfit=np.inf))
+
     def all_unique(changed: Iterable[LaserScan]) -> bool:
-        verdicts = (localize(features, scan, options).verdict for scan in changed)
+        verdicts = (localize(features, scan, quick).verdict for scan in changed)
         return bool(tried) and all(verdict == "unique" for verdict in verdicts)
 
     like = "this scan fits" if len(scans) == 1 else "scans like these fit"
@@ -96,22 +114,23 @@ def doubts(
     return [Doubt(text, "another map? see imgloc map check, imgloc which", found=False)]
 
 
-def bent(placed: Sequence[Evidence], count: int, known: Shared, resolution: float) -> list[Doubt]:
+def bent(said: Said, known: Shared, resolution: float) -> list[Doubt]:
     """Say that most scans fit a map only with an error that all readings share, and what helps.
 
-    None if fewer than half do, or it is `known` already; in a list, as of :func:`doubts`. Of
-    `count` scans those that were `placed` count; the map's cells are of `resolution` metres.
+    None if fewer than half do, or it is `known` already; in a list, as of :func:`doubts`. The map's
+    cells are of `resolution` metres.
 
     Examples
     --------
-    >>> there = [Evidence(scale=1.05), Evidence(scale=1.05)]
-    >>> bent(there, 3, Shared(), 0.05)[0].text[:67]
+    >>> said = [("unique", Evidence(scale=1.05))] * 2 + [("no-match", Evidence(scale=0.97))]
+    >>> bent(said, Shared(), 0.05)[0].text[:67]
     'most scans fit this map far better with their ranges multiplied by '
-    >>> bent(there, 4, Shared(), 0.05), bent(there, 2, Shared(1.05), 0.05)
+    >>> bent(said[1:], Shared(), 0.05), bent(said, Shared(1.05), 0.05)
     ([], [])
     """
-    scales = [said.scale for said in placed if said.scale != known.scale]
-    thinner = [said.thinner for said in placed if said.thinner > 0 and known.thinner == 0]
+    count, placed = len(said), [evidence for verdict, evidence in said if verdict in SURE]
+    scales = [e.scale for e in placed if e.scale != known.scale]
+    thinner = [e.thinner for e in placed if e.thinner > 0 and known.thinner == 0]
     if 2 * len(scales) > count:
         factor = float(np.median(scales))
         cells = f"are its cells of {resolution / factor:.4g} m? Then say so (--resolution)"

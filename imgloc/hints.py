@@ -10,14 +10,14 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any
 
-from imgloc.doubts import Doubt
+from imgloc.doubts import Doubt, Said
 from imgloc.io.results import Id, Row, id_of
 from imgloc.jobs import Item, Job, look_again
+from imgloc.model import Evidence
 from imgloc.options import FUSED
 
 _TRIED = 12  # items at most
 _NAMED = 2  # of those that a hint is about
-Said = list[tuple[str, float, float]]  # of each scan its verdict, and what it was fitted with
 
 
 @dataclass
@@ -40,16 +40,12 @@ class Doubtful:
             yield row
 
     def _note(self, item: Id, answers: Sequence[Row]) -> None:
-        evidence = [answer["evidence"] for answer in answers]
-        said = [
-            (answer["verdict"], e.get("scale", 1.0), e.get("thinner", 0.0))
-            for answer, e in zip(answers, evidence, strict=True)
-        ]
-        count = Counter(verdict for verdict, _, _ in said)
+        said = [(answer["verdict"], _evidence(answer["evidence"])) for answer in answers]
+        count = Counter(verdict for verdict, _ in said)
         if len(said) == 1:
             self._single.add(str(item[1]))
         lost, unique = count["no-match"] + count["invalid"], count["unique"]
-        bent = sum(scale != 1.0 or thinner > 0 for _, scale, thinner in said)
+        bent = sum(e.scale != 1.0 or e.thinner > 0 for _, e in said)
         if 2 * unique >= len(said):
             self._fits.add(str(item[1]))
             self._bent[item[0]] += 2 * bent - len(said)
@@ -83,9 +79,15 @@ class Doubtful:
         return [(item, self._said[item.id]) for item in sorted(there, key=turn)[:_TRIED]]
 
 
+def _evidence(row: Row) -> Evidence:
+    """What a doubt looks at."""
+    told = {key: row[key] for key in ("misfit", "scale", "thinner") if row.get(key) is not None}
+    return Evidence(**told)
+
+
 def _unique(said: Said) -> bool:
     """Whether at least half of an item's scans are."""
-    return 2 * sum(verdict == "unique" for verdict, _, _ in said) >= len(said)
+    return 2 * sum(verdict == "unique" for verdict, _ in said) >= len(said)
 
 
 def hints_of(

@@ -7,7 +7,7 @@ import contextlib
 import hashlib
 import json
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +19,7 @@ from imgloc.atlas import TOP, atlas_poses, simulate_at, survey
 from imgloc.atlas import summarise as summarise_atlas
 from imgloc.choice import OPTIONS as WHICH
 from imgloc.choice import Opened, choose, search
-from imgloc.doubts import Doubt, bent, doubts
+from imgloc.doubts import Doubt, Said, doubts
 from imgloc.errors import ConfigError, MapError, ScanError
 from imgloc.evaluation import TOLERANCES, Tolerance, evaluate, method_options, pose_errors
 from imgloc.features.budget import check_budget, default_budget, scans_bytes
@@ -35,7 +35,7 @@ from imgloc.io.maps import Reading, load_bytes, load_map, reading_of, resolve_se
 from imgloc.io.scans import load_scans, scans_size
 from imgloc.io.scanset import Chosen, ScanSet
 from imgloc.mapindex import MapIndex, open_index
-from imgloc.model import SURE, Evidence, LaserScan, OccupancyGrid, Pose2D, plain
+from imgloc.model import LaserScan, OccupancyGrid, Pose2D, plain
 from imgloc.options import FUSED, Options, Prior
 from imgloc.pipeline import answer_bytes, localize, prepare
 from imgloc.search.priors import Known, leaves_none
@@ -264,20 +264,14 @@ def _opened(path: Path, job: Job) -> Opened:
     return features, replace(options, prior=job.known.prior(features.grid))
 
 
-def look_again(item: Item, job: Job, said: Sequence[tuple[str, float, float]]) -> list[Doubt]:
-    """What may be wrong with an item of ``localize``: tried on a few of its scans.
-
-    `said` is of each its verdict, and the scale and the thinner walls it was fitted with.
-    """
+def look_again(item: Item, job: Job, said: Said) -> list[Doubt]:
+    """What may be wrong with an item of ``localize``: tried on a few of its scans."""
     ((_, path),) = item.maps
     scans, _ = open_scans(item, job)
     features, options = _opened(path, job)
-    verdicts = [verdict for verdict, _, _ in said]
-    placed = [Evidence(scale=s, thinner=t) for v, s, t in said if v in SURE]
-    found = doubts(
-        features, scans.scans, verdicts, options, flipped=job.flipped, range_scale=job.range_scale
+    return doubts(
+        features, scans.scans, said, options, flipped=job.flipped, range_scale=job.range_scale
     )
-    return [*found, *bent(placed, len(said), options.shared, features.grid.resolution)]
 
 
 def _compare(poses: Any, truth: Pose2D, tolerance: Tolerance) -> dict[str, Any]:

@@ -9,12 +9,16 @@ import pytest
 from command import MAPS
 
 from imgloc.batch import BatchSummary, run_batch
+from imgloc.doubts import doubts
 from imgloc.hints import Doubtful
 from imgloc.io.results import read_rows
 from imgloc.io.scans import save_scans
 from imgloc.jobs import Item
+from imgloc.model import Evidence
+from imgloc.options import Options
 from imgloc.output.report import render_report
 from imgloc.output.tables import batch_text
+from imgloc.pipeline import prepare
 from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 
@@ -121,3 +125,16 @@ def test_a_few_scans_that_are_bent_are_no_reason_to_say_so(
         named = (row | {"scans": item.scans} for row, item in zip(some, items, strict=True))
         assert len(list(doubtful.noting(named))) == len(some)
         assert len(doubtful.of(items)) == count
+
+
+def test_where_several_places_fit_as_they_are_nothing_else_is_tried() -> None:
+    grid = render(WORLDS["large"](), 0.1)
+    features, scans = prepare(grid), simulate(grid, 1, 1, Sensor()).scans
+    hanging = [scan.flipped for scan in scans]
+    for misfit, count in ((0.1, 0), (0.5, 1)):
+        said = [("ambiguous", Evidence(misfit=misfit))]
+        found = doubts(features, hanging, said, Options())
+        assert len(found) == count
+    assert "Try --flipped" in found[0].text
+    assert "voters" not in vars(features)  # no votes: they take longer than all the rest
+    assert doubts(features, hanging, [("no-match", Evidence())], Options()) == found

@@ -70,11 +70,11 @@ def localize(
     in the map frame. Look at the mass of the second hypothesis before trusting the first.
     """
     from imgloc.cli import inputs
-    from imgloc.doubts import Doubt, bent, doubts
+    from imgloc.doubts import Doubt, doubts
     from imgloc.explanation import explain as reasons
     from imgloc.io.calibration import calibrated
     from imgloc.io.maps import SWAPPED
-    from imgloc.model import SURE, Evidence, LaserScan, Pose2D, to_json
+    from imgloc.model import Evidence, LaserScan, Pose2D, to_json
     from imgloc.options import Options
     from imgloc.output.pages import render_explanation
     from imgloc.output.pictures import draw
@@ -145,16 +145,15 @@ def localize(
     narrow = (width() or _WIDE) < _WIDE
     if many and not as_json:
         emit(answer_header(on_robot and not narrow))
-    looked_at, verdicts, placed = list[LaserScan](), list[str](), list[Evidence]()
+    looked_at, said = list[LaserScan](), list[tuple[str, Evidence]]()
     errors, shown, hints = list[tuple[float, float]](), "", list[Doubt]()
 
-    def wrong(some: list[LaserScan], said: list[str], sure: list[Evidence]) -> list[Doubt]:
+    def wrong(some: list[LaserScan], said: list[tuple[str, Evidence]]) -> list[Doubt]:
         if not fused or time_budget is not None:
             return []
-        likely = doubts(
+        return doubts(
             features, some, said, options, flipped=mounting.flipped, range_scale=logs.scale
         )
-        return [*likely, *bent(sure, len(some), options.shared, grid.resolution)]
 
     with progress("localize", len(queue)) as advance:
         for n, (file, scans, k) in zip(numbers, queue, strict=True):
@@ -162,15 +161,12 @@ def localize(
             answer = locate(features, scan, options)
             truth = None if scans.poses is None else Pose2D(*scans.poses[k])
             looked_at.append(scan)
-            verdicts.append(answer.verdict)
-            if answer.verdict in SURE:
-                placed.append(answer.evidence)
+            said.append((answer.verdict, answer.evidence))
             if answer.pose is not None and truth is not None:
                 errors.append(difference(answer.pose, truth))
             LOG.info("%s, scan %d: %s, %s", file, k, answer.verdict, times_words(answer))
             if n in targets or n in pages:
-                sure = [answer.evidence] if answer.verdict in SURE else []
-                hints = wrong([scan], [answer.verdict], sure)
+                hints = wrong([scan], said[-1:])
             if n in targets:
                 short = "; ".join(hint.short for hint in hints)
                 image = draw(grid, answer, scan, truth=truth, note=short)
@@ -195,6 +191,7 @@ def localize(
             else:
                 emit(answer_text(f"scan {k}", answer, truth))
     inputs.keep_features(features, folder)
+    verdicts = [verdict for verdict, _ in said]
     if len(queue) >= _MANY and not as_json:
         say(run_words(verdicts, errors))
     for files in (targets, pages):
@@ -208,7 +205,7 @@ def localize(
     # Rows that are all invalid say why themselves, to a program.
     if not (as_json and set(verdicts) == {"invalid"}):
         if many or not (targets or pages):
-            hints = wrong(looked_at, verdicts, placed)
+            hints = wrong(looked_at, said)
         for hint in hints:
             if hint.text != SWAPPED:  # is said when the map is read
                 LOG.warning("%s", hint.text)
