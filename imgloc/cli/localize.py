@@ -71,12 +71,10 @@ def localize(
     """
     from imgloc.cli import inputs
     from imgloc.doubts import Doubt, doubts
-    from imgloc.explanation import explain as reasons
     from imgloc.io.calibration import calibrated
     from imgloc.io.maps import SWAPPED
     from imgloc.model import Evidence, LaserScan, Pose2D, to_json
     from imgloc.options import Options
-    from imgloc.output.pages import render_explanation
     from imgloc.output.pictures import draw
     from imgloc.output.tables import (
         answer_header,
@@ -172,6 +170,9 @@ def localize(
                 image = draw(grid, answer, scan, truth=truth, note=short)
                 image.save(targets[n], force=force)
             if n in pages:
+                from imgloc.explanation import explain as reasons
+                from imgloc.output.pages import render_explanation
+
                 reason = reasons(features, scan, answer, options)
                 title = f"{Path(file).name}, scan {k}, on {display(map_path.name)}"
                 html = render_explanation(
