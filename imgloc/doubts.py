@@ -33,6 +33,17 @@ class Doubt:
     found: bool = True  #: tried, and it helps; otherwise it is where to look
 
 
+def is_doubtful(verdict: str, evidence: Evidence) -> bool:
+    """Whether a scan fits nowhere, or several places not well.
+
+    Examples
+    --------
+    >>> is_doubtful("ambiguous", Evidence(misfit=0.1)), is_doubtful("ambiguous", Evidence(misfit=2))
+    (False, True)
+    """
+    return verdict not in SURE or (verdict != "unique" and evidence.misfit >= _FITS)
+
+
 def doubts(
     features: MapFeatures, scans: Sequence[LaserScan], said: Said, options: Options,
     *, flipped: bool = False, range_scale: float = 1.0,
@@ -63,11 +74,7 @@ def _doubts(
     features: MapFeatures, scans: Sequence[LaserScan], said: Said, options: Options,
     flipped: bool, range_scale: float,
 ) -> list[Doubt]:  # fmt: skip
-    doubtful = [
-        scan
-        for scan, (verdict, evidence) in zip(scans, said, strict=True)
-        if verdict not in SURE or (verdict != "unique" and evidence.misfit >= _FITS)
-    ]
+    doubtful = [scan for scan, answer in zip(scans, said, strict=True) if is_doubtful(*answer)]
     counts = Counter(verdict for verdict, _ in said)
     if 2 * len(doubtful) <= len(scans):
         return []

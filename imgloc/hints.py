@@ -10,7 +10,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any
 
-from imgloc.doubts import Doubt, Said
+from imgloc.doubts import Doubt, Said, is_doubtful
 from imgloc.io.results import Id, Row, id_of
 from imgloc.jobs import Item, Job, look_again
 from imgloc.model import Evidence
@@ -41,17 +41,15 @@ class Doubtful:
 
     def _note(self, item: Id, answers: Sequence[Row]) -> None:
         said = [(answer["verdict"], _evidence(answer["evidence"])) for answer in answers]
-        count = Counter(verdict for verdict, _ in said)
         if len(said) == 1:
             self._single.add(str(item[1]))
-        lost, unique = count["no-match"] + count["invalid"], count["unique"]
-        bent = sum(e.scale != 1.0 or e.thinner > 0 for _, e in said)
-        if 2 * unique >= len(said):
+        if _unique(said):
+            bent = sum(e.scale != 1.0 or e.thinner > 0 for _, e in said)
             self._fits.add(str(item[1]))
             self._bent[item[0]] += 2 * bent - len(said)
             if 2 * bent > len(said):
                 self._said[item] = said
-        elif 2 * lost >= len(said) - unique:  # what is ambiguous fits
+        elif 2 * sum(is_doubtful(*one) for one in said) > len(said):
             self._said[item] = said
 
     def of(self, items: Iterable[Item]) -> list[tuple[Item, Said]]:

@@ -32,7 +32,7 @@ from imgloc.io.files import display
 from imgloc.io.images import image_size
 from imgloc.io.mapcheck import check_bytes, check_map
 from imgloc.io.maps import Reading, load_bytes, load_map, reading_of, resolve_settings
-from imgloc.io.scans import load_scans, scans_size
+from imgloc.io.scans import has_topics, load_scans, scans_size
 from imgloc.io.scanset import Chosen, ScanSet
 from imgloc.mapindex import MapIndex, open_index
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, plain
@@ -209,11 +209,12 @@ def open_scans(item: Item, job: Job) -> tuple[ScanSet, list[int]]:
     path = item.scans_path
     if path is None:
         raise ConfigError(f"{job.name}: expected scans")
-    size, name = scans_size(path, topic=job.topic), display(path)
+    topic = job.topic if has_topics(path) else None  # of a folder's logs
+    size, name = scans_size(path, topic=topic), display(path)
     need = scans_bytes(size.scans, size.numbers, size.file_bytes, text=size.text)
     what = f"{name}: a file of up to {size.scans:,} scans"
     check_budget(need, job.memory_budget, what, "take fewer scans, in several files")
-    recorded = load_scans(path, topic=job.topic)
+    recorded = load_scans(path, topic=topic)
     indices = job.chosen.of(len(recorded), name)
     recorded = recorded.take(indices)
     scans = tuple(_as_mounted(scan, job, name) for scan in recorded.scans)

@@ -447,6 +447,8 @@ def test_units_and_lasers_of_all_files(site: Path, tmp_path: Path) -> None:
     assert call(*words, "--topic", "RLASER", "--out", tmp_path / "rear").code == 5
     (row,) = read_rows(tmp_path / "rear")
     assert "RLASER" in json.dumps(row)
+    words[2] = tmp_path / "m.npz"  # a folder may hold files without topics, too
+    assert call(*words, "--topic", "RLASER", "--out", tmp_path / "none").code == 0
 
 
 def test_what_is_known_of_the_poses(site: Path, tmp_path: Path) -> None:

@@ -155,6 +155,28 @@ def test_far_from_the_origin_of_a_large_map():
     assert distance == pytest.approx(998.75, abs=0.05)
 
 
+def test_cells_are_told_apart_on_maps_of_more_cells_than_float32_counts():
+    rng = np.random.default_rng(0)
+    corner = rng.random((8, 40)) < 0.15
+    large = np.zeros((4100, 4100), bool)
+    large[-8:, -40:] = corner
+    start, angles = rng.uniform((0, 0), (40, 8), (2000, 2)), rng.uniform(-np.pi, np.pi, 2000)
+    small = cast_rays(distance_image(corner), start, angles, 60.0, 1.0)
+    same = cast_rays(distance_image(large), start + (4060, 4092), angles, 60.0, 1.0)
+    near = np.isclose(same, small, atol=0.02)  # a ray may graze a corner here and miss it there
+    assert near.mean() > 0.99
+    assert np.isfinite(small).mean() > 0.5
+
+
+def test_a_ray_that_lands_just_off_the_map_meets_nothing_there():
+    # The longest step from 9.6 cells before the border ends 1/512 behind it, where the next row of
+    # the image begins: with the only wall.
+    occupied = np.zeros((3, 21), bool)
+    occupied[2, 0] = True
+    step = np.float32(122**0.5 - 2**0.5 + 1 / 128)
+    assert cast_rays(distance_image(occupied), (21 + 1 / 512 - step, 1.5), 0.0, 50.0, 1.0) == INF
+
+
 @pytest.mark.parametrize("angles", [[], np.empty((0, 3))])
 def test_no_rays(angles):
     origins = np.empty((*np.shape(angles), 2))

@@ -2,6 +2,7 @@
 
 import json
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from imgloc.model import Evidence
 from imgloc.options import Options
 from imgloc.output.report import render_report
 from imgloc.output.tables import batch_text
-from imgloc.pipeline import prepare
+from imgloc.pipeline import localize, prepare
 from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 
@@ -136,5 +137,34 @@ def test_where_several_places_fit_as_they_are_nothing_else_is_tried() -> None:
         found = doubts(features, hanging, said, Options())
         assert len(found) == count
     assert "Try --flipped" in found[0].text
-    assert "voters" not in vars(features)  # no votes: they take longer than all the rest
     assert doubts(features, hanging, [("no-match", Evidence())], Options()) == found
+    noise = [
+        replace(hanging[0], ranges=np.random.default_rng(0).uniform(1, 9, hanging[0].ranges.size))
+    ]
+    (found,) = doubts(features, noise, [("no-match", Evidence())], Options())
+    assert found.short.startswith("another map?")
+    assert "voters" not in vars(features)  # no votes: they take longer than all the rest
+    localize(features, noise[0])
+    assert "voters" in vars(features)
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "misfit", "looked_at"),
+    [
+        (("ambiguous",) * 3, 2.0, 1),  # several places, none of them well
+        (("ambiguous",) * 3, 0.1, 0),  # several places, as they are
+        (("unique",) * 2 + ("no-match",) * 4 + ("ambiguous",) * 4, 0.1, 0),
+        (("unique",) * 2 + ("no-match",) * 4 + ("ambiguous",) * 4, 2.0, 1),
+    ],
+)
+def test_what_is_looked_at_again_is_what_is_doubtful(
+    found: tuple[Path, BatchSummary], verdicts: tuple[str, ...], misfit: float, looked_at: int
+) -> None:
+    row = next(read_rows(found[0] / "out"))
+    answers = [
+        answer | {"verdict": verdict, "evidence": answer["evidence"] | {"misfit": misfit}}
+        for verdict, answer in zip(verdicts, row["answers"][:1] * len(verdicts), strict=True)
+    ]
+    doubtful = Doubtful()
+    list(doubtful.noting([row | {"map": "m", "scans": "s.npz", "answers": answers}]))
+    assert len(doubtful.of([Item("m", "s.npz", ())])) == looked_at

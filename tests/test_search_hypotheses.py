@@ -12,7 +12,14 @@ from imgloc.features.distance import distance_field
 from imgloc.geometry import rotate_covariance, transform_points
 from imgloc.likelihoods.posterior import entropy
 from imgloc.model import Pose2D
-from imgloc.search.hypotheses import as_hypotheses, centres, covariances, masses, modes
+from imgloc.search.hypotheses import (
+    as_hypotheses,
+    centres,
+    covariances,
+    first_in_cell,
+    masses,
+    modes,
+)
 
 scores = arrays(float, st.integers(1, 12), elements=st.floats(-2000, 2000))
 seeds = st.integers(0, 2**32 - 1)
@@ -228,3 +235,8 @@ def test_a_mode_is_where_its_maxima_are_and_as_wide_as_they_are_apart():
     share = 1 / (1 + np.exp(1.0))
     assert at[2] == pytest.approx(3.1 + share * turn)
     assert both[2, 2] == pytest.approx(share * (1 - share) * turn**2, rel=1e-6)
+
+
+def test_cells_of_headings_have_the_angle_asked_for():
+    poses = np.column_stack((np.zeros((3, 2)), [0.1, 1.5, 1.7]))
+    assert first_in_cell(poses, 1.0, np.pi / 2).tolist() == [0, 2]

@@ -52,7 +52,8 @@ def load_scans(path: PathLike, *, topic: str | None = None, fov: float | None = 
         angles radians in the sensor's frame, counter-clockwise, 0 forward. Ranges are kept as
         recorded; NaN, +inf and codes are what :class:`~imgloc.model.LaserScan` says they are.
     topic : str, optional
-        Of a log with several lasers, which; a ScanError for a file that has one.
+        Of a log with several lasers, which; a ScanError for a file that is no log, see
+        :func:`has_topics`.
     fov : float, optional
         Angle from the first to the last ray, radians, where a CSV or a log does not say it.
     """
@@ -159,13 +160,17 @@ _CONVERTED = {
 }
 
 
+def has_topics(path: PathLike) -> bool:
+    """Whether a file may hold several lasers, each with a name: a bag, or a CARMEN log."""
+    return _kind_of(path) in (_CARMEN, _BAG)
+
+
 def _kind(path: PathLike, topic: str | None) -> _Kind:
     """The kind of a file; a ScanError if it has no topics and one is asked for."""
-    kind = _kind_of(path)
-    if topic is not None and kind not in (_CARMEN, _BAG):
+    if topic is not None and not has_topics(path):
         hint = "a topic or message is of a ROS bag or a CARMEN log; leave it out"
         raise ScanError(f"{display(path)}: has one laser, expected no topic, got {topic}: {hint}")
-    return kind
+    return _kind_of(path)
 
 
 def _kind_of(path: PathLike) -> _Kind:

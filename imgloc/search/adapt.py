@@ -37,7 +37,7 @@ def adapt(
         Of the map as it is.
     readings : Readings
         Of the scan, its lengths multiplied by the scale of `now`.
-    places : (C, 3) float array
+    places : (C, 3) float array, C > 0
         Where they may have been seen from, the best fit of `now` first; grid frame.
     now : Shared
         The error that is allowed for already.

@@ -164,7 +164,7 @@ def _largest(stack: Float32Array, n: int, free: BoolArray) -> IntArray:
         return np.flatnonzero(stack >= threshold)
     above = np.flatnonzero(stack)
     zeros = np.flatnonzero((stack == 0) & free)  # what is not free is 0 as well
-    return np.sort(np.concatenate((above, zeros[: max(0, n - len(above))])))
+    return np.sort(np.concatenate((above, zeros[: n - len(above)])))
 
 
 def _parents(nodes: IntArray, spread: IntArray, wanted: BoolArray) -> IntArray:
