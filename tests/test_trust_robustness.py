@@ -236,13 +236,13 @@ def run_tool(*words):
 
 def test_the_tool_measures_recorded_sets(recorded_set, tmp_path):
     out = tmp_path / "out.json"
-    words = ("-n", 2, "--sets", recorded_set, recorded_set, "--out", out)
+    words = ("-n", 1, "--sets", recorded_set, recorded_set, "--out", out)
     done = run_tool(*words)
     assert done.code == 0, done.err
     assert done.out.count("\n| here | 100 % ") == 2
     found = json.loads(out.read_text())
-    assert (found["n"], found["sets"], found["range_max"]) == (2, ["here", "here"], 20.0)
-    assert [row["oracle"]["trials"] for row in found["rows"]] == [2, 2]
+    assert (found["n"], found["sets"], found["range_max"]) == (1, ["here", "here"], 20.0)
+    assert [row["oracle"]["trials"] for row in found["rows"]] == [1, 1]
     again = run_tool(*words)
     assert (again.code, "Traceback" in again.err) == (1, False)
     assert "exists already" in again.err
