@@ -130,6 +130,7 @@ _BAG = _Kind(
     lambda path, topic, _: read_bag(path, topic=topic),
     lambda path, topic: bag_size(path, topic=topic),
 )
+_LOGS = _CARMEN, _BAG  # in which each of several lasers has a name
 _KINDS = {
     ".npz": _NPZ, ".csv": _CSV, ".jsonl": _JSON, ".ndjson": _JSON, ".json": _JSON,
     ".yaml": _ECHO, ".yml": _ECHO, ".log": _CARMEN, ".clf": _CARMEN, ".carmen": _CARMEN,
@@ -162,15 +163,16 @@ _CONVERTED = {
 
 def has_topics(path: PathLike) -> bool:
     """Whether a file may hold several lasers, each with a name: a bag, or a CARMEN log."""
-    return _kind_of(path) in (_CARMEN, _BAG)
+    return _kind_of(path) in _LOGS
 
 
 def _kind(path: PathLike, topic: str | None) -> _Kind:
     """The kind of a file; a ScanError if it has no topics and one is asked for."""
-    if topic is not None and not has_topics(path):
+    kind = _kind_of(path)
+    if topic is not None and kind not in _LOGS:
         hint = "a topic or message is of a ROS bag or a CARMEN log; leave it out"
         raise ScanError(f"{display(path)}: has one laser, expected no topic, got {topic}: {hint}")
-    return _kind_of(path)
+    return kind
 
 
 def _kind_of(path: PathLike) -> _Kind:

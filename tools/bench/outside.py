@@ -20,7 +20,7 @@ from tools.bench.measure import HEADINGS, PAIR_HEADINGS, tiled
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def floors(problem: Path) -> dict[str, float | str]:
+def floors(problem: Path) -> Mapping[str, float | str]:
     """What hand-written C takes, ns per unit of work, on one thread; or why it is not known.
 
     Parameters
@@ -39,8 +39,8 @@ def floors(problem: Path) -> dict[str, float | str]:
 def exhaustive_search(problem: Path, repeats: int) -> float | str:
     """What hand-written C takes for CBML of map A and its argmax, ms; or why it is not known.
 
-    On one thread, 120 headings and a scan; of `repeats` the least. A yardstick: what takes half as
-    long as this on one machine does on another.
+    On one thread, 120 headings and a scan; of `repeats` the least. A yardstick from one machine to
+    another, and a rough one: Python and vectorised C need not be slower by the same factor.
     """
     return _in_c(problem, "cbml", _SEARCH, r"query median ([\d.]+) ms", repeats)
 
