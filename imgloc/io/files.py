@@ -56,18 +56,41 @@ def read_file(path: PathLike, *, limit: int, error: type[ImglocError], what: str
     return data
 
 
-def open_regular(path: PathLike, error: type[ImglocError], what: str) -> int:
-    """Open a regular file for reading; return its descriptor.
+def open_regular(
+    path: PathLike, error: type[ImglocError], what: str, *, follow: bool = True, write: bool = False
+) -> int:
+    """Open a regular file; return its descriptor.
 
     All else is refused, with `error`, before it is read: a FIFO would block, /dev/zero never ends.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    error : type
+        Class of the error that names the file and what it is.
+    what : str
+        What the file should be, for the message.
+    follow : bool
+        Whether a link leads to the file; else a link is refused. Where imgloc writes, a link that
+        somebody has planted would lead to a file of the user.
+    write : bool
+        Open it for reading and writing, and make it if there is none. Nothing is truncated.
     """
     name = display(path)
+    flags = os.O_RDWR | os.O_CREAT if write else os.O_RDONLY
+    flags |= 0 if follow else getattr(os, "O_NOFOLLOW", 0)
     try:
         # O_NONBLOCK: opening a FIFO without a writer would wait for one.
-        fd = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+        more = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+        fd = os.open(path, flags | more, 0o666)
     except FileNotFoundError:
         raise error(f"{name}: no such file{neighbour_hint(path)}") from None
+    except IsADirectoryError:  # asked for writing
+        raise error(f"{name}: is a folder, expected a {what} (a regular file)") from None
     except OSError as e:
+        if not follow and os.path.islink(path):  # noqa: PTH114 (it never raises)
+            raise error(f"{name}: is a link, expected a {what} (a regular file)") from None
         raise error(f"{name}: cannot be opened: {e.strerror}") from None
     except ValueError:
         raise error(f"{name}: not a file name (it contains a null byte)") from None
@@ -77,6 +100,29 @@ def open_regular(path: PathLike, error: type[ImglocError], what: str) -> int:
     os.close(fd)
     found = "folder" if stat.S_ISDIR(mode) else "pipe or device"
     raise error(f"{name}: is a {found}, expected a {what} (a regular file){_inside_hint(path)}")
+
+
+def is_there(path: PathLike) -> bool:
+    """Whether a path leads to anything; no also of one that may not be looked at, or is too long.
+
+    :meth:`pathlib.Path.exists` raises for those, as do its companions.
+
+    Examples
+    --------
+    >>> is_there("a" * 300), is_folder("/"), is_file("/")
+    (False, True, False)
+    """
+    return os.path.exists(path)  # noqa: PTH110
+
+
+def is_folder(path: PathLike) -> bool:
+    """Whether a path leads to a folder, as :func:`is_there`."""
+    return os.path.isdir(path)  # noqa: PTH112
+
+
+def is_file(path: PathLike) -> bool:
+    """Whether a path leads to a regular file, as :func:`is_there`."""
+    return os.path.isfile(path)  # noqa: PTH113
 
 
 def neighbour_hint(path: PathLike) -> str:
