@@ -29,7 +29,7 @@ from imgloc.choice import NO_MAP, names_of
 from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
 from imgloc.hints import Doubtful, hints_of
 from imgloc.io.contents import content_hash, files_of
-from imgloc.io.files import PathLike, display, read_file
+from imgloc.io.files import PathLike, display, is_folder, read_file
 from imgloc.io.folders import files_in, find_maps
 from imgloc.io.results import Results, Row, read_rows, read_summary
 from imgloc.io.scans import SCAN_ENDINGS
@@ -390,7 +390,7 @@ def find_items(
 
 
 def _maps_in(maps: Path, job: Job, out: PathLike | None) -> Iterator[tuple[str, Path]]:
-    if not maps.is_dir():
+    if not is_folder(maps):
         yield display(maps.name), maps.absolute()
         return
     found = find_maps(maps, images=job.reading.get("resolution") is not None, aside=out)
@@ -399,7 +399,7 @@ def _maps_in(maps: Path, job: Job, out: PathLike | None) -> Iterator[tuple[str, 
 
 
 def _scans_in(scans: Path, out: PathLike | None) -> Iterator[tuple[str, Path]]:
-    if not scans.is_dir():
+    if not is_folder(scans):
         yield display(scans.name), scans.absolute()
         return
     found = [p for p in files_in(scans, out) if p.suffix.lower() in SCAN_ENDINGS]

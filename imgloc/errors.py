@@ -6,10 +6,29 @@ ends with the class's exit code; anything that is not an :class:`ImglocError` is
 """
 
 
+def printable(text: str, keep: str = "\n\t") -> str:
+    r"""Return text from anywhere as a terminal may have it: what would steer that is spelled out.
+
+    Keys, topics and names in files may hold escape sequences, which set titles and colours or
+    worse. The characters in `keep` stay.
+
+    Examples
+    --------
+    >>> printable("\x1b[31mred\n")
+    '\\x1b[31mred\n'
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in keep else repr(c)[1:-1] for c in text)
+
+
 class ImglocError(Exception):
-    """Base of every error that imgloc raises on purpose."""
+    """Base of every error that imgloc raises on purpose; its text can be printed anywhere."""
 
     exit_code = 1
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class ConfigError(ImglocError):

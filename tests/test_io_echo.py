@@ -66,7 +66,7 @@ def test_echo_of_either_ros(tmp_path: Path, text: str) -> None:
             "shortened after 2 readings; print all of them: ros2 topic echo -f",
         ),
         ("image: a.png\nresolution: 0.05\norigin: [0, 0, 0]\n", "a map's YAML: the order is MAP"),
-        ("a: &x 1\nranges: [1]\n", "YAML with &, expected plain"),
+        ("a: &x 1\nranges: [1]\n", "line 1: YAML anchor &x, expected plain"),
         ("ranges: [1, 2\n", "message 0: line 2: not valid YAML"),
         ("ranges: [1, 2]\nangle_min: left\nangle_max: 1\n", "angle_min: got 'left'"),
         ("hello\n", "expected the fields of a LaserScan"),

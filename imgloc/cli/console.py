@@ -18,7 +18,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from imgloc.errors import ImglocError, OutputError
+from imgloc.errors import ImglocError, OutputError, printable
 
 LOG = logging.getLogger("imgloc")
 NOT_UNIQUE = 6  # exit code under --strict
@@ -48,7 +48,7 @@ class Group(TyperGroup):
             if isinstance(e, typer.Exit | typer.Abort) or hasattr(e, "show"):
                 raise  # the last is a usage error, which Typer prints itself
             if _SESSION.debug:
-                traceback.print_exc()
+                print(printable(traceback.format_exc()), file=sys.stderr, flush=True)
             message = " ".join(str(e).split())
             if isinstance(e, ImglocError):
                 say(f"error: {message}")
@@ -61,11 +61,18 @@ class Group(TyperGroup):
         return result
 
 
+class _Lines(logging.Formatter):
+    """Log records as lines that a terminal may have."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return printable(super().format(record))
+
+
 def configure(*, verbose: bool, debug: bool) -> None:
     """Set the switches of this run: logs on standard error, tracebacks."""
     _SESSION.debug = debug
     handler = logging.StreamHandler()  # of this run's stderr
-    handler.setFormatter(logging.Formatter("imgloc: %(message)s"))
+    handler.setFormatter(_Lines("imgloc: %(message)s"))
     LOG.handlers[:] = [handler]
     LOG.propagate = False
     LOG.setLevel(logging.INFO if verbose else logging.WARNING)
@@ -77,7 +84,7 @@ def emit(text: str) -> None:
     It is an OutputError if that cannot take it, for another reason than a closed pipe.
     """
     try:
-        print(text)
+        print(printable(text, keep="\n\t\x7f"))  # the last is as it is in JSON
         _flush()
     except OSError as e:
         if e.errno == errno.EPIPE:
@@ -96,7 +103,7 @@ def width() -> int | None:
 def say(message: str) -> None:
     """Write one line to standard error."""
     with contextlib.suppress(OSError):
-        print(f"imgloc: {message}", file=sys.stderr, flush=True)
+        print(f"imgloc: {printable(message)}", file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager

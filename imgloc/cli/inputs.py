@@ -21,7 +21,7 @@ from imgloc.features.budget import MIB, PROCESS, check_budget, scans_bytes, simu
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.store import load_features, save_features
 from imgloc.io.cache import cache_folder
-from imgloc.io.files import display, refuse_existing
+from imgloc.io.files import display, is_folder, refuse_existing
 from imgloc.io.images import ImageSize, image_size, read_image
 from imgloc.io.maps import (
     SWAPPED,
@@ -65,7 +65,7 @@ def check_target(
         return
     if path.suffix.lower() != ending:
         raise ConfigError(f"{display(path)}: expected a name that ends in {ending}")
-    if not path.parent.is_dir():
+    if not is_folder(path.parent):
         raise OutputError(f"{display(path)}: there is no folder {display(path.parent)}")
     if not force:
         refuse_existing(path)

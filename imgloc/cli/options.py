@@ -86,19 +86,20 @@ def numbers(
 def find_map(path: str | Path) -> Path:
     """The file of a bundled map that is called by its name, or `path` itself."""
     from imgloc.errors import MapError
+    from imgloc.io.files import is_file, is_there
     from imgloc.io.maps import bundled_maps
     from imgloc.io.scans import SCAN_ENDINGS
 
     path = Path(path)
-    if path.suffix.lower() in SCAN_ENDINGS and path.exists():
+    if path.suffix.lower() in SCAN_ENDINGS and is_there(path):
         raise ConfigError(f"MAP: {path} is a file of scans; the order is MAP, then SCANS")
-    if path.name != str(path) or path.suffix or path.exists():
+    if path.name != str(path) or path.suffix or is_there(path):
         return path
     try:
         bundled = bundled_maps() / f"{path}.yaml"
     except MapError:
         return path
-    return bundled if bundled.is_file() else path
+    return bundled if is_file(bundled) else path
 
 
 def find_scans(path: Path) -> Path:

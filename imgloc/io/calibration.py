@@ -15,7 +15,7 @@ from typing import Any
 from imgloc.__about__ import __version__
 from imgloc.errors import ConfigError
 from imgloc.io.cache import cells_digest
-from imgloc.io.files import PathLike, display, write_text_atomic
+from imgloc.io.files import PathLike, display, is_file, write_text_atomic
 from imgloc.model import OccupancyGrid
 from imgloc.options import DEFAULTS, Calibration, Options, Shared
 
@@ -53,7 +53,7 @@ def save_calibrations(
     cannot be written.
     """
     kept, said = dict[str, Calibration](), None
-    if force and Path(path).is_file():
+    if force and is_file(path):
         with contextlib.suppress(*_UNUSABLE):
             kept, said, known = _read(Path(path), grid)
             shared = known if shared is None else shared
@@ -85,7 +85,7 @@ def load_calibrations(path: PathLike, grid: OccupancyGrid) -> tuple[dict[str, Ca
     Nothing, for the defaults to hold, if there is no file, or it is damaged or of another map; then
     a warning is logged that says why.
     """
-    if not Path(path).is_file():
+    if not is_file(path):
         return {}, Shared()
     try:
         methods, _, shared = _read(Path(path), grid)

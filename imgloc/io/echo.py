@@ -3,16 +3,14 @@
 import re
 from typing import Any
 
-import yaml
-
 from imgloc.errors import ScanError
 from imgloc.io.files import PathLike, display, read_file
-from imgloc.io.scanset import MAX_READINGS, Entry, ScanSet, collect
+from imgloc.io.plainyaml import plain_yaml
+from imgloc.io.scanset import MAX_RAYS, MAX_READINGS, Entry, ScanSet, collect
 from imgloc.io.textscans import plain_entry
 
 _MAX_BYTES = 8 * MAX_READINGS
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast where libyaml is
-_CLEVER = re.compile(r"(?:^|[\s\[{,:])([&*!])\w", re.MULTILINE)
+_MOST = 4 * MAX_RAYS  # values of a message: ranges and intensities
 _MAP_KEYS = {"image", "resolution", "origin"}
 
 
@@ -21,7 +19,7 @@ def read_echo(path: PathLike) -> ScanSet:
 
     The names are those of sensor_msgs/LaserScan, as in
     :func:`~imgloc.io.textscans.read_jsonl`; ``---`` stands between messages. ScanError also for
-    arrays that were printed shortened, for aliases, and for a map's YAML.
+    arrays that were printed shortened, for what is not plain YAML, and for a map's YAML.
     """
     name = display(path)
     data = read_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file")
@@ -29,24 +27,13 @@ def read_echo(path: PathLike) -> ScanSet:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as e:
         raise ScanError(f"{name}: byte {e.start} is not UTF-8 text") from None
-    if clever := _CLEVER.search(text):
-        raise ScanError(f"{name}: YAML with {clever[1]}, expected plain values")
     entries: list[Entry] = []
     for document in re.split(r"^---.*$", text, flags=re.MULTILINE):
         if document.strip():
             where = f"{name}: message {len(entries)}"
-            entries.append((where, plain_entry(_checked(_load(document, where), where), where)))
+            message = plain_yaml(document, where, ScanError, most=_MOST)
+            entries.append((where, plain_entry(_checked(message, where), where)))
     return collect(entries, name)
-
-
-def _load(document: str, where: str) -> Any:
-    try:
-        return yaml.load(document, Loader=_LOADER)  # noqa: S506 (it is a safe one)
-    except yaml.MarkedYAMLError as e:
-        line = f" line {e.problem_mark.line + 1}:" if e.problem_mark else ""
-        raise ScanError(f"{where}:{line} not valid YAML: {e.problem}") from None
-    except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as e:
-        raise ScanError(f"{where}: not valid YAML: {str(e).splitlines()[0]}") from None
 
 
 def _checked(message: Any, where: str) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from io import BufferedReader
 from pathlib import Path
 
-from imgloc.errors import ImglocError, OutputError
+from imgloc.errors import ImglocError, OutputError, printable
 
 PathLike = str | os.PathLike[str]
 TEMPORARY = ".imgloc-{}.tmp"
@@ -23,8 +23,7 @@ def display(path: PathLike | bytes) -> str:
     >>> display(b"caf\xe9.png")
     'caf\\xe9.png'
     """
-    text = os.fsencode(path).decode("utf-8", "backslashreplace")
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+    return printable(os.fsencode(path).decode("utf-8", "backslashreplace"), keep="")
 
 
 @contextlib.contextmanager

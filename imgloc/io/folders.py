@@ -5,7 +5,7 @@ import os
 from pathlib import Path
 
 from imgloc.errors import ConfigError, ImglocError
-from imgloc.io.files import PathLike, display
+from imgloc.io.files import PathLike, display, is_folder
 from imgloc.io.images import IMAGE_ENDINGS
 from imgloc.io.maps import YAML_ENDINGS
 from imgloc.io.mapyaml import load_map_yaml
@@ -44,7 +44,7 @@ def find_maps(
     Those in the folder `aside` are none.
     """
     name = display(folder)
-    if not Path(folder).is_dir():
+    if not is_folder(folder):
         raise ConfigError(f"{name}: expected a folder of maps")
     files = files_in(folder, aside)
     # JPEG is not among the endings: photographs of the site may lie about.
@@ -55,8 +55,8 @@ def find_maps(
         drawn = set()
         for path in yamls:
             with contextlib.suppress(ImglocError):
-                drawn.add(load_map_yaml(path).image.resolve())
-        found = sorted({*yamls, *(path for path in bare if path.resolve() not in drawn)})
+                drawn.add(os.path.realpath(load_map_yaml(path).image))
+        found = sorted({*yamls, *(path for path in bare if os.path.realpath(path) not in drawn)})
     if not found:
         hint = f"; of its {len(bare)} images --resolution makes maps" if bare else ""
         raise ConfigError(f"{name}: no map, expected map_server YAML files (*.yaml){hint}")

@@ -29,7 +29,7 @@ from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import (
     PathLike,
     display,
-    neighbour_hint,
+    is_file,
     open_regular,
     refuse_existing,
     write_bytes_atomic,
@@ -262,12 +262,14 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
         if "resolution" not in given:
             hint = ", expected metres per cell; pass --resolution, or the map's YAML"
             for beside in map(file.with_suffix, reversed(YAML_ENDINGS)):
-                if beside.is_file():
+                if is_file(beside):
                     hint = f"; give {display(beside)} instead of the image, or pass --resolution"
             raise MapError(f"{name}: resolution: missing{hint}")
-    elif not said.image.exists():
-        missing = f"{display(said.image)}: no such file{neighbour_hint(said.image)}"
-        raise MapError(f"{missing}; {name} says that this is its image")
+    else:
+        try:
+            os.close(open_regular(said.image, MapError, "map image"))
+        except MapError as e:
+            raise MapError(f"{e}; {name} says that this is its image") from None
     written = said or MapYaml(file, file, origin=Pose2D(0.0, 0.0, 0.0))
     used = _DEFAULTS | {k: v for k, v in vars(written).items() if v is not None} | given
     for key, expected in _NEEDED.items():

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from imgloc.errors import MapError
 from imgloc.io.files import PathLike, display, read_file
+from imgloc.io.plainyaml import plain_yaml
 from imgloc.model import Pose2D
 
 MAX_YAML_BYTES = 65_536
+_MOST = 256  # keys and values; imgloc knows eight keys
 MODES = ("trinary", "scale", "raw")
 RESOLUTION_RANGE = (0.001, 10.0)
 # YAML 1.1, hence PyYAML, takes `5e-2` and `-.5` for strings.
@@ -85,8 +85,8 @@ def load_map_yaml(path: PathLike) -> MapYaml:
 def parse_map_yaml(data: bytes, path: Path) -> MapYaml:
     r"""Parse the text of a map's YAML; `path` names it and anchors the image's path.
 
-    MapError names the file, the key, the value, and what was expected. Aliases, tags, duplicate
-    keys, several documents and deep nesting are refused, as no map needs them.
+    MapError names the file, the key, the value, and what was expected; or what is not plain, see
+    :func:`~imgloc.io.plainyaml.plain_yaml`.
 
     Examples
     --------
@@ -118,41 +118,7 @@ def _plain_mapping(data: bytes, name: str) -> dict[Any, Any]:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as e:
         raise MapError(f"{name}: byte {e.start} is not UTF-8 text; expected a map YAML") from None
-    try:
-        _refuse_cleverness(text, name)
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
-        if not isinstance(root, yaml.MappingNode):
-            raise MapError(f"{name}: expected lines of 'key: value' (image, resolution, origin)")
-        keys = [key.value if isinstance(key, yaml.ScalarNode) else "?" for key, _ in root.value]
-        twice = next((k for k in keys if keys.count(k) > 1), None)
-        if twice is not None:
-            raise MapError(f"{name}: {twice}: given more than once, expected once")
-        values: dict[Any, Any] = yaml.safe_load(text)
-    except yaml.MarkedYAMLError as e:
-        line = f" line {e.problem_mark.line + 1}:" if e.problem_mark else ""
-        raise MapError(f"{name}:{line} not valid YAML: {e.problem}") from None
-    except (yaml.YAMLError, ValueError, OverflowError, RecursionError) as e:
-        reason = str(e).splitlines()[0] if str(e) else type(e).__name__
-        raise MapError(f"{name}: not valid YAML: {reason}") from None
+    values = plain_yaml(text, name, MapError, most=_MOST)
+    if not isinstance(values, dict):
+        raise MapError(f"{name}: expected lines of 'key: value' (image, resolution, origin)")
     return values
-
-
-def _refuse_cleverness(text: str, name: str) -> None:
-    """Refuse what a map does not need and what would make more of a text than it shows."""
-    depth = documents = 0
-    for event in yaml.parse(text, Loader=yaml.SafeLoader):
-        documents += isinstance(event, yaml.DocumentStartEvent)
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        found = "nested too deeply" if depth > 8 else ""
-        if isinstance(event, yaml.AliasEvent):
-            found = f"YAML alias *{event.anchor}"
-        elif isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent) and event.tag:
-            found = f"YAML tag {event.tag}"
-        elif isinstance(event, yaml.ScalarEvent) and event.value == "<<":
-            found = "merge key <<"
-        line = event.start_mark.line + 1 if event.start_mark else 0
-        if found:
-            raise MapError(f"{name}: line {line}: {found}, expected plain values")
-        if documents > 1:
-            raise MapError(f"{name}: line {line}: a second document, expected one map")

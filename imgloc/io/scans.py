@@ -27,7 +27,15 @@ from imgloc.errors import ConfigError, ScanError
 from imgloc.io.bags import bag_size, read_bag
 from imgloc.io.carmen import read_carmen
 from imgloc.io.echo import read_echo
-from imgloc.io.files import PathLike, display, open_file, read_file, write_bytes_atomic
+from imgloc.io.files import (
+    PathLike,
+    display,
+    is_folder,
+    is_there,
+    open_file,
+    read_file,
+    write_bytes_atomic,
+)
 from imgloc.io.scanset import KEYS, MAX_READINGS, ScanSet, ScansSize, numbers, scan_set, wrong
 from imgloc.io.textscans import read_csv, read_jsonl, text_size
 from imgloc.model import FloatArray
@@ -179,8 +187,8 @@ def _kind_of(path: PathLike) -> _Kind:
     """The kind of a file by the ending of its name, else by how it begins."""
     name, lower, file = display(path), str(path).lower(), Path(path)
     ending = file.suffix.lower()
-    if file.is_dir() and ending not in _KINDS:
-        if any(file.glob("*.mcap")) or any(file.glob("*.db3")) or (file / "metadata.yaml").exists():
+    if is_folder(file) and ending not in _KINDS:
+        if any(file.glob("*.mcap")) or any(file.glob("*.db3")) or is_there(file / "metadata.yaml"):
             return _BAG
         raise ScanError(
             f"{name}: is a folder, expected a file of scans; imgloc batch takes folders"

@@ -13,6 +13,8 @@ from imgloc.model import FloatArray, LaserScan
 
 MAX_READINGS = 50_000_000
 """Readings a scan file may hold: 400 MB as float64."""
+MAX_SCANS, MAX_RAYS = 500_000, 100_000
+"""Scans a file may hold, and readings a scan: 14 hours at 10 Hz, 278 readings a degree."""
 SPACING = ("angle_min", "angle_max", "angle_increment")
 _LIMITS = {"range_min": 0.0, "range_max": math.inf}
 _BESIDE, _STEPS = ("poses", "stamps", "odom"), ("angle_min", "angle_increment")
