@@ -17,7 +17,7 @@ import os
 import queue
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import CancelledError, Executor, Future
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ from imgloc.io.results import Results, Row, read_rows, read_summary
 from imgloc.io.scans import SCAN_ENDINGS
 from imgloc.jobs import WITHOUT_SCANS, Item, Job, perform
 from imgloc.model import plain
-from imgloc.workers import CrashError, OverdueError, Supervised
+from imgloc.workers import LOST, CrashError, OverdueError, Supervised
 
 TIMEOUT = 3600.0  #: seconds that an item may take
 ATTEMPTS = 2  #: how often an item is begun whose worker dies
@@ -74,7 +74,7 @@ class BatchSummary:
     def add(self, row: Row) -> None:
         """Count a row."""
         self.items += 1
-        if any("hit" in answer for answer in row["answers"]):
+        if row["scans"] is not None and any("hit" in answer for answer in row["answers"]):
             self.pairs += 1
             self._files.add(row["scans"])
             self.files = len(self._files)
@@ -88,7 +88,7 @@ class BatchSummary:
             if "hit" in answer:
                 self.known += 1
                 self.hits += answer["hit"]
-                self.unique_wrong += answer["verdict"] == "unique" and not answer["hit"]
+                self.unique_wrong += answer.get("verdict") == "unique" and not answer["hit"]
 
 
 def run_batch(
@@ -176,8 +176,10 @@ def run_batch(
                     if fail_fast and row["status"] != "ok":
                         executor.shutdown(wait=False, cancel_futures=True)
                         break
+                results.look()
                 doubtful = Doubtful()
-                summary = summarise(doubtful.noting(read_rows(out)))
+                rows = read_rows(out)
+                summary = summarise(doubtful.noting(rows) if job.name == "localize" else rows)
                 if not todo:  # they are those of the run before
                     summary.hints = read_summary(out).get("hints", [])
                 elif not (fail_fast and summary.failed):
@@ -244,6 +246,8 @@ def rows_of(
         item, attempt, begun = running.pop(future)
         try:
             row, pictures = future.result()
+        except CancelledError:  # by nobody here: it has no answer, and needs another run
+            raise OutputError(LOST) from None
         except BaseException as error:  # a worker that died; a cluster has exceptions of its own
             if attempt < ATTEMPTS:
                 begin(item, attempt + 1)

@@ -12,9 +12,9 @@ from concurrent.futures import Executor, Future
 from typing import Any, NamedTuple
 
 from imgloc.__about__ import __version__
-from imgloc.errors import ConfigError
+from imgloc.errors import ConfigError, OutputError
 from imgloc.features.budget import default_budget
-from imgloc.workers import call_in_child
+from imgloc.workers import LOST, call_in_child
 
 LOCAL = "local"
 _WAIT = 30.0  # seconds for the scheduler, and for its first worker
@@ -31,8 +31,18 @@ class ClusterExecutor(Executor):
         self.memory_share = share  #: bytes that an item may take if a job does not say
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Have a worker of the cluster call a function, which it can import."""
-        future: Future[Any] = self._inner.submit(call_in_child, *self._limits, fn, *args, **kwargs)
+        """Have a worker of the cluster call a function, which it can import.
+
+        OutputError if the cluster is gone.
+        """
+        from distributed.client import ClosedClientError
+
+        try:
+            future: Future[Any] = self._inner.submit(
+                call_in_child, *self._limits, fn, *args, **kwargs
+            )
+        except (ClosedClientError, OSError):
+            raise OutputError(LOST) from None
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:

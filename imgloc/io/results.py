@@ -6,22 +6,92 @@ several with one map and scan file the last counts. ``run.json`` says what decid
 """
 
 import contextlib
+import itertools
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
 from imgloc.errors import OutputError
-from imgloc.io.files import PathLike, display, reason, write_bytes_atomic, write_text_atomic
+from imgloc.io.files import (
+    PathLike,
+    display,
+    open_regular,
+    reason,
+    write_bytes_atomic,
+    write_text_atomic,
+)
+from imgloc.io.own import parse_json, read_json, same_file
 
 RESULTS, RUN, SUMMARY, PICTURES = "results.jsonl", "run.json", "summary.json", "pictures"
 LOCK = ".imgloc-batch.lock"
 _FORMAT = 1
 _FOLDER = "folder of results of 'imgloc batch'"
-#: what a row has, whatever became of its item
-_KEYS = {"map", "scans", "status", "code", "message", "answers", "key", "version", "cost"}
+_LOCKED = "lock of a batch"
+_BEGINNING = b'{"map": '  # of a row as it is written
+_MAX_ABOUT = 16 << 20  # bytes of run.json, and of summary.json
+_MAX_ROW = 1 << 30  # bytes of a row: a scan takes two thousand
+_PART = 1 << 20  # bytes of a row that are read at a time
+_HELD = re.compile(rb"(\d{1,20}\n)?")
+_MAYBE = (float, None)
+_SHARE = {"value": _MAYBE}
+_POSE = {"x": float, "y": float, "theta": float}
+#: of a picture, within the folder of pictures: another place would be taken into a page
+_PICTURE = re.compile(r"[\w.-]+\.png", re.ASCII)
+_ANSWER = {
+    "verdict?": str, "pictures?": [_PICTURE], "truth?": _POSE, "hit?": bool,
+    "error?": {"position": _MAYBE, "heading": _MAYBE},
+}  # fmt: skip
+_HYPOTHESIS = {
+    **_POSE, "mass": _MAYBE, "log_likelihood": _MAYBE, "covariance": [[_MAYBE] * 3] * 3,
+}  # fmt: skip
+_EVIDENCE = {
+    "misfit": _MAYBE, "temperature": _MAYBE, "readings": int, "found": int, "scale?": float,
+    "thinner?": float,
+}  # fmt: skip
+#: what the answers of each job have, of that which a page, a table or a summary looks at
+_ANSWERS: Mapping[str, Mapping[str, Any]] = {
+    "localize": {
+        **_ANSWER, "index": int, "verdict": str, "hypotheses": [_HYPOTHESIS],
+        "evidence": _EVIDENCE, "explained": _MAYBE, "entropy": _MAYBE, "elsewhere": _MAYBE,
+        "complete": bool,
+    },
+    "which": {
+        **_ANSWER, "index": int, "verdict": str, "none": _MAYBE,
+        "maps": [{"map": str, "probability": _MAYBE}],
+    },
+    "evaluate": {
+        **_ANSWER, "method": str, "trials": int, "index": _SHARE, "position": {"p50": _MAYBE},
+        "success": [{"at_1": _SHARE, "unique_wrong": _SHARE}],
+    },
+    "check": {
+        **_ANSWER, "width": int, "height": int, "resolution": _MAYBE, "free_area": _MAYBE,
+        "warnings": [{"code": str}],
+    },
+    "atlas": {
+        **_ANSWER, "places": int, "unique": _SHARE, "ambiguous": _SHARE, "wrong": _SHARE,
+        "unique_area": _SHARE,
+    },
+}  # fmt: skip
+#: what a row has, whatever became of its item; and by the job
+_ROW: Mapping[str, Any] = {
+    "map": str, "scans": (str, None), "message": (str, None), "code": (str, int, None),
+    "status": frozenset({"ok", "failed", "crashed", "timeout"}), "key": str, "version": str,
+    "answers": [{str: object}],
+    "cost": {"seconds?": float, "attempts?": int, "ms?": [float]},
+}  # fmt: skip
+_ROWS = {job: {**_ROW, "answers": [answer]} for job, answer in _ANSWERS.items()}
+_RUN: Mapping[str, Any] = {
+    "format": int,
+    "job": str,
+    "maps?": str,
+    "scans?": (str, None),
+    "parameters": {str: {str: object}},
+}
+_SUMMARY = {"hints?": [{"hint": str, "items": int, "of": int, "first": [str]}]}
 Row = dict[str, Any]
 Id = tuple[str, str | None]
 
@@ -93,16 +163,16 @@ class Results:
             raise OutputError(f"{self.name}: has a {SUMMARY} of others; expected another --out")
         text = json.dumps({"format": _FORMAT, **about}, indent=1, allow_nan=False) + "\n"
         write_text_atomic(self.folder / RUN, text, force=True)
-        try:
-            self._file = self.path.open("r+b" if self.path.exists() else "x+b", buffering=0)
-        except OSError as e:
-            raise self._failed(e) from None
+        fd = open_regular(self.path, OutputError, "file of rows", follow=False, write=True)
+        self._file = os.fdopen(fd, "r+b", buffering=0)
         try:
             end = 0
-            for line in _lines(self._file):
-                if not line.endswith(b"\n"):
-                    break  # a stop has torn it
-                row = _parse(line, self._lines, self.name)
+            for line in _lines(self._file, self.name):
+                if not line.endswith(b"\n"):  # a stop has torn it, or somebody else has written it
+                    if line[: len(_BEGINNING)] != _BEGINNING[: len(line)]:
+                        raise _no_row(self.name, self._lines, "not the beginning of one")
+                    break
+                row = _parse(line, self._lines, self.name, about["job"])
                 self.known[id_of(row)] = row["key"], row["status"]
                 end += len(line)
                 self._lines += 1
@@ -127,9 +197,10 @@ class Results:
 
     def add(self, row: Row, pictures: Mapping[str, bytes]) -> None:
         """Append a row, after its pictures are there; then neither can be lost."""
+        self.look()
         if pictures:
             try:
-                (self.folder / PICTURES).mkdir(exist_ok=True)
+                _pictures(self.folder).mkdir(exist_ok=True)
             except OSError as e:
                 raise self._failed(e) from None
             for name, data in pictures.items():
@@ -147,6 +218,14 @@ class Results:
             raise self._failed(e) from None
         self.known[id_of(row)] = row["key"], row["status"]
         self._lines += 1
+
+    def look(self) -> None:
+        """Raise an OutputError if the folder has been deleted or moved: rows would go nowhere."""
+        if not same_file(self._file.fileno(), self.path):
+            raise OutputError(
+                f"{self.name}: {RESULTS} has been deleted or moved while a batch writes it; "
+                "put it back, and --resume goes on"
+            )
 
     def summarise(self, summary: Mapping[str, Any]) -> None:
         """Write what the rows come to."""
@@ -166,95 +245,134 @@ class Results:
 
 def read_run(folder: PathLike) -> Row:
     """What decided the rows of a folder; OutputError if it is not one of a batch."""
-    name = display(folder)
-    try:
-        about = json.loads((Path(folder) / RUN).read_bytes())
-        if (
-            isinstance(about, dict)
-            and about.get("format") == _FORMAT
-            and isinstance(about.get("parameters"), dict)
-            and isinstance(about.get("job"), str)
-        ):
-            return about
-    except FileNotFoundError:
-        pass
-    except (OSError, ValueError) as e:
-        raise OutputError(f"{name}: {RUN} cannot be read: {reason(e)}") from None
-    raise OutputError(f"{name}: no {RUN} of this version, expected a {_FOLDER}")
+    path = Path(folder) / RUN
+    if not os.path.lexists(path):
+        raise OutputError(f"{display(folder)}: no {RUN}, expected a {_FOLDER}")
+    about: Row = read_json(path, {"format?": object}, limit=_MAX_ABOUT, what=RUN)
+    if about.get("format") != _FORMAT:
+        raise OutputError(f"{display(folder)}: no {RUN} of this version, expected a {_FOLDER}")
+    about = read_json(path, _RUN, limit=_MAX_ABOUT, what=RUN)
+    return {"maps": "", "scans": None, **about}
 
 
 def read_summary(folder: PathLike) -> Row:
-    """What the last run that came to its end said of the rows; empty if none has."""
-    try:
-        found = json.loads((Path(folder) / SUMMARY).read_bytes())
-    except (OSError, ValueError):
+    """What the last run that came to its end said of the rows; empty if none has.
+
+    OutputError if it is not what a batch has written.
+    """
+    path = Path(folder) / SUMMARY
+    if not os.path.lexists(path):
         return {}
-    return found if isinstance(found, dict) else {}
+    found: Row = read_json(path, _SUMMARY, limit=_MAX_ABOUT, what=SUMMARY)
+    return found
 
 
 def read_rows(folder: PathLike) -> Iterator[Row]:
     """Rows of a folder, the last one of each item; what a stop has torn is left out.
 
-    OutputError if there are none, or the file cannot be read.
+    Each has what :data:`_ROWS` says. OutputError if there are none, or the file cannot be read.
     """
-    name = display(folder)
+    name, path = display(folder), Path(folder) / RESULTS
+    if not os.path.lexists(path):
+        raise OutputError(f"{name}: no {RESULTS}, expected a {_FOLDER}")
+    job = read_run(folder)["job"]
     try:
-        with (Path(folder) / RESULTS).open("rb") as file:
+        with os.fdopen(open_regular(path, OutputError, "file of rows"), "rb") as file:
             last: dict[object, int] = {}
-            for k, line in enumerate(_lines(file)):
+            for k, line in enumerate(_lines(file, name)):
                 if line.endswith(b"\n"):
-                    last[_beginning(line, k, name)] = k
+                    last[_beginning(line, k, name, job)] = k
             kept = set(last.values())
-            for k, line in enumerate(_lines(file)):
+            for k, line in enumerate(_lines(file, name)):
                 if k in kept:
-                    yield _parse(line, k, name)
-    except FileNotFoundError:
-        raise OutputError(f"{name}: no {RESULTS}, expected a {_FOLDER}") from None
+                    yield _parse(line, k, name, job)
     except OSError as e:
         raise OutputError(f"{name}: {RESULTS} cannot be read: {reason(e)}") from None
 
 
-def _beginning(line: bytes, k: int, name: str) -> object:
+def read_picture(folder: PathLike, name: str, limit: int) -> bytes | None:
+    """A picture of a row, of at most `limit` bytes; None if it is not there.
+
+    OutputError if it is a link, or lies in one: that would lead to files of others.
+    """
+    path = _pictures(Path(folder)) / name
+    if not os.path.lexists(path):
+        return None
+    with os.fdopen(open_regular(path, OutputError, "picture", follow=False), "rb") as file:
+        return file.read(limit)
+
+
+def _pictures(folder: Path) -> Path:
+    """The folder of the pictures; OutputError if it is a link to another."""
+    path = folder / PICTURES
+    if path.is_symlink():
+        raise OutputError(f"{display(path)}: is a link, expected a folder of pictures")
+    return path
+
+
+def _beginning(line: bytes, k: int, name: str, job: str) -> object:
     """What tells the item of a row from others, without parsing a row as it was written."""
     head, status, _ = line.partition(b', "status": ')  # in a text the quote would be escaped
-    return head if status and head.startswith(b'{"map": ') else id_of(_parse(line, k, name))
+    return head if status and head.startswith(_BEGINNING) else id_of(_parse(line, k, name, job))
 
 
-def _lines(file: IO[bytes]) -> Iterator[bytes]:
+def _lines(file: IO[bytes], name: str) -> Iterator[bytes]:
     """Lines from the first; the file may have no buffer of its own."""
     file.seek(0)
     with open(os.dup(file.fileno()), "rb") as buffered:  # noqa: PTH123
-        yield from buffered
+        for k in itertools.count():
+            parts = list[bytes]()
+            while not (parts and parts[-1].endswith(b"\n")) and (part := buffered.readline(_PART)):
+                parts.append(part)
+                if len(parts) * _PART > _MAX_ROW or b"\0" in part:  # a hole is endless zeros
+                    raise _no_row(name, k, "too long, or no text")
+            if not parts:
+                return
+            yield b"".join(parts)
 
 
-def _parse(line: bytes, k: int, name: str) -> Row:
+def _parse(line: bytes, k: int, name: str, job: str) -> Row:
     try:
-        row = json.loads(line)
-        if isinstance(row, dict) and row.keys() >= _KEYS:
-            return row
-    except ValueError:
-        pass
-    raise OutputError(f"{name}: {RESULTS}, line {k + 1}: no row of a batch; restore the file")
+        row: Row = parse_json(line, _ROWS.get(job, _ROW))
+    except ValueError as e:
+        raise _no_row(name, k, reason(e)) from None
+    return row
+
+
+def _no_row(name: str, k: int, why: str) -> OutputError:
+    return OutputError(
+        f"{name}: {RESULTS}, line {k + 1}: no row of a batch ({why}); restore the file"
+    )
 
 
 def _hold(path: Path, name: str) -> IO[bytes]:
     """Lock a file until it is closed, or the process has ended in whatever way."""
+    fd = open_regular(path, OutputError, _LOCKED, follow=False, write=True)
+    file = os.fdopen(fd, "r+b", buffering=0)
     try:
-        file = path.open("a+b")
-    except OSError as e:
-        raise OutputError(f"{name}: results cannot be written: {reason(e)}") from None
-    try:
-        _lock(file)
-    except OSError:
-        with file:
-            file.seek(0)
-            pid = file.read(20).decode("ascii", "replace").strip()
-        raise OutputError(
-            f"{name}: another run writes here, process {pid}; wait for it, or choose another --out"
-        ) from None
-    file.truncate(0)
-    file.write(b"%d\n" % os.getpid())
-    file.flush()
+        try:
+            _lock(file)
+            taken = False
+        except OSError:
+            taken = True
+        file.seek(0)
+        held = file.read(22)
+        if not _HELD.fullmatch(held):
+            raise OutputError(f"{display(path)}: is no {_LOCKED}, and stays as it is; remove it")
+        if taken:
+            pid = held.decode().strip()
+            raise OutputError(
+                f"{name}: another run writes here, process {pid}; wait for it, or choose another "
+                "--out"
+            )
+        file.seek(0)
+        file.truncate(0)
+        file.write(b"%d\n" % os.getpid())
+    except BaseException as e:
+        file.close()
+        if isinstance(e, OSError):
+            raise OutputError(f"{name}: results cannot be written: {reason(e)}") from None
+        raise
     return file
 
 

@@ -11,13 +11,15 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from imgloc.errors import ConfigError
-from imgloc.io.files import PathLike
+from imgloc.errors import ConfigError, OutputError
+from imgloc.io.files import PathLike, display
 from imgloc.io.results import Row, read_rows, read_run
 
 FORMATS = ("csv", "parquet")
 _COVARIANCE = {"xx": (0, 0), "xy": (0, 1), "xt": (0, 2), "yy": (1, 1), "yt": (1, 2), "tt": (2, 2)}
 _ITEM = ("map", "scans", "status", "code", "message", "version", "key")
+_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
+_MOST = 1000  # columns; answers have about a hundred
 Columns = dict[str, list[Any]]
 
 
@@ -45,7 +47,7 @@ def columns_of(folder: PathLike) -> Columns:
         about = {key: row[key] for key in _ITEM}
         # A signal, an exit code, or the kind of an error: text, so that the column has one type.
         about["code"] = None if row["code"] is None else str(row["code"])
-        cost = {"item_seconds": row["cost"].get("seconds"), "attempts": row["cost"]["attempts"]}
+        cost = {"item_seconds": row["cost"].get("seconds"), "attempts": row["cost"].get("attempts")}
         times = row["cost"].get("ms", ())
         for k, answer in enumerate(row["answers"] or [None]):
             said = about | ({} if answer is None else describe(answer)) | cost
@@ -53,6 +55,8 @@ def columns_of(folder: PathLike) -> Columns:
                 said["ms"] = times[k]
             for key in said.keys() - columns.keys():
                 columns[key] = [None] * count
+            if len(columns) > _MOST:
+                raise OutputError(f"{display(folder)}: expected at most {_MOST:,} columns")
             for key, values in columns.items():
                 values.append(said.get(key))
             count += 1
@@ -70,8 +74,7 @@ def _located(answer: Row) -> Row:
         out |= {f"covariance_{n}": best["covariance"][i][j] for n, (i, j) in _COVARIANCE.items()}
     for second in answer["hypotheses"][1:2]:
         out["second_mass"] = second["mass"]
-    if "hit" in answer:
-        out |= _flat({key: answer[key] for key in ("truth", "error")}) | {"hit": answer["hit"]}
+    out |= _flat({key: answer[key] for key in ("truth", "error", "hit") if key in answer})
     return out
 
 
@@ -108,9 +111,20 @@ _BEST = (
 def _csv(columns: Columns) -> bytes:
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows(zip(*columns.values(), strict=True))
+    writer.writerow(map(_inert, columns))
+    writer.writerows(map(_inert, line) for line in zip(*columns.values(), strict=True))
     return out.getvalue().encode("utf-8", "backslashreplace")
+
+
+def _inert(value: object) -> object:
+    """A cell that no spreadsheet takes for a formula: a text that begins like one gets a quote.
+
+    Examples
+    --------
+    >>> [_inert(value) for value in ("=1+1.npz", "a=1", -2.5)]
+    ["'=1+1.npz", 'a=1', -2.5]
+    """
+    return f"'{value}" if isinstance(value, str) and value.startswith(_FORMULA) else value
 
 
 def _parquet(columns: Columns) -> bytes:
@@ -122,5 +136,9 @@ def _parquet(columns: Columns) -> bytes:
             "--format parquet: needs pyarrow; install it with: pip install 'imgloc[parquet]'"
         ) from None
     buffer = pyarrow.BufferOutputStream()
-    pyarrow.parquet.write_table(pyarrow.table(columns), buffer, compression="zstd")
+    try:
+        table = pyarrow.table(columns)
+    except (pyarrow.ArrowException, UnicodeEncodeError) as e:
+        raise OutputError(f"--format parquet: a column has values of two kinds: {e}") from None
+    pyarrow.parquet.write_table(table, buffer, compression="zstd")
     return bytes(buffer.getvalue())

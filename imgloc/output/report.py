@@ -22,7 +22,7 @@ from imgloc.__about__ import __version__
 from imgloc.batch import BatchSummary
 from imgloc.errors import OutputError
 from imgloc.io.files import PathLike, display
-from imgloc.io.results import PICTURES, Row, read_rows, read_run, read_summary
+from imgloc.io.results import PICTURES, Row, read_picture, read_rows, read_run, read_summary
 from imgloc.output.export import flat
 from imgloc.output.pages import percent
 from imgloc.output.svg import ENVIRONMENT
@@ -146,7 +146,7 @@ class _Counted(BatchSummary):
     def add(self, row: Row) -> None:
         super().add(row)
         self.ms += row["cost"].get("ms", ())
-        errors = [answer["error"]["position"] for answer in row["answers"] if "hit" in answer]
+        errors = [answer["error"]["position"] for answer in row["answers"] if "error" in answer]
         self.errors += [error for error in errors if error is not None]
 
 
@@ -175,8 +175,9 @@ def render_report(folder: PathLike, *, beside: PathLike | None = None) -> str:
             kinds[row["status"], str(row["code"])] += 1
         times = row["cost"].get("ms", ())
         for k, answer in enumerate(row["answers"]):
-            index = answer.get("index") if "verdict" in answer else None  # S of `evaluate` else
-            about = {"map": row["map"], "scans": row["scans"], "k": k if index is None else index}
+            index = answer.get("index")  # of the scan in its file; S of `evaluate`
+            about = {"map": row["map"], "scans": row["scans"]}
+            about["k"] = index if isinstance(index, int) else k
             said = {**answer, **about, "ms": times[k] if k < len(times) else None}
             answers.append([column.of(said) for column in columns])
             pictures.append(answer.get("pictures") or 0)
@@ -187,7 +188,7 @@ def render_report(folder: PathLike, *, beside: PathLike | None = None) -> str:
         "failures": _table(_FAILURES, failures, whole=True),
         "folder": Path(os.path.relpath(Path(folder) / PICTURES, beside or folder)).as_posix(),
     }
-    embedded = _embedded(Path(folder) / PICTURES, pictures)
+    embedded = _embedded(folder, pictures)
     return ENVIRONMENT.get_template("report.html").render(
         title=f"{display(Path(folder).resolve().name)}: {job}",
         run=run,
@@ -283,15 +284,16 @@ def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if len(values) else None
 
 
-def _embedded(folder: Path, pictures: Iterable[Any]) -> dict[str, str] | None:
+def _embedded(folder: PathLike, pictures: Iterable[Any]) -> dict[str, str] | None:
     """The pictures as base64, by their names; None if they are too many for a page."""
-    names = [name for some in pictures if some for name in some]
-    try:
-        if sum((folder / name).stat().st_size for name in names) > EMBEDDED:
+    found, room = dict[str, str](), EMBEDDED
+    for name in (name for some in pictures if some for name in some):
+        data = read_picture(folder, name, room + 1)
+        if data is None or len(data) > room:
             return None
-        return {n: base64.b64encode((folder / n).read_bytes()).decode("ascii") for n in names}
-    except OSError:
-        return None
+        room -= len(data)
+        found[name] = base64.b64encode(data).decode("ascii")
+    return found
 
 
 def _script(data: object) -> Markup:

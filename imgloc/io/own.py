@@ -1,0 +1,201 @@
+"""Files that imgloc writes and reads again: by then edited, damaged or planted.
+
+What such a file has to hold is said by a *kind*, and looked at once, when it is read:
+
+- ``str``, ``bool``, ``int``, ``float`` (a finite number), ``None``; ``object`` is anything
+- a frozenset: one of its texts; a pattern: a text that matches it from end to end
+- a tuple: one of several kinds
+- ``[kind]``: a list of any length, ``[kind, kind]``: a list of as many
+- ``{str: kind}``: an object with keys of any name
+- ``{"name": kind, "other?": kind}``: an object with these keys, the second if it is there, and
+  perhaps more
+"""
+
+import contextlib
+import json
+import os
+import re
+import reprlib
+import zipfile
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from imgloc.errors import OutputError
+from imgloc.io.files import PathLike, display, open_file, read_file, reason
+
+_DEPTH = 40  # levels; imgloc writes less than ten
+_MOST = 1e300  # imgloc writes no number as large, and not of all whole ones a float can be made
+_SHOWN = 60  # characters of where something is
+_NAMES = {
+    str: "a text", bool: "true or false", int: "a whole number", float: "a number", None: "null",
+    object: "a plain value",
+}  # fmt: skip
+
+
+class _WrongError(ValueError):
+    """What is wrong, and where: names and places from the outside in."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(what)
+        self.where: list[str] = []
+
+    def __str__(self) -> str:
+        at = ".".join(reversed(self.where))
+        at = at if len(at) <= _SHOWN else f"{at[:_SHOWN]}..."
+        return f"{at}: {self.args[0]}" if at else str(self.args[0])
+
+
+def parse_json(data: bytes, kind: Any = object) -> Any:
+    """The value of a JSON text of some kind; what JSON has not (NaN, Infinity) is null.
+
+    ValueError, which says where and what was expected, for whatever is not as imgloc writes it.
+
+    Examples
+    --------
+    >>> parse_json(b'{"ms": [1, 2.5]}', {"ms": [float], "hits?": int})
+    {'ms': [1, 2.5]}
+    >>> parse_json(b'{"ms": [1, 1e999]}', {"ms": [float]})
+    Traceback (most recent call last):
+        ...
+    ValueError: ms.1: got inf, expected a number
+    """
+    try:
+        value = json.loads(data, parse_constant=lambda _: None)
+        _check(value, kind, _DEPTH)
+    except _WrongError as e:
+        raise ValueError(str(e)) from None
+    except (json.JSONDecodeError, UnicodeDecodeError) as e:
+        raise ValueError(f"not JSON: {e}") from None
+    except ValueError:  # Python would say how to read it unsafely
+        raise ValueError("a number of thousands of digits") from None
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    except MemoryError:
+        raise ValueError("too large") from None
+    return value
+
+
+def read_json(path: PathLike, kind: Any, *, limit: int, what: str) -> Any:
+    """Read a file that is a JSON text of some kind.
+
+    OutputError, which names the file, if it cannot be read, is longer than `limit` bytes or no
+    regular file, or is not what imgloc writes.
+    """
+    data = read_file(path, limit=limit, error=OutputError, what=what)
+    try:
+        return parse_json(data, kind)
+    except ValueError as e:
+        raise OutputError(f"{display(path)}: is no {what}: {reason(e)}") from None
+
+
+def _check(value: Any, kind: Any, depth: int) -> None:
+    """Raise a ValueError for a value that is not of a kind, or deeper than so many levels."""
+    if depth < 0:
+        raise _WrongError("nested too deeply")
+    if kind is object and isinstance(value, dict | list):
+        kind = {str: object} if isinstance(value, dict) else [object]
+    if isinstance(kind, list):
+        if not isinstance(value, list) or (len(kind) > 1 and len(kind) != len(value)):
+            raise _WrongError(_told(value, kind))
+        if kind == [float] and all(type(v) is float and abs(v) < _MOST for v in value):
+            return  # most of a file
+        for k, item in enumerate(value):
+            _inside(item, kind[k if len(kind) > 1 else 0], k, depth)
+    elif isinstance(kind, dict):
+        if not isinstance(value, dict):
+            raise _WrongError(_told(value, kind))
+        for name, wanted in kind.items():
+            if name is not str and not name.endswith("?") and name not in value:
+                raise _WrongError(f"no {name}, expected {_named(wanted)}")
+        rest = kind.get(str, object)
+        for name, item in value.items():
+            wanted = kind.get(name) or kind.get(f"{name}?", rest)
+            _inside(item, wanted, name, depth)
+    elif not any(_is(value, one) for one in (kind if isinstance(kind, tuple) else (kind,))):
+        raise _WrongError(_told(value, kind))
+
+
+def _inside(item: Any, kind: Any, name: str | int, depth: int) -> None:
+    """Check what has a name or place in something else."""
+    try:
+        if isinstance(name, str) and not _is(name, str):
+            raise _WrongError("a name that is no text")
+        _check(item, kind, depth - 1)
+    except _WrongError as e:
+        e.where.append(ascii(name)[1:-1] if isinstance(name, str) else str(name))
+        raise
+
+
+def _is(value: Any, kind: Any) -> bool:
+    """Whether a value is of a kind that has no others in it."""
+    if kind is object:
+        return value is None or _is(value, type(value))
+    if kind is None:
+        return value is None
+    if kind is float:
+        return type(value) in (int, float) and abs(value) < _MOST
+    if kind is int:
+        return type(value) is int and abs(value) < 1 << 63
+    if not isinstance(value, str):
+        return kind is bool and isinstance(value, bool)
+    if isinstance(kind, frozenset):
+        return value in kind
+    if isinstance(kind, re.Pattern):
+        return kind.fullmatch(value) is not None
+    try:  # half of a pair is no character; bytes of names that are not UTF-8 are
+        return kind is str and (value.isascii() or bool(value.encode("utf-8", "surrogateescape")))
+    except UnicodeEncodeError:
+        return False
+
+
+def _told(value: Any, kind: Any) -> str:
+    """What was got, on one line, and what was expected."""
+    return f"got {reprlib.repr(value)}, expected {_named(kind)}"
+
+
+def _named(kind: Any) -> str:
+    """What a kind is called."""
+    if isinstance(kind, tuple):
+        return " or ".join(map(_named, kind))
+    if isinstance(kind, frozenset):
+        return f"one of {', '.join(sorted(kind))}"
+    if isinstance(kind, list):
+        return "a list" if len(kind) == 1 else f"a list of {len(kind)}"
+    if isinstance(kind, dict):
+        keys = ", ".join(key.removesuffix("?") for key in kind if isinstance(key, str))
+        return f"an object with {keys}" if keys else "an object"
+    return f"a name like {kind.pattern}" if isinstance(kind, re.Pattern) else _NAMES[kind]
+
+
+@contextlib.contextmanager
+def open_arrays(path: PathLike, *, limit: int, what: str) -> Iterator[tuple[Any, int]]:
+    """Open an archive of arrays without compression; yield it, as of :func:`numpy.load`, and bytes.
+
+    The arrays are never larger than the file, which OutputError refuses above `limit` bytes; a
+    ValueError says what else is wrong with it.
+    """
+    with open_file(path, limit=limit, error=OutputError, what=what) as (file, size):
+        if file.peek(4)[:4] != b"PK\3\4":  # NumPy would say how to read it unsafely
+            raise ValueError("not an archive of arrays")
+        try:
+            with np.load(file, allow_pickle=False) as archive:
+                members = archive.zip.infolist()
+                if any(member.compress_type != zipfile.ZIP_STORED for member in members):
+                    raise ValueError("it is compressed")
+                if sum(member.file_size for member in members) > size:
+                    raise ValueError("its arrays are said to be larger than the file")
+                yield archive, size
+        except ValueError as e:
+            if "pickle" in str(e):
+                raise ValueError("it holds objects, not numbers") from None
+            raise
+
+
+def same_file(descriptor: int, path: PathLike) -> bool:
+    """Whether a file that is open is what a path leads to still."""
+    try:
+        return os.path.samestat(os.fstat(descriptor), os.lstat(path))
+    except (OSError, ValueError):
+        return False

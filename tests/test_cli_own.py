@@ -1,0 +1,254 @@
+"""Files that imgloc writes and reads again, when somebody else has had them: by the command."""
+
+import csv
+import json
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from command import call, command
+from places import room_with_a_post
+
+from imgloc.io.maps import save_map
+from imgloc.io.scans import save_scans
+from imgloc.io.scanset import ScanSet
+from imgloc.simulation import Sensor, simulate
+
+needs_pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A map, two scans, and the folder of a batch that has located them."""
+    folder = tmp_path_factory.mktemp("made")
+    grid = room_with_a_post()
+    (folder / "maps").mkdir()
+    save_map(folder / "maps" / "post.yaml", grid)
+    scans = simulate(grid, 2, 1, Sensor(rays=60, fov=6.0, range_max=9.0))
+    save_scans(folder / "scans.npz", ScanSet(scans.scans, poses=scans.poses))
+    run = call("batch", *words(folder), "--pictures", "all")
+    assert run.code == 0, run.err
+    return folder
+
+
+@pytest.fixture
+def folder(made: Path, tmp_path: Path) -> Path:
+    """A copy of it that may be spoilt."""
+    shutil.copytree(made, tmp_path / "made")
+    return tmp_path / "made"
+
+
+def words(folder: Path) -> list[object]:
+    return [folder / "maps", folder / "scans.npz", "--out", folder / "out"]
+
+
+def refused(said: str, *arguments: object, code: int = 1) -> None:
+    """The command ends with one line, soon."""
+    start, run = time.monotonic(), call(*arguments)
+    lines = [line for line in run.err.splitlines() if line.startswith("imgloc: error")]
+    assert (run.code, len(lines)) == (code, 1), run.err
+    assert said in lines[0]
+    assert time.monotonic() - start < 5
+    assert len(lines[0]) < 600
+
+
+def change(path: Path, edit: Callable[[dict], object]) -> None:
+    """Change the JSON of a file, of rows the first."""
+    first, *rest = path.read_text().splitlines(keepends=True)
+    rest = rest if path.suffix == ".jsonl" else [first + "".join(rest)]
+    row = json.loads(first if path.suffix == ".jsonl" else rest.pop())
+    edit(row)
+    path.write_text("".join([json.dumps(row) + "\n", *rest]))
+
+
+# Links, and what is no file.
+
+
+@pytest.mark.parametrize("name", [".imgloc-batch.lock", "results.jsonl"])
+def test_a_link_that_was_planted_empties_no_file(folder: Path, name: str) -> None:
+    victim = folder / "victim"
+    victim.write_text("mine")
+    (folder / "out" / name).unlink()
+    (folder / "out" / name).symlink_to(victim)
+    refused(f"{name}: is a link", "batch", *words(folder), "--resume")
+    assert victim.read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", [".imgloc-batch.lock", "results.jsonl"])
+@pytest.mark.parametrize("content", ["mine", "mine\n", '{"map": 3}\n'])
+def test_a_file_of_somebody_else_stays_as_it_is(folder: Path, name: str, content: str) -> None:
+    path = folder / "out" / name
+    path.write_text(content)
+    said = "is no lock of a batch" if name.endswith("lock") else "line 1: no row of a batch"
+    refused(said, "batch", *words(folder), "--resume")
+    assert path.read_text() == content
+
+
+def test_pictures_are_not_written_beyond_the_folder(folder: Path) -> None:
+    out, elsewhere = folder / "other", folder / "elsewhere"
+    for path in (out, elsewhere):
+        path.mkdir()
+    (out / "pictures").symlink_to(elsewhere)
+    refused("pictures: is a link", "batch", *words(folder)[:2], "--out", out, "--pictures", "all")
+    assert not list(elsewhere.iterdir())
+
+
+@needs_pipes
+@pytest.mark.parametrize("name", [".imgloc-batch.lock", "results.jsonl", "run.json"])
+@pytest.mark.parametrize("kind", ["pipe", "zeros", "folder"])
+def test_what_is_no_file_is_not_waited_for(folder: Path, name: str, kind: str) -> None:
+    path = folder / "out" / name
+    path.unlink()
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "zeros":
+        path.symlink_to("/dev/zero")
+    else:
+        path.mkdir()
+    refused(f"{name}: is a", "batch", *words(folder), "--resume")
+    if not name.endswith("lock"):
+        refused(f"{name}: is a", "report", folder / "out")
+
+
+# What is in them.
+
+
+@pytest.mark.parametrize("name", ["/etc/hostname", "../run.json", "a/b.png", "..", "x.jpg"])
+def test_only_pictures_of_the_folder_come_into_its_page(folder: Path, name: str) -> None:
+    rows = folder / "out" / "results.jsonl"
+    change(rows, lambda row: row["answers"][0].update(pictures=[name]))
+    refused("line 1: no row of a batch (answers.0.pictures.0: got ", "report", folder / "out")
+    assert not (folder / "out" / "report.html").exists()
+
+
+def test_a_picture_that_is_a_link_does_not_come_into_the_page(folder: Path) -> None:
+    secret = folder / "secret"
+    secret.write_text("mine")
+    picture = next((folder / "out" / "pictures").glob("*.png"))
+    picture.unlink()
+    picture.symlink_to(secret)
+    refused(f"{picture.name}: is a link", "report", folder / "out")
+    shutil.rmtree(folder / "out" / "pictures")
+    (folder / "out" / "pictures").symlink_to(folder)
+    refused("pictures: is a link", "report", folder / "out")
+
+
+HUGE = 10**400
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        ({"map": []}, "map: got [], expected a text"),
+        ({"answers": 5}, "answers: got 5, expected a list"),
+        ({"answers": [None]}, "answers.0: got None, expected an object"),
+        ({"answers": [{}]}, "answers.0: no index"),
+        ({"cost": None}, "cost: got None"),
+        ({"cost": {"seconds": HUGE}}, "cost.seconds: got 1000"),
+        ({"status": []}, "status: got [], expected one of crashed, failed, ok"),
+        ({"more": {"a": float("inf")}}, ""),
+        ({"more": "\ud800"}, "more: got '\\ud800'"),
+        ({"\x1b[31m": [HUGE]}, r"\x1b[31m.0: got 1"),
+    ],
+)
+def test_a_row_that_was_edited(folder: Path, edit: dict, said: str) -> None:
+    out = folder / "out"
+    change(out / "results.jsonl", lambda row: row.update(edit))
+    uses = [["report", out], ["export", out, "--force"], ["batch", *words(folder), "--resume"]]
+    for use in uses:
+        if said:
+            refused(f"results.jsonl, line 1: no row of a batch ({said}", *use)
+        else:  # what JSON has not is null
+            assert call(*use).code == 0
+
+
+def test_a_missing_cost_is_no_defect(folder: Path) -> None:
+    change(folder / "out" / "results.jsonl", lambda row: row.update(cost={}))
+    for use in ("report", "export"):
+        assert call(use, folder / "out").code == 0
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        ({"maps": 5}, "maps: got 5, expected a text"),
+        ({"parameters": {"a": 5}}, "parameters.a: got 5, expected an object"),
+        ({"job": []}, "job: got [], expected a text"),
+        ({"format": 7}, "no run.json of this version"),
+    ],
+)
+def test_what_decided_the_rows_was_edited(folder: Path, edit: dict, said: str) -> None:
+    out = folder / "out"
+    change(out / "run.json", lambda row: row.update(edit))
+    for use in (["report", out], ["export", out], ["batch", *words(folder), "--resume"]):
+        refused(said, *use)
+
+
+@pytest.mark.parametrize("name", ["run.json", "results.jsonl", "summary.json"])
+@pytest.mark.parametrize("content", ["[" * 100_000, '{"a":' * 30_000, "\xff", "9" * 5000, "[1]"])
+def test_deep_or_broken_json_is_refused(folder: Path, name: str, content: str) -> None:
+    (folder / "out" / name).write_text(content + "\n", "latin-1")
+    refused(name, "report", folder / "out")
+
+
+def test_a_file_that_is_mostly_a_hole_takes_no_memory(folder: Path) -> None:
+    for name in ("results.jsonl", "run.json"):
+        with (folder / "out" / name).open("r+b") as file:
+            file.truncate(1 << 40)
+        refused(name, "report", folder / "out")
+
+
+# A spreadsheet.
+
+
+def test_no_cell_of_the_table_is_a_formula(folder: Path) -> None:
+    (folder / "scans").mkdir()
+    for name in ("=1+1.npz", "@SUM(1).npz", "\tx.npz"):
+        shutil.copy(folder / "scans.npz", folder / "scans" / name)
+    run = call("batch", folder / "maps", folder / "scans", "--out", folder / "new")
+    assert run.code == 0, run.err
+    assert call("export", folder / "new").code == 0
+    with (folder / "new" / "results.csv").open(newline="") as file:
+        table = list(csv.DictReader(file))
+    assert {line["scans"] for line in table} == {"'=1+1.npz", "'@SUM(1).npz", r"\tx.npz"}
+    assert min(float(line["second_mass"]) for line in table) >= 0
+    assert all(float(line["x"]) for line in table)  # numbers stay numbers
+    texts = [cell for line in table for cell in line.values() if not cell[1:2].isdigit()]
+    assert not [cell for cell in texts if cell.startswith(("=", "+", "-", "@", "\t", "\r"))]
+
+
+# A folder that goes while it is written.
+
+
+@pytest.mark.parametrize("how", ["deleted", "moved"])
+def test_a_folder_that_goes_in_the_middle_is_noticed_at_the_next_row(
+    folder: Path, how: str
+) -> None:
+    for k in range(60):
+        shutil.copy(folder / "maps" / "post.yaml", folder / "maps" / f"m{k:03d}.yaml")
+    out = folder / "new"
+    run = subprocess.Popen(
+        command(["batch", folder / "maps", "--job", "check", "--out", out, "--workers", 1]),
+        stderr=subprocess.PIPE,
+    )
+    rows = out / "results.jsonl"
+    while run.poll() is None and not (rows.exists() and rows.stat().st_size):
+        time.sleep(0.005)
+    if how == "deleted":
+        shutil.rmtree(out)
+    else:
+        out.rename(folder / "elsewhere")
+    _, said = run.communicate(timeout=30)
+    assert run.returncode == 1
+    assert b"new: results.jsonl has been deleted or moved" in said
+    if how == "moved":
+        kept = (folder / "elsewhere" / "results.jsonl").read_bytes().splitlines()
+        assert 1 <= len(kept) < 61
+        (folder / "elsewhere").rename(out)
+        again = call("batch", folder / "maps", "--job", "check", "--out", out, "--resume")
+        assert again.out.startswith("61 items: 61 ok"), again.err
+        assert len(rows.read_bytes().splitlines()) == 61
