@@ -50,8 +50,9 @@ from imgloc.model import (
     Localization,
     Pose2D,
 )
-from imgloc.options import FUSED, LOG_METHODS, Options
+from imgloc.options import FUSED, LOG_METHODS, Metres, Options, Radians
 from imgloc.pipeline import effective, likelihood, localize, posterior_of
+from imgloc.ranges import Checked
 
 Z95 = 1.959964  #: quantile of the normal distribution for intervals of 95 %
 PAPER_STEPS_DEG = {"cbml": 3.0, "cbml-o": 3.0, "ght": 30.0, "ght-v": 30.0, "beam": 3.0}
@@ -97,11 +98,11 @@ def share(happened: Iterable[bool]) -> Share:
 
 
 @dataclass(frozen=True)
-class Tolerance:
+class Tolerance(Checked):
     """A hypothesis is right if it is nearer than this to the true pose: metres and radians."""
 
-    position: float
-    heading: float
+    position: Metres
+    heading: Radians
 
 
 TOLERANCES = (Tolerance(0.25, 0.25), Tolerance(0.5, float(np.deg2rad(10.0))))

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -35,9 +35,10 @@ from imgloc.io.maps import Reading, load_bytes, load_map, reading_of, resolve_se
 from imgloc.io.scans import has_topics, load_scans, scans_size
 from imgloc.io.scanset import Chosen, ScanSet
 from imgloc.mapindex import MapIndex, open_index
-from imgloc.model import LaserScan, OccupancyGrid, Pose2D, plain
-from imgloc.options import FUSED, Options, Prior
+from imgloc.model import LaserScan, OccupancyGrid, Pose2D, check_mount, plain
+from imgloc.options import FUSED, Count, Factor, Length, Options, Prior
 from imgloc.pipeline import answer_bytes, localize, prepare
+from imgloc.ranges import Checked, OneOf, Within
 from imgloc.search.priors import Known, leaves_none
 from imgloc.simulation import Sensor, fine_image, simulate
 
@@ -50,22 +51,22 @@ _KEPT = 0.5  # share of a worker's memory that prepared maps may take
 
 
 @dataclass(frozen=True)
-class Job:
+class Job(Checked):
     """What is done with each item, and everything that decides its rows.
 
     The options of methods are those of the command whose name the job has.
     """
 
-    name: str = "localize"  #: one of :data:`JOBS`
+    name: Annotated[str, OneOf(*JOBS)] = "localize"  #: one of :data:`JOBS`
     options: Options = field(default_factory=Options)
     #: how images are read, as of :func:`imgloc.load_map`; resolution and origin are of images
     #: without a YAML alone
     reading: Reading = field(default_factory=lambda: Reading())
     allow_lossy: bool = False
-    cell: float = 0.1  #: of the poses, metres
+    cell: Length = 0.1  #: of the poses, metres
     topic: str | None = None  #: which laser of a log with several, as of :func:`imgloc.load_scans`
-    range_scale: float = 1.0  #: metres of a range
-    range_max: float | None = None  #: readings are cut here, metres
+    range_scale: Factor = 1.0  #: metres of a range
+    range_max: Length | None = None  #: readings are cut here, metres
     chosen: Chosen = field(default_factory=Chosen)  #: which scans of a file are looked at
     flipped: bool = False  #: the sensor is upside down
     mount: Pose2D | None = None  #: pose of the sensor on the robot
@@ -73,25 +74,27 @@ class Job:
     known: Known = field(default_factory=Known)
     #: how near a known pose an answer is a hit
     tolerance: Tolerance = TOLERANCES[-1]
-    sure: float = 0.5  #: probability that a map needs to be named, of ``which``
+    sure: Annotated[float, Within(0.5, 1, "a probability")] = (
+        0.5  #: probability that a map needs to be named, of ``which``
+    )
     #: of what is simulated: by ``evaluate`` without scans and by ``atlas``
     sensor: Sensor = field(default_factory=Sensor)
-    count: int = 100
+    count: Count = 100
     seed: int = 0
-    step: float = 0.5  #: between the places of an atlas, metres
-    headings: int = 4
-    pictures: str = "none"  #: of which answers there are some, one of :data:`PICTURES`
+    step: Length = 0.5  #: between the places of an atlas, metres
+    headings: Count = 4
+    pictures: Annotated[str, OneOf(*PICTURES)] = (
+        "none"  #: of which answers there are some, one of :data:`PICTURES`
+    )
     drawings: Mapping[str, Drawing] = field(default_factory=dict)
     #: bytes that a worker may take, by default half of what is available; no answer depends on it
     memory_budget: int | None = None
     cache: Path | None = None  #: where prepared maps are kept, nowhere by default
 
     def __post_init__(self) -> None:
-        for name, known in (("name", JOBS), ("pictures", PICTURES)):
-            if getattr(self, name) not in known:
-                raise ConfigError(
-                    f"{name}: got {getattr(self, name)!r}, expected one of {', '.join(known)}"
-                )
+        super().__post_init__()
+        if self.mount is not None:
+            check_mount(self.mount, "mount")
         if self.name == "which" and self.options.method != FUSED:
             raise ConfigError(f"maps are compared by the method {FUSED}")
         if self.name == "which" and self.known.near is not None:

@@ -15,6 +15,8 @@ from typing import Any, final
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.errors import ConfigError
+
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
@@ -23,8 +25,14 @@ IntArray = npt.NDArray[np.int64]
 FAR = 1e6
 """Metres that no sensor reaches: drivers write such numbers where a ray met nothing."""
 
+MOUNTED = 5.0
+"""Metres from the base of its robot beyond which no sensor sits."""
+
 VERDICTS = ("unique", "ambiguous", "no-match", "invalid")
 SURE = VERDICTS[:2]  #: those under which there is a pose to be named, not the best fit at most
+
+
+_CODES = 2  # different numbers for "nothing seen" that one sensor has, at most
 
 
 def _freeze(record: Any, dtype: npt.DTypeLike, *names: str) -> None:
@@ -57,6 +65,24 @@ class Pose2D:
         object.__setattr__(self, "y", float(self.y))
         theta = math.remainder(self.theta, math.tau)
         object.__setattr__(self, "theta", math.pi if theta <= -math.pi else theta)
+
+
+def check_mount(mount: Pose2D, name: str) -> None:
+    """Refuse, by a ConfigError, a sensor that sits farther from its base than robots are large.
+
+    Examples
+    --------
+    >>> check_mount(Pose2D(20.0, 0.0), "--sensor")
+    Traceback (most recent call last):
+        ...
+    imgloc.errors.ConfigError: --sensor: got 20,0: 20 m from the robot's base, expected at most 5 \
+m; are these centimetres, or millimetres? write metres
+    """
+    if not (away := math.hypot(mount.x, mount.y)) <= MOUNTED:
+        raise ConfigError(
+            f"{name}: got {mount.x:g},{mount.y:g}: {away:g} m from the robot's base, expected at "
+            f"most {MOUNTED:g} m; are these centimetres, or millimetres? write metres"
+        )
 
 
 def compose(a: Pose2D, b: Pose2D) -> Pose2D:
@@ -212,6 +238,8 @@ class LaserScan:
         if not np.isfinite(self.angles).all():
             i = int(np.argmin(np.isfinite(self.angles)))
             raise ValueError(f"angles must be finite, angles[{i}] is {self.angles[i]}")
+        if self.T_base_laser is not None:
+            check_mount(self.T_base_laser, "T_base_laser")
 
     def __repr__(self) -> str:
         seen, n = self.ranges[self.valid], len(self.ranges)
@@ -263,15 +291,18 @@ class LaserScan:
     def scaled(self, factor: float) -> "LaserScan":
         """The scan with its ranges multiplied: by 0.001 if they were millimetres.
 
-        A range_max that is below most of the readings was in metres already, and stays.
+        Where the unit changes, a range_max that most different readings exceed was in metres
+        already, and stays. Codes for "nothing seen" exceed it as well, but are few different ones.
 
         Examples
         --------
-        >>> LaserScan([1500.0, 2500.0], [0.0, 0.1], range_max=30.0).scaled(0.001)
-        <LaserScan of 2 rays, 2 valid: 0 to 5.73 deg, 1.5 to 2.5 m of at most 30>
+        >>> LaserScan([1500.0, 2500.0, 2600.0], [0.0, 0.1, 0.2], range_max=30.0).scaled(0.001)
+        <LaserScan of 3 rays, 3 valid: 0 to 11.46 deg, 1.5 to 2.6 m of at most 30>
         """
-        seen = self.ranges[np.isfinite(self.ranges)]
-        limits = factor if not len(seen) or self.range_max >= np.median(seen) else 1.0
+        seen = np.unique(self.ranges[np.isfinite(self.ranges) & (self.ranges > 0)])
+        beyond = int(np.count_nonzero(seen >= self.range_max))
+        other_unit = not 0.1 < factor < 10 and beyond > _CODES + len(seen) - beyond
+        limits = 1.0 if other_unit else factor
         return replace(
             self,
             ranges=self.ranges * factor,

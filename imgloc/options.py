@@ -5,14 +5,27 @@
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 
 from imgloc.errors import ConfigError
 from imgloc.geometry import cell_of, inside, uniform_thetas, wrap
 from imgloc.model import BoolArray, FloatArray, GridInfo, Temperature
+from imgloc.ranges import Checked, OneOf, Within
+
+Metres = Annotated[float, Within(0, 1e6, "metres")]
+Length = Annotated[float, Within(1e-4, 1e6, "metres")]  #: of something that has one
+Radians = Annotated[float, Within(0, 2 * np.pi, "radians")]
+Heading = Annotated[float, Within(-1e6, 1e6, "radians")]
+Step = Annotated[float, Within(1e-4, 2 * np.pi, "radians")]
+Share = Annotated[float, Within(0, 1, "a share")]
+Nats = Annotated[float, Within(0, np.inf, "nats")]
+Factor = Annotated[float, Within(1e-6, 1e6, "a factor")]
+LogOdds = Annotated[float, Within(-1e6, 1e6, "log-odds")]
+Count = Annotated[int, Within(1, 1e12, "at least one")]
 
 FUSED = "fused"
 MOST_OF_IT = 0.95  #: share of the mass found that the hypotheses listed hold
@@ -45,23 +58,15 @@ FEW = 20.0
 
 
 @dataclass(frozen=True)
-class Calibration:
-    """What makes a probability of one method's stack; a ConfigError if it is out of its range."""
+class Calibration(Checked):
+    """What makes a probability of one method's stack."""
 
     #: of the Gaussian that models the uncertainty of eq. 8: metres and radians.
-    sigma_xy: float = 0.0
-    sigma_theta: float = 0.0
+    sigma_xy: Metres = 0.0
+    sigma_theta: Radians = 0.0
     #: votes and correlations are raised to the power ``1 / temperature``. Log-likelihoods, which
     #: are sums over the readings, are divided by ``temperature * readings``.
-    temperature: float = 1.0
-
-    def __post_init__(self) -> None:
-        for part in fields(self):
-            value = getattr(self, part.name)
-            positive = part.name == "temperature"
-            if not (np.isfinite(value) and (value > 0 if positive else value >= 0)):
-                least = "positive" if positive else "not negative"
-                raise ConfigError(f"{part.name} must be finite and {least}, got {value}")
+    temperature: Factor = 1.0
 
     def temperature_at(self, method: str, readings: int) -> float:
         """Temperature for a scan with so many valid readings; more of them do not add more.
@@ -102,7 +107,7 @@ DEFAULTS: Mapping[str, Calibration] = MappingProxyType(
 
 
 @dataclass(frozen=True)
-class Prior:
+class Prior(Checked):
     """A set of poses; None is all of them.
 
     Examples
@@ -114,7 +119,7 @@ class Prior:
 
     cells: BoolArray | None = None  #: (H, W) those of the map in which the sensor may be
     #: in the grid frame, and how far it may be off, radians
-    heading: tuple[float, float] | None = None
+    heading: tuple[Heading, Radians] | None = None
     #: what it was made of, as plain values, for the record
     about: Mapping[str, object] = field(default_factory=dict)
 
@@ -148,20 +153,24 @@ class Prior:
 
 
 @dataclass(frozen=True)
-class EvidenceModel:
+class EvidenceModel(Checked):
     """The parameters of the score."""
 
     #: standard deviations of an endpoint's distance from its surface, metres, equally probable for
     #: every reading
-    sigmas: Sequence[float] = (0.05, 0.2)
-    hit: float = 0.8  #: share of the readings that come from mapped surfaces
-    span: float = 10.0  #: metres over which the readings that do not come from the map are spread
-    absent: float = 0.1  #: probability that a mapped wall is not there any more
+    sigmas: Sequence[Length] = (0.05, 0.2)
+    hit: Annotated[float, Within(0, 0.9999, "a share")] = (
+        0.8  #: share of the readings that come from mapped surfaces
+    )
+    span: Length = 10.0  #: metres over which the readings that do not come from the map are spread
+    absent: Annotated[float, Within(1e-6, 1, "a probability")] = (
+        0.1  #: probability that a mapped wall is not there any more
+    )
     #: metres by which a reading may pass a wall at no cost, besides half a cell
-    margin: float = 0.1
+    margin: Metres = 0.1
     #: how far beyond that a wall may be drawn in a wrong place, metres: the chance falls like a
     #: Gaussian of this scale, down to `absent`
-    displaced: float = 0.1
+    displaced: Length = 0.1
 
     @property
     def best(self) -> float:
@@ -171,70 +180,78 @@ class EvidenceModel:
 
 
 @dataclass(frozen=True)
-class FusedOptions:
+class FusedOptions(Checked):
     """What the search spends where."""
 
     #: between the headings of the endpoint correlation, radians
-    theta_step: float = float(np.deg2rad(1.0))
+    theta_step: Step = float(np.deg2rad(1.0))
     #: nodes kept by each level of the endpoint pyramid, finest first; as many as there are
-    keep: tuple[int, ...] = (3000, 8000, 8000, 16000)
-    skip: int = 2  #: all levels of the pyramid but the finest take every `skip`-th of the few rays
-    vote_cell: float = 0.25  #: cell of the GHT-V votes, metres
+    keep: tuple[Count, Count, Count, Count] = (3000, 8000, 8000, 16000)
+    skip: Count = (
+        2  #: all levels of the pyramid but the finest take every `skip`-th of the few rays
+    )
+    vote_cell: Length = 0.25  #: cell of the GHT-V votes, metres
     #: with more cells than this, headings and all, the votes of a map get larger ones
-    vote_cells: int = 4_000_000
-    vote_headings: int = 24  #: number of headings of the GHT-V votes
-    vote_peaks: int = 100  #: how many peaks of the votes become proposals
+    vote_cells: Count = 4_000_000
+    vote_headings: Count = 24  #: number of headings of the GHT-V votes
+    vote_peaks: Count = 100  #: how many peaks of the votes become proposals
     #: side of the squares of which each counts as one reading, metres
-    place: float = 0.07
-    few_rays: int = 48  #: such readings of the first look at all proposals, and of the second at
-    rays: int = 180  #: the best
+    place: Length = 0.07
+    few_rays: Count = 48  #: such readings of the first look at all proposals, and of the second at
+    rays: Count = 180  #: the best
     #: how many places get the second look, and how many poses, which may be of one place: between
     #: two layers of a wall the score has several maxima
-    second_look: int = 80
-    closer: int = 40
+    second_look: Count = 80
+    closer: Annotated[int, Within(0, 1e12, "poses")] = 40
     #: proposals nearer than this, metres and radians, are of one place, and one pose
-    twins: tuple[float, float] = (0.1, float(np.deg2rad(3.0)))
-    same: tuple[float, float] = (0.02, float(np.deg2rad(0.7)))
+    twins: tuple[Metres, Radians] = (0.1, float(np.deg2rad(3.0)))
+    same: tuple[Length, Step] = (0.02, float(np.deg2rad(0.7)))
     #: misfit of all endpoint proposals, nats per reading, above which votes propose, too
-    unfit: float = 0.8
+    unfit: Nats = 0.8
     #: misfit, nats per reading, above which readings may share an error, see
     #: :mod:`imgloc.search.adapt`; nats that they must gain; how far a scale may be from the
     #: one that is known, a factor: with more of it any building fits
-    strained: float = 0.5
-    adapted: float = 40.0
-    most_scaled: float = 1.07
+    strained: Nats = 0.5
+    adapted: Nats = 40.0
+    most_scaled: Annotated[float, Within(1, 10, "a factor")] = 1.07
     #: two poses nearer than this, metres and radians, are one hypothesis
-    separation: tuple[float, float] = (0.5, float(np.deg2rad(15.0)))
+    separation: tuple[Metres, Radians] = (0.5, float(np.deg2rad(15.0)))
     model: EvidenceModel = field(default_factory=EvidenceModel)  #: the score
 
 
 @dataclass(frozen=True)
-class Shared:
+class Shared(Checked):
     """An error that all readings of a sensor on a map share, see :mod:`imgloc.search.adapt`."""
 
-    scale: float = 1.0  #: what their lengths are multiplied by
-    thinner: int = 0  #: cells that walls lose on each side
+    scale: Annotated[float, Within(0.5, 2, "a factor")] = (
+        1.0  #: what their lengths are multiplied by
+    )
+    thinner: Annotated[int, Within(0, 100, "cells")] = 0  #: cells that walls lose on each side
 
 
 @dataclass(frozen=True)
-class Trust:
+class Trust(Checked):
     """What turns evidence into probabilities and a verdict."""
 
-    readings: int = 10  #: with valid readings in fewer directions than this a scan is ``invalid``
+    readings: Annotated[int, Within(0, 1e6, "directions")] = (
+        10  #: with valid readings in fewer directions than this a scan is ``invalid``
+    )
     #: what the evidence of 100 readings is divided by where map and scan agree perfectly: errors of
     #: neighbours are not independent. It grows with the root of their number.
-    temperature: float = 2.0
-    strain: float = 9.0  #: growth of that temperature per nat of misfit
+    temperature: Factor = 2.0
+    strain: Annotated[float, Within(0, 1e6, "per nat")] = (
+        9.0  #: growth of that temperature per nat of misfit
+    )
     #: cell of a map, metres, above which the temperature grows in proportion: all readings on a
     #: wall share the error of its place, up to half a cell
-    fine: float = 0.1
+    fine: Length = 0.1
     #: log-odds that the true pose is none of the hypotheses: constant, per nat of evidence by which
     #: the best fits better than a building on no map would, per share of the mass that it does not
     #: hold. A logistic regression, see ``python -m tools.trust fit``
-    elsewhere: tuple[float, float, float] = (-3.39, -0.46, 2.72)
-    most: float = 30.0  #: nats of such evidence; more says no more
-    mass: float = 0.9  #: mass that the best pose needs to be ``unique``
-    correlated: float = 2.9  #: how many neighbouring readings share one error, for the covariances
+    elsewhere: tuple[LogOdds, LogOdds, LogOdds] = (-3.39, -0.46, 2.72)
+    most: Nats = 30.0  #: nats of such evidence; more says no more
+    mass: Share = 0.9  #: mass that the best pose needs to be ``unique``
+    correlated: Factor = 2.9  #: how many neighbouring readings share one error, for the covariances
 
     def temperature_at(self, misfit: float, readings: int = 100, cell: float = 0.0) -> Temperature:
         """Temperature for a misfit in nats per reading, readings, and the cell of a map in metres.
@@ -269,7 +286,7 @@ class Trust:
 
 
 @dataclass(frozen=True)
-class Options:
+class Options(Checked):
     """Everything that decides an answer, apart from the map and the scan.
 
     Parameters
@@ -305,13 +322,13 @@ class Options:
         What makes a probability of a stack; None takes the method's default. ``fused`` has none.
     """
 
-    method: str = FUSED
-    top: int | None = None
-    theta_step: float | None = None
-    engine: str = "auto"
-    threads: int = 1
-    memory_budget: int | None = None
-    time_budget: float | None = None
+    method: Annotated[str, OneOf(*ALL_METHODS)] = FUSED
+    top: Count | None = None
+    theta_step: Step | None = None
+    engine: Annotated[str, OneOf("auto", "filter2d", "shift", "dft", "remap")] = "auto"
+    threads: Count = 1
+    memory_budget: Annotated[int, Within(0, 1e18, "bytes")] | None = None
+    time_budget: Annotated[float, Within(0, 1e9, "seconds")] | None = None
     exact: bool = False
     prior: Prior = field(default_factory=Prior)
     shared: Shared = field(default_factory=Shared)

@@ -40,7 +40,7 @@ from imgloc.model import (
     OccupancyGrid,
     Temperature,
 )
-from imgloc.options import ALL_METHODS, DEFAULTS, FUSED, METHODS, Options, Prior, Shared
+from imgloc.options import DEFAULTS, FUSED, METHODS, Options, Prior, Shared
 from imgloc.search.adapt import adapt
 from imgloc.search.background import unmapped_score
 from imgloc.search.branch_and_bound import best_poses
@@ -225,16 +225,16 @@ def find_modes(
         prior=prior,
         threads=options.threads,
     )
-    if time.monotonic() > deadline:
+    if time.monotonic() >= deadline:
         endpoints = endpoints[: fused.second_look]
     proposals = [endpoints, np.empty((0, 3)) if more is None else more]
-    if options.exact:
-        proposals.append(exact_poses(features, scan, options)[0])
+    if options.exact and time.monotonic() < deadline:
+        proposals.append(exact_poses(features, scan, options, deadline)[0])
     looked, score = look(np.concatenate(proposals), np.empty((0, 3)))
     unfit = not len(looked) or score[0] < (fused.model.best - fused.unfit) * len(few)
-    if unfit and time.monotonic() <= deadline:
+    if unfit and time.monotonic() < deadline:
         looked, _ = look(propose_votes(features, scan, fused, prior, options.threads), looked)
-    late = time.monotonic() > deadline
+    late = time.monotonic() >= deadline
     if late:
         looked = looked[:_LAST]
 
@@ -282,7 +282,8 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
     def find(shared: Shared) -> Modes:
         left = options
         if options.time_budget is not None:
-            left = replace(options, time_budget=start + options.time_budget - time.monotonic())
+            rest = max(0.0, start + options.time_budget - time.monotonic())
+            left = replace(options, time_budget=rest)
         there = features.thinner(shared.thinner)
         return replace(find_modes(there, scan.scaled(shared.scale), left), shared=shared)
 
@@ -384,9 +385,12 @@ def find_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Foun
 
 
 def exact_poses(
-    features: MapFeatures, scan: LaserScan, options: Options
+    features: MapFeatures, scan: LaserScan, options: Options, deadline: float = np.inf
 ) -> tuple[FloatArray, FloatArray]:
-    """Best separated poses (M, 3) by CBML's score, grid frame, and their scores (M,), exactly."""
+    """Best separated poses (M, 3) by CBML's score, grid frame, and their scores (M,), exactly.
+
+    After the `deadline`, by :func:`time.monotonic`, only those that are known by then.
+    """
     prior, pooled, thetas = options.prior, features.pooled, options.thetas
     wanted = np.flatnonzero(prior.headings(thetas, np.pi / len(thetas)))
     if prior.cells is not None:
@@ -394,7 +398,16 @@ def exact_poses(
         pooled = replace(pooled, where=block_masks(where, pooled.top))
     (distance, angle), n = options.fused.separation, max(options.top or MODES, MODES)
     xy, some, threads = scan_xy(scan)[scan.valid], thetas[wanted], options.threads
-    best = best_poses(pooled, xy, some, count=n, distance=distance, angle=angle, threads=threads)
+    best = best_poses(
+        pooled,
+        xy,
+        some,
+        count=n,
+        distance=distance,
+        angle=angle,
+        threads=threads,
+        deadline=deadline,
+    )
     xy = centre_of(best.cells[:, 1:], features.lattice.resolution)
     return np.column_stack((xy, thetas[wanted[best.cells[:, 0]]])), best.scores.astype(np.float64)
 
@@ -544,9 +557,6 @@ def check_options(features: MapFeatures, options: Options) -> None:
     """Refuse what :func:`localize` cannot do, by its errors, before anything is done."""
     expect(features, MapFeatures, "features")
     expect(options, Options, "options")
-    if options.top is not None and options.top < 1:
-        raise ConfigError(f"top must be at least 1, got {options.top}")
-    check_method(options.method, ALL_METHODS)
     if options.exact and options.method not in (FUSED, "cbml"):
         raise ConfigError(f"the exact search is of cbml's score, not of {options.method}'s")
     if options.time_budget is not None and options.method != FUSED:

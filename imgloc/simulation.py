@@ -17,7 +17,17 @@ from imgloc.features.raycast import cast_rays
 from imgloc.geometry import cell_of, inside, transform_poses
 from imgloc.io.maps import bundled_maps
 from imgloc.io.scanset import ScanSet
-from imgloc.model import BoolArray, Float32Array, FloatArray, LaserScan, OccupancyGrid, Pose2D
+from imgloc.model import (
+    BoolArray,
+    Float32Array,
+    FloatArray,
+    LaserScan,
+    OccupancyGrid,
+    Pose2D,
+    check_mount,
+)
+from imgloc.options import Count, Length, Metres, Share, Step
+from imgloc.ranges import Checked
 from imgloc.worlds import WORLDS, render
 
 FINE = 0.01  #: cells on which scans are simulated, metres
@@ -31,7 +41,7 @@ _THIN, _THIN_VALUE = 0.6, 0.8
 
 
 @dataclass(frozen=True)
-class Sensor:
+class Sensor(Checked):
     """A simulated laser; the defaults are that of Sec. VI, with a reach of 30 m.
 
     `fov` is in radians, see :func:`ray_angles`; `sigma` (noise of a reading), `range_max` and
@@ -39,14 +49,18 @@ class Sensor:
     :func:`simulate_ranges`; `mount` is the pose of the sensor on the robot.
     """
 
-    rays: int = 181
-    fov: float = np.pi
-    sigma: float = 0.02
-    range_max: float = 30.0
-    outliers: float = 0.0
-    dropped: float = 0.0
-    clearance: float = 0.3
+    rays: Count = 181
+    fov: Step = np.pi
+    sigma: Metres = 0.02
+    range_max: Length = 30.0
+    outliers: Share = 0.0
+    dropped: Share = 0.0
+    clearance: Metres = 0.3
     mount: Pose2D = field(default_factory=lambda: Pose2D(0.0, 0.0))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_mount(self.mount, "mount")
 
 
 def simulate(
@@ -89,8 +103,9 @@ def simulate(
         sigma=sensor.sigma, range_max=sensor.range_max, seed=int(seeds[1]),
         outliers=sensor.outliers, dropped=sensor.dropped,
     )  # fmt: skip
+    mount = None if sensor.mount == Pose2D(0.0, 0.0) else sensor.mount  # if somebody has said it
     scans = tuple(
-        LaserScan(r, angles, range_max=sensor.range_max, T_base_laser=sensor.mount) for r in ranges
+        LaserScan(r, angles, range_max=sensor.range_max, T_base_laser=mount) for r in ranges
     )
     return ScanSet(scans, poses=transform_poses(grid.origin, poses))
 

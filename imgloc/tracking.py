@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -12,21 +13,18 @@ from imgloc.filters.motion import compose_poses, increments, invert_poses, way_o
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, Pose2D
+from imgloc.options import Metres
+from imgloc.ranges import Checked, Within
 
 _FASTEST = 50.0  # metres a second: no robot on the ground is
 
 
 @dataclass(frozen=True)
-class Every:
+class Every(Checked):
     """How far the robot goes or turns between two scans of a laser that are looked at."""
 
-    metres: float = 0.5
-    radians: float = float(np.deg2rad(30.0))
-
-    def __post_init__(self) -> None:
-        for name in ("metres", "radians"):
-            if not 0 <= (value := getattr(self, name)) < np.inf:
-                raise ConfigError(f"every: {name} must be finite and not negative, got {value}")
+    metres: Metres = 0.5
+    radians: Annotated[float, Within(0, 1e6, "radians")] = float(np.deg2rad(30.0))
 
 
 @dataclass(frozen=True)

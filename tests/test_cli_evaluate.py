@@ -208,7 +208,7 @@ def test_no_line_of_the_table_is_wider_than_the_terminal() -> None:
         (["-n", "1000000"], 2, "-n: got 1,000,000"),
         (["--range-max", "0"], 2, "--range-max: got 0"),
         (["--mount", "1,2"], 2, "expected 3 numbers"),
-        (["--mount", "99,0,0"], 3, "hardly ever in a free cell"),
+        (["--mount", "99,0,0"], 2, "mount: got 99,0: 99 m from the robot's base"),
         (["--scans", "SCANS", "-n", "4"], 2, "use --sample"),
         (["--scans", "SCANS", "--rays", "90"], 2, "do not go with recorded scans"),
         (["--scans", "SCANS", "--scans", "SCANS"], 2, "got 2 for 1 maps"),

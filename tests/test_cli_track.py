@@ -155,7 +155,7 @@ def test_strict_says_that_the_end_is_not_unique(log: Path) -> None:
         (["--kidnap", "1,-1,2,0"], 2, "kidnap: -1,2 is outside of the map"),
         (["--start", "1,900,0"], 2, "start: 1,900 is outside of the map"),
         (["--best"], 2, "--ros"),
-        (["--every", "-1,3"], 2, "metres must be finite"),
+        (["--every", "-1,3"], 2, "Every.metres: got -1.0, expected metres, 0 to "),
         (["--tum", "a.txt"], 2, "ends in .tum"),
         (["--filter", "kalman"], 2, "kalman"),
     ],

@@ -18,6 +18,7 @@ from imgloc.geometry import transform_poses
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, Pose2D, compose, inverse
 from imgloc.options import Options, Shared
+from imgloc.sample import sample_poses
 from imgloc.sequences import Searches, piece
 from imgloc.simulation import simulate_ranges
 from imgloc.tracking import Every, Kidnap, follow
@@ -244,6 +245,20 @@ def test_walls_that_are_known_to_be_too_thick_are_thinner() -> None:
         chosen = make_filter(name, features_of(WORLD), Options(shared=Shared(1.0, 1)))
         walls = np.count_nonzero(chosen.features.grid.occupied)
         assert 0 < walls < np.count_nonzero(features_of(WORLD).grid.occupied)
+
+
+def test_what_particles_are_drawn_from_has_a_shared_error_once(monkeypatch) -> None:
+    features, asked = features_of(WORLD), list[tuple[int, Shared]]()
+
+    def drawn(there, scan, n, rng, options):
+        asked.append((int(there.grid.occupied.sum()), options.shared))
+        return sample_poses(there, scan, n, rng, options)
+
+    monkeypatch.setattr("imgloc.filters.particle.sample_poses", drawn)
+    options = Options(shared=Shared(1.05, 1))
+    particles = ParticleFilter(features, options, ParticleOptions(reset_by="fused"))
+    particles.see(log()[0].scaled(1 / 1.05))
+    assert asked == [(int(features.thinner(1).grid.occupied.sum()), Shared())]
 
 
 def test_a_scale_is_found_along_the_way_and_only_where_there_is_one() -> None:

@@ -7,8 +7,8 @@ from command import ROOT
 
 #: A module imports from its own room and from those before it.
 ROOMS = (
-    "__about__ errors", "model", "geometry", "options", "io", "features", "likelihoods", "search",
-    "pipeline",
+    "__about__ errors ranges", "model", "geometry", "options", "io", "features", "likelihoods",
+    "search", "pipeline",
     "explanation doubts mapindex choice sample atlas simulation worlds evaluation index calibrate",
     "filters tracking sequences", "batch hints jobs workers cluster", "output", "cli",
 )  # fmt: skip

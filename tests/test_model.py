@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from imgloc.errors import ConfigError
 from imgloc.model import (
     VERDICTS,
     GridInfo,
@@ -218,3 +219,28 @@ def test_the_pose_of_an_answer_is_that_of_its_first_hypothesis():
 
 def test_verdicts():
     assert VERDICTS == ("unique", "ambiguous", "no-match", "invalid")
+
+
+@pytest.mark.parametrize("factor", [0.97, 1.05, 0.001])
+def test_codes_for_nothing_seen_stay_codes_when_ranges_are_scaled(factor: float) -> None:
+    unit = 1.0 if factor > 0.1 else 1000.0
+    ranges = np.concatenate((np.full(60, 81.91), np.linspace(2.9, 3.1, 40))) * unit
+    scan = LaserScan(ranges, np.linspace(0, 3, 100), range_max=80.0 * unit)
+    assert scan.counts["valid"] == 40
+    assert scan.scaled(factor).counts == scan.counts
+    assert scan.scaled(factor).range_max == pytest.approx(80 * unit * factor)
+    blind = LaserScan(np.full(100, 81.91 * unit), scan.angles, range_max=80.0 * unit)
+    assert blind.scaled(factor).counts["valid"] == 0
+
+
+def test_a_limit_in_metres_beside_ranges_in_millimetres_stays() -> None:
+    ranges = np.concatenate((np.arange(1000.0, 4000, 50), np.full(90, 81910.0), np.zeros(9)))
+    scan = LaserScan(ranges, np.linspace(0, 3, len(ranges)), range_max=30.0).scaled(0.001)
+    assert (scan.range_max, scan.counts["valid"], scan.counts["no_return"]) == (30.0, 60, 90)
+
+
+@pytest.mark.parametrize("at", [(100.0, 0.0), (0.0, -6.0), (np.nan, 0.0)])
+def test_no_sensor_sits_farther_from_its_base_than_robots_are_large(at) -> None:
+    with pytest.raises(ConfigError, match="are these centimetres"):
+        LaserScan([1.0], [0.0], T_base_laser=Pose2D(*at))
+    assert LaserScan([1.0], [0.0], T_base_laser=Pose2D(-3.0, 4.0)).T_base_laser is not None

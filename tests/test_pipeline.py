@@ -88,7 +88,7 @@ def test_trust_is_an_option():
         localize(features, scan, Options(trust=Trust(elsewhere=(9.0, 0.0, 0.0)))).verdict
         == "no-match"
     )
-    assert localize(features, scan, Options(trust=Trust(mass=1.01))).verdict == "ambiguous"
+    assert localize(features, scan, Options(trust=Trust(mass=1.0))).verdict == "ambiguous"
 
 
 # --- frames
@@ -160,21 +160,6 @@ def test_an_unknown_method_is_refused_with_those_that_are(method):
 def test_fused_has_no_stack():
     with pytest.raises(ConfigError, match="method"):
         likelihood(features_of("curved"), scan_of("curved"), Options())
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        Options(top=0),
-        Options(method="cbml", engine="gpu"),
-        Options(threads=0),
-        Options(method="ght", threads=-1),
-    ],
-    ids=["top", "engine", "threads", "negative"],
-)
-def test_options_out_of_range_are_refused(options):
-    with pytest.raises(ConfigError):
-        localize(features_of("curved"), scan_of("curved"), options)
 
 
 @pytest.mark.parametrize("method", ALL_METHODS)

@@ -1,20 +1,26 @@
 """Branch and bound finds what the exhaustive search finds, ties and borders included."""
 
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import features_of, scan_of
 
+from imgloc import pipeline
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import pooled_maps
+from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import centre_of, uniform_thetas
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
 from imgloc.likelihoods.cbml import cbml
 from imgloc.model import BoolArray, Float32Array, FloatArray
+from imgloc.options import Options
+from imgloc.pipeline import localize
 from imgloc.search.branch_and_bound import Best, _Bounds, best_poses
 from imgloc.search.hypotheses import separated
 
@@ -237,3 +243,25 @@ def test_pooling_refuses_other_arrays() -> None:
         pooled_maps(good * 2, np.ones((3, 3), bool), 1.0)
     with pytest.raises(ValueError, match=r"0\.\.1"):
         pooled_maps(good * np.nan, np.ones((3, 3), bool), 1.0)
+
+
+def test_after_its_time_the_search_says_what_it_knows(monkeypatch):
+    features, scan = features_of("curved"), scan_of("curved")
+    late = localize(features, scan, Options(exact=True, time_budget=1e-9))
+    assert not late.complete
+    assert late.verdict != "unique"
+    asked = []
+
+    def noted(*given, **more):
+        asked.append(more)
+        return best_poses(*given, **more)
+
+    monkeypatch.setattr(pipeline, "best_poses", noted)
+    assert len(localize(features, scan, Options(exact=True, time_budget=1e-9)).hypotheses)
+    assert asked == []  # what takes a second is not begun
+    assert localize(features, scan, Options(exact=True, time_budget=60.0)).complete
+    assert asked[0]["deadline"] < np.inf
+    pooled, xy, thetas = features.pooled, scan_xy(scan)[scan.valid], uniform_thetas(0.1)
+    assert len(best_poses(pooled, xy, thetas, deadline=time.monotonic()).scores) == 0
+    later = best_poses(pooled, xy, thetas, deadline=time.monotonic() + 60)
+    np.testing.assert_array_equal(later.cells, best_poses(pooled, xy, thetas).cells)

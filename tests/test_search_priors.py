@@ -181,7 +181,7 @@ def test_a_prior_makes_a_twin_impossible(visibility):
 
 def test_what_would_be_crowded_out_is_found(visibility):
     features, scans = visibility
-    few = FusedOptions(keep=(2, 2, 2), vote_peaks=1, second_look=1)
+    few = FusedOptions(keep=(2, 2, 2, 2), vote_peaks=1, second_look=1)
     x, y, theta = scans.poses[0]
     known = Prior(near(features.grid.info, x, y, 0.5), (float(theta), 0.2))
     without = localize(features, scans[0], Options(fused=few))

@@ -382,6 +382,12 @@ class Mounting:
     sensor: tuple[float, float, float] | None
     flipped: bool
 
+    def __post_init__(self) -> None:
+        from imgloc.model import check_mount
+
+        if self.pose is not None:
+            check_mount(self.pose, "--sensor")
+
     @property
     def pose(self) -> "Pose2D | None":
         """Pose of the sensor on the robot, if it was given."""

@@ -8,40 +8,31 @@ four parameters (Thrun, Burgard and Fox, *Probabilistic Robotics*, table 5.6)::
     var(trans) = alpha3 trans^2 + alpha4 (rot1^2 + rot2^2)
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from imgloc.errors import ConfigError
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray
+from imgloc.options import Metres, Radians
+from imgloc.ranges import Checked, Within
 
+Alpha = Annotated[float, Within(0, 1e6, "a variance")]
 _STILL = 0.01  # metres: below, the direction of a motion is noise
 
 
 @dataclass(frozen=True)
-class MotionNoise:
-    """How far odometry may be wrong; the square roots of the alphas are shares.
+class MotionNoise(Checked):
+    """How far odometry may be wrong; the square roots of the alphas are shares."""
 
-    Raises
-    ------
-    ConfigError
-        If a value is negative or not finite.
-    """
-
-    alpha1: float = 0.01  #: of rotation, from rotation
-    alpha2: float = 0.01  #: of rotation, from translation, rad²/m²
-    alpha3: float = 0.01  #: of translation, from translation
-    alpha4: float = 0.01  #: of translation, from rotation, m²/rad²
+    alpha1: Alpha = 0.01  #: of rotation, from rotation
+    alpha2: Alpha = 0.01  #: of rotation, from translation, rad²/m²
+    alpha3: Alpha = 0.01  #: of translation, from translation
+    alpha4: Alpha = 0.01  #: of translation, from rotation, m²/rad²
     #: of every motion that is not none, for steps so short that shares of them are nothing:
     #: standard deviations, metres and radians
-    floor: tuple[float, float] = (0.01, 0.005)
-
-    def __post_init__(self) -> None:
-        for part in fields(self):
-            value = getattr(self, part.name)
-            if not all(np.isfinite(v) and v >= 0 for v in np.atleast_1d(value)):
-                raise ConfigError(f"{part.name} must be finite and not negative, got {value}")
+    floor: tuple[Metres, Radians] = (0.01, 0.005)
 
 
 def compose_poses(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -10,6 +10,7 @@
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -20,8 +21,22 @@ from imgloc.filters.evidence import misfit_near, sight, usable, view_of
 from imgloc.filters.motion import MotionNoise, sample_motion
 from imgloc.geometry import cell_of, inside, theta_bin, transform_poses, wrap
 from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D, inverse
-from imgloc.options import FUSED, Options
+from imgloc.options import (
+    ALL_METHODS,
+    FUSED,
+    Count,
+    Factor,
+    Length,
+    Metres,
+    Nats,
+    Options,
+    Radians,
+    Share,
+    Shared,
+    Step,
+)
 from imgloc.pipeline import likelihood, posterior_of
+from imgloc.ranges import Checked, OneOf, Within
 from imgloc.sample import sample_poses
 from imgloc.search.hypotheses import first_in_cell
 
@@ -29,30 +44,38 @@ _FLOOR = 1e-2  # of a uniform posterior: what GHT-V leaves of a particle that it
 
 
 @dataclass(frozen=True)
-class ParticleOptions:
+class ParticleOptions(Checked):
     """What a particle filter makes of scans and odometry."""
 
-    least: int = 200  #: particles
-    most: int = 4000
-    error: float = 0.05  #: KLD-sampling: distance of the distributions, nats
-    quantile: float = 2.33  #: of the normal distribution: 2.33 is 99 %
-    bins: tuple[float, float] = (0.5, float(np.deg2rad(15.0)))  #: metres and radians
+    least: Count = 200  #: particles
+    most: Count = 4000
+    error: Annotated[float, Within(1e-6, 1e6, "nats")] = (
+        0.05  #: KLD-sampling: distance of the distributions, nats
+    )
+    quantile: Annotated[float, Within(0, 10, "deviations")] = (
+        2.33  #: of the normal distribution: 2.33 is 99 %
+    )
+    bins: tuple[Length, Step] = (0.5, float(np.deg2rad(15.0)))  #: metres and radians
     noise: MotionNoise = field(default_factory=MotionNoise)
-    weigh_by: str = "fused"  #: whose likelihood weighs them: ``fused`` or a method
-    rays: int = 40  #: readings by which ``fused`` does
+    weigh_by: Annotated[str, OneOf(*ALL_METHODS)] = (
+        "fused"  #: whose likelihood weighs them: ``fused`` or a method
+    )
+    rays: Count = 40  #: readings by which ``fused`` does
     #: metres and radians of motion after which a scan says something entirely new
-    fresh: tuple[float, float] = (1.0, 0.8)
-    least_new: float = 0.2  #: share of a scan's evidence that counts without any motion
-    reset_by: str = "ght-v"  #: whose p(x | z): ``fused`` or a method
+    fresh: tuple[Length, Step] = (1.0, 0.8)
+    least_new: Share = 0.2  #: share of a scan's evidence that counts without any motion
+    reset_by: Annotated[str, OneOf(*ALL_METHODS)] = (
+        "ght-v"  #: whose p(x | z): ``fused`` or a method
+    )
     resets: bool = True
-    alphas: tuple[float, float] = (0.05, 0.5)  #: of the long and the short mean of the likelihood
-    slack: float = 1.1  #: by how much the short mean may be below the long one
-    cut: int = 5  #: scans between two cuts by GHT-V; 0 for none
-    jitter: tuple[float, float] = (0.03, 0.01)  #: of particles that are drawn again, m and rad
-    mass: float = 0.95  #: of the best place, to be ``unique``
-    sure: float = 1.0  #: metres that it has to be the best one for before it is
-    surprise: float = 0.5  #: nats per reading more than usual that it may lack to be
-    misfit: float = 2.5  #: nats per reading that it may lack and not be lost
+    alphas: tuple[Share, Share] = (0.05, 0.5)  #: of the long and the short mean of the likelihood
+    slack: Factor = 1.1  #: by how much the short mean may be below the long one
+    cut: Annotated[int, Within(0, 1e6, "scans")] = 5  #: scans between two cuts by GHT-V; 0 for none
+    jitter: tuple[Metres, Radians] = (0.03, 0.01)  #: of particles that are drawn again, m and rad
+    mass: Share = 0.95  #: of the best place, to be ``unique``
+    sure: Metres = 1.0  #: metres that it has to be the best one for before it is
+    surprise: Nats = 0.5  #: nats per reading more than usual that it may lack to be
+    misfit: Nats = 2.5  #: nats per reading that it may lack and not be lost
 
 
 def kld_bound(bins: int, error: float, quantile: float) -> int:
@@ -185,7 +208,8 @@ class ParticleFilter:
         self.poses, self.weights = old, np.full(len(old), 1 / len(old))
 
     def _new(self, scan: LaserScan, n: int) -> FloatArray:
-        how = replace(self.options, method=self.how.reset_by)
+        # What all readings share is in the scan and in these features already.
+        how = replace(self.options, method=self.how.reset_by, shared=Shared())
         drawn = sample_poses(self.features, scan, n, self._rng, how)
         poses = transform_poses(inverse(self.features.grid.origin), drawn)
         return view_of(scan, self.options).robot(poses)

@@ -116,8 +116,6 @@ def _read(file: Path, grid: OccupancyGrid) -> tuple[dict[str, Calibration], Any,
     }
     known = _numbers("shared", content.get("shared", vars(Shared())), vars(Shared()))
     shared = Shared(known["scale"], int(known["thinner"]))
-    if not (0.5 <= shared.scale <= 2 and 0 <= shared.thinner <= 100):
-        raise ValueError(f"shared: got {known}, expected a scale from 0.5 to 2 and cells")
     # NaN and infinity, which JSON has not, are not written again.
     about = json.loads(json.dumps(content.get("about")), parse_constant=lambda _: None)
     return found, about, shared

@@ -8,6 +8,7 @@ The top level is summed as runs of memory, heading by heading; the finer ones ar
 call for hundreds of blocks.
 """
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -49,6 +50,7 @@ def best_poses(
     distance: float = 0.0,
     angle: float = 0.0,
     threads: int = 1,
+    deadline: float = np.inf,
 ) -> Best:
     """Find the poses of the largest CBML score, as if the stack had been computed.
 
@@ -68,6 +70,9 @@ def best_poses(
         neighbours if they are closer than both, metres and radians.
     threads : int
         The result does not depend on it.
+    deadline : float
+        Time by :func:`time.monotonic` at which what is known is the result: the first of the
+        best poses, or none.
 
     Returns
     -------
@@ -91,16 +96,21 @@ def best_poses(
     if not (np.isfinite([distance, angle]).all() and distance >= 0 and angle >= 0):
         raise ConfigError(f"distance and angle must be at least 0, got {distance}, {angle}")
     headings, points = np.asarray(thetas, dtype=np.float64), finite_points(xy)
+    nothing = Best(np.empty((0, 3), dtype=np.int64), np.empty(0, dtype=np.float32))
     if not (points.size and headings.size and pooled.where[0].any()):
-        return Best(np.empty((0, 3), dtype=np.int64), np.empty(0, dtype=np.float32))
+        return nothing
     bounds = _Bounds(pooled, points, headings)
     picks = _Picks(bounds, count, distance, angle)
-    top = bounds.of_top(threads)
+    top = bounds.of_top(threads, deadline)
+    if time.monotonic() >= deadline:
+        return nothing
     picks.promise(*bounds.descend(_roots(top, _PATHS + 8 * count)))
     nodes = np.flatnonzero(top >= picks.threshold)
     # Best first; equal ones in index order, so that the first of equal poses is met first.
     nodes = nodes[_falling(top.ravel()[nodes])]
     for start in range(0, len(nodes), _CHUNK):
+        if time.monotonic() >= deadline:
+            break
         # In index order again: lookups of one heading are near each other in memory.
         index = np.sort(nodes[start : start + _CHUNK])
         block = np.stack(np.unravel_index(index, top.shape), axis=1)
@@ -159,8 +169,10 @@ class _Bounds:
         start += (row + above) * self.top_stride + column + left
         self.starts = [np.ascontiguousarray(start[:, group]) for group in self.groups]
 
-    def of_top(self, threads: int) -> IntArray:
+    def of_top(self, threads: int, deadline: float = np.inf) -> IntArray:
         """Bounds (K, H', W') of all blocks of the top level; 0 where no pose is wanted.
+
+        After the `deadline` some are missing.
 
         One look at a phase of the image, from the offset of a point on, is a run of memory
         that holds what the point adds to every block: the sum over the points is a sum of
@@ -176,6 +188,8 @@ class _Bounds:
         def work(share: Sequence[int]) -> None:
             for r in bands:
                 n = min(band, rows - r)
+                if time.monotonic() >= deadline:
+                    return
                 runs = sliding_window_view(self.coarse.reshape(-1), n * stride)[r * stride :]
                 for k in share:
                     found = runs[starts[k]]

@@ -1,0 +1,96 @@
+"""Options: each value is in its range, or refused by name."""
+
+import math
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+
+import numpy as np
+import pytest
+
+from imgloc import options as module
+from imgloc.errors import ConfigError
+from imgloc.filters.motion import MotionNoise
+from imgloc.filters.particle import ParticleOptions
+from imgloc.jobs import Job
+from imgloc.likelihoods.correlate import ENGINES
+from imgloc.options import (
+    Calibration,
+    EvidenceModel,
+    FusedOptions,
+    Method,
+    Options,
+    Prior,
+    Shared,
+    Trust,
+)
+from imgloc.ranges import Checked
+from imgloc.simulation import Sensor
+from imgloc.tracking import Every
+
+KINDS = (Calibration, EvidenceModel, FusedOptions, Options, Prior, Shared, Trust)
+OTHERS = (MotionNoise, ParticleOptions, Sensor, Every, Job)
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: Options(theta_step=-1), "Options.theta_step: got -1, expected radians, 0.0001 to"),
+        (lambda: Options(engine="foo"), "Options.engine: got 'foo', expected one of auto, filter2"),
+        (lambda: Options(time_budget=math.nan), "Options.time_budget: got nan, expected seconds"),
+        (lambda: Options("cmbl"), "Options.method: got 'cmbl', expected one of fused, cbml"),
+        (lambda: Options(top=0), "Options.top: got 0, expected a whole number, at least one"),
+        (lambda: Options(top=2.5), "Options.top: got 2.5, expected a whole number"),  # type: ignore[arg-type]
+        (lambda: Options(threads=-1), "Options.threads: got -1"),
+        (lambda: Options(exact=1), "Options.exact: got 1, expected True or False"),  # type: ignore[arg-type]
+        (lambda: Options(trust=None), "Options.trust: got None, expected Trust"),  # type: ignore[arg-type]
+        (lambda: Shared(scale=0), "Shared.scale: got 0, expected a factor, 0.5 to 2"),
+        (lambda: Shared(thinner=-1), "Shared.thinner: got -1, expected a whole number, cells"),
+        (lambda: FusedOptions(keep=(10,)), "FusedOptions.keep: got (10,), expected 4 values"),  # type: ignore[arg-type]
+        (lambda: FusedOptions(keep=(9, 9, 0, 9)), "FusedOptions.keep[2]: got (9, 9, 0, 9)"),
+        (lambda: FusedOptions(few_rays=0), "FusedOptions.few_rays: got 0"),
+        (lambda: FusedOptions(unfit=True), "FusedOptions.unfit: got True, expected nats, 0 or"),
+        (lambda: Trust(mass=7), "Trust.mass: got 7, expected a share, 0 to 1"),
+        (lambda: Trust(elsewhere=(0, 1)), "Trust.elsewhere: got (0, 1), expected 3 values"),  # type: ignore[arg-type]
+        (lambda: EvidenceModel(sigmas=()), "EvidenceModel.sigmas: got (), expected at least one"),
+        (lambda: EvidenceModel(sigmas=(0.1, 0.0)), "EvidenceModel.sigmas[1]"),
+        (lambda: EvidenceModel(hit="most"), "EvidenceModel.hit: got 'most', expected a share"),  # type: ignore[arg-type]
+        (lambda: Prior(heading=(0.0, -1.0)), "Prior.heading[1]: got (0.0, -1.0), expected radian"),
+        (lambda: Every(-1), "Every.metres: got -1"),
+        (lambda: Sensor(outliers=2), "Sensor.outliers: got 2, expected a share"),
+        (lambda: Job("sweep"), "Job.name: got 'sweep', expected one of localize"),
+        (lambda: Job(range_scale=0), "Job.range_scale: got 0"),
+    ],
+)
+def test_nonsense_is_refused_by_name(make: Callable[[], object], says: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        make()
+    assert str(error.value).startswith(says)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    assert Options(top=np.int64(3), theta_step=np.float32(0.1)).top == 3  # type: ignore[arg-type]
+    assert EvidenceModel(sigmas=np.array([0.1, 0.2])).best > 0  # type: ignore[arg-type]
+    assert Trust(elsewhere=[0.0, 1.0, 2.0]).most == 30  # type: ignore[arg-type]
+
+
+def test_an_engine_that_is_known_is_an_option() -> None:
+    assert [Options(engine=name).engine for name in ENGINES] == list(ENGINES)
+
+
+@pytest.mark.parametrize("kind", [*KINDS, *OTHERS], ids=lambda kind: kind.__name__)
+def test_no_number_of_options_may_be_nan(kind: type) -> None:
+    made, asked = kind(), 0
+    for part in fields(kind):
+        value = getattr(made, part.name)
+        if isinstance(value, float | int) and not isinstance(value, bool):
+            asked += 1
+            with pytest.raises(ConfigError, match=rf"{kind.__name__}\.{part.name}: got nan"):
+                kind(**{part.name: math.nan})
+    assert asked or kind is Prior
+
+
+def test_all_options_are_checked() -> None:
+    kinds = [v for v in vars(module).values() if isinstance(v, type) and is_dataclass(v)]
+    named = {kind for kind in kinds if kind.__module__ == module.__name__}
+    assert named == {*KINDS, Method}
+    assert all(issubclass(kind, Checked) for kind in (*KINDS, *OTHERS))
