@@ -13,6 +13,7 @@ import contextlib
 import csv
 import hashlib
 import json
+import logging
 import os
 import queue
 import time
@@ -31,7 +32,7 @@ from imgloc.hints import Doubtful, hints_of
 from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import PathLike, display, is_folder, read_file
 from imgloc.io.folders import files_in, find_maps
-from imgloc.io.results import Results, Row, read_rows, read_summary
+from imgloc.io.results import RESULTS, Results, Row, read_rows, read_summary
 from imgloc.io.scans import SCAN_ENDINGS
 from imgloc.jobs import WITHOUT_SCANS, Item, Job, perform
 from imgloc.model import plain
@@ -42,6 +43,8 @@ ATTEMPTS = 2  #: how often an item is begun whose worker dies
 _AT_ONCE = 512  # items that an executor is given beyond those that are done
 _CODES = {MapError: "map", ScanError: "scan", ConfigError: "config", OutputError: "output"}
 _MAX_PAIRS = 256 << 20  # bytes
+_LOG = logging.getLogger("imgloc")
+_WARNED = 20  # different warnings that a run passes on
 
 
 @dataclass
@@ -159,7 +162,7 @@ def run_batch(
         "scans": None if scans is None else display(scans),
         "parameters": {digest: job.parameters},
     }
-    new = 0
+    new, warned = 0, set[str]()
     with Results(out, about, resume=resume or retry_failed) as results:
         todo = remaining(found, job, results.known, retry_failed=retry_failed)
         with contextlib.ExitStack() as stack:
@@ -171,6 +174,7 @@ def run_batch(
                 for row, pictures in rows_of(todo, job, executor):
                     results.add(row, pictures)
                     new += 1
+                    _warn(row["cost"].get("warnings", ()), warned)
                     if on_row is not None:
                         on_row(row)
                     if fail_fast and row["status"] != "ok":
@@ -191,6 +195,27 @@ def run_batch(
         summary.new, summary.seconds = new, round(time.monotonic() - start, 3)
         results.summarise(summary.as_row())
     return summary
+
+
+def _warn(texts: Iterable[str], warned: set[str]) -> None:
+    """Pass on what workers have warned of, once each."""
+    for text in texts:
+        if text not in warned and len(warned) <= _WARNED:
+            warned.add(text)
+            more = f"more is in cost.warnings of the rows of {RESULTS}"
+            _LOG.warning("%s", text if len(warned) <= _WARNED else more)
+
+
+class _Warnings(logging.Handler):
+    """Keeps what is warned of: the files of an item are read in a worker, which nobody hears."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.texts: dict[str, None] = {}
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a message, once."""
+        self.texts[record.getMessage()] = None
 
 
 def summarise(rows: Iterable[Row]) -> BatchSummary:
@@ -262,7 +287,8 @@ def work(item: Item, job: Job) -> tuple[Row, dict[str, bytes]]:
     """Do a job with an item, in a worker: its row and its pictures by their names."""
     start = time.perf_counter()
     row = _row(item, job)
-    cost, pictures = row["cost"], dict[str, bytes]()
+    cost, pictures, heard = row["cost"], dict[str, bytes](), _Warnings()
+    _LOG.addHandler(heard)
     try:
         done = perform(item, job)
     except Exception as error:
@@ -276,6 +302,9 @@ def work(item: Item, job: Job) -> tuple[Row, dict[str, bytes]]:
                 answer["pictures"] = [f"{stem}-{end}" for end in answer["pictures"]]
         row["answers"] = plain(done.answers)
         cost |= {"ms": [round(ms, 3) for ms in done.ms], **plain(done.cost)}
+    finally:
+        _LOG.removeHandler(heard)
+    cost |= {"warnings": list(heard.texts)} if heard.texts else {}
     cost["seconds"] = round(time.perf_counter() - start, 3)
     return row, pictures
 

@@ -11,6 +11,7 @@
 ([[1.0, 2.0, 0.5]], [1211.5], 80.0)
 """
 
+import codecs
 import math
 import re
 from collections import Counter
@@ -24,7 +25,7 @@ from imgloc.io.files import PathLike, display, read_file
 from imgloc.io.lasers import lasers_of, together
 from imgloc.io.odometry import odometry_at
 from imgloc.io.scanset import MAX_READINGS, Entry, ScanSet, collect, spread, wrong
-from imgloc.model import FloatArray, Pose2D, compose, inverse
+from imgloc.model import MOUNTED, FloatArray, Pose2D, compose, inverse
 
 _MAX_BYTES = 8 * MAX_READINGS
 # In the order of preference: a log may hold the same laser in an old and in a new form.
@@ -122,7 +123,8 @@ def _placed(scans: ScanSet) -> ScanSet:
 def _lines(path: PathLike) -> list[tuple[int, str]]:
     """The lines that are neither blank nor comments, with their numbers."""
     data = read_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file")
-    text = data.decode("ascii", "replace")  # only names of hosts may be anything else
+    # Only names of hosts may be anything else than ASCII, and what an editor puts in front.
+    text = data.removeprefix(codecs.BOM_UTF8).decode("ascii", "replace")
     kept = [(i, line) for i, line in enumerate(text.split("\n"), 1) if line.strip()]
     return [(i, line) for i, line in kept if not line.lstrip().startswith("#")]
 
@@ -283,7 +285,7 @@ def _laser_poses(messages: Sequence[_Message]) -> tuple[FloatArray | None, Pose2
     turn = offsets[0].theta  # about it, for one that looks back is at pi and at -pi
     away = np.array([(p.x, p.y, turn + math.remainder(p.theta - turn, math.tau)) for p in offsets])
     middle = np.median(away, axis=0)
-    if np.all(np.abs(away - middle) < _RIGID):
+    if np.all(np.abs(away - middle) < _RIGID) and math.hypot(*middle[:2]) <= MOUNTED:
         # At the robot's own place is where it is if nobody has said where.
         return None, Pose2D(*np.round(middle, 4)) if np.abs(middle).max() > _RIGID else None
     return np.array([(p.x, p.y, p.theta) for p, _ in pairs]), None

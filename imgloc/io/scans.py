@@ -10,6 +10,7 @@ An NPZ is read by its headers first: an archive of 2 MB may claim arrays of 2 GB
 [1.0, 2.5]
 """
 
+import codecs
 import contextlib
 import io
 import math
@@ -95,8 +96,9 @@ def read_npz(path: PathLike) -> ScanSet:
 
     Keys: ``ranges`` (N, B) or (B,); ``angles`` (B,) or (N, B), or else ``angle_min`` and
     ``angle_increment``; optionally ``range_min`` (default 0) and ``range_max`` (default
-    infinite), one number or (N,); ``poses`` (N, 3), ``stamps`` (N,), ``odom`` (N, 3). Other
-    keys are not read. Arrays of objects are refused, as are more than MAX_READINGS.
+    infinite), one number or (N,); ``poses`` (N, 3), ``stamps`` (N,), ``odom`` (N, 3); ``mount``
+    (3,) or (N, 3), where the sensor sits on the robot, NaN where that is not known. Other keys
+    are not read. Arrays of objects are refused, as are more than MAX_READINGS.
     """
     name = display(path)
     data = read_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file")
@@ -112,7 +114,12 @@ def write_npz(scans: ScanSet) -> bytes:
     for key in ("angles", "range_min", "range_max"):
         values = np.stack([getattr(scan, key) for scan in scans.scans])
         arrays[key] = values[0] if (values == values[0]).all() else values
-    beside = {"poses": scans.poses, "stamps": scans.stamps, "odom": scans.odom}
+    own = np.array([scan.stamp for scan in scans.scans])
+    stamps = own if scans.stamps is None else scans.stamps
+    mounts = [scan.T_base_laser for scan in scans.scans]
+    mount = np.array([(m.x, m.y, m.theta) if m else (np.nan,) * 3 for m in mounts])
+    beside = {"poses": scans.poses, "odom": scans.odom}
+    beside |= {key: a for key, a in (("stamps", stamps), ("mount", mount)) if np.isfinite(a).any()}
     arrays |= {key: value for key, value in beside.items() if value is not None}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)  # all members are stamped 1980
@@ -200,6 +207,7 @@ def _kind_of(path: PathLike) -> _Kind:
             raise ScanError(f"{name}: cannot be read: {hint}")
     with open_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file") as (opened, _):
         head = opened.read(_HEAD)
+    head = head.removeprefix(codecs.BOM_UTF8)
     if ending in ("", ".txt", ".dat", ".scan"):
         for pattern, kind in _MAGIC:
             if re.match(pattern, head, re.MULTILINE):

@@ -94,8 +94,9 @@ def read_jsonl(path: PathLike) -> ScanSet:
 
     Needed are ``ranges`` and either ``angles`` or ``angle_min`` with ``angle_increment``
     (else ``angle_max``). Optional: ``range_min``, ``range_max``, ``stamp`` (seconds, or
-    ``header.stamp`` with ``sec`` and ``nanosec``), ``pose`` and ``odom`` as [x, y, theta] or
-    an object of these names. In ranges, null is NaN, and "inf", "-inf", "nan" may be strings.
+    ``header.stamp`` with ``sec`` and ``nanosec``), ``pose``, ``odom`` and ``mount`` (where the
+    sensor sits on the robot) as [x, y, theta] or an object of these names. In ranges, null is
+    NaN, and "inf", "-inf", "nan" may be strings.
     A ``.json`` file may also be one such object, or an array of them.
     """
     name, lines = display(path), _lines(path)
@@ -179,7 +180,7 @@ def plain_entry(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
         seconds, nanoseconds = (scalar(part, f"{where}: stamp") for part in parts)
         stamp = seconds + nanoseconds * 1e-9
     plain["stamp"] = stamp
-    for key in ("pose", "odom"):
+    for key in ("pose", "odom", "mount"):
         if isinstance(entry.get(key), dict):
             plain[key] = [entry[key].get(k) for k in ("x", "y", "theta")]
     return plain

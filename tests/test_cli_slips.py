@@ -1,0 +1,188 @@
+"""Small slips that mislead: each is refused or said, alike by localize, track, batch and Python."""
+
+import codecs
+import json
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import MAPS, call, rows
+
+from imgloc.errors import ConfigError
+from imgloc.filters.motion import noisy_odometry
+from imgloc.io.scans import load_scans, save_scans
+from imgloc.io.scanset import ScanSet
+from imgloc.jobs import Job
+from imgloc.model import LaserScan, Pose2D
+from imgloc.simulation import Sensor, simulate_ranges
+from imgloc.worlds import WORLDS, render
+
+MAP, N = MAPS / "visibility.yaml", 6
+ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short drive, its reach and odometry known."""
+    poses = np.array([[4.0 + 0.5 * k, 8.0, 0.02 * k] for k in range(N)])
+    ranges = simulate_ranges(
+        render(WORLDS["visibility"](), 0.05), poses, ANGLES, seed=2, range_max=30.0
+    )
+    scans = tuple(LaserScan(r, ANGLES, range_max=30.0) for r in ranges)
+    odom = noisy_odometry(poses, np.random.default_rng(0))
+    path = tmp_path_factory.mktemp("slips") / "log.npz"
+    save_scans(path, ScanSet(scans, poses, 100.0 + np.arange(N), odom))
+    return path
+
+
+def by_all(map_path: Path, log: Path, folder: Path, *words: object) -> dict[str, str]:
+    """What each command says on standard error; each must succeed."""
+    runs = {
+        "localize": call("localize", map_path, log, "--index", 0, *words),
+        "track": call("track", map_path, log, *words),
+        "batch": call("batch", map_path, log, "--out", folder / "out", "--workers", 1, *words),
+    }
+    assert {name: run.code for name, run in runs.items()} == dict.fromkeys(runs, 0), runs
+    return {name: run.err for name, run in runs.items()}
+
+
+# --- scans
+
+
+def test_a_byte_order_mark_takes_no_scan_of_a_log(log: Path, tmp_path: Path) -> None:
+    ranges = [scan.ranges for scan in load_scans(log).scans]
+    lines = [
+        f"FLASER {len(r)} {' '.join(f'{v:.3f}' for v in r)} 0 0 0 {k} 0 0 {100 + k} robot {k}"
+        for k, r in enumerate(ranges)
+    ]
+    for name in ("plain.log", "marked.log", "marked"):
+        mark = codecs.BOM_UTF8 if "marked" in name else b""
+        (tmp_path / name).write_bytes(mark + "\n".join(lines).encode())
+        got = load_scans(tmp_path / name, fov=2 * np.pi)
+        assert len(got) == N
+        np.testing.assert_allclose(got[0].ranges, ranges[0], atol=1e-3)
+    words = ("--fov-deg", 360, "--index", 0, "--json")
+    poses = [
+        rows(call("localize", MAP, tmp_path / name, *words).out)[0]["pose"]
+        for name in ("plain.log", "marked.log")
+    ]
+    assert poses[0] == poses[1]
+    assert poses[0] is not None
+
+
+def coded(log: Path, path: Path, code: float) -> list[int]:
+    """The log as a driver writes it that says no reach, a fifth of its rays being a code."""
+    scans = load_scans(log)
+    lines, real = [], []
+    for k, scan in enumerate(scans.scans):
+        ranges = np.where(np.arange(len(ANGLES)) % 5 == k % 5, code, np.minimum(scan.ranges, 29.0))
+        real.append(int((ranges != code).sum()))
+        odom, about = scans.odom[k].tolist(), {"stamp": 100.0 + k}
+        line = {"ranges": ranges.tolist(), "angles": ANGLES.tolist(), "odom": odom, **about}
+        lines.append(json.dumps(line))
+    path.write_text("\n".join(lines))
+    return real
+
+
+def test_a_code_for_nothing_seen_is_no_wall(log: Path, tmp_path: Path, caplog, monkeypatch) -> None:
+    path = tmp_path / "coded.jsonl"
+    real = coded(log, path, 81.83)
+    said = "range_max = 81.83; give range_max in the file if these are distances"
+    for name, err in by_all(MAP, path, tmp_path).items():
+        assert err.count(said) == 1, (name, err)
+    run = call("localize", MAP, path, "--json")
+    assert [row["counts"]["valid"] for row in rows(run.out)] == real
+    assert {row["verdict"] for row in rows(run.out)} == {"unique"}
+    monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)  # as in a program
+    with caplog.at_level(logging.WARNING):
+        assert {scan.range_max for scan in load_scans(path).scans} == {81.83}
+    assert said in caplog.text
+    saved = tmp_path / "coded.npz"  # an NPZ is looked at as well
+    np.savez(saved, ranges=np.stack([s.ranges for s in load_scans(path).scans]), angles=ANGLES)
+    assert load_scans(saved)[0].range_max == 81.83
+
+
+def test_ranges_that_repeat_are_no_codes(log: Path, tmp_path: Path) -> None:
+    """A round room, readings in whole metres, a wall that one scan sees: none of them is a code."""
+    rng = np.random.default_rng(0)
+    wall = np.where(np.arange(120) < 30, 9.0, rng.random(120) * 8)
+    far = [rng.random(120) * 12 for _ in range(3)]
+    for name, ranges in (
+        ("round", np.full((2, 120), 4.2)),
+        ("whole", rng.integers(1, 6, (2, 120)).astype(float)),
+        ("wall", np.stack([wall, *far])),
+    ):
+        np.savez(tmp_path / f"{name}.npz", ranges=ranges, angles=ANGLES)
+        assert np.isinf(load_scans(tmp_path / f"{name}.npz")[0].range_max), name
+    np.savez(tmp_path / "one.npz", ranges=wall, angles=ANGLES)
+    assert load_scans(tmp_path / "one.npz")[0].range_max == 9.0
+    np.savez(tmp_path / "said.npz", ranges=wall, angles=ANGLES, range_max=30.0)
+    assert load_scans(tmp_path / "said.npz")[0].range_max == 30.0  # who says it, is believed
+
+
+def test_a_sensor_in_centimetres_is_refused(log: Path, tmp_path: Path) -> None:
+    words = ("--sensor", "100,0,0")
+    for run in (
+        call("localize", MAP, log, *words),
+        call("track", MAP, log, *words),
+        call("batch", MAP, log, "--out", tmp_path / "out", *words),
+    ):
+        assert run.code == 2
+        assert "--sensor: got 100,0: 100 m from the robot's base, expected at most 5 m" in run.err
+        assert "centimetres" in run.err
+    for make in (
+        lambda: LaserScan([1.0], [0.0], T_base_laser=Pose2D(100.0, 0.0)),
+        lambda: Job(mount=Pose2D(100.0, 0.0)),
+        lambda: Sensor(mount=Pose2D(100.0, 0.0)),
+    ):
+        with pytest.raises(ConfigError, match="centimetres"):
+            make()
+    assert call("localize", MAP, log, "--index", 0, "--sensor", "0.3,0,180deg").code == 0
+
+
+def test_a_mount_in_a_json_line_is_where_the_sensor_sits(log: Path, tmp_path: Path) -> None:
+    scan = load_scans(log)[0]
+    line = {"ranges": scan.ranges.tolist(), "angles": ANGLES.tolist(), "range_max": 30}
+    path = tmp_path / "one.jsonl"
+    for mount in ([0.3, 0.0, 3.0], {"x": 0.3, "y": 0.0, "theta": 3.0}):
+        path.write_text(json.dumps(line | {"mount": mount}))
+        (row,) = rows(call("localize", MAP, path, "--json").out)
+        away = np.subtract(*([row[k]["x"], row[k]["y"]] for k in ("pose", "base_pose")))
+        assert np.hypot(*away) == pytest.approx(0.3)
+        assert call("localize", MAP, path, "--sensor", "0.1,0,0").code == 0
+    for mount, says in (
+        ("front", "mount: got type <U5, expected numbers"),
+        ([0.1, 0.0], "mount: got 2 numbers, expected x, y, theta"),
+        ([0.1, 0.0, None], "mount: got type object"),
+        ([1e999, 0.0, 0.0], "mount[0]: got inf"),
+        ([30, 0, 0], "got 30,0: 30 m from the robot's base"),
+    ):
+        path.write_text(json.dumps(line | {"mount": mount}))
+        run = call("localize", MAP, path)
+        assert (run.code, f"{path}: line 1: " in run.err, says in run.err) == (4, True, True), run
+
+
+def test_where_sensors_sit_and_when_is_kept(tmp_path: Path) -> None:
+    ranges = np.full(9, 2.0)
+    mounts = (Pose2D(0.2, -0.1, 3.0), None, Pose2D(0.0, 0.0))
+    scans = [
+        LaserScan(ranges, ANGLES[:9], 0.1, 9.0, 7.5 + k, mount) for k, mount in enumerate(mounts)
+    ]
+    save_scans(tmp_path / "a.npz", ScanSet(tuple(scans)))
+    got = load_scans(tmp_path / "a.npz")
+    assert tuple(scan.T_base_laser for scan in got.scans) == mounts
+    assert [scan.stamp for scan in got.scans] == [7.5, 8.5, 9.5]
+    bare = replace(scans[1], stamp=np.nan)
+    save_scans(tmp_path / "b.npz", ScanSet((bare,)))
+    with np.load(tmp_path / "b.npz") as arrays:
+        assert set(arrays) == {"ranges", "angles", "range_min", "range_max"}
+    for mount, says in (
+        ([0.0, 1.0], "shape"),
+        ([0.0, np.nan, 0.0], "finite"),
+        ([9.0, 0, 0], "5 m"),
+    ):
+        np.savez(tmp_path / "c.npz", ranges=ranges, angles=ANGLES[:9], mount=mount)
+        run = call("localize", MAP, tmp_path / "c.npz")
+        assert (run.code, says in run.err) == (4, True), run.err
