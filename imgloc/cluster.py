@@ -5,6 +5,7 @@ On each thread of the cluster's workers an item runs in a process of its own, se
 """
 
 import contextlib
+import logging
 import socket
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
@@ -17,6 +18,7 @@ from imgloc.features.budget import default_budget
 from imgloc.workers import LOST, call_in_child
 
 LOCAL = "local"
+_TALKERS = ("distributed.client", "tornado.application")  # of a lost cluster, in many lines
 _WAIT = 30.0  # seconds for the scheduler, and for its first worker
 
 
@@ -80,6 +82,10 @@ def cluster(
         raise ConfigError("--dask: needs Dask; install it with: pip install 'imgloc[cluster]'") \
             from None  # fmt: skip
     with contextlib.ExitStack() as stack:
+        for name in _TALKERS:
+            logger = logging.getLogger(name)
+            stack.callback(logger.setLevel, logger.level)
+            logger.setLevel(logging.CRITICAL)
         try:
             if address == LOCAL:
                 here = LocalCluster(

@@ -13,7 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from command import ROOT, call
+from command import ROOT, call, command
 from killers import Saboteur
 from places import room_with_a_post
 
@@ -51,14 +51,25 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """A scheduler and two workers, started by the commands of the README, but for the port."""
-    file = tmp_path_factory.mktemp("dask") / "scheduler.json"
+    """A cluster for all that leave it as it is."""
+    with started(tmp_path_factory.mktemp("dask")) as (found, _):
+        yield found
+
+
+@contextlib.contextmanager
+def started(folder: Path) -> Iterator[tuple[str, int]]:
+    """A scheduler and two workers, started by the commands of the README, but for the port.
+
+    Gives the address of the scheduler, and the number of its process.
+    """
+    file = folder / "scheduler.json"
     known = ["--scheduler-file", str(file), "--no-dashboard"]
     commands = (
         ["scheduler", "--host", "127.0.0.1", "--port", "0", *known],
         ["worker", "--nworkers", "2", "--nthreads", "1", "--host", "127.0.0.1", *known],
     )
     with contextlib.ExitStack() as stack:
+        pids = []
         for words in commands:
             run = stack.enter_context(
                 subprocess.Popen(
@@ -70,12 +81,13 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
                 )
             )
             stack.callback(run.terminate)
+            pids.append(run.pid)
         while not (file.exists() and file.read_text().endswith("}")):  # it is not written at once
             time.sleep(0.02)
         found = json.loads(file.read_text())["address"]
         with distributed.Client(found) as client:
             client.wait_for_workers(2, timeout=60)
-        yield found
+        yield found, pids[0]
 
 
 def timeless(folder: Path) -> list[str]:
@@ -124,6 +136,32 @@ def test_the_command_runs_there(site: Path, address: str, tmp_path: Path) -> Non
     words = ["batch", site / "post.yaml", site / "scans" / "s00.npz", "--out", tmp_path / "out"]
     run = call(*words, "--dask", address, "--method", "cbml", "--cell", 0.2, "--no-cache")
     assert (run.code, run.out.splitlines()[0]) == (0, "1 items: 1 ok"), run.err
+
+
+def test_a_scheduler_that_is_killed_answers_for_no_item(site: Path, tmp_path: Path) -> None:
+    (tmp_path / "scans").mkdir()
+    for k in range(60):
+        shutil.copy(site / "scans" / f"s{k % 12:02d}.npz", tmp_path / "scans" / f"s{k:02d}.npz")
+    words = ["batch", site / "post.yaml", tmp_path / "scans", "--out", tmp_path / "out"]
+    words += ["--method", "cbml", "--cell", 0.05, "--no-cache"]
+    rows = tmp_path / "out" / "results.jsonl"
+    with started(tmp_path) as (there, scheduler):
+        run = subprocess.Popen(command([*words, "--dask", there]), stderr=subprocess.PIPE)
+        while run.poll() is None and not (rows.exists() and rows.stat().st_size):
+            time.sleep(0.005)
+        os.kill(scheduler, signal.SIGKILL)
+        _, said = run.communicate(timeout=60)
+    assert run.returncode == 1
+    assert said.decode().splitlines() == [
+        "imgloc: 60 items: 1 maps, 60 files of scans",
+        "imgloc: error: the cluster is lost; what is done is kept, --resume goes on",
+    ]
+    statuses = [row["status"] for row in read_rows(tmp_path / "out")]
+    assert 1 <= len(statuses) < 60
+    assert set(statuses) == {"ok"}
+    again = call(*words, "--resume", "--workers", 2)
+    assert again.out.startswith("60 items: 60 ok"), again.err
+    assert f"\n{60 - len(statuses)} new rows" in again.out
 
 
 def test_no_cluster_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
