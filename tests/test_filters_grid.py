@@ -7,12 +7,22 @@ import pytest
 from places import POSES, features_of, room_with_a_post, scan_of
 
 from imgloc.errors import ConfigError
-from imgloc.filters.grid import GridFilter, GridOptions, gaussian, predict, turn
+from imgloc.filters.grid import (
+    GridFilter,
+    GridOptions,
+    _shift_far,
+    _shift_near,
+    gaussian,
+    predict,
+    turn,
+)
 from imgloc.filters.motion import MotionNoise, deviations
 from imgloc.geometry import in_grid_frame, uniform_thetas, wrap
+from imgloc.io.scanset import ScanSet
 from imgloc.model import Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import prepare
+from imgloc.tracking import follow
 
 
 def spread_1d(shift: float, sigma: float, count: int) -> dict[int, float]:
@@ -129,3 +139,48 @@ def test_memory_is_estimated_before_it_is_taken() -> None:
     features = prepare(room_with_a_post())
     with pytest.raises(ConfigError, match="use larger cells"):
         GridFilter(features, Options(memory_budget=10_000))
+
+
+def test_wide_blurs_are_as_narrow_ones_by_another_way() -> None:
+    image = np.random.default_rng(0).random((30, 41), np.float32)
+    for shift in ((3.25, -2.0), (-30.0, 12.5), (80.0, 0.0)):
+        near, far = (f(image, np.array(shift), 16.0) for f in (_shift_near, _shift_far))
+        np.testing.assert_allclose(far, near, atol=2e-3)
+
+
+@pytest.mark.parametrize("seen", [False, True])
+def test_motion_between_two_looks_takes_the_box_along(seen: bool) -> None:
+    features = prepare(room_with_a_post(160, 60))
+    grid = GridFilter(features)
+    grid.place(np.array([0.5, 3.0, 0.0]), (0.05, 0.05))
+    for _ in range(16):
+        grid.move(np.array([0.25, 0.0, 0.0]))
+        if seen:  # what a look does to the box
+            grid._sparse()
+        assert grid._belief.shape[2] < 0.6 * features.lattice.width
+    np.testing.assert_allclose(grid.belief.poses[0], [4.5, 3.0, 0.0], atol=0.1)
+    assert grid.stack.sum() == pytest.approx(1, abs=1e-5)
+
+
+@pytest.mark.parametrize("metres", [5.0, 12.0, 1e4, 1e150])
+def test_a_jump_of_the_odometry_costs_what_the_map_costs(metres: float) -> None:
+    features = features_of("large")  # wide: loops over all that the jump may be take minutes
+    grid = GridFilter(features)
+    grid.place(local("large"), (0.1, 0.1))
+    grid.move(np.array([metres, 0.0, 0.0]))
+    lost = grid.belief.verdict == "lost" and not len(grid.belief.poses)
+    assert lost == (metres > 100)
+    assert grid.stack.sum() == pytest.approx(1, abs=1e-4)
+
+
+def test_a_log_that_jumps_off_the_map_is_lost_and_found_again() -> None:
+    features, scan = features_of("curved"), scan_of("curved")
+    odom = np.array([[0.0, 0, 0], [0, 0, 0.01], [300.0, 0, 0]])
+    scans = ScanSet((scan,) * 3, odom=odom, stamps=10.0 * np.arange(3))
+    grid = GridFilter(features, how=GridOptions(method="cbml"))
+    moments = list(follow(features, scans, grid, start=Pose2D(*POSES["curved"])))
+    assert [m.belief.verdict for m in moments][2] != "unique"
+    assert (
+        np.hypot(moments[2].best.x - POSES["curved"][0], moments[2].best.y - POSES["curved"][1])
+        < 0.5
+    )

@@ -23,8 +23,11 @@ from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, LaserSca
 from imgloc.options import Options
 from imgloc.pipeline import likelihood, posterior_of
 
+_ROOT = float(np.sqrt(2 * np.pi))
 _FINE = 32  # warpAffine interpolates between so many places of a pixel
 _COPIES = 4  # stacks that are held at a time
+_WIDE = 16.0  # cells: a blur that is wider costs less as a product of matrices
+_LEFT = 1e-4  # share of the mass that a motion has to leave on the map, or it was no such motion
 _EXACT = MotionNoise(0.0, 0.0, 0.0, 0.0, (0.0, 0.0))
 
 
@@ -67,6 +70,11 @@ def predict(
     free : (H, W) bool array
         Cells that can hold mass; what would leave them is spread over the others.
 
+    Returns
+    -------
+    (K, H, W) float32 array
+        With the sum of `belief`; all zero if next to nothing of it would stay on free cells.
+
     Examples
     --------
     >>> belief = np.zeros((4, 5, 5), np.float32)
@@ -79,35 +87,51 @@ def predict(
     """
     first, along, second = deviations(increment, noise).tolist()
     go = float(np.hypot(*increment[:2]))
-    # Across, a first turn that was wrong; the kernel is round, and as wide as the wider.
-    kernel = gaussian(max(along, first * go) / resolution)
-    out, (height, width) = np.empty_like(belief), belief.shape[1:]
-    rim = len(kernel) // 2 + 1
-    size = width + 2 * rim, height + 2 * rim
+    # Across, a first turn that was wrong; the blur is round, and as wide as the wider.
+    sigma, out = max(along, first * go) / resolution, np.empty_like(belief)
+    shift = _shift_far if sigma > _WIDE else _shift_near
     for k, theta in enumerate(thetas):
-        x, y = np.rint(rotation(theta) @ increment[:2] * (_FINE / resolution)) / _FINE
-        # With a rim: what is shifted off the map may be blurred back onto it.
-        M = np.array([[1.0, 0.0, x + rim], [0.0, 1.0, y + rim]])
-        moved = cv2.warpAffine(belief[k], M, size, flags=cv2.INTER_LINEAR)
-        blurred = cv2.sepFilter2D(moved, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
-        out[k] = blurred[rim : rim + height, rim : rim + width]
+        out[k] = shift(belief[k], rotation(theta) @ increment[:2] / resolution, sigma)
     out = turn(out, float(increment[2]), float(np.hypot(first, second)))
     out *= free
-    whole = out.sum(dtype=np.float64)
-    if whole > 0:
-        out *= np.float32(belief.sum(dtype=np.float64) / whole)
+    before, whole = belief.sum(dtype=np.float64), out.sum(dtype=np.float64)
+    out *= np.float32(before / whole if whole > _LEFT * before else 0.0)
     return out
+
+
+def _shift_near(image: Float32Array, shift: FloatArray, sigma: float) -> Float32Array:
+    """Shift an image (H, W) by x and y (2,), pixels, and blur it by `sigma` pixels."""
+    kernel, (height, width) = gaussian(sigma), image.shape
+    # With a rim: what is shifted off the map may be blurred back onto it.
+    rim = len(kernel) // 2 + 1
+    x, y = np.rint(shift * _FINE) / _FINE
+    M = np.array([[1.0, 0.0, x + rim], [0.0, 1.0, y + rim]])
+    size = width + 2 * rim, height + 2 * rim
+    moved = cv2.warpAffine(image, M, size, flags=cv2.INTER_LINEAR)
+    blurred = cv2.sepFilter2D(moved, cv2.CV_32F, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(blurred[rim : rim + height, rim : rim + width])
+
+
+def _shift_far(image: Float32Array, shift: FloatArray, sigma: float) -> Float32Array:
+    """The same, from every row and column to every other: the cost is that of the map alone."""
+    x, y = (
+        np.exp(-0.5 * np.square((np.subtract.outer(i, i) - by) / sigma)) / (sigma * _ROOT)
+        for by, i in zip(shift, map(np.arange, image.shape[::-1]), strict=True)
+    )
+    return np.asarray(y.astype(np.float32) @ image @ x.astype(np.float32).T)
 
 
 def turn(stack: Float32Array, angle: float, sigma: float) -> Float32Array:
     """Move a stack (K, H, W) around the circle by an angle, and blur it by `sigma`, radians."""
     step = 2 * np.pi / len(stack)
     whole, part = divmod(angle / step, 1.0)
-    taps = np.convolve(gaussian(sigma / step).ravel(), [1 - part, part])
-    out, half = np.zeros_like(stack), (len(taps) - 2) // 2
-    for j, weight in enumerate(taps):
+    # Wider than the circle is all around it, however much wider.
+    taps = np.convolve(gaussian(min(sigma, 2 * np.pi) / step).ravel(), [1 - part, part])
+    by = np.arange(len(taps)) + int(whole) - (len(taps) - 2) // 2
+    out = np.zeros_like(stack)
+    for j, weight in enumerate(np.bincount(by % len(stack), taps, len(stack))):
         if weight > 0:
-            out += np.float32(weight) * np.roll(stack, int(whole) + j - half, axis=0)
+            out += np.float32(weight) * np.roll(stack, j, axis=0)
     return out
 
 
@@ -149,6 +173,7 @@ class GridFilter:
         self._belief = np.zeros(shape, np.float32)
         self._belief[:] = self._free / max(1, shape[0] * int(np.count_nonzero(self._free)))
         self._resets, self._seen = 0, False
+        self._room = np.inf  #: metres that the mass can still move within the box
         self._habits, self._last, self._followed = Habits(), Habit(), Followed()
 
     @property
@@ -184,10 +209,20 @@ class GridFilter:
         self._habits.move(increment)
         if not self._seen:
             return  # what is uniform stays so
+        first, along, _ = deviations(increment, self.how.noise).tolist()
+        go = float(np.hypot(*increment[:2]))
+        reach = go + 3 * max(along, first * go)
+        if reach > self._room:
+            self._sparse(reach)
+        self._room -= reach
         self._belief = predict(
             self._belief, self.thetas, self.lattice.resolution,
             self._free[self._box], increment, self.how.noise,
         )  # fmt: skip
+        if not self._belief.any():  # the robot is not where it was believed to be
+            self._dense()
+            self._seen = False
+            self._normalise()
 
     def watch(self, scan: LaserScan) -> bool:
         """Whether a scan contradicts the best place."""
@@ -275,16 +310,17 @@ class GridFilter:
     def _dense(self) -> None:
         self._belief = self.stack
         self._box = (slice(0, self.lattice.height), slice(0, self.lattice.width))
+        self._room = np.inf
 
-    def _sparse(self) -> None:
-        """Keep the box around nearly all of the mass alone, if it is small."""
+    def _sparse(self, reach: float = 0.0) -> None:
+        """Keep the box around nearly all of the mass alone, and metres around it, if small."""
         stack, ends = self._belief, []
         image = stack.sum(axis=0, dtype=np.float64)
-        tail = (1 - self.how.box) / 4
+        tail, room = (1 - self.how.box) / 4, self.how.margin + reach
+        around = int(min(np.ceil(room / self.lattice.resolution), max(self.lattice.shape)))
         for axis, old in ((1, self._box[0]), (0, self._box[1])):
             sums = np.cumsum(image.sum(axis=axis))
             low, high = np.searchsorted(sums, [tail * sums[-1], (1 - tail) * sums[-1]])
-            around = int(np.ceil(self.how.margin / self.lattice.resolution))
             ends.append((old.start + int(low) - around, old.start + int(high) + around + 1))
         limits = self.lattice.shape
         box = tuple(slice(max(0, a), min(n, b)) for (a, b), n in zip(ends, limits, strict=True))
@@ -292,7 +328,7 @@ class GridFilter:
             self._dense()
             return
         whole = self.stack
-        self._box = (box[0], box[1])
+        self._box, self._room = (box[0], box[1]), room
         self._belief = np.ascontiguousarray(whole[:, box[0], box[1]])
         self._normalise()
 
