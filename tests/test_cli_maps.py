@@ -64,7 +64,7 @@ def test_show_draws_every_subject(what: str, grey: Path, tmp_path: Path) -> None
     out = tmp_path / f"{what}.png"
     code, text, err = call("map", "show", grey, "--what", what, "--out", out)
     assert (code, text) == (0, "")
-    assert err.startswith(f"imgloc: wrote {out}: {what}, ")
+    assert err.splitlines()[-1].startswith(f"imgloc: wrote {out}: {what}, ")
     picture = cv2.imdecode(np.frombuffer(out.read_bytes(), np.uint8), cv2.IMREAD_COLOR)
     assert picture is not None
     below = picture.shape[0] - picture.shape[1] * 3 // 4  # a bar of the colours

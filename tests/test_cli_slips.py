@@ -3,15 +3,18 @@
 import codecs
 import json
 import logging
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import PIL.Image
 import pytest
 from command import MAPS, call, rows
 
 from imgloc.errors import ConfigError
 from imgloc.filters.motion import noisy_odometry
+from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.jobs import Job
@@ -186,3 +189,59 @@ def test_where_sensors_sit_and_when_is_kept(tmp_path: Path) -> None:
         np.savez(tmp_path / "c.npz", ranges=ranges, angles=ANGLES[:9], mount=mount)
         run = call("localize", MAP, tmp_path / "c.npz")
         assert (run.code, says in run.err) == (4, True), run.err
+
+
+# --- maps
+
+
+def copy_of_map(folder: Path, **changes: object) -> Path:
+    """The map in a folder of its own, some values of its YAML changed."""
+    shutil.copy(MAP.with_suffix(".png"), folder)
+    said = {"image": "visibility.png", "resolution": 0.1, "origin": "[0, 0, 0]"} | changes
+    (folder / MAP.name).write_text("".join(f"{key}: {value}\n" for key, value in said.items()))
+    return folder / MAP.name
+
+
+def test_an_image_beside_its_yaml_is_in_another_frame(log: Path, tmp_path: Path) -> None:
+    image = copy_of_map(tmp_path, origin="[-12.5, -8, 0]").with_suffix(".png")
+    resolution = load_map(MAP).resolution
+    said = f"{image}: visibility.yaml, which is of this image, is not read: origin [-12.5, -8, 0]"
+    for name, err in by_all(image, log, tmp_path, "--resolution", resolution).items():
+        assert err.count(said) == 1, (name, err)
+        assert "give visibility.yaml instead" in err
+    both = ("--resolution", 2 * resolution, "--index", 0)
+    assert f"resolution {resolution:g} there" in call("localize", image, log, *both).err
+    same = ("--resolution", resolution, "--origin", "-12.5,-8,0", "--index", 0)
+    assert "frame" not in call("localize", image, log, *same).err
+    (tmp_path / MAP.name).unlink()
+    assert "frame" not in call("localize", image, log, *same[:2], "--index", 0).err
+
+
+def test_an_image_in_another_frame_is_said_in_python(tmp_path: Path, caplog, monkeypatch) -> None:
+    monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
+    path = copy_of_map(tmp_path, origin="[-12.5, -8, 0]")
+    with caplog.at_level(logging.WARNING):
+        load_map(path)
+        assert caplog.text == ""
+        load_map(path.with_suffix(".png"), resolution=0.1)
+    assert "poses are in another frame" in caplog.text
+
+
+def test_unknown_cells_that_count_as_free_are_said(
+    log: Path, tmp_path: Path, caplog, monkeypatch
+) -> None:
+    pixels = np.array(PIL.Image.open(MAP.with_suffix(".png")))
+    pixels[pixels > 128] = 254
+    pixels[:20] = 205
+    path = copy_of_map(tmp_path, free_thresh=0.25)
+    PIL.Image.fromarray(pixels).save(path.with_suffix(".png"))
+    said = f"{20 * pixels.shape[1]:,} cells of grey 205, map_saver's unknown, count as free"
+    for name, err in by_all(path, log, tmp_path).items():
+        assert err.count(said) == 1, (name, err)
+        assert "0.196 keeps them unknown" in err
+    assert said in call("map", "check", path).out
+    assert said not in call("localize", path, log, "--index", 0, "--free-thresh", 0.196).err
+    monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
+    with caplog.at_level(logging.WARNING):
+        load_map(path)
+    assert said in caplog.text

@@ -17,6 +17,7 @@ from imgloc.io.files import PathLike, display
 from imgloc.io.images import MAX_PIXELS, ImageSize, MapImage, read_image
 from imgloc.io.maps import (
     DRAWN,
+    GREY_205,
     MAX_SIDE,
     SWAPPED,
     MapSettings,
@@ -28,6 +29,7 @@ from imgloc.io.maps import (
     looks_drawn,
     looks_swapped,
     resolve_settings,
+    unknown_as_free,
 )
 from imgloc.model import OccupancyGrid, Pose2D, plain
 
@@ -49,8 +51,7 @@ _WARNINGS = {
     "semantics": "{differ:,} cells differ between Nav2 and ROS 1; check --semantics "
     "(now {semantics})",
     "colour": "{tinted:,} cells are coloured; their channels are averaged",
-    "grey-205": "{trap:,} cells of grey 205, map_saver's unknown, count as free because "
-    "free_thresh is {free_thresh:g}; 0.196 keeps them unknown",
+    "grey-205": GREY_205,
     "no-walls": "no cell is occupied: nothing can be localized",
     "mostly-occupied": "{share:.0%} of the cells are occupied; is negate right?",
     "swapped": SWAPPED,
@@ -188,19 +189,14 @@ def _warnings(
     n: dict[str, int],
 ) -> tuple[MapWarning, ...]:  # fmt: skip
     """Findings about the file, its frame and reading, and the greys; `n` counts cells."""
-    (height, width), free = grid.info.shape, grid.free
-    said, clear, trap, tinted = used.yaml, 0, 0, 0
+    height, width = grid.info.shape
+    said, clear, trap, tinted = used.yaml, 0, unknown_as_free(image, used, grid), 0
     unknown_keys, area = said.unknown_keys if said else (), n["free"] * used.resolution**2
     if image.channels == 4:
         clear = int(np.count_nonzero(image.pixels[:, :, 3] < image.white))
     if image.channels > 1:
         colours = image.pixels[:, :, :3]
         tinted = int(np.count_nonzero(colours.max(axis=2) != colours.min(axis=2)))
-    if used.mode != "raw":
-        # map_saver writes unknown as 205: occ = 0.196, just above its own free_thresh.
-        full = image.white * min(image.channels, 3)
-        is_205 = np.round(np.arange(full + 1) * (255 / full)) == 205
-        trap = int(np.count_nonzero(is_205[sums] & free))
     # Where much grey 205 is read as free, that is why nothing is unknown.
     swapped, few = looks_swapped(grid), 200 * trap < sums.size
     known = n["free"] and n["occupied"] and few and not swapped and lacks_unknown(grid)

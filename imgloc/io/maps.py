@@ -12,6 +12,8 @@ counts the cells that they read differently.
 True
 """
 
+import contextlib
+import logging
 import math
 import os
 from collections.abc import Sequence
@@ -39,6 +41,7 @@ from imgloc.io.images import MAX_PIXELS, ImageSize, MapImage, encode_png, read_i
 from imgloc.io.mapyaml import MODES, RESOLUTION_RANGE, MapYaml, load_map_yaml
 from imgloc.model import BoolArray, OccupancyGrid, Pose2D
 
+_LOG = logging.getLogger("imgloc")
 MAX_SIDE = 32_767
 """Cells a side: the limit of Nav2 (map_io) and of ``cv2.remap``."""
 SEMANTICS = ("nav2", "ros1")
@@ -120,6 +123,8 @@ def load_map(
         A file is missing, damaged, too large or contradicts itself; an argument is out of range.
     """
     settings = resolve_settings(path, **reading)
+    if settings.yaml is None:
+        _warn_of_other_frame(settings)
     most = reading.get("max_pixels", MAX_PIXELS)
     image = read_image(settings.image, max_pixels=most, allow_lossy=allow_lossy)
     height, width = image.pixels.shape[:2]
@@ -127,7 +132,60 @@ def load_map(
         found = f"{display(settings.image)}: {width:,} x {height:,} cells"
         hint = "crop or downsample the map"
         raise MapError(f"{found}, expected at most {MAX_SIDE:,} a side; {hint}")
-    return grid_of(image, settings)
+    grid = grid_of(image, settings)
+    if _MUCH * (trap := unknown_as_free(image, settings, grid)) > grid.free.size:
+        said = GREY_205.format(trap=trap, free_thresh=settings.free_thresh)
+        _LOG.warning("%s: %s", display(path), said)
+    return grid
+
+
+def _warn_of_other_frame(settings: MapSettings) -> None:
+    """Say of a bare image that a YAML beside it, which is not read, puts it elsewhere."""
+    for beside in map(settings.image.with_suffix, YAML_ENDINGS):
+        with contextlib.suppress(MapError, OSError):
+            said = load_map_yaml(beside)
+            if not said.image.samefile(settings.image):
+                continue
+            theirs = resolve_settings(beside)
+            found = [
+                f"{key} {values[0]} there, {values[1]} here"
+                for key in ("origin", "resolution")
+                if (values := [_plainly(getattr(s, key)) for s in (theirs, settings)])[0]
+                != values[1]
+            ]
+            if found:
+                _LOG.warning(
+                    "%s: %s, which is of this image, is not read: %s; poses are in another frame; "
+                    "give %s instead, or say the same", display(settings.image),
+                    display(beside.name), ", ".join(found), display(beside.name),
+                )  # fmt: skip
+
+
+def _plainly(value: object) -> str:
+    if isinstance(value, Pose2D):
+        return f"[{value.x:g}, {value.y:g}, {value.theta:g}]"
+    return f"{value:g}"
+
+
+GREY_205 = (
+    "{trap:,} cells of grey 205, map_saver's unknown, count as free because free_thresh is "
+    "{free_thresh:g}; 0.196 keeps them unknown"
+)
+_MUCH = 200  # one cell in so many
+
+
+def unknown_as_free(image: MapImage, settings: MapSettings, grid: OccupancyGrid) -> int:
+    """How many cells of the grey that map_saver writes for unknown are read as free.
+
+    Grey 205 is an occupancy of 0.196, just above map_saver's own free_thresh.
+    """
+    if settings.mode == "raw" or settings.negate or settings.free_thresh < 1 - 205.5 / 255:
+        return 0
+    upright = image.pixels[::-1]  # row 0 at the bottom as in the grid; alpha aside
+    sums, channels = channel_sum(upright[:, :, :3] if image.channels > 1 else upright)
+    full = image.white * channels
+    is_205 = np.round(np.arange(full + 1) * (255 / full)) == 205
+    return int(np.count_nonzero(is_205[sums] & grid.free))
 
 
 SWAPPED = (
