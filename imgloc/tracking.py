@@ -1,7 +1,7 @@
 """A filter along a log: when it looks, what it publishes, and when it says nothing."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -97,10 +97,14 @@ def follow(
     """
     expect(features, MapFeatures, "features")
     expect(scans, ScanSet, "scans")
-    if scans.odom is None:
-        raise ScanError(
-            f"{name}: odom: missing, expected the odometry of each scan to track a robot"
-        )
+    known, indices = scans.with_odometry(name)
+    if scans.odom is None or known is not scans:
+        for moment in follow(
+            features, known, filter_, every=every, start=start, deviation=deviation, kidnap=kidnap,
+            name=name,
+        ):  # fmt: skip
+            yield replace(moment, index=indices[moment.index])
+        return
     every, grid = every or Every(), features.grid
     stamps = np.full(len(scans), np.nan) if scans.stamps is None else scans.stamps
     if (back := np.flatnonzero(np.diff(stamps) < 0)).size:

@@ -12,14 +12,19 @@ import PIL.Image
 import pytest
 from command import MAPS, call, rows
 
-from imgloc.errors import ConfigError
+from imgloc.errors import ConfigError, ScanError
+from imgloc.filters.choose import make_filter
 from imgloc.filters.motion import noisy_odometry
+from imgloc.io.cache import cache_limit
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.jobs import Job
 from imgloc.model import LaserScan, Pose2D
+from imgloc.options import Options
+from imgloc.pipeline import prepare
 from imgloc.simulation import Sensor, simulate_ranges
+from imgloc.tracking import follow
 from imgloc.worlds import WORLDS, render
 
 MAP, N = MAPS / "visibility.yaml", 6
@@ -191,6 +196,42 @@ def test_where_sensors_sit_and_when_is_kept(tmp_path: Path) -> None:
         assert (run.code, says in run.err) == (4, True), run.err
 
 
+def test_odometry_that_starts_late_costs_only_the_scans_before_it(
+    log: Path, tmp_path: Path, caplog, monkeypatch
+) -> None:
+    scans = load_scans(log)
+    lines = []
+    for k, (scan, (x, y, theta)) in enumerate(zip(scans.scans, scans.odom, strict=True)):
+        start = f"RAWLASER1 0 {ANGLES[0]} 6.2832 {np.deg2rad(3)} 30 0.01 0 {len(scan.ranges)}"
+        ranges = " ".join(f"{r:.4f}" for r in np.nan_to_num(scan.ranges, posinf=31.0))
+        lines.append(f"{start} {ranges} 0 {100 + k} robot {100 + k}")
+        if k >= 3:  # the first two scans are more than a second from it
+            lines.append(f"ODOM {x} {y} {theta} 0 0 0 {100 + k} robot {100 + k}")
+    path = tmp_path / "late.log"
+    path.write_text("\n".join(lines) + "\n")
+    got = load_scans(path)
+    assert len(got) == N  # nothing is lost to those who need no odometry
+    assert np.isfinite(got.odom).all(axis=1).tolist() == [False, False, True, True, True, True]
+    run = call("track", MAP, path, "--json", "--picture", tmp_path / "track.png")
+    assert run.code == 0, run.err
+    assert [row["index"] for row in rows(run.out)] == [2, 3, 4, 5]
+    said = "the odometry of 2 of 6 scans, 0 to 1, is not known, and they are left out"
+    assert run.err.count(said) == 1
+    run = call("localize", MAP, path, "--json")
+    assert [row["index"] for row in rows(run.out)] == list(range(N))
+    save_scans(tmp_path / "late.npz", got)
+    assert call("track", MAP, tmp_path / "late.npz").err.count(said) == 1
+    monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
+    features = prepare(load_map(MAP))
+    with caplog.at_level(logging.WARNING):
+        moments = list(follow(features, got, make_filter("tracker", features, Options())))
+    assert [moment.index for moment in moments] == [2, 3, 4, 5]
+    assert said in caplog.text
+    never = replace(got, odom=np.full((N, 3), np.nan))
+    with pytest.raises(ScanError, match="odom: missing"):
+        next(follow(features, never, make_filter("tracker", features, Options())))
+
+
 # --- maps
 
 
@@ -245,3 +286,27 @@ def test_unknown_cells_that_count_as_free_are_said(
     with caplog.at_level(logging.WARNING):
         load_map(path)
     assert said in caplog.text
+
+
+# --- the environment
+
+
+def test_a_limit_of_the_cache_that_is_no_number_is_refused(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for value in ("abc", "-5", "1e3", "٣", "9" * 400):
+        monkeypatch.setenv("IMGLOC_CACHE_MIB", value)
+        with pytest.raises(ConfigError, match="expected a whole number of MiB, such as 2048"):
+            cache_limit()
+    monkeypatch.setenv("IMGLOC_CACHE_MIB", "abc")
+    for run in (
+        call("localize", MAP, log),
+        call("track", MAP, log),
+        call("batch", MAP, log, "--out", tmp_path / "out"),
+        call("cache"),
+    ):
+        assert run.code == 2
+        assert "IMGLOC_CACHE_MIB: got 'abc', expected a whole number of MiB, such as" in run.err
+    assert call("localize", MAP, log, "--index", 0, "--no-cache").code == 0
+    monkeypatch.setenv("IMGLOC_CACHE_MIB", "3")
+    assert cache_limit() == 3 << 20

@@ -20,7 +20,7 @@ from imgloc.errors import ConfigError, MapError, OutputError, ScanError
 from imgloc.features.budget import MIB, PROCESS, check_budget, scans_bytes, simulate_bytes
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.store import load_features, save_features
-from imgloc.io.cache import cache_folder
+from imgloc.io.cache import cache_folder, cache_limit
 from imgloc.io.files import display, is_folder, refuse_existing
 from imgloc.io.images import ImageSize, image_size, read_image
 from imgloc.io.maps import (
@@ -224,6 +224,7 @@ def kept_in(given: Path | None, *, wanted: bool) -> Path | None:
         if given is not None:
             raise ConfigError("--cache and --no-cache: expected one of them")
         return None
+    cache_limit()  # nonsense is refused before the work
     try:
         return given or cache_folder()
     except OutputError as error:  # nothing but time is lost

@@ -39,7 +39,9 @@ def measure_sequences(
         scans = inputs.load_set(log, taken.memory_budget)
         mounting.check(scans.scans)
         cut = [mounting.mount(inputs.cut_scan(scan, range_max)) for scan in scans.scans]
-        scans, odometry = with_odometry(replace(scans, scans=tuple(cut)), trials.seed)
+        scans = replace(scans, scans=tuple(cut))
+        scans = scans if scans.odom is None else scans.with_odometry(display(log))[0]
+        scans, odometry = with_odometry(scans, trials.seed)
         for filter_ in filters:
             cell = {"cell": GRID_CELL} if filter_ == "grid" else {}
             features = prepare(grid, display(path), threads=taken.threads, **cell)

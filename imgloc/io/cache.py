@@ -25,7 +25,7 @@ import numpy.typing as npt
 import platformdirs
 
 from imgloc.__about__ import __version__
-from imgloc.errors import OutputError
+from imgloc.errors import ConfigError, OutputError
 from imgloc.io.files import PathLike, display, open_file, reason
 from imgloc.model import OccupancyGrid
 
@@ -61,11 +61,15 @@ def cache_folder() -> Path:
 
 
 def cache_limit() -> int:
-    """Bytes that a folder may take: :data:`LIMIT_MIB`, or what the environment says."""
+    """Bytes that a folder may take: :data:`LIMIT_MIB`, or what the environment says.
+
+    ConfigError if that is no number.
+    """
     given = os.environ.get("IMGLOC_CACHE_MIB", "")
-    if given and not given.isdecimal():
-        LOG.warning("IMGLOC_CACHE_MIB: got %r, expected a whole number of MiB", given)
-    return (int(given) if given.isdecimal() else LIMIT_MIB) << 20
+    if given and not re.fullmatch(r"\d{1,12}", given, re.ASCII):
+        expected = f"a whole number of MiB, such as {LIMIT_MIB}, or that it is not set"
+        raise ConfigError(f"IMGLOC_CACHE_MIB: got {given!r:.60}, expected {expected}")
+    return int(given or LIMIT_MIB) << 20
 
 
 def cache_info(folder: PathLike | None = None) -> CacheInfo:

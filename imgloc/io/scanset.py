@@ -49,7 +49,8 @@ class ScanSet:
     poses: FloatArray | None = None
     stamps: FloatArray | None = None  #: (N,), seconds
     #: (N, 3), pose of the **robot** in the odometry's frame; its sensor is at
-    #: ``compose(odom, T_base_laser)``, which is the same where a scan has none
+    #: ``compose(odom, T_base_laser)``, which is the same where a scan has none. NaN where it is
+    #: not known
     odom: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -72,6 +73,27 @@ class ScanSet:
     def with_poses(self) -> Iterator[tuple[LaserScan, FloatArray]]:
         """Each scan with its pose (3,), map frame; ValueError if these are not known."""
         return zip(self.scans, () if self.poses is None else self.poses, strict=True)
+
+    def with_odometry(self, name: str) -> "tuple[ScanSet, list[int]]":
+        """The scans whose odometry is known, and their indices; a warning tells of the others.
+
+        ScanError, by the `name` of the log, if there is no odometry at all.
+        """
+        indices = list[int]()
+        if self.odom is not None:
+            indices = np.flatnonzero(np.isfinite(self.odom).all(axis=1)).tolist()
+        if not indices:
+            missing = "odom: missing, expected the odometry of each scan to track a robot"
+            raise ScanError(f"{name}: {missing}")
+        if len(indices) == len(self):
+            return self, indices
+        left = sorted(set(range(len(self))) - set(indices))
+        _LOG.warning(
+            "%s: the odometry of %d of %d scans, %d to %d, is not known, and they are left out: do "
+            "scans and odometry begin and end together?",
+            name, len(left), len(self), left[0], left[-1],
+        )  # fmt: skip
+        return self.take(indices), indices
 
     def take(self, indices: Sequence[int]) -> "ScanSet":
         """The scans at some indices, in their order, with what was recorded beside them."""
@@ -190,11 +212,19 @@ def collect(entries: Sequence[Entry], name: str) -> ScanSet:
         if len(given) not in (0, len(scans)):
             some = f"in {len(given)} of {len(scans)} scans"
             raise ScanError(f"{name}: {key}: {some}, expected all or none")
-        poses = [_pose(value, where, key) for where, value in given]
+        poses = [
+            np.full(3, np.nan) if key == "odom" and _unknown(value) else _pose(value, where, key)
+            for where, value in given
+        ]
         beside[key] = np.array(poses) if poses else None
     times = np.array([scan.stamp for scan in scans])
     stamps = None if np.isnan(times).all() else times
     return ScanSet(_without_codes(scans, name), beside["pose"], stamps, beside["odom"])
+
+
+def _unknown(pose: Any) -> bool:
+    """Whether a pose of an array is NaN throughout: not known."""
+    return isinstance(pose, np.ndarray) and bool(np.isnan(pose).all())
 
 
 def _pose(value: Any, where: str, key: str) -> FloatArray:
@@ -315,8 +345,9 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
         if value.shape != shape:
             raise wrong(f"{name}: {key}", f"shape {value.shape}", f"{shape}")
         if key != "stamps":
-            _check_finite(value, name, key)
-            if (worst := np.abs(value[:, 2]).max()) > _MAX_TURN:
+            said = value[~np.isnan(value).all(axis=1)] if key == "odom" else value
+            _check_finite(said, name, key)
+            if (worst := np.abs(said[:, 2]).max(initial=0.0)) > _MAX_TURN:
                 raise wrong(f"{name}: {key}", f"a theta of {worst:g}", _DEGREES)
         beside[key] = value
     stamps = beside.get("stamps", np.full(n, np.nan)).tolist()
