@@ -178,7 +178,7 @@ def test_a_missing_cost_is_no_defect(folder: Path) -> None:
         ({"maps": 5}, "maps: got 5, expected a text"),
         ({"parameters": {"a": 5}}, "parameters.a: got 5, expected an object"),
         ({"job": []}, "job: got [], expected a text"),
-        ({"format": 7}, "no run.json of this version"),
+        ({"format": 7}, "is no run.json of this version"),
     ],
 )
 def test_what_decided_the_rows_was_edited(folder: Path, edit: dict, said: str) -> None:

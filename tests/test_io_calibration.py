@@ -78,14 +78,14 @@ def values(sigma_xy: float, temperature: object) -> dict[str, object]:
     ("change", "expected"),
     [
         ({"format": 2}, "format 1"),
-        ({"methods": []}, "methods: expected an object"),
-        ({"methods": {"fused": {}}}, "methods: expected an object with keys of cbml"),
-        ({"methods": {"ght": {"sigma_xy": 1}}}, "methods.ght: expected an object with sigma_xy"),
+        ({"methods": []}, "methods: got [], expected an object"),
+        ({"methods": {"fused": values(1, 1)}}, "methods: expected an object with keys of cbml"),
+        ({"methods": {"ght": {"sigma_xy": 1}}}, "methods.ght: no sigma_theta, expected a number"),
         ({"methods": {"ght": values(0, "1")}}, "got '1'"),
         ({"methods": {"ght": values(0, True)}}, "got True"),
         ({"methods": {"ght": values(0, 0)}}, "Calibration.temperature"),
         ({"methods": {"ght": values(-1, 1)}}, "sigma_xy"),
-        ({"methods": {"ght": values(float("nan"), 1)}}, "nan"),
+        ({"methods": {"ght": values(float("nan"), 1)}}, "sigma_xy: got None"),
     ],
 )
 def test_a_damaged_file_is_not_used(
@@ -94,6 +94,22 @@ def test_a_damaged_file_is_not_used(
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     assert load_calibrations(path, GRID) == ({}, Shared())
     assert expected in caplog.text
+
+
+@pytest.mark.parametrize("value", ["1e999", "9" * 400, "[" * 900, "null", '"\\ud800"'])
+@pytest.mark.parametrize("key", ["shared", "scale", "thinner", "about"])
+def test_numbers_that_no_float_holds_are_a_warning(
+    path: Path, key: str, value: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    content = json.loads(path.read_text()) | {"shared": {"scale": 1.0, "thinner": 0}}
+    of = content if key in content else content["shared"]
+    of[key] = "HERE"
+    path.write_text(json.dumps(content).replace('"HERE"', value))
+    if (key, value) == ("about", "null"):
+        assert load_calibrations(path, GRID) == (FITTED, Shared())
+    else:
+        assert load_calibrations(path, GRID) == ({}, Shared())
+        assert len(caplog.records) == 1
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[1]", b"\xff\xfe", b"[" * 100_000, b" " * 2**21])

@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from imgloc.__about__ import __version__
-from imgloc.errors import ConfigError
+from imgloc.errors import ConfigError, OutputError
 from imgloc.io.cache import cells_digest
 from imgloc.io.files import PathLike, display, is_file, write_text_atomic
+from imgloc.io.own import read_json
 from imgloc.model import OccupancyGrid
 from imgloc.options import DEFAULTS, Calibration, Options, Shared
 
@@ -23,7 +24,11 @@ LOG = logging.getLogger(__name__)
 
 _FORMAT = 1
 _MOST = 1 << 20  # bytes; what is longer is not such a file
-_UNUSABLE = (OSError, ValueError, RecursionError, ConfigError)
+_UNUSABLE = (ValueError, ConfigError, OutputError)
+_METHOD = dict.fromkeys(vars(Calibration()), float)
+_KIND = {
+    "map_hash": str, "methods": {str: _METHOD}, "shared?": dict.fromkeys(vars(Shared()), float),
+}  # fmt: skip
 
 
 def calibration_path(map_path: PathLike) -> Path:
@@ -91,41 +96,24 @@ def load_calibrations(path: PathLike, grid: OccupancyGrid) -> tuple[dict[str, Ca
         methods, _, shared = _read(Path(path), grid)
     except _UNUSABLE as e:
         hint = "make it anew with `imgloc calibrate`"
-        LOG.warning("%s: not used, the defaults are: %s; %s", display(path), e, hint)
+        name = display(path)
+        why = str(e).removeprefix(f"{name}: ")
+        LOG.warning("%s: not used, the defaults are: %s; %s", name, why, hint)
         return {}, Shared()
     return methods, shared
 
 
 def _read(file: Path, grid: OccupancyGrid) -> tuple[dict[str, Calibration], Any, Shared]:
     """Calibrations by method, what the file says about them, the shared error; or `_UNUSABLE`."""
-    with file.open("rb") as stream:
-        text = stream.read(_MOST + 1)
-    if len(text) > _MOST:
-        raise ValueError(f"over {_MOST} bytes")
-    content = json.loads(text)
-    if not isinstance(content, dict) or content.get("format") != _FORMAT:
-        raise ValueError(f"expected an object with format {_FORMAT}")
-    if content.get("map_hash") != map_hash(grid):
+    content = read_json(file, _KIND, limit=_MOST, what="calibration", version=_FORMAT)
+    if content["map_hash"] != map_hash(grid):
         raise ValueError("it was made for a map with other cells")
-    methods = content.get("methods")
-    if not isinstance(methods, dict) or not set(methods) <= set(DEFAULTS):
+    methods, known = content["methods"], content.get("shared", vars(Shared()))
+    if not methods.keys() <= DEFAULTS.keys():
         raise ValueError(f"methods: expected an object with keys of {', '.join(DEFAULTS)}")
     found = {
-        name: Calibration(**_numbers(f"methods.{name}", values, vars(Calibration())))
+        name: Calibration(**{key: float(values[key]) for key in _METHOD})
         for name, values in methods.items()
     }
-    known = _numbers("shared", content.get("shared", vars(Shared())), vars(Shared()))
-    shared = Shared(known["scale"], int(known["thinner"]))
-    # NaN and infinity, which JSON has not, are not written again.
-    about = json.loads(json.dumps(content.get("about")), parse_constant=lambda _: None)
-    return found, about, shared
-
-
-def _numbers(name: str, values: object, wanted: Mapping[str, object]) -> dict[str, float]:
-    """The numbers of an object of a file, whose keys are those wanted; else a ValueError."""
-    if not isinstance(values, dict) or values.keys() != wanted.keys():
-        raise ValueError(f"{name}: expected an object with {', '.join(wanted)}")
-    for key, value in values.items():
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ValueError(f"{name}.{key}: got {value!r}, expected a number")
-    return {key: float(value) for key, value in values.items()}
+    shared = Shared(float(known["scale"]), int(known["thinner"]))
+    return found, content.get("about"), shared

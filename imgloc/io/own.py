@@ -63,9 +63,6 @@ def parse_json(data: bytes, kind: Any = object) -> Any:
     """
     try:
         value = json.loads(data, parse_constant=lambda _: None)
-        _check(value, kind, _DEPTH)
-    except _WrongError as e:
-        raise ValueError(str(e)) from None
     except (json.JSONDecodeError, UnicodeDecodeError) as e:
         raise ValueError(f"not JSON: {e}") from None
     except ValueError:  # Python would say how to read it unsafely
@@ -74,20 +71,35 @@ def parse_json(data: bytes, kind: Any = object) -> Any:
         raise ValueError("nested too deeply") from None
     except MemoryError:
         raise ValueError("too large") from None
+    _expect(value, kind)
     return value
 
 
-def read_json(path: PathLike, kind: Any, *, limit: int, what: str) -> Any:
-    """Read a file that is a JSON text of some kind.
+def read_json(
+    path: PathLike, kind: Any, *, limit: int, what: str, version: int | None = None
+) -> dict[str, Any]:
+    """Read a file that is a JSON object of some kind, and has this `version` as its ``format``.
 
     OutputError, which names the file, if it cannot be read, is longer than `limit` bytes or no
     regular file, or is not what imgloc writes.
     """
     data = read_file(path, limit=limit, error=OutputError, what=what)
     try:
-        return parse_json(data, kind)
+        value: dict[str, Any] = parse_json(data, {str: object})
+        if version is None or value.get("format") == version:
+            _expect(value, kind)
+            return value
     except ValueError as e:
         raise OutputError(f"{display(path)}: is no {what}: {reason(e)}") from None
+    raise OutputError(f"{display(path)}: is no {what} of this version (format {version})")
+
+
+def _expect(value: Any, kind: Any) -> None:
+    """Raise a ValueError that says where a value is not of a kind."""
+    try:
+        _check(value, kind, _DEPTH)
+    except _WrongError as e:
+        raise ValueError(str(e)) from None
 
 
 def _check(value: Any, kind: Any, depth: int) -> None:

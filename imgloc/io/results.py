@@ -85,7 +85,6 @@ _ROW: Mapping[str, Any] = {
 }  # fmt: skip
 _ROWS = {job: {**_ROW, "answers": [answer]} for job, answer in _ANSWERS.items()}
 _RUN: Mapping[str, Any] = {
-    "format": int,
     "job": str,
     "maps?": str,
     "scans?": (str, None),
@@ -248,10 +247,7 @@ def read_run(folder: PathLike) -> Row:
     path = Path(folder) / RUN
     if not os.path.lexists(path):
         raise OutputError(f"{display(folder)}: no {RUN}, expected a {_FOLDER}")
-    about: Row = read_json(path, {"format?": object}, limit=_MAX_ABOUT, what=RUN)
-    if about.get("format") != _FORMAT:
-        raise OutputError(f"{display(folder)}: no {RUN} of this version, expected a {_FOLDER}")
-    about = read_json(path, _RUN, limit=_MAX_ABOUT, what=RUN)
+    about = read_json(path, _RUN, limit=_MAX_ABOUT, what=RUN, version=_FORMAT)
     return {"maps": "", "scans": None, **about}
 
 
@@ -263,8 +259,7 @@ def read_summary(folder: PathLike) -> Row:
     path = Path(folder) / SUMMARY
     if not os.path.lexists(path):
         return {}
-    found: Row = read_json(path, _SUMMARY, limit=_MAX_ABOUT, what=SUMMARY)
-    return found
+    return read_json(path, _SUMMARY, limit=_MAX_ABOUT, what=SUMMARY)
 
 
 def read_rows(folder: PathLike) -> Iterator[Row]:
