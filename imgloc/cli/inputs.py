@@ -4,13 +4,12 @@ This loads all of imgloc: a command imports it when it runs.
 """
 
 import contextlib
-import shutil
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -33,7 +32,7 @@ from imgloc.io.maps import (
     resolve_settings,
 )
 from imgloc.io.mapyaml import load_map_yaml
-from imgloc.io.scans import load_scans, scans_size
+from imgloc.io.scans import has_topics, load_scans, scans_size
 from imgloc.io.scanset import ScanSet
 from imgloc.model import BoolArray, LaserScan, OccupancyGrid
 from imgloc.options import Options, Prior
@@ -41,6 +40,7 @@ from imgloc.pipeline import answer_bytes, prepare
 from imgloc.search import priors
 from imgloc.simulation import FINE, fine_factor
 
+_STREAM = 1 << 28  # bytes of standard input
 COARSER = "crop the map, use a larger --cell or --theta-step-deg"
 
 
@@ -151,12 +151,27 @@ def load_set(path: Path, budget: int, logs: Logs = Logs()) -> ScanSet:
         return _load_set(path, budget, logs)
     with TemporaryDirectory(prefix="imgloc-") as folder:
         spooled = Path(folder, "standard input")  # its content tells what it is
-        with spooled.open("wb") as file:
-            shutil.copyfileobj(sys.stdin.buffer, file)
         try:
+            _spool(sys.stdin.buffer, spooled)
             return _load_set(spooled, budget, logs)
         except (ConfigError, ScanError) as e:
             raise type(e)(str(e).replace(str(spooled), "standard input")) from None
+
+
+def _spool(stream: IO[bytes], path: Path) -> None:
+    """Copy a stream, which may be endless, into a file: no more than a file may have."""
+    copied = 0
+    try:
+        with path.open("wb", buffering=0) as file:
+            while block := stream.read(MIB):
+                file.write(block)
+                if not copied:
+                    has_topics(path)  # a ScanError of what is no scan file at all
+                copied += len(block)
+                if copied > _STREAM:
+                    raise ScanError(f"{path}: expected at most {_STREAM >> 20} MiB; use a file")
+    except OSError as e:
+        raise OutputError(f"standard input: cannot be kept in {path}: {e.strerror}") from None
 
 
 def _load_set(path: Path, budget: int, logs: Logs) -> ScanSet:

@@ -3,23 +3,34 @@
 import contextlib
 import logging
 import math
+import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
 
 from imgloc.errors import ScanError
-from imgloc.io.files import PathLike, display, reason
+from imgloc.io.bagbounds import MAX_METADATA, bounded, metadata
+from imgloc.io.files import (
+    PathLike,
+    display,
+    is_folder,
+    is_there,
+    open_file,
+    read_file,
+    reason,
+)
 from imgloc.io.lasers import lasers_of, together
 from imgloc.io.odometry import odometry_at
-from imgloc.io.scanset import MAX_READINGS, Entry, ScanSet, ScansSize, collect
+from imgloc.io.scanset import MAX_RAYS, Entry, ScanSet, ScansSize, check_size, collect
 from imgloc.model import FloatArray, Pose2D
 
 _LOG = logging.getLogger("imgloc")
 _SCAN, _ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
 _TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _BASES = ("base_footprint", "base_link", "base")
+_SHOWN = 8  # topics in a message
 _TILTED = math.cos(math.radians(5))
 _HINTS = {
     "sensor_msgs/msg/PointCloud2": "ros2 run pointcloud_to_laserscan "
@@ -57,6 +68,8 @@ def read_bag(path: PathLike, *, topic: str | None = None) -> ScanSet:
         wanted = {chosen, source, *(t for kind in _TF for t in _by_type(bag, kind))}
         connections = [c for c in bag.connections if c.topic in wanted]
         entries, laser = list[Entry](), ""
+        count = sum(c.msgcount for c in connections if c.topic == chosen)
+        readings = most = 0
         moves, base = list[tuple[float, ...]](), ""
         transforms, frames = list[tuple[float, str, str, FloatArray]](), _Frames()
         for connection, time, data in bag.messages(connections=connections):
@@ -64,6 +77,13 @@ def read_bag(path: PathLike, *, topic: str | None = None) -> ScanSet:
             if connection.topic == chosen:
                 laser = _frame(message.header.frame_id)
                 where = f"{name}: {chosen}: message {len(entries)}"
+                readings += len(message.ranges)
+                # Twice what bag_size() says, for lasers whose scans differ, and a scan.
+                most = most or 2 * count * max(readings, 1) + MAX_RAYS
+                check_size(len(entries) + 1, len(message.ranges), where)
+                if readings > most:
+                    hint = f"expected {count:,} scans like the first; ros2 bag reindex"
+                    raise ScanError(f"{where}: {readings:,} readings up to it, {hint}")
                 entries.append((where, _entry(message, 1e-9 * time)))
             elif connection.topic == source:
                 base = _frame(message.child_frame_id)
@@ -94,9 +114,7 @@ def bag_size(path: PathLike, *, topic: str | None = None) -> ScansSize:
         for connection, _, data in bag.messages(connections=connections):
             readings = len(bag.deserialize(data, connection.msgtype).ranges)
             break
-    if count * readings > MAX_READINGS:
-        found = f"{count:,} scans of {readings:,} readings"
-        raise ScanError(f"{name}: {found}, expected at most {MAX_READINGS:,}; cut the bag")
+    check_size(count, readings, name)
     return ScansSize(count, 2 * count * readings, 0)
 
 
@@ -109,24 +127,43 @@ def _opened(path: PathLike, name: str) -> Iterator[Any]:
     except ImportError:
         hint = "reading ROS bags needs rosbags: pip install 'imgloc[ros]'"
         raise ScanError(f"{name}: {hint}") from None
-    file = Path(path)
-    if file.is_dir() and not (file / "metadata.yaml").is_file():
-        inside = sorted(p for p in file.iterdir() if p.suffix in (".db3", ".mcap"))
-        if len(inside) != 1:
-            found = f"a folder with {len(inside)} .db3 or .mcap files and no metadata.yaml"
-            raise ScanError(f"{name}: {found}, expected a recording: ros2 bag reindex makes it one")
-        file = inside[0]
-    if not file.exists():
-        raise ScanError(f"{name}: no such file")
+    file, parts = _files(Path(path), name)
+    size = 0
+    for part in parts:
+        with open_file(part, limit=sys.maxsize, error=ScanError, what="bag") as (_, length):
+            size += length
     try:
         # Bags of ROS 2 before Iron do not hold what their messages look like.
         store = get_typestore(Stores.ROS2_HUMBLE)
-        with AnyReader([file], default_typestore=store) as bag:
+        with bounded(name, size), AnyReader([file], default_typestore=store) as bag:
             yield bag
-    except (ScanError, MemoryError):
+    except ScanError:
         raise
-    except Exception as e:  # of rosbags, of SQLite, of what unpacks them
+    except Exception as e:  # of rosbags, of SQLite, of what unpacks them; lengths that are wrong
         raise ScanError(f"{name}: damaged or not a bag ({reason(e)}); record it again") from None
+
+
+def _files(file: Path, name: str) -> tuple[Path, list[Path]]:
+    """What rosbags is to open, and the files that it will read then."""
+    if not is_folder(file):
+        return file, [file]
+    about = file / "metadata.yaml"
+    if is_there(about):
+        text = read_file(about, limit=MAX_METADATA, error=ScanError, what="recording's metadata")
+        said = metadata(text.decode("utf-8", "replace"), display(about))
+        info = said.get("rosbag2_bagfile_information") if isinstance(said, dict) else None
+        parts = info.get("relative_file_paths") if isinstance(info, dict) else None
+        if not isinstance(parts, list) or not parts or not all(isinstance(p, str) for p in parts):
+            raise ScanError(f"{display(about)}: names no files, expected relative_file_paths")
+        return file, [file / PurePath(part).name for part in parts]  # as rosbags has it
+    try:
+        inside = sorted(p for p in file.iterdir() if p.suffix in (".db3", ".mcap"))
+    except OSError as e:
+        raise ScanError(f"{name}: cannot be opened: {e.strerror}") from None
+    if len(inside) != 1:
+        found = f"a folder with {len(inside)} .db3 or .mcap files and no metadata.yaml"
+        raise ScanError(f"{name}: {found}, expected a recording: ros2 bag reindex makes it one")
+    return inside[0], inside
 
 
 def _by_type(bag: Any, kind: str) -> dict[str, int]:
@@ -141,11 +178,11 @@ def _by_type(bag: Any, kind: str) -> dict[str, int]:
 def _choose(bag: Any, topic: str | None, name: str) -> str:
     """The topic asked for, else /scan, else the only one."""
     topics = _by_type(bag, _SCAN)
-    there = ", ".join(f"{t} ({n})" for t, n in topics.items())
+    there = _some([f"{t} ({n})" for t, n in topics.items()])
     if not topics:
         kinds = sorted({c.msgtype for c in bag.connections if c.msgcount})
         hint = next((f"; {_HINTS[kind]}" for kind in kinds if kind in _HINTS), "")
-        raise ScanError(f"{name}: no sensor_msgs/LaserScan in it, but {', '.join(kinds)}{hint}")
+        raise ScanError(f"{name}: no sensor_msgs/LaserScan in it, but {_some(kinds)}{hint}")
     if topic is not None:
         match = [t for t in topics if t.strip("/") == topic.strip("/")]
         if not match:
@@ -154,6 +191,12 @@ def _choose(bag: Any, topic: str | None, name: str) -> str:
     if "/scan" not in topics and len(topics) > 1:
         raise ScanError(f"{name}: scans on several topics, expected --topic with some: {there}")
     return "/scan" if "/scan" in topics else next(iter(topics))
+
+
+def _some(names: Sequence[str]) -> str:
+    """The first names of a list that may be long."""
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return ", ".join(name[:80] for name in names[:_SHOWN]) + more
 
 
 def _entry(message: Any, recorded: float) -> dict[str, Any]:

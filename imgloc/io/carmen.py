@@ -25,6 +25,7 @@ from imgloc.io.files import PathLike, display, read_file
 from imgloc.io.lasers import lasers_of, together
 from imgloc.io.odometry import odometry_at
 from imgloc.io.scanset import MAX_READINGS, Entry, ScanSet, collect, spread, wrong
+from imgloc.io.textscans import check_lines
 from imgloc.model import MOUNTED, FloatArray, Pose2D, compose, inverse
 
 _MAX_BYTES = 8 * MAX_READINGS
@@ -125,8 +126,8 @@ def _lines(path: PathLike) -> list[tuple[int, str]]:
     data = read_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file")
     # Only names of hosts may be anything else than ASCII, and what an editor puts in front.
     text = data.removeprefix(codecs.BOM_UTF8).decode("ascii", "replace")
-    kept = [(i, line) for i, line in enumerate(text.split("\n"), 1) if line.strip()]
-    return [(i, line) for i, line in kept if not line.lstrip().startswith("#")]
+    lines = check_lines(text.split("\n"), display(path))
+    return [(i, line) for i, line in lines if not line.startswith("#")]
 
 
 def _choose(counts: Counter[str], topic: str | None, name: str) -> str:

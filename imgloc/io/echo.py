@@ -31,6 +31,8 @@ def read_echo(path: PathLike) -> ScanSet:
     for document in re.split(r"^---.*$", text, flags=re.MULTILINE):
         if document.strip():
             where = f"{name}: message {len(entries)}"
+            if document.count(",") + document.count("\n") > _MOST:  # soon said
+                raise ScanError(f"{where}: too many values, expected at most {MAX_RAYS:,} readings")
             message = plain_yaml(document, where, ScanError, most=_MOST)
             entries.append((where, plain_entry(_checked(message, where), where)))
     return collect(entries, name)

@@ -62,13 +62,13 @@ def _value(loader: Any, name: str, error: type[ImglocError], most: int) -> Any:
                 keys.pop()
         elif isinstance(event, yaml.NodeEvent):
             count += 1
+            if count > most:
+                raise error(f"{where}: too many values, expected at most {most:,}")
             holder = within[-1]
             is_key = isinstance(holder, dict) and keys[-1] is root
             wrong = _unwanted(loader, event, is_key)
             if root and holder is root:
                 wrong = "a second document"
-            elif count > most:
-                wrong = f"more than {most:,} values"
             if not wrong:
                 value = _made(loader, event)
                 if is_key and value in holder:

@@ -37,7 +37,16 @@ from imgloc.io.files import (
     read_file,
     write_bytes_atomic,
 )
-from imgloc.io.scanset import KEYS, MAX_READINGS, ScanSet, ScansSize, numbers, scan_set, wrong
+from imgloc.io.scanset import (
+    KEYS,
+    MAX_READINGS,
+    ScanSet,
+    ScansSize,
+    check_size,
+    numbers,
+    scan_set,
+    wrong,
+)
 from imgloc.io.textscans import read_csv, read_jsonl, text_size
 from imgloc.model import FloatArray
 
@@ -230,8 +239,10 @@ def _npz_size(path: PathLike) -> ScansSize:
                 with archive.open(info) as member:
                     shapes[key], _, _ = _check_header(member, info.file_size, name, key)
     ranges = shapes.get("ranges", ())
+    scans = ranges[0] if len(ranges) == 2 else 1
+    check_size(scans, math.prod(ranges[-1:]), name)
     total = sum(math.prod(shape) for shape in shapes.values())
-    return ScansSize(ranges[0] if len(ranges) == 2 else 1, total, length)
+    return ScansSize(scans, total, length)
 
 
 def _members(data: bytes, name: str) -> dict[str, FloatArray]:
@@ -281,7 +292,7 @@ def _check_header(
     read = {(1, 0): form.read_array_header_1_0, (2, 0): form.read_array_header_2_0}
     try:
         shape, fortran, dtype = read[form.read_magic(file)](file)
-    except (ValueError, KeyError, SyntaxError, TypeError, tokenize.TokenError):
+    except (ValueError, KeyError, SyntaxError, TypeError, MemoryError, tokenize.TokenError):
         raise ScanError(f"{name}: {key}: damaged header, expected a NumPy array") from None
     if dtype.hasobject:
         hint = (
@@ -289,12 +300,14 @@ def _check_header(
         )
         raise ScanError(f"{name}: {key}: holds pickled objects, {hint}")
     if dtype.kind not in "fiu":
-        raise wrong(f"{name}: {key}", f"type {dtype}", "numbers")
+        raise wrong(f"{name}: {key}", f"type {str(dtype)[:60]}", "numbers")
+    if not all(type(n) is int and n >= 0 for n in shape):  # NumPy lets a bool pass
+        raise ScanError(f"{name}: {key}: damaged header, expected a NumPy array")
     count = math.prod(shape)
-    if not 0 <= count <= MAX_READINGS:
-        found = " x ".join(map(str, shape))
+    if count > MAX_READINGS:
+        found = " x ".join(f"{n}" if n < 1e12 else "more" for n in shape[:3])
         raise ScanError(f"{name}: {key}: {found} numbers, expected at most {MAX_READINGS:,}")
     if (expected := file.tell() + count * dtype.itemsize) != size:
-        hint = f"expected {expected:,} for shape {shape}; copy the file again"
+        hint = f"expected {expected:,} for shape {str(shape)[:60]}; copy the file again"
         raise ScanError(f"{name}: {key}: {size:,} bytes, {hint}")
     return tuple(shape), fortran, dtype

@@ -40,6 +40,20 @@ class ScansSize:
     text: bool = False  #: whether it is a file of text
 
 
+def check_size(scans: int, rays: int, name: str) -> None:
+    """Raise ScanError for more scans, or readings a scan, than a file may have.
+
+    This comes before memory is taken for them.
+    """
+    for count, most, what in (
+        (scans, MAX_SCANS, "scans"),
+        (rays, MAX_RAYS, "readings a scan"),
+        (scans * rays, MAX_READINGS, "readings"),
+    ):
+        if count > most:
+            raise ScanError(f"{name}: {count:,} {what}, expected at most {most:,}; cut the file")
+
+
 @dataclass(frozen=True)
 class ScanSet:
     """Scans, with what was recorded beside them."""
@@ -243,6 +257,7 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
     ranges = numbers(entry["ranges"], where, "ranges", ndim=(1,))
     if not len(ranges):
         raise ScanError(f"{where}: ranges: empty, expected at least one reading")
+    check_size(1, len(ranges), where)
     spaced = entry.get("angles") is None
     given = {
         key: scalar(entry[key], f"{where}: {key}")
@@ -319,6 +334,7 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
     if not ranges.size:
         raise wrong(f"{name}: ranges", f"shape {ranges.shape}", "at least one scan and one reading")
     readings, angles = ranges.shape[1], arrays.get("angles")
+    check_size(n, readings, name)
     if angles is None:
         if not all(key in arrays and arrays[key].size == 1 for key in _STEPS):
             expected = "angles in radians (or the numbers angle_min and angle_increment)"

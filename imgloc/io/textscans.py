@@ -4,7 +4,7 @@ import contextlib
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from imgloc.errors import ScanError
 from imgloc.io.files import PathLike, display, open_file, read_file
 from imgloc.io.scanset import (
+    MAX_RAYS,
     MAX_READINGS,
     SPACING,
     Entry,
@@ -23,6 +24,8 @@ from imgloc.io.scanset import (
 )
 
 _LIMIT, _BLOCK = 8 * MAX_READINGS, 1 << 20  # bytes
+MAX_LINE = 64 * MAX_RAYS
+"""Characters of a line of text, which holds a scan."""
 _SETTING = re.compile(r"\b(\w+)\s*[=:]\s*([^\s,;]+)")
 _SETTINGS = (*SPACING, "range_min", "range_max")
 _BESIDE = ("stamp", "x", "y", "theta")
@@ -45,7 +48,7 @@ def read_csv(path: PathLike, *, fov: float | None = None) -> ScanSet:
     """
     name, settings, columns = display(path), dict[str, Any](), list[str]()
     rows: list[tuple[str, list[float]]] = []
-    for line, text in _lines(path):
+    for line, text in _lines(path, MAX_LINE):
         where = f"{name}: line {line}"
         if text.startswith("#"):
             said = [(key, value) for key, value in _SETTING.findall(text) if key in _SETTINGS]
@@ -99,8 +102,12 @@ def read_jsonl(path: PathLike) -> ScanSet:
     NaN, and "inf", "-inf", "nan" may be strings.
     A ``.json`` file may also be one such object, or an array of them.
     """
-    name, lines = display(path), _lines(path)
-    if str(path).lower().endswith(".json"):
+    name, whole_file = display(path), str(path).lower().endswith(".json")
+    lines = _lines(path, _LIMIT if whole_file else MAX_LINE)
+    if whole_file:
+        commas, braces = (sum(text.count(mark) for _, text in lines) for mark in ",{")
+        if commas > 4 * MAX_RAYS * max(braces, 1):
+            raise ScanError(f"{name}: {commas:,} values, expected at most {MAX_RAYS:,} a scan")
         whole = _json("\n".join(text for _, text in lines), name)
         items = whole if isinstance(whole, list) else [whole]
         entries = [(f"{name}: scan {i}", item) for i, item in enumerate(items)]
@@ -127,14 +134,26 @@ def text_size(path: PathLike, *, between: bytes = b",") -> ScansSize:
     return ScansSize(max(lines, braces), lines + marks, length, text=True)
 
 
-def _lines(path: PathLike) -> list[tuple[int, str]]:
-    """The lines of a UTF-8 file that are not blank, with their numbers from 1."""
+def _lines(path: PathLike, most: int) -> list[tuple[int, str]]:
+    """The lines of a UTF-8 file that are not blank, each at most so long, numbered from 1."""
     data = read_file(path, limit=_LIMIT, error=ScanError, what="scan file")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as e:
         raise ScanError(f"{display(path)}: byte {e.start} is not UTF-8 text") from None
-    return [(i, s.strip()) for i, s in enumerate(text.split("\n"), 1) if s.strip()]
+    return check_lines(text.split("\n"), display(path), most)
+
+
+def check_lines(lines: Sequence[str], name: str, most: int = MAX_LINE) -> list[tuple[int, str]]:
+    """The lines that are not blank, stripped, with their numbers from 1; ScanError for a long one.
+
+    Each is looked at before it is cut into words, which take ten times as much memory.
+    """
+    for i, line in enumerate(lines, 1):
+        if len(line) > most:
+            found = f"{len(line):,} characters"
+            raise ScanError(f"{name}: line {i}: {found}, expected at most {most:,} for a scan")
+    return [(i, s) for i, line in enumerate(lines, 1) if (s := line.strip())]
 
 
 def _is_number(cell: str) -> bool:

@@ -1,0 +1,127 @@
+"""What rosbags unpacks and parses of a bag, within bounds that it has not of its own.
+
+A chunk of 6 kB may unpack to gigabytes, and YAML of 10,000 brackets takes rosbags a quarter of a
+minute. Its functions that unpack and parse are replaced by such as do what they did, but inside
+:func:`bounded`; a program's own use of rosbags is as it was.
+"""
+
+import bz2
+import contextlib
+import functools
+import importlib
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+from imgloc.errors import ScanError
+from imgloc.io.plainyaml import plain_yaml
+
+MAX_METADATA = 4 << 20
+"""Bytes of a recording's metadata.yaml."""
+_VALUES = 100_000  # of metadata.yaml
+# Bytes that a chunk, or a message that is packed by itself, may unpack to; and all of a bag, which
+# is that and a multiple of its size: images of maps and costs shrink to a hundredth.
+_CHUNK, _RATIO = 64 << 20, 250
+
+
+@dataclass
+class _Bag:
+    name: str
+    left: int  # bytes that it may unpack to yet
+
+    def take(self, count: int) -> None:
+        """Count what was unpacked; ScanError if it is too much."""
+        self.left -= count
+        if self.left < 0:
+            hint = f"expected at most {_RATIO} times its size; rosbag decompress, or record less"
+            raise ScanError(f"{self.name}: unpacks to too much, {hint}")
+
+
+_OPEN: ContextVar[_Bag | None] = ContextVar("bag that is open", default=None)
+
+
+@contextlib.contextmanager
+def bounded(name: str, size: int) -> Iterator[None]:
+    """Bound what rosbags unpacks and parses of the bag called `name`, of `size` bytes.
+
+    Inside, chunks and messages that unpack to more than 64 MiB are a ScanError, and so is all
+    beyond 64 MiB and 250 times the size, and metadata.yaml that is not plain. What is said of the
+    quality of service is not parsed at all.
+    """
+    _replace()
+    token = _OPEN.set(_Bag(name, _CHUNK + _RATIO * size))
+    try:
+        yield
+    finally:
+        _OPEN.reset(token)
+
+
+def metadata(text: str, name: str) -> Any:
+    """Parse the metadata.yaml of a recording."""
+    return plain_yaml(text, name, ScanError, most=_VALUES)
+
+
+@functools.cache
+def _replace() -> None:
+    """Put bounded functions in the places of those of rosbags, once."""
+    names = ("rosbag1.reader", "rosbag2.reader", "rosbag2.storage_mcap", "rosbag2.storage_sqlite3")
+    modules: list[Any] = [importlib.import_module(f"rosbags.{name}") for name in names]
+    reader1, reader, mcap, _ = modules
+    zstd, lz4 = reader.zstd, importlib.import_module("lz4.frame").LZ4FrameDecompressor
+    for table, key, unpacker in (
+        (reader1.decompressors, "bz2", bz2.BZ2Decompressor),
+        (reader1.decompressors, "lz4", lz4),
+        (mcap.DECOMPRESSORS, "lz4", lz4),
+        (mcap.DECOMPRESSORS, "zstd", zstd.ZstdDecompressor),
+    ):
+        table[key] = _inside(functools.partial(_unpack, unpacker), table[key])
+    reader.zstd = SimpleNamespace(
+        decompress=_inside(functools.partial(_unpack, zstd.ZstdDecompressor), zstd.decompress),
+        open=_inside(lambda file, mode: _Counted(zstd.open(file, mode)), zstd.open),
+    )
+    plain = SimpleNamespace(load=lambda text: metadata(text, "metadata.yaml"))
+    reader.YAML = _inside(lambda **_: plain, reader.YAML)
+    for module in modules[1:]:
+        module.parse_qos = _inside(lambda _: [], module.parse_qos)
+
+
+def _inside(ours: Callable[..., Any], theirs: Callable[..., Any]) -> Callable[..., Any]:
+    """`ours` while a bag is open in :func:`bounded`, `theirs` otherwise."""
+    return lambda *args, **named: (theirs if _OPEN.get() is None else ours)(*args, **named)
+
+
+def _unpack(unpacker: Callable[[], Any], data: bytes, _size: int = 0) -> bytes:
+    """Unpack the first stream of `data`, and no more of it than there may be."""
+    bag, one = _OPEN.get(), unpacker()
+    assert bag is not None
+    most = min(_CHUNK, bag.left)
+    out: bytes = one.decompress(data, most + 1)
+    if len(out) > _CHUNK:
+        hint = f"expected at most {_CHUNK >> 20} MiB; rosbag decompress, or record smaller ones"
+        raise ScanError(f"{bag.name}: a chunk unpacks to too much, {hint}")
+    bag.take(len(out))
+    if not one.eof:
+        raise EOFError("a chunk ends early")
+    return out
+
+
+class _Counted:
+    """A packed file that is open, of which all that is read counts."""
+
+    def __init__(self, file: Any) -> None:
+        self._file = file
+
+    def __enter__(self) -> "_Counted":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def read(self, size: int) -> bytes:
+        bag = _OPEN.get()
+        assert bag is not None
+        data: bytes = self._file.read(size)
+        bag.take(len(data))
+        return data
