@@ -56,13 +56,13 @@ if TYPE_CHECKING:
     from imgloc.sample import sample_poses
     from imgloc.search.priors import Known
     from imgloc.simulation import Sensor, simulate
-    from imgloc.tracking import Every, Moment, follow
+    from imgloc.tracking import Every, Limits, Moment, follow
 
 __all__ = [
     "ALL_METHODS", "METHODS", "BatchSummary", "Calibration", "Choice", "ConfigError", "Evaluation",
     "Every", "Evidence", "Explanation", "FloorPlan", "FusedOptions", "GridInfo", "Hypothesis",
-    "ImglocError", "Job", "Known", "LaserScan", "Likelihood", "Localization", "MapError",
-    "MapFeatures", "MapReport", "Moment", "OccupancyGrid", "Options", "OrientedPoints",
+    "ImglocError", "Job", "Known", "LaserScan", "Likelihood", "Limits", "Localization",
+    "MapError", "MapFeatures", "MapReport", "Moment", "OccupancyGrid", "Options", "OrientedPoints",
     "OutputError", "Picture", "Pose2D", "Prior", "ScanError", "ScanSet", "Sensor", "Shared",
     "Trust", "__version__", "check_map", "draw", "evaluate", "explain", "follow", "likelihood",
     "load_map", "load_plan", "load_scans", "localize", "make_filter", "plan_to_map", "prepare",
@@ -92,7 +92,7 @@ _HOMES = {
     "imgloc.sample": "sample_poses",
     "imgloc.search.priors": "Known",
     "imgloc.simulation": "Sensor simulate",
-    "imgloc.tracking": "Every Moment follow",
+    "imgloc.tracking": "Every Limits Moment follow",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 

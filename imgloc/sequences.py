@@ -16,20 +16,25 @@ import numpy as np
 from imgloc.errors import ConfigError
 from imgloc.evaluation import Share, share
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.belief import UNIQUE, Filter
+from imgloc.filters.belief import LOST, UNIQUE, Filter, deviations_of
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import Places, search
 from imgloc.filters.motion import compose_poses, increments, noisy_odometry
 from imgloc.geometry import wrap
 from imgloc.io.scanset import ScanSet
-from imgloc.model import FloatArray, LaserScan
+from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.options import Options
 from imgloc.tracking import Every, follow, robot_poses
 
+TRUTH = (0.03, float(np.deg2rad(0.4)))
+"""Standard deviations of the true poses of recorded logs themselves, metres and radians."""
 RIGHT = (0.5, float(np.deg2rad(10.0)))
 """A pose is right if it is within this, metres and radians."""
 AT = (0.0, 1.0, 2.0, 5.0, 10.0)  #: metres driven after which shares are reported
-WRONG = 1.0  #: metres: ``unique`` and farther off than this is confidently wrong
+WRONG = (1.0, RIGHT[1])
+"""``unique`` and farther off than this, metres or radians, is confidently wrong."""
+INSIDE = 7.815
+"""Squared Mahalanobis distance within which 95 % of the true poses are: chi-square of 3."""
 ENM = (0.3, 20.0)  #: ENM-MCL: RMSE in metres, from so many seconds on
 F3LOC = (10, (1.0, 0.5, 0.3, 0.2))  #: F3Loc: the last frames, within so many metres
 CARRIED = (10.0, 3.0)  #: a kidnapping: metres driven before and after it, and at least in it
@@ -46,6 +51,10 @@ class Run:
     unique: FloatArray  #: 1 where the verdict is ``unique``
     lost: FloatArray  #: 1 where it is ``lost``
     cost: float  #: processor seconds that it took
+    #: (N, 2) standard deviations of the best pose: metres along its longest axis, and radians
+    spread: FloatArray
+    #: (N,) squared Mahalanobis distance of the best pose from the true one
+    square: FloatArray
     jump: int | None = None  #: moment at which the robot was carried off
 
     @property
@@ -87,25 +96,34 @@ def drive(
     every: Every,
     searches: Searches,
     jump: int | None = None,
+    start: Pose2D | None = None,
 ) -> Run:
     """Run a new filter, which searches so, along a log with poses and odometry."""
     truth = robot_poses(scans)
     if truth is None:
         raise ConfigError("expected the true pose of each scan")
     begin, before, rows = time.process_time(), searches.clock, []
-    for moment in follow(features, scans, make(), every=every):
-        error = (np.inf, np.inf)
+    own = np.diag(np.square([TRUTH[0], TRUTH[0], TRUTH[1]]))
+    for moment in follow(features, scans, make(), every=every, start=start):
+        error, spread, square = (np.inf, np.inf), (np.inf, np.inf), np.inf
         if moment.best is not None:
-            x, y, theta = truth[moment.index]
-            away = float(np.hypot(moment.best.x - x, moment.best.y - y))
-            error = away, abs(float(wrap(moment.best.theta - theta)))
+            best = np.array([moment.best.x, moment.best.y, moment.best.theta])
+            apart = best - truth[moment.index]
+            apart[2] = wrap(apart[2])
+            error = float(np.hypot(*apart[:2])), abs(float(apart[2]))
+            spread = deviations_of(moment.covariance)
+            square = float(apart @ np.linalg.solve(moment.covariance + own, apart))
         verdict = moment.belief.verdict
-        rows.append((moment.stamp, moment.metres, *error, verdict == UNIQUE, verdict == "lost"))
+        rows.append((
+            *(moment.stamp, moment.metres), *error, *(verdict == UNIQUE, verdict == LOST),
+            *spread, square,
+        ))  # fmt: skip
     cost = time.process_time() - begin + searches.clock - before
     table = np.array(rows, dtype=np.float64)
     return Run(
-        table[:, 0] - table[0, 0], table[:, 1], table[:, 2:4], table[:, 4], table[:, 5], cost, jump
-    )
+        table[:, 0] - table[0, 0], table[:, 1], table[:, 2:4], table[:, 4], table[:, 5], cost,
+        table[:, 6:8], table[:, 8], jump,
+    )  # fmt: skip
 
 
 def piece(scans: ScanSet, *parts: range) -> ScanSet:
@@ -268,6 +286,7 @@ class SequenceSummary:
     seconds: float  #: median until ``unique`` and right for good
     metres: float  #: the same in metres driven
     rmse: tuple[float, float]  #: of ``unique`` right moments after that: metres, radians
+    inside: Share  #: ``unique`` poses whose 95 % region holds the true pose, of all runs
     wrong: float  #: seconds ``unique`` and more than :data:`WRONG` off, of all runs
     wrong_moments: int
     total: float  #: seconds of all runs
@@ -318,7 +337,7 @@ def summarise_runs(runs: Sequence[Run], kidnaps: Sequence[Run] = ()) -> Sequence
     errors = [run.error[k:][run.unique[k:] > 0] for run, k in done]
     whole = np.concatenate(errors) if errors else np.full((1, 2), np.nan)
     everything = [*runs, *kidnaps]
-    bad = [(run.unique > 0) & (run.error[:, 0] > WRONG) for run in everything]
+    bad = [(run.unique > 0) & (run.error > WRONG).any(axis=1) for run in everything]
     spans = [np.diff(run.seconds, append=run.seconds[-1]) for run in everything]
     back = [recovered(run) for run in kidnaps]
     total = float(sum(run.seconds[-1] for run in everything))
@@ -332,6 +351,9 @@ def summarise_runs(runs: Sequence[Run], kidnaps: Sequence[Run] = ()) -> Sequence
         seconds=_median([float(run.seconds[k]) for run, k in done]),
         metres=_median([float(run.metres[k]) for run, k in done]),
         rmse=tuple(np.sqrt(np.mean(np.square(whole), axis=0)).tolist()),
+        inside=share(
+            bool(square <= INSIDE) for run in everything for square in run.square[run.unique > 0]
+        ),
         wrong=float(sum(span[b].sum() for span, b in zip(spans, bad, strict=True))),
         wrong_moments=int(sum(b.sum() for b in bad)),
         total=total,

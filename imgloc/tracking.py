@@ -8,14 +8,16 @@ import numpy as np
 
 from imgloc.errors import ConfigError, ScanError, expect
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.belief import UNIQUE, Belief, Filter
+from imgloc.filters.belief import AMBIGUOUS, UNIQUE, Belief, Filter, deviations_of
+from imgloc.filters.evidence import usable
 from imgloc.filters.motion import compose_poses, increments, invert_poses, way_of
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
-from imgloc.model import FloatArray, Pose2D
+from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.options import Metres
 from imgloc.ranges import Checked, Within
 
+BLIND, WIDE = "blind", "wide"
 _FASTEST = 50.0  # metres a second: no robot on the ground is
 
 
@@ -25,6 +27,14 @@ class Every(Checked):
 
     metres: Metres = 0.5
     radians: Annotated[float, Within(0, 1e6, "radians")] = float(np.deg2rad(30.0))
+
+
+@dataclass(frozen=True)
+class Limits(Checked):
+    """How uncertain a pose may be and still be published: standard deviations."""
+
+    metres: Annotated[float, Within(1e-3, 1e6, "metres")] = 0.5  #: along the longest axis
+    radians: Annotated[float, Within(1e-4, 1e6, "radians")] = float(np.deg2rad(10.0))
 
 
 @dataclass(frozen=True)
@@ -46,13 +56,18 @@ class Moment:
 
     index: int  #: of the scan
     stamp: float  #: seconds; NaN when unknown
-    age: float  #: seconds since the scan that was looked at last
-    looked: bool  #: whether this one was
+    age: float  #: seconds since the last scan that said something
+    looked: bool  #: whether the whole belief was weighed by this one
     metres: float  #: driven since the first scan, by odometry
     belief: Belief
+    #: why a pose that holds the mass is not published: ``blind`` (this scan says nothing), ``wide``
+    #: (its standard deviation is above the limit), or an empty string
+    withheld: str
     #: best pose, whatever the verdict; None if there is none
     best: Pose2D | None
     covariance: FloatArray  #: (3, 3) of `best`, map frame
+    #: (metres along the longest axis, radians): standard deviations of `best`
+    deviation: tuple[float, float]
     map_odom: Pose2D | None  #: pose of the odometry's frame in the map, by `best`
 
     @property
@@ -67,6 +82,7 @@ def follow(
     filter_: Filter,
     *,
     every: Every | None = None,
+    limits: Limits | None = None,
     start: Pose2D | None = None,
     deviation: tuple[float, float] = (0.5, 0.25),
     kidnap: Kidnap | None = None,
@@ -81,7 +97,9 @@ def follow(
     filter_ : Filter
         Of the same features; it is changed.
     every : Every, optional
-        Scans nearer to the last one of their laser that was looked at only move the pose.
+        Scans nearer to the last one of their laser that was looked at correct the best pose alone.
+    limits : Limits, optional
+        Beyond them a pose is not unique.
     start, deviation : Pose2D, (float, float), optional
         Map frame, and how far it may be off, metres and radians; by default from anywhere.
     kidnap : Kidnap, optional
@@ -100,12 +118,12 @@ def follow(
     known, indices = scans.with_odometry(name)
     if scans.odom is None or known is not scans:
         for moment in follow(
-            features, known, filter_, every=every, start=start, deviation=deviation, kidnap=kidnap,
-            name=name,
+            features, known, filter_, every=every, limits=limits, start=start, deviation=deviation,
+            kidnap=kidnap, name=name,
         ):  # fmt: skip
             yield replace(moment, index=indices[moment.index])
         return
-    every, grid = every or Every(), features.grid
+    every, limits, grid = every or Every(), limits or Limits(), features.grid
     stamps = np.full(len(scans), np.nan) if scans.stamps is None else scans.stamps
     if (back := np.flatnonzero(np.diff(stamps) < 0)).size:
         at = int(back[0])
@@ -125,32 +143,64 @@ def follow(
         _check_kidnap(kidnap, features, stamps)
     if start is not None:
         filter_.place(_local("start", start, features), deviation)
-    ways = {scan.T_base_laser: np.full(2, np.inf) for scan in scans.scans}
-    metres, seen = 0.0, float(stamps[0])
+    lasers = dict[Pose2D | None, _Laser]()
+    metres, said, blind = 0.0, float(stamps[0]), 0
     for k, scan in enumerate(scans.scans):
+        laser = lasers.setdefault(scan.T_base_laser, _Laser())
         filter_.move(steps[k])
         moved = way_of(steps[k])
-        ways = {laser: way + moved for laser, way in ways.items()}
+        for one in lasers.values():
+            one.way = one.way + moved
         metres += float(moved[0])
         if kidnap is not None and stamps[k] - stamps[0] >= kidnap.after:
             filter_.place(_local("kidnap", kidnap.pose, features), kidnap.deviation)
             kidnap = None
-        far = ways[scan.T_base_laser] >= np.array([every.metres, every.radians]) - 1e-9
-        looked = bool(far.any()) or filter_.watch(scan)
-        if looked:
-            filter_.see(scan)
-            ways[scan.T_base_laser], seen = np.zeros(2), float(stamps[k])
+        looked = False
+        if laser.repeats(scan) or usable(scan, filter_.options) is None:
+            blind += 1
+            for one in lasers.values():  # the next thing that is seen is looked at
+                one.way = np.full(2, np.inf)
+            filter_.miss(float(np.nan_to_num(stamps[k] - stamps[max(0, k - 1)])))
+        else:
+            blind, said = 0, float(stamps[k])
+            far = laser.way >= np.array([every.metres, every.radians]) - 1e-9
+            looked = bool(far.any()) or filter_.watch(scan)
+            if looked:
+                filter_.see(scan)
+                laser.way = np.zeros(2)
         belief = filter_.belief
         best, covariance, map_odom = None, np.full((3, 3), np.nan), None
+        deviation, withheld = (np.inf, np.inf), ""
         if len(belief.poses):
             pose = transform_poses(grid.origin, belief.poses[:1])[0]
             best = Pose2D(*pose)
             covariance = rotate_covariance(belief.covariance[0], grid.origin.theta)
             map_odom = Pose2D(*compose_poses(pose, invert_poses(scans.odom[k])))
+            deviation = deviations_of(covariance)
+        if blind >= len(lasers):  # of several lasers another one has just seen something
+            withheld = BLIND
+        if belief.verdict == UNIQUE:
+            if deviation[0] > limits.metres or deviation[1] > limits.radians:
+                withheld = withheld or WIDE
+            if withheld:
+                belief = replace(belief, verdict=AMBIGUOUS)
         yield Moment(
-            k, float(stamps[k]), float(stamps[k]) - seen, looked, metres, belief, best, covariance,
-            map_odom,
+            k, float(stamps[k]), float(stamps[k]) - said, looked, metres, belief, withheld, best,
+            covariance, deviation, map_odom,
         )  # fmt: skip
+
+
+class _Laser:
+    """One laser of a robot: its way since it was looked at, and its last readings."""
+
+    def __init__(self) -> None:
+        self.way = np.full(2, np.inf)
+        self._last: LaserScan | None = None
+
+    def repeats(self, scan: LaserScan) -> bool:
+        """Whether a scan is the last one again, to the bit: no sensor measures the same twice."""
+        last, self._last = self._last, scan
+        return last is not None and np.array_equal(last.ranges, scan.ranges, equal_nan=True)
 
 
 def robot_poses(scans: ScanSet) -> FloatArray | None:

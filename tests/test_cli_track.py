@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from imgloc.io.images import read_image
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan
+from imgloc.model import FloatArray, LaserScan
 from imgloc.options import Shared
 from imgloc.simulation import simulate_ranges
 from imgloc.worlds import WORLDS, render
@@ -101,6 +102,74 @@ def test_lines_for_people(log: Path) -> None:
     assert "unique" in lines[-1]
 
 
+DARK = range(10, 15)
+
+
+def in_the_dark(folder: Path, ranges: Callable[[FloatArray], object], *, carried: bool) -> Path:
+    """A log along a corridor whose scans are blind for 2.5 m, or for as long as it is carried."""
+    poses = np.array([[4.0 + 0.5 * k, 7.0, 0.0] for k in range(24)])
+    odom = noisy_odometry(poses, np.random.default_rng(0))
+    if carried:  # turned around where it was, with its wheels in the air; then it drives back
+        poses[DARK.start :] = [[8.5 - 0.25 * k, 7.0, np.pi] for k in range(24 - DARK.start)]
+        odom[DARK.start :] = odom[DARK.start] + [[0.25 * k, 0, 0] for k in range(14)]
+        poses[DARK.start : DARK.stop], odom[DARK] = poses[DARK.stop], odom[DARK.start]
+    fine = render(WORLDS["visibility"](), 0.05)
+    seen = simulate_ranges(fine, poses, ANGLES, seed=2, range_max=30.0)
+    for k in DARK:
+        seen[k] = ranges(seen[k - 1])
+    scans = tuple(LaserScan(r, ANGLES, range_max=30.0) for r in seen)
+    save_scans(folder / "dark.npz", ScanSet(scans, poses, 100.0 + np.arange(24), odom))
+    return folder / "dark.npz"
+
+
+@pytest.mark.parametrize("carried", [False, True], ids=["drives", "is carried"])
+@pytest.mark.parametrize(
+    "ranges",
+    [
+        lambda _: np.nan,
+        lambda _: np.inf,
+        lambda r: np.linspace(0.09, 0.11, len(r)),
+        lambda last: last,
+    ],
+    ids=["nan", "inf", "covered", "frozen"],
+)
+def test_a_blind_robot_gives_no_pose(
+    tmp_path: Path, ranges: Callable[[FloatArray], object], carried: bool
+) -> None:
+    path = in_the_dark(tmp_path, ranges, carried=carried)
+    run = call("track", MAP, path, "--json", "--tum", tmp_path / "a.tum")
+    assert run.code == 0, run.err
+    got, truth = rows(run.out), load_scans(path).poses
+    assert got[DARK.start - 1]["verdict"] == "unique"
+    blind = [got[k] for k in DARK]
+    assert [row["verdict"] for row in blind] == ["ambiguous"] * len(DARK)
+    assert {row["withheld"] for row in blind} == {"blind"}
+    assert not any(row["looked"] or row["pose"] for row in blind)
+    assert [row["age"] for row in blind] == [1, 2, 3, 4, 5]
+    if not carried:  # whoever stands grows no less sure of where
+        spread = [row["deviation"][0] for row in blind]
+        assert spread == sorted(spread)
+        assert got[-1]["verdict"] == "unique"
+    assert all(row["age"] == 0 for row in got[DARK.stop :])
+    for row in got:
+        if row["pose"]:
+            x, y, theta = truth[row["index"]]
+            assert np.hypot(row["pose"]["x"] - x, row["pose"]["y"] - y) < 0.3, row["index"]
+            assert abs(np.angle(np.exp(1j * (row["pose"]["theta"] - theta)))) < 0.1
+    published = [row["stamp"] for row in got if row["pose"]]
+    tum = (tmp_path / "a.tum").read_text().splitlines()
+    assert [float(line.split()[0]) for line in tum] == published
+    assert "ambiguous: blind" in call("track", MAP, path).out
+
+
+def test_a_pose_is_as_sure_as_was_asked_for(log: Path) -> None:
+    run = call("track", MAP, log, "--json", "--max-sd", "0.02,10")
+    assert run.code == 0, run.err
+    assert {row["withheld"] for row in rows(run.out)} == {None, "wide"}
+    assert not any(row["pose"] for row in rows(run.out))
+    assert "wide" not in call("track", MAP, log, "--max-sd", "2,10").out
+
+
 def test_jsonl_logs_are_read(log: Path, tmp_path: Path) -> None:
     data = np.load(log)
     path = tmp_path / "log.jsonl"
@@ -156,6 +225,8 @@ def test_strict_says_that_the_end_is_not_unique(log: Path) -> None:
         (["--start", "1,900,0"], 2, "start: 1,900 is outside of the map"),
         (["--best"], 2, "--ros"),
         (["--every", "-1,3"], 2, "Every.metres: got -1.0, expected metres, 0 to "),
+        (["--max-sd", "0,10"], 2, "Limits.metres: got 0.0, expected metres, 0.001 to "),
+        (["--max-sd", "1"], 2, "2 numbers"),
         (["--tum", "a.txt"], 2, "ends in .tum"),
         (["--filter", "kalman"], 2, "kalman"),
     ],

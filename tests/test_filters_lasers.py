@@ -1,6 +1,7 @@
 """A robot that looks ahead and behind: two lasers, each with a place of its own."""
 
 import math
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -138,6 +139,24 @@ def test_a_lever_is_in_the_covariance() -> None:
     draws = rng.multivariate_normal(pose[0], 1e-4 * near.covariance[0], 4000)
     spread = np.cov(view_of(mounted, Options()).robot(draws).T)
     np.testing.assert_allclose(far.covariance[0], 1e4 * spread, rtol=0.15, atol=0.01)
+
+
+def test_one_laser_sees_for_both() -> None:
+    """The front one goes blind: what the rear one sees is enough, at every moment."""
+    features, scans = features_of("visibility"), log(FRONT, REAR)
+    some = [
+        replace(scan, ranges=np.full_like(scan.ranges, np.nan)) if k % 2 == 0 and k >= 4 else scan
+        for k, scan in enumerate(scans.scans)
+    ]
+    chosen = make_filter("tracker", features, Options(), find=lambda _: NO_PLACES)
+    half = replace(scans, scans=tuple(some))
+    moments = list(follow(features, half, chosen, start=Pose2D(*PATH[0]), deviation=(0.2, 0.1)))
+    assert [m.withheld for m in moments] == [""] * len(moments)
+    assert [m.age for m in moments[4:6]] == [pytest.approx(0.9), 0.0]
+    blind = [replace(scan, ranges=np.full_like(scan.ranges, np.nan)) for scan in some[8:]]
+    none = replace(scans, scans=(*some[:8], *blind))
+    moments = list(follow(features, none, chosen, start=Pose2D(*PATH[0]), deviation=(0.2, 0.1)))
+    assert [m.withheld for m in moments[8:]] == ["", "blind", "blind", "blind"]
 
 
 def test_each_laser_is_looked_at_by_its_own_way() -> None:

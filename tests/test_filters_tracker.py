@@ -8,13 +8,13 @@ import pytest
 from places import ANGLES, features_of
 
 from imgloc.errors import ConfigError, ScanError
-from imgloc.filters.belief import Followed, belief_of
+from imgloc.filters.belief import Followed, belief_of, deviations_of
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import NO_PLACES, Places, settled, view_of
 from imgloc.filters.motion import compose_poses, noisy_odometry
 from imgloc.filters.particle import ParticleFilter, ParticleOptions, kld_bound, low_variance
 from imgloc.filters.tracker import Tracker, TrackerOptions
-from imgloc.geometry import transform_poses
+from imgloc.geometry import transform_poses, wrap
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, Pose2D, compose, inverse
 from imgloc.options import Options, Shared
@@ -30,7 +30,7 @@ WORLD = "visibility"
 @cache
 def log() -> ScanSet:
     """Twenty-four scans along the corridor of a world, half a metre apart, with odometry."""
-    poses = np.array([[4.0 + 0.5 * k, 8.0, 0.02 * k] for k in range(24)])
+    poses = np.array([[4.0 + 0.5 * k, 7.0, 0.02 * k] for k in range(24)])
     fine = render(WORLDS[WORLD](), 0.05)
     ranges = simulate_ranges(fine, poses, ANGLES, seed=2, range_max=30.0)
     scans = [LaserScan(r, ANGLES, range_max=30.0, stamp=float(k)) for k, r in enumerate(ranges)]
@@ -102,6 +102,8 @@ def test_the_sensor_stands_beside_what_odometry_is_of() -> None:
     moved = ScanSet(mounted, scans.poses, scans.stamps, odom)
     moments = list(follow(features_of(WORLD), moved, tracker_of()))
     for one, other in zip(tracked(), moments, strict=True):
+        if not one.looked or not other.looked:
+            continue
         assert one.best is not None
         assert other.best is not None
         sensor = compose(other.best, mount)
@@ -268,6 +270,61 @@ def test_a_scale_is_found_along_the_way_and_only_where_there_is_one() -> None:
         moments = list(follow(features, shortened(log(), factor), tracker, start=truth))
         assert tracker.options.shared.scale == pytest.approx(1 / factor, abs=0.01 * (factor < 1))
         assert errors(moments, log())[-1] < 0.2
+
+
+def test_scales_that_scatter_are_none() -> None:
+    """Every second scan says another scale: their median is as far off as they are apart."""
+    truth, factors = Pose2D(*log().poses[0]), np.tile([0.95, 0.95, 1.0, 1.05], 6)
+    scans = tuple(scan.scaled(f) for scan, f in zip(log().scans, factors, strict=True))
+    tracker = Tracker(features_of(WORLD), find=lambda _: NO_PLACES)
+    moments = list(follow(features_of(WORLD), replace(log(), scans=scans), tracker, start=truth))
+    assert tracker.options.shared.scale == 1.0
+    assert errors(moments, log())[-1] < 0.2
+
+
+@pytest.mark.parametrize(("spread", "expected"), [(0.0, 1.03), (0.02, 1.03), (0.06, 1.0)])
+def test_a_scale_is_taken_only_if_its_error_bar_excludes_none(
+    monkeypatch: pytest.MonkeyPatch, spread: float, expected: float
+) -> None:
+    tracker = tracker_of()
+    drawn = iter(1.03 * np.exp(spread * np.array([-1, -0.5, 0, 0, 0.5, 1])))
+    monkeypatch.setattr("imgloc.filters.tracker.stretched", lambda *_: (float(next(drawn)), 60.0))
+    tracker.place(np.array([5.0, 7.0, 0.0]), (0.1, 0.1))
+    for _ in range(6):
+        tracker._stretch(view_of(log()[0], Options()), fits=False)
+    assert tracker.options.shared.scale == pytest.approx(expected)
+    if expected != 1.0:  # and none again where later scans cannot tell it from none
+        drawn = iter(np.full(6, 1 / 1.025))
+        for _ in range(6):
+            tracker._stretch(view_of(log()[0], Options()), fits=False)
+        assert tracker.options.shared.scale == 1.0
+
+
+def test_scans_that_are_not_looked_at_correct_the_pose() -> None:
+    """Of a heading that lags, odometry says 23 degrees less than there are."""
+    scans = log()
+    late = scans.odom - [0, 0, 1] * np.clip(0.05 * (np.arange(24.0) - 8), 0, 0.4)[:, None]
+    lagging, tracker = replace(scans, odom=late), tracker_of()
+    gap, start = Every(99.0, 9.0), Pose2D(*scans.poses[0])
+    moments = list(follow(features_of(WORLD), lagging, tracker, every=gap, start=start))
+    assert not any(m.looked for m in moments[1:])
+    assert max(errors(moments, scans)) < 0.15
+    turned = [wrap(m.best.theta - p[2]) for m, p in zip(moments, scans.poses, strict=True)]
+    assert np.abs(turned).max() < 0.05
+
+
+def test_odometry_that_is_often_wrong_is_trusted_less() -> None:
+    wide = []
+    for slip in (0.0, 0.12):
+        poses = compose_poses(np.tile([0.5, 0, 0.02 + slip], (24, 1)), np.zeros(3))
+        odom = np.array([[0.5 * k, 0, 0.0] for k in range(24)])
+        odom[:, 2] = np.cumsum(poses[:, 2] * (-1.0) ** np.arange(24))
+        tracker = tracker_of()
+        start = Pose2D(*log().poses[0])
+        list(follow(features_of(WORLD), replace(log(), odom=odom), tracker, start=start))
+        tracker.move(np.array([2.0, 0.0, 0.0]))
+        wide.append(deviations_of(tracker.belief.covariance[0])[0])
+    assert wide[1] > 1.3 * wide[0]
 
 
 def test_a_robot_off_the_map_is_lost() -> None:

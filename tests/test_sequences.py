@@ -31,7 +31,10 @@ def run(error, unique=None, jump=None, seconds=None, cost=1.0) -> Run:
     seconds = np.arange(n) * 2.0 if seconds is None else np.asarray(seconds, dtype=float)
     unique = np.ones(n) if unique is None else np.asarray(unique, dtype=float)
     both = np.column_stack((error, np.zeros(n)))
-    return Run(seconds, np.arange(n) * 1.0, both, unique, np.zeros(n), cost, jump)
+    square = np.square(error / 0.1)
+    return Run(
+        seconds, np.arange(n) * 1.0, both, unique, np.zeros(n), cost, 0.1 * both, square, jump
+    )
 
 
 def test_a_kidnapping_joins_two_pieces_and_odometry_notices_nothing() -> None:

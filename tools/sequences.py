@@ -22,6 +22,7 @@ import numpy as np
 import imgloc
 from imgloc import MapFeatures, Options, Picture, ScanSet, follow, load_map, load_scans, make_filter
 from imgloc.filters.evidence import Places
+from imgloc.geometry import wrap
 from imgloc.io.files import write_bytes_atomic, write_text_atomic
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, to_json
 from imgloc.output.tracks import draw_track, sequence_row
@@ -34,6 +35,7 @@ from tools.script import parser_of, progress, table_lines
 #: as odometry and poses agree best while it turns.
 MOUNTS = {"duke_loop5": Pose2D(0.32, 0.0, 0.0)}
 NEAR, VIEW, STOPPED = 5.0, float(np.deg2rad(90.0)), 0.3
+LAG = 0.4  # seconds
 _GRID_CELL = 0.2
 
 
@@ -52,6 +54,7 @@ CASES = (
     Case("tracker"),
     Case("tracker, 5 m and 90 deg", scans="near"),
     Case("tracker, 30 % stopped short", scans="stopped"),
+    Case("tracker, odometry lags", scans="lagging"),
     Case("tracker, no resetting", resets=False),
     Case("particle, GHT-V", "particle"),
     Case("particle, CBML", "particle", reset_by="cbml"),
@@ -75,6 +78,15 @@ def stopped(scan: LaserScan, rng: np.random.Generator) -> LaserScan:
     return replace(scan, ranges=ranges)
 
 
+def lagging(scans: ScanSet) -> ScanSet:
+    """The log of a robot whose odometry gives a heading of some time ago."""
+    if scans.odom is None or scans.stamps is None:
+        return scans
+    turned = np.unwrap(scans.odom[:, 2])
+    late = wrap(np.interp(scans.stamps - LAG, scans.stamps, turned))
+    return replace(scans, odom=np.column_stack((scans.odom[:, :2], late)))
+
+
 _CHANGES: Mapping[str, Callable[[LaserScan, np.random.Generator], LaserScan]] = {
     "as recorded": lambda scan, _: scan, "near": near, "stopped": stopped,
 }  # fmt: skip
@@ -82,6 +94,8 @@ _CHANGES: Mapping[str, Callable[[LaserScan, np.random.Generator], LaserScan]] = 
 
 def changed(scans: ScanSet, how: str, seed: int) -> ScanSet:
     """The scans as they would have been under other conditions."""
+    if how == "lagging":
+        return lagging(scans)
     rng = np.random.default_rng(seed)
     return replace(scans, scans=tuple(_CHANGES[how](scan, rng) for scan in scans.scans))
 
@@ -170,7 +184,7 @@ def page(rows: Sequence[Mapping[str, Any]], trials: Trials) -> str:
     right = " | ".join(f"{m} m" for m in rows[0]["right"])
     head = (
         f"log | filter | runs | {right} | stays, 2 m | 10 m | unique, 10 m | s, m to converge | "
-        "RMSE m, deg | s unique, wrong | kidnapped: back | after m | ENM-MCL | "
+        "RMSE m, deg | in 95 % region | s unique, wrong | kidnapped: back | after m | ENM-MCL | "
         "F3Loc 1, .5, .3, .2 m | x real time"
     )
     cells = (
@@ -179,6 +193,7 @@ def page(rows: Sequence[Mapping[str, Any]], trials: Trials) -> str:
          _share(row["stays"]["2"]), _share(row["stays"]["10"]), _share(row["published"]["10"]),
          f"{row['seconds']:.0f}, {row['metres']:.1f}",
          f"{row['rmse'][0]:.3f}, {np.rad2deg(row['rmse'][1]):.2f}",
+         _share(row["inside"]),
          f"{row['wrong']:.1f} of {row['total']:.0f}",
          f"{row['kidnapped']['hits']} of {row['kidnapped']['trials']}",
          f"{row['kidnap_metres']:.1f}", _share(row["enm"]),

@@ -13,7 +13,10 @@ from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
 
-_EVERY = "Look at a scan once the robot has gone M metres or turned DEG degrees. [default: 0.5,30]"
+_EVERY = (
+    "Weigh all places by a scan once the robot has gone M metres or turned DEG degrees; the scans "
+    "between correct the best one alone. [default: 0.5,30]"
+)
 
 
 @opt.with_options(opt.mounting, opt.reading, opt.logs, opt.taken, opt.console)
@@ -43,6 +46,13 @@ def track(
         parser=opt.numbers(4, angles=(3,)),
     ),
     every: Any = option(None, "M,DEG", _EVERY, parser=opt.numbers(2)),
+    max_sd: Any = option(
+        None,
+        "M,DEG",
+        "A pose is unique only while its standard deviations are at most M metres and DEG degrees. "
+        "[default: 0.5,10]",
+        parser=opt.numbers(2),
+    ),
     resets: bool = flag("--resets/--no-resets", "Draw from p(x | z) when lost.", True),
     simulate_odometry: int | None = option(
         None, "SEED", "Make odometry of the recorded poses, with noise and a bias.", min=0
@@ -69,6 +79,9 @@ def track(
 
     A line for each scan: unique (the pose is given), ambiguous (several places fit) or lost (no
     place that is known does). No pose is given unless it is unique; the last one is never repeated.
+    A scan that says nothing gives none either, "ambiguous: blind": it has no readings, the lens is
+    covered, or it is the last scan again. "ambiguous: wide": the standard deviation of the pose is
+    above --max-sd.
     Poses are those of the robot's base in the map frame; of the sensor where neither the log nor
     --sensor says where that sits. Several lasers are followed together (--topic /front,/rear).
     """
@@ -92,7 +105,7 @@ def track(
         tum_text,
     )
     from imgloc.sequences import with_odometry
-    from imgloc.tracking import Every, Kidnap, Moment, follow, robot_poses
+    from imgloc.tracking import Every, Kidnap, Limits, Moment, follow, robot_poses
 
     folder = inputs.kept_in(cache, wanted=not no_cache)
     if best and ros is None:
@@ -120,6 +133,7 @@ def track(
     )
     chosen = make_filter(filter_.value, features, options, seed=seed, resets=resets)
     gap = Every() if every is None else Every(every[0], math.radians(every[1]))
+    limits = Limits() if max_sd is None else Limits(max_sd[0], math.radians(max_sd[1]))
     moments: list[Moment] = []
     movie = None if video is None else Video(features)
     with contextlib.ExitStack() as undo:
@@ -130,6 +144,7 @@ def track(
             scans,
             chosen,
             every=gap,
+            limits=limits,
             start=None if start is None else Pose2D(*start),
             kidnap=None if kidnap is None else Kidnap(kidnap[0], Pose2D(*kidnap[1:])),
             name=inputs.name_of(log),

@@ -33,6 +33,18 @@ class Belief:
 NOWHERE = Belief(np.empty((0, 3)), np.empty(0), np.empty((0, 3, 3)), 1.0, LOST, 0.0)
 
 
+def deviations_of(covariance: FloatArray) -> tuple[float, float]:
+    """Standard deviations of a covariance (3, 3): metres along its longest axis, and radians.
+
+    Examples
+    --------
+    >>> deviations_of(np.diag([0.04, 0.09, 0.01]))
+    (0.3, 0.1)
+    """
+    metres = np.linalg.eigvalsh(covariance[:2, :2])[-1]
+    return float(np.sqrt(max(0.0, metres))), float(np.sqrt(max(0.0, covariance[2, 2])))
+
+
 class Filter(Protocol):
     """What :mod:`imgloc.tracking` drives along a log.
 
@@ -48,7 +60,10 @@ class Filter(Protocol):
         """Take a scan."""
 
     def watch(self, scan: LaserScan) -> bool:
-        """Whether a scan that would not be taken contradicts the belief, and should be."""
+        """Correct the pose by a scan; True if it contradicts the belief and has to be taken."""
+
+    def miss(self, seconds: float) -> None:
+        """Take note of a scan that says nothing, so long after the one before."""
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
         """Believe to be at a pose (3,), grid frame, with deviations in metres and radians."""

@@ -28,6 +28,7 @@ _FARTHEST = (1.2, 0.7)  # metres and radians, at most
 _SCALES = (0.95, 1.0, 1.05)  # at which that of the readings begins
 _MOST = 3000  # poses of all first looks together: time has an end
 _CLOSER = 3  # of them that are moved to where they fit best
+_BODY = 0.3  # metres: what is nearer on all sides is a cover, or the robot itself
 _WIDTHS = (0.3, 0.1)  # of the kernel that tells which: of the first look, and of the last, metres
 
 
@@ -48,8 +49,14 @@ class View:
 
 
 def usable(scan: LaserScan, options: Options) -> LaserScan | None:
-    """The scan at the scale that is known; None if it has so few readings that it says nothing."""
-    if scan.directions < max(1, options.trust.readings):
+    """The scan at the scale that is known; None if it says nothing of where the robot is.
+
+    It does if it has readings in enough directions, and of enough places beyond the robot's body.
+    """
+    few = max(1, options.trust.readings)
+    if scan.directions < few:
+        return None
+    if np.count_nonzero(one_per_place(scan, options.fused.place).ranges > _BODY) < few:
         return None
     return scan if options.shared.scale == 1 else scan.scaled(options.shared.scale)
 

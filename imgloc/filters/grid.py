@@ -231,6 +231,9 @@ class GridFilter:
             return False
         return self._misfit_at_best(seen) > self._habits.of(seen).last + self.how.surprise
 
+    def miss(self, seconds: float) -> None:
+        """Nothing: what motion adds to the spread is all that is lost."""
+
     def see(self, scan: LaserScan) -> None:
         """Take a scan; one with too few readings says nothing."""
         seen = usable(scan, self.options)

@@ -34,6 +34,13 @@ class MotionNoise(Checked):
     #: standard deviations, metres and radians
     floor: tuple[Metres, Radians] = (0.01, 0.005)
 
+    def scaled(self, factor: float) -> "MotionNoise":
+        """The noise of odometry whose variances are so many times these."""
+        if factor == 1:
+            return self
+        some = {f"alpha{k}": factor * getattr(self, f"alpha{k}") for k in range(1, 5)}
+        return MotionNoise(**some, floor=self.floor)
+
 
 def compose_poses(a: FloatArray, b: FloatArray) -> FloatArray:
     """``a ⊕ b`` of poses (..., 3), which broadcast: `b`, given in the frame of `a`; theta wrapped.

@@ -23,7 +23,6 @@ from imgloc.filters.evidence import (
     Sight,
     View,
     misfit_at,
-    misfit_near,
     search,
     settled,
     sight,
@@ -79,9 +78,18 @@ class TrackerOptions:
     #: more than in the scan before to be no surprise
     surprise: tuple[float, float] = (0.5, 0.7)
     startle: float = 0.5  #: share of its evidence that a surprising scan has at least
-    #: so many scans that fit best at another scale, by this logarithm in the median, and gain so
-    #: many nats together, are given it: none of the logs that these filters were made with does
-    stretch: tuple[int, float, float] = (6, 0.015, 150.0)
+    #: how far odometry may be off at once, metres and radians, if a scan shows it: wheels that
+    #: slip, a heading that lags in turns
+    slip: tuple[float, float] = (0.3, 0.25)
+    #: how soon it is learnt that odometry is worse than `noise` says: share of one scan in what is
+    #: known, and how many times the variance it may have
+    learn: tuple[float, float] = (0.1, 25.0)
+    stale: float = 3.0  #: metres since a scan agreed with the best component, to be ``unique``
+    #: chance of being carried off: for each second without sight, and in all of them
+    dark: tuple[float, float] = (0.02, 0.3)
+    #: scans that show another scale of the readings, nats that they must gain together, and how
+    #: far their median must be from 1: a logarithm, and standard errors of the median
+    stretch: tuple[int, float, float, float] = (6, 150.0, 0.015, 3.0)
     resets: bool = True  #: whether lost mass is put where scans find places: sensor resetting
 
 
@@ -119,18 +127,21 @@ class Tracker:
     ) -> None:
         self.how = how or TrackerOptions()
         self.options = replace(options or Options(), top=1000)  # covariances of all
+        self._given = self.options.shared.scale
         self.features = features.thinner(self.options.shared.thinner)
         self._find = find or (lambda scan: search(self.features, scan, self.options))
         self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
         self._mass, self._followed = np.empty(0), np.empty(0)
         self._lost, self._resets, self._agreed = 1.0, 0, 0
+        self._wrong = 1.0  # variance of odometry's errors, as scans show it, over what is expected
+        self._way, self._since = 0.0, 0.0  # metres since the last scan, and since one agreed
         self._unsearched, self._pause = 0.0, self.how.search[0]  # metres
         self._habits, self._scales = Habits(), list[tuple[float, float]]()
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
         """Believe to be at a pose (3,), with deviations in metres and radians."""
         metres, radians = deviation
-        self._poses = np.asarray(pose, dtype=np.float64).reshape(1, 3)
+        self._poses = np.array(pose, dtype=np.float64).reshape(1, 3)
         self._covariance = np.diag([metres, metres, radians])[None] ** 2
         self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
         self._agreed = self.how.agree[0] - 1  # one scan has to agree with what was told
@@ -138,32 +149,81 @@ class Tracker:
 
     def move(self, increment: FloatArray) -> None:
         """Take a motion (3,) of the robot, in its frame before."""
+        noise = self.how.noise.scaled(self._wrong)
         self._poses, self._covariance = move_gaussians(
-            self._poses, self._covariance, increment, self.how.noise
+            self._poses, self._covariance, increment, noise
         )
         self._habits.move(increment)
         metres = float(way_of(increment)[0])
         self._unsearched += metres
-        self._followed = self._followed + metres
+        self._way, self._since = self._way + metres, self._since + metres
+
+    def miss(self, seconds: float) -> None:
+        """Take note of a scan that says nothing, so long after the one before.
+
+        Who sees nothing may be carried off. A second or a metre without sight takes back a metre
+        of having been followed, and each such scan one that agreed.
+        """
+        first, (rate, most) = self.how.sure[0], self.how.dark
+        cost, self._way = self._way + seconds, 0.0
+        kept = np.maximum(np.minimum(self._followed, first) - cost, 0.0)
+        self._followed = np.minimum(self._followed, kept)
+        self._agreed = max(0, min(self._agreed, self.how.agree[0]) - 1)
+        if self.how.resets and self._lost < most:
+            lost = min(most, self._lost + rate * seconds)
+            self._mass, self._lost = self._mass * (1 - lost) / (1 - self._lost), lost
 
     def watch(self, scan: LaserScan) -> bool:
-        """Whether a scan that is not to be looked at contradicts what is believed: look at it."""
+        """Correct the best pose by a scan; True if it contradicts what is believed: look at it."""
         seen = usable(scan, self.options)
         if seen is None or not len(self._poses):
             return False
-        return self._contradicted(view_of(seen, self.options), self._habits.of(seen))
-
-    def _contradicted(self, view: View, habit: Habit) -> bool:
-        """Whether the best component fits abruptly worse than before."""
-        best = int(np.argmax(self._mass))
-        at = slice(best, best + 1)
-        misfit = misfit_near(
-            self.features, view, self._poses[at], self.options, self._covariance[at]
-        )
-        if misfit > habit.last + self.how.surprise[1]:
+        habit, view = self._habits.of(seen), view_of(seen, self.options)
+        near = self._unsurprised(view, habit)
+        if near is None:
             return True
-        habit.last, habit.doubted = misfit, misfit > habit.usual + self.how.surprise[0]
+        self._follow_on()
+        if len(view.readings) >= self.how.agree[1] and habit.last <= self._strange(habit):
+            best = slice(int(np.argmax(self._mass)), int(np.argmax(self._mass)) + 1)
+            one = sight(self.features, view, near, self.options)
+            self._correct(best, near, self._noise(one) / self._fresh(habit))
+            self._agreed += bool(self._mass[best] >= self.how.mass)
+            self._since = 0.0
         return False
+
+    def _follow_on(self) -> None:
+        self._followed, self._way = self._followed + self._way, 0.0
+
+    def _fresh(self, habit: Habit) -> float:
+        """Share of a scan's evidence that is new after the way since the last one looked at."""
+        return float(np.clip((habit.way / self.how.fresh).sum(), self.how.least, 1.0))
+
+    def _unsurprised(self, view: View, habit: Habit) -> FloatArray | None:
+        """Where the best component settles (1, 3); None if it fits abruptly worse than before.
+
+        As far as odometry says, and if that does not fit, as far as it may be off at once.
+        """
+        best = int(np.argmax(self._mass))
+        pose, spread = self._poses[best : best + 1], self._covariance[best : best + 1]
+        near = settled(self.features, view, pose, spread)
+        misfit = misfit_at(self.features, view, near, self.options)
+        slipped = False
+        surprised = misfit > min(habit.last + self.how.surprise[1], self._strange(habit))
+        if surprised and self._lost < 0.5:
+            metres, radians = self.how.slip
+            wider = spread + np.diag(np.square([metres, metres, radians]))
+            other = settled(self.features, view, pose, wider)
+            fit = misfit_at(self.features, view, other, self.options)
+            if slipped := fit <= self._strange(habit):
+                near, misfit, self._covariance[best] = other, fit, wider[0]
+        if misfit > habit.last + self.how.surprise[1]:
+            return None
+        habit.last, habit.doubted = misfit, slipped or misfit > self._strange(habit)
+        return near
+
+    def _strange(self, habit: Habit) -> float:
+        """The misfit of a scan of this laser from which on it is doubted."""
+        return habit.usual + self.how.surprise[0]
 
     def see(self, scan: LaserScan) -> None:
         """Take a scan; one with too few readings says nothing."""
@@ -174,8 +234,9 @@ class Tracker:
     def _see(self, scan: LaserScan) -> None:
         how, known = self.how, len(self._poses)
         habit, view, found = self._habits.of(scan), view_of(scan, self.options), NO_PLACES
-        new, habit.way = float(np.clip((habit.way / how.fresh).sum(), how.least, 1)), np.zeros(2)
-        contradicted = known > 0 and self._contradicted(view, habit)
+        new, habit.way = self._fresh(habit), np.zeros(2)
+        self._follow_on()
+        contradicted = known > 0 and self._unsurprised(view, habit) is None
         strange = contradicted or self._habits.doubted or self._lost > how.known
         if strange or self._unsearched >= self._pause:
             found, self._unsearched = self._find(scan).best(2 * how.births), 0.0
@@ -200,7 +261,7 @@ class Tracker:
                 leak, new = how.leak[1], max(new, how.startle)
                 relative = np.maximum((seen.log_likelihood - best) * new, -how.drop)
                 at, gain = self._follow(seen, relative, new)
-            habit.doubted = leader > habit.usual + how.surprise[0]
+            habit.doubted = leader > self._strange(habit)
         lost = self._lost + leak * (1 - self._lost)
         mass = self._mass * np.exp(gain)
         if known:
@@ -213,28 +274,49 @@ class Tracker:
             odds = max(how.patience, told, np.exp(_MOST) * lost / (1 - lost))
             lost = min(gone, odds * float(mass.sum()))
         self._mass, self._lost = mass, lost
-        self._settle(seen, at)
+        self._settle(seen, at, habit)
         self._normalise()
         if how.resets or not known:
             self._bear(seen, 2 * known, relative)
         self._tidy()
         agrees = (self._mass[:1] >= how.mass).any()
-        self._agreed = self._agreed + (len(view.readings) >= how.agree[1]) if agrees else 0
+        enough = len(view.readings) >= how.agree[1]
+        self._agreed = self._agreed + enough if agrees else 0
+        if agrees and enough and not habit.doubted:
+            self._since = 0.0
         if len(self._mass):
             habit.learn(misfit_at(self.features, view, self._poses[:1], self.options))
             alone = self._lost < 0.5 and self._mass[0] >= how.mass * self._mass.sum()
-            if alone and habit.last > self.options.fused.strained:
-                self._stretch(view)
+            if alone:
+                self._stretch(view, fits=habit.last <= self.options.fused.strained)
 
-    def _stretch(self, view: View) -> None:
-        """Allow for another scale of the readings, once some scans together fit far better so."""
-        (count, least, gain), shared = self.how.stretch, self.options.shared
-        self._scales.append(stretched(self.features, view, self._poses[0], self.options))
-        scales, gains = np.array(self._scales[-count:]).T
-        middle, most = float(np.median(scales)), np.log(self.options.fused.most_scaled)
-        if len(gains) == count and gains.sum() > gain and least < abs(np.log(middle)) < most:
-            shared = replace(shared, scale=shared.scale * middle)
-            self.options, self._scales = replace(self.options, shared=shared), []
+    def _stretch(self, view: View, *, fits: bool) -> None:
+        """Allow for another scale of the readings, once some scans together fit far better so.
+
+        A scale that they cannot tell from the one that was given, by the standard error of their
+        median, is that one. A scan that `fits` speaks for the scale in use.
+        """
+        (count, gain, least, errors), shared = self.how.stretch, self.options.shared
+        other = stretched(self.features, view, self._poses[0], self.options) if not fits else None
+        self._scales.append(other or (1.0, 0.0))
+        del self._scales[:-count]
+        scales, gains = np.array(self._scales).T
+        if len(gains) < count or gains.sum() <= gain:
+            return
+        logs = np.log(scales * shared.scale)
+        middle = float(np.median(logs))
+        # A median has 1.25 times the standard error of a mean; 1.48 absolute deviations are one.
+        error = 1.25 * 1.48 * float(np.median(np.abs(logs - middle))) / np.sqrt(count)
+        unsure = max(least, errors * error)
+        if abs(middle - np.log(self._given)) <= unsure:
+            scale = self._given
+        elif unsure < abs(middle - np.log(shared.scale)):
+            scale = float(np.exp(middle))
+        else:
+            return
+        if scale != shared.scale and abs(middle) < np.log(self.options.fused.most_scaled):
+            self.options = replace(self.options, shared=replace(shared, scale=scale))
+            self._scales = []
 
     def _doubt(self, gained: float) -> float:
         """How much likelier a scan is somewhere unknown than where it gains so much, nats.
@@ -273,17 +355,32 @@ class Tracker:
         metres, radians = self.how.error
         return np.asarray(seen.covariance + np.diag([metres, metres, radians]) ** 2)
 
-    def _settle(self, seen: Sight, at: IntArray) -> None:
-        """Kalman's update of the components by the poses they are at, if those are others."""
-        P, R = self._covariance, self._noise(seen)[at]
-        apart = seen.poses[at] - self._poses
+    def _settle(self, seen: Sight, at: IntArray, habit: Habit) -> None:
+        """Correct the components by the poses they are at.
+
+        One that is found at no other pose than expected is confirmed there, if the scan fits.
+        """
+        fits = seen.misfit[at] <= self._strange(habit)
+        some = np.flatnonzero((at != np.arange(len(at))) | fits)
+        if len(some):
+            self._correct(some, seen.poses[at[some]], self._noise(seen)[at[some]])
+
+    def _correct(self, which: IntArray | slice, poses: FloatArray, noise: FloatArray) -> None:
+        """Kalman's update of some components (C,) by poses (C, 3) with covariances (C, 3, 3)."""
+        P = self._covariance[which]
+        apart = poses - self._poses[which]
         apart[:, 2] = wrap(apart[:, 2])
-        gain = P @ np.linalg.inv(P + R)
-        gain[at == np.arange(len(at))] = 0.0  # nothing was found but what was predicted
-        self._poses = self._poses + (gain @ apart[..., None])[..., 0]
-        self._poses[:, 2] = wrap(self._poses[:, 2])
+        expected = np.linalg.inv(P + noise)
+        if np.arange(len(self._poses))[which][0] == 0:
+            rate, most = self.how.learn
+            square = float(apart[0] @ expected[0] @ apart[0]) / 3  # of the heaviest: 1 in the mean
+            self._wrong = float(np.clip(self._wrong + rate * (square - self._wrong), 1.0, most))
+        gain = P @ expected
+        corrected = self._poses[which] + (gain @ apart[..., None])[..., 0]
+        corrected[:, 2] = wrap(corrected[:, 2])
+        self._poses[which] = corrected
         P = P - gain @ P
-        self._covariance = (P + P.transpose(0, 2, 1)) / 2
+        self._covariance[which] = (P + P.transpose(0, 2, 1)) / 2
 
     def _bear(self, seen: Sight, first: int, relative: FloatArray) -> None:
         """Put the lost mass where the scan fits: the poses from the index `first` on."""
@@ -341,7 +438,8 @@ class Tracker:
         if self._lost > 0.5 or not len(mass):
             verdict = LOST
         elif not self._habits.doubted and self._agreed >= self.how.agree[0]:
-            verdict = UNIQUE if self._followed[order[0]] >= self.how.sure[0] else AMBIGUOUS
+            held = self._followed[order[0]] >= self.how.sure[0] and self._since <= self.how.stale
+            verdict = UNIQUE if held else AMBIGUOUS
         neff = float(np.square(mass.sum()) / max(1e-300, np.square(mass).sum()))
         return Belief(
             self._poses[order], mass, self._covariance[order], self._lost, verdict, neff,

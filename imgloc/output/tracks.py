@@ -52,8 +52,10 @@ def moment_row(moment: Moment) -> dict[str, Any]:
         "index": moment.index,
         "stamp": moment.stamp,
         "age": moment.age,
+        "deviation": None if moment.best is None else moment.deviation,
         "looked": moment.looked,
         "verdict": belief.verdict,
+        "withheld": moment.withheld or None,
         "pose": pose,
         "covariance": None if pose is None else moment.covariance,
         "map_odom": None if pose is None else moment.map_odom,
@@ -84,14 +86,15 @@ def track_line(moment: Moment) -> str:
         p = moment.pose
         place = f"{p.x:>10.3f} {p.y:>10.3f} {math.degrees(p.theta):>12.2f}"
     mass = float(moment.belief.mass[0]) if len(moment.belief.mass) else 0.0
-    head = f"{moment.index:>6} {moment.stamp:>14.3f}  {moment.belief.verdict:<10}"
+    verdict = ": ".join(filter(None, (moment.belief.verdict, moment.withheld)))
+    head = f"{moment.index:>6} {moment.stamp:>14.3f}  {verdict:<16}"
     return f"{head} {place} {100 * mass:>7.1f}% {moment.metres:>9.2f}"
 
 
 def track_header() -> str:
     """What stands above the lines of :func:`track_line`."""
     place = f"{'x / m':>10} {'y / m':>10} {'theta / deg':>12}"
-    return f"{'index':>6} {'stamp':>14}  {'verdict':<10} {place} {'mass':>8} {'driven/m':>9}"
+    return f"{'index':>6} {'stamp':>14}  {'verdict':<16} {place} {'mass':>8} {'driven/m':>9}"
 
 
 def draw_track(
@@ -236,6 +239,7 @@ def sequence_tables(rows: Sequence[Mapping[str, Any]], width: int | None = None)
             *head,
             f"{row['rmse'][0]:.3f}",
             f"{math.degrees(row['rmse'][1]):.2f}",
+            _share(row["inside"]),
             f"{row['wrong']:.1f} of {row['total']:.0f}",
             f"{row['kidnapped']['hits']} of {row['kidnapped']['trials']}",
             f"{row['kidnap_metres']:.1f}",
@@ -246,8 +250,8 @@ def sequence_tables(rows: Sequence[Mapping[str, Any]], width: int | None = None)
         "s", "m", "ENM-MCL", "F3Loc 1 .5 .3 .2 m",
     )  # fmt: skip
     second = (
-        "map", "filter", "RMSE / m", "deg", "s unique, wrong", "kidnapped: back", "after m",
-        "x real time",
+        "map", "filter", "RMSE / m", "deg", "in 95 %", "s unique, wrong", "kidnapped: back",
+        "after m", "x real time",
     )  # fmt: skip
     tables = ((first, found, 3), (second, kept, 2))
     return "\n".join(as_plain(names, cells, left=n, width=width) for names, cells, n in tables)
