@@ -8,11 +8,11 @@ import hashlib
 import io
 import json
 import logging
+import os
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from io import BufferedReader
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,8 @@ from imgloc.features.pyramid import Level
 from imgloc.features.scanpoints import one_per_place
 from imgloc.features.store import code_digest
 from imgloc.io.contents import content_hash, files_of
-from imgloc.io.files import display, open_file, reason, write_bytes_atomic
+from imgloc.io.files import display, reason, write_bytes_atomic
+from imgloc.io.own import open_arrays, parse_json
 from imgloc.model import FloatArray, LaserScan
 from imgloc.options import Options
 from imgloc.search.mosaic import Mosaic, best_fits, mosaics
@@ -37,6 +38,11 @@ _READINGS = 32  # of a scan: a map that is dropped here is not looked at again
 _FORMAT = "imgloc index of maps, 1"
 _YOUNG = 2_000_000_000  # ns before the index was written; a younger file may change unnoticed
 _LIMIT = 1 << 36  # bytes of a file
+_STAMP = [str, (int, None), (int, None)]
+_ABOUT = {
+    "format": str, "code": str, "written": int, "levels": [[str, int, int, float, float]],
+    "maps": {str: [[_STAMP], str]},
+}  # fmt: skip
 _BESIDE = 6  # bytes for each cell of a level: itself, in a mosaic, and sums there
 
 
@@ -197,24 +203,25 @@ def _save(
 def _load(file: Path, memory_budget: int | None) -> _Kept:
     """What a file holds; nothing if it is not there, or was made by another version."""
     kept = _Kept()
-    if not file.exists():
+    if not os.path.lexists(file):
         return kept
     name = display(file)
     try:
-        with (
-            open_file(file, limit=_LIMIT, error=OutputError, what="map index") as (source, size),
-            _archive(source) as archive,
-        ):
+        with open_arrays(file, limit=_LIMIT, what="map index") as (archive, size):
             check_budget(_BESIDE * size, memory_budget, f"{name}: an index", "look at fewer maps")
-            about = json.loads(archive["about"].tobytes())
+            about = parse_json(archive["about"].tobytes(), _ABOUT)
             if about["format"].rpartition(",")[0] != _FORMAT.rpartition(",")[0]:
                 raise ValueError("of another kind")
             if (about["format"], about["code"]) != (_FORMAT, code_digest()):
                 LOG.info("%s: made by another version, built anew", name)
                 return kept
-            images, free = archive["images"], np.unpackbits(archive["free"]).view(bool)
-            at = 0
+            images, packed, at = archive["images"], archive["free"], 0
+            if images.dtype != np.uint8 or packed.shape != (-(-images.size // 8),):
+                raise ValueError("images and free cells of other sizes")
+            free = np.unpackbits(packed).view(bool)
             for digest, height, width, resolution, turn in about["levels"]:
+                if not (min(height, width, resolution) > 0 and at + height * width <= images.size):
+                    raise ValueError("levels of other sizes")
                 part, shape = slice(at, at + height * width), (height, width)
                 level = Level(images[part].reshape(shape), free[part].reshape(shape), resolution)
                 kept.entries[digest] = level, turn
@@ -227,10 +234,3 @@ def _load(file: Path, memory_budget: int | None) -> _Kept:
         raise OutputError(
             f"{name}: is no index of maps ({reason(e)}); expected another name, or remove it"
         ) from None
-
-
-def _archive(source: BufferedReader) -> Any:
-    """The arrays of an NPZ; of another file NumPy would say how to read it unsafely."""
-    if source.peek(2)[:2] != b"PK":
-        raise ValueError("no NPZ")
-    return np.load(source, allow_pickle=False)

@@ -88,16 +88,21 @@ def test_places_are_free_and_clear():
         atlas_poses(grid, 0.0, 1, 0.0)
 
 
+def row(x: float) -> list[object]:
+    return [x, 0.0, 0.0, "unique", 1.0, 0.01, 0.0, None, None, None, 0.0]
+
+
 def test_a_journal_goes_on_after_a_cut_line(tmp_path: Path) -> None:
     path = tmp_path / "a.part"
     journal = Journal(path, {"step": 1})
-    journal.add([1.0, None, float("nan"), "unique"])
-    journal.add([2.0])
+    journal.add([1.0, 0.0, 0.0, "no-match", 0.0, float("nan"), None, None, None, None, 0.0])
+    journal.add(row(2.0))
     journal.close()
     path.write_text(path.read_text() + '[3.0, "half')
     again = Journal(path, {"step": 1})
-    assert again.rows == [[1.0, None, None, "unique"], [2.0]]
-    again.add([4.0])
+    lost = [1.0, 0.0, 0.0, "no-match", 0.0, None, None, None, None, None, 0.0]
+    assert again.rows == [lost, row(2.0)]
+    again.add(row(4.0))
     again.close()
     last = Journal(path, {"step": 1})
     assert len(last.rows) == 3
@@ -110,14 +115,14 @@ def test_no_stop_loses_a_whole_row(tmp_path: Path) -> None:
     path, key = tmp_path / "a.part", {"step": 1}
     journal = Journal(path, key)
     for value in (1.0, 2.0):
-        journal.add([value])
+        journal.add(row(value))
     journal.close()
     content = path.read_bytes()
     for end in range(len(content) + 1):
         path.write_bytes(content[:end])
         again = Journal(path, key)  # and is killed before it adds a row: nothing is closed
         rows = max(0, content[:end].count(b"\n") - 1)
-        assert again.rows == [[1.0], [2.0]][:rows]
+        assert again.rows == [row(1.0), row(2.0)][:rows]
         kept = path.read_bytes()
         assert kept == b"".join(content.splitlines(True)[: 1 + rows])
         again.close()
@@ -127,7 +132,7 @@ def test_a_journal_that_is_killed_while_it_starts_again_is_whole(tmp_path: Path)
     path = tmp_path / "a.part"
     journal = Journal(path, {"step": 1})
     for value in range(500):
-        journal.add([value])
+        journal.add(row(value))
     journal.close()
     content = path.read_bytes()
     code = (

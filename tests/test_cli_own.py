@@ -1,16 +1,20 @@
 """Files that imgloc writes and reads again, when somebody else has had them: by the command."""
 
 import csv
+import io
 import json
 import os
 import shutil
 import subprocess
 import time
+import tracemalloc
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
-from command import call, command
+from command import call, command, untimed
 from places import room_with_a_post
 
 from imgloc.io.maps import save_map
@@ -252,3 +256,164 @@ def test_a_folder_that_goes_in_the_middle_is_noticed_at_the_next_row(
         again = call("batch", folder / "maps", "--job", "check", "--out", out, "--resume")
         assert again.out.startswith("61 items: 61 ok"), again.err
         assert len(rows.read_bytes().splitlines()) == 61
+
+
+# What is calibrated beside a map.
+
+
+@pytest.mark.parametrize("value", ["1e999", "9" * 400, "[" * 5000, '"0"'])
+def test_a_damaged_calibration_beside_a_map_is_a_warning(folder: Path, value: str) -> None:
+    path = folder / "maps" / "post.calibration.json"
+    text = '{"format": 1, "map_hash": "a", "methods": {}, "shared": {"scale": 1, "thinner": HERE}}'
+    path.write_text(text.replace("HERE", value))
+    words = ["localize", folder / "maps" / "post.yaml", folder / "scans.npz", "--index", 0]
+    run = call(*words, "--method", "cbml", "--cell", 0.2, "--no-cache")
+    assert run.code == 0
+    (line,) = run.err.splitlines()
+    assert "post.calibration.json: not used, the defaults are: is no calibration: " in line
+
+
+# The index of many maps.
+
+
+def build(folder: Path) -> Path:
+    index = folder / "index.npz"
+    run = call("which", folder / "maps", "--index", index, "--build", "--no-cache")
+    assert run.code == 0, run.err
+    return index
+
+
+def with_about(index: Path, edit: Callable[[dict], object], **arrays: np.ndarray) -> None:
+    """Change what an index says of its levels, or their arrays."""
+    with np.load(index) as archive:
+        found = dict(archive)
+    about = json.loads(found["about"].tobytes())
+    edit(about)
+    found["about"] = np.frombuffer(json.dumps(about).encode(), np.uint8)
+    np.savez(index, **found | arrays)
+
+
+@pytest.mark.parametrize(
+    ("edit", "said"),
+    [
+        ({"maps": []}, "maps: got [], expected an object"),
+        ({"maps": {"a": 5}}, "maps.a: got 5, expected a list of 2"),
+        ({"written": "x"}, "written: got 'x', expected a whole number"),
+        ({"written": HUGE}, "written: got 1000"),
+        ({"levels": [["a", 1, 1, 0.1]]}, "levels.0: got ['a', 1, 1, 0.1], expected a list of 5"),
+        ({"levels": [["a", -1, -1, 0.1, 0]]}, "levels of other sizes"),
+        ({"levels": [["a", 10**9, 10**9, 0.1, 0]]}, "levels of other sizes"),
+        ({"format": None}, "format: got None"),
+    ],
+)
+def test_an_index_that_was_edited(folder: Path, edit: dict, said: str) -> None:
+    index = build(folder)
+    with_about(index, lambda about: about.update(edit))
+    words = ["which", folder / "maps", folder / "scans.npz", "--index", index]
+    refused(f"index.npz: is no index of maps ({said}", *words)
+
+
+def test_an_index_is_not_inflated(folder: Path) -> None:
+    index = build(folder)
+    with np.load(index) as archive:
+        arrays = dict(archive) | {"images": np.zeros(1 << 28, np.uint8)}
+    np.savez_compressed(index, **arrays)
+    assert index.stat().st_size < 1 << 20
+    tracemalloc.start()
+    words = ["which", folder / "maps", folder / "scans.npz", "--index", index]
+    refused("index.npz: is no index of maps (it is compressed)", *words)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1 << 25
+
+
+def test_members_of_an_archive_that_lie_over_one_another_are_not_read_twice(folder: Path) -> None:
+    index = build(folder)
+    data = io.BytesIO(index.read_bytes())
+    with zipfile.ZipFile(data, "a") as archive:
+        archive.filelist += archive.filelist * 9
+        archive._didModify = True
+    index.write_bytes(data.getvalue())
+    words = ["which", folder / "maps", folder / "scans.npz", "--index", index]
+    refused("its arrays are said to be larger than the file", *words)
+
+
+# The journal of an atlas.
+
+GOOD = [1.0, 1.0, 0.0, "unique", 1.0, 0.01, 0.0, None, None, None, 0.0]
+
+
+@pytest.mark.parametrize(
+    "row",
+    [
+        [1], {}, 5, ["x", *GOOD[1:]], [*GOOD[:3], "odd", *GOOD[4:]], [*GOOD[:7], 1.0, *GOOD[8:]],
+        [HUGE, *GOOD[1:]], GOOD[:-1],
+    ],
+)  # fmt: skip
+def test_a_journal_that_was_edited(atlas: tuple[list, str], tmp_path: Path, row: object) -> None:
+    words, head = atlas
+    part = tmp_path / "a.png.part"
+    text = f"{head}\n{json.dumps(row)}\n"
+    part.write_text(text)
+    refused("a.png.part: cannot be used to go on from: ", *words, "--out", tmp_path / "a.png")
+    assert part.read_text() == text
+
+
+@needs_pipes
+def test_a_journal_that_is_no_file(atlas: tuple[list, str], tmp_path: Path) -> None:
+    words, head = atlas
+    victim, part = tmp_path / "victim", tmp_path / "a.png.part"
+    victim.write_text(head)
+    part.symlink_to(victim)
+    refused("a.png.part: is a link", *words, "--out", tmp_path / "a.png")
+    assert victim.read_text() == head
+    part.unlink()
+    os.mkfifo(part)
+    refused("a.png.part: is a pipe", *words, "--out", tmp_path / "a.png")
+    part.unlink()
+    part.write_text(f"{head}\n{'[' * 100_000}\n")
+    refused("nested too deeply", *words, "--out", tmp_path / "a.png")
+
+
+@pytest.fixture(scope="module")
+def atlas(made: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[object], str]:
+    """A survey, and the first line of its journal."""
+    words = ["atlas", made / "maps" / "post.yaml", "--step", 2, "--headings", 1, "--workers", 1]
+    out = tmp_path_factory.mktemp("atlas") / "a.png"
+    part = out.with_name("a.png.part")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("imgloc.atlas.survey", lambda *_, **__: iter(()))
+        patch.setattr("imgloc.output.pictures.draw_atlas", lambda *_, **__: 1 / 0)
+        assert call(*words, "--out", out).code == 1
+    return words, part.read_text().splitlines()[0]
+
+
+# An entry of the cache.
+
+
+@needs_pipes
+@pytest.mark.parametrize("kind", ["pipe", "zeros", "text", "pickle"])
+def test_an_entry_of_the_cache_that_is_none(folder: Path, kind: str) -> None:
+    words = ["localize", folder / "maps" / "post.yaml", folder / "scans.npz", "--index", 0]
+    words += ["--cache", folder / "cache", "--json"]
+    good = call(*words)
+    (entry,) = (folder / "cache").glob("*.npz")
+    entry.unlink()
+    if kind == "pipe":
+        os.mkfifo(entry)
+    elif kind == "zeros":
+        entry.symlink_to("/dev/zero")
+    elif kind == "text":
+        entry.write_text("not an archive")
+    else:
+        with entry.open("wb") as file:
+            np.savez(file, key=np.array(entry.stem), walls=np.array([{}], dtype=object))
+    run = call(*words)
+    assert (run.code, untimed(run.out)) == (0, untimed(good.out))
+    (line,) = run.err.splitlines()
+    assert entry.name in line
+    assert "bad cache entry, built anew: " in line
+    assert "pickle" not in line
+    assert entry.is_file()
+    assert not entry.is_symlink()
+    assert not call(*words).err

@@ -4,17 +4,22 @@ import csv
 import io
 import json
 import math
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from imgloc.errors import OutputError
-from imgloc.io.files import display
+from imgloc.io.files import display, open_regular, reason
+from imgloc.io.own import parse_json
 
 COLUMNS = (
     "x", "y", "theta", "kind", "mass", "error", "turn", "twin_x", "twin_y", "twin_theta",
     "twin_mass",
 )  # fmt: skip
 """Map frame, metres and radians; kind is unique, ambiguous, no-match or wrong."""
+_KIND = frozenset({"unique", "ambiguous", "no-match", "wrong"})
+_ROW = [float] * 3 + [_KIND] + [(float, None)] * 6 + [float]
+_MOST = 1 << 26  # bytes of a journal, ten times what an atlas has
 
 
 def as_csv(rows: Sequence[Sequence[object]]) -> str:
@@ -50,15 +55,21 @@ class Journal:
         self.rows: list[list[object]] = []
         name = display(path)
         try:
-            self._file = path.open("r+b" if path.exists() else "x+b")
+            fd = open_regular(path, OutputError, "journal of an atlas", follow=False, write=True)
+            self._file = os.fdopen(fd, "r+b")
             try:
-                content = self._file.read()
+                content = self._file.read(_MOST)
+                if len(content) == _MOST:
+                    raise ValueError("it is too long")
                 if not content.startswith(head) and not head.startswith(content):
                     why = "begun with another map or other options; remove it, or go on with those"
                     raise OutputError(f"{name}: {why}")
                 # A stop may have cut the last line, be it the first: no more than that goes.
                 whole = content[: content.rfind(b"\n") + 1]
-                self.rows = [json.loads(line) for line in whole[len(head) :].splitlines()]
+                lines = whole[len(head) :].splitlines()
+                self.rows = [parse_json(line, _ROW) for line in lines]
+                if any(len({value is None for value in row[7:10]}) > 1 for row in self.rows):
+                    raise ValueError("half a twin")
                 self._file.seek(len(whole))
                 self._file.truncate()
                 if not whole:
@@ -68,7 +79,9 @@ class Journal:
                 self._file.close()
                 raise
         except (OSError, ValueError) as error:
-            raise OutputError(f"{name}: cannot be used to go on from: {error}") from None
+            raise OutputError(
+                f"{name}: cannot be used to go on from: {reason(error)}; remove it"
+            ) from None
 
     def add(self, row: Sequence[object]) -> None:
         """Append a row, at once."""

@@ -12,9 +12,7 @@ import logging
 import os
 import re
 import secrets
-import sys
 import time
-import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,7 +24,8 @@ import platformdirs
 
 from imgloc.__about__ import __version__
 from imgloc.errors import ConfigError, OutputError
-from imgloc.io.files import PathLike, display, open_file, reason
+from imgloc.io.files import PathLike, display, reason
+from imgloc.io.own import open_arrays
 from imgloc.model import OccupancyGrid
 
 LOG = logging.getLogger(__name__)
@@ -34,6 +33,8 @@ Arrays = Mapping[str, npt.NDArray[Any]]
 LIMIT_MIB = 2048
 """MiB that the entries of a folder may take, unless the environment has ``IMGLOC_CACHE_MIB``."""
 _FORMAT = 2  # of an entry
+_ENTRY = "cache entry"
+_MOST = 1 << 32  # bytes of an entry: four times what features are kept of
 _MAKER = 8  # digits of a key that name the version of the program
 _NAME = re.compile(r"[0-9a-f]{40}\.npz|\.imgloc-cache-[0-9a-f]{16}\.tmp")
 _HEAD = 37  # bytes in which an archive says that its first member is key.npy
@@ -125,13 +126,7 @@ def load_entry(folder: PathLike, key: str) -> dict[str, npt.NDArray[Any]] | None
     if not os.path.lexists(path):
         return None
     try:
-        with (
-            open_file(path, limit=sys.maxsize, error=OutputError, what="cache entry") as (file, _),
-            np.load(file, allow_pickle=False) as archive,
-        ):
-            # Nothing is inflated, so that arrays cannot be larger than the file.
-            if any(member.compress_type != zipfile.ZIP_STORED for member in archive.zip.infolist()):
-                raise ValueError("it is compressed")
+        with open_arrays(path, limit=_MOST, what=_ENTRY) as (archive, _):
             if archive.files[:1] != ["key"] or str(archive["key"]) != key:
                 raise ValueError("the entry is another one's")
             arrays = {name: np.asarray(archive[name]) for name in archive.files[1:]}
@@ -149,11 +144,10 @@ def load_entry(folder: PathLike, key: str) -> dict[str, npt.NDArray[Any]] | None
 def entry_names(folder: PathLike, key: str) -> frozenset[str]:
     """Names of the arrays of an entry, without reading them; none if there is no entry."""
     try:
-        with zipfile.ZipFile(entry_path(folder, key)) as archive:
-            names = archive.namelist()
-    except (OSError, ValueError, RuntimeError, zipfile.BadZipFile):
+        with open_arrays(entry_path(folder, key), limit=_MOST, what=_ENTRY) as (archive, _):
+            return frozenset(archive.files) - {"key"}
+    except Exception:  # a file that is not what it says can end in anything
         return frozenset()
-    return frozenset(name.removesuffix(".npy") for name in names) - {"key"}
 
 
 def store_entry(folder: PathLike, key: str, arrays: Arrays, *, limit: int | None = None) -> bool:
