@@ -204,24 +204,24 @@ def lz4_of(size: int) -> bytes:
     return lz4.frame.compress(bytes(size))
 
 
-def db3_of(*topics: tuple[str, str]) -> bytes:
+def db3_of(*topics: tuple[str, str], data: str = "data") -> bytes:
     """A recording of one empty message of each topic, a name and a type."""
     with contextlib.closing(sqlite3.connect(":memory:")) as base:
         base.executescript(
             "CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format, "
             "offered_qos_profiles); CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, "
-            "timestamp, data);"
+            f"timestamp, {data});"
         )
         for i, (name, kind) in enumerate(topics):
             base.execute(
                 "INSERT INTO topics VALUES(?, ?, ?, 'cdr', ?)", (i, name, kind, "[" * 9999)
             )
-            base.execute("INSERT INTO messages VALUES(?, ?, 1, x'00')", (i, i))
+            base.execute("INSERT INTO messages(topic_id, timestamp) VALUES(?, 1)", (i,))
         base.commit()
         return base.serialize()
 
 
-_LASER, _MANY = "sensor_msgs/msg/LaserScan", 512 << 20
+_LASER, _KIND, _MANY = "sensor_msgs/msg/LaserScan", b"x/msg/Y", 512 << 20
 BAGS_THAT_HARM = [
     Case("bz2.bag", lambda: bag_of(bz2.compress(bytes(99 << 20)), b"bz2"), "a chunk unpacks to"),
     Case("streams.bag", lambda: bag_of(400 * bz2.compress(bytes(9 << 20)), b"bz2"), "damaged"),
@@ -235,6 +235,24 @@ BAGS_THAT_HARM = [
         lambda: mcap_of((3, b"")).replace(b"\3" + bytes(8), b"\3" + struct.pack("<Q", 1 << 62)),
         "damaged or not a bag",
     ),
+    Case(
+        "made.db3",
+        lambda: db3_of(("/a", _LASER), data="data AS (zeroblob(900000000))"),
+        "string or blob too big",
+    ),
+    Case(
+        "definition.mcap",
+        lambda: mcap_of(
+            (
+                3,
+                struct.pack("<H", 1)
+                + b"".join(map(sized, (_KIND, b"ros2msg", b"int8 a\n" * 10**6))),
+            ),
+            (4, struct.pack("<HH", 1, 1) + b"".join(map(sized, (b"/a", b"cdr", b"")))),
+        ),
+        "definitions of messages too long",
+    ),
+    Case("other?.db3", lambda: db3_of(("/a", _LASER)), "SQLite takes names with ?"),
     Case("kind.db3", lambda: db3_of(("/a", "x/msg/\x1b[31mY")), "but x/msg/\\x1b[31mY"),
     Case("topic.db3", lambda: db3_of(("/a", _LASER), ("/\x1b[31mb", _LASER)), "/\\x1b[31mb (1)"),
 ]

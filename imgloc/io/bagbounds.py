@@ -9,9 +9,9 @@ import bz2
 import contextlib
 import functools
 import importlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
@@ -30,6 +30,9 @@ _CHUNK, _RATIO = 64 << 20, 250
 class _Bag:
     name: str
     left: int  # bytes that it may unpack to yet
+    messages: int  # bytes that its messages may have yet
+    types: dict[tuple[Any, ...], Any] = field(default_factory=dict)  # of definitions
+    definitions: int = 1 << 20  # characters that they may have yet; 7 s of parsing
 
     def take(self, count: int) -> None:
         """Count what was unpacked; ScanError if it is too much."""
@@ -37,6 +40,15 @@ class _Bag:
         if self.left < 0:
             hint = f"expected at most {_RATIO} times its size; rosbag decompress, or record less"
             raise ScanError(f"{self.name}: unpacks to too much, {hint}")
+
+    def types_of(self, parse: Callable[..., Any], *definition: str) -> Any:
+        """The types that a definition declares, which many topics may share."""
+        if definition not in self.types:
+            self.definitions -= sum(map(len, definition))
+            if self.definitions < 0:
+                raise ScanError(f"{self.name}: definitions of messages too long, expected 1 MiB")
+            self.types[definition] = parse(*definition)
+        return self.types[definition]
 
 
 _OPEN: ContextVar[_Bag | None] = ContextVar("bag that is open", default=None)
@@ -47,15 +59,30 @@ def bounded(name: str, size: int) -> Iterator[None]:
     """Bound what rosbags unpacks and parses of the bag called `name`, of `size` bytes.
 
     Inside, chunks and messages that unpack to more than 64 MiB are a ScanError, and so is all
-    beyond 64 MiB and 250 times the size, and metadata.yaml that is not plain. What is said of the
-    quality of service is not parsed at all.
+    beyond 64 MiB and 250 times the size, metadata.yaml that is not plain, and more than a MiB of
+    different definitions. What is said of the quality of service is not parsed at all.
     """
     _replace()
-    token = _OPEN.set(_Bag(name, _CHUNK + _RATIO * size))
+    most = _CHUNK + _RATIO * size
+    token = _OPEN.set(_Bag(name, most, most))
     try:
         yield
     finally:
         _OPEN.reset(token)
+
+
+def messages_of(bag: Any, connections: Sequence[Any]) -> Iterator[tuple[Any, int, bytes]]:
+    """Connection, time and data of the messages of a bag, as long as they are not too many bytes.
+
+    An index may name one message a thousand times, a database may make a column as it is read.
+    """
+    about = _bag()
+    for connection, time, data in bag.messages(connections=connections):
+        about.messages -= len(data)
+        if about.messages < 0:
+            hint = f"expected at most {_RATIO} times its size; record it again"
+            raise ScanError(f"{about.name}: messages of too many bytes, {hint}")
+        yield connection, time, data
 
 
 def metadata(text: str, name: str) -> Any:
@@ -66,9 +93,12 @@ def metadata(text: str, name: str) -> Any:
 @functools.cache
 def _replace() -> None:
     """Put bounded functions in the places of those of rosbags, once."""
-    names = ("rosbag1.reader", "rosbag2.reader", "rosbag2.storage_mcap", "rosbag2.storage_sqlite3")
+    names = (
+        "rosbag1.reader", "highlevel.anyreader",
+        "rosbag2.reader", "rosbag2.storage_mcap", "rosbag2.storage_sqlite3",
+    )  # fmt: skip
     modules: list[Any] = [importlib.import_module(f"rosbags.{name}") for name in names]
-    reader1, reader, mcap, _ = modules
+    reader1, anyreader, reader, mcap, sqlite = modules
     zstd, lz4 = reader.zstd, importlib.import_module("lz4.frame").LZ4FrameDecompressor
     for table, key, unpacker in (
         (reader1.decompressors, "bz2", bz2.BZ2Decompressor),
@@ -77,13 +107,19 @@ def _replace() -> None:
         (mcap.DECOMPRESSORS, "zstd", zstd.ZstdDecompressor),
     ):
         table[key] = _inside(functools.partial(_unpack, unpacker), table[key])
-    reader.zstd = SimpleNamespace(
-        decompress=_inside(functools.partial(_unpack, zstd.ZstdDecompressor), zstd.decompress),
-        open=_inside(lambda file, mode: _Counted(zstd.open(file, mode)), zstd.open),
+    reader1.decompressors["none"] = _inside(_as_it_is, reader1.decompressors["none"])
+    sqlite.apsw.connection_hooks.append(_limit)
+    for parser in ("get_types_from_msg", "get_types_from_idl"):
+        parse = getattr(anyreader, parser)
+        setattr(anyreader, parser, _inside(functools.partial(_types, parse), parse))
+    reader.zstd = SimpleNamespace(**vars(zstd))
+    reader.zstd.decompress = _inside(
+        functools.partial(_unpack, zstd.ZstdDecompressor), zstd.decompress
     )
+    reader.zstd.open = _inside(lambda file, mode: _Counted(zstd.open(file, mode)), zstd.open)
     plain = SimpleNamespace(load=lambda text: metadata(text, "metadata.yaml"))
     reader.YAML = _inside(lambda **_: plain, reader.YAML)
-    for module in modules[1:]:
+    for module in (reader, mcap, sqlite):
         module.parse_qos = _inside(lambda _: [], module.parse_qos)
 
 
@@ -92,10 +128,31 @@ def _inside(ours: Callable[..., Any], theirs: Callable[..., Any]) -> Callable[..
     return lambda *args, **named: (theirs if _OPEN.get() is None else ours)(*args, **named)
 
 
+def _bag() -> _Bag:
+    bag = _OPEN.get()
+    assert bag is not None
+    return bag
+
+
+def _as_it_is(data: bytes) -> bytes:
+    """A chunk that is not packed: an index may lead back and forth between two of them."""
+    _bag().take(len(data))
+    return data
+
+
+def _types(parse: Callable[..., Any], *definition: str) -> Any:
+    return _bag().types_of(parse, *definition)
+
+
+def _limit(connection: Any) -> None:
+    """Limit values of a database, which may make them as they are read."""
+    if _OPEN.get() is not None:
+        connection.limit(importlib.import_module("apsw").SQLITE_LIMIT_LENGTH, _CHUNK)
+
+
 def _unpack(unpacker: Callable[[], Any], data: bytes, _size: int = 0) -> bytes:
     """Unpack the first stream of `data`, and no more of it than there may be."""
-    bag, one = _OPEN.get(), unpacker()
-    assert bag is not None
+    bag, one = _bag(), unpacker()
     most = min(_CHUNK, bag.left)
     out: bytes = one.decompress(data, most + 1)
     if len(out) > _CHUNK:
@@ -120,8 +177,6 @@ class _Counted:
         self._file.close()
 
     def read(self, size: int) -> bytes:
-        bag = _OPEN.get()
-        assert bag is not None
         data: bytes = self._file.read(size)
-        bag.take(len(data))
+        _bag().take(len(data))
         return data

@@ -3,6 +3,7 @@
 import contextlib
 import logging
 import math
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path, PurePath
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.errors import ScanError
-from imgloc.io.bagbounds import MAX_METADATA, bounded, metadata
+from imgloc.io.bagbounds import MAX_METADATA, bounded, messages_of, metadata
 from imgloc.io.files import (
     PathLike,
     display,
@@ -72,7 +73,7 @@ def read_bag(path: PathLike, *, topic: str | None = None) -> ScanSet:
         readings = most = 0
         moves, base = list[tuple[float, ...]](), ""
         transforms, frames = list[tuple[float, str, str, FloatArray]](), _Frames()
-        for connection, time, data in bag.messages(connections=connections):
+        for connection, time, data in messages_of(bag, connections):
             message = bag.deserialize(data, connection.msgtype)
             if connection.topic == chosen:
                 laser = _frame(message.header.frame_id)
@@ -111,7 +112,7 @@ def bag_size(path: PathLike, *, topic: str | None = None) -> ScansSize:
         connections = [c for c in bag.connections if c.topic == _choose(bag, topic, name)]
         count = sum(c.msgcount for c in connections)
         readings = 0
-        for connection, _, data in bag.messages(connections=connections):
+        for connection, _, data in messages_of(bag, connections):
             readings = len(bag.deserialize(data, connection.msgtype).ranges)
             break
     check_size(count, readings, name)
@@ -130,6 +131,9 @@ def _opened(path: PathLike, name: str) -> Iterator[Any]:
     file, parts = _files(Path(path), name)
     size = 0
     for part in parts:
+        if part.suffix == ".db3" and re.search(r"[?#]|%[0-9a-fA-F]{2}", str(part)):
+            hint = "rename it: SQLite takes names with ?, # and % for other files"
+            raise ScanError(f"{display(part)}: cannot be opened; {hint}")
         with open_file(part, limit=sys.maxsize, error=ScanError, what="bag") as (_, length):
             size += length
     try:
