@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
 from command import MAPS, ROOT, call, command, rows, spawn
@@ -213,8 +214,12 @@ def test_verbose_logs_to_stderr_alone(scans: Path) -> None:
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
-def test_interrupt_exits_with_130_and_without_a_traceback(scans: Path) -> None:
-    words = command(["localize", MAPS / "curved.yaml", scans, "--json", "--threads", "1"])
+def test_interrupt_exits_with_130_and_without_a_traceback(scans: Path, tmp_path: Path) -> None:
+    with np.load(scans) as few:  # so many that they are not done before the signal arrives
+        many = {"ranges": np.tile(few["ranges"], (100, 1)), "angles": few["angles"]}
+    np.savez(tmp_path / "many.npz", **many, range_max=30.0)
+    log = tmp_path / "many.npz"
+    words = command(["localize", MAPS / "curved.yaml", log, "--json", "--threads", "1"])
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as run:
         assert run.stdout is not None
         assert rows(run.stdout.readline().decode())[0]["index"] == 0  # flushed one by one
@@ -222,7 +227,7 @@ def test_interrupt_exits_with_130_and_without_a_traceback(scans: Path) -> None:
         out, err = run.communicate(timeout=30)
     assert run.returncode == 130
     assert err.decode() == "imgloc: interrupted\n"
-    assert len(rows(out.decode())) < 39
+    assert len(rows(out.decode())) < 3999
 
 
 def test_an_interrupt_while_the_command_line_is_loaded(

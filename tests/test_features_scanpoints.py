@@ -273,3 +273,13 @@ def test_only_valid_readings_have_a_place():
     scan = LaserScan([np.nan, np.inf, 2.0, 99.0], [0.0, 0.1, 0.2, 0.3], range_max=9.0)
     assert one_per_place(scan, 0.1).ranges.tolist() == pytest.approx([2.0])
     assert len(one_per_place(LaserScan([np.nan], [0.0]), 0.1)) == 0
+
+
+def test_rays_that_come_three_times_have_their_normals():
+    """Echoes of one ray, or scans that somebody has joined."""
+    angles = np.deg2rad(np.arange(-90, 91, 1.0))
+    ranges = box(angles, 3.0, 2.0)[0]
+    once = scan_points(ranges, angles, every(angles))
+    thrice = scan_points(ranges.repeat(3), angles.repeat(3), every(angles.repeat(3)))
+    assert thrice.valid.mean() > 0.95
+    assert np.median(degrees_off(thrice.alpha[1::3], once.alpha)) < 1

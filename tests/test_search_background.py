@@ -48,6 +48,14 @@ def test_sides_that_are_not_seen_cost_nothing_and_what_is_no_wall_does():
     )  # a point on the sensor
 
 
+def test_a_side_without_a_reading_has_no_wall_at_the_sensor():
+    """Readings along a line through the sensor are no wall: a room has none there."""
+    rng = np.random.default_rng(0)
+    here = np.column_stack((rng.uniform(0.02, 0.1, 50), rng.uniform(1, 6, 50)))
+    nearer, as_far = (best_room(here + [d, 0.0], MODEL) for d in (0.0, 3.0))
+    assert nearer == pytest.approx(as_far, abs=1e-3)
+
+
 def test_a_wall_far_away_is_a_wall():
     y = np.linspace(-3.0, 3.0, 30)
     for x in (15.0, 25.0, -40.0):  # beyond 20 m they are not told apart

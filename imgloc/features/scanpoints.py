@@ -12,6 +12,7 @@ _GRAZING = np.deg2rad(10.0)
 # Neighbours further apart say nothing about each other: no whole number of readings, no angle of a
 # regular scan, where rounding would decide. Three readings lost in a row are no end of a surface.
 _GAP, _MAX_GAP = 4.5, np.deg2rad(20.7)
+_SAME = 1e-4  # radians between two readings of one ray
 _MIN_NEIGHBOURS = 3
 _END, _MANY = 0.99, 0.05  # share of the sensor's reach, and of the readings, that lie beyond
 
@@ -187,8 +188,10 @@ def _surfaces(rho: FloatArray, phi: FloatArray, sigma: float) -> tuple[IntArray,
     gap = np.diff(phi)
     jump = np.abs(np.diff(rho))
     near = np.minimum(rho[1:], rho[:-1])
+    one = gap[: len(rho) // 3]  # of one turn; several echoes of a ray are no gap
+    usual = np.median(one[one > _SAME]) if np.any(one > _SAME) else np.inf
     broken = (jump > 5 * sigma + near * gap / np.tan(_GRAZING)) | (
-        gap > min(_GAP * np.median(gap[: len(rho) // 3]), _MAX_GAP)  # of one turn
+        gap > min(_GAP * usual, _MAX_GAP)
     )
     surface = np.concatenate(([0], np.cumsum(broken)))
     starts = np.concatenate(([0], np.flatnonzero(broken) + 1, [len(rho)]))

@@ -79,5 +79,7 @@ def _wall(u: FloatArray, bins: npt.NDArray[np.int64], side: BoolArray) -> FloatA
     three[:, 1:] += counts[:, :-1]
     three[:, :-1] += counts[:, 1:]
     member = side & (np.abs(bins - three.argmax(axis=1)[:, None]) <= 1)
-    place = np.where(member, u, 0).sum(axis=1) / np.maximum(member.sum(axis=1), 1)
+    count = member.sum(axis=1)
+    place = np.where(member, u, 0).sum(axis=1) / np.maximum(count, 1)
+    place[count == 0] = np.inf  # nothing is seen on this side: no wall, not one at the sensor
     return np.asarray(np.abs(u - place[:, None]))
