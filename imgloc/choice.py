@@ -24,7 +24,8 @@ import numpy as np
 
 from imgloc.errors import ConfigError, expect
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.mapindex import index_of
+from imgloc.io.calibration import said_scale
+from imgloc.mapindex import MapIndex, index_of
 from imgloc.model import LaserScan, Localization, plain
 from imgloc.options import FUSED, FusedOptions, Options, Trust
 from imgloc.pipeline import localize
@@ -120,6 +121,21 @@ def which(
         bounds = dict(zip(maps, index.bounds(scan, options).tolist(), strict=True))
     (fits,) = search([scan], [bounds], lambda name: nullcontext((maps[name], options)))
     return choose(fits, ruled_out=len(maps) - len(fits))
+
+
+def bounds_of(
+    index: MapIndex, files: Mapping[str, Path], scan: LaserScan, options: Options
+) -> dict[str, float]:
+    """How well a scan can fit each map, :meth:`~imgloc.mapindex.MapIndex.bounds`, by its name.
+
+    Of a map that is calibrated also with the scale that it has.
+    """
+    bounds = index.bounds(scan, options)
+    scales = np.array([said_scale(files[name]) for name in index.names])
+    for scale in np.unique(scales[scales != 1]):
+        scaled = index.bounds(scan.scaled(float(scale)), options)
+        bounds = np.where(scales == scale, np.maximum(bounds, scaled), bounds)
+    return dict(zip(index.names, bounds.tolist(), strict=True))
 
 
 def fit(features: MapFeatures, scan: LaserScan, options: Options = OPTIONS) -> Localization:

@@ -18,7 +18,7 @@ import numpy as np
 from imgloc.atlas import TOP, atlas_poses, simulate_at, survey
 from imgloc.atlas import summarise as summarise_atlas
 from imgloc.choice import OPTIONS as WHICH
-from imgloc.choice import Opened, choose, search
+from imgloc.choice import Opened, bounds_of, choose, search
 from imgloc.doubts import Doubt, Said, doubts
 from imgloc.errors import ConfigError, MapError, ScanError
 from imgloc.evaluation import TOLERANCES, Tolerance, evaluate, method_options, pose_errors
@@ -339,13 +339,13 @@ def _choose(item: Item, job: Job) -> Done:
     def opened(name: str) -> Iterator[Opened | None]:
         features = open_map(files[name], job, options)
         prior = job.known.prior(features.grid)
-        yield None if leaves_none(prior, features) else (features, replace(options, prior=prior))
+        here = calibrated(replace(options, prior=prior), files[name], features.grid)
+        yield None if leaves_none(prior, features) else (features, here)
         if job.cache is not None:
             save_features(features, job.cache)
 
-    bounds = [index.bounds(scan, coarse) for scan in scans.scans]
-    named = [dict(zip(index.names, of.tolist(), strict=True)) for of in bounds]
-    looked_at = zip(indices, scans.scans, search(scans.scans, named, opened), strict=True)
+    bounds = [bounds_of(index, files, scan, coarse) for scan in scans.scans]
+    looked_at = zip(indices, scans.scans, search(scans.scans, bounds, opened), strict=True)
     for k, scan, found in looked_at:
         if not found:
             raise ConfigError("no map has a place in which the robot can be")

@@ -385,12 +385,15 @@ class Likelihood:
         The lattice of x and y.
     method : str
         Name of the algorithm that made it.
+    scan : LaserScan, optional
+        Of which scan it is.
     """
 
     values: Float32Array
     thetas: FloatArray
     grid: GridInfo
     method: str
+    scan: LaserScan | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, np.float32, "values")

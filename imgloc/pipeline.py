@@ -98,7 +98,8 @@ def localize(
     scan : LaserScan
     options : Options, optional
     stack : Likelihood, optional
-        Of :func:`likelihood` with the same arguments, if it is there already.
+        Of :func:`likelihood` with the same arguments, if it is there already; a ConfigError for
+        that of another method, map or scan.
 
     Returns
     -------
@@ -118,6 +119,8 @@ def localize(
     options = Options() if options is None else options
     check_options(features, options)
     expect(scan, LaserScan, "scan")
+    if stack is not None:
+        _check_stack(stack, features, scan, options)
     start = time.perf_counter()
     if scan.directions < max(1, options.trust.readings):
         found = NOTHING
@@ -535,7 +538,25 @@ def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -
     values = stack_of(
         method, features, scan, thetas, engine=engine, threads=threads, memory_budget=budget
     )
-    return Likelihood(values, thetas, lattice, method)
+    return Likelihood(values, thetas, lattice, method, scan)
+
+
+def _check_stack(
+    stack: Likelihood, features: MapFeatures, scan: LaserScan, options: Options
+) -> None:
+    """Refuse a stack of something else than what is asked."""
+    if stack.method != options.method:
+        raise ConfigError(f"stack: got one of {stack.method}, expected one of {options.method}")
+    of, here = ((*g.shape, g.resolution) for g in (stack.grid, features.lattice))
+    if of != here:
+        raise ConfigError(f"stack: got rows, columns, cell {of}, expected {here}: of another map?")
+    other = stack.scan
+    if other is not None and not (
+        np.array_equal(other.ranges, scan.ranges, equal_nan=True)
+        and np.array_equal(other.angles, scan.angles)
+        and (other.range_min, other.range_max) == (scan.range_min, scan.range_max)
+    ):
+        raise ConfigError(f"stack: got one of another scan, {other!r}, expected {scan!r}")
 
 
 def posterior_of(
@@ -599,6 +620,7 @@ def effective(options: Options, features: MapFeatures) -> dict[str, object]:
         hidden.add("time_budget")
     if options.method != FUSED:
         out["calibration"] = asdict(options.calibration or DEFAULTS[options.method])
+        hidden.add("shared")  # votes know nothing of it
     else:
         hidden |= {"engine", "calibration"}
         if not options.exact:  # they are the headings of branch and bound

@@ -11,7 +11,7 @@ from imgloc.explanation import explain
 from imgloc.features.budget import fused_bytes
 from imgloc.geometry import uniform_thetas
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
-from imgloc.options import Calibration, FusedOptions, Options, Prior, Trust
+from imgloc.options import Calibration, FusedOptions, Options, Prior, Shared, Trust
 from imgloc.output.pages import why
 from imgloc.output.svg import macro
 from imgloc.pipeline import check_options, likelihood, localize, posterior_of, prepare
@@ -295,3 +295,29 @@ def test_sixty_four_rooms_alike_are_all_found_and_drawn_from():
     )
     assert counts.min() > 50
     assert counts.max() < 150
+
+
+def test_a_stack_is_of_the_scan_the_method_and_the_map_that_are_asked():
+    features, scan = features_of("curved"), scan_of("curved")
+    stack = likelihood(features, scan, "cbml")
+    again = replace(scan, ranges=scan.ranges.copy(), stamp=3.0)
+    for same in (scan, again):
+        answer = localize(features, same, Options("cbml"), stack=stack)
+        assert facts(answer) == facts(localize(features, scan, Options("cbml")))
+    for there, asked, options, says in (
+        (features, scan, Options("ght-v"), "stack: got one of cbml, expected one of ght-v"),
+        (features, scan, Options(), "stack: got one of cbml, expected one of fused"),
+        (features, scan_of("corridor"), Options("cbml"), "stack: got one of another scan"),
+        (features, replace(scan, range_max=2.0), Options("cbml"), "of another scan"),
+        (features_of("corridor"), scan, Options("cbml"), "of another map"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            localize(there, asked, options, stack=stack)
+
+
+def test_parameters_of_a_stack_do_not_say_what_it_does_not_use():
+    features, scan = features_of("curved"), scan_of("curved")
+    shared = Shared(1.05, 2)
+    assert "shared" not in localize(features, scan, Options("ght-v", shared=shared)).parameters
+    said = localize(features, scan, Options(shared=shared)).parameters["shared"]
+    assert said == {"scale": 1.05, "thinner": 2}

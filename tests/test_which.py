@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,17 +11,19 @@ from command import MAPS, call, rows
 from places import room_with_a_post
 
 from imgloc import choice, mapindex
-from imgloc.choice import FIRST, MOST, choose, search, which
+from imgloc.choice import FIRST, MOST, bounds_of, choose, search, which
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import Level
+from imgloc.io.calibration import calibration_path, save_calibrations
 from imgloc.io.folders import files_in, find_maps
 from imgloc.io.maps import load_map, save_map
+from imgloc.io.results import read_rows
 from imgloc.io.scans import save_scans
 from imgloc.likelihoods.correlate import correlate
 from imgloc.mapindex import MapIndex, index_of, open_index
 from imgloc.model import LaserScan, Localization, OccupancyGrid, Pose2D
-from imgloc.options import Options, Prior
+from imgloc.options import Options, Prior, Shared
 from imgloc.pipeline import prepare
 from imgloc.search.mosaic import best_fits, mosaics
 from imgloc.simulation import Sensor, simulate
@@ -373,3 +376,40 @@ def test_a_thousand_maps_in_short(tmp_path: Path) -> None:
     assert (found.maps, found.scans, found.searched) == (5, 1, [5])
     assert (found.right, found.wrong, found.same) == (1, 0, 1)
     assert 0 < found.one < found.query
+
+
+def test_what_is_calibrated_for_a_map_counts_for_which(tmp_path: Path) -> None:
+    maps = tmp_path / "maps"
+    maps.mkdir()
+    for name in ("curved", "double_wall", "visibility"):
+        for ending in (".yaml", ".png"):
+            shutil.copy(MAPS / f"{name}{ending}", maps)
+    whole = simulate(load_map(MAPS / "curved.yaml"), 2, 5, Sensor(rays=90, fov=6.2))
+    short = replace(whole, scans=tuple(scan.scaled(0.9) for scan in whole.scans))
+    scans = tmp_path / "short.npz"
+    save_scans(scans, short)
+    curved = maps / "curved.yaml"
+    save_calibrations(calibration_path(curved), load_map(curved), {}, {}, shared=Shared(1 / 0.9))
+    found = rows(call("which", maps, scans, "--json").out)
+    out = tmp_path / "out"
+    assert call("batch", maps, scans, "--job", "which", "--out", out, "--workers", 1).code == 0
+    (row,) = read_rows(out)
+    for answers in (found, row["answers"]):
+        assert [answer["verdict"] for answer in answers] == ["curved"] * 2
+        for answer, truth in zip(answers, whole.poses, strict=True):
+            pose = answer["maps"][0]["pose"]
+            assert np.hypot(pose["x"] - truth[0], pose["y"] - truth[1]) < 0.1
+
+
+def test_a_bound_is_that_of_the_scale_that_is_known(tmp_path: Path) -> None:
+    save_map(tmp_path / "post.yaml", grid := room_with_a_post())
+    scan = simulate(grid, 1, 3, Sensor(rays=90, fov=6.2))[0].scaled(0.7)
+    index = index_of({"post": prepare(grid)})
+    files = {"post": tmp_path / "post.yaml"}
+    unknown = bounds_of(index, files, scan, choice.OPTIONS)["post"]
+    said = calibration_path(files["post"])
+    save_calibrations(said, grid, {}, {}, shared=Shared(1 / 0.7))
+    assert bounds_of(index, files, scan, choice.OPTIONS)["post"] > unknown + 0.02
+    for damaged in ("[]", "{}", '{"shared": {"scale": "wide"}}', '{"shared": 5}', "[" * 9999):
+        said.write_text(damaged)
+        assert bounds_of(index, files, scan, choice.OPTIONS)["post"] == unknown

@@ -73,6 +73,15 @@ def configure(*, verbose: bool, debug: bool) -> None:
     _SESSION.debug = debug
     handler = logging.StreamHandler()  # of this run's stderr
     handler.setFormatter(_Lines("imgloc: %(message)s"))
+    said = set[str]()  # a map that is read twice has one word of warning
+
+    def first(record: logging.LogRecord) -> bool:
+        text = record.getMessage()
+        again = record.levelno >= logging.WARNING and text in said
+        said.add(text)
+        return not again
+
+    handler.addFilter(first)
     LOG.handlers[:] = [handler]
     LOG.propagate = False
     LOG.setLevel(logging.INFO if verbose else logging.WARNING)

@@ -72,8 +72,9 @@ def which(
     named only if the scan has a unique place in it. A scan with too few readings is invalid. A map
     that cannot be used is reported and left out; the exit code is then 5.
     """
-    from imgloc.choice import FIRST, OPTIONS, choose, names_of, search
+    from imgloc.choice import FIRST, OPTIONS, bounds_of, choose, names_of, search
     from imgloc.cli import inputs
+    from imgloc.io.calibration import calibrated
     from imgloc.io.folders import find_maps
     from imgloc.io.maps import reading_of
     from imgloc.mapindex import open_index
@@ -138,7 +139,7 @@ def which(
         try:
             features = prepare(files[name])
             prior = inputs.prior_of(known, features.grid)
-            here = replace(options, prior=prior)
+            here = calibrated(replace(options, prior=prior), files[name], features.grid)
             if leaves_none(prior, features):
                 LOG.info("%s: has no place for the robot", display(files[name]))
                 yield None
@@ -152,9 +153,7 @@ def which(
         inputs.keep_features(features, folder)
 
     coarse = replace(options, prior=Prior(None, known.heading))
-    bounds = [
-        dict(zip(found.names, found.bounds(scan, coarse).tolist(), strict=True)) for scan in scans
-    ]
+    bounds = [bounds_of(found, files, scan, coarse) for scan in scans]
     with progress("which", len(scans) * min(FIRST, len(files)), lines=False) as advance:
         fits = search(scans, bounds, open_map, advance)
     if len(failed) == len(files):

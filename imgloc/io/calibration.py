@@ -84,6 +84,18 @@ def calibrated(options: Options, map_path: PathLike, grid: OccupancyGrid) -> Opt
     return replace(options, calibration=methods.get(options.method), shared=shared)
 
 
+def said_scale(map_path: PathLike) -> float:
+    """The scale that the file beside a map says, though it may be of another map; 1 without one.
+
+    To know more takes the cells of the map.
+    """
+    file = calibration_path(map_path)
+    with contextlib.suppress(*_UNUSABLE):
+        if file.is_file():
+            return Shared(float(_content(file).get("shared", vars(Shared()))["scale"])).scale
+    return 1.0
+
+
 def load_calibrations(path: PathLike, grid: OccupancyGrid) -> tuple[dict[str, Calibration], Shared]:
     """Read what was fitted on a map: by method, and of its scale and walls.
 
@@ -105,7 +117,7 @@ def load_calibrations(path: PathLike, grid: OccupancyGrid) -> tuple[dict[str, Ca
 
 def _read(file: Path, grid: OccupancyGrid) -> tuple[dict[str, Calibration], Any, Shared]:
     """Calibrations by method, what the file says about them, the shared error; or `_UNUSABLE`."""
-    content = read_json(file, _KIND, limit=_MOST, what="calibration", version=_FORMAT)
+    content = _content(file)
     if content["map_hash"] != map_hash(grid):
         raise ValueError("it was made for a map with other cells")
     methods, known = content["methods"], content.get("shared", vars(Shared()))
@@ -117,3 +129,8 @@ def _read(file: Path, grid: OccupancyGrid) -> tuple[dict[str, Calibration], Any,
     }
     shared = Shared(float(known["scale"]), int(known["thinner"]))
     return found, content.get("about"), shared
+
+
+def _content(file: Path) -> Any:
+    """What a file says; else `_UNUSABLE`."""
+    return read_json(file, _KIND, limit=_MOST, what="calibration", version=_FORMAT)
