@@ -17,7 +17,9 @@ import pytest
 from command import call, command, untimed
 from places import room_with_a_post
 
+from imgloc.io import contents
 from imgloc.io.maps import save_map
+from imgloc.io.mapyaml import MapYaml, load_map_yaml
 from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.simulation import Sensor, simulate
@@ -256,6 +258,32 @@ def test_a_folder_that_goes_in_the_middle_is_noticed_at_the_next_row(
         again = call("batch", folder / "maps", "--job", "check", "--out", out, "--resume")
         assert again.out.startswith("61 items: 61 ok"), again.err
         assert len(rows.read_bytes().splitlines()) == 61
+
+
+# Going on with much that is done.
+
+
+def test_each_map_is_read_once_to_know_that_it_is_done(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for k in range(100):
+        text = (folder / "maps" / "post.yaml").read_text() + f"# {k}\n"
+        (folder / "maps" / f"m{k:03d}.yaml").write_text(text)
+    words = ["batch", folder / "maps", "--job", "check", "--out", folder / "new"]
+    assert call(*words).code == 0
+    contents._image_of.cache_clear()
+    asked = []
+
+    def counted(path: Path) -> MapYaml:
+        asked.append(path)
+        return load_map_yaml(path)
+
+    monkeypatch.setattr(contents, "load_map_yaml", counted)
+    start = time.process_time()
+    run = call(*words, "--resume")
+    assert "; 101 are done" in run.err
+    assert len(asked) == len(set(asked)) == 101
+    assert time.process_time() - start < 1
 
 
 # What is calibrated beside a map.

@@ -27,6 +27,7 @@ from imgloc.io.files import PathLike, display, open_file, read_file, reason
 
 _DEPTH = 40  # levels; imgloc writes less than ten
 _MOST = 1e300  # imgloc writes no number as large, and not of all whole ones a float can be made
+_WHOLE = 1 << 63
 _SHOWN = 60  # characters of where something is
 _NAMES = {
     str: "a text", bool: "true or false", int: "a whole number", float: "a number", None: "null",
@@ -111,10 +112,10 @@ def _check(value: Any, kind: Any, depth: int) -> None:
     if isinstance(kind, list):
         if not isinstance(value, list) or (len(kind) > 1 and len(kind) != len(value)):
             raise _WrongError(_told(value, kind))
-        if kind == [float] and all(type(v) is float and abs(v) < _MOST for v in value):
-            return  # most of a file
         for k, item in enumerate(value):
-            _inside(item, kind[k if len(kind) > 1 else 0], k, depth)
+            wanted = kind[k if len(kind) > 1 else 0]
+            if not _is_fine(item, wanted):
+                _inside(item, wanted, k, depth)
     elif isinstance(kind, dict):
         if not isinstance(value, dict):
             raise _WrongError(_told(value, kind))
@@ -124,9 +125,43 @@ def _check(value: Any, kind: Any, depth: int) -> None:
         rest = kind.get(str, object)
         for name, item in value.items():
             wanted = kind.get(name) or kind.get(f"{name}?", rest)
-            _inside(item, wanted, name, depth)
+            if not (name.isascii() and _is_fine(item, wanted)):
+                _inside(item, wanted, name, depth)
     elif not any(_is(value, one) for one in (kind if isinstance(kind, tuple) else (kind,))):
         raise _WrongError(_told(value, kind))
+
+
+def _is_fine(value: Any, kind: Any) -> bool:
+    """Whether a value is as it should be, told quickly of the most frequent kinds."""
+    if kind is object:
+        return _is_plain(value)
+    if type(value) is float:
+        number = kind is float or (isinstance(kind, tuple) and float in kind)
+        return number and -_MOST < value < _MOST
+    return type(value) is str and kind is str and value.isascii()
+
+
+def _is_plain(value: Any) -> bool:
+    """Whether all in a value is fine, whatever its kind; level by level, not one by one."""
+    level = [value]
+    for _ in range(10):
+        below: list[Any] = []
+        for item in level:
+            kind = type(item)
+            if kind is list:
+                below += item
+            elif kind is dict:
+                below += item.values()
+                below += item
+            elif kind is str:
+                if not item.isascii():
+                    return False
+            elif kind in (int, float) and not -_WHOLE < item < _WHOLE:
+                return False
+        if not below:
+            return True
+        level = below
+    return False
 
 
 def _inside(item: Any, kind: Any, name: str | int, depth: int) -> None:
@@ -149,7 +184,7 @@ def _is(value: Any, kind: Any) -> bool:
     if kind is float:
         return type(value) in (int, float) and abs(value) < _MOST
     if kind is int:
-        return type(value) is int and abs(value) < 1 << 63
+        return type(value) is int and abs(value) < _WHOLE
     if not isinstance(value, str):
         return kind is bool and isinstance(value, bool)
     if isinstance(kind, frozenset):
