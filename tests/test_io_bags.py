@@ -128,11 +128,24 @@ def test_a_bag_has_scans_odometry_and_where_the_sensor_sits(tmp_path: Path, kind
         assert scans[0].T_base_laser == Pose2D(0.35, 0.0, 0.0)
         size = scans_size(file)
         assert (size.scans, size.numbers) == (2, 16)
+        assert size.file_bytes >= 300 * 4  # of odometry and transforms; chunks
     bare = tmp_path / "no-metadata"
     if kind != "bag":
         path.rename(bare)
         (bare / "metadata.yaml").unlink()
         assert len(load_scans(bare)) == 2
+
+
+def test_scans_that_outgrow_what_the_first_promised_are_refused(tmp_path: Path) -> None:
+    m = messages_of(True)
+    content = [
+        ("/scan", SCAN, m.scan(i, ranges=np.ones(n))) for i, n in enumerate((4, *[60_000] * 2))
+    ]
+    path = write(tmp_path / "a.bag", "bag", content)
+    with pytest.raises(
+        ScanError, match="message 2: 120,004 readings up to it, expected 3 scans like"
+    ):
+        load_scans(path)
 
 
 def test_a_sensor_upside_down_is_turned_over(tmp_path: Path) -> None:

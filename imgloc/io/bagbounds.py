@@ -31,12 +31,14 @@ class _Bag:
     name: str
     left: int  # bytes that it may unpack to yet
     messages: int  # bytes that its messages may have yet
+    largest: int = 0  # bytes of a chunk so far
     types: dict[tuple[Any, ...], Any] = field(default_factory=dict)  # of definitions
     definitions: int = 1 << 20  # characters that they may have yet; 7 s of parsing
 
     def take(self, count: int) -> None:
         """Count what was unpacked; ScanError if it is too much."""
         self.left -= count
+        self.largest = max(self.largest, count)
         if self.left < 0:
             hint = f"expected at most {_RATIO} times its size; rosbag decompress, or record less"
             raise ScanError(f"{self.name}: unpacks to too much, {hint}")
@@ -83,6 +85,11 @@ def messages_of(bag: Any, connections: Sequence[Any]) -> Iterator[tuple[Any, int
             hint = f"expected at most {_RATIO} times its size; record it again"
             raise ScanError(f"{about.name}: messages of too many bytes, {hint}")
         yield connection, time, data
+
+
+def largest_chunk() -> int:
+    """Bytes of the largest piece that was unpacked of the bag that is open."""
+    return _bag().largest
 
 
 def metadata(text: str, name: str) -> Any:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.errors import ScanError
-from imgloc.io.bagbounds import MAX_METADATA, bounded, messages_of, metadata
+from imgloc.io.bagbounds import MAX_METADATA, bounded, largest_chunk, messages_of, metadata
 from imgloc.io.files import (
     PathLike,
     display,
@@ -107,16 +107,21 @@ def bag_size(path: PathLike, *, topic: str | None = None) -> ScansSize:
     name = display(path)
     if topic is not None and len(topics := lasers_of(topic)) > 1:
         sizes = [bag_size(path, topic=t) for t in topics]
-        return ScansSize(sum(s.scans for s in sizes), sum(s.numbers for s in sizes), 0)
+        beside = max(s.file_bytes for s in sizes)
+        return ScansSize(sum(s.scans for s in sizes), sum(s.numbers for s in sizes), beside)
     with _opened(path, name) as bag:
-        connections = [c for c in bag.connections if c.topic == _choose(bag, topic, name)]
+        chosen = _choose(bag, topic, name)
+        connections = [c for c in bag.connections if c.topic == chosen]
         count = sum(c.msgcount for c in connections)
         readings = 0
         for connection, _, data in messages_of(bag, connections):
             readings = len(bag.deserialize(data, connection.msgtype).ranges)
             break
+        # Beside the scans: a chunk as it is packed, unpacked and cut, and the robot's poses.
+        moves = sum(c.msgcount for c in bag.connections if c.msgtype in (_ODOMETRY, *_TF))
+        beside = 3 * largest_chunk() + 300 * moves
     check_size(count, readings, name)
-    return ScansSize(count, 2 * count * readings, 0)
+    return ScansSize(count, 2 * count * readings, beside)
 
 
 @contextlib.contextmanager

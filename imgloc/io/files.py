@@ -143,9 +143,10 @@ def _inside_hint(path: PathLike) -> str:
 
 
 def reason(error: BaseException) -> str:
-    """What an error says, on one line."""
+    """What an error says, on one line that is not long: those of libraries may quote a file."""
     text = (error.strerror if isinstance(error, OSError) else None) or str(error)
-    return " ".join(text.split()) or type(error).__name__
+    line = " ".join(text[:2000].split()) or type(error).__name__
+    return line if len(line) <= 200 else f"{line[:200]}..."
 
 
 def refuse_existing(path: PathLike) -> None:

@@ -35,6 +35,7 @@ from imgloc.io.files import (
     is_there,
     open_file,
     read_file,
+    reason,
     write_bytes_atomic,
 )
 from imgloc.io.scanset import (
@@ -278,10 +279,10 @@ def _explained(name: str) -> Iterator[None]:
     try:
         yield
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as e:
-        raise ScanError(f"{name}: damaged NPZ ({e}); copy the file again") from None
+        raise ScanError(f"{name}: damaged NPZ ({reason(e)}); copy the file again") from None
     except (RuntimeError, NotImplementedError, ValueError) as e:
         # Encrypted, compressed in an unknown way, or offsets that lead out of the file.
-        raise ScanError(f"{name}: NPZ that cannot be opened: {e}") from None
+        raise ScanError(f"{name}: NPZ that cannot be opened: {reason(e)}") from None
 
 
 def _check_header(
