@@ -137,7 +137,7 @@ def explain(
     local = [in_grid_frame(h, grid.info) for h in answer.hypotheses]
     score = np.array([h.log_likelihood for h in local])
     if local and options.method != FUSED:  # of votes, say: what its readings say there
-        score = settle(features, scan, poses_of(local), options)[1].log_likelihood
+        score = settle(features, scan, poses_of(local), options)[2].log_likelihood
     fits = tuple(
         HypothesisFit(
             given.pose,

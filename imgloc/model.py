@@ -518,7 +518,8 @@ class Localization:
         Nats, of the masses with what is left for other poses; of a stack's whole posterior
         where the method has one. 0 means one pose holds everything.
     explained : float
-        Share of the valid rays that end on a surface of the map at the best pose.
+        Share of the valid rays, as recorded, that end on a surface of the map at the best pose
+        and pass through no wall.
     counts : mapping
         Readings used and dropped, by reason.
     timings_ms : mapping

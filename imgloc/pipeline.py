@@ -125,7 +125,7 @@ def localize(
     if scan.directions < max(1, options.trust.readings):
         found = NOTHING
     elif options.method == FUSED:  # propose, refine, score, separate; then weigh
-        found = weigh(features, find_adapted_modes(features, scan, options), options)
+        found = weigh(features, find_adapted_modes(features, scan, options), options, scan)
     elif options.exact:
         found = find_exact(features, scan, options)
     else:
@@ -327,7 +327,7 @@ class Found:
     misfit: float = float("nan")  #: nats per reading that the best pose lacks
     unmapped: float = float("nan")  #: nats per reading in a building that is on no map
     gained: float = float("nan")  #: nats, tempered, by which the best pose beats that
-    explained: float = 0.0  #: share of the readings that the best pose explains
+    explained: float = 0.0  #: share of the valid rays that the best pose explains
     temperature: Temperature = field(default_factory=Temperature)  #: what made shares of nats
     readings: int = 0  #: how many decided about the misfit
     shared: Shared = field(default_factory=Shared)  #: error that was allowed for
@@ -341,10 +341,15 @@ class Found:
 NOTHING = Found(np.empty((0, 3)), np.empty(0), np.empty(0), np.empty((0, 3, 3)))
 
 
-def weigh(features: MapFeatures, found: Modes, options: Options) -> Found:
-    """What separated, scored poses are worth: shares and covariances."""
+def weigh(
+    features: MapFeatures, found: Modes, options: Options, scan: LaserScan | None = None
+) -> Found:
+    """What separated, scored poses are worth: shares and covariances; and of a `scan` its rays."""
     if len(found.poses) == 0:
         return replace(NOTHING, complete=found.complete)
+    explained = 0.0
+    if scan is not None:
+        explained = explained_rays(features, scan, found.poses[:1], options, found.shared)
     features = features.thinner(found.shared.thinner)
     xy, score = found.readings.xy, found.scores.log_likelihood
     fit, temperature = _fit(features, found.readings, found.scores, options)
@@ -355,6 +360,7 @@ def weigh(features: MapFeatures, found: Modes, options: Options) -> Found:
         covariance = covariance + _MAXIMA * found.spread[: len(listed)]
     return Found(
         *(found.poses, score, share, covariance),
+        explained=explained,
         temperature=temperature,
         lead=float(share[0]),
         complete=found.complete,
@@ -444,20 +450,35 @@ def find_in_stack(
     )
 
 
+def explained_rays(
+    features: MapFeatures, scan: LaserScan, pose: FloatArray, options: Options, shared: Shared
+) -> float:
+    """Share of the valid rays, 0..1, that end on a surface of the map and pass through no wall.
+
+    From a `pose` (1, 3), grid frame. The score asks squares, of which each counts once; this is of
+    the rays as they were recorded: half of them on the robot itself are half.
+    """
+    scan, there = scan.scaled(shared.scale), features.thinner(shared.thinner)
+    rays = Readings(scan.ranges[scan.valid], scan.angles[scan.valid])
+    return float(score_poses(there, rays, pose, options).explained[0])
+
+
 def settle(
     features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Options
-) -> tuple[Readings, Scores]:
-    """Scores of poses after they have settled: trust is about the place, not about the cell."""
+) -> tuple[FloatArray, Readings, Scores]:
+    """Poses after they have settled, and their scores: trust is about the place, not the cell."""
     readings = one_per_place(scan, options.fused.place).spread(options.fused.rays)
     poses = refine(poses, readings.xy, features.field, sigmas=(0.3, 0.1, 0.05))
-    return readings, score_poses(features, readings, poses, options)
+    return poses, readings, score_poses(features, readings, poses, options)
 
 
 def _settled_fit(
     features: MapFeatures, scan: LaserScan, best: FloatArray, options: Options
 ) -> dict[str, Any]:
     """What :func:`_fit` says of a stack's best pose (1, 3)."""
-    return _fit(features, *settle(features, scan, best, options), options)[0]
+    pose, readings, scores = settle(features, scan, best, options)
+    explained = explained_rays(features, scan, pose, options, Shared())
+    return _fit(features, readings, scores, options)[0] | {"explained": explained}
 
 
 def _fit(
@@ -473,7 +494,6 @@ def _fit(
         "misfit": misfit,
         "unmapped": unmapped,
         "gained": (model.best - misfit - unmapped) * n / temperature.value,
-        "explained": float(scores.explained[0]),
         "readings": n,
     }
     return said, temperature

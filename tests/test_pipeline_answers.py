@@ -321,3 +321,19 @@ def test_parameters_of_a_stack_do_not_say_what_it_does_not_use():
     assert "shared" not in localize(features, scan, Options("ght-v", shared=shared)).parameters
     said = localize(features, scan, Options(shared=shared)).parameters["shared"]
     assert said == {"scale": 1.05, "thinner": 2}
+
+
+@pytest.mark.parametrize("method", ["fused", "cbml"])
+def test_what_is_explained_is_a_share_of_the_rays_that_were_recorded(method):
+    """Half of them end on the robot itself: in a few squares, of which the score asks each once."""
+    ranges, angles = scan_of("curved").ranges.repeat(2), ANGLES.repeat(2)
+    whole = LaserScan(ranges, angles, range_max=30.0)
+    ranges = np.where(np.arange(len(ranges)) % 2, 0.35, ranges)
+    half = LaserScan(ranges, angles, range_max=30.0)
+    features, options = features_of("curved"), Options(method)
+    one, other = (localize(features, scan, options) for scan in (whole, half))
+    assert other.explained == pytest.approx(one.explained / 2, abs=0.1)  # some by chance
+    if method == "fused":
+        counts = explain(features, half, other, options).fits[0].rays.counts
+        ended = counts["agrees"] + counts["orientation"]
+        assert other.explained == pytest.approx(ended / half.counts["valid"], abs=1e-9)
