@@ -120,6 +120,13 @@ def test_what_is_no_file_is_not_waited_for(folder: Path, name: str, kind: str) -
         refused(f"{name}: is a", "report", folder / "out")
 
 
+@needs_pipes
+def test_a_page_that_is_no_file_is_not_waited_for(folder: Path) -> None:
+    os.mkfifo(folder / "out" / "report.html")
+    refused("report.html: exists already", "report", folder / "out")
+    refused("report.html: is not a regular file", "report", folder / "out", "--force")
+
+
 # What is in them.
 
 

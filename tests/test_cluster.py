@@ -138,7 +138,9 @@ def test_the_command_runs_there(site: Path, address: str, tmp_path: Path) -> Non
     assert (run.code, run.out.splitlines()[0]) == (0, "1 items: 1 ok"), run.err
 
 
-def test_a_scheduler_that_is_killed_answers_for_no_item(site: Path, tmp_path: Path) -> None:
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize("how", ["SIGKILL", "SIGTERM"])
+def test_a_scheduler_that_ends_answers_for_no_item(site: Path, tmp_path: Path, how: str) -> None:
     (tmp_path / "scans").mkdir()
     for k in range(60):
         shutil.copy(site / "scans" / f"s{k % 12:02d}.npz", tmp_path / "scans" / f"s{k:02d}.npz")
@@ -149,7 +151,7 @@ def test_a_scheduler_that_is_killed_answers_for_no_item(site: Path, tmp_path: Pa
         run = subprocess.Popen(command([*words, "--dask", there]), stderr=subprocess.PIPE)
         while run.poll() is None and not (rows.exists() and rows.stat().st_size):
             time.sleep(0.005)
-        os.kill(scheduler, signal.SIGKILL)
+        os.kill(scheduler, signal.Signals[how])
         _, said = run.communicate(timeout=60)
     assert run.returncode == 1
     assert said.decode().splitlines() == [

@@ -9,7 +9,8 @@ import typer
 from imgloc.cli import options as opt
 from imgloc.cli.console import say
 from imgloc.cli.options import option
-from imgloc.io.files import display, write_text_atomic
+from imgloc.errors import OutputError
+from imgloc.io.files import display, open_regular, write_text_atomic
 
 Results = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results of imgloc batch.")]
 
@@ -43,7 +44,7 @@ def report(
 def _beginning(path: Path) -> bytes:
     """The first bytes of a file; none if it is not one."""
     try:
-        with path.open("rb") as file:
+        with os.fdopen(open_regular(path, OutputError, "page", follow=False), "rb") as file:
             return file.read(1000)
-    except OSError:
+    except (OutputError, OSError):
         return b""
