@@ -22,8 +22,8 @@ MAX_METADATA = 4 << 20
 """Bytes of a recording's metadata.yaml."""
 _VALUES = 100_000  # of metadata.yaml
 # Bytes that a chunk, or a message that is packed by itself, may unpack to; and all of a bag, which
-# is that and a multiple of its size: images of maps and costs shrink to a hundredth.
-_CHUNK, _RATIO = 64 << 20, 250
+# is a part of that and a multiple of its size. Scans shrink to a third, maps to a hundredth.
+_CHUNK, _ROOM, _RATIO = 64 << 20, 16 << 20, 100
 
 
 @dataclass
@@ -61,11 +61,11 @@ def bounded(name: str, size: int) -> Iterator[None]:
     """Bound what rosbags unpacks and parses of the bag called `name`, of `size` bytes.
 
     Inside, chunks and messages that unpack to more than 64 MiB are a ScanError, and so is all
-    beyond 64 MiB and 250 times the size, metadata.yaml that is not plain, and more than a MiB of
+    beyond 16 MiB and 100 times the size, metadata.yaml that is not plain, and more than a MiB of
     different definitions. What is said of the quality of service is not parsed at all.
     """
     _replace()
-    most = _CHUNK + _RATIO * size
+    most = _ROOM + _RATIO * size
     token = _OPEN.set(_Bag(name, most, most))
     try:
         yield
