@@ -212,3 +212,9 @@ def test_refining_is_bounded():
     assert refine_grid(grid, 0.01, max_cells=90_000).occupied.shape == (300, 300)
     assert refine_grid(grid, 0.01, max_cells=10_000) is grid
     assert refine_grid(grid, 0.2) is grid
+
+
+def test_a_sensor_that_is_never_over_free_cells_is_refused():
+    free = np.ones((20, 20), bool)
+    with pytest.raises(MapError, match="hardly ever in a free cell"):
+        sample_free_poses(OccupancyGrid(~free, free, 0.1), 1, 0, 0.1, Pose2D(4.0, 0.0))
