@@ -31,6 +31,13 @@ def swallow(megabytes):
     return len(b"x" * (megabytes << 20))
 
 
+def stumble(data, folder):
+    """Read what is not empty; else a defect of the kind that the folder's only file is named by."""
+    if not data:
+        kind = next(folder.glob("planted-*")).name.removeprefix("planted-")
+        {"key": lambda: {}["gone"], "hang": hang, "die": lambda: die(signal.SIGSEGV)}[kind]()
+
+
 def process(_):
     return os.getpid()
 
