@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from badfiles import YAML, encode, npz, room
-from command import MAPS, Run, call, weighed
+from command import MAPS, Run, call, rows, weighed
 
 from imgloc.errors import ScanError
 from imgloc.io.bagbounds import bounded
@@ -358,3 +358,19 @@ def test_a_scan_of_ten_million_readings_is_none(ending: str, tmp_path: Path) -> 
 )
 def test_standard_input_that_never_ends_is_left(stream: str, cause: str) -> None:
     check("standard input", cause, 4, "localize", MAP, "-", stdin=stream)
+
+
+def test_a_batch_waits_for_nothing_that_never_ends(tmp_path: Path) -> None:
+    scans = tmp_path / "scans"
+    scans.mkdir()
+    os.mkfifo(scans / "a.bag")
+    (scans / "b.mcap").symlink_to("/dev/zero")
+    (scans / "c.json").write_text("[" * 100_000)
+    run, seconds, _ = weighed("batch", MAP, scans, "--out", tmp_path / "out", "--workers", 1)
+    assert run.code == 5
+    said = [row["message"] for row in rows((tmp_path / "out" / "results.jsonl").read_text())]
+    assert [s.partition(": ")[2].partition(", expected")[0] for s in said[:2]] == [
+        "is a pipe or device"
+    ] * 2
+    assert "not valid JSON" in said[2]
+    assert seconds < SECONDS
