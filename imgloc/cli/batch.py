@@ -16,7 +16,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import bar_of, emit, say
 from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
-from imgloc.io.files import display
+from imgloc.io.files import display, is_there
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -226,7 +226,7 @@ def _rows(out: Path) -> dict[tuple[str, str | None], tuple[str, str]]:
     """Keys and statuses of the rows that are there, by their items."""
     from imgloc.io.results import RESULTS, id_of, read_rows
 
-    if not (out / RESULTS).exists():
+    if not is_there(out / RESULTS):
         return {}
     return {id_of(row): (row["key"], row["status"]) for row in read_rows(out)}
 

@@ -149,7 +149,8 @@ def _opened(path: PathLike, name: str) -> Iterator[Any]:
     except ScanError:
         raise
     except Exception as e:  # of rosbags, of SQLite, of what unpacks them; lengths that are wrong
-        raise ScanError(f"{name}: damaged or not a bag ({reason(e)}); record it again") from None
+        why = "a length that no memory holds" if isinstance(e, MemoryError) else reason(e)
+        raise ScanError(f"{name}: damaged or not a bag ({why}); record it again") from None
 
 
 def _files(file: Path, name: str) -> tuple[Path, list[Path]]:
