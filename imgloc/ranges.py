@@ -99,6 +99,7 @@ def _refused(value: Any, hint: Any) -> tuple[str, object] | None:
     if hint not in kinds and not is_dataclass(hint):
         return None
     fine = isinstance(value, kind) and (hint is bool or not isinstance(value, bool))
+    fine = fine and not (hint is float and math.isnan(value))
     return None if fine else ("", said)
 
 

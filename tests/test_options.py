@@ -9,8 +9,10 @@ import pytest
 
 from imgloc import options as module
 from imgloc.errors import ConfigError
+from imgloc.filters.grid import GridOptions
 from imgloc.filters.motion import MotionNoise
 from imgloc.filters.particle import ParticleOptions
+from imgloc.filters.tracker import TrackerOptions
 from imgloc.jobs import Job
 from imgloc.likelihoods.correlate import ENGINES
 from imgloc.options import (
@@ -25,10 +27,10 @@ from imgloc.options import (
 )
 from imgloc.ranges import Checked
 from imgloc.simulation import Sensor
-from imgloc.tracking import Every
+from imgloc.tracking import Every, Limits
 
 KINDS = (Calibration, EvidenceModel, FusedOptions, Options, Prior, Shared, Trust)
-OTHERS = (MotionNoise, ParticleOptions, Sensor, Every, Job)
+OTHERS = (GridOptions, MotionNoise, ParticleOptions, TrackerOptions, Sensor, Every, Limits, Job)
 
 
 @pytest.mark.parametrize(
@@ -55,6 +57,11 @@ OTHERS = (MotionNoise, ParticleOptions, Sensor, Every, Job)
         (lambda: EvidenceModel(sigmas=(0.1, 0.0)), "EvidenceModel.sigmas[1]"),
         (lambda: EvidenceModel(hit="most"), "EvidenceModel.hit: got 'most', expected a share"),  # type: ignore[arg-type]
         (lambda: Prior(heading=(0.0, -1.0)), "Prior.heading[1]: got (0.0, -1.0), expected radian"),
+        (lambda: TrackerOptions(agree=(2, 0)), "TrackerOptions.agree[1]: got (2, 0)"),
+        (
+            lambda: GridOptions(method="fused"),
+            "GridOptions.method: got 'fused', expected one of cb",
+        ),
         (lambda: Every(-1), "Every.metres: got -1"),
         (lambda: Sensor(outliers=2), "Sensor.outliers: got 2, expected a share"),
         (lambda: Job("sweep"), "Job.name: got 'sweep', expected one of localize"),

@@ -9,6 +9,7 @@ are scored one by one: that is what makes it real time.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -20,8 +21,9 @@ from imgloc.filters.evidence import misfit_near, sight, usable, view_of
 from imgloc.filters.motion import MotionNoise, deviations
 from imgloc.geometry import centre_of, rotation, wrap
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, LaserScan, inverse
-from imgloc.options import Options
+from imgloc.options import METHODS, Count, Length, Metres, Nats, Options, Share, Step
 from imgloc.pipeline import likelihood, posterior_of
+from imgloc.ranges import Checked, OneOf
 
 _ROOT = float(np.sqrt(2 * np.pi))
 _FINE = 32  # warpAffine interpolates between so many places of a pixel
@@ -32,25 +34,27 @@ _EXACT = MotionNoise(0.0, 0.0, 0.0, 0.0, (0.0, 0.0))
 
 
 @dataclass(frozen=True)
-class GridOptions:
+class GridOptions(Checked):
     """What a grid filter makes of scans and odometry."""
 
-    method: str = "ght-v"  #: whose likelihood is multiplied in while the whole map is looked at
+    method: Annotated[str, OneOf(*METHODS)] = (
+        "ght-v"  #: whose likelihood is multiplied in while the whole map is looked at
+    )
     noise: MotionNoise = field(default_factory=MotionNoise)
     #: metres and radians of motion after which a scan says something entirely new
-    fresh: tuple[float, float] = (1.0, 0.8)
-    least: float = 0.2  #: share of a scan's evidence that counts without any motion
-    floor: float = 1e-3  #: of the likelihood, as a share of a uniform one: no cell is ruled out
-    box: float = 0.999  #: mass within a box from which on only the box is computed
-    box_cells: int = 20_000  #: that are scored one by one, at most, headings and all
-    margin: float = 1.0  #: metres around them
+    fresh: tuple[Length, Step] = (1.0, 0.8)
+    least: Share = 0.2  #: share of a scan's evidence that counts without any motion
+    floor: Share = 1e-3  #: of the likelihood, as a share of a uniform one: no cell is ruled out
+    box: Share = 0.999  #: mass within a box from which on only the box is computed
+    box_cells: Count = 20_000  #: that are scored one by one, at most, headings and all
+    margin: Metres = 1.0  #: metres around them
     #: nats per reading that the best place may lack more than usual, before p(x | z) is mixed in
-    surprise: float = 0.7
-    share: float = 0.3  #: of p(x | z) that is mixed in then: sensor resetting
+    surprise: Nats = 0.7
+    share: Share = 0.3  #: of p(x | z) that is mixed in then: sensor resetting
     resets: bool = True
-    mass: float = 0.95  #: of the best place, to be ``unique``
-    sure: float = 1.0  #: metres that it has to be the best one for before it is
-    misfit: float = 2.5  #: nats per reading that it may lack and not be lost
+    mass: Share = 0.95  #: of the best place, to be ``unique``
+    sure: Metres = 1.0  #: metres that it has to be the best one for before it is
+    misfit: Nats = 2.5  #: nats per reading that it may lack and not be lost
 
 
 def predict(

@@ -33,7 +33,8 @@ from imgloc.filters.evidence import (
 from imgloc.filters.motion import MotionNoise, move_gaussians, way_of
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray, IntArray, LaserScan
-from imgloc.options import Options
+from imgloc.options import Count, Factor, Length, Metres, Nats, Options, Radians, Share, Step
+from imgloc.ranges import Checked
 from imgloc.search.hypotheses import masses, separated
 
 _SURE = 1e5  # odds of being lost, at most
@@ -45,51 +46,51 @@ Search = Callable[[LaserScan], Places]
 
 
 @dataclass(frozen=True)
-class TrackerOptions:
+class TrackerOptions(Checked):
     """What a tracker makes of scans and odometry."""
 
     noise: MotionNoise = field(default_factory=MotionNoise)
-    components: int = 40  #: at most
-    births: int = 15  #: modes of one scan that may become components
+    components: Count = 40  #: at most
+    births: Count = 15  #: modes of one scan that may become components
     #: metres and radians of motion after which a scan says something entirely new
-    fresh: tuple[float, float] = (3.0, 1.5)
-    least: float = 0.1  #: share of a scan's evidence that counts without any motion
-    drop: float = 8.0  #: nats that one scan can take from a component, at most
+    fresh: tuple[Length, Step] = (3.0, 1.5)
+    least: Share = 0.1  #: share of a scan's evidence that counts without any motion
+    drop: Nats = 8.0  #: nats that one scan can take from a component, at most
     #: chance of being carried off: for each scan's worth of motion, and where the best component
     #: fits abruptly worse than in the scan before. A place that has changed is approached.
-    leak: tuple[float, float] = (0.0001, 0.02)
-    patience: float = 0.6  #: odds of being lost that one scan can lead to, at most
+    leak: tuple[Share, Share] = (0.0001, 0.02)
+    patience: Factor = 0.6  #: odds of being lost that one scan can lead to, at most
     #: of the map, as far as scans share it: standard deviations, metres and radians
-    error: tuple[float, float] = (0.03, 0.006)
-    gate: float = 12.0  #: squared Mahalanobis distance up to which a pose may be a component's
+    error: tuple[Metres, Radians] = (0.03, 0.006)
+    gate: Nats = 12.0  #: squared Mahalanobis distance up to which a pose may be a component's
     #: components nearer than this are one, metres and radians
-    merge: tuple[float, float] = (0.3, 0.15)
-    mass: float = 0.99  #: of the best component, to be ``unique``
+    merge: tuple[Metres, Radians] = (0.3, 0.15)
+    mass: Share = 0.99  #: of the best component, to be ``unique``
     #: metres that it has to be followed for before it is: at first, and where it replaces another
-    sure: tuple[float, float] = (1.5, 4.0)
+    sure: tuple[Metres, Metres] = (1.5, 4.0)
     #: scans in a row that have to leave it so much, and readings that each needs to count
-    agree: tuple[int, int] = (2, 30)
+    agree: tuple[Count, Count] = (2, 30)
     #: metres between two searches while what is followed fits as usual: other places are then only
     #: looked at where they are followed. At first, and most; twice as far after each search that
     #: left the best component unique
-    search: tuple[float, float] = (1.5, 6.0)
-    known: float = 0.01  #: chance of being lost, at most, for that
+    search: tuple[Metres, Metres] = (1.5, 6.0)
+    known: Share = 0.01  #: chance of being lost, at most, for that
     #: nats per reading that the best component may lack more than usual to stay ``unique``, and
     #: more than in the scan before to be no surprise
-    surprise: tuple[float, float] = (0.5, 0.7)
-    startle: float = 0.5  #: share of its evidence that a surprising scan has at least
+    surprise: tuple[Nats, Nats] = (0.5, 0.7)
+    startle: Share = 0.5  #: share of its evidence that a surprising scan has at least
     #: how far odometry may be off at once, metres and radians, if a scan shows it: wheels that
     #: slip, a heading that lags in turns
-    slip: tuple[float, float] = (0.3, 0.25)
+    slip: tuple[Metres, Radians] = (0.3, 0.25)
     #: how soon it is learnt that odometry is worse than `noise` says: share of one scan in what is
     #: known, and how many times the variance it may have
-    learn: tuple[float, float] = (0.1, 25.0)
-    stale: float = 3.0  #: metres since a scan agreed with the best component, to be ``unique``
+    learn: tuple[Share, Factor] = (0.1, 25.0)
+    stale: Metres = 3.0  #: metres since a scan agreed with the best component, to be ``unique``
     #: chance of being carried off: for each second without sight, and in all of them
-    dark: tuple[float, float] = (0.02, 0.3)
+    dark: tuple[Share, Share] = (0.02, 0.3)
     #: scans that show another scale of the readings, nats that they must gain together, and how
     #: far their median must be from 1: a logarithm, and standard errors of the median
-    stretch: tuple[int, float, float, float] = (6, 150.0, 0.015, 3.0)
+    stretch: tuple[Count, Nats, Nats, Nats] = (6, 150.0, 0.015, 3.0)
     resets: bool = True  #: whether lost mass is put where scans find places: sensor resetting
 
 
