@@ -15,7 +15,7 @@ imgloc.errors.ConfigError: Walk.metres: got -1, expected metres, 0 to 10
 
 import math
 import types
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from numbers import Integral, Real
@@ -61,56 +61,78 @@ class Checked:
     """A dataclass that refuses, by a ConfigError, a value that the annotation does not allow."""
 
     def __post_init__(self) -> None:
-        name = type(self).__name__
         kind: Any = type(self)
-        for key, hint in _hints(kind).items():
-            if (wanted := _refused(getattr(self, key), hint)) is not None:
-                got, (at, expected) = getattr(self, key), wanted
-                raise ConfigError(f"{name}.{key}{at}: got {got!r:.60}, expected {expected}")
+        for key, check in _checks(kind):
+            if (refused := check(getattr(self, key))) is not None:
+                at, expected = refused
+                got = f"got {getattr(self, key)!r:.60}, expected {expected}"
+                raise ConfigError(f"{kind.__name__}.{key}{at}: {got}")
+
+
+#: Where in a value, and what was expected there; None where all is as it should be.
+Refused = tuple[str, object] | None
+Check = Callable[[Any], Refused]
+_PLAIN: Mapping[Any, tuple[Any, str]] = {
+    bool: (bool, "True or False"), int: (Integral, "a whole number"),
+    float: (Real, "a number"), str: (str, "a text"),
+}  # fmt: skip
 
 
 @cache
-def _hints(kind: Any) -> dict[str, Any]:
+def _checks(kind: Any) -> tuple[tuple[str, Check], ...]:
+    """The fields of a dataclass that have something to check, and how."""
     hints = get_type_hints(kind, include_extras=True)
-    return {part.name: hints[part.name] for part in fields(kind)}
+    made = [(part.name, _check_of(hints[part.name])) for part in fields(kind)]
+    return tuple((name, check) for name, check in made if check is not None)
 
 
-def _refused(value: Any, hint: Any) -> tuple[str, object] | None:
-    """Where in a value, and what was expected there, if the annotation does not allow it."""
+def _check_of(hint: Any) -> Check | None:
+    """What checks a value by an annotation; None for one that says nothing of values."""
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        limit = next((m for m in hint.__metadata__ if isinstance(m, Within | OneOf)), None)
-        inner = _refused(value, parts[0])
-        if limit is not None and (inner is not None or not limit.admits(value)):
-            return "", f"a whole number, {limit}" if parts[0] is int else limit
-        return inner
+        return _limited(parts[0], parts[1])
     if origin in (Union, types.UnionType):
-        if value is None and type(None) in parts:
-            return None
-        found = [_refused(value, part) for part in parts if part is not type(None)]
-        return None if None in found else found[0]
+        inner = [_check_of(part) for part in parts if part is not type(None)]
+        (one,) = inner  # nothing here is one of several kinds, but it may be None
+        return None if one is None else lambda value: None if value is None else one(value)
     if origin is tuple or origin is Sequence:
-        return _refused_sequence(value, parts, exact=origin is tuple and ... not in parts)
-    kinds: dict[Any, tuple[Any, str]] = {
-        bool: (bool, "True or False"), int: (Integral, "a whole number"),
-        float: (Real, "a number"), str: (str, "a text"),
-    }  # fmt: skip
-    kind, said = kinds.get(hint, (hint, getattr(hint, "__name__", "")))
-    if hint not in kinds and not is_dataclass(hint):
+        return _each(parts, exact=origin is tuple and ... not in parts)
+    if hint not in _PLAIN and not is_dataclass(hint):
         return None
-    fine = isinstance(value, kind) and (hint is bool or not isinstance(value, bool))
-    fine = fine and not (hint is float and math.isnan(value))
-    return None if fine else ("", said)
+    kind, said = _PLAIN.get(hint, (hint, getattr(hint, "__name__", "")))
+
+    def check(value: Any) -> Refused:
+        fine = isinstance(value, kind) and (hint is bool or not isinstance(value, bool))
+        return None if fine and not (hint is float and math.isnan(value)) else ("", said)
+
+    return check
 
 
-def _refused_sequence(value: Any, parts: Any, *, exact: bool) -> tuple[str, object] | None:
-    """As :func:`_refused` of a tuple or sequence of parts."""
-    numbers = isinstance(value, tuple | list) or hasattr(value, "tolist")
-    if exact and not (numbers and len(value) == len(parts)):
-        return "", f"{len(parts)} values"
-    if not numbers or len(value) == 0:
-        return "", "at least one value"
-    for k, one in enumerate(value):
-        if (wanted := _refused(one, parts[k] if exact else parts[0])) is not None:
-            return f"[{k}]", wanted[1]
-    return None
+def _limited(kind: Any, limit: Within | OneOf) -> Check:
+    """What checks a number or text that has a limit."""
+    whole, expected = kind is int, f"a whole number, {limit}" if kind is int else str(limit)
+
+    def check(value: Any) -> Refused:
+        fine = limit.admits(value) and not (whole and not isinstance(value, Integral))
+        return None if fine else ("", expected)
+
+    return check
+
+
+def _each(parts: Any, *, exact: bool) -> Check:
+    """What checks the parts of a tuple, or of a sequence of any length but none."""
+    checks = [_check_of(part) for part in parts if part is not ...]
+
+    def check(value: Any) -> Refused:
+        several = isinstance(value, tuple | list) or hasattr(value, "tolist")
+        if exact and not (several and len(value) == len(checks)):
+            return "", f"{len(checks)} values"
+        if not several or len(value) == 0:
+            return "", "at least one value"
+        for k, one in enumerate(value):
+            here = checks[k if exact else 0]
+            if here is not None and (refused := here(one)) is not None:
+                return f"[{k}]", refused[1]
+        return None
+
+    return check
