@@ -19,6 +19,7 @@ from imgloc.ranges import Checked, Within
 
 BLIND, WIDE = "blind", "wide"
 _FASTEST = 50.0  # metres a second: no robot on the ground is
+_FARTHEST = 1e6  # metres between two scans: a number is damaged
 
 
 @dataclass(frozen=True)
@@ -131,8 +132,15 @@ def follow(
             f"{name}: stamps[{at + 1}]: {stamps[at + 1]:.9g} after {stamps[at]:.9g}, expected the "
             "order of time"
         )
-    steps = np.concatenate((np.zeros((1, 3)), increments(scans.odom)))
-    way, seconds = np.hypot(*steps[1:, :2].T), np.diff(stamps)
+    with np.errstate(over="ignore", invalid="ignore"):
+        steps = np.concatenate((np.zeros((1, 3)), increments(scans.odom)))
+        way, seconds = np.hypot(*steps[1:, :2].T), np.diff(stamps)
+    if (leaps := np.flatnonzero(~(way <= _FARTHEST))).size:
+        at = int(leaps[0]) + 1
+        raise ScanError(
+            f"{name}: odom[{at}]: it is {way[at - 1]:.4g} m from the one before, expected at most "
+            f"{_FARTHEST:,.0f} m; the log is damaged, cut it there"
+        )
     moving = (way > 0) & (seconds > 0)
     if moving.any() and (speed := float(np.median(way[moving] / seconds[moving]))) > _FASTEST:
         raise ScanError(

@@ -162,6 +162,7 @@ HUGE = 10**400
         ({"answers": [{}]}, "answers.0: no index"),
         ({"cost": None}, "cost: got None"),
         ({"cost": {"seconds": HUGE}}, "cost.seconds: got 1000"),
+        ({"cost": {"seconds": 1 << 64}}, "cost.seconds: got 18446744073709551616"),
         ({"status": []}, "status: got [], expected one of crashed, failed, ok"),
         ({"more": {"a": float("inf")}}, ""),
         ({"more": "\ud800"}, "more: got '\\ud800'"),

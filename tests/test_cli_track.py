@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows
 
+from imgloc.filters.choose import FILTERS
 from imgloc.filters.motion import noisy_odometry
 from imgloc.io.calibration import calibration_path, save_calibrations
 from imgloc.io.images import read_image
@@ -256,6 +257,18 @@ def test_odometry_in_millimetres_is_refused(log: Path, tmp_path: Path) -> None:
     run = call("track", MAP, tmp_path / "mm.npz")
     assert (run.code, run.out) == (4, "")
     assert re.search(r"mm.npz: odom: it says [45]\d\d(.\d)? m/s, .* millimetres", run.err)
+
+
+@pytest.mark.parametrize("far", [2e6, 1e20, 1e200, -1e308])
+def test_odometry_that_leaves_the_earth_is_refused(log: Path, tmp_path: Path, far: float) -> None:
+    data = dict(np.load(log))
+    data["odom"][3, 0] = far
+    np.savez(tmp_path / "far.npz", **data)
+    for name in FILTERS:
+        run = call("track", MAP, tmp_path / "far.npz", "--filter", name)
+        assert (run.code, run.out) == (4, ""), run.err
+        assert "far.npz: odom[3]: it is " in run.err
+        assert "expected at most 1,000,000 m; the log is damaged" in run.err
 
 
 def test_a_log_without_stamps_cannot_say_when_it_is_kidnapped(log: Path, tmp_path: Path) -> None:

@@ -26,8 +26,8 @@ from imgloc.errors import OutputError
 from imgloc.io.files import PathLike, display, open_file, read_file, reason
 
 _DEPTH = 40  # levels; imgloc writes less than ten
-_MOST = 1e300  # imgloc writes no number as large, and not of all whole ones a float can be made
-_WHOLE = 1 << 63
+_MOST = 1e300  # imgloc writes no number as large
+_WHOLE = 1 << 63  # nor a whole one, of which neither a float nor a column of a table may be made
 _SHOWN = 60  # characters of where something is
 _NAMES = {
     str: "a text", bool: "true or false", int: "a whole number", float: "a number", None: "null",
@@ -182,7 +182,7 @@ def _is(value: Any, kind: Any) -> bool:
     if kind is None:
         return value is None
     if kind is float:
-        return type(value) in (int, float) and abs(value) < _MOST
+        return (type(value) is float and abs(value) < _MOST) or _is(value, int)
     if kind is int:
         return type(value) is int and abs(value) < _WHOLE
     if not isinstance(value, str):
