@@ -46,7 +46,7 @@ from imgloc.search.background import unmapped_score
 from imgloc.search.branch_and_bound import best_poses
 from imgloc.search.hypotheses import as_hypotheses, centres, covariances, masses, modes
 from imgloc.search.peaks import peaks_of_posterior
-from imgloc.search.priors import on_lattice, pyramid_levels, standing, stands
+from imgloc.search.priors import on_lattice, pyramid_levels, share_of_poses, standing, stands
 from imgloc.search.proposals import propose_endpoints, propose_votes
 from imgloc.search.refine import refine
 from imgloc.search.rescore import Scores, rescore, shortlist
@@ -487,9 +487,9 @@ def _fit(
     """How well the best pose fits, as :class:`Found` has it, and the temperature of its score."""
     n, model = len(readings), options.fused.model
     misfit = _misfit(scores, n, options)
-    told = options.prior.cells is not None or options.prior.heading is not None
-    unmapped = unmapped_score(readings.xy, model, told=told)
     temperature = options.trust.temperature_at(misfit, n, features.grid.resolution)
+    share = share_of_poses(options.prior, features)
+    unmapped = unmapped_score(readings.xy, model, share, temperature.value / n)
     said = {
         "misfit": misfit,
         "unmapped": unmapped,

@@ -7,10 +7,18 @@ import pytest
 
 from imgloc.errors import ConfigError
 from imgloc.features.pyramid import Level
-from imgloc.model import GridInfo, OccupancyGrid
+from imgloc.model import GridInfo, LaserScan, OccupancyGrid
 from imgloc.options import ALL_METHODS, FusedOptions, Options, Prior
 from imgloc.pipeline import localize, prepare
-from imgloc.search.priors import around, clearance, near, nearest, on_lattice, pyramid_levels
+from imgloc.search.priors import (
+    Known,
+    around,
+    clearance,
+    near,
+    nearest,
+    on_lattice,
+    pyramid_levels,
+)
 from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 
@@ -200,6 +208,40 @@ def test_a_tight_prior_beside_the_best_pose_is_no_mismatch(visibility, index, ra
     assert answer.verdict == "unique"
     assert abs(answer.pose.theta - np.angle(np.exp(1j * theta))) < tolerance + 1e-6
     assert np.hypot(answer.pose.x - x, answer.pose.y - y) < radius + 0.1  # a cell
+
+
+def closed_room(width: float, height: float, pose: tuple[float, float, float]) -> LaserScan:
+    """A scan from within an empty rectangle: `pose` from its middle, 2 cm of noise."""
+    x, y, theta = pose
+    angles = np.deg2rad(np.arange(-180, 180, 2.0))
+    dx, dy = np.cos(theta + angles), np.sin(theta + angles)
+    ranges = np.minimum((np.sign(dx) * width / 2 - x) / dx, (np.sign(dy) * height / 2 - y) / dy)
+    noise = 0.02 * np.random.default_rng(int(100 * width)).standard_normal(len(angles))
+    return LaserScan(ranges + noise, angles, range_max=20.0)
+
+
+@pytest.mark.parametrize(
+    "known",
+    [
+        Known(),
+        Known(clearance=0.01),
+        Known(clearance=0.3),
+        Known(heading=(0.0, np.pi)),
+        Known(heading=(1.0, 0.5)),
+        Known(near=(5.0, 7.0, 0.0, 3.0, 1.6)),
+    ],
+    ids=["nothing", "1 cm", "30 cm", "any heading", "a heading", "a place"],
+)
+def test_what_is_known_lets_no_room_in_that_is_on_no_map(visibility, known):
+    features, _ = visibility
+    rooms = [
+        (4.2, 3.1, (0.5, -0.3, 0.7)),
+        (6.3, 3.7, (-1.0, 0.6, -2.0)),
+        (2.9, 5.1, (0.2, 1.0, 2.9)),
+    ]
+    for room in rooms:
+        answer = localize(features, closed_room(*room), Options(prior=known.prior(features.grid)))
+        assert answer.verdict == "no-match", room
 
 
 def test_a_prior_without_a_pose_is_refused(visibility):

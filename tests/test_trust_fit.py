@@ -13,7 +13,7 @@ from imgloc.search.hypotheses import masses
 from imgloc.simulation import simulate
 from imgloc.worlds import WORLDS, render
 from tools.trust.__main__ import main
-from tools.trust.disturb import MAPS, ROOMS, SCANS, unmapped
+from tools.trust.disturb import MAPS, PRIORS, ROOMS, SCANS, unmapped
 from tools.trust.fit import Case, case_of, conditions_table, fit_trust, mapped, trust_of
 from tools.trust.scale import scale_rows, scale_table
 
@@ -111,7 +111,8 @@ def test_the_tool_prints_constants_and_a_table(capsys):
     assert main(["fit", "-n", "1", "--worlds", "curved"]) == 0
     text = capsys.readouterr().out
     numbers, end = json.JSONDecoder().raw_decode(text)
-    assert set(numbers["cases"]) <= set(SCANS) | set(MAPS)
+    assert set(numbers["cases"]) <= set(SCANS) | set(MAPS) | set(PRIORS)
+    assert numbers["cases"]["clearance of 0.3 m known"] == 1
     assert numbers["buildings"] == {"curved": sum(numbers["cases"].values())}
     assert "| people | 1 |" in text[end:]
     assert main(["fit", "-n", "0"]) == 2

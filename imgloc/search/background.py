@@ -15,21 +15,34 @@ from imgloc.search.rescore import hit_density
 CHANCE = 3.0
 """Nats that a reading lacks where a scan is laid on a map by chance. Of scans laid on the maps of
 other buildings the mean ones lack 2.6, the worst tenth 3.9."""
-CHANCE_TOLD = 1.5  #: the same where the place is known within some limits: a wrong one is refused
+CHANCE_TOLD = 1.5
+"""The same where so much is known of the pose that one place is left: of readings laid on a wrong
+one they lack more, and a right one is not looked for where it is not."""
 _HEADINGS = 60  # of the room, over the quarter turn after which it is itself again
 _BIN = 0.05  # metres; a wall is looked for in three of them
 _BINS = 400
 
 
-def unmapped_score(xy: FloatArray, model: EvidenceModel, *, told: bool = False) -> float:
+def unmapped_score(
+    xy: FloatArray, model: EvidenceModel, share: float = 1.0, nats: float = 0.0
+) -> float:
     """Mean log-density of readings (N, 2) in a building that is on no map, nats.
 
-    That of :func:`best_room`, but never less than :data:`CHANCE` below a perfect fit. Where the
-    place was `told`, within some limits, it is no other room: :data:`CHANCE_TOLD` below that.
+    That of :func:`best_room`, but never less than :data:`CHANCE` below a perfect fit.
+
+    Parameters
+    ----------
+    share : float
+        Of the poses of the map that are left by what is known, 0..1. The fewer there are, the less
+        likely a room fits at one of them; and the nearer to :data:`CHANCE_TOLD` is what must be
+        lacking for the place to be a wrong one.
+    nats : float
+        Of a reading, that one nat of evidence is worth: the temperature over N.
     """
-    if told:
-        return model.best - CHANCE_TOLD
-    return max(best_room(xy, model), model.best - CHANCE)
+    chance = CHANCE_TOLD + (CHANCE - CHANCE_TOLD) * share
+    # Half of the evidence that the share is: what is known may be wrong, too.
+    fewer = 0.5 * nats * float(np.log(max(share, 1e-12)))
+    return max(best_room(xy, model) + fewer, model.best - chance)
 
 
 def best_room(xy: FloatArray, model: EvidenceModel) -> float:

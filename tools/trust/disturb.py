@@ -16,6 +16,7 @@ import numpy as np
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
 from imgloc.model import BoolArray, FloatArray, LaserScan, OccupancyGrid
+from imgloc.search.priors import Known
 from imgloc.simulation import ray_angles
 
 Rng = np.random.Generator
@@ -155,6 +156,17 @@ MAPS: Mapping[str, MapChange] = MappingProxyType(
         "half the map": half,
     }
 )
+
+PRIORS: Mapping[str, Callable[[FloatArray], Known]] = MappingProxyType(
+    {
+        "clearance of 0.3 m known": lambda _: Known(clearance=0.3),
+        "heading known to 30 deg": lambda at: Known(heading=(float(at[2]), np.pi / 6)),
+        "place known to 3 m and 90 deg": lambda at: Known(
+            near=(at[0], at[1], at[2], 3.0, np.pi / 2)
+        ),
+    }
+)
+"""What may be known of a pose (3,), map frame."""
 
 _CELL, _REACH, _CLEAR = 0.01, 20.0, 0.3  # metres: of a room's image, of the sensor, of the robot
 ROOMS = ("closed room", "room with a door", "dead end", "lift")

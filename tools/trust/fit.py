@@ -17,14 +17,15 @@ from scipy.optimize import minimize
 
 from imgloc import LaserScan, MapFeatures, OccupancyGrid, Options, Pose2D, ScanSet, Trust, prepare
 from imgloc.evaluation import pose_errors, share
-from imgloc.geometry import cell_of, transform_points, transform_poses
+from imgloc.geometry import cell_of, centre_of, transform_points, transform_poses
 from imgloc.model import BoolArray, FloatArray, inverse
 from imgloc.pipeline import find_adapted_modes
 from imgloc.search.background import unmapped_score
 from imgloc.search.hypotheses import masses
+from imgloc.search.priors import Known, share_of_poses
 from imgloc.search.trust import judge
 from tools.script import table_lines
-from tools.trust.disturb import MAPS, ROOMS, SCANS, unmapped
+from tools.trust.disturb import MAPS, PRIORS, ROOMS, SCANS, unmapped
 from tools.trust.reliability import LEAST, RIGHT, Judged, reliability
 
 MARGIN = 1.25
@@ -64,10 +65,15 @@ class TrustFit:
 
 
 def case_of(
-    features: MapFeatures, scan: LaserScan, pose: FloatArray | None, building: str, condition: str
+    features: MapFeatures,
+    scan: LaserScan,
+    pose: FloatArray | None,
+    building: str,
+    condition: str,
+    known: Known | None = None,
 ) -> Case | None:
     """Lay a scan on a map; `pose` (3,) is the true one, map frame. None if nothing is found."""
-    options = Options()
+    options = Options(prior=(known or Known()).prior(features.grid))
     if scan.directions < options.trust.readings:
         return None
     found = find_adapted_modes(features, scan, options)
@@ -79,9 +85,11 @@ def case_of(
         there = transform_poses(features.grid.origin, found.poses[:MODES])
         right = np.all(pose_errors(there, Pose2D(*pose)) <= RIGHT, axis=1)
     model, each = options.fused.model, float(score[0]) / n
-    gap = each - unmapped_score(found.readings.xy, model)
-    cell = features.grid.resolution
-    return Case(building, condition, score, right, n, model.best - each, gap, cell)
+    share = share_of_poses(options.prior, features)
+    misfit, cell = model.best - each, features.grid.resolution
+    nats = options.trust.temperature_at(misfit, n, cell).value / n
+    gap = each - unmapped_score(found.readings.xy, model, share, nats)
+    return Case(building, condition, score, right, n, misfit, gap, cell)
 
 
 def cases_at_home(building: str, grid: OccupancyGrid, scans: ScanSet, seed: int) -> Iterator[Case]:
@@ -97,6 +105,12 @@ def cases_at_home(building: str, grid: OccupancyGrid, scans: ScanSet, seed: int)
                 case = case_of(features, disturbed, there, building, condition)
                 if case is not None:
                     yield case
+    features = prepare(grid, building)
+    for condition, known in PRIORS.items():
+        for scan, pose in scans.with_poses():
+            case = case_of(features, scan, pose, building, condition, known(pose))
+            if case is not None:
+                yield case
 
 
 def cases_away(
@@ -109,10 +123,16 @@ def cases_away(
         for i in range(n):
             rng = np.random.default_rng((seed, k, i))
             asked.append((room, unmapped(room, rng, np.pi * (1 + i % 2))))
+    free, rng = np.argwhere(features.standable), np.random.default_rng((seed, len(ROOMS)))
     for condition, scan in asked:
-        case = case_of(features, scan, None, building, condition)
-        if case is not None:
-            yield case
+        cell, theta = rng.choice(free), rng.uniform(-np.pi, np.pi)
+        local = np.append(centre_of(cell[None], grid.resolution)[0], theta)
+        at = transform_poses(grid.origin, local[None])[0]
+        told = {condition: None} | {f"{condition}, {n}": known(at) for n, known in PRIORS.items()}
+        for name, known in told.items():
+            case = case_of(features, scan, None, building, name, known)
+            if case is not None:
+                yield case
 
 
 def listed(make: Callable[..., Iterator[Case]], given: Sequence[Any]) -> list[Case]:
