@@ -30,14 +30,14 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import imgloc
 from imgloc.atlas import Spot, summarise
-from imgloc.batch import find_items, work
+from imgloc.batch import BatchSummary, find_items, work
 from imgloc.features.budget import MIB
 from imgloc.features.store import features_key, load_features, save_features
 from imgloc.filters.choose import FILTERS
 from imgloc.io.atlasrows import Journal, as_csv
 from imgloc.io.cache import entry_path
 from imgloc.io.calibration import load_calibrations, save_calibrations
-from imgloc.io.results import RESULTS, RUN, Results
+from imgloc.io.results import RESULTS, RUN, SUMMARY, Results
 from imgloc.io.scans import scans_size
 from imgloc.mapindex import open_index
 from imgloc.output.export import as_bytes
@@ -329,9 +329,13 @@ def _batch(name: str, file: str, folder: Path) -> list[bytes]:
     job, scans = imgloc.Job(name, OPTIONS), None if name == "check" else folder / "scans.npz"
     about = {"job": name, "maps": "maps", "scans": None, "imgloc": "0",
              "parameters": {job.digest: job.parameters}}  # fmt: skip
+    summary = BatchSummary()
     with Results(folder / "batch", about) as results:
         for item in find_items(folder / "map.yaml", scans, job):
-            results.add(_timeless(work(item, job)[0]) | {"map": "map.yaml"}, {})
+            row = _timeless(work(item, job)[0]) | {"map": "map.yaml"}
+            results.add(row, {})
+            summary.add(row)
+        results.summarise(summary.as_row())
     return [(folder / "batch" / file).read_bytes()]
 
 
@@ -351,7 +355,8 @@ def _look(name: str, file: str, data: bytes, folder: Path) -> None:
 
 for _job in ("check", "localize", "which"):
     target(partial(_batch, _job, RESULTS), f"rows-{_job}")(partial(_look, _job, RESULTS))
-target(partial(_batch, "localize", RUN), "run-json")(partial(_look, "localize", RUN))
+for _name in (RUN, SUMMARY):
+    target(partial(_batch, "localize", _name), _name)(partial(_look, "localize", _name))
 
 _SURVEY = {"map": "0" * 40, "step": 1.0}
 
@@ -383,19 +388,20 @@ def pairs(data: bytes, folder: Path) -> None:
     find_items(_written(data, folder / "input.csv"), None, imgloc.Job())
 
 
-def _log(_: Path) -> list[bytes]:
+def _log(folder: Path) -> list[bytes]:
     entry = {"angle_min": -3.1, "angle_max": 3.1, "range_max": 10.0}
     lines = [
         json.dumps({"stamp": k, "odom": pose.tolist(), "ranges": [*map(str, ranges)]} | entry)
         for k, (pose, ranges) in enumerate(zip(_POSES, _RANGES, strict=True))
     ]
-    return ["\n".join(lines).encode(), "\n".join(lines[:2]).encode()]
+    return ["\n".join(lines).encode(), *_npz(folder)]
 
 
 @target(_log)
 def log(data: bytes, folder: Path) -> None:
     """Odd odometry and stamps, along one of the filters."""
-    scans = imgloc.load_scans(_written(data, folder / "input.jsonl"))
+    ending = ".npz" if data.startswith(b"PK") else ".jsonl"
+    scans = imgloc.load_scans(_written(data, folder / f"input{ending}"))
     name = FILTERS[zlib.crc32(data) % len(FILTERS)]
     for _ in imgloc.follow(_features(), scans, imgloc.make_filter(name, _features(), OPTIONS)):
         pass
