@@ -35,7 +35,12 @@ def stumble(data, folder):
     """Read what is not empty; else a defect of the kind that the folder's only file is named by."""
     if not data:
         kind = next(folder.glob("planted-*")).name.removeprefix("planted-")
-        {"key": lambda: {}["gone"], "hang": hang, "die": lambda: die(signal.SIGSEGV)}[kind]()
+        {
+            "key": lambda: {}["gone"],
+            "hang": hang,
+            "die": lambda: die(signal.SIGSEGV),
+            "swallow": lambda: swallow(150),
+        }[kind]()
 
 
 def process(_):

@@ -5,6 +5,7 @@ import hashlib
 import logging
 import random
 import re
+import resource
 import time
 import traceback
 import warnings
@@ -31,6 +32,7 @@ _SHORTER = 30.0  # seconds for making an input shorter
 _AT_ONCE = 32  # inputs that are sent together
 _STACK = ".stack"  # file of a folder: where a child was when it died, or was late
 _REFUSED = "refused: "
+_GREEDY = "memory: an input took"
 _FRAME = re.compile(r'File "([^"]+)", line (\d+),? in (\S+)')
 
 
@@ -69,8 +71,16 @@ def _stack_file(folder: Path) -> IO[str]:
     return file
 
 
-def execute(run: Run, inputs: Sequence[bytes], folder: Path, seconds: float) -> list[str]:
+def _peak() -> int:
+    """Bytes that this process has ever had."""
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+
+def execute(
+    run: Run, inputs: Sequence[bytes], folder: Path, seconds: float, memory: int
+) -> list[str]:
     """In the child: for each input nothing, what imgloc's own error says, or a traceback."""
+    peak = _peak()
     faulthandler.dump_traceback_later(0.9 * seconds, file=_stack_file(folder))
     said = []
     for data in inputs:
@@ -81,6 +91,10 @@ def execute(run: Run, inputs: Sequence[bytes], folder: Path, seconds: float) -> 
             said.append(f"{_REFUSED}{error}")
         except BaseException:
             said.append(traceback.format_exc(limit=-30))
+        # A reader may take for damage that there is no more memory, having taken all.
+        if _peak() - peak > memory:
+            said[-1] = f"{_GREEDY} {(_peak() - peak) // MIB} MiB; {said[-1]}"
+        peak = _peak()
     faulthandler.cancel_dump_traceback_later()
     return said
 
@@ -89,8 +103,8 @@ class Child:
     """A process that executes inputs of a target, and is replaced when it has died."""
 
     def __init__(self, target: Target, folder: Path, seconds: float, memory: int) -> None:
-        self._run, self._folder, self._seconds = target.run, folder, seconds
-        self._supervisor, self._warm = Supervisor(None, memory), False
+        self._run, self._folder, self._seconds, self._memory = target.run, folder, seconds, memory
+        self._supervisor, self._warm = Supervisor(None, 2 * memory), False
         self.samples = target.make(folder)
         self.close = self._supervisor.close
 
@@ -100,7 +114,11 @@ class Child:
             self._warm = True
             self._send(self.samples[:1], _PATIENCE)
         try:
-            return [_outcome(said) for said in self._send(inputs, self._seconds)]
+            said = self._send(inputs, self._seconds)
+            if any(text.startswith(_GREEDY) for text in said):  # its peak is that for ever
+                self._supervisor.stop()
+                self._warm = False
+            return [_outcome(text) for text in said]
         except (CrashError, OverdueError) as error:
             self._warm, late = False, isinstance(error, OverdueError)
             if len(inputs) > 1:  # one of them
@@ -114,14 +132,15 @@ class Child:
 
     def _send(self, inputs: Sequence[bytes], seconds: float) -> list[str]:
         self._supervisor.timeout = seconds
-        return self._supervisor.run(execute, self._run, inputs, self._folder, seconds)
+        run = self._supervisor.run
+        return run(execute, self._run, inputs, self._folder, seconds, self._memory)
 
 
 def _outcome(said: str) -> Outcome:
     if not said or said.startswith(_REFUSED):
         return Outcome("", said)
     file, line, function = [("?", "?", "?"), *_places(said)][-1]
-    what = said.rstrip().rpartition("\n")[2].partition(":")[0]
+    what = "memory" if said.startswith(_GREEDY) else said.rstrip().rpartition("\n")[2].split(":")[0]
     return Outcome(f"{what}: {file}:{line} in {function}", said)
 
 
