@@ -126,6 +126,8 @@ class Child:
             if late and again:  # the machine may have been busy
                 return self.run(inputs, again=False)
             stack = (self._folder / _STACK).read_text(errors="replace")
+            threads = stack.split("hread 0x")  # the last that was at work, which is not the newest
+            stack = next((one for one in reversed(threads) if " in execute" in one), stack)
             file, _, function = [*_places(stack), ("?", "", "?")][0]
             what = "overdue" if late else f"dead ({error})"
             return [Outcome(f"{what}: {file} in {function}", f"{error}\n{stack}")]
