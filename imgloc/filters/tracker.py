@@ -133,7 +133,7 @@ class Tracker:
         self._find = find or (lambda scan: search(self.features, scan, self.options))
         self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
         self._mass, self._followed = np.empty(0), np.empty(0)
-        self._lost, self._resets, self._agreed = 1.0, 0, 0
+        self._lost, self._resets, self._agreed, self._dark = 1.0, 0, 0, False
         self._wrong = 1.0  # variance of odometry's errors, as scans show it, over what is expected
         self._way, self._since = 0.0, 0.0  # metres since the last scan, and since one agreed
         self._unsearched, self._pause = 0.0, self.how.search[0]  # metres
@@ -169,7 +169,7 @@ class Tracker:
         cost, self._way = self._way + seconds, 0.0
         kept = np.maximum(np.minimum(self._followed, first) - cost, 0.0)
         self._followed = np.minimum(self._followed, kept)
-        self._agreed = max(0, min(self._agreed, self.how.agree[0]) - 1)
+        self._agreed, self._dark = max(0, min(self._agreed, self.how.agree[0]) - 1), True
         if self.how.resets and self._lost < most:
             lost = min(most, self._lost + rate * seconds)
             self._mass, self._lost = self._mass * (1 - lost) / (1 - self._lost), lost
@@ -179,6 +179,8 @@ class Tracker:
         seen = usable(scan, self.options)
         if seen is None or not len(self._poses):
             return False
+        if self._dark and self._agreed < self.how.agree[0]:
+            return True  # who was blind is to be sure again, also where it stands
         habit, view = self._habits.of(seen), view_of(seen, self.options)
         near = self._unsurprised(view, habit)
         if near is None:
@@ -187,8 +189,7 @@ class Tracker:
         if len(view.readings) >= self.how.agree[1] and habit.last <= self._strange(habit):
             best = slice(int(np.argmax(self._mass)), int(np.argmax(self._mass)) + 1)
             one = sight(self.features, view, near, self.options)
-            self._correct(best, near, self._noise(one) / self._fresh(habit))
-            self._agreed += bool(self._mass[best] >= self.how.mass)
+            self._correct(best, near, self._noise(one), self._fresh(habit))
             self._since = 0.0
         return False
 
@@ -283,6 +284,7 @@ class Tracker:
         agrees = (self._mass[:1] >= how.mass).any()
         enough = len(view.readings) >= how.agree[1]
         self._agreed = self._agreed + enough if agrees else 0
+        self._dark &= self._agreed < how.agree[0]
         if agrees and enough and not habit.doubted:
             self._since = 0.0
         if len(self._mass):
@@ -366,17 +368,22 @@ class Tracker:
         if len(some):
             self._correct(some, seen.poses[at[some]], self._noise(seen)[at[some]])
 
-    def _correct(self, which: IntArray | slice, poses: FloatArray, noise: FloatArray) -> None:
-        """Kalman's update of some components (C,) by poses (C, 3) with covariances (C, 3, 3)."""
+    def _correct(
+        self, which: IntArray | slice, poses: FloatArray, noise: FloatArray, share: float = 1.0
+    ) -> None:
+        """Kalman's update of some components (C,) by poses (C, 3) with covariances (C, 3, 3).
+
+        Of the poses' evidence a `share` is new: 0..1.
+        """
         P = self._covariance[which]
         apart = poses - self._poses[which]
         apart[:, 2] = wrap(apart[:, 2])
-        expected = np.linalg.inv(P + noise)
         if np.arange(len(self._poses))[which][0] == 0:
             rate, most = self.how.learn
-            square = float(apart[0] @ expected[0] @ apart[0]) / 3  # of the heaviest: 1 in the mean
+            # Of the heaviest; 1 in the mean.
+            square = float(apart[0] @ np.linalg.solve(P[0] + noise[0], apart[0])) / 3
             self._wrong = float(np.clip(self._wrong + rate * (square - self._wrong), 1.0, most))
-        gain = P @ expected
+        gain = P @ np.linalg.inv(P + noise / share)
         corrected = self._poses[which] + (gain @ apart[..., None])[..., 0]
         corrected[:, 2] = wrap(corrected[:, 2])
         self._poses[which] = corrected
