@@ -20,8 +20,8 @@ def moment(verdict: str, stamp: float = 12.25) -> Moment:
     belief = Belief(poses, np.array([0.6, 0.4]), np.tile(COVARIANCE, (2, 1, 1)), 0.0, verdict, 2.0)
     best = Pose2D(*transform_poses(ORIGIN, poses)[0])
     return Moment(
-        index=3, stamp=stamp, age=0.0, looked=True, metres=1.0, belief=belief, withheld="", best=best,
-        covariance=COVARIANCE, deviation=(0.1, 0.01), map_odom=None,
+        index=3, stamp=stamp, age=0.0, looked=True, metres=1.0, belief=belief, withheld="",
+        best=best, covariance=COVARIANCE, deviation=(0.1, 0.01), map_odom=None,
     )  # fmt: skip
 
 
