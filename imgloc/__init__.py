@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any
 from imgloc.__about__ import __version__
 
 if TYPE_CHECKING:
+    from imgloc.answers.explain import Explanation, explain
+    from imgloc.answers.sample import sample_poses
     from imgloc.batch import BatchSummary, run_batch
-    from imgloc.choice import Choice, which
+    from imgloc.choice.choose import Choice, which
     from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
     from imgloc.evaluation import Evaluation, evaluate
-    from imgloc.explanation import Explanation, explain
     from imgloc.features.floorplan import FloorPlan, plan_to_map
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.filters.choose import make_filter
@@ -53,7 +54,6 @@ if TYPE_CHECKING:
     )
     from imgloc.output.pictures import Picture, draw
     from imgloc.pipeline import likelihood, localize, prepare
-    from imgloc.sample import sample_poses
     from imgloc.search.priors import Known
     from imgloc.simulation import Sensor, simulate
     from imgloc.tracking import Every, Limits, Moment, follow
@@ -71,10 +71,10 @@ __all__ = [
 
 _HOMES = {
     "imgloc.batch": "BatchSummary run_batch",
-    "imgloc.choice": "Choice which",
+    "imgloc.choice.choose": "Choice which",
     "imgloc.errors": "ConfigError ImglocError MapError OutputError ScanError",
     "imgloc.evaluation": "Evaluation evaluate",
-    "imgloc.explanation": "Explanation explain",
+    "imgloc.answers.explain": "Explanation explain",
     "imgloc.features.floorplan": "FloorPlan plan_to_map",
     "imgloc.features.mapfeatures": "MapFeatures",
     "imgloc.filters.choose": "make_filter",
@@ -89,7 +89,7 @@ _HOMES = {
     "imgloc.options": "ALL_METHODS METHODS Calibration FusedOptions Options Prior Shared Trust",
     "imgloc.output.pictures": "Picture draw",
     "imgloc.pipeline": "likelihood localize prepare",
-    "imgloc.sample": "sample_poses",
+    "imgloc.answers.sample": "sample_poses",
     "imgloc.search.priors": "Known",
     "imgloc.simulation": "Sensor simulate",
     "imgloc.tracking": "Every Limits Moment follow",

@@ -26,7 +26,7 @@ from typing import Any
 import cv2
 
 from imgloc.__about__ import __version__
-from imgloc.choice import NO_MAP, names_of
+from imgloc.choice.choose import NO_MAP, names_of
 from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
 from imgloc.hints import Doubtful, hints_of
 from imgloc.io.contents import content_hash, files_of

@@ -10,7 +10,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any
 
-from imgloc.doubts import Doubt, Said, is_doubtful
+from imgloc.answers.diagnose import Doubt, Said, is_doubtful
 from imgloc.io.results import Id, Row, id_of
 from imgloc.jobs import Item, Job, look_again
 from imgloc.model import Evidence

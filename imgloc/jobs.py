@@ -15,11 +15,12 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from imgloc.answers.diagnose import Doubt, Said, doubts
 from imgloc.atlas import TOP, atlas_poses, simulate_at, survey
 from imgloc.atlas import summarise as summarise_atlas
-from imgloc.choice import OPTIONS as WHICH
-from imgloc.choice import Opened, bounds_of, choose, search
-from imgloc.doubts import Doubt, Said, doubts
+from imgloc.choice.choose import OPTIONS as WHICH
+from imgloc.choice.choose import Opened, bounds_of, choose, search
+from imgloc.choice.folder_index import MapIndex, open_index
 from imgloc.errors import ConfigError, MapError, ScanError
 from imgloc.evaluation import TOLERANCES, Tolerance, evaluate, method_options, pose_errors
 from imgloc.features.budget import check_budget, default_budget, scans_bytes
@@ -34,7 +35,6 @@ from imgloc.io.mapcheck import check_bytes, check_map
 from imgloc.io.maps import Reading, load_bytes, load_map, reading_of, resolve_settings
 from imgloc.io.scans import has_topics, load_scans, scans_size
 from imgloc.io.scanset import Chosen, ScanSet
-from imgloc.mapindex import MapIndex, open_index
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, check_mount, plain
 from imgloc.options import FUSED, Count, Factor, Length, Options, Prior
 from imgloc.pipeline import answer_bytes, localize, prepare

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows
 
-from imgloc.choice import LUCK, choose, fit, log_evidence, names_of, unknown_evidence
+from imgloc.choice.choose import LUCK, choose, fit, log_evidence, names_of, unknown_evidence
 from imgloc.errors import ConfigError
 from imgloc.io.folders import find_maps
 from imgloc.io.maps import save_map

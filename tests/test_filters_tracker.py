@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from places import ANGLES, features_of
 
+from imgloc.answers.sample import sample_poses
 from imgloc.errors import ConfigError, ScanError
 from imgloc.filters.belief import Followed, belief_of, deviations_of
 from imgloc.filters.choose import make_filter
@@ -18,7 +19,6 @@ from imgloc.geometry import transform_poses, wrap
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, Pose2D, compose, inverse
 from imgloc.options import Options, Shared
-from imgloc.sample import sample_poses
 from imgloc.sequences import Searches, piece
 from imgloc.simulation import simulate_ranges
 from imgloc.tracking import Every, Kidnap, follow

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from command import MAPS
 
+from imgloc.answers.diagnose import doubts
 from imgloc.batch import BatchSummary, run_batch
-from imgloc.doubts import doubts
 from imgloc.hints import Doubtful
 from imgloc.io.results import read_rows
 from imgloc.io.scans import save_scans

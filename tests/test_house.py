@@ -9,7 +9,8 @@ from command import ROOT
 ROOMS = (
     "__about__ errors ranges", "model", "geometry", "options", "io", "features", "likelihoods",
     "search", "pipeline",
-    "explanation doubts mapindex choice sample atlas simulation worlds evaluation index calibrate",
+    "answers", "choice",
+    "atlas simulation worlds evaluation index calibrate",
     "filters tracking sequences", "batch hints jobs workers cluster", "output", "cli",
 )  # fmt: skip
 PLACE = {name: k for k, room in enumerate(ROOMS) for name in room.split()}

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from places import answer_of, features_of, room_with_a_post, scan_of
 
-from imgloc.explanation import KINDS, RayFit, explain
+from imgloc.answers.explain import KINDS, RayFit, explain
 from imgloc.model import Hypothesis, LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options
 from imgloc.output.canvas import INK, PAPER, SHADE

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from places import ANGLES, POSES, answer_of, facts, features_of, grid_of, scan_of
 
+from imgloc.answers.explain import explain
+from imgloc.answers.sample import sample_poses
 from imgloc.errors import ConfigError
-from imgloc.explanation import explain
 from imgloc.features.budget import fused_bytes
 from imgloc.geometry import uniform_thetas
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
@@ -15,7 +16,6 @@ from imgloc.options import Calibration, FusedOptions, Options, Prior, Shared, Tr
 from imgloc.output.pages import why
 from imgloc.output.svg import macro
 from imgloc.pipeline import check_options, likelihood, localize, posterior_of, prepare
-from imgloc.sample import sample_poses
 from imgloc.simulation import Sensor, simulate, simulate_ranges
 from imgloc.worlds import WORLDS, render
 

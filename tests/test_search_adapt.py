@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from imgloc import pipeline
-from imgloc.explanation import explain
+from imgloc.answers.explain import explain
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import one_per_place
 from imgloc.model import LaserScan, OccupancyGrid

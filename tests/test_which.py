@@ -10,8 +10,11 @@ import pytest
 from command import MAPS, call, rows
 from places import room_with_a_post
 
-from imgloc import choice, mapindex
-from imgloc.choice import FIRST, MOST, bounds_of, choose, search, which
+from imgloc.choice import choose as choosing
+from imgloc.choice import folder_index
+from imgloc.choice.choose import FIRST, MOST, bounds_of, choose, search, which
+from imgloc.choice.folder_index import MapIndex, index_of, open_index
+from imgloc.choice.mosaic import best_fits, mosaics
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import Level
@@ -21,11 +24,9 @@ from imgloc.io.maps import load_map, save_map
 from imgloc.io.results import read_rows
 from imgloc.io.scans import save_scans
 from imgloc.likelihoods.correlate import correlate
-from imgloc.mapindex import MapIndex, index_of, open_index
 from imgloc.model import LaserScan, Localization, OccupancyGrid, Pose2D
 from imgloc.options import Options, Prior, Shared
 from imgloc.pipeline import prepare
-from imgloc.search.mosaic import best_fits, mosaics
 from imgloc.simulation import Sensor, simulate
 from imgloc.worlds import WORLDS, render
 from tools.trust.thousand import ask_thousand, make_thousand, pieces, turned
@@ -77,12 +78,12 @@ def crowd(world: MapFeatures) -> dict[str, MapFeatures]:
 def test_of_many_maps_few_are_searched(crowd: dict[str, MapFeatures], monkeypatch) -> None:
     scan = simulate(crowd["curved"].grid, 1, 6, Sensor(range_max=20.0)).scans[0]
     for name, value in (("FIRST", 4), ("NEXT", 1), ("MOST", 6)):
-        monkeypatch.setattr(choice, name, value)
+        monkeypatch.setattr(choosing, name, value)
     found = which(crowd, scan)
     assert found.verdict == "curved"
     assert 4 <= len(found.probability) <= 6
     assert found.ruled_out == len(crowd) - len(found.probability)
-    monkeypatch.setattr(choice, "FIRST", len(crowd))
+    monkeypatch.setattr(choosing, "FIRST", len(crowd))
     full = which(crowd, scan)
     assert (full.verdict, full.ruled_out) == ("curved", 0)
     assert full.none == pytest.approx(found.none, abs=0.01)
@@ -98,10 +99,10 @@ def test_more_maps_are_searched_while_the_best_three_change(monkeypatch) -> None
     def run(scores: list[float]) -> int:
         names = [f"{k:02d}" for k in range(len(scores))]
         known = answers(dict(zip(names, scores, strict=True)))
-        monkeypatch.setattr(choice, "fit", lambda features, scan, options: known[features])
+        monkeypatch.setattr(choosing, "fit", lambda features, scan, options: known[features])
 
         def opened(name: str):
-            return choice.nullcontext((name, None))
+            return choosing.nullcontext((name, None))
 
         bounds = {name: -float(name) for name in names}  # best first
         (fits,) = search([None], [bounds], opened)  # type: ignore[list-item]
@@ -110,19 +111,19 @@ def test_more_maps_are_searched_while_the_best_three_change(monkeypatch) -> None
 
     falling = [140.0 - k for k in range(40)]
     assert run(falling) == FIRST
-    assert run([*falling[: FIRST - 1], 150.0, *falling[FIRST:]]) == FIRST + choice.NEXT
+    assert run([*falling[: FIRST - 1], 150.0, *falling[FIRST:]]) == FIRST + choosing.NEXT
     assert run(falling[::-1]) == MOST
     assert run([0.0] * 5) == 5
 
 
 def test_a_map_that_cannot_be_opened_is_made_up_for(monkeypatch) -> None:
     known = answers({f"{k:02d}": 100.0 - k for k in range(30)})
-    monkeypatch.setattr(choice, "fit", lambda features, scan, options: known[features])
+    monkeypatch.setattr(choosing, "fit", lambda features, scan, options: known[features])
     asked: list[str] = []
 
     def opened(name: str):
         asked.append(name)
-        return choice.nullcontext(None if name == "03" else (name, None))
+        return choosing.nullcontext(None if name == "03" else (name, None))
 
     (fits,) = search([None], [{name: -float(name) for name in known}], opened)  # type: ignore[list-item]
     assert "03" not in fits
@@ -224,7 +225,7 @@ def test_what_is_no_index_is_not_overwritten(site: Path) -> None:
 def test_an_index_of_another_version_is_made_anew(site: Path, monkeypatch) -> None:
     file = site / "index.npz"
     opened_index(site, file)
-    monkeypatch.setattr(mapindex, "code_digest", lambda: "tomorrow")
+    monkeypatch.setattr(folder_index, "code_digest", lambda: "tomorrow")
     assert len(opened_index(site, file)[1]) == 3
     assert opened_index(site, file)[1] == []
 
@@ -406,10 +407,10 @@ def test_a_bound_is_that_of_the_scale_that_is_known(tmp_path: Path) -> None:
     scan = simulate(grid, 1, 3, Sensor(rays=90, fov=6.2))[0].scaled(0.7)
     index = index_of({"post": prepare(grid)})
     files = {"post": tmp_path / "post.yaml"}
-    unknown = bounds_of(index, files, scan, choice.OPTIONS)["post"]
+    unknown = bounds_of(index, files, scan, choosing.OPTIONS)["post"]
     said = calibration_path(files["post"])
     save_calibrations(said, grid, {}, {}, shared=Shared(1 / 0.7))
-    assert bounds_of(index, files, scan, choice.OPTIONS)["post"] > unknown + 0.02
+    assert bounds_of(index, files, scan, choosing.OPTIONS)["post"] > unknown + 0.02
     for damaged in ("[]", "{}", '{"shared": {"scale": "wide"}}', '{"shared": 5}', "[" * 9999):
         said.write_text(damaged)
-        assert bounds_of(index, files, scan, choice.OPTIONS)["post"] == unknown
+        assert bounds_of(index, files, scan, choosing.OPTIONS)["post"] == unknown

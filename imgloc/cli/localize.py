@@ -69,8 +69,8 @@ def localize(
     best pose does not explain the scan), invalid (too few readings). Poses are those of the sensor,
     in the map frame. Look at the mass of the second hypothesis before trusting the first.
     """
+    from imgloc.answers.diagnose import Doubt, doubts
     from imgloc.cli import inputs
-    from imgloc.doubts import Doubt, doubts
     from imgloc.io.calibration import calibrated
     from imgloc.io.maps import SWAPPED
     from imgloc.model import Evidence, LaserScan, Pose2D, to_json
@@ -170,7 +170,7 @@ def localize(
                 image = draw(grid, answer, scan, truth=truth, note=short)
                 image.save(targets[n], force=force)
             if n in pages:
-                from imgloc.explanation import explain as reasons
+                from imgloc.answers.explain import explain as reasons
                 from imgloc.output.pages import render_explanation
 
                 reason = reasons(features, scan, answer, options)

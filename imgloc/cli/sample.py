@@ -46,10 +46,10 @@ def sample(
     """
     import numpy as np
 
+    from imgloc.answers.sample import sample_poses
     from imgloc.cli import inputs
     from imgloc.io.calibration import calibrated
     from imgloc.options import Options
-    from imgloc.sample import sample_poses
 
     if theta_step_deg is not None and method == opt.MethodName.FUSED:
         raise ConfigError("--theta-step-deg: fused has no stack of headings")

@@ -16,7 +16,7 @@ from imgloc.errors import ConfigError, ImglocError, MapError
 from imgloc.io.files import display
 
 if TYPE_CHECKING:
-    from imgloc.choice import Opened
+    from imgloc.choice.choose import Opened
     from imgloc.features.mapfeatures import MapFeatures
 
 FAILED_ROWS = 5
@@ -72,12 +72,12 @@ def which(
     named only if the scan has a unique place in it. A scan with too few readings is invalid. A map
     that cannot be used is reported and left out; the exit code is then 5.
     """
-    from imgloc.choice import FIRST, OPTIONS, bounds_of, choose, names_of, search
+    from imgloc.choice.choose import FIRST, OPTIONS, bounds_of, choose, names_of, search
+    from imgloc.choice.folder_index import open_index
     from imgloc.cli import inputs
     from imgloc.io.calibration import calibrated
     from imgloc.io.folders import find_maps
     from imgloc.io.maps import reading_of
-    from imgloc.mapindex import open_index
     from imgloc.model import to_json
     from imgloc.options import Prior
     from imgloc.output.pictures import draw

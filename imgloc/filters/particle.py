@@ -14,6 +14,7 @@ from typing import Annotated
 
 import numpy as np
 
+from imgloc.answers.sample import sample_poses
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import NOWHERE, Belief, Followed, Habit, Habits, belief_of
@@ -37,7 +38,6 @@ from imgloc.options import (
 )
 from imgloc.pipeline import likelihood, posterior_of
 from imgloc.ranges import Checked, OneOf, Within
-from imgloc.sample import sample_poses
 from imgloc.search.hypotheses import first_in_cell
 
 _FLOOR = 1e-2  # of a uniform posterior: what GHT-V leaves of a particle that it rules out

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
+from imgloc.answers.explain import layers_of
 from imgloc.atlas import Spot
-from imgloc.explanation import layers_of
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.images import encode_picture
 from imgloc.jobs import Drawing

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.__about__ import __version__
-from imgloc.explanation import Explanation
+from imgloc.answers.explain import Explanation
 from imgloc.geometry import in_grid_frame, rotate_covariance
 from imgloc.model import Hypothesis, Pose2D, base_of
 from imgloc.output import svg

@@ -14,7 +14,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from imgloc.explanation import RayFit
+from imgloc.answers.explain import RayFit
 from imgloc.features.pyramid import any_of_blocks
 from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import rotation

@@ -16,7 +16,7 @@ from imgloc.model import SURE, VERDICTS, Localization, Pose2D, base_of
 
 if TYPE_CHECKING:
     from imgloc.batch import BatchSummary
-    from imgloc.choice import Choice
+    from imgloc.choice.choose import Choice
     from imgloc.features.floorplan import FloorPlan
     from imgloc.io.mapcheck import MapReport
 

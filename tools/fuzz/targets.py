@@ -31,6 +31,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 import imgloc
 from imgloc.atlas import Spot, summarise
 from imgloc.batch import BatchSummary, find_items, work
+from imgloc.choice.folder_index import open_index
 from imgloc.features.budget import MIB
 from imgloc.features.store import features_key, load_features, save_features
 from imgloc.filters.choose import FILTERS
@@ -39,7 +40,6 @@ from imgloc.io.cache import entry_path
 from imgloc.io.calibration import load_calibrations, save_calibrations
 from imgloc.io.results import RESULTS, RUN, SUMMARY, Results
 from imgloc.io.scans import scans_size
-from imgloc.mapindex import open_index
 from imgloc.output.export import as_bytes
 from imgloc.output.pictures import draw_atlas
 from imgloc.output.report import render_report

@@ -31,7 +31,7 @@ import cv2
 import numpy as np
 
 from imgloc import ConfigError, Options, Sensor, Trust, load_map, prepare
-from imgloc.choice import names_of
+from imgloc.choice.choose import names_of
 from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
 from imgloc.io.folders import find_maps
 from imgloc.io.images import encode_png

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from imgloc import Choice, ConfigError, LaserScan, Localization, Sensor, load_map, prepare, simulate
-from imgloc.choice import OPTIONS, choose, fit, next_maps
+from imgloc.choice.choose import OPTIONS, choose, fit, next_maps
+from imgloc.choice.folder_index import open_index
 from imgloc.evaluation import share
-from imgloc.mapindex import open_index
 from tools.recorded import scans_beside
 from tools.script import at_least_one
 

@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 
 from imgloc import ConfigError, Sensor, load_map, prepare, save_map, simulate
-from imgloc.choice import NO_MAP, OPTIONS, Choice, choose, fit, search
+from imgloc.choice.choose import NO_MAP, OPTIONS, Choice, choose, fit, search
+from imgloc.choice.folder_index import open_index
 from imgloc.io.folders import find_maps
-from imgloc.mapindex import open_index
 from imgloc.model import BoolArray, FloatArray, LaserScan, OccupancyGrid
 
 SIDES = (14.0, 30.0)

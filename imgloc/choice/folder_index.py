@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from imgloc.choice.mosaic import Mosaic, best_fits, mosaics
 from imgloc.errors import ConfigError, ImglocError, MapError, OutputError
 from imgloc.features.budget import check_budget
 from imgloc.features.mapfeatures import MapFeatures
@@ -29,7 +30,6 @@ from imgloc.io.files import display, reason, write_bytes_atomic
 from imgloc.io.own import open_arrays, parse_json
 from imgloc.model import FloatArray, LaserScan
 from imgloc.options import Options
-from imgloc.search.mosaic import Mosaic, best_fits, mosaics
 
 LOG = logging.getLogger(__name__)
 LEVEL = 2

@@ -22,10 +22,10 @@ from typing import Any
 
 import numpy as np
 
+from imgloc.choice.folder_index import MapIndex, index_of
 from imgloc.errors import ConfigError, expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.calibration import said_scale
-from imgloc.mapindex import MapIndex, index_of
 from imgloc.model import LaserScan, Localization, plain
 from imgloc.options import FUSED, FusedOptions, Options, Trust
 from imgloc.pipeline import localize
@@ -126,7 +126,7 @@ def which(
 def bounds_of(
     index: MapIndex, files: Mapping[str, Path], scan: LaserScan, options: Options
 ) -> dict[str, float]:
-    """How well a scan can fit each map, :meth:`~imgloc.mapindex.MapIndex.bounds`, by its name.
+    """How well a scan can fit each map, by its name: :meth:`MapIndex.bounds`.
 
     Of a map that is calibrated also with the scale that it has.
     """
@@ -157,7 +157,7 @@ def search(
     ----------
     scans : sequence of LaserScan
     bounds : sequence of mappings of str to float
-        Of each scan how well it can fit each map, see :class:`~imgloc.mapindex.MapIndex`.
+        Of each scan how well it can fit each map, see :class:`MapIndex`.
     open_map : callable
         Gives a map by its name, with the options for it; None if it cannot be used. One at a time
         is open, for all scans that ask for it.

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import POSES, answer_of, error, features_of, room_with_a_post, scan_of
 
-from imgloc.explanation import KINDS, RayFit, explain, explain_rays, faced
+from imgloc.answers.explain import KINDS, RayFit, explain, explain_rays, faced
 from imgloc.features.raycast import cast_rays
 from imgloc.model import LaserScan, OccupancyGrid, OrientedPoints, Pose2D
 from imgloc.options import ALL_METHODS, Options, Prior

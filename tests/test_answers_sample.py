@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from imgloc.answers.sample import draw_near, draw_poses
 from imgloc.errors import ConfigError
 from imgloc.geometry import cell_of, theta_bin, transform_poses, uniform_thetas, wrap
 from imgloc.likelihoods.posterior import entropy
 from imgloc.model import GridInfo, Hypothesis, Localization, Pose2D, inverse
-from imgloc.sample import draw_near, draw_poses
 
 GRID = GridInfo(2, 3, 0.5, Pose2D(7.0, -3.0, 1.0))
 THETAS = uniform_thetas(np.pi / 2)

@@ -1,0 +1,1 @@
+"""Which of several maps is a scan from? Of hundreds, too, by an index of their folder."""
