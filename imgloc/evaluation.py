@@ -302,7 +302,7 @@ def _trial(features: MapFeatures, scan: LaserScan, truth: Pose2D, options: Optio
     on_map = bool(inside(np.array(at[1:]), features.lattice))
     free = on_map and bool(features.free[at[1:]])
     if stack is None:
-        found = None if answer.pose is None else cell_of_pose(features, answer.pose, n)
+        found = None if answer.best is None else cell_of_pose(features, answer.best, n)
         cells = np.count_nonzero(features.free), features.free.size
         volumes = [count * features.lattice.resolution**2 * 2 * np.pi for count in cells]
         densities = (

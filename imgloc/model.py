@@ -549,13 +549,18 @@ class Localization:
     T_base_laser: Pose2D | None = None
 
     @property
-    def pose(self) -> Pose2D | None:
-        """The best pose, or None when there is none."""
+    def best(self) -> Pose2D | None:
+        """The pose of the most likely hypothesis, whatever the verdict; None when there is none."""
         return self.hypotheses[0].pose if self.hypotheses else None
 
     @property
+    def pose(self) -> Pose2D | None:
+        """The best pose if the verdict is ``unique`` or ``ambiguous``, else None."""
+        return self.best if self.verdict in SURE else None
+
+    @property
     def base_pose(self) -> Pose2D | None:
-        """The robot's best pose, T_map_base; None without a pose or a known mounting."""
+        """The robot's pose, T_map_base; None without a :attr:`pose` or a known mounting."""
         mount = self.T_base_laser
         return None if self.pose is None or mount is None else base_of(self.pose, mount)
 
@@ -570,7 +575,7 @@ class Localization:
         >>> row["index"], row["verdict"], row["pose"], row["explained"]
         (3, 'invalid', None, None)
         """
-        sure, e, t = self.verdict in SURE, self.evidence, self.evidence.temperature
+        e, t = self.evidence, self.evidence.temperature
         mount = self.T_base_laser
         rows = [
             plain(h.pose)
@@ -585,8 +590,8 @@ class Localization:
         out = {
             "index": index,
             "verdict": self.verdict,
-            "pose": self.pose if sure else None,
-            "base_pose": self.base_pose if sure else None,
+            "pose": self.pose,
+            "base_pose": self.base_pose,
             "hypotheses": rows,
             "elsewhere": self.elsewhere,
             "evidence": evidence,

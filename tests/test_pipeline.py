@@ -124,7 +124,7 @@ def test_a_covariance_long_along_the_corridor_stays_so_in_the_map_frame():
     long = np.linalg.eigh(answer.hypotheses[0].covariance[:2, :2])[1][:, 1]
     assert abs(long @ (math.cos(origin.theta), math.sin(origin.theta))) > 0.999
     # Across the corridor the pose is known, in the frame of the map.
-    back = compose(inverse(origin), answer.pose)
+    back = compose(inverse(origin), answer.best)
     assert min(abs(back.y - 1.4), abs(back.y - (3.0 - 1.4))) < 0.05
 
 

@@ -56,7 +56,7 @@ def test_what_an_answer_holds(name, method):
     answer = answer_of(name, method)
     scan = scan_of(name)
     assert answer.verdict in VERDICTS
-    assert answer.pose == answer.hypotheses[0].pose
+    assert answer.best == answer.hypotheses[0].pose
     assert 1 <= len(answer.hypotheses) <= AT_MOST
     score = [h.log_likelihood for h in answer.hypotheses]
     assert score == sorted(score, reverse=True)

@@ -47,7 +47,7 @@ def thick_features():
 
 
 def away(answer, pose):
-    return float(np.hypot(answer.pose.x - pose[0], answer.pose.y - pose[1]))
+    return float(np.hypot(answer.best.x - pose[0], answer.best.y - pose[1]))
 
 
 def test_walls_lose_cells_but_lines_stay():

@@ -194,7 +194,7 @@ def test_what_would_be_crowded_out_is_found(visibility):
     known = Prior(near(features.grid.info, x, y, 0.5), (float(theta), 0.2))
     without = localize(features, scans[0], Options(fused=few))
     told = localize(features, scans[0], Options(fused=few, prior=known))
-    assert np.hypot(without.pose.x - x, without.pose.y - y) > 1  # a twin took the places
+    assert np.hypot(without.best.x - x, without.best.y - y) > 1  # a twin took the places
     assert np.hypot(told.pose.x - x, told.pose.y - y) < 0.1
 
 
@@ -241,7 +241,8 @@ def test_what_is_known_lets_no_room_in_that_is_on_no_map(visibility, known):
     ]
     for room in rooms:
         answer = localize(features, closed_room(*room), Options(prior=known.prior(features.grid)))
-        assert answer.verdict == "no-match", room
+        assert (answer.verdict, answer.pose) == ("no-match", None), room
+        assert answer.best == answer.hypotheses[0].pose
 
 
 def test_a_prior_without_a_pose_is_refused(visibility):

@@ -77,7 +77,7 @@ class Choice:
                 "log_evidence": self.log_evidence.get(name),
                 "misfit": fits[name].evidence.misfit,
                 "verdict": fits[name].verdict,
-                "pose": fits[name].pose,
+                "pose": fits[name].best,
                 "explained": fits[name].explained,
             }
             for name, share in self.probability.items()

@@ -160,8 +160,8 @@ def localize(
             truth = None if scans.poses is None else Pose2D(*scans.poses[k])
             looked_at.append(scan)
             said.append((answer.verdict, answer.evidence))
-            if answer.pose is not None and truth is not None:
-                errors.append(difference(answer.pose, truth))
+            if answer.best is not None and truth is not None:
+                errors.append(difference(answer.best, truth))
             LOG.info("%s, scan %d: %s, %s", file, k, answer.verdict, times_words(answer))
             if n in targets or n in pages:
                 hints = wrong([scan], said[-1:])

@@ -109,11 +109,11 @@ def answer_line(index: int, answer: Localization, *, narrow: bool = False) -> st
     """
     mass, rest, explained, mount = "-", "-", "-", answer.T_base_laser
     place = base = f"{'-':>9} {'-':>9} {'-':>11}"
-    if answer.pose is not None:
+    if answer.best is not None:
         mass, explained = _percent(answer.hypotheses[0].mass), _percent(answer.explained)
         rest = _percent(_unlisted(answer))
-        place = _place(answer.pose)
-        base = place if mount is None else _place(base_of(answer.pose, mount))
+        place = _place(answer.best)
+        base = place if mount is None else _place(base_of(answer.best, mount))
     more = "" if mount is None or narrow else f"  {base}"
     more += "" if answer.complete else "  out of time"
     more += f"\n{'':>6}  {'base':<10} {base}" if narrow and mount is not None else ""
@@ -125,7 +125,7 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
 
     With the `truth`, the pose of the sensor in the map frame, the error is stated.
     """
-    pose, evidence, sure = answer.pose, answer.evidence, answer.verdict in SURE
+    pose, evidence, sure = answer.best, answer.evidence, answer.verdict in SURE
     facts: list[tuple[str, str]] = []
     if pose is not None:
         facts.append(("pose" if sure else "best guess", pose_words(pose)))
@@ -242,7 +242,7 @@ def choice_line(index: int, choice: "Choice", fits: Mapping[str, Localization]) 
     if choice.verdict == "invalid":
         return f"{index:>6}  {choice.verdict:<24} {'-':>11} {'-':>7}  too few readings"
     name = next(iter(choice.probability))
-    pose = fits[name].pose
+    pose = fits[name].best
     if choice.verdict == name and pose is not None:
         more = f"{pose_words(pose)} ({fits[name].verdict})"
     else:
