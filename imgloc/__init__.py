@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from imgloc.features.floorplan import FloorPlan, plan_to_map
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.filters.choose import make_filter
+    from imgloc.filters.follow import Every, Limits, Moment, follow
     from imgloc.io.mapcheck import MapReport, check_map
     from imgloc.io.maps import load_map, save_map
     from imgloc.io.plans import load_plan
@@ -55,8 +56,7 @@ if TYPE_CHECKING:
     from imgloc.output.pictures import Picture, draw
     from imgloc.pipeline import likelihood, localize, prepare
     from imgloc.search.priors import Known
-    from imgloc.simulation import Sensor, simulate
-    from imgloc.tracking import Every, Limits, Moment, follow
+    from imgloc.simulation.scans import Sensor, simulate
 
 __all__ = [
     "ALL_METHODS", "METHODS", "BatchSummary", "Calibration", "Choice", "ConfigError", "Evaluation",
@@ -91,8 +91,8 @@ _HOMES = {
     "imgloc.pipeline": "likelihood localize prepare",
     "imgloc.answers.sample": "sample_poses",
     "imgloc.search.priors": "Known",
-    "imgloc.simulation": "Sensor simulate",
-    "imgloc.tracking": "Every Limits Moment follow",
+    "imgloc.simulation.scans": "Sensor simulate",
+    "imgloc.filters.follow": "Every Limits Moment follow",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 

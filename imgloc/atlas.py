@@ -19,7 +19,7 @@ from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import localize, prepare
 from imgloc.search.priors import clearance as roomy
-from imgloc.simulation import Sensor, ray_angles, refine_grid, simulate_ranges
+from imgloc.simulation.scans import Sensor, ray_angles, refine_grid, simulate_ranges
 
 KINDS = ("unique", "ambiguous", "no-match", "wrong")
 """What became of a scan: ``unique`` and right, ``wrong`` is unique but elsewhere."""

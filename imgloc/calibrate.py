@@ -38,7 +38,7 @@ from imgloc.model import (
 from imgloc.options import LOG_METHODS, Calibration, Options, Shared, scale
 from imgloc.pipeline import likelihood, localize
 from imgloc.search.refine import refine
-from imgloc.simulation import Sensor, simulate
+from imgloc.simulation.scans import Sensor, simulate
 
 SIGMAS_XY = (0.0, 0.1, 0.2)  #: metres tried
 SIGMAS_THETA = tuple(float(np.deg2rad(deg)) for deg in (0.0, 5.0, 10.0, 15.0))  #: radians tried
@@ -82,7 +82,7 @@ def disturbed_set(
     show. The third has 10 % of these, 10 % dropped, and walls that are not where the map has them:
     an error of 10 cm that neighbouring readings share.
 
-    The arguments are those of :func:`imgloc.simulation.simulate`.
+    The arguments are those of :func:`imgloc.simulation.scans.simulate`.
     """
     crowd = replace(sensor, outliers=max(0.5, sensor.outliers))
     worn = replace(sensor, outliers=max(0.1, sensor.outliers), dropped=max(0.1, sensor.dropped))

@@ -1,7 +1,7 @@
 """How well and at what cost a method locates scans whose poses are known: `evaluate`.
 
->>> from imgloc.simulation import Sensor, simulate
->>> from imgloc.worlds import WORLDS, render
+>>> from imgloc.simulation.scans import Sensor, simulate
+>>> from imgloc.simulation.worlds import WORLDS, render
 >>> from imgloc.pipeline import prepare
 >>> grid = render(WORLDS["curved"](), 0.1)
 >>> scans = simulate(grid, 2, 0, Sensor(rays=61))

@@ -40,7 +40,7 @@ from imgloc.options import FUSED, Count, Factor, Length, Options, Prior
 from imgloc.pipeline import answer_bytes, localize, prepare
 from imgloc.ranges import Checked, OneOf, Within
 from imgloc.search.priors import Known, leaves_none
-from imgloc.simulation import Sensor, fine_image, simulate
+from imgloc.simulation.scans import Sensor, fine_image, simulate
 
 JOBS = ("localize", "evaluate", "check", "which", "atlas")
 WITHOUT_SCANS = frozenset({"check", "atlas"})  #: jobs that look at maps alone

@@ -9,7 +9,7 @@ Thrun (JAIR 11) call a success.
 import itertools
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,12 +19,12 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import LOST, UNIQUE, Filter, deviations_of
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import Places, search
-from imgloc.filters.motion import compose_poses, increments, noisy_odometry
+from imgloc.filters.follow import Every, follow, robot_poses
+from imgloc.filters.motion import compose_poses, increments
 from imgloc.geometry import wrap
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.options import Options
-from imgloc.tracking import Every, follow, robot_poses
 
 TRUTH = (0.03, float(np.deg2rad(0.4)))
 """Standard deviations of the true poses of recorded logs themselves, metres and radians."""
@@ -146,17 +146,6 @@ def piece(scans: ScanSet, *parts: range) -> ScanSet:
         np.cumsum(gap),
         np.array(odom),
     )
-
-
-def with_odometry(scans: ScanSet, seed: int = 0) -> tuple[ScanSet, str]:
-    """The log with odometry, and which kind: recorded, or of its poses with noise and a bias."""
-    if scans.odom is not None:
-        return scans, "recorded"
-    truth = robot_poses(scans)
-    if truth is None:
-        raise ConfigError("expected odometry, or the poses of the scans to make it of")
-    odom = noisy_odometry(truth, np.random.default_rng(seed))
-    return replace(scans, odom=odom), "of the poses, with noise and bias"
 
 
 def driven(scans: ScanSet) -> FloatArray:

@@ -9,8 +9,8 @@ from imgloc.geometry import wrap
 from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.options import Options
 from imgloc.pipeline import localize, prepare
-from imgloc.simulation import simulate_ranges
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
 
 ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
 

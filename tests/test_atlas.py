@@ -20,7 +20,7 @@ from imgloc.io.atlasrows import COLUMNS, Journal, as_csv
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options
 from imgloc.output.pictures import ATLAS_COLOURS, draw_atlas
-from imgloc.simulation import ray_angles, simulate_ranges
+from imgloc.simulation.scans import ray_angles, simulate_ranges
 
 
 def spot(pose: Pose2D, kind: str, twin: Pose2D | None = None) -> Spot:

@@ -32,7 +32,7 @@ from imgloc.output.drawings import DRAWINGS
 from imgloc.output.export import columns_of
 from imgloc.output.report import render_report
 from imgloc.search.priors import Known
-from imgloc.simulation import Sensor, simulate
+from imgloc.simulation.scans import Sensor, simulate
 from imgloc.workers import Supervised
 from tools.killloop import kill_loop
 

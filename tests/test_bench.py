@@ -15,8 +15,8 @@ from imgloc.likelihoods.cbml import cbml
 from imgloc.likelihoods.correlate import ENGINES, EXACT
 from imgloc.likelihoods.ght import ght
 from imgloc.pipeline import prepare
-from imgloc.simulation import Sensor, simulate
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.worlds import WORLDS, render
 from tools.bench.__main__ import bench_tables, main
 from tools.bench.fleets import batch_costs, row_costs
 from tools.bench.measure import (

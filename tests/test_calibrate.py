@@ -23,7 +23,7 @@ from imgloc.likelihoods.posterior import calibrated
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
 from imgloc.options import METHODS, Calibration, Options
 from imgloc.pipeline import likelihood, prepare
-from imgloc.simulation import Sensor, simulate
+from imgloc.simulation.scans import Sensor, simulate
 
 
 def room() -> OccupancyGrid:

@@ -14,8 +14,8 @@ from imgloc.io.maps import save_map
 from imgloc.model import Evidence, Hypothesis, Localization, OccupancyGrid, Pose2D
 from imgloc.options import Options, Trust
 from imgloc.pipeline import prepare
-from imgloc.simulation import Sensor, simulate
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.worlds import WORLDS, render
 
 
 def made(*scores: float, log_volume: float = -10.0) -> Localization:

@@ -28,7 +28,7 @@ from imgloc.io.maps import SEMANTICS
 from imgloc.io.mapyaml import MODES
 from imgloc.likelihoods.correlate import ENGINES
 from imgloc.options import ALL_METHODS
-from imgloc.worlds import WORLDS
+from imgloc.simulation.worlds import WORLDS
 
 COMMANDS = (
     ["demo"],

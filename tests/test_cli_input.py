@@ -14,7 +14,7 @@ from places import room_with_a_post
 
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
-from imgloc.simulation import Sensor, simulate
+from imgloc.simulation.scans import Sensor, simulate
 
 OFF = "--no-cache"
 

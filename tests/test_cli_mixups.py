@@ -10,8 +10,8 @@ from command import MAPS, call, rows
 
 from imgloc.io.images import encode_png, read_image
 from imgloc.io.scans import load_scans, save_scans
-from imgloc.simulation import Sensor, simulate
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.worlds import WORLDS, render
 
 OFF = "--no-cache"
 

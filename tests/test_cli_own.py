@@ -22,7 +22,7 @@ from imgloc.io.maps import save_map
 from imgloc.io.mapyaml import MapYaml, load_map_yaml
 from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.simulation import Sensor, simulate
+from imgloc.simulation.scans import Sensor, simulate
 
 needs_pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
 

@@ -14,6 +14,7 @@ from command import MAPS, call, rows
 
 from imgloc.errors import ConfigError, ScanError
 from imgloc.filters.choose import make_filter
+from imgloc.filters.follow import follow
 from imgloc.filters.motion import noisy_odometry
 from imgloc.io.cache import cache_limit
 from imgloc.io.maps import load_map
@@ -23,9 +24,8 @@ from imgloc.jobs import Job
 from imgloc.model import LaserScan, Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import prepare
-from imgloc.simulation import Sensor, simulate_ranges
-from imgloc.tracking import follow
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import Sensor, simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
 
 MAP, N = MAPS / "visibility.yaml", 6
 ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))

@@ -21,8 +21,8 @@ from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan
 from imgloc.options import Shared
-from imgloc.simulation import simulate_ranges
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
 
 MAP, N = MAPS / "visibility.yaml", 9
 ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))

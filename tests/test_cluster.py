@@ -27,7 +27,7 @@ from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.jobs import Job
 from imgloc.options import Options
-from imgloc.simulation import Sensor, simulate
+from imgloc.simulation.scans import Sensor, simulate
 
 distributed = pytest.importorskip(
     "distributed", reason="the extra imgloc[cluster] is not installed"

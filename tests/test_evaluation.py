@@ -25,7 +25,7 @@ from imgloc.likelihoods.posterior import calibrated, posterior
 from imgloc.model import LaserScan, Likelihood, OccupancyGrid, Pose2D, compose
 from imgloc.options import ALL_METHODS, METHODS
 from imgloc.pipeline import likelihood, localize, prepare
-from imgloc.simulation import (
+from imgloc.simulation.scans import (
     Sensor,
     fine_image,
     refine_grid,
@@ -34,7 +34,7 @@ from imgloc.simulation import (
     simulate,
     simulate_ranges,
 )
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.worlds import WORLDS, render
 
 
 def room(origin: Pose2D | None = None) -> OccupancyGrid:

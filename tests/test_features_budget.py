@@ -26,7 +26,7 @@ from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.options import ALL_METHODS, METHODS, Options
 from imgloc.pipeline import answer_bytes, localize
 from imgloc.search.branch_and_bound import best_poses
-from imgloc.simulation import Sensor
+from imgloc.simulation.scans import Sensor
 
 FIXED = fused_bytes((1, 1), 1.0)  # what is assumed whatever the sizes
 

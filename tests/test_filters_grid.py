@@ -7,6 +7,7 @@ import pytest
 from places import POSES, features_of, room_with_a_post, scan_of
 
 from imgloc.errors import ConfigError
+from imgloc.filters.follow import follow
 from imgloc.filters.grid import (
     GridFilter,
     GridOptions,
@@ -22,7 +23,6 @@ from imgloc.io.scanset import ScanSet
 from imgloc.model import Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import prepare
-from imgloc.tracking import follow
 
 
 def spread_1d(shift: float, sigma: float, count: int) -> dict[int, float]:

@@ -12,13 +12,13 @@ from places import POSES, error, features_of
 
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import NO_PLACES, search, sight, view_of
+from imgloc.filters.follow import Every, follow, robot_poses
 from imgloc.filters.motion import compose_poses, noisy_odometry
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, Pose2D, compose
 from imgloc.options import Options
-from imgloc.simulation import simulate_ranges
-from imgloc.tracking import Every, follow, robot_poses
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
 
 ANGLES, REACH = np.deg2rad(np.arange(-90, 90.5, 1.0)), 4.0
 FRONT, REAR = Pose2D(0.3, 0.0, 0.0), Pose2D(-0.3, 0.1, math.pi)

@@ -12,6 +12,7 @@ from imgloc.errors import ConfigError, ScanError
 from imgloc.filters.belief import Followed, belief_of, deviations_of
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import NO_PLACES, Places, settled, view_of
+from imgloc.filters.follow import Every, Kidnap, follow
 from imgloc.filters.motion import compose_poses, noisy_odometry
 from imgloc.filters.particle import ParticleFilter, ParticleOptions, kld_bound, low_variance
 from imgloc.filters.tracker import Tracker, TrackerOptions
@@ -20,9 +21,8 @@ from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, Pose2D, compose, inverse
 from imgloc.options import Options, Shared
 from imgloc.sequences import Searches, piece
-from imgloc.simulation import simulate_ranges
-from imgloc.tracking import Every, Kidnap, follow
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
 
 WORLD = "visibility"
 

@@ -20,8 +20,8 @@ from imgloc.options import Options
 from imgloc.output.report import render_report
 from imgloc.output.tables import batch_text
 from imgloc.pipeline import localize, prepare
-from imgloc.simulation import Sensor, simulate
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.worlds import WORLDS, render
 
 MILLIMETRES = "if ranges are multiplied by 0.001: are they millimetres? Try --range-scale 0.001"
 

@@ -9,9 +9,9 @@ from command import ROOT
 ROOMS = (
     "__about__ errors ranges", "model", "geometry", "options", "io", "features", "likelihoods",
     "search", "pipeline",
-    "answers", "choice",
-    "atlas simulation worlds evaluation index calibrate",
-    "filters tracking sequences", "batch hints jobs workers cluster", "output", "cli",
+    "answers", "choice", "filters", "simulation",
+    "atlas evaluation index calibrate sequences",
+    "batch hints jobs workers cluster", "output", "cli",
 )  # fmt: skip
 PLACE = {name: k for k, room in enumerate(ROOMS) for name in room.split()}
 FILES = sorted(p.relative_to(ROOT) for p in (ROOT / "imgloc").rglob("*.py"))

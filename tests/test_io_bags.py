@@ -10,8 +10,8 @@ from command import call, rows
 from imgloc.errors import ScanError
 from imgloc.io.scans import load_scans, scans_size
 from imgloc.model import Pose2D
-from imgloc.simulation import simulate
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import simulate
+from imgloc.simulation.worlds import WORLDS, render
 
 rosbags = pytest.importorskip("rosbags", reason="reads bags: the extra ros")
 

@@ -9,6 +9,7 @@ import pytest
 
 from imgloc import options as module
 from imgloc.errors import ConfigError
+from imgloc.filters.follow import Every, Limits
 from imgloc.filters.grid import GridOptions
 from imgloc.filters.motion import MotionNoise
 from imgloc.filters.particle import ParticleOptions
@@ -26,8 +27,7 @@ from imgloc.options import (
     Trust,
 )
 from imgloc.ranges import Checked
-from imgloc.simulation import Sensor
-from imgloc.tracking import Every, Limits
+from imgloc.simulation.scans import Sensor
 
 KINDS = (Calibration, EvidenceModel, FusedOptions, Options, Prior, Shared, Trust)
 OTHERS = (GridOptions, MotionNoise, ParticleOptions, TrackerOptions, Sensor, Every, Limits, Job)

@@ -6,10 +6,10 @@ import yaml
 
 from imgloc.errors import OutputError
 from imgloc.filters.belief import Belief
+from imgloc.filters.follow import Moment
 from imgloc.geometry import transform_poses
 from imgloc.model import Pose2D
 from imgloc.output.ros import ARRAY, POSE, containing_diagonal, message, write_bag, yaml_text
-from imgloc.tracking import Moment
 
 ORIGIN = Pose2D(-3.0, 2.0, 0.5)
 COVARIANCE = np.array([[0.04, -0.03, 0.001], [-0.03, 0.09, 0.002], [0.001, 0.002, 0.01]])

@@ -14,8 +14,8 @@ from imgloc.geometry import theta_bin, uniform_thetas
 from imgloc.likelihoods.cbml import cbml, cbml_o
 from imgloc.likelihoods.ght import ght, ght_v
 from imgloc.model import Pose2D, compose
-from imgloc.simulation import simulate_ranges
-from imgloc.worlds import NICHES, WORLDS, render
+from imgloc.simulation.scans import simulate_ranges
+from imgloc.simulation.worlds import NICHES, WORLDS, render
 
 RESOLUTION = 0.1
 ANGLES = np.deg2rad(np.arange(-90, 91))  # the sensor of Sec. VI: 181 rays, 180 degrees, 2 cm

@@ -16,7 +16,7 @@ from imgloc.io.scans import load_scans
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose, inverse
 from imgloc.options import ALL_METHODS, FusedOptions, Options, Trust
 from imgloc.pipeline import likelihood, localize, prepare
-from imgloc.simulation import simulate_ranges
+from imgloc.simulation.scans import simulate_ranges
 
 INF, NAN = float("inf"), float("nan")
 

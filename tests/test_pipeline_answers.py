@@ -16,8 +16,8 @@ from imgloc.options import Calibration, FusedOptions, Options, Prior, Shared, Tr
 from imgloc.output.pages import why
 from imgloc.output.svg import macro
 from imgloc.pipeline import check_options, likelihood, localize, posterior_of, prepare
-from imgloc.simulation import Sensor, simulate, simulate_ranges
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import Sensor, simulate, simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from imgloc.likelihoods.posterior import posterior
 from imgloc.model import VERDICTS
 from imgloc.options import ALL_METHODS, AT_MOST, METHODS, Options
 from imgloc.pipeline import likelihood, localize, prepare
-from imgloc.worlds import WORLDS
+from imgloc.simulation.worlds import WORLDS
 
 
 @pytest.mark.parametrize("method", ALL_METHODS)

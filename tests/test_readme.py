@@ -19,7 +19,7 @@ from imgloc.cli import app
 from imgloc.io.maps import save_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.model import Pose2D
-from imgloc.simulation import Sensor, simulate
+from imgloc.simulation.scans import Sensor, simulate
 
 README = (ROOT / "README.md").read_text("utf-8")
 PAGES = {"README.md": README}

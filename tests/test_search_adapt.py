@@ -19,8 +19,8 @@ from imgloc.pipeline import localize
 from imgloc.search.adapt import adapt
 from imgloc.search.refine import normal_equations, refine
 from imgloc.search.rescore import rescore
-from imgloc.simulation import Sensor, simulate
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.worlds import WORLDS, render
 
 AS_IT_IS = Options(fused=FusedOptions(strained=float("inf")))
 

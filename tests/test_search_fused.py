@@ -18,8 +18,8 @@ from imgloc.options import FusedOptions, Options, Prior
 from imgloc.pipeline import find_modes, separate
 from imgloc.search.proposals import cast_votes, propose_votes
 from imgloc.search.rescore import Scores, rescore, shortlist
-from imgloc.simulation import sample_free_poses, simulate_ranges
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import sample_free_poses, simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
 
 INF, NAN = float("inf"), float("nan")
 OPTIONS = FusedOptions()

@@ -19,8 +19,8 @@ from imgloc.search.priors import (
     on_lattice,
     pyramid_levels,
 )
-from imgloc.simulation import Sensor, simulate
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.worlds import WORLDS, render
 
 # One row, 1 m cells: the sensor may be in the second and third.
 CELLS = np.array([[False, True, True, False]])

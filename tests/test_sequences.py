@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
+from imgloc.filters.follow import with_odometry
 from imgloc.filters.motion import increments
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan
@@ -15,7 +16,6 @@ from imgloc.sequences import (
     recovered,
     starts,
     summarise_runs,
-    with_odometry,
 )
 
 

@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 
 from imgloc.filters.evidence import Places
+from imgloc.filters.follow import with_odometry
 from imgloc.io.maps import load_map, save_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan
 from imgloc.options import Options
 from imgloc.pipeline import prepare
-from imgloc.sequences import Searches, Trials, measure, with_odometry
-from imgloc.simulation import simulate_ranges
-from imgloc.worlds import WORLDS, render
+from imgloc.sequences import Searches, Trials, measure
+from imgloc.simulation.scans import simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
 from tools import drive, sequences
 
 ANGLES = np.deg2rad(np.arange(-180, 180, 4.0))

@@ -10,8 +10,8 @@ from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.options import Trust
 from imgloc.pipeline import prepare
 from imgloc.search.hypotheses import masses
-from imgloc.simulation import simulate
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import simulate
+from imgloc.simulation.worlds import WORLDS, render
 from tools.trust.__main__ import main
 from tools.trust.disturb import MAPS, PRIORS, ROOMS, SCANS, unmapped
 from tools.trust.fit import Case, case_of, conditions_table, fit_trust, mapped, trust_of

@@ -14,8 +14,8 @@ from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.model import Hypothesis, Localization, Pose2D
 from imgloc.pipeline import prepare
-from imgloc.simulation import Sensor, simulate
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.worlds import WORLDS, render
 from tools.trust.__main__ import main
 from tools.trust.precision import precision
 from tools.trust.reliability import (

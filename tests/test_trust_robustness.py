@@ -18,8 +18,8 @@ from imgloc.options import EvidenceModel, FusedOptions, Options
 from imgloc.pipeline import Modes, localize, prepare
 from imgloc.search.proposals import propose_all
 from imgloc.search.rescore import Scores
-from imgloc.simulation import Sensor, simulate, simulate_ranges
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import Sensor, simulate, simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
 from tools.recorded import cut_set
 from tools.trust import robustness as room
 from tools.trust.__main__ import main

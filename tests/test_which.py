@@ -27,8 +27,8 @@ from imgloc.likelihoods.correlate import correlate
 from imgloc.model import LaserScan, Localization, OccupancyGrid, Pose2D
 from imgloc.options import Options, Prior, Shared
 from imgloc.pipeline import prepare
-from imgloc.simulation import Sensor, simulate
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.worlds import WORLDS, render
 from tools.trust.thousand import ask_thousand, make_thousand, pieces, turned
 
 

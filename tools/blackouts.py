@@ -18,6 +18,7 @@ import numpy as np
 
 from imgloc import Options, ScanSet, make_filter
 from imgloc.filters.belief import Filter
+from imgloc.filters.follow import Every, Limits, robot_poses
 from imgloc.io.files import write_text_atomic
 from imgloc.model import LaserScan, Pose2D, to_json
 from imgloc.pipeline import prepare
@@ -30,7 +31,6 @@ from imgloc.sequences import (
     driven,
     piece,
 )
-from imgloc.tracking import Every, Limits, robot_poses
 from tools.script import parser_of, progress, table_lines
 from tools.sequences import KeptSearches, load_log
 

@@ -18,8 +18,8 @@ from imgloc.geometry import centre_of, transform_poses
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid
 from imgloc.output.tracks import draw_track
 from imgloc.sequences import piece
-from imgloc.simulation import simulate_ranges
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
 from tools.script import parser_of
 
 _ANGLES = np.deg2rad(np.arange(-90, 90.5, 1.0))

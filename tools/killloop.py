@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 
 from imgloc.io.maps import bundled_maps, load_map
 from imgloc.io.results import RESULTS, read_rows
-from imgloc.simulation import Sensor, simulate
+from imgloc.simulation.scans import Sensor, simulate
 from tools.recorded import save_each
 from tools.script import parser_of, progress
 

@@ -1,4 +1,4 @@
-"""Draw the bundled maps: the worlds of imgloc.worlds at 10 cm per cell.
+"""Draw the bundled maps: the worlds of imgloc.simulation.worlds at 10 cm per cell.
 
 The files in maps/ are made by this and by nothing else; a test compares them. Run it after
 a change of a world:
@@ -14,7 +14,7 @@ from imgloc.io.images import encode_png
 from imgloc.io.maps import save_map
 from imgloc.output.canvas import draw_map
 from imgloc.output.pictures import mosaic
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.worlds import WORLDS, render
 from tools.script import parser_of
 
 RESOLUTION = 0.1

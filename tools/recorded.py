@@ -7,15 +7,15 @@ from pathlib import Path
 from imgloc import ConfigError, ScanSet, load_map, load_scans, save_scans
 from imgloc.io.files import display
 from imgloc.model import OccupancyGrid
-from imgloc.simulation import Sensor, sample_set, simulate
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import Sensor, sample_set, simulate
+from imgloc.simulation.worlds import WORLDS, render
 from tools.script import at_least_one
 
 
 def scans_beside(path: Path, n: int, seed: int, range_max: float) -> ScanSet:
     """Pick `n` scans of the file ``scans.npz`` beside a map, as a shorter reach would have them.
 
-    See :func:`imgloc.simulation.sample_set`; all if there are fewer.
+    See :func:`imgloc.simulation.scans.sample_set`; all if there are fewer.
 
     Raises
     ------

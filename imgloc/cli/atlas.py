@@ -48,7 +48,7 @@ def atlas(
     from imgloc.output.pictures import Picture, draw_atlas
     from imgloc.output.tables import atlas_text
     from imgloc.pipeline import prepare
-    from imgloc.simulation import fine_image, is_world
+    from imgloc.simulation.scans import fine_image, is_world
 
     inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
     inputs.check_target(csv, ".csv", force=force)

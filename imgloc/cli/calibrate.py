@@ -68,7 +68,7 @@ def calibrate(
     from imgloc.options import Options
     from imgloc.output.tables import calibration_table
     from imgloc.pipeline import prepare
-    from imgloc.simulation import fine_image, is_world, simulate
+    from imgloc.simulation.scans import fine_image, is_world, simulate
 
     chosen = opt.methods_of(methods, _STACKS)
     steps = opt.for_each("--theta-step-deg", theta_step_deg, chosen, *opt.STEP)

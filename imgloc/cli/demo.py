@@ -14,7 +14,7 @@ from imgloc.io.files import display
 _OUT = Path("imgloc-demo.png")
 
 
-# The bundled maps; spelled out, as imgloc.worlds loads OpenCV.
+# The bundled maps; spelled out, as imgloc.simulation.worlds loads OpenCV.
 DemoMap = StrEnum("DemoMap", ("DOUBLE_WALL", "VISIBILITY", "LARGE", "CURVED", "CORRIDOR"))
 
 
@@ -46,7 +46,7 @@ def demo(
     from imgloc.output.pictures import Picture, draw, mosaic
     from imgloc.output.tables import answer_text
     from imgloc.pipeline import likelihood, localize, prepare
-    from imgloc.simulation import simulate
+    from imgloc.simulation.scans import simulate
 
     maps = bundled_maps()
     inputs.check_target(out, ".png", force=force, inputs=maps.glob("*.png"))

@@ -98,7 +98,7 @@ def evaluate(
     from imgloc.model import to_json
     from imgloc.output.tables import evaluation_tables
     from imgloc.pipeline import prepare
-    from imgloc.simulation import fine_image, is_world, sample_set, simulate
+    from imgloc.simulation.scans import fine_image, is_world, sample_set, simulate
 
     opt.given(context, _OF, set(_SEQUENCE if sequence else _SCANS))
     if sequence:
@@ -177,7 +177,7 @@ def _check_sources(
     sensor: "opt.Sensor", *, flipped: bool,
 ) -> None:  # fmt: skip
     """Refuse options that would be ignored."""
-    from imgloc.simulation import Sensor
+    from imgloc.simulation.scans import Sensor
 
     n, many, sampled = len(scans or ()), count or 0, chosen.sample is not None
     simulated = {

@@ -38,7 +38,7 @@ from imgloc.model import BoolArray, LaserScan, OccupancyGrid
 from imgloc.options import Options, Prior
 from imgloc.pipeline import answer_bytes, prepare
 from imgloc.search import priors
-from imgloc.simulation import FINE, fine_factor
+from imgloc.simulation.scans import FINE, fine_factor
 
 _STREAM = 1 << 28  # bytes of standard input
 COARSER = "crop the map, use a larger --cell or --theta-step-deg"

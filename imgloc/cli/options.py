@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from imgloc.io.maps import Reading as Reading
     from imgloc.io.scanset import Chosen as Chosen
     from imgloc.model import LaserScan, Pose2D
-    from imgloc.simulation import Sensor as Sensor
+    from imgloc.simulation.scans import Sensor as Sensor
 
 F = TypeVar("F", bound=Callable[..., None])
 Range = tuple[float, float, str]  # lowest, highest, unit
@@ -441,7 +441,7 @@ def sensor(
 ) -> "Sensor":
     """Options of a simulated sensor, but for its reach."""
     from imgloc.model import Pose2D
-    from imgloc.simulation import Sensor
+    from imgloc.simulation.scans import Sensor
 
     fov, pose = math.radians(fov_deg), Pose2D(*(mount or (0.0, 0.0, 0.0)))
     return Sensor(

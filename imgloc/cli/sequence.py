@@ -22,12 +22,13 @@ def measure_sequences(
 ) -> None:  # fmt: skip
     """Measure each filter on each log, and print a table or rows."""
     from imgloc.cli import inputs
+    from imgloc.filters.follow import with_odometry
     from imgloc.io.calibration import calibrated
     from imgloc.model import to_json
     from imgloc.options import Options
     from imgloc.output.tracks import sequence_row, sequence_tables
     from imgloc.pipeline import prepare
-    from imgloc.sequences import measure, with_odometry
+    from imgloc.sequences import measure
 
     rows: list[dict[str, Any]] = []
     plain = Options(threads=taken.threads, memory_budget=taken.memory_budget)

@@ -33,7 +33,7 @@ def simulate(
     """
     from imgloc.cli import inputs
     from imgloc.io.scans import save_scans
-    from imgloc.simulation import simulate
+    from imgloc.simulation.scans import simulate
 
     inputs.check_target(out, ".npz", force=force)
     rays = sensor.rays

@@ -92,6 +92,15 @@ def track(
 
     from imgloc.cli import inputs
     from imgloc.filters.choose import make_filter
+    from imgloc.filters.follow import (
+        Every,
+        Kidnap,
+        Limits,
+        Moment,
+        follow,
+        robot_poses,
+        with_odometry,
+    )
     from imgloc.io.calibration import calibrated
     from imgloc.model import Pose2D, to_json
     from imgloc.options import Options
@@ -104,8 +113,6 @@ def track(
         track_line,
         tum_text,
     )
-    from imgloc.sequences import with_odometry
-    from imgloc.tracking import Every, Kidnap, Limits, Moment, follow, robot_poses
 
     folder = inputs.kept_in(cache, wanted=not no_cache)
     if best and ros is None:

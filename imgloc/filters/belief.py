@@ -46,7 +46,7 @@ def deviations_of(covariance: FloatArray) -> tuple[float, float]:
 
 
 class Filter(Protocol):
-    """What :mod:`imgloc.tracking` drives along a log.
+    """What :mod:`imgloc.filters.follow` drives along a log.
 
     The poses are those of the robot; of scans without a `T_base_laser`, of the sensor.
     """

@@ -17,10 +17,10 @@ import numpy as np
 import yaml
 
 from imgloc.errors import OutputError
+from imgloc.filters.follow import Moment
 from imgloc.geometry import transform_poses
 from imgloc.io.files import PathLike, display, write_bytes_atomic
 from imgloc.model import FloatArray, Pose2D
-from imgloc.tracking import Moment
 
 POSE, ARRAY = "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseArray"
 TOPICS = {POSE: "/initialpose", ARRAY: "/imgloc/hypotheses"}

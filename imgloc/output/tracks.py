@@ -15,6 +15,7 @@ import numpy as np
 from imgloc.errors import OutputError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import AMBIGUOUS, LOST, UNIQUE, Belief
+from imgloc.filters.follow import Moment
 from imgloc.geometry import transform_points
 from imgloc.io.files import PathLike, display, write_bytes_atomic
 from imgloc.model import FloatArray, OccupancyGrid, inverse, plain
@@ -34,7 +35,6 @@ from imgloc.output.canvas import (
 from imgloc.output.pictures import Picture
 from imgloc.output.tables import as_plain
 from imgloc.sequences import SequenceSummary
-from imgloc.tracking import Moment
 
 COLOURS: dict[str, Colour] = {
     UNIQUE: (178, 114, 0), AMBIGUOUS: (0, 159, 230), LOST: (80, 80, 80),

@@ -27,7 +27,7 @@ from imgloc import ConfigError, ScanSet, Sensor, load_map, load_scans, prepare, 
 from imgloc.features.scanpoints import scan_points
 from imgloc.likelihoods.correlate import ENGINES
 from imgloc.model import OccupancyGrid, to_json
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.worlds import WORLDS, render
 from tools.bench.fleets import batch_costs, row_costs
 from tools.bench.measure import (
     answer_times,

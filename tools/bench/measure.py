@@ -31,7 +31,7 @@ from imgloc.likelihoods.ght import ght, ght_v
 from imgloc.likelihoods.slices import cell_offsets
 from imgloc.model import Float32Array, FloatArray
 from imgloc.search.branch_and_bound import best_poses
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.worlds import WORLDS, render
 from tools.script import at_least_one
 
 

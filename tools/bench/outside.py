@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from imgloc import ImglocError, OccupancyGrid, ScanSet, localize, prepare, save_map, save_scans
-from imgloc.simulation import Sensor, simulate
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.worlds import WORLDS, render
 from tools.bench.measure import HEADINGS, PAIR_HEADINGS, tiled
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from imgloc import ImglocError, Picture, draw, load_map, load_scans, localize, prepare, save_scans
 from imgloc.io.maps import bundled_maps
 from imgloc.output.pictures import mosaic
-from imgloc.simulation import simulate
+from imgloc.simulation.scans import simulate
 
 
 def picture() -> Picture:

@@ -25,8 +25,8 @@ from imgloc.likelihoods.beam import beam
 from imgloc.likelihoods.cbml import cbml, cbml_o, project
 from imgloc.likelihoods.ght import ght, ght_v
 from imgloc.model import Float32Array, FloatArray, OccupancyGrid, OrientedPoints
-from imgloc.simulation import sample_free_poses, simulate_ranges
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import sample_free_poses, simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
 from tools.paper.work import pixels_added, ray_cells, votes_cast
 from tools.plots import COLOURS, blank
 
@@ -123,7 +123,7 @@ def measure(
     Parameters
     ----------
     world : str
-        Of :data:`imgloc.worlds.WORLDS`.
+        Of :data:`imgloc.simulation.worlds.WORLDS`.
     methods : tuple of str
         Some of :data:`METHODS`.
     axes : mapping of str to tuple of float

@@ -16,8 +16,8 @@ from imgloc.model import FloatArray, compose
 from imgloc.output.canvas import PAPER, Canvas, Image, draw_map, marker_size
 from imgloc.output.features import draw_bmap, draw_field, draw_surface
 from imgloc.output.pictures import draw_likelihood, mosaic
-from imgloc.simulation import simulate_ranges
-from imgloc.worlds import NICHES, WORLDS, render
+from imgloc.simulation.scans import simulate_ranges
+from imgloc.simulation.worlds import NICHES, WORLDS, render
 from tools.paper.table import CELL, stack_of
 
 ANGLES = np.deg2rad(np.arange(-90, 91))

@@ -13,7 +13,7 @@ from imgloc.geometry import poses_of
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
 from imgloc.pipeline import localize, prepare
-from imgloc.simulation import Sensor, simulate
+from imgloc.simulation.scans import Sensor, simulate
 from tools.plans.drawing import Building, Image, building, draw_plan, inside, solid, true_world
 from tools.script import table_lines
 

@@ -36,7 +36,7 @@ from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atom
 from imgloc.io.folders import find_maps
 from imgloc.io.images import encode_png
 from imgloc.model import to_json
-from imgloc.worlds import WORLDS
+from imgloc.simulation.worlds import WORLDS
 from tools.plots import blank
 from tools.recorded import in_world, recorded_sets
 from tools.script import at_least_one, ended, parser_of, progress

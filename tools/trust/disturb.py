@@ -17,7 +17,7 @@ from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
 from imgloc.model import BoolArray, FloatArray, LaserScan, OccupancyGrid
 from imgloc.search.priors import Known
-from imgloc.simulation import ray_angles
+from imgloc.simulation.scans import ray_angles
 
 Rng = np.random.Generator
 ScanChange = Callable[[LaserScan, Rng], LaserScan]

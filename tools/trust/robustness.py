@@ -18,7 +18,7 @@ from imgloc import LaserScan, MapFeatures, Options, Pose2D, ScanSet, Sensor, loc
 from imgloc.evaluation import Share, pose_errors, share
 from imgloc.geometry import in_map_frame
 from imgloc.model import FloatArray, base_of
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.worlds import WORLDS, render
 from tools.recorded import in_world
 from tools.script import at_least_one, one_of, table_lines
 from tools.trust.exhaustive import exhaustive
@@ -121,7 +121,7 @@ def robustness(
     seed : int
         Of the poses and the noise.
     worlds, conditions : sequence of str
-        Some of :data:`~imgloc.worlds.WORLDS` and of :data:`CONDITIONS`.
+        Some of :data:`~imgloc.simulation.worlds.WORLDS` and of :data:`CONDITIONS`.
     threads : int
         No result depends on it.
     advance : callable

@@ -6,8 +6,14 @@ import pytest
 from imgloc.errors import ConfigError, MapError
 from imgloc.geometry import cell_of
 from imgloc.model import OccupancyGrid, Pose2D
-from imgloc.simulation import Sensor, refine_grid, sample_free_poses, simulate, simulate_ranges
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.scans import (
+    Sensor,
+    refine_grid,
+    sample_free_poses,
+    simulate,
+    simulate_ranges,
+)
+from imgloc.simulation.worlds import WORLDS, render
 
 
 def box_grid(height=40, width=60, resolution=0.1):

@@ -10,7 +10,7 @@ from imgloc.errors import ConfigError
 from imgloc.geometry import cell_of, transform_points
 from imgloc.io.maps import load_map
 from imgloc.model import Pose2D
-from imgloc.worlds import NICHE, NICHES, WORLDS, World, render
+from imgloc.simulation.worlds import NICHE, NICHES, WORLDS, World, render
 from tools.make_maps import make_maps
 
 MAPS = Path(__file__).resolve().parents[1] / "maps"

@@ -28,7 +28,7 @@ from imgloc.model import (
 )
 from imgloc.options import Count, Length, Metres, Share, Step
 from imgloc.ranges import Checked
-from imgloc.worlds import WORLDS, render
+from imgloc.simulation.worlds import WORLDS, render
 
 FINE = 0.01  #: cells on which scans are simulated, metres
 _MAX_CELLS = 16_000_000

@@ -10,7 +10,7 @@ from imgloc.errors import ConfigError, ScanError, expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import AMBIGUOUS, UNIQUE, Belief, Filter, deviations_of
 from imgloc.filters.evidence import usable
-from imgloc.filters.motion import compose_poses, increments, invert_poses, way_of
+from imgloc.filters.motion import compose_poses, increments, invert_poses, noisy_odometry, way_of
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, Pose2D
@@ -217,6 +217,17 @@ def robot_poses(scans: ScanSet) -> FloatArray | None:
         return None
     mounts = (scan.T_base_laser or Pose2D(0.0, 0.0) for scan in scans.scans)
     return compose_poses(scans.poses, invert_poses(np.array([(m.x, m.y, m.theta) for m in mounts])))
+
+
+def with_odometry(scans: ScanSet, seed: int = 0) -> tuple[ScanSet, str]:
+    """The log with odometry, and which kind: recorded, or of its poses with noise and a bias."""
+    if scans.odom is not None:
+        return scans, "recorded"
+    truth = robot_poses(scans)
+    if truth is None:
+        raise ConfigError("expected odometry, or the poses of the scans to make it of")
+    odom = noisy_odometry(truth, np.random.default_rng(seed))
+    return replace(scans, odom=odom), "of the poses, with noise and bias"
 
 
 def _check_kidnap(kidnap: Kidnap, features: MapFeatures, stamps: FloatArray) -> None:

@@ -1,0 +1,1 @@
+"""Scans, and worlds, that are not there."""
