@@ -115,9 +115,11 @@ class Child:
             self._send(self.samples[:1], _PATIENCE)
         try:
             said = self._send(inputs, self._seconds)
-            if any(text.startswith(_GREEDY) for text in said):  # its peak is that for ever
-                self._supervisor.stop()
+            if any(text.startswith(_GREEDY) or "MemoryError" in text for text in said):
+                self._supervisor.stop()  # its peak is that for ever, and it may hold what it took
                 self._warm = False
+                if len(inputs) > 1:
+                    return [self.run([data])[0] for data in inputs]
             return [_outcome(text) for text in said]
         except (CrashError, OverdueError) as error:
             self._warm, late = False, isinstance(error, OverdueError)

@@ -46,6 +46,7 @@ from imgloc.output.report import render_report
 
 BUDGET = 256 * MIB
 """Bytes that are given to whatever takes a budget of memory."""
+_PIXELS = 8_000_000  # of an image: a command would find more too much for the budget
 OPTIONS = imgloc.Options(threads=1, memory_budget=BUDGET)
 
 Run = Callable[[bytes, Path], object]
@@ -155,8 +156,8 @@ def image(data: bytes, folder: Path) -> None:
     """An image of any format, whatever its name says."""
     path = _written(data, folder / "input.png")
     _each(
-        lambda: imgloc.load_map(path, resolution=0.1, allow_lossy=True),
-        lambda: imgloc.check_map(path, resolution=0.1),
+        lambda: imgloc.load_map(path, resolution=0.1, allow_lossy=True, max_pixels=_PIXELS),
+        lambda: imgloc.check_map(path, resolution=0.1, max_pixels=_PIXELS),
     )
 
 
