@@ -148,6 +148,18 @@ def test_a_kidnapping_is_noticed_at_once_and_recovered_from(name: str) -> None:
     assert moments[-1].belief.resets > 0
 
 
+def test_another_place_than_the_unique_one_takes_more_scans() -> None:
+    """It fits for some metres where a building repeats."""
+    tracker = tracker_of()
+    tracker.place(np.array([5.0, 7.0, 0.0]), (0.1, 0.1))
+    assert tracker._needed(np.array([9.0, 7.0, 0.0])) == 2  # nothing was unique yet
+    tracker._unique = np.array([5.0, 7.0, 0.0]), 0.0
+    assert [tracker._needed(np.array([x, 7.0, 0.0])) for x in (5.9, 6.1)] == [2, 5]
+    for _ in range(10):  # by odometry it is at 10, and may be a metre off
+        tracker.move(np.array([0.5, 0.0, 0.0]))
+    assert [tracker._needed(np.array([x, 7.0, 0.0])) for x in (8.6, 11.4, 11.6)] == [2, 2, 5]
+
+
 def test_who_is_carried_off_is_followed_from_the_first_scan_that_tells_where_to() -> None:
     carried = piece(log(), range(6), range(16, 20))
     moments = list(follow(features_of(WORLD), carried, tracker_of()))

@@ -30,7 +30,7 @@ from imgloc.filters.evidence import (
     usable,
     view_of,
 )
-from imgloc.filters.motion import MotionNoise, move_gaussians, way_of
+from imgloc.filters.motion import MotionNoise, compose_poses, move_gaussians, way_of
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray, IntArray, LaserScan
 from imgloc.options import Count, Factor, Length, Metres, Nats, Options, Radians, Share, Step
@@ -70,6 +70,11 @@ class TrackerOptions(Checked):
     sure: tuple[Metres, Metres] = (1.5, 4.0)
     #: scans in a row that have to leave it so much, and readings that each needs to count
     agree: tuple[Count, Count] = (2, 30)
+    #: scans in a row where the place is another than the one that was unique before: a building
+    #: that repeats fits for some metres at the wrong bay
+    again: Count = 5
+    #: how far apart poses are of other places: metres, and metres for each metre driven since
+    elsewhere: tuple[Metres, Share] = (1.0, 0.1)
     #: metres between two searches while what is followed fits as usual: other places are then only
     #: looked at where they are followed. At first, and most; twice as far after each search that
     #: left the best component unique
@@ -134,6 +139,7 @@ class Tracker:
         self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
         self._mass, self._followed = np.empty(0), np.empty(0)
         self._lost, self._resets, self._agreed, self._dark = 1.0, 0, 0, False
+        self._unique: tuple[FloatArray, float] | None = None  # last such pose (3,), metres ago
         self._wrong = 1.0  # variance of odometry's errors, as scans show it, over what is expected
         self._way, self._since = 0.0, 0.0  # metres since the last scan, and since one agreed
         self._unsearched, self._pause = 0.0, self.how.search[0]  # metres
@@ -145,6 +151,7 @@ class Tracker:
         self._poses = np.array(pose, dtype=np.float64).reshape(1, 3)
         self._covariance = np.diag([metres, metres, radians])[None] ** 2
         self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
+        self._unique = None
         self._agreed = self.how.agree[0] - 1  # one scan has to agree with what was told
         self._habits.place()
 
@@ -158,6 +165,9 @@ class Tracker:
         metres = float(way_of(increment)[0])
         self._unsearched += metres
         self._way, self._since = self._way + metres, self._since + metres
+        if self._unique is not None:
+            pose, ago = self._unique
+            self._unique = compose_poses(pose, increment), ago + metres
 
     def miss(self, seconds: float) -> None:
         """Take note of a scan that says nothing, so long after the one before.
@@ -191,7 +201,21 @@ class Tracker:
             one = sight(self.features, view, near, self.options)
             self._correct(best, near, self._noise(one), self._fresh(habit))
             self._since = 0.0
+        self._remember()
         return False
+
+    def _remember(self) -> None:
+        """Keep the best pose if it is unique."""
+        if self.belief.verdict == UNIQUE:
+            self._unique = self._poses[int(np.argmax(self._mass))].copy(), 0.0
+
+    def _needed(self, pose: FloatArray) -> int:
+        """How many scans in a row have to agree with the best pose (3,)."""
+        if self._unique is None:
+            return self.how.agree[0]
+        (before, ago), (metres, share) = self._unique, self.how.elsewhere
+        near = np.hypot(*(pose - before)[:2]) <= metres + share * ago
+        return self.how.agree[0] if near else self.how.again
 
     def _follow_on(self) -> None:
         self._followed, self._way = self._followed + self._way, 0.0
@@ -292,6 +316,7 @@ class Tracker:
             alone = self._lost < 0.5 and self._mass[0] >= how.mass * self._mass.sum()
             if alone:
                 self._stretch(view, fits=habit.last <= self.options.fused.strained)
+        self._remember()
 
     def _stretch(self, view: View, *, fits: bool) -> None:
         """Allow for another scale of the readings, once some scans together fit far better so.
@@ -445,7 +470,7 @@ class Tracker:
         verdict = AMBIGUOUS
         if self._lost > 0.5 or not len(mass):
             verdict = LOST
-        elif not self._habits.doubted and self._agreed >= self.how.agree[0]:
+        elif not self._habits.doubted and self._agreed >= self._needed(self._poses[order[0]]):
             held = self._followed[order[0]] >= self.how.sure[0] and self._since <= self.how.stale
             verdict = UNIQUE if held else AMBIGUOUS
         neff = float(np.square(mass.sum()) / max(1e-300, np.square(mass).sum()))
