@@ -18,7 +18,6 @@ from imgloc.__about__ import __version__
 if TYPE_CHECKING:
     from imgloc.answers.explain import Explanation, explain
     from imgloc.answers.sample import sample_poses
-    from imgloc.batch import BatchSummary, run_batch
     from imgloc.choice.choose import Choice, which
     from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
     from imgloc.evaluation import Evaluation, evaluate
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
     from imgloc.io.plans import load_plan
     from imgloc.io.scans import load_scans, save_scans
     from imgloc.io.scanset import ScanSet
-    from imgloc.jobs import Job
     from imgloc.model import (
         Evidence,
         GridInfo,
@@ -55,6 +53,8 @@ if TYPE_CHECKING:
     )
     from imgloc.output.pictures import Picture, draw
     from imgloc.pipeline import likelihood, localize, prepare
+    from imgloc.runs.batch import BatchSummary, run_batch
+    from imgloc.runs.jobs import Job
     from imgloc.search.priors import Known
     from imgloc.simulation.scans import Sensor, simulate
 
@@ -70,7 +70,7 @@ __all__ = [
 ]  # fmt: skip
 
 _HOMES = {
-    "imgloc.batch": "BatchSummary run_batch",
+    "imgloc.runs.batch": "BatchSummary run_batch",
     "imgloc.choice.choose": "Choice which",
     "imgloc.errors": "ConfigError ImglocError MapError OutputError ScanError",
     "imgloc.evaluation": "Evaluation evaluate",
@@ -83,7 +83,7 @@ _HOMES = {
     "imgloc.io.plans": "load_plan",
     "imgloc.io.scans": "load_scans save_scans",
     "imgloc.io.scanset": "ScanSet",
-    "imgloc.jobs": "Job",
+    "imgloc.runs.jobs": "Job",
     "imgloc.model": "Evidence GridInfo Hypothesis LaserScan Likelihood Localization OccupancyGrid "
     "OrientedPoints Pose2D",
     "imgloc.options": "ALL_METHODS METHODS Calibration FusedOptions Options Prior Shared Trust",

@@ -55,7 +55,7 @@ def sabotaged(item, job):
         die(signal.SIGSEGV)
     if "hang" in item.scans:
         hang()
-    from imgloc.batch import work
+    from imgloc.runs.batch import work
 
     return work(item, job)
 

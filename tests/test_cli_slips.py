@@ -20,10 +20,10 @@ from imgloc.io.cache import cache_limit
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.jobs import Job
 from imgloc.model import LaserScan, Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import prepare
+from imgloc.runs.jobs import Job
 from imgloc.simulation.scans import Sensor, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 

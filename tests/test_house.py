@@ -11,7 +11,7 @@ ROOMS = (
     "search", "pipeline",
     "answers", "choice", "filters", "simulation",
     "atlas evaluation index calibrate sequences",
-    "batch hints jobs workers cluster", "output", "cli",
+    "runs", "output", "cli",
 )  # fmt: skip
 PLACE = {name: k for k, room in enumerate(ROOMS) for name in room.split()}
 FILES = sorted(p.relative_to(ROOT) for p in (ROOT / "imgloc").rglob("*.py"))

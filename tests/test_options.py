@@ -14,7 +14,6 @@ from imgloc.filters.grid import GridOptions
 from imgloc.filters.motion import MotionNoise
 from imgloc.filters.particle import ParticleOptions
 from imgloc.filters.tracker import TrackerOptions
-from imgloc.jobs import Job
 from imgloc.likelihoods.correlate import ENGINES
 from imgloc.options import (
     Calibration,
@@ -27,6 +26,7 @@ from imgloc.options import (
     Trust,
 )
 from imgloc.ranges import Checked
+from imgloc.runs.jobs import Job
 from imgloc.simulation.scans import Sensor
 
 KINDS = (Calibration, EvidenceModel, FusedOptions, Options, Prior, Shared, Trust)

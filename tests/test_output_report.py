@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from command import call
 
-from imgloc.io.results import RESULTS
 from imgloc.output.report import histogram, render_report
+from imgloc.runs.results import RESULTS
 
 PNG = bytes.fromhex(
     "89504e470d0a1a0a0000000d49484452000000010000000108060000001f15c4890000000d49444154"

@@ -21,12 +21,12 @@ from imgloc.features.pyramid import Level
 from imgloc.io.calibration import calibration_path, save_calibrations
 from imgloc.io.folders import files_in, find_maps
 from imgloc.io.maps import load_map, save_map
-from imgloc.io.results import read_rows
 from imgloc.io.scans import save_scans
 from imgloc.likelihoods.correlate import correlate
 from imgloc.model import LaserScan, Localization, OccupancyGrid, Pose2D
 from imgloc.options import Options, Prior, Shared
 from imgloc.pipeline import prepare
+from imgloc.runs.results import read_rows
 from imgloc.simulation.scans import Sensor, simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.trust.thousand import ask_thousand, make_thousand, pieces, turned

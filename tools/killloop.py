@@ -20,7 +20,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from imgloc.io.maps import bundled_maps, load_map
-from imgloc.io.results import RESULTS, read_rows
+from imgloc.runs.results import RESULTS, read_rows
 from imgloc.simulation.scans import Sensor, simulate
 from tools.recorded import save_each
 from tools.script import parser_of, progress

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from imgloc import ALL_METHODS, ImglocError, Job, Options, run_batch
-from imgloc.batch import TIMEOUT
 from imgloc.options import FUSED
 from imgloc.output.drawings import DRAWINGS
+from imgloc.runs.batch import TIMEOUT
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

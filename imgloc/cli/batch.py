@@ -21,7 +21,7 @@ from imgloc.io.files import display, is_there
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from imgloc.jobs import Item
+    from imgloc.runs.jobs import Item
 
 FAILED_ROWS = 5
 _EVERY = 60.0  # seconds between lines of progress without a terminal
@@ -130,15 +130,15 @@ def batch(
     given = _given(context, job.value, scans is not None, maps)
     many = opt.count_threads(workers)
     pool = None if dask or dry_run else _pool(context, many, timeout, memory_limit)
-    from imgloc.batch import find_items, remaining, run_batch
     from imgloc.cli import inputs
     from imgloc.evaluation import TOLERANCES
     from imgloc.features.budget import MIB, default_budget
-    from imgloc.jobs import Job
     from imgloc.model import to_json
     from imgloc.options import Options
     from imgloc.output.drawings import DRAWINGS
     from imgloc.output.tables import batch_text
+    from imgloc.runs.batch import find_items, remaining, run_batch
+    from imgloc.runs.jobs import Job
     from imgloc.search.priors import Known
 
     opt.check_known(near, heading)
@@ -224,7 +224,7 @@ def _given(context: typer.Context, job: str, with_scans: bool, maps: Path) -> se
 
 def _rows(out: Path) -> dict[tuple[str, str | None], tuple[str, str]]:
     """Keys and statuses of the rows that are there, by their items."""
-    from imgloc.io.results import RESULTS, id_of, read_rows
+    from imgloc.runs.results import RESULTS, id_of, read_rows
 
     if not is_there(out / RESULTS):
         return {}
@@ -235,10 +235,10 @@ def _pool(
     context: typer.Context, workers: int, timeout: float, memory_limit: int | None
 ) -> "Executor":
     """Workers of this machine until the command ends; one starts while the command does."""
-    from imgloc.workers import Supervised
+    from imgloc.runs.workers import Supervised
 
     limits: dict[str, Any] = {"timeout": timeout, "memory_limit": memory_limit}
-    pool = Supervised(workers, module="imgloc.batch", **limits)
+    pool = Supervised(workers, module="imgloc.runs.batch", **limits)
     context.call_on_close(lambda: pool.shutdown(cancel_futures=True))
     return pool
 
@@ -251,7 +251,7 @@ def _cluster(
     if dask is None:
         yield None
         return
-    from imgloc.cluster import cluster
+    from imgloc.runs.cluster import cluster
 
     limits = {"timeout": timeout, "memory_limit": memory_limit}
     with cluster(dask, workers=workers, **limits) as executor:  # type: ignore[arg-type]

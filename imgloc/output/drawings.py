@@ -6,11 +6,11 @@ from imgloc.answers.explain import layers_of
 from imgloc.atlas import Spot
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.images import encode_picture
-from imgloc.jobs import Drawing
 from imgloc.model import LaserScan, Localization, OccupancyGrid, Pose2D
 from imgloc.options import Options
 from imgloc.output.canvas import draw_map
 from imgloc.output.pictures import draw, draw_atlas, draw_likelihood
+from imgloc.runs.jobs import Drawing
 
 
 def draw_answer(

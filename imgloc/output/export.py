@@ -13,7 +13,7 @@ from typing import Any
 
 from imgloc.errors import ConfigError, OutputError
 from imgloc.io.files import PathLike, display
-from imgloc.io.results import Row, read_rows, read_run
+from imgloc.runs.results import Row, read_rows, read_run
 
 FORMATS = ("csv", "parquet")
 _COVARIANCE = {"xx": (0, 0), "xy": (0, 1), "xt": (0, 2), "yy": (1, 1), "yt": (1, 2), "tt": (2, 2)}

@@ -19,13 +19,13 @@ import numpy as np
 from markupsafe import Markup
 
 from imgloc.__about__ import __version__
-from imgloc.batch import BatchSummary
 from imgloc.errors import OutputError
 from imgloc.io.files import PathLike, display
-from imgloc.io.results import PICTURES, Row, read_picture, read_rows, read_run, read_summary
 from imgloc.output.export import flat
 from imgloc.output.pages import percent
 from imgloc.output.svg import ENVIRONMENT
+from imgloc.runs.batch import BatchSummary
+from imgloc.runs.results import PICTURES, Row, read_picture, read_rows, read_run, read_summary
 
 MARK = b'<meta name="generator" content="imgloc report">'  #: is near the beginning of the page
 EMBEDDED = 8 << 20

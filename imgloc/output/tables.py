@@ -15,10 +15,10 @@ from imgloc.calibrate import SharedFit
 from imgloc.model import SURE, VERDICTS, Localization, Pose2D, base_of
 
 if TYPE_CHECKING:
-    from imgloc.batch import BatchSummary
     from imgloc.choice.choose import Choice
     from imgloc.features.floorplan import FloorPlan
     from imgloc.io.mapcheck import MapReport
+    from imgloc.runs.batch import BatchSummary
 
 _WIDE = 1000  # characters of a line at most: a table is as wide as its cells, wherever it goes
 _UNDER = "sd: standard deviation, of noise and of errors that a wall shares"
@@ -321,7 +321,7 @@ def batch_text(summary: "BatchSummary", folder: str) -> str:
 
     Examples
     --------
-    >>> from imgloc.batch import BatchSummary
+    >>> from imgloc.runs.batch import BatchSummary
     >>> found = BatchSummary(3, {"ok": 2, "timeout": 1}, {"unique": 9, "ambiguous": 1}, 10, 9)
     >>> print(batch_text(found, "out"))
     3 items: 2 ok, 1 timeout

@@ -15,9 +15,9 @@ import cv2
 import numpy as np
 
 from imgloc import load_map, load_scans, localize, prepare, run_batch, save_map
-from imgloc.io.results import RESULTS, read_rows
 from imgloc.io.scanset import ScanSet
 from imgloc.model import OccupancyGrid
+from imgloc.runs.results import RESULTS, read_rows
 from tools.bench.outside import ROOT, command
 from tools.recorded import save_each
 

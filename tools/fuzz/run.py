@@ -17,7 +17,7 @@ from typing import IO
 
 import imgloc
 from imgloc.features.budget import MIB
-from imgloc.workers import CrashError, OverdueError, Supervisor
+from imgloc.runs.workers import CrashError, OverdueError, Supervisor
 from tools.fuzz.mutate import mutate
 from tools.fuzz.targets import BUDGET, Run, Target
 

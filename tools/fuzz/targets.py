@@ -30,7 +30,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import imgloc
 from imgloc.atlas import Spot, summarise
-from imgloc.batch import BatchSummary, find_items, work
 from imgloc.choice.folder_index import open_index
 from imgloc.features.budget import MIB
 from imgloc.features.store import features_key, load_features, save_features
@@ -38,11 +37,12 @@ from imgloc.filters.choose import FILTERS
 from imgloc.io.atlasrows import Journal, as_csv
 from imgloc.io.cache import entry_path
 from imgloc.io.calibration import load_calibrations, save_calibrations
-from imgloc.io.results import RESULTS, RUN, SUMMARY, Results
 from imgloc.io.scans import scans_size
 from imgloc.output.export import as_bytes
 from imgloc.output.pictures import draw_atlas
 from imgloc.output.report import render_report
+from imgloc.runs.batch import BatchSummary, find_items, work
+from imgloc.runs.results import RESULTS, RUN, SUMMARY, Results
 
 BUDGET = 256 * MIB
 """Bytes that are given to whatever takes a budget of memory."""

@@ -2,7 +2,7 @@
 
 >>> from tempfile import TemporaryDirectory
 >>> from imgloc.io.maps import bundled_maps
->>> from imgloc.jobs import Job
+>>> from imgloc.runs.jobs import Job
 >>> with TemporaryDirectory() as folder:
 ...     found = run_batch(bundled_maps() / "curved.yaml", None, f"{folder}/out", Job("check"))
 ...     found.statuses
@@ -28,15 +28,15 @@ import cv2
 from imgloc.__about__ import __version__
 from imgloc.choice.choose import NO_MAP, names_of
 from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
-from imgloc.hints import Doubtful, hints_of
 from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import PathLike, display, is_folder, read_file
 from imgloc.io.folders import files_in, find_maps
-from imgloc.io.results import RESULTS, Results, Row, read_rows, read_summary
 from imgloc.io.scans import SCAN_ENDINGS
-from imgloc.jobs import WITHOUT_SCANS, Item, Job, perform
 from imgloc.model import plain
-from imgloc.workers import LOST, CrashError, OverdueError, Supervised
+from imgloc.runs.hints import Doubtful, hints_of
+from imgloc.runs.jobs import WITHOUT_SCANS, Item, Job, perform
+from imgloc.runs.results import RESULTS, Results, Row, read_rows, read_summary
+from imgloc.runs.workers import LOST, CrashError, OverdueError, Supervised
 
 TIMEOUT = 3600.0  #: seconds that an item may take
 ATTEMPTS = 2  #: how often an item is begun whose worker dies
@@ -60,7 +60,7 @@ class BatchSummary:
     #: pairs of a map with a file that has poses, which hold for the map that the file is from
     pairs: int = 0
     files: int = 0  #: files with known poses
-    hints: list[dict[str, Any]] = field(default_factory=list)  #: see :mod:`imgloc.hints`
+    hints: list[dict[str, Any]] = field(default_factory=list)  #: see :mod:`imgloc.runs.hints`
     _files: set[str] = field(default_factory=set)
     new: int = 0  #: rows that this run has added
     seconds: float = 0.0  #: what it took, all in all
@@ -117,7 +117,7 @@ def run_batch(
     maps, scans : path
         As of :func:`find_items`.
     out : path
-        Folder of the results, see :mod:`imgloc.io.results`.
+        Folder of the results, see :mod:`imgloc.runs.results`.
     job : Job, optional
         By default `localize`.
     workers : int, optional

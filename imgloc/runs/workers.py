@@ -29,7 +29,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 _START = (
     "import pickle, sys; sys.path[:], *about = pickle.load(sys.stdin.buffer); "
-    "from imgloc.workers import serve; serve(*about)"
+    "from imgloc.runs.workers import serve; serve(*about)"
 )
 # There are as many workers as processors.
 _ONE_THREAD = dict.fromkeys(

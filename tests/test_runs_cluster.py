@@ -17,16 +17,16 @@ from command import ROOT, call, command
 from killers import Saboteur
 from places import room_with_a_post
 
-from imgloc.batch import run_batch
-from imgloc.cluster import cluster
 from imgloc.errors import ConfigError
 from imgloc.features.budget import default_budget
 from imgloc.io.maps import save_map
-from imgloc.io.results import read_rows
 from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.jobs import Job
 from imgloc.options import Options
+from imgloc.runs.batch import run_batch
+from imgloc.runs.cluster import cluster
+from imgloc.runs.jobs import Job
+from imgloc.runs.results import read_rows
 from imgloc.simulation.scans import Sensor, simulate
 
 distributed = pytest.importorskip(
@@ -167,7 +167,7 @@ def test_a_scheduler_that_ends_answers_for_no_item(site: Path, tmp_path: Path, h
 
 
 def test_no_cluster_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("imgloc.cluster._WAIT", 0.5)
+    monkeypatch.setattr("imgloc.runs.cluster._WAIT", 0.5)
     with pytest.raises(ConfigError, match="no cluster with a worker"), cluster("tcp://127.0.0.1:9"):
         pass
 

@@ -1,7 +1,7 @@
 """A batch on a Dask cluster: the same function, called elsewhere (needs ``imgloc[cluster]``).
 
 On each thread of the cluster's workers an item runs in a process of its own, see
-:mod:`imgloc.workers`: what kills or hangs it is told, as on one machine, and kills no worker.
+:mod:`imgloc.runs.workers`: what kills or hangs it is told, as on one machine, and kills no worker.
 """
 
 import contextlib
@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from imgloc.__about__ import __version__
 from imgloc.errors import ConfigError, OutputError
 from imgloc.features.budget import default_budget
-from imgloc.workers import LOST, call_in_child
+from imgloc.runs.workers import LOST, call_in_child
 
 LOCAL = "local"
 _TALKERS = ("distributed.client", "tornado.application")  # of a lost cluster, in many lines
@@ -23,7 +23,7 @@ _WAIT = 30.0  # seconds for the scheduler, and for its first worker
 
 
 class ClusterExecutor(Executor):
-    """A client's executor, whose tasks have limits; see :class:`imgloc.workers.Supervised`."""
+    """A client's executor, whose tasks have limits; see :class:`imgloc.runs.workers.Supervised`."""
 
     def __init__(
         self, client: Any, timeout: float | None, memory_limit: int | None, share: int | None = None
@@ -69,7 +69,7 @@ def cluster(
     workers : int, optional
         Of a local one; by default as many as there are processors.
     timeout, memory_limit : float and int, optional
-        Of each task, see :class:`imgloc.workers.Supervisor`.
+        Of each task, see :class:`imgloc.runs.workers.Supervisor`.
 
     Raises
     ------

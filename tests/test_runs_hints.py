@@ -10,16 +10,16 @@ import pytest
 from command import MAPS
 
 from imgloc.answers.diagnose import doubts
-from imgloc.batch import BatchSummary, run_batch
-from imgloc.hints import Doubtful
-from imgloc.io.results import read_rows
 from imgloc.io.scans import save_scans
-from imgloc.jobs import Item
 from imgloc.model import Evidence
 from imgloc.options import Options
 from imgloc.output.report import render_report
 from imgloc.output.tables import batch_text
 from imgloc.pipeline import localize, prepare
+from imgloc.runs.batch import BatchSummary, run_batch
+from imgloc.runs.hints import Doubtful
+from imgloc.runs.jobs import Item
+from imgloc.runs.results import read_rows
 from imgloc.simulation.scans import Sensor, simulate
 from imgloc.simulation.worlds import WORLDS, render
 

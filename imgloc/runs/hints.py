@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from imgloc.answers.diagnose import Doubt, Said, is_doubtful
-from imgloc.io.results import Id, Row, id_of
-from imgloc.jobs import Item, Job, look_again
 from imgloc.model import Evidence
 from imgloc.options import FUSED
+from imgloc.runs.jobs import Item, Job, look_again
+from imgloc.runs.results import Id, Row, id_of
 
 _TRIED = 12  # items at most
 _NAMED = 2  # of those that a hint is about

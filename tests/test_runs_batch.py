@@ -18,22 +18,22 @@ from command import MAPS, ROOT, call, command
 from killers import Saboteur
 from places import room_with_a_post
 
-from imgloc.batch import find_items, run_batch
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.geometry import wrap
 from imgloc.io.maps import save_map
-from imgloc.io.results import LOCK, RESULTS, SUMMARY, Results, read_rows
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.jobs import Item, Job, perform
 from imgloc.model import Pose2D
 from imgloc.options import Options
 from imgloc.output.drawings import DRAWINGS
 from imgloc.output.export import columns_of
 from imgloc.output.report import render_report
+from imgloc.runs.batch import find_items, run_batch
+from imgloc.runs.jobs import Item, Job, perform
+from imgloc.runs.results import LOCK, RESULTS, SUMMARY, Results, read_rows
+from imgloc.runs.workers import Supervised
 from imgloc.search.priors import Known
 from imgloc.simulation.scans import Sensor, simulate
-from imgloc.workers import Supervised
 from tools.killloop import kill_loop
 
 QUICK = Job(options=Options(method="cbml", top=2), cell=0.2)

@@ -14,7 +14,7 @@ import pytest
 from command import ROOT
 from killers import die, double, fail, hang, leave, process, swallow
 
-from imgloc.workers import CrashError, OverdueError, Supervised, call_in_child
+from imgloc.runs.workers import CrashError, OverdueError, Supervised, call_in_child
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 
@@ -126,7 +126,7 @@ def test_workers_do_not_outlive_a_program_that_is_killed() -> None:
     code = (
         "import sys; sys.path[:0] = sys.argv[1:]\n"
         "from killers import hang, process\n"
-        "from imgloc.workers import Supervised\n"
+        "from imgloc.runs.workers import Supervised\n"
         "pool = Supervised(1)\n"
         "print(pool.submit(process, 0).result(), flush=True)\n"
         "pool.submit(hang).result()\n"
