@@ -28,6 +28,8 @@ from imgloc.io.files import PathLike, display, open_file
 
 Pixels = npt.NDArray[Any]  # uint8 or uint16
 
+MAX_SIDE = 32_767
+"""Pixels a side: the limit of Nav2 (map_io) and of ``cv2.remap``. Headers that say more are not decoded."""
 MAX_PIXELS = 128_000_000
 """Of a map, unless said otherwise: more than the 10,000 x 10,000 that are worked with."""
 
@@ -229,9 +231,11 @@ def _opened(file: BinaryIO, name: str, max_pixels: int) -> ImageFile | _Netpbm:
         what = f"it looks like {kind}" if (kind := next(like, "")) else "unknown content"
         raise MapError(f"{name}: not an image that can be read ({what}), expected {_KNOWN}")
     width, height = image.size
+    found_size, hint = f"{width:,} x {height:,}", "crop or downsample the map"
+    if max(width, height) > MAX_SIDE:
+        raise MapError(f"{name}: {found_size} pixels, expected at most {MAX_SIDE:,} a side; {hint}")
     if width * height > max_pixels:
-        found_size = f"{width:,} x {height:,} = {width * height:,} pixels"
-        hint = "crop or downsample the map"
+        found_size += f" = {width * height:,} pixels"
         raise MapError(f"{name}: {found_size}, expected at most {max_pixels:,}; {hint}")
     return image
 

@@ -18,7 +18,6 @@ from imgloc.io.images import MAX_PIXELS, ImageSize, MapImage, read_image
 from imgloc.io.maps import (
     DRAWN,
     GREY_205,
-    MAX_SIDE,
     SWAPPED,
     MapSettings,
     Reading,
@@ -42,7 +41,6 @@ _WARNINGS = {
     "free_thresh {free_thresh} are used",
     "yaw": "the origin has a yaw of {origin.theta:.4f} rad; it is honoured here, but some "
     "programs ignore it",
-    "side": "{width:,} x {height:,} cells: Nav2 and imgloc load at most {most:,} a side",
     "huge": "{millions:.0f} million cells: expect long times and much memory",
     "coarse": "{resolution:g} m per cell: poses can hardly be finer than that",
     "lossy": "{lossy} alters greys near walls; export the map as PNG",
@@ -205,7 +203,6 @@ def _warnings(
         "unknown-key": unknown_keys,
         "default-threshold": said and None in (said.occupied_thresh, said.free_thresh),
         "yaw": used.origin.theta,
-        "side": max(height, width) > MAX_SIDE,
         "huge": sums.size > _HUGE_CELLS,
         "coarse": used.resolution > 0.25,
         "lossy": image.lossy,
@@ -223,7 +220,7 @@ def _warnings(
         "many-greys": n["levels"] > _MANY_GREYS and used.mode == "trinary",
     }
     values = {
-        **vars(used), **n, "height": height, "width": width, "most": MAX_SIDE,
+        **vars(used), **n, "height": height, "width": width,
         "keys": ", ".join(unknown_keys), "clear": clear, "tinted": tinted, "trap": trap,
         "cells": sums.size, "millions": sums.size / 1e6,
         "lossy": {"jpeg": "JPEG", "webp": "lossy WebP"}.get(image.kind, "JPEG in a TIFF"),

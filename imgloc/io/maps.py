@@ -42,8 +42,6 @@ from imgloc.io.mapyaml import MODES, RESOLUTION_RANGE, MapYaml, load_map_yaml
 from imgloc.model import BoolArray, OccupancyGrid, Pose2D
 
 _LOG = logging.getLogger("imgloc")
-MAX_SIDE = 32_767
-"""Cells a side: the limit of Nav2 (map_io) and of ``cv2.remap``."""
 SEMANTICS = ("nav2", "ros1")
 _THRESHOLDS: dict[str, Any] = {"occupied_thresh": 0.65, "free_thresh": 0.196}
 _DEFAULTS = _THRESHOLDS | {"mode": "trinary", "semantics": "nav2", "negate": False}
@@ -127,11 +125,6 @@ def load_map(
         _warn_of_other_frame(settings)
     most = reading.get("max_pixels", MAX_PIXELS)
     image = read_image(settings.image, max_pixels=most, allow_lossy=allow_lossy)
-    height, width = image.pixels.shape[:2]
-    if max(height, width) > MAX_SIDE:
-        found = f"{display(settings.image)}: {width:,} x {height:,} cells"
-        hint = "crop or downsample the map"
-        raise MapError(f"{found}, expected at most {MAX_SIDE:,} a side; {hint}")
     grid = grid_of(image, settings)
     if _MUCH * (trap := unknown_as_free(image, settings, grid)) > grid.free.size:
         said = GREY_205.format(trap=trap, free_thresh=settings.free_thresh)
