@@ -21,13 +21,11 @@ if TYPE_CHECKING:
     from imgloc.choice.choose import Choice, which
     from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
     from imgloc.evaluation import Evaluation, evaluate
-    from imgloc.features.floorplan import FloorPlan, plan_to_map
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.filters.choose import make_filter
     from imgloc.filters.follow import Every, Limits, Moment, follow
     from imgloc.io.mapcheck import MapReport, check_map
     from imgloc.io.maps import load_map, save_map
-    from imgloc.io.plans import load_plan
     from imgloc.io.scans import load_scans, save_scans
     from imgloc.io.scanset import ScanSet
     from imgloc.model import (
@@ -53,6 +51,8 @@ if TYPE_CHECKING:
     )
     from imgloc.output.pictures import Picture, draw
     from imgloc.pipeline import likelihood, localize, prepare
+    from imgloc.plans.files import load_plan
+    from imgloc.plans.floorplan import FloorPlan, plan_to_map
     from imgloc.runs.batch import BatchSummary, run_batch
     from imgloc.runs.jobs import Job
     from imgloc.search.priors import Known
@@ -75,12 +75,12 @@ _HOMES = {
     "imgloc.errors": "ConfigError ImglocError MapError OutputError ScanError",
     "imgloc.evaluation": "Evaluation evaluate",
     "imgloc.answers.explain": "Explanation explain",
-    "imgloc.features.floorplan": "FloorPlan plan_to_map",
+    "imgloc.plans.floorplan": "FloorPlan plan_to_map",
     "imgloc.features.mapfeatures": "MapFeatures",
     "imgloc.filters.choose": "make_filter",
     "imgloc.io.mapcheck": "MapReport check_map",
     "imgloc.io.maps": "load_map save_map",
-    "imgloc.io.plans": "load_plan",
+    "imgloc.plans.files": "load_plan",
     "imgloc.io.scans": "load_scans save_scans",
     "imgloc.io.scanset": "ScanSet",
     "imgloc.runs.jobs": "Job",

@@ -6,7 +6,7 @@ import sys
 def main() -> None:
     """Run the command line; Ctrl-C while it is being loaded ends it as any other does."""
     try:
-        from imgloc.cli import main as command_line
+        from imgloc.cli.app import main as command_line
 
         command_line()
     except KeyboardInterrupt:

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from imgloc.cli import main
+from imgloc.cli.app import main
 
 ROOT = Path(__file__).resolve().parents[1]
 MAPS = ROOT / "maps"
@@ -46,7 +46,7 @@ def run(program: Callable[[list[str]], int | None], *arguments: object) -> Run:
 def command(arguments: Sequence[object]) -> list[str]:
     """Return the real command, for subprocess."""
     # -P: the folder that a test runs in is not on the path, as with the installed script.
-    start = f"import sys; sys.path.insert(0, {str(ROOT)!r}); from imgloc.cli import main; main()"
+    start = f"import sys; sys.path.insert(0, {str(ROOT)!r}); import imgloc.cli.app as a; a.main()"
     return [sys.executable, "-P", "-c", start, *map(str, arguments)]
 
 

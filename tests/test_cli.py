@@ -19,7 +19,7 @@ from command import MAPS, ROOT, call, command, rows, spawn
 
 import imgloc
 from imgloc.__main__ import main as imgloc_command
-from imgloc.cli import app
+from imgloc.cli.app import app
 from imgloc.cli.console import Group, emit
 from imgloc.cli.demo import DemoMap
 from imgloc.cli.options import EngineName, MethodName, ModeName, SemanticsName
@@ -69,7 +69,7 @@ def test_help_imports_nothing_heavy() -> None:
     heavy = ("numpy", "cv2", "skimage", "scipy", "yaml", "jinja2", "PIL", "imgloc.pipeline")
     code = (
         f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
-        "from imgloc.cli import main\n"
+        "from imgloc.cli.app import main\n"
         "for words in (['--help'], ['localize', '--help'], ['evaluate', '-h'],\n"
         "              ['map', 'show', '-h'], ['--version']):\n"
         "    try: main(words)\n"
@@ -236,7 +236,7 @@ def test_an_interrupt_while_the_command_line_is_loaded(
     real = builtins.__import__
 
     def interrupted(name: str, *rest: Any) -> Any:
-        if name == "imgloc.cli":
+        if name == "imgloc.cli.app":
             raise KeyboardInterrupt
         return real(name, *rest)
 

@@ -293,7 +293,7 @@ EACH = """
 import json, os, re, sys
 sys.path.insert(0, sys.argv[1])
 import imgloc.cli.inputs
-from imgloc.cli import main
+from imgloc.cli.app import main
 for words in json.loads(sys.argv[2]):
     if os.fork():  # each in a process of its own, which begins with a peak of its own
         os.wait()

@@ -138,7 +138,7 @@ def test_completion_is_installed_and_completes(tmp_path: Path) -> None:
     root = str(Path(__file__).resolve().parents[1])
     script.write_text(
         f"#!{sys.executable}\nimport sys\nsys.path.insert(0, {root!r})\n"
-        "from imgloc.cli import main\nmain()\n"
+        "from imgloc.cli.app import main\nmain()\n"
     )
     script.chmod(0o755)
 

@@ -7,11 +7,11 @@ from command import ROOT
 
 #: A module imports from its own room and from those before it.
 ROOMS = (
-    "__about__ errors ranges", "model", "geometry", "options", "io", "features", "likelihoods",
-    "search", "pipeline",
+    "__about__ doors errors ranges", "model", "geometry", "options", "io", "features",
+    "likelihoods", "search", "pipeline",
     "answers", "choice", "filters", "simulation",
     "atlas evaluation index calibrate sequences",
-    "runs", "output", "cli",
+    "runs", "output", "cli", "plans",
 )  # fmt: skip
 PLACE = {name: k for k, room in enumerate(ROOMS) for name in room.split()}
 FILES = sorted(p.relative_to(ROOT) for p in (ROOT / "imgloc").rglob("*.py"))

@@ -15,7 +15,7 @@ import typer.main
 from command import ROOT, call
 from places import room_with_a_post
 
-from imgloc.cli import app
+from imgloc.cli.app import app
 from imgloc.io.maps import save_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.model import Pose2D

@@ -16,7 +16,7 @@ import numpy as np
 import PIL.Image
 from PIL.PngImagePlugin import PngInfo
 
-from imgloc.cli import main as imgloc
+from imgloc.cli.app import main as imgloc
 from imgloc.io.files import write_bytes_atomic
 from imgloc.output.canvas import Image
 from tools.drive import draw_drive, drive

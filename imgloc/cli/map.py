@@ -1,4 +1,4 @@
-"""`imgloc map`: what is in a map, what may be wrong with it, its picture; a map of a floor plan."""
+"""`imgloc map`: what is in a map, what may be wrong with it, its picture."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -15,8 +15,6 @@ from imgloc.io.files import display
 Subject = StrEnum(
     "Subject", ("MAP", "BMAP", "VMAP", "SURFACE", "VISIBILITY", "DISTANCE", "LIKELIHOOD")
 )
-
-_WALLS = (0.005, 3, "metres")
 
 
 @opt.with_options(opt.reading, opt.console)
@@ -120,98 +118,3 @@ def show(
     picture.save(out, force=force)
     height, width = picture.image.shape[:2]
     say(f"wrote {display(out)}: {what.value}, {width} x {height} pixels")
-
-
-@opt.with_options(opt.console)
-def plan(
-    path: Annotated[
-        Path, typer.Argument(metavar="PLAN", help="Image of a floor plan: PNG, JPEG, TIFF ...")
-    ],
-    out: Annotated[
-        Path, option(..., "YAML", "Map to write, and its PNG beside it.", "--out", "-o")
-    ],
-    resolution: float | None = option(
-        None, "M", "Metres a pixel of the plan.", within=(0.0005, 1, "metres a pixel")
-    ),
-    distance: Any = option(
-        None,
-        "X1,Y1,X2,Y2,M",
-        "Or two points of the plan, in pixels from its upper left corner, and the metres between "
-        "them: of a dimension line, or the outer walls.",
-        parser=opt.numbers(5),
-    ),
-    origin: Any = opt.pose_of(
-        "--origin", "Pose of the plan's lower-left corner in the map frame. [default: 0,0,0]"
-    ),
-    cell: float | None = option(
-        None, "M", "Cell of the map. [default: 0.05, or a pixel]", within=(0.01, 1, "metres")
-    ),
-    thinnest: float = option(0.07, "M", "Of walls: what is thinner is a line.", within=_WALLS),
-    thickest: float = option(
-        0.5, "M", "Of walls that are drawn as two lines: what is wider is a room.", within=_WALLS
-    ),
-    gap: float | None = option(
-        None, "M", "Outer doors are no wider. [default: found]", within=(0, 30, "metres")
-    ),
-    ink: float | None = option(
-        None, "P", "Darkness from which on a pixel is ink, 0..1. [default: found]",
-        within=(0.01, 0.99, "a share"),
-    ),
-    picture: Path | None = option(
-        None, "PNG", "Draw the plan, what was taken from it in colour, beside the map."
-    ),
-    memory_budget: opt.MemoryBudget = None,
-    as_json: opt.AsJson = False,
-    force: opt.Force = False,
-) -> None:  # fmt: skip
-    """Make a map of a floor plan: walls as they stand, doors open, nothing else.
-
-    Walls may be filled, two lines, hatched, or single thick lines. Door swings, text, furniture,
-    stairs, dimensions and thin lines are taken away, and what is outside becomes unknown.
-    """
-    from imgloc.cli import inputs
-    from imgloc.features.floorplan import plan_bytes, plan_to_map
-    from imgloc.io.images import image_size
-    from imgloc.io.maps import save_map
-    from imgloc.io.plans import load_plan, measured_resolution
-    from imgloc.model import Pose2D, to_json
-    from imgloc.output.plans import draw_floor_plan
-    from imgloc.output.tables import plan_text
-
-    png = out.with_suffix(".png")
-    for target, ending in ((out, ".yaml"), (png, ".png"), (picture, ".png")):
-        inputs.check_target(target, ending, force=force, inputs=[path])
-    if picture is not None and picture.resolve() == png.resolve():
-        raise ConfigError(f"--picture: {display(picture)} is the image of the map; another name")
-    name, budget = display(path), opt.fixed_budget(memory_budget)
-    size = image_size(path)
-    if (resolution is None) == (distance is None):
-        raise ConfigError(
-            f"{name}: the scale is {'missing' if distance is None else 'given twice'}, expected "
-            "--resolution, metres a pixel, or --distance: two points and the metres between them"
-        )
-    if resolution is None:
-        resolution = measured_resolution(distance, size.width, size.height)
-        opt.check_range("--distance", resolution, 0.0005, 1, "metres a pixel")
-    what = f"{name}: a plan of {size.width} x {size.height} pixels"
-    need = plan_bytes(size.height, size.width, resolution, cell)
-    inputs.check_memory(need, budget, what, "crop the plan, use a larger --cell")
-    with quiet_libraries():
-        grey = load_plan(path)
-    try:
-        found = plan_to_map(
-            grey, resolution, origin=None if origin is None else Pose2D(*origin), cell=cell,
-            thinnest=thinnest, thickest=thickest, gap=gap, ink=ink,
-        )  # fmt: skip
-    except MapError as error:
-        raise MapError(f"{name}: {error}") from None
-    save_map(out, found.grid, force=force)
-    if picture is not None:
-        draw_floor_plan(grey, found).save(picture, force=force)
-    if as_json:
-        about = {"path": name, "resolution": resolution, "map": display(out), "image": display(png)}
-        emit(to_json(about | found.as_row()))
-    else:
-        emit(plan_text(name, resolution, found, display(out)))
-    if picture is not None:
-        say(f"wrote {display(picture)}")

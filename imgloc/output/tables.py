@@ -16,7 +16,6 @@ from imgloc.model import SURE, VERDICTS, Localization, Pose2D, base_of
 
 if TYPE_CHECKING:
     from imgloc.choice.choose import Choice
-    from imgloc.features.floorplan import FloorPlan
     from imgloc.io.mapcheck import MapReport
     from imgloc.runs.batch import BatchSummary
 
@@ -275,29 +274,6 @@ def report_text(report: "MapReport") -> str:
         f"  warnings    {len(report.warnings) or 'none'}",
     ]
     return "\n".join(lines + [f"    {w}" for w in report.warnings])
-
-
-def plan_text(name: str, resolution: float, plan: "FloorPlan", out: str) -> str:
-    """Return what was found on a floor plan and what was taken from it."""
-    low, median, high = plan.thickness
-    doors = "no swings found"
-    if plan.doors:
-        doors = f"{len(plan.doors)} swings, leaves of {plan.doors[0]:.2f} to {plan.doors[-1]:.2f} m"
-    height, width = plan.grid.info.shape
-    corner = plan.grid.origin
-    lines = [
-        name,
-        f"  plan        {resolution:.4g} m a pixel" + (", light on dark" if plan.inverted else ""),
-        f"  building    {plan.size[0]:.2f} x {plan.size[1]:.2f} m, {plan.free_area:.1f} m2 free",
-        f"  walls       {plan.walls} pieces, {plan.length:.0f} m; {low:.2f} to {high:.2f} m thick, "
-        f"median {median:.2f} m",
-        f"  doors       {doors}; in outer walls openings up to {plan.gap:g} m count as closed",
-        "  removed" + ("" if plan.removed else "     nothing"),
-        *(f"    {r.kind:<24} {r.count:>5,} {r.area:>8.2f} m2" for r in plan.removed),
-        f"  map         {out}: {width:,} x {height:,} cells of {plan.grid.resolution:g} m, "
-        f"corner at x {corner.x:g}, y {corner.y:g}",
-    ]
-    return "\n".join(lines)
 
 
 def atlas_text(summary: Mapping[str, Any]) -> str:

@@ -156,7 +156,7 @@ def tell():
     print(json.dumps({"rss_mib": peak(), "seconds": time.perf_counter() - start,
                       "processor": sum(os.times()[:4])}))
 atexit.register(tell)
-from imgloc.cli import main
+from imgloc.cli.app import main
 main()
 """
 _GROW = """

@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.features.floorplan import KINDS, FloorPlan
 from imgloc.output.canvas import INK, PAPER, Colour, Image, map_canvas, text
 from imgloc.output.pictures import Picture
+from imgloc.plans.floorplan import KINDS, FloorPlan
 
 _SIDE, _ROW = 1400, 24  # pixels of a panel at most, and of a line of the legend
 # Of KINDS: paper, walls, then Okabe and Ito's colours.

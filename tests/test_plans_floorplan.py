@@ -8,7 +8,9 @@ import pytest
 from cabin import cabin
 
 from imgloc.errors import ConfigError, MapError
-from imgloc.features.floorplan import (
+from imgloc.model import BoolArray, Pose2D
+from imgloc.plans.files import load_plan
+from imgloc.plans.floorplan import (
     KINDS,
     FloorPlan,
     Swing,
@@ -21,8 +23,6 @@ from imgloc.features.floorplan import (
     plan_to_map,
     refuse_strange,
 )
-from imgloc.io.plans import load_plan
-from imgloc.model import BoolArray, Pose2D
 from tools.plans.drawing import Image, draw_plan, inside, solid
 
 CELL = 0.05

@@ -1,0 +1,174 @@
+"""The program: its commands with their examples, and their groups."""
+
+import functools
+from collections.abc import Callable, Sequence
+
+import typer
+from typer.main import get_command
+
+from imgloc.__about__ import __version__
+from imgloc.cli.atlas import atlas
+from imgloc.cli.batch import batch
+from imgloc.cli.cache import cache, clear
+from imgloc.cli.calibrate import calibrate
+from imgloc.cli.console import Group, emit
+from imgloc.cli.demo import demo
+from imgloc.cli.evaluate import evaluate
+from imgloc.cli.export import export
+from imgloc.cli.localize import localize
+from imgloc.cli.map import check, show
+from imgloc.cli.options import FORMATS, examples
+from imgloc.cli.report import report
+from imgloc.cli.sample import sample
+from imgloc.cli.simulate import simulate
+from imgloc.cli.track import track
+from imgloc.cli.which import which
+from imgloc.doors import behind
+
+_OPTIONS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
+
+# No rich: help has to appear at once, and examples have to stay as they are typed.
+app = typer.Typer(
+    cls=Group,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    context_settings=_OPTIONS,
+    epilog=examples(
+        "imgloc demo",
+        "imgloc map check office.yaml",
+        "imgloc localize office.yaml scans.npz --picture answer.png",
+        "imgloc simulate office.yaml -n 100 --out scans.npz",
+        "imgloc localize office.yaml scans.npz --json > answers.jsonl",
+    ),
+)
+_HELP = """Where am I on this map?
+
+Finds the pose of a 2-D laser scan in a map that is an image, without an initial guess, and says
+whether to trust it.
+
+Exit codes: 0 ok, 1 internal or output, 2 usage, 3 bad map, 4 bad scan, 5 some maps or
+items failed, 6 not unique (with --strict), 130 interrupted by Ctrl-C.
+"""
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        emit(f"imgloc {__version__}")
+        raise typer.Exit
+
+
+@app.callback(help=_HELP)
+def root(
+    version: bool = typer.Option(
+        False, "--version", callback=_version, is_eager=True, help="Print the version."
+    ),
+) -> None:
+    """Options of the program itself."""
+
+
+_COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
+    demo: ("imgloc demo", "imgloc demo --map corridor --seed 4"),
+    localize: (
+        "imgloc localize office.yaml scans.npz",
+        "imgloc localize office.yaml scans.npz --index 3 --picture answer.png",
+        "imgloc localize office.yaml run.log --index 7,100:120 --explain why.html",
+        "imgloc localize office.png scan.csv --resolution 0.05 --origin -12.5,-8,0",
+        "imgloc localize office.yaml monday.log tuesday.bag --sensor 0.2,0,180deg",
+        "imgloc localize office.yaml - < scan.csv",
+        "imgloc localize office.yaml scans.npz --json --strict > answers.jsonl",
+        "imgloc localize office.yaml scans.npz --method ght-v --theta-step-deg 5",
+    ),
+    simulate: (
+        "imgloc simulate office.yaml -n 100 --out scans.npz",
+        "imgloc simulate office.yaml -n 20 --rays 360 --fov-deg 360 --outliers 0.2 --out hard.npz",
+    ),
+    evaluate: (
+        "imgloc evaluate curved visibility large --methods cbml,cbml-o,ght,ght-v,beam",
+        "imgloc evaluate office.yaml -n 50 --methods fused --range-max 10 --tolerance 0.3,10",
+        "imgloc evaluate office.yaml --scans scans.npz --sample 60 --json > results.jsonl",
+        "imgloc evaluate a.yaml b.yaml --scans a.npz --scans b.npz --methods fused,ght-v",
+        "imgloc evaluate curved --methods ght,ght-v --theta-step-deg ght=10 --cell 0.2",
+        "imgloc evaluate office.yaml --scans log.npz --sequence --filters tracker,particle",
+    ),
+    calibrate: (
+        "imgloc calibrate office.yaml",
+        "imgloc calibrate office.yaml --methods ght-v,beam --rays 360 --fov-deg 360 --range-max 12",
+        "imgloc calibrate floor1.yaml floor2.yaml -n 15 --json",
+        "imgloc calibrate curved visibility --dry-run",
+    ),
+    sample: (
+        "imgloc sample office.yaml scans.npz --out particles.csv",
+        "imgloc sample office.yaml scans.npz --index 3 -n 2000 --seed 7 --method beam --out a.csv",
+    ),
+    atlas: (
+        "imgloc atlas office.yaml --out atlas.png",
+        "imgloc atlas office.yaml --out atlas.png --csv atlas.csv --rays 360 --fov-deg 360",
+        "imgloc atlas visibility --out atlas.png --range-max 5 --json",
+    ),
+    batch: (
+        "imgloc batch floors --job check --out checked",
+        "imgloc batch floors scans --out found --pictures doubtful",
+        "imgloc batch floors scans --job which --out named --workers 8",
+        "imgloc batch pairs.csv --out found --resume",
+        "imgloc batch images scans --resolution 0.05 --out found --dask tcp://10.0.0.5:8786",
+    ),
+    report: ("imgloc report found", "imgloc report found --out site.html"),
+    export: (
+        "imgloc export found",
+        "imgloc export found --format parquet --out answers.parquet",
+    ),
+    track: (
+        "imgloc track office.yaml run.log --tum out.tum --picture track.png",
+        "imgloc track office.yaml run.bag --ros poses.yaml --json > track.jsonl",
+        "imgloc track office.yaml log.npz --start 3,2,0 --sensor 0.3,0,0",
+        "imgloc track office.yaml log.npz --kidnap 60,12,3,1.5 --video out.mp4",
+    ),
+    which: (
+        "imgloc which floors scans.npz",
+        "imgloc which floors scan.csv --range-max 20 --heading 90deg --json",
+        "imgloc which sites --index sites.npz --build",
+        "imgloc which sites scans.npz --index sites.npz --picture where.png",
+    ),
+}
+_MAP: dict[Callable[..., None], tuple[str, ...]] = {
+    check: ("imgloc map check office.yaml", "imgloc map check a.yaml --json"),
+    show: (
+        "imgloc map show office.yaml --out office-view.png",
+        "imgloc map show office.yaml --what surface --out normals.png",
+        "imgloc map show office.yaml --what visibility --at 3.5,2 --out fan.png",
+        "imgloc map show office.yaml --what likelihood --scans scan.csv --out where.png",
+    ),
+    behind("plan"): (
+        "imgloc map plan drawing.png --resolution 0.02 --out office.yaml --picture plan-check.png",
+        "imgloc map plan drawing.jpg --distance 210,880,1650,880,24.5 --out office.yaml",
+    ),
+}
+_CACHE: dict[Callable[..., None], tuple[str, ...]] = {clear: ("imgloc cache clear",)}
+
+maps = typer.Typer(no_args_is_help=True, rich_markup_mode=None, context_settings=_OPTIONS)
+kept = typer.Typer(
+    invoke_without_command=True,
+    rich_markup_mode=None,
+    context_settings=_OPTIONS,
+    epilog=examples("imgloc cache", "imgloc cache --json", "imgloc cache clear"),
+    callback=cache,
+)
+for group, commands in ((app, _COMMANDS), (maps, _MAP), (kept, _CACHE)):
+    for command, lines in commands.items():
+        more = FORMATS if command is localize else ""
+        group.command(epilog=examples(*lines, more=more))(command)
+app.add_typer(maps, name="map", help="Look at a map, or make one of a floor plan.")
+app.add_typer(kept, name="cache")
+
+_command_of = functools.cache(get_command)  # which is most of what a short command takes
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line; it always ends in a SystemExit with the exit code.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Without the program's name; ``sys.argv[1:]`` by default.
+    """
+    _command_of(app)(None if arguments is None else list(arguments), prog_name="imgloc")

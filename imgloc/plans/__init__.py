@@ -1,0 +1,1 @@
+"""Floor plans: found on an image, read, drawn, and made maps of."""
