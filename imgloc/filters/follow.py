@@ -124,23 +124,13 @@ def follow(
         ):  # fmt: skip
             yield replace(moment, index=indices[moment.index])
         return
-    every, limits, grid = every or Every(), limits or Limits(), features.grid
     stamps = np.full(len(scans), np.nan) if scans.stamps is None else scans.stamps
     if (back := np.flatnonzero(np.diff(stamps) < 0)).size:
-        at = int(back[0])
-        raise ScanError(
-            f"{name}: stamps[{at + 1}]: {stamps[at + 1]:.9g} after {stamps[at]:.9g}, expected the "
-            "order of time"
-        )
+        _check_order(name, int(back[0]) + 1, *stamps[back[0] : back[0] + 2])
     with np.errstate(over="ignore", invalid="ignore"):
-        steps = np.concatenate((np.zeros((1, 3)), increments(scans.odom)))
-        way, seconds = np.hypot(*steps[1:, :2].T), np.diff(stamps)
+        way, seconds = np.hypot(*increments(scans.odom)[:, :2].T), np.diff(stamps)
     if (leaps := np.flatnonzero(~(way <= _FARTHEST))).size:
-        at = int(leaps[0]) + 1
-        raise ScanError(
-            f"{name}: odom[{at}]: it is {way[at - 1]:.4g} m from the one before, expected at most "
-            f"{_FARTHEST:,.0f} m; the log is damaged, cut it there"
-        )
+        _check_way(name, int(leaps[0]) + 1, float(way[leaps[0]]))
     moving = (way > 0) & (seconds > 0)
     if moving.any() and (speed := float(np.median(way[moving] / seconds[moving]))) > _FASTEST:
         raise ScanError(
@@ -149,53 +139,150 @@ def follow(
         )
     if kidnap is not None:
         _check_kidnap(kidnap, features, stamps)
+    follower = Follower(features, filter_, every=every, limits=limits, name=name)
     if start is not None:
-        filter_.place(_local("start", start, features), deviation)
-    lasers = dict[Pose2D | None, _Laser]()
-    metres, said, blind = 0.0, float(stamps[0]), 0
-    for k, scan in enumerate(scans.scans):
-        laser = lasers.setdefault(scan.T_base_laser, _Laser())
-        filter_.move(steps[k])
-        moved = way_of(steps[k])
-        for one in lasers.values():
-            one.way = one.way + moved
-        metres += float(moved[0])
-        if kidnap is not None and stamps[k] - stamps[0] >= kidnap.after:
-            filter_.place(_local("kidnap", kidnap.pose, features), kidnap.deviation)
-            kidnap = None
-        looked = False
-        if laser.repeats(scan) or usable(scan, filter_.options) is None:
-            blind += 1
-            for one in lasers.values():  # the next thing that is seen is looked at
-                one.way = np.full(2, np.inf)
-            filter_.miss(float(np.nan_to_num(stamps[k] - stamps[max(0, k - 1)])))
+        follower.place(start, deviation, "start")
+    for scan, odom, stamp in zip(scans.scans, scans.odom, stamps, strict=True):
+        carried = None
+        if kidnap is not None and stamp - stamps[0] >= kidnap.after:
+            carried, kidnap = kidnap, None
+        yield follower.step(scan, odom, float(stamp), carried)
+
+
+class Follower:
+    """A filter that is given one scan after the other: a moment for each.
+
+    Parameters
+    ----------
+    features : MapFeatures
+    filter_ : Filter
+        Of the same features; it is changed.
+    every, limits : Every, Limits, optional
+        As of :func:`follow`.
+    name : str
+        What error messages call the log.
+
+    Examples
+    --------
+    >>> import imgloc
+    >>> from imgloc.io.maps import bundled_maps
+    >>> features = imgloc.prepare(imgloc.load_map(bundled_maps() / "curved.yaml"))
+    >>> robot = Follower(features, imgloc.make_filter("tracker", features, imgloc.Options()))
+    >>> moment = robot.step(imgloc.simulate(features.grid, 1, seed=1)[0], np.zeros(3), 5.0)
+    >>> moment.index, moment.stamp, moment.looked, moment.pose
+    (0, 5.0, True, None)
+    """
+
+    def __init__(
+        self,
+        features: MapFeatures,
+        filter_: Filter,
+        *,
+        every: Every | None = None,
+        limits: Limits | None = None,
+        name: str = "log",
+    ) -> None:
+        self.features, self.filter, self.name = features, filter_, name
+        self.every, self.limits = every or Every(), limits or Limits()
+        self._lasers = dict[Pose2D | None, _Laser]()
+        self._count, self._blind, self._metres = 0, 0, 0.0
+        self._odom: FloatArray | None = None
+        self._stamp = self._said = float("nan")
+
+    def place(self, pose: Pose2D, deviation: tuple[float, float], given: str = "pose") -> None:
+        """Believe to be at a pose, map frame, with deviations in metres and radians.
+
+        A pose outside of the map is a ConfigError, which says by what it was `given`.
+        """
+        self.filter.place(_local(given, pose, self.features), deviation)
+
+    def step(
+        self, scan: LaserScan, odom: FloatArray, stamp: float, kidnap: Kidnap | None = None
+    ) -> Moment:
+        """Take a scan, with the pose (3,) of the odometry and the time, seconds, or NaN.
+
+        Raises
+        ------
+        ScanError
+            If the stamp is before that of the last scan, or the odometry has gone out of reason.
+        """
+        k, odom = self._count, np.asarray(odom, dtype=np.float64)
+        step = np.zeros(3)
+        if self._odom is None:
+            self._said = self._stamp = stamp
         else:
-            blind, said = 0, float(stamps[k])
-            far = laser.way >= np.array([every.metres, every.radians]) - 1e-9
-            looked = bool(far.any()) or filter_.watch(scan)
-            if looked:
-                filter_.see(scan)
-                laser.way = np.zeros(2)
-        belief = filter_.belief
+            _check_order(self.name, k, self._stamp, stamp)
+            with np.errstate(over="ignore", invalid="ignore"):
+                step = increments(np.stack((self._odom, odom)))[0]
+            _check_way(self.name, k, float(np.hypot(*step[:2])))
+        waited = float(np.nan_to_num(stamp - self._stamp))
+        self._count, self._odom, self._stamp = k + 1, odom, stamp
+        laser = self._lasers.setdefault(scan.T_base_laser, _Laser())
+        self._move(step)
+        if kidnap is not None:
+            self.place(kidnap.pose, kidnap.deviation, "kidnap")
+        return self._moment(k, self._take(scan, laser, waited))
+
+    def _move(self, step: FloatArray) -> None:
+        self.filter.move(step)
+        moved = way_of(step)
+        for laser in self._lasers.values():
+            laser.way = laser.way + moved
+        self._metres += float(moved[0])
+
+    def _take(self, scan: LaserScan, laser: "_Laser", waited: float) -> bool:
+        """Whether the whole belief was weighed by the scan."""
+        if laser.repeats(scan) or usable(scan, self.filter.options) is None:
+            self._blind += 1
+            for one in self._lasers.values():  # the next thing that is seen is looked at
+                one.way = np.full(2, np.inf)
+            self.filter.miss(waited)
+            return False
+        self._blind, self._said = 0, self._stamp
+        far = laser.way >= np.array([self.every.metres, self.every.radians]) - 1e-9
+        if not far.any() and not self.filter.watch(scan):
+            return False
+        self.filter.see(scan)
+        laser.way = np.zeros(2)
+        return True
+
+    def _moment(self, index: int, looked: bool) -> Moment:
+        belief, grid = self.filter.belief, self.features.grid
         best, covariance, map_odom = None, np.full((3, 3), np.nan), None
         deviation, withheld = (np.inf, np.inf), ""
         if len(belief.poses):
             pose = transform_poses(grid.origin, belief.poses[:1])[0]
             best = Pose2D(*pose)
             covariance = rotate_covariance(belief.covariance[0], grid.origin.theta)
-            map_odom = Pose2D(*compose_poses(pose, invert_poses(scans.odom[k])))
+            map_odom = Pose2D(*compose_poses(pose, invert_poses(np.asarray(self._odom))))
             deviation = deviations_of(covariance)
-        if blind >= len(lasers):  # of several lasers another one has just seen something
+        if self._blind >= len(self._lasers):  # of several another one has just seen something
             withheld = BLIND
         if belief.verdict == UNIQUE:
-            if deviation[0] > limits.metres or deviation[1] > limits.radians:
+            if deviation[0] > self.limits.metres or deviation[1] > self.limits.radians:
                 withheld = withheld or WIDE
             if withheld:
                 belief = replace(belief, verdict=AMBIGUOUS)
-        yield Moment(
-            k, float(stamps[k]), float(stamps[k]) - said, looked, metres, belief, withheld, best,
-            covariance, deviation, map_odom,
+        age = self._stamp - self._said
+        return Moment(
+            index, self._stamp, age, looked, self._metres, belief, withheld, best, covariance,
+            deviation, map_odom,
         )  # fmt: skip
+
+
+def _check_order(name: str, k: int, before: float, stamp: float) -> None:
+    if stamp < before:
+        raise ScanError(
+            f"{name}: stamps[{k}]: {stamp:.9g} after {before:.9g}, expected the order of time"
+        )
+
+
+def _check_way(name: str, k: int, metres: float) -> None:
+    if not metres <= _FARTHEST:
+        raise ScanError(
+            f"{name}: odom[{k}]: it is {metres:.4g} m from the one before, expected at most "
+            f"{_FARTHEST:,.0f} m; the log is damaged, cut it there"
+        )
 
 
 class _Laser:
