@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from imgloc.answers.sample import sample_poses
     from imgloc.choice.choose import Choice, which
     from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
-    from imgloc.evaluation import Evaluation, evaluate
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.filters.choose import make_filter
     from imgloc.filters.follow import Every, Limits, Moment, follow
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from imgloc.io.maps import load_map, save_map
     from imgloc.io.scans import load_scans, save_scans
     from imgloc.io.scanset import ScanSet
+    from imgloc.lab.evaluation import Evaluation, evaluate
     from imgloc.model import (
         Evidence,
         GridInfo,
@@ -73,7 +73,7 @@ _HOMES = {
     "imgloc.runs.batch": "BatchSummary run_batch",
     "imgloc.choice.choose": "Choice which",
     "imgloc.errors": "ConfigError ImglocError MapError OutputError ScanError",
-    "imgloc.evaluation": "Evaluation evaluate",
+    "imgloc.lab.evaluation": "Evaluation evaluate",
     "imgloc.answers.explain": "Explanation explain",
     "imgloc.plans.floorplan": "FloorPlan plan_to_map",
     "imgloc.features.mapfeatures": "MapFeatures",

@@ -7,6 +7,13 @@ from importlib import import_module
 from typing import Any
 
 _HOMES = {
+    "imgloc.lab.commands.atlas": "atlas",
+    "imgloc.lab.commands.calibrate": "calibrate",
+    "imgloc.lab.commands.evaluate": "evaluate",
+    "imgloc.lab.grid": "GridFilter GridOptions",
+    "imgloc.lab.jobs": "evaluate_item survey_item",
+    "imgloc.lab.particle": "ParticleFilter ParticleOptions",
+    "imgloc.lab.picture": "draw_survey",
     "imgloc.plans.command": "plan",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}

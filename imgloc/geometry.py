@@ -147,3 +147,16 @@ def inside(cells: IntArray, grid: GridInfo) -> npt.NDArray[np.bool_]:
     """Whether each (row, col) of (..., 2) lies on the grid."""
     r, c = cells[..., 0], cells[..., 1]
     return (r >= 0) & (r < grid.height) & (c >= 0) & (c < grid.width)
+
+
+def pose_errors(poses: FloatArray, truth: Pose2D) -> FloatArray:
+    """Distances in metres and angles in radians, (M, 2), from poses (M, 3) to the true one.
+
+    Examples
+    --------
+    >>> pose_errors(np.array([[3.0, 4.0, 3.0]]), Pose2D(0, 0, -3.0)).round(3).tolist()
+    [[5.0, 0.283]]
+    """
+    poses = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
+    away = np.hypot(poses[:, 0] - truth.x, poses[:, 1] - truth.y)
+    return np.column_stack((away, np.abs(wrap(poses[:, 2] - truth.theta))))

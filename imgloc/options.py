@@ -376,3 +376,15 @@ class Options(Checked):
     def thetas(self) -> FloatArray:
         """Headings that are `step` or less apart, radians."""
         return uniform_thetas(self.step)
+
+
+@dataclass(frozen=True)
+class Tolerance(Checked):
+    """A hypothesis is right if it is nearer than this to the true pose: metres and radians."""
+
+    position: Metres
+    heading: Radians
+
+
+TOLERANCES = (Tolerance(0.25, 0.25), Tolerance(0.5, float(np.deg2rad(10.0))))
+"""Those that are always reported; the second is that of Cartographer's comparison."""

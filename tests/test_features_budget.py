@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from imgloc.calibrate import disturbed_set, sweep
 from imgloc.errors import ConfigError
 from imgloc.features.budget import (
     MIB,
@@ -22,6 +21,7 @@ from imgloc.features.budget import (
 )
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import uniform_thetas
+from imgloc.lab.calibrate import disturbed_set, sweep
 from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.options import ALL_METHODS, METHODS, Options
 from imgloc.pipeline import answer_bytes, localize

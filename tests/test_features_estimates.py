@@ -12,8 +12,6 @@ import pytest
 from command import ROOT
 from test_features_budget import office, peak
 
-from imgloc.atlas import atlas_poses, simulate_at
-from imgloc.calibrate import disturbed_set
 from imgloc.features.budget import (
     poses_bytes,
     scans_bytes,
@@ -23,6 +21,8 @@ from imgloc.io.images import ImageSize, image_size
 from imgloc.io.mapcheck import check_bytes, check_map
 from imgloc.io.maps import load_bytes
 from imgloc.io.scans import scans_size
+from imgloc.lab.atlas import atlas_poses, simulate_at
+from imgloc.lab.calibrate import disturbed_set
 from imgloc.simulation.scans import Sensor, fine_factor, refine_grid, simulate
 
 TABLES = load_bytes(ImageSize(0, 0, 0, grey=True))

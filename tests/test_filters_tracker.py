@@ -14,13 +14,13 @@ from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import NO_PLACES, Places, settled, view_of
 from imgloc.filters.follow import Every, Kidnap, follow
 from imgloc.filters.motion import compose_poses, noisy_odometry
-from imgloc.filters.particle import ParticleFilter, ParticleOptions, kld_bound, low_variance
 from imgloc.filters.tracker import Tracker, TrackerOptions
 from imgloc.geometry import transform_poses, wrap
 from imgloc.io.scanset import ScanSet
+from imgloc.lab.particle import ParticleFilter, ParticleOptions, kld_bound, low_variance
+from imgloc.lab.sequences import Searches, piece
 from imgloc.model import LaserScan, Pose2D, compose, inverse
 from imgloc.options import Options, Shared
-from imgloc.sequences import Searches, piece
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -268,7 +268,7 @@ def test_what_particles_are_drawn_from_has_a_shared_error_once(monkeypatch) -> N
         asked.append((int(there.grid.occupied.sum()), options.shared))
         return sample_poses(there, scan, n, rng, options)
 
-    monkeypatch.setattr("imgloc.filters.particle.sample_poses", drawn)
+    monkeypatch.setattr("imgloc.lab.particle.sample_poses", drawn)
     options = Options(shared=Shared(1.05, 1))
     particles = ParticleFilter(features, options, ParticleOptions(reset_by="fused"))
     particles.see(log()[0].scaled(1 / 1.05))

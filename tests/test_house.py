@@ -10,8 +10,7 @@ ROOMS = (
     "__about__ doors errors ranges", "model", "geometry", "options", "io", "features",
     "likelihoods", "search", "pipeline",
     "answers", "choice", "filters", "simulation",
-    "atlas evaluation index calibrate sequences",
-    "runs", "output", "cli", "plans",
+    "runs", "output", "cli", "plans", "lab",
 )  # fmt: skip
 PLACE = {name: k for k, room in enumerate(ROOMS) for name in room.split()}
 FILES = sorted(p.relative_to(ROOT) for p in (ROOT / "imgloc").rglob("*.py"))

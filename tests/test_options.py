@@ -10,10 +10,10 @@ import pytest
 from imgloc import options as module
 from imgloc.errors import ConfigError
 from imgloc.filters.follow import Every, Limits
-from imgloc.filters.grid import GridOptions
 from imgloc.filters.motion import MotionNoise
-from imgloc.filters.particle import ParticleOptions
 from imgloc.filters.tracker import TrackerOptions
+from imgloc.lab.grid import GridOptions
+from imgloc.lab.particle import ParticleOptions
 from imgloc.likelihoods.correlate import ENGINES
 from imgloc.options import (
     Calibration,

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 
 from imgloc.errors import ConfigError
-from imgloc.evaluation import share
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.index import Index
+from imgloc.lab.evaluation import share
+from imgloc.lab.performance_index import Index
 from imgloc.likelihoods.correlate import ENGINES
 from tools.paper.operations import (
     CARD,

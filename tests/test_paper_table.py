@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
-from imgloc.evaluation import evaluate, method_options, share
 from imgloc.geometry import uniform_thetas
-from imgloc.index import Index
+from imgloc.lab.evaluation import evaluate, method_options, share
+from imgloc.lab.performance_index import Index
 from tools.paper.claims import ORDER, claims, growth_claims, time_claims
 from tools.paper.complexity import Complexity, PowerLaw, Sample
 from tools.paper.table import (

@@ -13,10 +13,10 @@ from imgloc.filters.follow import with_odometry
 from imgloc.io.maps import load_map, save_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
+from imgloc.lab.sequences import Searches, Trials, measure
 from imgloc.model import LaserScan
 from imgloc.options import Options
 from imgloc.pipeline import prepare
-from imgloc.sequences import Searches, Trials, measure
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 from tools import drive, sequences

@@ -20,9 +20,7 @@ from imgloc import Options, ScanSet, make_filter
 from imgloc.filters.belief import Filter
 from imgloc.filters.follow import Every, Limits, robot_poses
 from imgloc.io.files import write_text_atomic
-from imgloc.model import LaserScan, Pose2D, to_json
-from imgloc.pipeline import prepare
-from imgloc.sequences import (
+from imgloc.lab.sequences import (
     INSIDE,
     WRONG,
     Run,
@@ -31,6 +29,8 @@ from imgloc.sequences import (
     driven,
     piece,
 )
+from imgloc.model import LaserScan, Pose2D, to_json
+from imgloc.pipeline import prepare
 from tools.script import parser_of, progress, table_lines
 from tools.sequences import KeptSearches, load_log
 

@@ -33,7 +33,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 PATHS = ("imgloc/features", "imgloc/likelihoods", "imgloc/search", "imgloc/pipeline.py")
-SLOW = r"test_(cli|paper_(?!claims)|bench|trust|atlas|runs|gallery|tools)"
+SLOW = r"test_(cli|paper_(?!claims)|bench|trust|lab_atlas|runs|gallery|tools)"
 ENDLESS = " did not end"
 PATIENCE = 60.0  # seconds of a processor for one test, the slowest of which takes a tenth of that
 SERVER = multiprocessing.get_context("forkserver")  # what every run needs is loaded once

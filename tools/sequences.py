@@ -25,10 +25,11 @@ from imgloc.filters.evidence import Places
 from imgloc.filters.follow import with_odometry
 from imgloc.geometry import wrap
 from imgloc.io.files import write_bytes_atomic, write_text_atomic
+from imgloc.lab.sequences import Searches, Trials, measure
+from imgloc.lab.tables import sequence_row
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, to_json
-from imgloc.output.tracks import draw_track, sequence_row
+from imgloc.output.tracks import draw_track
 from imgloc.pipeline import prepare
-from imgloc.sequences import Searches, Trials, measure
 from tools.plots import blank
 from tools.script import parser_of, progress, table_lines
 

@@ -7,13 +7,10 @@ import typer
 from typer.main import get_command
 
 from imgloc.__about__ import __version__
-from imgloc.cli.atlas import atlas
 from imgloc.cli.batch import batch
 from imgloc.cli.cache import cache, clear
-from imgloc.cli.calibrate import calibrate
 from imgloc.cli.console import Group, emit
 from imgloc.cli.demo import demo
-from imgloc.cli.evaluate import evaluate
 from imgloc.cli.export import export
 from imgloc.cli.localize import localize
 from imgloc.cli.map import check, show
@@ -82,7 +79,7 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc simulate office.yaml -n 100 --out scans.npz",
         "imgloc simulate office.yaml -n 20 --rays 360 --fov-deg 360 --outliers 0.2 --out hard.npz",
     ),
-    evaluate: (
+    behind("evaluate"): (
         "imgloc evaluate curved visibility large --methods cbml,cbml-o,ght,ght-v,beam",
         "imgloc evaluate office.yaml -n 50 --methods fused --range-max 10 --tolerance 0.3,10",
         "imgloc evaluate office.yaml --scans scans.npz --sample 60 --json > results.jsonl",
@@ -90,7 +87,7 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc evaluate curved --methods ght,ght-v --theta-step-deg ght=10 --cell 0.2",
         "imgloc evaluate office.yaml --scans log.npz --sequence --filters tracker,particle",
     ),
-    calibrate: (
+    behind("calibrate"): (
         "imgloc calibrate office.yaml",
         "imgloc calibrate office.yaml --methods ght-v,beam --rays 360 --fov-deg 360 --range-max 12",
         "imgloc calibrate floor1.yaml floor2.yaml -n 15 --json",
@@ -100,7 +97,7 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc sample office.yaml scans.npz --out particles.csv",
         "imgloc sample office.yaml scans.npz --index 3 -n 2000 --seed 7 --method beam --out a.csv",
     ),
-    atlas: (
+    behind("atlas"): (
         "imgloc atlas office.yaml --out atlas.png",
         "imgloc atlas office.yaml --out atlas.png --csv atlas.csv --rays 360 --fov-deg 360",
         "imgloc atlas visibility --out atlas.png --range-max 5 --json",

@@ -131,10 +131,9 @@ def batch(
     many = opt.count_threads(workers)
     pool = None if dask or dry_run else _pool(context, many, timeout, memory_limit)
     from imgloc.cli import inputs
-    from imgloc.evaluation import TOLERANCES
     from imgloc.features.budget import MIB, default_budget
     from imgloc.model import to_json
-    from imgloc.options import Options
+    from imgloc.options import TOLERANCES, Options
     from imgloc.output.drawings import DRAWINGS
     from imgloc.output.tables import batch_text
     from imgloc.runs.batch import find_items, remaining, run_batch

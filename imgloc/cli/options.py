@@ -17,10 +17,10 @@ from imgloc.cli.console import configure
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from imgloc.evaluation import Tolerance
     from imgloc.io.maps import Reading as Reading
     from imgloc.io.scanset import Chosen as Chosen
     from imgloc.model import LaserScan, Pose2D
+    from imgloc.options import Tolerance
     from imgloc.simulation.scans import Sensor as Sensor
 
 F = TypeVar("F", bound=Callable[..., None])
@@ -476,7 +476,7 @@ def number_of(option: str, text: str, low: float, high: float, unit: str) -> flo
 
 def tolerance_of(text: str) -> "Tolerance":
     """How near a known pose is a hit, of --tolerance M,DEG."""
-    from imgloc.evaluation import Tolerance
+    from imgloc.options import Tolerance
 
     metres, comma, degrees = text.partition(",")
     if not comma:

@@ -2,12 +2,11 @@
 
 from collections.abc import Callable
 
+from imgloc.doors import behind
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import Filter
 from imgloc.filters.evidence import Places
-from imgloc.filters.grid import GridFilter, GridOptions
-from imgloc.filters.particle import ParticleFilter, ParticleOptions
 from imgloc.filters.tracker import Tracker, TrackerOptions
 from imgloc.model import LaserScan
 from imgloc.options import Options
@@ -42,9 +41,12 @@ def make_filter(
     """
     if name == "tracker":
         return Tracker(features, options, TrackerOptions(resets=resets), find)
+    if name not in FILTERS:
+        raise ConfigError(f"filter must be one of {', '.join(FILTERS)}, got {name!r}")
+    made: Filter
     if name == "grid":
-        return GridFilter(features, options, GridOptions(resets=resets))
-    if name == "particle":
-        how = ParticleOptions(resets=resets, reset_by=reset_by)
-        return ParticleFilter(features, options, how, seed=seed)
-    raise ConfigError(f"filter must be one of {', '.join(FILTERS)}, got {name!r}")
+        made = behind("GridFilter")(features, options, behind("GridOptions")(resets=resets))
+    else:
+        how = behind("ParticleOptions")(resets=resets, reset_by=reset_by)
+        made = behind("ParticleFilter")(features, options, how, seed=seed)
+    return made

@@ -1,15 +1,16 @@
 """Pictures of a batch, as PNGs: what its workers draw of answers, maps and atlases."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from typing import Any
 
 from imgloc.answers.explain import layers_of
-from imgloc.atlas import Spot
+from imgloc.doors import behind
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.images import encode_picture
 from imgloc.model import LaserScan, Localization, OccupancyGrid, Pose2D
 from imgloc.options import Options
 from imgloc.output.canvas import draw_map
-from imgloc.output.pictures import draw, draw_atlas, draw_likelihood
+from imgloc.output.pictures import draw, draw_likelihood
 from imgloc.runs.jobs import Drawing
 
 
@@ -36,11 +37,10 @@ def draw_checked(grid: OccupancyGrid) -> dict[str, bytes]:
     return {"map": encode_picture(draw_map(grid))}
 
 
-def draw_survey(
-    grid: OccupancyGrid, spots: Sequence[Spot], step: float, headings: int
-) -> dict[str, bytes]:
+def draw_survey(*what: Any) -> Mapping[str, bytes]:
     """Where on a map one scan is enough."""
-    return {"atlas": encode_picture(draw_atlas(grid, spots, step=step, headings=headings))}
+    drawn: Mapping[str, bytes] = behind("draw_survey")(*what)
+    return drawn
 
 
 DRAWINGS: Mapping[str, Drawing] = {"answer": draw_answer, "map": draw_checked, "atlas": draw_survey}

@@ -1,13 +1,12 @@
-"""Pictures of answers: likelihood stacks, ranked hypotheses, the atlas of a map."""
+"""Pictures of answers: likelihood stacks, ranked hypotheses."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from imgloc.atlas import Spot
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import in_grid_frame, transform_points, transform_poses
@@ -51,14 +50,6 @@ _WALL: Colour = (70, 110, 200)
 _TRUTH: Colour = (60, 20, 220)
 _ROW = 24  # pixels of a line of the legend
 _TOP = 6  # hypotheses that are drawn at most
-# Okabe and Ito's colours: told apart by colour-blind readers, and in grey by their lightness.
-ATLAS_COLOURS: Mapping[str, Colour] = {
-    "unique": (178, 114, 0),
-    "ambiguous": (0, 159, 230),
-    "no-match": (190, 190, 190),
-    "wrong": (0, 0, 0),
-}
-_MEANINGS = ("one scan is enough", "several places fit", "not recognized", "wrong, but sure")
 
 
 @dataclass(frozen=True, eq=False)
@@ -458,53 +449,6 @@ def _laid_out(image: Image, legend: Image, inset: Image | None) -> Image:
         top, left = (top + highs[0] + gap, left) if beside else (top, size[1] - gap - wides[1])
         out[top : top + highs[1], left : left + wides[1]] = inset
     return out
-
-
-def draw_atlas(grid: OccupancyGrid, spots: Sequence[Spot], *, step: float, headings: int) -> Image:
-    """Draw where a single scan is enough.
-
-    Places are `step` metres apart and have as many `headings`: each gets a wedge that points along
-    it. From an ambiguous spot a thin line leads to its twin.
-    """
-    canvas = map_canvas(grid)
-    local = [in_grid_frame(spot.pose, grid) for spot in spots]
-    kinds = [spot.kind for spot in spots]
-    twins = [s.twin if s.kind == "ambiguous" else None for s in spots]
-    pairs = [(a, in_grid_frame(b, grid)) for a, b in zip(local, twins, strict=True) if b]
-    if lines := [((a.x, a.y), (b.x, b.y)) for a, b in pairs]:
-        layer = canvas.image.copy()
-        canvas.lines(np.array(lines), ATLAS_COLOURS["ambiguous"])
-        cv2.addWeighted(canvas.image, 0.25, layer, 0.75, 0, dst=canvas.image)
-    half = min(np.pi / headings, np.pi / 2) * 0.94
-    arc = np.linspace(-half, half, 9)
-    for pose, kind in zip(local, kinds, strict=True):
-        rim = 0.46 * step * np.column_stack((np.cos(arc + pose.theta), np.sin(arc + pose.theta)))
-        canvas.polygon(np.vstack(((0.0, 0.0), rim)) + (pose.x, pose.y), ATLAS_COLOURS[kind])
-    scale_bar(canvas)
-    return np.vstack((canvas.image, _key(canvas.image.shape[1], kinds)))
-
-
-def _key(width: int, kinds: Sequence[str]) -> Image:
-    """A strip below the map: colours, what they mean, and how many poses have them."""
-    entries = [
-        (kind, f"{label}: {100 * kinds.count(kind) / max(1, len(kinds)):.1f} %")
-        for kind, label in zip(ATLAS_COLOURS, _MEANINGS, strict=True)
-        if kind in kinds or kind in ("unique", "ambiguous")
-    ]
-    line, gap, box = 26, 24, 14
-    x, y, boxes = gap, 10, []
-    for kind, words in entries:
-        need = box + 8 + text_width(words, 14) + gap
-        if x + need > width and x > gap:
-            x, y = gap, y + line
-        boxes.append((x, y, kind, words))
-        x += need
-    strip = np.full((y + line + 4, width, 3), PAPER, np.uint8)
-    for x, y, kind, words in boxes:
-        for ink, thickness in ((ATLAS_COLOURS[kind], cv2.FILLED), (INK, 1)):
-            cv2.rectangle(strip, (x, y), (x + box, y + box), ink, thickness)
-        text(strip, words, x + box + 8, y + box - 2, size=14)
-    return strip
 
 
 def mosaic(

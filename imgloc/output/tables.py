@@ -11,7 +11,6 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from imgloc.calibrate import SharedFit
 from imgloc.model import SURE, VERDICTS, Localization, Pose2D, base_of
 
 if TYPE_CHECKING:
@@ -109,8 +108,8 @@ def answer_line(index: int, answer: Localization, *, narrow: bool = False) -> st
     mass, rest, explained, mount = "-", "-", "-", answer.T_base_laser
     place = base = f"{'-':>9} {'-':>9} {'-':>11}"
     if answer.best is not None:
-        mass, explained = _percent(answer.hypotheses[0].mass), _percent(answer.explained)
-        rest = _percent(_unlisted(answer))
+        mass, explained = percent(answer.hypotheses[0].mass), percent(answer.explained)
+        rest = percent(_unlisted(answer))
         place = _place(answer.best)
         base = place if mount is None else _place(base_of(answer.best, mount))
     more = "" if mount is None or narrow else f"  {base}"
@@ -151,9 +150,9 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
             facts.append(("map", how + bent))
         poses = f"{evidence.listed} listed"
         if evidence.found > evidence.listed:
-            unlisted = _percent(evidence.unlisted)
+            unlisted = percent(evidence.unlisted)
             poses += f" and {evidence.found - evidence.listed} not listed with {unlisted}"
-        facts.append(("poses", f"{poses}, elsewhere {_percent(answer.elsewhere)}"))
+        facts.append(("poses", f"{poses}, elsewhere {percent(answer.elsewhere)}"))
     counts = ", ".join(f"{n} {key.replace('_', ' ')}" for key, n in answer.counts.items())
     facts += [("readings", counts), ("time", times_words(answer))]
     lines = [f"{title}: {answer.verdict}" + ("" if answer.complete else ", out of time")]
@@ -162,7 +161,7 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
         rows = [
             (
                 str(k),
-                _percent(h.mass),
+                percent(h.mass),
                 *_place(h.pose).split(),
                 f"{math.sqrt(max(0.0, h.covariance[0, 0] + h.covariance[1, 1])):.3f}",
                 f"{math.degrees(math.sqrt(max(0.0, h.covariance[2, 2]))):.2f}",
@@ -172,7 +171,7 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
         ]
         columns = ("#", "mass", "x / m", "y / m", "theta / deg", "sd xy / m", "sd deg", "log L")
         lines += ["", as_plain(columns, rows), _UNDER]
-        lines.append(f"{_percent(_unlisted(answer))} of the mass is in none of these rows")
+        lines.append(f"{percent(_unlisted(answer))} of the mass is in none of these rows")
         masses = [h.mass for h in answer.hypotheses]
         if masses != sorted(masses, reverse=True):  # a peak may be higher than it holds
             lines[-1] += "; they are in the order of log L, the score"
@@ -228,7 +227,8 @@ def _place(pose: Pose2D) -> str:
     return f"{pose.x:9.3f} {pose.y:9.3f} {math.degrees(pose.theta):11.2f}"
 
 
-def _percent(share: float) -> str:
+def percent(share: float) -> str:
+    """Return a share as a percentage with one digit behind the point."""
     return f"{100 * share:.1f} %"
 
 
@@ -246,8 +246,8 @@ def choice_line(index: int, choice: "Choice", fits: Mapping[str, Localization]) 
         more = f"{pose_words(pose)} ({fits[name].verdict})"
     else:
         some = list(choice.probability.items())[:_LISTED]
-        more = ", ".join(f"{other} {_percent(share)}" for other, share in some)
-    probability, none = _percent(choice.probability[name]), _percent(choice.none)
+        more = ", ".join(f"{other} {percent(share)}" for other, share in some)
+    probability, none = percent(choice.probability[name]), percent(choice.none)
     return f"{index:>6}  {choice.verdict:<24} {probability:>11} {none:>7}  {more}"
 
 
@@ -255,7 +255,7 @@ def report_text(report: "MapReport") -> str:
     """Return what is in a map, and what is likely to be wrong with it."""
     width, height = report.size
     o = report.origin
-    shares = ", ".join(f"{key} {_percent(share)}" for key, share in report.shares.items())
+    shares = ", ".join(f"{key} {percent(share)}" for key, share in report.shares.items())
     greys = ", ".join(f"{value:g} ({cells:,})" for value, cells in report.greys)
     more = report.grey_levels - len(report.greys)
     parts = ", ".join(f"{area:.1f}" for area in report.free_parts)
@@ -274,22 +274,6 @@ def report_text(report: "MapReport") -> str:
         f"  warnings    {len(report.warnings) or 'none'}",
     ]
     return "\n".join(lines + [f"    {w}" for w in report.warnings])
-
-
-def atlas_text(summary: Mapping[str, Any]) -> str:
-    """Return the shares of :func:`imgloc.atlas.summarise`."""
-    meanings = {
-        "unique": "one scan is enough",
-        "unique_area": "whatever the heading (share of the free area)",
-        "ambiguous": "several places fit",
-        "no-match": "not recognized",
-        "wrong": "wrong, but sure",
-    }
-    lines = [f"{summary['poses']} poses at {summary['places']} places, {summary['area']:.1f} m²"]
-    for s, words in ((summary[key], words) for key, words in meanings.items()):
-        interval = f"[{100 * s['low']:.1f}, {100 * s['high']:.1f}]"
-        lines.append(f"{_percent(s['value']):>8} {interval}  {words}")
-    return "\n".join(lines)
 
 
 def batch_text(summary: "BatchSummary", folder: str) -> str:
@@ -330,107 +314,3 @@ def batch_text(summary: "BatchSummary", folder: str) -> str:
 def _counted(counts: Mapping[str, int]) -> str:
     order = sorted(counts, key=lambda word: (-counts[word], word))
     return ", ".join(f"{counts[word]:,} {word}" for word in order)
-
-
-def shared_words(found: SharedFit, resolution: float) -> str:
-    """Say what :func:`imgloc.calibrate.fit_shared` found on a map of cells of so many metres."""
-    shared, error = found.shared, found.deviation
-    right = "as the map has it"
-    if abs(shared.scale - 1) > max(2 * error, 0.002):
-        right = f"the map's cells are of {resolution / shared.scale:.4g} m, or ranges are off"
-    facts = [
-        ("scans", f"{found.used} of {found.asked} fit at one place"),
-        ("scale", f"ranges x {shared.scale:.4f} +- {error:.4f}: {right}"),
-        ("walls", f"{shared.thinner * resolution:.2f} m thinner on each side than drawn"),
-    ]
-    return "\n".join(f"{name:<6} {fact}" for name, fact in facts)
-
-
-def calibration_table(fits: Mapping[str, Any]) -> str:
-    """Return the fits of :func:`imgloc.calibrate.fit` by the name of the method."""
-    columns = ("method", "scans", "sigma m", "sigma deg", "exponent", "S +- s.e.", "S of the stack")
-    rows = [
-        (
-            method,
-            str(fit.index.trials),
-            f"{fit.calibration.sigma_xy:g}",
-            f"{math.degrees(fit.calibration.sigma_theta):.3g}",
-            f"{1 / fit.calibration.temperature:.3g}",
-            _estimate(vars(fit.index)),
-            _estimate(vars(fit.bare)),
-        )
-        for method, fit in fits.items()
-    ]
-    return as_plain(columns, rows, left=1)
-
-
-def evaluation_tables(rows: Sequence[Mapping[str, Any]], width: int | None = None) -> str:
-    """Return tables, as of :func:`as_plain`, of rows of `imgloc.evaluation.Evaluation.as_row`."""
-    tables = []
-    for title, make in (
-        ("Right answers, % [95 % interval]", _success),
-        ("Errors of the first hypothesis, and cost", _cost),
-        ("Index S (eq. 12, nats) and global maximum, over free cells [95 % interval]", _index),
-    ):
-        cells = [
-            {"map": row["map"], "method": row["method"], "n": str(row["trials"]), **make(row)}
-            for row in rows
-        ]
-        table = as_plain(list(cells[0]), [list(c.values()) for c in cells], left=2, width=width)
-        tables.append(f"{title}\n{table}")
-    return "\n\n".join(tables)
-
-
-def _index(row: Mapping[str, Any]) -> dict[str, str]:
-    step = row["lattice"]["theta_step"]
-    return {
-        "cell": f"{row['lattice']['cell']:g} m {math.degrees(step):.3g} deg",
-        "S +- s.e.": _estimate(row["index"]),
-        "S calibrated": _estimate(row["index_calibrated"]),
-        "S max": f"{row['lattice']['log_poses']:.2f}",
-        "S all cells": _estimate(row["index_box"]),
-        "at floor": str(row["index"]["floored"]),
-        "not free": str(row["outside"]),
-        "maximum %": _share(row["exact"]),
-        "within 1 cell %": _share(row["near"]),
-    }
-
-
-def _success(row: Mapping[str, Any]) -> dict[str, str]:
-    out: dict[str, str] = {}
-    for s in row["success"]:
-        near = f"{s['tolerance']['position']:g} m {math.degrees(s['tolerance']['heading']):.3g} deg"
-        out |= {f"{near} @1": _share(s["at_1"]), f"{near} @5": _share(s["at_5"])}
-    out["unique"] = _share(row["verdicts"]["unique"])
-    out["unique, wrong"] = _share(row["success"][-1]["unique_wrong"])
-    return out
-
-
-def _cost(row: Mapping[str, Any]) -> dict[str, str]:
-    cost = row["cost"]
-    unit = {None: "", "pair of points": " pair", "pose and reading": " pose,ray"}[row["unit"]]
-    names = tuple(row["position"])
-    degrees = [math.degrees(row["heading"][q]) for q in names]
-    return {
-        "m " + " ".join(names): " ".join(_number(row["position"][q], 2) for q in names),
-        "deg " + " ".join(names): " ".join(_number(d, 1) for d in degrees),
-        "ms p50 p99": " ".join(_number(cost["ms"][q], 0) for q in ("median", "p99")),
-        "stack ms": _number(cost["stack_ms"]["median"], 1),
-        "ns per": _number(cost["ns_per_unit"], 3) + unit,
-        "first ms": _number(cost["first_ms"], 0),
-        "stack MiB": f"{row['stack_bytes'] / 2**20:.1f}",
-        "features MiB": f"{row['features_bytes'] / 2**20:.1f}",
-    }
-
-
-def _estimate(index: Mapping[str, Any]) -> str:
-    return f"{_number(index['value'], 2)} +- {_number(index['standard_error'], 2)}"
-
-
-def _share(share: Mapping[str, Any]) -> str:
-    low, high = 100 * share["low"], 100 * share["high"]
-    return f"{100 * share['value']:.1f} [{low:2.0f}, {high:3.0f}]"
-
-
-def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if math.isfinite(value) else "-"

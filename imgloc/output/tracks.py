@@ -4,8 +4,7 @@ import itertools
 import math
 import os
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +32,6 @@ from imgloc.output.canvas import (
     text_width,
 )
 from imgloc.output.pictures import Picture
-from imgloc.output.tables import as_plain
-from imgloc.sequences import SequenceSummary
 
 COLOURS: dict[str, Colour] = {
     UNIQUE: (178, 114, 0), AMBIGUOUS: (0, 159, 230), LOST: (80, 80, 80),
@@ -209,53 +206,3 @@ class Video:
         """Drop what was drawn."""
         self._writer.release()
         Path(self._path).unlink(missing_ok=True)
-
-
-def sequence_row(
-    name: str, filter_: str, summary: SequenceSummary, about: Mapping[str, object]
-) -> dict[str, Any]:
-    """The row of `imgloc evaluate --sequence` of one log and filter."""
-    return {"map": name, "filter": filter_, **asdict(summary), **about}
-
-
-def sequence_tables(rows: Sequence[Mapping[str, Any]], width: int | None = None) -> str:
-    """Two tables, as :func:`as_plain`: how a robot is found, and how it is kept."""
-    at = list(rows[0]["right"])
-    found, kept = [], []
-    for row in rows:
-        head = [str(row["map"]), str(row["filter"])]
-        found.append([
-            *head,
-            str(row["odometry"]),
-            str(row["runs"]),
-            *(f"{_share(row['right'][m])} {_share(row['stays'][m])} {_share(row['published'][m])}"
-              for m in at),
-            f"{row['seconds']:.0f}",
-            f"{row['metres']:.1f}",
-            _share(row["enm"]),
-            " ".join(_share(share) for share in row["f3loc"].values()),
-        ])  # fmt: skip
-        kept.append([
-            *head,
-            f"{row['rmse'][0]:.3f}",
-            f"{math.degrees(row['rmse'][1]):.2f}",
-            _share(row["inside"]),
-            f"{row['wrong']:.1f} of {row['total']:.0f}",
-            f"{row['kidnapped']['hits']} of {row['kidnapped']['trials']}",
-            f"{row['kidnap_metres']:.1f}",
-            f"{row['speed']:.1f}",
-        ])  # fmt: skip
-    first = (
-        "map", "filter", "odometry", "runs", *(f"{m} m: right stays unique" for m in at),
-        "s", "m", "ENM-MCL", "F3Loc 1 .5 .3 .2 m",
-    )  # fmt: skip
-    second = (
-        "map", "filter", "RMSE / m", "deg", "in 95 %", "s unique, wrong", "kidnapped: back",
-        "after m", "x real time",
-    )  # fmt: skip
-    tables = ((first, found, 3), (second, kept, 2))
-    return "\n".join(as_plain(names, cells, left=n, width=width) for names, cells, n in tables)
-
-
-def _share(share: Mapping[str, Any]) -> str:
-    return "-" if not share["trials"] else f"{share['value']:.2f}"

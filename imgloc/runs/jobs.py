@@ -16,17 +16,15 @@ from typing import Annotated, Any
 import numpy as np
 
 from imgloc.answers.diagnose import Doubt, Said, doubts
-from imgloc.atlas import TOP, atlas_poses, simulate_at, survey
-from imgloc.atlas import summarise as summarise_atlas
 from imgloc.choice.choose import OPTIONS as WHICH
 from imgloc.choice.choose import Opened, bounds_of, choose, search
 from imgloc.choice.folder_index import MapIndex, open_index
+from imgloc.doors import behind
 from imgloc.errors import ConfigError, MapError, ScanError
-from imgloc.evaluation import TOLERANCES, Tolerance, evaluate, method_options, pose_errors
 from imgloc.features.budget import check_budget, default_budget, scans_bytes
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.store import load_features, save_features
-from imgloc.geometry import poses_of
+from imgloc.geometry import pose_errors, poses_of
 from imgloc.io.calibration import calibrated
 from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import display
@@ -36,11 +34,11 @@ from imgloc.io.maps import Reading, load_bytes, load_map, reading_of, resolve_se
 from imgloc.io.scans import has_topics, load_scans, scans_size
 from imgloc.io.scanset import Chosen, ScanSet
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, check_mount, plain
-from imgloc.options import FUSED, Count, Factor, Length, Options, Prior
+from imgloc.options import FUSED, TOLERANCES, Count, Factor, Length, Options, Prior, Tolerance
 from imgloc.pipeline import answer_bytes, localize, prepare
 from imgloc.ranges import Checked, OneOf, Within
 from imgloc.search.priors import Known, leaves_none
-from imgloc.simulation.scans import Sensor, fine_image, simulate
+from imgloc.simulation.scans import Sensor
 
 JOBS = ("localize", "evaluate", "check", "which", "atlas")
 WITHOUT_SCANS = frozenset({"check", "atlas"})  #: jobs that look at maps alone
@@ -165,7 +163,8 @@ def perform(item: Item, job: Job) -> Done:
     ImglocError
         If a file, or what is to be done with it, is at fault.
     """
-    return _WORK[job.name](item, job)
+    work: Callable[[Item, Job], Done] = _WORK.get(job.name) or behind(_BEHIND[job.name])
+    return work(item, job)
 
 
 _MAPS: "OrderedDict[tuple[object, ...], MapFeatures]" = OrderedDict()
@@ -233,7 +232,7 @@ def _as_mounted(scan: LaserScan, job: Job, name: str) -> LaserScan:
     return replace(scan, range_max=reach, T_base_laser=job.mount or scan.T_base_laser)
 
 
-def _options(job: Job, path: Path, grid: OccupancyGrid | None = None) -> Options:
+def job_options(job: Job, path: Path, grid: OccupancyGrid | None = None) -> Options:
     """The options of a job, on one thread, with what was calibrated for a map."""
     options = replace(job.options, threads=1, memory_budget=job.memory_budget)
     if grid is None or options.calibration is not None:
@@ -263,8 +262,8 @@ def _locate(item: Item, job: Job) -> Done:
 
 def _opened(path: Path, job: Job) -> Opened:
     """A map, and the options with what is known of it."""
-    features = open_map(path, job, _options(job, path))
-    options = _options(job, path, features.grid)
+    features = open_map(path, job, job_options(job, path))
+    options = job_options(job, path, features.grid)
     return features, replace(options, prior=job.known.prior(features.grid))
 
 
@@ -284,31 +283,6 @@ def _compare(poses: Any, truth: Pose2D, tolerance: Tolerance) -> dict[str, Any]:
     hit = bool(len(errors) and np.all(errors[0] <= (tolerance.position, tolerance.heading)))
     position, heading = errors[0].tolist() if len(errors) else (None, None)
     return {"truth": plain(truth), "hit": hit, "error": {"position": position, "heading": heading}}
-
-
-def _evaluate(item: Item, job: Job) -> Done:
-    ((name, path),) = item.maps
-    given = job.options
-    step = given.fused.theta_step if given.method == FUSED else given.theta_step
-    options = replace(method_options(given.method, step), memory_budget=job.memory_budget)
-    # The bytes of the features are part of the row: no others have used them.
-    features = open_map(path, job, options, fresh=True)
-    known = _options(job, path, features.grid)
-    options = replace(options, calibration=known.calibration)
-    if item.scans_path is not None:  # what is simulated in the map has no error of its own
-        options = replace(options, shared=known.shared)
-    source: dict[str, object] = {"scans": item.scans}
-    if item.scans_path is None:
-        image = fine_image(path, features.grid)
-        scans = simulate(features.grid, job.count, job.seed, job.sensor, image)
-        source = {"simulated": job.count, "seed": job.seed}
-    else:
-        scans, _ = open_scans(item, job)
-    row = evaluate(features, scans, options, tolerances=(*TOLERANCES, job.tolerance)).as_row(
-        name, source
-    )
-    del row["parameters"]
-    return Done([row], cost={"summary": row.pop("cost")})
 
 
 def _check(item: Item, job: Job) -> Done:
@@ -377,20 +351,7 @@ def _index_of(
     return _INDEX[key]
 
 
-def _survey(item: Item, job: Job) -> Done:
-    ((_, path),) = item.maps
-    options = Options(top=TOP, memory_budget=job.memory_budget)
-    features, sensor = open_map(path, job, options), job.sensor
-    grid = features.grid
-    poses = atlas_poses(grid, job.step, job.headings, sensor.clearance)
-    scans = simulate_at(grid, poses, sensor, job.seed, fine_image(path, grid))
-    spots = list(survey(grid, scans, options))
-    done = Done([summarise_atlas(spots, job.step)])
-    done.draw(job, "atlas", True, 0, grid, spots, job.step, job.headings)
-    return done
-
-
 _WORK: Mapping[str, Callable[[Item, Job], Done]] = {
-    "localize": _locate, "evaluate": _evaluate, "check": _check, "which": _choose,
-    "atlas": _survey,
+    "localize": _locate, "check": _check, "which": _choose,
 }  # fmt: skip
+_BEHIND = {"evaluate": "evaluate_item", "atlas": "survey_item"}  # what doors.py knows them by

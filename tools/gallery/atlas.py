@@ -4,9 +4,9 @@
 Where is one scan enough? Simulated from a raster of places, answered, drawn by verdict."""
 
 from imgloc import Options, Picture, Sensor, load_map
-from imgloc.atlas import TOP, atlas_poses, simulate_at, survey
 from imgloc.io.maps import bundled_maps
-from imgloc.output.pictures import draw_atlas
+from imgloc.lab.atlas import TOP, atlas_poses, simulate_at, survey
+from imgloc.lab.picture import draw_atlas
 
 
 def picture() -> Picture:

@@ -11,7 +11,7 @@ from imgloc import GridInfo, LaserScan, Likelihood, OccupancyGrid, OrientedPoint
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import centre_of, transform_points, uniform_thetas
-from imgloc.index import global_maximum
+from imgloc.lab.performance_index import global_maximum
 from imgloc.model import FloatArray, compose
 from imgloc.output.canvas import PAPER, Canvas, Image, draw_map, marker_size
 from imgloc.output.features import draw_bmap, draw_field, draw_surface

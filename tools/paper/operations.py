@@ -20,11 +20,11 @@ import cv2
 import numpy as np
 
 from imgloc import ConfigError, MapFeatures
-from imgloc.evaluation import Share, share
 from imgloc.features.gradients import SOURCES
 from imgloc.features.visibility import WAYS
-from imgloc.index import Index, performance_index
 from imgloc.io.files import write_text_atomic
+from imgloc.lab.evaluation import Share, share
+from imgloc.lab.performance_index import Index, performance_index
 from imgloc.likelihoods.correlate import ENGINES
 from imgloc.model import to_json
 from tools.paper.page import templates

@@ -15,10 +15,16 @@ from types import MappingProxyType
 import numpy as np
 
 from imgloc import LaserScan, MapFeatures, Pose2D, ScanSet
-from imgloc.evaluation import PAPER_STEPS_DEG, Z95, Share, cell_of_pose, share
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import theta_bin, uniform_thetas
-from imgloc.index import FLOOR, Index, density_in_stack, global_maximum, performance_index
+from imgloc.lab.evaluation import PAPER_STEPS_DEG, Z95, Share, cell_of_pose, share
+from imgloc.lab.performance_index import (
+    FLOOR,
+    Index,
+    density_in_stack,
+    global_maximum,
+    performance_index,
+)
 from imgloc.likelihoods import stacks
 from imgloc.likelihoods.ght import ght_v
 from imgloc.model import Float32Array, FloatArray
@@ -46,7 +52,7 @@ WIDE_DEG = 30.0
 class Outcome:
     """What the stack of one scan gives."""
 
-    density: float  #: relative density at the true pose, see :mod:`imgloc.index`
+    density: float  #: relative density at the true pose, see :mod:`imgloc.lab.performance_index`
     bare: float | None  #: for ``beam``: the same if its readings are taken for independent
     exact: bool  #: the maximum is the cell of the true pose
     near: bool  #: it is that cell or one next to it, of the 27

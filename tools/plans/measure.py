@@ -8,8 +8,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from imgloc import FloorPlan, OccupancyGrid, Options, Pose2D, ScanSet, load_map, plan_to_map
-from imgloc.evaluation import pose_errors
-from imgloc.geometry import poses_of
+from imgloc.geometry import pose_errors, poses_of
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
 from imgloc.pipeline import localize, prepare

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from imgloc import LaserScan, MapFeatures, OccupancyGrid, Options, Pose2D, ScanSet, Trust, prepare
-from imgloc.evaluation import pose_errors, share
-from imgloc.geometry import cell_of, centre_of, transform_points, transform_poses
+from imgloc.geometry import cell_of, centre_of, pose_errors, transform_points, transform_poses
+from imgloc.lab.evaluation import share
 from imgloc.model import BoolArray, FloatArray, inverse
 from imgloc.pipeline import find_adapted_modes
 from imgloc.search.background import unmapped_score

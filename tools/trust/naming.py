@@ -8,7 +8,7 @@ from typing import Any
 from imgloc import Choice, ConfigError, LaserScan, Localization, Sensor, load_map, prepare, simulate
 from imgloc.choice.choose import OPTIONS, choose, fit, next_maps
 from imgloc.choice.folder_index import open_index
-from imgloc.evaluation import share
+from imgloc.lab.evaluation import share
 from tools.recorded import scans_beside
 from tools.script import at_least_one
 

@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc import Localization, MapFeatures, Options, Pose2D, ScanSet, localize
-from imgloc.evaluation import Share, pose_errors, share
-from imgloc.geometry import poses_of, wrap
+from imgloc.geometry import pose_errors, poses_of, wrap
+from imgloc.lab.evaluation import Share, share
 from imgloc.model import BoolArray, FloatArray
 from tools.plots import blank
 

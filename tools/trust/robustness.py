@@ -15,8 +15,8 @@ from types import MappingProxyType
 import numpy as np
 
 from imgloc import LaserScan, MapFeatures, Options, Pose2D, ScanSet, Sensor, localize, prepare
-from imgloc.evaluation import Share, pose_errors, share
-from imgloc.geometry import in_map_frame
+from imgloc.geometry import in_map_frame, pose_errors
+from imgloc.lab.evaluation import Share, share
 from imgloc.model import FloatArray, base_of
 from imgloc.simulation.worlds import WORLDS, render
 from tools.recorded import in_world

@@ -6,9 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imgloc import MapFeatures, OccupancyGrid, Options, Pose2D, ScanSet, Shared, localize, prepare
-from imgloc.calibrate import fit_shared
-from imgloc.evaluation import pose_errors
-from imgloc.geometry import poses_of
+from imgloc.geometry import pose_errors, poses_of
+from imgloc.lab.calibrate import fit_shared
 from imgloc.model import FloatArray, compose, inverse
 from tools.script import table_lines
 from tools.trust.reliability import RIGHT

@@ -38,15 +38,16 @@ def atlas(
     right one), ambiguous (several fit; lines lead to the twins), no-match, or wrong (unique, but
     elsewhere). An interrupted run goes on where it stopped: its rows are kept in PNG.part.
     """
-    from imgloc.atlas import AT_ONCE, TOP, Spot, atlas_poses, simulate_at, summarise, survey
     from imgloc.cli import inputs
     from imgloc.features.budget import poses_bytes
-    from imgloc.io.atlasrows import Journal, as_csv
     from imgloc.io.cache import cache_key
+    from imgloc.lab.atlas import AT_ONCE, TOP, Spot, atlas_poses, simulate_at, summarise, survey
+    from imgloc.lab.atlas_rows import Journal, as_csv
+    from imgloc.lab.picture import draw_atlas
+    from imgloc.lab.tables import atlas_text
     from imgloc.model import plain, to_json
     from imgloc.options import Options
-    from imgloc.output.pictures import Picture, draw_atlas
-    from imgloc.output.tables import atlas_text
+    from imgloc.output.pictures import Picture
     from imgloc.pipeline import prepare
     from imgloc.simulation.scans import fine_image, is_world
 

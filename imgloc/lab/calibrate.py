@@ -19,12 +19,12 @@ import cv2
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.evaluation import cell_of_pose
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly, one_per_place
 from imgloc.geometry import in_grid_frame, inside
-from imgloc.index import FLOOR, Index, index_of
 from imgloc.io.scanset import ScanSet
+from imgloc.lab.evaluation import cell_of_pose
+from imgloc.lab.performance_index import FLOOR, Index, index_of
 from imgloc.likelihoods.posterior import smoothed
 from imgloc.model import (
     Float32Array,
@@ -113,7 +113,7 @@ def sweep(
 
     The method is one of the paper's; ``beam`` has a sigma of its own for the cells: of it only
     the temperature is measured. The arguments and errors are those of
-    :func:`imgloc.evaluation.evaluate`.
+    :func:`imgloc.lab.evaluation.evaluate`.
     """
     if not len(scans) or scans.poses is None:
         raise ConfigError("expected at least one scan, and the true pose of each")

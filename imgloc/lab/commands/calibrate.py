@@ -61,12 +61,12 @@ def calibrate(
     short for the map and by how much its walls are drawn too thick: as of a floor plan. The default
     method begins with that ever after.
     """
-    from imgloc.calibrate import check_trials, disturbed_set, fit, sweep
     from imgloc.cli import inputs
     from imgloc.io.calibration import calibration_path, save_calibrations
+    from imgloc.lab.calibrate import check_trials, disturbed_set, fit, sweep
+    from imgloc.lab.tables import calibration_table
     from imgloc.model import plain, to_json
     from imgloc.options import Options
-    from imgloc.output.tables import calibration_table
     from imgloc.pipeline import prepare
     from imgloc.simulation.scans import fine_image, is_world, simulate
 
@@ -152,12 +152,12 @@ def _with_scans(
     allow_lossy: bool,
 ) -> None:
     """Fit the error that recorded scans share on one map."""
-    from imgloc.calibrate import SCANS, fit_shared
     from imgloc.cli import inputs
     from imgloc.io.calibration import calibration_path, save_calibrations
+    from imgloc.lab.calibrate import SCANS, fit_shared
+    from imgloc.lab.tables import shared_words
     from imgloc.model import to_json
     from imgloc.options import Options
-    from imgloc.output.tables import shared_words
     from imgloc.pipeline import prepare
 
     budget = taken.memory_budget

@@ -7,8 +7,7 @@ from imgloc.errors import ConfigError
 from imgloc.filters.follow import with_odometry
 from imgloc.filters.motion import increments
 from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan
-from imgloc.sequences import (
+from imgloc.lab.sequences import (
     Run,
     driven,
     for_good,
@@ -17,6 +16,7 @@ from imgloc.sequences import (
     starts,
     summarise_runs,
 )
+from imgloc.model import LaserScan
 
 
 def line(n: int = 40, step: float = 0.5) -> ScanSet:

@@ -27,12 +27,13 @@ from imgloc.geometry import (
     centre_of,
     in_grid_frame,
     inside,
+    pose_errors,
     poses_of,
     theta_bin,
     uniform_thetas,
-    wrap,
 )
-from imgloc.index import (
+from imgloc.io.scanset import ScanSet
+from imgloc.lab.performance_index import (
     FLOOR,
     Index,
     density_at,
@@ -41,7 +42,6 @@ from imgloc.index import (
     global_maximum,
     performance_index,
 )
-from imgloc.io.scanset import ScanSet
 from imgloc.model import (
     VERDICTS,
     FloatArray,
@@ -50,9 +50,8 @@ from imgloc.model import (
     Localization,
     Pose2D,
 )
-from imgloc.options import FUSED, LOG_METHODS, Metres, Options, Radians
+from imgloc.options import FUSED, LOG_METHODS, TOLERANCES, Options, Tolerance
 from imgloc.pipeline import effective, likelihood, localize, posterior_of
-from imgloc.ranges import Checked
 
 Z95 = 1.959964  #: quantile of the normal distribution for intervals of 95 %
 PAPER_STEPS_DEG = {"cbml": 3.0, "cbml-o": 3.0, "ght": 30.0, "ght-v": 30.0, "beam": 3.0}
@@ -95,18 +94,6 @@ def share(happened: Iterable[bool]) -> Share:
     middle = (p + square / 2) / (1 + square)
     half = Z95 * sqrt(p * (1 - p) / n + square / (4 * n)) / (1 + square)
     return Share(hits, n, p, max(0.0, middle - half), min(1.0, middle + half))
-
-
-@dataclass(frozen=True)
-class Tolerance(Checked):
-    """A hypothesis is right if it is nearer than this to the true pose: metres and radians."""
-
-    position: Metres
-    heading: Radians
-
-
-TOLERANCES = (Tolerance(0.25, 0.25), Tolerance(0.5, float(np.deg2rad(10.0))))
-"""Those that are always reported; the second is that of Cartographer's comparison."""
 
 
 @dataclass(frozen=True)
@@ -245,7 +232,7 @@ def evaluate(
         With poses of the sensor in the map frame. The first one is located once more than the
         others, before the clock counts.
     options, floor
-        See :func:`method_options` and :mod:`imgloc.index`.
+        See :func:`method_options` and :mod:`imgloc.lab.performance_index`.
     advance : callable
         Called after each trial.
 
@@ -350,19 +337,6 @@ def _work(features: MapFeatures, scan: LaserScan, stack: Likelihood) -> int:
     if stack.method in PAIR_METHODS:
         return oriented * int(features.surface.valid.sum())
     return stack.values.size * oriented
-
-
-def pose_errors(poses: FloatArray, truth: Pose2D) -> FloatArray:
-    """Distances in metres and angles in radians, (M, 2), from poses (M, 3) to the true one.
-
-    Examples
-    --------
-    >>> pose_errors(np.array([[3.0, 4.0, 3.0]]), Pose2D(0, 0, -3.0)).round(3).tolist()
-    [[5.0, 0.283]]
-    """
-    poses = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
-    away = np.hypot(poses[:, 0] - truth.x, poses[:, 1] - truth.y)
-    return np.column_stack((away, np.abs(wrap(poses[:, 2] - truth.theta))))
 
 
 def cell_of_pose(features: MapFeatures, pose: Pose2D, n: int) -> tuple[int, int, int]:

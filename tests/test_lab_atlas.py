@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from command import MAPS, call, command, rows
 
-from imgloc.atlas import TOP, Spot, atlas_poses, survey
 from imgloc.errors import ConfigError, MapError, OutputError
-from imgloc.io.atlasrows import COLUMNS, Journal, as_csv
+from imgloc.lab.atlas import TOP, Spot, atlas_poses, survey
+from imgloc.lab.atlas_rows import COLUMNS, Journal, as_csv
+from imgloc.lab.picture import ATLAS_COLOURS, draw_atlas
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options
-from imgloc.output.pictures import ATLAS_COLOURS, draw_atlas
 from imgloc.simulation.scans import ray_angles, simulate_ranges
 
 
@@ -136,7 +136,7 @@ def test_a_journal_that_is_killed_while_it_starts_again_is_whole(tmp_path: Path)
     journal.close()
     content = path.read_bytes()
     code = (
-        "import os, sys; from pathlib import Path; from imgloc.io.atlasrows import Journal\n"
+        "import os, sys; from pathlib import Path; from imgloc.lab.atlas_rows import Journal\n"
         "journal = Journal(Path(sys.argv[1]), {'step': 1}); os._exit(len(journal.rows) != 500)"
     )
     run = [sys.executable, "-c", code, str(path)]
@@ -241,7 +241,7 @@ def test_rows_that_are_there_are_not_computed_again(tmp_path: Path, monkeypatch)
                 raise KeyboardInterrupt
             yield spot
 
-    monkeypatch.setattr("imgloc.atlas.survey", interrupted)
+    monkeypatch.setattr("imgloc.lab.atlas.survey", interrupted)
     run = call(*ATLAS, "--out", png, "--workers", 1)
     assert run.code != 0
     journal = (tmp_path / "a.png.part").read_text().splitlines()

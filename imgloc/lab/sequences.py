@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from imgloc.errors import ConfigError
-from imgloc.evaluation import Share, share
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import LOST, UNIQUE, Filter, deviations_of
 from imgloc.filters.choose import make_filter
@@ -23,6 +22,7 @@ from imgloc.filters.follow import Every, follow, robot_poses
 from imgloc.filters.motion import compose_poses, increments
 from imgloc.geometry import wrap
 from imgloc.io.scanset import ScanSet
+from imgloc.lab.evaluation import Share, share
 from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.options import Options
 

@@ -91,19 +91,20 @@ def evaluate(
     Everything but what is under "cost" is the same in every run.
     """
     from imgloc.cli import inputs
-    from imgloc.evaluation import TOLERANCES, method_options
-    from imgloc.evaluation import evaluate as measure
     from imgloc.io.calibration import calibration_path, load_calibrations
     from imgloc.io.scanset import Chosen
+    from imgloc.lab.evaluation import evaluate as measure
+    from imgloc.lab.evaluation import method_options
+    from imgloc.lab.tables import evaluation_tables
     from imgloc.model import to_json
-    from imgloc.output.tables import evaluation_tables
+    from imgloc.options import TOLERANCES
     from imgloc.pipeline import prepare
     from imgloc.simulation.scans import fine_image, is_world, sample_set, simulate
 
     opt.given(context, _OF, set(_SEQUENCE if sequence else _SCANS))
     if sequence:
-        from imgloc.cli.sequence import measure_sequences
-        from imgloc.sequences import Trials
+        from imgloc.lab.commands.sequence import measure_sequences
+        from imgloc.lab.sequences import Trials
 
         if scans is None or len(scans) != len(maps):
             raise ConfigError("--sequence: expected --scans, recorded ones, once for each MAP")

@@ -6,24 +6,22 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError, ScanError
-from imgloc.evaluation import (
+from imgloc.features.scanpoints import scan_points
+from imgloc.geometry import cell_of, pose_errors, theta_bin, transform_poses
+from imgloc.io.maps import bundled_maps, load_map
+from imgloc.io.scanset import ScanSet
+from imgloc.lab.evaluation import (
     PAPER_STEPS_DEG,
-    Tolerance,
     Trial,
     bytes_of,
     evaluate,
     method_options,
-    pose_errors,
     run_trials,
     summarise,
 )
-from imgloc.features.scanpoints import scan_points
-from imgloc.geometry import cell_of, theta_bin, transform_poses
-from imgloc.io.maps import bundled_maps, load_map
-from imgloc.io.scanset import ScanSet
 from imgloc.likelihoods.posterior import calibrated, posterior
 from imgloc.model import LaserScan, Likelihood, OccupancyGrid, Pose2D, compose
-from imgloc.options import ALL_METHODS, METHODS
+from imgloc.options import ALL_METHODS, METHODS, Tolerance
 from imgloc.pipeline import likelihood, localize, prepare
 from imgloc.simulation.scans import (
     Sensor,

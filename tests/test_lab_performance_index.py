@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from imgloc.errors import ConfigError
-from imgloc.evaluation import share
 from imgloc.geometry import cell_of, theta_bin, uniform_thetas
-from imgloc.index import (
+from imgloc.lab.evaluation import share
+from imgloc.lab.performance_index import (
     density_at,
     density_in_cell,
     density_in_stack,

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 
 from imgloc.errors import ConfigError, MapError
-from imgloc.evaluation import pose_errors, share
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.geometry import cell_of, in_map_frame, inside, poses_of
+from imgloc.geometry import cell_of, in_map_frame, inside, pose_errors, poses_of
+from imgloc.lab.evaluation import share
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import localize, prepare
@@ -43,7 +43,7 @@ class Spot:
 
     @property
     def row(self) -> list[object]:
-        """Values of :data:`imgloc.io.atlasrows.COLUMNS`."""
+        """Values of :data:`imgloc.lab.atlas_rows.COLUMNS`."""
         twin = (None,) * 3 if self.twin is None else (self.twin.x, self.twin.y, self.twin.theta)
         pose = (self.pose.x, self.pose.y, self.pose.theta)
         return [*pose, self.kind, self.mass, self.error, self.turn, *twin, self.twin_mass]

@@ -5,8 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from imgloc import calibrate
-from imgloc.calibrate import (
+from imgloc.errors import ConfigError
+from imgloc.io.scanset import ScanSet
+from imgloc.lab import calibrate
+from imgloc.lab.calibrate import (
     EXPONENTS,
     Sweep,
     densities,
@@ -15,10 +17,8 @@ from imgloc.calibrate import (
     fit_shared,
     sweep,
 )
-from imgloc.errors import ConfigError
-from imgloc.evaluation import cell_of_pose
-from imgloc.index import density_in_stack, performance_index
-from imgloc.io.scanset import ScanSet
+from imgloc.lab.evaluation import cell_of_pose
+from imgloc.lab.performance_index import density_in_stack, performance_index
 from imgloc.likelihoods.posterior import calibrated
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
 from imgloc.options import METHODS, Calibration, Options

@@ -10,7 +10,7 @@ from imgloc.cli.console import LOG, emit, progress, width
 from imgloc.io.files import display
 
 if TYPE_CHECKING:
-    from imgloc.sequences import Trials
+    from imgloc.lab.sequences import Trials
 
 GRID_CELL = 0.2  # metres: of the grid filter, whose stacks are held whole
 
@@ -24,11 +24,11 @@ def measure_sequences(
     from imgloc.cli import inputs
     from imgloc.filters.follow import with_odometry
     from imgloc.io.calibration import calibrated
+    from imgloc.lab.sequences import measure
+    from imgloc.lab.tables import sequence_row, sequence_tables
     from imgloc.model import to_json
     from imgloc.options import Options
-    from imgloc.output.tracks import sequence_row, sequence_tables
     from imgloc.pipeline import prepare
-    from imgloc.sequences import measure
 
     rows: list[dict[str, Any]] = []
     plain = Options(threads=taken.threads, memory_budget=taken.memory_budget)

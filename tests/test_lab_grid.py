@@ -8,7 +8,10 @@ from places import POSES, features_of, room_with_a_post, scan_of
 
 from imgloc.errors import ConfigError
 from imgloc.filters.follow import follow
-from imgloc.filters.grid import (
+from imgloc.filters.motion import MotionNoise, deviations
+from imgloc.geometry import in_grid_frame, uniform_thetas, wrap
+from imgloc.io.scanset import ScanSet
+from imgloc.lab.grid import (
     GridFilter,
     GridOptions,
     _shift_far,
@@ -17,9 +20,6 @@ from imgloc.filters.grid import (
     predict,
     turn,
 )
-from imgloc.filters.motion import MotionNoise, deviations
-from imgloc.geometry import in_grid_frame, uniform_thetas, wrap
-from imgloc.io.scanset import ScanSet
 from imgloc.model import Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import prepare

@@ -1,0 +1,1 @@
+"""What measures, and what is compared: evaluation, calibration, atlas, two more filters."""

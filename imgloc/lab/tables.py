@@ -1,0 +1,180 @@
+"""Results of what measures as text for people, and rows."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from imgloc.lab.calibrate import SharedFit
+from imgloc.lab.sequences import SequenceSummary
+from imgloc.output.tables import as_plain, percent
+
+
+def atlas_text(summary: Mapping[str, Any]) -> str:
+    """Return the shares of :func:`imgloc.lab.atlas.summarise`."""
+    meanings = {
+        "unique": "one scan is enough",
+        "unique_area": "whatever the heading (share of the free area)",
+        "ambiguous": "several places fit",
+        "no-match": "not recognized",
+        "wrong": "wrong, but sure",
+    }
+    lines = [f"{summary['poses']} poses at {summary['places']} places, {summary['area']:.1f} m²"]
+    for s, words in ((summary[key], words) for key, words in meanings.items()):
+        interval = f"[{100 * s['low']:.1f}, {100 * s['high']:.1f}]"
+        lines.append(f"{percent(s['value']):>8} {interval}  {words}")
+    return "\n".join(lines)
+
+
+def shared_words(found: SharedFit, resolution: float) -> str:
+    """Say what `fit_shared` found on a map of cells of so many metres."""
+    shared, error = found.shared, found.deviation
+    right = "as the map has it"
+    if abs(shared.scale - 1) > max(2 * error, 0.002):
+        right = f"the map's cells are of {resolution / shared.scale:.4g} m, or ranges are off"
+    facts = [
+        ("scans", f"{found.used} of {found.asked} fit at one place"),
+        ("scale", f"ranges x {shared.scale:.4f} +- {error:.4f}: {right}"),
+        ("walls", f"{shared.thinner * resolution:.2f} m thinner on each side than drawn"),
+    ]
+    return "\n".join(f"{name:<6} {fact}" for name, fact in facts)
+
+
+def calibration_table(fits: Mapping[str, Any]) -> str:
+    """Return the fits of :func:`imgloc.lab.calibrate.fit` by the name of the method."""
+    columns = ("method", "scans", "sigma m", "sigma deg", "exponent", "S +- s.e.", "S of the stack")
+    rows = [
+        (
+            method,
+            str(fit.index.trials),
+            f"{fit.calibration.sigma_xy:g}",
+            f"{math.degrees(fit.calibration.sigma_theta):.3g}",
+            f"{1 / fit.calibration.temperature:.3g}",
+            _estimate(vars(fit.index)),
+            _estimate(vars(fit.bare)),
+        )
+        for method, fit in fits.items()
+    ]
+    return as_plain(columns, rows, left=1)
+
+
+def evaluation_tables(rows: Sequence[Mapping[str, Any]], width: int | None = None) -> str:
+    """Return tables, as of :func:`as_plain`, of rows of :meth:`Evaluation.as_row`."""
+    tables = []
+    for title, make in (
+        ("Right answers, % [95 % interval]", _success),
+        ("Errors of the first hypothesis, and cost", _cost),
+        ("Index S (eq. 12, nats) and global maximum, over free cells [95 % interval]", _index),
+    ):
+        cells = [
+            {"map": row["map"], "method": row["method"], "n": str(row["trials"]), **make(row)}
+            for row in rows
+        ]
+        table = as_plain(list(cells[0]), [list(c.values()) for c in cells], left=2, width=width)
+        tables.append(f"{title}\n{table}")
+    return "\n\n".join(tables)
+
+
+def _index(row: Mapping[str, Any]) -> dict[str, str]:
+    step = row["lattice"]["theta_step"]
+    return {
+        "cell": f"{row['lattice']['cell']:g} m {math.degrees(step):.3g} deg",
+        "S +- s.e.": _estimate(row["index"]),
+        "S calibrated": _estimate(row["index_calibrated"]),
+        "S max": f"{row['lattice']['log_poses']:.2f}",
+        "S all cells": _estimate(row["index_box"]),
+        "at floor": str(row["index"]["floored"]),
+        "not free": str(row["outside"]),
+        "maximum %": _share(row["exact"]),
+        "within 1 cell %": _share(row["near"]),
+    }
+
+
+def _success(row: Mapping[str, Any]) -> dict[str, str]:
+    out: dict[str, str] = {}
+    for s in row["success"]:
+        near = f"{s['tolerance']['position']:g} m {math.degrees(s['tolerance']['heading']):.3g} deg"
+        out |= {f"{near} @1": _share(s["at_1"]), f"{near} @5": _share(s["at_5"])}
+    out["unique"] = _share(row["verdicts"]["unique"])
+    out["unique, wrong"] = _share(row["success"][-1]["unique_wrong"])
+    return out
+
+
+def _cost(row: Mapping[str, Any]) -> dict[str, str]:
+    cost = row["cost"]
+    unit = {None: "", "pair of points": " pair", "pose and reading": " pose,ray"}[row["unit"]]
+    names = tuple(row["position"])
+    degrees = [math.degrees(row["heading"][q]) for q in names]
+    return {
+        "m " + " ".join(names): " ".join(_number(row["position"][q], 2) for q in names),
+        "deg " + " ".join(names): " ".join(_number(d, 1) for d in degrees),
+        "ms p50 p99": " ".join(_number(cost["ms"][q], 0) for q in ("median", "p99")),
+        "stack ms": _number(cost["stack_ms"]["median"], 1),
+        "ns per": _number(cost["ns_per_unit"], 3) + unit,
+        "first ms": _number(cost["first_ms"], 0),
+        "stack MiB": f"{row['stack_bytes'] / 2**20:.1f}",
+        "features MiB": f"{row['features_bytes'] / 2**20:.1f}",
+    }
+
+
+def _estimate(index: Mapping[str, Any]) -> str:
+    return f"{_number(index['value'], 2)} +- {_number(index['standard_error'], 2)}"
+
+
+def _share(share: Mapping[str, Any]) -> str:
+    low, high = 100 * share["low"], 100 * share["high"]
+    return f"{100 * share['value']:.1f} [{low:2.0f}, {high:3.0f}]"
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+
+
+def sequence_row(
+    name: str, filter_: str, summary: SequenceSummary, about: Mapping[str, object]
+) -> dict[str, Any]:
+    """The row of `imgloc evaluate --sequence` of one log and filter."""
+    return {"map": name, "filter": filter_, **asdict(summary), **about}
+
+
+def sequence_tables(rows: Sequence[Mapping[str, Any]], width: int | None = None) -> str:
+    """Two tables, as :func:`as_plain`: how a robot is found, and how it is kept."""
+    at = list(rows[0]["right"])
+    found, kept = [], []
+    for row in rows:
+        head = [str(row["map"]), str(row["filter"])]
+        found.append([
+            *head,
+            str(row["odometry"]),
+            str(row["runs"]),
+            *(f"{_rate(row['right'][m])} {_rate(row['stays'][m])} {_rate(row['published'][m])}"
+              for m in at),
+            f"{row['seconds']:.0f}",
+            f"{row['metres']:.1f}",
+            _rate(row["enm"]),
+            " ".join(_rate(share) for share in row["f3loc"].values()),
+        ])  # fmt: skip
+        kept.append([
+            *head,
+            f"{row['rmse'][0]:.3f}",
+            f"{math.degrees(row['rmse'][1]):.2f}",
+            _rate(row["inside"]),
+            f"{row['wrong']:.1f} of {row['total']:.0f}",
+            f"{row['kidnapped']['hits']} of {row['kidnapped']['trials']}",
+            f"{row['kidnap_metres']:.1f}",
+            f"{row['speed']:.1f}",
+        ])  # fmt: skip
+    first = (
+        "map", "filter", "odometry", "runs", *(f"{m} m: right stays unique" for m in at),
+        "s", "m", "ENM-MCL", "F3Loc 1 .5 .3 .2 m",
+    )  # fmt: skip
+    second = (
+        "map", "filter", "RMSE / m", "deg", "in 95 %", "s unique, wrong", "kidnapped: back",
+        "after m", "x real time",
+    )  # fmt: skip
+    tables = ((first, found, 3), (second, kept, 2))
+    return "\n".join(as_plain(names, cells, left=n, width=width) for names, cells, n in tables)
+
+
+def _rate(share: Mapping[str, Any]) -> str:
+    return "-" if not share["trials"] else f"{share['value']:.2f}"
