@@ -66,7 +66,8 @@ def test_help_has_examples_that_parse(words: list[str]) -> None:
 
 
 def test_help_imports_nothing_heavy() -> None:
-    heavy = ("numpy", "cv2", "skimage", "scipy", "yaml", "jinja2", "PIL", "imgloc.pipeline")
+    heavy = ("numpy", "cv2", "skimage", "scipy", "yaml", "jinja2", "PIL", "imgloc.pipeline",
+             "imgloc.lab.evaluation", "imgloc.plans.floorplan")  # fmt: skip
     code = (
         f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
         "from imgloc.cli.app import main\n"
