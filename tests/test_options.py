@@ -23,6 +23,7 @@ from imgloc.options import (
     Options,
     Prior,
     Shared,
+    Tolerance,
     Trust,
 )
 from imgloc.ranges import Checked
@@ -99,5 +100,5 @@ def test_no_number_of_options_may_be_nan(kind: type) -> None:
 def test_all_options_are_checked() -> None:
     kinds = [v for v in vars(module).values() if isinstance(v, type) and is_dataclass(v)]
     named = {kind for kind in kinds if kind.__module__ == module.__name__}
-    assert named == {*KINDS, Method}
-    assert all(issubclass(kind, Checked) for kind in (*KINDS, *OTHERS))
+    assert named == {*KINDS, Method, Tolerance}
+    assert all(issubclass(kind, Checked) for kind in (*KINDS, *OTHERS, Tolerance))
