@@ -151,7 +151,7 @@ def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable
     What it yields is to be called after each of `total` steps, with a note if there is one to
     show. If each of several writes `lines` of the result to a terminal, those are progress enough.
     """
-    crowded = lines and total > 1 and sys.stdout is not None and sys.stdout.isatty()
+    crowded = lines and total != 1 and sys.stdout is not None and sys.stdout.isatty()
     terminal = sys.stderr is not None and sys.stderr.isatty()
     quiet = not terminal or crowded or LOG.isEnabledFor(logging.INFO)
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn

@@ -10,7 +10,7 @@ import typer
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, say
 from imgloc.cli.options import flag, option
-from imgloc.errors import ConfigError
+from imgloc.errors import ConfigError, ScanError
 from imgloc.io.files import display, write_text_atomic
 
 _EVERY = (
@@ -28,7 +28,8 @@ def track(
             metavar="LOG",
             callback=opt.find_scans,
             help="Scans with odometry, in the order of time: a CARMEN .log; a ROS .bag, .mcap or "
-            ".db3; .npz or .jsonl with odom.",
+            ".db3; .npz or .jsonl with odom. JSON lines from standard input (-) or a named pipe "
+            "are followed as they come.",
         ),
     ],
     mounting: opt.Mounting,
@@ -45,6 +46,7 @@ def track(
         "After T seconds the filter believes to be at this pose: a robot carried off.",
         parser=opt.numbers(4, angles=(3,)),
     ),
+    follow_: bool = flag("--follow", "Go on with a .jsonl file that grows, until Ctrl-C."),
     every: Any = option(None, "M,DEG", _EVERY, parser=opt.numbers(2)),
     max_sd: Any = option(
         None,
@@ -91,9 +93,11 @@ def track(
     import numpy as np
 
     from imgloc.cli import inputs
+    from imgloc.cli.live import live_of
     from imgloc.filters.choose import make_filter
     from imgloc.filters.follow import (
         Every,
+        Follower,
         Kidnap,
         Limits,
         Moment,
@@ -102,7 +106,8 @@ def track(
         with_odometry,
     )
     from imgloc.io.calibration import calibrated
-    from imgloc.model import Pose2D, to_json
+    from imgloc.io.scanset import ScanSet
+    from imgloc.model import LaserScan, Pose2D, to_json
     from imgloc.options import Options
     from imgloc.output.ros import message, write_bag, yaml_text
     from imgloc.output.tracks import (
@@ -127,13 +132,24 @@ def track(
     grid = inputs.load_grid(map_path, taken.memory_budget, allow_lossy=allow_lossy, **reading)
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     options = calibrated(options, map_path, grid)
-    scans = inputs.load_set(log, taken.memory_budget, logs)
+    live = live_of(log, follow=follow_)
+    if live is None:
+        scans = inputs.load_set(log, taken.memory_budget, logs)
+    elif kidnap is not None or simulate_odometry is not None:
+        wrong = "--kidnap" if kidnap is not None else "--simulate-odometry"
+        raise ConfigError(f"{wrong}: needs a log that is whole, not one that is being written")
+    else:
+        scans = ScanSet(())
+
+    def prepared(scan: LaserScan) -> LaserScan:
+        return mounting.mount(inputs.cut_scan(scan, range_max))
+
     mounting.check(scans.scans)
-    cut = tuple(mounting.mount(inputs.cut_scan(scan, range_max)) for scan in scans.scans)
-    scans = replace(scans, scans=cut)
+    scans = replace(scans, scans=tuple(map(prepared, scans.scans)))
     if simulate_odometry is not None:
         scans = with_odometry(replace(scans, odom=None), simulate_odometry)[0]
-    if tum is not None and (scans.stamps is None or not np.isfinite(scans.stamps).any()):
+    stamped = scans.stamps is not None and np.isfinite(scans.stamps).any()
+    if tum is not None and live is None and not stamped:
         raise ConfigError("--tum: the log has no stamps, which a trajectory needs")
     features = inputs.open_features(
         grid, display(map_path), folder, options, scans=scans.scans, threads=taken.threads
@@ -146,16 +162,24 @@ def track(
     with contextlib.ExitStack() as undo:
         if movie is not None:
             undo.callback(movie.close)
-        run = follow(
-            features,
-            scans,
-            chosen,
-            every=gap,
-            limits=limits,
-            start=None if start is None else Pose2D(*start),
-            kidnap=None if kidnap is None else Kidnap(kidnap[0], Pose2D(*kidnap[1:])),
-            name=inputs.name_of(log),
-        )
+        if live is None:
+            run = follow(
+                features,
+                scans,
+                chosen,
+                every=gap,
+                limits=limits,
+                start=None if start is None else Pose2D(*start),
+                kidnap=None if kidnap is None else Kidnap(kidnap[0], Pose2D(*kidnap[1:])),
+                name=inputs.name_of(log),
+            )
+        else:
+            robot = Follower(features, chosen, every=gap, limits=limits, name=inputs.name_of(log))
+            if start is not None:
+                robot.place(Pose2D(*start), given="start")
+            run = live.follow(
+                robot, lambda scan: prepared(scan if logs.scale == 1 else scan.scaled(logs.scale))
+            )
         begin = time.perf_counter()
         with progress("track", len(scans)) as advance:
             for moment in run:
@@ -181,14 +205,18 @@ def track(
                 write_text_atomic(ros, yaml_text(messages), force=force)
             LOG.info("wrote %s", display(ros))
         if picture is not None:
-            draw_track(grid, moments, robot_poses(scans)).save(picture, force=force)
+            known = robot_poses(scans) if live is None else live.poses(len(moments))
+            draw_track(grid, moments, known).save(picture, force=force)
             LOG.info("wrote %s", display(picture))
         if movie is not None and video is not None:
             movie.save(video, force=force)
             LOG.info("wrote %s", display(video))
+    if not moments:
+        raise ScanError(f"{inputs.name_of(log)}: holds no scan with odometry")
     verdicts = [moment.belief.verdict for moment in moments]
     counts = ", ".join(f"{verdicts.count(v)} {v}" for v in ("unique", "ambiguous", "lost"))
     speed = "" if math.isnan(gone) else f"; {gone / took:.1f} x real time"
+    speed += "" if live is None else live.latency
     say(f"{len(moments)} scans, {moments[-1].metres:.1f} m: {counts}{speed}")
     if (scale := chosen.options.shared.scale) != options.shared.scale:
         LOG.warning(

@@ -17,6 +17,8 @@ from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.options import Metres
 from imgloc.ranges import Checked, Within
 
+DEVIATION = (0.5, 0.25)
+"""How far a pose that was told may be off, unless said otherwise: metres and radians."""
 BLIND, WIDE = "blind", "wide"
 _FASTEST = 50.0  # metres a second: no robot on the ground is
 _FARTHEST = 1e6  # metres between two scans: a number is damaged
@@ -85,7 +87,7 @@ def follow(
     every: Every | None = None,
     limits: Limits | None = None,
     start: Pose2D | None = None,
-    deviation: tuple[float, float] = (0.5, 0.25),
+    deviation: tuple[float, float] = DEVIATION,
     kidnap: Kidnap | None = None,
     name: str = "log",
 ) -> Iterator[Moment]:
@@ -189,7 +191,9 @@ class Follower:
         self._odom: FloatArray | None = None
         self._stamp = self._said = float("nan")
 
-    def place(self, pose: Pose2D, deviation: tuple[float, float], given: str = "pose") -> None:
+    def place(
+        self, pose: Pose2D, deviation: tuple[float, float] = DEVIATION, given: str = "pose"
+    ) -> None:
         """Believe to be at a pose, map frame, with deviations in metres and radians.
 
         A pose outside of the map is a ConfigError, which says by what it was `given`.

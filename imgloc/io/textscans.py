@@ -113,10 +113,18 @@ def read_jsonl(path: PathLike) -> ScanSet:
         entries = [(f"{name}: scan {i}", item) for i, item in enumerate(items)]
     else:
         entries = [(where := f"{name}: line {i}", _json(text, where)) for i, text in lines]
-    for where, entry in entries:
-        if not isinstance(entry, dict):
-            raise ScanError(f"{where}: got {type(entry).__name__}, expected an object with ranges")
-    return collect([(where, plain_entry(entry, where)) for where, entry in entries], name)
+    return collect([(where, _object(entry, where)) for where, entry in entries], name)
+
+
+def read_jsonl_line(text: str, where: str) -> ScanSet:
+    """The scan of one of the lines of :func:`read_jsonl`; `where` it stands, for errors."""
+    return collect([(where, _object(_json(text, where), where))], where)
+
+
+def _object(entry: object, where: str) -> dict[str, Any]:
+    if not isinstance(entry, dict):
+        raise ScanError(f"{where}: got {type(entry).__name__}, expected an object with ranges")
+    return plain_entry(entry, where)
 
 
 def text_size(path: PathLike, *, between: bytes = b",") -> ScansSize:

@@ -1,0 +1,143 @@
+"""`imgloc track` while a log is being written: standard input, a pipe, a file that grows."""
+
+import json
+import os
+import select
+import shutil
+import signal
+import subprocess
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import MAPS, call, command, rows
+
+from imgloc.filters.motion import noisy_odometry
+from imgloc.simulation.scans import simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
+
+MAP, ANGLES, N = MAPS / "visibility.yaml", np.deg2rad(np.arange(-180, 180, 3.0)), 8
+
+
+@pytest.fixture(scope="module")
+def lines() -> list[str]:
+    poses = np.array([[4.0 + 0.5 * k, 7.0, 0.0] for k in range(N)])
+    odom = noisy_odometry(poses, np.random.default_rng(0))
+    seen = simulate_ranges(render(WORLDS["visibility"](), 0.05), poses, ANGLES, seed=2)
+    return [
+        json.dumps(
+            {
+                "ranges": [round(float(r), 4) for r in ranges],
+                "angles": ANGLES.tolist(),
+                "range_max": 30.0,
+                "stamp": 100.0 + k,
+                "odom": o.tolist(),
+                "pose": pose.tolist(),
+            }
+        )
+        + "\n"
+        for k, (ranges, o, pose) in enumerate(zip(seen, odom, poses, strict=True))
+    ]
+
+
+def started(*words: object) -> subprocess.Popen[str]:
+    pipe = subprocess.PIPE
+    made = command(["track", MAP, *words])
+    return subprocess.Popen(made, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+
+
+def line_of(run: subprocess.Popen[str], seconds: float = 30.0) -> str:
+    """The next line of output; nothing if it does not come in time."""
+    assert run.stdout is not None
+    return run.stdout.readline() if select.select([run.stdout], [], [], seconds)[0] else ""
+
+
+def test_each_line_is_answered_before_the_next_one_comes(lines: list[str], tmp_path: Path) -> None:
+    path = tmp_path / "log.jsonl"
+    path.write_text("".join(lines))
+    whole = call("track", MAP, path, "--json", "--tum", tmp_path / "file.tum")
+    assert whole.code == 0, whole.err
+    run, got = started("-", "--json", "--tum", tmp_path / "pipe.tum"), []
+    assert run.stdin is not None
+    for line in lines:
+        run.stdin.write(line)
+        run.stdin.flush()
+        got.append(line_of(run))
+    _, said = run.communicate()
+    assert run.returncode == 0, said
+    assert "".join(got) == whole.out
+    assert (tmp_path / "pipe.tum").read_bytes() == (tmp_path / "file.tum").read_bytes()
+    assert "from line in to line out p50" in said
+
+
+def test_a_named_pipe_is_followed_and_a_cut_line_is_left_out(
+    lines: list[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    text = "\n" + "".join(lines[:3]) + lines[3][:40]
+    writer = threading.Thread(target=path.write_text, args=(text,))
+    writer.start()
+    run = call("track", MAP, path, "--json", "--picture", tmp_path / "a.png")
+    writer.join()
+    assert run.code == 0, run.err
+    assert [row["stamp"] for row in rows(run.out)] == [100, 101, 102]
+    assert (tmp_path / "a.png").stat().st_size > 1000
+
+
+def test_a_file_that_grows_is_followed_through_its_rotation(
+    lines: list[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "log.jsonl"
+    path.write_text(lines[0] + lines[1][:50])
+    run = started(path, "--json", "--follow", "--tum", tmp_path / "a.tum")
+    assert json.loads(line_of(run))["stamp"] == 100
+    with path.open("a") as file:
+        file.write(lines[1][50:])
+    assert json.loads(line_of(run))["stamp"] == 101
+    shutil.move(path, tmp_path / "log.1")
+    time.sleep(0.1)
+    path.write_text(lines[2])
+    row = json.loads(line_of(run))
+    assert (row["stamp"], row["index"]) == (102, 2)
+    run.send_signal(signal.SIGINT)
+    _, said = run.communicate(timeout=30)
+    assert run.returncode == 0, said
+    assert (tmp_path / "a.tum").exists()
+
+
+def test_scans_without_odometry_are_left_out_and_counted(
+    lines: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bare = {k: v for k, v in json.loads(lines[1]).items() if k != "odom"}
+    run = started("-", "--json")
+    out, said = run.communicate(lines[0] + json.dumps(bare) + "\n" + lines[2])
+    assert run.returncode == 0, said
+    assert [row["index"] for row in rows(out)] == [0, 2]
+    assert "1 of 3 scans have no odometry" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "text", "code", "expected"),
+    [
+        ((), '{"ranges": [1], \n', 4, "standard input: line 1: not valid JSON"),
+        ((), '{"ranges": [1]}\n', 4, "standard input: line 1"),
+        (("--kidnap", "1,1,1,0"), "{}\n", 2, "--kidnap: needs a log that is whole"),
+        (("--follow",), "{}\n", 2, "--follow: is of a file that grows"),
+    ],
+)
+def test_refuses(words: tuple[str, ...], text: str, code: int, expected: str) -> None:
+    run = started("-", *words)
+    out, said = run.communicate(text)
+    assert (run.returncode, out) == (code, "")
+    assert expected in said
+
+
+def test_stamps_that_run_backwards_end_it(lines: list[str]) -> None:
+    run = started("-", "--json")
+    out, said = run.communicate(lines[1] + lines[0])
+    assert run.returncode == 4
+    assert len(rows(out)) == 1
+    assert "standard input: stamps[1]: 100 after 101" in said
