@@ -419,7 +419,7 @@ def atlas(made: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[ob
     part = out.with_name("a.png.part")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("imgloc.lab.atlas.survey", lambda *_, **__: iter(()))
-        patch.setattr("imgloc.output.pictures.draw_atlas", lambda *_, **__: 1 / 0)
+        patch.setattr("imgloc.lab.picture.draw_atlas", lambda *_, **__: 1 / 0)
         assert call(*words, "--out", out).code == 1
     return words, part.read_text().splitlines()[0]
 
