@@ -91,6 +91,18 @@ def test_a_surface_that_faces_away_does_not_agree() -> None:
     assert faced(np.array([[1.32, 0.0]]), one, one, unknown, blind, reach=0.5).all()
 
 
+def test_only_what_is_near_both_ways_is_asked() -> None:
+    # Two points of a wall face the ray and one has its back to it: the same x, three metres aside.
+    xy, facing = [[1.0, 0.0], [1.0, 0.4], [1.0, 3.0]], [np.pi, np.pi, 0.0]
+    wall = OrientedPoints(xy, facing, [0.1] * 3, [True] * 3)
+    ends = np.array([[1.1, 0.1], [1.0, 2.9], [1.0, 1.7]])
+    got = faced(ends, np.zeros(3), np.zeros(3), np.full(3, np.inf), wall, reach=0.5)
+    assert got.tolist() == [True, False, True]  # the last has nothing near that objects
+    assert faced(ends[:0], *np.zeros((3, 0)), wall, reach=0.5).tolist() == []
+    none = wall.select(np.zeros(3, bool))
+    assert faced(ends, np.zeros(3), np.zeros(3), np.ones(3), none, reach=0.5).all()
+
+
 def test_an_uncertain_normal_is_given_more_room() -> None:
     end, psi, alpha = np.zeros((1, 2)), np.zeros(1), np.array([np.pi - 0.7])
     for sigma, agrees in ((0.05, False), (0.4, True)):

@@ -35,7 +35,6 @@ from imgloc.model import (
     FloatArray,
     GridInfo,
     Hypothesis,
-    IntArray,
     LaserScan,
     Likelihood,
     Localization,
@@ -242,12 +241,14 @@ def faced(
     >>> faced(ends, np.full(3, np.pi), normals, np.full(3, np.inf), wall, reach=0.5).tolist()
     [False, False, True]
     """
+    from scipy.spatial import cKDTree  # 0.3 s that no answer without reasons should wait for
+
     surface = surface.select(np.asarray(surface.valid & np.isfinite(surface.alpha)))
-    ray, point = _pairs(end, surface.xy, reach)
-    away = np.linalg.norm(end[ray] - surface.xy[point], axis=1)
+    pairs = cKDTree(end).sparse_distance_matrix(cKDTree(surface.xy), reach, output_type="ndarray")
+    ray, point, away = pairs["i"], pairs["j"], pairs["v"]
     nearest = np.full(len(end), np.inf)
     np.minimum.at(nearest, ray, away)
-    close = away <= np.minimum(nearest[ray] + _NEAR, reach)
+    close = away <= nearest[ray] + _NEAR
     ray, point = ray[close], point[close]
     normal = surface.alpha[point]
     facing = np.cos(normal - psi[ray]) < np.sin(_GRAZING)
@@ -259,15 +260,6 @@ def faced(
     out[ray] = False
     out[ray[agrees]] = True
     return out
-
-
-def _pairs(a: FloatArray, b: FloatArray, reach: float) -> tuple[IntArray, IntArray]:
-    """Indices of all pairs of a point of `a` and one of `b` with about `reach` or less in x."""
-    order = np.argsort(b[:, 0], kind="stable")
-    low = np.searchsorted(b[order, 0], a[:, 0] - reach)
-    count = np.searchsorted(b[order, 0], a[:, 0] + reach, side="right") - low
-    first = np.repeat(low - np.cumsum(count) + count, count)
-    return np.repeat(np.arange(len(a)), count), order[first + np.arange(count.sum())]
 
 
 def layers_of(features: MapFeatures, scan: LaserScan, options: Options) -> Iterator[Layer]:
