@@ -17,7 +17,7 @@ import numpy as np
 from imgloc import LaserScan, MapFeatures, Pose2D, ScanSet
 from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import theta_bin, uniform_thetas
-from imgloc.lab.evaluation import PAPER_STEPS_DEG, Share, cell_of_pose, share
+from imgloc.lab.evaluation import PAPER_STEPS_DEG, Z95, Share, cell_of_pose, share
 from imgloc.lab.performance_index import (
     FLOOR,
     Index,
@@ -169,7 +169,7 @@ class TableRow:
     @property
     def interval(self) -> tuple[float, float]:
         """95 % interval of S."""
-        half = 1.959964 * self.index.standard_error
+        half = Z95 * self.index.standard_error
         return self.index.value - half, self.index.value + half
 
     @property
