@@ -153,6 +153,7 @@ def test_one_laser_sees_for_both() -> None:
     moments = list(follow(features, half, chosen, start=Pose2D(*PATH[0]), deviation=(0.2, 0.1)))
     assert [m.withheld for m in moments] == [""] * len(moments)
     assert [m.age for m in moments[4:6]] == [pytest.approx(0.9), 0.0]
+    assert [m.belief.verdict for m in moments[-4:]] == ["unique"] * 4
     blind = [replace(scan, ranges=np.full_like(scan.ranges, np.nan)) for scan in some[8:]]
     none = replace(scans, scans=(*some[:8], *blind))
     moments = list(follow(features, none, chosen, start=Pose2D(*PATH[0]), deviation=(0.2, 0.1)))

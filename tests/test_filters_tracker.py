@@ -56,8 +56,8 @@ def found(scan):
     return searches()(log().scans[int(scan.stamp)])
 
 
-def tracker_of(**how):
-    return make_filter("tracker", features_of(WORLD), Options(), find=found, **how)
+def tracker_of(find=found, **how):
+    return make_filter("tracker", features_of(WORLD), Options(), find=find, **how)
 
 
 @cache
@@ -360,6 +360,72 @@ def test_scans_that_say_nothing_leave_the_belief_alone() -> None:
         assert chosen.belief.verdict == "lost"
 
 
+def blinked(scans: ScanSet, *at: int) -> ScanSet:
+    """The log with NaN for some of its scans."""
+    some = list(scans.scans)
+    for k in at:
+        some[k] = replace(some[k], ranges=np.full_like(some[k].ranges, np.nan))
+    return replace(scans, scans=tuple(some))
+
+
+def test_a_scan_that_is_lost_now_and_then_takes_nothing_back() -> None:
+    at = range(7, 24, 3)
+    moments = list(follow(features_of(WORLD), blinked(log(), *at), tracker_of()))
+    assert [m.withheld for m in moments] == ["blind" if k in at else "" for k in range(24)]
+    seen = [m.belief.verdict for m in moments[4:] if not m.withheld]
+    assert set(seen) == {"unique"}
+
+
+def test_who_stands_is_sure_again_after_a_blink_and_not_after_a_minute() -> None:
+    """Noise makes scans at rest differ; wheels say that nothing moved."""
+    ten, rng = piece(log(), range(10)), np.random.default_rng(0)
+    last = ten.scans[-1]
+    rest = [replace(last, ranges=last.ranges + 0.01 * rng.standard_normal(120)) for _ in range(9)]
+    stands = ScanSet(
+        (*ten.scans, *rest), None, np.arange(19.0), np.concatenate((ten.odom, [ten.odom[-1]] * 9))
+    )
+    for dark, expected in ((1, "unique"), (4, "ambiguous")):
+        scans = blinked(stands, *range(10, 10 + dark))
+        moments = list(follow(features_of(WORLD), scans, tracker_of(find=None)))
+        assert moments[9].belief.verdict == "unique"
+        assert moments[-1].belief.verdict == expected
+
+
+def test_a_driver_that_goes_round_two_buffers_is_blind() -> None:
+    scans = log()
+    stale = tuple(scans.scans[8 + k % 2] if k > 9 else s for k, s in enumerate(scans.scans))
+    moments = list(follow(features_of(WORLD), replace(scans, scans=stale), tracker_of()))
+    assert [m.withheld for m in moments[10:]] == ["blind"] * 14
+    assert moments[-1].age == 14.0
+
+
+def test_a_scan_that_stays_as_it_is_while_the_robot_drives_is_an_old_one() -> None:
+    """Each has noise of its own: no two are the same to the bit."""
+    scans, rng = log(), np.random.default_rng(0)
+    old = scans.scans[9]
+    noisy = [replace(old, ranges=old.ranges + 0.005 * rng.standard_normal(120)) for _ in range(14)]
+    stale = replace(scans, scans=(*scans.scans[:10], *noisy))
+    moments = list(follow(features_of(WORLD), stale, tracker_of(find=None)))
+    assert [m.withheld for m in moments[12:]] == ["blind"] * 12
+    away = errors(moments, scans)
+    assert all(e < 1 for e, m in zip(away, moments, strict=True) if m.pose is not None)
+
+
+def test_a_pose_that_slips_may_be_that_of_somebody_who_was_carried() -> None:
+    """Moved by 0.6 m while the wheels stood: the map is searched, and it is not sure at once."""
+    asked, scans = list[float](), piece(log(), range(8))
+    scans = replace(scans, odom=np.concatenate((scans.odom[:7], scans.odom[6:7])))
+
+    def find(scan: LaserScan) -> Places:
+        asked.append(scan.stamp)
+        return found(scan)
+
+    tracker = Tracker(features_of(WORLD), find=find)
+    moments = list(follow(features_of(WORLD), scans, tracker))
+    assert asked[-1] == 7.0
+    assert moments[-1].looked
+
+
 def test_every_decides_what_is_looked_at() -> None:
     scans = piece(log(), range(10))
     gap = Every(1.2, 9.0)
@@ -380,6 +446,9 @@ def test_refuses_logs_that_cannot_be_followed() -> None:
     bare = ScanSet(scans.scans, scans.poses, scans.stamps)
     with pytest.raises(ScanError, match=r"a\.npz: odom: missing"):
         next(follow(features, bare, Tracker(features), name="a.npz"))
+    late = ScanSet(scans.scans, scans.poses, np.append(scans.stamps[:-1], np.inf), scans.odom)
+    with pytest.raises(ScanError, match=r"stamps\[23\]: got inf, expected seconds"):
+        next(follow(features, late, Tracker(features)))
     back = ScanSet(scans.scans, scans.poses, scans.stamps[::-1], scans.odom)
     with pytest.raises(ScanError, match=r"stamps\[1\]"):
         next(follow(features, back, Tracker(features)))

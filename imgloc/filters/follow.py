@@ -1,5 +1,6 @@
 """A filter along a log: when it looks, what it publishes, and when it says nothing."""
 
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -19,7 +20,12 @@ from imgloc.ranges import Checked, Within
 
 DEVIATION = (0.5, 0.25)
 """How far a pose that was told may be off, unless said otherwise: metres and radians."""
+_BUFFERS = 8  # scans of a laser that are remembered: a driver may go round some buffers
+#: after so many metres or radians a scan that has not changed by so many metres at such a share of
+#: its readings is an old one
+_STALE = (0.5, float(np.deg2rad(15.0)), 0.02, 0.95)
 BLIND, WIDE = "blind", "wide"
+_LATEST = 1e18  # seconds
 _FASTEST = 50.0  # metres a second: no robot on the ground is
 _FARTHEST = 1e6  # metres between two scans: a number is damaged
 
@@ -127,6 +133,8 @@ def follow(
             yield replace(moment, index=indices[moment.index])
         return
     stamps = np.full(len(scans), np.nan) if scans.stamps is None else scans.stamps
+    if (far := np.flatnonzero(np.abs(stamps) > _LATEST)).size:
+        _check_order(name, int(far[0]), np.nan, float(stamps[far[0]]))
     if (back := np.flatnonzero(np.diff(stamps) < 0)).size:
         _check_order(name, int(back[0]) + 1, *stamps[back[0] : back[0] + 2])
     with np.errstate(over="ignore", invalid="ignore"):
@@ -188,6 +196,7 @@ class Follower:
         self.every, self.limits = every or Every(), limits or Limits()
         self._lasers = dict[Pose2D | None, _Laser]()
         self._count, self._blind, self._metres = 0, 0, 0.0
+        self._dark = 0.0  # seconds without sight that the filter was not told of yet
         self._odom: FloatArray | None = None
         self._stamp = self._said = float("nan")
 
@@ -231,18 +240,22 @@ class Follower:
         self.filter.move(step)
         moved = way_of(step)
         for laser in self._lasers.values():
-            laser.way = laser.way + moved
+            laser.move(moved)
         self._metres += float(moved[0])
 
     def _take(self, scan: LaserScan, laser: "_Laser", waited: float) -> bool:
         """Whether the whole belief was weighed by the scan."""
         if laser.repeats(scan) or usable(scan, self.filter.options) is None:
             self._blind += 1
+            self._dark += waited
+            if self._blind < len(self._lasers):  # another one has just seen something
+                return False
             for one in self._lasers.values():  # the next thing that is seen is looked at
                 one.way = np.full(2, np.inf)
-            self.filter.miss(waited)
+            self.filter.miss(self._dark)
+            self._dark = 0.0
             return False
-        self._blind, self._said = 0, self._stamp
+        self._blind, self._dark, self._said = 0, 0.0, self._stamp
         far = laser.way >= np.array([self.every.metres, self.every.radians]) - 1e-9
         if not far.any() and not self.filter.watch(scan):
             return False
@@ -275,6 +288,8 @@ class Follower:
 
 
 def _check_order(name: str, k: int, before: float, stamp: float) -> None:
+    if abs(stamp) > _LATEST:
+        raise ScanError(f"{name}: stamps[{k}]: got {stamp:g}, expected seconds")
     if stamp < before:
         raise ScanError(
             f"{name}: stamps[{k}]: {stamp:.9g} after {before:.9g}, expected the order of time"
@@ -290,16 +305,39 @@ def _check_way(name: str, k: int, metres: float) -> None:
 
 
 class _Laser:
-    """One laser of a robot: its way since it was looked at, and its last readings."""
+    """One laser of a robot: its way since it was looked at, and what it measured lately."""
 
     def __init__(self) -> None:
         self.way = np.full(2, np.inf)
-        self._last: LaserScan | None = None
+        self._last = deque[bytes](maxlen=_BUFFERS)
+        self._reference: FloatArray | None = None
+        self._moved = np.zeros(2)  # since the reference
+
+    def move(self, moved: FloatArray) -> None:
+        """Take a motion: metres and radians (2,)."""
+        self.way, self._moved = self.way + moved, self._moved + moved
 
     def repeats(self, scan: LaserScan) -> bool:
-        """Whether a scan is the last one again, to the bit: no sensor measures the same twice."""
-        last, self._last = self._last, scan
-        return last is not None and np.array_equal(last.ranges, scan.ranges, equal_nan=True)
+        """Whether a scan is an old one, which a driver gives again, also with some noise.
+
+        No sensor measures the same twice, to the bit; and hardly a scan stays as it is while the
+        robot moves on.
+        """
+        content = scan.ranges.tobytes()
+        again = content in self._last
+        self._last.append(content)
+        before = self._reference
+        if before is None or before.shape != scan.ranges.shape:
+            self._reference, self._moved = scan.ranges, np.zeros(2)
+            return again
+        if not (self._moved >= _STALE[:2]).any():
+            return again
+        with np.errstate(invalid="ignore"):
+            same = np.abs(scan.ranges - before)[scan.valid] < _STALE[2]
+        if len(same) and np.mean(same) >= _STALE[3]:
+            return True
+        self._reference, self._moved = scan.ranges, np.zeros(2)
+        return again
 
 
 def robot_poses(scans: ScanSet) -> FloatArray | None:

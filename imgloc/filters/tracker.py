@@ -91,8 +91,11 @@ class TrackerOptions(Checked):
     #: known, and how many times the variance it may have
     learn: tuple[Share, Factor] = (0.1, 25.0)
     stale: Metres = 3.0  #: metres since a scan agreed with the best component, to be ``unique``
-    #: chance of being carried off: for each second without sight, and in all of them
-    dark: tuple[Share, Share] = (0.02, 0.3)
+    #: metres and seconds without sight that count for nothing: a reading that is lost now and then
+    blink: Metres = 1.0
+    #: chance of being carried off: for each second without sight, and in all of them; and where the
+    #: pose is found as far off as wheels may slip: in a building that repeats, that may be it
+    dark: tuple[Share, Share, Share] = (0.02, 0.3, 0.1)
     #: scans that show another scale of the readings, nats that they must gain together, and how
     #: far their median must be from 1: a logarithm, and standard errors of the median
     stretch: tuple[Count, Nats, Nats, Nats] = (6, 150.0, 0.015, 3.0)
@@ -141,6 +144,7 @@ class Tracker:
         self._lost, self._resets, self._agreed, self._dark = 1.0, 0, 0, False
         self._unique: tuple[FloatArray, float] | None = None  # last such pose (3,), metres ago
         self._wrong = 1.0  # variance of odometry's errors, as scans show it, over what is expected
+        self._unseen = np.nan  # metres and seconds since the first of the scans that said nothing
         self._way, self._since = 0.0, 0.0  # metres since the last scan, and since one agreed
         self._unsearched, self._pause = 0.0, self.how.search[0]  # metres
         self._habits, self._scales = Habits(), list[tuple[float, float]]()
@@ -172,16 +176,26 @@ class Tracker:
     def miss(self, seconds: float) -> None:
         """Take note of a scan that says nothing, so long after the one before.
 
-        Who sees nothing may be carried off. A second or a metre without sight takes back a metre
-        of having been followed, and each such scan one that agreed.
+        Who sees nothing may be carried off. After a blink, a second or a metre without sight takes
+        back a metre of having been followed, and scans have to agree anew.
         """
-        first, (rate, most) = self.how.sure[0], self.how.dark
-        cost, self._way = self._way + seconds, 0.0
-        kept = np.maximum(np.minimum(self._followed, first) - cost, 0.0)
-        self._followed = np.minimum(self._followed, kept)
-        self._agreed, self._dark = max(0, min(self._agreed, self.how.agree[0]) - 1), True
-        if self.how.resets and self._lost < most:
-            lost = min(most, self._lost + rate * seconds)
+        first, (rate, most, _) = self.how.sure[0], self.how.dark
+        way, self._way = self._way, 0.0
+        if np.isnan(self._unseen):  # the first one: between two scans nobody sees anything
+            self._unseen = 0.0
+            return
+        before, self._unseen = self._unseen, self._unseen + way + seconds
+        if self._unseen <= self.how.blink:
+            return
+        self._followed = np.minimum(self._followed, max(0.0, first - self._unseen))
+        self._agreed, self._dark = 0, True
+        if before <= self.how.blink:
+            seconds += before
+        self._doubt_place(min(most, self._lost + rate * seconds))
+
+    def _doubt_place(self, lost: float) -> None:
+        """Raise the mass of being lost to so much."""
+        if self.how.resets and self._lost < lost:
             self._mass, self._lost = self._mass * (1 - lost) / (1 - self._lost), lost
 
     def watch(self, scan: LaserScan) -> bool:
@@ -193,7 +207,7 @@ class Tracker:
             return True  # who was blind is to be sure again, also where it stands
         habit, view = self._habits.of(seen), view_of(seen, self.options)
         near = self._unsurprised(view, habit)
-        if near is None:
+        if near is None or self._lost > self.how.known:
             return True
         self._follow_on()
         if len(view.readings) >= self.how.agree[1] and habit.last <= self._strange(habit):
@@ -218,7 +232,8 @@ class Tracker:
         return self.how.agree[0] if near else self.how.again
 
     def _follow_on(self) -> None:
-        self._followed, self._way = self._followed + self._way, 0.0
+        """Something was seen: what was driven since the last scan was followed."""
+        self._followed, self._way, self._unseen = self._followed + self._way, 0.0, np.nan
 
     def _fresh(self, habit: Habit) -> float:
         """Share of a scan's evidence that is new after the way since the last one looked at."""
@@ -242,6 +257,7 @@ class Tracker:
             fit = misfit_at(self.features, view, other, self.options)
             if slipped := fit <= self._strange(habit):
                 near, misfit, self._covariance[best] = other, fit, wider[0]
+                self._doubt_place(self.how.dark[2])
         if misfit > habit.last + self.how.surprise[1]:
             return None
         habit.last, habit.doubted = misfit, slipped or misfit > self._strange(habit)
@@ -333,8 +349,7 @@ class Tracker:
             return
         logs = np.log(scales * shared.scale)
         middle = float(np.median(logs))
-        # A median has 1.25 times the standard error of a mean; 1.48 absolute deviations are one.
-        error = 1.25 * 1.48 * float(np.median(np.abs(logs - middle))) / np.sqrt(count)
+        error = 1.25 * float(np.std(logs, ddof=1)) / np.sqrt(count)  # 1.25 times that of a mean
         unsure = max(least, errors * error)
         if abs(middle - np.log(self._given)) <= unsure:
             scale = self._given
