@@ -154,6 +154,18 @@ def test_a_sensor_upside_down_is_turned_over(tmp_path: Path) -> None:
     assert scans[0].T_base_laser == Pose2D(0.35, 0.0, 0.0)
 
 
+@pytest.mark.parametrize(
+    ("q", "yaw"), [((0, 0, 0, 0), 0.0), ((0, 0, 3, 3), math.pi / 2), ((0, 0, 0, math.nan), None)]
+)
+def test_a_turn_that_nobody_filled_in_is_none(tmp_path: Path, q, yaw: float | None) -> None:
+    path = write(tmp_path / "a.bag", "bag", robot("bag", q))
+    if yaw is None:
+        with pytest.raises(ScanError, match="T_base_laser: got nan"):
+            load_scans(path)
+    else:
+        assert load_scans(path)[0].T_base_laser.theta == pytest.approx(yaw)
+
+
 def test_odometry_may_be_in_the_transforms_or_nowhere_near(tmp_path: Path) -> None:
     m = messages_of(False)
     content = [

