@@ -39,10 +39,13 @@ for line in sys.stdin:
         os.wait()
         continue
     load, small, large, options = json.loads(line)
-    vars()[load](small, **options)
-    before = status("VmRSS")
-    vars()[load](large, **options)
-    print(status("VmHWM") - before, flush=True)
+    try:
+        vars()[load](small, **options)
+        before = status("VmRSS")
+        vars()[load](large, **options)
+        print(status("VmHWM") - before, flush=True)
+    except Exception as e:
+        print(repr(e), flush=True)
     os._exit(0)
 """
 
@@ -179,7 +182,7 @@ def write_scans(path: Path, count: int, rays: int, kind: str) -> None:
         ("s.npz", 15_000, 1, ""),
         ("s.csv", 1500, 360, ""),
         ("s.csv", 15_000, 1, ""),
-        ("s.csv", 1, 300_000, ""),
+        ("s.csv", 1, 100_000, ""),
         ("s.csv", 1500, 360, "\N{COMPASS}\N{ROBOT FACE}"),
         ("s.jsonl", 1500, 360, ""),
         ("s.jsonl", 10_000, 1, ""),
