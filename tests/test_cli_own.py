@@ -235,6 +235,17 @@ def test_no_cell_of_the_table_is_a_formula(folder: Path) -> None:
     assert not [cell for cell in texts if cell.startswith(("=", "+", "-", "@", "\t", "\r"))]
 
 
+def test_a_message_of_megabytes_is_not_written_for_each_answer(folder: Path) -> None:
+    path = folder / "out" / "results.jsonl"
+    rows = [json.loads(line) for line in path.read_text().splitlines()]
+    rows[0]["message"] = "x" * 1_000_000
+    rows[0]["answers"] *= 25
+    path.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    run = call("export", folder / "out")
+    assert run.code == 0, run.err
+    assert (folder / "out" / "results.csv").stat().st_size < 60 * 6000
+
+
 # A folder that goes while it is written.
 
 

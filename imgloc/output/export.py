@@ -19,6 +19,7 @@ FORMATS = ("csv", "parquet")
 _COVARIANCE = {"xx": (0, 0), "xy": (0, 1), "xt": (0, 2), "yy": (1, 1), "yt": (1, 2), "tt": (2, 2)}
 _ITEM = ("map", "scans", "status", "code", "message", "version", "key")
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
+_LONGEST = 4096  # characters of a text of an item
 _MOST = 1000  # columns; answers have about a hundred
 Columns = dict[str, list[Any]]
 
@@ -44,7 +45,8 @@ def columns_of(folder: PathLike) -> Columns:
     columns: Columns = {}
     count = 0
     for row in read_rows(folder):
-        about = {key: row[key] for key in _ITEM}
+        # A message is in each line of its item: what an edited row has of it could be megabytes.
+        about = {key: v[:_LONGEST] if isinstance(v := row[key], str) else v for key in _ITEM}
         # A signal, an exit code, or the kind of an error: text, so that the column has one type.
         about["code"] = None if row["code"] is None else str(row["code"])
         cost = {"item_seconds": row["cost"].get("seconds"), "attempts": row["cost"].get("attempts")}
