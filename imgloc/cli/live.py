@@ -1,5 +1,6 @@
 """Scans that come while `imgloc track` runs: from standard input, a pipe or a file that grows."""
 
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -19,8 +20,8 @@ if TYPE_CHECKING:
 class Live:
     """The scans of a source, each followed as soon as it is there, and how long that took."""
 
-    def __init__(self, source: "Iterator[tuple[float, ScanSet]]", *, endless: bool) -> None:
-        self._source, self._endless = source, endless
+    def __init__(self, source: "Iterator[tuple[float, ScanSet]]") -> None:
+        self._source = source
         self.seconds: list[float] = []  #: from line in to line out, of each scan
         self.truth: list[tuple[float, float, float]] = []  #: known poses of the robot
         self.skipped = 0  #: scans without odometry
@@ -28,25 +29,21 @@ class Live:
     def follow(
         self, robot: "Follower", prepared: "Callable[[LaserScan], LaserScan]"
     ) -> "Iterator[Moment]":
-        """A moment for each scan; Ctrl-C is the end of a source that has none."""
+        """A moment for each scan."""
         from imgloc.filters.follow import robot_poses
 
         index = -1
-        try:
-            for index, (begin, one) in enumerate(self._source):
-                scan = prepared(one.scans[0])
-                if one.odom is None:
-                    self.skipped += 1
-                    continue
-                stamp = float("nan") if one.stamps is None else float(one.stamps[0])
-                moment = robot.step(scan, one.odom[0], stamp)
-                if (truth := robot_poses(replace(one, scans=(scan,)))) is not None:
-                    self.truth.append(tuple(truth[0]))
-                yield replace(moment, index=index)
-                self.seconds.append(time.perf_counter() - begin)
-        except KeyboardInterrupt:
-            if not self._endless:
-                raise
+        for index, (begin, one) in enumerate(self._source):
+            scan = prepared(one.scans[0])
+            if one.odom is None:
+                self.skipped += 1
+                continue
+            stamp = float("nan") if one.stamps is None else float(one.stamps[0])
+            moment = robot.step(scan, one.odom[0], stamp)
+            if (truth := robot_poses(replace(one, scans=(scan,)))) is not None:
+                self.truth.append(tuple(truth[0]))
+            yield replace(moment, index=index)
+            self.seconds.append(time.perf_counter() - begin)
         if self.skipped:
             say(f"{self.skipped} of {index + 1} scans have no odometry and were left out")
 
@@ -79,9 +76,21 @@ def live_of(log: Path, *, follow: bool) -> Live | None:
     if follow:
         if str(log) == "-" or is_pipe(log):
             raise ConfigError("--follow: is of a file that grows; a pipe is followed anyway")
-        return Live(scans_of(growing(log), name), endless=True)
+        return Live(scans_of(growing(log, _interrupted()), name))
     if is_pipe(log):
-        return Live(scans_of(piped(log), name), endless=False)
+        return Live(scans_of(piped(log), name))
     if str(log) == "-" and begins_as_json(sys.stdin.buffer):
-        return Live(scans_of(lines_of(sys.stdin.buffer), name), endless=False)
+        return Live(scans_of(lines_of(sys.stdin.buffer), name))
     return None
+
+
+def _interrupted() -> "Callable[[], bool]":
+    """Make Ctrl-C an end that can be asked for; the second one interrupts as ever."""
+    asked = list[int]()
+
+    def ask(number: int, _: object) -> None:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        asked.append(number)
+
+    signal.signal(signal.SIGINT, ask)
+    return lambda: bool(asked)

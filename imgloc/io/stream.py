@@ -4,7 +4,7 @@ import io
 import os
 import stat
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
@@ -70,15 +70,15 @@ def piped(path: Path) -> Iterator[bytes]:
         raise ScanError(f"{display(path)}: cannot be read: {reason(e)}") from None
 
 
-def growing(path: Path) -> Iterator[bytes]:
-    """The lines of a file from its beginning, and those that are added, for ever.
+def growing(path: Path, ended: Callable[[], bool]) -> Iterator[bytes]:
+    """The lines of a file from its beginning, and those that are added, until it has `ended`.
 
     A file that is replaced by another of its name, or made shorter, is begun again; one that is
     gone is waited for. What is not a whole line yet is waited for, too.
     """
     file, rest = _opened(path), b""
     try:
-        while True:
+        while not ended():
             part = file.readline(MAX_LINE + 1)
             rest += part
             if rest.endswith(b"\n") or len(rest) > MAX_LINE:
