@@ -33,7 +33,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 PATHS = ("imgloc/features", "imgloc/likelihoods", "imgloc/search", "imgloc/pipeline.py")
-SLOW = r"test_(cli|paper_(?!claims)|bench|trust|lab_atlas|runs|gallery|tools)"
+SLOW = r"tools/|test_(cli|lab_atlas|runs)"
 ENDLESS = " did not end"
 PATIENCE = 60.0  # seconds of a processor for one test, the slowest of which takes a tenth of that
 SERVER = multiprocessing.get_context("forkserver")  # what every run needs is loaded once
@@ -148,10 +148,11 @@ def stages(path: str, tests: Sequence[str]) -> list[list[str]]:
     """
     room, *names = Path(path).with_suffix("").parts[1:]
     order: list[list[str]] = [[], [], [], []]
-    for name in tests:
+    for test in tests:
+        name = Path(test).name
         mine = name.startswith("_".join(("test", room, *names)))
-        order[0 if mine else 1 if name.startswith(f"test_{room}") else 3 if re.match(SLOW, name)
-              else 2].append(f"tests/{name}")  # fmt: skip
+        order[0 if mine else 1 if name.startswith(f"test_{room}") else 3 if re.search(SLOW, test)
+              else 2].append(f"tests/{test}")  # fmt: skip
     examples = path, "imgloc/" + room * bool(names), "imgloc", "tools"
     return [[*some, example.strip("/")] for some, example in zip(order, examples, strict=True)]
 
@@ -202,7 +203,7 @@ def _tested(folder: Path, some: Sequence[str], out: str, patience: float) -> Non
     code = pytest.main(
         ["-xv", "-n0", "-p", "no:cacheprovider", "--hypothesis-seed=0", f"--rootdir={folder}",
          "-W", "ignore::pytest.PytestAssertRewriteWarning",  # of what is loaded already
-         "--deselect=tests/test_mutants.py", *some],
+         "--deselect=tests/tools/test_mutants.py", *some],
         plugins=[_Patience(patience)],
     )  # fmt: skip
     sys.stdout.flush()
@@ -227,7 +228,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     journal = Path(tempfile.gettempdir()) / f"imgloc-mutants-{digest[:16]}.jsonl"
     told = journal.read_text("utf-8").splitlines() if journal.exists() else []
     done: dict[int, str] = {k: by for k, by in map(json.loads, told) if by}  # survivors: again
-    tests = sorted(p.name for p in (ROOT / "tests").glob("test_*.py"))
+    folder = ROOT / "tests"
+    tests = sorted(p.relative_to(folder).as_posix() for p in folder.rglob("test_*.py"))
     print(f"{len(chosen)} of {len(every)} mutants, kept in {journal}", file=sys.stderr)
     with tempfile.TemporaryDirectory() as temporary, journal.open("a", encoding="utf-8") as log:
         free: SimpleQueue[Path] = SimpleQueue()

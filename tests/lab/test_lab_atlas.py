@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from command import MAPS, call, command, rows
+from command import MAPS, ROOT, call, command, rows
 
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.lab.atlas import TOP, Spot, atlas_poses, survey
@@ -140,7 +140,7 @@ def test_a_journal_that_is_killed_while_it_starts_again_is_whole(tmp_path: Path)
         "journal = Journal(Path(sys.argv[1]), {'step': 1}); os._exit(len(journal.rows) != 500)"
     )
     run = [sys.executable, "-c", code, str(path)]
-    assert subprocess.run(run, check=False, cwd=Path(__file__).parents[1]).returncode == 0
+    assert subprocess.run(run, check=False, cwd=ROOT).returncode == 0
     assert path.read_bytes() == content
 
 
