@@ -14,6 +14,7 @@ import numpy as np
 from imgloc.errors import ConfigError
 from imgloc.geometry import cell_of, inside, uniform_thetas, wrap
 from imgloc.model import BoolArray, FloatArray, GridInfo, Temperature
+from imgloc.numbers import number
 from imgloc.ranges import Checked, OneOf, Within
 
 Metres = Annotated[float, Within(0, 1e6, "metres")]
@@ -28,8 +29,11 @@ LogOdds = Annotated[float, Within(-1e6, 1e6, "log-odds")]
 Count = Annotated[int, Within(1, 1e12, "at least one")]
 
 FUSED = "fused"
-MOST_OF_IT = 0.95  #: share of the mass found that the hypotheses listed hold
-AT_LEAST, AT_MOST = 5, 100  #: hypotheses that are listed, however much mass they hold
+#: share of the mass found that the hypotheses listed hold
+MOST_OF_IT = number("options.most_of_it")
+#: hypotheses that are listed, however much mass they hold
+AT_LEAST: int = number("options.at_least")
+AT_MOST: int = number("options.at_most")
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
 )
 ALL_METHODS = (FUSED, *METHODS)  #: every name that `localize` takes
 LOG_METHODS = frozenset({"beam"})  #: stacks whose values are logarithms already
-FEW = 20.0
+FEW = number("options.few_votes")
 """Readings with which votes are worth half of what they are with very many: of 31, 61, 181 and
 721 rays the best exponents were as 0.5, 0.9, 1 and 1.1 (ght-v, ``visibility`` and ``curved``)."""
 
@@ -92,18 +96,13 @@ def scale(method: str, readings: int) -> float:
     return n if method in LOG_METHODS else 1 + FEW / n
 
 
-#: What is used for a map that has no calibration of its own: fitted jointly on bundled worlds (not
-#: ``large``), two thirds of the scans disturbed, by ``imgloc calibrate curved visibility corridor
-#: double_wall -n 12 --seed 1000 --dry-run``.
-DEFAULTS: Mapping[str, Calibration] = MappingProxyType(
-    {
-        "cbml": Calibration(temperature=1 / 11.3),
-        "cbml-o": Calibration(0.1, 0.0, 1 / 12.7),
-        "ght": Calibration(0.2, float(np.deg2rad(10.0)), 1 / 10.1),
-        "ght-v": Calibration(0.2, float(np.deg2rad(15.0)), 1 / 12.7),
-        "beam": Calibration(temperature=1 / 6.35),
-    }
-)
+def _default(method: str) -> Calibration:
+    metres, radians, exponent = number(f"Calibration.{method}")
+    return Calibration(metres, radians, 1 / exponent)
+
+
+#: What is used for a map that has no calibration of its own.
+DEFAULTS: Mapping[str, Calibration] = MappingProxyType({name: _default(name) for name in METHODS})
 
 
 @dataclass(frozen=True)
@@ -158,19 +157,18 @@ class EvidenceModel(Checked):
 
     #: standard deviations of an endpoint's distance from its surface, metres, equally probable for
     #: every reading
-    sigmas: Sequence[Length] = (0.05, 0.2)
-    hit: Annotated[float, Within(0, 0.9999, "a share")] = (
-        0.8  #: share of the readings that come from mapped surfaces
-    )
-    span: Length = 10.0  #: metres over which the readings that do not come from the map are spread
-    absent: Annotated[float, Within(1e-6, 1, "a probability")] = (
-        0.1  #: probability that a mapped wall is not there any more
-    )
+    sigmas: Sequence[Length] = number("EvidenceModel.sigmas")
+    #: share of the readings that come from mapped surfaces
+    hit: Annotated[float, Within(0, 0.9999, "a share")] = number("EvidenceModel.hit")
+    #: metres over which the readings that do not come from the map are spread
+    span: Length = number("EvidenceModel.span")
+    #: probability that a mapped wall is not there any more
+    absent: Annotated[float, Within(1e-6, 1, "a probability")] = number("EvidenceModel.absent")
     #: metres by which a reading may pass a wall at no cost, besides half a cell
-    margin: Metres = 0.1
+    margin: Metres = number("EvidenceModel.margin")
     #: how far beyond that a wall may be drawn in a wrong place, metres: the chance falls like a
     #: Gaussian of this scale, down to `absent`
-    displaced: Length = 0.1
+    displaced: Length = number("EvidenceModel.displaced")
 
     @property
     def best(self) -> float:
@@ -184,38 +182,40 @@ class FusedOptions(Checked):
     """What the search spends where."""
 
     #: between the headings of the endpoint correlation, radians
-    theta_step: Step = float(np.deg2rad(1.0))
+    theta_step: Step = number("FusedOptions.theta_step")
     #: nodes kept by each level of the endpoint pyramid, finest first; as many as there are
-    keep: tuple[Count, Count, Count, Count] = (3000, 8000, 8000, 16000)
-    skip: Count = (
-        2  #: all levels of the pyramid but the finest take every `skip`-th of the few rays
-    )
-    vote_cell: Length = 0.25  #: cell of the GHT-V votes, metres
+    keep: tuple[Count, Count, Count, Count] = number("FusedOptions.keep")
+    #: all levels of the pyramid but the finest take every `skip`-th of the few rays
+    skip: Count = number("FusedOptions.skip")
+    vote_cell: Length = number("FusedOptions.vote_cell")  #: cell of the GHT-V votes, metres
     #: with more cells than this, headings and all, the votes of a map get larger ones
-    vote_cells: Count = 4_000_000
-    vote_headings: Count = 24  #: number of headings of the GHT-V votes
-    vote_peaks: Count = 100  #: how many peaks of the votes become proposals
+    vote_cells: Count = number("FusedOptions.vote_cells")
+    #: number of headings of the GHT-V votes
+    vote_headings: Count = number("FusedOptions.vote_headings")
+    #: how many peaks of the votes become proposals
+    vote_peaks: Count = number("FusedOptions.vote_peaks")
     #: side of the squares of which each counts as one reading, metres
-    place: Length = 0.07
-    few_rays: Count = 48  #: such readings of the first look at all proposals, and of the second at
-    rays: Count = 180  #: the best
+    place: Length = number("FusedOptions.place")
+    #: such readings of the first look at all proposals, and of the second at
+    few_rays: Count = number("FusedOptions.few_rays")
+    rays: Count = number("FusedOptions.rays")  #: the best
     #: how many places get the second look, and how many poses, which may be of one place: between
     #: two layers of a wall the score has several maxima
-    second_look: Count = 80
-    closer: Annotated[int, Within(0, 1e12, "poses")] = 40
+    second_look: Count = number("FusedOptions.second_look")
+    closer: Annotated[int, Within(0, 1e12, "poses")] = number("FusedOptions.closer")
     #: proposals nearer than this, metres and radians, are of one place, and one pose
-    twins: tuple[Metres, Radians] = (0.1, float(np.deg2rad(3.0)))
-    same: tuple[Length, Step] = (0.02, float(np.deg2rad(0.7)))
+    twins: tuple[Metres, Radians] = number("FusedOptions.twins")
+    same: tuple[Length, Step] = number("FusedOptions.same")
     #: misfit of all endpoint proposals, nats per reading, above which votes propose, too
-    unfit: Nats = 0.8
+    unfit: Nats = number("FusedOptions.unfit")
     #: misfit, nats per reading, above which readings may share an error, see
     #: :mod:`imgloc.search.adapt`; nats that they must gain; how far a scale may be from the
     #: one that is known, a factor: with more of it any building fits
-    strained: Nats = 0.5
-    adapted: Nats = 40.0
-    most_scaled: Annotated[float, Within(1, 10, "a factor")] = 1.07
+    strained: Nats = number("FusedOptions.strained")
+    adapted: Nats = number("FusedOptions.adapted")
+    most_scaled: Annotated[float, Within(1, 10, "a factor")] = number("FusedOptions.most_scaled")
     #: two poses nearer than this, metres and radians, are one hypothesis
-    separation: tuple[Metres, Radians] = (0.5, float(np.deg2rad(15.0)))
+    separation: tuple[Metres, Radians] = number("FusedOptions.separation")
     model: EvidenceModel = field(default_factory=EvidenceModel)  #: the score
 
 
@@ -233,25 +233,24 @@ class Shared(Checked):
 class Trust(Checked):
     """What turns evidence into probabilities and a verdict."""
 
-    readings: Annotated[int, Within(0, 1e6, "directions")] = (
-        10  #: with valid readings in fewer directions than this a scan is ``invalid``
-    )
+    #: with valid readings in fewer directions than this a scan is ``invalid``
+    readings: Annotated[int, Within(0, 1e6, "directions")] = number("Trust.readings")
     #: what the evidence of 100 readings is divided by where map and scan agree perfectly: errors of
     #: neighbours are not independent. It grows with the root of their number.
-    temperature: Factor = 2.0
-    strain: Annotated[float, Within(0, 1e6, "per nat")] = (
-        9.0  #: growth of that temperature per nat of misfit
-    )
+    temperature: Factor = number("Trust.temperature")
+    #: growth of that temperature per nat of misfit
+    strain: Annotated[float, Within(0, 1e6, "per nat")] = number("Trust.strain")
     #: cell of a map, metres, above which the temperature grows in proportion: all readings on a
     #: wall share the error of its place, up to half a cell
-    fine: Length = 0.1
+    fine: Length = number("Trust.fine")
     #: log-odds that the true pose is none of the hypotheses: constant, per nat of evidence by which
     #: the best fits better than a building on no map would, per share of the mass that it does not
     #: hold. A logistic regression, see ``python -m tools.trust fit``
-    elsewhere: tuple[LogOdds, LogOdds, LogOdds] = (-3.39, -0.46, 2.72)
-    most: Nats = 30.0  #: nats of such evidence; more says no more
-    mass: Share = 0.9  #: mass that the best pose needs to be ``unique``
-    correlated: Factor = 2.9  #: how many neighbouring readings share one error, for the covariances
+    elsewhere: tuple[LogOdds, LogOdds, LogOdds] = number("Trust.elsewhere")
+    most: Nats = number("Trust.most")  #: nats of such evidence; more says no more
+    mass: Share = number("Trust.mass")  #: mass that the best pose needs to be ``unique``
+    #: how many neighbouring readings share one error, for the covariances
+    correlated: Factor = number("Trust.correlated")
 
     def temperature_at(self, misfit: float, readings: int = 100, cell: float = 0.0) -> Temperature:
         """Temperature for a misfit in nats per reading, readings, and the cell of a map in metres.
@@ -386,5 +385,5 @@ class Tolerance(Checked):
     heading: Radians
 
 
-TOLERANCES = (Tolerance(0.25, 0.25), Tolerance(0.5, float(np.deg2rad(10.0))))
+TOLERANCES = tuple(Tolerance(*number(f"tolerances.{name}")) for name in ("usual", "cartographer"))
 """Those that are always reported; the second is that of Cartographer's comparison."""

@@ -40,6 +40,7 @@ from imgloc.model import (
     OccupancyGrid,
     Temperature,
 )
+from imgloc.numbers import number
 from imgloc.options import DEFAULTS, FUSED, METHODS, Options, Prior, Shared
 from imgloc.search.adapt import adapt
 from imgloc.search.background import unmapped_score
@@ -52,11 +53,14 @@ from imgloc.search.refine import refine
 from imgloc.search.rescore import Scores, rescore, shortlist
 from imgloc.search.trust import judge
 
-MODES = 20
+MODES = number("pipeline.modes")
 """Poses that are looked for, however few are listed: no verdict depends on the list's length."""
-_LAST = 20  # proposals that get the second look when time is up
-_MAXIMA = 0.5  # share of the spread of a mode's maxima by which their mean may be off
-_ROUNDS = 3  # of searches with an error that the readings share
+_LAST = number("pipeline.last")  # proposals that get the second look when time is up
+# share of the spread of a mode's maxima by which their mean may be off
+_MAXIMA = number("pipeline.maxima")
+_ROUNDS = number("pipeline.rounds")  # of searches with an error that the readings share
+_FIRST_LOOK, _SECOND_LOOK = number("refine.first_look"), number("refine.second_look")
+_FROM_CELLS = number("refine.from_cells")
 
 
 def prepare(grid: OccupancyGrid, name: str = "map", **parameters: Any) -> MapFeatures:
@@ -214,7 +218,7 @@ def find_modes(
 
     def look(proposals: FloatArray, before: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The best of them, refined, and of those that got this look before; and their scores."""
-        poses = refine(proposals, few.xy, features.field, sigmas=(0.2, 0.1))
+        poses = refine(proposals, few.xy, features.field, sigmas=_FIRST_LOOK)
         poses = np.concatenate((before, standing(poses, prior, features)))
         return shortlist(poses, few, features, fused)
 
@@ -242,7 +246,7 @@ def find_modes(
         looked = looked[:_LAST]
 
     # Refine with more rays.
-    poses = refine(looked, many.xy, features.field, sigmas=(0.1, 0.05))
+    poses = refine(looked, many.xy, features.field, sigmas=_SECOND_LOOK)
     poses = standing(poses, prior, features)
 
     # Score, and separate.
@@ -468,7 +472,7 @@ def settle(
 ) -> tuple[FloatArray, Readings, Scores]:
     """Poses after they have settled, and their scores: trust is about the place, not the cell."""
     readings = one_per_place(scan, options.fused.place).spread(options.fused.rays)
-    poses = refine(poses, readings.xy, features.field, sigmas=(0.3, 0.1, 0.05))
+    poses = refine(poses, readings.xy, features.field, sigmas=_FROM_CELLS)
     return poses, readings, score_poses(features, readings, poses, options)
 
 

@@ -10,9 +10,9 @@ from imgloc import doors
 
 #: A module imports from its own room and from those before it.
 ROOMS = (
-    "__about__", "doors", "errors", "ranges", "model", "geometry", "options", "io", "features",
-    "likelihoods", "search", "pipeline", "answers", "choice", "filters", "simulation", "runs",
-    "output", "cli",
+    "__about__", "doors", "errors", "numbers", "ranges", "model", "geometry", "options", "io",
+    "features", "likelihoods", "search", "pipeline", "answers", "choice", "filters", "simulation",
+    "runs", "output", "cli",
 )  # fmt: skip
 BEHIND = ("plans", "lab")  #: the wall: what is before it knows these by name alone
 #: What comes through the doors in the wall: commands, jobs of a batch, filters, a picture.

@@ -12,13 +12,15 @@ import numpy as np
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.maps import DRAWN, SWAPPED, looks_drawn, looks_swapped
 from imgloc.model import SURE, Evidence, LaserScan
+from imgloc.numbers import number
 from imgloc.options import Options, Shared
 from imgloc.pipeline import localize
 
 Said = Sequence[tuple[str, Evidence]]
 """Of each scan, the verdict and what it rests on."""
-_FITS = 0.25  # nats per reading; where the best pose lacks less, several places fit as they are
-_TRIED = 3  # doubtful scans that are looked at in another way
+# nats per reading; where the best pose lacks less, several places fit as they are
+_FITS = number("diagnose.fits")
+_TRIED = number("diagnose.tried")  # doubtful scans that are looked at in another way
 # By which ranges are off, the likeliest first: millimetres, centimetres, feet; round slips of the
 # resolution.
 _FACTORS = (0.001, 0.01, 0.5, 2.0, 0.1, 10.0, 0.2, 5.0, 0.25, 4.0, 0.4, 2.5)

@@ -42,6 +42,7 @@ from imgloc.model import (
     OrientedPoints,
     Pose2D,
 )
+from imgloc.numbers import number
 from imgloc.options import FUSED, LOG_METHODS, EvidenceModel, Options
 from imgloc.pipeline import likelihood, settle
 from imgloc.search.priors import around, pyramid_levels
@@ -51,9 +52,9 @@ from imgloc.search.rescore import rescore
 #: What a ray can be, in the order in which they are counted.
 KINDS = ("agrees", "orientation", "visibility", "unexplained", "no_return", "invalid")
 
-_TOLERANCE = np.deg2rad(30.0)  # between normals; more if one of them is uncertain
-_GRAZING = np.deg2rad(10.0)  # a surface along the ray may turn away by so much
-_NEAR = 0.1  # metres: points so little farther than the nearest are asked, too
+_TOLERANCE = number("explain.tolerance")  # between normals; more if one of them is uncertain
+_GRAZING = number("explain.grazing")  # a surface along the ray may turn away by so much
+_NEAR = number("explain.near")  # metres: points so little farther than the nearest are asked, too
 _SIDE = 1400  # cells that the picture of a likelihood has at most along a side
 _WORK = 10**10  # readings x headings x cells of the correlation that is drawn, at most
 _CHUNK = 1 << 24  # cells of its stack at a time

@@ -27,26 +27,27 @@ from imgloc.errors import ConfigError, expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.calibration import said_scale
 from imgloc.model import LaserScan, Localization, plain
+from imgloc.numbers import number
 from imgloc.options import FUSED, FusedOptions, Options, Trust
 from imgloc.pipeline import localize
 from imgloc.search.hypotheses import masses
 
-OPTIONS = Options(top=20, fused=FusedOptions(strained=float("inf")))
+OPTIONS = Options(top=number("choose.top"), fused=FusedOptions(strained=float("inf")))
 """Evidence is summed over the modes that are listed. No map is bent to fit: any would gain."""
-LEAD = 0.4
-"""Nats per reading by which an unknown building may fit better than the third best map.
-Chosen on 475 scans simulated in the bundled worlds and 84 recorded ones, with and without their own
-map: with less, more wrong maps are named, with more, more scans lose their own."""
-LUCK = 20.0
-"""Log-evidence that an unknown building does not exceed, nats: of these scans one in forty did.
+LEAD: float = number("choose.lead")
+"""Nats per reading by which an unknown building may fit better than the third best map."""
+LUCK: float = number("choose.luck")
+"""Log-evidence that an unknown building does not exceed, nats.
 Maps that fit better are alike, and a scan of one of them is not from none."""
-FEW = 5
+FEW = number("choose.few")
 """Of fewer maps than this, one is named only if the scan is ``unique`` in it: too few to tell what
 fits by chance, and of chance there are mostly several places."""
-FIRST, NEXT, MOST = 12, 4, 24
-"""Maps that are searched to the end: so many at first, more as long as one of the last few is among
-the best three, and no more than that. Of ten scans asked of a thousand maps, the right one had the
-best bound of all nine times, and once the sixth best."""
+FIRST: int = number("choose.first")
+"""How many maps are searched to the end at first."""
+NEXT: int = number("choose.next")
+"""How many more are searched at a time, while one of the last is among the best three."""
+MOST: int = number("choose.most")
+"""How many maps are searched to the end at most."""
 Opened = tuple[MapFeatures, Options]  #: a map, and how scans are located in it
 NO_MAP = ("none", "undecided", "invalid")  #: verdicts that name no map
 
@@ -216,7 +217,7 @@ def choose(
     fits: Mapping[str, Localization],
     trust: Trust | None = None,
     *,
-    sure: float = 0.5,
+    sure: float = number("choose.sure"),
     ruled_out: int = 0,
 ) -> Choice:
     """Compare maps by how a scan fits them; all maps are equally likely beforehand.

@@ -29,12 +29,14 @@ from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import display, reason, write_bytes_atomic
 from imgloc.io.own import open_arrays, parse_json
 from imgloc.model import FloatArray, LaserScan
+from imgloc.numbers import number
 from imgloc.options import Options
 
 LOG = logging.getLogger(__name__)
-LEVEL = 2
+LEVEL = number("folder_index.level")
 """Of the pyramid: cells four times as large as those of the poses."""
-_READINGS = 32  # of a scan: a map that is dropped here is not looked at again
+# of a scan: a map that is dropped here is not looked at again
+_READINGS = number("folder_index.readings")
 _FORMAT = "imgloc index of maps, 1"
 _YOUNG = 2_000_000_000  # ns before the index was written; a younger file may change unnoticed
 _LIMIT = 1 << 36  # bytes of a file

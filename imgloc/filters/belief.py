@@ -8,13 +8,14 @@ import numpy as np
 from imgloc.filters.motion import compose_poses, way_of
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray, LaserScan, Pose2D
+from imgloc.numbers import number
 from imgloc.options import Options
 from imgloc.search.hypotheses import separated
 
 UNIQUE, AMBIGUOUS, LOST = VERDICTS = ("unique", "ambiguous", "lost")
-STRANGE = 1.0
+STRANGE = number("belief.strange")
 """Misfit, nats per reading, that is taken for usual where nothing was seen yet."""
-_HABIT = 0.3  # share of a scan in what is the usual misfit
+_HABIT = number("belief.habit")  # share of a scan in what is the usual misfit
 
 
 @dataclass(frozen=True)
@@ -126,9 +127,9 @@ class Habits:
             habit.expect(STRANGE)
 
 
-PLACE = (0.75, 0.5)
+PLACE = number("belief.place")
 """Poses nearer than this, metres and radians, are of one place."""
-_PLACES = 20
+_PLACES = number("belief.places")
 
 
 def belief_of(

@@ -16,20 +16,25 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings, one_per_place
 from imgloc.filters.motion import compose_poses, invert_poses
 from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D
+from imgloc.numbers import number
 from imgloc.options import Options
 from imgloc.pipeline import Modes, find_modes, score_poses, weigh
 from imgloc.search.refine import endpoints, refine
 
-_SETTLE = (0.2, 0.1, 0.05)  # widths of the kernel, metres
-_FEW = 64  # readings of the first look around a pose
-_STEP = (0.4, float(np.deg2rad(2.0)))  # between the poses of it, metres and radians
-_REACH = 2.5  # standard deviations that it goes, and
-_FARTHEST = (1.2, 0.7)  # metres and radians, at most
-_SCALES = (0.95, 1.0, 1.05)  # at which that of the readings begins
-_MOST = 3000  # poses of all first looks together: time has an end
-_CLOSER = 3  # of them that are moved to where they fit best
-_BODY = 0.3  # metres: what is nearer on all sides is a cover, or the robot itself
-_WIDTHS = (0.3, 0.1)  # of the kernel that tells which: of the first look, and of the last, metres
+_SETTLE = number("evidence.settle")  # widths of the kernel, metres
+_SETTLE_SCALED = number("evidence.settle_scaled")  # the same where the scale is free
+_FEW = number("evidence.readings")  # readings of the first look around a pose
+_STEP: tuple[float, float] = number("evidence.step")  # between the poses of it, metres and radians
+_REACH = number("evidence.reach")  # standard deviations that it goes, and
+_FARTHEST = number("evidence.farthest")  # metres and radians, at most
+_SCALES = number("evidence.scales")  # at which that of the readings begins
+_MOST = number("evidence.most")  # poses of all first looks together: time has an end
+_CLOSER = number("evidence.closer")  # of them that are moved to where they fit best
+_UNKNOWN = number("evidence.unknown")  # metres, metres, radians: of a pose that was not weighed
+# metres: what is nearer on all sides is a cover, or the robot itself
+_BODY = number("evidence.body")
+# of the kernel that tells which: of the first look, and of the last, metres
+_WIDTHS = number("evidence.widths")
 
 
 @dataclass(frozen=True)
@@ -95,7 +100,7 @@ def sight(
     back = np.argsort(order, kind="stable")
     score = found.log_likelihood[back]
     misfit = options.fused.model.best - score / len(seen)
-    covariance = np.tile(np.diag([0.5, 0.5, 0.25]) ** 2, (len(poses), 1, 1))
+    covariance = np.tile(np.diag(_UNKNOWN) ** 2, (len(poses), 1, 1))
     covariance[order[: len(found.covariance)]] = found.covariance
     lever = np.tile(np.eye(3), (len(poses), 1, 1))  # a sensor that turns moves the robot
     lever[:, 0, 2], lever[:, 1, 2] = (at - poses)[:, 1], (poses - at)[:, 0]
@@ -206,7 +211,7 @@ def stretched(
     """By what to multiply the readings to fit best at a pose (3,), and what that gains, nats."""
     same = np.tile(view.sensor(pose), (len(_SCALES), 1))
     poses = np.column_stack((same, _SCALES))
-    poses = refine(poses, view.readings.xy, features.field, sigmas=(0.3, *_SETTLE[1:]))
+    poses = refine(poses, view.readings.xy, features.field, sigmas=_SETTLE_SCALED)
     poses = np.concatenate((np.append(same[0], 1.0)[None], poses))
     score = score_poses(features, view.readings, poses, options).log_likelihood
     best = 1 + int(np.argmax(score[1:]))

@@ -15,15 +15,16 @@ from imgloc.filters.motion import compose_poses, increments, invert_poses, noisy
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, Pose2D
+from imgloc.numbers import number
 from imgloc.options import Metres
 from imgloc.ranges import Checked, Within
 
-DEVIATION = (0.5, 0.25)
+DEVIATION: tuple[float, float] = number("follow.deviation")
 """How far a pose that was told may be off, unless said otherwise: metres and radians."""
 _BUFFERS = 8  # scans of a laser that are remembered: a driver may go round some buffers
 #: after so many metres or radians a scan that has not changed by so many metres at such a share of
 #: its readings is an old one
-_STALE = (0.5, float(np.deg2rad(15.0)), 0.02, 0.95)
+_STALE = number("follow.stale")
 BLIND, WIDE = "blind", "wide"
 _LATEST = 1e18  # seconds
 _FASTEST = 50.0  # metres a second: no robot on the ground is

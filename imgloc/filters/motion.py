@@ -15,24 +15,25 @@ import numpy as np
 
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray
+from imgloc.numbers import number
 from imgloc.options import Metres, Radians
 from imgloc.ranges import Checked, Within
 
 Alpha = Annotated[float, Within(0, 1e6, "a variance")]
-_STILL = 0.01  # metres: below, the direction of a motion is noise
+_STILL = number("motion.still")  # metres: below, the direction of a motion is noise
 
 
 @dataclass(frozen=True)
 class MotionNoise(Checked):
     """How far odometry may be wrong; the square roots of the alphas are shares."""
 
-    alpha1: Alpha = 0.01  #: of rotation, from rotation
-    alpha2: Alpha = 0.01  #: of rotation, from translation, rad²/m²
-    alpha3: Alpha = 0.01  #: of translation, from translation
-    alpha4: Alpha = 0.01  #: of translation, from rotation, m²/rad²
+    alpha1: Alpha = number("MotionNoise.alpha")[0]  #: of rotation, from rotation
+    alpha2: Alpha = number("MotionNoise.alpha")[1]  #: of rotation, from translation, rad²/m²
+    alpha3: Alpha = number("MotionNoise.alpha")[2]  #: of translation, from translation
+    alpha4: Alpha = number("MotionNoise.alpha")[3]  #: of translation, from rotation, m²/rad²
     #: of every motion that is not none, for steps so short that shares of them are nothing:
     #: standard deviations, metres and radians
-    floor: tuple[Metres, Radians] = (0.01, 0.005)
+    floor: tuple[Metres, Radians] = number("MotionNoise.floor")
 
     def scaled(self, factor: float) -> "MotionNoise":
         """The noise of odometry whose variances are so many times these."""

@@ -33,14 +33,18 @@ from imgloc.filters.evidence import (
 from imgloc.filters.motion import MotionNoise, compose_poses, move_gaussians, way_of
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray, IntArray, LaserScan
+from imgloc.numbers import number
 from imgloc.options import Count, Factor, Length, Metres, Nats, Options, Radians, Share, Step
 from imgloc.ranges import Checked
 from imgloc.search.hypotheses import masses, separated
 
-_SURE = 1e5  # odds of being lost, at most
-_MAPPED = 1.1  # log-odds of a scan being of its map, and found, where trust was fitted: 3 in 4
-_MOST = 3.0  # nats that being lost can gain by one scan
-_NOTHING, _RESET = 1e-7, 0.2  # mass of a component that is dropped; put in at once: a reset
+_SURE = number("tracker.sure")  # odds of being lost, at most
+_MAPPED: float = number(
+    "tracker.mapped"
+)  # log-odds that a scan is of its map where trust was fitted
+_MOST: float = number("tracker.most")  # nats that being lost can gain by one scan
+_NOTHING = number("tracker.nothing")  # mass of a component that is dropped
+_RESET = number("tracker.reset")  # mass that is put in at once: a reset
 
 Search = Callable[[LaserScan], Places]
 
@@ -50,55 +54,61 @@ class TrackerOptions(Checked):
     """What a tracker makes of scans and odometry."""
 
     noise: MotionNoise = field(default_factory=MotionNoise)
-    components: Count = 40  #: at most
-    births: Count = 15  #: modes of one scan that may become components
+    components: Count = number("TrackerOptions.components")  #: at most
+    births: Count = number("TrackerOptions.births")  #: modes of one scan that may become components
     #: metres and radians of motion after which a scan says something entirely new
-    fresh: tuple[Length, Step] = (3.0, 1.5)
-    least: Share = 0.1  #: share of a scan's evidence that counts without any motion
-    drop: Nats = 8.0  #: nats that one scan can take from a component, at most
+    fresh: tuple[Length, Step] = number("TrackerOptions.fresh")
+    #: share of a scan's evidence that counts without any motion
+    least: Share = number("TrackerOptions.least")
+    #: nats that one scan can take from a component, at most
+    drop: Nats = number("TrackerOptions.drop")
     #: chance of being carried off: for each scan's worth of motion, and where the best component
     #: fits abruptly worse than in the scan before. A place that has changed is approached.
-    leak: tuple[Share, Share] = (0.0001, 0.02)
-    patience: Factor = 0.6  #: odds of being lost that one scan can lead to, at most
+    leak: tuple[Share, Share] = number("TrackerOptions.leak")
+    #: odds of being lost that one scan can lead to, at most
+    patience: Factor = number("TrackerOptions.patience")
     #: of the map, as far as scans share it: standard deviations, metres and radians
-    error: tuple[Metres, Radians] = (0.03, 0.006)
-    gate: Nats = 12.0  #: squared Mahalanobis distance up to which a pose may be a component's
+    error: tuple[Metres, Radians] = number("TrackerOptions.error")
+    #: squared Mahalanobis distance up to which a pose may be a component's
+    gate: Nats = number("TrackerOptions.gate")
     #: components nearer than this are one, metres and radians
-    merge: tuple[Metres, Radians] = (0.3, 0.15)
-    mass: Share = 0.99  #: of the best component, to be ``unique``
+    merge: tuple[Metres, Radians] = number("TrackerOptions.merge")
+    mass: Share = number("TrackerOptions.mass")  #: of the best component, to be ``unique``
     #: metres that it has to be followed for before it is: at first, and where it replaces another
-    sure: tuple[Metres, Metres] = (1.5, 4.0)
+    sure: tuple[Metres, Metres] = number("TrackerOptions.sure")
     #: scans in a row that have to leave it so much, and readings that each needs to count
-    agree: tuple[Count, Count] = (2, 30)
+    agree: tuple[Count, Count] = number("TrackerOptions.agree")
     #: scans in a row where the place is another than the one that was unique before: a building
     #: that repeats fits for some metres at the wrong bay
-    again: Count = 5
+    again: Count = number("TrackerOptions.again")
     #: how far apart poses are of other places: metres, and metres for each metre driven since
-    elsewhere: tuple[Metres, Share] = (1.0, 0.1)
+    elsewhere: tuple[Metres, Share] = number("TrackerOptions.elsewhere")
     #: metres between two searches while what is followed fits as usual: other places are then only
     #: looked at where they are followed. At first, and most; twice as far after each search that
     #: left the best component unique
-    search: tuple[Metres, Metres] = (1.5, 6.0)
-    known: Share = 0.01  #: chance of being lost, at most, for that
+    search: tuple[Metres, Metres] = number("TrackerOptions.search")
+    known: Share = number("TrackerOptions.known")  #: chance of being lost, at most, for that
     #: nats per reading that the best component may lack more than usual to stay ``unique``, and
     #: more than in the scan before to be no surprise
-    surprise: tuple[Nats, Nats] = (0.5, 0.7)
-    startle: Share = 0.5  #: share of its evidence that a surprising scan has at least
+    surprise: tuple[Nats, Nats] = number("TrackerOptions.surprise")
+    #: share of its evidence that a surprising scan has at least
+    startle: Share = number("TrackerOptions.startle")
     #: how far odometry may be off at once, metres and radians, if a scan shows it: wheels that
     #: slip, a heading that lags in turns
-    slip: tuple[Metres, Radians] = (0.3, 0.25)
+    slip: tuple[Metres, Radians] = number("TrackerOptions.slip")
     #: how soon it is learnt that odometry is worse than `noise` says: share of one scan in what is
     #: known, and how many times the variance it may have
-    learn: tuple[Share, Factor] = (0.1, 25.0)
-    stale: Metres = 3.0  #: metres since a scan agreed with the best component, to be ``unique``
+    learn: tuple[Share, Factor] = number("TrackerOptions.learn")
+    #: metres since a scan agreed with the best component, to be ``unique``
+    stale: Metres = number("TrackerOptions.stale")
     #: metres and seconds without sight that count for nothing: a reading that is lost now and then
-    blink: Metres = 1.0
+    blink: Metres = number("TrackerOptions.blink")
     #: chance of being carried off: for each second without sight, and in all of them; and where the
     #: pose is found as far off as wheels may slip: in a building that repeats, that may be it
-    dark: tuple[Share, Share, Share] = (0.02, 0.3, 0.1)
+    dark: tuple[Share, Share, Share] = number("TrackerOptions.dark")
     #: scans that show another scale of the readings, nats that they must gain together, and how
     #: far their median must be from 1: a logarithm, and standard errors of the median
-    stretch: tuple[Count, Nats, Nats, Nats] = (6, 150.0, 0.015, 3.0)
+    stretch: tuple[Count, Nats, Nats, Nats] = number("TrackerOptions.stretch")
     resets: bool = True  #: whether lost mass is put where scans find places: sensor resetting
 
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 from imgloc.errors import ConfigError
 from imgloc.geometry import theta_bin, wrap
 from imgloc.model import BoolArray, Float32Array, FloatArray
+from imgloc.numbers import number
 
 _CM = 100.0
 _REACH = 127  # steps that the table of log densities reaches in front of the reading
@@ -23,11 +24,11 @@ def beam(
     no_return: BoolArray,
     thetas: FloatArray,
     *,
-    sigma: float = 0.05,
+    sigma: float = number("beam.sigma"),
     sigma_theta: float = 0.0,
-    hit: float = 0.8,
-    short: float = 0.1,
-    span: float = 10.0,
+    hit: float = number("beam.hit"),
+    short: float = number("beam.short"),
+    span: float = number("beam.span"),
     lost: float = 1.0,
     range_max: float = np.inf,
     threads: int = 1,

@@ -8,9 +8,11 @@ import numpy.typing as npt
 
 from imgloc.errors import ConfigError
 from imgloc.model import BoolArray, Float32Array, Likelihood
+from imgloc.numbers import number
 from imgloc.options import DEFAULTS, LOG_METHODS, Calibration
 
-_REACH = 5.0  # standard deviations that a kernel in theta reaches to either side
+# standard deviations that a kernel in theta reaches to either side
+_REACH = number("posterior.reach")
 _NOTHING = -104.0  # nats; the exponential of less is 0 in 32 bits
 
 

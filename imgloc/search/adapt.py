@@ -11,15 +11,16 @@ import numpy as np
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings
 from imgloc.model import FloatArray
+from imgloc.numbers import number
 from imgloc.options import Options, Shared
 from imgloc.search.priors import standing
 from imgloc.search.refine import refine
 from imgloc.search.rescore import rescore
 
-_SIGMAS = (0.3, 0.15, 0.07)  # metres: a scale that is 5 % off moves the far readings by as much
-_THINNER = 10  # cells, at most
-_SCALES = 0.95, 1.0, 1.05  # at which the scale begins
-_PLACES, _READINGS = 40, 60  # that are asked
+_SIGMAS = number("adapt.sigmas")
+_THINNER = number("adapt.thinner")  # cells, at most
+_SCALES = number("adapt.scales")  # at which the scale begins
+_PLACES, _READINGS = number("adapt.places"), number("adapt.readings")  # that are asked
 
 
 def adapt(

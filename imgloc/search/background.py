@@ -9,18 +9,20 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.model import BoolArray, FloatArray
+from imgloc.numbers import number
 from imgloc.options import EvidenceModel
 from imgloc.search.rescore import hit_density
 
-CHANCE = 3.0
-"""Nats that a reading lacks where a scan is laid on a map by chance. Of scans laid on the maps of
-other buildings the mean ones lack 2.6, the worst tenth 3.9."""
-CHANCE_TOLD = 1.5
+CHANCE: float = number("background.chance")
+"""Nats that a reading lacks where a scan is laid on a map by chance."""
+CHANCE_TOLD: float = number("background.chance_told")
 """The same where so much is known of the pose that one place is left: of readings laid on a wrong
 one they lack more, and a right one is not looked for where it is not."""
-_HEADINGS = 60  # of the room, over the quarter turn after which it is itself again
-_BIN = 0.05  # metres; a wall is looked for in three of them
-_BINS = 400
+_PRIOR: float = number("background.prior")  # share of the evidence of a prior that is believed
+# of the room, over the quarter turn after which it is itself again
+_HEADINGS = number("background.headings")
+_BIN = number("background.bin")  # metres; a wall is looked for in three of them
+_BINS = number("background.bins")
 
 
 def unmapped_score(
@@ -40,8 +42,7 @@ def unmapped_score(
         Of a reading, that one nat of evidence is worth: the temperature over N.
     """
     chance = CHANCE_TOLD + (CHANCE - CHANCE_TOLD) * share
-    # Half of the evidence that the share is: what is known may be wrong, too.
-    fewer = 0.5 * nats * float(np.log(max(share, 1e-12)))
+    fewer = _PRIOR * nats * float(np.log(max(share, 1e-12)))
     return max(best_room(xy, model) + fewer, model.best - chance)
 
 

@@ -6,12 +6,14 @@ from imgloc.errors import ConfigError
 from imgloc.features.distance import DistanceField
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray, Hypothesis, IntArray, Pose2D
+from imgloc.numbers import number
 from imgloc.search.refine import normal_equations
 
-_BLOCKS = 12  # of neighbouring readings, that are left out in turn
+_BLOCKS = number("hypotheses.blocks")  # of neighbouring readings, that are left out in turn
 # How much more than their variance counts: walls are longer than blocks. And the place of a wall,
-# in cells. Both by even and odd readings of recorded scans, and by the errors of simulated ones.
-_SHARED, _WALLS = 2.0, 0.1
+# in cells.
+_SHARED, _WALLS = number("hypotheses.shared"), number("hypotheses.walls")
+_LEAST = number("hypotheses.least")  # cells that a scan fits by, at best
 _TOGETHER = 64  # poses that are compared with all others at a time
 
 
@@ -141,8 +143,7 @@ def covariances(
     """
     blocks, b, square = normal_equations(poses, xy, field, sigma, _BLOCKS)
     A, jackknife = blocks.sum(axis=0), _jackknife(blocks, b, sigma, extent)
-    # No finer than a twentieth of a cell, however well the scan seems to fit.
-    variance = correlated * np.maximum(square, np.square(field.resolution / 20))
+    variance = correlated * np.maximum(square, np.square(_LEAST * field.resolution))
     information = A / variance[:, None, None]
     information[:, range(3), range(3)] += 1 / np.square([extent[0], extent[0], extent[1]])
     out = np.linalg.inv(information) + _SHARED * jackknife

@@ -14,11 +14,12 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import Level, any_of_blocks
 from imgloc.geometry import cell_of, in_grid_frame, inside, wrap
 from imgloc.model import BoolArray, FloatArray, GridInfo, IntArray, OccupancyGrid, Pose2D
+from imgloc.numbers import number
 from imgloc.options import Prior
 
-SLIP = (0.5, float(np.deg2rad(15.0)))
+SLIP = number("priors.slip")
 """How far outside a set a pose can be that a refinement has taken there from a place in it."""
-_REACH = 100  # cells: the same on maps finer than 5 mm
+_REACH = number("priors.reach")  # cells: the same on maps finer than 5 mm
 _LOOKS = 1 << 18  # cells looked at in one go
 
 

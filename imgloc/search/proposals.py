@@ -22,6 +22,7 @@ from imgloc.likelihoods.ght import ght_v
 from imgloc.likelihoods.posterior import smooth
 from imgloc.likelihoods.slices import cell_offsets
 from imgloc.model import BoolArray, Float32Array, FloatArray, GridInfo, IntArray, LaserScan
+from imgloc.numbers import number
 from imgloc.options import FusedOptions, Prior
 from imgloc.search.lookups import sums_under
 from imgloc.search.peaks import find_peaks
@@ -29,8 +30,9 @@ from imgloc.search.priors import around
 
 _CHUNK_CELLS = 1 << 20  # of the exhaustive level's stack: 4 MB at a time
 _FIRST_CELLS = 1 << 18  # of its first piece
-_FEWEST_LEVELS = 6  # of grey besides 0
-_BLOCK = 2  # cells and headings a side: one proposal each
+_FEWEST_LEVELS = number("proposals.fewest_levels")  # of grey besides 0
+_VOTE_BLUR = number("proposals.vote_blur")  # cells, headings
+_BLOCK = number("proposals.block")  # cells and headings a side: one proposal each
 
 
 def propose_endpoints(
@@ -269,7 +271,7 @@ def cast_votes(
     rows, columns = (int(np.ceil(side * grid.resolution / cell)) for side in grid.shape)
     voters, visible = features.voters, features.voters_visibility
     votes = ght_v(voters, visible, points, n, (rows, columns), cell, threads=threads)
-    votes = smooth(votes, 1.0, 0.7)
+    votes = smooth(votes, *_VOTE_BLUR)
     if prior is not None:
         votes[~prior.headings(uniform_thetas(2 * np.pi / n), np.pi / n)] = 0
     return votes

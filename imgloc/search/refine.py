@@ -8,9 +8,12 @@ import numpy as np
 from imgloc.features.distance import DistanceField
 from imgloc.geometry import wrap
 from imgloc.model import Float32Array, FloatArray
+from imgloc.numbers import number
 
-_MAX_STEP = np.array([0.1, 0.1, np.deg2rad(2.0), 0.02])
-_SCALE = 1.0  # m²: what holds a scale near 1, square of an error of 0.1 m over one of 10 %
+_MAX_STEP = np.array(number("refine.step"))
+_DAMPING = number("refine.damping")
+# m²: what holds a scale near 1, square of an error of 0.1 m over one of 10 %
+_SCALE = number("refine.scale")
 _OFF_EVERY_MAP = 1e6  # metres; what float32 still squares
 
 
@@ -43,7 +46,7 @@ def refine(
         for _ in range(iterations):
             (A,), (b,), _ = normal_equations(poses, xy, field, sigma)
             # A corridor leaves one direction free: a little damping keeps the pose where it is.
-            A[:, range(3), range(3)] += 1e-3 * len(xy)
+            A[:, range(3), range(3)] += _DAMPING * len(xy)
             A[:, 3:, 3:] += _SCALE
             b[:, 3:] += _SCALE * (poses[:, 3:] - 1)
             step, most = np.linalg.solve(A, b[..., None])[..., 0], _MAX_STEP[: poses.shape[1]]

@@ -8,9 +8,10 @@ what the map explains beyond an empty room, see :mod:`imgloc.search.background`.
 """
 
 from imgloc.model import Check, FloatArray
+from imgloc.numbers import number
 from imgloc.options import Trust
 
-DOUBT = 0.5  #: with more probability elsewhere than this there is no match
+DOUBT = number("trust.doubt")  #: with more probability elsewhere than this there is no match
 
 
 def judge(

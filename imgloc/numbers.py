@@ -1,0 +1,159 @@
+"""The numbers that were fitted or chosen by measurement, with their sources: ``numbers.json``.
+
+Each number has a line: its value, its unit, its source, and what it costs to leave it out. A source
+says by which command, on which data and when. A literal that is left in the code is mathematics, a
+unit, a bound of memory that no answer depends on, or says why it is there.
+
+>>> number("Trust.mass"), number("FusedOptions.keep")
+(0.9, (3000, 8000, 8000, 16000))
+>>> origin("Trust.temperature").by
+'python -m tools.trust fit -n 24'
+"""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from imgloc.errors import ConfigError
+
+FILE = Path(__file__).with_name("numbers.json")
+_EVER = math.inf
+_DEGREE = math.pi / 180
+#: Each unit: whether its numbers are whole, the least and the greatest, and its size in SI units.
+UNITS: Mapping[str, tuple[bool, float, float, float]] = {
+    **dict.fromkeys(
+        ("blocks", "cells", "components", "directions", "grey levels", "headings", "hypotheses",
+         "level", "maps", "nodes", "places", "poses", "readings", "scans", "searches"),
+        (True, 1, 1e9, 1),
+    ),
+    **dict.fromkeys(("share", "probability"), (False, 0, 1, 1)),
+    **dict.fromkeys(
+        ("metres", "metres and seconds", "square metres", "variance", "deviations",
+         "square deviations", "odds", "logarithm", "per reading"),
+        (False, 0, 1e6, 1),
+    ),
+    **dict.fromkeys(("nats", "nats per reading"), (False, 0, _EVER, 1)),
+    **dict.fromkeys(("factor", "exponent", "temperature"), (False, 1e-6, 1e6, 1)),
+    "temperature per nat": (False, 0, 1e6, 1),
+    "log-odds": (False, -1e6, 1e6, 1),
+    "radians": (False, 0, 2 * math.pi, 1),
+    "degrees": (False, 0, 360, _DEGREE),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a number is from."""
+
+    by: str  #: the command that fitted it or measured it, or that it was chosen
+    on: str  #: the data
+    date: str  #: year, month and day
+
+
+@dataclass(frozen=True)
+class Number:
+    """One line of the file; of several values each may have its own unit."""
+
+    value: Any  #: a number or a tuple of numbers, SI units
+    unit: str | tuple[str, ...]
+    source: str  #: which :class:`Origin`
+    costs: str  #: what it costs to leave it out or to change it, or that this was not measured
+
+
+def number(name: str) -> Any:
+    """The value of a number, or the values of several, in SI units; a KeyError for no such name."""
+    return NUMBERS[name].value
+
+
+def origin(name: str) -> Origin:
+    """Where a number is from."""
+    return SOURCES[NUMBERS[name].source]
+
+
+def read(text: str) -> tuple[dict[str, Origin], dict[str, Number]]:
+    """The sources and the numbers of a file's text, by name.
+
+    A text that is not JSON, an entry with other keys than above, a source that is not there, a unit
+    that is not one of :data:`UNITS`, or a value out of its range is a ConfigError that names it.
+    """
+    try:
+        content = json.loads(text)
+        entries, origins = content["numbers"], content["sources"]
+    except (ValueError, TypeError, KeyError) as e:
+        raise ConfigError(f"{FILE.name}: {e!r}, expected sources and numbers") from None
+    sources = {name: _made(Origin, name, entry) for name, entry in origins.items()}
+    numbers = {}
+    for name, entry in entries.items():
+        one = _made(Number, name, entry)
+        if one.source not in sources:
+            raise ConfigError(f"{FILE.name}: {name}.source: got {one.source!r}, expected a source")
+        numbers[name] = Number(_value(name, one), _listed(one.unit), one.source, one.costs)
+    return sources, numbers
+
+
+def write(text: str, changed: Mapping[str, Any], source: str, made: Origin) -> str:
+    """The text of a file in which some numbers have other values, of one source; it is checked.
+
+    `changed` has the values by name, in the units of the file.
+    """
+    content = json.loads(text)
+    content["sources"][source] = vars(made)
+    for name, value in changed.items():
+        content["numbers"][name] |= {"value": value, "source": source}
+    parts = [
+        f"{json.dumps(part)}: {{\n" + ",\n".join(map(_line, content[part].items())) + "\n}"
+        for part in ("sources", "numbers")
+    ]
+    out = "{\n" + ",\n".join(parts) + "\n}\n"
+    read(out)
+    return out
+
+
+def _line(item: tuple[str, Any]) -> str:
+    return f"  {json.dumps(item[0])}: {json.dumps(item[1], ensure_ascii=False)}"
+
+
+def _made(kind: Any, name: str, entry: Any) -> Any:
+    """A line of the file as a dataclass."""
+    keys = list(kind.__dataclass_fields__)
+    if not isinstance(entry, dict) or sorted(entry) != sorted(keys):
+        raise ConfigError(f"{FILE.name}: {name}: got {entry!r:.60}, expected {', '.join(keys)}")
+    for key, value in entry.items():
+        if key not in ("value", "unit") and not (isinstance(value, str) and value):
+            raise ConfigError(f"{FILE.name}: {name}.{key}: got {value!r:.60}, expected a text")
+    return kind(**entry)
+
+
+def _listed(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _value(name: str, one: Number) -> Any:
+    """A value in SI units, checked by its unit."""
+    several = isinstance(one.value, list)
+    values = one.value if several else [one.value]
+    unit = _listed(one.unit)
+    units = unit if isinstance(unit, tuple) else (unit,) * len(values)
+    if not values or len(units) != len(values):
+        raise ConfigError(f"{FILE.name}: {name}: got {len(values)} values, {len(units)} units")
+    out = [_checked(name, value, unit) for value, unit in zip(values, units, strict=True)]
+    return tuple(out) if several else out[0]
+
+
+def _checked(name: str, value: Any, unit: Any) -> float:
+    """One number of a line, as an int if its unit is one of whole numbers."""
+    if unit not in UNITS:
+        raise ConfigError(f"{FILE.name}: {name}.unit: got {unit!r}, expected a unit of UNITS")
+    whole, low, high, size = UNITS[unit]
+    kinds: tuple[type, ...] = (int,) if whole else (int, float)
+    fine = isinstance(value, kinds) and not isinstance(value, bool)
+    if not (fine and low <= value <= high):
+        expected = f"{'a whole number' if whole else 'a number'}, {unit}, {low:g} to {high:g}"
+        raise ConfigError(f"{FILE.name}: {name}.value: got {value!r}, expected {expected}")
+    return value if whole else float(value) * size
+
+
+SOURCES, NUMBERS = read(FILE.read_text("utf-8"))

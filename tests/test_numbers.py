@@ -1,0 +1,150 @@
+"""Numbers that were fitted or chosen are in numbers.json, checked, used, and nowhere else."""
+
+import ast
+import json
+from collections.abc import Iterator
+
+import pytest
+from command import ROOT
+
+from imgloc.errors import ConfigError
+from imgloc.numbers import FILE, NUMBERS, Origin, origin, read, write
+
+TEXT = FILE.read_text("utf-8")
+PACKAGE = ROOT / "imgloc"
+ROOMS = ("search", "likelihoods", "filters", "answers", "choice")
+#: Constants that stay in the code, by why no measurement governs an answer through them.
+LEFT = {
+    "how much is done at a time": (
+        "_CHUNK _PATHS _BAND_BYTES _GROUPS _TOGETHER _LOOKUPS _FEW _LOOKS _CHUNK_CELLS _FIRST_CELLS"
+        " _BLOCK BLOCK_PAIRS BLOCK_COLUMNS TILE_CELLS TILE_WIDTH CELLS"
+    ),
+    "which engine is the faster one": (
+        "FLAT_CELLS SHIFT_SECONDS_PER_BYTE SHIFT_SECONDS_PER_CALL FLAT_SECONDS_PER_CALL"
+        " DFT_SECONDS_PER_STEP DFT_CACHE DFT_BEYOND_CACHE _ALIKE"
+    ),
+    "what a type of numbers holds": (
+        "_FULL _OFF_EVERY_MAP _REACH VMAP_LEVELS OFF_CELLS _NOTHING MAX_POWER MAX_OFFSET EPSILON"
+        " ALLOWED_ERROR"
+    ),
+    "a unit, a pattern, nothing at all": (
+        "_CM _QUARTERS _FACTORS NOWHERE NO_PLACES NOTHING METHODS Metres Length Radians Heading"
+        " Step Share Nats Factor LogOdds Count Alpha"
+    ),
+    "bounds of files, pictures, clocks": (
+        "_SIDE _WORK _ALL _YOUNG _LIMIT _BESIDE _BUFFERS _LATEST _FASTEST _FARTHEST"
+    ),
+}
+FITTED = ("EvidenceModel", "FusedOptions", "Trust", "TrackerOptions", "MotionNoise")
+
+
+def trees() -> Iterator[tuple[str, ast.Module]]:
+    for path in sorted(PACKAGE.rglob("*.py")):
+        yield path.relative_to(PACKAGE).as_posix(), ast.parse(path.read_text("utf-8"))
+
+
+def literals(node: ast.AST) -> Iterator[float]:
+    """Numbers that are written in an expression."""
+    for part in ast.walk(node):
+        if isinstance(part, ast.Constant) and type(part.value) in (int, float):
+            yield part.value
+
+
+def asked() -> Iterator[str]:
+    """Names that the code asks for, those that it makes ending in a star."""
+    for _, tree in trees():
+        for call in ast.walk(tree):
+            if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "number":
+                name = call.args[0]
+                if isinstance(name, ast.JoinedStr):
+                    name = name.values[0]
+                    yield f"{ast.literal_eval(name)}*"
+                elif isinstance(name, ast.Constant):
+                    yield name.value
+
+
+def test_every_number_is_used_once() -> None:
+    names = list(asked())
+    made = tuple(name[:-1] for name in names if name.endswith("*"))
+    plain = [name for name in names if not name.endswith("*")]
+    alphas = ["MotionNoise.alpha"] * 3
+    assert sorted([*plain, *(n for n in NUMBERS if n.startswith(made))]) == sorted(
+        [*NUMBERS, *alphas]
+    )
+
+
+def test_no_default_of_what_was_fitted_is_written_in_the_code() -> None:
+    found = {}
+    for _, tree in trees():
+        for kind in ast.walk(tree):
+            if isinstance(kind, ast.ClassDef) and kind.name in FITTED:
+                fields = [f for f in kind.body if isinstance(f, ast.AnnAssign) and f.value]
+                found[kind.name] = [
+                    ast.unparse(f) for f in fields if f.value and list(literals(f.value))
+                    and "number(" not in ast.unparse(f.value)
+                ]  # fmt: skip
+    assert found == {name: [] for name in FITTED}
+
+
+def test_each_constant_that_is_left_in_the_code_has_a_reason() -> None:
+    left = []
+    for path, tree in trees():
+        if path.split("/")[0] not in (*ROOMS, "pipeline.py", "options.py"):
+            continue
+        for node in tree.body:
+            if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+                targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+                left += [ast.unparse(t) for t in targets if list(literals(node.value))]
+    assert sorted(set(left)) == sorted(" ".join(LEFT.values()).split())
+
+
+def test_numbers_are_in_si_units() -> None:
+    assert NUMBERS["refine.step"].value == (0.1, 0.1, pytest.approx(0.0349066), 0.02)
+    assert isinstance(NUMBERS["Trust.readings"].value, int)
+    assert origin("Trust.elsewhere").by.startswith("python -m tools.trust fit")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"value": -0.1}, "Trust.mass.value: got -0.1, expected a number, share, 0 to 1"),
+        ({"value": True}, "Trust.mass.value: got True"),
+        ({"value": "0.9"}, "Trust.mass.value: got '0.9'"),
+        ({"value": float("nan")}, "Trust.mass.value: got nan"),
+        ({"value": []}, "Trust.mass: got 0 values"),
+        ({"unit": "nodes"}, "Trust.mass.value: got 0.9, expected a whole number"),
+        ({"unit": "furlongs"}, "Trust.mass.unit: got 'furlongs'"),
+        ({"unit": ["share", "share"]}, "Trust.mass: got 1 values, 2 units"),
+        ({"source": "hearsay"}, "Trust.mass.source: got 'hearsay'"),
+        ({"costs": ""}, "Trust.mass.costs: got ''"),
+        ({"colour": "red"}, "Trust.mass: got {"),
+    ],
+)
+def test_a_number_that_is_none_is_refused_by_name(change: dict[str, object], said: str) -> None:
+    content = json.loads(TEXT)
+    content["numbers"]["Trust.mass"] |= change
+    with pytest.raises(ConfigError, match=r"^numbers.json: ") as refused:
+        read(json.dumps(content))
+    assert said in str(refused.value)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"numbers": {}}'])
+def test_a_file_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="expected sources and numbers"):
+        read(text)
+
+
+def test_a_fit_writes_its_numbers_and_where_they_are_from() -> None:
+    made = Origin("python -m tools.trust fit", "one map", "2030-01-01")
+    out = write(TEXT, {"Trust.elsewhere": [-3.0, -0.5, 2.0]}, "trust-fit", made)
+    sources, numbers = read(out)
+    assert numbers["Trust.elsewhere"].value == (-3.0, -0.5, 2.0)
+    assert sources[numbers["Trust.elsewhere"].source] == made
+    changed = [a for a, b in zip(out.split("\n"), TEXT.split("\n"), strict=True) if a != b]
+    assert len(changed) == 2
+    assert write(TEXT, {}, "trust-fit", origin("Trust.elsewhere")) == TEXT
+
+
+def test_a_fit_writes_no_number_that_is_out_of_its_range() -> None:
+    with pytest.raises(ConfigError, match=r"Trust.elsewhere.value: got nan"):
+        write(TEXT, {"Trust.elsewhere": [float("nan")] * 3}, "trust-fit", Origin("a", "b", "c"))
