@@ -1,9 +1,15 @@
 """The exceptions of imgloc: one base, one class per kind of input; and arguments of another kind.
 
 A message is one line that names the file, the key, the value received, what was
-expected and, where there is one, the next step. The command line prints the message and
+expected and, where there is one, the next step. It names an argument in backquotes, with a value
+where one is advised: `force=True`. The command line prints that as the option, ``--force``, and
 ends with the class's exit code; anything that is not an :class:`ImglocError` is a defect.
 """
+
+import re
+
+_ARGUMENT = re.compile(r"`([a-z][a-z_]*)(?:=([^`\s]+))?`")
+_OPTIONS = {"fov": "fov-deg"}  # arguments that the command line takes by another name
 
 
 def printable(text: str, keep: str = "\n\t") -> str:
@@ -20,6 +26,24 @@ def printable(text: str, keep: str = "\n\t") -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() or c in keep else repr(c)[1:-1] for c in text)
+
+
+def as_options(message: str) -> str:
+    """Return a message for the command line: each argument in backquotes becomes an option.
+
+    Examples
+    --------
+    >>> as_options("a.png: exists; pass `force=True`, or try `range_scale=0.001`, `negate=False`")
+    'a.png: exists; pass --force, or try --range-scale 0.001, --no-negate'
+    """
+
+    def option(found: re.Match[str]) -> str:
+        name, value = _OPTIONS.get(found[1], found[1]).replace("_", "-"), found[2]
+        if value == "False":
+            return f"--no-{name}"
+        return f"--{name}" if value in (None, "True") else f"--{name} {value}"
+
+    return _ARGUMENT.sub(option, message)
 
 
 class ImglocError(Exception):

@@ -82,10 +82,10 @@ def _doubts(
         return []
     if 2 * counts["invalid"] > len(scans):
         few = _too_few(doubtful)
-        short = "millimetres? --range-scale 0.001" if "milli" in few else "look at --range-max"
+        short = "millimetres? `range_scale=0.001`" if "milli" in few else "look at `range_max`"
         return [Doubt(few, f"too few readings: {short}")]
     if looks_swapped(features.grid):
-        return [Doubt(SWAPPED, "black and white of the map look swapped: --negate")]
+        return [Doubt(SWAPPED, "black and white of the map look swapped: `negate=True`")]
     tried = [scan for scan in doubtful if scan.directions][:_TRIED]
     plan = Doubt(f"the map: {DRAWN}", "the map looks like a drawing: imgloc map plan")
     drawn = [plan] if looks_drawn(features.grid) else []
@@ -102,22 +102,22 @@ def _doubts(
         option = "Leave out" if flipped else "Try"
         mirrored = f"{like} at one place if mirrored"
         why = "is the sensor upside down, or the map's image mirrored?"
-        text = f"{mirrored}: {why} {option} --flipped"
-        return [Doubt(text, "fits if mirrored: --flipped"), *drawn]
+        text = f"{mirrored}: {why} {option} `flipped=True`"
+        return [Doubt(text, "fits if mirrored: `flipped=True`"), *drawn]
     resolution = features.grid.resolution
     for factor in _FACTORS:
         if all_unique(scan.scaled(factor) for scan in tried):
             units = {0.001: "millimetres", 0.01: "centimetres"}.get(factor)
             why = f"are they {units}?" if units else "is the map's resolution right?"
-            other = "" if units else f", or --resolution {resolution / factor:g}"
+            other = "" if units else f", or `resolution={resolution / factor:g}`"
             fits = f"{like} at one place if ranges are multiplied by {factor:g}"
-            text = f"{fits}: {why} Try --range-scale {factor * range_scale:g}{other}"
+            text = f"{fits}: {why} Try `range_scale={factor * range_scale:g}`{other}"
             return [Doubt(text, f"fits with ranges x {factor:g}: {why}"), *drawn]
     if drawn or 2 * counts["no-match"] <= len(scans):
         return drawn
     none = "this scan does" if len(scans) == 1 else "most scans do"
     text = (
-        f"{none} not fit this map. Look at one with --index 0 --explain why.html, and at the map "
+        f"{none} not fit this map. Look at one with `explain`, and at the map "
         "with imgloc map check; imgloc which tells which of several maps it is from"
     )
     return [Doubt(text, "another map? see imgloc map check, imgloc which", found=False)]
@@ -142,7 +142,7 @@ def bent(said: Said, known: Shared, resolution: float) -> list[Doubt]:
     thinner = [e.thinner for e in placed if e.thinner > 0 and known.thinner == 0]
     if 2 * len(scales) > count:
         factor = float(np.median(scales))
-        cells = f"are its cells of {resolution / factor:.4g} m? Then say so (--resolution)"
+        cells = f"are its cells of {resolution / factor:.4g} m? Then pass `resolution`"
         found = f"their ranges multiplied by {factor:.3f}: {cells}, as poses are in its metres"
         short = f"ranges x {factor:.3f}"
     elif 2 * len(thinner) > count:
@@ -165,10 +165,10 @@ def _too_few(scans: Sequence[LaserScan]) -> str:
     beyond = finite[finite >= limit]
     if len(beyond) > 0.5 * len(ranges) and np.percentile(beyond, 25) > 5 * limit:
         found = f"most ranges are far beyond range_max (half are above {np.median(finite):g}, "
-        return f"{found}range_max is {limit:g}): are they millimetres? Try --range-scale 0.001"
+        return f"{found}range_max is {limit:g}): are they millimetres? Try `range_scale=0.001`"
     total = {key: sum(scan.counts[key] for scan in scans) for key in scans[0].counts}
     unused = ", ".join(f"{n:,} {key.replace('_', ' ')}" for key, n in total.items())
     return (
         f"most scans have too few readings to be placed: of {sum(total.values()):,} readings "
-        f"{unused}. Look at range_min and range_max of the file, and at --range-max"
+        f"{unused}. Look at range_min and range_max of the file, and pass `range_max`"
     )

@@ -18,7 +18,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from imgloc.errors import ImglocError, OutputError, printable
+from imgloc.errors import ImglocError, OutputError, as_options, printable
 
 LOG = logging.getLogger("imgloc")
 NOT_UNIQUE = 6  # exit code under --strict
@@ -65,7 +65,7 @@ class _Lines(logging.Formatter):
     """Log records as lines that a terminal may have."""
 
     def format(self, record: logging.LogRecord) -> str:
-        return printable(super().format(record))
+        return printable(as_options(super().format(record)))
 
 
 def configure(*, verbose: bool, debug: bool) -> None:
@@ -112,7 +112,7 @@ def width() -> int | None:
 def say(message: str) -> None:
     """Write one line to standard error."""
     with contextlib.suppress(OSError):
-        print(f"imgloc: {printable(message)}", file=sys.stderr, flush=True)
+        print(f"imgloc: {printable(as_options(message))}", file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager

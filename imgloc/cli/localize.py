@@ -9,7 +9,7 @@ import typer
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, say, width
 from imgloc.cli.options import flag, option
-from imgloc.errors import ConfigError
+from imgloc.errors import ConfigError, as_options
 from imgloc.io.files import display, write_text_atomic
 
 _MANY = 5  # scans whose verdicts one does not count oneself
@@ -166,7 +166,7 @@ def localize(
             if n in targets or n in pages:
                 hints = wrong([scan], said[-1:])
             if n in targets:
-                short = "; ".join(hint.short for hint in hints)
+                short = as_options("; ".join(hint.short for hint in hints))
                 image = draw(grid, answer, scan, truth=truth, note=short)
                 image.save(targets[n], force=force)
             if n in pages:
@@ -176,7 +176,7 @@ def localize(
                 reason = reasons(features, scan, answer, options)
                 title = f"{Path(file).name}, scan {k}, on {display(map_path.name)}"
                 html = render_explanation(
-                    reason, title, truth=truth, hints=[hint.text for hint in hints]
+                    reason, title, truth=truth, hints=[as_options(hint.text) for hint in hints]
                 )
                 write_text_atomic(pages[n], html, force=force)
             advance()

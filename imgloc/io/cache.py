@@ -58,7 +58,7 @@ def cache_folder() -> Path:
         if folder.is_absolute():
             return folder
     missing = "no home folder (or absolute XDG_CACHE_HOME) for the map cache"
-    raise OutputError(f"{missing}: pass --cache DIR")
+    raise OutputError(f"{missing}: pass `cache`")
 
 
 def cache_limit() -> int:

@@ -259,7 +259,7 @@ def _angles(n: int, fov: float | None, resolution: float | None, where: str) -> 
     if fov is None and n in _SICK_STEPS:
         return np.asarray(np.arange(n) * math.radians(_SICK_STEPS[n]) - math.pi / 2)
     if fov is None and resolution is None:
-        expected = "the angle that they cover, which this message does not hold: --fov-deg"
+        expected = "the angle that they cover, which this message does not hold: pass `fov`"
         raise ScanError(f"{where}: {n} readings, expected with them {expected}")
     return spread(n, math.radians(resolution or 0.0) * (n - 1) if fov is None else fov)
 

@@ -152,7 +152,7 @@ def reason(error: BaseException) -> str:
 def refuse_existing(path: PathLike) -> None:
     """Raise :class:`OutputError` if there is something at `path`, be it a dangling link."""
     if os.path.lexists(path):
-        raise OutputError(f"{display(path)}: exists already; pass --force to overwrite it")
+        raise OutputError(f"{display(path)}: exists already; pass `force=True` to overwrite it")
 
 
 def write_bytes_atomic(path: PathLike, data: bytes, *, force: bool = False) -> None:

@@ -139,7 +139,7 @@ def decode_image(
         kind = {"jpeg": "a JPEG", "webp": "a lossy WebP"}.get(found.kind, "a TIFF of JPEGs")
         raise MapError(
             f"{name}: is {kind}, whose compression alters the greys of walls and unknown space; "
-            "expected a PNG or PGM; export the map again, or pass --allow-lossy"
+            "expected a PNG or PGM; export the map again, or pass `allow_lossy=True`"
         )
     if found.white > 4095:  # a sliver of 16 bits would be black, all of it
         top = int(found.pixels[..., :3].max() if found.channels > 1 else found.pixels.max())

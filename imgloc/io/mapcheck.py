@@ -46,7 +46,7 @@ _WARNINGS = {
     "lossy": "{lossy} alters greys near walls; export the map as PNG",
     "transparent": "{clear:,} cells are not opaque: unknown for Nav2 (trinary and scale), "
     "averaged as a colour by ROS 1 (trinary)",
-    "semantics": "{differ:,} cells differ between Nav2 and ROS 1; check --semantics "
+    "semantics": "{differ:,} cells differ between Nav2 and ROS 1; check `semantics` "
     "(now {semantics})",
     "colour": "{tinted:,} cells are coloured; their channels are averaged",
     "grey-205": GREY_205,

@@ -183,7 +183,7 @@ def unknown_as_free(image: MapImage, settings: MapSettings, grid: OccupancyGrid)
 
 SWAPPED = (
     "what is free is as thin as walls, and walls are as wide as rooms: black and white look "
-    "swapped; try --negate --occupied-thresh 0.9, or --no-negate where the YAML has negate: 1"
+    "swapped; try `negate=True` with `occupied_thresh=0.9`, or `negate=False` where the YAML has negate: 1"
 )
 _THICK = 0.3  # metres, half of what no wall is as thick as
 
@@ -311,10 +311,10 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
     if said is None:
         os.close(open_regular(path, MapError, "map YAML or image"))
         if "resolution" not in given:
-            hint = ", expected metres per cell; pass --resolution, or the map's YAML"
+            hint = ", expected metres per cell; pass `resolution`, or the map's YAML"
             for beside in map(file.with_suffix, reversed(YAML_ENDINGS)):
                 if is_file(beside):
-                    hint = f"; give {display(beside)} instead of the image, or pass --resolution"
+                    hint = f"; give {display(beside)} instead of the image, or pass `resolution`"
             raise MapError(f"{name}: resolution: missing{hint}")
     else:
         try:
@@ -345,15 +345,15 @@ def _check_options(given: dict[str, Any]) -> None:
     low, high = RESOLUTION_RANGE
     resolution, origin = given.get("resolution", low), given.get("origin", (0, 0, 0))
     if not low <= resolution <= high:
-        raise ConfigError(f"--resolution: got {resolution}, expected metres, {low} to {high:g}")
+        raise ConfigError(f"`resolution`: got {resolution}, expected metres, {low} to {high:g}")
     for key, known in (("mode", MODES), ("semantics", SEMANTICS)):
         if given.get(key, known[0]) not in known:
-            raise ConfigError(f"--{key}: got {given[key]!r}, expected one of {', '.join(known)}")
+            raise ConfigError(f"`{key}`: got {given[key]!r}, expected one of {', '.join(known)}")
     if given.get("max_pixels", 1) < 1:
         raise ConfigError(f"max_pixels: got {given['max_pixels']}, expected at least 1")
     numbers = [0.0] * 3 if isinstance(origin, Pose2D) else [float(v) for v in origin]
     if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
-        raise ConfigError(f"--origin: got {numbers}, expected x, y, yaw in metres and radians")
+        raise ConfigError(f"`origin`: got {numbers}, expected x, y, yaw in metres and radians")
 
 
 def grid_of(image: MapImage, settings: MapSettings) -> OccupancyGrid:

@@ -138,7 +138,7 @@ class Chosen:
         for word in () if self.index is None else self.index.split(","):
             if not re.fullmatch(r"\s*(\d+|\d*:\d*(:0*[1-9]\d*)?)\s*", word, re.ASCII):
                 raise ConfigError(
-                    f"--index: got {self.index!r}, expected indices from 0, ranges A:B (without B) "
+                    f"`index`: got {self.index!r}, expected indices from 0, ranges A:B (without B) "
                     "or A:B:STEP, and commas between, such as 3,7,10:20"
                 )
 
@@ -155,7 +155,7 @@ class Chosen:
                 here = range(first, first + 1)
             if self.index is not None and not (here and here[-1] < count):
                 raise ConfigError(
-                    f"--index: got {word.strip()}, expected 0 to {count - 1}: {name} has {count} "
+                    f"`index`: got {word.strip()}, expected 0 to {count - 1}: {name} has {count} "
                     "scans"
                 )
             found |= dict.fromkeys(here)

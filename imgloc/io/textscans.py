@@ -83,7 +83,7 @@ def read_csv(path: PathLike, *, fov: float | None = None) -> ScanSet:
     if fov is not None and "angle_min" not in settings:
         settings["angles"] = spread(ranges.shape[1], fov)
     if rows and not {"angles", "angle_min"} & settings.keys():
-        expected = "a first line '# angle_min=..., angle_max=...' in radians, or --fov-deg"
+        expected = "a first line '# angle_min=..., angle_max=...' in radians, or `fov`"
         raise ScanError(f"{rows[0][0]}: angles: missing, expected {expected}")
     for (where, row), values in zip(rows, ranges, strict=True):
         stamp = row[beside["stamp"]] if "stamp" in beside else None

@@ -35,7 +35,7 @@ def as_bytes(folder: PathLike, kind: str) -> bytes:
         If the format is another one, or Parquet is asked for without pyarrow.
     """
     if kind not in FORMATS:
-        raise ConfigError(f"--format: got {kind!r}, expected one of {', '.join(FORMATS)}")
+        raise ConfigError(f"`format`: got {kind!r}, expected one of {', '.join(FORMATS)}")
     return _csv(columns_of(folder)) if kind == "csv" else _parquet(columns_of(folder))
 
 
@@ -135,12 +135,12 @@ def _parquet(columns: Columns) -> bytes:
         import pyarrow.parquet
     except ImportError:
         raise ConfigError(
-            "--format parquet: needs pyarrow; install it with: pip install 'imgloc[parquet]'"
+            "`format=parquet`: needs pyarrow; install it with: pip install 'imgloc[parquet]'"
         ) from None
     buffer = pyarrow.BufferOutputStream()
     try:
         table = pyarrow.table(columns)
     except (pyarrow.ArrowException, UnicodeEncodeError) as e:
-        raise OutputError(f"--format parquet: a column has values of two kinds: {e}") from None
+        raise OutputError(f"`format=parquet`: a column has values of two kinds: {e}") from None
     pyarrow.parquet.write_table(table, buffer, compression="zstd")
     return bytes(buffer.getvalue())

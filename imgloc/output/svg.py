@@ -14,6 +14,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from imgloc.errors import as_options
 from imgloc.answers.explain import RayFit
 from imgloc.features.pyramid import any_of_blocks
 from imgloc.features.scanpoints import scan_xy
@@ -53,7 +54,7 @@ ENVIRONMENT = Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
-ENVIRONMENT.filters["n"] = number
+ENVIRONMENT.filters |= {"n": number, "as_options": as_options}
 ENVIRONMENT.globals["shapes"] = SHAPES
 
 

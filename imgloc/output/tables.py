@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from imgloc.errors import as_options
 from imgloc.model import SURE, VERDICTS, Localization, Pose2D, base_of
 
 if TYPE_CHECKING:
@@ -273,7 +274,7 @@ def report_text(report: "MapReport") -> str:
         f"  nav2/ros1   {report.semantics_differ:,} cells are read differently",
         f"  warnings    {len(report.warnings) or 'none'}",
     ]
-    return "\n".join(lines + [f"    {w}" for w in report.warnings])
+    return "\n".join(lines + [f"    {as_options(w)}" for w in report.warnings])
 
 
 def batch_text(summary: "BatchSummary", folder: str) -> str:
@@ -306,7 +307,7 @@ def batch_text(summary: "BatchSummary", folder: str) -> str:
             )
     for hint in summary.hints:
         tried = f"{hint['items']} of {hint['of']} doubtful items looked at again"
-        lines.append(f"{tried}, such as {hint['first'][0]}: {hint['hint']}")
+        lines.append(f"{tried}, such as {hint['first'][0]}: {as_options(hint['hint'])}")
     lines.append(f"{summary.new:,} new rows in {summary.seconds:.1f} s: {folder}/results.jsonl")
     return "\n".join(lines)
 

@@ -73,9 +73,9 @@ def measured_resolution(distance: Sequence[float], width: int, height: int) -> f
     for x, y in ((x1, y1), (x2, y2)):
         if not (0 <= x <= width and 0 <= y <= height):
             size = f"{width} x {height} pixels, counted from the upper left corner"
-            raise ConfigError(f"--distance: {x:g},{y:g} is not on the image, which has {size}")
+            raise ConfigError(f"`distance`: {x:g},{y:g} is not on the image, which has {size}")
     pixels = math.hypot(x2 - x1, y2 - y1)
     if pixels < 1 or metres <= 0:
         got = f"got {pixels:g} pixels and {metres:g} m"
-        raise ConfigError(f"--distance: {got}, expected two points and metres between them")
+        raise ConfigError(f"`distance`: {got}, expected two points and metres between them")
     return metres / pixels

@@ -679,7 +679,7 @@ def _nothing(
     widest = _GAPS[-1] if gap is None else gap
     return (
         f"walls were found, but they enclose nothing of {_LEAST:g} square metres, not even if "
-        f"openings of {widest:g} m are closed; {what} A wider --gap closes more"
+        f"openings of {widest:g} m are closed; {what} A wider `gap` closes more"
     )
 
 
@@ -695,6 +695,6 @@ def _check(
     }  # fmt: skip
     for name, (value, low, high) in limits.items():
         if value is not None and not low <= value <= high:
-            raise ConfigError(f"--{name}: got {value:g}, expected {low:g} to {high:g}")
+            raise ConfigError(f"`{name}`: got {value:g}, expected {low:g} to {high:g}")
     if thinnest >= thickest:
-        raise ConfigError(f"--thinnest {thinnest:g}: expected less than --thickest {thickest:g}")
+        raise ConfigError(f"`thinnest={thinnest:g}`: expected less than `thickest={thickest:g}`")

@@ -345,7 +345,7 @@ def _reason(error: Exception) -> tuple[str, str]:
     if isinstance(error, MemoryError) or (
         isinstance(error, cv2.error) and getattr(error, "code", 0) == cv2.Error.StsNoMem
     ):
-        return "memory", "out of memory: a smaller map, or a larger --memory-limit"
+        return "memory", "out of memory: a smaller map, or a larger `memory_limit`"
     return "internal", f"{type(error).__name__}: {message}"
 
 

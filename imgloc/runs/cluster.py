@@ -79,7 +79,7 @@ def cluster(
     try:
         from distributed import Client, LocalCluster
     except ImportError:
-        raise ConfigError("--dask: needs Dask; install it with: pip install 'imgloc[cluster]'") \
+        raise ConfigError("`dask`: needs Dask; install it with: pip install 'imgloc[cluster]'") \
             from None  # fmt: skip
     with contextlib.ExitStack() as stack:
         for name in _TALKERS:
@@ -97,15 +97,15 @@ def cluster(
             client.wait_for_workers(1, timeout=_WAIT)
         except (OSError, ValueError, TimeoutError) as e:
             why = " ".join(str(e).split()) or type(e).__name__
-            raise ConfigError(f"--dask: no cluster with a worker at {address}: {why}") from None
+            raise ConfigError(f"`dask`: no cluster with a worker at {address}: {why}") from None
         try:
             versions = set(client.run(version).values())
         except Exception as e:
             why = f"{type(e).__name__}: {e}"
-            raise ConfigError(f"--dask: imgloc does not run on the workers: {why}") from None
+            raise ConfigError(f"`dask`: imgloc does not run on the workers: {why}") from None
         if versions != {__version__}:
             found = ", ".join(sorted(versions))
-            raise ConfigError(f"--dask: the workers have imgloc {found}, expected {__version__}")
+            raise ConfigError(f"`dask`: the workers have imgloc {found}, expected {__version__}")
         share = memory_share(client.run(Machine.here).values())
         executor = ClusterExecutor(client, timeout, memory_limit, share)
         try:

@@ -146,20 +146,20 @@ class Results:
             before = read_run(self.folder)
             if not resume:
                 raise OutputError(
-                    f"{self.name}: holds results already; pass --resume to go on with them, or "
-                    "another --out"
+                    f"{self.name}: holds results already; pass `resume=True` to go on with them, or "
+                    "another `out`"
                 )
             if before["job"] != about["job"]:
                 raise OutputError(
                     f"{self.name}: holds results of the job {before['job']}, not of "
-                    f"{about['job']}; expected another --out"
+                    f"{about['job']}; expected another `out`"
                 )
             merged = {**before["parameters"], **about["parameters"]}
             about = {**about, "parameters": merged}
         elif os.path.lexists(self.folder / RUN):
             read_run(self.folder)  # a run that was stopped before its first row, or not ours
         elif os.path.lexists(self.folder / SUMMARY):
-            raise OutputError(f"{self.name}: has a {SUMMARY} of others; expected another --out")
+            raise OutputError(f"{self.name}: has a {SUMMARY} of others; expected another `out`")
         text = json.dumps({"format": _FORMAT, **about}, indent=1, allow_nan=False) + "\n"
         write_text_atomic(self.folder / RUN, text, force=True)
         fd = open_regular(self.path, OutputError, "file of rows", follow=False, write=True)
@@ -223,7 +223,7 @@ class Results:
         if not same_file(self._file.fileno(), self.path):
             raise OutputError(
                 f"{self.name}: {RESULTS} has been deleted or moved while a batch writes it; "
-                "put it back, and --resume goes on"
+                "put it back, and `resume=True` goes on"
             )
 
     def summarise(self, summary: Mapping[str, Any]) -> None:
@@ -358,7 +358,7 @@ def _hold(path: Path, name: str) -> IO[bytes]:
             pid = held.decode().strip()
             raise OutputError(
                 f"{name}: another run writes here, process {pid}; wait for it, or choose another "
-                "--out"
+                "`out`"
             )
         file.seek(0)
         file.truncate(0)

@@ -36,7 +36,7 @@ _ONE_THREAD = dict.fromkeys(
     ("OPENCV_FOR_THREADS_NUM", "OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"), "1"
 )
 _IDLE = 600.0  # seconds without a task after which a worker goes: a cluster keeps them
-LOST = "the cluster is lost; what is done is kept, --resume goes on"
+LOST = "the cluster is lost; what is done is kept, `resume=True` goes on"
 """What is said when workers elsewhere do not answer any more: it is no answer of an item."""
 _TOLD = 400  # characters of what a worker that died has said last
 
