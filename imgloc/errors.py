@@ -39,9 +39,8 @@ def as_options(message: str) -> str:
 
     def option(found: re.Match[str]) -> str:
         name, value = _OPTIONS.get(found[1], found[1]).replace("_", "-"), found[2]
-        if value == "False":
-            return f"--no-{name}"
-        return f"--{name}" if value in (None, "True") else f"--{name} {value}"
+        denied = "no-" if value == "False" else ""
+        return f"--{denied}{name}" + ("" if value in (None, "True", "False") else f" {value}")
 
     return _ARGUMENT.sub(option, message)
 

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from imgloc.cli.app import app
 from imgloc.cli.console import Group, emit
 from imgloc.cli.demo import DemoMap
 from imgloc.cli.options import EngineName, MethodName, ModeName, SemanticsName
-from imgloc.errors import ConfigError, MapError, OutputError, ScanError
+from imgloc.errors import ConfigError, MapError, OutputError, ScanError, as_options
 from imgloc.io.maps import SEMANTICS
 from imgloc.io.mapyaml import MODES
 from imgloc.likelihoods.correlate import ENGINES
@@ -88,17 +89,39 @@ def options_of(command: Any) -> set[str]:
     return own.union({"--help"}, *map(options_of, below))
 
 
+def texts_of(path: Path) -> Iterator[str]:
+    """The strings of a file that are no docstrings, with 0 for what is filled in."""
+    tree = ast.parse(path.read_text("utf-8"))
+    pieces = {id(value) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)
+              for value in node.values}  # fmt: skip
+    docs = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.JoinedStr):
+            parts = (v.value if isinstance(v, ast.Constant) else "0" for v in node.values)
+            yield "".join(map(str, parts))
+        elif isinstance(node, ast.Constant) and id(node) not in pieces | docs:
+            yield str(node.value)
+
+
 def test_messages_name_only_options_that_exist() -> None:
     known = options_of(typer.main.get_command(app))
     assert {"--memory-budget", "--no-negate", "--what"} <= known
     named: dict[str, str] = {}
     for path in (ROOT / "imgloc").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str):
-                words = re.findall(r"(?<![\w-])--[a-z][a-z-]*", node.value)
-                named |= dict.fromkeys(words, f"{path.name}:{node.lineno}")
+        for text in texts_of(path):
+            words = re.findall(r"(?<![\w-])--[a-z][a-z-]*", as_options(text))
+            named |= dict.fromkeys(words, path.name)
     assert "--resolution" in named  # a hint of imgloc.io.maps
     assert {word: where for word, where in named.items() if word not in known} == {}
+
+
+def test_the_library_speaks_of_arguments_and_the_command_line_of_options() -> None:
+    commands = {"cli", "commands", "command.py"}
+    for path in (ROOT / "imgloc").rglob("*.py"):
+        if commands & set(path.relative_to(ROOT).parts):
+            continue
+        found = [text for text in texts_of(path) if re.search(r"(?<![\w-])--[a-z]", text)]
+        assert not [text for text in found if "imgloc calibrate MAP --scans" not in text], path
 
 
 def test_import_imgloc_is_cheap_and_offers_every_public_name() -> None:

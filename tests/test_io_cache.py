@@ -241,7 +241,7 @@ def test_cache_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 def test_cache_folder_without_a_home(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(os.path, "expanduser", lambda path: path)
-    with pytest.raises(OutputError, match="--cache"):
+    with pytest.raises(OutputError, match="pass `cache`"):
         cache_folder()
 
 

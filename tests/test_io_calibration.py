@@ -122,7 +122,7 @@ def test_what_is_no_such_file_is_not_used(
 
 
 def test_nothing_is_overwritten_unless_told_to(path: Path) -> None:
-    with pytest.raises(OutputError, match="--force"):
+    with pytest.raises(OutputError, match="`force=True`"):
         save_calibrations(path, GRID, {}, {})
     assert load_calibrations(path, GRID)[0] == FITTED
 

@@ -58,7 +58,7 @@ def test_laser_poses_that_move_against_the_robot_are_a_mapper_s(tmp_path: Path) 
 
 def test_angles_of_other_scanners_come_from_parameters_or_the_user(tmp_path: Path) -> None:
     line = "FLASER 5 1 2 3 4 5 0 0 0 0 0 0 1 h 1"
-    with pytest.raises(ScanError, match=r"line 1: FLASER: 5 readings, .* --fov-deg"):
+    with pytest.raises(ScanError, match=r"line 1: FLASER: 5 readings, .* pass `fov`"):
         load_scans(log(tmp_path, line))
     (scan,) = load_scans(log(tmp_path, line), fov=math.pi).scans
     np.testing.assert_allclose(scan.angles, np.deg2rad([-90, -45, 0, 45, 90]))

@@ -30,7 +30,7 @@ def test_writes_and_leaves_nothing_else(tmp_path: Path) -> None:
 def test_existing_files_need_force(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     path.write_text("mine")
-    with pytest.raises(OutputError, match=r"a\.txt: exists already; pass --force"):
+    with pytest.raises(OutputError, match=r"a\.txt: exists already; pass `force=True`"):
         write_text_atomic(path, "yours")
     assert path.read_text() == "mine"
     write_text_atomic(path, "yours", force=True)

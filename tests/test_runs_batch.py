@@ -191,7 +191,7 @@ def test_nothing_foreign_is_touched(site: Path, tmp_path: Path) -> None:
     (out / "notes.txt").write_text("mine")
     in_threads(site, out)
     before = (out / RESULTS).read_bytes()
-    with pytest.raises(OutputError, match="--resume"):
+    with pytest.raises(OutputError, match="`resume=True`"):
         in_threads(site, out)
     with pytest.raises(OutputError, match="job localize"), ThreadPoolExecutor(1) as pool:
         run_batch(site / "floors", None, out, Job("check"), executor=pool, resume=True)
@@ -360,7 +360,7 @@ def test_a_worker_that_has_a_lossy_map_refuses_it_still(site: Path, tmp_path: Pa
     item = Item("post", "s0.npz", (("post", jpeg),), site / "scans" / "s0.npz")
     job = replace(QUICK, reading={"resolution": 0.1}, allow_lossy=True)
     assert perform(item, job).answers
-    with pytest.raises(MapError, match="pass --allow-lossy"):
+    with pytest.raises(MapError, match="pass `allow_lossy=True`"):
         perform(item, replace(job, allow_lossy=False))
 
 

@@ -10,6 +10,7 @@ import pytest
 from command import MAPS
 
 from imgloc.answers.diagnose import doubts
+from imgloc.errors import as_options
 from imgloc.io.scans import save_scans
 from imgloc.model import Evidence
 from imgloc.options import Options
@@ -23,7 +24,7 @@ from imgloc.runs.results import read_rows
 from imgloc.simulation.scans import Sensor, simulate
 from imgloc.simulation.worlds import WORLDS, render
 
-MILLIMETRES = "if ranges are multiplied by 0.001: are they millimetres? Try --range-scale 0.001"
+MILLIMETRES = "if ranges are multiplied by 0.001: are they millimetres? Try `range_scale=0.001`"
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +59,7 @@ def test_a_batch_ends_with_what_keeps_scans_from_fitting(found: tuple[Path, Batc
     assert json.loads((folder / "out" / "summary.json").read_text())["hints"] == summary.hints
     page = render_report(folder / "out")
     assert "What to look at next" in page
-    assert MILLIMETRES in page
+    assert as_options(MILLIMETRES) in page
 
 
 def test_known_poses_are_said_to_count_on_every_map(found: tuple[Path, BatchSummary]) -> None:
@@ -136,7 +137,7 @@ def test_where_several_places_fit_as_they_are_nothing_else_is_tried() -> None:
         said = [("ambiguous", Evidence(misfit=misfit))]
         found = doubts(features, hanging, said, Options())
         assert len(found) == count
-    assert "Try --flipped" in found[0].text
+    assert "Try `flipped=True`" in found[0].text
     assert doubts(features, hanging, [("no-match", Evidence())], Options()) == found
     noise = [
         replace(hanging[0], ranges=np.random.default_rng(0).uniform(1, 9, hanging[0].ranges.size))

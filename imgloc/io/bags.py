@@ -199,7 +199,7 @@ def _choose(bag: Any, topic: str | None, name: str) -> str:
             raise ScanError(f"{name}: no scans on {topic}; it has {there}")
         return match[0]
     if "/scan" not in topics and len(topics) > 1:
-        raise ScanError(f"{name}: scans on several topics, expected `topic` with some: {there}")
+        raise ScanError(f"{name}: scans on several topics, pass `topic`, one of {there}")
     return "/scan" if "/scan" in topics else next(iter(topics))
 
 

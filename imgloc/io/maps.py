@@ -183,7 +183,8 @@ def unknown_as_free(image: MapImage, settings: MapSettings, grid: OccupancyGrid)
 
 SWAPPED = (
     "what is free is as thin as walls, and walls are as wide as rooms: black and white look "
-    "swapped; try `negate=True` with `occupied_thresh=0.9`, or `negate=False` where the YAML has negate: 1"
+    "swapped; try `negate=True` with `occupied_thresh=0.9`, or `negate=False` where the YAML has "
+    "negate: 1"
 )
 _THICK = 0.3  # metres, half of what no wall is as thick as
 

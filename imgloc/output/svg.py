@@ -14,8 +14,8 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from imgloc.errors import as_options
 from imgloc.answers.explain import RayFit
+from imgloc.errors import as_options
 from imgloc.features.pyramid import any_of_blocks
 from imgloc.features.scanpoints import scan_xy
 from imgloc.geometry import rotation

@@ -274,7 +274,7 @@ def report_text(report: "MapReport") -> str:
         f"  nav2/ros1   {report.semantics_differ:,} cells are read differently",
         f"  warnings    {len(report.warnings) or 'none'}",
     ]
-    return "\n".join(lines + [f"    {as_options(w)}" for w in report.warnings])
+    return "\n".join(lines + [f"    {as_options(str(w))}" for w in report.warnings])
 
 
 def batch_text(summary: "BatchSummary", folder: str) -> str:

@@ -146,8 +146,8 @@ class Results:
             before = read_run(self.folder)
             if not resume:
                 raise OutputError(
-                    f"{self.name}: holds results already; pass `resume=True` to go on with them, or "
-                    "another `out`"
+                    f"{self.name}: holds results already; pass `resume=True` to go on with "
+                    "them, or another `out`"
                 )
             if before["job"] != about["job"]:
                 raise OutputError(

@@ -173,7 +173,7 @@ def test_what_is_no_plan_is_refused() -> None:
     ):
         with pytest.raises(MapError, match=said):
             plan_to_map(image, 0.02)
-    with pytest.raises(ConfigError, match="--thickest"):
+    with pytest.raises(ConfigError, match=r"`thickest=0\.5`"):
         plan_to_map(shed, 0.02, thinnest=0.6)
 
 
