@@ -23,6 +23,15 @@ from imgloc.io.files import (
     reason,
 )
 from imgloc.io.lasers import lasers_of, together
+from imgloc.io.messages import (
+    Frames,
+    entry_of,
+    frame_name,
+    matrix_of,
+    mounting_of,
+    planar,
+    seconds_of,
+)
 from imgloc.io.odometry import odometry_at
 from imgloc.io.scanset import MAX_RAYS, Entry, ScanSet, ScansSize, check_size, collect
 from imgloc.model import FloatArray, Pose2D
@@ -30,7 +39,6 @@ from imgloc.model import FloatArray, Pose2D
 _LOG = logging.getLogger("imgloc")
 _SCAN, _ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
 _TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-_BASES = ("base_footprint", "base_link", "base")
 _SHOWN = 8  # topics in a message
 _TILTED = math.cos(math.radians(5))
 _HINTS = {
@@ -38,8 +46,6 @@ _HINTS = {
     "pointcloud_to_laserscan_node makes scans of point clouds",
     "sensor_msgs/msg/MultiEchoLaserScan": "ros2 run laser_proc laser_proc_node makes scans of them",
 }
-# Of a frame: its parent, and the pose in it, 4 x 4.
-_Frames = dict[str, tuple[str, FloatArray]]
 
 
 def read_bag(path: PathLike, *, topic: str | None = None) -> ScanSet:
@@ -72,11 +78,11 @@ def read_bag(path: PathLike, *, topic: str | None = None) -> ScanSet:
         count = sum(c.msgcount for c in connections if c.topic == chosen)
         readings = most = 0
         moves, base = list[tuple[float, ...]](), ""
-        transforms, frames = list[tuple[float, str, str, FloatArray]](), _Frames()
+        transforms, frames = list[tuple[float, str, str, FloatArray]](), Frames()
         for connection, time, data in messages_of(bag, connections):
             message = bag.deserialize(data, connection.msgtype)
             if connection.topic == chosen:
-                laser = _frame(message.header.frame_id)
+                laser = frame_name(message.header.frame_id)
                 where = f"{name}: {chosen}: message {len(entries)}"
                 readings += len(message.ranges)
                 # Twice what bag_size() says, for lasers whose scans differ, and a scan.
@@ -85,21 +91,26 @@ def read_bag(path: PathLike, *, topic: str | None = None) -> ScanSet:
                 if readings > most:
                     hint = f"expected {count:,} scans like the first; ros2 bag reindex"
                     raise ScanError(f"{where}: {readings:,} readings up to it, {hint}")
-                entries.append((where, _entry(message, 1e-9 * time)))
+                entries.append((where, entry_of(message, 1e-9 * time)))
             elif connection.topic == source:
-                base = _frame(message.child_frame_id)
-                moves.append((_seconds(message.header.stamp), *_planar(_matrix(message.pose.pose))))
+                base = frame_name(message.child_frame_id)
+                moves.append(
+                    (seconds_of(message.header.stamp), *planar(matrix_of(message.pose.pose)))
+                )
             else:
                 for item in message.transforms:
-                    parent, child = _frame(item.header.frame_id), _frame(item.child_frame_id)
-                    pose = _matrix(item.transform)
+                    parent, child = (
+                        frame_name(item.header.frame_id),
+                        frame_name(item.child_frame_id),
+                    )
+                    pose = matrix_of(item.transform)
                     frames.setdefault(child, (parent, pose))
                     if parent.endswith("odom"):
-                        transforms.append((_seconds(item.header.stamp), parent, child, pose))
+                        transforms.append((seconds_of(item.header.stamp), parent, child, pose))
     if not moves and transforms:
         base = transforms[0][2]
-        moves = [(at, *_planar(pose)) for at, _, child, pose in transforms if child == base]
-    return _assemble(entries, moves, _mounting(frames, laser, base), name)
+        moves = [(at, *planar(pose)) for at, _, child, pose in transforms if child == base]
+    return _assemble(entries, moves, mounting_of(frames, laser, base), name)
 
 
 def bag_size(path: PathLike, *, topic: str | None = None) -> ScansSize:
@@ -209,59 +220,6 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(name[:80] for name in names[:_SHOWN]) + more
 
 
-def _entry(message: Any, recorded: float) -> dict[str, Any]:
-    """A scan as other files hold it; its stamp, or when it was recorded if it has none."""
-    fields = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max")
-    entry: dict[str, Any] = {key: float(getattr(message, key)) for key in fields}
-    if not entry["angle_increment"]:
-        del entry["angle_increment"]
-    ranges = np.asarray(message.ranges, dtype=np.float64)
-    return entry | {"ranges": ranges, "stamp": _seconds(message.header.stamp) or recorded}
-
-
-def _seconds(stamp: Any) -> float:
-    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
-
-
-def _frame(name: str) -> str:
-    return name.lstrip("/")  # as the frames of ROS 1's tf were called
-
-
-def _matrix(pose: Any) -> FloatArray:
-    """A Pose or a Transform as 4 x 4."""
-    at = pose.position if hasattr(pose, "position") else pose.translation
-    q = pose.orientation if hasattr(pose, "orientation") else pose.rotation
-    # A quaternion of zeros, which scipy's Rotation refuses, is one that nobody filled in.
-    x, y, z, w = np.array([q.x, q.y, q.z, q.w]) / (math.hypot(q.x, q.y, q.z, q.w) or 1.0)
-    out = np.eye(4)
-    out[:3, :3] = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    out[:3, 3] = at.x, at.y, at.z
-    return out
-
-
-def _planar(matrix: FloatArray) -> tuple[float, float, float]:
-    """x, y and yaw."""
-    return matrix[0, 3], matrix[1, 3], math.atan2(matrix[1, 0], matrix[0, 0])
-
-
-def _mounting(frames: _Frames, laser: str, base: str) -> FloatArray | None:
-    """Pose of the frame `laser` in that of the base, 4 x 4; None if no transforms lead there."""
-    bases = (base,) if base else _BASES
-    at, pose = laser, np.eye(4)
-    for _ in range(len(frames) + 1):
-        if at in bases:
-            return pose
-        if at not in frames:
-            return None
-        at, step = frames[at]
-        pose = step @ pose
-    return None
-
-
 def _assemble(
     entries: Sequence[Entry], moves: Sequence[tuple[float, ...]], mounting: FloatArray | None,
     name: str,
@@ -274,7 +232,7 @@ def _assemble(
         _LOG.warning("%s: its odometry does not cover its scans, and is not used", name)
     mount, turned = None, False
     if mounting is not None:
-        mount, turned = Pose2D(*_planar(mounting)), mounting[2, 2] < 0
+        mount, turned = Pose2D(*planar(mounting)), mounting[2, 2] < 0
         if abs(mounting[2, 2]) < _TILTED:
             _LOG.warning("%s: its laser is tilted, by its transforms; scans are of a plane", name)
     whole: list[Entry] = []
