@@ -27,8 +27,9 @@ from imgloc.io.messages import (
     Frames,
     entry_of,
     frame_name,
-    matrix_of,
+    link_of,
     mounting_of,
+    move_of,
     planar,
     seconds_of,
 )
@@ -94,16 +95,10 @@ def read_bag(path: PathLike, *, topic: str | None = None) -> ScanSet:
                 entries.append((where, entry_of(message, 1e-9 * time)))
             elif connection.topic == source:
                 base = frame_name(message.child_frame_id)
-                moves.append(
-                    (seconds_of(message.header.stamp), *planar(matrix_of(message.pose.pose)))
-                )
+                moves.append(move_of(message))
             else:
                 for item in message.transforms:
-                    parent, child = (
-                        frame_name(item.header.frame_id),
-                        frame_name(item.child_frame_id),
-                    )
-                    pose = matrix_of(item.transform)
+                    child, parent, pose = link_of(item)
                     frames.setdefault(child, (parent, pose))
                     if parent.endswith("odom"):
                         transforms.append((seconds_of(item.header.stamp), parent, child, pose))

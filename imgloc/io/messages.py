@@ -1,30 +1,122 @@
-"""ROS messages, whoever made them, as what flows through imgloc."""
+"""ROS messages as what flows through imgloc: scans, maps, poses, odometry, transforms.
+
+A message is any object with the fields of its type: one of rclpy, one of rosbags, or a mapping, as
+``ros2 topic echo`` prints it and JSON holds it.
+"""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from imgloc.model import FloatArray
+from imgloc.errors import MapError
+from imgloc.io.scanset import collect
+from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
 
 _BASES = ("base_footprint", "base_link", "base")
+_SPACING = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max")
+FREE, OCCUPIED = 19.6, 65.0
+"""Occupancies of a cell, per cent, up to which it is free and from which it is a wall: the
+thresholds that ROS's map_saver writes beside a map."""
+_MOST = 100  # per cent
 Frames = dict[str, tuple[str, FloatArray]]
 """Of a frame: its parent, and the pose in it, 4 x 4."""
 
 
-def entry_of(message: Any, recorded: float) -> dict[str, Any]:
-    """A scan as other files hold it; its stamp, or when it was recorded if it has none."""
-    fields = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max")
-    entry: dict[str, Any] = {key: float(getattr(message, key)) for key in fields}
+def field(message: Any, path: str) -> Any:
+    """The field of a message, or of a mapping, at a path with dots.
+
+    Examples
+    --------
+    >>> field({"header": {"frame_id": "map"}}, "header.frame_id")
+    'map'
+    """
+    for name in path.split("."):
+        message = message[name] if isinstance(message, Mapping) else getattr(message, name)
+    return message
+
+
+def entry_of(message: Any, received: float) -> dict[str, Any]:
+    """A sensor_msgs/LaserScan as other files hold it; its stamp, or when it was received."""
+    entry: dict[str, Any] = {key: float(field(message, key)) for key in _SPACING}
     if not entry["angle_increment"]:
         del entry["angle_increment"]
-    ranges = np.asarray(message.ranges, dtype=np.float64)
-    return entry | {"ranges": ranges, "stamp": seconds_of(message.header.stamp) or recorded}
+    ranges = np.asarray(field(message, "ranges"), dtype=np.float64)
+    return entry | {
+        "ranges": ranges,
+        "stamp": seconds_of(field(message, "header.stamp")) or received,
+    }
+
+
+def scan_of(
+    message: Any, name: str = "scan", mount: Pose2D | None = None, received: float = math.nan
+) -> LaserScan:
+    """The scan of a sensor_msgs/LaserScan.
+
+    Parameters
+    ----------
+    message : object or mapping
+    name : str
+        What errors call it.
+    mount : Pose2D, optional
+        Where the sensor sits on the robot.
+    received : float
+        Seconds: the stamp of a scan that has none.
+
+    Raises
+    ------
+    ScanError
+        If it has no readings, or its angles and limits contradict each other.
+
+    Examples
+    --------
+    >>> stamp = {"sec": 5, "nanosec": 500_000_000}
+    >>> message = {"header": {"stamp": stamp, "frame_id": "laser"}, "angle_min": -0.5,
+    ...            "angle_max": 0.5, "angle_increment": 0.5, "range_min": 0.1, "range_max": 9.0,
+    ...            "ranges": [1.0, 2.0, float("inf")]}
+    >>> scan_of(message), scan_of(message).stamp
+    (<LaserScan of 3 rays, 2 valid: -28.65 to 28.65 deg, 1 to 2 m of at most 9>, 5.5)
+    """
+    entry = entry_of(message, received) | {"mount": mount}
+    return collect([(name, entry)], name)[0]
+
+
+def grid_of_message(message: Any, name: str = "map") -> OccupancyGrid:
+    """The map of a nav_msgs/OccupancyGrid: free up to :data:`FREE`, a wall from :data:`OCCUPIED`.
+
+    Anything between, or below 0, is unknown.
+
+    Raises
+    ------
+    MapError
+        If width, height and data do not agree, or there is no resolution.
+
+    Examples
+    --------
+    >>> pose = {"position": {"x": 1.0, "y": 2.0, "z": 0.0},
+    ...         "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    >>> info = {"resolution": 0.5, "width": 3, "height": 1, "origin": pose}
+    >>> grid_of_message({"info": info, "data": [0, 100, -1]})
+    <OccupancyGrid 3 x 1 cells of 0.5 m: 1.5 x 0.5 m, 33.3% occupied, 33.3% free>
+    """
+    width, height = (int(field(message, f"info.{key}")) for key in ("width", "height"))
+    data = np.asarray(field(message, "data"), dtype=np.int8)
+    resolution = float(field(message, "info.resolution"))
+    if not width * height or data.size != width * height:
+        raise MapError(f"{name}: {data.size:,} cells, expected {width:,} x {height:,} and some")
+    if not 0 < resolution < math.inf:
+        raise MapError(f"{name}: info.resolution: got {resolution:g}, expected metres above 0")
+    cells = data.reshape(height, width)
+    free, occupied = (cells >= 0) & (cells <= FREE), (cells >= OCCUPIED) & (cells <= _MOST)
+    # A float32: 0.05 is not 0.05000000074505806.
+    resolution = float(np.format_float_positional(np.float32(resolution)))
+    return OccupancyGrid(occupied, free, resolution, pose_of(field(message, "info.origin")))
 
 
 def seconds_of(stamp: Any) -> float:
     """Seconds of a stamp."""
-    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+    return float(field(stamp, "sec")) + 1e-9 * float(field(stamp, "nanosec"))
 
 
 def frame_name(name: str) -> str:
@@ -32,19 +124,48 @@ def frame_name(name: str) -> str:
     return name.lstrip("/")  # as the frames of ROS 1's tf were called
 
 
+def pose_of(pose: Any) -> Pose2D:
+    """The plane's share of a Pose or a Transform.
+
+    Examples
+    --------
+    >>> turned = {"x": 0.0, "y": 0.0, "z": 1.0, "w": 0.0}
+    >>> pose_of({"translation": {"x": 1.0, "y": 2.0, "z": 0.3}, "rotation": turned})
+    Pose2D(x=1.0, y=2.0, theta=3.141592653589793)
+    """
+    return Pose2D(*planar(matrix_of(pose)))
+
+
+def move_of(message: Any) -> tuple[float, float, float, float]:
+    """Seconds, x, y and yaw of a nav_msgs/Odometry."""
+    pose = planar(matrix_of(field(message, "pose.pose")))
+    return (seconds_of(field(message, "header.stamp")), *pose)
+
+
+def link_of(message: Any) -> tuple[str, str, FloatArray]:
+    """Child, parent and the child's pose in it, 4 x 4, of a geometry_msgs/TransformStamped."""
+    child, parent = (
+        frame_name(field(message, key)) for key in ("child_frame_id", "header.frame_id")
+    )
+    return child, parent, matrix_of(field(message, "transform"))
+
+
 def matrix_of(pose: Any) -> FloatArray:
     """A Pose or a Transform as 4 x 4."""
-    at = pose.position if hasattr(pose, "position") else pose.translation
-    q = pose.orientation if hasattr(pose, "orientation") else pose.rotation
+    names = "position", "orientation"
+    if not (names[0] in pose if isinstance(pose, Mapping) else hasattr(pose, names[0])):
+        names = "translation", "rotation"
+    at, q = (field(pose, name) for name in names)
     # A quaternion of zeros, which scipy's Rotation refuses, is one that nobody filled in.
-    x, y, z, w = np.array([q.x, q.y, q.z, q.w]) / (math.hypot(q.x, q.y, q.z, q.w) or 1.0)
+    quaternion = np.array([float(field(q, key)) for key in "xyzw"])
+    x, y, z, w = quaternion / (math.hypot(*quaternion) or 1.0)
     out = np.eye(4)
     out[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
     ]
-    out[:3, 3] = at.x, at.y, at.z
+    out[:3, 3] = [float(field(at, key)) for key in "xyz"]
     return out
 
 

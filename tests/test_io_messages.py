@@ -1,0 +1,137 @@
+"""ROS messages, whoever made them: rclpy, rosbags, or mappings."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from imgloc.errors import MapError, ScanError
+from imgloc.io import messages
+from imgloc.model import Pose2D
+
+STAMP = {"sec": 12, "nanosec": 250_000_000}
+HEADER = {"stamp": STAMP, "frame_id": "laser"}
+SCAN = {
+    "header": HEADER, "angle_min": -1.0, "angle_max": 1.0, "angle_increment": 0.5,
+    "time_increment": 0.0, "scan_time": 0.1, "range_min": 0.1, "range_max": 8.0,
+    "ranges": [1.0, math.nan, 3.0, math.inf, 0.05], "intensities": [],
+}  # fmt: skip
+HALF = {"x": 0.0, "y": 0.0, "z": math.sin(0.25), "w": math.cos(0.25)}  # yaw of 0.5
+POSE = {"position": {"x": 1.0, "y": -2.0, "z": 0.0}, "orientation": HALF}
+INFO = {"map_load_time": STAMP, "resolution": 0.05, "width": 3, "height": 2, "origin": POSE}
+GRID = {"header": HEADER, "info": INFO, "data": [0, 19, 20, 64, 65, -1]}
+
+
+def as_object(value):
+    """The same with attributes in place of keys."""
+    if isinstance(value, dict):
+        return SimpleNamespace(**{key: as_object(item) for key, item in value.items()})
+    return value
+
+
+def as_rosbags(kind, value):
+    """The same as rosbags has it."""
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    return _typed(store, kind, value)
+
+
+def _typed(store, kind, value):
+    made = {}
+    for name, (_, of) in store.fielddefs[kind][1]:
+        item = value[name]
+        if isinstance(item, dict):
+            item = _typed(store, of if isinstance(of, str) else of[0], item)
+        elif isinstance(item, list):
+            item = np.array(item, np.int8 if name == "data" else np.float32)
+        made[name] = item
+    return store.types[kind](**made)
+
+
+def as_rclpy(kind, value):
+    """The same as rclpy has it; needs the wheels of ROS 2 (pip install 'imgloc[node]')."""
+    package, _, name = kind.split("/")
+    module = pytest.importorskip(f"{package}.msg", reason="no ROS 2: imgloc[node]")
+    made = getattr(module, name)()
+    for key, of in made.get_fields_and_field_types().items():
+        item = as_rclpy(of.replace("/", "/msg/"), value[key]) if "/" in of else value[key]
+        setattr(made, key, item)
+    return made
+
+
+def forms(kind, value):
+    return [lambda: value, lambda: as_object(value), lambda: as_rosbags(kind, value),
+            lambda: as_rclpy(kind, value)]  # fmt: skip
+
+
+NAMES = ["mapping", "object", "rosbags", "rclpy"]
+
+
+@pytest.mark.parametrize("form", forms("sensor_msgs/msg/LaserScan", SCAN), ids=NAMES)
+def test_a_scan_is_the_same_whoever_made_its_message(form) -> None:
+    scan = messages.scan_of(form(), mount=Pose2D(0.1, 0.0))
+    np.testing.assert_array_equal(scan.ranges.astype(np.float32), np.float32(SCAN["ranges"]))
+    assert scan.angles == pytest.approx([-1.0, -0.5, 0.0, 0.5, 1.0])
+    assert (scan.stamp, scan.T_base_laser) == (12.25, Pose2D(0.1, 0.0))
+    assert scan.valid.tolist() == [True, False, True, False, False]
+    assert scan.range_max == 8.0
+
+
+@pytest.mark.parametrize("form", forms("nav_msgs/msg/OccupancyGrid", GRID), ids=NAMES)
+def test_a_map_is_the_same_whoever_made_its_message(form) -> None:
+    grid = messages.grid_of_message(form())
+    assert grid.free.tolist() == [[True, True, False], [False, False, False]]
+    assert grid.occupied.tolist() == [[False, False, False], [False, True, False]]
+    assert grid.resolution == 0.05  # a float32 in the message
+    assert (grid.origin.x, grid.origin.y) == (1.0, -2.0)
+    assert grid.origin.theta == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [({"ranges": []}, "empty"), ({"angle_max": 3.0}, "were readings left out"),
+     ({"range_max": 0.0}, "range_max"), ({"angle_min": math.nan}, "finite")],
+)  # fmt: skip
+def test_a_scan_that_contradicts_itself_is_refused(change, said) -> None:
+    with pytest.raises(ScanError, match=said):
+        messages.scan_of(SCAN | change, "/scan")
+
+
+def test_a_scan_without_a_stamp_has_the_time_when_it_came() -> None:
+    unset = SCAN | {"header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}}
+    assert messages.scan_of(unset, received=7.5).stamp == 7.5
+
+
+@pytest.mark.parametrize(
+    "change", [{"width": 4}, {"width": 0}, {"resolution": 0.0}, {"resolution": math.nan}]
+)
+def test_a_map_that_contradicts_itself_is_refused(change) -> None:
+    with pytest.raises(MapError, match="expected"):
+        messages.grid_of_message(GRID | {"info": INFO | change})
+
+
+def test_a_laser_is_found_through_transforms_also_upside_down() -> None:
+    flipped = {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}
+    links = [
+        {"header": {"frame_id": "/base_link"}, "child_frame_id": "mast",
+         "transform": {"translation": {"x": 0.2, "y": 0.0, "z": 1.0}, "rotation": HALF}},
+        {"header": {"frame_id": "mast"}, "child_frame_id": "laser",
+         "transform": {"translation": {"x": 0.1, "y": 0.0, "z": 0.0}, "rotation": flipped}},
+    ]  # fmt: skip
+    frames = messages.Frames()
+    for link in links:
+        child, parent, pose = messages.link_of(as_object(link))
+        frames[child] = parent, pose
+    found = messages.mounting_of(frames, "laser", "base_link")
+    assert found is not None
+    assert messages.planar(found) == pytest.approx(
+        (0.2 + 0.1 * math.cos(0.5), 0.1 * math.sin(0.5), 0.5)
+    )
+    assert found[2, 2] == pytest.approx(-1.0)
+    assert messages.mounting_of(frames, "laser", "odom") is None
+
+
+def test_odometry_is_seconds_and_a_pose() -> None:
+    odometry = {"header": HEADER, "pose": {"pose": POSE, "covariance": [0.0] * 36}}
+    assert messages.move_of(as_object(odometry)) == pytest.approx((12.25, 1.0, -2.0, 0.5))
