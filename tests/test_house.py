@@ -7,14 +7,8 @@ import pytest
 from command import ROOT
 
 from imgloc import doors
+from tools import house
 
-#: A module imports from its own room and from those before it.
-ROOMS = (
-    "__about__", "doors", "errors", "numbers", "ranges", "model", "geometry", "options", "io",
-    "features", "likelihoods", "search", "pipeline", "answers", "choice", "filters", "simulation",
-    "runs", "output", "cli",
-)  # fmt: skip
-BEHIND = ("plans", "lab")  #: the wall: what is before it knows these by name alone
 #: What comes through the doors in the wall: commands, jobs of a batch, filters, a picture.
 DOORS = [
     "atlas",
@@ -29,56 +23,75 @@ DOORS = [
     "ParticleOptions",
     "draw_survey",
 ]
-PLACE = {name: k for k, name in enumerate((*ROOMS, *BEHIND))}
-FILES = sorted(p.relative_to(ROOT) for p in (ROOT / "imgloc").rglob("*.py"))
-#: The room of each file; `imgloc` itself and `python -m imgloc` are doors to all of them.
-INSIDE = {path: path.parts[1].removesuffix(".py") for path in FILES}
+FILES = house.counted("imgloc")
 
 
 def parsed(path: Path) -> ast.Module:
     return ast.parse((ROOT / path).read_text("utf-8"))
 
 
-def imported(path: Path) -> set[str]:
-    """Rooms of imgloc that a file imports when it runs, wherever in it."""
-    tree = parsed(path)
-    for node in ast.walk(tree):
-        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-            node.body = []
-    found = [n for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)]
-    names = [f"{n.module}.{a.name}" for n in found for a in n.names]
-    names += [a.name for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names]
-    return {name.split(".")[1] for name in names if name.startswith("imgloc.")}
-
-
 def test_each_file_is_in_a_room_that_has_a_name() -> None:
-    assert set(INSIDE.values()) - {"__init__", "__main__"} == set(PLACE)
+    names = {file.room for file in FILES}
+    assert names - {"__init__", "__main__"} == {*house.ROOMS, *house.BEHIND}
 
 
-def test_nothing_is_imported_from_a_later_room() -> None:
-    arrows = [(str(path), other) for path, name in INSIDE.items() if name in PLACE
-              for other in imported(path) if PLACE[other] > PLACE[name]]  # fmt: skip
-    assert arrows == []
+def test_nothing_is_imported_from_a_later_room_or_from_another_one_behind_the_wall() -> None:
+    assert house.arrows_up(FILES) == []
 
 
-def test_a_room_behind_the_wall_imports_no_other_one() -> None:
-    arrows = [(str(path), other) for path, name in INSIDE.items() if name in BEHIND
-              for other in imported(path) if other in BEHIND and other != name]  # fmt: skip
-    assert arrows == []
+@pytest.mark.parametrize(
+    ("path", "text", "arrows"),
+    [
+        ("imgloc/search/a.py", "def f():\n    from imgloc import pipeline", ["imgloc.pipeline"]),
+        (
+            "imgloc/lab/a.py",
+            "import imgloc.plans.files\nimport imgloc.cli.app",
+            ["imgloc.plans.files"],
+        ),
+        ("imgloc/search/b.py", "from imgloc.io import maps\nfrom imgloc.search import a", []),
+        ("imgloc/io/a.py", "if TYPE_CHECKING:\n    from imgloc.search.a import f", []),
+    ],
+)
+def test_arrows_that_go_back_are_seen(tmp_path: Path, path: str, text: str, arrows) -> None:
+    (tmp_path / path).parent.mkdir(parents=True)
+    (tmp_path / path).write_text(text)
+    found = house.arrows_up(house.counted("imgloc", tmp_path))
+    assert found == [f"{path} -> {name}" for name in arrows]
+
+
+def test_lines_are_counted(tmp_path: Path) -> None:
+    text = (
+        '"""What."""\nimport os\n\n\ndef f(x):\n    """Why."""\n    # how\n'
+        "    return [x, 3, 1][\n        True]\n"
+    )
+    (tmp_path / "imgloc").mkdir()
+    (tmp_path / "imgloc" / "a.py").write_text(text)
+    (file,) = house.counted("imgloc", tmp_path)
+    assert (file.room, file.lines, file.code, file.numbers) == ("a", 9, 4, 1)
+    assert file.functions == (("f", 3),)
+
+
+def test_the_goals_are_beside_what_is(capsys) -> None:
+    code = house.main(["--longest", "1"])
+    lines = capsys.readouterr().out.splitlines()
+    goals = [line.strip("| ").split(" | ") for line in lines if line.endswith((" yes |", " no |"))]
+    assert [most for _, _, most, _ in goals] == ["20500", "13500", "10500", "5500", "6", "0"]
+    assert code == any(int(is_) > int(most) for _, is_, most, _ in goals)
+    assert sum("lines of code:" in line for line in lines) == 1
 
 
 def test_the_wall_has_no_hole_but_the_doors() -> None:
     """Neither types nor names in strings, which importlib may take, are from behind it."""
-    rooms, holes = tuple(f"imgloc.{name}" for name in BEHIND), []
-    for path, name in INSIDE.items():
-        if name in (*BEHIND, "doors", "__init__"):
+    rooms, holes = tuple(f"imgloc.{name}" for name in house.BEHIND), []
+    for file in FILES:
+        if file.room in (*house.BEHIND, "doors", "__init__"):
             continue
-        for node in ast.walk(parsed(path)):
+        for node in ast.walk(parsed(file.path)):
             modules = [node.value] if isinstance(node, ast.Constant) else []
             if isinstance(node, ast.ImportFrom):
                 modules = [f"{node.module}.{alias.name}" for alias in node.names]
             if any(isinstance(text, str) and text.startswith(rooms) for text in modules):
-                holes.append((str(path), ast.unparse(node)))
+                holes.append((str(file.path), ast.unparse(node)))
     assert holes == []
 
 
@@ -89,7 +102,7 @@ def test_every_door_opens(name: str) -> None:
 
 def test_there_are_no_other_doors_and_each_is_used() -> None:
     assert sorted(doors._HOME_OF) == sorted(DOORS)
-    words = {node.value for path, name in INSIDE.items() if name not in (*BEHIND, "doors")
-             for node in ast.walk(parsed(path))
+    words = {node.value for file in FILES if file.room not in (*house.BEHIND, "doors")
+             for node in ast.walk(parsed(file.path))
              if isinstance(node, ast.Constant) and isinstance(node.value, str)}  # fmt: skip
     assert words >= set(DOORS)
