@@ -22,12 +22,15 @@ if TYPE_CHECKING:
     from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.filters.choose import make_filter
-    from imgloc.filters.follow import Every, Limits, Moment, follow
+    from imgloc.filters.follow import Every, Limits, Moment, Tracking, follow
     from imgloc.io.mapcheck import MapReport, check_map
     from imgloc.io.maps import load_map, save_map
     from imgloc.io.scans import load_scans, save_scans
     from imgloc.io.scanset import ScanSet
     from imgloc.lab.evaluation import Evaluation, evaluate
+    from imgloc.live.line import Dropped
+    from imgloc.live.localizer import Answer, Localizer
+    from imgloc.live.sites import Site
     from imgloc.model import (
         Evidence,
         GridInfo,
@@ -59,14 +62,15 @@ if TYPE_CHECKING:
     from imgloc.simulation.scans import Sensor, simulate
 
 __all__ = [
-    "ALL_METHODS", "METHODS", "BatchSummary", "Calibration", "Choice", "ConfigError", "Evaluation",
+    "ALL_METHODS", "METHODS", "Answer", "BatchSummary", "Calibration", "Choice", "ConfigError",
+    "Dropped", "Evaluation",
     "Every", "Evidence", "Explanation", "FloorPlan", "FusedOptions", "GridInfo", "Hypothesis",
-    "ImglocError", "Job", "Known", "LaserScan", "Likelihood", "Limits", "Localization",
+    "ImglocError", "Job", "Known", "LaserScan", "Likelihood", "Limits", "Localization", "Localizer",
     "MapError", "MapFeatures", "MapReport", "Moment", "OccupancyGrid", "Options", "OrientedPoints",
-    "OutputError", "Picture", "Pose2D", "Prior", "ScanError", "ScanSet", "Sensor", "Shared",
-    "Trust", "__version__", "check_map", "draw", "evaluate", "explain", "follow", "likelihood",
-    "load_map", "load_plan", "load_scans", "localize", "make_filter", "plan_to_map", "prepare",
-    "run_batch", "sample_poses", "save_map", "save_scans", "simulate", "which",
+    "OutputError", "Picture", "Pose2D", "Prior", "ScanError", "ScanSet", "Sensor", "Shared", "Site",
+    "Tracking", "Trust", "__version__", "check_map", "draw", "evaluate", "explain", "follow",
+    "likelihood", "load_map", "load_plan", "load_scans", "localize", "make_filter", "plan_to_map",
+    "prepare", "run_batch", "sample_poses", "save_map", "save_scans", "simulate", "which",
 ]  # fmt: skip
 
 _HOMES = {
@@ -84,6 +88,9 @@ _HOMES = {
     "imgloc.io.scans": "load_scans save_scans",
     "imgloc.io.scanset": "ScanSet",
     "imgloc.runs.jobs": "Job",
+    "imgloc.live.line": "Dropped",
+    "imgloc.live.localizer": "Answer Localizer",
+    "imgloc.live.sites": "Site",
     "imgloc.model": "Evidence GridInfo Hypothesis LaserScan Likelihood Localization OccupancyGrid "
     "OrientedPoints Pose2D",
     "imgloc.options": "ALL_METHODS METHODS Calibration FusedOptions Options Prior Shared Trust",
@@ -92,7 +99,7 @@ _HOMES = {
     "imgloc.answers.sample": "sample_poses",
     "imgloc.search.priors": "Known",
     "imgloc.simulation.scans": "Sensor simulate",
-    "imgloc.filters.follow": "Every Limits Moment follow",
+    "imgloc.filters.follow": "Every Limits Moment Tracking follow",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
 

@@ -129,7 +129,7 @@ def test_walls_that_are_too_thick_are_seen_as_such():
 
 
 def test_no_more_cells_are_taken_off_than_allowed(monkeypatch):
-    monkeypatch.setattr("imgloc.search.adapt._THINNER", 1)
+    monkeypatch.setattr("imgloc.search.adapt.THINNEST", 1)
     assert localize(thick_features(), world()[1].scans[0]).evidence.thinner < 0.15
 
 

@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = (
     "__about__", "doors", "errors", "numbers", "ranges", "model", "geometry", "options", "io",
     "features", "likelihoods", "search", "pipeline", "answers", "choice", "filters", "simulation",
-    "runs", "output", "cli",
+    "runs", "output", "live", "cli",
 )  # fmt: skip
 BEHIND = ("plans", "lab")
 """A module imports from its own room and from those before it; nothing from behind the wall."""

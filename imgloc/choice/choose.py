@@ -131,8 +131,14 @@ def bounds_of(
 
     Of a map that is calibrated also with the scale that it has.
     """
-    bounds = index.bounds(scan, options)
-    scales = np.array([said_scale(files[name]) for name in index.names])
+    return bounds_at(index, [said_scale(files[name]) for name in index.names], scan, options)
+
+
+def bounds_at(
+    index: MapIndex, said: Sequence[float], scan: LaserScan, options: Options
+) -> dict[str, float]:
+    """:func:`bounds_of` maps that are at hand, each with the scale `said` of it."""
+    bounds, scales = index.bounds(scan, options), np.array(said)
     for scale in np.unique(scales[scales != 1]):
         scaled = index.bounds(scan.scaled(float(scale)), options)
         bounds = np.where(scales == scale, np.maximum(bounds, scaled), bounds)

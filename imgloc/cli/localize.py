@@ -76,6 +76,7 @@ def localize(
     from imgloc.model import Evidence, LaserScan, Pose2D, to_json
     from imgloc.options import Options
     from imgloc.output.pictures import draw
+    from imgloc.output.rows import answer_row
     from imgloc.output.tables import (
         answer_header,
         answer_line,
@@ -184,9 +185,11 @@ def localize(
                 emit(f"{file}:")
                 shown = file
             if as_json:
-                about: dict[str, object] = {"scans": file} if several else {}
-                about |= {"range_max": scan.range_max, "sensor": mounting.pose}
-                emit(to_json(answer.as_row(k, **about, flipped=mounting.flipped)))
+                about = {"scans": file} if several else {}
+                row = answer_row(
+                    answer, scan, k, sensor=mounting.pose, flipped=mounting.flipped, about=about
+                )
+                emit(to_json(row))
             elif many:
                 emit(answer_line(k, answer, narrow=narrow))
             else:

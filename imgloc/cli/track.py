@@ -110,10 +110,10 @@ def track(
     from imgloc.model import LaserScan, Pose2D, to_json
     from imgloc.options import Options
     from imgloc.output.ros import message, write_bag, yaml_text
+    from imgloc.output.rows import moment_row
     from imgloc.output.tracks import (
         Video,
         draw_track,
-        moment_row,
         track_header,
         track_line,
         tum_text,

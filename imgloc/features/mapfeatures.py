@@ -145,8 +145,11 @@ class MapFeatures:
         if cells not in self._thinner:
             from skimage.morphology import thin  # half of all that imgloc would import, seldom used
 
-            walls = self.thinner(cells - 1).grid.occupied
-            walls = thin(walls, max_num_iter=1)
+            before = self.thinner(cells - 1)
+            walls = thin(before.grid.occupied, max_num_iter=1)
+            if np.array_equal(walls, before.grid.occupied):  # they are lines by now
+                self._thinner[cells] = before
+                return before
             free = self.grid.free | (self.grid.occupied & ~walls)
             self._thinner[cells] = replace(self, grid=replace(self.grid, occupied=walls, free=free))
         return self._thinner[cells]

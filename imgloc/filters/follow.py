@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
@@ -10,14 +10,15 @@ import numpy as np
 from imgloc.errors import ConfigError, ScanError, expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import AMBIGUOUS, UNIQUE, Belief, Filter, deviations_of
+from imgloc.filters.choose import FILTERS, make_filter
 from imgloc.filters.evidence import usable
 from imgloc.filters.motion import compose_poses, increments, invert_poses, noisy_odometry, way_of
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.numbers import number
-from imgloc.options import Metres
-from imgloc.ranges import Checked, Within
+from imgloc.options import Metres, Options
+from imgloc.ranges import Checked, OneOf, Within
 
 DEVIATION: tuple[float, float] = number("follow.deviation")
 """How far a pose that was told may be off, unless said otherwise: metres and radians."""
@@ -84,6 +85,28 @@ class Moment:
     def pose(self) -> Pose2D | None:
         """The pose, if there is one that can be relied upon: only when it is unique."""
         return self.best if self.belief.verdict == UNIQUE else None
+
+
+@dataclass(frozen=True)
+class Tracking(Checked):
+    """How a robot is followed.
+
+    Examples
+    --------
+    >>> Tracking(limits=Limits(0.2)).every
+    Every(metres=0.5, radians=0.5235987755982988)
+    """
+
+    filter: Annotated[str, OneOf(*FILTERS)] = "tracker"
+    every: Every = field(default_factory=Every)
+    limits: Limits = field(default_factory=Limits)
+    resets: bool = True  #: whether it starts again from p(x | z) where it is lost
+    seed: Annotated[int, Within(0, 2**63 - 1, "a number")] = 0  #: of a filter's draws
+
+    def follower(self, features: MapFeatures, options: Options, name: str = "log") -> "Follower":
+        """What takes the scans of one robot."""
+        made = make_filter(self.filter, features, options, seed=self.seed, resets=self.resets)
+        return Follower(features, made, every=self.every, limits=self.limits, name=name)
 
 
 def follow(

@@ -6,7 +6,6 @@ import os
 import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -17,7 +16,7 @@ from imgloc.filters.belief import AMBIGUOUS, LOST, UNIQUE, Belief
 from imgloc.filters.follow import Moment
 from imgloc.geometry import transform_points
 from imgloc.io.files import PathLike, display, write_bytes_atomic
-from imgloc.model import FloatArray, OccupancyGrid, inverse, plain
+from imgloc.model import FloatArray, OccupancyGrid, inverse
 from imgloc.output.canvas import (
     INK,
     PAPER,
@@ -40,28 +39,6 @@ _TRUTH: Colour = (60, 20, 220)
 _SIDE = 960  # pixels of the longer side of a video at most
 _DRAWN = 1e-3  # mass of a place that is drawn
 _CARRIED = 1.0  # metres beyond twice what odometry says: no driving
-
-
-def moment_row(moment: Moment) -> dict[str, Any]:
-    """The row of `imgloc track --json`: the pose is null unless it is unique."""
-    belief, pose = moment.belief, moment.pose
-    row = {
-        "index": moment.index,
-        "stamp": moment.stamp,
-        "age": moment.age,
-        "deviation": None if moment.best is None else moment.deviation,
-        "looked": moment.looked,
-        "verdict": belief.verdict,
-        "withheld": moment.withheld or None,
-        "pose": pose,
-        "covariance": None if pose is None else moment.covariance,
-        "map_odom": None if pose is None else moment.map_odom,
-        "lost": belief.lost,
-        "mass": float(belief.mass[0]) if len(belief.mass) else 0.0,
-        "neff": belief.neff,
-        "resets": belief.resets,
-    }
-    return dict(plain(row))
 
 
 def tum_text(moments: Iterable[Moment]) -> str:

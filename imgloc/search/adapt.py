@@ -18,7 +18,8 @@ from imgloc.search.refine import refine
 from imgloc.search.rescore import rescore
 
 _SIGMAS = number("adapt.sigmas")
-_THINNER = number("adapt.thinner")  # cells, at most
+THINNEST: int = number("adapt.thinner")
+"""Cells that walls may lose on each side."""
 _SCALES = number("adapt.scales")  # at which the scale begins
 _PLACES, _READINGS = number("adapt.places"), number("adapt.readings")  # that are asked
 
@@ -70,7 +71,7 @@ def adapt(
     scaled = [np.column_stack((places, np.full(len(places), scale))) for scale in _SCALES]
     found = best(np.concatenate(scaled), now.thinner)
     walls = float("-inf"), now
-    for n in range(now.thinner + 1, _THINNER + 1):
+    for n in range(now.thinner + 1, THINNEST + 1):
         if not features.peels:
             break
         again = best(places, n)

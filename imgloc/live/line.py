@@ -1,0 +1,191 @@
+"""A line of scans in front of one worker: first come, first served; of each source one waits."""
+
+import math
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Hashable
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from imgloc.errors import ImglocError
+
+_SAID = {
+    "replaced": "a newer scan of the same source came while this one waited",
+    "reset": "the robot was reset, or its map replaced, after this scan came",
+    "old": "its stamp is before that of a scan that was taken already",
+    "late": "its time was up before the answer was there",
+    "preparing": "the map is still being prepared",
+    "closed": "the localizer is closed",
+}
+
+
+class Dropped(ImglocError):  # noqa: N818  (what has become of it)
+    """A scan was not answered, and is not going to be; `why` is one word.
+
+    ``replaced``, ``reset``, ``old``, ``late``, ``preparing`` or ``closed``.
+
+    Examples
+    --------
+    >>> Dropped("late")
+    Dropped('the scan was dropped: its time was up before the answer was there')
+    """
+
+    def __init__(self, why: str) -> None:
+        super().__init__(f"the scan was dropped: {_SAID[why]}")
+        self.why = why
+
+
+class Key(NamedTuple):
+    """Whose place in the line it is."""
+
+    kind: Hashable  #: what is asked, or the robot that asks
+    source: Hashable  #: of each one scan waits
+
+
+@dataclass(eq=False)
+class _Task:
+    key: Key
+    work: Callable[[float], Any]
+    stamp: float
+    since: float
+    future: "Future[Any]"
+
+
+class Line:
+    """Work that is done by one thread, one piece after the other.
+
+    Examples
+    --------
+    >>> line = Line()
+    >>> line.put(Key("localize", None), lambda waited: waited < 60.0).result()
+    True
+    >>> line.close()
+    """
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._waiting = dict[Key, _Task]()
+        self._counts = Counter[Key]()
+        self._total = 0
+        self._busy = self._closed = False
+        self._thread: threading.Thread | None = None
+
+    @property
+    def waiting(self) -> int:
+        """How many wait."""
+        return len(self._waiting)
+
+    @property
+    def busy(self) -> bool:
+        """Whether one is being worked on."""
+        return self._busy
+
+    @property
+    def dropped(self) -> int:
+        """How many were dropped so far."""
+        return self._total
+
+    def dropped_of(self, key: Key) -> int:
+        """How many of one place in the line were dropped so far."""
+        return self._counts[key]
+
+    def put(self, key: Key, work: Callable[[float], Any], stamp: float = math.nan) -> "Future[Any]":
+        """Queue work, which is given the seconds that it has waited.
+
+        What waits in the same place is dropped, and the new one stands there. Of the places of
+        one kind the least `stamp` comes first.
+        """
+        task, old = _Task(key, work, stamp, time.perf_counter(), Future()), None
+        task.future.add_done_callback(lambda _: self._leave(task))
+        with self._changed:
+            if self._closed:
+                raise Dropped("closed")
+            old = self._waiting.get(key)
+            self._waiting[key] = task
+            if old is not None:
+                self._count(key)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="imgloc", daemon=True)
+                self._thread.start()
+            self._changed.notify_all()
+        _drop(old, "replaced")
+        return task.future
+
+    def clear(self, kind: Hashable, why: str = "reset") -> None:
+        """Drop what waits of one kind."""
+        with self._changed:
+            gone = [self._waiting.pop(key) for key in tuple(self._waiting) if key.kind == kind]
+            for task in gone:
+                self._count(task.key)
+        for task in gone:
+            _drop(task, why)
+
+    def count(self, key: Key) -> None:
+        """Count one that was dropped while it was worked on."""
+        with self._changed:
+            self._count(key)
+
+    def forget(self, kind: Hashable) -> None:
+        """Forget what was counted of one kind."""
+        with self._changed:
+            for key in [key for key in self._counts if key.kind == kind]:
+                del self._counts[key]
+
+    def close(self) -> None:
+        """Drop what waits and take no more; what is being worked on is finished."""
+        with self._changed:
+            self._closed = True
+            gone = list(self._waiting.values())
+            self._waiting.clear()
+            self._total += len(gone)
+            self._changed.notify_all()
+        for task in gone:
+            _drop(task, "closed")
+
+    def _count(self, key: Key) -> None:
+        self._total += 1
+        self._counts[key] += 1
+
+    def _leave(self, task: _Task) -> None:
+        """Take out what was cancelled while it waited."""
+        with self._changed:
+            if self._waiting.get(task.key) is task:
+                del self._waiting[task.key]
+                self._total += 1  # a source may be of one scan alone: nothing is kept of it
+
+    def _next(self) -> _Task | None:
+        with self._changed:
+            self._busy = False
+            while not self._waiting and not self._closed:
+                self._changed.wait()
+            if not self._waiting:
+                return None
+            kind = next(iter(self._waiting)).kind
+            same = [task for task in self._waiting.values() if task.key.kind == kind]
+            task = same[0]
+            if not any(math.isnan(one.stamp) for one in same):
+                task = min(same, key=lambda one: one.stamp)
+            del self._waiting[task.key]
+            self._busy = True
+            return task
+
+    def _run(self) -> None:
+        while (task := self._next()) is not None:
+            future, work = task.future, task.work
+            if not future.set_running_or_notify_cancel():
+                continue
+            try:
+                found = work(time.perf_counter() - task.since)
+            except BaseException as error:  # the caller's to judge
+                future.set_exception(error)
+            else:
+                future.set_result(found)
+                del found
+            del task, future, work  # nothing is held while it waits
+
+
+def _drop(task: _Task | None, why: str) -> None:
+    if task is not None and task.future.set_running_or_notify_cancel():
+        task.future.set_exception(Dropped(why))

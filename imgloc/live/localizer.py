@@ -1,0 +1,685 @@
+"""One core that answers a robot: maps held ready, one scan looked at at a time, none too old.
+
+>>> import imgloc
+>>> from imgloc.io.maps import bundled_maps
+>>> grid = imgloc.load_map(bundled_maps() / "curved.yaml")
+>>> scan = imgloc.simulate(grid, 1, seed=1)[0]
+>>> with Localizer(grid) as core:
+...     answer = core.localize(scan)
+>>> answer.value.verdict, answer.map, answer.dropped
+('unique', 'map', 0)
+"""
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as Late
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, Generic, TypeVar
+
+from imgloc.choice.choose import OPTIONS, Choice, Opened, bounds_at, choose, search
+from imgloc.choice.folder_index import MapIndex, index_of
+from imgloc.errors import ConfigError, expect
+from imgloc.filters.follow import DEVIATION, Follower, Moment, Tracking
+from imgloc.live.line import Dropped, Key, Line
+from imgloc.live.sites import Maker, MapLike, Site, site_of, warm
+from imgloc.model import FloatArray, LaserScan, Localization, Pose2D, plain
+from imgloc.options import Options, Prior
+from imgloc.pipeline import localize
+from imgloc.search.priors import Known, leaves_none
+
+T = TypeVar("T")
+Clock = Callable[[], float]
+Maps = MapLike | Maker | Mapping[str, MapLike | Maker]
+ALONE = "map"
+"""The name of a map that was given without one."""
+READY, PREPARING, FAILED = "ready", "preparing", "failed"
+
+
+@dataclass(frozen=True)
+class Answer(Generic[T]):
+    """What was found, with how old it is."""
+
+    value: T
+    map: str | None  #: name; of :meth:`Localizer.which` that of the map that is named, or None
+    stamp: float  #: of the scan, seconds; NaN when unknown
+    age: float  #: seconds from the stamp to the answer, by the clock; NaN when unknown
+    waited_ms: float  #: in the line
+    took_ms: float  #: at work
+    dropped: int  #: scans of this source that were dropped so far
+    era: int = 0  #: how often the robot was reset, or the map replaced, before
+
+    def about(self) -> dict[str, Any]:
+        """All but the value, as JSON knows it."""
+        names = ("map", "stamp", "age", "waited_ms", "took_ms", "dropped", "era")
+        return dict(plain({name: getattr(self, name) for name in names}))
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """From which map a scan is, and how it fits those that were compared."""
+
+    choice: Choice
+    fits: Mapping[str, Localization]
+
+    @property
+    def best(self) -> Localization | None:
+        """The answer in the map that is named; None without one."""
+        return self.fits.get(self.choice.verdict)
+
+    def as_row(self, index: int = 0) -> dict[str, Any]:
+        """The row of `imgloc which --json`."""
+        return self.choice.as_row(self.fits, index)
+
+
+@dataclass(eq=False)
+class _Entry:
+    """A map on its way."""
+
+    made: MapLike | Maker
+    era: int
+    site: Site | None = None
+    error: Exception | None = None
+
+    @property
+    def state(self) -> str:
+        if self.error is not None:
+            return FAILED
+        return PREPARING if self.site is None else READY
+
+
+class Localizer:
+    """Maps that are prepared once, and answers to scans, from any thread.
+
+    One thread computes, one scan at a time, in the order in which they came. Of each source one
+    scan waits: a newer one replaces it, and who asked for the older one gets :class:`Dropped`.
+
+    Parameters
+    ----------
+    maps : OccupancyGrid, MapFeatures, Site, callable, or a mapping of str to these
+        A callable makes the map in the thread that prepares it. A map without a name is ``map``.
+    options : Options, optional
+        How scans are located where a call does not say it.
+    tracking : Tracking, optional
+        How robots are followed where :meth:`robot` does not say it.
+    background : bool
+        Return at once, and prepare the maps in a thread: see `ready`, :meth:`wait` and `errors`.
+        Otherwise the first error of a map is raised here.
+    clock : callable
+        The time in seconds that ages are of: that of the stamps.
+    prepared : callable, optional
+        Called with name and site when a map is ready, in the thread that prepared it.
+
+    Raises
+    ------
+    ImglocError
+        If a map is of no use, unless it is prepared in the background.
+
+    Examples
+    --------
+    >>> import imgloc
+    >>> from imgloc.io.maps import bundled_maps
+    >>> floors = {name: bundled_maps() / f"{name}.yaml" for name in ("curved", "corridor")}
+    >>> made = {name: lambda path=path: imgloc.load_map(path) for name, path in floors.items()}
+    >>> with Localizer(made, background=True) as core:
+    ...     ready = core.wait()
+    ...     scan = imgloc.simulate(core.site("curved").features.grid, 1, seed=1)[0]
+    ...     found = core.which(scan)
+    >>> ready, found.map, found.value.best.verdict
+    (True, 'curved', 'unique')
+    """
+
+    def __init__(
+        self,
+        maps: Maps | None = None,
+        options: Options | None = None,
+        *,
+        tracking: Tracking | None = None,
+        background: bool = False,
+        clock: Clock = time.time,
+        prepared: Callable[[str, Site], object] | None = None,
+    ) -> None:
+        self.options, self.tracking = options or Options(), tracking or Tracking()
+        self._clock, self._prepared = clock, prepared
+        self._line, self._closed = Line(), False
+        self._entries = dict[str, _Entry]()
+        self._changed = threading.Condition()  # entries, the queue of those to prepare
+        self._queue = deque[tuple[str, _Entry]]()
+        self._preparing: threading.Thread | None = None
+        self._index: tuple[tuple[_Entry, ...], MapIndex] | None = None
+        self._robots = list[Robot]()
+        self._eras = 0
+        given = {} if maps is None else maps if isinstance(maps, Mapping) else {ALONE: maps}
+        for name, made in given.items():
+            self.put(name, made, background=background)
+        self._own = self.robot()
+
+    # Maps.
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The maps, in the order in which they were given."""
+        return tuple(self._entries)
+
+    @property
+    def ready(self) -> bool:
+        """Whether every map is prepared, so that no answer has to wait for that."""
+        entries = tuple(self._entries.values())
+        return bool(entries) and not self._closed and all(e.state == READY for e in entries)
+
+    @property
+    def errors(self) -> Mapping[str, Exception]:
+        """Why maps cannot be used, by their names."""
+        entries = tuple(self._entries.items())
+        return MappingProxyType({n: e.error for n, e in entries if e.error is not None})
+
+    def state(self, name: str) -> str:
+        """How far a map is: ``ready``, ``preparing`` or ``failed``."""
+        return self._entry(name)[1].state
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until no map is being prepared, at most so many seconds; return `ready`."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._closed or all(e.state != PREPARING for e in self._entries.values()),
+                timeout,
+            )
+        return self.ready
+
+    def site(self, name: str | None = None, timeout: float | None = None) -> Site:
+        """A map, as soon as it is prepared; by default the only one.
+
+        Raises
+        ------
+        ConfigError
+            If there is no such map, or no name though there are several.
+        Dropped
+            If it is not prepared in time.
+        ImglocError
+            What has made it fail.
+        """
+        found = self._entry(name)[0]
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._closed or self._entry(found)[1].state != PREPARING, timeout
+            )
+        if not self._closed and self.state(found) == PREPARING:
+            raise Dropped("late")
+        return self._ready(found)[1]
+
+    def put(self, name: str, made: MapLike | Maker, *, background: bool = True) -> None:
+        """Add a map, or replace that of this name; robots in it know nothing again.
+
+        Parameters
+        ----------
+        name : str
+        made : OccupancyGrid, MapFeatures, Site or callable
+        background : bool
+            Prepare it in a thread. Otherwise it is there when this returns, and an error leaves
+            everything as it was.
+        """
+        if self._closed:
+            raise Dropped("closed")
+        entry = _Entry(made, self._next_era())
+        if not background:
+            self._prepare(name, entry)
+            if entry.error is not None:
+                raise entry.error
+        with self._changed:
+            self._entries[name] = entry
+            if background:
+                self._queue.append((name, entry))
+                if self._preparing is None:
+                    self._preparing = threading.Thread(
+                        target=self._prepare_all, name="imgloc maps", daemon=True
+                    )
+                    self._preparing.start()
+            self._changed.notify_all()
+        self._replaced(name)
+
+    def drop(self, name: str) -> None:
+        """Forget a map."""
+        with self._changed:
+            del self._entries[self._entry(name)[0]]
+            self._changed.notify_all()
+        self._replaced(name)
+
+    # Answers.
+
+    @property
+    def waiting(self) -> int:
+        """How many scans wait."""
+        return self._line.waiting
+
+    @property
+    def busy(self) -> bool:
+        """Whether a scan is being looked at."""
+        return self._line.busy
+
+    @property
+    def dropped(self) -> int:
+        """How many scans were dropped so far, of all sources."""
+        return self._line.dropped
+
+    def localize(
+        self,
+        scan: LaserScan,
+        map: str | None = None,
+        options: Options | None = None,
+        *,
+        known: Known | None = None,
+        source: Hashable = None,
+        timeout: float | None = None,
+    ) -> Answer[Localization]:
+        """Find every pose that fits a scan: :func:`imgloc.localize`.
+
+        Parameters
+        ----------
+        scan : LaserScan
+            Complete: mounted, cut and scaled.
+        map : str, optional
+            Which; it is waited for. By default the only one.
+        options : Options, optional
+            Instead of the localizer's; what was calibrated for the map is joined to them.
+        known : Known, optional
+            Where the sensor may be, joined to the prior of the options.
+        source : hashable
+            Of each one scan waits.
+        timeout : float, optional
+            Seconds until the answer is too late, :class:`Dropped`.
+        """
+        until = _until(timeout)
+        self.site(map, _left(until))
+        asked = self.localize_soon(scan, map, options, known=known, source=source)
+        return _wait_for(asked, until)
+
+    def localize_soon(
+        self,
+        scan: LaserScan,
+        map: str | None = None,
+        options: Options | None = None,
+        *,
+        known: Known | None = None,
+        source: Hashable = None,
+    ) -> "Future[Answer[Localization]]":
+        """As :meth:`localize`, but return at once; a map that is not prepared yet is `Dropped`."""
+        expect(scan, LaserScan, "scan")
+        name = self._entry(map)[0]
+        self._ready(name)
+        key = Key("localize", source)
+
+        def work(waited: float) -> Answer[Localization]:
+            begin = time.perf_counter()
+            entry, site = self._ready(name)
+            how = site.options(options or self.options)
+            if known is not None:
+                how = replace(how, prior=how.prior & known.prior(site.features.grid))
+            found = localize(site.features, scan, how)
+            return self._answer(found, name, scan, key, waited, begin, entry.era)
+
+        return self._line.put(key, work)
+
+    def which(
+        self,
+        scan: LaserScan,
+        *,
+        sure: float = 0.5,
+        known: Known | None = None,
+        source: Hashable = None,
+        timeout: float | None = None,
+    ) -> Answer[Chosen]:
+        """Say from which of the maps a scan is, by the method fused: :func:`imgloc.which`.
+
+        Parameters
+        ----------
+        scan : LaserScan
+        sure : float
+            Probability that a map needs to be named.
+        known : Known, optional
+            Of the sensor, in any map: heading and clearance.
+        source, timeout : hashable, float
+            As of :meth:`localize`. All maps are waited for.
+        """
+        until = _until(timeout)
+        for name in self.names:
+            self.site(name, _left(until))
+        return _wait_for(self.which_soon(scan, sure=sure, known=known, source=source), until)
+
+    def which_soon(
+        self,
+        scan: LaserScan,
+        *,
+        sure: float = 0.5,
+        known: Known | None = None,
+        source: Hashable = None,
+    ) -> "Future[Answer[Chosen]]":
+        """As :meth:`which`, but return at once; a map that is not prepared yet is `Dropped`."""
+        expect(scan, LaserScan, "scan")
+        known = known or Known()
+        if known.near is not None:
+            raise ConfigError("near: is about one map; of many, heading or clearance are known")
+        self._all()
+        key = Key("which", source)
+
+        def work(waited: float) -> Answer[Chosen]:
+            begin = time.perf_counter()
+            entries, index = self._all()
+            found = self._choose(scan, entries, index, sure, known)
+            named = found.choice.verdict if found.best is not None else None
+            era = max(entry.era for entry in entries.values())
+            return self._answer(found, named, scan, key, waited, begin, era)
+
+        return self._line.put(key, work)
+
+    def update(
+        self,
+        scan: LaserScan,
+        odometry: FloatArray,
+        *,
+        source: Hashable = None,
+        timeout: float | None = None,
+    ) -> Answer[Moment]:
+        """Follow the robot by a scan: :meth:`Robot.update` of the localizer's own."""
+        return self._own.update(scan, odometry, source=source, timeout=timeout)
+
+    def update_soon(
+        self, scan: LaserScan, odometry: FloatArray, *, source: Hashable = None
+    ) -> "Future[Answer[Moment]]":
+        """As :meth:`update`, but return at once."""
+        return self._own.update_soon(scan, odometry, source=source)
+
+    def start_at(
+        self, pose: Pose2D, deviation: tuple[float, float] = DEVIATION, map: str | None = None
+    ) -> None:
+        """Say where the robot is: :meth:`Robot.start_at`."""
+        self._own.start_at(pose, deviation, map)
+
+    def reset(self, map: str | None = None) -> None:
+        """Know nothing of the robot any more: :meth:`Robot.reset`."""
+        self._own.reset(map)
+
+    def robot(
+        self,
+        map: str | None = None,
+        tracking: Tracking | None = None,
+        options: Options | None = None,
+        clock: Clock | None = None,
+    ) -> "Robot":
+        """One more robot, with a belief of its own; by default as the localizer's own is followed.
+
+        Call :meth:`Robot.end` when it is gone.
+        """
+        robot = Robot(self, map, tracking or self.tracking, options, clock or self._clock)
+        self._robots.append(robot)
+        return robot
+
+    def close(self) -> None:
+        """Drop what waits, and take no more; what is looked at is finished."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._line.close()
+
+    def __enter__(self) -> "Localizer":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # Its inside.
+
+    def _entry(self, name: str | None) -> tuple[str, _Entry]:
+        """A map by its name; a ConfigError that names those that there are."""
+        entries = dict(self._entries)
+        if name is None and len(entries) == 1:
+            return next(iter(entries.items()))
+        if name is None or name not in entries:
+            got = "none" if name is None else repr(name)
+            listed = ", ".join(entries) or "a map, there is none yet"
+            raise ConfigError(f"map: got {got}, expected {listed}")
+        return name, entries[name]
+
+    def _ready(self, name: str | None) -> tuple[_Entry, Site]:
+        """A map that is prepared; else its error, or Dropped."""
+        if self._closed:
+            raise Dropped("closed")
+        entry = self._entry(name)[1]
+        if entry.error is not None:
+            raise entry.error
+        if entry.site is None:
+            raise Dropped("preparing")
+        return entry, entry.site
+
+    def _all(self) -> tuple[dict[str, _Entry], MapIndex]:
+        """All maps, and the index of these."""
+        entries = dict(self._entries)
+        if not entries:
+            self._entry(None)
+        sites = {name: self._ready(name)[1] for name in entries}
+        these = tuple(entries.values())
+        if self._index is None or self._index[0] != these:
+            index = index_of({name: site.features for name, site in sites.items()})
+            _ = index.tiles
+            self._index = these, index
+        return entries, self._index[1]
+
+    def _choose(
+        self, scan: LaserScan, entries: Mapping[str, _Entry], index: MapIndex, sure: float,
+        known: Known,
+    ) -> Chosen:  # fmt: skip
+        base = replace(
+            OPTIONS, threads=self.options.threads, memory_budget=self.options.memory_budget
+        )
+        scales = [_site(entries[name]).shared.scale for name in index.names]
+        bounds = bounds_at(index, scales, scan, replace(base, prior=Prior(None, known.heading)))
+
+        @contextmanager
+        def open_map(name: str) -> Iterator[Opened | None]:
+            site = _site(entries[name])
+            prior = known.prior(site.features.grid)
+            how = site.options(replace(base, prior=prior))
+            yield None if leaves_none(prior, site.features) else (site.features, how)
+
+        (fits,) = search([scan], [bounds], open_map)
+        if not fits:
+            raise ConfigError("clearance: no map has a place in which the robot can be")
+        ruled_out = len(index.names) - len(fits)
+        return Chosen(choose(fits, base.trust, sure=sure, ruled_out=ruled_out), fits)
+
+    def _answer(
+        self, value: T, name: str | None, scan: LaserScan, key: Key, waited: float, begin: float,
+        era: int, clock: Clock | None = None,
+    ) -> Answer[T]:  # fmt: skip
+        took = time.perf_counter() - begin
+        age = (clock or self._clock)() - scan.stamp
+        dropped = self._line.dropped_of(key)
+        return Answer(value, name, scan.stamp, age, 1e3 * waited, 1e3 * took, dropped, era)
+
+    def _next_era(self) -> int:
+        with self._changed:
+            self._eras += 1
+            return self._eras
+
+    def _replaced(self, name: str) -> None:
+        for robot in tuple(self._robots):
+            if robot.map in (name, None):
+                robot.reset()
+
+    def _prepare(self, name: str, entry: _Entry) -> None:
+        try:
+            site = site_of(entry.made, name)
+            warm(site, self.options)
+        except Exception as error:  # raised where the map is asked for
+            entry.error = error
+            return
+        entry.made = site
+        entry.site = site
+        if self._prepared is not None:
+            self._prepared(name, site)
+
+    def _prepare_all(self) -> None:
+        while True:
+            with self._changed:
+                if not self._queue or self._closed:
+                    self._preparing = None
+                    return
+                name, entry = self._queue.popleft()
+            if self._entries.get(name) is entry:
+                self._prepare(name, entry)
+            with self._changed:
+                self._changed.notify_all()
+
+
+class Robot:
+    """A robot that is followed in one of the maps of a :class:`Localizer`; its methods make them.
+
+    Its answers are those of :class:`~imgloc.filters.follow.Follower`, one scan after the other.
+    """
+
+    def __init__(
+        self, core: Localizer, map: str | None, tracking: Tracking, options: Options | None,
+        clock: Clock,
+    ) -> None:  # fmt: skip
+        self.map = map  #: where it is; None: in the only one
+        self.tracking = tracking
+        self._core, self._options, self._clock = core, options, clock
+        self._lock = threading.RLock()
+        self._follower: Follower | None = None
+        self._start: tuple[Pose2D, tuple[float, float]] | None = None
+        self._stamp = math.nan
+        self.era = 0  #: how often it was reset
+
+    def update(
+        self,
+        scan: LaserScan,
+        odometry: FloatArray,
+        *,
+        source: Hashable = None,
+        timeout: float | None = None,
+    ) -> Answer[Moment]:
+        """Take a scan, and say where the robot is now.
+
+        Parameters
+        ----------
+        scan : LaserScan
+            With its stamp if there is one, and its `T_base_laser` if there are several lasers.
+        odometry : (3,) array
+            Pose of the robot in the frame of its odometry, when the scan was taken.
+        source : hashable
+            The laser: of each one scan waits.
+        timeout : float, optional
+            Seconds until the answer is too late. A scan that is looked at then is taken none the
+            less.
+
+        Raises
+        ------
+        Dropped
+            ``replaced``, ``reset``, ``late``; or ``old``, if its stamp is before that of the scan
+            that was taken last: after :meth:`reset` time may start anew.
+        ScanError
+            If the odometry has gone out of reason.
+        """
+        until = _until(timeout)
+        self._core.site(self.map, _left(until))
+        return _wait_for(self.update_soon(scan, odometry, source=source), until)
+
+    def update_soon(
+        self, scan: LaserScan, odometry: FloatArray, *, source: Hashable = None
+    ) -> "Future[Answer[Moment]]":
+        """As :meth:`update`, but return at once; a map that is not prepared yet is `Dropped`."""
+        expect(scan, LaserScan, "scan")
+        self._core._ready(self.map)
+        key, era = Key(self, source), self.era
+
+        def work(waited: float) -> Answer[Moment]:
+            begin = time.perf_counter()
+            with self._lock:
+                if self.era != era:
+                    raise Dropped("reset")
+                name, follower = self._following()
+            if scan.stamp < self._stamp:
+                self._core._line.count(key)
+                raise Dropped("old")
+            moment = follower.step(scan, odometry, scan.stamp)
+            with self._lock:
+                if self.era != era:
+                    self._core._line.count(key)
+                    raise Dropped("reset")
+                self._stamp = scan.stamp
+            return self._core._answer(moment, name, scan, key, waited, begin, era, self._clock)
+
+        return self._core._line.put(key, work, scan.stamp)
+
+    def start_at(
+        self, pose: Pose2D, deviation: tuple[float, float] = DEVIATION, map: str | None = None
+    ) -> None:
+        """Believe to be at a pose, map frame, with deviations in metres and radians.
+
+        A ConfigError for a pose outside of the map; what was known before is forgotten.
+        """
+        name = self.map if map is None else map
+        site = self._core._ready(name)[1]
+        self._made(site, "pose").place(pose, deviation)
+        with self._lock:
+            self.reset(map)
+            self._start = pose, deviation
+
+    def reset(self, map: str | None = None) -> None:
+        """Know nothing any more; with a name, be in that map from now on.
+
+        It waits for nothing: scans that wait, or are looked at, are dropped.
+        """
+        if map is not None:
+            self._core._entry(map)
+        with self._lock:
+            self.era += 1
+            self._follower = self._start = None
+            self._stamp = math.nan
+            self.map = self.map if map is None else map
+        self._core._line.clear(self)
+
+    def end(self) -> None:
+        """Take it out of the localizer."""
+        self.reset()
+        self._core._line.forget(self)
+        if self in self._core._robots:
+            self._core._robots.remove(self)
+
+    def _made(self, site: Site, name: str) -> Follower:
+        how = site.options(self._options or self._core.options)
+        return self.tracking.follower(site.features, how, name)
+
+    def _following(self) -> tuple[str, Follower]:
+        """The map and what follows the robot in it."""
+        name = self._core._entry(self.map)[0]
+        if self._follower is None:
+            self._follower = self._made(self._core._ready(name)[1], "update")
+            if self._start is not None:
+                self._follower.place(*self._start)
+        return name, self._follower
+
+
+def _site(entry: _Entry) -> Site:
+    assert entry.site is not None
+    return entry.site
+
+
+def _until(timeout: float | None) -> float | None:
+    return None if timeout is None else time.monotonic() + timeout
+
+
+def _left(until: float | None) -> float | None:
+    return None if until is None else max(0.0, until - time.monotonic())
+
+
+def _wait_for(asked: "Future[T]", until: float | None) -> T:
+    try:
+        return asked.result(_left(until))
+    except Late:
+        asked.cancel()
+        raise Dropped("late") from None

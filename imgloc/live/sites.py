@@ -1,0 +1,98 @@
+"""A map that is held ready: all that an answer asks of it is there before the first one."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from imgloc.features.budget import default_budget
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.raycast import cast_rays
+from imgloc.geometry import centre_of
+from imgloc.model import LaserScan, OccupancyGrid
+from imgloc.options import FUSED, Calibration, Options, Shared
+from imgloc.pipeline import check_options, localize, prepare
+from imgloc.search.adapt import THINNEST
+
+_RAYS, _REACH = 90, 12.0  # of the scan that is located once before the first one: rays, metres
+
+
+@dataclass(frozen=True)
+class Site:
+    """A map and what was calibrated for it.
+
+    Parameters
+    ----------
+    features : MapFeatures
+        Of :func:`imgloc.prepare`.
+    calibrations : mapping of str to Calibration
+        By method, as :func:`~imgloc.io.calibration.load_calibrations` reads them.
+    shared : Shared
+        Scale of the readings and walls that are drawn too thick.
+
+    Examples
+    --------
+    >>> wall = np.pad(np.zeros((8, 9), bool), 1, constant_values=True)
+    >>> site = Site(prepare(OccupancyGrid(wall, ~wall, 0.1)), shared=Shared(1.02))
+    >>> site.options(Options()).shared.scale
+    1.02
+    """
+
+    features: MapFeatures
+    calibrations: Mapping[str, Calibration] = field(default_factory=dict)
+    shared: Shared = field(default_factory=Shared)
+
+    def options(self, options: Options) -> Options:
+        """The options with what was calibrated; what they say themselves stays."""
+        calibration = options.calibration or self.calibrations.get(options.method)
+        shared = self.shared if options.shared == Shared() else options.shared
+        return replace(options, calibration=calibration, shared=shared)
+
+
+MapLike = OccupancyGrid | MapFeatures | Site
+Maker = Callable[[], MapLike]
+
+
+def site_of(made: MapLike | Maker, name: str) -> Site:
+    """The map as a site; a MapError if it is of no use, a TypeError if it is no map."""
+    if not isinstance(made, MapLike) and callable(made):
+        made = made()
+    if isinstance(made, Site):
+        return made
+    return Site(made if isinstance(made, MapFeatures) else prepare(made, name))
+
+
+def warm(site: Site, options: Options) -> None:
+    """Make all that :func:`imgloc.localize` would make of a map when it is first asked for.
+
+    Raises
+    ------
+    ConfigError
+        If the options cannot be used in this map.
+    """
+    features, options = site.features, site.options(options)
+    check_options(features, options)
+    if options.method == FUSED:
+        for there in _levels(features, options):
+            _ = there.field, there.walls, there.standable, there.pyramid, there.voters_visibility
+    free = np.argwhere(features.grid.free)
+    at = free[len(free) // 2]
+    x, y = centre_of(at, features.grid.resolution)
+    angles = np.linspace(-np.pi, np.pi, _RAYS, endpoint=False)
+    ranges = cast_rays(features.walls, [x, y], angles, _REACH, features.grid.resolution)
+    once = replace(options, time_budget=None)
+    localize(features, LaserScan(ranges.astype(np.float64), angles, range_max=_REACH), once)
+
+
+def _levels(features: MapFeatures, options: Options) -> list[MapFeatures]:
+    """The map, and with walls as thin as a search may make them, as far as there is memory."""
+    need, levels = features.bytes_for(options.method), [features]
+    budget = options.memory_budget or default_budget()
+    most = max(options.shared.thinner, THINNEST if features.peels else 0)
+    for cells in range(1, most + 1):
+        if (len(levels) + 1) * need > budget:
+            break
+        if (there := features.thinner(cells)) is levels[-1]:
+            break
+        levels.append(there)
+    return levels

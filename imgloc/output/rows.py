@@ -1,0 +1,59 @@
+"""The rows of JSON that commands print, and that who answers live gives too: one writer of each.
+
+The row of `imgloc which --json` is :meth:`imgloc.choice.choose.Choice.as_row`.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from imgloc.filters.follow import Moment
+from imgloc.model import LaserScan, Localization, Pose2D, plain
+
+
+def answer_row(
+    answer: Localization,
+    scan: LaserScan,
+    index: int = 0,
+    *,
+    sensor: Pose2D | None = None,
+    flipped: bool = False,
+    about: Mapping[str, object] | None = None,
+) -> dict[str, Any]:
+    """The row of `imgloc localize --json`.
+
+    Parameters
+    ----------
+    answer : Localization
+    scan : LaserScan
+        That was located: as it was recorded, but mounted, and cut to a shorter reach.
+    index : int
+        Of the scan in its file.
+    sensor, flipped : Pose2D, bool
+        How the sensor was said to sit on the robot, where the scans do not say it.
+    about : mapping, optional
+        What else has decided, for the `parameters` of the row.
+    """
+    how = {**(about or {}), "range_max": scan.range_max, "sensor": sensor, "flipped": flipped}
+    return answer.as_row(index, **how)
+
+
+def moment_row(moment: Moment) -> dict[str, Any]:
+    """The row of `imgloc track --json`: the pose is null unless it is unique."""
+    belief, pose = moment.belief, moment.pose
+    row = {
+        "index": moment.index,
+        "stamp": moment.stamp,
+        "age": moment.age,
+        "deviation": None if moment.best is None else moment.deviation,
+        "looked": moment.looked,
+        "verdict": belief.verdict,
+        "withheld": moment.withheld or None,
+        "pose": pose,
+        "covariance": None if pose is None else moment.covariance,
+        "map_odom": None if pose is None else moment.map_odom,
+        "lost": belief.lost,
+        "mass": float(belief.mass[0]) if len(belief.mass) else 0.0,
+        "neff": belief.neff,
+        "resets": belief.resets,
+    }
+    return dict(plain(row))
