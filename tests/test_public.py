@@ -29,7 +29,7 @@ def test_every_name_is_there_and_documented():
         if inspect.isclass(value) or inspect.isfunction(value):
             assert value.__doc__, name
     assert set(imgloc.__all__) <= set(dir(imgloc))
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+    with pytest.raises(AttributeError, match=r"attribute '?nothing"):
         imgloc.nothing  # noqa: B018
 
 

@@ -44,7 +44,7 @@ class File:
     @property
     def room(self) -> str:
         """The room that it is in."""
-        return self.path.parts[1].removesuffix(".py")
+        return Path(self.path.parts[1]).stem
 
 
 def code_lines(text: str) -> set[int]:
@@ -95,8 +95,9 @@ def count(path: Path, root: Path = ROOT) -> File:
 
 
 def counted(folder: str, root: Path = ROOT) -> list[File]:
-    """Count every Python file of a folder."""
-    return [count(path, root) for path in sorted((root / folder).rglob("*.py"))]
+    """Count every Python file of a folder, stubs too."""
+    paths = (root / folder).rglob("*.py*")
+    return [count(path, root) for path in sorted(paths) if path.suffix in (".py", ".pyi")]
 
 
 def arrows_up(files: Iterable[File]) -> list[str]:

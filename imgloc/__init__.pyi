@@ -1,0 +1,59 @@
+"""The public names of imgloc, and where each is defined: they are loaded when first used."""
+
+from .__about__ import __version__ as __version__
+from .answers.explain import Explanation, explain
+from .answers.sample import sample_poses
+from .choice.choose import Choice, which
+from .errors import ConfigError, ImglocError, MapError, OutputError, ScanError
+from .features.mapfeatures import MapFeatures
+from .filters.choose import make_filter
+from .filters.follow import Every, Limits, Moment, Tracking, follow
+from .io.mapcheck import MapReport, check_map
+from .io.maps import load_map, save_map
+from .io.scans import load_scans, save_scans
+from .io.scanset import ScanSet
+from .lab.evaluation import Evaluation, evaluate
+from .live.line import Dropped
+from .live.localizer import Answer, Localizer
+from .live.sites import Site
+from .model import (
+    Evidence,
+    GridInfo,
+    Hypothesis,
+    LaserScan,
+    Likelihood,
+    Localization,
+    OccupancyGrid,
+    OrientedPoints,
+    Pose2D,
+)
+from .options import (
+    ALL_METHODS,
+    METHODS,
+    Calibration,
+    FusedOptions,
+    Options,
+    Prior,
+    Shared,
+    Trust,
+)
+from .output.pictures import Picture, draw
+from .pipeline import likelihood, localize, prepare
+from .plans.files import load_plan
+from .plans.floorplan import FloorPlan, plan_to_map
+from .runs.batch import BatchSummary, run_batch
+from .runs.jobs import Job
+from .search.priors import Known
+from .simulation.scans import Sensor, simulate
+
+__all__ = [
+    "ALL_METHODS", "METHODS", "Answer", "BatchSummary", "Calibration", "Choice", "ConfigError",
+    "Dropped", "Evaluation", "Every", "Evidence", "Explanation", "FloorPlan", "FusedOptions",
+    "GridInfo", "Hypothesis", "ImglocError", "Job", "Known", "LaserScan", "Likelihood",
+    "Limits", "Localization", "Localizer", "MapError", "MapFeatures", "MapReport", "Moment",
+    "OccupancyGrid", "Options", "OrientedPoints", "OutputError", "Picture", "Pose2D", "Prior",
+    "ScanError", "ScanSet", "Sensor", "Shared", "Site", "Tracking", "Trust", "__version__",
+    "check_map", "draw", "evaluate", "explain", "follow", "likelihood", "load_map", "load_plan",
+    "load_scans", "localize", "make_filter", "plan_to_map", "prepare", "run_batch",
+    "sample_poses", "save_map", "save_scans", "simulate", "which",
+]  # fmt: skip
