@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from imgloc.model import LaserScan, OccupancyGrid
+from imgloc.numbers import FILE, read
 from imgloc.options import Trust
 from imgloc.pipeline import prepare
 from imgloc.search.hypotheses import masses
@@ -14,7 +15,15 @@ from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.trust.__main__ import main
 from tools.trust.disturb import MAPS, PRIORS, ROOMS, SCANS, unmapped
-from tools.trust.fit import Case, case_of, conditions_table, fit_trust, mapped, trust_of
+from tools.trust.fit import (
+    Case,
+    case_of,
+    conditions_table,
+    fit_trust,
+    mapped,
+    numbers_of,
+    trust_of,
+)
 from tools.trust.scale import scale_rows, scale_table
 
 
@@ -52,6 +61,19 @@ def test_a_temperature_that_is_held_stays():
     fit = fit_trust(made(), held=(3.0, 5.0))
     assert (fit.temperature, fit.strain) == (3.0, 5.0)
     assert fit.loss[1] < fit.now[1]
+
+
+def test_what_is_fitted_is_written_with_its_command_and_data():
+    fit = replace(fit_trust(made(), held=(3.0, 5.0)), elsewhere=(-2.0, -0.5, 1.234))
+    text = FILE.read_text("utf-8")
+    sources, numbers = read(numbers_of(fit, text, "tools.trust fit", "2030-01-02", held=True))
+    assert numbers["Trust.elsewhere"].value == (-2.0, -0.5, 1.23)
+    assert sources["trust-fit"].date == "2030-01-02"
+    assert sources["trust-fit"].on == "3 buildings: 1200 cases, 1 conditions"
+    assert numbers["Trust.temperature"].value == Trust().temperature
+    sources, numbers = read(numbers_of(fit, text, "tools.trust fit", "2030-01-02", held=False))
+    assert (numbers["Trust.temperature"].value, numbers["Trust.strain"].value) == (3.0, 5.0)
+    assert sources["temperature-fit"].by == "tools.trust fit"
 
 
 def test_disturbances_change_what_they_say_and_nothing_else():

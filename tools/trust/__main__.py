@@ -21,6 +21,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
+from datetime import date
 from inspect import getdoc
 from multiprocessing import get_context
 from pathlib import Path
@@ -36,6 +37,7 @@ from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atom
 from imgloc.io.folders import find_maps
 from imgloc.io.images import encode_png
 from imgloc.model import to_json
+from imgloc.numbers import FILE
 from imgloc.simulation.worlds import WORLDS
 from tools.plots import blank
 from tools.recorded import in_world, recorded_sets
@@ -47,6 +49,7 @@ from tools.trust.fit import (
     conditions_table,
     fit_trust,
     listed,
+    numbers_of,
     trust_of,
 )
 from tools.trust.naming import ask_all, bound_all, naming_shares, scans_of
@@ -118,6 +121,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument(
         "--hold-temperature", action="store_true", help="fit only the log-odds of being elsewhere"
     )
+    one.add_argument("--write", action="store_true", help="put what is fitted into numbers.json")
     one.add_argument("--workers", type=int, default=threads)
     one.add_argument("--same", action="append", default=[], help="names of one building")
 
@@ -230,8 +234,9 @@ def run_fit(given: argparse.Namespace) -> int:
     Prints a JSON object with the constants, on what they were fitted, and the losses: of what was
     fitted to, of buildings that were left out, of the constants as they are now. Then, as Markdown,
     what the constants as they are now make of each condition, and what the fitted ones would.
+    With --write they are put into the numbers of imgloc, with this command, its data and the date.
     """
-    n, seed = given.n, given.seed
+    n, seed, held = given.n, given.seed, given.hold_temperature
     at_least_one(n=n)
     sets = recorded_sets(given.sets, n, seed, given.range_max)
     homes = {name: in_world(name, n, seed) for name in filter(None, given.worlds.split(","))}
@@ -253,9 +258,13 @@ def run_fit(given: argparse.Namespace) -> int:
             cases += some
             advance()
     now = Trust()
-    fit = fit_trust(cases, (now.temperature, now.strain) if given.hold_temperature else None)
+    fit = fit_trust(cases, (now.temperature, now.strain) if held else None)
     print(to_json({"n": n, "seed": seed, "range_max": given.range_max} | asdict(fit)))
     print(conditions_table(cases, now), conditions_table(cases, trust_of(fit)), sep="\n\n")
+    if given.write:
+        by = f"python -m tools.trust fit -n {n} --seed {seed}" + " --hold-temperature" * held
+        text, today = FILE.read_text("utf-8"), date.today().isoformat()
+        write_text_atomic(FILE, numbers_of(fit, text, by, today, held=held), force=True)
     return 0
 
 

@@ -19,6 +19,7 @@ from imgloc import LaserScan, MapFeatures, OccupancyGrid, Options, Pose2D, ScanS
 from imgloc.geometry import cell_of, centre_of, pose_errors, transform_points, transform_poses
 from imgloc.lab.evaluation import share
 from imgloc.model import BoolArray, FloatArray, inverse
+from imgloc.numbers import Origin, write
 from imgloc.pipeline import find_adapted_modes
 from imgloc.search.background import unmapped_score
 from imgloc.search.hypotheses import masses
@@ -178,6 +179,21 @@ def fit_trust(cases: Sequence[Case], held: tuple[float, float] | None = None) ->
         left_out=(float(out[0]), float(out[1])),
         now=_losses(cases, now, odds_now),
     )
+
+
+def numbers_of(fit: TrustFit, text: str, by: str, date: str, *, held: bool) -> str:
+    """The text of ``numbers.json`` with what was fitted, by a command on a date.
+
+    A temperature that was `held` stays as it is.
+    """
+    count, kinds = sum(fit.cases.values()), len(fit.cases)
+    on = f"{len(fit.buildings)} buildings: {count} cases, {kinds} conditions"
+    now = {"Trust.elsewhere": [round(odds, 2) for odds in fit.elsewhere]}
+    out = write(text, now, "trust-fit", Origin(by, on, date))
+    if held:
+        return out
+    scale = {"Trust.temperature": round(fit.temperature, 2), "Trust.strain": round(fit.strain, 2)}
+    return write(out, scale, "temperature-fit", Origin(by, on, date))
 
 
 def _fit(cases: Sequence[Case], fixed: FloatArray | None) -> tuple[FloatArray, FloatArray]:

@@ -1,0 +1,37 @@
+"""The recipe with one step off: the numbers and functions of a step reach the answers."""
+
+import json
+from pathlib import Path
+
+from imgloc.numbers import NUMBERS, number
+from tools.ablate import BASE, STEPS, main
+
+
+def test_each_step_changes_numbers_that_are_there_or_a_function() -> None:
+    for step in STEPS.values():
+        assert step.instead or step.numbers
+        assert all(value != number(name) for name, value in step.numbers.items())
+
+
+def test_a_step_that_is_off_changes_answers_and_is_measured_once(tmp_path: Path) -> None:
+    before, page = dict(NUMBERS), tmp_path / "ablation-2030-01-02.md"
+    given = ["room", "levels", "--worlds", "curved", "-n", "1", "--pieces", f"{tmp_path}/pieces"]
+    assert main([*given, "--out", str(page)]) == 0
+    assert before == NUMBERS  # those of this process
+    lines = page.read_text("utf-8").splitlines()
+    assert lines[0].endswith(", 2030-01-02")
+    rows = [line.split("|") for line in lines if line.startswith("| ")]
+    asis, room, levels = (dict(zip(map(str.strip, rows[0]), row, strict=True)) for row in rows[1:])
+    (none,) = (name for name in asis if name.endswith("no-match"))
+    assert int(room[none]) < int(asis[none])  # an empty room fits, and nothing is held against it
+    assert levels[none] == asis[none]
+    pieces = {path.name for path in (tmp_path / "pieces").iterdir()}
+    assert pieces == {"asked.json", "searches.pickle", "as_it_is.json", "room.json", "levels.json"}
+    kept = tmp_path / "pieces" / "room.json"
+    kept.write_text(
+        json.dumps([row | {"verdict": "unique"} for row in json.loads(kept.read_text())])
+    )
+    assert main([*given, "--out", str(page), "--force"]) == 0
+    row = next(line for line in page.read_text("utf-8").splitlines() if line.startswith("| room"))
+    assert [c.strip() for c in row.split("|")].count("1") > 2
+    assert BASE in page.read_text("utf-8")
