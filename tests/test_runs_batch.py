@@ -5,7 +5,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -14,8 +13,9 @@ from pathlib import Path
 import numpy as np
 import PIL.Image
 import pytest
-from command import MAPS, ROOT, call, command
+from command import call, command
 from killers import Saboteur
+from killloop import kill_loop
 from places import room_with_a_post
 
 from imgloc.errors import ConfigError, MapError, OutputError
@@ -34,7 +34,6 @@ from imgloc.runs.results import LOCK, RESULTS, SUMMARY, Results, read_rows
 from imgloc.runs.workers import Supervised
 from imgloc.search.priors import Known
 from imgloc.simulation.scans import Sensor, simulate
-from tools.killloop import kill_loop
 
 QUICK = Job(options=Options(method="cbml", top=2), cell=0.2)
 
@@ -523,15 +522,3 @@ def test_a_batch_that_is_killed_again_and_again_in_short(site: Path, tmp_path: P
     found = kill_loop(site / "floors", site / "scans", tmp_path, 2, 1, *words)
     assert (found.items, found.equal, len(found.after)) == (6, True, 2)
     assert found.ended >= 1
-
-
-def test_the_script_around_the_same_function(site: Path, tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "tools.localize_folder", site / "floors", site / "scans"]
-    words += [tmp_path / "out", "--workers", "1", "--method", "cbml"]
-    done = subprocess.run(
-        list(map(str, words)), cwd=ROOT, capture_output=True, text=True, check=False, timeout=120
-    )
-    assert done.returncode == 0, done.stderr
-    assert len(done.stdout.splitlines()) == 7
-    assert len(Path(ROOT / "tools" / "localize_folder.py").read_text().splitlines()) < 80
-    assert MAPS.is_dir()

@@ -1,24 +1,46 @@
-"""What the benchmark times in its own process: likelihoods, engines, answers.
+"""The benchmark: every method and engine beside plain references and C, timed in turns in one run.
 
-Every case is a function without arguments that does a known amount of work. All cases of a
-group take turns, so that a busy moment of the machine is in the times of all of them.
+    python -m tools.bench                        # on a bundled world
+    python -m tools.bench --problem ../problem   # on maps A and B, with the floors in C
+    python -m tools.bench --parts engines        # how far engine="auto" is from the best one
+    python -m tools.bench --parts localize --sets ../data/*/map.yaml   # on recorded scans, too
 
->>> row, = engine_rows(sizes=(40,), reaches=(10,), rays=(16,), headings=2, repeats=1)
->>> row["size"], sorted(row["ms"]) == sorted((*ENGINES, "auto"))
-(40, True)
+Prints Markdown: medians over the repeats with their spread. Compare ratios, not times, between
+machines.
 """
 
+import argparse
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from imgloc import LaserScan, MapFeatures, OccupancyGrid, Options, localize, prepare
+from imgloc import (
+    LaserScan,
+    MapFeatures,
+    OccupancyGrid,
+    Options,
+    ScanSet,
+    Sensor,
+    load_map,
+    load_scans,
+    localize,
+    prepare,
+    simulate,
+)
 from imgloc.features.distance import distance_image
 from imgloc.features.fields import bmap
 from imgloc.features.raycast import cast_rays
@@ -29,10 +51,155 @@ from imgloc.likelihoods.cbml import cbml, cbml_o, project
 from imgloc.likelihoods.correlate import ENGINES, EXACT, correlate
 from imgloc.likelihoods.ght import ght, ght_v
 from imgloc.likelihoods.slices import cell_offsets
-from imgloc.model import Float32Array, FloatArray
+from imgloc.model import Float32Array, FloatArray, to_json
 from imgloc.search.branch_and_bound import best_poses
 from imgloc.simulation.worlds import WORLDS, render
-from tools.script import at_least_one
+from tools.recorded import recorded_sets
+from tools.script import at_least_one, ended, one_of, parser_of, table_lines
+
+PARTS = ("costs", "engines", "localize")
+"""Stacks and votes beside plain references and C; engines beside ``auto``; answers."""
+BOUND_SCANS = 10
+"""Scans of branch and bound, which is faster or slower as they are more or less clear."""
+
+Row = Mapping[str, Any]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Parse the command line, measure, print."""
+    parser = parser_of("tools.bench", __doc__)
+    add = parser.add_argument
+    add("--problem", type=Path, help="folder with mapA, mapB and scans_10m.npz")
+    add("--sets", type=Path, nargs="*", default=[], help="maps with a scans.npz beside them")
+    add("--range-max", type=float, default=20.0, help="metres, of their scans")
+    add("--parts", default=",".join(PARTS), help="with commas between (default: all)")
+    add("--repeats", type=int, default=5)
+    add("--threads", type=int, default=os.cpu_count() or 1)
+    add("--scans", type=int, default=50, help="answers of localize")
+    add("--json", action="store_true")
+    given = parser.parse_args(arguments)
+
+    def run() -> int:
+        results = run_bench(given)
+        print(to_json(results) if given.json else bench_tables(results))
+        return 0
+
+    return ended("bench", run)
+
+
+def run_bench(given: argparse.Namespace) -> dict[str, Any]:
+    """Measure what the command line asks for, as one set of plain values."""
+    problem, repeats, threads = given.problem, given.repeats, given.threads
+    at_least_one(repeats=repeats, threads=threads, scans=given.scans)
+    parts = given.parts.split(",")
+    one_of(parts, PARTS)
+    cv2.setNumThreads(1)  # what has threads says so
+    out: dict[str, Any] = {
+        "machine": {
+            "processor": platform.processor() or platform.machine(), "cores": os.cpu_count(),
+            "python": platform.python_version(), "numpy": np.__version__, "opencv": cv2.__version__,
+        }
+    }  # fmt: skip
+    maps = _maps(problem, given.scans)
+    recorded = recorded_sets(given.sets, given.scans, 0, given.range_max)
+    if "costs" in parts:
+        name, (grid, told) = next(iter(maps.items()))
+        # A scan that sees too little to have normals would give no votes to time.
+        seen = [s for s in told.scans if scan_points(s.ranges, s.angles, s.valid).valid.any()]
+        features, scan = prepare(grid), seen[0]
+        timings = (
+            *in_turns(stack_cases(features, seen[:BOUND_SCANS], threads), repeats),
+            *in_turns(vote_cases(features, scan, threads), repeats),
+        )
+        out |= {
+            "map": name, "surface_points": len(features.surface),
+            "readings": int(scan.valid.sum()), "costs": [as_row(t) for t in timings],
+            "floors": {} if problem is None else floors(problem),
+        }  # fmt: skip
+    if "engines" in parts:
+        rows = engine_rows(repeats=repeats)
+        out |= {"engines": rows, "auto_over_best": engine_summary(rows)}
+    if "localize" in parts:
+        answers, searches = dict[str, dict[str, float]](), list[float | str]()
+        for name, grid, scans in (*((k, *of) for k, of in maps.items()), *recorded):
+            answers[name] = answer_times(grid, scans.scans[: given.scans], threads, repeats)
+            if problem is not None:  # in turns with the answers: others use the machine, too
+                searches.append(exhaustive_search(problem, repeats))
+        out["localize"] = answers
+        if searches:
+            known = [ms for ms in searches if isinstance(ms, float)]
+            out["yardstick"] = {"ms": min(known) if known else searches[0]}
+            for row in answers.values() if known else ():
+                row["over_c"] = row["median_ms"] / min(known)
+    return out
+
+
+def _maps(problem: Path | None, count: int) -> dict[str, tuple[OccupancyGrid, ScanSet]]:
+    if problem is None:
+        grid = render(WORLDS["large"](), 0.1)
+        return {"large": (grid, simulate(grid, count, 0, Sensor(range_max=10.0)))}
+    scans = load_scans(problem / "scans_10m.npz")
+    return {k: (load_map(problem / f"map{k}.yaml"), scans) for k in ("A", "B")}
+
+
+def bench_tables(results: Mapping[str, Any]) -> str:
+    """A Markdown table of each part that was measured by :func:`run_bench`.
+
+    Examples
+    --------
+    >>> row = {"median_ms": 20.0, "p99_over_median": 1.49, "prepare_s": 1.0}
+    >>> print(bench_tables({"machine": {"cores": 2}, "localize": {"A": row}}))
+    cores 2
+    <BLANKLINE>
+    | localize on | ms | p99 / median | prepare, s | of a search in C |
+    |---:|---:|---:|---:|---:|
+    | A | 20 | 1.49 | 1.00 |  |
+    """
+    parts = [", ".join(f"{key} {value}" for key, value in results["machine"].items())]
+    for key, (head, cells) in _TABLES.items():
+        if (found := results.get(key)) is not None:
+            rows = found
+            if isinstance(found, dict):
+                rows = [{"name": k, **r} for k, r in found.items()]
+            parts.append("\n".join(table_lines(head, map(cells, rows), "---:")))
+    for key, title in _TITLES.items():
+        if key in results:
+            said = ", ".join(
+                f"{name} {v if isinstance(v, str) else format(v, '.4g')}"
+                for name, v in results[key].items()
+            )
+            parts.append(f"{title}: {said or 'not measured'}")
+    return "\n\n".join(parts)
+
+
+_NAMES = (*ENGINES, "auto")
+_TABLES: Mapping[str, tuple[str, Callable[[Row], Sequence[object]]]] = {
+    "costs": (
+        "case | ns per | ms | spread",
+        lambda r: (
+            r["case"], f"{r['ns']:.4f} {r['unit']}", f"{r['ms']:.2f}", f"{100 * r['spread']:.0f} %"
+        ),
+    ),
+    "engines": (
+        f"cells | reach | rays | {', ms | '.join(_NAMES)}, ms | best | auto / best",
+        lambda r: (
+            r["size"], r["reach"], r["rays"], *(f"{r['ms'][name]:.2f}" for name in _NAMES),
+            r["best"], f"{r['ratio']:.2f}",
+        ),
+    ),
+    "localize": (
+        "localize on | ms | p99 / median | prepare, s | of a search in C",
+        lambda r: (
+            r["name"], f"{r['median_ms']:.0f}", f"{r['p99_over_median']:.2f}",
+            f"{r['prepare_s']:.2f}", f"{r['over_c']:.2f}" if "over_c" in r else "",
+        ),
+    ),
+}  # fmt: skip
+_TITLES = {
+    "auto_over_best": "auto / best",
+    "floors": "the same in C, ns",
+    "yardstick": "every pose of CBML on map A in hand-written C, one thread",
+}
 
 
 @dataclass(frozen=True)
@@ -64,18 +231,7 @@ def in_turns(
 ) -> tuple[Timing, ...]:
     """Time cases, each in turn, after one call of each that does not count.
 
-    Parameters
-    ----------
-    cases : sequence of Case
-    repeats : int
-    clock : callable
-        Says what time it is, seconds. That of the process does not run while others do, but
-        runs twice as fast for two threads.
-
-    Raises
-    ------
-    ConfigError
-        If there is to be no repeat.
+    A clock of the process does not run while others do, but runs twice as fast for two threads.
 
     Examples
     --------
@@ -95,13 +251,21 @@ def in_turns(
     return tuple(Timing(name, unit, work, tuple(seconds[name])) for name, unit, work, _ in cases)
 
 
+def as_row(timing: Timing) -> dict[str, object]:
+    """A timing as plain values."""
+    spread = (max(timing.seconds) - min(timing.seconds)) / timing.median
+    return {
+        "case": timing.name, "unit": timing.unit, "ns": timing.cost,
+        "ms": 1e3 * timing.median, "spread": spread,
+    }  # fmt: skip
+
+
 def answer_times(
     grid: OccupancyGrid, scans: Sequence[LaserScan], threads: int, repeats: int = 1
 ) -> dict[str, float]:
     """How long answers take, see :func:`answer_summary`; ConfigError without a scan.
 
-    What a scan takes is the least of `repeats` answers to it: the tail is that of the scans, not
-    of what else the machine had to do.
+    Of a scan the least of `repeats` counts: the tail is that of the scans, not of the machine.
     """
     at_least_one(scans=len(scans))
     features, options = prepare(grid, threads=threads), Options(threads=threads)
@@ -134,24 +298,12 @@ def answer_summary(ms: Sequence[float]) -> dict[str, float]:
     }  # fmt: skip
 
 
-def as_row(timing: Timing) -> dict[str, object]:
-    """A timing as plain values."""
-    spread = (max(timing.seconds) - min(timing.seconds)) / timing.median
-    return {
-        "case": timing.name, "unit": timing.unit, "ns": timing.cost,
-        "ms": 1e3 * timing.median, "spread": spread,
-    }  # fmt: skip
-
-
 HEADINGS = 120
 PAIR_HEADINGS = 36
 
 
 def stack_cases(features: MapFeatures, scans: Sequence[LaserScan], threads: int) -> list[Case]:
-    """The stacks of CBML and CBML-O by every engine, and plain references; branch and bound.
-
-    A stack costs the same for any scan, so that one will do; branch and bound takes them all.
-    """
+    """The stacks of CBML and CBML-O by every engine, and plain references; branch and bound."""
     scan, every = scans[0], [scan_xy(s)[s.valid] for s in scans]
     thetas, cell, xy = uniform_thetas(2 * np.pi / HEADINGS), features.lattice.resolution, every[0]
     points = scan_points(scan.ranges, scan.angles, scan.valid)
@@ -231,11 +383,8 @@ def added(features: MapFeatures, scan: LaserScan) -> FloatArray:
     return out
 
 
-SIZES = (125, 250, 500, 1000)
-"""Cells along a side of the map."""
-REACHES = (25, 100, 300)
-"""Cells that the sensor sees."""
-RAYS = (32, 181, 720)
+SIZES, REACHES, RAYS = (125, 250, 500, 1000), (25, 100, 300), (32, 181, 720)
+"""Cells along a side of the map, cells that the sensor sees, its rays."""
 
 _CELL = 0.1
 _SECONDS = 0.1  # that an engine is timed for in all its repeats, if one takes less
@@ -251,22 +400,10 @@ def engine_rows(
     headings: int = 8,
     repeats: int = 5,
 ) -> tuple[Mapping[str, Any], ...]:
-    """Time CBML's correlation by every engine, for each size of map, reach and number of rays.
+    """Time CBML's correlation by every engine, for sizes and reaches in cells, and numbers of rays.
 
-    Parameters
-    ----------
-    sizes, reaches, rays : sequences of int
-        Cells, cells, readings.
-    headings : int
-        Of each stack. With few of them the choice, made once a stack, weighs more.
-    repeats : int
-        In turns, at least so many; the least time of an engine counts, on one thread.
-
-    Returns
-    -------
-    tuple of mappings
-        ``size``, ``reach``, ``rays``, ``ms`` of each engine and of ``auto``, the ``best``
-        engine, and ``ratio``: auto's time to the best's.
+    On one thread; of at least `repeats` turns the least time counts. A row has ``size``, ``reach``,
+    ``rays``, ``ms`` of each engine and of ``auto``, the ``best`` one and ``ratio``, auto's to it.
     """
     rows: list[Mapping[str, Any]] = []
     thetas = uniform_thetas(2 * np.pi / headings) + 0.1  # none of them along the walls
@@ -338,3 +475,64 @@ def _least(calls: Mapping[str, Callable[[], object]], repeats: int) -> dict[str,
     turns = max(repeats, min(_MOST, int(_SECONDS / fastest)))
     seconds |= least(near, turns)
     return {name: 1e3 * value for name, value in seconds.items()}
+
+
+def floors(problem: Path) -> Mapping[str, float | str]:
+    """What C takes, ns per unit of work, on one thread; or why it is not known.
+
+    `problem` has ``floor/cbml.c``, ``floor/ght.c``, ``mapA.pgm`` and ``scans_10m.txt``.
+    """
+    cells = "0.1", str(PAIR_HEADINGS)
+    return {
+        "cbml": _in_c(problem, "cbml", _SEARCH, r"([\d.]+) ns per pose"),
+        "ght": _in_c(problem, "ght", (*cells, "2", "10"), r"([\d.]+) ns/pair"),
+        "ght-v": _in_c(problem, "ght", (*cells, "12", "10"), r"([\d.]+) ns/pair"),
+    }
+
+
+def exhaustive_search(problem: Path, repeats: int) -> float | str:
+    """What C takes for CBML of map A and its argmax, ms; or why it is not known.
+
+    On one thread, 120 headings and a scan; of `repeats` the least. A yardstick from one machine to
+    another, and a rough one: Python and vectorised C need not be slower by the same factor.
+    """
+    return _in_c(problem, "cbml", _SEARCH, r"query median ([\d.]+) ms", repeats)
+
+
+_SEARCH = "0.1", "0.1", str(HEADINGS), "0", "10", "1"
+
+
+def _in_c(
+    problem: Path, name: str, arguments: Sequence[str], pattern: str, repeats: int = 1
+) -> float | str:
+    """The least number that a program prints in `repeats` runs on map A, or why there is none."""
+    compiler, source = shutil.which("cc"), problem / "floor" / f"{name}.c"
+    if compiler is None or not source.exists():
+        return "no C compiler" if compiler is None else f"no {source.name}"
+
+    def run(*words: str | Path) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(words, check=False, capture_output=True, text=True)  # noqa: S603
+
+    least = float("inf")
+    with tempfile.TemporaryDirectory() as folder:
+        program, flags = Path(folder) / name, ("-O3", "-march=native", "-ffast-math", "-w")
+        built = run(compiler, *flags, source, "-o", program, "-lm", "-lpthread")
+        if built.returncode:
+            return f"not compiled: {_last_line(built.stderr)}"
+        for _ in range(repeats):
+            done = run(program, problem / "mapA.pgm", problem / "scans_10m.txt", *arguments)
+            found = re.search(pattern, done.stdout)
+            if done.returncode and not found:
+                return f"ended with {done.returncode}: {_last_line(done.stderr)}"
+            if not found:
+                return f"not understood: {done.stdout[:80]!r}"
+            least = min(least, float(found[1]))
+    return least
+
+
+def _last_line(text: str) -> str:
+    return (text.strip().splitlines() or ["it did not say why"])[-1]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

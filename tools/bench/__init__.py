@@ -1,1 +1,0 @@
-"""The benchmark of imgloc: ratios of things timed in turns in one run."""
