@@ -135,69 +135,6 @@ def ght_v_once(surface, vis, points, n_theta, shape, resolution):
     return L
 
 
-def normals_turned(sigma, distance, step, resolution, most):
-    """(e_m, weight) of the headings that a pair tries, and the blur (in cells) still needed."""
-    apart = min(step, resolution / max(distance, 1e-9))
-    half = min(math.floor(2.5 * sigma / apart + 0.5), most // 2)
-    spacing = 2.5 * sigma / max(half, 1)
-    gap, sigma_blur = spacing * distance / resolution, 0.0
-    while gap > math.sqrt(2):
-        gap, sigma_blur = gap / 2, max(1.0, 2 * sigma_blur)
-    variance = sigma**2 - (sigma_blur * resolution / max(distance, 1e-9)) ** 2
-    variance = max(variance, 1e-6 * sigma**2)
-    turns = [m * spacing for m in range(-half, half + 1)]
-    density = [math.exp(-(e**2) / (2 * variance)) for e in turns]
-    weights = [round(256 * d / sum(density)) / 256 for d in density]
-    return list(zip(turns, weights, strict=True)), sigma_blur
-
-
-def gaussian_blur(image, sigma):
-    """Convolution with a sampled Gaussian of sum 1; beyond the border there is nothing."""
-    if sigma == 0:
-        return image
-    radius = (round(8 * sigma + 1) | 1) // 2
-    kernel = np.array([math.exp(-(d**2) / (2 * sigma**2)) for d in range(-radius, radius + 1)])
-    kernel /= kernel.sum()
-    rows = np.array([np.convolve(row, kernel)[radius : len(row) + radius] for row in image])
-    return np.array([np.convolve(c, kernel)[radius : len(c) + radius] for c in rows.T]).T
-
-
-def ght_v_uncertain(surface, vis, points, n_theta, shape, resolution, uncertainty, once=False):
-    """Algorithm 5 with the uncertainty of eq. 8: each pair votes for several headings."""
-    stacks = {}  # by the blur that the votes need, in cells
-    for i in range(len(points)):
-        if not (points.valid[i] and np.isfinite(points.xy[i]).all()):
-            continue
-        sigma_i = min(max(points.sigma_alpha[i], 2**-8), 0.5)
-        for j in range(len(surface)):
-            if not (surface.valid[j] and np.isfinite(surface.xy[j]).all()):
-                continue
-            sigma_j = 2.0 ** min(max(round(math.log2(surface.sigma_alpha[j])), -8), -1)
-            turned, blur = normals_turned(
-                math.hypot(sigma_i, sigma_j), math.hypot(*points.xy[i]),
-                2 * math.pi / n_theta, resolution, uncertainty.copies,
-            )  # fmt: skip
-            for m, (e_m, weight) in enumerate(turned):
-                copy = points.select(slice(i, i + 1))
-                copy = type(copy)(copy.xy, copy.alpha + e_m, copy.sigma_alpha, copy.valid)
-                one = surface.select(slice(j, j + 1))
-                L = ght_v(one, None if vis is None else vis[j : j + 1], copy, n_theta, shape,
-                          resolution)  # fmt: skip
-                # Once: the copies of one number, of map points of one sigma, are one voter.
-                key = (blur, i, m, sigma_j, weight) if once else (blur, i, j, m, weight)
-                stacks[key] = stacks.get(key, 0) + L
-    base = math.hypot(uncertainty.sigma_range, uncertainty.sigma_surface) / resolution
-    total = np.zeros((n_theta, *shape))
-    for (blur, *_, weight), L in stacks.items():
-        L = weight * (np.minimum(L, 1) if once else L)
-        while blur:  # to the next smaller one, in steps: variances add
-            below = blur / 2 if blur > 1 else 0.0
-            L = np.array([gaussian_blur(image, math.sqrt(blur**2 - below**2)) for image in L])
-            blur = below
-        total += [gaussian_blur(image, base) for image in L]
-    return total
-
-
 def visibility(points, n_psi, horizon):
     """Algorithm 6; (M, n_psi), infinite where nothing lies within the horizon.
 

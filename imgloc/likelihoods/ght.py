@@ -139,7 +139,6 @@ class Pairs:
     psi: IntArray  # (N,) row of `visibility`
     rho: Float32Array  # (N, 1) metres
     visibility: Float32Array | None  # (n_psi, M)
-    weights: Float32Array | None = None  # (N,) of a vote of each scan point; None: 1
 
 
 def _usable(points: OrientedPoints, resolution: float) -> npt.NDArray[np.bool_]:
@@ -160,15 +159,13 @@ def pair_up(
     points: OrientedPoints,
     n_theta: int,
     resolution: float,
-    weights: Float32Array | None = None,
 ) -> Pairs:
     """Drop the points that cannot vote and compute what does not depend on the pair."""
     kept = _usable(surface, resolution)
     if not kept.all():
         surface = surface.select(kept)
         visibility = None if visibility is None else visibility[:, kept]
-    voters = _usable(points, resolution)
-    points = points.select(voters)
+    points = points.select(_usable(points, resolution))
     c, s = np.cos(points.alpha), np.sin(points.alpha)
     x, y = points.xy.T
     qx, qy = c * x + s * y, c * y - s * x  # R(-alpha_i) p_i
@@ -190,7 +187,6 @@ def pair_up(
         psi=theta_bin(np.arctan2(-qy, -qx), n_psi),
         rho=rho[:, None],
         visibility=visibility,
-        weights=None if weights is None else weights[voters],
     )
 
 
@@ -275,20 +271,14 @@ class Voter:
         np.multiply(flat, self.height * self.width, out=flat)
         np.add(flat, column, out=flat)
         chosen = flat.reshape(-1).take(np.flatnonzero(keep))
-        if g.weights is None and not self.once:
+        if not self.once:
             # Alg. 5, l. 6. Since NumPy 1.25 as fast as bincount, which needs a stack of its own.
             np.add.at(self.stack, chosen, np.float32(1))
             return
-        counts = np.count_nonzero(keep, axis=1)
-        weights = np.ones(len(counts), np.float32) if g.weights is None else g.weights[i]
-        if self.once:
-            # One scan point at a time: with an index repeated, += adds once (Sec. VII), however
-            # many map points ask for it.
-            parts = np.split(chosen, np.cumsum(counts)[:-1])
-            for part, weight in zip(parts, weights, strict=True):
-                self.stack[part] += weight
-        else:
-            np.add.at(self.stack, chosen, np.repeat(weights, counts))
+        # One scan point at a time: with an index repeated, += adds once (Sec. VII), however many
+        # map points ask for it.
+        for part in np.split(chosen, np.cumsum(np.count_nonzero(keep, axis=1))[:-1]):
+            self.stack[part] += 1
 
 
 def vote(
@@ -298,16 +288,11 @@ def vote(
     resolution: float,
     out: Float32Array,
     *,
-    weights: Float32Array | None = None,
     once: bool = False,
     threads: int = 1,
 ) -> None:
-    """Add the votes of all pairs to a stack (K, H, W): Alg. 5, Alg. 4 without visibility.
-
-    `weights` (N,) say what a vote of each scan point counts. While the sums are exact in float32
-    (whole numbers, or few binary places), the number of threads changes nothing.
-    """
-    pairs = pair_up(surface, visibility, points, len(out), resolution, weights)
+    """Add the votes of all pairs to a stack (K, H, W): Alg. 5, Alg. 4 without visibility."""
+    pairs = pair_up(surface, visibility, points, len(out), resolution)
     blocks = blocks_of(len(pairs.w), len(pairs.x), once)
     size = max(((i.stop - i.start) * (j.stop - j.start) for i, j in blocks), default=0)
     # A stack costs about as much as half a vote for each of its cells.

@@ -16,7 +16,7 @@ from markupsafe import Markup, escape
 
 NAMES = {
     "cbml": "CBML", "cbml-o": "CBML-O", "ght": "GHT", "ght-v": "GHT-V", "beam": "beam, eq. 2",
-    "ght-v once": "GHT-V, one vote per point", "ght-v eq. 8": "GHT-V, eq. 8 modelled",
+    "ght-v once": "GHT-V, one vote per point",
 }  # fmt: skip
 AXES = {
     "A": Markup("A"), "rho_m": Markup("ρ<sub>m</sub>"), "rho_theta": Markup("ρ<sub>θ</sub>"),

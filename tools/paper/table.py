@@ -29,7 +29,6 @@ from imgloc.likelihoods import stacks
 from imgloc.likelihoods.ght import ght_v
 from imgloc.model import Float32Array, FloatArray
 from imgloc.options import DEFAULTS
-from tools.paper.uncertainty import Uncertainty, vote_spread
 from tools.recorded import in_world
 from tools.script import at_least_one, one_of
 
@@ -38,8 +37,8 @@ CELL = 0.1
 MAP_CELL = 0.05
 """Side of a cell of the maps, metres. The paper's maps are lines; at 10 cm the staircase of a
 slanted or curved wall displaces its surface by as much as the cell of a pose."""
-OPTIONS = ("ght-v once", "ght-v eq. 8")
-"""Sec. VII's suggestions, each an option of GHT-V: one vote per scan point and cell; eq. 8."""
+OPTIONS = ("ght-v once",)
+"""Sec. VII's suggestion, an option of GHT-V: one vote per scan point and cell."""
 STEPS_DEG: Mapping[str, float] = MappingProxyType(
     PAPER_STEPS_DEG | dict.fromkeys(OPTIONS, PAPER_STEPS_DEG["ght-v"])
 )
@@ -84,9 +83,7 @@ def stack_of(
         return stacks.stack_of(method, features, scan, thetas, engine=engine, threads=threads)
     points = scan_points(scan.ranges, scan.angles, scan.valid)
     ours, shape = (features.surface, features.visibility, points), features.lattice.shape
-    if method == "ght-v once":
-        return ght_v(*ours, len(thetas), shape, CELL, threads=threads, once=True)
-    return vote_spread(*ours, len(thetas), shape, CELL, Uncertainty(), threads=threads)
+    return ght_v(*ours, len(thetas), shape, CELL, threads=threads, once=True)
 
 
 def try_method(
