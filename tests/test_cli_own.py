@@ -382,7 +382,7 @@ def test_members_of_an_archive_that_lie_over_one_another_are_not_read_twice(fold
         archive._didModify = True
     index.write_bytes(data.getvalue())
     words = ["which", folder / "maps", folder / "scans.npz", "--index", index]
-    refused("its arrays are said to be larger than the file", *words)
+    refused("its header claims arrays larger than the file", *words)
 
 
 # The journal of an atlas.

@@ -57,7 +57,7 @@ def doubts(
     features, options
         Those of the answers.
     scans, said : sequences of one length
-        What was located, and what was answered.
+        The scans, and the verdict and evidence of each.
     flipped : bool
         Whether the scans were taken for those of a sensor that hangs upside down.
     range_scale : float
@@ -126,8 +126,8 @@ def _doubts(
 def bent(said: Said, known: Shared, resolution: float) -> list[Doubt]:
     """Say that most scans fit a map only with an error that all readings share, and what helps.
 
-    None if fewer than half do, or it is `known` already; in a list, as of :func:`doubts`. The map's
-    cells are of `resolution` metres.
+    The list is empty if fewer than half of the scans do, or if the error is `known` already. The
+    map's cells are `resolution` metres wide.
 
     Examples
     --------

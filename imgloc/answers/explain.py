@@ -104,7 +104,7 @@ class HypothesisFit:
 
 @dataclass(frozen=True)
 class Explanation:
-    """One answer, and what its :class:`~imgloc.model.Evidence` does not say."""
+    """One answer, with what its :class:`~imgloc.model.Evidence` leaves out."""
 
     grid: OccupancyGrid
     scan: LaserScan  #: as it was laid on the map: its lengths multiplied by the evidence's scale
@@ -124,7 +124,7 @@ def explain(
     features : MapFeatures
     scan : LaserScan
     answer : Localization
-        Of :func:`imgloc.pipeline.localize` with the same features, scan and options.
+        What :func:`imgloc.pipeline.localize` returned for these features, scan and options.
     options : Options, optional
     """
     expect(features, MapFeatures, "features")

@@ -67,8 +67,12 @@ def draw_poses(
         Not all 0, or a ConfigError; need not sum to 1.
     thetas : (K,) float array
         Equally spaced over the circle: the middles of the cells.
-    grid, n, rng
-        Of the cells; how many poses (a ConfigError if negative); the same seed, the same poses.
+    grid : GridInfo
+        Lattice of the cells.
+    n : int
+        How many poses; ConfigError if negative.
+    rng : numpy.random.Generator
+        The same seed gives the same poses.
 
     Returns
     -------
@@ -111,9 +115,9 @@ def draw_near(
 ) -> FloatArray:
     """Draw poses from an answer: a Gaussian for each hypothesis, any free pose for what is left.
 
-    (n, 3) x, y, theta in the map frame, as the answer of :func:`imgloc.pipeline.localize`; `free`
-    (H, W) is the pose space. The rest is as of :func:`draw_poses`, and so are the errors, if
-    nothing is free.
+    Returns (n, 3) x, y, theta in the map frame, the frame of the answer. `free` (H, W) is the pose
+    space, `grid` its lattice; the same seed of `rng` gives the same poses. ConfigError if `n` is
+    negative or nothing is free.
 
     Examples
     --------

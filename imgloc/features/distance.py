@@ -44,7 +44,7 @@ def distance_transform(image: npt.NDArray[np.uint8]) -> Float32Array:
 def distance_image(occupied: BoolArray) -> Float32Array:
     """Distance from the centre of every cell to the nearest centre of an occupied cell.
 
-    As of :func:`distance_transform`, (H, W) float32 cells of the (H, W) bool map.
+    (H, W) float32, in cells, exact as :func:`distance_transform`; `occupied` is (H, W) bool.
 
     Examples
     --------
@@ -83,7 +83,8 @@ class DistanceField:
         Returns
         -------
         distance, gx, gy : (...) float32 arrays
-            Of `x` and `y` (...), in metres: metres, negative inside walls, and metres per metre.
+            At `x` and `y` (...), metres: distance in metres, negative inside walls; gradient in
+            metres per metre.
             The distance is the one at the centre of the point's cell plus the gradient times the
             offset from it: exact along straight walls. Off the map it is :data:`FARTHEST`, with no
             gradient.

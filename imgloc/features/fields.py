@@ -20,7 +20,7 @@ def bmap(xy: FloatArray, shape: tuple[int, int], resolution: float, sigma: float
     xy : (N, 2) float array
         Surface points in the grid frame, metres; points off the grid are left out.
     shape, resolution : (H, W), float
-        Of the result; side of a cell, metres.
+        Rows and columns of the result; side of a cell, metres.
     sigma : float
         Standard deviation of the Gaussian kernel K, metres: the sensor's, or more where the
         map itself is uncertain. Greater than 0 and no greater than the map, or a ConfigError.

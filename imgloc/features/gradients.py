@@ -27,8 +27,8 @@ def vmap_of_image(
 
     Parameters
     ----------
-    occupied, free, resolution
-        As of :func:`~imgloc.features.surface.surface_points`.
+    occupied, free, resolution : (H, W) bool arrays, float
+        Cells that are walls, cells that are free, row 0 lowest; side of a cell, metres.
     sigma : float
         Standard deviation of the Gaussian kernel K, metres; at least that of the Gaussian before
         the gradient, one cell, has an effect. Like `resolution` positive, or a ConfigError.

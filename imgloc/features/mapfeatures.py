@@ -34,7 +34,7 @@ from imgloc.model import BoolArray, Float32Array, GridInfo, OccupancyGrid, Orien
 
 #: Metres of wall to each surface point that votes for proposals: votes find places.
 VOTER_SPACING = 0.25
-#: Of a map of more cells than this no walls are made thinner: each time takes its features again.
+#: A map with more cells keeps its walls as they are: each thinner copy has features of its own.
 PEELED_CELLS = 6_000_000
 #: With more cells than this at four times `cell`, the search starts at eight times.
 COARSE_CELLS = 1 << 17
@@ -52,15 +52,16 @@ class MapFeatures:
         Side of a cell of the lattice of poses, of bmap, vmap and the ray-distance stack, metres;
         rounded to a multiple of the map's own cells.
     sigma, sigma_endpoint : float
-        Metres: of the kernel K that blurs bmap and vmap, and how far an endpoint may lie from its
-        wall in the pyramid.
+        Standard deviations, metres: of the kernel K that blurs bmap and vmap, and of an endpoint's
+        distance from its wall in the pyramid.
     vmap_from : {"image", "contours"}
-        Whether the vector field of CBML-O is of :func:`~imgloc.features.gradients.vmap_of_image` or
-        of the normals of the surface points, :func:`~imgloc.features.fields.vmap`.
-    n_psi, horizon, visibility_by
-        Of the visibility map, as `by` of :func:`~imgloc.features.visibility.visibility_frames`.
+        What makes CBML-O's vector field: :func:`~imgloc.features.gradients.vmap_of_image`, or
+        the normals of the surface points by :func:`~imgloc.features.fields.vmap`.
+    n_psi, horizon, visibility_by : int, float, str
+        Directions, reach in metres and way of the visibility map, see
+        :func:`~imgloc.features.visibility.visibility_frames`.
     n_rays, max_range : int, float
-        Directions of the ray-distance stack, and what it says where nothing is hit, metres.
+        Directions of the ray-distance stack, and its value where a ray hits nothing, metres.
     memory_budget : int, optional
         Bytes; a larger ray-distance stack is refused. None is half of the available RAM.
     threads : int
@@ -131,7 +132,7 @@ class MapFeatures:
 
     @property
     def peels(self) -> bool:
-        """Whether :meth:`thinner` walls are worth their memory: not of very large maps."""
+        """Whether :meth:`thinner` walls are worth their memory: not on very large maps."""
         return self.grid.occupied.size <= PEELED_CELLS
 
     def thinner(self, cells: int) -> "MapFeatures":
@@ -214,7 +215,7 @@ class MapFeatures:
 
     @cached_property
     def voters_visibility(self) -> Float32Array:
-        """Visibility of the :attr:`voters`, as :attr:`visibility`."""
+        """Visibility of the :attr:`voters`, (n_psi, M') float32 metres, direction 0 the normal."""
         few = self.voters is self.surface
         return self.visibility if few else self._visibility_of(self.voters)
 

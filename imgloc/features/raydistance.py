@@ -36,8 +36,8 @@ def ray_distances(
 
     Parameters
     ----------
-    occupied, resolution
-        As of :func:`~imgloc.features.distance.signed_distance`. Unknown cells and the world off
+    occupied, resolution : (H, W) bool array, float
+        Occupied cells, row 0 lowest; side of a cell, metres. Unknown cells and the world off
         the map are transparent.
     n_psi, max_range : int, float
         Number of directions; metres, at most 655.35, the value where nothing is hit within it.

@@ -148,14 +148,14 @@ def one_per_place(scan: LaserScan, side: float) -> Readings:
     """Draw the valid endpoints of a scan as an image, and read off one point for each cell.
 
     Rays are dense where a wall is near, and all of them share its error on the map: counted one by
-    one, a near surface outvotes the far walls that tell where the robot is. Many readings in the
-    last hundredth of the sensor's reach are no distances but what it says of glass and of nothing.
+    one, a near surface outvotes the far walls, which fix the robot's place. Many readings in the
+    last hundredth of the sensor's reach are no distances but codes for glass and open space.
 
     Parameters
     ----------
     scan : LaserScan
     side : float
-        Of a square cell of the image, metres. A cell is where its points are in the mean.
+        Side of a square cell of the image, metres. A cell stands for the mean of its points.
 
     Examples
     --------

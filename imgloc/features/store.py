@@ -63,9 +63,9 @@ def features_from_arrays(
 ) -> MapFeatures:
     """Make features of which some need not be computed any more.
 
-    Of the map, the arrays of :func:`features_to_arrays` (what is not there is computed when it is
-    asked for) and the parameters of :class:`~imgloc.features.mapfeatures.MapFeatures`. An array of
-    no feature, or whose type or shape is not that of this map's, is a ValueError.
+    `arrays` are those of :func:`features_to_arrays` for the same map; a missing one is computed
+    when it is needed. `parameters` go to :class:`~imgloc.features.mapfeatures.MapFeatures`.
+    ValueError for an array that is no feature, or of another type or shape than this map's.
 
     Examples
     --------
@@ -167,7 +167,7 @@ def features_key(features: MapFeatures) -> str:
 def load_features(
     grid: OccupancyGrid, folder: PathLike, parameters: Mapping[str, Any]
 ) -> MapFeatures:
-    """Return the features of a map, with what the cache in `folder` has of them.
+    """Return the features of a map; those in the cache in `folder` are loaded.
 
     A bad entry is removed with a warning; :func:`save_features` makes a new one.
     """

@@ -36,14 +36,14 @@ def visibility_frames(
 
     Parameters
     ----------
-    occupied, resolution
-        As of :func:`~imgloc.features.distance.signed_distance`; unknown cells do not stop a ray.
+    occupied, resolution : (H, W) bool array, float
+        Occupied cells, row 0 lowest; side of a cell, metres. Unknown cells do not stop a ray.
     surface : OrientedPoints
-        Of that map, in the grid frame.
+        Surface points of the same map, grid frame.
     n_psi : int
         Number of directions; ``psi_k = 2 pi k / n_psi`` from the normal, counter-clockwise.
     horizon : float
-        Metres; less than the sensor's reach leaves some constraints unused.
+        Reach of the map, metres; one below the sensor's reach leaves some constraints unused.
     by : {"march", "polar"}
         ``polar`` is within a cell of ``march`` but for rays that graze a wall.
     distance : (H, W) float32 array, optional

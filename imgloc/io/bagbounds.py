@@ -62,7 +62,7 @@ def bounded(name: str, size: int) -> Iterator[None]:
 
     Inside, chunks and messages that unpack to more than 64 MiB are a ScanError, and so is all
     beyond 16 MiB and 100 times the size, metadata.yaml that is not plain, and more than a MiB of
-    different definitions. What is said of the quality of service is not parsed at all.
+    different definitions. Quality-of-service profiles are not parsed at all.
     """
     _replace()
     most = _ROOM + _RATIO * size

@@ -63,8 +63,8 @@ def read_bag(path: PathLike, *, topic: str | None = None) -> ScanSet:
         A ``.bag``, ``.db3`` or ``.mcap`` file, or the folder of a ROS 2 recording. ScanError if it
         is damaged, or rosbags is not installed (the extra ``ros``).
     topic : str, optional
-        Of sensor_msgs/LaserScan. By default ``/scan``, or the only one. Of several, with commas
-        between, each scan has its own `T_base_laser`.
+        Topic with sensor_msgs/LaserScan messages; default ``/scan``, or the only such topic.
+        Several topics stand with commas between; then each scan has its own `T_base_laser`.
     """
     name = display(path)
     if topic is not None and len(topics := lasers_of(topic)) > 1:

@@ -50,7 +50,7 @@ def save_calibrations(
     shared: Shared | None = None,
     force: bool = False,
 ) -> None:
-    """Write what was fitted on a map, beside what the file has of its other methods.
+    """Write what was fitted on a map; what the file holds for other methods stays.
 
     `calibrations` and `about` (what decided them, as plain values: seed, trials, sensor ...) are by
     method, `shared` is the error of all its scans. With `force` a file that exists is changed, and

@@ -50,7 +50,7 @@ class _Message:
     ranges: FloatArray
     stamp: float
     angles: FloatArray | None = None  # None: from the number of readings
-    range_max: float = math.nan  # NaN: not said
+    range_max: float = math.nan  # NaN: the log does not state it
     laser: Pose2D | None = None
     robot: Pose2D | None = None
 
@@ -287,6 +287,6 @@ def _laser_poses(messages: Sequence[_Message]) -> tuple[FloatArray | None, Pose2
     away = np.array([(p.x, p.y, turn + math.remainder(p.theta - turn, math.tau)) for p in offsets])
     middle = np.median(away, axis=0)
     if np.all(np.abs(away - middle) < _RIGID) and math.hypot(*middle[:2]) <= MOUNTED:
-        # At the robot's own place is where it is if nobody has said where.
+        # A laser without a stated place sits at the robot's own.
         return None, Pose2D(*np.round(middle, 4)) if np.abs(middle).max() > _RIGID else None
     return np.array([(p.x, p.y, p.theta) for p, _ in pairs]), None

@@ -15,7 +15,7 @@ from imgloc.io.mapyaml import load_map_yaml
 
 
 def files_of(path: Path) -> list[Path]:
-    """All files that what is said of a map depends on, those that exist and those that do not."""
+    """All files on which answers about a map depend, whether they exist or not."""
     files = [path, calibration_path(path)]
     if path.suffix.lower() in YAML_ENDINGS:
         with contextlib.suppress(ImglocError, OSError, ValueError):

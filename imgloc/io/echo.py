@@ -31,7 +31,7 @@ def read_echo(path: PathLike) -> ScanSet:
     for document in re.split(r"^---.*$", text, flags=re.MULTILINE):
         if document.strip():
             where = f"{name}: message {len(entries)}"
-            if document.count(",") + document.count("\n") > _MOST:  # soon said
+            if document.count(",") + document.count("\n") > _MOST:  # cheap to count
                 raise ScanError(f"{where}: too many values, expected at most {MAX_RAYS:,} readings")
             message = plain_yaml(document, where, ScanError, most=_MOST)
             entries.append((where, plain_entry(_checked(message, where), where)))
@@ -55,5 +55,5 @@ def _checked(message: Any, where: str) -> dict[str, Any]:
             try:
                 message[key] = float(message[key])
             except ValueError:
-                continue  # said when it is used
+                continue  # refused where it is used
     return message

@@ -31,7 +31,7 @@ Pixels = npt.NDArray[Any]  # uint8 or uint16
 MAX_SIDE = 32_767
 """Pixels a side: the limit of Nav2 (map_io) and of ``cv2.remap``; more are not decoded."""
 MAX_PIXELS = 128_000_000
-"""Of a map, unless said otherwise: more than the 10,000 x 10,000 that are worked with."""
+"""Pixels of a map at most, by default: more than the 10,000 x 10,000 that imgloc works with."""
 
 IMAGE_ENDINGS = (".png", ".pgm", ".ppm", ".bmp", ".tif", ".tiff", ".webp")  #: without loss
 LOSSY_ENDINGS = (".jpg", ".jpeg")

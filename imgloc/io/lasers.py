@@ -32,10 +32,14 @@ def together(sets: Mapping[str, ScanSet], name: str) -> ScanSet:
     Parameters
     ----------
     sets : mapping
-        By the name of the laser.
+        Scans by the name of their laser.
     name : str
-        Of the file. ScanError if a laser has no stamps, or its place is unknown or that of
-        another.
+        Name of the file, for messages.
+
+    Raises
+    ------
+    ScanError
+        If a laser has no stamps, no known place on the robot, or the place of another laser.
     """
     for laser, scans in sets.items():
         if scans.stamps is None or not np.isfinite(scans.stamps).all():

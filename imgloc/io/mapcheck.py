@@ -62,7 +62,7 @@ _WARNINGS = {
     "many-greys": "{levels:,} grey levels; {unknown:,} of {cells:,} cells fall between the "
     "thresholds (a resampled, smoothed or probabilistic map?)",
 }
-"""What may be found, in the order in which it is told."""
+"""What a check may find, in the order of its output."""
 
 
 class MapWarning(NamedTuple):

@@ -1,6 +1,6 @@
 """Files that imgloc writes and reads again: by then edited, damaged or planted.
 
-What such a file has to hold is said by a *kind*, and looked at once, when it is read:
+A *kind* describes what such a file has to hold; it is checked once, when the file is read:
 
 - ``str``, ``bool``, ``int``, ``float`` (a finite number), ``None``; ``object`` is anything
 - a frozenset: one of its texts; a pattern: a text that matches it from end to end
@@ -132,7 +132,7 @@ def _check(value: Any, kind: Any, depth: int) -> None:
 
 
 def _is_fine(value: Any, kind: Any) -> bool:
-    """Whether a value is as it should be, told quickly of the most frequent kinds."""
+    """Whether a value is of its kind; the most frequent kinds are checked first."""
     if kind is object:
         return _is_plain(value)
     if type(value) is float:
@@ -218,7 +218,7 @@ def _named(kind: Any) -> str:
 
 @contextlib.contextmanager
 def open_arrays(path: PathLike, *, limit: int, what: str) -> Iterator[tuple[Any, int]]:
-    """Open an archive of arrays without compression; yield it, as of :func:`numpy.load`, and bytes.
+    """Open an uncompressed NPZ archive; yield what :func:`numpy.load` returns, and its bytes.
 
     The arrays are never larger than the file, which OutputError refuses above `limit` bytes; a
     ValueError says what else is wrong with it.
@@ -232,7 +232,7 @@ def open_arrays(path: PathLike, *, limit: int, what: str) -> Iterator[tuple[Any,
                 if any(member.compress_type != zipfile.ZIP_STORED for member in members):
                     raise ValueError("it is compressed")
                 if sum(member.file_size for member in members) > size:
-                    raise ValueError("its arrays are said to be larger than the file")
+                    raise ValueError("its header claims arrays larger than the file")
                 yield archive, size
         except ValueError as e:
             if "pickle" in str(e):

@@ -1,4 +1,4 @@
-"""YAML as data and nothing else, read without trusting it: flat, small, each thing said once.
+"""YAML as data and nothing else, read without trusting it: flat, small, each key once.
 
 Values are made from the parser's events, one by one, so that nothing is composed by recursion: the
 C composer of libyaml ends the interpreter where brackets are nested deeply.
@@ -27,11 +27,11 @@ def plain_yaml(text: str, name: str, error: type[ImglocError], *, most: int) -> 
     text : str
         The document.
     name : str
-        Of the file, for messages, which name the line.
+        Name of the file, for messages, which name the line, too.
     error : type
         Raised if it is not YAML, or not plain.
     most : int
-        Values and keys that there may be.
+        How many values and keys the document may hold.
 
     Examples
     --------

@@ -66,15 +66,15 @@ def load_scans(path: PathLike, *, topic: str | None = None, fov: float | None = 
         ``.ndjson`` or ``.json`` (:func:`~imgloc.io.textscans.read_jsonl`), ``.log``, ``.clf`` or
         ``.carmen`` (:func:`~imgloc.io.carmen.read_carmen`), ``.yaml`` or ``.yml``
         (:func:`~imgloc.io.echo.read_echo`), ``.bag``, ``.db3``, ``.mcap`` or the folder of a ROS 2
-        recording (:func:`~imgloc.io.bags.read_bag`). Of names without an ending, and ``.txt``, the
-        content tells. Ranges are metres,
-        angles radians in the sensor's frame, counter-clockwise, 0 forward. Ranges are kept as
-        recorded; NaN, +inf and codes are what :class:`~imgloc.model.LaserScan` says they are.
+        recording (:func:`~imgloc.io.bags.read_bag`). A name without an ending, or with ``.txt``,
+        is read by its content. Ranges are metres, angles radians in the sensor's frame,
+        counter-clockwise, 0 forward. Ranges stay as recorded;
+        :class:`~imgloc.model.LaserScan` defines NaN, +inf and codes.
     topic : str, optional
-        Of a log with several lasers, which; a ScanError for a file that is no log, see
+        Which laser of a log with several. ScanError if the file is no log, see
         :func:`has_topics`.
     fov : float, optional
-        Angle from the first to the last ray, radians, where a CSV or a log does not say it.
+        Angle from the first to the last ray, radians, for a CSV or a log that does not state it.
     """
     return _kind(path, topic).read(path, topic, fov)
 

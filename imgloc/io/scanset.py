@@ -25,7 +25,7 @@ KEYS = ("ranges", "angles", *_LIMITS, *_STEPS, *_BESIDE, "mount")
 # of how often others are. Of 39,000 scans and parts of scans without codes it was so of none.
 _OFTEN, _LEAST, _OTHERS = 0.05, 10, 10
 _MAX_TURN = 30.0  # radians of a heading that was counted on: nearly five turns, or 30 degrees
-# Where a scan stands in the file, for messages, and what is said of it (names of LaserScan).
+# Where a scan stands in the file, for messages, and its fields (named as in LaserScan).
 Entry = tuple[str, Mapping[str, Any]]
 _MAX_ANGLE = 4 * np.pi  # twice around: whatever lies beyond was not meant in radians
 
@@ -314,7 +314,7 @@ def _spaced_angles(given: Mapping[str, float], count: int, where: str) -> FloatA
 def spread(count: int, fov: float) -> FloatArray:
     """Angles of `count` rays about straight ahead, `fov` radians from the first to the last.
 
-    Of a whole turn the last is one step before the first.
+    With a whole turn the last ray is one step before the first.
 
     Examples
     --------

@@ -86,9 +86,10 @@ def draw(
     truth : Pose2D, optional
         True pose of the sensor, map frame.
     note : str
-        What else is to stand below an answer of a scan.
+        A line below the answer.
     what, at : str, and (float, float) in metres, map frame
-        Without an answer: as of :func:`imgloc.output.features.draw_feature`.
+        Without an answer: which feature to draw, and the point whose visibility is drawn; see
+        :func:`imgloc.output.features.draw_feature`.
 
     Raises
     ------

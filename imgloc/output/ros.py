@@ -51,7 +51,7 @@ def message(
     Parameters
     ----------
     origin : Pose2D
-        Of the grid, in whose frame beliefs are.
+        Origin of the grid, in whose frame beliefs are.
     best : bool
         Whether one pose is written although several fit.
     """

@@ -25,13 +25,13 @@ def answer_row(
     ----------
     answer : Localization
     scan : LaserScan
-        That was located: as it was recorded, but mounted, and cut to a shorter reach.
+        The located scan, mounted and cut to its reach.
     index : int
-        Of the scan in its file.
+        Index of the scan in its file.
     sensor, flipped : Pose2D, bool
-        How the sensor was said to sit on the robot, where the scans do not say it.
+        How the user says that the sensor sits on the robot, where the scans do not state it.
     about : mapping, optional
-        What else has decided, for the `parameters` of the row.
+        Further parameters for the row.
     """
     how = {**(about or {}), "range_max": scan.range_max, "sensor": sensor, "flipped": flipped}
     return answer.as_row(index, **how)

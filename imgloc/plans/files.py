@@ -57,7 +57,7 @@ def measured_resolution(distance: Sequence[float], width: int, height: int) -> f
     distance : (x1, y1, x2, y2, metres)
         Pixels from the upper left corner, y down, as programs that show images count them.
     width, height : int
-        Of the image, pixels.
+        Size of the image, pixels.
 
     Raises
     ------

@@ -152,15 +152,15 @@ def plan_to_map(
     resolution : float
         Metres a pixel.
     origin : Pose2D, optional
-        Of the lower-left corner of the plan in the map frame; default (0, 0, 0).
+        Pose of the plan's lower-left corner in the map frame; default (0, 0, 0).
     cell : float, optional
         Side of a cell of the map, metres; default :data:`CELL`, or a pixel if that is larger.
     thinnest, thickest : float
-        Of walls, metres: what is thinner is a line, what is wider between two lines a room. Where
-        such walls enclose nothing, thinner ones are looked for.
+        Thickness of walls, metres: thinner ink is a line, a wider gap between two lines is a room.
+        Where such walls enclose nothing, thinner ones are looked for.
     gap : float, optional
-        Openings in the outer walls up to so wide, metres, count as closed when inside is told from
-        outside; by default as wide as is needed.
+        Openings in the outer walls up to this width, metres, count as closed while the inside is
+        found; default: as wide as the plan needs.
     ink : float, optional
         Darkness, 0..1, from which on a pixel is ink; by default Otsu's threshold.
 

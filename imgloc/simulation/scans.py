@@ -75,8 +75,8 @@ def simulate(
     Parameters
     ----------
     seed : int
-        Of everything random: the same seed gives the same scans, and poses that depend on the
-        sensor's mount and clearance alone.
+        Seed of everything random: the same seed gives the same scans. Poses depend on the seed,
+        the sensor's mount and its clearance alone.
     fine : OccupancyGrid, optional
         Image on which rays are cast, with the same lower-left corner. By default the map
         redrawn at 1 cm; for a bundled world ``render(world, 0.01)`` is the truth itself.
@@ -103,7 +103,7 @@ def simulate(
         sigma=sensor.sigma, range_max=sensor.range_max, seed=int(seeds[1]),
         outliers=sensor.outliers, dropped=sensor.dropped,
     )  # fmt: skip
-    mount = None if sensor.mount == Pose2D(0.0, 0.0) else sensor.mount  # if somebody has said it
+    mount = None if sensor.mount == Pose2D(0.0, 0.0) else sensor.mount
     scans = tuple(
         LaserScan(r, angles, range_max=sensor.range_max, T_base_laser=mount) for r in ranges
     )
@@ -158,9 +158,9 @@ def simulate_ranges(
     grid : OccupancyGrid
         Finer than the map in which the scan is to be located, see :func:`refine_grid`.
     poses : (N, 3) array
-        Of the sensor in the grid frame: metres, metres, radians.
+        Poses of the sensor in the grid frame: metres, metres, radians.
     angles : (B,) array
-        Of the rays in the sensor's frame, radians.
+        Angles of the rays in the sensor's frame, radians.
     sigma, seed : float, int
         Standard deviation of the noise of a reading, metres, and the seed of all noise.
     range_max : float
@@ -234,8 +234,8 @@ def sample_free_poses(
     clearance : float
         Metres from the robot to the nearest cell that is not free, or to the map's border.
     mount : Pose2D, optional
-        Of the sensor on the robot: then the poses are the **sensor's**, ``robot ⊕ mount``. A
-        robot whose sensor is not in a free cell is drawn again.
+        Pose of the sensor on the robot. Then the result holds the **sensor's** poses,
+        ``robot ⊕ mount``; a robot whose sensor is not in a free cell is drawn again.
 
     Raises
     ------
