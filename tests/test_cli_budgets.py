@@ -16,23 +16,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from command import MAPS, ROOT, call, spawn
+from command import MAPS, ROOT, call
 
 from imgloc.cli.inputs import held_bytes
 from imgloc.io.images import image_size
 from imgloc.io.scans import load_scans, scans_size
 
 CURVED = MAPS / "curved.yaml"
-EVALUATE = ["evaluate", CURVED, "-n", 1, "--methods", "ght-v,cbml", "--threads", 1]
 SIMULATE = ["simulate", CURVED, "-n", 2, "--out", "{}/s.npz"]
 SHOW = ["map", "show", CURVED, "--what", "bmap", "--out", "{}/m.png"]
 
 LOCALIZE = ["localize", CURVED, "{}/../scans.npz", "--no-cache", "--threads", 1]
 SAMPLE = ["sample", CURVED, "{}/../scans.npz", "--out", "{}/p.csv", "--threads", 1]
-ATLAS = ["atlas", CURVED, "--out", "{}/a.png", "--step", 3, "--headings", 2,
-         "--rays", 61, "--workers"]  # fmt: skip
-CALIBRATE = ["calibrate", CURVED, "--methods", "ght", "--theta-step-deg", 15, "-n", 20,
-             "--rays", 61, "--dry-run", "--threads"]  # fmt: skip
 CHECK = ["map", "check", CURVED]
 DEMO = ["demo", "--map", "curved", "--out", "{}/d.png", "--threads", 1]
 BOTH = r"on 130 x 160 cells of 0.1 m \((\d+) MiB\) with features of 130 x 160 cells \((\d+) MiB\)"
@@ -62,18 +57,10 @@ def words(command: list[object], folder: Path) -> list[object]:
     ("command", "budget", "expected"),
     [
         (SIMULATE, "10M", ["simulating 2 scans of 181 rays on 1300 x 1600 cells", "fewer scans"]),
-        (EVALUATE, "15M", ["simulating 1 scans of 181 rays on", "cells needs"]),
-        (EVALUATE, "100M", ["cbml on 130 x 160 cells of 0.1 m", "a larger --cell"]),
         (LOCALIZE, "60M", ["fused on 130 x 160 cells of 0.1 m", "features of 130 x 160 cells"]),
         ([*LOCALIZE, "--method", "beam"], "100M", ["beam on 130 x 160 cells", "--theta-step-deg"]),
         (SAMPLE, "60M", ["fused on 130 x 160 cells of 0.1 m", "features of 130 x 160 cells"]),
         ([*SAMPLE, "--method", "cbml"], "100M", ["cbml on 130 x 160 cells of 0.1 m", "a larger"]),
-        ([*ATLAS, 1], "10M", ["simulating 18 scans of 61 rays on 1300 x 1600", "larger --step"]),
-        ([*ATLAS, 1], "60M", ["fused on 130 x 160 cells of 0.1 m", "features of", "crop the map"]),
-        ([*ATLAS, 2], "200M", ["fused on", "in each of 2 processes", "use fewer --workers"]),
-        ([*CALIBRATE, 1], "10M", ["simulating 20 scans of 61 rays on", "fewer scans"]),
-        ([*CALIBRATE, 1], "60M", ["ght on 130 x 160 cells of 0.1 m", "a larger --cell"]),
-        ([*CALIBRATE, 4], "82M", ["ght on 130 x 160 cells of 0.1 m", "features of"]),
     ],
 )
 def test_over_budget_is_refused_with_sizes(
@@ -91,7 +78,7 @@ def test_over_budget_is_refused_with_sizes(
 
 @pytest.mark.parametrize(
     "command",
-    [SIMULATE, SHOW, EVALUATE, LOCALIZE, SAMPLE, [*ATLAS, 1], [*CALIBRATE, 1], CHECK, DEMO],
+    [SIMULATE, SHOW, LOCALIZE, CHECK, DEMO],
     ids=lambda command: " ".join(map(str, command[:2])),
 )
 def test_within_the_budget_it_is_said_and_done(
@@ -105,64 +92,17 @@ def test_within_the_budget_it_is_said_and_done(
     assert all(line.endswith("MiB, the budget is 2048 MiB") for line in said)
 
 
-def test_every_method_is_checked_before_the_first_one_runs(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    with caplog.at_level(logging.INFO):
-        code, out, err = call(*EVALUATE, "--memory-budget", "100M", "--json", "-v")
-    assert (code, out) == (2, "")
-    said = err + caplog.text
-    assert "ght-v on" in said
-    assert "curved: ght-v: S" not in said  # nothing has been measured
-
-
-@pytest.mark.parametrize(
-    ("command", "method"),
-    [(LOCALIZE, "fused"), (SAMPLE, "fused"), ([*ATLAS, 1], "fused"), (EVALUATE, "ght-v")],
-    ids=["localize", "sample", "atlas", "evaluate"],
-)
-def test_features_and_answer_have_to_fit_together(
-    command: list[object], method: str, folder: Path
-) -> None:
-    given = words(command, folder)
+def test_features_and_answer_have_to_fit_together(folder: Path) -> None:
+    given = words(LOCALIZE, folder)
     run = call(*given, "--memory-budget", "60M")
-    found = re.search(f"{method} {BOTH}", run.err)
+    found = re.search(f"fused {BOTH}", run.err)
     assert found is not None
     answer, features = map(int, found.groups())
     assert features > 4
     each = call(*given, "--memory-budget", f"{answer + 1}M")
     assert (each.code, each.out) == (2, "")
-    assert f"{method} on" in each.err
-    if method == "fused":
-        assert call(*given, "--memory-budget", f"{answer + features}M").code == 0
-
-
-def test_each_worker_of_an_atlas_counts(folder: Path) -> None:
-    needs = []
-    for workers in (2, 4):
-        more = words([*ATLAS, workers, "--headings", 4], folder)
-        (need,) = re.findall(
-            r"processes needs (\d+) MiB", call(*more, "--memory-budget", "60M").err
-        )
-        needs.append(int(need))
-    assert needs[1] == pytest.approx(2 * needs[0], abs=2)
-
-
-def test_as_many_workers_as_there_is_work_for(folder: Path) -> None:
-    # 18 poses are work for 2, however many are asked for.
-    run = call(*words([*ATLAS, 99], folder), "--memory-budget", "60M")
-    assert "in each of 2 processes" in run.err
-
-
-def test_every_method_of_a_calibration_is_checked_before_the_first_one_runs(
-    folder: Path,
-) -> None:
-    low = [*CALIBRATE[:2], "--methods", "ght,beam", *CALIBRATE[4:], 1]
-    run = call(*words(low, folder), "--memory-budget", "85M", "-v")
-    assert (run.code, run.out) == (2, "")
-    assert "ght on" in run.err
-    assert "beam on 130 x 160 cells of 0.1 m" in run.err
-    assert "Fit(" not in run.err  # nothing has been measured
+    assert "fused on" in each.err
+    assert call(*given, "--memory-budget", f"{answer + features}M").code == 0
 
 
 def test_which_leaves_out_maps_that_need_more(folder: Path) -> None:
@@ -211,23 +151,14 @@ def test_a_demo_counts_the_stack_that_it_draws(folder: Path) -> None:
     assert not list(folder.iterdir())
 
 
-def test_the_real_command(folder: Path) -> None:
-    run = spawn(*words([*ATLAS, 2], folder), "--memory-budget", "200M")
-    assert (run.code, run.out) == (2, "")
-    assert run.err.startswith("imgloc: error: ")
-    assert not list(folder.iterdir())
-
-
 @pytest.mark.parametrize(
-    "command", [LOCALIZE, [*SAMPLE, "--method", "cbml"], EVALUATE], ids=lambda command: command[0]
+    "command", [LOCALIZE, [*SAMPLE, "--method", "cbml"]], ids=lambda command: command[0]
 )
 def test_the_default_budget_is_that_of_the_start(
     command: list[object], folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     left = [4 << 30]  # then others, and the features, have taken what there was
     monkeypatch.setattr("imgloc.features.budget.available_bytes", lambda: left.pop() if left else 0)
-    if command == EVALUATE:
-        command = ["evaluate", CURVED, "--scans", folder.parent / "scans.npz", *EVALUATE[4:]]
     assert call(*words(command, folder)).code == 0
 
 
@@ -348,10 +279,13 @@ SCAN_READERS: list[list[object]] = [
 ]
 
 
-@pytest.mark.parametrize("command", SCAN_READERS, ids=lambda command: str(command[0]))
-@pytest.mark.parametrize("name", ["s.npz", "s.csv", "s.jsonl", "s.json"])
+@pytest.mark.parametrize(
+    ("name", "command"),
+    [("s.npz", command) for command in SCAN_READERS]
+    + [(name, SCAN_READERS[0]) for name in ("s.csv", "s.jsonl", "s.json")],
+)
 def test_no_command_reads_scans_over_the_budget(
-    command: list[object], name: str, tmp_path: Path
+    name: str, command: list[object], tmp_path: Path
 ) -> None:
     path = tmp_path / name
     if name == "s.npz":
@@ -395,19 +329,6 @@ def test_a_few_scans_out_of_many_hold_them_all(tmp_path: Path) -> None:
     assert held_bytes(()) == 0
 
 
-def test_maps_that_are_held_count_beside_the_next(tmp_path: Path) -> None:
-    grey = np.full((1500, 1500), 254, np.uint8)
-    grey[700] = 0
-    paths = [tmp_path / f"{name}.yaml" for name in "ab"]
-    for path in paths:
-        path.with_suffix(".png").write_bytes(cv2.imencode(".png", grey)[1])
-        path.write_text(f"{{image: {path.stem}.png, resolution: 0.05, origin: [0, 0, 0]}}")
-    run = call("calibrate", *paths, "--dry-run", "--memory-budget", "25M", "-v")
-    assert run.code == 2
-    assert "a.png: an image of 1500 x 1500 pixels: at most 22 MiB" in run.err
-    assert "b.png: an image of 1500 x 1500 pixels beside 5 MiB of other maps needs 26" in run.err
-
-
 def test_which_leaves_out_an_image_that_is_too_large(sources: Callable[[bytes], Path]) -> None:
     folder = sources(damaged_png(11_000))
     for ending in (".yaml", ".png"):
@@ -418,14 +339,6 @@ def test_which_leaves_out_an_image_that_is_too_large(sources: Callable[[bytes], 
     assert "left out: " in run.err
     assert "m.png: an image of 11000 x 11000 pixels needs" in run.err
     assert len(run.out.splitlines()) == 3
-
-
-def test_the_places_of_an_atlas_are_counted_before_they_are_looked_at(tmp_path: Path) -> None:
-    given = ("atlas", CURVED, "--out", tmp_path / "a.png", "--step", 0.02, "--headings", 72)
-    run = call(*given, "--memory-budget", "100M")
-    assert (run.code, run.out) == (2, "")
-    assert re.search(r"72 headings at up to \d\d\d,\d\d\d places on 130 x 160 cells needs", run.err)
-    assert "use a larger --step or fewer --headings, crop the map" in run.err
 
 
 def test_a_region_of_another_size_is_not_decoded(sources: Callable[[bytes], Path]) -> None:

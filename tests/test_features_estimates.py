@@ -12,17 +12,11 @@ import pytest
 from command import ROOT
 from test_features_budget import office, peak
 
-from imgloc.features.budget import (
-    poses_bytes,
-    scans_bytes,
-    simulate_bytes,
-)
+from imgloc.features.budget import scans_bytes, simulate_bytes
 from imgloc.io.images import ImageSize, image_size
 from imgloc.io.mapcheck import check_bytes, check_map
 from imgloc.io.maps import load_bytes
 from imgloc.io.scans import scans_size
-from imgloc.lab.atlas import atlas_poses, simulate_at
-from imgloc.lab.calibrate import disturbed_set
 from imgloc.simulation.scans import Sensor, fine_factor, refine_grid, simulate
 
 TABLES = load_bytes(ImageSize(0, 0, 0, grey=True))
@@ -68,7 +62,7 @@ def resident() -> Iterator[Callable[..., int]]:
         server.stdin.close()
 
 
-@pytest.mark.parametrize(("rooms", "count"), [(2, 2000), (8, 2), (20, 2)])
+@pytest.mark.parametrize(("rooms", "count"), [(2, 2000), (8, 2)])
 def test_simulating_takes_no_more_than_estimated(rooms: int, count: int) -> None:
     grid = office(rooms)
     taken = peak(lambda: simulate(grid, count, 0, Sensor(rays=91)))
@@ -85,26 +79,7 @@ def test_the_fine_image_is_as_large_as_said() -> None:
     assert refine_grid(grid, 0.02).occupied.shape == (factor * height, factor * width)
 
 
-@pytest.mark.parametrize(("step", "rays"), [(0.5, 181), (1.0, 720)])
-def test_the_scans_of_an_atlas_take_no_more_than_estimated(step: float, rays: int) -> None:
-    grid = office(4, 0.1)
-    poses = atlas_poses(grid, step, 4, 0.2)
-    taken = peak(lambda: simulate_at(grid, poses, Sensor(rays=rays), 0))
-    cells, factor = grid.occupied.size, fine_factor(grid)
-    some = min(len(poses), 1000)
-    need = simulate_bytes(cells, factor**2 * cells, some * rays, kept=len(poses) * rays)
-    assert taken <= need <= 3 * taken
-
-
-def test_three_sets_take_no_more_than_estimated() -> None:
-    grid = office(4, 0.1)
-    taken = peak(lambda: disturbed_set(grid, 100, 0, Sensor(rays=3000)))
-    cells, factor = grid.occupied.size, fine_factor(grid)
-    need = simulate_bytes(cells, factor**2 * cells, 300_000, kept=3 * 300_000)
-    assert taken <= need <= 3 * taken
-
-
-@pytest.mark.parametrize("name", ["a.png", "b.png", "c.png", "d.pgm", "e.ppm", "f.ppm"])
+@pytest.mark.parametrize("name", ["a.png", "c.png", "e.ppm", "f.ppm"])
 def test_checking_a_map_takes_no_more_than_estimated(name: str, tmp_path: Path) -> None:
     path = tmp_path / name
     grey = np.where(office(6).occupied, 0, 254).astype(np.uint8)
@@ -138,8 +113,7 @@ def image_of(grey: np.ndarray, name: str) -> bytes:
 
 @pytest.mark.parametrize(
     "name",
-    ["flat.png", "grey.png", "grey16.png", "rgba.png", "rgba16.png"]
-    + ["grey.pgm", "P2.pgm", "P3.ppm", "rgb.bmp"],
+    ["flat.png", "grey.png", "rgba16.png", "grey.pgm", "P3.ppm", "rgb.bmp"],
 )
 def test_loading_a_map_takes_no_more_than_estimated(
     name: str, resident: Callable[..., int], tmp_path: Path
@@ -161,9 +135,7 @@ def write_scans(path: Path, count: int, rays: int, kind: str) -> None:
     ranges = np.random.default_rng(count).uniform(1, 9, (count, rays)).round(3)
     angles = np.linspace(-1, 1, rays)
     if path.suffix == ".npz":
-        angles = np.tile(angles, (count, 1)) if kind == "wide" else angles
-        dtype = np.float64 if kind == "wide" else np.float32
-        np.savez_compressed(path, ranges=ranges.astype(dtype), angles=angles.astype(dtype))
+        np.savez_compressed(path, ranges=ranges.astype("f4"), angles=angles.astype("f4"))
     elif path.suffix == ".csv":
         lines = [",".join(map(str, row)) for row in ranges.tolist()]
         path.write_text(f"# angle_min=-1, angle_max=1 {kind}\n" + "\n".join(lines), "utf-8")
@@ -178,14 +150,11 @@ def write_scans(path: Path, count: int, rays: int, kind: str) -> None:
     ("name", "count", "rays", "kind"),
     [
         ("s.npz", 5000, 360, ""),
-        ("s.npz", 3000, 360, "wide"),
         ("s.npz", 15_000, 1, ""),
         ("s.csv", 1500, 360, ""),
-        ("s.csv", 15_000, 1, ""),
         ("s.csv", 1, 100_000, ""),
         ("s.csv", 1500, 360, "\N{COMPASS}\N{ROBOT FACE}"),
         ("s.jsonl", 1500, 360, ""),
-        ("s.jsonl", 10_000, 1, ""),
         ("s.json", 1500, 360, ""),
     ],
 )
@@ -213,14 +182,3 @@ def test_how_much_an_archive_holds_is_in_its_headers(tmp_path: Path) -> None:
         1,
         9,
     )
-
-
-@pytest.mark.parametrize(("step", "headings"), [(5.0, 1), (0.1, 1), (0.05, 3), (0.5, 72)])
-def test_choosing_the_poses_of_an_atlas_takes_no_more_than_estimated(
-    step: float, headings: int
-) -> None:
-    grid = office(6, 0.1)
-    side = grid.occupied.shape[0] * grid.resolution
-    taken = peak(lambda: atlas_poses(grid, step, headings, 0.1))
-    need = poses_bytes(grid.occupied.size, round(side / step) ** 2, headings)
-    assert taken <= need <= 3 * taken

@@ -1,0 +1,170 @@
+"""What the lab takes is known beforehand, and refused before anything is done."""
+
+import logging
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command import MAPS, call, spawn
+from test_features_budget import office, peak
+
+from imgloc.features.budget import poses_bytes, simulate_bytes
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.lab.atlas import atlas_poses, simulate_at
+from imgloc.lab.calibrate import disturbed_set, sweep
+from imgloc.options import Options
+from imgloc.pipeline import answer_bytes
+from imgloc.simulation.scans import Sensor, fine_factor
+
+EVALUATE = ["evaluate", MAPS / "curved.yaml", "-n", 1, "--methods", "ght-v,cbml", "--threads", 1]
+CURVED = MAPS / "curved.yaml"
+ATLAS = ["atlas", CURVED, "--out", "{}/a.png", "--step", 3, "--headings", 2,
+         "--rays", 61, "--workers"]  # fmt: skip
+CALIBRATE = ["calibrate", CURVED, "--methods", "ght", "--theta-step-deg", 15, "-n", 20,
+             "--rays", 61, "--dry-run", "--threads"]  # fmt: skip
+
+
+@pytest.mark.parametrize(("step", "rays"), [(1.0, 720)])
+def test_the_scans_of_an_atlas_take_no_more_than_estimated(step: float, rays: int) -> None:
+    grid = office(4, 0.1)
+    poses = atlas_poses(grid, step, 4, 0.2)
+    taken = peak(lambda: simulate_at(grid, poses, Sensor(rays=rays), 0))
+    cells, factor = grid.occupied.size, fine_factor(grid)
+    some = min(len(poses), 1000)
+    need = simulate_bytes(cells, factor**2 * cells, some * rays, kept=len(poses) * rays)
+    assert taken <= need <= 3 * taken
+
+
+@pytest.mark.parametrize(("step", "headings"), [(5.0, 1), (0.05, 3)])
+def test_choosing_the_poses_of_an_atlas_takes_no_more_than_estimated(
+    step: float, headings: int
+) -> None:
+    grid = office(6, 0.1)
+    side = grid.occupied.shape[0] * grid.resolution
+    taken = peak(lambda: atlas_poses(grid, step, headings, 0.1))
+    need = poses_bytes(grid.occupied.size, round(side / step) ** 2, headings)
+    assert taken <= need <= 3 * taken
+
+
+def test_calibrating_takes_no_more_than_estimated() -> None:
+    grid = office(6, 0.1)
+    scans = disturbed_set(grid, 1, 0, Sensor(rays=90))
+    features, options = MapFeatures(grid), Options(method="cbml", theta_step=0.5)
+    _ = features.surface, features.bmap, features.free
+    assert peak(lambda: sweep(features, scans, options)) <= answer_bytes(features, options)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """An empty one."""
+    (tmp_path / "here").mkdir()
+    return tmp_path / "here"
+
+
+def words(command: list[object], folder: Path) -> list[object]:
+    return [w.format(folder) if isinstance(w, str) else w for w in command]
+
+
+@pytest.mark.parametrize(
+    ("command", "budget", "expected"),
+    [
+        (EVALUATE, "15M", ["simulating 1 scans of 181 rays on", "cells needs"]),
+        (EVALUATE, "100M", ["cbml on 130 x 160 cells of 0.1 m", "a larger --cell"]),
+        ([*ATLAS, 1], "10M", ["simulating 18 scans of 61 rays on 1300 x 1600", "larger --step"]),
+        ([*ATLAS, 1], "60M", ["fused on 130 x 160 cells of 0.1 m", "features of", "crop the map"]),
+        ([*ATLAS, 2], "200M", ["fused on", "in each of 2 processes", "use fewer --workers"]),
+        ([*CALIBRATE, 1], "10M", ["simulating 20 scans of 61 rays on", "fewer scans"]),
+        ([*CALIBRATE, 1], "60M", ["ght on 130 x 160 cells of 0.1 m", "a larger --cell"]),
+        ([*CALIBRATE, 4], "82M", ["ght on 130 x 160 cells of 0.1 m", "features of"]),
+    ],
+)
+def test_over_budget_is_refused_with_sizes(
+    command: list[object], budget: str, expected: list[str], folder: Path
+) -> None:
+    code, out, err = call(*words(command, folder), "--memory-budget", budget)
+    assert (code, out) == (2, "")
+    assert "curved.yaml: " in err
+    assert f"the budget is {budget.removesuffix('M')} MiB" in err
+    assert err.strip().endswith("or raise --memory-budget")
+    for text in expected:
+        assert text in err
+    assert not list(folder.iterdir())
+
+
+@pytest.mark.parametrize("command", [EVALUATE, [*ATLAS, 1], [*CALIBRATE, 1]])
+def test_within_the_budget_it_is_said_and_done(command, folder: Path, caplog) -> None:
+    with caplog.at_level(logging.INFO):
+        code, _, err = call(*words(command, folder), "--memory-budget", "2G", "-v")
+    assert code == 0
+    said = [line for line in (err + caplog.text).splitlines() if "at most" in line]
+    assert said
+    assert all(line.endswith("MiB, the budget is 2048 MiB") for line in said)
+
+
+def test_every_method_is_checked_before_the_first_one_runs(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    with caplog.at_level(logging.INFO):
+        code, out, err = call(*EVALUATE, "--memory-budget", "100M", "--json", "-v")
+    assert (code, out) == (2, "")
+    said = err + caplog.text
+    assert "ght-v on" in said
+    assert "curved: ght-v: S" not in said  # nothing has been measured
+
+
+def test_each_worker_of_an_atlas_counts(folder: Path) -> None:
+    needs = []
+    for workers in (2, 4):
+        more = words([*ATLAS, workers, "--headings", 4], folder)
+        (need,) = re.findall(
+            r"processes needs (\d+) MiB", call(*more, "--memory-budget", "60M").err
+        )
+        needs.append(int(need))
+    assert needs[1] == pytest.approx(2 * needs[0], abs=2)
+
+
+def test_as_many_workers_as_there_is_work_for(folder: Path) -> None:
+    # 18 poses are work for 2, however many are asked for.
+    run = call(*words([*ATLAS, 99], folder), "--memory-budget", "60M")
+    assert "in each of 2 processes" in run.err
+
+
+def test_every_method_of_a_calibration_is_checked_before_the_first_one_runs(
+    folder: Path,
+) -> None:
+    low = [*CALIBRATE[:2], "--methods", "ght,beam", *CALIBRATE[4:], 1]
+    run = call(*words(low, folder), "--memory-budget", "85M", "-v")
+    assert (run.code, run.out) == (2, "")
+    assert "ght on" in run.err
+    assert "beam on 130 x 160 cells of 0.1 m" in run.err
+    assert "Fit(" not in run.err  # nothing has been measured
+
+
+def test_the_real_command(folder: Path) -> None:
+    run = spawn(*words([*ATLAS, 2], folder), "--memory-budget", "200M")
+    assert (run.code, run.out) == (2, "")
+    assert run.err.startswith("imgloc: error: ")
+    assert not list(folder.iterdir())
+
+
+def test_the_places_of_an_atlas_are_counted_before_they_are_looked_at(tmp_path: Path) -> None:
+    given = ("atlas", CURVED, "--out", tmp_path / "a.png", "--step", 0.02, "--headings", 72)
+    run = call(*given, "--memory-budget", "100M")
+    assert (run.code, run.out) == (2, "")
+    assert re.search(r"72 headings at up to \d\d\d,\d\d\d places on 130 x 160 cells needs", run.err)
+    assert "use a larger --step or fewer --headings, crop the map" in run.err
+
+
+def test_maps_that_are_held_count_beside_the_next(tmp_path: Path) -> None:
+    grey = np.full((1500, 1500), 254, np.uint8)
+    grey[700] = 0
+    paths = [tmp_path / f"{name}.yaml" for name in "ab"]
+    for path in paths:
+        path.with_suffix(".png").write_bytes(cv2.imencode(".png", grey)[1])
+        path.write_text(f"{{image: {path.stem}.png, resolution: 0.05, origin: [0, 0, 0]}}")
+    run = call("calibrate", *paths, "--dry-run", "--memory-budget", "25M", "-v")
+    assert run.code == 2
+    assert "a.png: an image of 1500 x 1500 pixels: at most 22 MiB" in run.err
+    assert "b.png: an image of 1500 x 1500 pixels beside 5 MiB of other maps needs 26" in run.err
