@@ -1,0 +1,286 @@
+// What can be done: each action asks the service and puts the answer into the state.
+
+import * as api from "./api.js";
+import { compose, holds } from "./geometry.js";
+import { priorOf, RADIUS, TURN } from "./known.js";
+import { prepared } from "./scan.js";
+import { change, state } from "./state.js";
+
+/** Layers that are a likelihood of a scan, with a slider through their headings. */
+export const METHODS = ["cbml", "cbml-o", "ght", "ght-v", "beam"];
+export const LOOKING = "Looking for the pose";
+const CHUNK = 50; // scans that are fetched at a time
+const LONGEST = 90; // characters of a name of a map
+const REFETCH = 404; // the service holds a few uploads: it may have dropped this one
+
+let items = new Map(); // by index, scans that are here
+let files = null; // what the scans were uploaded from: {file, said}
+
+/** Run an action that asks the service, `busy` with something unless it is quick: trouble is said. */
+export async function attempt(busy, action) {
+  if (busy) change({ busy, trouble: "", note: "" });
+  try {
+    return await action();
+  } catch (error) {
+    if (!(error instanceof api.Problem)) throw error;
+    change({ trouble: error.message });
+    return null;
+  } finally {
+    if (busy && state.busy === busy) change({ busy: "" });
+  }
+}
+
+/** Ask about the scans; if the service has dropped them, give them once more. */
+async function aboutScans(ask) {
+  try {
+    return await ask(state.set.id);
+  } catch (error) {
+    if (error.status !== REFETCH || !files) throw error;
+    const again = await api.uploadScans(files.file, files.said);
+    change({ set: { ...state.set, id: again.id } });
+    return ask(again.id);
+  }
+}
+
+/** What is asked about the scan that is looked at. */
+const asked = (id) => ({ map: state.map.name, scans: id, index: state.index });
+
+// ---- maps and scans
+
+/** Look at a map. */
+export function chooseMap(map) {
+  change({
+    map, answer: null, verdicts: [], beliefs: [], fit: null, pose: null, chosen: -1, reading: -1, seen: null,
+    picture: null, marks: [], known: { near: null, region: null, clearance: state.known.clearance },
+    trouble: (map.warnings ?? []).map((text) => `${map.name}: ${text}`).join(" "),
+  });
+  showLayer();
+  if (state.set) selectScan(state.index);
+}
+
+/** Give the service a map, and look at it. */
+export async function addMap(image, yaml, reading) {
+  const stem = (yaml ?? image).name.replace(/\.[^.]*$/, "");
+  const plain = stem.replace(/[^\w. -]/g, "-").replace(/^[-. ]+|[-. ]+$/g, "").slice(0, LONGEST) || "map";
+  // A map that the service was started with keeps its name: this one gets another.
+  const given = new Set(state.maps.filter((m) => !m.uploaded).map((m) => m.name));
+  let name = plain;
+  for (let k = 2; given.has(name); k += 1) name = `${plain}-${k}`;
+  const map = await attempt(`Reading ${image.name}`, () => api.uploadMap(image, yaml, { name, ...reading }));
+  if (!map) return false;
+  const known = { ...map, file: (yaml ?? image).name, reading: yaml ? null : reading };
+  change({ maps: [...state.maps.filter((other) => other.name !== map.name), known] });
+  chooseMap(known);
+  return true;
+}
+
+/** Give the service a file of scans, and look at the first. */
+export async function addScans(file, said = {}) {
+  const set = await attempt(`Reading ${file.name}`, () => api.uploadScans(file, said));
+  if (set) openSet({ ...set, name: file.name }, { file, said });
+  return Boolean(set);
+}
+
+/** Look at the first of some scans that the service holds. */
+export function openSet(set, from = null) {
+  items = new Map();
+  files = from;
+  change({ set, scan: null, answer: null, verdicts: [], beliefs: [], marks: [], fit: null, reading: -1, chosen: -1, trouble: "" });
+  selectScan(0);
+}
+
+/** A scan of the file, as scan.js prepares it. */
+export async function item(index) {
+  if (!items.has(index)) {
+    const start = index - (index % CHUNK), { id } = state.set;
+    const some = await aboutScans((now) => api.items(now, start, CHUNK));
+    if (id !== state.set.id && !files) return null;
+    for (const one of some) items.set(one.index, prepared(one));
+  }
+  return items.get(index);
+}
+
+/** Look at a scan, and find where it is. */
+export const selectScan = api.newest(async (index) => {
+  if (!state.set) return;
+  const { set } = state, at = Math.max(0, Math.min(set.scans - 1, index));
+  change({ index: at });
+  const scan = await attempt("", () => item(at));
+  if (!scan || state.index !== at || state.set.name !== set.name) return;
+  change({ scan, answer: null, fit: null, reading: -1, chosen: -1 });
+  if (!state.following) locate();
+});
+
+// ---- answers
+
+/** Find where the scan is, with what is known. */
+export const locate = api.newest(async () => {
+  const { map, scan, index, known, method } = state;
+  if (!map || !scan) return;
+  const said = { ...priorOf(known), method };
+  const answer = await attempt(LOOKING, () => aboutScans((id) => api.localize({ ...asked(id), ...said })));
+  if (!answer || scan !== state.scan || map !== state.map) return;
+  const verdicts = [...state.verdicts];
+  verdicts[index] = answer.verdict;
+  change({ answer, verdicts, reading: -1 });
+  if (answer.hypotheses.length) chooseHypothesis(0);
+  else if (!state.pose) place(compose(map.origin, { x: (map.width * map.resolution) / 2, y: (map.height * map.resolution) / 2 }));
+  else askScore();
+});
+
+/** Draw the scan at a hypothesis. */
+export function chooseHypothesis(k) {
+  const h = state.answer?.hypotheses[k];
+  if (h) place({ x: h.x, y: h.y, theta: h.theta }, k);
+}
+
+/** Draw the scan at a pose, of the hypothesis `chosen` or set by hand, and ask what it says there. */
+export function place(pose, chosen = -1) {
+  change({ pose, chosen });
+  askScore();
+}
+
+const fitAt = ({ x, y, theta }) => {
+  const said = state.answer?.evidence;
+  return { pose: [x, y, theta].map((value) => value.toFixed(5)).join(","), scale: said?.scale, thinner: said?.thinner };
+};
+
+let settled = 0; // how often: a score that was asked before is of another pose
+
+const askScore = api.newest(async () => {
+  const { map, scan, pose } = state, before = settled;
+  if (!map || !scan || !pose) return;
+  const fit = await attempt("", () => aboutScans((id) => api.score({ ...asked(id), ...fitAt(pose) })));
+  if (fit && scan === state.scan && map === state.map && before === settled) change({ fit });
+});
+
+/** Move the pose to where the scan fits best nearby. */
+export async function settle() {
+  const { scan, pose } = state;
+  if (!scan || !pose) return;
+  const fit = await attempt("Settling", () => aboutScans((id) => api.settle({ ...asked(id), ...fitAt(pose) })));
+  if (!fit || scan !== state.scan || pose !== state.pose) return;
+  settled += 1;
+  change({ pose: fit.pose, chosen: -1, fit });
+}
+
+/** Say what is known, and ask again. */
+export function know(patch) {
+  change({ known: { ...state.known, ...patch }, tool: "move" });
+  locate();
+}
+
+/** Take the pose that is shown for what is known of it. */
+export function knowPose() {
+  const { pose } = state;
+  if (pose) know({ near: [pose.x, pose.y, pose.theta, RADIUS, TURN] });
+}
+
+// ---- true poses
+
+/** Mark the pose as the true one of its scan, or take the mark away if it is there already. */
+export function mark() {
+  const { pose, index } = state, marks = [...state.marks], old = marks[index];
+  if (!pose) return;
+  marks[index] = old && old.x === pose.x && old.y === pose.y && old.theta === pose.theta ? null : { ...pose };
+  change({ marks, note: marks[index] ? `Scan ${index} is marked.` : `Scan ${index} is not marked any more.` });
+}
+
+/** The marked scans with their true poses, as a file. */
+export async function saved() {
+  const poses = state.marks.flatMap((m, k) => (m ? [[k, m.x, m.y, m.theta]] : []));
+  return poses.length ? attempt("Saving", () => aboutScans((id) => api.marked(id, poses))) : null;
+}
+
+// ---- layers
+
+/** Show the layer that is chosen. */
+export const showLayer = api.newest(async () => {
+  const { map, layer, slice, scan } = state, likely = METHODS.includes(layer);
+  const over = () => map !== state.map || layer !== state.layer;
+  change({ spots: [], ...(layer === "visibility" ? {} : { seen: null }) });
+  if (!map || !layer || layer === "visibility" || layer === "atlas" || (likely && !scan)) {
+    change({ picture: null });
+    if (map && layer === "atlas" && scan) await survey(map, scan, over);
+    return;
+  }
+  const of = { method: layer, slice: slice < 0 ? "max" : slice };
+  const ask = () => (likely
+    ? aboutScans((id) => api.layer("likelihood", { ...asked(id), ...of }))
+    : api.layer(layer, { map: map.name }));
+  const picture = await attempt(`Computing ${layer}`, ask);
+  if (!over()) change({ picture: picture && { ...picture, layer } });
+});
+
+const PLACES = 300; // of an atlas, about
+const AROUND = 5.5; // radians: a laser that sees so much needs one heading at each place
+
+/** How an atlas is made for a scan's laser: metres between places, and headings at each. */
+export function surveyOf(map, scan) {
+  const step = Math.max(0.5, Math.round(2 * Math.sqrt(map.free_m2 / PLACES)) / 2);
+  const wide = Math.max(...scan.angles) - Math.min(...scan.angles) > AROUND;
+  return { step, headings: wide ? 1 : 4 };
+}
+
+/** Simulate the laser of the scan all over the map, some places at a time. */
+async function survey(map, scan, over) {
+  for (let start = 0; start !== null && !over();) {
+    const part = await attempt("", () => aboutScans((id) => api.atlas({ ...asked(id), ...surveyOf(map, scan), start })));
+    if (!part || over()) return;
+    start = part.next;
+    change({ spots: [...state.spots, ...part.spots], note: start === null ? "" : `The atlas: ${start} of ${part.of} poses` });
+  }
+}
+
+/** Show what is seen from a point. */
+export const look = api.newest(async ({ x, y }) => {
+  const { map } = state;
+  if (!map || !holds(map, { x, y })) return;
+  const seen = await attempt("", () => api.visibility(map.name, `${x.toFixed(3)},${y.toFixed(3)}`));
+  if (seen && state.layer === "visibility" && map === state.map) change({ seen });
+});
+
+// ---- a log
+
+/** Follow the robot through the log from its first scan, or stop. */
+export async function follow() {
+  if (state.following) {
+    state.following.close();
+    return;
+  }
+  const { map, set } = state;
+  if (!map || !set?.odom) return;
+  const socket = api.tracker(map.name), beliefs = [];
+  change({ following: socket, beliefs, trouble: "" });
+  const answers = [];
+  let wake = () => {};
+  socket.onmessage = ({ data }) => { answers.push(JSON.parse(data)); wake(); };
+  socket.onclose = () => { answers.push(null); wake(); };
+  const next = () => new Promise((done) => { wake = done; if (answers.length) done(); }).then(() => answers.shift());
+  try {
+    await new Promise((done) => { socket.onopen = done; socket.addEventListener("close", done); });
+    for (let k = 0; k < set.scans && socket.readyState === WebSocket.OPEN; k += 1) {
+      const scan = await attempt("", () => item(k));
+      if (!scan || set.name !== state.set.name || map !== state.map) break;
+      if (!scan.given.odom) continue;
+      socket.send(JSON.stringify(scan.given));
+      const belief = await next();
+      if (!belief?.verdict) {
+        if (belief) change({ trouble: belief.detail ?? belief.title });
+        break;
+      }
+      state.beliefs[k] = belief;
+      change({ index: k, scan, answer: null, fit: null, chosen: -2, reading: -1, beliefs: [...state.beliefs], pose: poseOf(belief, scan) ?? state.pose });
+    }
+  } finally {
+    socket.close();
+    change({ following: null });
+    if (state.scan && state.map === map) locate();
+  }
+}
+
+/** The sensor's pose by a belief, whose places are the robot's. */
+function poseOf(belief, scan) {
+  const best = belief.pose ?? belief.places?.[0];
+  return best ? compose(best, scan.given.mount ?? { x: 0, y: 0, theta: 0 }) : null;
+}

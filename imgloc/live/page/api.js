@@ -1,0 +1,115 @@
+// What the page asks its service. Nothing else is ever asked: all addresses are relative to it.
+
+const token = new URLSearchParams(location.hash.slice(1)).get("token");
+
+/** An answer of the service that is no success, in its own sentence. */
+export class Problem extends Error {
+  constructor(status, { title = "", detail = "" } = {}) {
+    super(detail || title || `The service answered ${status}.`);
+    this.status = status;
+  }
+}
+
+/** Ask, with what is not empty of some `values` as the query; a Problem if that is refused. */
+async function ask(path, values = {}, options = {}) {
+  const given = Object.entries(values).filter(([, value]) => value !== undefined && value !== null && value !== "");
+  const headers = { ...options.headers, ...(token ? { Authorization: `Bearer ${token}` } : {}) };
+  let response;
+  try {
+    response = await fetch(given.length ? `${path}?${new URLSearchParams(given)}` : path, { ...options, headers });
+  } catch {
+    throw new Problem(0, { detail: "The service does not answer. Does imgloc serve still run?" });
+  }
+  if (!response.ok) throw new Problem(response.status, await response.json().catch(() => ({})));
+  return response;
+}
+
+const json = async (response) => (await response).json();
+const post = (path, values, body) => ask(path, values, { method: "POST", body });
+const segment = encodeURIComponent;
+
+/** The maps of the service, and the scans that `imgloc open` was given. */
+export const maps = () => json(ask("v1/maps"));
+
+/** The cells of a map as an image: 0 wall, 254 free, 205 unknown. */
+export const cells = async (map) => bitmap(await ask(`v1/maps/${segment(map)}/image`));
+
+/** Give the service a map: an image with its YAML, or with what the image does not say. */
+export function uploadMap(image, yaml, said) {
+  const form = new FormData();
+  form.append("image", image, image.name);
+  if (yaml) form.append("yaml", yaml, yaml.name);
+  return json(post("v1/maps", said, form));
+}
+
+/** Give the service a file of scans, in any format that imgloc reads. */
+export const uploadScans = (file, said) => json(post("v1/scans", { name: file.name, ...said }, file));
+
+/** Scans of a file, from the one at `start` on. */
+export const items = async (id, start, count) => (await json(ask(`v1/scans/${segment(id)}`, { start, count }))).items;
+
+/** Where a scan is: the row of `imgloc localize --json`. */
+export const localize = (values) => json(post("v1/localize", values));
+
+/** What each reading says at a pose; `settle` moves the pose to where it fits best nearby. */
+export const score = (values) => json(post("v1/score", values));
+export const settle = (values) => json(post("v1/settle", values));
+
+/** What is seen from a point. */
+export const visibility = (map, at) => json(ask("v1/layers/visibility", { map, at }));
+
+/** Some spots of the atlas, from the one at `start` on. */
+export const atlas = (values) => json(ask("v1/layers/atlas", values));
+
+/** A layer as an image, with what its greys mean. */
+export async function layer(what, values) {
+  const response = await ask(`v1/layers/${what}`, values);
+  const number = (name) => Number.parseFloat(response.headers.get(`Imgloc-${name}`));
+  return {
+    what, image: await bitmap(response), resolution: number("Resolution"),
+    low: number("Low"), high: number("High"), slices: number("Slices") || 0, theta: number("Theta"),
+  };
+}
+
+/** The scans at some indices with their true poses, as an NPZ. */
+export const marked = async (id, poses) => {
+  const options = { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify({ poses }) };
+  return (await ask(`v1/scans/${segment(id)}/marked`, {}, options)).blob();
+};
+
+/** The polygon of a region as the image that `--region` takes. */
+export const regionImage = async (map, region) => (await ask("v1/layers/region", { map, region })).blob();
+
+/** The tracker: a line in, a line out. */
+export function tracker(map) {
+  const here = new URL(`v1/track?${new URLSearchParams({ map })}`, location.href);
+  here.protocol = here.protocol.replace("http", "ws");
+  here.hash = "";
+  const secret = token && btoa(token).replaceAll("+", "-").replaceAll("/", "_").replaceAll("=", "");
+  return new WebSocket(here, token ? ["imgloc", `bearer.${secret}`] : []);
+}
+
+const bitmap = async (response) =>
+  createImageBitmap(await response.blob(), { colorSpaceConversion: "none", premultiplyAlpha: "none" });
+
+/**
+ * Run an asynchronous function once at a time: while one call runs, the newest of the others waits
+ * and those before it are forgotten, so that what follows the mouse is never late.
+ */
+export function newest(work) {
+  let running = false, waiting = null;
+  return async function next(...values) {
+    waiting = values;
+    if (running) return;
+    running = true;
+    try {
+      while (waiting) {
+        const now = waiting;
+        waiting = null;
+        await work(...now);
+      }
+    } finally {
+      running = false;
+    }
+  };
+}

@@ -1,0 +1,208 @@
+// Puts the page together: the state on one side, the map, the panel and the controls on the other.
+
+import * as actions from "./actions.js";
+import * as api from "./api.js";
+import { onScheme } from "./colours.js";
+import { command, script } from "./copy.js";
+import { $, download, make, say } from "./dom.js";
+import { acceptFiles } from "./files.js";
+import { boxOf, corners, radians } from "./geometry.js";
+import { startKeys } from "./keys.js";
+import { regionText } from "./known.js";
+import { Cells, heat } from "./map.js";
+import { paint, paintStrip } from "./paint.js";
+import { showTip, startPanel } from "./panel.js";
+import { listen } from "./pointer.js";
+import { change, state, watch } from "./state.js";
+import { View } from "./view.js";
+
+const canvas = $("canvas"), context = canvas.getContext("2d"), view = new View();
+let cells = null, layer = null, sketch = null, asked = false;
+
+// ---- drawing
+
+/** Draw everything anew, once for all changes until the next frame. */
+function redraw() {
+  if (asked) return;
+  asked = true;
+  requestAnimationFrame(() => {
+    asked = false;
+    const ratio = devicePixelRatio;
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    paint(context, view, state, { cells, layer, sketch });
+    paintStrip($("strip"), state);
+    showTip(view);
+  });
+}
+
+/** Fit the canvas to its place on the page, and the map to the canvas for the first time. */
+function resize() {
+  const { width, height } = $("stage").getBoundingClientRect(), first = view.width <= 1;
+  Object.assign(view, { width, height });
+  canvas.width = Math.round(width * devicePixelRatio);
+  canvas.height = Math.round(height * devicePixelRatio);
+  if (first) fit();
+  redraw();
+}
+
+function fit() {
+  if (state.map) view.fit(boxOf(corners(state.map, cells?.known)));
+  redraw();
+}
+
+async function loadCells() {
+  const { map } = state;
+  cells = null;
+  redraw();
+  if (!map) return;
+  const image = await actions.attempt(`Loading ${map.name}`, () => api.cells(map.name));
+  if (!image || map !== state.map) return;
+  cells = new Cells(image);
+  fit();
+}
+
+function loadLayer() {
+  const { picture } = state;
+  layer = picture && {
+    resolution: picture.resolution,
+    image: picture.layer === "vmap" /* has colours of its own */ ? picture.image : heat(picture.image),
+  };
+  redraw();
+}
+
+// ---- controls
+
+function showMaps() {
+  const { maps, map } = state;
+  $("map").replaceChildren(...maps.map(({ name }) => make("option", { value: name, selected: name === map?.name }, name)));
+  $("map").disabled = !maps.length;
+  document.body.classList.toggle("empty", !map);
+}
+
+function showLog() {
+  const { set, index, following } = state, range = $("index");
+  $("log").hidden = !set;
+  if (!set) return;
+  range.max = set.scans - 1;
+  range.value = index;
+  say($("file"), set.name);
+  say($("number"), `scan ${index} of 0 to ${set.scans - 1}`);
+  const button = $("follow");
+  button.disabled = !set.odom;
+  button.title = set.odom ? "Follow the robot through the log (T)" : "The file has no odometry, which the tracker needs";
+  say(button, following ? "Stop" : "Follow");
+}
+
+function showTool() {
+  for (const name of ["move", "region", "arrow"]) $(`tool-${name}`).setAttribute("aria-pressed", String(state.tool === name));
+  canvas.dataset.cursor = state.tool === "move" ? "" : "draw";
+}
+
+async function copy(text, what) {
+  try {
+    await navigator.clipboard.writeText(text);
+    change({ note: `Copied as ${what}.` });
+  } catch { // the page is no secure context, or that is not allowed: it can be copied by hand
+    change({ note: "" });
+  }
+  $("copied").value = text;
+  $("copied").rows = Math.min(16, text.split("\n").length);
+  $("copied").hidden = false;
+}
+
+const on = (id, type, listener) => $(id).addEventListener(type, listener);
+const onClick = (id, listener) => on(id, "click", listener);
+
+function listenToControls() {
+  on("map", "change", ({ target }) => actions.chooseMap(state.maps.find(({ name }) => name === target.value)));
+  on("method", "change", ({ target }) => {
+    change({ method: target.value });
+    actions.locate();
+  });
+  onClick("open", () => $("files").click());
+  onClick("welcome-open", () => $("files").click());
+  onClick("help", () => $("sheet").showModal());
+  onClick("sheet-close", () => $("sheet").close());
+  onClick("trouble-close", () => change({ trouble: "" }));
+  onClick("reading-ok", () => $("resolution").reportValidity() && $("reading").close("ok"));
+  onClick("reading-cancel", () => $("reading").close(""));
+  for (const name of ["move", "region", "arrow"]) onClick(`tool-${name}`, () => change({ tool: name }));
+  onClick("fit", fit);
+  onClick("larger", () => { view.zoom(1.4); redraw(); });
+  onClick("smaller", () => { view.zoom(1 / 1.4); redraw(); });
+  onClick("settle", () => actions.settle());
+  onClick("mark", () => actions.mark());
+  onClick("previous", () => actions.selectScan(state.index - 1));
+  onClick("next", () => actions.selectScan(state.index + 1));
+  on("index", "input", ({ target }) => actions.selectScan(Number(target.value)));
+  onClick("follow", () => actions.follow());
+  listenToKnown();
+  on("layer", "change", ({ target }) => change({ layer: target.value, slice: -1 }));
+  onClick("next-layer", () => {
+    const select = $("layer");
+    select.selectedIndex = (select.selectedIndex + 1) % select.options.length;
+    change({ layer: select.value, slice: -1 });
+  });
+  on("slice", "input", ({ target }) => change({ slice: Number(target.value) }));
+  on("slice", "step", ({ detail }) => {
+    const count = state.picture.slices + 1; // with the best of all headings, -1
+    change({ slice: ((state.slice + 1 + detail + count) % count) - 1 });
+  });
+  onClick("save", async () => {
+    const file = await actions.saved();
+    if (file) download(file, `${state.set.name.replace(/\.[^.]*$/, "")}-marked.npz`);
+  });
+  onClick("copy-command", () => state.map && copy(command(state), "command"));
+  onClick("copy-python", () => state.map && copy(script(state), "Python"));
+}
+
+function listenToKnown() {
+  onClick("in-view", () => state.map && actions.know({ region: view.corners().map(({ x, y }) => [x, y]) }));
+  onClick("forget", () => {
+    $("clearance").value = "";
+    actions.know({ near: null, region: null, clearance: 0 });
+  });
+  const changeNear = () => {
+    const near = [...state.known.near];
+    near[3] = Math.max(0.01, Number($("radius").value) || near[3]);
+    near[4] = radians(Math.min(180, Math.max(1, Number($("turn").value) || 1)));
+    actions.know({ near });
+  };
+  on("radius", "change", changeNear);
+  on("turn", "change", changeNear);
+  on("clearance", "change", ({ target }) => actions.know({ clearance: Math.max(0, Number(target.value) || 0) }));
+  onClick("save-region", async () => {
+    const { map, known } = state;
+    const image = await actions.attempt("Drawing", () => api.regionImage(map.name, regionText(known.region)));
+    if (image) download(image, "region.png");
+  });
+}
+
+// ---- start
+
+async function start() {
+  startPanel();
+  startKeys(view, redraw);
+  listenToControls();
+  acceptFiles();
+  listen(canvas, view, { redraw, sketch: (drawn) => { sketch = drawn; redraw(); } });
+  watch(["map"], loadCells);
+  watch(["maps", "map"], showMaps);
+  watch(["picture"], loadLayer);
+  watch(["layer", "slice"], () => actions.showLayer());
+  watch(["scan"], () => { if (actions.METHODS.includes(state.layer)) actions.showLayer(); });
+  watch(["set", "index", "following"], showLog);
+  watch(["tool"], showTool);
+  watch(["map", "scan", "pose", "fit", "answer", "chosen", "reading", "known", "seen", "spots", "beliefs", "marks", "verdicts", "index"], redraw);
+  onScheme(() => { cells?.repaint(); redraw(); });
+  new ResizeObserver(resize).observe($("stage"));
+  showMaps();
+  showLog();
+  const found = await actions.attempt("Asking for maps", api.maps);
+  if (!found) return;
+  change({ maps: found.maps });
+  if (found.maps.length) actions.chooseMap(found.maps[0]);
+  if (found.opened) actions.openSet(found.opened);
+}
+
+start();

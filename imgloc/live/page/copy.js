@@ -1,0 +1,112 @@
+// What is seen, as a command and as Python: the same answer without the page.
+
+import { METHODS, surveyOf } from "./actions.js";
+import { degrees } from "./geometry.js";
+import { isKnown } from "./known.js";
+
+/** A word of a POSIX shell, in quotes where it needs them. */
+export function quoted(word) {
+  const safe = word.startsWith("-") ? `./${word}` : word;
+  return /^[\w@%+=:,./-]+$/.test(safe) ? safe : `'${safe.replaceAll("'", "'\\''")}'`;
+}
+
+const python = (text) => JSON.stringify(text);
+const number = (value) => String(Number(value.toFixed(4)));
+const REGION = "region.png";
+
+/** The files of what is seen: where they are, as far as the page can know. */
+function filesOf({ map, set }) {
+  return { map: map.path ?? map.file ?? map.name, scans: set && (set.path ?? set.name) };
+}
+
+/** How an image without a YAML is read. */
+const readingOf = ({ reading }) => reading ?? {};
+
+/** The options of what is known. */
+function knownOptions({ near, region, clearance }) {
+  const out = [];
+  if (near) out.push(`--near=${near.map(number).join(",")}`);
+  if (region) out.push("--region", REGION);
+  if (clearance > 0) out.push("--clearance", number(clearance));
+  return out;
+}
+
+/** Commands that show what the page shows. */
+export function command(state) {
+  const { map, set, scan, index, method, known, layer } = state, files = filesOf(state);
+  const reading = Object.entries(readingOf(map)).map(([key, value]) => `--${key}=${value}`);
+  const line = (...words) => words.filter((word) => word !== "").join(" ");
+  const lines = [];
+  if (set) {
+    const how = method === "fused" ? [] : ["--method", method];
+    lines.push(line("imgloc localize", quoted(files.map), quoted(files.scans), "--index", index, ...reading, ...how, ...knownOptions(known)));
+  }
+  const show = ["imgloc map show", quoted(files.map), ...reading];
+  if (["bmap", "vmap", "distance"].includes(layer)) lines.push(line(...show, "--what", layer, "--out", `${layer}.png`));
+  if (layer === "visibility" && state.seen) {
+    lines.push(line(...show, "--what visibility", `--at=${state.seen.at.map(number).join(",")}`, "--out visibility.png"));
+  }
+  if (METHODS.includes(layer) && set) {
+    lines.push(line(...show, "--what likelihood", "--scans", quoted(files.scans), "--index", index, "--method", layer, "--out", `${layer}.png`));
+  }
+  if (layer === "atlas" && scan) {
+    const { step, headings } = surveyOf(map, scan), wide = Math.max(...scan.angles) - Math.min(...scan.angles);
+    const laser = ["--rays", scan.angles.length, "--fov-deg", number(Math.min(360, degrees(wide)))];
+    if (Number.isFinite(scan.high)) laser.push("--range-max", number(scan.high));
+    lines.push(line("imgloc atlas", quoted(files.map), ...reading, "--step", step, "--headings", headings, ...laser, "--out atlas.png"));
+  }
+  if (state.beliefs.length) lines.push(line("imgloc track", quoted(files.map), quoted(files.scans), ...reading));
+  if (!lines.length) lines.push(line("imgloc map check", quoted(files.map), ...reading));
+  return `${lines.join("\n")}\n`;
+}
+
+/** Python that answers what the page shows. */
+export function script(state) {
+  const { map, set, index, method, known, pose, chosen, layer } = state, files = filesOf(state);
+  const reading = Object.entries(readingOf(map))
+    .map(([key, value]) => `, ${key}=${key === "origin" ? `(${value})` : value}`).join("");
+  const lines = ["import imgloc", ""];
+  if (known.region && set) lines.splice(1, 0, "import numpy as np", "from skimage.draw import polygon2mask");
+  lines.push(`grid = imgloc.load_map(${python(files.map)}${reading})`, "features = imgloc.prepare(grid)");
+  if (!set) return `${lines.join("\n")}\n`;
+  lines.push(`scan = imgloc.load_scans(${python(files.scans)})[${index}]`);
+  const options = method === "fused" ? [] : [`method=${python(method)}`];
+  if (isKnown(known)) {
+    const said = [];
+    if (known.near) said.push(`near=(${known.near.map(number).join(", ")})`);
+    if (known.clearance > 0) said.push(`clearance=${number(known.clearance)}`);
+    lines.push(`prior = imgloc.Known(${said.join(", ")}).prior(grid)`);
+    if (known.region) lines.push(...regionLines(map, known.region));
+    options.push("prior=prior");
+  }
+  lines.push(`answer = imgloc.localize(features, scan, imgloc.Options(${options.join(", ")}))`, "print(answer.verdict, answer.pose)");
+  if (METHODS.includes(layer)) lines.push(`stack = imgloc.likelihood(features, scan, ${python(layer)})  # (theta, y, x)`);
+  if (pose && chosen === -1) lines.push(...poseLines(pose));
+  return `${lines.join("\n")}\n`;
+}
+
+/** The cells whose centres are in a region. */
+function regionLines(map, region) {
+  const corners = region.map(([x, y]) => `(${number(x)}, ${number(y)})`).join(", ");
+  const { x, y, theta } = map.origin;
+  return [
+    `corners = np.array([${corners}])  # map frame, metres`,
+    `c, s = np.cos(${number(theta)}), np.sin(${number(theta)})`,
+    `xy = (corners - (${number(x)}, ${number(y)})) @ np.array([[c, -s], [s, c]])`,
+    "rows_columns = xy[:, ::-1] / grid.resolution - 0.5",
+    "prior &= imgloc.Prior(polygon2mask(grid.occupied.shape, rows_columns))",
+  ];
+}
+
+/** What the readings say at a pose that was set by hand. */
+function poseLines({ x, y, theta }) {
+  return [
+    "",
+    "from imgloc.answers.explain import explain_rays",
+    "from imgloc.geometry import in_grid_frame",
+    "",
+    `by_hand = imgloc.Pose2D(${number(x)}, ${number(y)}, ${number(theta)})  # ${number(degrees(theta))} deg`,
+    "rays = explain_rays(in_grid_frame(by_hand, grid), scan, features, imgloc.Options().fused.model)",
+    "print(rays.counts)",
+  ];
+}

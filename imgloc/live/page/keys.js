@@ -1,0 +1,103 @@
+// The keyboard: everything on the page has a key, and the help sheet is this table.
+
+import * as actions from "./actions.js";
+import { $, make } from "./dom.js";
+import { radians, wrap } from "./geometry.js";
+import { change, state } from "./state.js";
+
+const STEP = 0.05, TURN = 1; // metres and degrees; ten times as much with Shift
+
+const shift = (dx, dy) => (event) => {
+  const { pose } = state, by = STEP * (event.shiftKey ? 10 : 1);
+  if (pose) actions.place({ ...pose, x: pose.x + by * dx, y: pose.y + by * dy });
+};
+const turn = (sign) => (event) => {
+  const { pose } = state, by = radians(TURN * (event.shiftKey ? 10 : 1));
+  if (pose) actions.place({ ...pose, theta: wrap(pose.theta + sign * by) });
+};
+const tool = (name) => () => change({ tool: state.tool === name ? "move" : name });
+const reading = (step) => () => {
+  const { scan } = state;
+  if (scan) change({ reading: (state.reading + step + scan.ranges.length) % scan.ranges.length });
+};
+const slice = (step) => () => {
+  const { picture } = state;
+  if (picture?.slices) $("slice").dispatchEvent(new CustomEvent("step", { detail: step }));
+};
+const press = (id) => () => $(id).click();
+
+/** Keys, what they do, and the action; keys without an action belong to a line before. */
+function table(view, redraw) {
+  const zoom = (factor) => () => { view.zoom(factor); redraw(); };
+  return [
+    ["The scan"],
+    [["ArrowLeft"], "move it 5 cm; with Shift 50 cm", shift(-1, 0)],
+    [["ArrowRight"], "", shift(1, 0)],
+    [["ArrowUp"], "", shift(0, 1)],
+    [["ArrowDown"], "", shift(0, -1)],
+    [["q", "Q"], "turn it left by 1°; with Shift 10°", turn(1)],
+    [["e", "E"], "turn it right", turn(-1)],
+    [["s"], "settle: move it to where it fits best nearby", () => actions.settle()],
+    [["1"], "put it at a hypothesis", () => actions.chooseHypothesis(0)],
+    ...[2, 3, 4, 5, 6, 7, 8, 9].map((k) => [[String(k)], "", () => actions.chooseHypothesis(k - 1)]),
+    [[","], "what the reading before says", reading(-1)],
+    [["."], "what the next reading says", reading(1)],
+    [["m"], "mark its pose as the true one", () => actions.mark()],
+    ["The log"],
+    [["PageUp", "["], "the scan before", () => actions.selectScan(state.index - 1)],
+    [["PageDown", "]"], "the next scan", () => actions.selectScan(state.index + 1)],
+    [["l"], "locate the scan again", () => actions.locate()],
+    [["t"], "follow the robot, or stop", () => actions.follow()],
+    ["What is known"],
+    [["r"], "draw a region", tool("region")],
+    [["v"], "the part in view is the region", press("in-view")],
+    [["a"], "draw an arrow: place and heading", tool("arrow")],
+    [["k"], "about where the scan is drawn now", () => actions.knowPose()],
+    [["x"], "forget what is known", press("forget")],
+    ["The map"],
+    [["g"], "the next layer", press("next-layer")],
+    [["<"], "the heading before, of a likelihood", slice(-1)],
+    [[">"], "the next heading", slice(1)],
+    [["f"], "show all of the map", press("fit")],
+    [["+", "="], "larger", zoom(1.25)],
+    [["-"], "smaller", zoom(0.8)],
+    ["The page"],
+    [["o"], "open files", press("open")],
+    [["c"], "copy as command", press("copy-command")],
+    [["y"], "copy as Python", press("copy-python")],
+    [["Escape"], "lay the tool down", () => change({ tool: "move", reading: -1, trouble: "" })],
+    [["?"], "this sheet", press("help")],
+  ];
+}
+
+const NAMES = { 1: "1 to 9", ArrowLeft: "← → ↑ ↓", PageUp: "Page ↑", PageDown: "Page ↓", Escape: "Esc", q: "Q", e: "E" };
+const nameOf = (key) => NAMES[key] ?? key.toUpperCase();
+
+/** Listen to the keyboard, and write the help sheet. */
+export function startKeys(view, redraw) {
+  const rows = table(view, redraw), actionOf = new Map();
+  for (const [keys, , action] of rows) {
+    if (action) for (const key of keys) actionOf.set(key, action);
+  }
+  const sheet = $("keys");
+  let list = null;
+  for (const [keys, words, action] of rows) {
+    if (!action) {
+      list = make("dl");
+      sheet.append(make("section", {}, make("h3", {}, keys), list));
+    } else if (words) {
+      const shown = keys.filter((key) => key !== "=" && !/^[QE]$/.test(key)).map((key) => make("kbd", {}, nameOf(key)));
+      list.append(make("dt", {}, ...shown), make("dd", {}, words));
+    }
+  }
+  document.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
+    const { target } = event, range = target.type === "range";
+    const typing = target.matches("input:not([type=range]), select, textarea");
+    if (typing || (range && /^(Arrow|Page|Home|End)/.test(event.key))) return;
+    const action = actionOf.get(event.key);
+    if (!action) return;
+    event.preventDefault();
+    action(event);
+  });
+}

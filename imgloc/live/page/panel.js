@@ -1,0 +1,185 @@
+// The panel beside the map: the verdict, the hypotheses, the pose, what is known, layers, marks.
+
+import { chooseHypothesis, LOOKING, METHODS } from "./actions.js";
+import { $, make, say } from "./dom.js";
+import { degrees, fixed, percent, poseWords } from "./geometry.js";
+import { isKnown, knownWords } from "./known.js";
+import { KINDS, reason } from "./scan.js";
+import { change, state, watch } from "./state.js";
+
+const GLYPHS = { unique: "✓", ambiguous: "?", "no-match": "✕", invalid: "–", lost: "✕" };
+const LISTED = 20; // hypotheses
+const SHOWN = 6000; // milliseconds that a note stays
+let fading = 0;
+
+/** One or two sentences about an answer. */
+function sentence({ verdict, hypotheses, elsewhere, explained, counts }) {
+  const [best, second] = hypotheses;
+  if (verdict === "invalid") return `Only ${counts.valid} readings are distances to something.`;
+  if (!best) return "No pose that may be fits at all.";
+  const mass = percent(best.mass), held = percent(explained);
+  if (verdict === "unique") return `One pose holds ${mass} of the probability; ${held} of the readings end on a wall there.`;
+  if (verdict === "no-match") return `Even the best pose does not explain the scan. The chance that it was taken elsewhere is ${percent(elsewhere)}.`;
+  return second
+    ? `Several poses fit: the best holds ${mass} of the probability, the second ${percent(second.mass)}.`
+    : `The best pose holds ${mass} of the probability.`;
+}
+
+function showVerdict() {
+  const { answer, set, map, index, beliefs, busy } = state, belief = beliefs[index], box = $("verdict");
+  if (answer && answer.index !== index) return; // that of this scan is on its way
+  const verdict = answer?.verdict ?? belief?.verdict;
+  box.className = verdict ?? "";
+  box.classList.toggle("waiting", busy === LOOKING && !state.following);
+  $("glyph").textContent = GLYPHS[verdict] ?? "";
+  if (answer) {
+    say($("word"), answer.verdict);
+    say($("why"), sentence(answer));
+    const pose = answer.pose ? ` ${poseWords(answer.pose)}.` : "";
+    say($("live"), `Scan ${index}: ${answer.verdict}. ${sentence(answer)}${pose}`);
+  } else if (belief) {
+    say($("word"), belief.verdict);
+    say($("why"), "");
+  } else {
+    say($("word"), map ? (set ? "Looking …" : "No scan yet") : "No map yet");
+    say($("why"), map && !set ? "Drop a file of scans on the map." : "");
+  }
+  const where = belief?.pose ? ` at ${poseWords(belief.pose)}` : belief?.withheld ? `: ${belief.withheld}` : "";
+  say($("tracked"), belief ? `Tracker: ${belief.verdict}${where}.` : "");
+}
+
+function showHypotheses() {
+  const { answer, chosen } = state, list = $("hypotheses");
+  const rows = (answer?.hypotheses ?? []).slice(0, LISTED).map((h, k) => {
+    const bar = make("span", { class: "bar", "aria-hidden": "true" }, make("span"));
+    bar.firstChild.style.width = `${100 * h.mass}%`;
+    const where = `${fixed(h.x, 2)}, ${fixed(h.y, 2)} m  ${fixed(degrees(h.theta), 1)}°`;
+    return make("li", {}, make("button", {
+      type: "button", "aria-pressed": String(k === chosen), onclick: () => chooseHypothesis(k),
+      "aria-label": `Hypothesis ${k + 1}: ${percent(h.mass)}, ${poseWords(h)}`,
+    }, make("span", { class: "rank" }, String(k + 1)), make("span", { class: "where" }, where), bar, make("span", { class: "mass" }, percent(h.mass))));
+  });
+  list.replaceChildren(...rows);
+  const more = (answer?.evidence.found ?? 0) - rows.length;
+  say($("more"), more > 0 ? `${more} more with ${percent(answer.evidence.unlisted)} together` : "");
+  $("answer").hidden = !rows.length;
+}
+
+/** By how much a pose fits worse than the best hypothesis, as odds. */
+function comparison() {
+  const { fit, answer, chosen } = state, best = answer?.hypotheses[0];
+  if (!best || answer.parameters?.method !== "fused" || chosen === 0) return "";
+  const nats = fit.log_likelihood - best.log_likelihood;
+  const worth = Math.exp(Math.min(50, Math.abs(nats) / answer.evidence.temperature));
+  const times = worth < 1.05 ? "as likely as" : `${worth < 1000 ? worth.toPrecision(2) : "more than 1000"} times ${nats < 0 ? "less" : "more"} likely than`;
+  return `${fixed(nats, 1)} nats against hypothesis 1: ${times} it.`;
+}
+
+function showPose() {
+  const { pose, fit, scan, chosen, marks, index } = state;
+  $("pose").hidden = !pose || !scan;
+  if (!pose || !scan) return;
+  say($("pose-title"), chosen >= 0 ? `Hypothesis ${chosen + 1}` : chosen === -1 ? "Pose set by hand" : "Pose by the tracker");
+  say($("pose-where"), poseWords(pose));
+  say($("pose-score"), fit ? `${fixed(fit.per_reading, 2)} nats a reading; a perfect fit has ${fixed(fit.best, 2)}.` : "");
+  say($("pose-against"), fit ? comparison() : "");
+  say($("pose-stands"), fit && !fit.stands ? "No sensor can be here: it is in a wall, or off the map." : "");
+  const counts = fit?.counts ?? {}, total = Math.max(1, Object.values(counts).reduce((sum, n) => sum + n, 0));
+  for (const kind of Object.keys(KINDS)) {
+    const n = counts[kind] ?? 0;
+    say($(`count-${kind}`), fit ? String(n) : "");
+    $(`share-${kind}`).style.width = `${(100 * n) / total}%`;
+    $(`row-${kind}`).hidden = n === 0 && (kind === "no_return" || kind === "invalid");
+  }
+  $("mark").setAttribute("aria-pressed", String(Boolean(marks[index])));
+}
+
+function showKnown() {
+  const { known } = state;
+  say($("known-words"), knownWords(known));
+  $("near").hidden = !known.near;
+  if (known.near) {
+    $("radius").value = known.near[3];
+    $("turn").value = Math.round(degrees(known.near[4]));
+  }
+  $("forget").disabled = !isKnown(known);
+  $("save-region").hidden = !known.region;
+}
+
+function showLayerRow() {
+  const { layer, picture, slice } = state, likely = METHODS.includes(layer), range = $("slice");
+  $("slices").hidden = !likely || !picture;
+  if (likely && picture) {
+    range.max = picture.slices - 1;
+    range.value = slice;
+    const words = slice < 0 ? "best of all headings" : `heading ${fixed(degrees(picture.theta), 0)}°`;
+    say($("slice-words"), words);
+    range.setAttribute("aria-valuetext", words);
+  }
+  const scaled = picture && layer !== "vmap";
+  $("scale").hidden = !scaled;
+  if (scaled) {
+    const unit = layer === "distance" ? " m" : "";
+    say($("scale-low"), likely ? "least likely" : `${fixed(picture.low, 1)}${unit}`);
+    say($("scale-high"), likely ? "most" : `${fixed(picture.high, 1)}${unit}`);
+  }
+  $("atlas-key").hidden = layer !== "atlas" || !state.spots.length;
+  const hints = { visibility: "Point at the map: what is seen from there.", vmap: "Colour is the direction from which a wall is seen." };
+  const needs = (likely || layer === "atlas") && !state.scan ? "It is of a scan: open one." : "";
+  say($("layer-hint"), needs || (hints[layer] ?? ""));
+}
+
+function showMarks() {
+  const count = state.marks.filter(Boolean).length;
+  say($("marked"), count ? `${count} of ${state.set?.scans ?? 0} scans have a true pose.` : "No scan has a true pose yet.");
+  $("save").disabled = !count;
+}
+
+/** The key of colours and shapes, with how many readings are of each. */
+function makeKey() {
+  const shapes = { agrees: "●", orientation: "◆", visibility: "✕", unexplained: "○", no_return: "╵", invalid: "·" };
+  $("kinds").replaceChildren(...Object.entries(KINDS).map(([kind, words]) => make(
+    "li", { id: `row-${kind}`, class: kind },
+    make("span", { class: "shape", "aria-hidden": "true" }, shapes[kind]), make("span", {}, words),
+    make("span", { class: "bar", "aria-hidden": "true" }, make("span", { id: `share-${kind}` })),
+    make("span", { class: "count", id: `count-${kind}` }),
+  )));
+}
+
+/** What the reading under the pointer says, beside it. */
+export function showTip(view) {
+  const { scan, pose, fit, reading } = state, tip = $("tip");
+  tip.hidden = reading < 0 || !scan || !pose;
+  if (tip.hidden) return;
+  const [head, why] = reason(scan, fit, reading);
+  say($("tip-head"), head);
+  say($("tip-why"), why);
+  const turn = pose.theta + scan.angles[reading], range = Number.isFinite(scan.ranges[reading]) ? scan.ranges[reading] : 0;
+  const [x, y] = view.pixel(pose.x + range * Math.cos(turn), pose.y + range * Math.sin(turn));
+  const wide = tip.offsetWidth, high = tip.offsetHeight;
+  tip.style.left = `${Math.max(8, Math.min(view.width - wide - 8, x + 14))}px`;
+  tip.style.top = `${Math.max(8, y + 14 + high > view.height - 8 ? y - high - 14 : y + 14)}px`;
+}
+
+/** Paint the shapes of the key, and the panel from now on. */
+export function startPanel() {
+  makeKey();
+  watch(["answer", "beliefs", "index", "busy", "map", "set", "following"], showVerdict);
+  watch(["answer", "chosen"], showHypotheses);
+  watch(["pose", "fit", "scan", "chosen", "answer", "marks", "index"], showPose);
+  watch(["known"], showKnown);
+  watch(["layer", "picture", "slice", "spots", "scan"], showLayerRow);
+  watch(["marks", "set"], showMarks);
+  watch(["trouble"], () => {
+    say($("trouble-words"), state.trouble);
+    $("trouble").hidden = !state.trouble;
+  });
+  watch(["busy", "note"], () => {
+    const words = state.busy ? `${state.busy} …` : state.note;
+    say($("note"), words);
+    $("note").hidden = !words;
+    clearTimeout(fading);
+    if (!state.busy && words) fading = setTimeout(() => change({ note: "" }), SHOWN);
+  });
+  for (const show of [showVerdict, showHypotheses, showPose, showKnown, showLayerRow, showMarks]) show();
+}

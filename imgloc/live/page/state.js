@@ -1,0 +1,45 @@
+// What the page shows, in one object, and who wants to hear of its changes.
+
+export const state = {
+  maps: [], // rows of the service: {name, width, height, resolution, origin, path ...}
+  map: null, // the one that is looked at
+  set: null, // the scans: {id, name, scans: how many, poses, odom, stamps}
+  index: 0, // of the scan that is looked at
+  scan: null, // that scan, as scan.js prepares it; null until it is here
+  method: "fused",
+  known: { near: null, region: null, clearance: 0 },
+  busy: "", // what the service is asked at the moment
+  trouble: "", // the last error, in a sentence
+  note: "", // news that are no error
+  answer: null, // of the scan, as `imgloc localize --json` prints it
+  verdicts: [], // of the scans that were answered, by index
+  pose: null, // {x, y, theta} of the sensor, where its scan is drawn
+  chosen: -1, // the hypothesis that this is; -1 set by hand, -2 by the tracker
+  fit: null, // what each reading says at the pose
+  reading: -1, // the reading that is asked about
+  layer: "",
+  slice: -1, // of a layer with headings; -1 is the best of all
+  picture: null, // the layer: {image, resolution, low, high, slices, theta}
+  spots: [], // of the atlas: {x, y, theta, kind}
+  seen: null, // what is seen from a point: {at, polygon, surface}
+  beliefs: [], // of the tracker, by index
+  following: null, // the WebSocket of the tracker while it runs
+  marks: [], // true poses, by index
+  tool: "move",
+};
+
+const listeners = [];
+
+/** Call `listener` after each change of one of the `keys`. */
+export function watch(keys, listener) {
+  listeners.push([new Set(keys), listener]);
+}
+
+/** Change the state, and tell those who watch what has changed. */
+export function change(patch) {
+  const changed = Object.keys(patch).filter((key) => state[key] !== patch[key]);
+  Object.assign(state, patch);
+  for (const [keys, listener] of listeners) {
+    if (changed.some((key) => keys.has(key))) listener(state);
+  }
+}
