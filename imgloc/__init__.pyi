@@ -13,6 +13,7 @@ from .io.maps import load_map, save_map
 from .io.scans import load_scans, save_scans
 from .io.scanset import ScanSet
 from .lab.evaluation import Evaluation, evaluate
+from .likelihoods.stacks import likelihood
 from .live.line import Dropped
 from .live.localizer import Answer, Localizer
 from .live.sites import Site
@@ -38,7 +39,7 @@ from .options import (
     Trust,
 )
 from .output.pictures import Picture, draw
-from .pipeline import likelihood, localize, prepare
+from .pipeline import localize, prepare
 from .plans.files import load_plan
 from .plans.floorplan import FloorPlan, plan_to_map
 from .runs.batch import BatchSummary, run_batch

@@ -23,7 +23,8 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import uniform_thetas
 from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.options import ALL_METHODS, METHODS, Options
-from imgloc.pipeline import answer_bytes, localize
+from imgloc.pipeline import localize
+from imgloc.search.asked import answer_bytes
 from imgloc.search.branch_and_bound import best_poses
 
 FIXED = fused_bytes((1, 1), 1.0)  # what is assumed whatever the sizes

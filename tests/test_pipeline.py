@@ -13,9 +13,10 @@ from imgloc.errors import ConfigError, MapError
 from imgloc.geometry import in_map_frame, rotate_covariance, wrap
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
+from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose, inverse
 from imgloc.options import ALL_METHODS, FusedOptions, Options, Trust
-from imgloc.pipeline import likelihood, localize, prepare
+from imgloc.pipeline import localize, prepare
 from imgloc.simulation.scans import simulate_ranges
 
 INF, NAN = float("inf"), float("nan")

@@ -11,9 +11,10 @@ from imgloc.errors import ConfigError
 from imgloc.features.budget import stack_bytes
 from imgloc.geometry import cell_of, uniform_thetas, wrap
 from imgloc.likelihoods.posterior import posterior
+from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import VERDICTS
 from imgloc.options import ALL_METHODS, AT_MOST, METHODS, Options
-from imgloc.pipeline import likelihood, localize, prepare
+from imgloc.pipeline import localize, prepare
 from imgloc.simulation.worlds import WORLDS
 
 

@@ -15,7 +15,8 @@ from imgloc.features.scanpoints import Readings, one_per_place, scan_xy
 from imgloc.geometry import cell_of, inside, transform_poses, wrap
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import FusedOptions, Options, Prior
-from imgloc.pipeline import find_modes, separate
+from imgloc.pipeline import find_modes
+from imgloc.search.modes import separate
 from imgloc.search.proposals import cast_votes, propose_votes
 from imgloc.search.rescore import Scores, rescore, shortlist
 from imgloc.simulation.scans import sample_free_poses, simulate_ranges

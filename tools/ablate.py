@@ -256,15 +256,17 @@ def _cases(asking: Asking) -> Iterator[tuple[str, str, Any, Any, Any, Any]]:
                 yield name, condition, features, scan, there, nothing
         rng = np.random.default_rng((seed, at))
         free = np.argwhere(plain.standable)
-        for room in ROOMS:
+        for k, room in enumerate(ROOMS):
             cell = rng.choice(free)
             pose = np.append((cell[::-1] + 0.5) * grid.resolution, rng.uniform(-np.pi, np.pi))
             pose = transform_poses(grid.origin, pose[None])[0]
             scan = unmapped(room, np.random.default_rng((seed, at)), np.pi * (1 + at % 2))
             yield name, AWAY[0], plain, scan, None, nothing
-            yield name, AWAY[1], plain, scan, None, PRIORS["clearance of 0.3 m known"](pose)
-        others = [s for other, _, s in homes if other[:5] != name[:5]]
-        for other in others[at % 2 :: 2]:
+            if k == at % len(ROOMS):
+                known = PRIORS["clearance of 0.3 m known"](pose)
+                yield name, AWAY[1], plain, scan, None, known
+        others = [s for other, _, s in homes if other[:5] != name[:5]]  # alike: of one building
+        for other in others[at % 4 :: 4]:
             yield name, AWAY[2], plain, other.scans[0], None, nothing
 
 

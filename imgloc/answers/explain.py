@@ -29,6 +29,7 @@ from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import one_per_place, scan_points, scan_xy
 from imgloc.geometry import in_grid_frame, poses_of, transform_points, uniform_thetas, wrap
 from imgloc.likelihoods.correlate import correlate
+from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import (
     BoolArray,
     Float32Array,
@@ -44,10 +45,10 @@ from imgloc.model import (
 )
 from imgloc.numbers import number
 from imgloc.options import FUSED, LOG_METHODS, EvidenceModel, Options
-from imgloc.pipeline import likelihood, settle
 from imgloc.search.priors import around, pyramid_levels
 from imgloc.search.proposals import cast_votes, vote_cell
 from imgloc.search.rescore import rescore
+from imgloc.search.weigh import settle
 
 #: What a ray can be, in the order in which they are counted.
 KINDS = ("agrees", "orientation", "visibility", "unexplained", "no_return", "invalid")

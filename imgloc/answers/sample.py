@@ -7,9 +7,11 @@ import numpy as np
 from imgloc.errors import ConfigError, expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import centre_of, transform_poses, wrap
+from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import BoolArray, Float32Array, FloatArray, GridInfo, LaserScan, Localization
 from imgloc.options import FUSED, Options
-from imgloc.pipeline import likelihood, localize, posterior_of
+from imgloc.pipeline import localize
+from imgloc.search.stacked import posterior_of
 
 _ALL = 200  # more hypotheses than are found
 

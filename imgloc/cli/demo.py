@@ -41,11 +41,12 @@ def demo(
 
     from imgloc.cli import inputs
     from imgloc.io.maps import bundled_maps, load_map
+    from imgloc.likelihoods.stacks import likelihood
     from imgloc.model import Pose2D
     from imgloc.options import Options
     from imgloc.output.pictures import Picture, draw, mosaic
     from imgloc.output.tables import answer_text
-    from imgloc.pipeline import likelihood, localize, prepare
+    from imgloc.pipeline import localize, prepare
     from imgloc.simulation.scans import simulate
 
     maps = bundled_maps()

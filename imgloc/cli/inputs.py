@@ -36,8 +36,9 @@ from imgloc.io.scans import has_topics, load_scans, scans_size
 from imgloc.io.scanset import ScanSet
 from imgloc.model import BoolArray, LaserScan, OccupancyGrid
 from imgloc.options import Options, Prior
-from imgloc.pipeline import answer_bytes, prepare
+from imgloc.pipeline import prepare
 from imgloc.search import priors
+from imgloc.search.asked import answer_bytes
 from imgloc.simulation.scans import FINE, fine_factor
 
 _STREAM = 1 << 28  # bytes of standard input

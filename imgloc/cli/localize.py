@@ -85,8 +85,8 @@ def localize(
         run_words,
         times_words,
     )
-    from imgloc.pipeline import check_options
     from imgloc.pipeline import localize as locate
+    from imgloc.search.asked import check_options
 
     folder = inputs.kept_in(cache, wanted=not no_cache)
     if engine != opt.EngineName.AUTO and method not in (opt.MethodName.CBML, opt.MethodName.CBML_O):

@@ -81,10 +81,10 @@ def show(
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.geometry import cell_of, in_grid_frame, inside
     from imgloc.io.scanset import Chosen
+    from imgloc.likelihoods.stacks import likelihood
     from imgloc.model import Pose2D
     from imgloc.options import Options
     from imgloc.output.pictures import draw
-    from imgloc.pipeline import likelihood
 
     inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
     if (scans is None) == (what == Subject.LIKELIHOOD):

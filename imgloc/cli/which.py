@@ -82,7 +82,7 @@ def which(
     from imgloc.options import Prior
     from imgloc.output.pictures import draw
     from imgloc.output.tables import CHOICE_HEADER, choice_line
-    from imgloc.pipeline import check_options
+    from imgloc.search.asked import check_options
     from imgloc.search.priors import leaves_none
 
     if known.near is not None or known.region is not None:

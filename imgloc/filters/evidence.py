@@ -18,8 +18,11 @@ from imgloc.filters.motion import compose_poses, invert_poses
 from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D
 from imgloc.numbers import number
 from imgloc.options import Options
-from imgloc.pipeline import Modes, find_modes, score_poses, weigh
+from imgloc.pipeline import find_modes
+from imgloc.search.modes import Modes
 from imgloc.search.refine import endpoints, refine
+from imgloc.search.rescore import score_poses
+from imgloc.search.weigh import weigh
 
 _SETTLE = number("evidence.settle")  # widths of the kernel, metres
 _SETTLE_SCALED = number("evidence.settle_scaled")  # the same where the scale is free

@@ -26,6 +26,7 @@ from imgloc.io.scanset import ScanSet
 from imgloc.lab.evaluation import cell_of_pose
 from imgloc.lab.performance_index import FLOOR, Index, index_of
 from imgloc.likelihoods.posterior import smoothed
+from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import (
     Float32Array,
     FloatArray,
@@ -36,7 +37,7 @@ from imgloc.model import (
     Pose2D,
 )
 from imgloc.options import LOG_METHODS, Calibration, Options, Shared, scale
-from imgloc.pipeline import likelihood, localize
+from imgloc.pipeline import localize
 from imgloc.search.refine import refine
 from imgloc.simulation.scans import Sensor, simulate
 

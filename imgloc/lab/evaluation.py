@@ -42,6 +42,7 @@ from imgloc.lab.performance_index import (
     global_maximum,
     performance_index,
 )
+from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import (
     VERDICTS,
     FloatArray,
@@ -51,7 +52,9 @@ from imgloc.model import (
     Pose2D,
 )
 from imgloc.options import FUSED, LOG_METHODS, TOLERANCES, Options, Tolerance
-from imgloc.pipeline import effective, likelihood, localize, posterior_of
+from imgloc.pipeline import localize
+from imgloc.search.asked import effective
+from imgloc.search.stacked import posterior_of
 
 Z95 = 1.959964  #: quantile of the normal distribution for intervals of 95 %
 PAPER_STEPS_DEG = {"cbml": 3.0, "cbml-o": 3.0, "ght": 30.0, "ght-v": 30.0, "beam": 3.0}

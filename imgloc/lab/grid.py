@@ -20,10 +20,11 @@ from imgloc.filters.belief import NOWHERE, Belief, Followed, Habit, Habits, beli
 from imgloc.filters.evidence import misfit_near, sight, usable, view_of
 from imgloc.filters.motion import MotionNoise, deviations
 from imgloc.geometry import centre_of, rotation, wrap
+from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, LaserScan, inverse
 from imgloc.options import METHODS, Count, Length, Metres, Nats, Options, Share, Step
-from imgloc.pipeline import likelihood, posterior_of
 from imgloc.ranges import Checked, OneOf
+from imgloc.search.stacked import posterior_of
 
 _ROOT = float(np.sqrt(2 * np.pi))
 _FINE = 32  # warpAffine interpolates between so many places of a pixel

@@ -21,6 +21,7 @@ from imgloc.filters.belief import NOWHERE, Belief, Followed, Habit, Habits, beli
 from imgloc.filters.evidence import misfit_near, sight, usable, view_of
 from imgloc.filters.motion import MotionNoise, sample_motion
 from imgloc.geometry import cell_of, inside, theta_bin, transform_poses, wrap
+from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D, inverse
 from imgloc.options import (
     ALL_METHODS,
@@ -36,9 +37,9 @@ from imgloc.options import (
     Shared,
     Step,
 )
-from imgloc.pipeline import likelihood, posterior_of
 from imgloc.ranges import Checked, OneOf, Within
 from imgloc.search.hypotheses import first_in_cell
+from imgloc.search.stacked import posterior_of
 
 _FLOOR = 1e-2  # of a uniform posterior: what GHT-V leaves of a particle that it rules out
 

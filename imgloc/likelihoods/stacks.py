@@ -1,12 +1,84 @@
 """The stack of a method by its name: what of map and scan each algorithm takes."""
 
-from imgloc.errors import ConfigError
+from collections.abc import Sequence
+
+import numpy as np
+
+from imgloc.errors import ConfigError, expect
+from imgloc.features.budget import check_budget, stack_bytes
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points, scan_xy
 from imgloc.likelihoods.beam import beam, heading_sigma
 from imgloc.likelihoods.cbml import cbml, cbml_o
 from imgloc.likelihoods.ght import ght, ght_v
-from imgloc.model import Float32Array, FloatArray, LaserScan
+from imgloc.model import Float32Array, FloatArray, LaserScan, Likelihood
+from imgloc.options import METHODS, Options
+
+
+def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -> Likelihood:
+    """Compute the full stack of one of the paper's methods.
+
+    Parameters
+    ----------
+    features : MapFeatures
+        On whose lattice of poses, in the grid frame, the stack is.
+    scan : LaserScan
+    options : Options or str
+        Or the name of the method alone.
+
+    Raises
+    ------
+    ConfigError
+        If the method is unknown, or the stack is larger than the memory budget.
+
+    Examples
+    --------
+    >>> from imgloc.model import OccupancyGrid
+    >>> walls = np.pad(np.zeros((8, 9), bool), 1, constant_values=True)
+    >>> scan = LaserScan([0.4, 0.5], [0.0, 1.0], range_max=9.0)
+    >>> features = MapFeatures(OccupancyGrid(walls, ~walls, 0.1))
+    >>> likelihood(features, scan, "cbml").values.shape
+    (120, 10, 11)
+    """
+    if isinstance(options, str):
+        options = Options(options)
+    expect(features, MapFeatures, "features")
+    check_method(options.method, tuple(METHODS))
+    thetas, lattice = options.thetas, features.lattice
+    method, threads, budget = options.method, options.threads, options.memory_budget
+    n, shape = len(thetas), lattice.shape
+    need = stack_bytes(method, shape, n, threads=threads, n_rays=features.n_rays)
+    what = f"{method} on {n} headings x {shape[0]} x {shape[1]} cells"
+    check_budget(need, budget, what, "use larger cells, a larger theta step, or the method 'fused'")
+    engine = options.engine
+    values = stack_of(
+        method, features, scan, thetas, engine=engine, threads=threads, memory_budget=budget
+    )
+    return Likelihood(values, thetas, lattice, method, scan)
+
+
+def check_stack(
+    stack: Likelihood, features: MapFeatures, scan: LaserScan, options: Options
+) -> None:
+    """Refuse a stack of something else than what is asked."""
+    if stack.method != options.method:
+        raise ConfigError(f"stack: got one of {stack.method}, expected one of {options.method}")
+    of, here = ((*g.shape, g.resolution) for g in (stack.grid, features.lattice))
+    if of != here:
+        raise ConfigError(f"stack: got rows, columns, cell {of}, expected {here}: of another map?")
+    other = stack.scan
+    if other is not None and not (
+        np.array_equal(other.ranges, scan.ranges, equal_nan=True)
+        and np.array_equal(other.angles, scan.angles)
+        and (other.range_min, other.range_max) == (scan.range_min, scan.range_max)
+    ):
+        raise ConfigError(f"stack: got one of another scan, {other!r}, expected {scan!r}")
+
+
+def check_method(name: str, known: Sequence[str]) -> None:
+    """Refuse a method that does not exist, by a ConfigError that names those that do."""
+    if name not in known:
+        raise ConfigError(f"method must be one of {', '.join(known)}, got {name!r}")
 
 
 def stack_of(

@@ -11,8 +11,9 @@ from imgloc.features.raycast import cast_rays
 from imgloc.geometry import centre_of
 from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.options import FUSED, Calibration, Options, Shared
-from imgloc.pipeline import check_options, localize, prepare
+from imgloc.pipeline import localize, prepare
 from imgloc.search.adapt import THINNEST
+from imgloc.search.asked import check_options
 
 _RAYS, _REACH = 90, 12.0  # of the scan that is located once before the first one: rays, metres
 

@@ -35,8 +35,9 @@ from imgloc.io.scans import has_topics, load_scans, scans_size
 from imgloc.io.scanset import Chosen, ScanSet
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, check_mount, plain
 from imgloc.options import FUSED, TOLERANCES, Count, Factor, Length, Options, Prior, Tolerance
-from imgloc.pipeline import answer_bytes, localize, prepare
+from imgloc.pipeline import localize, prepare
 from imgloc.ranges import Checked, OneOf, Within
+from imgloc.search.asked import answer_bytes
 from imgloc.search.priors import Known, leaves_none
 from imgloc.simulation.scans import Sensor
 

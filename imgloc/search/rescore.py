@@ -21,7 +21,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import Readings
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
-from imgloc.options import EvidenceModel, FusedOptions
+from imgloc.options import EvidenceModel, FusedOptions, Options
 from imgloc.search.hypotheses import first_in_cell, modes
 from imgloc.search.refine import endpoints
 
@@ -79,6 +79,14 @@ def rescore(
     log_likelihood = np.log(density).sum(axis=1, dtype=np.float64)
     on_surface = np.abs(distance) < 2 * max(model.sigmas)
     return Scores(log_likelihood, on_surface, shifted < model.absent)
+
+
+def score_poses(
+    features: MapFeatures, readings: Readings, poses: FloatArray, options: Options
+) -> Scores:
+    """Scores of poses (C, 3), or with a scale (C, 4), grid frame, by some readings of a scan."""
+    ranges, angles, model = readings.ranges, readings.angles, options.fused.model
+    return rescore(poses, ranges, angles, features.field, features.walls, model)
 
 
 def _endpoint_density(

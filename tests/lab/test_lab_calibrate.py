@@ -20,9 +20,10 @@ from imgloc.lab.calibrate import (
 from imgloc.lab.evaluation import cell_of_pose
 from imgloc.lab.performance_index import density_in_stack, performance_index
 from imgloc.likelihoods.posterior import calibrated
+from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
 from imgloc.options import METHODS, Calibration, Options
-from imgloc.pipeline import likelihood, prepare
+from imgloc.pipeline import prepare
 from imgloc.simulation.scans import Sensor, simulate
 
 

@@ -20,9 +20,10 @@ from imgloc.lab.evaluation import (
     summarise,
 )
 from imgloc.likelihoods.posterior import calibrated, posterior
+from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import LaserScan, Likelihood, OccupancyGrid, Pose2D, compose
 from imgloc.options import ALL_METHODS, METHODS, Tolerance
-from imgloc.pipeline import likelihood, localize, prepare
+from imgloc.pipeline import localize, prepare
 from imgloc.simulation.scans import (
     Sensor,
     fine_image,

@@ -15,7 +15,8 @@ from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose
 from imgloc.options import EvidenceModel, FusedOptions, Options
-from imgloc.pipeline import Modes, localize, prepare
+from imgloc.pipeline import localize, prepare
+from imgloc.search.modes import Modes
 from imgloc.search.proposals import propose_all
 from imgloc.search.rescore import Scores
 from imgloc.simulation.scans import Sensor, simulate, simulate_ranges

@@ -18,8 +18,9 @@ from imgloc.features.pyramid import Level, any_of_blocks
 from imgloc.features.scanpoints import one_per_place
 from imgloc.geometry import uniform_thetas
 from imgloc.options import EvidenceModel
-from imgloc.pipeline import Modes, find_modes
+from imgloc.pipeline import find_modes
 from imgloc.search.hypotheses import modes
+from imgloc.search.modes import Modes
 from imgloc.search.proposals import propose_all
 from imgloc.search.rescore import Scores, hit_density
 

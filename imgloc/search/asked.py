@@ -1,0 +1,68 @@
+"""What is asked: refused before anything is done, and as plain values for the record."""
+
+from dataclasses import asdict, fields, replace
+
+from imgloc.errors import ConfigError, expect
+from imgloc.features.budget import check_budget, exact_bytes, fused_bytes, stack_bytes
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.geometry import uniform_thetas
+from imgloc.options import DEFAULTS, FUSED, Options, Prior
+
+
+def check_options(features: MapFeatures, options: Options) -> None:
+    """Refuse what :func:`localize` cannot do, by its errors, before anything is done."""
+    expect(features, MapFeatures, "features")
+    expect(options, Options, "options")
+    if options.exact and options.method not in (FUSED, "cbml"):
+        raise ConfigError(f"the exact search is of cbml's score, not of {options.method}'s")
+    if options.time_budget is not None and options.method != FUSED:
+        raise ConfigError(f"a time budget is for the method {FUSED}, not for {options.method}")
+    prior = options.prior.cells
+    if prior is not None and not (prior & features.standable).any():
+        raise ConfigError("the prior leaves no cell of the map in which a sensor can be")
+    if options.exact or options.method == FUSED:
+        (height, width), cell = features.lattice.shape, features.lattice.resolution
+        what = f"{options.method} on {height} x {width} cells of {cell:g} m"
+        need = answer_bytes(features, options)
+        check_budget(need, options.memory_budget, what, "use larger cells")
+
+
+def answer_bytes(features: MapFeatures, options: Options) -> int:
+    """How many bytes :func:`localize` takes at most, besides the map's features."""
+    shape, cell = features.lattice.shape, features.lattice.resolution
+    exact = exact_bytes(shape, cell, len(options.thetas)) if options.exact else 0
+    if options.method == FUSED:
+        fused = options.fused
+        return exact + fused_bytes(
+            shape,
+            cell,
+            n_thetas=len(uniform_thetas(fused.theta_step)),
+            vote_cell=fused.vote_cell,
+            vote_headings=fused.vote_headings,
+            vote_cells=fused.vote_cells,
+        )
+    return exact or stack_bytes(
+        options.method, shape, len(options.thetas), threads=options.threads, n_rays=features.n_rays
+    )
+
+
+def effective(options: Options, features: MapFeatures) -> dict[str, object]:
+    """The parameters that decided an answer, as plain values. Threads do not."""
+    out = asdict(replace(options, prior=Prior(), theta_step=options.step))
+    out["prior"] = dict(options.prior.about)
+    hidden = {"threads", "memory_budget"}
+    if options.time_budget is None:
+        hidden.add("time_budget")
+    if options.method != FUSED:
+        out["calibration"] = asdict(options.calibration or DEFAULTS[options.method])
+        hidden.add("shared")  # votes know nothing of it
+    else:
+        hidden |= {"engine", "calibration"}
+        if not options.exact:  # they are the headings of branch and bound
+            hidden.add("theta_step")
+    unsaid = ("grid", "memory_budget", "threads")
+    about_map = {
+        f.name: getattr(features, f.name) for f in fields(features) if f.name not in unsaid
+    }
+    out = {key: value for key, value in out.items() if key not in hidden}
+    return out | {"map": about_map, "seed": None}

@@ -1,0 +1,112 @@
+"""The poses of the paper's methods: modes of a stack's posterior, and CBML's without its stack."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.pyramid import block_masks
+from imgloc.features.scanpoints import one_per_place, scan_xy
+from imgloc.geometry import centre_of
+from imgloc.likelihoods.posterior import calibrated, entropy
+from imgloc.model import Float32Array, FloatArray, LaserScan, Likelihood, Temperature
+from imgloc.numbers import number
+from imgloc.options import DEFAULTS, Options
+from imgloc.search.branch_and_bound import best_poses
+from imgloc.search.hypotheses import masses
+from imgloc.search.peaks import peaks_of_posterior
+from imgloc.search.priors import on_lattice
+from imgloc.search.weigh import NOTHING, Found, _covariances, _settled_fit
+
+MODES = number("pipeline.modes")
+"""Poses that are looked for, however few are listed: no verdict depends on the list's length."""
+
+
+def find_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Found:
+    """The best poses of CBML's stack without the stack.
+
+    Shares are among at least :data:`MODES` of them, each score raised to the calibrated power,
+    as if every mode were equally wide.
+    """
+    poses, score = exact_poses(features, scan, options)
+    if len(poses) == 0:
+        return NOTHING
+    how = options.calibration or DEFAULTS["cbml"]
+    temperature = how.temperature_at("cbml", int(scan.valid.sum()))
+    xy = one_per_place(scan, options.fused.place).spread(options.fused.rays).xy
+    share = masses(np.log(score), temperature)
+    listed = poses[: options.listed(share)]
+    return Found(
+        poses,
+        score,
+        share,
+        _covariances(features, listed, xy, options, features.lattice.resolution),
+        temperature=Temperature(temperature),
+        **_settled_fit(features, scan, poses[:1], options),
+    )
+
+
+def exact_poses(
+    features: MapFeatures, scan: LaserScan, options: Options, deadline: float = np.inf
+) -> tuple[FloatArray, FloatArray]:
+    """Best separated poses (M, 3) by CBML's score, grid frame, and their scores (M,), exactly.
+
+    After the `deadline`, by :func:`time.monotonic`, only those that are known by then.
+    """
+    prior, pooled, thetas = options.prior, features.pooled, options.thetas
+    wanted = np.flatnonzero(prior.headings(thetas, np.pi / len(thetas)))
+    if prior.cells is not None:
+        where = on_lattice(prior, features.free, features.factor)
+        pooled = replace(pooled, where=block_masks(where, pooled.top))
+    (distance, angle), n = options.fused.separation, max(options.top or MODES, MODES)
+    xy, some, threads = scan_xy(scan)[scan.valid], thetas[wanted], options.threads
+    best = best_poses(
+        pooled,
+        xy,
+        some,
+        count=n,
+        distance=distance,
+        angle=angle,
+        threads=threads,
+        deadline=deadline,
+    )
+    xy = centre_of(best.cells[:, 1:], features.lattice.resolution)
+    return np.column_stack((xy, thetas[wanted[best.cells[:, 0]]])), best.scores.astype(np.float64)
+
+
+def find_in_stack(
+    features: MapFeatures, scan: LaserScan, stack: Likelihood, options: Options
+) -> Found:
+    """Modes of the posterior of a full stack: mass and moments of the peaks of each.
+
+    The highest peak comes first, the paper's global maximum; a lower one that is broader may
+    hold more mass.
+    """
+    probability = posterior_of(features, scan, stack, options)
+    n = 4 * max(options.top or MODES, MODES)  # some are neighbours on the slope of one mode
+    cell, apart = stack.grid.resolution, options.fused.separation
+    poses, share, covariance, peaks = peaks_of_posterior(
+        probability, stack.thetas, cell, n=n, separation=apart
+    )
+    if len(poses) == 0:
+        return NOTHING
+    how = options.calibration or DEFAULTS[stack.method]
+    temperature = how.temperature_at(stack.method, int(scan.valid.sum()))
+    uniform = 1 / (len(stack.thetas) * np.count_nonzero(features.free))
+    with np.errstate(divide="ignore"):
+        score = np.log(probability[tuple(peaks.T)].astype(np.float64) / uniform)
+    return Found(
+        *(poses, score, share, covariance),
+        temperature=Temperature(temperature),
+        entropy=entropy(probability),
+        **_settled_fit(features, scan, poses[:1], options),
+    )
+
+
+def posterior_of(
+    features: MapFeatures, scan: LaserScan, stack: Likelihood, options: Options
+) -> Float32Array:
+    """The calibrated posterior (K, H, W) of a stack over the poses of the prior."""
+    where = on_lattice(options.prior, features.free, features.factor)
+    headings = options.prior.headings(stack.thetas, np.pi / len(stack.thetas))
+    return calibrated(stack, where, int(scan.valid.sum()), options.calibration, headings=headings)
