@@ -14,10 +14,13 @@ import numpy as np
 import pytest
 from command import MAPS, call, command, rows
 
+from imgloc.cli.live import live_of
+from imgloc.cli.options import Logs
 from imgloc.filters.motion import noisy_odometry
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
+N_RAYS = 120
 MAP, ANGLES, N = MAPS / "visibility.yaml", np.deg2rad(np.arange(-180, 180, 3.0)), 8
 
 
@@ -133,6 +136,60 @@ def test_refuses(words: tuple[str, ...], text: str, code: int, expected: str) ->
     out, said = run.communicate(text)
     assert (run.returncode, out) == (code, "")
     assert expected in said
+
+
+def carmen_of(line: str) -> str:
+    """A scan of the log as CARMEN writes it: its laser sits 0.2 m before the robot's centre."""
+    row = json.loads(line)
+    x, y, theta = row["odom"]
+    laser = (x + 0.2 * np.cos(theta), y + 0.2 * np.sin(theta), theta)
+    ranges = " ".join(f"{r:.4f}" for r in row["ranges"])
+    poses = " ".join(f"{value:.6f}" for value in (*laser, *row["odom"]))
+    head = f"ROBOTLASER1 0 {-np.pi:.6f} {2 * np.pi:.6f} {np.deg2rad(3):.6f} 30 0.1 0"
+    stamp = f"{row['stamp']:.6f}"
+    return f"{head} {N_RAYS} {ranges} 0 {poses} 0 0 0 0 0 {stamp} robot {stamp}\n"
+
+
+def test_a_carmen_log_is_followed_as_it_comes(lines: list[str], tmp_path: Path) -> None:
+    log = ["# CARMEN Logfile\n", "PARAM robot_use_laser on\n", *map(carmen_of, lines)]
+    path = tmp_path / "run.log"
+    path.write_text("".join(log))
+    whole = call("track", MAP, path, "--json")
+    assert whole.code == 0, whole.err
+    run, got = started("-", "--json"), []
+    assert run.stdin is not None
+    run.stdin.write("".join(log[:2]))
+    for line in log[2:]:
+        run.stdin.write(line)
+        run.stdin.flush()
+        got.append(line_of(run))
+    _, said = run.communicate()
+    assert run.returncode == 0, said
+    assert "".join(got) == whole.out
+    assert rows(whole.out)[-1]["verdict"] == "unique"
+
+
+def test_a_carmen_log_whose_laser_moves_on_the_robot_ends_it(lines: list[str]) -> None:
+    moved = carmen_of(lines[1]).split(" ")
+    moved[10 + N_RAYS] = f"{float(moved[10 + N_RAYS]) + 0.1:.6f}"
+    run = started("-", "--json")
+    out, said = run.communicate(carmen_of(lines[0]) + " ".join(moved))
+    assert (run.returncode, len(rows(out))) == (4, 1)
+    assert "line 2: ROBOTLASER1: the laser has moved on the robot" in said
+
+
+def test_ctrl_c_is_an_end_only_once_the_file_is_followed(lines: list[str], tmp_path: Path) -> None:
+    """While the map is being prepared it interrupts, as it does in any command."""
+    path, before = tmp_path / "log.jsonl", signal.getsignal(signal.SIGINT)
+    path.write_text(lines[0])
+    live = live_of(path, Logs(), lambda scan: scan, follow=True)
+    assert live is not None
+    assert signal.getsignal(signal.SIGINT) is before
+    try:
+        assert next(iter(live))[0].stamp == 100
+        assert signal.getsignal(signal.SIGINT) is not before
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_stamps_that_run_backwards_end_it(lines: list[str]) -> None:

@@ -8,80 +8,93 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imgloc.cli.console import say
+from imgloc.cli.options import Logs
 from imgloc.errors import ConfigError
 
 if TYPE_CHECKING:
-    from imgloc.filters.follow import Follower, Moment
+    from imgloc.filters.follow import Reading
     from imgloc.io.scanset import ScanSet
     from imgloc.model import FloatArray, LaserScan
 
 
 class Live:
-    """The scans of a source, each followed as soon as it is there, and how long that took."""
+    """The scans of a source, as :func:`imgloc.follow` takes them, and how long each took."""
 
-    def __init__(self, source: "Iterator[tuple[float, ScanSet]]") -> None:
-        self._source = source
-        self.seconds: list[float] = []  #: from line in to line out, of each scan
-        self.truth: list[tuple[float, float, float]] = []  #: known poses of the robot
-        self.skipped = 0  #: scans without odometry
+    def __init__(
+        self,
+        source: "Iterator[tuple[float, ScanSet]]",
+        prepared: "Callable[[LaserScan], LaserScan]",
+    ) -> None:
+        self._source, self._prepared, self._begin = source, prepared, 0.0
+        self._seconds: list[float] = []  # from line in to line out, of each scan
+        self._truth: list[tuple[float, float, float]] = []  # known poses of the robot
 
-    def follow(
-        self, robot: "Follower", prepared: "Callable[[LaserScan], LaserScan]"
-    ) -> "Iterator[Moment]":
-        """A moment for each scan."""
+    def __iter__(self) -> "Iterator[Reading]":
         from imgloc.filters.follow import robot_poses
 
-        index = -1
-        for index, (begin, one) in enumerate(self._source):
-            scan = prepared(one.scans[0])
-            if one.odom is None:
-                self.skipped += 1
-                continue
-            stamp = float("nan") if one.stamps is None else float(one.stamps[0])
-            moment = robot.step(scan, one.odom[0], stamp)
-            if (truth := robot_poses(replace(one, scans=(scan,)))) is not None:
-                self.truth.append(tuple(truth[0]))
-            yield replace(moment, index=index)
-            self.seconds.append(time.perf_counter() - begin)
-        if self.skipped:
-            say(f"{self.skipped} of {index + 1} scans have no odometry and were left out")
+        for begin, one in self._source:
+            self._begin = begin
+            scan, odom = self._prepared(one.scans[0]), None
+            if one.odom is not None:
+                odom = one.odom[0]
+                if (truth := robot_poses(replace(one, scans=(scan,)))) is not None:
+                    self._truth.append(tuple(truth[0]))
+            yield scan, odom
 
-    def poses(self, count: int) -> "FloatArray | None":
-        """Known poses (N, 3) of the robot, if all of so many moments have one."""
+    def answered(self) -> None:
+        """Take note that the line of the last scan is out."""
+        self._seconds.append(time.perf_counter() - self._begin)
+
+    def poses(self) -> "FloatArray | None":
+        """Known poses (N, 3) of the robot, if all of the scans have one."""
         import numpy as np
 
-        return np.array(self.truth) if len(self.truth) == count else None
+        return np.array(self._truth) if len(self._truth) == len(self._seconds) else None
 
     @property
     def latency(self) -> str:
         """From line in to line out, in words; nothing without a scan."""
-        if not self.seconds:
+        if not self._seconds:
             return ""
         import numpy as np
 
-        half, most = 1e3 * np.percentile(self.seconds, (50, 99))
-        return f"; from line in to line out p50 {half:.0f} ms, p99 {most:.0f} ms"
+        half, most = 1e3 * np.percentile(self._seconds, (50, 99))
+        return f"from line in to line out p50 {half:.0f} ms, p99 {most:.0f} ms"
 
 
-def live_of(log: Path, *, follow: bool) -> Live | None:
+def live_of(
+    log: Path, logs: Logs, prepared: "Callable[[LaserScan], LaserScan]", *, follow: bool
+) -> Live | None:
     """The scans of a source that is still being written; None for a log that is whole.
 
-    Standard input is one if it begins as JSON lines do.
+    Standard input is one if it begins as JSON lines do, or is a pipe and begins as a CARMEN log.
     """
     from imgloc.cli import inputs
-    from imgloc.io.stream import begins_as_json, growing, is_pipe, lines_of, piped, scans_of
+    from imgloc.io import stream
+
+    if follow:
+        if str(log) == "-" or stream.is_pipe(log):
+            raise ConfigError("--follow: is of a file that grows; a pipe is followed anyway")
+        lines = _growing(log)
+    elif stream.is_pipe(log):
+        lines = stream.piped(log)
+    elif str(log) == "-" and stream.comes_in_lines(sys.stdin.buffer):
+        lines = stream.lines_of(sys.stdin.buffer)
+    else:
+        return None
+
+    def ready(scan: "LaserScan") -> "LaserScan":
+        return prepared(scan if logs.scale == 1 else scan.scaled(logs.scale))
 
     name = inputs.name_of(log)
-    if follow:
-        if str(log) == "-" or is_pipe(log):
-            raise ConfigError("--follow: is of a file that grows; a pipe is followed anyway")
-        return Live(scans_of(growing(log, _interrupted()), name))
-    if is_pipe(log):
-        return Live(scans_of(piped(log), name))
-    if str(log) == "-" and begins_as_json(sys.stdin.buffer):
-        return Live(scans_of(lines_of(sys.stdin.buffer), name))
-    return None
+    return Live(stream.scans_of(lines, name, topic=logs.topic, fov=logs.fov), ready)
+
+
+def _growing(log: Path) -> Iterator[bytes]:
+    """The lines of a file that grows, until Ctrl-C: from the first one that is asked for."""
+    from imgloc.io.stream import growing
+
+    yield from growing(log, _interrupted())
 
 
 def _interrupted() -> "Callable[[], bool]":

@@ -1,7 +1,8 @@
 """A filter along a log: when it looks, what it publishes, and when it says nothing."""
 
+import logging
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Annotated
 
@@ -20,12 +21,16 @@ from imgloc.numbers import number
 from imgloc.options import Metres, Options
 from imgloc.ranges import Checked, OneOf, Within
 
+LOG = logging.getLogger(__name__)
+
 DEVIATION: tuple[float, float] = number("follow.deviation")
 """How far a pose that was told may be off, unless said otherwise: metres and radians."""
 _BUFFERS = 8  # scans of a laser that are remembered: a driver may go round some buffers
 #: after so many metres or radians a scan that has not changed by so many metres at such a share of
 #: its readings is an old one
 _STALE = number("follow.stale")
+Reading = tuple[LaserScan, FloatArray | None]
+"""A scan with its stamp, and the pose (3,) of the odometry then; None if it is not known."""
 BLIND, WIDE = "blind", "wide"
 _LATEST = 1e18  # seconds
 _FASTEST = 50.0  # metres a second: no robot on the ground is
@@ -105,13 +110,17 @@ class Tracking(Checked):
 
     def follower(self, features: MapFeatures, options: Options, name: str = "log") -> "Follower":
         """What takes the scans of one robot."""
-        made = make_filter(self.filter, features, options, seed=self.seed, resets=self.resets)
+        made = self.made(features, options)
         return Follower(features, made, every=self.every, limits=self.limits, name=name)
+
+    def made(self, features: MapFeatures, options: Options) -> Filter:
+        """A filter that knows nothing yet."""
+        return make_filter(self.filter, features, options, seed=self.seed, resets=self.resets)
 
 
 def follow(
     features: MapFeatures,
-    scans: ScanSet,
+    scans: ScanSet | Iterable[Reading],
     filter_: Filter,
     *,
     every: Every | None = None,
@@ -125,8 +134,11 @@ def follow(
 
     Parameters
     ----------
-    scans : ScanSet
-        In the order of time, with odometry. Of several lasers, each scan says where its own sits.
+    features : MapFeatures
+    scans : ScanSet, or iterable of (LaserScan, (3,) array or None)
+        In the order of time. Of several lasers, each scan says where its own sits. An iterable
+        gives each scan, with its stamp, and the odometry at that time; the next one is asked for
+        when the moment of the last one has been taken. Scans without odometry are left out.
     filter_ : Filter
         Of the same features; it is changed.
     every : Every, optional
@@ -142,45 +154,71 @@ def follow(
     Raises
     ------
     ScanError
-        If there is no odometry, it is in millimetres, or stamps run backwards.
+        If there is no odometry, it is in millimetres, or stamps run backwards: of a ScanSet before
+        its first moment.
     ConfigError
         If `start` or `kidnap` is outside of the map, or `kidnap` outside of the log's time.
+
+    Examples
+    --------
+    >>> import imgloc
+    >>> from imgloc.io.maps import bundled_maps
+    >>> features = imgloc.prepare(imgloc.load_map(bundled_maps() / "curved.yaml"))
+    >>> robot = imgloc.make_filter("tracker", features, imgloc.Options())
+    >>> driver = ((scan, np.zeros(3)) for scan in imgloc.simulate(features.grid, 2, seed=1).scans)
+    >>> [moment.belief.verdict for moment in follow(features, driver, robot)]
+    ['ambiguous', 'ambiguous']
     """
     expect(features, MapFeatures, "features")
-    expect(scans, ScanSet, "scans")
+    if isinstance(scans, ScanSet):
+        readings = _whole(scans, features, kidnap, name)
+    else:
+        expect(scans, ScanSet if not isinstance(scans, Iterable) else Iterable, "scans")
+        readings = _coming(scans, name)
+    follower = Follower(features, filter_, every=every, limits=limits, name=name)
+    if start is not None:
+        follower.place(start, deviation, "start")
+    begin = None
+    for index, scan, odom, stamp in readings:
+        begin = stamp if begin is None else begin
+        carried = None
+        if kidnap is not None and stamp - begin >= kidnap.after:
+            carried, kidnap = kidnap, None
+        yield replace(follower.step(scan, odom, stamp, carried), index=index)
+
+
+_Steps = Iterator[tuple[int, LaserScan, FloatArray, float]]  # index, scan, odometry, stamp
+
+
+def _coming(scans: Iterable[Reading], name: str) -> _Steps:
+    """Scans with odometry, each with its index, as they come; how many have none, at the end."""
+    left, index = 0, -1
+    for index, (scan, odom) in enumerate(scans):
+        if odom is None or not np.isfinite(odom).all():
+            left += 1
+        else:
+            yield index, scan, odom, scan.stamp
+    if left:
+        LOG.warning("%s: %d of %d scans have no odometry and were left out", name, left, index + 1)
+
+
+def _whole(scans: ScanSet, features: MapFeatures, kidnap: Kidnap | None, name: str) -> _Steps:
+    """Scans with odometry, each with its index, after a look at all of them."""
     known, indices = scans.with_odometry(name)
-    if scans.odom is None or known is not scans:
-        for moment in follow(
-            features, known, filter_, every=every, limits=limits, start=start, deviation=deviation,
-            kidnap=kidnap, name=name,
-        ):  # fmt: skip
-            yield replace(moment, index=indices[moment.index])
-        return
-    stamps = np.full(len(scans), np.nan) if scans.stamps is None else scans.stamps
+    odom = np.empty((0, 3)) if known.odom is None else known.odom
+    stamps = np.full(len(known), np.nan) if known.stamps is None else known.stamps
     if (far := np.flatnonzero(np.abs(stamps) > _LATEST)).size:
         _check_order(name, int(far[0]), np.nan, float(stamps[far[0]]))
     if (back := np.flatnonzero(np.diff(stamps) < 0)).size:
         _check_order(name, int(back[0]) + 1, *stamps[back[0] : back[0] + 2])
     with np.errstate(over="ignore", invalid="ignore"):
-        way, seconds = np.hypot(*increments(scans.odom)[:, :2].T), np.diff(stamps)
+        way, seconds = np.hypot(*increments(odom)[:, :2].T), np.diff(stamps)
     if (leaps := np.flatnonzero(~(way <= _FARTHEST))).size:
         _check_way(name, int(leaps[0]) + 1, float(way[leaps[0]]))
-    moving = (way > 0) & (seconds > 0)
-    if moving.any() and (speed := float(np.median(way[moving] / seconds[moving]))) > _FASTEST:
-        raise ScanError(
-            f"{name}: odom: it says {speed:.4g} m/s, expected metres; are these millimetres? "
-            "divide them by 1000"
-        )
+    _check_speed(name, way, seconds)
     if kidnap is not None:
         _check_kidnap(kidnap, features, stamps)
-    follower = Follower(features, filter_, every=every, limits=limits, name=name)
-    if start is not None:
-        follower.place(start, deviation, "start")
-    for scan, odom, stamp in zip(scans.scans, scans.odom, stamps, strict=True):
-        carried = None
-        if kidnap is not None and stamp - stamps[0] >= kidnap.after:
-            carried, kidnap = kidnap, None
-        yield follower.step(scan, odom, float(stamp), carried)
+    return zip(indices, known.scans, odom, stamps.tolist(), strict=True)
 
 
 class Follower:
@@ -202,9 +240,9 @@ class Follower:
     >>> from imgloc.io.maps import bundled_maps
     >>> features = imgloc.prepare(imgloc.load_map(bundled_maps() / "curved.yaml"))
     >>> robot = Follower(features, imgloc.make_filter("tracker", features, imgloc.Options()))
-    >>> moment = robot.step(imgloc.simulate(features.grid, 1, seed=1)[0], np.zeros(3), 5.0)
-    >>> moment.index, moment.stamp, moment.looked, moment.pose
-    (0, 5.0, True, None)
+    >>> moment = robot.step(imgloc.simulate(features.grid, 1, seed=1)[0], np.zeros(3))
+    >>> moment.index, moment.looked, moment.pose
+    (0, True, None)
     """
 
     def __init__(
@@ -234,9 +272,13 @@ class Follower:
         self.filter.place(_local(given, pose, self.features), deviation)
 
     def step(
-        self, scan: LaserScan, odom: FloatArray, stamp: float, kidnap: Kidnap | None = None
+        self,
+        scan: LaserScan,
+        odom: FloatArray,
+        stamp: float | None = None,
+        kidnap: Kidnap | None = None,
     ) -> Moment:
-        """Take a scan, with the pose (3,) of the odometry and the time, seconds, or NaN.
+        """Take a scan, with the pose (3,) of the odometry at its stamp, by default the scan's own.
 
         Raises
         ------
@@ -244,6 +286,7 @@ class Follower:
             If the stamp is before that of the last scan, or the odometry has gone out of reason.
         """
         k, odom = self._count, np.asarray(odom, dtype=np.float64)
+        stamp = scan.stamp if stamp is None else stamp
         step = np.zeros(3)
         if self._odom is None:
             self._said = self._stamp = stamp
@@ -317,6 +360,15 @@ def _check_order(name: str, k: int, before: float, stamp: float) -> None:
     if stamp < before:
         raise ScanError(
             f"{name}: stamps[{k}]: {stamp:.9g} after {before:.9g}, expected the order of time"
+        )
+
+
+def _check_speed(name: str, way: FloatArray, seconds: FloatArray) -> None:
+    moving = (way > 0) & (seconds > 0)
+    if moving.any() and (speed := float(np.median(way[moving] / seconds[moving]))) > _FASTEST:
+        raise ScanError(
+            f"{name}: odom: it says {speed:.4g} m/s, expected metres; are these millimetres? "
+            "divide them by 1000"
         )
 
 

@@ -26,12 +26,13 @@ from imgloc.io.lasers import lasers_of, together
 from imgloc.io.odometry import odometry_at
 from imgloc.io.scanset import MAX_READINGS, Entry, ScanSet, collect, spread, wrong
 from imgloc.io.textscans import check_lines
-from imgloc.model import MOUNTED, FloatArray, Pose2D, compose, inverse
+from imgloc.model import MOUNTED, FloatArray, LaserScan, Pose2D, compose, inverse
 
 _MAX_BYTES = 8 * MAX_READINGS
 # In the order of preference: a log may hold the same laser in an old and in a new form.
 _LASERS = re.compile(r"ROBOTLASER\d|FLASER|RAWLASER\d|Laser|RLASER|LASER\d")
 _PREFERRED = ("ROBOTLASER1", "FLASER", "RAWLASER1", "Laser", "RLASER")
+_WHOLE = ("ROBOTLASER1", "FLASER", "Laser")  # with the robot's pose in or before them
 _ODOMETRY = ("ODOM", "Odometry")
 # SICK scanners, the only ones when FLASER was made: readings of a half turn, and the step of the
 # rays in degrees, the first at -90 (the last of an even number is not recorded).
@@ -111,6 +112,85 @@ def read_carmen(path: PathLike, *, topic: str | None = None, fov: float | None =
     if not messages:
         raise ScanError(f"{name}: holds no whole {chosen}, expected at least one")
     return _assemble(messages, moves, parameters, fov, name, rear=chosen == "RLASER")
+
+
+class CarmenLines:
+    """The scans of a CARMEN log that is still being written, each of its own line alone.
+
+    Read are messages that hold the robot's pose: ``ROBOTLASER1``, ``FLASER``, and ``Laser`` after
+    ``Odometry``. Scans are those of :func:`read_carmen`, as far as a line can tell: where the laser
+    sits is what the first message says, and a stamp written with six digits for seconds since 1970
+    is none.
+
+    Parameters
+    ----------
+    topic, fov : str, float
+        As of :func:`read_carmen`; by default the first laser that comes, of one of these.
+
+    Examples
+    --------
+    >>> lines = CarmenLines()
+    >>> lines.take("PARAM robot_front_laser_max 50", "line 1")
+    >>> lines.take("FLASER 2 2.5 2.5 1 2 0.5 1 2 0.5 1211.5 robot 0.1", "line 2")
+    Traceback (most recent call last):
+        ...
+    imgloc.errors.ScanError: line 2: FLASER: 2 readings, expected with them the angle that they ...
+    >>> lines.take("FLASER 181 " + 181 * "2.5 " + "1 2 0.5 1 2 0.5 1211.5 robot 0.1", "line 3").odom
+    array([[1. , 2. , 0.5]])
+    """
+
+    def __init__(self, topic: str | None = None, fov: float | None = None) -> None:
+        self._word, self._fov = topic, fov
+        self._parameters = dict[str, str]()
+        self._odometry: Pose2D | None = None
+        self._mount: Pose2D | None = None
+        self._count = 0
+
+    def take(self, line: str, where: str) -> ScanSet | None:
+        """The scan of a line; None for a line of anything else.
+
+        ScanError, by `where` it is, if a word is missing, or the laser's poses move against the
+        robot's: a mapper has corrected them.
+        """
+        words = line.split()
+        where = f"{where}: {words[0]}"
+        try:
+            if words[0] in _ODOMETRY:
+                self._odometry = Pose2D(*map(float, words[1:4]))
+            elif words[0] == "PARAM" and len(words) > 2:
+                self._parameters[words[1]] = words[2]
+            elif words[0] == self._word or (self._word is None and words[0] in _WHOLE):
+                self._word = words[0]
+                return self._scan(words, where)
+        except (ValueError, IndexError):
+            raise ScanError(f"{where}: a word is missing or is no number") from None
+        return None
+
+    def _scan(self, words: Sequence[str], where: str) -> ScanSet:
+        word = words[0]
+        read = _ROBOT if word.startswith("ROBOTLASER") else _OTHER.get(word, _raw)
+        message = read(words, where)
+        if word == "Laser":
+            message = replace(message, robot=self._odometry)
+        elif "e" in words[-3].lower():
+            message = replace(message, stamp=math.nan)
+        scans = _assemble([message], [], self._parameters, self._fov, where, rear=word == "RLASER")
+        return replace(scans, scans=(self._placed(scans.scans[0], where),))
+
+    def _placed(self, scan: LaserScan, where: str) -> LaserScan:
+        """The scan with the laser where it was at first."""
+        at, self._count = scan.T_base_laser, self._count + 1
+        if self._count == 1:
+            self._mount = at
+        if self._mount is None:
+            return replace(scan, T_base_laser=None)
+        off = (getattr(at, k, 0.0) - getattr(self._mount, k) for k in ("x", "y", "theta"))
+        if max(abs(math.remainder(value, math.tau)) for value in off) > _RIGID:
+            raise ScanError(
+                f"{where}: the laser has moved on the robot since the first message: a mapper has "
+                "corrected its poses; give the log as a file, not as a stream"
+            )
+        return replace(scan, T_base_laser=self._mount)
 
 
 def _placed(scans: ScanSet) -> ScanSet:

@@ -1,7 +1,8 @@
-"""Scans that are still being recorded: JSON lines from a pipe, or from a file that grows."""
+"""Scans that are still being recorded: lines from a pipe, or from a file that grows."""
 
 import io
 import os
+import re
 import stat
 import time
 from collections.abc import Callable, Iterator
@@ -9,10 +10,16 @@ from pathlib import Path
 from typing import BinaryIO
 
 from imgloc.errors import ScanError
+from imgloc.io.carmen import CarmenLines
 from imgloc.io.files import display, is_there, open_regular, reason
 from imgloc.io.scanset import ScanSet
 from imgloc.io.textscans import MAX_LINE, read_jsonl_line
 
+_JSON = re.compile(rb"(?:\xef\xbb\xbf)?\s*\{")
+_CARMEN = re.compile(
+    rb"(?:\s*#[^\n]*\n)*\s*"
+    rb"(?i:# ?CARMEN|(?:PARAM|ODOM|SYNC|[FR]LASER|ROBOTLASER\d|Odometry|Laser)\b)"
+)
 _PAUSE = 0.05  # seconds between two looks at the end of a file
 
 
@@ -24,19 +31,37 @@ def is_pipe(path: Path) -> bool:
         return False
 
 
-def begins_as_json(stream: BinaryIO) -> bool:
-    """Whether the next thing in a stream is an object of JSON; nothing is taken from it."""
+def comes_in_lines(stream: BinaryIO) -> bool:
+    """Whether a stream is to be read line by line, by how it begins; nothing is taken from it.
+
+    So are JSON lines, and a CARMEN log that comes through a pipe: of one that is there as a whole
+    more is known.
+    """
     head = stream.peek(1) if isinstance(stream, io.BufferedReader) else b""
-    return head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{")
+    if _JSON.match(head):
+        return True
+    return bool(_CARMEN.match(head)) and not stat.S_ISREG(os.fstat(stream.fileno()).st_mode)
 
 
-def scans_of(lines: Iterator[bytes], name: str) -> Iterator[tuple[float, ScanSet]]:
-    """Each scan of JSON lines, as soon as its line is there, with the time when that was.
+def scans_of(
+    lines: Iterator[bytes], name: str, *, topic: str | None = None, fov: float | None = None
+) -> Iterator[tuple[float, ScanSet]]:
+    """Each scan of JSON lines or a CARMEN log, as soon as its line is there, and when that was.
 
     Times are those of :func:`time.perf_counter`. Lines are those of
-    :func:`~imgloc.io.textscans.read_jsonl`; blank ones are left out, as is a last one that ends in
+    :func:`~imgloc.io.textscans.read_jsonl` or, as the first one tells, of
+    :class:`~imgloc.io.carmen.CarmenLines`; blank ones are left out, as is a last one that ends in
     the middle. Any other line is a ScanError that says its number.
+
+    Parameters
+    ----------
+    lines : iterator of bytes
+    name : str
+        What error messages call the source.
+    topic, fov : str, float
+        As of :func:`~imgloc.io.carmen.read_carmen`.
     """
+    take: Callable[[str, str], ScanSet | None] | None = None
     for number, line in enumerate(lines, 1):
         now, where = time.perf_counter(), f"{name}: line {number}"
         if len(line) > MAX_LINE:
@@ -47,13 +72,27 @@ def scans_of(lines: Iterator[bytes], name: str) -> Iterator[tuple[float, ScanSet
             raise ScanError(f"{where}: byte {e.start} is not UTF-8 text") from None
         if not text:
             continue
+        if take is None:
+            take = _reader_of(text, name, topic, fov)
         try:
-            scan = read_jsonl_line(text, where)
+            scan = take(text, where)
         except ScanError:
             if not line.endswith(b"\n"):
                 return
             raise
-        yield now, scan
+        if scan is not None:
+            yield now, scan
+
+
+def _reader_of(
+    text: str, name: str, topic: str | None, fov: float | None
+) -> Callable[[str, str], ScanSet | None]:
+    """What reads lines of which this is the first."""
+    if _CARMEN.match(text.encode()):
+        return CarmenLines(topic, fov).take
+    if topic is not None:
+        raise ScanError(f"{name}: has one laser, expected no topic, got {topic}: leave it out")
+    return read_jsonl_line
 
 
 def lines_of(stream: BinaryIO) -> Iterator[bytes]:
@@ -94,7 +133,7 @@ def growing(path: Path, ended: Callable[[], bool]) -> Iterator[bytes]:
 
 
 def _opened(path: Path) -> BinaryIO:
-    return os.fdopen(open_regular(path, ScanError, "log of JSON lines"), "rb")
+    return os.fdopen(open_regular(path, ScanError, "log of lines"), "rb")
 
 
 def _is_other(file: BinaryIO, path: Path) -> bool:

@@ -605,7 +605,7 @@ class Robot:
             if scan.stamp < self._stamp:
                 self._core._line.count(key)
                 raise Dropped("old")
-            moment = follower.step(scan, odometry, scan.stamp)
+            moment = follower.step(scan, odometry)
             with self._lock:
                 if self.era != era:
                     self._core._line.count(key)
