@@ -15,7 +15,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.lab.atlas import atlas_poses, simulate_at
 from imgloc.lab.calibrate import disturbed_set, sweep
 from imgloc.options import Options
-from imgloc.pipeline import answer_bytes
+from imgloc.search.asked import answer_bytes
 from imgloc.simulation.scans import Sensor, fine_factor
 
 EVALUATE = ["evaluate", MAPS / "curved.yaml", "-n", 1, "--methods", "ght-v,cbml", "--threads", 1]
