@@ -157,9 +157,9 @@ def test_times_are_measured_when_asked_for():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"world": "round"}, "no world 'round'"),
-        ({"methods": ("gth",)}, "no method 'gth'"),
-        ({"axes": {"B": (1, 2)}}, "axis 'B'"),
+        ({"world": "round"}, "got 'round'"),
+        ({"methods": ("gth",)}, "got 'gth'"),
+        ({"axes": {"B": (1, 2)}}, "got 'B'"),
         ({"axes": {"n": (5,)}}, "at least two"),
         ({"axes": {"n": (0, 5)}}, "positive"),
     ],

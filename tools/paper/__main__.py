@@ -102,16 +102,9 @@ def reproduce(
 ) -> tuple[dict[str, Any], dict[str, bytes]]:  # fmt: skip
     """Run the experiment of Sec. VI, draw Figs. 1, 2, 4 and 5, measure the appendix.
 
-    `n` trials in each of the `worlds` (some of :data:`~tools.paper.table.PLACES`), of the table and
-    the run times; `seed` of everything random. If `quick`, only count the work of the appendix and
-    time little. No number but the times depends on `threads`. `advance` is called :func:`steps`
-    times.
-
-    Returns
-    -------
-    results, pictures : dict
-        Plain values for ``results.json`` and the report, of which two runs differ only in what is
-        under ``cost``; PNG files by name.
+    `n` trials in each world; if `quick`, only count the work of the appendix and time little.
+    `advance` is called :func:`steps` times. Plain values for ``results.json`` and the report, of
+    which two runs differ only in what is under ``cost``; PNG files by name.
     """
     rows = table(n, seed, worlds=worlds, threads=threads, advance=advance)
     timed, repeats = TIMED_QUICK if quick else TIMED
@@ -158,7 +151,7 @@ def as_dict(row: TableRow) -> dict[str, Any]:
     """A row of the table as plain values."""
     out = asdict(row)
     del out["ms"]
-    out["cost"] = {"ms": row.median_ms}
+    out["cost"] = {"ms": float(np.median(row.ms))}
     return {"place": PLACES[row.world], **out, "interval": list(row.interval)}
 
 

@@ -29,6 +29,7 @@ from imgloc.simulation.scans import sample_free_poses, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 from tools.paper.work import pixels_added, ray_cells, votes_cast
 from tools.plots import COLOURS, blank
+from tools.script import one_of
 
 METHODS = ("cbml", "cbml-o", "ght", "ght-v", "beam")
 AXES: Mapping[str, tuple[float, ...]] = {
@@ -118,27 +119,11 @@ def measure(
     seed: int = 0,
     progress: Callable[[str], object] = lambda _: None,
 ) -> Complexity:
-    """Measure how the methods grow.
+    """Measure how some :data:`METHODS` grow along some :data:`AXES`; the rest is :data:`BASE`.
 
-    Parameters
-    ----------
-    world : str
-        Of :data:`imgloc.simulation.worlds.WORLDS`.
-    methods : tuple of str
-        Some of :data:`METHODS`.
-    axes : mapping of str to tuple of float
-        Some of :data:`AXES`, or other values for them; the rest stays at :data:`BASE`.
-    repeats : int
-        How often a run is timed; the shortest time counts. 0 only counts, which needs no runs.
-    seed : int
-        Of the sensor's pose and of its noise.
-    progress : callable
-        Told what is about to be measured.
-
-    Raises
-    ------
-    ConfigError
-        If there is no such world, method or axis, or fewer than two values of one.
+    Of `repeats` the shortest time counts; 0 only counts, which needs no runs. `seed` of the pose
+    and the noise; `progress` gets what is about to be measured. ConfigError for a world, method or
+    axis that is not there, or fewer than two values.
 
     Examples
     --------
@@ -146,17 +131,12 @@ def measure(
     >>> abs(round(counted.exponent("ght", "n", "work"), 1))
     1.0
     """
-    if world not in WORLDS:
-        raise ConfigError(f"there is no world {world!r}, expected one of {', '.join(WORLDS)}")
-    for name in methods:
-        if name not in METHODS:
-            raise ConfigError(f"there is no method {name!r}, expected some of {', '.join(METHODS)}")
+    one_of([world], WORLDS)
+    one_of(methods, METHODS)
+    one_of(axes, AXES)
     for axis, values in axes.items():
-        if axis not in AXES or len(values) < 2 or min(values) <= 0:
-            raise ConfigError(
-                f"axis {axis!r} with {values}: expected one of {', '.join(AXES)} with "
-                "at least two positive values"
-            )
+        if len(values) < 2 or min(values) <= 0:
+            raise ConfigError(f"axis {axis!r} needs at least two positive values, got {values}")
     samples = []
     for axis, values in axes.items():
         for value in values:

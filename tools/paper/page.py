@@ -32,20 +32,7 @@ Row = Mapping[str, Any]
 
 
 def render_report(results: Row, pictures: Mapping[str, bytes]) -> str:
-    """Write the page.
-
-    Parameters
-    ----------
-    results : mapping
-        As in ``results.json``, see :func:`tools.paper.__main__.reproduce`.
-    pictures : mapping of str to bytes
-        PNG files by name: the figures', and ``complexity`` if there is one.
-
-    Returns
-    -------
-    str
-        HTML.
-    """
+    """The page as HTML, of what is in ``results.json`` and of PNG files by name."""
     encoded = {name: base64.b64encode(png).decode("ascii") for name, png in pictures.items()}
     return templates().get_template("page.html").render(results=results, pictures=encoded)
 

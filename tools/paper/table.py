@@ -169,11 +169,6 @@ class TableRow:
         half = Z95 * self.index.standard_error
         return self.index.value - half, self.index.value + half
 
-    @property
-    def median_ms(self) -> float:
-        """Median of the times."""
-        return float(np.median(self.ms))
-
 
 def table(
     n: int = 100,
@@ -184,28 +179,10 @@ def table(
     threads: int = 1,
     advance: Callable[[], None] = lambda: None,
 ) -> tuple[TableRow, ...]:
-    """Measure the table.
+    """Measure the table: `n` trials in each of some :data:`PLACES` by some of :data:`STEPS_DEG`.
 
     All methods locate the same scans, in turns, so that a busy moment of the machine is in the
-    times of all of them.
-
-    Parameters
-    ----------
-    n : int
-        Trials in each world.
-    seed : int
-        Of the poses and the noise.
-    worlds, methods : sequence of str
-        Some of :data:`PLACES` and of :data:`STEPS_DEG`.
-    threads : int
-        No number but the times depends on it.
-    advance : callable
-        Called ``n * len(worlds) * len(methods)`` times.
-
-    Raises
-    ------
-    ConfigError
-        If there are no trials, or no such world or method.
+    times of all of them. `advance` is called ``n * len(worlds) * len(methods)`` times.
 
     Examples
     --------
@@ -291,17 +268,10 @@ def measure_ratios(
     worlds: Sequence[str] = tuple(PLACES),
     advance: Callable[[], None] = lambda: None,
 ) -> tuple[Ratio, ...]:
-    """Compare the methods of :data:`PAIRS` in each world.
+    """Compare the methods of :data:`PAIRS` on `n` scans of each world.
 
-    On `n` scans of each world, the first of the table's if `seed` and `trials` are the table's.
-    Each stack is computed `repeats` times; who comes first changes from time to time. `advance` is
-    called ``n * len(worlds) * len(PAIRS)`` times.
-
-    Examples
-    --------
-    >>> found = measure_ratios(1, 1, worlds=["curved"])
-    >>> [(r.method, r.rival, r.value > 0) for r in found]
-    [('cbml-o', 'cbml', True), ('ght-v', 'ght', True)]
+    They are the first of the table's if `seed` and `trials` are. Each stack is computed `repeats`
+    times. `advance` is called ``n * len(worlds) * len(PAIRS)`` times.
     """
     out = []
     for world in worlds:

@@ -17,22 +17,8 @@ def pixels_added(
 ) -> int:
     """Count the pixels that CBML and CBML-O add up: how often l. 5 of Alg. 2 meets the map.
 
-    Parameters
-    ----------
-    xy : (N, 2) float array
-        Scan points, sensor frame, metres; those that are not finite are left out.
-    thetas : (K,) float array
-        Headings, radians.
-    shape : (int, int)
-        Rows and columns of the map.
-    resolution : float
-        Side of a cell, metres.
-
-    Returns
-    -------
-    int
-        At most K * N * H * W. Readings that share a cell count one by one, as in the listing;
-        the engines may add them at once.
+    `xy` (N, 2) are finite scan points, sensor frame, metres, `thetas` (K,) headings in radians. As
+    in the listing, readings that share a cell count one by one; the engines may add them at once.
 
     Examples
     --------
@@ -50,19 +36,7 @@ def votes_cast(
 ) -> int:
     """Count the votes of GHT-V, and of GHT without visibility: how often l. 6 of Alg. 5 runs.
 
-    Parameters
-    ----------
-    surface : OrientedPoints
-        M surface points of the map.
-    visibility : (n_psi, M) float32 array or None
-        As for :func:`imgloc.likelihoods.ght.ght_v`; None counts all pairs, Alg. 4.
-    points : OrientedPoints
-        Scan points.
-
-    Returns
-    -------
-    int
-        Votes that fall off the lattice are counted too.
+    Arguments as of :func:`imgloc.likelihoods.ght.ght_v`; votes off the lattice are counted, too.
 
     Examples
     --------
