@@ -3,9 +3,10 @@
 import multiprocessing
 import os
 import threading
+import time
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -15,7 +16,7 @@ from imgloc.errors import ConfigError, MapError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import cell_of, in_map_frame, inside, pose_errors, poses_of
 from imgloc.lab.evaluation import share
-from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
+from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, plain
 from imgloc.options import Options
 from imgloc.pipeline import localize, prepare
 from imgloc.search.priors import clearance as roomy
@@ -26,6 +27,7 @@ KINDS = ("unique", "ambiguous", "no-match", "wrong")
 NEAR = (0.5, float(np.deg2rad(15.0)))
 """A hypothesis this near the true pose is it, metres and radians."""
 TOP = 10
+MOST = 20_000  #: poses
 AT_ONCE = 1000  #: scans that are simulated at a time
 
 
@@ -126,6 +128,76 @@ def summarise(spots: Sequence[Spot], step: float) -> dict[str, Any]:
         **{kind: vars(share(spot.kind == kind for spot in spots)) for kind in KINDS},
         "unique_area": vars(share(all(flags) for flags in places.values())),
     }
+
+
+def survey_part(
+    features: MapFeatures,
+    scan: LaserScan,
+    options: Options,
+    *,
+    step: float,
+    headings: int,
+    start: int = 0,
+    seconds: float = 0.5,
+) -> dict[str, Any]:
+    """Survey a map with the laser of a scan for some time: a part of its atlas.
+
+    Parameters
+    ----------
+    features : MapFeatures
+        Rays are cast in the cells of its map.
+    scan : LaserScan
+        Its angles and its reach are those of the laser.
+    options : Options
+    step, headings : float, int
+        Metres between two places, and headings at each. Places come in no order, so that a part is
+        about the whole map.
+    start : int
+        Number of the first pose of this part: ``next`` of the part before.
+    seconds : float
+        Another pose is begun until they are over; a part has at least one.
+
+    Returns
+    -------
+    dict
+        ``of``, the number of all poses; ``next``, where to go on, or None; and ``spots``, of
+        each pose (map frame, metres and radians) its ``kind``, one of :data:`KINDS`. No result
+        depends on how the poses are divided into parts.
+
+    Raises
+    ------
+    ConfigError, MapError
+        If there are too many poses or none, or `start` is none of them.
+
+    Examples
+    --------
+    >>> from imgloc.io.maps import bundled_maps, load_map
+    >>> features = prepare(load_map(bundled_maps() / "curved.yaml"))
+    >>> laser = LaserScan(np.ones(90), np.linspace(-np.pi, np.pi, 90), range_max=30.0)
+    >>> part = survey_part(features, laser, Options(), step=4.0, headings=1, seconds=0.0)
+    >>> part["next"], [spot["kind"] for spot in part["spots"]]
+    (1, ['unique'])
+    """
+    end, grid = time.monotonic() + seconds, features.grid
+    poses = atlas_poses(grid, step, headings, Sensor().clearance)
+    if len(poses) > MOST:
+        found = f"step: {len(poses):,} poses at places {step:g} m apart"
+        raise ConfigError(f"{found}, expected at most {MOST:,}; use a larger step")
+    if start >= len(poses):
+        raise ConfigError(f"start: got {start}, expected less than {len(poses)}")
+    mixed = np.random.default_rng(0).permutation(len(poses) // headings)
+    poses = poses.reshape(-1, headings, 3)[mixed].reshape(-1, 3)
+    reach = scan.range_max if np.isfinite(scan.range_max) else Sensor().range_max
+    options, spots = replace(options, top=TOP), list[dict[str, Any]]()
+    for k in range(start, len(poses)):
+        ranges = simulate_ranges(grid, poses[k : k + 1], scan.angles, range_max=reach, seed=k)[0]
+        seen = LaserScan(ranges, scan.angles, range_max=reach)
+        spot = _spot(features, Pose2D(*poses[k]), seen, options)
+        spots.append({**plain(spot.pose), "kind": spot.kind})
+        if time.monotonic() >= end:
+            break
+    after = start + len(spots)
+    return {"of": len(poses), "next": after if after < len(poses) else None, "spots": spots}
 
 
 def survey(

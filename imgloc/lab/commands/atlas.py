@@ -10,8 +10,6 @@ from imgloc.cli.options import option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
 
-_MOST = 20_000
-
 
 @opt.with_options(opt.sensor, opt.reading, opt.console)
 def atlas(
@@ -41,7 +39,16 @@ def atlas(
     from imgloc.cli import inputs
     from imgloc.features.budget import poses_bytes
     from imgloc.io.cache import cache_key
-    from imgloc.lab.atlas import AT_ONCE, TOP, Spot, atlas_poses, simulate_at, summarise, survey
+    from imgloc.lab.atlas import (
+        AT_ONCE,
+        MOST,
+        TOP,
+        Spot,
+        atlas_poses,
+        simulate_at,
+        summarise,
+        survey,
+    )
     from imgloc.lab.atlas_rows import Journal, as_csv
     from imgloc.lab.picture import draw_atlas
     from imgloc.lab.tables import atlas_text
@@ -64,9 +71,9 @@ def atlas(
         "use a larger --step or fewer --headings, crop the map",
     )
     poses = atlas_poses(grid, step, headings, sensor.clearance)
-    if len(poses) > _MOST:
+    if len(poses) > MOST:
         raise ConfigError(
-            f"{name}: {len(poses):,} poses, expected at most {_MOST:,}; "
+            f"{name}: {len(poses):,} poses, expected at most {MOST:,}; "
             "use a larger --step or fewer --headings"
         )
     chosen = replace(sensor, range_max=range_max)
