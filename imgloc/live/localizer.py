@@ -156,7 +156,9 @@ class Localizer:
         self._eras = 0
         given = {} if maps is None else maps if isinstance(maps, Mapping) else {ALONE: maps}
         for name, made in given.items():
-            self.put(name, made, background=background)
+            self._put(name, made, background=background)
+        if not background:
+            self._make_index()
         self._own = self.robot()
 
     # Maps.
@@ -170,7 +172,8 @@ class Localizer:
     def ready(self) -> bool:
         """Whether every map is prepared, so that no answer has to wait for that."""
         entries = tuple(self._entries.values())
-        return bool(entries) and not self._closed and all(e.state == READY for e in entries)
+        index = self._index
+        return not self._closed and index is not None and index[0] == entries
 
     @property
     def errors(self) -> Mapping[str, Exception]:
@@ -185,10 +188,7 @@ class Localizer:
     def wait(self, timeout: float | None = None) -> bool:
         """Wait until no map is being prepared, at most so many seconds; return `ready`."""
         with self._changed:
-            self._changed.wait_for(
-                lambda: self._closed or all(e.state != PREPARING for e in self._entries.values()),
-                timeout,
-            )
+            self._changed.wait_for(lambda: self._closed or not self._preparing, timeout)
         return self.ready
 
     def site(self, name: str | None = None, timeout: float | None = None) -> Site:
@@ -223,6 +223,11 @@ class Localizer:
             Prepare it in a thread. Otherwise it is there when this returns, and an error leaves
             everything as it was.
         """
+        self._put(name, made, background=background)
+        if not background:
+            self._make_index()
+
+    def _put(self, name: str, made: MapLike | Maker, *, background: bool) -> None:
         if self._closed:
             raise Dropped("closed")
         entry = _Entry(made, self._next_era())
@@ -247,6 +252,7 @@ class Localizer:
         with self._changed:
             del self._entries[self._entry(name)[0]]
             self._changed.notify_all()
+        self._make_index()
         self._replaced(name)
 
     # Answers.
@@ -450,23 +456,32 @@ class Localizer:
             raise Dropped("closed")
         entry = self._entry(name)[1]
         if entry.error is not None:
-            raise entry.error
+            raise entry.error.with_traceback(None)
         if entry.site is None:
             raise Dropped("preparing")
         return entry, entry.site
 
     def _all(self) -> tuple[dict[str, _Entry], MapIndex]:
         """All maps, and the index of these."""
-        entries = dict(self._entries)
+        entries, index = dict(self._entries), self._index
         if not entries:
             self._entry(None)
-        sites = {name: self._ready(name)[1] for name in entries}
-        these = tuple(entries.values())
-        if self._index is None or self._index[0] != these:
-            index = index_of({name: site.features for name, site in sites.items()})
+        for name in entries:
+            self._ready(name)
+        if index is None or index[0] != tuple(entries.values()):
+            raise Dropped("preparing")
+        return entries, index[1]
+
+    def _make_index(self) -> None:
+        """Make what is looked at of all maps, once they are all prepared."""
+        with self._changed:
+            entries = dict(self._entries)
+            if not entries or any(entry.site is None for entry in entries.values()):
+                self._index = None
+                return
+            index = index_of({name: _site(entry).features for name, entry in entries.items()})
             _ = index.tiles
-            self._index = these, index
-        return entries, self._index[1]
+            self._index = tuple(entries.values()), index
 
     def _choose(
         self, scan: LaserScan, entries: Mapping[str, _Entry], index: MapIndex, sure: float,
@@ -513,20 +528,23 @@ class Localizer:
     def _prepare(self, name: str, entry: _Entry) -> None:
         try:
             site = site_of(entry.made, name)
-            warm(site, self.options)
+            warm(site, self.options, self.tracking)
+            if self._prepared is not None:
+                self._prepared(name, site)
         except Exception as error:  # raised where the map is asked for
             entry.error = error
-            return
-        entry.made = site
-        entry.site = site
-        if self._prepared is not None:
-            self._prepared(name, site)
+        else:
+            entry.made = entry.site = site
 
     def _prepare_all(self) -> None:
         while True:
             with self._changed:
                 if not self._queue or self._closed:
-                    self._preparing = None
+                    try:
+                        self._make_index()
+                    finally:
+                        self._preparing = None
+                        self._changed.notify_all()
                     return
                 name, entry = self._queue.popleft()
             if self._entries.get(name) is entry:

@@ -8,6 +8,7 @@ import numpy as np
 from imgloc.features.budget import default_budget
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
+from imgloc.filters.follow import Tracking
 from imgloc.geometry import centre_of
 from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.options import FUSED, Calibration, Options, Shared
@@ -63,31 +64,33 @@ def site_of(made: MapLike | Maker, name: str) -> Site:
     return Site(made if isinstance(made, MapFeatures) else prepare(made, name))
 
 
-def warm(site: Site, options: Options) -> None:
-    """Make all that :func:`imgloc.localize` would make of a map when it is first asked for.
+def warm(site: Site, options: Options, tracking: Tracking) -> None:
+    """Make all that an answer, or a robot's filter, would make of a map when it is first asked for.
 
     Raises
     ------
     ConfigError
         If the options cannot be used in this map.
     """
-    features, options = site.features, site.options(options)
+    features, options = site.features, replace(site.options(options), time_budget=None)
     check_options(features, options)
-    if options.method == FUSED:
-        for there in _levels(features, options):
-            _ = there.field, there.walls, there.standable, there.pyramid, there.voters_visibility
+    for there in _levels(features, options):
+        _ = there.field, there.walls, there.standable, there.pyramid, there.voters_visibility
     free = np.argwhere(features.grid.free)
     at = free[len(free) // 2]
     x, y = centre_of(at, features.grid.resolution)
     angles = np.linspace(-np.pi, np.pi, _RAYS, endpoint=False)
     ranges = cast_rays(features.walls, [x, y], angles, _REACH, features.grid.resolution)
-    once = replace(options, time_budget=None)
-    localize(features, LaserScan(ranges.astype(np.float64), angles, range_max=_REACH), once)
+    scan = LaserScan(ranges.astype(np.float64), angles, range_max=_REACH)
+    localize(features, scan, options)
+    robot = tracking.follower(features, options)
+    for way in (0.0, 2 * tracking.every.metres):
+        robot.step(scan, np.array([way, 0.0, 0.0]))
 
 
 def _levels(features: MapFeatures, options: Options) -> list[MapFeatures]:
     """The map, and with walls as thin as a search may make them, as far as there is memory."""
-    need, levels = features.bytes_for(options.method), [features]
+    need, levels = max(map(features.bytes_for, {FUSED, options.method})), [features]
     budget = options.memory_budget or default_budget()
     most = max(options.shared.thinner, THINNEST if features.peels else 0)
     for cells in range(1, most + 1):
