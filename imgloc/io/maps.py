@@ -37,8 +37,15 @@ from imgloc.io.files import (
     write_bytes_atomic,
     write_text_atomic,
 )
-from imgloc.io.images import MAX_PIXELS, ImageSize, MapImage, encode_png, read_image
-from imgloc.io.mapyaml import MODES, RESOLUTION_RANGE, MapYaml, load_map_yaml
+from imgloc.io.images import (
+    MAX_PIXELS,
+    ImageSize,
+    MapImage,
+    decode_image,
+    encode_png,
+    read_image,
+)
+from imgloc.io.mapyaml import MODES, RESOLUTION_RANGE, MapYaml, load_map_yaml, parse_map_yaml
 from imgloc.model import BoolArray, OccupancyGrid, Pose2D
 
 _LOG = logging.getLogger("imgloc")
@@ -130,6 +137,44 @@ def load_map(
         said = GREY_205.format(trap=trap, free_thresh=settings.free_thresh)
         _LOG.warning("%s: %s", display(path), said)
     return grid
+
+
+def map_of_bytes(
+    image: bytes,
+    yaml: bytes | None,
+    name: str,
+    *,
+    allow_lossy: bool = False,
+    **reading: Unpack[Reading],
+) -> OccupancyGrid:
+    r"""Make a map of the contents of its files, as :func:`load_map`; no file is opened.
+
+    Parameters
+    ----------
+    image, yaml : bytes
+        Whatever path the YAML names, it is this image. Without a YAML a `resolution` is needed.
+    name : str
+        What error messages call the map.
+
+    Examples
+    --------
+    >>> grid = map_of_bytes(b"P2\n2 1\n255\n0 254\n", None, "upload", resolution=0.5)
+    >>> grid.occupied.tolist(), grid.free.tolist()
+    ([[True, False]], [[False, True]])
+    """
+    given: dict[str, Any] = {key: value for key, value in reading.items() if value is not None}
+    _check_options(given)
+    file = Path(name)
+    if yaml is not None:
+        written = parse_map_yaml(yaml, file)
+    elif "resolution" in given:
+        written = MapYaml(file, file, origin=Pose2D(0.0, 0.0, 0.0))
+    else:
+        hint = "expected metres per cell, or the map's YAML"
+        raise MapError(f"{name}: resolution: missing, {hint}")
+    settings = _settings(written, given, name, bare=yaml is None)
+    most = reading.get("max_pixels", MAX_PIXELS)
+    return grid_of(decode_image(image, name, max_pixels=most, allow_lossy=allow_lossy), settings)
 
 
 def _warn_of_other_frame(settings: MapSettings) -> None:
@@ -323,6 +368,11 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
         except MapError as e:
             raise MapError(f"{e}; {name} says that this is its image") from None
     written = said or MapYaml(file, file, origin=Pose2D(0.0, 0.0, 0.0))
+    return _settings(written, given, name, bare=said is None)
+
+
+def _settings(written: MapYaml, given: dict[str, Any], name: str, *, bare: bool) -> MapSettings:
+    """What a YAML says, overridden by what is given, with defaults; a `bare` image has none."""
     used = _DEFAULTS | {k: v for k, v in vars(written).items() if v is not None} | given
     for key, expected in _NEEDED.items():
         if key not in used:
@@ -336,7 +386,7 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
         image=written.image,
         resolution=float(used["resolution"]),
         origin=origin if isinstance(origin, Pose2D) else Pose2D(*map(float, origin)),
-        yaml=said,
+        yaml=None if bare else written,
         **{key: used[key] for key in _DEFAULTS},
     )
 
