@@ -17,6 +17,8 @@ from imgloc.cli.map import check, show
 from imgloc.cli.options import FORMATS, examples
 from imgloc.cli.report import report
 from imgloc.cli.sample import sample
+from imgloc.cli.serve import open as open_page
+from imgloc.cli.serve import serve
 from imgloc.cli.simulate import simulate
 from imgloc.cli.track import track
 from imgloc.cli.which import which
@@ -126,6 +128,13 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc which sites --index sites.npz --build",
         "imgloc which sites scans.npz --index sites.npz --picture where.png",
     ),
+    serve: (
+        "imgloc serve office.yaml",
+        "imgloc serve floors --port 8080 --threads 4",
+        "curl -X POST -T scans.npz 'http://127.0.0.1:8080/v1/localize?index=3'",
+        "IMGLOC_TOKEN=... imgloc serve office.yaml --host 0.0.0.0",
+    ),
+    open_page: ("imgloc open office.yaml", "imgloc open office.yaml scans.npz"),
 }
 _MAP: dict[Callable[..., None], tuple[str, ...]] = {
     check: ("imgloc map check office.yaml", "imgloc map check a.yaml --json"),

@@ -1,0 +1,200 @@
+"""Who may ask a service, and how: hosts, origins, the token, bodies, and what answers may do.
+
+A page of another site that somebody has open in a browser may ask whatever listens on this
+machine, also by a name that it makes lead here (DNS rebinding). So the Host of a request must be
+this service's own, and the Origin, where there is one, must be the same.
+"""
+
+import asyncio
+import base64
+import binascii
+import hmac
+import ipaddress
+import re
+import socket
+from collections.abc import Awaitable, Callable, Mapping, MutableMapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from imgloc.errors import ConfigError
+from imgloc.live.problems import Refused
+
+Message = MutableMapping[str, Any]
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+
+_LOCAL = ("127.0.0.1", "localhost", "::1")
+_SHORTEST = 16  # characters of a token
+_PROTOCOL = "bearer."  # and the token as base64: browsers give a WebSocket no other header
+OPEN = ("/v1/", "/metrics")  #: what needs the token, if there is one
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
+    "connect-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'; require-trusted-types-for 'script'; trusted-types 'none'"
+)
+HEADERS: Mapping[str, str] = {
+    "Content-Security-Policy": POLICY,
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+"""Of every answer: a page loads nothing from elsewhere, is framed by nobody and runs no text."""
+
+
+@dataclass(frozen=True)
+class Access:
+    """Who may ask.
+
+    Parameters
+    ----------
+    host : str
+        Address that the service listens at. A ConfigError if it is not loopback and there is no
+        `token`.
+    token : str, optional
+        What requests must carry, at least 16 visible characters; else a ConfigError.
+    names : sequence of str
+        Hosts by which the service is called besides.
+
+    Examples
+    --------
+    >>> Access().admits("localhost:8080"), Access().admits("evil.example:8080")
+    (True, False)
+    >>> Access("0.0.0.0")
+    Traceback (most recent call last):
+        ...
+    imgloc.errors.ConfigError: host: got 0.0.0.0, which others can reach: expected a token, too
+    """
+
+    host: str = "127.0.0.1"
+    token: str | None = None
+    names: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        if self.token is None and not self.loopback:
+            found = f"got {self.host}, which others can reach"
+            raise ConfigError(f"host: {found}: expected a token, too")
+        if self.token is not None and not re.fullmatch(rf"[!-~]{{{_SHORTEST},}}", self.token):
+            expected = f"at least {_SHORTEST} visible ASCII characters without a space"
+            raise ConfigError(f"token: expected {expected}")
+
+    @property
+    def loopback(self) -> bool:
+        """Whether only this machine reaches the service."""
+        return _loopback(self.host)
+
+    def admits(self, host: str) -> bool:
+        """Whether the Host of a request is this service."""
+        name = host_name(host)
+        known = {*_LOCAL, self.host, *(given.lower() for given in self.names)}
+        if not self.loopback:  # no address can be rebound, only a name
+            known |= {socket.gethostname().lower()}
+            return name in known or _is_address(name)
+        return name in known
+
+    def check(self, scope: Scope) -> None:
+        """Refuse a request from elsewhere, or without the token; `scope` is that of ASGI."""
+        headers = headers_of(scope)
+        hosts, origins = headers.get("host", []), headers.get("origin", [])
+        if len(hosts) != 1 or not self.admits(hosts[0]):
+            some = ", ".join(hosts)[:100] or "none"
+            hint = "its address, localhost, or a name that it was given"
+            raise Refused("forbidden", f"Host: got {some}, expected {hint}")
+        if origins and [origin_host(origin) for origin in origins] != [hosts[0].lower()]:
+            some = ", ".join(origins)[:100]
+            raise Refused("forbidden", f"Origin: got {some}, expected that of this page")
+        guarded = scope["path"].startswith(OPEN)
+        if guarded and headers.get("sec-fetch-site", ["none"])[0] in ("cross-site", "same-site"):
+            raise Refused("forbidden", "Sec-Fetch-Site: a page of another site asks")
+        if guarded and self.token is not None and not self._has_token(scope, headers):
+            hint = "Authorization: Bearer TOKEN"
+            raise Refused("unauthorized", f"the token is missing or wrong, expected {hint}")
+
+    def _has_token(self, scope: Scope, headers: Mapping[str, list[str]]) -> bool:
+        given = [v[7:].strip() for v in headers.get("authorization", []) if v[:7] == "Bearer "]
+        for protocol in scope.get("subprotocols", []):
+            if protocol.startswith(_PROTOCOL):
+                text = protocol.removeprefix(_PROTOCOL)
+                try:
+                    padded = text + "=" * (-len(text) % 4)
+                    given.append(base64.urlsafe_b64decode(padded).decode("ascii"))
+                except (binascii.Error, ValueError):
+                    return False
+        known = (self.token or "").encode()
+        return any(hmac.compare_digest(one.encode(), known) for one in given)
+
+
+def _loopback(host: str) -> bool:
+    return host == "localhost" or (_is_address(host) and ipaddress.ip_address(host).is_loopback)
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def host_name(host: str) -> str:
+    """The name in a Host header, without its port, in small letters; empty if it is none.
+
+    Examples
+    --------
+    >>> host_name("LocalHost:80"), host_name("[::1]:80"), host_name("a@b:80")
+    ('localhost', '::1', '')
+    """
+    found = re.fullmatch(r"(?:\[([0-9a-f:.]+)\]|([a-z0-9._-]+))(?::\d{1,5})?", host.lower())
+    return "" if found is None else (found[1] or found[2]).removesuffix(".")
+
+
+def origin_host(origin: str) -> str:
+    """The host and port in an Origin; empty if it is none, as ``null``."""
+    found = re.fullmatch(r"https?://([^/@\s]+)", origin.lower())
+    return "" if found is None else found[1]
+
+
+def headers_of(scope: Scope) -> dict[str, list[str]]:
+    """The headers of a request, by their names in small letters."""
+    out: dict[str, list[str]] = {}
+    for name, value in scope["headers"]:
+        out.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1"))
+    return out
+
+
+async def read_body(
+    scope: Scope, receive: Receive, *, limit: int, seconds: float, stopping: asyncio.Event
+) -> bytes:
+    """The body of a request, of at most `limit` bytes, if it comes within so many seconds."""
+    said = headers_of(scope).get("content-length", ["0"])[0]
+    if int(said) > limit:
+        raise Refused("too-large", f"{int(said):,} bytes, expected a body of at most {limit:,}")
+    data, ended = bytearray(), False
+    stop = asyncio.ensure_future(stopping.wait())
+    try:
+        async with asyncio.timeout(seconds):
+            while not ended:
+                part = asyncio.ensure_future(receive())
+                await asyncio.wait((part, stop), return_when=asyncio.FIRST_COMPLETED)
+                if not part.done():
+                    part.cancel()
+                    raise Refused("stopping", "the service ends; ask another one", retry=5)
+                message = part.result()
+                if message["type"] == "http.disconnect":
+                    raise Gone
+                data += message.get("body", b"")
+                ended = not message.get("more_body", False)
+                if len(data) > limit:
+                    raise Refused("too-large", f"expected a body of at most {limit:,} bytes")
+    except TimeoutError:
+        found = f"{len(data):,} bytes came in {seconds:g} s"
+        raise Refused("too-slow", f"{found}, expected the whole body") from None
+    finally:
+        stop.cancel()
+    return bytes(data)
+
+
+class Gone(Exception):  # noqa: N818 (nothing is wrong)
+    """The client has closed the connection: there is nobody to answer."""

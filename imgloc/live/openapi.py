@@ -1,0 +1,452 @@
+"""What the service answers, as data: parameters that it checks, and its OpenAPI 3.1 document."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from imgloc.__about__ import __version__
+from imgloc.live.parameters import PLACE, TURN, Flag, Number, Numbers, Parameter, Text, Word
+from imgloc.live.problems import KINDS, MEDIA
+from imgloc.live.requests import NAME, NAME_WORDS
+
+_DEVIATION = (0.001, 3.2)  # radians that a heading may be off
+_RADIUS = (0.01, 1e6)  # metres
+_METHODS = ("fused", "cbml", "cbml-o", "ght", "ght-v", "beam")
+STACKS = _METHODS[1:]
+FILTERS = ("tracker", "grid", "particle")
+LAYERS = ("bmap", "distance", "vmap")
+_FILE = r"[^\x00-\x1f/\\]{1,200}"
+_LIST = r"(\d{1,9}|\d{0,9}:\d{0,9}(:0{0,9}[1-9]\d{0,8})?)"
+INDEX_WORDS = "indices from 0, ranges A:B (without B) or A:B:STEP, and commas between"
+X_Y_YAW = Numbers(3, (PLACE, PLACE, TURN))
+
+MAP = Parameter("map", "Name of the map; one map needs none.", Text(NAME, 100, NAME_WORDS))
+SCANS_ID = Parameter(
+    "scans", "Scans that were sent before, in place of a body.", Text("[0-9a-f]{16}", 16, "an id")
+)
+FILE = Parameter(
+    "name",
+    "Name of the file of scans: its ending tells the format; without it the content does.",
+    Text(_FILE, 200, "a file name"),
+)
+INDEX = Parameter(
+    "index",
+    f"Only these scans of a file: {INDEX_WORDS}.",
+    Text(f"{_LIST}(,{_LIST}){{0,99}}", 2000, INDEX_WORDS),
+)
+TOPIC = Parameter(
+    "topic", "Which of several lasers of a log.", Text(r"[!-~]{1,200}", 200, "a name")
+)
+FOV = Parameter(
+    "fov_deg",
+    "Angle from the first to the last ray, where the file does not say it.",
+    Number(0.01, 360, "degrees"),
+)
+SCALE = Parameter("range_scale", "Metres of a range: 0.001 of millimetres.", Number(1e-6, 1e6), 1.0)
+CUT = Parameter(
+    "range_max", "Readings are cut here: there, no return.", Number(1e-3, 1e6, "metres")
+)
+SENSOR = Parameter(
+    "sensor",
+    "Pose of the sensor on the robot (x, y, yaw): poses of the base are given, too.",
+    Numbers(3, ((-5.0, 5.0), (-5.0, 5.0), TURN)),
+)
+FLIPPED = Parameter(
+    "flipped", "The sensor is upside down: its angles run clockwise.", Flag(), False
+)
+TAKEN = (SCALE, CUT, SENSOR, FLIPPED)
+READ = (FILE, TOPIC, FOV)
+SCANS = (SCANS_ID, *READ, INDEX, *TAKEN)
+HEADING = Parameter(
+    "heading", "Only poses with this heading, and how far it may be off.",
+    Numbers(1, (TURN, _DEVIATION)),
+)  # fmt: skip
+CLEARANCE = Parameter(
+    "clearance",
+    "Only poses at least so far from what is not free: the robot's size.",
+    Number(0, 1000, "metres"),
+)
+REGION = Parameter(
+    "region", "Only poses in this polygon: x1, y1, x2, y2 and so on, map frame, metres.",
+    Numbers(6, (PLACE,) * 200),
+)  # fmt: skip
+PRIOR = (
+    Parameter(
+        "near",
+        "Only poses near this one: x, y, yaw, how far away and how far turned from it.",
+        Numbers(3, (PLACE, PLACE, TURN, _RADIUS, _DEVIATION)),
+    ),
+    HEADING,
+    CLEARANCE,
+    REGION,
+)
+METHOD = Parameter("method", "How: fused is the default of imgloc.", Word(_METHODS), "fused")
+LOCALIZE = (
+    MAP, *SCANS, *PRIOR, METHOD,
+    Parameter("top", "Hypotheses that are listed.", Number(1, 1000, "hypotheses", whole=True)),
+    Parameter("theta_step_deg", "Step of the headings.", Number(0.5, 180, "degrees")),
+    Parameter("exact", "Branch and bound: of fused and cbml.", Flag(), False),
+)  # fmt: skip
+WHICH = (*SCANS, HEADING, CLEARANCE)
+FIT = (
+    MAP, *SCANS,
+    Parameter("pose", "Pose of the sensor: x, y, yaw, map frame.", X_Y_YAW, needed=True),
+    Parameter("scale", "What lengths are multiplied by: an answer's evidence.scale.",
+              Number(0.5, 2)),
+    Parameter("thinner", "What walls lose on each side: an answer's evidence.thinner.",
+              Number(0, 10, "metres")),
+)  # fmt: skip
+UPLOAD = (
+    Parameter("name", "What the map is called.", Text(NAME, 100, NAME_WORDS)),
+    Parameter("resolution", "Metres per cell.", Number(0.001, 10, "metres")),
+    Parameter("origin", "Pose of the lower-left corner: x, y, yaw.", X_Y_YAW),
+    Parameter("mode", "How greys are read.", Word(("trinary", "scale", "raw"))),
+    Parameter("semantics", "Whose thresholds and transparency.", Word(("nav2", "ros1")), "nav2"),
+    Parameter("occupied_thresh", "Occupied from here on.", Number(0, 1)),
+    Parameter("free_thresh", "Free up to here.", Number(0, 1)),
+    Parameter("negate", "White is a wall.", Flag()),
+    Parameter("allow_lossy", "Take a JPEG or a lossy WebP.", Flag(), False),
+)
+UPLOAD_SCANS = (*READ, SCALE)
+PAGE = (
+    Parameter("start", "The first scan of the page.", Number(0, 1e9, "scans", whole=True), 0),
+    Parameter("count", "Scans of the page.", Number(1, 200, "scans", whole=True), 20),
+)
+LIKELIHOOD = (
+    MAP, SCANS_ID, INDEX, *TAKEN,
+    Parameter("method", "Whose likelihood.", Word(STACKS), "cbml"),
+    Parameter("slice", "Number of the heading, or max over all.",
+              Text(r"max|\d{1,5}", 5, "a number, or max"), "max"),
+)  # fmt: skip
+VISIBILITY = (
+    MAP,
+    Parameter("at", "x, y, map frame, metres.", Numbers(2, (PLACE, PLACE)), needed=True),
+)
+REGION_LAYER = (MAP, Parameter("region", REGION.about, REGION.kind, needed=True))
+TRACK = (
+    MAP, *TAKEN,
+    Parameter("filter", "Which filter.", Word(FILTERS), "tracker"),
+    Parameter("seed", "Seed of everything random.", Number(0, 2**31, whole=True), 0),
+    Parameter("start", "Where the robot starts, about: x, y, yaw.", X_Y_YAW),
+)  # fmt: skip
+
+_NULL_NUMBER = {"type": ["number", "null"]}
+_POSE = {
+    "type": "object",
+    "properties": {key: {"type": "number"} for key in ("x", "y", "theta")},
+    "required": ["x", "y", "theta"],
+}
+_TURNED = {"type": "number", "minimum": -12.5, "maximum": 12.5}
+_LONG = {"type": "number", "minimum": -1e6, "maximum": 1e6}
+_GIVEN_POSE = {"type": "array", "prefixItems": [_LONG, _LONG, _TURNED], "items": False,
+               "minItems": 3, "maxItems": 3}  # fmt: skip
+_SCHEMAS: Mapping[str, Any] = {
+    "Problem": {
+        "type": "object",
+        "properties": {
+            "type": {"type": "string", "enum": [f"urn:imgloc:problem:{kind}" for kind in KINDS]},
+            "title": {"type": "string"},
+            "status": {"type": "integer"},
+            "detail": {"type": "string"},
+        },
+        "required": ["type", "title", "status", "detail"],
+    },
+    "Pose": _POSE,
+    "LaserScan": {
+        "type": "object",
+        "description": "Names of sensor_msgs/LaserScan; metres and radians, counter-clockwise, 0 "
+        "forward. In ranges null is no reading, 'inf' no return.",
+        "properties": {
+            "ranges": {
+                "type": "array",
+                "minItems": 1,
+                "maxItems": 1000,
+                "items": {"anyOf": [
+                    {"type": "number", "minimum": 0, "maximum": 1e6},
+                    {"type": "null"}, {"enum": ["inf", "-inf", "nan"]},
+                ]},
+            },
+            "angle_min": _TURNED | {"minimum": -6.2832, "maximum": 0},
+            "angle_increment": {"type": "number", "minimum": 0, "maximum": 0.0125},
+            "range_min": {"type": "number", "minimum": 0, "maximum": 10},
+            "range_max": {"type": "number", "minimum": 10.1, "maximum": 1e6},
+            "stamp": {"type": "number", "minimum": 0, "maximum": 1e12},
+            "odom": _GIVEN_POSE,
+        },
+        "required": ["ranges", "angle_min", "angle_increment"],
+        "additionalProperties": False,
+    },
+    "Map": {
+        "type": "object",
+        "properties": {
+            "name": {"type": "string"}, "width": {"type": "integer"}, "height": {"type": "integer"},
+            "resolution": {"type": "number"}, "origin": {"$ref": "#/components/schemas/Pose"},
+            "free_m2": {"type": "number"}, "uploaded": {"type": "boolean"},
+            "version": {"type": "string"}, "path": {"type": ["string", "null"]},
+            "warnings": {"type": "array", "items": {"type": "string"}},
+        },
+        "required": ["name", "width", "height", "resolution", "origin", "uploaded", "version"],
+    },
+    "Scans": {
+        "type": "object",
+        "properties": {
+            "id": {"type": "string"}, "name": {"type": "string"}, "scans": {"type": "integer"},
+            "readings": {"type": "integer"}, "poses": {"type": "boolean"},
+            "odom": {"type": "boolean"}, "stamps": {"type": "boolean"},
+        },
+        "required": ["id", "name", "scans", "readings", "poses", "odom", "stamps"],
+    },
+    "Answer": {
+        "type": "object",
+        "properties": {
+            "index": {"type": "integer"},
+            "verdict": {"enum": ["unique", "ambiguous", "no-match", "invalid"]},
+            "pose": {"oneOf": [{"$ref": "#/components/schemas/Pose"}, {"type": "null"}]},
+            "hypotheses": {"type": "array", "items": {"type": "object"}},
+            "elsewhere": {"type": "number"}, "entropy": _NULL_NUMBER, "explained": _NULL_NUMBER,
+            "counts": {"type": "object"}, "timings_ms": {"type": "object"},
+            "parameters": {"type": "object"},
+        },
+        "required": ["index", "verdict", "pose", "hypotheses", "counts", "parameters"],
+    },
+    "Choice": {
+        "type": "object",
+        "properties": {
+            "index": {"type": "integer"}, "verdict": {"type": "string"}, "none": _NULL_NUMBER,
+            "maps": {"type": "array", "items": {"type": "object"}},
+        },
+        "required": ["index", "verdict", "none", "maps"],
+    },
+    "Fit": {
+        "type": "object",
+        "properties": {
+            "pose": {"$ref": "#/components/schemas/Pose"}, "log_likelihood": _NULL_NUMBER,
+            "per_reading": _NULL_NUMBER, "best": {"type": "number"}, "misfit": _NULL_NUMBER,
+            "explained": _NULL_NUMBER, "stands": {"type": "boolean"},
+            "readings": {"type": "integer"}, "counts": {"type": "object"},
+            "rays": {"type": "object"},
+        },
+        "required": ["pose", "log_likelihood", "misfit", "explained", "counts", "rays"],
+    },
+}  # fmt: skip
+
+_BINARY = {"type": "string", "format": "binary"}
+#: A body of scans: its media types. One of JSON is one scan.
+SCAN_BODY: Mapping[str, Any] = {
+    "application/json": {"schema": {"$ref": "#/components/schemas/LaserScan"}},
+    "application/octet-stream": {"schema": _BINARY},
+}
+_MAP_BODY: Mapping[str, Any] = {
+    "multipart/form-data": {
+        "schema": {
+            "type": "object",
+            "properties": {"image": _BINARY, "yaml": _BINARY},
+            "required": ["image"],
+            "additionalProperties": False,
+        }
+    },
+    "application/octet-stream": {"schema": _BINARY},
+}
+
+
+def _ref(name: str, media: str = "application/json") -> dict[str, Any]:
+    return {media: {"schema": {"$ref": f"#/components/schemas/{name}"}}}
+
+
+def _of(kind: str) -> dict[str, Any]:
+    return {"application/json": {"schema": {"type": kind}}}
+
+
+_PNG: dict[str, Any] = {"image/png": {}}
+_LINES: dict[str, Any] = {"application/x-ndjson": {"schema": {"type": "string"}}}
+
+
+@dataclass(frozen=True)
+class Operation:
+    """What one request does."""
+
+    path: str
+    about: str
+    answer: Mapping[int, tuple[str, Mapping[str, Any]]]  #: by status: in words, and its content
+    parameters: Sequence[Parameter] = ()
+    body: Mapping[str, Any] = field(default_factory=dict)
+    method: str = "get"
+    needs_body: bool = False
+    problems: Sequence[int] = ()  #: besides those that every request may have
+
+    def document(self) -> dict[str, Any]:
+        """The operation object of OpenAPI."""
+        parameters = [_path_of(name) for name in ("name", "id") if f"{{{name}}}" in self.path]
+        parameters += [_parameter(one) for one in self.parameters]
+        responses = {
+            str(status): {"description": words, **({"content": content} if content else {})}
+            for status, (words, content) in self.answer.items()
+        }
+        content = {MEDIA: {"schema": {"$ref": "#/components/schemas/Problem"}}}
+        common = (400, 401, 403, 405, *self.problems)
+        for status in sorted({*common, *((404, 422) if self.parameters else ())}):
+            title = next(title for number, title in KINDS.values() if number == status)
+            responses[str(status)] = {"description": title, "content": content}
+        out: dict[str, Any] = {"summary": self.about, "parameters": parameters}
+        if self.body:
+            out["requestBody"] = {"required": self.needs_body, "content": self.body}
+        return out | {"responses": responses}
+
+
+_BODY = (408, 413, 415, 503, 504)
+OPERATIONS = (
+    Operation("/healthz", "Whether the service lives.", {200: ("It does.", _of("object"))}),
+    Operation(
+        "/readyz",
+        "Whether all maps are prepared.",
+        {200: ("They are.", _of("object"))},
+        problems=(503,),
+    ),
+    Operation("/metrics", "Counts and times.", {200: ("Prometheus' text.", {"text/plain": {}})}),
+    Operation("/v1/openapi.json", "This document.", {200: ("It.", _of("object"))}),
+    Operation("/v1/maps", "The maps that are held.", {200: ("Them.", _of("object"))}),
+    Operation(
+        "/v1/maps",
+        "Send a map: its image, or a form with its image and YAML.",
+        {201: ("The map, prepared.", _ref("Map"))},
+        UPLOAD,
+        _MAP_BODY,
+        "post",
+        needs_body=True,
+        problems=(409, *_BODY),
+    ),
+    Operation(
+        "/v1/maps/{name}", "A map.", {200: ("It.", _ref("Map"))}, problems=(404, 503)
+    ),
+    Operation(
+        "/v1/maps/{name}",
+        "Forget a map that was sent.",
+        {204: ("It is gone.", {})},
+        method="delete",
+        problems=(404, 409, 503),
+    ),
+    Operation(
+        "/v1/maps/{name}/image",
+        "A map as an image: occupied 0, unknown 205, free 254.",
+        {200: ("PNG.", _PNG)},
+        problems=(404, 503),
+    ),
+    Operation(
+        "/v1/scans",
+        "Send a file of scans, to ask about them again and again.",
+        {201: ("What is in it.", _ref("Scans"))},
+        UPLOAD_SCANS,
+        SCAN_BODY,
+        "post",
+        needs_body=True,
+        problems=_BODY,
+    ),
+    Operation(
+        "/v1/scans/{id}",
+        "Scans that were sent, some at a time.",
+        {200: ("Them.", _ref("Scans"))},
+        PAGE,
+        problems=(503, 504),
+    ),
+    Operation(
+        "/v1/scans/{id}",
+        "Forget scans that were sent.",
+        {204: ("They are gone.", {})},
+        method="delete",
+        problems=(404,),
+    ),
+    Operation(
+        "/v1/localize",
+        "Where scans are on a map: the JSON of `imgloc localize`.",
+        {200: ("A JSON object; of several scans, one a line.", _ref("Answer") | _LINES)},
+        LOCALIZE,
+        SCAN_BODY,
+        "post",
+        problems=_BODY,
+    ),
+    Operation(
+        "/v1/which",
+        "From which map scans are: the JSON of `imgloc which`.",
+        {200: ("A JSON object; of several scans, one a line.", _ref("Choice") | _LINES)},
+        WHICH,
+        SCAN_BODY,
+        "post",
+        problems=_BODY,
+    ),
+    *(
+        Operation(
+            f"/v1/{name}", about, {200: ("The fit.", _ref("Fit"))}, FIT, SCAN_BODY, "post",
+            problems=_BODY,
+        )
+        for name, about in (
+            ("score", "How a scan fits at a pose."),
+            ("settle", "How a scan fits where it settles, from a pose."),
+        )
+    ),
+    *(
+        Operation(
+            f"/v1/layers/{name}", f"The {name} of a map.", {200: ("PNG.", _PNG)}, (MAP,),
+            problems=(503, 504),
+        )
+        for name in LAYERS
+    ),
+    Operation(
+        "/v1/layers/likelihood",
+        "A likelihood of all poses, at one heading or over all.",
+        {200: ("PNG.", _PNG)},
+        LIKELIHOOD,
+        problems=(503, 504),
+    ),
+    Operation(
+        "/v1/layers/visibility",
+        "What is seen from a place.",
+        {200: ("A polygon.", _of("object"))},
+        VISIBILITY,
+        problems=(503, 504),
+    ),
+    Operation(
+        "/v1/layers/region",
+        "The cells of a region, white: the image of a region on the command line.",
+        {200: ("PNG.", _PNG)},
+        REGION_LAYER,
+        problems=(503, 504),
+    ),
+)  # fmt: skip
+
+
+def _parameter(one: Parameter) -> dict[str, Any]:
+    schema = one.kind.schema | ({} if one.default is None else {"default": one.default})
+    out: dict[str, Any] = {"name": one.name, "in": "query", "description": one.about}
+    out["schema"] = schema
+    if one.needed:
+        out["required"] = True
+    return out | ({"style": "form", "explode": False} if schema["type"] == "array" else {})
+
+
+def _path_of(name: str) -> dict[str, Any]:
+    schema = {"type": "string", "pattern": f"^(?:{NAME})$" if name == "name" else "^[0-9a-f]{16}$"}
+    return {"name": name, "in": "path", "required": True, "schema": schema}
+
+
+def document(*, token: bool = False) -> dict[str, Any]:
+    """The OpenAPI document; `token`: whether requests must carry one.
+
+    Examples
+    --------
+    >>> sorted(document()["paths"]["/v1/maps"])
+    ['get', 'post']
+    """
+    paths: dict[str, Any] = {}
+    for one in OPERATIONS:
+        paths.setdefault(one.path, {})[one.method] = one.document()
+    about = "Where am I on this map? Metres, radians, map frame; poses are the sensor's."
+    out: dict[str, Any] = {
+        "openapi": "3.1.0",
+        "info": {"title": "imgloc", "version": __version__, "description": about},
+        "paths": paths,
+        "components": {"schemas": dict(_SCHEMAS)},
+    }
+    if token:
+        out["components"]["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
+        out["security"] = [{"token": []}]
+    return out

@@ -1,0 +1,267 @@
+"""Bodies of requests to maps and scans: limited before anything is decoded; no path is a client's.
+
+>>> body = b'{"ranges": [1.0, null, "inf"], "angle_min": 0.0, "angle_increment": 0.1}'
+>>> scans_of(body, "application/json", "", Bounds())[0].ranges.tolist()
+[1.0, nan, inf]
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any, NamedTuple
+
+from imgloc.errors import MapError, OutputError, ScanError, printable
+from imgloc.features.budget import scans_bytes
+from imgloc.io.maps import Reading, map_of_bytes
+from imgloc.io.mapyaml import MAX_YAML_BYTES, parse_map_yaml
+from imgloc.io.scans import SCAN_ENDINGS, load_scans, scans_size
+from imgloc.io.scanset import ScanSet
+from imgloc.io.textscans import MAX_LINE, read_jsonl_line
+from imgloc.live.problems import Refused
+from imgloc.model import LaserScan, OccupancyGrid, Pose2D
+from imgloc.options import Count
+from imgloc.ranges import Checked, Within
+
+JSON, FORM = "application/json", "multipart/form-data"
+MIB = 1 << 20
+_ENDINGS = (*SCAN_ENDINGS, ".yaml", ".yml")
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,99}", re.ASCII)
+NAME = _NAME.pattern  #: what a map may be called
+_PARTS = 8  # of a form
+Seconds = Annotated[float, Within(0.01, 86_400, "seconds")]
+
+
+@dataclass(frozen=True)
+class Bounds(Checked):
+    """How much a service takes from those who ask."""
+
+    body: Annotated[int, Within(1, 1 << 40, "bytes")] = 64 * MIB  #: of a request
+    pixels: Count = 25_000_000  #: of an uploaded map
+    numbers: Count = 20_000_000  #: ranges, angles and more of an uploaded file of scans
+    scans: Count = 200_000  #: of an uploaded file
+    each: Count = 1000  #: scans that one request asks about
+    message: Annotated[int, Within(1, 1 << 30, "bytes")] = 4 * MIB  #: a line of a WebSocket
+    seconds: Seconds = 30.0  #: until an answer is given up
+    patience: Seconds = 15.0  #: until a body has come, or the head of a request
+    waiting: Count = 16  #: requests that wait for an answer
+    connections: Count = 100
+    sockets: Count = 16  #: WebSockets
+    held: Count = 8  #: uploaded maps, and files of scans
+
+
+class Part(NamedTuple):
+    """A part of a form."""
+
+    name: str
+    file: str  #: the name of the file; empty if it is none
+    data: bytes
+
+
+def kind_of(content_type: str) -> str:
+    """The media type without its parameters, in small letters."""
+    return content_type.partition(";")[0].strip().lower()
+
+
+def parts_of(body: bytes, content_type: str) -> list[Part]:
+    r"""The parts of a form, at most eight.
+
+    Examples
+    --------
+    >>> body = b'--x\r\nContent-Disposition: form-data; name="a"\r\n\r\n12\r\n--x--\r\n'
+    >>> parts_of(body, "multipart/form-data; boundary=x")
+    [Part(name='a', file='', data=b'12')]
+    """
+    from python_multipart.exceptions import FormParserError
+    from python_multipart.multipart import MultipartParser, parse_options_header
+
+    _, options = parse_options_header(content_type.encode("latin-1", "replace"))
+    head, header, found = dict[bytes, bytes](), [b"", b""], list[tuple[dict[bytes, bytes], Any]]()
+
+    def begin() -> None:
+        if len(found) >= _PARTS:
+            raise Refused("bad-request", f"the form has more than {_PARTS} parts")
+        head.clear()
+        found.append(({}, bytearray()))
+
+    def ended() -> None:
+        head[header[0].lower()] = header[1]
+        header[:] = [b"", b""]
+
+    def field(data: bytes, start: int, end: int) -> None:
+        header[0] += data[start:end]
+
+    def value(data: bytes, start: int, end: int) -> None:
+        header[1] += data[start:end]
+
+    def whole() -> None:
+        found[-1][0].update(parse_options_header(head.get(b"content-disposition", b""))[1])
+
+    def part(data: bytes, start: int, end: int) -> None:
+        found[-1][1].extend(data[start:end])
+
+    callbacks: Any = {
+        "on_part_begin": begin, "on_header_field": field, "on_header_value": value,
+        "on_header_end": ended, "on_headers_finished": whole, "on_part_data": part,
+    }  # fmt: skip
+    try:
+        parser = MultipartParser(options[b"boundary"], callbacks)
+        parser.write(body)
+        parser.finalize()
+        about = [(name.get(b"name", b""), name.get(b"filename", b""), d) for name, d in found]
+    except (KeyError, FormParserError, ValueError):
+        raise Refused("bad-request", "the body is no form (multipart/form-data)") from None
+    return [Part(a.decode("utf-8", "replace"), b.decode("utf-8", "replace"), bytes(data))
+            for a, b, data in about]  # fmt: skip
+
+
+def shown(name: str) -> str:
+    r"""The last part of a file's name, as it may stand in a message; `body` without one.
+
+    Examples
+    --------
+    >>> shown("C:\\logs\\a.log"), shown("../../etc/passwd"), shown("")
+    ('a.log', 'passwd', 'body')
+    """
+    last = re.split(r"[/\\]", name)[-1]
+    return printable(last, keep="")[:100] or "body"
+
+
+def scans_of(
+    body: bytes,
+    content_type: str,
+    name: str,
+    bounds: Bounds,
+    *,
+    budget: int | None = None,
+    topic: str | None = None,
+    fov: float | None = None,
+) -> ScanSet:
+    """The scans of a body: a LaserScan as JSON, or any file of scans, also as a part of a form.
+
+    Parameters
+    ----------
+    body, content_type : bytes, str
+    name : str
+        Of the file: its ending tells the format; without one the content does.
+    bounds : Bounds
+    budget : int, optional
+        Bytes of memory that this may take.
+    topic, fov : str, float, optional
+        As of :func:`imgloc.load_scans`.
+
+    Raises
+    ------
+    ScanError, Refused
+    """
+    if not body:
+        raise Refused("bad-request", "the body is empty, expected a scan or a file of scans")
+    kind = kind_of(content_type)
+    if kind == FORM:
+        parts = [part for part in parts_of(body, content_type) if part.file or part.name == "file"]
+        if len(parts) != 1:
+            raise Refused("bad-request", f"the form has {len(parts)} files, expected one, of scans")
+        body, name = parts[0].data, name or parts[0].file
+    elif kind == JSON:
+        return _scan_of(body)
+    label, ending = shown(name), PurePosixPath(shown(name)).suffix.lower()
+    with TemporaryDirectory(prefix="imgloc-") as folder:
+        path = Path(folder, "scans" + (ending if ending in _ENDINGS else ""))
+        try:
+            path.write_bytes(body)
+        except OSError as error:
+            raise OutputError(f"{label}: cannot be kept for reading: {error.strerror}") from None
+        try:
+            size = scans_size(path, topic=topic)
+            for count, most, what in (
+                (size.scans, bounds.scans, "scans"), (size.numbers, bounds.numbers, "numbers"),
+            ):  # fmt: skip
+                if count > most:
+                    found = f"{count:,} {what}"
+                    raise Refused("too-large", f"{label}: up to {found}, expected at most {most:,}")
+            need = scans_bytes(size.scans, size.numbers, size.file_bytes, text=size.text)
+            if budget is not None and need > budget:
+                found = f"{-(-need // MIB)} MiB of memory, of {budget // MIB}"
+                raise Refused("too-large", f"{label}: reading it takes {found}; send fewer scans")
+            return load_scans(path, topic=topic, fov=fov)
+        except (ScanError, MapError) as error:
+            raise type(error)(str(error).replace(str(path), label)) from None
+
+
+def _scan_of(body: bytes) -> ScanSet:
+    """The scan of a JSON object."""
+    if len(body) > MAX_LINE:
+        raise Refused("too-large", f"body: {len(body):,} bytes, expected at most {MAX_LINE:,}")
+    try:
+        text = body.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ScanError(f"body: byte {error.start} is not UTF-8 text") from None
+    return read_jsonl_line(text, "body")
+
+
+def taken(scan: LaserScan, how: Mapping[str, Any]) -> LaserScan:
+    """The scan as the parameters say that it was taken: its reach, and how the sensor sits."""
+    if how.get("range_scale"):
+        scan = scan.scaled(how["range_scale"])
+    scan = scan.flipped if how.get("flipped") else scan
+    cut = how.get("range_max")
+    if cut is not None and cut < scan.range_max:
+        if cut <= scan.range_min:
+            low = f"range_min, {scan.range_min:g} m"
+            raise ScanError(f"range_max: got {cut:g}, expected more than the scan's {low}")
+        scan = replace(scan, range_max=cut)
+    sensor = how.get("sensor")
+    return scan if sensor is None else replace(scan, T_base_laser=Pose2D(*sensor))
+
+
+def map_of(
+    body: bytes, content_type: str, name: str, bounds: Bounds, how: Mapping[str, Any]
+) -> tuple[str, OccupancyGrid]:
+    """The map of a body, and its name: an image, or a form with an image and perhaps its YAML.
+
+    The YAML's `image:` is a name: nothing is opened by it. It must be that of the image.
+    """
+    image, yaml, file = body, None, name
+    if kind_of(content_type) == FORM:
+        parts = {part.name: part for part in parts_of(body, content_type)}
+        if "image" not in parts or parts.keys() - {"image", "yaml"}:
+            some = ", ".join(sorted(repr(shown(key)) for key in parts)) or "none"
+            raise Refused("bad-request", f"the form has the parts {some}, expected image and yaml")
+        image, file = parts["image"].data, parts["image"].file
+        if "yaml" in parts:
+            yaml = parts["yaml"].data
+            _check_yaml(yaml, parts["yaml"].file, file)
+            name = name or _stem(parts["yaml"].file)
+    if not image:
+        raise Refused("bad-request", "the image is empty, expected a map's")
+    name = name or _stem(file) or "map"
+    if not _NAME.fullmatch(name):
+        raise Refused("bad-parameter", f"name: got {shown(name)!r}, expected {NAME_WORDS}")
+    reading: Reading = {
+        "resolution": how.get("resolution"), "origin": how.get("origin"), "mode": how.get("mode"),
+        "semantics": how.get("semantics") or "nav2", "negate": how.get("negate"),
+        "occupied_thresh": how.get("occupied_thresh"), "free_thresh": how.get("free_thresh"),
+        "max_pixels": bounds.pixels,
+    }  # fmt: skip
+    lossy = bool(how.get("allow_lossy"))
+    return name, map_of_bytes(image, yaml, name, allow_lossy=lossy, **reading)
+
+
+NAME_WORDS = "letters, digits, dots, spaces, _ and -, at most 100, a letter or digit first"
+
+
+def _stem(file: str) -> str:
+    return "" if not file else PurePosixPath(shown(file)).stem
+
+
+def _check_yaml(yaml: bytes, file: str, image: str) -> None:
+    """Refuse a YAML that is too long, or of another image than the one beside it."""
+    label = shown(file) if file else "yaml"
+    if len(yaml) > MAX_YAML_BYTES:
+        found = f"{len(yaml):,} bytes, expected a map YAML of at most {MAX_YAML_BYTES:,}"
+        raise MapError(f"{label}: {found}")
+    said = shown(parse_map_yaml(yaml, Path(label)).image.name)
+    if image and said != shown(image):
+        found = f"image: it is of {said!r}, the image that came with it is {shown(image)!r}"
+        raise MapError(f"{label}: {found}; send the two that belong together")

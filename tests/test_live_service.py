@@ -1,0 +1,577 @@
+"""`imgloc serve`: the real process on loopback, asked by good clients and by bad ones."""
+
+import base64
+import io
+import json
+import socket
+import threading
+import time
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import httpx
+import numpy as np
+import pytest
+from badfiles import YAML, png, room
+from command import MAPS, call, rows, untimed
+from serving import Served, served
+from websockets.sync.client import connect
+
+import imgloc
+from imgloc.filters.motion import noisy_odometry
+from imgloc.simulation.scans import simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
+
+MAP = MAPS / "visibility.yaml"
+ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scans") / "scans.npz"
+    assert call("simulate", MAP, "-n", 3, "--seed", 4, "--out", path).code == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def service() -> Iterator[Served]:
+    with served(MAP, MAPS / "curved.yaml") as one:
+        yield one
+
+
+@pytest.fixture
+def http(service: Served) -> Iterator[httpx.Client]:
+    with httpx.Client(base_url=service.address, timeout=60) as client:
+        yield client
+
+
+def problem(answer: httpx.Response, status: int, kind: str) -> str:
+    """Check a problem document, and return what it says."""
+    assert answer.headers["content-type"] == "application/problem+json", answer.text
+    said = answer.json()
+    assert (answer.status_code, said["type"]) == (status, f"urn:imgloc:problem:{kind}"), said
+    assert said["status"] == status
+    assert said["title"]
+    return str(said["detail"])
+
+
+def laser_scan(scans: Path, k: int) -> dict[str, Any]:
+    scan = imgloc.load_scans(scans)[k]
+    ranges = [r if np.isfinite(r) else "inf" for r in scan.ranges.tolist()]
+    return {"ranges": ranges, "angles": scan.angles.tolist(), "range_max": scan.range_max}
+
+
+# Answers.
+
+
+@pytest.mark.parametrize(
+    ("options", "asked"),
+    [
+        ([], {}),
+        (["--index", "1"], {"index": "1"}),
+        (["--top", "2", "--range-max", "8", "--sensor", "0.1,0,3"],
+         {"top": 2, "range_max": 8, "sensor": "0.1,0,3"}),
+        (["--near", "4,7,0.5,3"], {"near": "4,7,0.5,3"}),
+        (["--heading", "1", "--clearance", "0.2"], {"heading": "1", "clearance": 0.2}),
+        (["--method", "cbml", "--theta-step-deg", "9", "--index", "0"],
+         {"method": "cbml", "theta_step_deg": 9, "index": "0"}),
+        (["--exact-argmax", "--index", "2", "--flipped"],
+         {"exact": "true", "index": "2", "flipped": "true"}),
+    ],
+)  # fmt: skip
+def test_an_answer_is_what_localize_prints(
+    http: httpx.Client, scans: Path, options: list[str], asked: dict[str, Any]
+) -> None:
+    here = call("localize", MAP, scans, "--json", *options)
+    there = http.post("/v1/localize", params={"map": "visibility", **asked},
+                      content=scans.read_bytes())  # fmt: skip
+    assert there.status_code == 200, there.text
+    assert untimed(there.text) == untimed(here.out)
+    lines = len(here.out.splitlines())
+    kind = "application/json" if lines == 1 else "application/x-ndjson"
+    assert there.headers["content-type"] == kind
+
+
+def test_one_scan_as_json_is_the_same_scan(http: httpx.Client, scans: Path, tmp_path: Path) -> None:
+    line = json.dumps(laser_scan(scans, 1))
+    (tmp_path / "one.jsonl").write_text(line + "\n")
+    here = call("localize", MAP, tmp_path / "one.jsonl", "--json")
+    there = http.post("/v1/localize?map=visibility", content=line,
+                      headers={"Content-Type": "application/json"})  # fmt: skip
+    assert untimed(there.text) == untimed(here.out)
+
+
+def test_which_is_what_which_prints(http: httpx.Client, scans: Path, tmp_path: Path) -> None:
+    for name in ("visibility", "curved"):
+        for ending in (".yaml", ".png"):
+            (tmp_path / f"{name}{ending}").write_bytes((MAPS / f"{name}{ending}").read_bytes())
+    here = call("which", tmp_path, scans, "--json")
+    there = http.post("/v1/which", content=scans.read_bytes())
+    assert there.text == here.out
+
+
+def test_a_robot_is_followed_as_track_does(service: Served, tmp_path: Path) -> None:
+    poses = np.array([[4.0 + 0.5 * k, 7.0, 0.0] for k in range(6)])
+    odom = noisy_odometry(poses, np.random.default_rng(0))
+    seen = simulate_ranges(render(WORLDS["visibility"](), 0.05), poses, ANGLES, seed=2)
+    lines = [
+        json.dumps({"ranges": [round(float(r), 4) for r in ranges], "angles": ANGLES.tolist(),
+                    "range_max": 30.0, "stamp": 100.0 + k, "odom": o.tolist()})
+        for k, (ranges, o) in enumerate(zip(seen, odom, strict=True))
+    ]  # fmt: skip
+    (tmp_path / "log.jsonl").write_text("\n".join(lines))
+    here = call("track", MAP, tmp_path / "log.jsonl", "--json")
+    with connect(f"ws://127.0.0.1:{service.port}/v1/track?map=visibility") as socket:
+        there = []
+        for line in lines:
+            socket.send(line)
+            there.append(socket.recv(timeout=60))
+    assert there == here.out.splitlines()
+    assert json.loads(there[-1])["verdict"] == "unique"
+
+
+# Maps and scans that clients send.
+
+
+def test_a_map_that_is_sent_answers_as_the_file_does(http: httpx.Client, scans: Path) -> None:
+    files = {"image": ("visibility.png", (MAPS / "visibility.png").read_bytes()),
+             "yaml": ("visibility.yaml", MAP.read_bytes())}  # fmt: skip
+    sent = http.post("/v1/maps?name=sent", files=files)
+    assert sent.status_code == 201, sent.text
+    assert sent.headers["location"] == "/v1/maps/sent"
+    said = http.get("/v1/maps/visibility").json()
+    assert sent.json()["version"] == said["version"]
+    assert sent.json()["uploaded"]
+    assert not said["uploaded"]
+    both = [http.post(f"/v1/localize?map={name}", content=scans.read_bytes()).text
+            for name in ("sent", "visibility")]  # fmt: skip
+    assert untimed(both[0]) == untimed(both[1])
+    assert http.delete("/v1/maps/sent").status_code == 204
+    problem(http.get("/v1/maps/sent"), 404, "not-found")
+    problem(http.delete("/v1/maps/visibility"), 409, "name-taken")
+    problem(http.post("/v1/maps?name=visibility", files=files), 409, "name-taken")
+
+
+def test_a_map_as_image_is_the_one_that_was_sent(http: httpx.Client) -> None:
+    image = cv2.imdecode(np.frombuffer(http.get("/v1/maps/curved/image").content, np.uint8),
+                         cv2.IMREAD_UNCHANGED)  # fmt: skip
+    grid = imgloc.load_map(MAPS / "curved.yaml")
+    assert ((image == 0) == grid.occupied[::-1]).all()
+    assert ((image == 254) == grid.free[::-1]).all()
+
+
+@pytest.mark.parametrize("path", ["/etc/passwd", "../../../etc/passwd", "C:\\\\boot.ini"])
+def test_no_path_in_a_yaml_is_opened(http: httpx.Client, path: str) -> None:
+    ok, image = cv2.imencode(".png", room())
+    assert ok
+    yaml = YAML.replace("good.png", json.dumps(path))
+    files = {"image": ("good.png", image.tobytes()), "yaml": ("m.yaml", yaml.encode())}
+    said = problem(http.post("/v1/maps", files=files), 422, "bad-map")
+    assert "it is of" in said
+    assert "good.png" in said
+    files["image"] = (path.replace("\\\\", "\\").split("/")[-1], image.tobytes())
+    assert http.post("/v1/maps?name=named", files=files).status_code == 201  # it is this image
+    assert http.delete("/v1/maps/named").status_code == 204
+
+
+@pytest.mark.parametrize("name", ["../up", "a/b", "<img src=x onerror=alert(1)>", "", "x" * 101])
+def test_a_map_has_a_plain_name(http: httpx.Client, name: str) -> None:
+    files = {"image": ("good.png", b"\x89PNG")}
+    answer = http.post("/v1/maps", params={"name": name, "resolution": 0.1}, files=files)
+    assert "name: got" in problem(answer, 400, "bad-parameter")
+
+
+def test_scans_that_are_sent_are_read_back_as_they_were(http: httpx.Client, scans: Path) -> None:
+    sent = http.post("/v1/scans?name=scans.npz", content=scans.read_bytes())
+    assert sent.status_code == 201, sent.text
+    about, kept = sent.json(), imgloc.load_scans(scans)
+    assert (about["scans"], about["poses"], about["odom"]) == (3, True, False)
+    page = http.get(f"/v1/scans/{about['id']}", params={"start": 1, "count": 2}).json()
+    assert [item["index"] for item in page["items"]] == [1, 2]
+    item = page["items"][0]
+    same = [float("nan") if r is None else float(r) for r in item["ranges"]]
+    np.testing.assert_array_equal(same, kept[1].ranges)
+    np.testing.assert_array_equal(item["angles"], kept[1].angles)
+    assert list(item["pose"].values()) == kept.poses[1].tolist()
+    by_id = http.post(f"/v1/localize?map=visibility&scans={about['id']}&index=1").text
+    by_item = http.post("/v1/localize?map=visibility", json=item).json()
+    assert untimed(by_id)[0] == untimed(json.dumps({**by_item, "index": 1}))[0]
+    assert http.delete(f"/v1/scans/{about['id']}").status_code == 204
+    problem(http.post(f"/v1/localize?map=visibility&scans={about['id']}"), 404, "not-found")
+
+
+# How a scan fits, and layers.
+
+
+def test_a_pose_is_scored_as_the_answer_has_it_and_settles_where_the_answer_is(
+    http: httpx.Client, scans: Path
+) -> None:
+    body = scans.read_bytes()
+    asked = {"map": "visibility", "index": "0"}
+    best = http.post("/v1/localize", params=asked, content=body).json()["hypotheses"][0]
+    pose = [best[key] for key in ("x", "y", "theta")]
+    at = {**asked, "pose": ",".join(map(repr, pose))}
+    fit = http.post("/v1/score", params=at, content=body).json()
+    assert fit["log_likelihood"] == pytest.approx(
+        best["log_likelihood"], abs=5.0
+    )  # of the best of its maxima, not their mean
+    assert sum(fit["counts"].values()) == len(fit["rays"]["kind"]) == len(fit["rays"]["end"])
+    assert fit["counts"]["agrees"] > 0.9 * len(fit["rays"]["kind"])
+    off = {**asked, "pose": f"{pose[0] + 0.2},{pose[1] - 0.15},{pose[2] + 0.05}"}
+    moved = http.post("/v1/score", params=off, content=body).json()
+    assert moved["misfit"] > fit["misfit"] + 0.5
+    settled = http.post("/v1/settle", params=off, content=body).json()
+    assert settled["misfit"] == pytest.approx(fit["misfit"], abs=0.05)
+    assert [settled["pose"][k] for k in "xy"] == pytest.approx(pose[:2], abs=0.1)
+
+
+def test_layers_lie_over_the_map(http: httpx.Client, scans: Path) -> None:
+    features = imgloc.prepare(imgloc.load_map(MAP))
+    answer = http.get("/v1/layers/bmap?map=visibility")
+    image = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_UNCHANGED)
+    np.testing.assert_array_equal(image[::-1], np.rint(255 * features.bmap))
+    assert float(answer.headers["imgloc-resolution"]) == features.lattice.resolution
+    sent = http.post("/v1/scans", content=scans.read_bytes()).json()["id"]
+    asked = {"map": "visibility", "scans": sent, "index": "1", "method": "cbml"}
+    answer = http.get("/v1/layers/likelihood", params={**asked, "slice": "7"})
+    stack = imgloc.likelihood(features, imgloc.load_scans(scans)[1], "cbml")
+    image = cv2.imdecode(np.frombuffer(answer.content, np.uint8), cv2.IMREAD_UNCHANGED)
+    wanted = np.rint(255 * stack.values[7] / stack.values.max())
+    assert np.abs(image[::-1] - wanted).max() <= 1
+    assert int(answer.headers["imgloc-slices"]) == len(stack.thetas)
+    assert float(answer.headers["imgloc-theta"]) == pytest.approx(stack.thetas[7])
+    seen = http.get("/v1/layers/visibility?map=visibility&at=4,7").json()
+    assert len(seen["polygon"]) == 360
+    for what in ("vmap", "distance"):
+        answer = http.get(f"/v1/layers/{what}?map=visibility")
+        assert answer.headers["content-type"] == "image/png"
+
+
+def test_a_region_is_that_of_the_command_line(
+    http: httpx.Client, scans: Path, tmp_path: Path
+) -> None:
+    region = "1,1,12,1,12,9,1,9"
+    image = http.get(f"/v1/layers/region?map=visibility&region={region}")
+    (tmp_path / "region.png").write_bytes(image.content)
+    here = call("localize", MAP, scans, "--json", "--region", tmp_path / "region.png")
+    there = http.post(f"/v1/localize?map=visibility&region={region}", content=scans.read_bytes())
+    assert untimed(there.text) == untimed(here.out)
+
+
+# What is wrong is said, as a problem document.
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "status", "kind", "said"),
+    [
+        ("/v1/localize?map=visibility", b"", 400, "bad-request", "empty"),
+        ("/v1/localize?map=nowhere", b"{}", 404, "not-found", "curved"),
+        ("/v1/localize", b"1,2\n", 400, "bad-parameter", "map: missing"),
+        ("/v1/localize?map=visibility&method=best", b"1", 400, "bad-parameter", "fused"),
+        ("/v1/localize?map=visibility&foo=1", b"1", 400, "bad-parameter", "foo"),
+        ("/v1/localize?map=visibility&top=1&top=2", b"1", 400, "bad-parameter", "twice"),
+        ("/v1/localize?map=visibility&near=1,2,90", b"1", 400, "bad-parameter", "-6.2832"),
+        ("/v1/localize?map=visibility&index=9", None, 422, "bad-options", "0 to 2"),
+        ("/v1/localize?map=visibility&near=900,900,0", None, 422, "bad-options", "no cell"),
+        ("/v1/localize?map=visibility", b"hello", 422, "bad-scan", "body"),
+        ("/v1/localize?map=visibility&name=a.npz", b"PK\3\4", 422, "bad-scan", "a.npz"),
+        ("/v1/maps?name=a", b"GIF89a", 422, "bad-map", "resolution"),
+        ("/v1/maps?name=a&resolution=0.1", b"GIF89a", 422, "bad-map", "GIF"),
+        ("/v1/score?map=visibility", None, 400, "bad-parameter", "pose: missing"),
+        ("/v1/nothing", b"", 404, "not-found", "openapi"),
+        ("/healthz", b"", 405, "method-not-allowed", "GET"),
+    ],
+)  # fmt: skip
+def test_a_wrong_request_is_told_what_is_wrong(
+    http: httpx.Client, scans: Path, path: str, body: bytes | None, status: int, kind: str,
+    said: str,
+) -> None:  # fmt: skip
+    content = scans.read_bytes() if body is None else body
+    assert said in problem(http.post(path, content=content), status, kind)
+
+
+# Hostile clients.
+
+
+def bombs() -> dict[str, tuple[str, bytes]]:
+    """Small bodies that would become large."""
+    npz = io.BytesIO()
+    with zipfile.ZipFile(npz, "w", zipfile.ZIP_DEFLATED) as archive:
+        head = io.BytesIO()
+        shape = {"descr": "<f8", "fortran_order": False, "shape": (400_000, 100)}
+        np.lib.format.write_array_header_1_0(head, shape)
+        archive.writestr("ranges.npy", head.getvalue() + bytes(1 << 26))
+    wide = png(30_000, 30_000, 8, 0, [], idat=b"")
+    return {
+        "npz": ("/v1/localize?map=visibility&name=a.npz", npz.getvalue()),
+        "png": ("/v1/maps?name=bomb&resolution=0.05", wide),
+        "json": ("/v1/localize?map=visibility&name=a.json", b"[" * 1_000_000),
+        "csv": ("/v1/localize?map=visibility&name=a.csv", b"1," * 20_000_000),
+        "lines": ("/v1/localize?map=visibility&name=a.jsonl", b"\n" * 30_000_000),
+    }
+
+
+@pytest.mark.parametrize("name", ["npz", "png", "json", "csv", "lines"])
+def test_a_bomb_is_refused_before_it_is_unpacked(
+    service: Served, http: httpx.Client, name: str
+) -> None:
+    path, body = bombs()[name]
+    before = peak(service)
+    answer = http.post(path, content=body)
+    assert answer.status_code in (413, 422), answer.text
+    assert peak(service) - before < 300 << 10
+    assert http.get("/healthz").status_code == 200
+
+
+def peak(service: Served) -> int:
+    """The peak of the service's memory, kB."""
+    status = Path(f"/proc/{service.process.pid}/status")
+    if not status.exists():
+        pytest.skip("needs Linux: a process that knows its peak")
+    return next(int(s.split()[1]) for s in status.read_text().splitlines() if "VmHWM" in s)
+
+
+def raw(port: int, text: bytes, *, end: bool = False) -> bytes:
+    """Send bytes, and return all that comes back until the other side closes."""
+    with socket.create_connection(("127.0.0.1", port), timeout=30) as one:
+        one.sendall(text)
+        if end:
+            one.shutdown(socket.SHUT_WR)
+        out = b""
+        while part := one.recv(1 << 16):
+            out += part
+        return out
+
+
+def post(port: int, length: int, more: str = "") -> bytes:
+    head = f"POST /v1/localize?map=visibility HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n{more}"
+    return f"{head}Content-Length: {length}\r\n\r\n".encode()
+
+
+def test_two_gigabytes_are_refused_by_their_length(service: Served, http: httpx.Client) -> None:
+    begin = time.monotonic()
+    out = raw(service.port, post(service.port, 2 << 30) + b"x" * 100_000)
+    assert out.startswith(b"HTTP/1.1 413 ")
+    assert b"urn:imgloc:problem:too-large" in out
+    assert time.monotonic() - begin < 10
+    assert http.get("/healthz").status_code == 200
+
+
+def test_a_body_without_an_end_is_refused_when_it_is_too_long(service: Served) -> None:
+    head = (
+        f"POST /v1/scans HTTP/1.1\r\nHost: 127.0.0.1:{service.port}\r\n"
+        "Transfer-Encoding: chunked\r\n\r\n"
+    )
+    with socket.create_connection(("127.0.0.1", service.port), timeout=60) as one:
+        one.sendall(head.encode())
+        chunk = b"100000\r\n" + bytes(1 << 20) + b"\r\n"
+        sent = 0
+        try:
+            while sent < 2000:
+                one.sendall(chunk)
+                sent += 1
+        except OSError:
+            pass
+        assert 60 < sent < 2000
+        assert one.recv(100).startswith(b"HTTP/1.1 413 ")
+
+
+def test_half_a_head_half_a_body_and_nonsense_cost_nothing(http: httpx.Client) -> None:
+    # With a service of its own, whose patience ends within the test.
+    with served(MAP, "--patience", 1) as one:
+        begin = time.monotonic()
+        assert raw(one.port, b"GET / HT") == b""
+        assert raw(one.port, b"") == b""
+        half = raw(one.port, post(one.port, 1000) + b"{")
+        assert half.startswith(b"HTTP/1.1 408 ")
+        assert raw(one.port, b"\0\1\2 hello\r\n\r\n").startswith(b"HTTP/1.1 400 ")
+        assert raw(one.port, post(one.port, -5)).startswith(b"HTTP/1.1 400 ")
+        assert raw(one.port, post(one.port, 100) + b"{", end=True) == b""
+        assert time.monotonic() - begin < 30
+        assert httpx.get(f"{one.address}/healthz").status_code == 200
+        assert one.end()[0] == 0
+
+
+def test_two_hundred_connections_that_say_nothing_shut_nobody_out(
+    service: Served, http: httpx.Client
+) -> None:
+    idle = [socket.create_connection(("127.0.0.1", service.port), timeout=30) for _ in range(200)]
+    try:
+        for _ in range(3):
+            assert httpx.get(f"{service.address}/healthz", timeout=30).status_code == 200
+    finally:
+        for one in idle:
+            one.close()
+    assert http.get("/readyz").status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("headers", "kind"),
+    [
+        ({"Host": "evil.example"}, "forbidden"),
+        ({"Host": "evil.example:80@127.0.0.1"}, "forbidden"),
+        ({"Origin": "http://evil.example"}, "forbidden"),
+        ({"Origin": "null"}, "forbidden"),
+        ({"Origin": "http://127.0.0.1:1"}, "forbidden"),
+        ({"Sec-Fetch-Site": "cross-site"}, "forbidden"),
+    ],
+)
+def test_pages_of_other_sites_are_refused(
+    service: Served, http: httpx.Client, headers: dict[str, str], kind: str
+) -> None:
+    problem(http.get("/v1/maps", headers=headers), 403, kind)
+    if "Host" not in headers:
+        with pytest.raises(Exception, match="403"):
+            connect(f"ws://127.0.0.1:{service.port}/v1/track?map=curved",
+                    additional_headers=headers)  # fmt: skip
+
+
+def test_the_page_itself_and_localhost_are_not(service: Served, http: httpx.Client) -> None:
+    own = {"Origin": service.address, "Sec-Fetch-Site": "same-origin"}
+    assert http.get("/v1/maps", headers=own).status_code == 200
+    named = {"Host": f"localhost:{service.port}"}
+    assert http.get("/v1/maps", headers=named).status_code == 200
+
+
+def test_every_answer_says_what_a_page_may_do(http: httpx.Client) -> None:
+    for path in ("/healthz", "/v1/maps", "/v1/nothing", "/"):
+        headers = http.get(path).headers
+        assert "default-src 'none'" in headers["content-security-policy"]
+        assert "unsafe" not in headers["content-security-policy"]
+        assert headers["x-content-type-options"] == "nosniff"
+        assert "access-control-allow-origin" not in headers
+
+
+def test_others_reach_it_by_a_token_alone(scans: Path) -> None:
+    refused = call("serve", MAP, "--host", "0.0.0.0", "--port", 0)
+    assert refused.code == 2
+    assert "token" in refused.err
+    assert call("serve", MAP, "--host", "0.0.0.0", "--token", "short").code == 2
+    token = "a-token-of-some-length"
+    with served(MAP, "--host", "0.0.0.0", IMGLOC_TOKEN=token) as one:
+        at = f"http://127.0.0.1:{one.port}"
+        for given in ({}, {"Authorization": "Bearer no"}, {"Authorization": token}):
+            answer = httpx.post(f"{at}/v1/localize", content=scans.read_bytes(), headers=given)
+            assert answer.headers["www-authenticate"] == "Bearer"
+            problem(answer, 401, "unauthorized")
+        assert httpx.get(f"{at}/healthz").status_code == 200
+        own = {"Authorization": f"Bearer {token}"}
+        assert httpx.get(f"{at}/v1/maps", headers=own).status_code == 200
+        with pytest.raises(Exception, match="401"):
+            connect(f"ws://127.0.0.1:{one.port}/v1/track")
+        word = base64.urlsafe_b64encode(token.encode()).decode().rstrip("=")
+        with connect(f"ws://127.0.0.1:{one.port}/v1/track",
+                     subprotocols=["imgloc", f"bearer.{word}"]) as ws:  # fmt: skip
+            assert ws.subprotocol == "imgloc"
+        problem(httpx.get(f"{at}/v1/maps", headers={**own, "Host": "evil.example"}), 403,
+                "forbidden")  # fmt: skip
+
+
+def test_a_bad_line_ends_a_robot_with_a_problem(service: Served) -> None:
+    for line, said in (("{", "JSON"), ('{"ranges": [1], "angles": [0]}', "odom: missing")):
+        with connect(f"ws://127.0.0.1:{service.port}/v1/track?map=curved") as one:
+            one.send(line)
+            told = json.loads(one.recv(timeout=30))
+            assert (told["status"], "line 1" in told["detail"]) == (422, True)
+            assert said in told["detail"]
+            with pytest.raises(Exception, match="1007"):
+                one.recv(timeout=30)
+
+
+# Load, and the end.
+
+
+def test_what_is_too_much_is_told_to_come_back_and_the_rest_is_answered(scans: Path) -> None:
+    with served(MAP, "--waiting", 2) as one:
+        found: list[httpx.Response] = []
+
+        def ask() -> None:
+            path = f"{one.address}/v1/localize?method=ght-v"
+            found.append(httpx.post(path, content=scans.read_bytes(), timeout=60))
+
+        threads = [threading.Thread(target=ask) for _ in range(8)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(60)
+        codes = sorted(answer.status_code for answer in found)
+        assert set(codes) == {200, 503}
+        busy = next(answer for answer in found if answer.status_code == 503)
+        assert int(busy.headers["retry-after"]) >= 1
+        problem(busy, 503, "busy")
+        text = httpx.get(f"{one.address}/metrics").text
+        assert f'imgloc_requests_total{{status="503"}} {codes.count(503)}.0' in text
+        assert 'imgloc_refused_total{problem="busy"}' in text
+        assert 'imgloc_answers_total{kind="localize"' in text
+        assert one.end()[0] == 0
+
+
+def test_an_answer_that_takes_too_long_is_given_up(scans: Path) -> None:
+    with served(MAP, "--seconds", 0.1) as one:
+        answer = httpx.post(f"{one.address}/v1/localize?method=ght-v", content=scans.read_bytes(),
+                            timeout=60)  # fmt: skip
+        problem(answer, 504, "out-of-time")
+        assert httpx.get(f"{one.address}/healthz").status_code == 200
+
+
+def test_sigterm_ends_what_runs_and_refuses_the_rest(scans: Path) -> None:
+    with served(MAP) as one:
+        found: list[httpx.Response] = []
+
+        def ask() -> None:
+            path = f"{one.address}/v1/localize?method=ght-v&index=0"
+            found.append(httpx.post(path, content=scans.read_bytes(), timeout=60))
+
+        threads = [threading.Thread(target=ask) for _ in range(5)]
+        for thread in threads:
+            thread.start()
+        until = time.monotonic() + 30
+        while time.monotonic() < until:
+            text = httpx.get(f"{one.address}/metrics").text
+            if 'imgloc_queue{lane="answers"} 5.0' in text or len(found) >= 1:
+                break
+        code, err = one.end()
+        for thread in threads:
+            thread.join(60)
+    assert (code, err) == (0, "")
+    codes = [answer.status_code for answer in found]
+    assert len(codes) == 5
+    assert set(codes) <= {200, 503}
+    assert 200 in codes
+
+
+# The command.
+
+
+def test_what_is_not_installed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("imgloc.cli.serve._NEEDED", ("starlette", "not_to_be_had"))
+    run = call("serve", MAP)
+    assert run.code == 2
+    assert "needs not-to-be-had; pip install 'imgloc[serve]'" in run.err
+
+
+def test_a_bad_map_is_left_out_unless_there_is_no_other(tmp_path: Path) -> None:
+    (tmp_path / "bad.yaml").write_text("image: none.png\n")
+    run = call("serve", tmp_path / "bad.yaml", "--port", 0)
+    assert run.code == 3
+    assert "none.png" in run.err
+    with served(MAP, tmp_path / "bad.yaml") as one:
+        names = [m["name"] for m in httpx.get(f"{one.address}/v1/maps").json()["maps"]]
+        assert names == ["visibility"]
+        code, err = one.end()
+        assert code == 0
+        assert err.startswith("imgloc: left out: ")
+
+
+def test_a_port_that_is_taken_is_said(service: Served) -> None:
+    run = call("serve", MAP, "--port", service.port)
+    assert run.code == 2
+    assert f"127.0.0.1:{service.port}" in run.err
+
+
+def test_rows_of_a_file_are_json_lines(http: httpx.Client, scans: Path) -> None:
+    found = http.post("/v1/localize?map=visibility", content=scans.read_bytes())
+    assert [row["index"] for row in rows(found.text)] == [0, 1, 2]
