@@ -14,6 +14,7 @@ import sys
 import tokenize
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from tools.script import parser_of, table_lines
@@ -48,13 +49,7 @@ class File:
 
 
 def code_lines(text: str) -> set[int]:
-    r"""Numbers of the lines that are code.
-
-    Examples
-    --------
-    >>> sorted(code_lines("'About.'\nimport os\n\nx = (\n    # a comment\n    1)  # and more\n"))
-    [2, 4, 6]
-    """
+    """Numbers of the lines that are code."""
     tokens = tokenize.generate_tokens(io.StringIO(text).readline)
     some = (t for t in tokens if t.string.strip() and t.type != tokenize.COMMENT)
     code = {line for t in some for line in range(t.start[0], t.end[0] + 1)}
@@ -94,6 +89,7 @@ def count(path: Path, root: Path = ROOT) -> File:
     )
 
 
+@cache
 def counted(folder: str, root: Path = ROOT) -> list[File]:
     """Count every Python file of a folder, stubs too."""
     paths = (root / folder).rglob("*.py*")
