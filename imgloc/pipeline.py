@@ -21,32 +21,22 @@ import numpy as np
 
 from imgloc.errors import expect
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.scanpoints import one_per_place
-from imgloc.geometry import in_map_frame
+from imgloc.features.scanpoints import Readings, one_per_place
 from imgloc.io.maps import require_usable
-from imgloc.likelihoods.posterior import entropy
 from imgloc.likelihoods.stacks import check_stack, likelihood
-from imgloc.model import (
-    Evidence,
-    FloatArray,
-    LaserScan,
-    Likelihood,
-    Localization,
-    OccupancyGrid,
-)
+from imgloc.model import FloatArray, LaserScan, Likelihood, Localization, OccupancyGrid
 from imgloc.numbers import number
 from imgloc.options import FUSED, Options, Shared
 from imgloc.search.adapt import adapt
-from imgloc.search.asked import check_options, effective
-from imgloc.search.hypotheses import as_hypotheses
+from imgloc.search.answer import answered
+from imgloc.search.asked import check_options
 from imgloc.search.modes import Modes, separate
 from imgloc.search.priors import pyramid_levels, standing
 from imgloc.search.proposals import propose_endpoints, propose_votes
 from imgloc.search.refine import refine
 from imgloc.search.rescore import score_poses, shortlist
-from imgloc.search.stacked import exact_poses, find_exact, find_in_stack
-from imgloc.search.trust import judge
-from imgloc.search.weigh import NOTHING, _log_volumes, weigh
+from imgloc.search.stacked import exact_poses, weigh_exact, weigh_stack
+from imgloc.search.weigh import nothing, weigh
 
 _LAST = number("pipeline.last")  # proposals that get the second look when time is up
 _ROUNDS = number("pipeline.rounds")  # of searches with an error that the readings share
@@ -117,51 +107,16 @@ def localize(
         check_stack(stack, features, scan, options)
     start = time.perf_counter()
     if scan.directions < max(1, options.trust.readings):
-        found = NOTHING
-    elif options.method == FUSED:  # propose, refine, score, separate; then weigh
-        found = weigh(features, find_adapted_modes(features, scan, options), options, scan)
+        weighed = nothing(options)
+    elif options.method == FUSED:
+        found = find_adapted_modes(features, scan, options)
+        weighed = weigh(features, found, options, scan)
     elif options.exact:
-        found = find_exact(features, scan, options)
+        weighed = weigh_exact(features, scan, options)
     else:
         stack = likelihood(features, scan, options) if stack is None else stack
-        found = find_in_stack(features, scan, stack, options)
-    elsewhere = 1.0
-    if len(found.poses):
-        elsewhere = options.trust.mass_elsewhere(found.gained, found.lead)
-    mass = (1 - elsewhere) * found.share
-    verdict, checks = judge(scan.directions, mass, elsewhere, options.trust, found.complete)
-    arrays = (found.poses, found.log_likelihood, mass, found.covariance)
-    listed = as_hypotheses(*(array[: options.listed(found.share)] for array in arrays))
-    hypotheses = tuple(in_map_frame(h, features.grid.info) for h in listed)
-    elapsed = 1e3 * (time.perf_counter() - start)
-    whole = np.append(mass, elsewhere) if len(mass) else mass
-    return Localization(
-        hypotheses=hypotheses,
-        verdict=verdict,
-        entropy=entropy(whole) if found.entropy is None else found.entropy,
-        explained=found.explained,
-        counts=scan.counts,
-        timings_ms={"localize": elapsed},
-        parameters=effective(options, features),
-        complete=found.complete,
-        elsewhere=elsewhere,
-        evidence=Evidence(
-            readings=found.readings,
-            best=options.fused.model.best,
-            misfit=found.misfit,
-            unmapped=found.unmapped,
-            gained=found.gained,
-            scale=found.shared.scale,
-            thinner=found.shared.thinner * features.grid.resolution,
-            temperature=found.temperature,
-            log_volume=_log_volumes(hypotheses, features),
-            checks=checks,
-            found=len(mass),
-            listed=len(hypotheses),
-            unlisted=float(mass[len(hypotheses) :].sum()),
-        ),
-        T_base_laser=scan.T_base_laser,
-    )
+        weighed = weigh_stack(features, scan, stack, options)
+    return answered(features, scan, weighed, options, 1e3 * (time.perf_counter() - start))
 
 
 def find_modes(
@@ -181,47 +136,69 @@ def find_modes(
     more : (M, 3) float array, optional
         Proposals of another source, grid frame.
     """
-    fused, prior, seen = options.fused, options.prior, one_per_place(scan, options.fused.place)
+    fused, prior, threads = options.fused, options.prior, options.threads
+    end = time.monotonic() + (np.inf if options.time_budget is None else options.time_budget)
+
+    # One reading for each place that was seen: few of them for a first look, more for a second.
+    seen = one_per_place(scan, fused.place)
     few, many = seen.spread(fused.few_rays), seen.spread(fused.rays)
-    deadline = time.monotonic() + (np.inf if options.time_budget is None else options.time_budget)
 
-    def look(proposals: FloatArray, before: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The best of them, refined, and of those that got this look before; and their scores."""
-        poses = refine(proposals, few.xy, features.field, sigmas=_FIRST_LOOK)
-        poses = np.concatenate((before, standing(poses, prior, features)))
-        return shortlist(poses, few, features, fused)
+    # Propose poses whose endpoints fall on walls, and look which are worth more readings.
+    proposals = propose(features, scan, few, options, end)
+    proposals = proposals if more is None else np.concatenate((proposals, more))
+    looked, score = look(features, proposals, few, options)
 
-    # Propose, refine with a few rays, and look which are worth more of them.
-    endpoints, _ = propose_endpoints(
-        levels := pyramid_levels(prior, features.pyramid, features.grid.resolution),
-        few.xy,
-        theta_step=fused.theta_step,
-        keep=fused.keep[: len(levels)],
-        skip=fused.skip,
-        prior=prior,
-        threads=options.threads,
-    )
-    if time.monotonic() >= deadline:
-        endpoints = endpoints[: fused.second_look]
-    proposals = [endpoints, np.empty((0, 3)) if more is None else more]
-    if options.exact and time.monotonic() < deadline:
-        proposals.append(exact_poses(features, scan, options, deadline)[0])
-    looked, score = look(np.concatenate(proposals), np.empty((0, 3)))
+    # Where none of them fits, pairs of oriented points vote for others.
     unfit = not len(looked) or score[0] < (fused.model.best - fused.unfit) * len(few)
-    if unfit and time.monotonic() < deadline:
-        looked, _ = look(propose_votes(features, scan, fused, prior, options.threads), looked)
-    late = time.monotonic() >= deadline
-    if late:
-        looked = looked[:_LAST]
+    if unfit and time.monotonic() < end:
+        votes = propose_votes(features, scan, fused, prior, threads)
+        looked, _ = look(features, votes, few, options, before=looked)
+    late = time.monotonic() >= end
+    looked = looked[:_LAST] if late else looked
 
-    # Refine with more rays.
+    # Refine the best with more readings, in free space; score them, and separate the modes.
     poses = refine(looked, many.xy, features.field, sigmas=_SECOND_LOOK)
     poses = standing(poses, prior, features)
-
-    # Score, and separate.
     scores = score_poses(features, many, poses, options)
     poses, scores, spread = separate(features, poses, scores, len(many), options)
     return Modes(poses, scores, many, complete=not late, looked=looked, spread=spread)
+
+
+def propose(
+    features: MapFeatures, scan: LaserScan, few: Readings, options: Options, end: float
+) -> FloatArray:
+    """Poses (M, 3) by endpoint correlation, and by branch and bound if it is asked for.
+
+    `end` is when the time is up, by :func:`time.monotonic`: then only the best are given.
+    """
+    fused, prior = options.fused, options.prior
+    levels = pyramid_levels(prior, features.pyramid, features.grid.resolution)
+    poses, _ = propose_endpoints(
+        levels, few.xy, theta_step=fused.theta_step, keep=fused.keep[: len(levels)],
+        skip=fused.skip, prior=prior, threads=options.threads,
+    )  # fmt: skip
+    if time.monotonic() >= end:
+        return poses[: fused.second_look]
+    if options.exact:
+        poses = np.concatenate((poses, exact_poses(features, scan, options, end)[0]))
+    return poses
+
+
+def look(
+    features: MapFeatures,
+    proposals: FloatArray,
+    few: Readings,
+    options: Options,
+    before: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """The best of some proposals, refined with few readings, and their scores (L,), best first.
+
+    Poses that got this look `before` are compared with them.
+    """
+    poses = refine(proposals, few.xy, features.field, sigmas=_FIRST_LOOK)
+    poses = standing(poses, options.prior, features)
+    poses = poses if before is None else np.concatenate((before, poses))
+    return shortlist(poses, few, features, options.fused)
 
 
 def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options) -> Modes:

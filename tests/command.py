@@ -5,10 +5,13 @@ import ctypes
 import io
 import json
 import math
-import shlex
+import os
+import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -60,46 +63,91 @@ def spawn(*arguments: object, cwd: Path | None = None) -> Run:
     )
 
 
-def _without_privileges() -> None:
-    """Let root, as any other user, look into no folder that nobody may look into."""
-    for capability in (1, 2):  # CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH
-        ctypes.CDLL(None).prctl(24, capability)  # PR_CAPBSET_DROP
-
-
 class Weighed(NamedTuple):
     run: Run
-    seconds: float
+    seconds: float  # of the processor
     mib: float  # its peak, resident
 
 
-def weighed(*arguments: object, stdin: str = "true") -> Weighed:
-    """Run the real command behind the shell command `stdin`, and see how long and how large it is.
+# A process that has imported everything, and forks one for each command: to start Python and to
+# import OpenCV takes longer than most commands. A fork begins with a peak of its own.
+_FORKS = """
+import json, os, resource, signal, sys
+sys.path.insert(0, sys.argv[1])
+import imgloc.cli.inputs, imgloc.io.bags, imgloc.pipeline, imgloc.runs.jobs
+from imgloc.cli.app import main
+from command import without_privileges
+def peak():
+    with open("/proc/self/status") as status:
+        return next(int(s.split()[1]) for s in status if s.startswith("VmHWM"))
+for line in sys.stdin:
+    words, stdin, out, err, told = json.loads(line)
+    pid = os.fork()
+    if pid:
+        print(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), flush=True)
+        continue
+    start = sum(os.times()[:4])  # the processor's: others use the machine, too
+    signal.alarm(60)
+    for fd, (path, flags) in enumerate([(stdin, os.O_RDONLY), (out, 577), (err, 577)]):
+        os.dup2(os.open(path, flags), fd)
+    resource.setrlimit(resource.RLIMIT_AS, (8_000_000 << 10,) * 2)  # of a bomb
+    without_privileges()
+    code = 0
+    try:
+        main(words)
+    except SystemExit as end:
+        code = end.code or 0
+    except BaseException:
+        import traceback
+        traceback.print_exc()
+        code = 1
+    sys.stdout.flush()
+    sys.stderr.flush()
+    with open(told, "w") as file:
+        json.dump([peak(), sum(os.times()[:4]) - start], file)
+    os._exit(code)
+"""
 
-    The peak is the command's own account: what wait4() says is at least that of the parent.
-    """
+
+def without_privileges() -> None:
+    """Let root, as any other user, look into no folder that nobody may look into."""
+    libc, version = ctypes.CDLL(None), 0x20080522
+    header, data = (ctypes.c_uint32 * 2)(version, 0), (ctypes.c_uint32 * 6)()
+    if libc.capget(header, data) == 0:
+        data[0] &= ~0b110  # of the effective ones: CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH
+        libc.capset(header, data)
+
+
+@cache
+def _forks() -> "subprocess.Popen[str]":
+    path = os.pathsep.join((str(ROOT), str(ROOT / "tests")))
+    return subprocess.Popen(
+        [sys.executable, "-c", _FORKS, str(ROOT)], stdin=-1, stdout=-1, text=True,
+        env={**os.environ, "PYTHONPATH": path},
+    )  # fmt: skip
+
+
+def weighed(*arguments: object, stdin: str = "true") -> Weighed:
+    """Run the command in a process of its own behind the shell command `stdin`, and weigh it."""
     if not Path("/proc/self/status").exists():
         pytest.skip("needs Linux: a process that knows its peak")
-    tell = (
-        "import atexit, sys, time; t = time.time()\n"
-        "def tell():\n"
-        "    peak = next(s for s in open('/proc/self/status') if s.startswith('VmHWM'))\n"
-        "    sys.stderr.write(f'\\npeak {peak.split()[1]} {time.time() - t}')\n"
-        "atexit.register(tell)\n"
-    )
-    program = command(arguments)
-    program[3] = tell + program[3]
-    line = f"{stdin} | {shlex.join(program)}"
-    limited = f"ulimit -v 8000000; {line}"  # kB: a bomb must not end the machine
-    done = subprocess.run(
-        ["/bin/sh", "-c", limited],
-        capture_output=True,
-        timeout=60,
-        check=False,
-        preexec_fn=_without_privileges,
-    )
-    err, _, said = done.stderr.decode("utf-8", "backslashreplace").partition("\npeak ")
-    peak, seconds = map(float, said.split()) if said else (math.inf, math.inf)  # it died
-    return Weighed(Run(done.returncode, done.stdout.decode("utf-8"), err), seconds, peak / 1024)
+    with tempfile.TemporaryDirectory() as name:
+        stream, *files = (Path(name, part) for part in ("stdin", "out", "err", "told"))
+        os.mkfifo(stream)
+        with subprocess.Popen(
+            ["/bin/sh", "-c", f"{stdin} > {stream}"], start_new_session=True
+        ) as sh:
+            print(
+                json.dumps([[*map(str, arguments)], *map(str, (stream, *files))]),
+                file=_forks().stdin, flush=True,
+            )  # fmt: skip
+            code = int(_forks().stdout.readline())
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(sh.pid, signal.SIGKILL)
+        out, err, told = (file.read_bytes() if file.exists() else b"" for file in files)
+    peak, seconds = json.loads(told) if told else (math.inf, math.inf)  # it died
+    run = Run(code, out.decode("utf-8"), err.decode("utf-8", "backslashreplace"))
+    return Weighed(run, seconds, peak / 1024)
 
 
 def rows(text: str) -> list[dict[str, Any]]:

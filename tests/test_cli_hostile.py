@@ -21,7 +21,7 @@ from imgloc.errors import ScanError
 from imgloc.io.bagbounds import bounded
 
 MAP = MAPS / "double_wall.yaml"
-SECONDS, MIB = 6.0, 80 + 300  # a machine that is busy with other tests; a plain run, and 300
+SECONDS, MIB = 6.0, 80 + 300  # of the processor; a plain run, and 300
 ECHO = "angle_min: -1.0\nangle_increment: 0.1\nrange_max: 9.0\n"
 
 

@@ -28,7 +28,7 @@ LEFT = {
         " ALLOWED_ERROR"
     ),
     "a unit, a pattern, nothing at all": (
-        "_CM _QUARTERS _FACTORS NOWHERE NO_PLACES NOTHING METHODS Metres Length Radians Heading"
+        "_CM _QUARTERS _FACTORS NOWHERE NO_PLACES METHODS Metres Length Radians Heading"
         " Step Share Nats Factor LogOdds Count Alpha"
     ),
     "bounds of files, pictures, clocks": (

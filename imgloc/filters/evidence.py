@@ -108,8 +108,8 @@ def sight(
     lever = np.tile(np.eye(3), (len(poses), 1, 1))  # a sensor that turns moves the robot
     lever[:, 0, 2], lever[:, 1, 2] = (at - poses)[:, 1], (poses - at)[:, 0]
     covariance = lever @ covariance @ lever.transpose(0, 2, 1)
-    log = score / found.temperature.value
-    return Sight(poses, log, covariance, misfit, found.gained)
+    log = score / found.evidence.temperature.value
+    return Sight(poses, log, covariance, misfit, found.evidence.gained)
 
 
 def settled(

@@ -46,7 +46,7 @@ def separate(
     fused, score = options.fused, scores.log_likelihood
     distance, angle = fused.separation
     best = modes(poses, score, distance=distance, angle=angle)
-    misfit = _misfit(scores, n, options)
+    misfit = misfit_of(scores, n, options)
     tempered = score / options.trust.temperature_at(misfit, n, features.grid.resolution).value
     mean, spread = centres(poses, tempered, best, within=fused.separation, same=fused.same)
     off = np.where(stands(mean, options.prior, features)[:, None], 0, poses[best] - mean)
@@ -56,6 +56,6 @@ def separate(
     return mean[apart], scores.select(best[apart]), spread[apart]
 
 
-def _misfit(scores: Scores, n: int, options: Options) -> float:
+def misfit_of(scores: Scores, n: int, options: Options) -> float:
     """Nats per reading, of `n`, that the best of some scores lacks."""
     return options.fused.model.best - float(scores.log_likelihood.max(initial=-np.inf)) / n

@@ -9,20 +9,27 @@ from imgloc.features.pyramid import block_masks
 from imgloc.features.scanpoints import one_per_place, scan_xy
 from imgloc.geometry import centre_of
 from imgloc.likelihoods.posterior import calibrated, entropy
-from imgloc.model import Float32Array, FloatArray, LaserScan, Likelihood, Temperature
+from imgloc.model import Evidence, Float32Array, FloatArray, LaserScan, Likelihood, Temperature
 from imgloc.numbers import number
-from imgloc.options import DEFAULTS, Options
+from imgloc.options import DEFAULTS, Options, Shared
 from imgloc.search.branch_and_bound import best_poses
 from imgloc.search.hypotheses import masses
 from imgloc.search.peaks import peaks_of_posterior
 from imgloc.search.priors import on_lattice
-from imgloc.search.weigh import NOTHING, Found, _covariances, _settled_fit
+from imgloc.search.weigh import (
+    Weighed,
+    covariances_of,
+    evidence_of,
+    explained_rays,
+    nothing,
+    settle,
+)
 
 MODES = number("pipeline.modes")
 """Poses that are looked for, however few are listed: no verdict depends on the list's length."""
 
 
-def find_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Found:
+def weigh_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Weighed:
     """The best poses of CBML's stack without the stack.
 
     Shares are among at least :data:`MODES` of them, each score raised to the calibrated power,
@@ -30,20 +37,15 @@ def find_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Foun
     """
     poses, score = exact_poses(features, scan, options)
     if len(poses) == 0:
-        return NOTHING
+        return nothing(options)
     how = options.calibration or DEFAULTS["cbml"]
     temperature = how.temperature_at("cbml", int(scan.valid.sum()))
     xy = one_per_place(scan, options.fused.place).spread(options.fused.rays).xy
     share = masses(np.log(score), temperature)
     listed = poses[: options.listed(share)]
-    return Found(
-        poses,
-        score,
-        share,
-        _covariances(features, listed, xy, options, features.lattice.resolution),
-        temperature=Temperature(temperature),
-        **_settled_fit(features, scan, poses[:1], options),
-    )
+    covariance = covariances_of(features, listed, xy, options, features.lattice.resolution)
+    fit, explained = _settled_fit(features, scan, poses[:1], temperature, options)
+    return Weighed(poses, score, share, covariance, fit, explained)
 
 
 def exact_poses(
@@ -61,22 +63,16 @@ def exact_poses(
     (distance, angle), n = options.fused.separation, max(options.top or MODES, MODES)
     xy, some, threads = scan_xy(scan)[scan.valid], thetas[wanted], options.threads
     best = best_poses(
-        pooled,
-        xy,
-        some,
-        count=n,
-        distance=distance,
-        angle=angle,
-        threads=threads,
-        deadline=deadline,
-    )
+        pooled, xy, some,
+        count=n, distance=distance, angle=angle, threads=threads, deadline=deadline,
+    )  # fmt: skip
     xy = centre_of(best.cells[:, 1:], features.lattice.resolution)
     return np.column_stack((xy, thetas[wanted[best.cells[:, 0]]])), best.scores.astype(np.float64)
 
 
-def find_in_stack(
+def weigh_stack(
     features: MapFeatures, scan: LaserScan, stack: Likelihood, options: Options
-) -> Found:
+) -> Weighed:
     """Modes of the posterior of a full stack: mass and moments of the peaks of each.
 
     The highest peak comes first, the paper's global maximum; a lower one that is broader may
@@ -89,18 +85,27 @@ def find_in_stack(
         probability, stack.thetas, cell, n=n, separation=apart
     )
     if len(poses) == 0:
-        return NOTHING
+        return nothing(options)
     how = options.calibration or DEFAULTS[stack.method]
     temperature = how.temperature_at(stack.method, int(scan.valid.sum()))
     uniform = 1 / (len(stack.thetas) * np.count_nonzero(features.free))
     with np.errstate(divide="ignore"):
         score = np.log(probability[tuple(peaks.T)].astype(np.float64) / uniform)
-    return Found(
-        *(poses, score, share, covariance),
-        temperature=Temperature(temperature),
-        entropy=entropy(probability),
-        **_settled_fit(features, scan, poses[:1], options),
-    )
+    fit, explained = _settled_fit(features, scan, poses[:1], temperature, options)
+    return Weighed(poses, score, share, covariance, fit, explained, entropy=entropy(probability))
+
+
+def _settled_fit(
+    features: MapFeatures, scan: LaserScan, best: FloatArray, temperature: float, options: Options
+) -> tuple[Evidence, float]:
+    """How well a stack's best pose (1, 3) fits once it has settled, and the rays it explains.
+
+    The `temperature` is that of the stack.
+    """
+    pose, readings, scores = settle(features, scan, best, options)
+    fit = evidence_of(features, readings, scores, options)
+    explained = explained_rays(features, scan, pose, options, Shared())
+    return replace(fit, temperature=Temperature(temperature)), explained
 
 
 def posterior_of(

@@ -1,18 +1,17 @@
 """What are separated, scored poses worth? Shares, covariances, and how well the best one fits."""
 
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings, one_per_place
-from imgloc.model import FloatArray, Hypothesis, LaserScan, Temperature
+from imgloc.model import Evidence, FloatArray, LaserScan
 from imgloc.numbers import number
 from imgloc.options import Options, Shared
 from imgloc.search.background import unmapped_score
 from imgloc.search.hypotheses import covariances, masses
-from imgloc.search.modes import Modes, _misfit
+from imgloc.search.modes import Modes, misfit_of
 from imgloc.search.priors import share_of_poses
 from imgloc.search.refine import refine
 from imgloc.search.rescore import Scores, score_poses
@@ -22,56 +21,71 @@ _FROM_CELLS = number("refine.from_cells")
 
 
 @dataclass(frozen=True)
-class Found:
+class Weighed:
     """M separated poses of the grid frame, best first, and what they are worth."""
 
     poses: FloatArray  #: (M, 3)
     log_likelihood: FloatArray  #: (M,)
-    share: FloatArray  #: (M,) Mass of each if the true pose is one of them
-    covariance: FloatArray  #: (L, 3, 3) Of as many as are listed, at least
-    misfit: float = float("nan")  #: nats per reading that the best pose lacks
-    unmapped: float = float("nan")  #: nats per reading in a building that is on no map
-    gained: float = float("nan")  #: nats, tempered, by which the best pose beats that
+    share: FloatArray  #: (M,) mass of each if the true pose is one of them
+    covariance: FloatArray  #: (L, 3, 3) of as many as are listed, at least
+    evidence: Evidence  #: how well the best one fits; the answer adds the rest
     explained: float = 0.0  #: share of the valid rays that the best pose explains
-    temperature: Temperature = field(default_factory=Temperature)  #: what made shares of nats
-    readings: int = 0  #: how many decided about the misfit
-    shared: Shared = field(default_factory=Shared)  #: error that was allowed for
-    #: share of the best, as far as it says something about the true pose being none of them: votes
-    #: are spread where walls are few, too, so that those of a stack say nothing
+    #: share of the best, as far as it tells whether the true pose is another one: 0 for a stack,
+    #: whose votes spread where walls are few
     lead: float = 0.0
     entropy: float | None = None  #: of a whole posterior, nats
     complete: bool = True  #: the search came to its end
 
 
-NOTHING = Found(np.empty((0, 3)), np.empty(0), np.empty(0), np.empty((0, 3, 3)))
+def nothing(options: Options, complete: bool = True) -> Weighed:
+    """No pose at all."""
+    none = np.empty(0)
+    fit = Evidence(best=options.fused.model.best)
+    return Weighed(np.empty((0, 3)), none, none, np.empty((0, 3, 3)), fit, complete=complete)
 
 
 def weigh(
     features: MapFeatures, found: Modes, options: Options, scan: LaserScan | None = None
-) -> Found:
-    """What separated, scored poses are worth: shares and covariances; and of a `scan` its rays."""
+) -> Weighed:
+    """Weigh what the search found: shares and covariances; of a `scan` also the explained rays."""
     if len(found.poses) == 0:
-        return replace(NOTHING, complete=found.complete)
-    explained = 0.0
+        return nothing(options, found.complete)
+    shared, explained = found.shared, 0.0
     if scan is not None:
-        explained = explained_rays(features, scan, found.poses[:1], options, found.shared)
-    features = features.thinner(found.shared.thinner)
-    xy, score = found.readings.xy, found.scores.log_likelihood
-    fit, temperature = _fit(features, found.readings, found.scores, options)
-    share = masses(score, temperature.value)
+        explained = explained_rays(features, scan, found.poses[:1], options, shared)
+    there = features.thinner(shared.thinner)
+    fit = evidence_of(there, found.readings, found.scores, options)
+    fit = replace(fit, scale=shared.scale, thinner=shared.thinner * there.grid.resolution)
+    score = found.scores.log_likelihood
+    share = masses(score, fit.temperature.value)
     listed = found.poses[: options.listed(share)]
-    covariance = _covariances(features, listed, xy, options, 2 * min(options.fused.model.sigmas))
+    sigma = 2 * min(options.fused.model.sigmas)
+    covariance = covariances_of(there, listed, found.readings.xy, options, sigma)
     if found.spread is not None:
         covariance = covariance + _MAXIMA * found.spread[: len(listed)]
-    return Found(
-        *(found.poses, score, share, covariance),
-        explained=explained,
-        temperature=temperature,
-        lead=float(share[0]),
-        complete=found.complete,
-        shared=found.shared,
-        **fit,
-    )
+    lead, whole = float(share[0]), found.complete
+    return Weighed(found.poses, score, share, covariance, fit, explained, lead, complete=whole)
+
+
+def evidence_of(
+    features: MapFeatures, readings: Readings, scores: Scores, options: Options
+) -> Evidence:
+    """How well the best of some poses fits, and what that is worth."""
+    n, model = len(readings), options.fused.model
+    misfit = misfit_of(scores, n, options)
+    temperature = options.trust.temperature_at(misfit, n, features.grid.resolution)
+    share = share_of_poses(options.prior, features)
+    unmapped = unmapped_score(readings.xy, model, share, temperature.value / n)
+    gained = (model.best - misfit - unmapped) * n / temperature.value
+    return Evidence(n, model.best, misfit, unmapped, gained, temperature=temperature)
+
+
+def covariances_of(
+    features: MapFeatures, poses: FloatArray, xy: FloatArray, options: Options, sigma: float
+) -> FloatArray:
+    """Covariances (L, 3, 3) of the poses that are listed; `sigma` is the kernel's width, metres."""
+    field, trust, extent = features.field, options.trust, options.fused.separation
+    return covariances(poses, xy, field, sigma=sigma, correlated=trust.correlated, extent=extent)
 
 
 def explained_rays(
@@ -94,47 +108,3 @@ def settle(
     readings = one_per_place(scan, options.fused.place).spread(options.fused.rays)
     poses = refine(poses, readings.xy, features.field, sigmas=_FROM_CELLS)
     return poses, readings, score_poses(features, readings, poses, options)
-
-
-def _settled_fit(
-    features: MapFeatures, scan: LaserScan, best: FloatArray, options: Options
-) -> dict[str, Any]:
-    """What :func:`_fit` says of a stack's best pose (1, 3)."""
-    pose, readings, scores = settle(features, scan, best, options)
-    explained = explained_rays(features, scan, pose, options, Shared())
-    return _fit(features, readings, scores, options)[0] | {"explained": explained}
-
-
-def _fit(
-    features: MapFeatures, readings: Readings, scores: Scores, options: Options
-) -> tuple[dict[str, Any], Temperature]:
-    """How well the best pose fits, as :class:`Found` has it, and the temperature of its score."""
-    n, model = len(readings), options.fused.model
-    misfit = _misfit(scores, n, options)
-    temperature = options.trust.temperature_at(misfit, n, features.grid.resolution)
-    share = share_of_poses(options.prior, features)
-    unmapped = unmapped_score(readings.xy, model, share, temperature.value / n)
-    said = {
-        "misfit": misfit,
-        "unmapped": unmapped,
-        "gained": (model.best - misfit - unmapped) * n / temperature.value,
-        "readings": n,
-    }
-    return said, temperature
-
-
-def _covariances(
-    features: MapFeatures, poses: FloatArray, xy: FloatArray, options: Options, sigma: float
-) -> FloatArray:
-    """Covariances of the poses that are listed."""
-    field, trust, extent = features.field, options.trust, options.fused.separation
-    return covariances(poses, xy, field, sigma=sigma, correlated=trust.correlated, extent=extent)
-
-
-def _log_volumes(hypotheses: tuple[Hypothesis, ...], features: MapFeatures) -> FloatArray:
-    """Logarithm of the volume of each mode as a share of that of all poses."""
-    space = np.count_nonzero(features.free) * features.lattice.resolution**2 * 2 * np.pi
-    # An integral of a density that is no narrower than the score is sharp: the search's own
-    # rounding and a mode that is its own best pose cost as much in every map.
-    volumes = [0.5 * np.linalg.slogdet(2 * np.pi * h.covariance)[1] for h in hypotheses]
-    return np.asarray(np.array(volumes) - np.log(space))

@@ -1,0 +1,59 @@
+"""From weighed poses to an answer: masses, a verdict, hypotheses in the map frame."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.geometry import in_map_frame
+from imgloc.likelihoods.posterior import entropy
+from imgloc.model import FloatArray, Hypothesis, LaserScan, Localization
+from imgloc.options import Options
+from imgloc.search.asked import effective
+from imgloc.search.hypotheses import as_hypotheses
+from imgloc.search.trust import judge
+from imgloc.search.weigh import Weighed
+
+
+def answered(
+    features: MapFeatures, scan: LaserScan, found: Weighed, options: Options, ms: float
+) -> Localization:
+    """The answer for a scan whose poses have been weighed, in `ms` milliseconds."""
+    elsewhere = 1.0
+    if len(found.poses):
+        elsewhere = options.trust.mass_elsewhere(found.evidence.gained, found.lead)
+    mass = (1 - elsewhere) * found.share
+    verdict, checks = judge(scan.directions, mass, elsewhere, options.trust, found.complete)
+    arrays = (found.poses, found.log_likelihood, mass, found.covariance)
+    listed = as_hypotheses(*(array[: options.listed(found.share)] for array in arrays))
+    hypotheses = tuple(in_map_frame(h, features.grid.info) for h in listed)
+    whole = np.append(mass, elsewhere) if len(mass) else mass
+    return Localization(
+        hypotheses=hypotheses,
+        verdict=verdict,
+        entropy=entropy(whole) if found.entropy is None else found.entropy,
+        explained=found.explained,
+        counts=scan.counts,
+        timings_ms={"localize": ms},
+        parameters=effective(options, features),
+        complete=found.complete,
+        elsewhere=elsewhere,
+        evidence=replace(
+            found.evidence,
+            log_volume=log_volumes(hypotheses, features),
+            checks=checks,
+            found=len(mass),
+            listed=len(hypotheses),
+            unlisted=float(mass[len(hypotheses) :].sum()),
+        ),
+        T_base_laser=scan.T_base_laser,
+    )
+
+
+def log_volumes(hypotheses: tuple[Hypothesis, ...], features: MapFeatures) -> FloatArray:
+    """Logarithm of the volume of each mode as a share of that of all poses."""
+    space = np.count_nonzero(features.free) * features.lattice.resolution**2 * 2 * np.pi
+    # An integral of a density that is no narrower than the score is sharp: the search's own
+    # rounding and a mode that is its own best pose cost as much in every map.
+    volumes = [0.5 * np.linalg.slogdet(2 * np.pi * h.covariance)[1] for h in hypotheses]
+    return np.asarray(np.array(volumes) - np.log(space))
