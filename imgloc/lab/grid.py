@@ -16,10 +16,11 @@ import numpy as np
 
 from imgloc.features.budget import check_budget
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.belief import NOWHERE, Belief, Followed, Habit, Habits, belief_of
-from imgloc.filters.evidence import misfit_near, sight, usable, view_of
+from imgloc.filters.belief import NOWHERE, Belief
+from imgloc.filters.evidence import sight, view_of
 from imgloc.filters.motion import MotionNoise, deviations
 from imgloc.geometry import centre_of, rotation, wrap
+from imgloc.lab.scanned import ScannedFilter
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, LaserScan, inverse
 from imgloc.options import METHODS, Count, Length, Metres, Nats, Options, Share, Step
@@ -145,7 +146,7 @@ def gaussian(sigma: float) -> Float32Array:
     return np.asarray(cv2.getGaussianKernel(2 * int(np.ceil(3 * sigma)) + 1, max(sigma, 1e-3)))
 
 
-class GridFilter:
+class GridFilter(ScannedFilter):
     """A belief over the cells of a map's lattice and some headings.
 
     Parameters
@@ -166,20 +167,19 @@ class GridFilter:
         self, features: MapFeatures, options: Options | None = None, how: GridOptions | None = None
     ) -> None:
         self.how = how or GridOptions()
-        self.options = replace(options or Options(), method=self.how.method)
-        self.features = features = features.thinner(self.options.shared.thinner)
-        self.thetas, self.lattice = self.options.thetas, features.lattice
+        options = replace(options or Options(), method=self.how.method)
+        super().__init__(features, options, self.how)
+        self.thetas, self.lattice = options.thetas, self.features.lattice
         shape = (len(self.thetas), *self.lattice.shape)
         what = f"a grid filter of {shape[0]} headings x {shape[1]} x {shape[2]} cells"
         need = _COPIES * 4 * int(np.prod(shape))
         check_budget(need, self.options.memory_budget, what, "use larger cells")
-        self._free = features.free
+        self._free = self.features.free
         self._box = (slice(0, shape[1]), slice(0, shape[2]))
         self._belief = np.zeros(shape, np.float32)
         self._belief[:] = self._free / max(1, shape[0] * int(np.count_nonzero(self._free)))
-        self._resets, self._seen = 0, False
+        self._seen = False
         self._room = np.inf  #: metres that the mass can still move within the box
-        self._habits, self._last, self._followed = Habits(), Habit(), Followed()
 
     @property
     def stack(self) -> Float32Array:
@@ -228,22 +228,6 @@ class GridFilter:
             self._dense()
             self._seen = False
             self._normalise()
-
-    def watch(self, scan: LaserScan) -> bool:
-        """Whether a scan contradicts the best place."""
-        seen = usable(scan, self.options)
-        if seen is None or not self._seen:
-            return False
-        return self._misfit_at_best(seen) > self._habits.of(seen).last + self.how.surprise
-
-    def miss(self, seconds: float) -> None:
-        """Nothing: what motion adds to the spread is all that is lost."""
-
-    def see(self, scan: LaserScan) -> None:
-        """Take a scan; one with too few readings says nothing."""
-        seen = usable(scan, self.options)
-        if seen is not None:
-            self._see(seen)
 
     def _see(self, scan: LaserScan) -> None:
         how, habit = self.how, self._habits.of(scan)
@@ -303,9 +287,10 @@ class GridFilter:
         cells = np.column_stack((row + self._box[0].start, column + self._box[1].start))
         return np.column_stack((centre_of(cells, self.lattice.resolution), self.thetas[k]))
 
-    def _misfit_at_best(self, scan: LaserScan) -> float:
-        best = self._poses(np.array([int(np.argmax(self._belief))]))
-        return misfit_near(self.features, view_of(scan, self.options), best, self.options)
+    @property
+    def _best(self) -> FloatArray:
+        at = [int(np.argmax(self._belief))] if self._seen else []
+        return self._poses(np.array(at, np.int64))
 
     def _normalise(self) -> None:
         whole = float(self._belief.sum(dtype=np.float64))
@@ -350,9 +335,4 @@ class GridFilter:
         some = np.argpartition(-flat, n - 1)[:n]
         some = some[np.lexsort((some, -flat[some]))]
         poses, mass = self._poses(some), flat[some]
-        return belief_of(
-            poses, mass, sure=self.how.mass, lost=self._last.last > self.how.misfit,
-            doubted=self._last.last > self._last.usual + self.how.surprise
-            or self._followed.metres < self.how.sure,
-            neff=1 / float(np.square(flat).sum()), resets=self._resets,
-        )  # fmt: skip
+        return self._belief_of(poses, mass, 1 / float(np.square(flat).sum()))

@@ -17,10 +17,11 @@ import numpy as np
 from imgloc.answers.sample import sample_poses
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.belief import NOWHERE, Belief, Followed, Habit, Habits, belief_of
-from imgloc.filters.evidence import misfit_near, sight, usable, view_of
+from imgloc.filters.belief import NOWHERE, Belief
+from imgloc.filters.evidence import sight, view_of
 from imgloc.filters.motion import MotionNoise, sample_motion
 from imgloc.geometry import cell_of, inside, theta_bin, transform_poses, wrap
+from imgloc.lab.scanned import ScannedFilter
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D, inverse
 from imgloc.options import (
@@ -106,7 +107,7 @@ def low_variance(weights: FloatArray, n: int, rng: np.random.Generator) -> IntAr
     return np.asarray(np.minimum(np.searchsorted(sums, marks, side="right"), len(weights) - 1))
 
 
-class ParticleFilter:
+class ParticleFilter(ScannedFilter):
     """Weighted poses of the robot, grid frame; see :class:`~imgloc.filters.belief.Filter`.
 
     Parameters
@@ -129,13 +130,11 @@ class ParticleFilter:
         self.how = how or ParticleOptions()
         if not 1 <= self.how.least <= self.how.most:
             raise ConfigError(f"particles: got {self.how.least} to {self.how.most}")
-        self.options = replace(options or Options(), top=20)
-        self.features = features.thinner(self.options.shared.thinner)
+        super().__init__(features, replace(options or Options(), top=20), self.how)
         self._rng = np.random.default_rng(seed)
         self.poses, self.weights = np.empty((0, 3)), np.empty(0)
         self._means: dict[Pose2D | None, tuple[float, float]] = {}  # of each laser, long and short
-        self._looks, self._resets = 0, 0
-        self._habits, self._last, self._followed = Habits(), Habit(), Followed()
+        self._looks = 0
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
         """Believe to be at a pose (3,), grid frame, with deviations in metres and radians."""
@@ -150,22 +149,6 @@ class ParticleFilter:
         self._habits.move(increment)
         if len(self.poses) and np.any(increment):
             self.poses = sample_motion(self.poses, increment, self.how.noise, self._rng)
-
-    def watch(self, scan: LaserScan) -> bool:
-        """Whether a scan contradicts the best place."""
-        seen = usable(scan, self.options)
-        if seen is None or not len(self.poses):
-            return False
-        return self._misfit_at_best(seen) > self._habits.of(seen).last + self.how.surprise
-
-    def miss(self, seconds: float) -> None:
-        """Nothing: what motion adds to the spread is all that is lost."""
-
-    def see(self, scan: LaserScan) -> None:
-        """Take a scan; one with too few readings says nothing."""
-        seen = usable(scan, self.options)
-        if seen is not None:
-            self._see(seen)
 
     def _see(self, scan: LaserScan) -> None:
         how, habit, first = self.how, self._habits.of(scan), not len(self.poses)
@@ -243,9 +226,9 @@ class ParticleFilter:
     def _few(self) -> Options:
         return replace(self.options, fused=replace(self.options.fused, rays=self.how.rays), top=1)
 
-    def _misfit_at_best(self, scan: LaserScan) -> float:
-        best = self.belief.poses[:1]
-        return misfit_near(self.features, view_of(scan, self.options), best, self.options)
+    @property
+    def _best(self) -> FloatArray:
+        return self.belief.poses[:1]
 
     @property
     def belief(self) -> Belief:
@@ -261,9 +244,4 @@ class ParticleFilter:
         crowd = np.bincount(which, self.weights)[which]
         order = np.lexsort((-self.weights, -crowd))
         poses, weights = self.poses[order], self.weights[order]
-        return belief_of(
-            poses, weights, sure=self.how.mass, lost=self._last.last > self.how.misfit,
-            doubted=self._last.last > self._last.usual + self.how.surprise
-            or self._followed.metres < self.how.sure,
-            neff=1 / float(np.square(weights).sum()), resets=self._resets,
-        )  # fmt: skip
+        return self._belief_of(poses, weights, 1 / float(np.square(weights).sum()))
