@@ -14,6 +14,7 @@ from imgloc.cli.demo import demo
 from imgloc.cli.export import export
 from imgloc.cli.localize import localize
 from imgloc.cli.map import check, show
+from imgloc.cli.node import RosCommand, node
 from imgloc.cli.options import FORMATS, examples
 from imgloc.cli.report import report
 from imgloc.cli.sample import sample
@@ -122,6 +123,12 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc track office.yaml log.npz --start 3,2,0 --sensor 0.3,0,0",
         "imgloc track office.yaml log.npz --kidnap 60,12,3,1.5 --video out.mp4",
     ),
+    node: (
+        "imgloc node",
+        "imgloc node office.yaml --sensor 0.2,0,0 --track",
+        "imgloc node floors --scan front --scan rear --sensor 0.3,0,0 --sensor -0.3,0,180deg",
+        "imgloc node office.yaml --sensor 0,0,0 --ros-args -p use_sim_time:=true",
+    ),
     which: (
         "imgloc which floors scans.npz",
         "imgloc which floors scan.csv --range-max 20 --heading 90deg --json",
@@ -162,7 +169,8 @@ kept = typer.Typer(
 for group, commands in ((app, _COMMANDS), (maps, _MAP), (kept, _CACHE)):
     for command, lines in commands.items():
         more = FORMATS if command is localize else ""
-        group.command(epilog=examples(*lines, more=more))(command)
+        kind = RosCommand if command is node else None
+        group.command(cls=kind, epilog=examples(*lines, more=more))(command)
 app.add_typer(maps, name="map", help="Look at a map, or make one of a floor plan.")
 app.add_typer(kept, name="cache")
 

@@ -7,12 +7,14 @@ import contextlib
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO, Any
 
 import numpy as np
 
+from imgloc.choice.choose import names_of
 from imgloc.cli.console import LOG, quiet_libraries
 from imgloc.cli.options import RADIUS, TOLERANCE, Known, Logs
 from imgloc.errors import ConfigError, MapError, OutputError, ScanError
@@ -20,20 +22,25 @@ from imgloc.features.budget import MIB, PROCESS, check_budget, scans_bytes, simu
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.store import load_features, save_features
 from imgloc.io.cache import cache_folder, cache_limit
+from imgloc.io.calibration import calibration_path, load_calibrations
 from imgloc.io.files import display, is_folder, refuse_existing
+from imgloc.io.folders import find_maps
 from imgloc.io.images import ImageSize, image_size, read_image
 from imgloc.io.maps import (
     SWAPPED,
     YAML_ENDINGS,
+    Reading,
     load_bytes,
     load_map,
     looks_swapped,
+    reading_of,
     require_usable,
     resolve_settings,
 )
 from imgloc.io.mapyaml import load_map_yaml
 from imgloc.io.scans import has_topics, load_scans, scans_size
 from imgloc.io.scanset import ScanSet
+from imgloc.live.sites import Site
 from imgloc.model import BoolArray, LaserScan, OccupancyGrid
 from imgloc.options import Options, Prior
 from imgloc.pipeline import prepare
@@ -257,6 +264,33 @@ def open_features(
     features = prepare(grid, name, **parameters)
     check_answer(features, options, name, hint=hint, scans=scans)
     return features if folder is None else load_features(grid, folder, parameters)
+
+
+def site_makers(
+    path: Path, options: Options, folder: Path | None, reading: Reading, *, allow_lossy: bool
+) -> dict[str, Callable[[], Site]]:
+    """What makes each map of a folder, or the one at `path`, by its name.
+
+    One map is loaded here, so that what is wrong with it is said at once; those of a folder when
+    they are made.
+    """
+    many = is_folder(path)
+    paths = find_maps(path, images=reading.get("resolution") is not None) if many else [path]
+    names = names_of(paths, path) if many else [path.stem]
+
+    def grid_at(at: Path) -> OccupancyGrid:
+        how = reading_of(at, reading) if many else reading
+        return load_grid(at, options.memory_budget or 0, allow_lossy=allow_lossy, **how)
+
+    def made(at: Path, grid: OccupancyGrid | None) -> Site:
+        grid = grid_at(at) if grid is None else grid
+        features = open_features(grid, display(at), folder, options, threads=options.threads)
+        return Site(features, *load_calibrations(calibration_path(at), grid))
+
+    grids = [None if many else grid_at(at) for at in paths]
+    return {
+        name: partial(made, at, grid) for name, at, grid in zip(names, paths, grids, strict=True)
+    }
 
 
 def keep_features(features: MapFeatures, folder: Path | None) -> None:

@@ -67,18 +67,19 @@ def message(
         covariance = diagonal.ravel().tolist()
         return POSE, {
             "header": header,
-            "pose": {"pose": _pose(pose), "covariance": covariance},
+            "pose": {"pose": pose_fields(pose), "covariance": covariance},
         }
     if moment.belief.verdict == "lost" or not len(moment.belief.poses):
         return None
     poses = transform_poses(origin, moment.belief.poses[:_LISTED])
     return ARRAY, {
         "header": header,
-        "poses": [_pose(Pose2D(*row)) for row in poses],
+        "poses": [pose_fields(Pose2D(*row)) for row in poses],
     }
 
 
-def _pose(pose: Pose2D) -> dict[str, Any]:
+def pose_fields(pose: Pose2D) -> dict[str, Any]:
+    """The fields of a geometry_msgs/Pose."""
     z, w = math.sin(pose.theta / 2), math.cos(pose.theta / 2)
     return {
         "position": {"x": pose.x, "y": pose.y, "z": 0.0},

@@ -1,0 +1,177 @@
+"""What a robot is told of where it is: one JSON object, and how well that is."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from imgloc.filters.belief import LOST, deviations_of
+from imgloc.filters.follow import Moment
+from imgloc.geometry import transform_poses
+from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose
+from imgloc.model import SURE, FloatArray, Localization, Pose2D, base_of, plain
+
+LISTED = 10  # places of a message at most
+OK, WARN, ERROR, STALE = range(4)
+"""Levels of diagnostic_msgs/DiagnosticStatus."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """An answer as the robot has it: poses of its base, map frame, best first."""
+
+    stamp: float  #: of the scan, seconds
+    map: str | None  #: name
+    verdict: str
+    poses: tuple[Pose2D, ...] = ()
+    masses: tuple[float, ...] = ()
+    covariance: FloatArray | None = None  #: (3, 3) of the first pose
+    explained: float = math.nan  #: share of the readings that the first pose explains
+    why: str = ""  #: a pose was withheld: a word of Moment
+
+    @property
+    def pose(self) -> Pose2D | None:
+        """The pose that can be relied upon: only if it is unique."""
+        return self.poses[0] if self.verdict == "unique" else None
+
+    @property
+    def score(self) -> float:
+        """VDA 5050's localizationScore: the mass of the first pose; 0 if nothing fits."""
+        return self.masses[0] if self.masses and self.verdict in SURE else 0.0
+
+    @property
+    def deviation(self) -> float:
+        """VDA 5050's deviationRange: standard deviation along its longest axis, metres."""
+        return math.inf if self.covariance is None else deviations_of(self.covariance)[0]
+
+
+def found_of(answer: Localization, stamp: float, name: str | None) -> Found:
+    """An answer to one scan, whose `T_base_laser` is known."""
+    mount = answer.T_base_laser or Pose2D(0.0, 0.0)
+    listed = answer.hypotheses[:LISTED]
+    poses = tuple(base_of(h.pose, mount) for h in listed)
+    covariance = None
+    if listed:
+        covariance = base_covariance(listed[0].covariance, listed[0].pose, poses[0])
+    masses = tuple(h.mass for h in listed)
+    return Found(stamp, name, answer.verdict, poses, masses, covariance, answer.explained)
+
+
+def found_along(moment: Moment, origin: Pose2D, name: str | None) -> Found:
+    """What is believed along the way; `origin` is that of the grid, in whose frame beliefs are."""
+    belief = moment.belief
+    rows = transform_poses(origin, belief.poses[:LISTED]).tolist()
+    poses, masses = tuple(Pose2D(*row) for row in rows), tuple(belief.mass[:LISTED].tolist())
+    verdict = "no-match" if belief.verdict == LOST else belief.verdict
+    return Found(
+        moment.stamp, name, verdict, poses, masses, moment.covariance if poses else None,
+        why=moment.withheld,
+    )  # fmt: skip
+
+
+def base_covariance(covariance: FloatArray, sensor: Pose2D, base: Pose2D) -> FloatArray:
+    """Covariance (3, 3) of the base's pose, of that of the sensor's; both poses in one frame.
+
+    Examples
+    --------
+    >>> turned = np.diag([0.0, 0.0, 0.01])  # 0.1 rad
+    >>> base_covariance(turned, Pose2D(0.0, 0.0), Pose2D(-2.0, 0.0))[1, 1]
+    0.04
+    """
+    J = np.eye(3)
+    J[:2, 2] = sensor.y - base.y, base.x - sensor.x
+    return np.asarray(J @ covariance @ J.T)
+
+
+def status_row(
+    found: Found | None, first: FirstPose, *, now: float, stands: bool, dropped: int, said: str
+) -> dict[str, Any]:
+    """The object of ``~/status``: VDA 5050 3.0's words where it has them, then imgloc's.
+
+    Parameters
+    ----------
+    found : Found, optional
+        The last answer.
+    first : FirstPose
+        How far the first pose is.
+    now : float
+        Seconds, of the clock that stamps are of.
+    stands : bool
+        Whether the pose that was found holds still: scans come, and the robot has not moved on.
+    dropped : int
+        Scans that were not looked at.
+    said : str
+        The sentence of the diagnostics.
+    """
+    pose = found.pose if found is not None and stands else None
+    row: dict[str, Any] = {
+        "localized": pose is not None,
+        "localizationScore": found.score if found is not None else 0.0,
+        "deviationRange": found.deviation if found is not None and pose is not None else None,
+        "mapId": "" if found is None else found.map or "",
+        "x": None if pose is None else pose.x,
+        "y": None if pose is None else pose.y,
+        "theta": None if pose is None else pose.theta,
+        "verdict": None if found is None else found.verdict,
+        "state": first.state,
+        "alternatives": [] if found is None else _alternatives(found, skip=pose is not None),
+        "masses": [] if found is None else found.masses,
+        "explained": None if found is None else found.explained,
+        "stamp": None if found is None else found.stamp,
+        "age": None if found is None else now - found.stamp,
+        "tries": first.tries,
+        "dropped": dropped,
+        "message": said,
+    }
+    return dict(plain(row))
+
+
+def _alternatives(found: Found, *, skip: bool) -> list[dict[str, float]]:
+    """The other places, or all of them while none can be relied upon."""
+    pairs = list(zip(found.poses, found.masses, strict=True))[int(skip) :]
+    return [{"x": p.x, "y": p.y, "theta": p.theta, "mass": mass} for p, mass in pairs]
+
+
+def health(
+    first: FirstPose, found: Found | None, *, silent: Sequence[str], alive: bool,
+    errors: Sequence[str], waits: str, track: bool,
+) -> tuple[int, str]:  # fmt: skip
+    """Level and sentence of the diagnostics.
+
+    Parameters
+    ----------
+    first, found : FirstPose, Found, optional
+    silent : sequence of str
+        Lasers that say nothing any more.
+    alive : bool
+        Whether another one does.
+    errors : sequence of str
+        Why maps cannot be used.
+    waits : str
+        What is lacking before a scan can be looked at; nothing if all is there.
+    track : bool
+        Whether the robot is followed, and its filter has had a pose.
+
+    Examples
+    --------
+    >>> health(FirstPose(), None, silent=["/scan"], alive=False, errors=[], waits="",
+    ...        track=False)
+    (3, 'no scans on /scan')
+    """
+    if errors:
+        return ERROR, "; ".join(errors)
+    if silent:
+        return (WARN if alive else STALE), f"no scans on {', '.join(silent)}"
+    if waits:
+        return WARN, waits
+    last = "no answer yet" if found is None else f"the last scan is {found.verdict}"
+    if track and found is not None:
+        return (OK, "the pose is unique") if found.pose is not None else (WARN, last)
+    if first.state == QUIET:
+        return OK, "the pose was published"
+    if first.state == GIVEN_UP:
+        hint = "drive on and call ~/localize, or give a pose"
+        return WARN, f"gave up after {first.tries} scans: {last}; {hint}"
+    return WARN, f"{first.state}: {last}"

@@ -1,0 +1,276 @@
+"""`imgloc node` with real processes on loopback: a player, the node, and one who listens."""
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command import MAPS, ROOT, spawn
+
+import imgloc
+from imgloc.geometry import pose_errors
+from imgloc.model import LaserScan, Pose2D
+from imgloc.simulation.scans import simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
+
+pytest.importorskip("rclpy", reason="no ROS 2 here: source one, or pip install 'imgloc[node]'")
+
+from tools.robot.kill import Told, environment, judged, lines_of, true_poses
+
+MAP, OTHER = MAPS / "double_wall.yaml", MAPS / "curved.yaml"
+MOUNT = Pose2D(0.1, 0.0, math.radians(90.0))
+SENSOR = "0.1,0,90deg"
+ANGLES = np.deg2rad(np.arange(-180, 180, 1.0))
+PATIENCE = 20.0  # seconds that a scan may be old on a busy machine
+LONG = 60.0  # and anything may take
+
+
+def log_in(folder: Path, world: str, x: float, y: float, theta: float) -> Path:
+    """A robot drives a metre to and fro for a minute, with a scan each 0.1 s; poses are known."""
+    along = np.abs((0.04 * np.arange(600) + 1) % 2 - 1)
+    here = [Pose2D(x + d * math.cos(theta), y + d * math.sin(theta), theta) for d in along]
+    sensors = [imgloc.model.compose(pose, MOUNT) for pose in here]
+    rows = np.array([(p.x, p.y, p.theta) for p in sensors])
+    fine = render(WORLDS[world](), 0.02)
+    ranges = simulate_ranges(fine, rows, ANGLES, seed=3, range_max=12.0)
+    scans = tuple(LaserScan(r, ANGLES, range_max=12.0, T_base_laser=MOUNT) for r in ranges)
+    odom = np.column_stack((along, 0 * along, 0 * along))
+    path = folder / f"{world}.npz"
+    imgloc.save_scans(path, imgloc.ScanSet(scans, rows, 1000 + 0.1 * np.arange(len(along)), odom))
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return log_in(tmp_path_factory.mktemp("log"), "double_wall", 18.3, 3.1, -0.05)
+
+
+def truth_of(log: Path) -> np.ndarray:
+    """Poses (N, 3) of the robot's base."""
+    scans = imgloc.load_scans(log)
+    return np.array([vars_of(imgloc.model.base_of(Pose2D(*row), MOUNT)) for row in scans.poses])
+
+
+def vars_of(pose: Pose2D) -> tuple[float, float, float]:
+    return pose.x, pose.y, pose.theta
+
+
+class Field:
+    """Processes of one test, which hear each other alone, and what was heard and played."""
+
+    def __init__(self, folder: Path) -> None:
+        worker = os.environ.get("PYTEST_XDIST_WORKER", "gw0")
+        Field.count = getattr(Field, "count", 0) + 1
+        # Each test a domain of its own; of two runs at a time the process decides.
+        self.around = environment((11 + 17 * int(worker[2:]) + Field.count + os.getpid()) % 101)
+        self.around["PYTHONPATH"] = str(ROOT)
+        self.folder, self.running = folder, list[subprocess.Popen[bytes]]()
+        self.played_in, self.heard_in = folder / "played.jsonl", folder / "heard.jsonl"
+
+    def start(self, module: str, *words: object) -> "subprocess.Popen[bytes]":
+        command = [sys.executable, "-m", module, *map(str, words)]
+        with (self.folder / f"{len(self.running)}-{module}.txt").open("wb") as said:
+            made = subprocess.Popen(command, env=self.around, cwd=ROOT, stdout=said, stderr=said)
+        self.running.append(made)
+        return made
+
+    def node(self, *words: object) -> "subprocess.Popen[bytes]":
+        return self.start("imgloc", "node", "--max-age", PATIENCE, *words)
+
+    def play(self, *words: object) -> "subprocess.Popen[bytes]":
+        return self.start("tools.robot", "play", *words, "--write", self.played_in)
+
+    def listen(self) -> None:
+        self.start("tools.robot", "listen", "--all", "--write", self.heard_in)
+        self.until(self.heard_in.exists)
+
+    def ask(self, service: str) -> dict[str, Any]:
+        command = [sys.executable, "-m", "tools.robot", "ask", service]
+        done = subprocess.run(command, env=self.around, cwd=ROOT, capture_output=True, timeout=LONG)
+        assert done.stdout, done.stderr
+        return json.loads(done.stdout)
+
+    def heard(self, topic: str) -> list[dict[str, Any]]:
+        return [one for one in lines_of(self.heard_in) if one["topic"] == topic]
+
+    def played(self) -> list[dict[str, Any]]:
+        return lines_of(self.played_in)
+
+    def until(self, there: Callable[[], object]) -> None:
+        """Wait until something is there."""
+        end = time.monotonic() + LONG
+        while not there():
+            assert time.monotonic() < end, self.said()
+            time.sleep(0.05)
+
+    def said(self) -> str:
+        """What all of them printed."""
+        texts = sorted(self.folder.glob("*.txt"))
+        last = lines_of(self.heard_in)[-1:]
+        return "\n".join([*(f"{t.name}: {t.read_text()[-2000:]}" for t in texts), str(last)])
+
+    def level(self) -> int:
+        """Of the last diagnostics."""
+        return self.heard("diagnostics")[-1]["level"] if self.heard("diagnostics") else -1
+
+    def told(self, log: Path) -> Told:
+        """What was told on /initialpose, held against the truth."""
+        return judged(Told(PATIENCE), self.heard("initialpose"), self.played(), truth_of(log))
+
+
+@pytest.fixture
+def field(tmp_path: Path) -> Iterator[Field]:
+    made = Field(tmp_path)
+    yield made
+    for process in made.running:
+        process.kill()
+        process.wait()
+
+
+@pytest.mark.parametrize("publisher", ["reliable", "--best-effort"])
+def test_a_robot_is_told_its_first_pose_once_and_silence_is_said(field, log, publisher) -> None:
+    field.listen()
+    node = field.node("--sensor", SENSOR)
+    player = field.play(MAP, log, *([publisher] if publisher[0] == "-" else []))
+    field.until(lambda: field.level() == 0)
+    assert len(field.heard("initialpose")) == 1
+    said = field.heard("status")[-1]
+    assert said["localized"] is True
+    assert 0.9 < said["localizationScore"] <= 1
+    assert 0 < said["deviationRange"] < 0.2
+    assert said["mapId"] == "map"
+    assert said["state"] == "quiet"
+    assert pose_errors(np.array([[said["x"], said["y"], said["theta"]]]),
+                       Pose2D(18.3, 3.1, -0.05))[0] == pytest.approx([0, 0], abs=1.1)  # fmt: skip
+    player.kill()
+    field.until(lambda: field.level() == 3)
+    assert field.heard("diagnostics")[-1]["message"] == "no scans on scan"
+    field.until(lambda: not field.heard("status")[-1]["localized"])
+    told = field.told(log)
+    assert (told.poses, told.right) == (1, True), told
+    assert told.worst_m < 0.1
+    node.send_signal(signal.SIGTERM)
+    assert node.wait(LONG) == 0
+
+
+def test_two_lasers_are_one_robot(field, log) -> None:
+    field.listen()
+    sensors = ("--sensor", SENSOR, "--sensor", "0.1,0,270deg")
+    field.node("--scan", "front", "--scan", "rear", *sensors)
+    field.play(MAP, log, "--lasers", 2)
+    field.until(lambda: field.heard("initialpose"))
+    assert field.told(log).right
+
+
+@pytest.mark.parametrize("wrong", ["nan", "empty", "short", "zero"])
+def test_no_pose_has_the_stamp_of_a_scan_that_says_nothing(field, log, wrong) -> None:
+    field.listen()
+    field.node(MAP, "--sensor", SENSOR)
+    field.play(MAP, log, "--no-map", "--disturb", wrong)
+    field.until(lambda: field.heard("initialpose"))
+    assert field.told(log).right
+    disturbed = {round(p["stamp"], 6) for p in field.played() if p["disturbed"]}
+    assert not disturbed & {round(p["stamp"], 6) for p in field.heard("initialpose")}
+
+
+def test_another_map_starts_anew_and_what_was_found_in_the_first_is_gone(field, log) -> None:
+    field.listen()
+    field.node("--sensor", SENSOR)
+    field.play(OTHER, log, "--then", MAP, "--after", 2)
+    field.until(lambda: field.heard("initialpose"))
+    assert field.told(log).right  # nothing was published in the map that it is not from
+
+
+def test_a_robot_is_followed_and_answers_when_it_is_asked(field, log) -> None:
+    field.listen()
+    node = field.node(MAP, "--sensor", SENSOR, "--track", "--ros-args", "-p", "every:=1")
+    field.play(MAP, log, "--no-map")
+    field.until(lambda: len(field.heard("pose")) > 10)
+    answer = field.ask("localize")
+    assert answer["success"], answer
+    assert "unique: x " in answer["message"]
+    assert field.ask("reset")["success"]
+    field.until(lambda: len(field.heard("initialpose")) >= 2)
+    followed = judged(Told(PATIENCE), field.heard("pose"), field.played(), truth_of(log))
+    assert followed.right, followed
+    assert field.told(log).right
+    node.send_signal(signal.SIGINT)
+    assert node.wait(LONG) == 130
+
+
+def test_a_folder_of_floors_says_which_it_is_by_the_recorded_clock(field, log) -> None:
+    floors = field.folder / "floors"
+    floors.mkdir()
+    for path in (MAP, OTHER):
+        imgloc.save_map(floors / path.name, imgloc.load_map(path))
+    field.listen()
+    field.node(floors, "--sensor", SENSOR, "--ros-args", "-p", "use_sim_time:=true")
+    field.play(MAP, log, "--no-map", "--clock")
+    field.until(lambda: field.heard("initialpose"))
+    pose = field.heard("initialpose")[0]
+    assert 1000 <= pose["stamp"] <= 1060
+    field.until(lambda: field.heard("status")[-1]["mapId"] == "double_wall")
+
+
+def test_killed_and_started_again_nothing_wrong_is_told(field, log) -> None:
+    field.listen()
+    node, player = field.node(MAP, "--sensor", SENSOR), field.play(MAP, log, "--no-map")
+    for victim in ("node", "player"):
+        count = len(field.heard("initialpose"))
+        field.until(lambda count=count: len(field.heard("initialpose")) > count)
+        (node if victim == "node" else player).kill()
+        if victim == "node":
+            node = field.node(MAP, "--sensor", SENSOR)
+        player.kill()
+        player = field.play(MAP, log, "--no-map", "--first", 30)
+    time.sleep(1.0)
+    told = field.told(log)
+    assert told.poses >= 2
+    assert told.right, told
+
+
+@pytest.mark.parametrize(
+    ("name", "start"),
+    [("mac_1st_floor_final", (6.88, -8.36, 1.77)), ("mac_1st_floor_9_23", (6.467, -8.854, 1.7))],
+)
+def test_a_recorded_robot_is_told_where_it_is(field, shared, name, start) -> None:
+    map_path = shared / "olin_mac" / "maps" / f"{name}.yaml"
+    bag = shared / "olin_mac" / "bags" / "macfirst_floor_take_2"
+    if not bag.exists():
+        map_path = shared / "data" / "olin_mac" / "maps" / f"{name}.yaml"
+        bag = shared / "data" / "olin_mac" / "bags" / "macfirst_floor_take_2"
+    field.listen()
+    field.node("--sensor", "0.00394,0,90deg")
+    field.play(map_path, bag, "--count", 150)
+    field.until(lambda: field.heard("initialpose"))
+    played = imgloc.load_scans(bag).take(range(len(field.played())))
+    truth = true_poses(map_path, played, Pose2D(*start))
+    told = judged(Told(PATIENCE), field.heard("initialpose"), field.played(), truth)
+    assert told.right, told
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        ((MAP,), 2, "sensor: missing, expected X,Y,YAW"),
+        ((MAP, "--sensor", "20,0,0"), 2, "20 m from the robot's base"),
+        ((MAP, "--scan", "a", "--scan", "b", "--sensor", "0,0,0"), 2, "for each of 2"),
+        ((MAP, "--sensor", "0,0,0", "--ros-args", "-p", "every:=soon"), 2, "every: got 'soon'"),
+        ((MAP, "--sensor", "0,0,0", "--ros-args", "-p", "every:=-1.0"), 2, "Rules.every: got -1"),
+        ((MAP, "--sensor", "0,0,0", "--ros-args", "-p", "every"), 2, "the arguments of ROS: "),
+        (("nowhere.yaml", "--sensor", "0,0,0"), 3, "nowhere.yaml: no such file"),
+    ],
+)
+def test_what_is_wrong_is_said_before_the_node_runs(words, code, said) -> None:
+    found = spawn("node", *words)
+    assert found.code == code, found
+    assert said in found.err
+    assert "Traceback" not in found.err

@@ -1,0 +1,132 @@
+"""A robot that is not there, for `imgloc node`; needs a ROS 2, or pip install 'imgloc[node]'.
+
+    python -m tools.robot play                   # a drive through a bundled world: map, odom, scan
+    python -m tools.robot play MAP LOG           # the same of a log with stamps, in its own time
+    python -m tools.robot listen                 # prints what comes on /initialpose
+    python -m tools.robot ask localize           # calls a service of the node
+    python -m tools.robot kill LOG MAP X,Y,YAW   # kills node or player at random moments
+
+`kill` prints a JSON object; its exit code is 1 if a pose was wrong, of another scan or stale. It
+follows the log from X,Y,YAW, where the robot was at its beginning: these poses are the true ones.
+"""
+
+import argparse
+import contextlib
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from imgloc import ConfigError, OccupancyGrid, Pose2D, ScanSet, load_map, load_scans
+from imgloc.live.node import load_ros
+from imgloc.simulation.worlds import WORLDS, render
+from tools.drive import WORLD, drive
+from tools.robot.kill import kill_loop
+from tools.robot.listen import Listener
+from tools.robot.play import DISTURBED, Player, Playing, write_to
+from tools.script import ended, parser_of
+
+
+def main() -> int:
+    """Parse the command line and do what it says."""
+    parser = parser_of("tools.robot", __doc__)
+    commands = parser.add_subparsers(required=True)
+    play, listen, ask, kill = (
+        _command(commands, name, work)
+        for name, work in (("play", _play), ("listen", _listen), ("ask", _ask), ("kill", _kill))
+    )
+    play.add_argument("map", nargs="?", type=Path)
+    play.add_argument("log", nargs="?", type=Path)
+    play.add_argument("--free-thresh", type=float, help="of the map")
+    play.add_argument("--then", type=Path, help="another map, published later")
+    play.add_argument("--after", type=float, default=5.0, help="how many seconds later")
+    play.add_argument("--no-map", action="store_true")
+    play.add_argument("--lasers", type=int, choices=(1, 2), default=1)
+    play.add_argument("--best-effort", action="store_true")
+    play.add_argument("--disturb", choices=DISTURBED, default="", help="every other scan")
+    play.add_argument("--clock", action="store_true", help="recorded stamps, and a /clock")
+    play.add_argument("--first", type=int, default=0, help="scan to begin with")
+    play.add_argument("--count", type=int, default=0, help="scans to play; 0: all")
+    play.add_argument("--stay", type=float, default=0.0, help="seconds after the last scan")
+    play.add_argument("--write", type=Path, help="JSONL: index and stamp of each scan")
+    listen.add_argument("--all", action="store_true", help="status, diagnostics, track too")
+    listen.add_argument("--write", type=Path, help="JSONL, instead of standard output")
+    ask.add_argument("service", choices=("localize", "reset"))
+    kill.add_argument("log", type=Path)
+    kill.add_argument("map", type=Path)
+    kill.add_argument("start")
+    kill.add_argument("-n", type=int, default=20)
+    kill.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    return ended("tools.robot", lambda: given.work(given))
+
+
+def _command(commands: Any, name: str, work: Callable[[Any], int]) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = commands.add_parser(name)
+    parser.set_defaults(work=work)
+    return parser
+
+
+def _node(name: str) -> tuple[Any, Any]:
+    ros = load_ros()
+    ros.rclpy.init(args=[])
+    return ros, ros.rclpy.create_node(name)
+
+
+def _play(given: argparse.Namespace) -> int:
+    log, grids = _given(given)
+    names = ("lasers", "best_effort", "disturb", "clock", "first", "count", "stay")
+    ros, node = _node("player")
+    how = Playing(**{name: getattr(given, name) for name in names})
+    player = Player(ros, node, how, write_to(given.write))
+    if grids and not given.no_map:
+        player.show(grids[0])
+    player.play(log, grids[1:], given.after)
+    return 0
+
+
+def _given(given: argparse.Namespace) -> tuple[ScanSet, list[OccupancyGrid]]:
+    """The log and its maps; by default a drive through a bundled world."""
+    if given.map is None:
+        return drive(), [render(WORLDS[WORLD](), 0.1)]
+    if given.log is None:
+        raise ConfigError("expected MAP and LOG, or neither")
+    maps = [given.map] if given.then is None else [given.map, given.then]
+    return load_scans(given.log), [load_map(m, free_thresh=given.free_thresh) for m in maps]
+
+
+def _listen(given: argparse.Namespace) -> int:
+    ros, node = _node("listener")
+    Listener(ros, node, write_to(given.write) or sys.stdout, everything=given.all)
+    with contextlib.suppress(KeyboardInterrupt):
+        ros.rclpy.spin(node)
+    return 0
+
+
+def _ask(given: argparse.Namespace) -> int:
+    ros, node = _node("asker")
+    trigger = ros.std_srvs.Trigger
+    client = node.create_client(trigger, f"imgloc/{given.service}")
+    if not client.wait_for_service(timeout_sec=10.0):
+        raise ConfigError(f"no node answers imgloc/{given.service}")
+    begin, asked = time.monotonic(), client.call_async(trigger.Request())
+    ros.rclpy.spin_until_future_complete(node, asked, timeout_sec=30.0)
+    answer, seconds = asked.result(), round(time.monotonic() - begin, 3)
+    if answer is None:
+        raise ConfigError(f"imgloc/{given.service}: no answer in {seconds:g} s")
+    said = {"success": answer.success, "message": answer.message, "seconds": seconds}
+    print(json.dumps(said))
+    return 0 if answer.success else 1
+
+
+def _kill(given: argparse.Namespace) -> int:
+    start = Pose2D(*map(float, given.start.split(",")))
+    found = kill_loop(given.map, given.log, start, given.n, given.seed)
+    print(json.dumps(vars(found)))
+    return 0 if found.right else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,154 @@
+"""Plays a map and a log to ROS 2 in the log's own time: map, odom, and a laser or two."""
+
+import json
+import math
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+
+from imgloc import LaserScan, OccupancyGrid, ScanSet
+from imgloc.errors import ConfigError
+from imgloc.live.messages import fill
+from imgloc.model import FloatArray, Pose2D
+from imgloc.output.ros import pose_fields
+
+DISTURBED = ("nan", "empty", "short", "zero")
+"""What every other scan may be instead of itself."""
+
+
+@dataclass(frozen=True)
+class Playing:
+    """How a log is played."""
+
+    lasers: int = 1  #: two: the front half of each scan is a laser, the rear half another one
+    best_effort: bool = False
+    disturb: str = ""  #: one of `DISTURBED`
+    clock: bool = False  #: the recorded stamps with a clock, not those of now
+    first: int = 0  #: scan to begin with
+    count: int = 0  #: scans to play; 0: all
+    stay: float = 0.0  #: seconds to stay after the last scan, saying nothing
+
+
+def topics_of(lasers: int) -> tuple[str, ...]:
+    """The topics of the lasers."""
+    return ("scan",) if lasers == 1 else ("front", "rear")
+
+
+def mounts_of(lasers: int, mount: Pose2D) -> tuple[Pose2D, ...]:
+    """Where they sit on the robot: the rear one looks back."""
+    turned = Pose2D(mount.x, mount.y, mount.theta + math.pi)
+    return (mount,) if lasers == 1 else (mount, turned)
+
+
+class Player:
+    """A node that plays."""
+
+    def __init__(self, ros: Any, node: Any, how: Playing, said: TextIO | None = None) -> None:
+        self._ros, self._node, self._how, self._said = ros, node, how, said
+        qos = ros.qos
+        kind = (
+            qos.ReliabilityPolicy.BEST_EFFORT if how.best_effort else qos.ReliabilityPolicy.RELIABLE
+        )
+        sensor = qos.QoSProfile(depth=10, reliability=kind)
+        latched = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
+        self._map = node.create_publisher(ros.nav_msgs.OccupancyGrid, "map", latched)
+        self._odom = node.create_publisher(ros.nav_msgs.Odometry, "odom", sensor)
+        self._scans = [
+            node.create_publisher(ros.sensor_msgs.LaserScan, topic, sensor)
+            for topic in topics_of(how.lasers)
+        ]
+        self._clock = None
+        if how.clock:
+            import importlib
+
+            clock = importlib.import_module("rosgraph_msgs.msg").Clock
+            self._clock = (node.create_publisher(clock, "/clock", 10), clock)
+
+    def show(self, grid: OccupancyGrid) -> None:
+        """Publish a map."""
+        cells = np.full(grid.occupied.shape, -1, np.int8)
+        cells[grid.free], cells[grid.occupied] = 0, 100
+        info = {
+            "resolution": float(grid.resolution), "width": grid.info.width,
+            "height": grid.info.height,
+            "origin": pose_fields(grid.origin),
+        }  # fmt: skip
+        message = fill(self._ros.nav_msgs.OccupancyGrid(), {"info": info})
+        message.header.frame_id = "map"
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.data.frombytes(cells.tobytes())
+        self._map.publish(message)
+
+    def play(self, log: ScanSet, then: Sequence[OccupancyGrid] = (), after: float = 0.0) -> None:
+        """Play the scans and the odometry of a log, in its time; `after` seconds come more maps."""
+        if log.stamps is None:
+            raise ConfigError("the log has no stamps, in whose time it could be played")
+        how = self._how
+        last = len(log) if not how.count else min(len(log), how.first + how.count)
+        begin, since, maps = time.time(), time.monotonic(), list(then)
+        for k in range(how.first, last):
+            late = float(log.stamps[k] - log.stamps[how.first])
+            time.sleep(max(0.0, late - (time.monotonic() - since)))
+            if maps and late >= after:
+                self.show(maps.pop(0))
+            stamp = float(log.stamps[k]) if how.clock else begin + late
+            self._step(k, log[k], None if log.odom is None else log.odom[k], stamp)
+        time.sleep(how.stay)
+
+    def _step(self, k: int, scan: LaserScan, odom: FloatArray | None, stamp: float) -> None:
+        whole = math.floor(stamp)
+        at = {"sec": whole, "nanosec": min(999_999_999, round(1e9 * (stamp - whole)))}
+        if self._clock is not None:
+            publisher, kind = self._clock
+            publisher.publish(fill(kind(), {"clock": at}))
+        if odom is not None:
+            message = fill(self._ros.nav_msgs.Odometry(), {"child_frame_id": "base_link"})
+            fill(message, {"header": {"stamp": at, "frame_id": "odom"}})
+            fill(message, {"pose": {"pose": pose_fields(Pose2D(*odom))}})
+            self._odom.publish(message)
+        wrong = self._how.disturb if k % 2 else ""
+        for publisher, part in zip(self._scans, _parts(scan, self._how.lasers), strict=True):
+            publisher.publish(_message(self._ros, part, at, wrong))
+        if self._said is not None:
+            said = {"index": k, "stamp": at["sec"] + 1e-9 * at["nanosec"], "disturbed": wrong}
+            self._said.write(json.dumps(said) + "\n")
+            self._said.flush()
+
+
+def _parts(scan: LaserScan, lasers: int) -> Iterator[LaserScan]:
+    """The scan of each laser, in its own frame."""
+    if lasers == 1:
+        yield scan
+        return
+    n = len(scan.ranges)
+    for first, turn in ((n // 4, 0.0), (n // 4 + n // 2, math.pi)):
+        k = np.arange(first, first + n // 2) % n
+        angles = np.unwrap(scan.angles[k]) - turn
+        yield LaserScan(scan.ranges[k], angles, scan.range_min, scan.range_max)
+
+
+def _message(ros: Any, scan: LaserScan, at: dict[str, int], wrong: str) -> Any:
+    ranges = scan.ranges.copy()
+    if wrong == "nan":
+        ranges[:] = np.nan
+    elif wrong == "zero":
+        ranges[:] = 0.0
+    elif wrong:
+        ranges = ranges[: 0 if wrong == "empty" else 4]
+    fields = {
+        "angle_min": float(scan.angles[0]), "angle_max": float(scan.angles[-1]),
+        "angle_increment": float(np.mean(np.diff(scan.angles))),
+        "range_min": float(scan.range_min), "range_max": float(scan.range_max),
+        "ranges": ranges.astype(np.float32).tolist(),
+        "header": {"stamp": at, "frame_id": "laser"},
+    }  # fmt: skip
+    return fill(ros.sensor_msgs.LaserScan(), fields)
+
+
+def write_to(path: Path | None) -> TextIO | None:
+    """A file that lines are added to; None for none."""
+    return None if path is None else path.open("a", encoding="utf-8")
