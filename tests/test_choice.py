@@ -44,6 +44,8 @@ def test_of_two_maps_that_fit_alike_the_smaller_is_likelier() -> None:
 
 def test_probabilities_and_none_sum_to_one() -> None:
     choice = choose({"a": made(140.0), "b": made(139.0), "c": made()})
+    assert choice.log_evidence["a"] == 0.0
+    assert choice.log_evidence["c"] < choice.log_evidence["b"] < 0.0
     assert sum(choice.probability.values()) + choice.none == pytest.approx(1)
     assert choice.probability["c"] == 0
     assert choice.verdict == "a"

@@ -59,7 +59,8 @@ def test_without_noise_a_draw_is_the_increment(path: np.ndarray) -> None:
         ("alpha1", [0, 0, 1.0], (0, 0, 0.2)),
         ("alpha2", [2.0, 0, 0], (0.4, 0, 0.4)),
         ("alpha3", [2.0, 0, 0], (0, 0.4, 0)),
-        ("alpha4", [0, 0, 1.0], (0, 0.2, 0)),
+        ("alpha4", [0, 0, 0.5], (0, 0.1, 0)),
+        ("alpha4", [1.0, 0, 0.5], (0, 0.1, 0)),
         ("alpha1", [-2.0, 0, 0], (0, 0, 0)),  # backwards is no turn
     ],
 )

@@ -11,7 +11,7 @@ from imgloc.answers.sample import sample_poses
 from imgloc.errors import ConfigError, ScanError
 from imgloc.filters.belief import Followed, belief_of, deviations_of
 from imgloc.filters.choose import make_filter
-from imgloc.filters.evidence import NO_PLACES, Places, settled, view_of
+from imgloc.filters.evidence import NO_PLACES, Places, Sight, settled, view_of
 from imgloc.filters.follow import Every, Kidnap, follow
 from imgloc.filters.motion import compose_poses, noisy_odometry
 from imgloc.filters.tracker import Tracker, TrackerOptions
@@ -294,7 +294,7 @@ def test_scales_that_scatter_are_none() -> None:
     assert errors(moments, log())[-1] < 0.2
 
 
-@pytest.mark.parametrize(("spread", "expected"), [(0.0, 1.03), (0.02, 1.03), (0.06, 1.0)])
+@pytest.mark.parametrize(("spread", "expected"), [(0.0, 1.03), (0.026, 1.03), (0.06, 1.0)])
 def test_a_scale_is_taken_only_if_its_error_bar_excludes_none(
     monkeypatch: pytest.MonkeyPatch, spread: float, expected: float
 ) -> None:
@@ -374,6 +374,28 @@ def test_a_scan_that_is_lost_now_and_then_takes_nothing_back() -> None:
     assert [m.withheld for m in moments] == ["blind" if k in at else "" for k in range(24)]
     seen = [m.belief.verdict for m in moments[4:] if not m.withheld]
     assert set(seen) == {"unique"}
+
+
+def test_what_is_dark_counts_from_where_it_began() -> None:
+    tracker = tracker_of()
+    tracker.place(np.array([5.0, 7.0, 0.0]), (0.1, 0.1))
+    lost = []
+    for seconds in (0.0, 0.6, 0.6, 0.5):  # up to a second is a blink, and counts if more follows
+        tracker.miss(seconds)
+        lost.append(tracker.belief.lost)
+    rate = tracker.how.dark[0]
+    np.testing.assert_allclose(lost, np.array([0.0, 0.0, 1.2, 1.7]) * rate, atol=1e-12)
+
+
+def test_of_two_places_that_fit_alike_the_nearer_one_is_followed() -> None:
+    tracker, here = tracker_of(), np.array([5.0, 7.0, 0.0])
+    tracker.place(here, (0.1, 0.1))
+    poses = here + np.array([[0, 0, 0], [0, 0, 0], [0.2, 0, 0], [0.1, 0, 0]])
+    score = np.array([-50.0, -50.0, 0.0, 0.0])  # where it is, nothing fits
+    seen = Sight(poses, score, np.tile(np.diag([0.05] * 3) ** 2, (4, 1, 1)), np.zeros(4), 9.0)
+    at, gained = tracker._follow(seen, score, 1.0)
+    assert at.tolist() == [3]
+    assert -1.0 < gained[0] < 0.0
 
 
 def test_who_stands_is_sure_again_after_a_blink_and_not_after_a_minute() -> None:
