@@ -35,7 +35,10 @@ LEFT = {
         "_SIDE _WORK _ALL _YOUNG _LIMIT _BESIDE _BUFFERS _LATEST _FASTEST _FARTHEST"
     ),
 }
-FITTED = ("EvidenceModel", "FusedOptions", "Trust", "TrackerOptions", "MotionNoise")
+FITTED = (
+    "EvidenceModel", "FusedOptions", "Trust", "TrackerOptions", "MotionNoise", "GridOptions",
+    "ParticleOptions",
+)  # fmt: skip
 
 
 def trees() -> Iterator[tuple[str, ast.Module]]:

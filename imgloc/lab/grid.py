@@ -23,6 +23,7 @@ from imgloc.geometry import centre_of, rotation, wrap
 from imgloc.lab.scanned import ScannedFilter
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray, LaserScan, inverse
+from imgloc.numbers import number
 from imgloc.options import METHODS, Count, Length, Metres, Nats, Options, Share, Step
 from imgloc.ranges import Checked, OneOf
 from imgloc.search.stacked import posterior_of
@@ -31,7 +32,8 @@ _ROOT = float(np.sqrt(2 * np.pi))
 _FINE = 32  # warpAffine interpolates between so many places of a pixel
 _COPIES = 4  # stacks that are held at a time
 _WIDE = 16.0  # cells: a blur that is wider costs less as a product of matrices
-_LEFT = 1e-4  # share of the mass that a motion has to leave on the map, or it was no such motion
+# share of the mass that a motion has to leave on the map, or it was no such motion
+_LEFT = number("grid.left")
 _EXACT = MotionNoise(0.0, 0.0, 0.0, 0.0, (0.0, 0.0))
 
 
@@ -44,19 +46,26 @@ class GridOptions(Checked):
     )
     noise: MotionNoise = field(default_factory=MotionNoise)
     #: metres and radians of motion after which a scan says something entirely new
-    fresh: tuple[Length, Step] = (1.0, 0.8)
-    least: Share = 0.2  #: share of a scan's evidence that counts without any motion
-    floor: Share = 1e-3  #: of the likelihood, as a share of a uniform one: no cell is ruled out
-    box: Share = 0.999  #: mass within a box from which on only the box is computed
-    box_cells: Count = 20_000  #: that are scored one by one, at most, headings and all
-    margin: Metres = 1.0  #: metres around them
+    fresh: tuple[Length, Step] = number("GridOptions.fresh")
+    #: share of a scan's evidence that counts without any motion
+    least: Share = number("GridOptions.least")
+    #: of the likelihood, as a share of a uniform one: no cell is ruled out
+    floor: Share = number("GridOptions.floor")
+    #: mass within a box from which on only the box is computed
+    box: Share = number("GridOptions.box")
+    #: that are scored one by one, at most, headings and all
+    box_cells: Count = number("GridOptions.box_cells")
+    margin: Metres = number("GridOptions.margin")  #: metres around them
     #: nats per reading that the best place may lack more than usual, before p(x | z) is mixed in
-    surprise: Nats = 0.7
-    share: Share = 0.3  #: of p(x | z) that is mixed in then: sensor resetting
+    surprise: Nats = number("GridOptions.surprise")
+    #: of p(x | z) that is mixed in then: sensor resetting
+    share: Share = number("GridOptions.share")
     resets: bool = True
-    mass: Share = 0.95  #: of the best place, to be ``unique``
-    sure: Metres = 1.0  #: metres that it has to be the best one for before it is
-    misfit: Nats = 2.5  #: nats per reading that it may lack and not be lost
+    mass: Share = number("GridOptions.mass")  #: of the best place, to be ``unique``
+    #: metres that it has to be the best one for before it is
+    sure: Metres = number("GridOptions.sure")
+    #: nats per reading that it may lack and not be lost
+    misfit: Nats = number("GridOptions.misfit")
 
 
 def predict(

@@ -24,6 +24,7 @@ from imgloc.geometry import cell_of, inside, theta_bin, transform_poses, wrap
 from imgloc.lab.scanned import ScannedFilter
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D, inverse
+from imgloc.numbers import number
 from imgloc.options import (
     ALL_METHODS,
     FUSED,
@@ -42,42 +43,49 @@ from imgloc.ranges import Checked, OneOf, Within
 from imgloc.search.hypotheses import first_in_cell
 from imgloc.search.stacked import posterior_of
 
-_FLOOR = 1e-2  # of a uniform posterior: what GHT-V leaves of a particle that it rules out
+# of a uniform posterior: what GHT-V leaves of a particle that it rules out
+_FLOOR = number("particle.floor")
 
 
 @dataclass(frozen=True)
 class ParticleOptions(Checked):
     """What a particle filter makes of scans and odometry."""
 
-    least: Count = 200  #: particles
-    most: Count = 4000
-    error: Annotated[float, Within(1e-6, 1e6, "nats")] = (
-        0.05  #: KLD-sampling: distance of the distributions, nats
-    )
-    quantile: Annotated[float, Within(0, 10, "deviations")] = (
-        2.33  #: of the normal distribution: 2.33 is 99 %
-    )
-    bins: tuple[Length, Step] = (0.5, float(np.deg2rad(15.0)))  #: metres and radians
+    least: Count = number("ParticleOptions.least")  #: particles
+    most: Count = number("ParticleOptions.most")
+    #: KLD-sampling: distance of the distributions, nats
+    error: Annotated[float, Within(1e-6, 1e6, "nats")] = number("ParticleOptions.error")
+    #: of the normal distribution: 2.33 is 99 %
+    quantile: Annotated[float, Within(0, 10, "deviations")] = number("ParticleOptions.quantile")
+    bins: tuple[Length, Step] = number("ParticleOptions.bins")  #: metres and radians
     noise: MotionNoise = field(default_factory=MotionNoise)
     weigh_by: Annotated[str, OneOf(*ALL_METHODS)] = (
         "fused"  #: whose likelihood weighs them: ``fused`` or a method
     )
-    rays: Count = 40  #: readings by which ``fused`` does
+    rays: Count = number("ParticleOptions.rays")  #: readings by which ``fused`` does
     #: metres and radians of motion after which a scan says something entirely new
-    fresh: tuple[Length, Step] = (1.0, 0.8)
-    least_new: Share = 0.2  #: share of a scan's evidence that counts without any motion
+    fresh: tuple[Length, Step] = number("ParticleOptions.fresh")
+    #: share of a scan's evidence that counts without any motion
+    least_new: Share = number("ParticleOptions.least_new")
     reset_by: Annotated[str, OneOf(*ALL_METHODS)] = (
         "ght-v"  #: whose p(x | z): ``fused`` or a method
     )
     resets: bool = True
-    alphas: tuple[Share, Share] = (0.05, 0.5)  #: of the long and the short mean of the likelihood
-    slack: Factor = 1.1  #: by how much the short mean may be below the long one
-    cut: Annotated[int, Within(0, 1e6, "scans")] = 5  #: scans between two cuts by GHT-V; 0 for none
-    jitter: tuple[Metres, Radians] = (0.03, 0.01)  #: of particles that are drawn again, m and rad
-    mass: Share = 0.95  #: of the best place, to be ``unique``
-    sure: Metres = 1.0  #: metres that it has to be the best one for before it is
-    surprise: Nats = 0.5  #: nats per reading more than usual that it may lack to be
-    misfit: Nats = 2.5  #: nats per reading that it may lack and not be lost
+    #: of the long and the short mean of the likelihood
+    alphas: tuple[Share, Share] = number("ParticleOptions.alphas")
+    #: by how much the short mean may be below the long one
+    slack: Factor = number("ParticleOptions.slack")
+    #: scans between two cuts by GHT-V; 0 for none
+    cut: Annotated[int, Within(0, 1e6, "scans")] = number("ParticleOptions.cut")
+    #: of particles that are drawn again, m and rad
+    jitter: tuple[Metres, Radians] = number("ParticleOptions.jitter")
+    mass: Share = number("ParticleOptions.mass")  #: of the best place, to be ``unique``
+    #: metres that it has to be the best one for before it is
+    sure: Metres = number("ParticleOptions.sure")
+    #: nats per reading more than usual that it may lack to be
+    surprise: Nats = number("ParticleOptions.surprise")
+    #: nats per reading that it may lack and not be lost
+    misfit: Nats = number("ParticleOptions.misfit")
 
 
 def kld_bound(bins: int, error: float, quantile: float) -> int:

@@ -28,9 +28,12 @@ from imgloc.model import (
     Pose2D,
     plain,
 )
+from imgloc.numbers import number
 
-CELL = 0.05  #: metres of a cell of the map, unless a pixel of the plan is larger
-THINNEST, THICKEST = 0.07, 0.5  #: of walls, metres
+#: metres of a cell of the map, unless a pixel of the plan is larger
+CELL: float = number("floorplan.cell")
+THINNEST: float = number("floorplan.thinnest")  #: metres that walls are thick at least
+THICKEST: float = number("floorplan.thickest")  #: metres that walls are thick at most
 KINDS = (
     "paper", "walls", "door swings", "text", "furniture and symbols", "stairs and hatching",
     "thin lines", "outside the building", "a frame round the sheet",
@@ -40,30 +43,39 @@ _WALL, _SWING, _TEXT, _SYMBOL, _HATCH, _LINE, _OUTSIDE, _FRAME = range(1, len(KI
 
 _PARTS, _MOST = (4, 3, 2, 1), 16_000_000  # pixels along a cell, the finest of at most so many
 _BYTES = 60  # of each such pixel, at the peak
-_FAINT = 0.15  # share of a larger pixel that is enough ink: a thin line must not break
-_LIGHT = np.array([0.35, 0.65])  # of the tones of ink and of paper: the faintest line
-# How many pens thick a wall is at least, and how many pixels of the plan, with its soft edges;
-# metres that this may come to.
-_BOLD, _LINES, _BOLDEST = 1.5, 2.2, 0.12
-_DENSE = 2.5  # lines thick that a hatched wall is at least, where it is nearly black
-_ACROSS, _SOFT = 3, 1.6  # pixels of the plan that a line is wide at most, least; soft edges, too
-_THINNER = (1.0, 0.6, 0.35)  # of the thinnest wall: tried where thicker ones enclose nothing
-_GAPS = (0.3, 0.7, 1.2, 1.8, 2.4, 3.2, 4.0)  # metres: openings in the outer walls
-_ENOUGH = 0.9  # share of what the widest gap closes that is enough
-_LEAST = 4.0  # square metres inside a building
-_STRIP = 2.5  # how many times as long as wide a space between two lines of a wall is
-# Cells of a hatched wall, at least; metres between them, and square metres of one, at most.
-_CELLS, _HATCHED, _LITTLE = 5, 0.08, 0.06
-_ROOM = 1.0  # metres: what encloses a wider space than that is no furniture
-_PIECE, _PILLAR = 1.5, 0.18  # metres: what is shorter has to be a pillar, which is wider
-_LETTER, _WORD = 0.65, 3  # metres that a letter is high at most; how many of them make a text
-_LEAF = (0.45, 1.4)  # metres: widths of a door's leaf
-_HANGS = 0.25  # metres between a door and the wall that it hangs on
-_LEAF_THICK = 0.1  # metres that a leaf is thick at most
-_QUARTER, _HOLE = np.deg2rad((60, 115)), np.deg2rad(6)  # lengths of a swing, and holes in it
-_TRIALS, _POINTS = 400, 400  # circles through three of so many points
-_SPECK = 0.001  # square metres of ink that count as a piece
-_SHADES, _TONES, _FLAT = 8, 4, 0.75  # a drawing has few tones: this share of it near four of them
+# What a plan looks like; numbers.json says of each what it is.
+_FAINT = number("floorplan.faint")
+_LIGHT = np.array(number("floorplan.light"))
+_BOLD = number("floorplan.bold")
+_LINES = number("floorplan.lines")
+_BOLDEST = number("floorplan.boldest")
+_DENSE = number("floorplan.dense")
+_ACROSS = number("floorplan.across")
+_SOFT = number("floorplan.soft")
+_THINNER = number("floorplan.thinner")
+_GAPS = number("floorplan.gaps")
+_ENOUGH = number("floorplan.enough")
+_LEAST = number("floorplan.least")
+_STRIP = number("floorplan.strip")
+_CELLS = number("floorplan.cells")
+_HATCHED = number("floorplan.hatched")
+_LITTLE = number("floorplan.little")
+_ROOM = number("floorplan.room")
+_PIECE = number("floorplan.piece")
+_PILLAR = number("floorplan.pillar")
+_LETTER = number("floorplan.letter")
+_WORD = number("floorplan.word")
+_LEAF = number("floorplan.leaf")
+_HANGS = number("floorplan.hangs")
+_LEAF_THICK = number("floorplan.leaf_thick")
+_QUARTER = number("floorplan.quarter")
+_HOLE = number("floorplan.hole")
+_TRIALS = number("floorplan.trials")
+_POINTS = number("floorplan.points")
+_SPECK = number("floorplan.speck")
+_SHADES = number("floorplan.shades")
+_TONES = number("floorplan.tones")
+_FLAT = number("floorplan.flat")
 
 
 @dataclass(frozen=True)
