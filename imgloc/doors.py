@@ -7,6 +7,7 @@ from importlib import import_module
 from typing import Any
 
 _HOMES = {
+    "imgloc.lab.atlas": "survey_part",
     "imgloc.lab.commands.atlas": "atlas",
     "imgloc.lab.commands.calibrate": "calibrate",
     "imgloc.lab.commands.evaluate": "evaluate",

@@ -17,6 +17,7 @@ DOORS = [
     "plan",
     "evaluate_item",
     "survey_item",
+    "survey_part",
     "GridFilter",
     "GridOptions",
     "ParticleFilter",

@@ -22,6 +22,7 @@ from websockets.sync.client import connect
 
 import imgloc
 from imgloc.filters.motion import noisy_odometry
+from imgloc.lab.atlas import survey_part
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -136,6 +137,21 @@ def test_a_robot_is_followed_as_track_does(service: Served, tmp_path: Path) -> N
 # Maps and scans that clients send.
 
 
+def test_places_of_a_belief_are_added_when_asked_for(service: Served) -> None:
+    pose = np.array([[4.0, 7.0, 0.5]])
+    seen = simulate_ranges(render(WORLDS["visibility"](), 0.05), pose, ANGLES, seed=2)[0]
+    ranges = [r if np.isfinite(r) else "inf" for r in seen.tolist()]
+    line = {"ranges": ranges, "angles": ANGLES.tolist(), "range_max": 30.0, "odom": [0, 0, 0]}
+    address = service.address.replace("http", "ws") + "/v1/track?map=visibility&places=true"
+    with connect(address) as robot:
+        robot.send(json.dumps(line))
+        row = json.loads(robot.recv(60))
+    best = row["places"][0]
+    assert [best["x"], best["y"], best["theta"]] == pytest.approx(pose[0], abs=0.1)
+    assert best["mass"] == row["mass"] == max(place["mass"] for place in row["places"])
+    assert len(row["places"]) <= 20
+
+
 def test_a_map_that_is_sent_answers_as_the_file_does(http: httpx.Client, scans: Path) -> None:
     files = {"image": ("visibility.png", (MAPS / "visibility.png").read_bytes()),
              "yaml": ("visibility.yaml", MAP.read_bytes())}  # fmt: skip
@@ -220,6 +236,10 @@ def test_a_pose_is_scored_as_the_answer_has_it_and_settles_where_the_answer_is(
     )  # of the best of its maxima, not their mean
     assert sum(fit["counts"].values()) == len(fit["rays"]["kind"]) == len(fit["rays"]["end"])
     assert fit["counts"]["agrees"] > 0.9 * len(fit["rays"]["kind"])
+    rays = zip(*(fit["rays"][key] for key in ("kind", "end", "distance")), strict=True)
+    for kind, end, distance in rays:
+        assert (end is None) == (distance is None)
+        assert kind != "agrees" or distance < 0.5 < 1 + distance
     off = {**asked, "pose": f"{pose[0] + 0.2},{pose[1] - 0.15},{pose[2] + 0.05}"}
     moved = http.post("/v1/score", params=off, content=body).json()
     assert moved["misfit"] > fit["misfit"] + 0.5
@@ -248,6 +268,52 @@ def test_layers_lie_over_the_map(http: httpx.Client, scans: Path) -> None:
     for what in ("vmap", "distance"):
         answer = http.get(f"/v1/layers/{what}?map=visibility")
         assert answer.headers["content-type"] == "image/png"
+
+
+def test_an_atlas_is_that_of_the_laser_of_a_scan(http: httpx.Client, scans: Path) -> None:
+    id_ = http.post("/v1/scans?name=a.npz", content=scans.read_bytes()).json()["id"]
+    asked = {"map": "curved", "scans": id_, "index": "1", "step": 5, "headings": 2}
+    part = http.get("/v1/layers/atlas", params=asked).json()
+    spots = [*part["spots"]]
+    while part["next"] is not None:
+        assert part["next"] == len(spots)
+        part = http.get("/v1/layers/atlas", params={**asked, "start": part["next"]}).json()
+        spots += part["spots"]
+    assert len(spots) == part["of"] > 4
+    features, scan = (
+        imgloc.prepare(imgloc.load_map(MAPS / "curved.yaml")),
+        imgloc.load_scans(scans)[1],
+    )
+    whole = survey_part(features, scan, imgloc.Options(), step=5.0, headings=2, seconds=1e9)
+    assert spots == whole["spots"]
+    wrong = http.get("/v1/layers/atlas", params={**asked, "start": len(spots)})
+    assert "start" in problem(wrong, 422, "bad-options")
+    no_scan = http.get("/v1/layers/atlas?map=curved")
+    assert "scans: missing" in problem(no_scan, 400, "bad-parameter")
+
+
+def test_marked_scans_come_back_with_their_poses(
+    http: httpx.Client, scans: Path, tmp_path: Path
+) -> None:
+    id_ = http.post("/v1/scans?name=a.npz", content=scans.read_bytes()).json()["id"]
+    given = [[2, 1.5, -2.0, 0.25], [0, 3, 4, -3]]
+    answer = http.post(f"/v1/scans/{id_}/marked", json={"poses": given})
+    assert answer.status_code == 200, answer.text
+    (tmp_path / "marked.npz").write_bytes(answer.content)
+    marked, whole = imgloc.load_scans(tmp_path / "marked.npz"), imgloc.load_scans(scans)
+    assert marked.poses is not None
+    assert marked.poses.tolist() == [[1.5, -2.0, 0.25], [3.0, 4.0, -3.0]]
+    for one, k in zip(marked.scans, (2, 0), strict=True):
+        np.testing.assert_array_equal(one.ranges, whole[k].ranges)
+    for rows_, said in (
+        ([], "indices"), ([[3, 0, 0, 0]], "0 to 2"), ([[-1, 0, 0, 0]], "0 to 2"),
+        ([[0, 0, 0, 0], [0, 1, 1, 1]], "each once"), ([[0, 0, None, 0]], "poses.0.2"),
+        ([[0, 0, 0]], "poses.0"), ([[0.5, 0, 0, 0]], "poses.0.0"),
+    ):  # fmt: skip
+        bad = http.post(f"/v1/scans/{id_}/marked", json={"poses": rows_})
+        assert said in problem(bad, 400, "bad-request"), rows_
+    nothing = http.post("/v1/scans/0123456789abcdef/marked", json={"poses": given})
+    problem(nothing, 404, "not-found")
 
 
 def test_a_region_is_that_of_the_command_line(

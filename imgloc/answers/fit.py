@@ -48,6 +48,8 @@ class PoseFit:
     stands: bool  #: whether a sensor can be there
     rays: RayFit  #: ends in the grid frame
     ends: FloatArray  #: (N, 2) the same in the map frame
+    #: (N,) metres from there to the nearest surface; NaN where a ray ends nowhere
+    distance: FloatArray
 
     @property
     def per_reading(self) -> float:
@@ -66,6 +68,7 @@ class PoseFit:
         names = ("pose", "log_likelihood", "per_reading", "best", "misfit", "explained", "stands")
         row = {name: getattr(self, name) for name in (*names, "readings")}
         rays = {"kind": self.rays.kind, "end": ends, "wall": self.rays.wall.astype(np.float64)}
+        rays["distance"] = self.distance
         return dict(plain(row | {"counts": self.rays.counts, "rays": rays}))
 
 
@@ -111,11 +114,13 @@ def fit_at(
         total = float(score_poses(features, readings, at, options).log_likelihood[0])
         explained = explained_rays(features, scan, at, options, Shared())
     rays = explain_rays(Pose2D(*at[0]), scan, features, options.fused.model)
-    ends = transform_points(grid.origin, rays.end)
+    ends, distance = transform_points(grid.origin, rays.end), np.full(len(rays.end), np.nan)
+    there = np.isfinite(ends[:, 0])
+    distance[there] = np.abs(features.field.lookup(*rays.end[there].T.astype(np.float32))[0])
     return PoseFit(
         *(pose, total, options.fused.model.best, len(readings), explained),
         bool(stands(at, Prior(), features)[0]),
-        *(rays, ends),
+        *(rays, ends, distance),
     )
 
 

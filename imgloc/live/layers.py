@@ -15,9 +15,10 @@ from imgloc.features.raycast import cast_rays
 from imgloc.geometry import cell_of, in_grid_frame, inside, transform_points, wrap
 from imgloc.io.images import encode_png
 from imgloc.model import BoolArray, FloatArray, Likelihood, OccupancyGrid, Pose2D, plain
-from imgloc.options import LOG_METHODS
+from imgloc.options import DEFAULTS, LOG_METHODS
 from imgloc.output.canvas import wheel
 
+_NEAR = 3.0  # metres, up to which distances have greys of their own: where robots are
 _CORNERS = 360  # of what is seen from a place
 _OCCUPIED, _UNKNOWN, _FREE = 0, 205, 254  # as map_saver writes them
 
@@ -66,7 +67,7 @@ def feature_layer(features: MapFeatures, what: str) -> Layer:
         return _grey(features.bmap, cell, 0.0, 1.0)
     if what == "distance":
         metres = features.walls * features.grid.resolution
-        return _grey(metres, features.grid.resolution, 0.0, float(metres.max()))
+        return _grey(metres, features.grid.resolution, 0.0, min(_NEAR, float(metres.max())))
     x, y = (np.asarray(v, dtype=np.float64) for v in features.vmap)
     strength = np.hypot(x, y)
     colours = wheel(np.arctan2(y, x), strength / max(float(strength.max()), 1e-12))
@@ -83,8 +84,10 @@ def slice_layer(stack: Likelihood, which: int | None) -> Layer:
         raise ConfigError(f"slice: got {which}, expected 0 to {count - 1}, or max")
     image, top = values.max(axis=0) if which is None else values[which], float(values.max())
     low = 0.0 if stack.method in LOG_METHODS else min(0.0, float(values.min()))
-    if stack.method in LOG_METHODS:
-        image, top = np.exp(image - max(top, -1e30)), 1.0
+    if stack.method in LOG_METHODS:  # as probable as the method is trusted to be
+        readings = 1 if stack.scan is None else int(stack.scan.valid.sum())
+        temperature = DEFAULTS[stack.method].temperature_at(stack.method, readings)
+        image, top = np.exp((image - max(top, -1e30)) / temperature), 1.0
     layer = _grey(image, stack.grid.resolution, low, top)
     turn = stack.grid.origin.theta
     theta = float("nan") if which is None else float(wrap(stack.thetas[which] + turn))

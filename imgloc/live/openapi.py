@@ -118,6 +118,12 @@ LIKELIHOOD = (
     Parameter("slice", "Number of the heading, or max over all.",
               Text(r"max|\d{1,5}", 5, "a number, or max"), "max"),
 )  # fmt: skip
+ATLAS = (
+    MAP, SCANS_ID, INDEX, *TAKEN,
+    Parameter("step", "Metres between two places.", Number(0.05, 1000, "metres"), 2.0),
+    Parameter("headings", "Headings at each place.", Number(1, 72, whole=True), 1),
+    Parameter("start", "The first pose: next of the answer before.", Number(0, 1e9, whole=True), 0),
+)  # fmt: skip
 VISIBILITY = (
     MAP,
     Parameter("at", "x, y, map frame, metres.", Numbers(2, (PLACE, PLACE)), needed=True),
@@ -128,6 +134,7 @@ TRACK = (
     Parameter("filter", "Which filter.", Word(FILTERS), "tracker"),
     Parameter("seed", "Seed of everything random.", Number(0, 2**31, whole=True), 0),
     Parameter("start", "Where the robot starts, about: x, y, yaw.", X_Y_YAW),
+    Parameter("places", "Add the places of the belief to each line.", Flag(), False),
 )  # fmt: skip
 
 _NULL_NUMBER = {"type": ["number", "null"]}
@@ -195,6 +202,21 @@ _SCHEMAS: Mapping[str, Any] = {
             "odom": {"type": "boolean"}, "stamps": {"type": "boolean"},
         },
         "required": ["id", "name", "scans", "readings", "poses", "odom", "stamps"],
+    },
+    "Marks": {
+        "type": "object",
+        "properties": {
+            "poses": {
+                "type": "array",
+                "description": "Index of a scan, and the pose of its sensor: x, y, theta.",
+                "minItems": 1,
+                "items": {"type": "array", "prefixItems": [{"type": "integer", "minimum": 0}, _LONG,
+                                                           _LONG, _TURNED],
+                          "items": False, "minItems": 4, "maxItems": 4},
+            },
+        },
+        "required": ["poses"],
+        "additionalProperties": False,
     },
     "Answer": {
         "type": "object",
@@ -356,6 +378,15 @@ OPERATIONS = (
         problems=(404,),
     ),
     Operation(
+        "/v1/scans/{id}/marked",
+        "Some of these scans with poses that are known now, as `imgloc.save_scans` writes them.",
+        {200: ("NPZ.", {"application/octet-stream": {"schema": _BINARY}})},
+        body={"application/json": {"schema": {"$ref": "#/components/schemas/Marks"}}},
+        method="post",
+        needs_body=True,
+        problems=(404, 422, *_BODY),
+    ),
+    Operation(
         "/v1/localize",
         "Where scans are on a map: the JSON of `imgloc localize`.",
         {200: ("A JSON object; of several scans, one a line.", _ref("Answer") | _LINES)},
@@ -395,6 +426,13 @@ OPERATIONS = (
         "A likelihood of all poses, at one heading or over all.",
         {200: ("PNG.", _PNG)},
         LIKELIHOOD,
+        problems=(503, 504),
+    ),
+    Operation(
+        "/v1/layers/atlas",
+        "Where one scan of the laser of a scan is enough, some poses at a time.",
+        {200: ("Some of the poses, and where to go on.", _of("object"))},
+        ATLAS,
         problems=(503, 504),
     ),
     Operation(

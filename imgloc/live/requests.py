@@ -12,10 +12,14 @@ from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any, NamedTuple
 
+import numpy as np
+
 from imgloc.errors import MapError, OutputError, ScanError, printable
 from imgloc.features.budget import scans_bytes
+from imgloc.io.files import reason
 from imgloc.io.maps import Reading, map_of_bytes
 from imgloc.io.mapyaml import MAX_YAML_BYTES, parse_map_yaml
+from imgloc.io.own import parse_json
 from imgloc.io.scans import SCAN_ENDINGS, load_scans, scans_size
 from imgloc.io.scanset import ScanSet
 from imgloc.io.textscans import MAX_LINE, read_jsonl_line
@@ -187,6 +191,27 @@ def scans_of(
             return load_scans(path, topic=topic, fov=fov)
         except (ScanError, MapError) as error:
             raise type(error)(str(error).replace(str(path), label)) from None
+
+
+def marked_of(body: bytes, scans: ScanSet) -> ScanSet:
+    """The scans that a body marks with the poses of their sensors, map frame.
+
+    Examples
+    --------
+    >>> from imgloc.model import LaserScan
+    >>> scans = ScanSet((LaserScan([1.0], [0.0]), LaserScan([2.0], [0.0])))
+    >>> marked_of(b'{"poses": [[1, 3.5, -2, 0.5]]}', scans).poses.tolist()
+    [[3.5, -2.0, 0.5]]
+    """
+    try:
+        rows = parse_json(body, {"poses": [[int, float, float, float]]})["poses"]
+    except ValueError as error:
+        raise Refused("bad-request", f"body: {reason(error)}") from None
+    indices = [row[0] for row in rows]
+    if not rows or len(set(indices)) != len(rows) or not all(0 <= k < len(scans) for k in indices):
+        some = f"each once, 0 to {len(scans) - 1}"
+        raise Refused("bad-request", f"poses: expected indices of scans, {some}")
+    return replace(scans.take(indices), poses=np.array([row[1:] for row in rows]))
 
 
 def _scan_of(body: bytes) -> ScanSet:

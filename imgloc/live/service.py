@@ -24,12 +24,16 @@ from starlette.routing import Route, Router, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from imgloc.answers.fit import fit_at
+from imgloc.doors import behind
 from imgloc.errors import ImglocError, ScanError
 from imgloc.features.budget import MIB, check_budget
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.filters.belief import Belief
 from imgloc.filters.follow import Tracking
+from imgloc.geometry import transform_poses
 from imgloc.io.calibration import map_hash
 from imgloc.io.maps import DRAWN, SWAPPED, looks_drawn, looks_swapped
+from imgloc.io.scans import write_npz
 from imgloc.io.scanset import Chosen, ScanSet
 from imgloc.io.textscans import read_jsonl_line
 from imgloc.likelihoods.stacks import likelihood
@@ -42,10 +46,10 @@ from imgloc.live.metrics import Metrics
 from imgloc.live.openapi import OPERATIONS
 from imgloc.live.parameters import Parameter, read_query, with_defaults
 from imgloc.live.problems import MEDIA, Problem, Refused, problem_of
-from imgloc.live.requests import Bounds, map_of, scans_of, taken
+from imgloc.live.requests import Bounds, map_of, marked_of, scans_of, taken
 from imgloc.live.sites import Site
 from imgloc.live.static import page_files
-from imgloc.model import LaserScan, Likelihood, Pose2D, plain, to_json
+from imgloc.model import LaserScan, Likelihood, OccupancyGrid, Pose2D, plain, to_json
 from imgloc.options import FUSED, Prior, Shared
 from imgloc.output.rows import answer_row, moment_row
 from imgloc.pipeline import prepare
@@ -56,6 +60,7 @@ LOG = logging.getLogger("imgloc")
 RADIUS, TOLERANCE = 2.0, 0.8
 """How far from a known pose a robot may be, and turned how far, unless stated: metres, radians."""
 _LINES = "application/x-ndjson"
+_PLACES = 20  # of a belief, that are sent
 _DRAIN = 1.0  # seconds in which what a client still sends of a refused body is thrown away
 Values = Mapping[str, Any]
 Endpoint = Callable[[Request, Values], Awaitable[Response]]
@@ -241,10 +246,12 @@ class Service:
             ("get", "/v1/maps/{name}/image"): self._image,
             ("post", "/v1/scans"): self._send_scans, ("get", "/v1/scans/{id}"): self._some_scans,
             ("delete", "/v1/scans/{id}"): self._drop_scans,
+            ("post", "/v1/scans/{id}/marked"): self._marked,
             ("post", "/v1/localize"): self._localize, ("post", "/v1/which"): self._which,
             ("post", "/v1/score"): partial(self._fit, settle=False),
             ("post", "/v1/settle"): partial(self._fit, settle=True),
             ("get", "/v1/layers/likelihood"): self._likelihood,
+            ("get", "/v1/layers/atlas"): self._atlas,
             ("get", "/v1/layers/visibility"): self._visibility,
             ("get", "/v1/layers/region"): self._region,
         }  # fmt: skip
@@ -465,6 +472,12 @@ class Service:
         self._scans.drop(_id_of(request), "scans")
         return Response(status_code=204)
 
+    async def _marked(self, request: Request, _: Values) -> Response:
+        held = self._held(_id_of(request))
+        body, _kind = await self._body(request)
+        npz = await self._read(lambda: write_npz(marked_of(body, held.scans)))
+        return Response(npz, media_type="application/octet-stream")
+
     # ---- answers --------------------------------------------------------------------------------
 
     async def _localize(self, request: Request, values: Values) -> Response:
@@ -569,17 +582,11 @@ class Service:
 
     async def _likelihood(self, _: Request, values: Values) -> Response:
         name, site = self._site(values["map"])
-        if values["scans"] is None:
-            raise Refused(
-                "bad-parameter", "scans: missing, expected the id of scans that were sent"
-            )
-        scans = self._held(values["scans"]).scans
-        chosen = Chosen(values["index"] or "0").of(len(scans), "the file")
-        scan: LaserScan = taken(scans[chosen[0]], values)
+        k, scan = self._held_scan(values)
         options = site.options(replace(self.core.options, method=values["method"]))
         which = None if values["slice"] == "max" else int(values["slice"])
         how = [str(values[k]) for k in ("scans", "method", "range_scale", "range_max", "flipped")]
-        key = (name, id(site.features), chosen[0], *how)
+        key = (name, id(site.features), k, *how)
 
         def drawn() -> layers.Layer:
             if self._stack is None or self._stack[0] != key:
@@ -589,6 +596,25 @@ class Service:
             return layers.slice_layer(self._stack[1], which)
 
         return await self._layer(drawn)
+
+    def _held_scan(self, values: Values) -> tuple[int, LaserScan]:
+        """The scan of a file that was sent before, and its index there."""
+        if values["scans"] is None:
+            raise Refused(
+                "bad-parameter", "scans: missing, expected the id of scans that were sent"
+            )
+        scans = self._held(values["scans"]).scans
+        k = Chosen(values["index"] or "0").of(len(scans), "the file")[0]
+        return k, taken(scans[k], values)
+
+    async def _atlas(self, request: Request, values: Values) -> Response:
+        site = self._site(values["map"])[1]
+        _, scan = self._held_scan(values)
+        options = site.options(self.core.options)
+        how = {key: values[key] for key in ("step", "headings", "start")}
+        work = partial(behind("survey_part"), site.features, scan, options, **how)
+        run = self.lanes["layers"].run(work, self.bounds.seconds, request.receive)
+        return JSONResponse(await run)
 
     async def _visibility(self, request: Request, values: Values) -> Response:
         site = self._site(values["map"])[1]
@@ -630,7 +656,10 @@ class Service:
                 future = robot.update_soon(scan, odom)
                 moment = (await waited(future, self.bounds.seconds, None)).value
                 self._count("track", moment.belief.verdict, begin)
-                await socket.send_text(to_json(moment_row(replace(moment, index=count))))
+                row = moment_row(replace(moment, index=count))
+                if values["places"]:
+                    row["places"] = _places(moment.belief, self._site(name)[1].features.grid)
+                await socket.send_text(to_json(row))
                 count += 1
         except WebSocketDisconnect:
             pass
@@ -643,6 +672,13 @@ class Service:
             self._sockets -= 1
             if robot is not None:
                 robot.end()
+
+
+def _places(belief: Belief, grid: OccupancyGrid) -> list[dict[str, float]]:
+    """The places of a belief, map frame, best first."""
+    poses = transform_poses(grid.origin, belief.poses)[:_PLACES].tolist()
+    return [dict(zip(("x", "y", "theta", "mass"), (*pose, mass), strict=True))
+            for pose, mass in zip(poses, belief.mass.tolist(), strict=False)]  # fmt: skip
 
 
 def _endpoint(
