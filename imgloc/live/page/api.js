@@ -82,7 +82,7 @@ export const regionImage = async (map, region) => (await ask("v1/layers/region",
 
 /** The tracker: a line in, a line out. */
 export function tracker(map) {
-  const here = new URL(`v1/track?${new URLSearchParams({ map })}`, location.href);
+  const here = new URL(`v1/track?${new URLSearchParams({ map, places: true })}`, location.href);
   here.protocol = here.protocol.replace("http", "ws");
   here.hash = "";
   const secret = token && btoa(token).replaceAll("+", "-").replaceAll("/", "_").replaceAll("=", "");

@@ -1,0 +1,491 @@
+"""The page of `imgloc serve` in a real browser, against the real service."""
+
+import base64
+import contextlib
+import re
+import shlex
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from command import MAPS, call, rows
+from serving import served
+
+from imgloc.filters.motion import noisy_odometry
+from imgloc.io.scans import load_scans, save_scans
+from imgloc.io.scanset import ScanSet
+from imgloc.model import LaserScan
+from imgloc.simulation.scans import simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
+
+pytest.importorskip("starlette", reason="starlette is not installed")
+sync = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+CHROMIUM = shutil.which("chromium")
+if CHROMIUM is None:
+    pytest.skip("chromium is not installed", allow_module_level=True)
+
+ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
+POSES = np.array([[4.0 + 0.5 * k, 8.0, 0.02 * k] for k in range(6)])
+WAIT = 15_000  # milliseconds
+sync.expect.set_options(timeout=WAIT)
+EVIL = "<img src=x onerror=window.hit=1>"
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive through ``visibility`` with odometry."""
+    ranges = simulate_ranges(
+        render(WORLDS["visibility"](), 0.05), POSES, ANGLES, seed=2, range_max=30.0
+    )
+    scans = tuple(LaserScan(r, ANGLES, range_max=30.0) for r in ranges)
+    odom = noisy_odometry(POSES, np.random.default_rng(0))
+    path = tmp_path_factory.mktemp("log") / "log.npz"
+    save_scans(path, ScanSet(scans, None, 100.0 + np.arange(len(POSES)), odom))
+    return path
+
+
+@pytest.fixture(scope="module")
+def service() -> Iterator[str]:
+    """The address of `imgloc serve`."""
+    with served(MAPS / "visibility.yaml") as one:
+        yield one.address
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with sync.sync_playwright() as p:
+        browser = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@contextlib.contextmanager
+def opened(browser: Any, address: str, **options: Any) -> Iterator[Any]:
+    """The page, which says nothing to the console, and asks no other host."""
+    context = browser.new_context(
+        **{"viewport": {"width": 1400, "height": 900}, **options},
+        permissions=["clipboard-read", "clipboard-write"],
+    )
+    context.set_default_timeout(WAIT)
+    page, said, hosts = context.new_page(), list[str](), set[str]()
+    # What the browser itself notes of an answer that is an error is no word of the page.
+    page.on(
+        "console", lambda m: None if m.text.startswith("Failed to load") else said.append(m.text)
+    )
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on(
+        "request", lambda one: hosts.add(urlsplit(one.url).netloc) if "://" in one.url else None
+    )
+    page.on("websocket", lambda one: hosts.add(urlsplit(one.url).netloc))
+    page.goto(address)
+    page.locator("body:not(.empty)").wait_for()
+    yield page
+    # What the browser itself notes of an answer that is an error is no word of the page.
+    assert [text for text in said if not text.startswith("Failed to load resource")] == []
+    assert {host for host in hosts if host} <= {urlsplit(address).netloc}
+    context.close()
+
+
+@pytest.fixture
+def page(browser: Any, service: str, request: pytest.FixtureRequest) -> Iterator[Any]:
+    with opened(browser, service, **getattr(request, "param", {})) as page:
+        yield page
+
+
+def drop(page: Any, *files: tuple[str, bytes]) -> None:
+    """Drop files on the page, as from a file manager."""
+    given = [[name, base64.b64encode(data).decode()] for name, data in files]
+    page.evaluate(
+        """(given) => {
+            const dataTransfer = new DataTransfer();
+            for (const [name, data] of given) {
+                const bytes = Uint8Array.from(atob(data), (c) => c.charCodeAt(0));
+                dataTransfer.items.add(new File([bytes], name));
+            }
+            for (const type of ["dragover", "drop"]) {
+                document.getElementById("stage").dispatchEvent(
+                    new DragEvent(type, { dataTransfer, bubbles: true, cancelable: true }));
+            }
+        }""",
+        given,
+    )
+
+
+def answered(page: Any, index: int = 0) -> str:
+    """Wait until a scan has been answered; what a screen reader says."""
+    live = page.locator("#live")
+    sync.expect(live).to_have_text(re.compile(rf"^Scan {index}: \S+\. "))
+    return str(live.inner_text())
+
+
+def shown_pose(page: Any) -> tuple[float, float, float]:
+    """x and y in metres and the heading in degrees at which the scan is drawn."""
+    words = page.locator("#pose-where").inner_text().replace("−", "-")
+    x, y, heading = map(float, re.findall(r"-?\d+\.\d+", words))
+    return x, y, heading
+
+
+def sensor_at(page: Any, px: float, py: float) -> tuple[float, float, float]:
+    """Put the sensor at a pixel of the canvas by a double click; the pose that this is."""
+    before = page.locator("#pose-where").inner_text()
+    box = page.locator("#canvas").bounding_box()
+    page.mouse.dblclick(box["x"] + px, box["y"] + py)
+    sync.expect(page.locator("#pose-where")).not_to_have_text(before)
+    return shown_pose(page)
+
+
+def drag(page: Any, *points: tuple[float, float]) -> None:
+    """Press, drag and release the mouse along pixels of the canvas."""
+    box = page.locator("#canvas").bounding_box()
+    (x, y), *rest = [(box["x"] + px, box["y"] + py) for px, py in points]
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for to in rest:
+        page.mouse.move(*to, steps=4)
+    page.mouse.up()
+
+
+def copied(page: Any, key: str) -> str:
+    """What a key has copied: c, the command, or y, Python."""
+    page.keyboard.press(key)
+    first = {"c": "^imgloc ", "y": "^import imgloc"}[key]
+    sync.expect(page.locator("#copied")).to_have_value(re.compile(first))
+    return str(page.locator("#copied").input_value())
+
+
+def test_a_map_and_scans_that_are_dropped_are_answered_as_the_command_does(
+    page: Any, tmp_path: Path
+) -> None:
+    scans = tmp_path / "some.npz"
+    assert call("simulate", MAPS / "curved.yaml", "-n", 3, "--out", scans).code == 0
+    drop(
+        page, *((f"curved.{end}", (MAPS / f"curved.{end}").read_bytes()) for end in ("yaml", "png"))
+    )
+    sync.expect(page.locator("#map")).to_have_value("curved")
+    drop(page, (scans.name, scans.read_bytes()))
+    said = answered(page)
+    row = rows(call("localize", MAPS / "curved.yaml", scans, "--index", 0, "--json").out)[0]
+    assert f"Scan 0: {row['verdict']}." in said
+    listed = page.locator("#hypotheses li")
+    assert listed.count() == min(20, len(row["hypotheses"]))
+    best = row["hypotheses"][0]
+    assert shown_pose(page) == pytest.approx(
+        (best["x"], best["y"], np.rad2deg(best["theta"])), abs=0.051
+    )
+    assert page.locator("#word").inner_text() == row["verdict"]
+    kinds = {
+        key: int(page.locator(f"#count-{key}").inner_text()) for key in ("agrees", "unexplained")
+    }
+    assert kinds["agrees"] > 0.8 * row["counts"]["valid"] > kinds["unexplained"]
+
+
+def test_an_image_alone_is_asked_for_its_resolution(page: Any) -> None:
+    drop(page, ("bare.png", (MAPS / "curved.png").read_bytes()))
+    page.get_by_label("Resolution").fill("0.1")
+    page.locator("#origin-x").fill("-3")
+    page.get_by_role("button", name="Use it").click()
+    sync.expect(page.locator("#map")).to_have_value("bare")
+    assert copied(page, "c") == "imgloc map check bare.png --resolution=0.1 --origin=-3,0,0\n"
+
+
+def test_the_scan_is_dragged_turned_and_settled(page: Any, log: Path) -> None:
+    drop(page, (log.name, log.read_bytes()))
+    answered(page)
+    best, score = shown_pose(page), page.locator("#pose-score")
+    x0, y0, heading = sensor_at(page, 400, 300)
+    x1, y1, _ = sensor_at(page, 500, 400)
+    scale = (x1 - x0) / 100
+    assert y0 - y1 == pytest.approx(100 * scale, abs=0.02)  # y is up
+    before = score.inner_text()
+    drag(page, (500, 400), (560, 370))
+    sync.expect(page.locator("#pose-title")).to_have_text("Pose set by hand")
+    assert shown_pose(page) == pytest.approx((x1 + 60 * scale, y1 + 30 * scale, heading), abs=0.02)
+    sync.expect(score).not_to_have_text(before)
+    # Its handle is 46 pixels ahead.
+    turn = np.deg2rad(heading)
+    drag(page, (560 + 46 * np.cos(turn), 370 - 46 * np.sin(turn)), (560, 250))
+    assert shown_pose(page)[2] == pytest.approx(90, abs=1)
+    # A little beside the best pose it falls back into it.
+    page.keyboard.press("1")
+    sync.expect(page.locator("#pose-title")).to_have_text("Hypothesis 1")
+    for key in ("ArrowLeft", "ArrowUp", "ArrowUp", "q", "q"):
+        page.keyboard.press(key)
+    assert shown_pose(page) == pytest.approx((best[0] - 0.05, best[1] + 0.1, best[2] + 2), abs=0.11)
+    sync.expect(page.locator("#pose-against")).to_contain_text("less likely")
+    page.keyboard.press("s")
+    sync.expect(page.locator("#note")).to_be_hidden()
+    sync.expect(page.locator("#pose-against")).not_to_contain_text("more than")
+    assert shown_pose(page) == pytest.approx(best, abs=0.11)
+
+
+def test_a_reading_under_the_pointer_says_why(page: Any, log: Path) -> None:
+    drop(page, (log.name, log.read_bytes()))
+    answered(page)
+    page.keyboard.press(".")
+    tip = page.locator("#tip")
+    sync.expect(tip).to_contain_text(re.compile(r"Reading 0: \d+\.\d\d m at −180\.0°"))
+    sync.expect(tip).to_contain_text("The map explains it: it ends")
+    page.keyboard.press("Shift+ArrowUp")
+    page.keyboard.press("Shift+ArrowUp")
+    sync.expect(tip).not_to_contain_text("The map explains it")
+    # The pointer asks, too: at the end of the reading that is shown.
+    where = tip.bounding_box()
+    page.keyboard.press("Escape")
+    sync.expect(tip).to_be_hidden()
+    page.mouse.move(where["x"] - 14, where["y"] - 14)
+    sync.expect(tip).to_contain_text("Reading ")
+
+
+def test_what_is_known_changes_the_answer(page: Any, log: Path) -> None:
+    drop(page, (log.name, log.read_bytes()))
+    first = answered(page)
+    best = shown_pose(page)
+    sensor_at(page, 300, 300)
+    x0, y0, _ = shown_pose(page)
+    x1 = sensor_at(page, 400, 300)[0]
+    scale = 100 / (x1 - x0)
+
+    def pixel(x: float, y: float) -> tuple[float, float]:
+        return 300 + (x - x0) * scale, 300 - (y - y0) * scale
+
+    # A region that leaves the best pose out.
+    page.keyboard.press("r")
+    left, low = pixel(best[0] + 2, best[1] - 3)
+    right, high = pixel(best[0] + 8, best[1] + 3)
+    drag(page, (left, low), (right, low), (right, high), (left, high), (left, low + 2))
+    sync.expect(page.locator("#known-words")).to_have_text(
+        re.compile(r"^In a region of 3\d\.\d m²")
+    )
+    sync.expect(page.locator("#live")).not_to_have_text(first)
+    x = shown_pose(page)[0]
+    assert best[0] + 1.4 < x < best[0] + 8.6
+    page.keyboard.press("x")
+    sync.expect(page.locator("#live")).to_have_text(first)
+    # An arrow at the best pose, that points the other way.
+    page.get_by_role("button", name="Arrow").click()
+    at = pixel(*best[:2])
+    drag(page, at, (at[0] - 60, at[1]))
+    sync.expect(page.locator("#known-words")).to_contain_text("heading")
+    sync.expect(page.locator("#live")).not_to_have_text(first)
+    assert abs(shown_pose(page)[2]) > 180 - 60
+    page.keyboard.press("x")
+    sync.expect(page.locator("#live")).to_have_text(first)
+    page.get_by_label("Room around it").fill("0.3")
+    page.get_by_label("Room around it").press("Enter")
+    sync.expect(page.locator("#known-words")).to_have_text("At least 0.3 m from walls.")
+
+
+def test_a_slider_goes_along_the_log_and_the_tracker_follows_it(page: Any, log: Path) -> None:
+    drop(page, (log.name, log.read_bytes()))
+    answered(page)
+    slider = page.get_by_label("Scan", exact=True)
+    slider.focus()
+    page.keyboard.press("End")
+    last = len(POSES) - 1
+    assert f"Scan {last}: unique." in answered(page, last)
+    assert shown_pose(page)[:2] == pytest.approx(POSES[last, :2], abs=0.1)
+    page.keyboard.press("Home")
+    answered(page, 0)
+    page.get_by_role("button", name="The next scan").click()
+    answered(page, 1)
+    page.get_by_role("button", name="Follow").click()
+    sync.expect(page.locator("#tracked")).to_contain_text(re.compile("Tracker: (unique|ambiguous)"))
+    sync.expect(page.locator("#number")).to_have_text(f"scan {last} of 0 to {last}")
+    sync.expect(page.get_by_role("button", name="Follow")).to_be_visible()
+    tracked = page.locator("#tracked").inner_text()
+    row = rows(call("track", MAPS / "visibility.yaml", log, "--json").out)[-1]
+    assert f"Tracker: {row['verdict']}" in tracked
+    x, y, *_ = map(float, re.findall(r"-?\d+\.\d+", tracked.replace("−", "-")))
+    assert (x, y) == pytest.approx((row["pose"]["x"], row["pose"]["y"]), abs=0.011)
+
+
+def test_true_poses_are_marked_and_saved(page: Any, log: Path, tmp_path: Path) -> None:
+    drop(page, (log.name, log.read_bytes()))
+    expected = {}
+    for k in (0, 2):
+        page.get_by_label("Scan", exact=True).fill(str(k))
+        answered(page, k)
+        page.get_by_role("button", name="Mark as true").click()
+        expected[k] = shown_pose(page)
+    sync.expect(page.locator("#marked")).to_have_text("2 of 6 scans have a true pose.")
+    with page.expect_download() as given:
+        page.get_by_role("button", name="Save as NPZ").click()
+    out = tmp_path / given.value.suggested_filename
+    assert out.name == "log-marked.npz"
+    given.value.save_as(out)
+    saved, whole = load_scans(out), load_scans(log)
+    assert saved.poses is not None
+    assert len(saved) == 2
+    for row, k in enumerate(expected):
+        assert np.array_equal(saved[row].ranges, whole[k].ranges)
+        x, y, heading = expected[k]
+        assert saved.poses[row] == pytest.approx((x, y, np.deg2rad(heading)), abs=0.006)
+        assert saved.poses[row] == pytest.approx(POSES[k], abs=0.1)
+
+
+def pixels(page: Any) -> bytes:
+    return bytes(page.locator("#canvas").screenshot())
+
+
+def changed(page: Any, before: bytes) -> None:
+    """Wait until the canvas shows something else."""
+    for _ in range(WAIT // 250):
+        if pixels(page) != before:
+            return
+        page.wait_for_timeout(250)
+    pytest.fail("the canvas has not changed")
+
+
+STACKS = ["cbml", "cbml-o", "ght", "ght-v", "beam"]
+
+
+@pytest.mark.parametrize("layer", [*STACKS, "bmap", "vmap", "distance", "visibility", "atlas"])
+def test_layers(page: Any, log: Path, layer: str) -> None:
+    drop(page, (log.name, log.read_bytes()))
+    answered(page)
+    sync.expect(page.locator("#note")).to_be_hidden()
+    without = pixels(page)
+    page.get_by_label("Layer on the map").select_option(layer)
+    if layer == "visibility":
+        page.mouse.move(500, 450)
+    key = {"visibility": "#layer-hint", "vmap": "#layer-hint", "atlas": "#atlas-key"}.get(
+        layer, "#scale"
+    )
+    sync.expect(page.locator(key)).to_be_visible()
+    sync.expect(page.locator("#trouble")).to_be_hidden()
+    changed(page, without)
+    if layer in STACKS[:-1]:  # beam is a point or two
+        sync.expect(page.locator("#slice-words")).to_have_text("best of all headings")
+        best = pixels(page)
+        page.keyboard.press(">")
+        sync.expect(page.locator("#slice-words")).to_have_text(re.compile(r"^heading −?\d+°$"))
+        changed(page, best)
+
+
+def test_the_copied_command_and_python_give_the_same_answer(
+    page: Any, log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drop(page, (log.name, log.read_bytes()))
+    answered(page)
+    page.keyboard.press("k")  # what is known: about here
+    answered(page)
+    page.get_by_label("Room around it").fill("0.2")
+    page.get_by_label("Room around it").press("Enter")
+    said = answered(page)
+    page.get_by_role("button", name="Copy as command").click()
+    text = page.evaluate("navigator.clipboard.readText()")
+    assert text == page.locator("#copied").input_value()
+    monkeypatch.chdir(log.parent)
+    program, *words = shlex.split(text)
+    assert program == "imgloc"
+    row = rows(call(*words, "--json").out)[0]
+    assert f"Scan 0: {row['verdict']}." in said
+    assert set(row["parameters"]["prior"]) == {"near", "clearance"}
+    page.get_by_role("button", name="Copy as Python").click()
+    sync.expect(page.locator("#copied")).to_have_value(re.compile("^import imgloc"))
+    values: dict[str, Any] = {}
+    exec(page.locator("#copied").input_value(), values)
+    assert values["answer"].best.x == pytest.approx(row["hypotheses"][0]["x"], abs=1e-6)
+
+
+def test_a_region_is_copied_as_python(
+    page: Any, log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drop(page, (log.name, log.read_bytes()))
+    answered(page)
+    page.get_by_role("button", name="Region").click()
+    drag(page, (200, 300), (700, 300), (700, 650), (200, 650), (200, 310))
+    sync.expect(page.locator("#known-words")).to_contain_text("In a region")
+    answered(page)
+    monkeypatch.chdir(log.parent)
+    values: dict[str, Any] = {}
+    exec(copied(page, "y"), values)
+    best = values["answer"].best
+    sync.expect(page.locator("#note")).to_be_hidden(timeout=WAIT)
+    assert shown_pose(page)[:2] == pytest.approx((best.x, best.y), abs=0.011)
+
+
+def test_no_name_is_read_as_html(page: Any, log: Path) -> None:
+    drop(page, (f"{EVIL}.npz", log.read_bytes()))
+    answered(page)
+    assert page.locator("#file").inner_text() == f"{EVIL}.npz"
+    yaml = (MAPS / "curved.yaml").read_bytes().replace(b"curved.png", f"'{EVIL}.png'".encode())
+    drop(page, (f"{EVIL}.yaml", yaml), (f"{EVIL}.png", (MAPS / "curved.png").read_bytes()))
+    drop(page, (f"{EVIL}.csv", EVIL.encode()))
+    sync.expect(page.locator("#trouble")).to_contain_text("img src=x")
+    assert "'<img src=x onerror=window.hit=1>.npz'" in copied(page, "c")
+    assert page.evaluate("[window.hit ?? 0, document.images.length]") == [0, 0]
+
+
+def test_the_help_sheet_has_all_keys(page: Any) -> None:
+    page.keyboard.press("?")
+    sheet = page.get_by_role("dialog", name="Keys")
+    sync.expect(sheet).to_be_visible()
+    assert sheet.locator("kbd").count() >= 25
+    assert "settle" in sheet.inner_text()
+    page.keyboard.press("Escape")
+    sync.expect(sheet).to_be_hidden()
+
+
+SIZES = [
+    {"viewport": {"width": width, "height": 844}, "color_scheme": scheme, "has_touch": width < 500}
+    for width in (390, 1400)
+    for scheme in ("light", "dark")
+]
+
+
+@pytest.mark.parametrize("page", SIZES, indirect=True)
+def test_it_fits_on_telephones_and_desks_by_day_and_by_night(page: Any, log: Path) -> None:
+    drop(page, (log.name, log.read_bytes()))
+    answered(page)
+    width = page.viewport_size["width"]
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    for button in page.get_by_role("button").all():
+        if button.is_visible():
+            box = button.bounding_box()
+            assert box["x"] >= 0
+            assert box["x"] + box["width"] <= width
+    dark = page.evaluate("matchMedia('(prefers-color-scheme: dark)').matches")
+    ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
+    assert (sum(map(int, re.findall(r"\d+", ground)[:3])) < 3 * 128) is dark
+
+
+def test_open_shows_a_map_and_scans(browser: Any, log: Path) -> None:
+    with (
+        served("open", MAPS / "visibility.yaml", log, BROWSER="true") as one,
+        opened(browser, one.address) as page,
+    ):
+        assert "Scan 0: unique." in answered(page)
+        here = f"imgloc localize {MAPS / 'visibility.yaml'} {log} --index 0\n"
+        assert copied(page, "c") == here
+
+
+def test_the_page_sends_the_token_of_its_address(browser: Any, log: Path) -> None:
+    secret = "correct-horse-battery"
+    with served(MAPS / "visibility.yaml", "--token", secret) as one:
+        address = one.address if "#" in one.address else f"{one.address}/#token={secret}"
+        with opened(browser, address) as page:
+            drop(page, (log.name, log.read_bytes()))
+            assert "Scan 0: unique." in answered(page)
+            page.get_by_role("button", name="Follow").click()
+            sync.expect(page.locator("#tracked")).to_contain_text("Tracker: ")
+            sync.expect(page.get_by_role("button", name="Follow")).to_be_visible()
+
+
+def test_scans_that_the_service_has_dropped_are_sent_again(page: Any, log: Path) -> None:
+    drop(page, (log.name, log.read_bytes()))
+    answered(page)
+    # The service holds a few files only: others push this one out.
+    page.evaluate("""async () => {
+        for (let k = 0; k < 9; k += 1) {
+            const scan = { angles: [0, 1, 2], ranges: [1, 2, 3 + k], range_max: 9 };
+            await fetch(`v1/scans?name=${k}.json`, { method: "POST", body: JSON.stringify(scan) });
+        }
+    }""")
+    page.get_by_role("button", name="The next scan").click()
+    assert "Scan 1: " in answered(page, 1)
+    sync.expect(page.locator("#trouble")).to_be_hidden()
