@@ -9,7 +9,7 @@ from imgloc.geometry import in_grid_frame
 from imgloc.io.images import encode_picture
 from imgloc.lab.atlas import Spot
 from imgloc.model import OccupancyGrid
-from imgloc.output.canvas import INK, PAPER, Colour, Image, map_canvas, scale_bar, text, text_width
+from imgloc.output.canvas import Colour, Image, legend, map_canvas, scale_bar
 
 # Okabe and Ito's colours: told apart by colour-blind readers, and in grey by their lightness.
 ATLAS_COLOURS: Mapping[str, Colour] = {
@@ -42,30 +42,13 @@ def draw_atlas(grid: OccupancyGrid, spots: Sequence[Spot], *, step: float, headi
         rim = 0.46 * step * np.column_stack((np.cos(arc + pose.theta), np.sin(arc + pose.theta)))
         canvas.polygon(np.vstack(((0.0, 0.0), rim)) + (pose.x, pose.y), ATLAS_COLOURS[kind])
     scale_bar(canvas)
-    return np.vstack((canvas.image, _key(canvas.image.shape[1], kinds)))
-
-
-def _key(width: int, kinds: Sequence[str]) -> Image:
-    """A strip below the map: colours, what they mean, and how many poses have them."""
+    shares = {kind: 100 * kinds.count(kind) / max(1, len(kinds)) for kind in ATLAS_COLOURS}
     entries = [
-        (kind, f"{label}: {100 * kinds.count(kind) / max(1, len(kinds)):.1f} %")
-        for kind, label in zip(ATLAS_COLOURS, _MEANINGS, strict=True)
-        if kind in kinds or kind in ("unique", "ambiguous")
+        (ATLAS_COLOURS[kind], f"{meaning}: {share:.1f} %")
+        for (kind, share), meaning in zip(shares.items(), _MEANINGS, strict=True)
+        if share > 0 or kind in ("unique", "ambiguous")
     ]
-    line, gap, box = 26, 24, 14
-    x, y, boxes = gap, 10, []
-    for kind, words in entries:
-        need = box + 8 + text_width(words, 14) + gap
-        if x + need > width and x > gap:
-            x, y = gap, y + line
-        boxes.append((x, y, kind, words))
-        x += need
-    strip = np.full((y + line + 4, width, 3), PAPER, np.uint8)
-    for x, y, kind, words in boxes:
-        for ink, thickness in ((ATLAS_COLOURS[kind], cv2.FILLED), (INK, 1)):
-            cv2.rectangle(strip, (x, y), (x + box, y + box), ink, thickness)
-        text(strip, words, x + box + 8, y + box - 2, size=14)
-    return strip
+    return legend(canvas.image, entries)
 
 
 def draw_survey(

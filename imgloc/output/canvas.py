@@ -25,6 +25,8 @@ PALETTE: tuple[Colour, ...] = (
     (0, 94, 213), (178, 114, 0), (115, 158, 0), (167, 121, 204), (0, 159, 230), (233, 180, 86),
 )  # fmt: skip
 TURQUOISE: Colour = (210, 220, 105)
+TRUTH: Colour = (60, 20, 220)  #: of true poses and paths
+LEGEND = 38  #: pixels that a legend of one line is high, on a picture up to 1500 pixels wide
 _SIDE = 1000  # pixels that the longer side of a small map has at least
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _SHIFT = 4  # positions are drawn to a sixteenth of a pixel
@@ -149,6 +151,37 @@ def colour_bar(image: Image, colours: Image, ends: Sequence[str], title: str) ->
     cv2.rectangle(out, (x, top), (x + length, top + high), INK, 1)
     text(out, ends[1], x + length + gap // 2, top + high - round(3 * f), size=size)
     return out
+
+
+def legend(image: Image, entries: Sequence[tuple[Colour, str]]) -> Image:
+    """Put coloured boxes with words below a picture, in as many lines as they need.
+
+    Examples
+    --------
+    >>> legend(np.zeros((40, 300, 3), np.uint8), [(INK, "wall"), (PAPER, "free")]).shape
+    (78, 300, 3)
+    """
+    f = enlarged(image)
+    size, box, line, gap = (round(length * f) for length in (14, 14, 26, 20))
+    wide = max(image.shape[1], *(2 * gap + 2 * box + text_width(word, size) for _, word in entries))
+    lines: list[list[tuple[int, Colour, str]]] = [[]]
+    x = gap
+    for colour, word in entries:
+        need = box + box // 2 + text_width(word, size) + gap
+        if x + need > wide and lines[-1]:
+            lines.append([])
+            x = gap
+        lines[-1].append((x, colour, word))
+        x += need
+    strip = np.full((line * len(lines) + round((LEGEND - 26) * f), wide, 3), 255, np.uint8)
+    for k, some in enumerate(lines):
+        y = round(10 * f) + k * line
+        for x, colour, word in some:
+            for ink, thickness in ((colour, cv2.FILLED), (INK, 1)):
+                cv2.rectangle(strip, (x, y), (x + box, y + box), ink, thickness)
+            text(strip, word, x + box + box // 2, y + box - round(2 * f), size=size)
+    around = ((0, 0), (0, wide - image.shape[1]), (0, 0))
+    return np.concatenate((np.pad(image, around, constant_values=255), strip))
 
 
 def wheel(direction: npt.ArrayLike, strength: npt.ArrayLike) -> Image:

@@ -28,6 +28,7 @@ from imgloc.output.canvas import (
     PALETTE,
     PAPER,
     SHADE,
+    TRUTH,
     TURQUOISE,
     Canvas,
     Colour,
@@ -47,7 +48,6 @@ from imgloc.output.canvas import (
 from imgloc.output.features import draw_feature
 
 _WALL: Colour = (70, 110, 200)
-_TRUTH: Colour = (60, 20, 220)
 _ROW = 24  # pixels of a line of the legend
 _TOP = 6  # hypotheses that are drawn at most
 
@@ -163,7 +163,7 @@ def draw_likelihood(
         canvas.image[~(free | occupied)] = SHADE
         canvas.image[occupied] = _WALL
     if truth is not None:
-        canvas.robot(truth.x, truth.y, truth.theta, _TRUTH, marker_size(canvas))
+        canvas.robot(truth.x, truth.y, truth.theta, TRUTH, marker_size(canvas))
     return canvas.image
 
 

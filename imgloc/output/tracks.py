@@ -18,24 +18,22 @@ from imgloc.geometry import transform_points
 from imgloc.io.files import PathLike, display, write_bytes_atomic
 from imgloc.model import FloatArray, OccupancyGrid, inverse
 from imgloc.output.canvas import (
-    INK,
-    PAPER,
+    LEGEND,
+    TRUTH,
     Canvas,
     Colour,
     Image,
     faded,
+    legend,
     map_canvas,
     marker_size,
     scale_bar,
-    text,
-    text_width,
 )
 from imgloc.output.pictures import Picture
 
 COLOURS: dict[str, Colour] = {
     UNIQUE: (178, 114, 0), AMBIGUOUS: (0, 159, 230), LOST: (80, 80, 80),
 }  # fmt: skip
-_TRUTH: Colour = (60, 20, 220)
 _SIDE = 960  # pixels of the longer side of a video at most
 _DRAWN = 1e-3  # mass of a place that is drawn
 _CARRIED = 1.0  # metres beyond twice what odometry says: no driving
@@ -86,7 +84,7 @@ def draw_track(
         carried = np.hypot(*np.diff(truth[:, :2], axis=0).T)
         carried -= 2 * np.diff([m.metres for m in moments])
         for part in np.split(truth, np.flatnonzero(carried > _CARRIED) + 1):
-            canvas.lines(transform_points(back, part[:, :2])[None], _TRUTH)
+            canvas.lines(transform_points(back, part[:, :2])[None], TRUTH)
     size = marker_size(canvas)
     at = [
         (m, transform_points(back, np.array([[m.best.x, m.best.y]]))[0])
@@ -109,23 +107,12 @@ def draw_track(
     scale_bar(canvas)
     counts = [sum(m.belief.verdict == name for m in moments) for name in COLOURS]
     words = [
-        (f"{name}: {count} of {len(moments)}", COLOURS[name])
+        (COLOURS[name], f"{name}: {count} of {len(moments)}")
         for name, count in zip(COLOURS, counts, strict=True)
     ]
     if truth is not None:
-        words.append(("true path", _TRUTH))
-    return Picture(_with_legend(canvas.image, words))
-
-
-def _with_legend(image: Image, words: Sequence[tuple[str, Colour]]) -> Image:
-    band = np.full((30, image.shape[1], 3), PAPER[0], np.uint8)
-    x = 12
-    for word, colour in words:
-        if x + 20 + text_width(word) > image.shape[1]:
-            break
-        cv2.circle(band, (x, 15), 5, colour, cv2.FILLED, cv2.LINE_AA)
-        x += 12 + text(band, word, x + 12, 20, INK) + 20
-    return np.concatenate((image, band))
+        words.append((TRUTH, "true path"))
+    return Picture(legend(canvas.image, words))
 
 
 def draw_belief(canvas: Canvas, belief: Belief) -> Image:
@@ -154,7 +141,7 @@ class Video:
         self._canvas = map_canvas(features.grid)
         scale = min(1.0, _SIDE / max(self._canvas.image.shape[:2]))
         height, width = (2 * max(1, round(scale * n / 2)) for n in self._canvas.image.shape[:2])
-        self._size = width, height + 30
+        self._size = width, height + LEGEND
         handle, self._path = tempfile.mkstemp(suffix=".mp4")
         os.close(handle)
         fourcc = cv2.VideoWriter.fourcc(*"mp4v")
@@ -164,10 +151,11 @@ class Video:
         """Add the frame of a moment."""
         image = draw_belief(self._canvas, moment.belief)
         width, height = self._size
-        small = cv2.resize(image, (width, height - 30), interpolation=cv2.INTER_AREA)
-        words = f"{moment.stamp:.1f} s, {moment.metres:.1f} m: {moment.belief.verdict}"
+        small = cv2.resize(image, (width, height - LEGEND), interpolation=cv2.INTER_AREA)
         verdict = moment.belief.verdict
-        self._writer.write(_with_legend(np.asarray(small, np.uint8), [(words, COLOURS[verdict])]))
+        words = f"{moment.stamp:.1f} s, {moment.metres:.1f} m: {verdict}"
+        framed = legend(np.asarray(small, np.uint8), [(COLOURS[verdict], words)])
+        self._writer.write(np.ascontiguousarray(framed[:, :width]))
 
     def save(self, path: PathLike, *, force: bool = False) -> None:
         """Write the file."""

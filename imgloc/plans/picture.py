@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.output.canvas import INK, PAPER, Colour, Image, map_canvas, text
+from imgloc.output.canvas import INK, PAPER, Colour, Image, legend, map_canvas
 from imgloc.output.pictures import Picture
 from imgloc.plans.floorplan import KINDS, FloorPlan
 
-_SIDE, _ROW = 1400, 24  # pixels of a panel at most, and of a line of the legend
+_SIDE = 1400  # pixels of a panel at most
 # Of KINDS: paper, walls, then Okabe and Ito's colours.
 _COLOURS: tuple[Colour, ...] = (
     PAPER, INK, (0, 94, 213), (115, 158, 0), (178, 114, 0), (167, 121, 204), (0, 159, 230),
@@ -36,7 +36,13 @@ def draw_floor_plan(grey: npt.NDArray[np.uint8], plan: FloorPlan) -> Picture:
     right = _shrunk(canvas.image, (max(1, far[0]), max(1, far[1])))
     beside = height > width
     both = _joined([left, right], axis=1 if beside else 0)
-    return Picture(_with_legend(both, plan))
+    low, median, high = plan.thickness
+    walls = f"walls: {low:.2f} to {high:.2f} m thick, median {median:.2f} m"
+    entries = [(_COLOURS[1], walls)]
+    for kind, colour in zip(KINDS, _COLOURS, strict=True):
+        for r in (r for r in plan.removed if r.kind == kind):
+            entries.append((colour, f"{kind}: {r.count}, {r.area:.2f} m2 of ink"))
+    return Picture(legend(both, entries))
 
 
 def _shrunk(image: Image, size: tuple[int, int]) -> Image:
@@ -54,21 +60,3 @@ def _joined(images: list[Image], axis: int) -> Image:
         pad[axis] = (0, gap)
         parts.append(np.pad(image, pad, constant_values=255))
     return np.concatenate(parts, axis=axis)
-
-
-def _with_legend(image: Image, plan: FloorPlan) -> Image:
-    """Put a line for each kind of what was taken below the pictures."""
-    counts = {removed.kind: removed for removed in plan.removed}
-    lines = [(k, kind) for k, kind in enumerate(KINDS) if kind in counts or k == 1]
-    below = np.full((_ROW * len(lines) + 14, max(image.shape[1], 420), 3), 255, np.uint8)
-    for n, (k, kind) in enumerate(lines):
-        y = 20 + n * _ROW
-        below[y - 11 : y + 1, 12:40] = _COLOURS[k]
-        low, median, high = plan.thickness
-        words = f"walls: {low:.2f} to {high:.2f} m thick, median {median:.2f} m"
-        if kind in counts:
-            words = f"{kind}: {counts[kind].count}, {counts[kind].area:.2f} m2 of ink"
-        text(below, words, 52, y)
-    wide = below.shape[1] - image.shape[1]
-    image = np.pad(image, ((0, 0), (0, wide), (0, 0)), constant_values=255)
-    return np.concatenate((image, below))

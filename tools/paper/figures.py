@@ -13,7 +13,7 @@ from imgloc.features.scanpoints import scan_points
 from imgloc.geometry import centre_of, transform_points, uniform_thetas
 from imgloc.lab.performance_index import global_maximum
 from imgloc.model import FloatArray, compose
-from imgloc.output.canvas import PAPER, Canvas, Image, draw_map, marker_size
+from imgloc.output.canvas import PAPER, TRUTH, Canvas, Image, draw_map, marker_size
 from imgloc.output.features import draw_bmap, draw_field, draw_surface
 from imgloc.output.pictures import draw_likelihood, mosaic
 from imgloc.simulation.scans import simulate_ranges
@@ -25,7 +25,6 @@ ANGLES = np.deg2rad(np.arange(-90, 91))
 WINDOW_FIG_4 = (21.0, 20.0, 27.0, 26.0)
 """The part of the map that Fig. 4 shows: least x and y, greatest x and y, metres."""
 _REACH = 60.0  # metres; farther than any wall
-_TRUTH = (60, 20, 220)
 _MAXIMUM = (178, 114, 0)
 _FRAME = (205, 199, 193)
 _APART = 0.3  # metres from the true pose at which a maximum is marked
@@ -182,7 +181,7 @@ def ring(image: Image, info: GridInfo, pose: Pose2D) -> Image:
     circle = np.array((pose.x, pose.y)) + radius * np.column_stack((np.cos(turn), np.sin(turn)))
     ahead = np.array((np.cos(pose.theta), np.sin(pose.theta))) * radius
     nose = np.array((pose.x, pose.y)) + np.stack((ahead, 2.2 * ahead))
-    for colour, thickness in ((PAPER, 5), (_TRUTH, 2)):
+    for colour, thickness in ((PAPER, 5), (TRUTH, 2)):
         canvas.lines(circle[None], colour, thickness)
         canvas.lines(nose[None], colour, thickness)
     return image
