@@ -4,6 +4,8 @@ import base64
 import io
 import json
 import socket
+import subprocess
+import sys
 import threading
 import time
 import zipfile
@@ -333,9 +335,9 @@ def test_a_region_is_that_of_the_command_line(
 @pytest.mark.parametrize(
     ("path", "body", "status", "kind", "said"),
     [
-        ("/v1/localize?map=visibility", b"", 400, "bad-request", "empty"),
+        ("/v1/localize?map=visibility", b"", 422, "bad-scan", "empty"),
         ("/v1/localize?map=nowhere", b"{}", 404, "not-found", "curved"),
-        ("/v1/localize", b"1,2\n", 400, "bad-parameter", "map: missing"),
+        ("/v1/localize", b"1,2\n", 422, "bad-options", "map: missing"),
         ("/v1/localize?map=visibility&method=best", b"1", 400, "bad-parameter", "fused"),
         ("/v1/localize?map=visibility&foo=1", b"1", 400, "bad-parameter", "foo"),
         ("/v1/localize?map=visibility&top=1&top=2", b"1", 400, "bad-parameter", "twice"),
@@ -641,3 +643,20 @@ def test_a_port_that_is_taken_is_said(service: Served) -> None:
 def test_rows_of_a_file_are_json_lines(http: httpx.Client, scans: Path) -> None:
     found = http.post("/v1/localize?map=visibility", content=scans.read_bytes())
     assert [row["index"] for row in rows(found.text)] == [0, 1, 2]
+
+
+def test_schemathesis_finds_nothing(service: Served, tmp_path: Path) -> None:
+    """What fits the document may still contradict itself: 422, and nothing else, says so."""
+    (tmp_path / "schemathesis.toml").write_text(
+        "[checks.positive_data_acceptance]\n"
+        'expected-statuses = ["200", "201", "204", "403", "404", "409", "413", "422"]\n'
+    )
+    program = "from schemathesis.cli import schemathesis; schemathesis()"
+    run = subprocess.run(
+        [sys.executable, "-c", program, "--config-file", "schemathesis.toml", "run",
+         f"{service.address}/v1/openapi.json", "--max-examples", "5", "--seed", "1",
+         "--phases", "fuzzing", "--no-color", "--warnings", "off"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=500, check=False,
+    )  # fmt: skip
+    assert run.returncode == 0, run.stdout[-4000:] + run.stderr[-2000:]
+    assert "No issues found" in run.stdout

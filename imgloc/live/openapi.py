@@ -1,10 +1,12 @@
 """What the service answers, as data: parameters that it checks, and its OpenAPI 3.1 document."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from imgloc.__about__ import __version__
+from imgloc.io.scanset import MAX_RAYS
 from imgloc.live.parameters import PLACE, TURN, Flag, Number, Numbers, Parameter, Text, Word
 from imgloc.live.problems import KINDS, MEDIA
 from imgloc.live.requests import NAME, NAME_WORDS
@@ -143,10 +145,8 @@ _POSE = {
     "properties": {key: {"type": "number"} for key in ("x", "y", "theta")},
     "required": ["x", "y", "theta"],
 }
-_TURNED = {"type": "number", "minimum": -12.5, "maximum": 12.5}
-_LONG = {"type": "number", "minimum": -1e6, "maximum": 1e6}
-_GIVEN_POSE = {"type": "array", "prefixItems": [_LONG, _LONG, _TURNED], "items": False,
-               "minItems": 3, "maxItems": 3}  # fmt: skip
+_TURNED = {"type": "number", "minimum": -4 * math.pi, "maximum": 4 * math.pi}
+_GIVEN_POSE = {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
 _SCHEMAS: Mapping[str, Any] = {
     "Problem": {
         "type": "object",
@@ -167,21 +167,19 @@ _SCHEMAS: Mapping[str, Any] = {
             "ranges": {
                 "type": "array",
                 "minItems": 1,
-                "maxItems": 1000,
+                "maxItems": MAX_RAYS,
                 "items": {"anyOf": [
-                    {"type": "number", "minimum": 0, "maximum": 1e6},
-                    {"type": "null"}, {"enum": ["inf", "-inf", "nan"]},
+                    {"type": "number"}, {"type": "null"}, {"enum": ["inf", "-inf", "nan"]},
                 ]},
             },
-            "angle_min": _TURNED | {"minimum": -6.2832, "maximum": 0},
-            "angle_increment": {"type": "number", "minimum": 0, "maximum": 0.0125},
-            "range_min": {"type": "number", "minimum": 0, "maximum": 10},
-            "range_max": {"type": "number", "minimum": 10.1, "maximum": 1e6},
-            "stamp": {"type": "number", "minimum": 0, "maximum": 1e12},
-            "odom": _GIVEN_POSE,
+            "angles": {"type": "array", "items": _TURNED, "minItems": 1, "maxItems": MAX_RAYS},
+            "angle_min": _TURNED, "angle_max": _TURNED, "angle_increment": _TURNED,
+            "range_min": {"type": "number", "minimum": 0},
+            "range_max": {"type": "number", "exclusiveMinimum": 0},
+            "stamp": {"type": "number"},
+            "odom": _GIVEN_POSE, "pose": _GIVEN_POSE, "mount": _GIVEN_POSE,
         },
-        "required": ["ranges", "angle_min", "angle_increment"],
-        "additionalProperties": False,
+        "required": ["ranges"],
     },
     "Map": {
         "type": "object",
@@ -210,9 +208,11 @@ _SCHEMAS: Mapping[str, Any] = {
                 "type": "array",
                 "description": "Index of a scan, and the pose of its sensor: x, y, theta.",
                 "minItems": 1,
-                "items": {"type": "array", "prefixItems": [{"type": "integer", "minimum": 0}, _LONG,
-                                                           _LONG, _TURNED],
-                          "items": False, "minItems": 4, "maxItems": 4},
+                "items": {
+                    "type": "array",
+                    "prefixItems": [{"type": "integer", "minimum": 0}, *({"type": "number"},) * 3],
+                    "items": False, "minItems": 4, "maxItems": 4,
+                },
             },
         },
         "required": ["poses"],

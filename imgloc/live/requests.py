@@ -160,7 +160,7 @@ def scans_of(
     ScanError, Refused
     """
     if not body:
-        raise Refused("bad-request", "the body is empty, expected a scan or a file of scans")
+        raise ScanError("the body is empty, expected a scan or a file of scans")
     kind = kind_of(content_type)
     if kind == FORM:
         parts = [part for part in parts_of(body, content_type) if part.file or part.name == "file"]
@@ -210,7 +210,7 @@ def marked_of(body: bytes, scans: ScanSet) -> ScanSet:
     indices = [row[0] for row in rows]
     if not rows or len(set(indices)) != len(rows) or not all(0 <= k < len(scans) for k in indices):
         some = f"each once, 0 to {len(scans) - 1}"
-        raise Refused("bad-request", f"poses: expected indices of scans, {some}")
+        raise ScanError(f"poses: expected indices of scans, {some}")
     return replace(scans.take(indices), poses=np.array([row[1:] for row in rows]))
 
 
@@ -259,10 +259,10 @@ def map_of(
             _check_yaml(yaml, parts["yaml"].file, file)
             name = name or _stem(parts["yaml"].file)
     if not image:
-        raise Refused("bad-request", "the image is empty, expected a map's")
+        raise MapError("the image is empty, expected that of a map")
     name = name or _stem(file) or "map"
     if not _NAME.fullmatch(name):
-        raise Refused("bad-parameter", f"name: got {shown(name)!r}, expected {NAME_WORDS}")
+        raise MapError(f"name: got {shown(name)!r}, expected {NAME_WORDS}")
     reading: Reading = {
         "resolution": how.get("resolution"), "origin": how.get("origin"), "mode": how.get("mode"),
         "semantics": how.get("semantics") or "nav2", "negate": how.get("negate"),

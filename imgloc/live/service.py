@@ -25,7 +25,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from imgloc.answers.fit import fit_at
 from imgloc.doors import behind
-from imgloc.errors import ImglocError, ScanError
+from imgloc.errors import ConfigError, ImglocError, ScanError
 from imgloc.features.budget import MIB, check_budget
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import Belief
@@ -314,7 +314,7 @@ class Service:
         if name is None:
             if len(names) != 1:
                 some = f"one of {', '.join(names)}" if names else "a map; none is held, send one"
-                raise Refused("bad-parameter", f"map: missing, expected {some}")
+                raise ConfigError(f"map: missing, expected {some}")
             (name,) = names
         if name not in names:
             some = f"expected one of {', '.join(names)}" if names else "none is held, send one"
@@ -411,7 +411,7 @@ class Service:
         body, kind = await self._body(request)
         if values["scans"] is not None:
             if body:
-                raise Refused("bad-parameter", "scans: expected either it or a body, not both")
+                raise ConfigError("scans: expected either it or a body, not both")
             scans = self._held(values["scans"]).scans
         else:
             fov = None if values["fov_deg"] is None else math.radians(values["fov_deg"])
@@ -546,7 +546,7 @@ class Service:
         site = self._site(values["map"])[1]
         chosen, scans = await self._asked(request, values)
         if len(chosen) != 1:
-            raise Refused("bad-parameter", f"index: got {len(chosen)} scans, expected one")
+            raise ConfigError(f"index: got {len(chosen)} scans, expected one")
         scan, grid = taken(scans[chosen[0]], values), site.features.grid
         options, thinner = site.options(self.core.options), values["thinner"]
         shared = Shared(
@@ -554,7 +554,7 @@ class Service:
             options.shared.thinner if thinner is None else round(thinner / grid.resolution),
         )
         if shared.thinner > 0 and not site.features.peels:
-            raise Refused("bad-parameter", "thinner: of a map this large walls stay as they are")
+            raise ConfigError("thinner: of a map this large walls stay as they are")
         pose, begin = Pose2D(*values["pose"]), time.perf_counter()
 
         def text() -> str:
@@ -600,9 +600,7 @@ class Service:
     def _held_scan(self, values: Values) -> tuple[int, LaserScan]:
         """The scan of a file that was sent before, and its index there."""
         if values["scans"] is None:
-            raise Refused(
-                "bad-parameter", "scans: missing, expected the id of scans that were sent"
-            )
+            raise ConfigError("scans: missing, expected the id of scans that were sent")
         scans = self._held(values["scans"]).scans
         k = Chosen(values["index"] or "0").of(len(scans), "the file")[0]
         return k, taken(scans[k], values)
@@ -722,7 +720,7 @@ def _turned(given: tuple[float, ...] | None, least: int) -> tuple[float, float] 
 def _corners(numbers: Sequence[float]) -> np.ndarray[Any, np.dtype[np.float64]]:
     """The corners (N, 2) of a polygon."""
     if len(numbers) % 2:
-        raise Refused("bad-parameter", f"region: got {len(numbers)} numbers, expected pairs x, y")
+        raise ConfigError(f"region: got {len(numbers)} numbers, expected pairs x, y")
     return np.array(numbers, dtype=np.float64).reshape(-1, 2)
 
 
