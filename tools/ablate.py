@@ -19,6 +19,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from imgloc.errors import ConfigError
 from imgloc.numbers import NUMBERS, Number
 
 # What decides answers is imported in `measure`, once the numbers are those of the step.
@@ -345,7 +346,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("-n", type=int, default=30, help="scans of each (default: 30)")
     parser.add_argument("--seed", type=int, default=11)
     parser.add_argument("--range-max", type=float, default=20.0, help="of recorded scans, metres")
-    parser.add_argument("--pieces", type=Path, help="folder that keeps each step's answers")
+    parser.add_argument(
+        "--pieces",
+        type=Path,
+        help="folder that keeps each step's answers, of one state of the code",
+    )
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--out", type=Path, help="page to write; NAME-YYYY-MM-DD.md has its date")
     parser.add_argument("--force", action="store_true", help="overwrite --out")
@@ -368,7 +373,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(table(rows))
         else:
             date = "-".join(given.out.stem.split("-")[-3:])
+            sets = ",".join(Path(name).parent.name for name in given.sets)
             command = f"python -m tools.ablate -n {given.n} --seed {given.seed}"
+            command += f" --sets .../{{{sets}}}/map.yaml" if sets else ""
             text = page(rows, asking, command, date)
             write_text_atomic(given.out, text, force=given.force)
         return 0
@@ -382,10 +389,10 @@ def _all_rows(
     """The answers of each step, those as they are first: of the others some need their searches."""
     about = pieces / "asked.json"
     now = json.dumps(asdict(asking))
-    if not about.exists() or about.read_text("utf-8") != now:
-        for old in pieces.glob("*.json"):
-            old.unlink()
+    if not about.exists():
         about.write_text(now, "utf-8")
+    elif about.read_text("utf-8") != now:
+        raise ConfigError(f"--pieces: {pieces} holds answers to other scans, expected another one")
     spawn = get_context("spawn")
     for some in (names[:1], names[1:]):
         with ProcessPoolExecutor(workers, spawn, max_tasks_per_child=1) as pool:

@@ -35,3 +35,15 @@ def test_a_step_that_is_off_changes_answers_and_is_measured_once(tmp_path: Path)
     row = next(line for line in page.read_text("utf-8").splitlines() if line.startswith("| room"))
     assert [c.strip() for c in row.split("|")].count("1") > 2
     assert BASE in page.read_text("utf-8")
+
+
+def test_answers_to_other_scans_are_not_mixed_in(tmp_path: Path, capsys) -> None:
+    (tmp_path / "asked.json").write_text("{}", "utf-8")
+    assert main(["room", "--worlds", "curved", "-n", "1", "--pieces", str(tmp_path)]) == 2
+    assert "holds answers to other scans" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["asked.json"]
+
+
+def test_a_step_that_is_not_there_is_refused_by_name(capsys) -> None:
+    assert main(["magic"]) == 2
+    assert "expected one of squares" in capsys.readouterr().err
