@@ -43,7 +43,7 @@ from .pipeline import localize, prepare
 from .plans.files import load_plan
 from .plans.floorplan import FloorPlan, plan_to_map
 from .runs.batch import BatchSummary, run_batch
-from .runs.jobs import Job
+from .runs.jobs import Job, make_job
 from .search.priors import Known
 from .simulation.scans import Sensor, simulate
 
@@ -55,6 +55,6 @@ __all__ = [
     "OccupancyGrid", "Options", "OrientedPoints", "OutputError", "Picture", "Pose2D", "Prior",
     "ScanError", "ScanSet", "Sensor", "Shared", "Site", "Tracking", "Trust", "__version__",
     "check_map", "draw", "evaluate", "explain", "follow", "likelihood", "load_map", "load_plan",
-    "load_scans", "localize", "make_filter", "plan_to_map", "prepare", "run_batch",
-    "sample_poses", "save_map", "save_scans", "simulate", "which",
+    "load_scans", "localize", "make_filter", "make_job", "plan_to_map", "prepare",
+    "run_batch", "sample_poses", "save_map", "save_scans", "simulate", "which",
 ]  # fmt: skip

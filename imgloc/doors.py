@@ -12,12 +12,33 @@ _HOMES = {
     "imgloc.lab.commands.calibrate": "calibrate",
     "imgloc.lab.commands.evaluate": "evaluate",
     "imgloc.lab.grid": "GridFilter GridOptions",
-    "imgloc.lab.jobs": "evaluate_item survey_item",
     "imgloc.lab.particle": "ParticleFilter ParticleOptions",
     "imgloc.lab.picture": "draw_survey",
     "imgloc.plans.command": "plan",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
+
+
+#: Jobs of a batch by their names, and their classes.
+JOBS = {
+    "localize": "imgloc.runs.localize:Localize",
+    "evaluate": "imgloc.lab.jobs:Evaluate",
+    "check": "imgloc.runs.check:Check",
+    "which": "imgloc.runs.which:Which",
+    "atlas": "imgloc.lab.jobs:Atlas",
+}
+
+
+def opened(place: str) -> Any:
+    """Return the object at a place, ``module:name``.
+
+    Examples
+    --------
+    >>> opened(JOBS["check"]).name
+    'check'
+    """
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
 
 
 def behind(name: str) -> Any:

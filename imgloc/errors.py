@@ -9,7 +9,10 @@ ends with the class's exit code; anything that is not an :class:`ImglocError` is
 import re
 
 _ARGUMENT = re.compile(r"`([a-z][a-z_]*)(?:=([^`\s]+))?`")
-_OPTIONS = {"fov": "fov-deg"}  # arguments that the command line takes by another name
+_OPTIONS = {
+    "fov": "fov-deg",
+    "theta_step": "theta-step-deg",
+}  # arguments that the command line takes by another name
 
 
 def printable(text: str, keep: str = "\n\t") -> str:

@@ -47,7 +47,7 @@ def process(_):
     return os.getpid()
 
 
-def sabotaged(item, job):
+def sabotaged(item, job, means):
     """The work of a batch, but for the scans that are called after what is to happen."""
     if "sigkill" in item.scans:
         die(signal.SIGKILL)
@@ -57,7 +57,7 @@ def sabotaged(item, job):
         hang()
     from imgloc.runs.batch import work
 
-    return work(item, job)
+    return work(item, job, means)
 
 
 class Saboteur(Executor):

@@ -23,7 +23,7 @@ from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, Pose2D
 from imgloc.options import Options
 from imgloc.pipeline import prepare
-from imgloc.runs.jobs import Job
+from imgloc.runs.opening import ScanFiles
 from imgloc.simulation.scans import Sensor, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -142,7 +142,7 @@ def test_a_sensor_in_centimetres_is_refused(log: Path, tmp_path: Path) -> None:
         assert "centimetres" in run.err
     for make in (
         lambda: LaserScan([1.0], [0.0], T_base_laser=Pose2D(100.0, 0.0)),
-        lambda: Job(mount=Pose2D(100.0, 0.0)),
+        lambda: ScanFiles(mount=Pose2D(100.0, 0.0)),
         lambda: Sensor(mount=Pose2D(100.0, 0.0)),
     ):
         with pytest.raises(ConfigError, match="centimetres"):

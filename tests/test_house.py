@@ -15,8 +15,6 @@ DOORS = [
     "calibrate",
     "evaluate",
     "plan",
-    "evaluate_item",
-    "survey_item",
     "survey_part",
     "GridFilter",
     "GridOptions",

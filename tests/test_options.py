@@ -27,11 +27,21 @@ from imgloc.options import (
     Trust,
 )
 from imgloc.ranges import Checked
-from imgloc.runs.jobs import Job
+from imgloc.runs.jobs import make_job
+from imgloc.runs.opening import ScanFiles
 from imgloc.simulation.scans import Sensor
 
 KINDS = (Calibration, EvidenceModel, FusedOptions, Options, Prior, Shared, Trust)
-OTHERS = (GridOptions, MotionNoise, ParticleOptions, TrackerOptions, Sensor, Every, Limits, Job)
+OTHERS = (
+    GridOptions,
+    MotionNoise,
+    ParticleOptions,
+    TrackerOptions,
+    Sensor,
+    Every,
+    Limits,
+    ScanFiles,
+)
 
 
 @pytest.mark.parametrize(
@@ -65,8 +75,8 @@ OTHERS = (GridOptions, MotionNoise, ParticleOptions, TrackerOptions, Sensor, Eve
         ),
         (lambda: Every(-1), "Every.metres: got -1"),
         (lambda: Sensor(outliers=2), "Sensor.outliers: got 2, expected a share"),
-        (lambda: Job("sweep"), "Job.name: got 'sweep', expected one of localize"),
-        (lambda: Job(range_scale=0), "Job.range_scale: got 0"),
+        (lambda: make_job("sweep"), "job: got 'sweep', expected one of localize"),
+        (lambda: ScanFiles(scale=0), "ScanFiles.scale: got 0"),
     ],
 )
 def test_nonsense_is_refused_by_name(make: Callable[[], object], says: str) -> None:

@@ -29,13 +29,14 @@ from imgloc.output.drawings import DRAWINGS
 from imgloc.output.export import columns_of
 from imgloc.output.report import render_report
 from imgloc.runs.batch import find_items, run_batch
-from imgloc.runs.jobs import Item, Job, perform
+from imgloc.runs.jobs import Item, Job, make_job
+from imgloc.runs.opening import MapFiles, Means, ScanFiles
 from imgloc.runs.results import LOCK, RESULTS, SUMMARY, Results, read_rows
 from imgloc.runs.workers import Supervised
 from imgloc.search.priors import Known
 from imgloc.simulation.scans import Sensor, simulate
 
-QUICK = Job(options=Options(method="cbml", top=2), cell=0.2)
+QUICK = make_job(options=Options(method="cbml", top=2), cell=0.2)
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +66,11 @@ def in_threads(site: Path, out: Path, **more):
     """A run in this process: quick, and through the same seam."""
     with ThreadPoolExecutor(1) as pool:
         return run_batch(site / "floors", site / "scans", out, QUICK, executor=pool, **more)
+
+
+def answers(item: Item, job: Job) -> list[dict]:
+    """Rows of a job's answers to an item, where this process keeps its maps."""
+    return [answer.row for answer in job.open(item, Means().desk())]
 
 
 def test_a_row_for_each_item(site: Path, tmp_path: Path) -> None:
@@ -148,7 +154,7 @@ def test_other_contents_and_parameters_are_done_again(site: Path, tmp_path: Path
     assert run() == 0
     (scans / "b.npz").write_bytes((site / "scans" / "s1.npz").read_bytes())
     assert run() == 1
-    coarse = Job(options=Options(method="cbml", top=1), cell=0.2)
+    coarse = make_job(options=Options(method="cbml", top=1), cell=0.2)
     assert run(coarse) == 2
     assert len((out / RESULTS).read_bytes().splitlines()) == 2  # one row of each
     (scans / "b.npz").write_bytes(b"")
@@ -172,9 +178,9 @@ def test_failing_fast_stops(site: Path, tmp_path: Path) -> None:
 
 
 def test_a_map_beyond_the_memory_is_a_row(site: Path, tmp_path: Path) -> None:
-    job = replace(QUICK, memory_budget=40 << 20)
+    out, means = tmp_path / "out", Means(memory_budget=40 << 20)
     with ThreadPoolExecutor(1) as pool:
-        found = run_batch(site / "floors", site / "scans", tmp_path / "out", job, executor=pool)
+        found = run_batch(site / "floors", site / "scans", out, QUICK, means=means, executor=pool)
     assert found.statuses == {"failed": 6}
     row = next(read_rows(tmp_path / "out"))
     assert row["code"] == "config"
@@ -193,7 +199,7 @@ def test_nothing_foreign_is_touched(site: Path, tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="`resume=True`"):
         in_threads(site, out)
     with pytest.raises(OutputError, match="job localize"), ThreadPoolExecutor(1) as pool:
-        run_batch(site / "floors", None, out, Job("check"), executor=pool, resume=True)
+        run_batch(site / "floors", None, out, make_job("check"), executor=pool, resume=True)
     assert (out / RESULTS).read_bytes() == before
     (out / "run.json").unlink()
     with pytest.raises(OutputError, match=r"no run\.json"):
@@ -270,10 +276,10 @@ def test_items_are_every_map_with_every_scan(site: Path, tmp_path: Path) -> None
     found = find_items(floors, site / "scans", QUICK)
     assert len({item.id for item in found}) == 12
     assert [item.map for item in found][::6] == ["a", "b"]
-    bare = find_items(floors, None, Job("check", reading={"resolution": 0.1}))
+    bare = find_items(floors, None, make_job("check", maps=MapFiles({"resolution": 0.1})))
     assert [item.map for item in bare] == ["a.yaml", "b/bare.png", "b"] or len(bare) == 3
     assert find_items(floors, site / "scans", QUICK, out=floors / "b")[-1].map == "a"
-    (which,) = find_items(floors, site / "all.npz", Job("which"))
+    (which,) = find_items(floors, site / "all.npz", make_job("which"))
     assert [name for name, _ in which.maps] == ["a", "b"]
 
 
@@ -308,7 +314,7 @@ def test_nothing_to_do_is_an_error(site: Path, maps, scans, job, said) -> None:
     (site / "none.csv").write_text("map,scans\n")
     (site / "long.csv").write_text(f"map,scans\n{'a' * 200_000},b\n")
     with pytest.raises(ConfigError, match=said):
-        find_items(site / maps, None if scans is None else site / scans, Job(job))
+        find_items(site / maps, None if scans is None else site / scans, make_job(job))
 
 
 # Jobs.
@@ -317,19 +323,17 @@ def test_nothing_to_do_is_an_error(site: Path, maps, scans, job, said) -> None:
 @pytest.mark.parametrize("job", ["evaluate", "check", "which", "atlas"])
 def test_every_command_s_work(site: Path, tmp_path: Path, job: str) -> None:
     scans = None if job in ("check", "atlas") else site / "scans" / "s0.npz"
-    what = Job(
-        job,
-        Options(method="cbml" if job == "evaluate" else "fused"),
-        cell=0.2,
-        step=2.0,
-        headings=1,
-        sensor=Sensor(rays=60),
-        pictures="all",
-        drawings=DRAWINGS,
-    )
+    options = {
+        "evaluate": {"method": "cbml", "cell": 0.2},
+        "check": {},
+        "which": {"cell": 0.2},
+        "atlas": {"step": 2.0, "headings": 1, "sensor": Sensor(rays=60)},
+    }
+    what = make_job(job, pictures="all", **options[job])
     with ThreadPoolExecutor(1) as pool:
         out = tmp_path / "out"
-        found = run_batch(site / "floors", scans, out, what, executor=pool)
+        means = Means(drawings=DRAWINGS)
+        found = run_batch(site / "floors", scans, out, what, executor=pool, means=means)
     assert found.statuses == {"ok": 1}, next(read_rows(out))["message"]
     (row,) = read_rows(out)
     (answer,) = row["answers"]
@@ -346,7 +350,7 @@ def test_fused_is_evaluated_with_the_step_that_was_asked_for(site: Path) -> None
     floor = (("post", site / "floors" / "post.yaml"),)
     item = Item("post", "s0.npz", floor, site / "scans" / "s0.npz")
     fine, coarse = (
-        perform(item, Job("evaluate", Options().stepped(step), cell=0.2)).answers[0]
+        answers(item, make_job("evaluate", theta_step=step, cell=0.2))[0]
         for step in (None, np.pi / 2)
     )
     assert fine["index"]["value"] != coarse["index"]["value"]
@@ -357,10 +361,10 @@ def test_a_worker_that_has_a_lossy_map_refuses_it_still(site: Path, tmp_path: Pa
     with PIL.Image.open(site / "floors" / "post.png") as image:
         image.convert("L").save(jpeg, quality=95)
     item = Item("post", "s0.npz", (("post", jpeg),), site / "scans" / "s0.npz")
-    job = replace(QUICK, reading={"resolution": 0.1}, allow_lossy=True)
-    assert perform(item, job).answers
+    job = replace(QUICK, maps=MapFiles({"resolution": 0.1}, allow_lossy=True))
+    assert answers(item, job)
     with pytest.raises(MapError, match="pass `allow_lossy=True`"):
-        perform(item, replace(job, allow_lossy=False))
+        answers(item, replace(job, maps=MapFiles({"resolution": 0.1})))
 
 
 def test_pictures_of_what_is_doubtful(site: Path, tmp_path: Path) -> None:
@@ -368,10 +372,10 @@ def test_pictures_of_what_is_doubtful(site: Path, tmp_path: Path) -> None:
     far = type(blind)(np.full(60, np.inf), blind.angles, range_max=9.0)
     save_scans(tmp_path / "blind.npz", ScanSet((far,)))
     for kind, count in (("none", 0), ("doubtful", 1), ("all", 1)):
-        job = Job(pictures=kind, drawings=DRAWINGS)
+        job, means = make_job(pictures=kind), Means(drawings=DRAWINGS)
         out = tmp_path / kind
         with ThreadPoolExecutor(1) as pool:
-            run_batch(site / "floors", tmp_path / "blind.npz", out, job, executor=pool)
+            run_batch(site / "floors", tmp_path / "blind.npz", out, job, means=means, executor=pool)
         (row,) = read_rows(out)
         assert len(row["answers"][0].get("pictures", ())) == count
 
@@ -434,7 +438,7 @@ def test_units_and_lasers_of_all_files(site: Path, tmp_path: Path) -> None:
     (row,) = read_rows(out)
     with ThreadPoolExecutor(1) as pool:
         save_scans(tmp_path / "m.npz", ScanSet(scans.scans[:2], poses=scans.poses[:2]))
-        there, job = tmp_path / "there", Job(range_max=8.0)
+        there, job = tmp_path / "there", make_job(scans=ScanFiles(range_max=8.0))
         run_batch(site / "floors", tmp_path / "m.npz", there, job, executor=pool)
     (metres,) = read_rows(there)
     for a, b in zip(row["answers"], metres["answers"], strict=True):
@@ -510,7 +514,7 @@ def test_a_run_that_is_stopped_goes_on(site: Path, tmp_path: Path) -> None:
     assert call(*words).code == 0
     assert len(timeless(out)) == 6
     with ThreadPoolExecutor(1) as pool:
-        job = Job(options=Options(method="cbml"), cell=0.2)
+        job = make_job(options=Options(method="cbml"), cell=0.2)
         run_batch(site / "floors", site / "scans", tmp_path / "whole", job, executor=pool)
     whole = {row["scans"]: row["answers"] for row in read_rows(tmp_path / "whole")}
     assert {row["scans"]: row["answers"] for row in read_rows(out)} == whole

@@ -25,14 +25,14 @@ from imgloc.io.scanset import ScanSet
 from imgloc.options import Options
 from imgloc.runs.batch import run_batch
 from imgloc.runs.cluster import cluster
-from imgloc.runs.jobs import Job
+from imgloc.runs.jobs import make_job
 from imgloc.runs.results import read_rows
 from imgloc.simulation.scans import Sensor, simulate
 
 distributed = pytest.importorskip(
     "distributed", reason="the extra imgloc[cluster] is not installed"
 )
-JOB = Job(options=Options(method="cbml", top=2), cell=0.2)
+JOB = make_job(options=Options(method="cbml", top=2), cell=0.2)
 
 
 @pytest.fixture(scope="module")

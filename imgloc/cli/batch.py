@@ -5,7 +5,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,39 +15,36 @@ import typer
 from imgloc.cli import options as opt
 from imgloc.cli.console import bar_of, emit, say
 from imgloc.cli.options import flag, option
+from imgloc.doors import JOBS
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_there
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from imgloc.runs.jobs import Item
+    from imgloc.runs.jobs import Item, Job
+
+    #: key and status of the row of each item
+    Done = dict[tuple[str, str | None], tuple[str, str]]
 
 FAILED_ROWS = 5
 _EVERY = 60.0  # seconds between lines of progress without a terminal
-JobName = StrEnum("JobName", ("LOCALIZE", "EVALUATE", "CHECK", "WHICH", "ATLAS"))
+JobName = StrEnum("JobName", list(JOBS))  # type: ignore[misc]
 Pictures = StrEnum("Pictures", ("NONE", "DOUBTFUL", "ALL"))
-
-
-_SCANS = ("localize", "which", "evaluate with SCANS")
-_SIMULATED = ("evaluate without SCANS", "atlas")
-_EVALUATE = ("evaluate with SCANS", "evaluate without SCANS")
-#: Of which jobs options are that others would not notice.
-_OF = {
-    **dict.fromkeys(("method", "theta_step_deg", "tolerance"), ("localize", *_EVALUATE)),
-    **dict.fromkeys(("index", "sample", "sample_seed"), _SCANS),
-    **dict.fromkeys(("topic", "range_scale", "range_max", "sensor", "flipped"), _SCANS),
-    **dict.fromkeys(("rays", "fov_deg", "sigma", "outliers", "dropped", "mount"), _SIMULATED),
-    **dict.fromkeys(("reach", "seed"), _SIMULATED),
-    **dict.fromkeys(("step", "headings"), ("atlas",)),
-    **dict.fromkeys(("top", "near"), ("localize",)),
-    "heading": ("localize", "which"),
-    "clearance": ("localize", "which", *_SIMULATED),
-    "sure": ("which",),
-    "count": ("evaluate without SCANS",),
-    "cell": ("localize", "which", *_EVALUATE, "atlas"),
-    "pictures": ("localize", "which", "check", "atlas"),
-}  # fmt: skip
+#: Which field of a job an option is for, if it is not called as the option.
+_FIELDS = {
+    **dict.fromkeys(("topic", "range_scale", "range_max", "sensor", "flipped"), ("scans",)),
+    **dict.fromkeys(("index", "sample", "sample_seed"), ("scans",)),
+    **dict.fromkeys(("rays", "fov_deg", "sigma", "outliers", "dropped"), ("sensor",)),
+    **dict.fromkeys(("mount", "reach"), ("sensor",)),
+    "method": ("options", "method"),
+    "theta_step_deg": ("options", "theta_step"),
+    "top": ("options",),
+    "near": ("known",),
+    "heading": ("known",),
+    "clearance": ("known", "sensor"),
+    "tolerance": ("tolerance", "tolerances"),
+}
 
 
 @opt.with_options(opt.mounting, opt.reading, opt.sensor, opt.chosen, opt.console)
@@ -72,7 +69,7 @@ def batch(
         Path | None,
         typer.Argument(metavar="[SCANS]", help="Folder tree of files of scans, or one."),
     ] = None,
-    job: JobName = typer.Option(JobName.LOCALIZE, help="Whose work is done with each."),
+    job: JobName = typer.Option(JobName("localize"), help="Whose work is done with each."),
     method: opt.MethodName = typer.Option(opt.MethodName.FUSED, help="As of localize, evaluate."),
     top: opt.Top = None,
     cell: opt.Cell = 0.1,
@@ -127,7 +124,6 @@ def batch(
     code is then 5. An interrupted run goes on with --resume. An option that is of other jobs alone
     is refused. See also imgloc report, imgloc export.
     """
-    given = _given(context, job.value, scans is not None, maps)
     many = opt.count_threads(workers)
     pool = None if dask or dry_run else _pool(context, many, timeout, memory_limit)
     from imgloc.cli import inputs
@@ -137,72 +133,60 @@ def batch(
     from imgloc.output.drawings import DRAWINGS
     from imgloc.output.tables import batch_text
     from imgloc.runs.batch import find_items, remaining, run_batch
-    from imgloc.runs.jobs import Job
+    from imgloc.runs.jobs import job_class
+    from imgloc.runs.opening import MapFiles, Means, ScanFiles
     from imgloc.search.priors import Known
 
+    kind = job_class(job.value)
+    given = _given(context, kind, scans is not None, maps)
     opt.check_known(near, heading)
-    # Of simulated robots a clearance is another matter.
-    cleared = "clearance" in given and job in (JobName.LOCALIZE, JobName.WHICH)
     angle = None if theta_step_deg is None else math.radians(theta_step_deg)
+    within = TOLERANCES[-1] if tolerance is None else opt.tolerance_of(tolerance)
+    offered: dict[str, Any] = {
+        "maps": MapFiles(reading, allow_lossy),
+        "scans": ScanFiles(
+            topic, None, range_scale, range_max, chosen, mounting.flipped, mounting.pose
+        ),
+        "options": Options(method=method.value, top=top).stepped(angle),
+        "method": method.value,
+        "theta_step": angle,
+        "cell": cell,
+        # Of simulated robots a clearance is another matter.
+        "known": Known(near, heading, sensor.clearance if "clearance" in given else None),
+        "tolerance": within,
+        "tolerances": (*TOLERANCES, within),
+        "sure": sure,
+        "sensor": replace(sensor, range_max=reach),
+        "count": count,
+        "seed": seed,
+        "step": step,
+        "headings": headings,
+        "pictures": pictures.value,
+    }
+    names = {field.name for field in fields(kind)}
+    what = kind(**{name: value for name, value in offered.items() if name in names})
     budget = memory_limit or (None if dask else default_budget() // many)
     if budget is not None and budget < MIB:
         raise ConfigError(f"--memory-limit: got {budget} bytes, expected at least 1M")
-    what = Job(
-        job.value,
-        Options(method=method.value, top=top).stepped(angle),
-        reading=reading,
-        allow_lossy=allow_lossy,
-        cell=cell,
-        topic=topic,
-        range_scale=range_scale,
-        range_max=range_max,
-        chosen=chosen,
-        flipped=mounting.flipped,
-        mount=mounting.pose,
-        known=Known(near, heading, sensor.clearance if cleared else None),
-        tolerance=TOLERANCES[-1] if tolerance is None else opt.tolerance_of(tolerance),
-        sure=sure,
-        sensor=replace(sensor, range_max=reach),
-        count=count,
-        seed=seed,
-        step=step,
-        headings=headings,
-        pictures=pictures.value,
-        drawings=DRAWINGS,
-        memory_budget=budget,
-        cache=inputs.kept_in(None, wanted=not no_cache),
-    )
-    items = find_items(maps, scans, what, out=out)
+    means = Means(budget, inputs.kept_in(None, wanted=not no_cache), DRAWINGS)
     again = resume or retry_failed
+    items = find_items(maps, scans, what, out=out)
     rows = _rows(out) if again else {}
     todo = remaining(items, what, rows, retry_failed=retry_failed)
     known = len({path for item in items for _, path in item.maps})
     if near is not None and known > 1:
         raise ConfigError(f"--near: is about one map, not about {known:,}")
-    files = len({item.scans_path for item in items if item.scans_path is not None})
-    said = f"{len(items):,} items: {known:,} maps, {files:,} files of scans"
-    if len(todo) < len(items):
-        said += f"; {len(items) - len(todo):,} are done"
-    if anew := sum(rows.get(item.id, ("", ""))[1] == "ok" for item in todo):
-        said += f"; {anew:,} were done with other options, files or versions, and are done anew"
+    (emit if dry_run else say)(_planned(items, todo, rows, known))
     if dry_run:
-        emit(said)
         return
-    say(said)
-    with _cluster(dask, workers, timeout, memory_limit) as there, _progress(todo) as advance:
+    limits = {"timeout": timeout, "memory_limit": memory_limit}
+    with _cluster(dask, workers, limits) as there, _progress(todo) as advance:
         try:
             summary = run_batch(
-                maps,
-                scans,
-                out,
-                what,
-                executor=there or pool,
-                resume=again,
-                retry_failed=retry_failed,
-                fail_fast=fail_fast,
-                items=todo,
+                maps, scans, out, what, means=means, executor=there or pool, resume=again,
+                retry_failed=retry_failed, fail_fast=fail_fast, items=todo,
                 on_row=lambda row: advance(row["status"] != "ok"),
-            )
+            )  # fmt: skip
         except KeyboardInterrupt:
             say(f"what is done is kept in {display(out)}; --resume goes on")
             raise
@@ -211,17 +195,36 @@ def batch(
         raise typer.Exit(FAILED_ROWS)
 
 
-def _given(context: typer.Context, job: str, with_scans: bool, maps: Path) -> set[str]:
+def _planned(items: "list[Item]", todo: "list[Item]", rows: "Done", maps: int) -> str:
+    """Say what will be done with so many maps; `rows` are there."""
+    files = len({item.scans_path for item in items if item.scans_path is not None})
+    said = f"{len(items):,} items: {maps:,} maps, {files:,} files of scans"
+    if len(todo) < len(items):
+        said += f"; {len(items) - len(todo):,} are done"
+    if anew := sum(rows.get(item.id, ("", ""))[1] == "ok" for item in todo):
+        said += f"; {anew:,} were done with other options, files or versions, and are done anew"
+    return said
+
+
+def _given(context: typer.Context, kind: "type[Job]", with_scans: bool, maps: Path) -> set[str]:
     """Names of the options that were given; one that is of other jobs alone is refused."""
-    ways = {job}
-    if job == "evaluate":
-        ways = {"evaluate with SCANS" if with_scans else "evaluate without SCANS"}
-        if maps.suffix.lower() == ".csv":  # whose lines may have scans
-            ways = set(_EVALUATE)
-    return opt.given(context, _OF, ways)
+    from imgloc.runs.jobs import job_class
+
+    def ways_of(other: "type[Job]", option: str) -> list[str]:
+        wanted = {option} if option in other.refused else {*_FIELDS.get(option, (option,))}
+        return [way for way, names in other.ways().items() if names & wanted]
+
+    options = [p.name or "" for p in context.command.params if p.opts[0].startswith("-")]
+    of = {name: [way for job in JOBS for way in ways_of(job_class(job), name)] for name in options}
+    ways = list(kind.ways())
+    if len(ways) > 1 and maps.suffix.lower() != ".csv":  # whose lines may have scans
+        ways = [
+            way for way in ways if way.endswith("with SCANS" if with_scans else "without SCANS")
+        ]
+    return opt.given(context, {name: theirs for name, theirs in of.items() if theirs}, set(ways))
 
 
-def _rows(out: Path) -> dict[tuple[str, str | None], tuple[str, str]]:
+def _rows(out: Path) -> "Done":
     """Keys and statuses of the rows that are there, by their items."""
     from imgloc.runs.results import RESULTS, id_of, read_rows
 
@@ -244,7 +247,7 @@ def _pool(
 
 @contextlib.contextmanager
 def _cluster(
-    dask: str | None, workers: int | None, timeout: float, memory_limit: int | None
+    dask: str | None, workers: int | None, limits: dict[str, Any]
 ) -> "Iterator[Executor | None]":
     """Workers elsewhere, if they are wanted."""
     if dask is None:
@@ -252,8 +255,7 @@ def _cluster(
         return
     from imgloc.runs.cluster import cluster
 
-    limits = {"timeout": timeout, "memory_limit": memory_limit}
-    with cluster(dask, workers=workers, **limits) as executor:  # type: ignore[arg-type]
+    with cluster(dask, workers=workers, **limits) as executor:
         yield executor
 
 

@@ -115,25 +115,6 @@ def say(message: str) -> None:
         print(f"imgloc: {printable(as_options(message))}", file=sys.stderr, flush=True)
 
 
-@contextlib.contextmanager
-def quiet_libraries() -> Iterator[None]:
-    """Keep what C libraries write to standard error from it.
-
-    libpng says a word of its own about a damaged file; imgloc's error says all of it.
-    """
-    if sys.stderr is not None:
-        sys.stderr.flush()
-    with contextlib.ExitStack() as undo:
-        with contextlib.suppress(OSError):  # without a standard error nothing is to be done
-            kept = os.dup(2)
-            undo.callback(os.close, kept)
-            sink = os.open(os.devnull, os.O_WRONLY)
-            undo.callback(os.close, sink)
-            os.dup2(sink, 2)
-            undo.callback(os.dup2, kept, 2)
-        yield
-
-
 def bar_of(*columns: Any, disable: bool = False) -> Any:
     """A progress bar of rich on standard error, which goes when it is done."""
     from rich.console import Console

@@ -57,9 +57,10 @@ def demo(
     cbml = replace(options, method="cbml")
     features = prepare(grid, name.value, threads=taken.threads)
     hint = "use another --map"
-    inputs.check_simulation(grid, name.value, 1, 181, taken.memory_budget, hint=hint)
+    desk = inputs.desk_of(taken.threads, taken.memory_budget)
+    desk.check_simulation(grid, name.value, 1, 181, hint=hint)
     for each in (options, cbml):
-        inputs.check_answer(features, each, name.value, hint=hint)
+        desk.check_answer(features, each, name.value, hint=hint)
     simulated = simulate(grid, 1, seed)
     scan = replace(simulated.scans[0], T_base_laser=None)  # of no robot
     truth = Pose2D(*np.asarray(simulated.poses)[0])

@@ -2,15 +2,22 @@
 
 import logging
 import math
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, say, width
+from imgloc.cli.console import LOG, NOT_UNIQUE, emit, say, width
 from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError, as_options
 from imgloc.io.files import display, write_text_atomic
+
+if TYPE_CHECKING:
+    from imgloc.answers.diagnose import Doubt
+    from imgloc.model import Evidence, LaserScan
+    from imgloc.runs.localize import Located, Locating
 
 _MANY = 5  # scans whose verdicts one does not count oneself
 _WIDE = 112  # columns of a line with the poses of the sensor and of the base
@@ -69,149 +76,163 @@ def localize(
     best pose does not explain the scan), invalid (too few readings). Poses are those of the sensor,
     in the map frame. Look at the mass of the second hypothesis before trusting the first.
     """
-    from imgloc.answers.diagnose import Doubt, doubts
     from imgloc.cli import inputs
-    from imgloc.io.calibration import calibrated
-    from imgloc.io.maps import SWAPPED
-    from imgloc.model import Evidence, LaserScan, Pose2D, to_json
     from imgloc.options import Options
-    from imgloc.output.pictures import draw
-    from imgloc.output.rows import answer_row
-    from imgloc.output.tables import (
-        answer_header,
-        answer_line,
-        answer_text,
-        difference,
-        run_words,
-        times_words,
-    )
-    from imgloc.pipeline import localize as locate
+    from imgloc.runs.localize import Localize
     from imgloc.search.asked import check_options
 
     folder = inputs.kept_in(cache, wanted=not no_cache)
     if engine != opt.EngineName.AUTO and method not in (opt.MethodName.CBML, opt.MethodName.CBML_O):
         raise ConfigError(f"--engine: {method.value} does not correlate; use cbml or cbml-o")
-    read = [*inputs.files_of(map_path), *([] if known.region is None else [known.region])]
-    outputs = ((picture, ".png", read), (explain, ".html", list[Path]()))
-    for path, ending, sources in outputs:
-        inputs.check_target(path, ending, force=force, inputs=sources)
     if list(map(str, scans_paths)).count("-") > 1:
         raise ConfigError("-: got it more than once, but standard input can be read only once")
-    grid = inputs.load_grid(
-        map_path, taken.memory_budget, allow_lossy=allow_lossy, usable=False, **reading
-    )
-    step = None if theta_step_deg is None else math.radians(theta_step_deg)
-    fused = method == opt.MethodName.FUSED
+    read = [*inputs.files_of(map_path), *([] if known.region is None else [known.region])]
+    inputs.check_target(picture, ".png", force=force, inputs=read)
+    inputs.check_target(explain, ".html", force=force)
     options = Options(
         method=method.value,
         top=top,
         engine=engine.value,
-        threads=taken.threads,
-        memory_budget=taken.memory_budget,
         time_budget=time_budget,
         exact=exact_argmax,
-        prior=inputs.prior_of(known, grid, allow_lossy=allow_lossy),
     )
-    options = calibrated(options.stepped(step), map_path, grid)
-    sets = [inputs.load_set(path, taken.memory_budget, logs) for path in scans_paths]
-    for scans in sets:
-        mounting.check(scans.scans)
-    every = [scan for scans in sets for scan in scans.scans]
-    features = inputs.open_features(
-        grid, display(map_path), folder, options,
-        scans=every, cell=cell, threads=taken.threads,
-    )  # fmt: skip
-    # Of each scan that is asked for: its file, the set, its index in it.
-    queue = [
-        (inputs.name_of(path), scans, k)
-        for path, scans in zip(scans_paths, sets, strict=True)
-        for k in chosen.of(len(scans), inputs.name_of(path))
-    ]
-    many, several = len(queue) > 1, len(sets) > 1
-    # Files are numbered through all sets, as two of these may have the same index.
-    numbers = range(len(queue)) if several else [k for _, _, k in queue]
-    targets, pages = inputs.numbered(picture, numbers), inputs.numbered(explain, numbers)
-    for files, (_, ending, sources) in zip((targets, pages), outputs, strict=True):
-        for path in files.values():
-            inputs.check_target(path, ending, force=force, inputs=sources)
-    LOG.info("%s: %d x %d cells of %g m", display(map_path), *grid.info.shape, grid.resolution)
-    LOG.info(
-        "%s: %d of %d scans", ", ".join(map(inputs.name_of, scans_paths)), len(queue), len(every)
+    job = Localize(
+        options=options.stepped(None if theta_step_deg is None else math.radians(theta_step_deg)),
+        maps=inputs.one_map(reading, allow_lossy=allow_lossy),
+        scans=inputs.as_recorded(logs, range_max, chosen, mounting),
+        cell=cell,
+        known=inputs.known_of(known),
+        region=known.region,
     )
-    inputs.check_prior(known, features, options)
-    check_options(features, options)
-    on_robot = any(scan.T_base_laser is not None for scan in every) or mounting.sensor is not None
-    narrow = (width() or _WIDE) < _WIDE
-    if many and not as_json:
-        emit(answer_header(on_robot and not narrow))
-    looked_at, said = list[LaserScan](), list[tuple[str, Evidence]]()
-    errors, shown, hints = list[tuple[float, float]](), "", list[Doubt]()
+    desk = inputs.desk_of(taken.threads, taken.memory_budget, folder)
+    desk.grid(map_path, job.maps)  # a map that is not there is told before scans are waited for
+    runs = []
+    for path in scans_paths:
+        runs.append(job.open(inputs.item_of(map_path, path), desk))
+        desk.held += inputs.held_bytes(runs[-1].taken.scans.scans)
+    sink = _Sink(runs, as_json, mounting, force)
+    sink.pictures = inputs.targets(picture, ".png", sink.numbers, force=force, inputs=read)
+    sink.pages = inputs.targets(explain, ".html", sink.numbers, force=force)
+    inputs.check_prior(known, runs[0].features, runs[0].options)
+    check_options(runs[0].features, runs[0].options)
+    sink.begin(display(map_path))
+    for run in runs:
+        for n, answer in zip(sink.numbers_of(run), run, strict=True):
+            sink.take(run, answer, n)
+    sink.end()
+    if strict and {verdict for verdict, _ in sink.said} != {"unique"}:
+        raise typer.Exit(NOT_UNIQUE)
 
-    def wrong(some: list[LaserScan], said: list[tuple[str, Evidence]]) -> list[Doubt]:
-        if not fused or time_budget is not None:
-            return []
-        return doubts(
-            features, some, said, options, flipped=mounting.flipped, range_scale=logs.scale
-        )
 
-    with progress("localize", len(queue)) as advance:
-        for n, (file, scans, k) in zip(numbers, queue, strict=True):
-            scan = mounting.mount(inputs.cut_scan(scans[k], range_max))
-            answer = locate(features, scan, options)
-            truth = None if scans.poses is None else Pose2D(*scans.poses[k])
-            looked_at.append(scan)
-            said.append((answer.verdict, answer.evidence))
-            if answer.best is not None and truth is not None:
-                errors.append(difference(answer.best, truth))
-            LOG.info("%s, scan %d: %s, %s", file, k, answer.verdict, times_words(answer))
-            if n in targets or n in pages:
-                hints = wrong([scan], said[-1:])
-            if n in targets:
-                short = as_options("; ".join(hint.short for hint in hints))
-                image = draw(grid, answer, scan, truth=truth, note=short)
-                image.save(targets[n], force=force)
-            if n in pages:
-                from imgloc.answers.explain import explain as reasons
-                from imgloc.output.pages import render_explanation
+class _Sink:
+    """Prints answers as they come, and draws them."""
 
-                reason = reasons(features, scan, answer, options)
-                title = f"{Path(file).name}, scan {k}, on {display(map_path.name)}"
-                html = render_explanation(
-                    reason, title, truth=truth, hints=[as_options(hint.text) for hint in hints]
-                )
-                write_text_atomic(pages[n], html, force=force)
-            advance()
-            if several and not as_json and file != shown:
-                emit(f"{file}:")
-                shown = file
-            if as_json:
-                about = {"scans": file} if several else {}
-                row = answer_row(
-                    answer, scan, k, sensor=mounting.pose, flipped=mounting.flipped, about=about
-                )
-                emit(to_json(row))
-            elif many:
-                emit(answer_line(k, answer, narrow=narrow))
-            else:
-                emit(answer_text(f"scan {k}", answer, truth))
-    inputs.keep_features(features, folder)
-    verdicts = [verdict for verdict, _ in said]
-    if len(queue) >= _MANY and not as_json:
-        say(run_words(verdicts, errors))
-    for files in (targets, pages):
-        if written := [display(path) for path in files.values()]:
-            LOG.log(
-                logging.INFO if as_json or len(written) == 1 else logging.WARNING,
-                "wrote %s",
-                written[0] if len(written) == 1
-                else f"{len(written)} files, {written[0]} to {written[-1]}",
-            )  # fmt: skip
-    # Rows that are all invalid say why themselves, to a program.
-    if not (as_json and set(verdicts) == {"invalid"}):
-        if many or not (targets or pages):
-            hints = wrong(looked_at, said)
-        for hint in hints:
+    def __init__(
+        self, runs: "list[Locating]", as_json: bool, mounting: opt.Mounting, force: bool
+    ) -> None:
+        self.runs, self.as_json, self.mounting, self.force = runs, as_json, mounting, force
+        counts = [len(run) for run in runs]
+        self.many, self.several = sum(counts) > 1, len(runs) > 1
+        # Files are numbered through all sets, as two of these may have the same index.
+        self.numbers = range(sum(counts)) if self.several else runs[0].taken.indices
+        self.pictures: dict[int, Path] = {}
+        self.pages: dict[int, Path] = {}
+        self.narrow = (width() or _WIDE) < _WIDE
+        self.scans: list[LaserScan] = []
+        self.said: list[tuple[str, Evidence]] = []  # of each scan
+        self.errors: list[tuple[float, float]] = []  # metres, radians
+        self.hints: list[Doubt] = []  # about the last scan
+
+    def numbers_of(self, run: "Locating") -> Sequence[int]:
+        """Those of the scans of a file."""
+        before = sum(len(other) for other in self.runs[: self.runs.index(run)])
+        return self.numbers[before : before + len(run)]
+
+    def begin(self, name: str) -> None:
+        """Say what is located where, and what the columns of a table are."""
+        from imgloc.output.tables import answer_header
+
+        taken = [run.taken for run in self.runs]
+        names, total = ", ".join(t.name for t in taken), sum(t.total for t in taken)
+        grid = self.runs[0].features.grid
+        LOG.info("%s: %d x %d cells of %g m", name, *grid.info.shape, grid.resolution)
+        LOG.info("%s: %d of %d scans", names, len(self.numbers), total)
+        mounted = any(scan.T_base_laser is not None for t in taken for scan in t.scans.scans)
+        if self.many and not self.as_json:
+            emit(answer_header(mounted and not self.narrow))
+
+    def take(self, run: "Locating", answer: "Located", n: int) -> None:
+        """Draw and print an answer, the `n`-th."""
+        from imgloc.output.tables import difference, times_words
+
+        found = answer.of
+        self.scans.append(answer.scan)
+        self.said.append((found.verdict, found.evidence))
+        if found.best is not None and answer.truth is not None:
+            self.errors.append(difference(found.best, answer.truth))
+        about = run.taken.name, answer.index, found.verdict, times_words(found)
+        LOG.info("%s, scan %d: %s, %s", *about)
+        if n in self.pictures or n in self.pages:
+            self.hints = run.doubts([answer.scan], self.said[-1:])
+        if n in self.pictures:
+            self._draw(run, answer, self.pictures[n])
+        if n in self.pages:
+            self._explain(run, answer, self.pages[n])
+        self._print(run, answer, first=answer.index == run.taken.indices[0])
+
+    def _draw(self, run: "Locating", answer: "Located", path: Path) -> None:
+        from imgloc.output.pictures import draw
+
+        note = as_options("; ".join(hint.short for hint in self.hints))
+        image = draw(run.features.grid, answer.of, answer.scan, truth=answer.truth, note=note)
+        image.save(path, force=self.force)
+
+    def _explain(self, run: "Locating", answer: "Located", path: Path) -> None:
+        from imgloc.answers.explain import explain
+        from imgloc.output.pages import render_explanation
+
+        reason = explain(run.features, answer.scan, answer.of, run.options)
+        title = f"{Path(run.taken.name).name}, scan {answer.index}, on {run.map_name}"
+        hints = [as_options(hint.text) for hint in self.hints]
+        html = render_explanation(reason, title, truth=answer.truth, hints=hints)
+        write_text_atomic(path, html, force=self.force)
+
+    def _print(self, run: "Locating", answer: "Located", *, first: bool) -> None:
+        from imgloc.model import to_json
+        from imgloc.output.rows import answer_row
+        from imgloc.output.tables import answer_line, answer_text
+
+        if self.several and first and not self.as_json:
+            emit(f"{run.taken.name}:")
+        if self.as_json:
+            about = {"scans": run.taken.name} if self.several else {}
+            sensor, flipped = self.mounting.pose, self.mounting.flipped
+            row = answer_row(
+                answer.of, answer.scan, answer.index, sensor=sensor, flipped=flipped, about=about
+            )
+            emit(to_json(row))
+        elif self.many:
+            emit(answer_line(answer.index, answer.of, narrow=self.narrow))
+        else:
+            emit(answer_text(f"scan {answer.index}", answer.of, answer.truth))
+
+    def end(self) -> None:
+        """Say how it went, and what most likely keeps scans from fitting."""
+        from imgloc.io.maps import SWAPPED
+        from imgloc.output.tables import run_words
+
+        verdicts = [verdict for verdict, _ in self.said]
+        if len(verdicts) >= _MANY and not self.as_json:
+            say(run_words(verdicts, self.errors))
+        for files in (self.pictures, self.pages):
+            if written := [display(path) for path in files.values()]:
+                one = len(written) == 1
+                text = written[0] if one else f"{len(written)} files, {written[0]} to {written[-1]}"
+                LOG.log(logging.INFO if self.as_json or one else logging.WARNING, "wrote %s", text)
+        if self.as_json and set(verdicts) == {"invalid"}:
+            return  # rows say it themselves, to a program
+        if self.many or not (self.pictures or self.pages):
+            self.hints = self.runs[0].doubts(self.scans, self.said)
+        for hint in self.hints:
             if hint.text != SWAPPED:  # is said when the map is read
                 LOG.warning("%s", hint.text)
-    if strict and set(verdicts) != {"unique"}:
-        raise typer.Exit(NOT_UNIQUE)

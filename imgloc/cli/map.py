@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import emit, quiet_libraries, say
+from imgloc.cli.console import emit, say
 from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import display
@@ -31,15 +31,14 @@ def check(
     exits with 3.
     """
     from imgloc.cli import inputs
-    from imgloc.io.mapcheck import check_bytes, check_map
     from imgloc.model import to_json
     from imgloc.output.tables import report_text
+    from imgloc.runs.check import Check
 
-    inputs.check_image(map_path, reading, opt.fixed_budget(memory_budget), check_bytes)
-    with quiet_libraries():
-        report = check_map(map_path, **reading)
-    emit(to_json(report.as_row()) if as_json else report_text(report))
-    if strict and report.warnings:
+    desk = inputs.desk_of(1, opt.fixed_budget(memory_budget))
+    (answer,) = Check(maps=inputs.one_map(reading)).open(inputs.item_of(map_path), desk)
+    emit(to_json(answer.row) if as_json else report_text(answer.of))
+    if strict and answer.doubtful:
         raise typer.Exit(MapError.exit_code)
 
 
@@ -97,9 +96,8 @@ def show(
         if value is not None and what not in (Subject.BMAP, Subject.VMAP):
             raise ConfigError(f"{name}: only --what bmap and --what vmap are blurred")
     budget = opt.fixed_budget(memory_budget)
-    grid = inputs.load_grid(
-        map_path, budget, allow_lossy=allow_lossy, usable=what != Subject.MAP, **reading
-    )
+    desk, maps = inputs.desk_of(1, budget), inputs.one_map(reading, allow_lossy=allow_lossy)
+    grid = desk.grid(map_path, maps, usable=what != Subject.MAP)
     features = MapFeatures(grid, cell=cell or grid.resolution, sigma=sigma or 0.1)
     if at is not None:
         there = in_grid_frame(Pose2D(*at), grid)
@@ -110,11 +108,10 @@ def show(
     if scans is None:
         picture = draw(features, what=what.value, at=at)
     else:
-        held = inputs.load_set(scans, budget)
-        (k,) = Chosen(str(index or 0)).of(len(held), inputs.name_of(scans))
+        held = desk.scans(scans, inputs.as_recorded(chosen=Chosen(str(index or 0)))).scans
         options = Options(method=method.value, memory_budget=budget)
-        features = inputs.open_features(grid, display(map_path), None, options, scans=held.scans)
-        picture = draw(grid, likelihood(features, held[k], options))
+        features = desk.features(map_path, maps, options, scans=held.scans)
+        picture = draw(grid, likelihood(features, held[0], options))
     picture.save(out, force=force)
     height, width = picture.image.shape[:2]
     say(f"wrote {display(out)}: {what.value}, {width} x {height} pixels")

@@ -54,11 +54,13 @@ def sample(
     if theta_step_deg is not None and method == opt.MethodName.FUSED:
         raise ConfigError("--theta-step-deg: fused has no stack of headings")
     inputs.check_target(out, ".csv", force=force, inputs=[scans_path])
-    grid = inputs.load_grid(map_path, taken.memory_budget, allow_lossy=allow_lossy, **reading)
-    scans = inputs.load_set(scans_path, taken.memory_budget, logs)
-    indices = chosen.of(len(scans), inputs.name_of(scans_path))
-    if count * len(indices) > _MOST:
-        raise ConfigError(f"-n: {count:,} poses of {len(indices):,} scans are more than {_MOST:,}")
+    desk = inputs.desk_of(taken.threads, taken.memory_budget)
+    maps = inputs.one_map(reading, allow_lossy=allow_lossy)
+    grid = desk.grid(map_path, maps, usable=True)
+    asked = desk.scans(scans_path, inputs.as_recorded(logs, range_max, chosen, flipped=flipped))
+    total = len(asked.indices)
+    if count * total > _MOST:
+        raise ConfigError(f"-n: {count:,} poses of {total:,} scans are more than {_MOST:,}")
     options = Options(
         method=method.value,
         threads=taken.threads,
@@ -66,16 +68,12 @@ def sample(
         theta_step=None if theta_step_deg is None else math.radians(theta_step_deg),
     )
     options = calibrated(options, map_path, grid)
-    features = inputs.open_features(
-        grid, display(map_path), None, options,
-        scans=scans.scans, cell=cell, threads=taken.threads,
-    )  # fmt: skip
+    features = desk.features(map_path, maps, options, cell=cell, scans=asked.scans.scans)
     lines = ["scan,x,y,theta"]
-    with progress("sample", len(indices)) as advance:
-        for k in indices:
+    with progress("sample", total) as advance:
+        for k, scan, _ in asked:
             # Each scan has draws of its own, whichever others are drawn from.
             rng = np.random.default_rng((seed, k))
-            scan = inputs.cut_scan(scans[k], range_max, flipped=flipped)
             if scan.directions < options.trust.readings:
                 say(f"scan {k}: invalid, too few readings: its poses are drawn from everywhere")
             poses = sample_poses(features, scan, count, rng, options).tolist()
@@ -83,4 +81,4 @@ def sample(
             advance()
     write_text_atomic(out, "\n".join(lines) + "\n", force=force)
     LOG.info("seed %d", seed)
-    say(f"wrote {display(out)}: {count} poses for each of {len(indices)} scans")
+    say(f"wrote {display(out)}: {count} poses for each of {total} scans")

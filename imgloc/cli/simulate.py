@@ -42,9 +42,10 @@ def simulate(
             f"{count:,} scans of {rays:,} rays are {count * rays:,} readings, expected at most "
             f"{_MAX_READINGS:,}; simulate several files with different seeds"
         )
-    budget = opt.fixed_budget(memory_budget)
-    grid = inputs.load_grid(map_path, budget, allow_lossy=allow_lossy, **reading)
-    inputs.check_simulation(grid, display(map_path), count, rays, budget)
+    desk = inputs.desk_of(1, opt.fixed_budget(memory_budget))
+    maps = inputs.one_map(reading, allow_lossy=allow_lossy)
+    grid = desk.grid(map_path, maps, usable=True)
+    desk.check_simulation(grid, display(map_path), count, rays)
     scans = simulate(grid, count, seed, replace(sensor, range_max=range_max))
     save_scans(out, scans, force=force)
     say(f"wrote {display(out)}: {count} scans of {rays} readings, with their poses")

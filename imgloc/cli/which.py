@@ -1,23 +1,16 @@
 """`imgloc which`: which of the maps in a folder a scan is from."""
 
-import contextlib
 import re
-from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import LOG, emit, progress, say
+from imgloc.cli.console import emit, say
 from imgloc.cli.options import flag, option
-from imgloc.errors import ConfigError, ImglocError, MapError
+from imgloc.errors import ConfigError
 from imgloc.io.files import display
-
-if TYPE_CHECKING:
-    from imgloc.choice.choose import Opened
-    from imgloc.features.mapfeatures import MapFeatures
 
 FAILED_ROWS = 5
 
@@ -72,109 +65,60 @@ def which(
     named only if the scan has a unique place in it. A scan with too few readings is invalid. A map
     that cannot be used is reported and left out; the exit code is then 5.
     """
-    from imgloc.choice.choose import FIRST, OPTIONS, bounds_of, choose, names_of, search
-    from imgloc.choice.folder_index import open_index
+    from imgloc.choice.choose import names_of
     from imgloc.cli import inputs
-    from imgloc.io.calibration import calibrated
     from imgloc.io.folders import find_maps
-    from imgloc.io.maps import reading_of
     from imgloc.model import to_json
-    from imgloc.options import Prior
     from imgloc.output.pictures import draw
     from imgloc.output.tables import CHOICE_HEADER, choice_line
-    from imgloc.search.asked import check_options
-    from imgloc.search.priors import leaves_none
+    from imgloc.runs.jobs import Item
+    from imgloc.runs.opening import MapFiles
+    from imgloc.runs.which import Which
 
+    _check(known, scans_path, index, build=build)
+    if index is not None:
+        inputs.check_target(index, ".npz", force=True)  # nothing is replaced but an index
+    paths = find_maps(maps_dir, images=reading["resolution"] is not None)
+    files = tuple(zip(names_of(paths, maps_dir), paths, strict=True))
+    job = Which(
+        maps=MapFiles(reading, allow_lossy),
+        scans=inputs.as_recorded(logs, range_max, flipped=flipped),
+        known=inputs.known_of(known),
+        sure=sure,
+    )
+    folder = inputs.kept_in(None, wanted=not no_cache)
+    desk = inputs.desk_of(taken.threads, taken.memory_budget, folder)
+    asked = None if scans_path is None else desk.scans(scans_path, job.scans)
+    numbers = [] if asked is None else asked.indices
+    read = [file for path in paths for file in inputs.files_of(path)]
+    targets = inputs.targets(picture, ".png", numbers, force=force, inputs=read)
+    found = job.look(Item(display(maps_dir), None, files, scans_path), desk, asked, file=index)
+    if build:
+        say(f"{display(index or maps_dir)}: {len(found.index.names):,} maps")
+    for k, answer in enumerate(found):
+        if k == 0 and not as_json:
+            emit(CHOICE_HEADER)
+        line = choice_line(answer.index, answer.of, answer.fits)
+        emit(to_json(answer.row) if as_json else line)
+        if answer.index in targets:
+            grid = desk.grid(found.files[answer.best], job.maps)
+            image = draw(grid, answer.fits[answer.best], answer.scan)
+            image.save(targets[answer.index], force=force)
+    if found.failed:
+        raise typer.Exit(FAILED_ROWS)
+
+
+def _check(known: opt.Known, scans: Path | None, index: Path | None, *, build: bool) -> None:
+    """Refuse options that do not go together."""
     if known.near is not None or known.region is not None:
         said = "--near" if known.near is not None else "--region"
         raise ConfigError(f"{said}: is about one map; of many, --heading or --clearance are known")
-    if build and (scans_path is not None or index is None):
+    if build and (scans is not None or index is None):
         raise ConfigError("--build: expected --index, which it makes, and no scans")
-    if scans_path is None and not build:
+    if scans is None and not build:
         raise ConfigError("expected scans, or --build with --index")
-    if index is not None:  # of what is there, nothing is replaced but an index
-        if re.fullmatch(r"[\d:,]+", str(index)):
-            raise ConfigError(
-                f"--index: got {index}, expected a name that ends in .npz: here it is of all maps "
-                "what is looked at; which takes all scans of a file"
-            )
-        inputs.check_target(index, ".npz", force=True)
-    budget = taken.memory_budget
-    paths = find_maps(maps_dir, images=reading["resolution"] is not None)
-    files = dict(zip(names_of(paths, maps_dir), paths, strict=True))
-    recorded = () if scans_path is None else inputs.load_set(scans_path, budget, logs).scans
-    scans = [inputs.cut_scan(scan, range_max, flipped=flipped) for scan in recorded]
-    targets = inputs.numbered(picture, range(len(scans)))
-    for path in targets.values():
-        read = [file for map_path in paths for file in inputs.files_of(map_path)]
-        inputs.check_target(path, ".png", force=force, inputs=read)
-    options = replace(OPTIONS, threads=taken.threads, memory_budget=budget)
-    folder = inputs.kept_in(None, wanted=not no_cache)
-
-    failed: dict[str, ImglocError] = {}
-
-    def leave_out(name: str, error: ImglocError) -> None:
-        say(f"left out: {error}")
-        failed[name] = error
-
-    def prepare(path: Path) -> "MapFeatures":
-        grid = inputs.load_grid(
-            path, budget, allow_lossy=allow_lossy, usable=False, **reading_of(path, reading)
+    if index is not None and re.fullmatch(r"[\d:,]+", str(index)):
+        raise ConfigError(
+            f"--index: got {index}, expected a name that ends in .npz: here it is of all maps "
+            "what is looked at; which takes all scans of a file"
         )
-        return inputs.open_features(
-            grid, display(path), folder, options,
-            hint="crop the map", scans=scans, threads=taken.threads,
-        )  # fmt: skip
-
-    about = f"{sorted(reading.items())} {allow_lossy}"
-    with progress("prepare", len(files)) as advance:
-        found, errors = open_index(
-            files, prepare, about=about, file=index, memory_budget=budget, advance=advance
-        )
-    for name, error in errors.items():
-        leave_out(name, error)
-
-    @contextlib.contextmanager
-    def open_map(name: str) -> "Iterator[Opened | None]":
-        try:
-            features = prepare(files[name])
-            prior = inputs.prior_of(known, features.grid)
-            here = calibrated(replace(options, prior=prior), files[name], features.grid)
-            if leaves_none(prior, features):
-                LOG.info("%s: has no place for the robot", display(files[name]))
-                yield None
-                return
-            check_options(features, here)
-        except (MapError, ConfigError) as error:
-            leave_out(name, error)
-            yield None
-            return
-        yield features, here
-        inputs.keep_features(features, folder)
-
-    coarse = replace(options, prior=Prior(None, known.heading))
-    bounds = [bounds_of(found, files, scan, coarse) for scan in scans]
-    with progress("which", len(scans) * min(FIRST, len(files)), lines=False) as advance:
-        fits = search(scans, bounds, open_map, advance)
-    if len(failed) == len(files):
-        # Too little memory is no fault of the maps.
-        kind = MapError if any(isinstance(e, MapError) for e in failed.values()) else ConfigError
-        raise kind(f"{display(maps_dir)}: none of its {len(failed)} maps can be used")
-    if build:
-        say(f"{display(index or maps_dir)}: {len(found.names):,} maps")
-    elif not all(fits):
-        raise ConfigError("--clearance: no map has a place in which the robot can be")
-    if scans and not as_json:
-        emit(CHOICE_HEADER)
-    for k, (scan, some) in enumerate(zip(scans, fits, strict=True)):
-        choice = choose(some, options.trust, sure=sure, ruled_out=len(found.names) - len(some))
-        best = next(iter(choice.probability))
-        emit(to_json(choice.as_row(some, k)) if as_json else choice_line(k, choice, some))
-        if k in targets:
-            path = files[best]
-            grid = inputs.load_grid(
-                path, budget, allow_lossy=allow_lossy, **reading_of(path, reading)
-            )
-            draw(grid, some[best], scan).save(targets[k], force=force)
-    if failed:
-        raise typer.Exit(FAILED_ROWS)

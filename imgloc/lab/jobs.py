@@ -1,50 +1,175 @@
-"""What a batch does with a map, or with scans whose poses are known, to measure."""
+"""Jobs that measure: ``evaluate`` on scans whose poses are known, ``atlas`` on a map."""
 
-from dataclasses import replace
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any
 
-from imgloc.lab.atlas import TOP, atlas_poses, simulate_at, survey
+from imgloc.errors import ScanError
+from imgloc.features.budget import poses_bytes
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.io.calibration import calibrated
+from imgloc.io.contents import content_hash, files_of
+from imgloc.io.files import display
+from imgloc.io.scanset import ScanSet
+from imgloc.lab.atlas import AT_ONCE, TOP, Spot, atlas_poses, simulate_at, survey
 from imgloc.lab.atlas import summarise as summarise_atlas
 from imgloc.lab.evaluation import evaluate, method_options
-from imgloc.options import FUSED, TOLERANCES, Options
-from imgloc.runs.jobs import Done, Item, Job, job_options, open_map, open_scans
-from imgloc.simulation.scans import fine_image, simulate
+from imgloc.lab.performance_index import FLOOR
+from imgloc.model import FloatArray, OccupancyGrid
+from imgloc.options import ALL_METHODS, FUSED, TOLERANCES, Count, Length, Options, Step, Tolerance
+from imgloc.pipeline import prepare
+from imgloc.ranges import OneOf, Within
+from imgloc.runs.jobs import Answer, Item, Job
+from imgloc.runs.opening import LOG, Desk, ScanFiles
+from imgloc.simulation.scans import Sensor, fine_image, is_world, simulate
+
+Source = dict[str, Any]
+_EACH = 8  # poses that are worth a process
 
 
-def evaluate_item(item: Item, job: Job) -> Done:
-    """Measure a method in a map: with the scans of an item, or with simulated ones."""
-    ((name, path),) = item.maps
-    given = job.options
-    step = given.fused.theta_step if given.method == FUSED else given.theta_step
-    options = replace(method_options(given.method, step), memory_budget=job.memory_budget)
-    # The bytes of the features are part of the row: no others have used them.
-    features = open_map(path, job, options, fresh=True)
-    known = job_options(job, path, features.grid)
-    options = replace(options, calibration=known.calibration)
-    if item.scans_path is not None:  # what is simulated in the map has no error of its own
-        options = replace(options, shared=known.shared)
-    source: dict[str, object] = {"scans": item.scans}
-    if item.scans_path is None:
-        image = fine_image(path, features.grid)
-        scans = simulate(features.grid, job.count, job.seed, job.sensor, image)
-        source = {"simulated": job.count, "seed": job.seed}
-    else:
-        scans, _ = open_scans(item, job)
-    row = evaluate(features, scans, options, tolerances=(*TOLERANCES, job.tolerance)).as_row(
-        name, source
-    )
-    del row["parameters"]
-    return Done([row], cost={"summary": row.pop("cost")})
+@dataclass(frozen=True, kw_only=True)
+class Evaluate(Job):
+    """Measure a method: with recorded scans whose poses are known, or with simulated ones."""
+
+    name = "evaluate"
+    with_scans = None
+    refused = frozenset({"pictures"})
+
+    method: Annotated[str, OneOf(*ALL_METHODS)] = FUSED
+    theta_step: Step | None = None  #: radians; None is that of the paper
+    cell: Length = 0.1  #: of the poses, metres
+    tolerances: tuple[Tolerance, ...] = TOLERANCES  #: how near a known pose an answer is right
+    floor: Annotated[float, Within(1e-12, 0.5, "a share")] = FLOOR
+    scans: ScanFiles = field(default_factory=ScanFiles)
+    sensor: Sensor = field(default_factory=Sensor)  #: of scans that are simulated
+    count: Count = 100
+    seed: int = 0
+
+    @classmethod
+    def ways(cls) -> dict[str, set[str]]:
+        """With scans, whose poses are known, or without, which simulates them."""
+        (names,) = super().ways().values()
+        recorded = names - {"sensor", "count", "seed"}
+        return {f"{cls.name} with SCANS": recorded, f"{cls.name} without SCANS": names - {"scans"}}
+
+    def open(self, item: Item, desk: Desk) -> Iterator[Answer]:
+        """Read a map and the scans that are located on it, or simulate them."""
+        path, ((where, _),) = item.path, item.maps
+        grid = desk.grid(path, self.maps, usable=True)
+        options = method_options(self.method, self.theta_step, desk.threads)
+        options = replace(options, memory_budget=desk.memory_budget)
+        files = [*files_of(path), *([] if item.scans_path is None else [item.scans_path])]
+        of = item.maps, content_hash(files), self.scans, self.sensor, self.count, self.seed
+        make = self._simulated if item.scans_path is None else self._recorded
+        trials, source = desk.once("trials", of, lambda: make(item, desk, grid))
+        known = calibrated(options, path, grid)
+        if item.scans_path is None:  # what is simulated in the map has no error of its own
+            known = replace(known, shared=options.shared)
+        # The bytes of the features are part of the row: no others have used them.
+        features = desk.features(
+            path, self.maps, known, cell=self.cell, scans=trials.scans, fresh=True
+        )
+        return self._measured(item, desk, features, trials, known, {"map": where, **source})
+
+    def _simulated(self, item: Item, desk: Desk, grid: OccupancyGrid) -> tuple[ScanSet, Source]:
+        path, sensor = item.path, self.sensor
+        world, name = is_world(path, grid), display(path)
+        desk.check_simulation(grid, name, self.count, sensor.rays, world=world)
+        # In a bundled map on its walls, not on its cells.
+        trials = simulate(grid, self.count, self.seed, sensor, fine_image(path, grid))
+        return trials, {"seed": self.seed, "sensor": asdict(sensor)}
+
+    def _recorded(self, item: Item, desk: Desk, _: OccupancyGrid) -> tuple[ScanSet, Source]:
+        taken, files = desk.scans(item.scans_path, self.scans), self.scans
+        if taken.scans.poses is None:
+            raise ScanError(
+                f"{taken.name}: no poses; expected the true pose of each scan to compare with"
+            )
+        chosen = files.chosen
+        source: Source = {"scans": item.scans, "sample": chosen.sample, "sample_seed": chosen.seed}
+        source |= {"range_max": files.range_max, "flipped": files.flipped}
+        return taken.scans, source | ({} if chosen.index is None else {"index": chosen.index})
+
+    def _measured(
+        self, item: Item, desk: Desk, features: MapFeatures, trials: ScanSet, options: Options,
+        source: Source,
+    ) -> Iterator[Answer]:  # fmt: skip
+        with desk.progress(f"{item.map}: {self.method}", len(trials), lines=False) as advance:
+            found = evaluate(
+                features,
+                trials,
+                options,
+                tolerances=self.tolerances,
+                floor=self.floor,
+                advance=advance,
+            )
+        LOG.info("%s: %s: S %.2f", item.map, self.method, found.summary.index.value)
+        short: Source = {"scans": item.scans}  # a batch says the rest of its parameters once
+        if item.scans_path is None:
+            short = {"simulated": self.count, "seed": self.seed}
+        yield Answer(row=found.as_row(item.map, source), of=found, beside={"source": short})
 
 
-def survey_item(item: Item, job: Job) -> Done:
-    """Find where on the map of an item one scan is enough."""
-    ((_, path),) = item.maps
-    options = Options(top=TOP, memory_budget=job.memory_budget)
-    features, sensor = open_map(path, job, options), job.sensor
-    grid = features.grid
-    poses = atlas_poses(grid, job.step, job.headings, sensor.clearance)
-    scans = simulate_at(grid, poses, sensor, job.seed, fine_image(path, grid))
-    spots = list(survey(grid, scans, options))
-    done = Done([summarise_atlas(spots, job.step)])
-    done.draw(job, "atlas", True, 0, grid, spots, job.step, job.headings)
-    return done
+@dataclass(frozen=True, kw_only=True)
+class Atlas(Job):
+    """Simulate a scan at each place and heading of a map, and see where one is enough."""
+
+    name = "atlas"
+    with_scans = False
+
+    sensor: Sensor = field(default_factory=Sensor)
+    step: Length = 0.5  #: between the places, metres
+    headings: Count = 4  #: at each of them
+    seed: int = 0
+
+    def open(self, item: Item, desk: Desk, *, workers: int = 1) -> "Surveying":
+        """Read a map, and find its places; `workers` are processes that may look at them."""
+        path, name = item.path, display(item.path)
+        grid = desk.grid(path, self.maps, usable=True)
+        height, width = grid.occupied.shape
+        sides = (round(cells * grid.resolution / self.step + 1) for cells in (height, width))
+        desk.check(
+            poses_bytes(height * width, places := math.prod(sides), self.headings),
+            f"{name}: {self.headings} headings at up to {places:,} places "
+            f"on {height} x {width} cells",
+            "use a larger `step` or fewer `headings`, crop the map",
+        )
+        poses = atlas_poses(grid, self.step, self.headings, self.sensor.clearance)
+        workers = min(workers, max(1, len(poses) // _EACH))
+        desk.check_simulation(
+            grid, name, len(poses), self.sensor.rays, world=is_world(path, grid), at_once=AT_ONCE,
+            hint="use a larger `step`, crop the map",
+        )  # fmt: skip
+        options = Options(top=TOP, threads=1, memory_budget=desk.memory_budget)
+        desk.check_answer(prepare(grid, name), options, name, hint="crop the map", workers=workers)
+        return Surveying(self, path, grid, poses, options, workers)
+
+
+@dataclass(frozen=True)
+class Surveying:
+    """A map that is looked at as its answer is asked for."""
+
+    job: Atlas
+    path: Path
+    grid: OccupancyGrid
+    poses: FloatArray  #: (N, 3), grid frame
+    options: Options
+    workers: int
+
+    def spots(self, begin: int = 0) -> Iterator[Spot]:
+        """What the scan of each pose says, from the one at an index on."""
+        fine = fine_image(self.path, self.grid)
+        scans = simulate_at(self.grid, self.poses, self.job.sensor, self.job.seed, fine)[begin:]
+        workers = min(self.workers, max(1, len(scans) // _EACH))
+        return survey(self.grid, scans, self.options, workers=workers)
+
+    def answer(self, spots: Sequence[Spot]) -> Answer:
+        """What all of them come to."""
+        drawn = "atlas", self.grid, spots, self.job.step, self.job.headings
+        row = summarise_atlas(spots, self.job.step)
+        return Answer(row=row, of=spots, doubtful=True, drawn=drawn)
+
+    def __iter__(self) -> Iterator[Answer]:
+        yield self.answer(list(self.spots()))

@@ -1,17 +1,19 @@
 """Pictures of a batch, as PNGs: what its workers draw of answers, maps and atlases."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from imgloc.answers.explain import layers_of
 from imgloc.doors import behind
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.images import encode_picture
-from imgloc.model import LaserScan, Localization, OccupancyGrid, Pose2D
+from imgloc.io.maps import Reading, load_map
+from imgloc.model import LaserScan, Localization, Pose2D
 from imgloc.options import Options
 from imgloc.output.canvas import draw_map
 from imgloc.output.pictures import draw, draw_likelihood
-from imgloc.runs.jobs import Drawing
+from imgloc.runs.opening import Drawing
 
 
 def draw_answer(
@@ -32,9 +34,9 @@ def draw_answer(
     return out
 
 
-def draw_checked(grid: OccupancyGrid) -> dict[str, bytes]:
+def draw_checked(path: Path, reading: Reading) -> dict[str, bytes]:
     """A map as it is read."""
-    return {"map": encode_picture(draw_map(grid))}
+    return {"map": encode_picture(draw_map(load_map(path, allow_lossy=True, **reading)))}
 
 
 def draw_survey(*what: Any) -> Mapping[str, bytes]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import emit, quiet_libraries, say
+from imgloc.cli.console import emit, say
 from imgloc.cli.options import option
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import display
@@ -89,8 +89,8 @@ def plan(
         opt.check_range("--distance", resolution, 0.0005, 1, "metres a pixel")
     what = f"{name}: a plan of {size.width} x {size.height} pixels"
     need = plan_bytes(size.height, size.width, resolution, cell)
-    inputs.check_memory(need, budget, what, "crop the plan, use a larger --cell")
-    with quiet_libraries():
+    inputs.desk_of(1, budget).check(need, what, "crop the plan, use a larger --cell")
+    with inputs.quiet_libraries():
         grey = load_plan(path)
     try:
         found = plan_to_map(

@@ -2,9 +2,9 @@
 
 >>> from tempfile import TemporaryDirectory
 >>> from imgloc.io.maps import bundled_maps
->>> from imgloc.runs.jobs import Job
+>>> from imgloc.runs.jobs import make_job
 >>> with TemporaryDirectory() as folder:
-...     found = run_batch(bundled_maps() / "curved.yaml", None, f"{folder}/out", Job("check"))
+...     found = run_batch(bundled_maps() / "curved.yaml", None, f"{folder}/out", make_job("check"))
 ...     found.statuses
 {'ok': 1}
 """
@@ -34,7 +34,9 @@ from imgloc.io.folders import files_in, find_maps
 from imgloc.io.scans import SCAN_ENDINGS
 from imgloc.model import plain
 from imgloc.runs.hints import Doubtful, hints_of
-from imgloc.runs.jobs import WITHOUT_SCANS, Item, Job, perform
+from imgloc.runs.jobs import Answer, Item, Job, make_job
+from imgloc.runs.localize import Localize
+from imgloc.runs.opening import Means
 from imgloc.runs.results import RESULTS, Results, Row, read_rows, read_summary
 from imgloc.runs.workers import LOST, CrashError, OverdueError, Supervised
 
@@ -104,6 +106,7 @@ def run_batch(
     executor: Executor | None = None,
     timeout: float | None = TIMEOUT,
     memory_limit: int | None = None,
+    means: Means | None = None,
     resume: bool = False,
     retry_failed: bool = False,
     fail_fast: bool = False,
@@ -126,6 +129,8 @@ def run_batch(
         Instead of them: whatever can call a function elsewhere. The limits below are its own.
     timeout, memory_limit : float and int, optional
         Seconds that an item may take, bytes that a worker may; None is without a limit.
+    means : Means, optional
+        What the workers have to work with.
     resume : bool
         Go on with results that are there: what has a row with the same contents, parameters and
         version is not done again; what has `failed`, with `retry_failed`, is.
@@ -150,9 +155,9 @@ def run_batch(
     --------
     See the head of this module.
     """
-    job, start = job or Job(), time.monotonic()
-    if job.memory_budget is None:  # an executor may know what each of its tasks can have
-        job = replace(job, memory_budget=getattr(executor, "memory_share", None))
+    job, means, start = job or make_job(), means or Means(), time.monotonic()
+    if means.memory_budget is None:  # an executor may know what each of its tasks can have
+        means = replace(means, memory_budget=getattr(executor, "memory_share", None))
     found = list(find_items(maps, scans, job, out=out) if items is None else items)
     digest = job.digest
     about = {
@@ -171,7 +176,7 @@ def run_batch(
                 executor = Supervised(count, timeout=timeout, memory_limit=memory_limit)
                 stack.callback(executor.shutdown)
             try:
-                for row, pictures in rows_of(todo, job, executor):
+                for row, pictures in rows_of(todo, job, executor, means):
                     results.add(row, pictures)
                     new += 1
                     _warn(row["cost"].get("warnings", ()), warned)
@@ -183,11 +188,11 @@ def run_batch(
                 results.look()
                 doubtful = Doubtful()
                 rows = read_rows(out)
-                summary = summarise(doubtful.noting(rows) if job.name == "localize" else rows)
+                summary = summarise(doubtful.noting(rows) if isinstance(job, Localize) else rows)
                 if not todo:  # they are those of the run before
                     summary.hints = read_summary(out).get("hints", [])
                 elif not (fail_fast and summary.failed):
-                    summary.hints = hints_of(doubtful.of(found), job, executor)
+                    summary.hints = hints_of(doubtful.of(found), job, executor, means)
             except BaseException:
                 executor.shutdown(wait=False, cancel_futures=True)
                 stack.pop_all()  # an interrupt does not wait for anybody
@@ -248,14 +253,14 @@ def remaining(
 
 
 def rows_of(
-    items: Iterable[Item], job: Job, executor: Executor
+    items: Iterable[Item], job: Job, executor: Executor, means: Means
 ) -> Iterator[tuple[Row, dict[str, bytes]]]:
     """Rows of items as they are done, each with its pictures; whatever happens, one for each."""
     waiting, finished = iter(items), queue.SimpleQueue[Future[Any]]()
     running: dict[Future[Any], tuple[Item, int, float]] = {}
 
     def begin(item: Item, attempt: int) -> None:
-        future = executor.submit(work, item, job)
+        future = executor.submit(work, item, job, means)
         running[future] = item, attempt, time.monotonic()
         future.add_done_callback(finished.put)
 
@@ -283,30 +288,54 @@ def rows_of(
         yield row, pictures
 
 
-def work(item: Item, job: Job) -> tuple[Row, dict[str, bytes]]:
+def work(item: Item, job: Job, means: Means | None = None) -> tuple[Row, dict[str, bytes]]:
     """Do a job with an item, in a worker: its row and its pictures by their names."""
-    start = time.perf_counter()
+    start, means = time.perf_counter(), means or Means()
     row = _row(item, job)
     cost, pictures, heard = row["cost"], dict[str, bytes](), _Warnings()
     _LOG.addHandler(heard)
     try:
-        done = perform(item, job)
+        kept, ms = list[Row](), list[float]()
+        cost["ms"] = ms
+        for answer in job.open(item, means.desk()):
+            kept.append(_keep(answer, cost))
+            ms += [] if answer.ms is None else [round(answer.ms, 3)]
+            if job.pictures == "all" or (job.pictures == "doubtful" and answer.doubtful):
+                made = _drawn(item, answer, means)
+                pictures |= made
+                kept[-1] |= {"pictures": list(made)} if made else {}
     except Exception as error:
         row["status"] = "failed"
         row["code"], row["message"] = _reason(error)
+        cost.clear()
+        pictures.clear()
     else:
-        stem = picture_stem(item)
-        pictures = {f"{stem}-{end}": png for end, png in done.pictures.items()}
-        for answer in done.answers:
-            if "pictures" in answer:
-                answer["pictures"] = [f"{stem}-{end}" for end in answer["pictures"]]
-        row["answers"] = plain(done.answers)
-        cost |= {"ms": [round(ms, 3) for ms in done.ms], **plain(done.cost)}
+        row["answers"] = plain(kept)
+        cost |= plain(cost)
     finally:
         _LOG.removeHandler(heard)
     cost |= {"warnings": list(heard.texts)} if heard.texts else {}
     cost["seconds"] = round(time.perf_counter() - start, 3)
     return row, pictures
+
+
+def _keep(answer: Answer, cost: dict[str, Any]) -> Row:
+    """What a row has of an answer; what two runs do not share goes to its cost."""
+    row = {**answer.row, **answer.beside}
+    for name in ("parameters", "timings_ms"):
+        row.pop(name, None)
+    if "cost" in row:
+        cost["summary"] = row.pop("cost")
+    return row
+
+
+def _drawn(item: Item, answer: Answer, means: Means) -> dict[str, bytes]:
+    """The pictures of an answer by their names, if there is something that draws them."""
+    kind, *what = answer.drawn or ("",)
+    if kind not in means.drawings:
+        return {}
+    made = means.drawings[kind](*what).items()
+    return {f"{picture_stem(item)}-{answer.index:04d}-{name}.png": png for name, png in made}
 
 
 def _row(item: Item, job: Job) -> Row:
@@ -401,18 +430,18 @@ def find_items(
     ConfigError
         If there is none, or scans are missing or of no use.
     """
-    maps, alone = Path(maps), job.name in WITHOUT_SCANS
+    maps = Path(maps)
     if maps.suffix.lower() == ".csv":
         if scans is not None:
             raise ConfigError(f"{display(maps)}: its pairs name the scans, expected no others")
         return _pairs(maps, job)
-    if scans is not None and alone:
+    if scans is not None and job.with_scans is False:
         raise ConfigError(f"the job {job.name} looks at maps alone: expected no scans")
-    if scans is None and not alone and job.name != "evaluate":
+    if scans is None and job.with_scans:
         raise ConfigError(f"the job {job.name} needs scans: a file, or a folder of them")
     named_maps = list(_maps_in(maps, job, out))
     named_scans = [(None, None)] if scans is None else list(_scans_in(Path(scans), out))
-    if job.name == "which":
+    if job.all_maps:
         name = display(maps.resolve().name)
         return [Item(name, s, tuple(named_maps), path) for s, path in named_scans]
     return [
@@ -426,7 +455,7 @@ def _maps_in(maps: Path, job: Job, out: PathLike | None) -> Iterator[tuple[str, 
     if not is_folder(maps):
         yield display(maps.name), maps.absolute()
         return
-    found = find_maps(maps, images=job.reading.get("resolution") is not None, aside=out)
+    found = find_maps(maps, images=job.maps.reading.get("resolution") is not None, aside=out)
     for name, path in zip(names_of(found, maps), found, strict=True):
         yield display(name), path.absolute()
 
@@ -446,11 +475,11 @@ def _scans_in(scans: Path, out: PathLike | None) -> Iterator[tuple[str, Path]]:
 
 def _pairs(path: Path, job: Job) -> list[Item]:
     name = display(path)
-    if job.name == "which":
+    if job.all_maps:
         raise ConfigError(f"{name}: the job which compares all maps of a folder, expected one")
     data = read_file(path, limit=_MAX_PAIRS, error=ConfigError, what="CSV of pairs")
     reader = csv.DictReader(data.decode("utf-8-sig", "surrogateescape").splitlines())
-    columns = {"map"} if job.name in (*WITHOUT_SCANS, "evaluate") else {"map", "scans"}
+    columns = {"map", "scans"} if job.with_scans else {"map"}
     try:
         there, rows = reader.fieldnames or (), [(reader.line_num, row) for row in reader]
     except csv.Error as error:
@@ -464,7 +493,7 @@ def _pairs(path: Path, job: Job) -> list[Item]:
         map_name, scans = row["map"], row.get("scans") or None
         if not map_name or (scans is None and "scans" in columns):
             raise ConfigError(f"{name}: line {line}: expected a map and scans")
-        if job.name in WITHOUT_SCANS:
+        if job.with_scans is False:
             scans = None
         where = path.absolute().parent
         at, taken = where / map_name, None if scans is None else where / scans

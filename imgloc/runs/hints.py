@@ -13,7 +13,9 @@ from typing import Any
 from imgloc.answers.diagnose import Doubt, Said, is_doubtful
 from imgloc.model import Evidence
 from imgloc.options import FUSED
-from imgloc.runs.jobs import Item, Job, look_again
+from imgloc.runs.jobs import Item, Job
+from imgloc.runs.localize import Localize
+from imgloc.runs.opening import Means
 from imgloc.runs.results import Id, Row, id_of
 
 _TRIED = 12  # items at most
@@ -88,16 +90,22 @@ def _unique(said: Said) -> bool:
     return 2 * sum(verdict == "unique" for verdict, _ in said) >= len(said)
 
 
+def look_again(item: Item, job: Localize, said: Said, means: Means) -> list[Doubt]:
+    """What may be wrong with an item of which this was `said`: tried on a few of its scans."""
+    found = job.open(item, means.desk())
+    return found.doubts(found.taken.scans.scans, said)
+
+
 def hints_of(
-    doubtful: Sequence[tuple[Item, Said]], job: Job, executor: Executor
+    doubtful: Sequence[tuple[Item, Said]], job: Job, executor: Executor, means: Means
 ) -> list[dict[str, Any]]:
     """Look at items again: each hint with how many of them it is about, and the first of these.
 
     What helps where it was tried comes alone; only without any it is said where else to look.
     """
-    if job.name != "localize" or job.options.method != FUSED:
+    if not isinstance(job, Localize) or job.options.method != FUSED:
         return []
-    begun = [(item, executor.submit(look_again, item, job, said)) for item, said in doubtful]
+    begun = [(item, executor.submit(look_again, item, job, said, means)) for item, said in doubtful]
     found = defaultdict[Doubt, list[str]](list)
     for item, future in begun:
         with contextlib.suppress(Exception):  # its row is there; a hint is all that is missed

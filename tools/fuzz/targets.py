@@ -42,6 +42,7 @@ from imgloc.lab.picture import draw_atlas
 from imgloc.output.export import as_bytes
 from imgloc.output.report import render_report
 from imgloc.runs.batch import BatchSummary, find_items, work
+from imgloc.runs.jobs import make_job
 from imgloc.runs.results import RESULTS, RUN, SUMMARY, Results
 
 BUDGET = 256 * MIB
@@ -327,7 +328,10 @@ def _batch(name: str, file: str, folder: Path) -> list[bytes]:
     """One of the files of a small batch, which stays in the folder."""
     _yaml(folder)
     imgloc.save_scans(folder / "scans.npz", DRIVE.take([0, 1]))
-    job, scans = imgloc.Job(name, OPTIONS), None if name == "check" else folder / "scans.npz"
+    job, scans = (
+        make_job(name, **({"options": OPTIONS} if name == "localize" else {})),
+        None if name == "check" else folder / "scans.npz",
+    )
     about = {"job": name, "maps": "maps", "scans": None, "imgloc": "0",
              "parameters": {job.digest: job.parameters}}  # fmt: skip
     summary = BatchSummary()
@@ -342,7 +346,7 @@ def _batch(name: str, file: str, folder: Path) -> list[bytes]:
 
 def _look(name: str, file: str, data: bytes, folder: Path) -> None:
     """Everything that reads a folder of results."""
-    out, job = folder / "out", imgloc.Job(name)
+    out, job = folder / "out", make_job(name)
     shutil.rmtree(out, ignore_errors=True)
     shutil.copytree(folder / "batch", out)
     _written(data, out / file)
@@ -386,7 +390,7 @@ def atlas_part(data: bytes, folder: Path) -> None:
 )
 def pairs(data: bytes, folder: Path) -> None:
     """A CSV of maps and scans for a batch."""
-    find_items(_written(data, folder / "input.csv"), None, imgloc.Job())
+    find_items(_written(data, folder / "input.csv"), None, make_job())
 
 
 def _log(folder: Path) -> list[bytes]:

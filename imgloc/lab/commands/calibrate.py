@@ -89,28 +89,28 @@ def calibrate(
         _with_scans(paths[0], scans, reading, taken, as_json, dry_run, force, allow_lossy)
         return
     check_trials(count * len(paths))
-    budget = taken.memory_budget
+    desk = inputs.desk_of(taken.threads, taken.memory_budget)
+    read = inputs.one_map(reading, allow_lossy=allow_lossy)
     laser = replace(sensor, range_max=range_max)
     grids: list[OccupancyGrid] = []
     for path in paths:
-        held = sum(grid.occupied.nbytes + grid.free.nbytes for grid in grids)
-        grids.append(inputs.load_grid(path, budget, allow_lossy=allow_lossy, held=held, **reading))
+        grids.append(desk.grid(path, read, usable=True))
+        desk.held += grids[-1].occupied.nbytes + grids[-1].free.nbytes
+    desk.held = 0  # what follows counts them itself
     plans = {
         method: Options(
             method=method,
             theta_step=math.radians(steps[method]) if method in steps else None,
             threads=taken.threads,
-            memory_budget=budget,
+            memory_budget=taken.memory_budget,
         )
         for method in chosen
     }
     for path, grid in zip(paths, grids, strict=True):
         name, world = display(path), is_world(path, grid)
-        inputs.check_simulation(
-            grid, name, count, sensor.rays, budget, world=world, sets=3 * len(grids)
-        )
+        desk.check_simulation(grid, name, count, sensor.rays, world=world, sets=3 * len(grids))
         for options in plans.values():
-            inputs.check_answer(prepare(grid, name, cell=cell), options, name)
+            desk.check_answer(prepare(grid, name, cell=cell), options, name)
     made: Callable[..., ScanSet] = simulate if clean else disturbed_set
     sets = [
         made(grid, count, seed, laser, fine_image(path, grid))
@@ -158,14 +158,12 @@ def _with_scans(
     from imgloc.lab.tables import shared_words
     from imgloc.model import to_json
     from imgloc.options import Options
-    from imgloc.pipeline import prepare
 
-    budget = taken.memory_budget
-    grid = inputs.load_grid(path, budget, allow_lossy=allow_lossy, **reading)
-    some = [scan for file in files for scan in inputs.load_set(file, budget).scans]
-    options = Options(threads=taken.threads, memory_budget=budget)
-    features = prepare(grid, display(path), threads=taken.threads)
-    inputs.check_answer(features, options, display(path), scans=some)
+    desk, maps = inputs.desk_of(*taken), inputs.one_map(reading, allow_lossy=allow_lossy)
+    grid = desk.grid(path, maps, usable=True)
+    some = [scan for file in files for scan in desk.scans(file, inputs.as_recorded()).scans.scans]
+    options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
+    features = desk.features(path, maps, options, scans=some)
     with progress("scans", min(SCANS, len(some)), lines=False) as advance:
         found = fit_shared(features, some, options, advance=advance)
     about = asdict(found) | {"scans": [display(file) for file in files]}

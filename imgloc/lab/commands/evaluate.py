@@ -1,15 +1,16 @@
 """`imgloc evaluate`: how often, how precisely and how fast each method finds known poses."""
 
+import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import LOG, emit, progress, width
+from imgloc.cli.console import emit, width
 from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
@@ -91,15 +92,10 @@ def evaluate(
     Everything but what is under "cost" is the same in every run.
     """
     from imgloc.cli import inputs
-    from imgloc.io.calibration import calibration_path, load_calibrations
-    from imgloc.io.scanset import Chosen
-    from imgloc.lab.evaluation import evaluate as measure
-    from imgloc.lab.evaluation import method_options
+    from imgloc.lab.jobs import Evaluate
     from imgloc.lab.tables import evaluation_tables
     from imgloc.model import to_json
     from imgloc.options import TOLERANCES
-    from imgloc.pipeline import prepare
-    from imgloc.simulation.scans import fine_image, is_world, sample_set, simulate
 
     opt.given(context, _OF, set(_SEQUENCE if sequence else _SCANS))
     if sequence:
@@ -118,57 +114,35 @@ def evaluate(
     steps = opt.for_each("--theta-step-deg", theta_step_deg, names, *opt.STEP)
     cells = opt.for_each("--cell", cell, names, *opt.SIDE)
     opt.check_range("--range-max", range_max, 1e-3, 10_000 if scans is None else 1e6, "metres")
-    within = (*TOLERANCES, *map(opt.tolerance_of, tolerance or ()))
     _check_sources(maps, scans, count, chosen, sensor, flipped=flipped)
-    budget = taken.memory_budget
+    reach = 30.0 if scans is not None or range_max is None else range_max
+    jobs = [
+        Evaluate(
+            method=name,
+            theta_step=math.radians(steps[name]) if name in steps else None,
+            cell=cells.get(name, 0.1),
+            tolerances=(*TOLERANCES, *map(opt.tolerance_of, tolerance or ())),
+            floor=floor,
+            maps=inputs.one_map(reading, allow_lossy=allow_lossy),
+            scans=inputs.as_recorded(range_max=range_max, chosen=chosen, flipped=flipped),
+            sensor=replace(sensor, range_max=reach),
+            count=count or 100,
+            seed=seed,
+        )
+        for name in names
+    ]
     table: list[dict[str, Any]] = []
     for k, given in enumerate(maps):
         path = opt.find_map(given)
-        where = display(path)
         # The folder of a map.yaml says more than its name.
         name = display((given.stem == "map" and given.parent.name) or given.stem)
-        grid = inputs.load_grid(path, budget, allow_lossy=allow_lossy, **reading)
-        calibrations, shared = load_calibrations(calibration_path(path), grid)
-        source: dict[str, object] = {"map": where}
-        if scans is None:
-            laser = replace(sensor, range_max=30.0 if range_max is None else range_max)
-            n, world = count or 100, is_world(path, grid)
-            inputs.check_simulation(grid, where, n, sensor.rays, budget, world=world)
-            # In a bundled map on its walls, not on its cells.
-            trials = simulate(grid, n, seed, laser, fine_image(path, grid))
-            source |= {"seed": seed, "sensor": asdict(laser)}
-        else:
-            recorded, file = inputs.load_set(scans[k], budget), display(scans[k])
-            asked = recorded.take(Chosen(chosen.index).of(len(recorded), file))
-            picked = sample_set(asked, chosen.sample, chosen.seed, file)
-            cut = tuple(inputs.cut_scan(scan, range_max, flipped=flipped) for scan in picked.scans)
-            trials = replace(picked, scans=cut)
-            source |= {"scans": file, "sample": chosen.sample, "sample_seed": chosen.seed}
-            source |= {"range_max": range_max, "flipped": flipped}
-            source |= {} if chosen.index is None else {"index": chosen.index}
-        plans = []
-        for method in names:
-            step, side = steps.get(method), cells.get(method, 0.1)
-            theta_step = None if step is None else math.radians(step)
-            options = method_options(method, theta_step, taken.threads)
-            options = replace(options, calibration=calibrations.get(method), memory_budget=budget)
-            if scans is not None:  # what is simulated in the map has no error of its own
-                options = replace(options, shared=shared)
-            # All of them before the first one takes its time.
-            features = prepare(grid, where, cell=side)
-            inputs.check_answer(features, options, where, scans=trials.scans)
-            plans.append((method, side, options))
-        for method, side, options in plans:
-            features = prepare(grid, where, cell=side, threads=taken.threads)
-            with progress(f"{name}: {method}", len(trials), lines=False) as advance:
-                result = measure(
-                    features, trials, options, tolerances=within, floor=floor, advance=advance
-                )
-            LOG.info("%s: %s: S %.2f", name, method, result.summary.index.value)
-            table.append(result.as_row(name, source))
+        item = inputs.item_of(path, None if scans is None else scans[k], name)
+        desk = inputs.desk_of(taken.threads, taken.memory_budget)
+        # All of them are opened before the first one takes its time.
+        for answer in itertools.chain.from_iterable([job.open(item, desk) for job in jobs]):
+            table.append(answer.row)
             if as_json:
-                emit(to_json(table[-1]))
-        del features  # before the next map is loaded
+                emit(to_json(answer.row))
     if not as_json:
         emit(evaluation_tables(table, width()))
 

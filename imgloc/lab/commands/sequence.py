@@ -1,7 +1,6 @@
 """`imgloc evaluate --sequence`: filters along logs whose poses are known."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,25 +27,22 @@ def measure_sequences(
     from imgloc.lab.tables import sequence_row, sequence_tables
     from imgloc.model import to_json
     from imgloc.options import Options
-    from imgloc.pipeline import prepare
 
     rows: list[dict[str, Any]] = []
     plain = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     for given, log in zip(maps, logs, strict=True):
         path = opt.find_map(given)
         name = display((path.stem == "map" and path.parent.name) or path.stem)
-        grid = inputs.load_grid(path, taken.memory_budget, allow_lossy=allow_lossy, **reading)
+        desk, read = inputs.desk_of(*taken), inputs.one_map(reading, allow_lossy=allow_lossy)
+        grid = desk.grid(path, read, usable=True)
         options = calibrated(plain, path, grid)
-        scans = inputs.load_set(log, taken.memory_budget)
-        mounting.check(scans.scans)
-        cut = [mounting.mount(inputs.cut_scan(scan, range_max)) for scan in scans.scans]
-        scans = replace(scans, scans=tuple(cut))
+        how = inputs.as_recorded(range_max=range_max, mounting=mounting)
+        scans = desk.scans(log, how).scans
         scans = scans if scans.odom is None else scans.with_odometry(display(log))[0]
         scans, odometry = with_odometry(scans, trials.seed)
         for filter_ in filters:
-            cell = {"cell": GRID_CELL} if filter_ == "grid" else {}
-            features = prepare(grid, display(path), threads=taken.threads, **cell)
-            inputs.check_answer(features, options, display(path), scans=scans.scans)
+            cell = GRID_CELL if filter_ == "grid" else 0.1
+            features = desk.features(path, read, options, cell=cell, scans=scans.scans)
             with progress(f"{name}: {filter_}", trials.count(scans), lines=False) as advance:
                 summary = measure(features, scans, filter_, trials, options, advance=advance)
             LOG.info("%s: %s: %s wrong seconds", name, filter_, summary.wrong)

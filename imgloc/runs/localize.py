@@ -1,0 +1,118 @@
+"""The job ``localize``: the pose of each scan of a file in one map."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from imgloc.answers.diagnose import Doubt, Said, doubts
+from imgloc.errors import ConfigError
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.geometry import poses_of
+from imgloc.io.calibration import calibrated
+from imgloc.io.files import display
+from imgloc.io.images import image_size, read_image
+from imgloc.model import BoolArray, LaserScan, Localization, OccupancyGrid, Pose2D
+from imgloc.options import FUSED, TOLERANCES, Length, Options, Prior, Tolerance
+from imgloc.pipeline import localize
+from imgloc.runs.jobs import Answer, Item, Job, compared
+from imgloc.runs.opening import Desk, ScanFiles, Taken
+from imgloc.search.priors import Known
+
+
+@dataclass(frozen=True, kw_only=True)
+class Localize(Job):
+    """Locate each scan, without an initial guess."""
+
+    name = "localize"
+
+    options: Options = field(default_factory=Options)
+    scans: ScanFiles = field(default_factory=ScanFiles)
+    cell: Length = 0.1  #: of the poses, metres
+    known: Known = field(default_factory=Known)  #: what is known of all poses
+    region: Path | None = None  #: an image as large as the map's, white where the robot may be
+    tolerance: Tolerance = TOLERANCES[-1]  #: how near a known pose an answer is a hit
+
+    def open(self, item: Item, desk: Desk) -> "Locating":
+        """Read the scans and the map of an item."""
+        taken, path = desk.scans(item.scans_path, self.scans), item.path
+        options = replace(self.options, threads=desk.threads, memory_budget=desk.memory_budget)
+        features = desk.features(path, self.maps, options, cell=self.cell, scans=taken.scans.scans)
+        if options.calibration is None:
+            options = calibrated(options, path, features.grid)
+        prior = self.known.prior(features.grid)
+        if self.region is not None:
+            cells = region_of(self.region, features.grid, allow_lossy=self.maps.allow_lossy)
+            prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})
+        options = replace(options, prior=prior)
+        return Locating(self, desk, display(path.name), features, options, taken)
+
+
+@dataclass(kw_only=True)
+class Located(Answer):
+    """The answer to one scan."""
+
+    of: Localization
+    scan: LaserScan
+    truth: Pose2D | None  #: of the sensor, map frame, if it is known
+
+
+@dataclass(frozen=True, eq=False)
+class Locating:
+    """Scans that are located as they are asked for."""
+
+    job: Localize
+    desk: Desk
+    map_name: str
+    features: MapFeatures
+    options: Options
+    taken: Taken
+
+    def __len__(self) -> int:
+        return len(self.taken.indices)
+
+    def __iter__(self) -> Iterator[Located]:
+        with self.desk.progress("localize", len(self)) as advance:
+            for k, scan, truth in self.taken:
+                answer = localize(self.features, scan, self.options)
+                beside = compared(poses_of(answer.hypotheses), truth, self.job.tolerance)
+                advance()
+                yield Located(
+                    row=answer.as_row(k),
+                    of=answer,
+                    beside=beside,
+                    ms=answer.timings_ms["localize"],
+                    doubtful=answer.verdict != "unique" or beside.get("hit") is False,
+                    index=k,
+                    drawn=("answer", self.features, answer, scan, truth, self.options),
+                    scan=scan,
+                    truth=truth,
+                )
+        self.desk.keep(self.features)
+
+    def doubts(self, scans: Sequence[LaserScan], said: Said) -> list[Doubt]:
+        """What may be wrong with scans of which this was `said`."""
+        if self.options.method != FUSED or self.options.time_budget is not None:
+            return []
+        files = self.job.scans
+        return doubts(
+            self.features, scans, said, self.options,
+            flipped=files.flipped, range_scale=files.scale,
+        )  # fmt: skip
+
+
+def region_of(path: Path, grid: OccupancyGrid, *, allow_lossy: bool) -> BoolArray:
+    """The white pixels of an image that are not transparent, (H, W), row 0 lowest."""
+    size = image_size(path)[:2]  # of which there is memory enough if it is that of the map
+    if size[::-1] != grid.occupied.shape:
+        height, width = grid.occupied.shape
+        raise ConfigError(
+            f"{display(path)}: {size[0]} x {size[1]} pixels, expected {width} x {height} as the map"
+        )
+    read = read_image(path, allow_lossy=allow_lossy)
+    # The darkest channel decides, alpha being one of them: neither colour nor nothing is white.
+    cells: BoolArray = np.atleast_3d(read.pixels).min(axis=2)[::-1] > read.white // 2
+    if not cells.any():
+        raise ConfigError(f"{display(path)}: no white pixel, expected white where the robot may be")
+    return cells

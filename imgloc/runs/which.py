@@ -1,0 +1,167 @@
+"""The job ``which``: from which of several maps each scan of a file is, or from none."""
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any
+
+from imgloc.choice.choose import FIRST, OPTIONS, Choice, Opened, bounds_of, choose, search
+from imgloc.choice.folder_index import MapIndex, open_index
+from imgloc.errors import ConfigError, MapError
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.io.calibration import calibrated
+from imgloc.io.contents import content_hash, files_of
+from imgloc.io.files import display
+from imgloc.model import LaserScan, Localization
+from imgloc.options import Length, Prior
+from imgloc.ranges import Within
+from imgloc.runs.jobs import Answer, Item, Job
+from imgloc.runs.opening import LOG, Desk, ScanFiles, Taken
+from imgloc.search.asked import check_options
+from imgloc.search.priors import Known, leaves_none
+
+Unusable = MapError | ConfigError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Which(Job):
+    """Name the map of each scan, of all maps of an item."""
+
+    name = "which"
+    all_maps = True
+    refused = frozenset({"near"})
+
+    scans: ScanFiles = field(default_factory=ScanFiles)
+    cell: Length = 0.1  #: of the poses, metres
+    known: Known = field(default_factory=Known)  #: what is known of all poses, but no place
+    #: probability that a map needs to be named
+    sure: Annotated[float, Within(0.5, 1, "a probability")] = 0.5
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.known.near is not None:
+            raise ConfigError("a place is known of one map, not of several to choose from")
+
+    def open(self, item: Item, desk: Desk, *, file: Path | None = None) -> "Choosing":
+        """Read the scans of an item, and look at all of its maps: see :meth:`look`."""
+        taken = desk.scans(item.scans_path, self.scans)
+        return self.look(item, desk, taken, file=file)
+
+    def look(
+        self, item: Item, desk: Desk, taken: Taken | None = None, *, file: Path | None = None
+    ) -> "Choosing":
+        """Make the index of an item's maps, or read what of it is in a `file`, which is kept."""
+        found = Choosing(self, item, desk, taken)
+        about = f"{sorted(self.maps.reading.items())} {self.maps.allow_lossy}"
+        contents = tuple(content_hash(files_of(path)) for _, path in item.maps)
+
+        def make() -> tuple[MapIndex, dict[str, Unusable]]:
+            with desk.progress("prepare", len(item.maps)) as advance:
+                return open_index(
+                    dict(item.maps), found.features, about=about, file=file,
+                    memory_budget=desk.budget, advance=advance,
+                )  # fmt: skip
+
+        found.index, errors = desk.once("index", (item.maps, contents, self.digest, file), make)
+        found.failed.update(errors)
+        for error in list(errors.values())[len(errors) == len(item.maps) :]:
+            LOG.warning("left out: %s", error)  # the first may be the reason of the next error
+        found.check()
+        return found
+
+
+@dataclass(kw_only=True)
+class Named(Answer):
+    """The answer to one scan."""
+
+    of: Choice
+    fits: Mapping[str, Localization]  #: in the maps that were searched
+    scan: LaserScan
+    best: str  #: the map that is likeliest
+
+
+class Choosing:
+    """Scans whose maps are named as they are asked for."""
+
+    index: MapIndex
+
+    def __init__(self, job: Which, item: Item, desk: Desk, taken: Taken | None) -> None:
+        self.job, self.item, self.desk, self.taken = job, item, desk, taken
+        self.files = dict(item.maps)
+        self.failed: dict[str, Unusable] = {}  #: maps that cannot be used
+        self.options = replace(OPTIONS, threads=desk.threads, memory_budget=desk.memory_budget)
+
+    def features(self, path: Path) -> MapFeatures:
+        """One of the maps, prepared."""
+        scans = () if self.taken is None else self.taken.scans.scans
+        return self.desk.features(
+            path, self.job.maps, self.options, cell=self.job.cell, scans=scans, hint="crop the map"
+        )
+
+    def leave_out(self, name: str, error: Unusable) -> None:
+        """Go on without a map."""
+        LOG.warning("left out: %s", error)
+        self.failed[name] = error
+
+    def check(self) -> None:
+        """Raise an error if no map is left."""
+        errors = list(self.failed.values())
+        if len(errors) == len(self.files):  # too little memory is no fault of the maps
+            kind = MapError if any(isinstance(e, MapError) for e in errors) else ConfigError
+            none = f"none of its {len(errors)} maps can be used"
+            raise kind(f"{self.item.map}: {none}: {errors[0]}")
+
+    @contextlib.contextmanager
+    def _opened(self, name: str) -> Iterator[Opened | None]:
+        path = self.files[name]
+        try:
+            features = self.features(path)
+            prior = self.job.known.prior(features.grid)
+            options = calibrated(replace(self.options, prior=prior), path, features.grid)
+            if leaves_none(prior, features):
+                LOG.info("%s: has no place for the robot", display(path))
+                yield None
+                return
+            check_options(features, options)
+        except (MapError, ConfigError) as error:
+            self.leave_out(name, error)
+            yield None
+            return
+        yield features, options
+        self.desk.keep(features)
+
+    def __iter__(self) -> Iterator[Named]:
+        if self.taken is None:
+            return
+        scans = self.taken.scans.scans
+        coarse = replace(self.options, prior=Prior(None, self.job.known.heading))
+        bounds = [bounds_of(self.index, self.files, scan, coarse) for scan in scans]
+        steps = len(scans) * min(FIRST, len(self.files))
+        with self.desk.progress("which", steps, lines=False) as advance:
+            fits = search(scans, bounds, self._opened, advance)
+        self.check()
+        if not all(fits):
+            raise ConfigError("`clearance`: no map has a place in which the robot can be")
+        left_out = [{"map": name, "message": str(error)} for name, error in self.failed.items()]
+        for (k, scan, _), some in zip(self.taken, fits, strict=True):
+            ruled_out = len(self.index.names) - len(some)
+            choice = choose(some, self.options.trust, sure=self.job.sure, ruled_out=ruled_out)
+            best = next(iter(choice.probability))
+            yield Named(
+                row=choice.as_row(some, k),
+                of=choice,
+                beside={"left_out": left_out} if left_out else {},
+                ms=sum(answer.timings_ms["localize"] for answer in some.values()),
+                doubtful=choice.verdict != best,
+                index=k,
+                drawn=self._drawn(best, some[best], scan),
+                fits=some,
+                scan=scan,
+                best=best,
+            )
+
+    def _drawn(self, best: str, answer: Localization, scan: LaserScan) -> tuple[Any, ...]:
+        if self.job.pictures == "none":  # the map may have to be prepared again
+            return ()
+        return "answer", self.features(self.files[best]), answer, scan, None, self.options
