@@ -1,4 +1,4 @@
-"""A line of scans in front of one worker: first come, first served; of each source one waits."""
+"""A line of scans in front of one worker: first come, first served, one of each source."""
 
 import math
 import threading
@@ -14,22 +14,22 @@ from imgloc.errors import ImglocError
 _SAID = {
     "replaced": "a newer scan of the same source came while this one waited",
     "reset": "the robot was reset, or its map replaced, after this scan came",
-    "old": "its stamp is before that of a scan that was taken already",
-    "late": "its time was up before the answer was there",
+    "old": "its stamp lies before that of the last scan of this robot",
+    "late": "the timeout passed before the answer came",
     "preparing": "the map is still being prepared",
     "closed": "the localizer is closed",
 }
 
 
 class Dropped(ImglocError):  # noqa: N818  (what has become of it)
-    """A scan was not answered, and is not going to be; `why` is one word.
+    """A scan gets no answer; `why` is one word.
 
-    ``replaced``, ``reset``, ``old``, ``late``, ``preparing`` or ``closed``.
+    It is ``replaced``, ``reset``, ``old``, ``late``, ``preparing`` or ``closed``.
 
     Examples
     --------
     >>> Dropped("late")
-    Dropped('the scan was dropped: its time was up before the answer was there')
+    Dropped('the scan was dropped: the timeout passed before the answer came')
     """
 
     def __init__(self, why: str) -> None:
@@ -38,10 +38,10 @@ class Dropped(ImglocError):  # noqa: N818  (what has become of it)
 
 
 class Key(NamedTuple):
-    """Whose place in the line it is."""
+    """A place in the line."""
 
-    kind: Hashable  #: what is asked, or the robot that asks
-    source: Hashable  #: of each one scan waits
+    kind: Hashable  #: the question, or the robot that asks
+    source: Hashable  #: one scan of each waits
 
 
 @dataclass(eq=False)
@@ -74,28 +74,28 @@ class Line:
 
     @property
     def waiting(self) -> int:
-        """How many wait."""
+        """Number of scans that wait."""
         return len(self._waiting)
 
     @property
     def busy(self) -> bool:
-        """Whether one is being worked on."""
+        """Whether the worker is at work."""
         return self._busy
 
     @property
     def dropped(self) -> int:
-        """How many were dropped so far."""
+        """Number of scans dropped so far."""
         return self._total
 
     def dropped_of(self, key: Key) -> int:
-        """How many of one place in the line were dropped so far."""
+        """Number of scans dropped so far at one place in the line."""
         return self._counts[key]
 
     def put(self, key: Key, work: Callable[[float], Any], stamp: float = math.nan) -> "Future[Any]":
-        """Queue work, which is given the seconds that it has waited.
+        """Queue work, a function of the seconds that it has waited.
 
-        What waits in the same place is dropped, and the new one stands there. Of the places of
-        one kind the least `stamp` comes first.
+        Work that waits at the same place is dropped, and the new work takes its place. Among the
+        places of one kind the least `stamp` comes first.
         """
         task, old = _Task(key, work, stamp, time.perf_counter(), Future()), None
         task.future.add_done_callback(lambda _: self._leave(task))
@@ -114,7 +114,7 @@ class Line:
         return task.future
 
     def clear(self, kind: Hashable, why: str = "reset") -> None:
-        """Drop what waits of one kind."""
+        """Drop all work of one kind that waits."""
         with self._changed:
             gone = [self._waiting.pop(key) for key in tuple(self._waiting) if key.kind == kind]
             for task in gone:
@@ -123,18 +123,18 @@ class Line:
             _drop(task, why)
 
     def count(self, key: Key) -> None:
-        """Count one that was dropped while it was worked on."""
+        """Count a scan that was dropped while the worker was at it."""
         with self._changed:
             self._count(key)
 
     def forget(self, kind: Hashable) -> None:
-        """Forget what was counted of one kind."""
+        """Forget the counts of one kind."""
         with self._changed:
             for key in [key for key in self._counts if key.kind == kind]:
                 del self._counts[key]
 
     def close(self) -> None:
-        """Drop what waits and take no more; what is being worked on is finished."""
+        """Drop all work that waits and take no more; the worker finishes its piece."""
         with self._changed:
             self._closed = True
             gone = list(self._waiting.values())
@@ -149,7 +149,7 @@ class Line:
         self._counts[key] += 1
 
     def _leave(self, task: _Task) -> None:
-        """Take out what was cancelled while it waited."""
+        """Take out work that was cancelled while it waited."""
         with self._changed:
             if self._waiting.get(task.key) is task:
                 del self._waiting[task.key]

@@ -1,4 +1,4 @@
-"""One core that answers a robot: maps held ready, one scan looked at at a time, none too old.
+"""One core that answers robots: maps kept ready, one scan at a time, the newest first.
 
 >>> import imgloc
 >>> from imgloc.io.maps import bundled_maps
@@ -43,33 +43,33 @@ READY, PREPARING, FAILED = "ready", "preparing", "failed"
 
 @dataclass(frozen=True)
 class Answer(Generic[T]):
-    """What was found, with how old it is."""
+    """A result, with the stamp and the age of its scan."""
 
     value: T
-    map: str | None  #: name; of :meth:`Localizer.which` that of the map that is named, or None
+    map: str | None  #: name of the map; None if :meth:`Localizer.which` names none
     stamp: float  #: of the scan, seconds; NaN when unknown
     age: float  #: seconds from the stamp to the answer, by the clock; NaN when unknown
-    waited_ms: float  #: in the line
-    took_ms: float  #: at work
-    dropped: int  #: scans of this source that were dropped so far
-    era: int = 0  #: how often the robot was reset, or the map replaced, before
+    waited_ms: float  #: time in the line
+    took_ms: float  #: time at work
+    dropped: int  #: number of scans of this source dropped so far
+    era: int = 0  #: number of resets of the robot, or version of the map, when the scan came
 
     def about(self) -> dict[str, Any]:
-        """All but the value, as JSON knows it."""
+        """All fields but the value, as plain values for JSON."""
         names = ("map", "stamp", "age", "waited_ms", "took_ms", "dropped", "era")
         return dict(plain({name: getattr(self, name) for name in names}))
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """From which map a scan is, and how it fits those that were compared."""
+    """The map that a scan is from, and how the scan fits the maps that were compared."""
 
     choice: Choice
     fits: Mapping[str, Localization]
 
     @property
     def best(self) -> Localization | None:
-        """The answer in the map that is named; None without one."""
+        """The answer in the named map; None if no map is named."""
         return self.fits.get(self.choice.verdict)
 
     def as_row(self, index: int = 0) -> dict[str, Any]:
@@ -79,7 +79,7 @@ class Chosen:
 
 @dataclass(eq=False)
 class _Entry:
-    """A map on its way."""
+    """A map and its preparation."""
 
     made: MapLike | Maker
     era: int
@@ -94,31 +94,31 @@ class _Entry:
 
 
 class Localizer:
-    """Maps that are prepared once, and answers to scans, from any thread.
+    """Keeps maps prepared and answers scans; all methods may be called from any thread.
 
-    One thread computes, one scan at a time, in the order in which they came. Of each source one
-    scan waits: a newer one replaces it, and who asked for the older one gets :class:`Dropped`.
+    One thread computes, one scan at a time, in the order of arrival. One scan of each source
+    waits: a newer one replaces it, and the caller of the older one gets :class:`Dropped`.
 
     Parameters
     ----------
     maps : OccupancyGrid, MapFeatures, Site, callable, or a mapping of str to these
-        A callable makes the map in the thread that prepares it. A map without a name is ``map``.
+        A callable makes the map in the thread that prepares it. A single map is named ``map``.
     options : Options, optional
-        How scans are located where a call does not say it.
+        Options of :meth:`localize` and of robots, unless a call passes others.
     tracking : Tracking, optional
-        How robots are followed where :meth:`robot` does not say it.
+        How robots are followed, unless :meth:`robot` gets another one.
     background : bool
         Return at once, and prepare the maps in a thread: see `ready`, :meth:`wait` and `errors`.
-        Otherwise the first error of a map is raised here.
+        Otherwise the constructor prepares them and raises the first error.
     clock : callable
-        The time in seconds that ages are of: that of the stamps.
+        Returns the time in seconds, on the same clock as the stamps of the scans.
     prepared : callable, optional
-        Called with name and site when a map is ready, in the thread that prepared it.
+        Called with name and site before a map counts as ready, in the thread that prepares it.
 
     Raises
     ------
     ImglocError
-        If a map is of no use, unless it is prepared in the background.
+        If a map cannot be used and `background` is false.
 
     Examples
     --------
@@ -165,43 +165,43 @@ class Localizer:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The maps, in the order in which they were given."""
+        """Names of the maps, in the order given."""
         return tuple(self._entries)
 
     @property
     def ready(self) -> bool:
-        """Whether every map is prepared, so that no answer has to wait for that."""
+        """Whether every map is prepared: no later answer has to make anything of a map."""
         entries = tuple(self._entries.values())
         index = self._index
         return not self._closed and index is not None and index[0] == entries
 
     @property
     def errors(self) -> Mapping[str, Exception]:
-        """Why maps cannot be used, by their names."""
+        """Errors of the maps that cannot be used, by name."""
         entries = tuple(self._entries.items())
         return MappingProxyType({n: e.error for n, e in entries if e.error is not None})
 
     def state(self, name: str) -> str:
-        """How far a map is: ``ready``, ``preparing`` or ``failed``."""
+        """State of a map: ``ready``, ``preparing`` or ``failed``."""
         return self._entry(name)[1].state
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait until no map is being prepared, at most so many seconds; return `ready`."""
+        """Wait until the preparation ends, at most `timeout` seconds; return `ready`."""
         with self._changed:
             self._changed.wait_for(lambda: self._closed or not self._preparing, timeout)
         return self.ready
 
     def site(self, name: str | None = None, timeout: float | None = None) -> Site:
-        """A map, as soon as it is prepared; by default the only one.
+        """Wait for a map and return it; by default the only map.
 
         Raises
         ------
         ConfigError
-            If there is no such map, or no name though there are several.
+            If no map has this name, or there are several maps and no name is given.
         Dropped
-            If it is not prepared in time.
+            If the map is not prepared within `timeout` seconds.
         ImglocError
-            What has made it fail.
+            The error of a map that failed.
         """
         found = self._entry(name)[0]
         with self._changed:
@@ -213,15 +213,14 @@ class Localizer:
         return self._ready(found)[1]
 
     def put(self, name: str, made: MapLike | Maker, *, background: bool = True) -> None:
-        """Add a map, or replace that of this name; robots in it know nothing again.
+        """Add a map, or replace the map of this name; its robots are reset.
 
         Parameters
         ----------
         name : str
         made : OccupancyGrid, MapFeatures, Site or callable
         background : bool
-            Prepare it in a thread. Otherwise it is there when this returns, and an error leaves
-            everything as it was.
+            Prepare it in a thread. Otherwise it is ready on return, and an error changes nothing.
         """
         self._put(name, made, background=background)
         if not background:
@@ -259,7 +258,7 @@ class Localizer:
 
     @property
     def waiting(self) -> int:
-        """How many scans wait."""
+        """Number of scans that wait."""
         return self._line.waiting
 
     @property
@@ -269,7 +268,7 @@ class Localizer:
 
     @property
     def dropped(self) -> int:
-        """How many scans were dropped so far, of all sources."""
+        """Number of scans of all sources dropped so far."""
         return self._line.dropped
 
     def localize(
@@ -287,17 +286,17 @@ class Localizer:
         Parameters
         ----------
         scan : LaserScan
-            Complete: mounted, cut and scaled.
+            Mounted, cut and scaled by the caller.
         map : str, optional
-            Which; it is waited for. By default the only one.
+            Name of the map; the call waits until it is prepared. By default the only map.
         options : Options, optional
-            Instead of the localizer's; what was calibrated for the map is joined to them.
+            Used instead of the localizer's own; the calibration of the map is joined to them.
         known : Known, optional
-            Where the sensor may be, joined to the prior of the options.
+            Poses that the sensor may have, joined to the prior of the options.
         source : hashable
-            Of each one scan waits.
+            One scan of each source waits.
         timeout : float, optional
-            Seconds until the answer is too late, :class:`Dropped`.
+            Seconds after which the call raises :class:`Dropped`.
         """
         until = _until(timeout)
         self.site(map, _left(until))
@@ -313,7 +312,7 @@ class Localizer:
         known: Known | None = None,
         source: Hashable = None,
     ) -> "Future[Answer[Localization]]":
-        """As :meth:`localize`, but return at once; a map that is not prepared yet is `Dropped`."""
+        """Return a future of :meth:`localize` at once; Dropped if the map is not prepared yet."""
         expect(scan, LaserScan, "scan")
         name = self._entry(map)[0]
         self._ready(name)
@@ -347,9 +346,9 @@ class Localizer:
         sure : float
             Probability that a map needs to be named.
         known : Known, optional
-            Of the sensor, in any map: heading and clearance.
+            Heading and clearance of the sensor, valid in any map.
         source, timeout : hashable, float
-            As of :meth:`localize`. All maps are waited for.
+            See :meth:`localize`. The call waits until all maps are prepared.
         """
         until = _until(timeout)
         for name in self.names:
@@ -364,11 +363,13 @@ class Localizer:
         known: Known | None = None,
         source: Hashable = None,
     ) -> "Future[Answer[Chosen]]":
-        """As :meth:`which`, but return at once; a map that is not prepared yet is `Dropped`."""
+        """Return a future of :meth:`which` at once; Dropped if a map is not prepared yet."""
         expect(scan, LaserScan, "scan")
         known = known or Known()
         if known.near is not None:
-            raise ConfigError("near: is about one map; of many, heading or clearance are known")
+            raise ConfigError(
+                "`near` belongs to one map; expected `heading` or `clearance`, for any map"
+            )
         self._all()
         key = Key("which", source)
 
@@ -390,23 +391,23 @@ class Localizer:
         source: Hashable = None,
         timeout: float | None = None,
     ) -> Answer[Moment]:
-        """Follow the robot by a scan: :meth:`Robot.update` of the localizer's own."""
+        """Follow the localizer's own robot by a scan: :meth:`Robot.update`."""
         return self._own.update(scan, odometry, source=source, timeout=timeout)
 
     def update_soon(
         self, scan: LaserScan, odometry: FloatArray, *, source: Hashable = None
     ) -> "Future[Answer[Moment]]":
-        """As :meth:`update`, but return at once."""
+        """Return a future of :meth:`update` at once."""
         return self._own.update_soon(scan, odometry, source=source)
 
     def start_at(
         self, pose: Pose2D, deviation: tuple[float, float] = DEVIATION, map: str | None = None
     ) -> None:
-        """Say where the robot is: :meth:`Robot.start_at`."""
+        """Set the pose of the localizer's own robot: :meth:`Robot.start_at`."""
         self._own.start_at(pose, deviation, map)
 
     def reset(self, map: str | None = None) -> None:
-        """Know nothing of the robot any more: :meth:`Robot.reset`."""
+        """Forget the localizer's own robot: :meth:`Robot.reset`."""
         self._own.reset(map)
 
     def robot(
@@ -416,16 +417,13 @@ class Localizer:
         options: Options | None = None,
         clock: Clock | None = None,
     ) -> "Robot":
-        """One more robot, with a belief of its own; by default as the localizer's own is followed.
-
-        Call :meth:`Robot.end` when it is gone.
-        """
+        """Return one more robot with a belief of its own; :meth:`Robot.end` removes it."""
         robot = Robot(self, map, tracking or self.tracking, options, clock or self._clock)
         self._robots.append(robot)
         return robot
 
     def close(self) -> None:
-        """Drop what waits, and take no more; what is looked at is finished."""
+        """Drop all scans that wait and take no more; the scan under way is finished."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -437,7 +435,7 @@ class Localizer:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    # Its inside.
+    # Inside.
 
     def _entry(self, name: str | None) -> tuple[str, _Entry]:
         """A map by its name; a ConfigError that names those that there are."""
@@ -445,13 +443,13 @@ class Localizer:
         if name is None and len(entries) == 1:
             return next(iter(entries.items()))
         if name is None or name not in entries:
-            got = "none" if name is None else repr(name)
-            listed = ", ".join(entries) or "a map, there is none yet"
-            raise ConfigError(f"map: got {got}, expected {listed}")
+            got = "no name" if name is None else repr(name)
+            listed = ", ".join(entries) or "a map to be added first, there is none"
+            raise ConfigError(f"`map`: got {got}, expected {listed}")
         return name, entries[name]
 
     def _ready(self, name: str | None) -> tuple[_Entry, Site]:
-        """A map that is prepared; else its error, or Dropped."""
+        """A prepared map; raises its error, or Dropped, if it is not prepared."""
         if self._closed:
             raise Dropped("closed")
         entry = self._entry(name)[1]
@@ -462,7 +460,7 @@ class Localizer:
         return entry, entry.site
 
     def _all(self) -> tuple[dict[str, _Entry], MapIndex]:
-        """All maps, and the index of these."""
+        """All maps and their index; raises Dropped if one is not prepared."""
         entries, index = dict(self._entries), self._index
         if not entries:
             self._entry(None)
@@ -473,7 +471,7 @@ class Localizer:
         return entries, index[1]
 
     def _make_index(self) -> None:
-        """Make what is looked at of all maps, once they are all prepared."""
+        """Make the index of all maps, once all are prepared."""
         with self._changed:
             entries = dict(self._entries)
             if not entries or any(entry.site is None for entry in entries.values()):
@@ -502,7 +500,7 @@ class Localizer:
 
         (fits,) = search([scan], [bounds], open_map)
         if not fits:
-            raise ConfigError("clearance: no map has a place in which the robot can be")
+            raise ConfigError("`clearance`: no map has a free place so far from its walls")
         ruled_out = len(index.names) - len(fits)
         return Chosen(choose(fits, base.trust, sure=sure, ruled_out=ruled_out), fits)
 
@@ -554,23 +552,23 @@ class Localizer:
 
 
 class Robot:
-    """A robot that is followed in one of the maps of a :class:`Localizer`; its methods make them.
+    """A robot in one of the maps of a :class:`Localizer`, made by :meth:`Localizer.robot`.
 
-    Its answers are those of :class:`~imgloc.filters.follow.Follower`, one scan after the other.
+    Its answers are the moments of a :class:`~imgloc.filters.follow.Follower`.
     """
 
     def __init__(
         self, core: Localizer, map: str | None, tracking: Tracking, options: Options | None,
         clock: Clock,
     ) -> None:  # fmt: skip
-        self.map = map  #: where it is; None: in the only one
+        self.map = map  #: name of the map where it is; None means the only map
         self.tracking = tracking
         self._core, self._options, self._clock = core, options, clock
         self._lock = threading.RLock()
         self._follower: Follower | None = None
         self._start: tuple[Pose2D, tuple[float, float]] | None = None
         self._stamp = math.nan
-        self.era = 0  #: how often it was reset
+        self.era = 0  #: number of resets
 
     def update(
         self,
@@ -580,27 +578,27 @@ class Robot:
         source: Hashable = None,
         timeout: float | None = None,
     ) -> Answer[Moment]:
-        """Take a scan, and say where the robot is now.
+        """Take a scan and return what is believed of the pose now.
 
         Parameters
         ----------
         scan : LaserScan
-            With its stamp if there is one, and its `T_base_laser` if there are several lasers.
+            With its stamp, if known, and with its `T_base_laser`, if the robot has several lasers.
         odometry : (3,) array
-            Pose of the robot in the frame of its odometry, when the scan was taken.
+            Pose x, y [m], theta [rad] of the robot in the odometry's frame at the stamp.
         source : hashable
-            The laser: of each one scan waits.
+            The laser: one scan of each waits.
         timeout : float, optional
-            Seconds until the answer is too late. A scan that is looked at then is taken none the
-            less.
+            Seconds after which the call raises Dropped. The belief still takes a scan that is
+            being looked at.
 
         Raises
         ------
         Dropped
-            ``replaced``, ``reset``, ``late``; or ``old``, if its stamp is before that of the scan
-            that was taken last: after :meth:`reset` time may start anew.
+            ``replaced``, ``reset``, ``late``; or ``old``, if the stamp lies before that of the last
+            scan. After :meth:`reset` time may start anew.
         ScanError
-            If the odometry has gone out of reason.
+            If the odometry leaps more than 1000 km between two scans.
         """
         until = _until(timeout)
         self._core.site(self.map, _left(until))
@@ -609,7 +607,7 @@ class Robot:
     def update_soon(
         self, scan: LaserScan, odometry: FloatArray, *, source: Hashable = None
     ) -> "Future[Answer[Moment]]":
-        """As :meth:`update`, but return at once; a map that is not prepared yet is `Dropped`."""
+        """Return a future of :meth:`update` at once; Dropped if the map is not prepared yet."""
         expect(scan, LaserScan, "scan")
         self._core._ready(self.map)
         key, era = Key(self, source), self.era
@@ -636,9 +634,9 @@ class Robot:
     def start_at(
         self, pose: Pose2D, deviation: tuple[float, float] = DEVIATION, map: str | None = None
     ) -> None:
-        """Believe to be at a pose, map frame, with deviations in metres and radians.
+        """Forget all but a pose, map frame, with its standard deviations in metres and radians.
 
-        A ConfigError for a pose outside of the map; what was known before is forgotten.
+        A pose outside of the map is a ConfigError, and nothing is forgotten.
         """
         name = self.map if map is None else map
         site = self._core._ready(name)[1]
@@ -648,9 +646,9 @@ class Robot:
             self._start = pose, deviation
 
     def reset(self, map: str | None = None) -> None:
-        """Know nothing any more; with a name, be in that map from now on.
+        """Forget everything; with a name, go to that map.
 
-        It waits for nothing: scans that wait, or are looked at, are dropped.
+        It returns at once: scans that wait or are being looked at are dropped.
         """
         if map is not None:
             self._core._entry(map)
@@ -662,7 +660,7 @@ class Robot:
         self._core._line.clear(self)
 
     def end(self) -> None:
-        """Take it out of the localizer."""
+        """Remove it from the localizer."""
         self.reset()
         self._core._line.forget(self)
         if self in self._core._robots:
@@ -673,7 +671,7 @@ class Robot:
         return self.tracking.follower(site.features, how, name)
 
     def _following(self) -> tuple[str, Follower]:
-        """The map and what follows the robot in it."""
+        """Name of the map, and the follower in it."""
         name = self._core._entry(self.map)[0]
         if self._follower is None:
             self._follower = self._made(self._core._ready(name)[1], "update")

@@ -1,4 +1,4 @@
-"""A map that is held ready: all that an answer asks of it is there before the first one."""
+"""A map that is kept ready: everything that an answer needs exists before the first scan."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -16,12 +16,12 @@ from imgloc.pipeline import localize, prepare
 from imgloc.search.adapt import THINNEST
 from imgloc.search.asked import check_options
 
-_RAYS, _REACH = 90, 12.0  # of the scan that is located once before the first one: rays, metres
+_RAYS, _REACH = 90, 12.0  # of the scan that is simulated to warm up: rays, metres
 
 
 @dataclass(frozen=True)
 class Site:
-    """A map and what was calibrated for it.
+    """A map with its calibration.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class Site:
     calibrations : mapping of str to Calibration
         By method, as :func:`~imgloc.io.calibration.load_calibrations` reads them.
     shared : Shared
-        Scale of the readings and walls that are drawn too thick.
+        The scale of the readings, and by how many cells walls are drawn too thick.
 
     Examples
     --------
@@ -45,7 +45,7 @@ class Site:
     shared: Shared = field(default_factory=Shared)
 
     def options(self, options: Options) -> Options:
-        """The options with what was calibrated; what they say themselves stays."""
+        """The options with the calibration of this map; values that the options set stay."""
         calibration = options.calibration or self.calibrations.get(options.method)
         shared = self.shared if options.shared == Shared() else options.shared
         return replace(options, calibration=calibration, shared=shared)
@@ -56,7 +56,7 @@ Maker = Callable[[], MapLike]
 
 
 def site_of(made: MapLike | Maker, name: str) -> Site:
-    """The map as a site; a MapError if it is of no use, a TypeError if it is no map."""
+    """The map as a site; a MapError if it has no walls or no free cells."""
     if not isinstance(made, MapLike) and callable(made):
         made = made()
     if isinstance(made, Site):
@@ -65,7 +65,7 @@ def site_of(made: MapLike | Maker, name: str) -> Site:
 
 
 def warm(site: Site, options: Options, tracking: Tracking) -> None:
-    """Make all that an answer, or a robot's filter, would make of a map when it is first asked for.
+    """Make everything that the first answer, or the first step of a filter, would make of a map.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def warm(site: Site, options: Options, tracking: Tracking) -> None:
 
 
 def _levels(features: MapFeatures, options: Options) -> list[MapFeatures]:
-    """The map, and with walls as thin as a search may make them, as far as there is memory."""
+    """The map, and the map with thinner walls, as thin as the search or the memory allows."""
     need, levels = max(map(features.bytes_for, {FUSED, options.method})), [features]
     budget = options.memory_budget or default_budget()
     most = max(options.shared.thinner, THINNEST if features.peels else 0)
