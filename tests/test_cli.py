@@ -134,8 +134,6 @@ def test_import_imgloc_is_cheap_and_offers_every_public_name() -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
     for name in imgloc.__all__:
         assert getattr(imgloc, name) is not None
-    with pytest.raises(AttributeError, match="no attribute 'load_mapp'"):
-        _ = imgloc.load_mapp  # type: ignore[attr-defined]
 
 
 def test_python_m_imgloc_says_its_version() -> None:
