@@ -4,13 +4,13 @@ const LIGHT = {
   paper: [255, 255, 255], ink: [40, 47, 56], shade: [222, 226, 231], surround: "#d3d8de",
   line: "#161b22", soft: "#5b6570", halo: "#ffffff", accent: "#0072b2",
   agrees: "#0072b2", orientation: "#c98500", visibility: "#d55e00", unexplained: "#6b7480",
-  no_return: "#a9b3be", known: "#00694e", truth: "#161b22",
+  no_return: "#a9b3be", unasked: "#5b6570", known: "#00694e", truth: "#161b22",
 };
 const DARK = {
   paper: [45, 53, 62], ink: [226, 232, 238], shade: [27, 32, 38], surround: "#12161a",
   line: "#f3f6f9", soft: "#a9b3be", halo: "#12161a", accent: "#56b4e9",
   agrees: "#56b4e9", orientation: "#f0b429", visibility: "#ff7f32", unexplained: "#a9b3be",
-  no_return: "#6b7480", known: "#33c79b", truth: "#f3f6f9",
+  no_return: "#6b7480", unasked: "#a9b3be", known: "#33c79b", truth: "#f3f6f9",
 };
 const dark = matchMedia("(prefers-color-scheme: dark)");
 

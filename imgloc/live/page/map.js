@@ -11,15 +11,17 @@ function greys(image) {
   const context = canvas.getContext("2d", { willReadFrequently: true });
   context.drawImage(image, 0, 0);
   const { data } = context.getImageData(0, 0, image.width, image.height);
-  return Uint8Array.from({ length: data.length / 4 }, (_, k) => data[4 * k]);
+  const out = new Uint8Array(data.length / 4);
+  for (let k = 0; k < out.length; k += 1) out[k] = data[4 * k];
+  return out;
 }
 
-/** An image whose pixel k has the colour `paint(k)`: [r, g, b, alpha]. */
-function painted(width, height, paint) {
-  const canvas = new OffscreenCanvas(width, height);
-  const context = canvas.getContext("2d");
-  const image = context.createImageData(width, height);
-  for (let k = 0; k < width * height; k += 1) image.data.set(paint(k), 4 * k);
+/** An image of greys, in which grey v has the colour `colourOf(v)`: [r, g, b, alpha]. */
+function painted(width, height, values, colourOf) {
+  const canvas = new OffscreenCanvas(width, height), context = canvas.getContext("2d");
+  const table = new Uint32Array(Uint8ClampedArray.from(Array.from({ length: 256 }, (_, v) => colourOf(v)).flat()).buffer);
+  const image = context.createImageData(width, height), pixels = new Uint32Array(image.data.buffer);
+  for (let k = 0; k < pixels.length; k += 1) pixels[k] = table[values[k]];
   context.putImageData(image, 0, 0);
   return canvas;
 }
@@ -48,18 +50,15 @@ export class Cells {
 
   repaint() {
     const { paper, ink, shade } = colours();
-    this.walls ??= painted(this.width, this.height, (k) => [255, 255, 255, this.greys[k] === WALL ? 190 : 0]);
-    this.image = painted(this.width, this.height, (k) => {
-      const grey = this.greys[k];
-      return [...(grey === FREE ? paper : grey === WALL ? ink : shade), 255];
-    });
+    const { width, height } = this, paint = (colourOf) => painted(width, height, this.greys, colourOf);
+    this.walls ??= paint((grey) => [255, 255, 255, grey === WALL ? 190 : 0]);
+    this.image = paint((grey) => [...(grey === FREE ? paper : grey === WALL ? ink : shade), 255]);
   }
 }
 
 /** A layer: the brighter a grey, the hotter. */
 export function heat(image) {
-  const values = greys(image);
-  return painted(image.width, image.height, (k) => [...HEAT[values[k]], 255]);
+  return painted(image.width, image.height, greys(image), (grey) => [...HEAT[grey], 255]);
 }
 
 /** Draw an image whose cells have a side of `resolution` metres and a corner at `origin`. */

@@ -12,7 +12,7 @@ export const KINDS = {
   no_return: "met nothing",
   invalid: "no reading",
 };
-const ENDS = ["unexplained", "agrees", "orientation", "visibility"];
+const ENDS = ["unasked", "unexplained", "agrees", "orientation", "visibility"];
 
 /** A number of JSON that may be "inf", "nan" or null. */
 const number = (value) => (typeof value === "number" ? value : value === "inf" ? Infinity : NaN);
@@ -63,25 +63,25 @@ export function shape(path, kind, x, y, r) {
 
 /** Draw the ends of some readings in the shape and colour of their kind. */
 function drawEnds(context, kind, pixels, r) {
-  const palette = colours(), path = new Path2D();
-  for (const [x, y] of pixels) shape(path, kind, x, y, kind === "agrees" ? 0.75 * r : r);
+  const palette = colours(), path = new Path2D(), dot = kind === "agrees" || kind === "unasked";
+  for (const [x, y] of pixels) shape(path, kind, x, y, dot ? 0.75 * r : r);
   context.lineWidth = kind === "visibility" ? 2 : 1.4;
   context.strokeStyle = palette[kind];
   context.fillStyle = kind === "unexplained" ? palette.halo : palette[kind];
   if (kind !== "visibility") context.fill(path);
-  if (kind !== "agrees") context.stroke(path);
+  if (!dot) context.stroke(path);
 }
 
 /** Draw a scan at a pose; `fit` says what each reading is, or nothing is known of that yet. */
-export function drawScan(context, view, scan, pose, fit, { rays = true, faint = false } = {}) {
+export function drawScan(context, view, scan, pose, fit) {
   const palette = colours(), start = view.pixel(pose.x, pose.y);
   const r = Math.min(4, Math.max(2.2, 0.05 * view.scale));
   const groups = Object.fromEntries(ENDS.map((kind) => [kind, []]));
   const misses = new Path2D();
   for (let k = 0; k < scan.ranges.length; k += 1) {
     if (valid(scan, k)) {
-      const kind = fit?.rays.kind[k] ?? "agrees", at = end(scan, pose, k);
-      (groups[kind] ?? groups.unexplained).push(view.pixel(at.x, at.y));
+      const kind = fit?.rays.kind[k] ?? "unasked", at = end(scan, pose, k);
+      groups[kind].push(view.pixel(at.x, at.y));
     } else if (scan.ranges[k] === Infinity || scan.ranges[k] >= scan.high) {
       const turn = pose.theta + scan.angles[k];
       misses.moveTo(start[0] + 20 * Math.cos(turn), start[1] - 20 * Math.sin(turn));
@@ -89,11 +89,10 @@ export function drawScan(context, view, scan, pose, fit, { rays = true, faint = 
     }
   }
   context.save();
-  context.globalAlpha = faint ? 0.45 : 1;
   context.strokeStyle = palette.no_return;
   context.lineWidth = 1;
   context.stroke(misses);
-  for (const kind of rays ? ENDS : []) {
+  for (const kind of ENDS) {
     const path = new Path2D();
     for (const [x, y] of groups[kind]) {
       path.moveTo(...start);
@@ -104,7 +103,7 @@ export function drawScan(context, view, scan, pose, fit, { rays = true, faint = 
     context.globalAlpha = groups[kind].length > 400 ? 0.12 : 0.22;
     context.stroke(path);
   }
-  context.globalAlpha = faint ? 0.45 : 1;
+  context.globalAlpha = 1;
   for (const kind of ENDS) drawEnds(context, kind, groups[kind], r);
   context.restore();
 }
@@ -112,7 +111,7 @@ export function drawScan(context, view, scan, pose, fit, { rays = true, faint = 
 /** Draw one reading in full: its ray, and where a wall is in its way. */
 export function drawReading(context, view, scan, pose, fit, k) {
   if (!valid(scan, k)) return;
-  const palette = colours(), kind = fit?.rays.kind[k] ?? "agrees";
+  const palette = colours(), kind = fit?.rays.kind[k] ?? "unasked";
   const from = view.pixel(pose.x, pose.y), at = end(scan, pose, k), to = view.pixel(at.x, at.y);
   context.save();
   context.strokeStyle = palette[kind];
