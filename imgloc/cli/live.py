@@ -27,6 +27,7 @@ class Live:
     ) -> None:
         self._source, self._prepared, self._begin = source, prepared, 0.0
         self._seconds: list[float] = []  # from line in to line out, of each scan
+        self._scan: LaserScan | None = None
         self._truth: list[tuple[float, float, float]] = []  # known poses of the robot
 
     def __iter__(self) -> "Iterator[Reading]":
@@ -39,7 +40,13 @@ class Live:
                 odom = one.odom[0]
                 if (truth := robot_poses(replace(one, scans=(scan,)))) is not None:
                     self._truth.append(tuple(truth[0]))
+            self._scan = scan
             yield scan, odom
+
+    def last(self, _: int) -> "LaserScan":
+        """The scan that came last."""
+        assert self._scan is not None
+        return self._scan
 
     def answered(self) -> None:
         """Take note that the line of the last scan is out."""

@@ -3,7 +3,7 @@
 import contextlib
 import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from imgloc.filters.follow import Kidnap, Moment, Tracking
     from imgloc.io.scanset import ScanSet
     from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
+    from imgloc.output.mcap import Recording
     from imgloc.output.tracks import Video
 
 _EVERY = (
@@ -61,6 +62,7 @@ class Outputs:
     best: bool
     picture: Path | None
     video: Path | None
+    mcap: Path | None
     force: bool
 
     def check(self, read: Sequence[Path]) -> None:
@@ -70,13 +72,16 @@ class Outputs:
         if self.best and self.ros is None:
             raise ConfigError("--best: is of --ros alone, which is not given")
         ending = ".bag" if self.ros is not None and self.ros.suffix.lower() == ".bag" else ".yaml"
-        files = (self.tum, ".tum"), (self.ros, ending), (self.picture, ".png"), (self.video, ".mp4")
+        files = (
+            (self.tum, ".tum"), (self.ros, ending), (self.picture, ".png"), (self.video, ".mp4"),
+            (self.mcap, ".mcap"),
+        )  # fmt: skip
         for path, expected in files:
             inputs.check_target(path, expected, force=self.force, inputs=read)
 
     def write(
         self, grid: "OccupancyGrid", moments: "Sequence[Moment]", truth: "FloatArray | None",
-        movie: "Video | None",
+        movie: "Video | None", recording: "Recording | None",
     ) -> None:  # fmt: skip
         """Write them; `truth` are known poses (N, 3) of the robot."""
         from imgloc.output.ros import message, write_bag, yaml_text
@@ -96,7 +101,9 @@ class Outputs:
             draw_track(grid, moments, truth).save(self.picture, force=force)
         if self.video is not None and movie is not None:
             movie.save(self.video, force=force)
-        for path in (self.tum, self.ros, self.picture, self.video):
+        if self.mcap is not None and recording is not None:
+            recording.save(self.mcap, force=force)
+        for path in (self.tum, self.ros, self.picture, self.video, self.mcap):
             if path is not None:
                 LOG.info("wrote %s", display(path))
 
@@ -111,10 +118,13 @@ def outputs(
     best: bool = flag("--best", "In --ros one pose, the best, also while several places fit."),
     picture: Path | None = option(None, "PNG", "Draw the path over the map."),
     video: Path | None = option(None, "MP4", "Draw the belief over time."),
+    mcap: Path | None = option(
+        None, "MCAP", "Write map, scans, places, pose and verdict for Foxglove (imgloc[foxglove])."
+    ),
     force: opt.Force = False,
 ) -> Outputs:
     """Options of what is written."""
-    return Outputs(tum, ros, best, picture, video, force)
+    return Outputs(tum, ros, best, picture, video, mcap, force)
 
 
 class Asked(NamedTuple):
@@ -194,6 +204,7 @@ def track(
     from imgloc.filters.follow import follow, robot_poses
     from imgloc.io.calibration import calibrated
     from imgloc.options import Options
+    from imgloc.output.mcap import Recording
     from imgloc.output.tracks import Video
 
     folder = inputs.kept_in(cache, wanted=not no_cache)
@@ -214,11 +225,19 @@ def track(
     )  # fmt: skip
     with contextlib.ExitStack() as undo:
         movie = None if outputs.video is None else Video(features)
+        recording = None if outputs.mcap is None else Recording(grid)
+        shown = list[Any]()
         if movie is not None:
             undo.callback(movie.close)
-        moments, words = _printed(run, len(scans), live, movie, as_json=as_json)
+            shown.append(movie.add)
+        if recording is not None:
+            undo.callback(recording.close)
+            seen = scans.scans.__getitem__ if live is None else live.last
+            shown.append(lambda moment: recording.add(seen(moment.index), moment))
+        moments, words = _printed(run, len(scans), live, shown, as_json=as_json)
         inputs.keep_features(features, folder)
-        outputs.write(grid, moments, robot_poses(scans) if live is None else live.poses(), movie)
+        truth = robot_poses(scans) if live is None else live.poses()
+        outputs.write(grid, moments, truth, movie, recording)
     if not moments:
         raise ScanError(f"{inputs.name_of(log)}: holds no scan with odometry")
     say(words)
@@ -272,10 +291,10 @@ def _scans_of(
 
 
 def _printed(
-    run: "Iterable[Moment]", count: int, live: "Live | None", movie: "Video | None",
-    *, as_json: bool,
+    run: "Iterable[Moment]", count: int, live: "Live | None",
+    shown: "Sequence[Callable[[Moment], None]]", *, as_json: bool,
 ) -> "tuple[list[Moment], str]":  # fmt: skip
-    """The moments, each printed as it comes, and a word about all of them."""
+    """The moments, each printed and `shown` as it comes, and a word about all of them."""
     from imgloc.model import to_json
     from imgloc.output.rows import moment_row
     from imgloc.output.tracks import track_header, track_line
@@ -289,8 +308,8 @@ def _printed(
             emit(to_json(moment_row(moment)) if as_json else track_line(moment))
             if live is not None:
                 live.answered()
-            if movie is not None:
-                movie.add(moment)
+            for show in shown:
+                show(moment)
             gone = moment.stamp - moments[0].stamp
             took = max(1e-9, time.perf_counter() - begin)
             speed = "" if math.isnan(gone) else f"{gone / took:.1f} x real time"

@@ -49,6 +49,7 @@ def main() -> int:
     play.add_argument("--clock", action="store_true", help="recorded stamps, and a /clock")
     play.add_argument("--first", type=int, default=0, help="scan to begin with")
     play.add_argument("--count", type=int, default=0, help="scans to play; 0: all")
+    play.add_argument("--hold", type=float, default=0.0, help="seconds from map to first scan")
     play.add_argument("--stay", type=float, default=0.0, help="seconds after the last scan")
     play.add_argument("--write", type=Path, help="JSONL: index and stamp of each scan")
     listen.add_argument("--all", action="store_true", help="status, diagnostics, track too")
@@ -58,6 +59,7 @@ def main() -> int:
     kill.add_argument("map", type=Path)
     kill.add_argument("start")
     kill.add_argument("-n", type=int, default=20)
+    kill.add_argument("--longest", type=float, default=12.0, help="seconds between two kills")
     kill.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     return ended("tools.robot", lambda: given.work(given))
@@ -83,6 +85,7 @@ def _play(given: argparse.Namespace) -> int:
     player = Player(ros, node, how, write_to(given.write))
     if grids and not given.no_map:
         player.show(grids[0])
+    time.sleep(given.hold)
     player.play(log, grids[1:], given.after)
     return 0
 
@@ -123,7 +126,7 @@ def _ask(given: argparse.Namespace) -> int:
 
 def _kill(given: argparse.Namespace) -> int:
     start = Pose2D(*map(float, given.start.split(",")))
-    found = kill_loop(given.map, given.log, start, given.n, given.seed)
+    found = kill_loop(given.map, given.log, start, given.n, given.seed, given.longest)
     print(json.dumps(vars(found)))
     return 0 if found.right else 1
 

@@ -112,8 +112,10 @@ def judged(told: Told, heard: Sequence[Mapping[str, Any]], played: Sequence[Mapp
     return told
 
 
-def kill_loop(map_path: Path, log_path: Path, start: Pose2D, n: int, seed: int) -> Told:
-    """Kill node or player `n` times, and let the other one go on."""
+def kill_loop(
+    map_path: Path, log_path: Path, start: Pose2D, n: int, seed: int, longest: float
+) -> Told:
+    """Kill node or player `n` times, at most `longest` seconds apart; the other one goes on."""
     log, rng, around = load_scans(log_path), random.Random(seed), environment()  # noqa: S311
     truth = true_poses(map_path, log, start)
     mount = log[0].T_base_laser or Pose2D(0.0, 0.0)
@@ -145,14 +147,14 @@ def kill_loop(map_path: Path, log_path: Path, start: Pose2D, n: int, seed: int) 
         with ending(listener):
             try:
                 for _ in range(n):
-                    time.sleep(rng.uniform(0.5, 12.0))
+                    time.sleep(rng.uniform(0.5, longest))
                     who = rng.choice(("node", "player"))
                     running[who].send_signal(signal.SIGKILL)
                     running[who].wait()
                     told.kills[who] += 1
                     time.sleep(rng.uniform(0.0, 2.0))
                     running[who] = begin(who)
-                time.sleep(12.0)
+                time.sleep(longest)
             finally:
                 for process in running.values():
                     process.kill()

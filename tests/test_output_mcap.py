@@ -1,0 +1,143 @@
+"""`imgloc track --mcap`: what is in the file, read back by another library than wrote it."""
+
+import hashlib
+import json
+import math
+import subprocess
+import sys
+from collections import Counter, defaultdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import MAPS, ROOT, call
+
+import imgloc
+from imgloc.model import LaserScan, Pose2D
+from imgloc.output.mcap import evenly
+
+pytest.importorskip("foxglove", reason="no foxglove-sdk: pip install 'imgloc[foxglove]'")
+decoding = pytest.importorskip("mcap_protobuf.decoder", reason="no mcap-protobuf-support")
+reading = pytest.importorskip("mcap.reader")
+
+MAP = MAPS / "curved.yaml"
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory) -> Path:
+    """Four scans of a robot that stands, and one with nothing in it."""
+    grid = imgloc.load_map(MAP)
+    made = imgloc.simulate(grid, 1, seed=1, sensor=imgloc.Sensor(rays=91, fov=math.radians(270)))
+    rng = np.random.default_rng(1)
+    first = made[0]
+    ranges = [first.ranges + rng.normal(0, 0.01, 91) for _ in range(4)] + [np.full(91, np.nan)]
+    scans = tuple(LaserScan(r, first.angles, range_max=30.0) for r in ranges)
+    path = tmp_path_factory.mktemp("log") / "log.npz"
+    stamps = 1_700_000_000 + np.arange(5.0)
+    imgloc.save_scans(path, imgloc.ScanSet(scans, None, stamps, np.zeros((5, 3))))
+    return path
+
+
+def read(path: Path) -> dict[str, list]:
+    with path.open("rb") as file:
+        reader = reading.make_reader(file, decoder_factories=[decoding.DecoderFactory()])
+        out = defaultdict(list)
+        for schema, channel, message in reader.iter_messages():
+            if channel.message_encoding == "json":
+                decoded = json.loads(message.data)
+            else:
+                decoded = next(
+                    d for f in [decoding.DecoderFactory()]
+                    if (d := f.decoder_for(channel.message_encoding, schema)) is not None
+                )(message.data)  # fmt: skip
+            out[channel.topic].append((schema.name if schema else "", message.log_time, decoded))
+    return out
+
+
+def test_a_track_is_there_as_foxglove_knows_it(tmp_path, log) -> None:
+    out = tmp_path / "out.mcap"
+    run = call("track", MAP, log, "--mcap", out, "--json", "--start", "8,6,0")
+    assert run.code == 0, run.err
+    rows = [json.loads(line) for line in run.out.splitlines()]
+    found = read(out)
+    assert {topic: items[0][0] for topic, items in found.items()}.items() >= {
+        "/map": "foxglove.Grid", "/scan": "foxglove.LaserScan",
+        "/imgloc/hypotheses": "foxglove.PosesInFrame", "/imgloc/verdict": "foxglove.Log",
+    }.items()  # fmt: skip
+    counts = Counter({topic: len(items) for topic, items in found.items()})
+    unique = sum(row["pose"] is not None for row in rows)
+    assert (counts["/map"], counts["/imgloc/verdict"], counts["/imgloc/track"]) == (1, 5, 5)
+    assert counts["/imgloc/pose"] == counts["/tf"] == unique
+    assert [message for _, _, message in found["/imgloc/track"]] == rows
+    assert [time for _, time, _ in found["/imgloc/track"]] == [
+        10**9 * (1_700_000_000 + k) for k in range(5)
+    ]
+    grid, one = imgloc.load_map(MAP), found["/map"][0][2]
+    pixels = np.frombuffer(one.data, np.uint8).reshape(*grid.occupied.shape, 4)
+    assert (pixels[..., 0] == 40).tolist() == grid.occupied.tolist()
+    assert (one.cell_size.x, one.column_count) == (grid.resolution, grid.occupied.shape[1])
+    scan = found["/scan"][0][2]
+    assert len(scan.ranges) == 91
+    assert scan.end_angle - scan.start_angle == pytest.approx(math.radians(270))
+
+
+def test_a_unique_pose_is_a_pose_and_a_transform(tmp_path) -> None:
+    from imgloc.filters.belief import Belief
+    from imgloc.filters.follow import Moment
+    from imgloc.output.mcap import Recording
+
+    pose = Pose2D(1.0, 2.0, math.pi / 2)
+    belief = Belief(np.array([[1.0, 2.0, 0.5]]), np.ones(1), np.eye(3)[None], 0.0, "unique", 1.0)
+    moment = Moment(0, 5.25, 0.0, True, 1.0, belief, "", pose, np.eye(3), (0.1, 0.1), pose)
+    scan = LaserScan([1.0, 2.0], [0.0, 0.5], T_base_laser=Pose2D(0.5, 0.0, 0.0))
+    recording = Recording(imgloc.load_map(MAP))
+    recording.add(scan, moment)
+    recording.save(tmp_path / "one.mcap")
+    found = read(tmp_path / "one.mcap")
+    tf, at = found["/tf"][0][2], found["/imgloc/pose"][0][2].pose
+    assert (tf.parent_frame_id, tf.child_frame_id) == ("map", "base_link")
+    assert (tf.translation.x, tf.translation.y) == (at.position.x, at.position.y) == (1.0, 2.0)
+    assert tf.rotation.z == pytest.approx(math.sin(math.pi / 4))
+    laser = found["/scan"][0][2].pose.position
+    assert (laser.x, laser.y) == pytest.approx((1.0, 2.5))
+    assert found["/imgloc/pose"][0][2].timestamp.ToNanoseconds() == 5_250_000_000
+
+
+def test_the_same_track_has_the_same_bytes_and_no_file_is_overwritten(tmp_path, log) -> None:
+    paths = [tmp_path / name for name in ("a.mcap", "b.mcap")]
+    for path in paths:
+        assert call("track", MAP, log, "--mcap", path).code == 0
+    a, b = (hashlib.sha256(path.read_bytes()).hexdigest() for path in paths)
+    assert a == b
+    run = call("track", MAP, log, "--mcap", paths[0])
+    assert run.code == 1
+    assert "a.mcap" in run.err
+
+
+def test_a_stamp_that_mcap_does_not_have_is_refused_and_nothing_is_left(tmp_path, log) -> None:
+    scans = imgloc.load_scans(log)
+    early = tmp_path / "early.npz"
+    moved = imgloc.ScanSet(scans.scans, None, scans.stamps - 2e9, scans.odom)
+    imgloc.save_scans(early, moved)
+    run = call("track", MAP, early, "--mcap", tmp_path / "out.mcap")
+    assert run.code == 1
+    assert "expected 0 to 4,294,967,295 s" in run.err
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_uneven_angles_are_those_of_the_nearest_rays() -> None:
+    angles = np.array([0.3, 0.0, 0.1, 0.2, 0.9])
+    even, ranges = evenly(LaserScan([4.0, 1.0, 2.0, 3.0, 9.0], angles))
+    assert even == pytest.approx(np.arange(10) / 10)
+    np.testing.assert_array_equal(ranges, [1, 2, 3, 4, *[np.nan] * 5, 9])
+
+
+def test_without_the_sdk_one_error_says_what_to_install(tmp_path, log) -> None:
+    program = (
+        f"import sys; sys.path.insert(0, {str(ROOT)!r}); sys.modules['foxglove'] = None\n"
+        f"import imgloc.cli.app as a\n"
+        f"a.main(['track', {str(MAP)!r}, {str(log)!r}, '--mcap', {str(tmp_path / 'o.mcap')!r}])"
+    )
+    done = subprocess.run([sys.executable, "-P", "-c", program], capture_output=True, timeout=60)
+    assert done.returncode == 1
+    assert b"pip install 'imgloc[foxglove]'" in done.stderr
