@@ -74,9 +74,9 @@ class Settings:
     range_max: float = math.inf  #: metres at which readings are cut
     base_frame: str = "base_link"
     map_frame: str = "map"
-    every: float = 0.5  #: seconds between scans that are tried
+    every: float = 0.3  #: seconds between scans that are tried
     metres: float = 0.3  #: or metres of driving
-    tries: int = 60  #: until the first pose is given up
+    tries: int = 100  #: until the first pose is given up
     max_age: float = 2.0  #: seconds of a scan whose pose is published
     scan_timeout: float = 1.0  #: seconds until a laser counts as silent
     #: standard deviations of /initialpose at least, metres and radians: a localizer that starts

@@ -42,10 +42,10 @@ class Rules(Checked):
     """How often a first pose is tried, and what of it is published."""
 
     every: Annotated[float, Within(0, 3600, "seconds")] = (
-        0.5  #: from one scan that is tried to the next
+        0.3  #: from one scan that is tried to the next
     )
     metres: Annotated[float, Within(0, 1000, "metres")] = 0.3  #: or so much driving, by odometry
-    tries: Annotated[int, Within(2, 1_000_000, "answers")] = 60  #: until it is given up
+    tries: Annotated[int, Within(2, 1_000_000, "answers")] = 100  #: until it is given up
     max_age: Annotated[float, Within(0.01, 3600, "seconds")] = (
         2.0  #: of a scan whose pose is published
     )

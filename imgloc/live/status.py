@@ -77,8 +77,8 @@ def base_covariance(covariance: FloatArray, sensor: Pose2D, base: Pose2D) -> Flo
     Examples
     --------
     >>> turned = np.diag([0.0, 0.0, 0.01])  # 0.1 rad
-    >>> base_covariance(turned, Pose2D(0.0, 0.0), Pose2D(-2.0, 0.0))[1, 1]
-    0.04
+    >>> base_covariance(turned, Pose2D(0.0, 0.0), Pose2D(-2.0, 0.0)).round(6).tolist()[1]
+    [0.0, 0.04, -0.02]
     """
     J = np.eye(3)
     J[:2, 2] = sensor.y - base.y, base.x - sensor.x

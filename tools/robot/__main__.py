@@ -103,7 +103,7 @@ def _given(given: argparse.Namespace) -> tuple[ScanSet, list[OccupancyGrid]]:
 def _listen(given: argparse.Namespace) -> int:
     ros, node = _node("listener")
     Listener(ros, node, write_to(given.write) or sys.stdout, everything=given.all)
-    with contextlib.suppress(KeyboardInterrupt):
+    with contextlib.suppress(KeyboardInterrupt, ros.executors.ExternalShutdownException):
         ros.rclpy.spin(node)
     return 0
 
