@@ -454,6 +454,36 @@ def test_it_fits_on_telephones_and_desks_by_day_and_by_night(page: Any, log: Pat
     assert (sum(map(int, re.findall(r"\d+", ground)[:3])) < 3 * 128) is dark
 
 
+def touched(page: Any, *moves: tuple[tuple[float, float], ...]) -> None:
+    """Put fingers on the canvas, move them, and lift them: the pixels of all, move for move."""
+    box, send = page.locator("#canvas").bounding_box(), page.context.new_cdp_session(page).send
+    kinds = ["touchStart", *["touchMove"] * (len(moves) - 1), "touchEnd"]
+    for kind, fingers in zip(kinds, (*moves, ()), strict=True):
+        points = [
+            {"x": box["x"] + x, "y": box["y"] + y, "id": k} for k, (x, y) in enumerate(fingers)
+        ]
+        send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+
+@pytest.mark.parametrize("page", SIZES[:1], indirect=True)
+def test_a_finger_drags_the_scan_and_two_enlarge_the_map(page: Any, log: Path) -> None:
+    drop(page, (log.name, log.read_bytes()))
+    answered(page)
+    x0, _, heading = sensor_at(page, 100, 200)
+    x1, y1, _ = sensor_at(page, 200, 200)
+    touched(page, ((200, 200),), ((230, 210),), ((250, 240),))
+    scale = (x1 - x0) / 100
+    sync.expect(page.locator("#pose-title")).to_have_text("Pose set by hand")
+    moved = (x1 + 50 * scale, y1 - 40 * scale, heading)
+    assert shown_pose(page) == pytest.approx(moved, abs=0.02)
+    # Twice as far apart: a pixel is half as much, and what was in their middle is still there.
+    touched(page, ((150, 200), (250, 200)), ((125, 200), (275, 200)), ((100, 200), (300, 200)))
+    assert shown_pose(page) == pytest.approx(moved, abs=0.02)
+    x2 = sensor_at(page, 200, 300)[0]
+    assert x2 == pytest.approx(x1, abs=0.05)
+    assert sensor_at(page, 300, 300)[0] - x2 == pytest.approx(50 * scale, abs=0.05)
+
+
 def test_open_shows_a_map_and_scans(browser: Any, log: Path) -> None:
     with (
         served("open", MAPS / "visibility.yaml", log, BROWSER="true") as one,

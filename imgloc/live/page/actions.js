@@ -51,7 +51,7 @@ const asked = (id) => ({ map: state.map.name, scans: id, index: state.index });
 export function chooseMap(map) {
   change({
     map, answer: null, verdicts: [], beliefs: [], fit: null, pose: null, chosen: -1, reading: -1, seen: null,
-    picture: null, marks: [], known: { near: null, region: null, clearance: state.known.clearance },
+    picture: null, marks: [], unsaved: false, known: { near: null, region: null, clearance: state.known.clearance },
     trouble: (map.warnings ?? []).map((text) => `${map.name}: ${text}`).join(" "),
   });
   showLayer();
@@ -85,7 +85,7 @@ export async function addScans(file, said = {}) {
 export function openSet(set, from = null) {
   items = new Map();
   files = from;
-  change({ set, scan: null, answer: null, verdicts: [], beliefs: [], marks: [], fit: null, reading: -1, chosen: -1, trouble: "" });
+  change({ set, scan: null, answer: null, verdicts: [], beliefs: [], marks: [], unsaved: false, fit: null, reading: -1, chosen: -1, trouble: "" });
   selectScan(0);
 }
 
@@ -183,7 +183,7 @@ export function mark() {
   const { pose, index } = state, marks = [...state.marks], old = marks[index];
   if (!pose) return;
   marks[index] = old && old.x === pose.x && old.y === pose.y && old.theta === pose.theta ? null : { ...pose };
-  change({ marks, note: marks[index] ? `Scan ${index} is marked.` : `Scan ${index} is not marked any more.` });
+  change({ marks, unsaved: marks.some(Boolean), note: marks[index] ? `Scan ${index} is marked.` : `Scan ${index} is not marked any more.` });
 }
 
 /** The marked scans with their true poses, as a file. */

@@ -150,7 +150,9 @@ function listenToControls() {
   });
   onClick("save", async () => {
     const file = await actions.saved();
-    if (file) download(file, `${state.set.name.replace(/\.[^.]*$/, "")}-marked.npz`);
+    if (!file) return;
+    download(file, `${state.set.name.replace(/^.*[/\\]|\.[^.]*$/g, "")}-marked.npz`);
+    change({ unsaved: false });
   });
   onClick("copy-command", () => state.map && copy(command(state), "command"));
   onClick("copy-python", () => state.map && copy(script(state), "Python"));
@@ -194,6 +196,7 @@ async function start() {
   watch(["set", "index", "following"], showLog);
   watch(["tool"], showTool);
   watch(["map", "scan", "pose", "fit", "answer", "chosen", "reading", "known", "seen", "spots", "beliefs", "marks", "verdicts", "index"], redraw);
+  addEventListener("beforeunload", (event) => { if (state.unsaved) event.preventDefault(); });
   onScheme(() => { cells?.repaint(); redraw(); });
   new ResizeObserver(resize).observe($("stage"));
   showMaps();

@@ -25,6 +25,7 @@ export const state = {
   beliefs: [], // of the tracker, by index
   following: null, // the WebSocket of the tracker while it runs
   marks: [], // true poses, by index
+  unsaved: false, // whether marks are in no file yet
   tool: "move",
 };
 
