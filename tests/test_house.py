@@ -105,3 +105,16 @@ def test_there_are_no_other_doors_and_each_is_used() -> None:
              for node in ast.walk(parsed(file.path))
              if isinstance(node, ast.Constant) and isinstance(node.value, str)}  # fmt: skip
     assert words >= set(DOORS)
+
+
+def test_the_way_from_scan_to_answer_fits_a_screen() -> None:
+    lines = (ROOT / "imgloc/pipeline.py").read_text("utf-8").splitlines()
+    steps = {f.name: f for f in parsed(Path("imgloc/pipeline.py")).body
+             if isinstance(f, ast.FunctionDef)}  # fmt: skip
+    code = 0
+    for name in ("localize", "find_modes", "find_adapted_modes"):
+        (docs, *body), last = steps[name].body, steps[name].end_lineno
+        assert isinstance(docs, ast.Expr)
+        code += sum(bool(line.strip()) for line in lines[body[0].lineno - 1 : last])
+    assert code <= 80
+    assert len(lines) <= 350
