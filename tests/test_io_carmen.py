@@ -172,3 +172,12 @@ def test_localize_reads_a_log(tmp_path: Path) -> None:
     bad = call("localize", "curved", path, "--no-cache", "--topic", "RLASER")
     assert bad.code == 4
     assert "no messages RLASER; it has FLASER (1)" in bad.err
+
+
+@pytest.mark.parametrize(
+    ("word", "reach"),
+    [(8.19, 8.0), (16.38, 16.0), (32.73, 32.0), (32.9, 80.0), (7.0, 80.0), (20.0, 80.0)],
+)
+def test_the_greatest_word_of_a_sick_tells_its_reach(tmp_path: Path, word: float, reach) -> None:
+    scans = load_scans(log(tmp_path, FLASER.replace(" 1.00 ", f" {word} ")))
+    assert scans[0].range_max == reach

@@ -72,6 +72,13 @@ def test_beyond_the_resolution_limits(value: str) -> None:
         parse(yaml_with("resolution", f"resolution: {value}"))
 
 
+@pytest.mark.parametrize("key", ["occupied_thresh", "free_thresh"])
+def test_thresholds_are_occupancies(key: str) -> None:
+    assert getattr(parse(yaml_with(key, f"{key}: 1")), key) == 1.0
+    with pytest.raises(MapError, match=f"{key}: got 1.5, expected an occupancy from 0 to 1"):
+        parse(yaml_with(key, f"{key}: 1.5"))
+
+
 def test_unknown_keys_are_kept_for_the_map_check() -> None:
     assert parse(YAML + "free_tresh: 0.2\nname: lab\n").unknown_keys == ("free_tresh", "name")
 

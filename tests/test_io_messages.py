@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from imgloc.errors import MapError, ScanError
 from imgloc.io import messages
@@ -135,3 +136,14 @@ def test_a_laser_is_found_through_transforms_also_upside_down() -> None:
 def test_odometry_is_seconds_and_a_pose() -> None:
     odometry = {"header": HEADER, "pose": {"pose": POSE, "covariance": [0.0] * 36}}
     assert messages.move_of(as_object(odometry)) == pytest.approx((12.25, 1.0, -2.0, 0.5))
+
+
+def test_a_transform_may_turn_about_any_axis() -> None:
+    q = np.array([0.1, -0.4, 0.3, 0.86])
+    pose = {
+        "position": {"x": 1.0, "y": 2.0, "z": 3.0},
+        "orientation": dict(zip("xyzw", q, strict=True)),
+    }
+    expected = np.eye(4)
+    expected[:3, :3], expected[:3, 3] = Rotation.from_quat(q).as_matrix(), (1, 2, 3)
+    np.testing.assert_allclose(messages.matrix_of(pose), expected, atol=1e-12)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from imgloc.errors import ConfigError, OutputError, ScanError
 from imgloc.io.scans import load_scans, read_npz, save_scans, scans_size, write_npz
 from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan
+from imgloc.model import LaserScan, Pose2D
 
 ANGLES = np.linspace(-1.5, 1.5, 4)
 RANGES = np.array([[1.0, np.nan, np.inf, 3.0], [0.01, -np.inf, 81.9, 2.5]])
@@ -313,3 +313,22 @@ def test_a_topic_is_of_logs_that_have_some(tmp_path):
     for read in (load_scans, scans_size):
         with pytest.raises(ScanError, match=r"a.npz: has one laser, expected no topic, got /scan"):
             read(path, topic="/scan")
+
+
+def test_where_each_sensor_sits_is_a_row_or_not_known(tmp_path: Path) -> None:
+    data = {"ranges": np.ones((2, 4)), "angles": np.arange(4.0), "range_max": 9.0}
+    np.savez(tmp_path / "s.npz", **data, mount=[[0.1, 0.2, 0.3], [np.nan] * 3])
+    first, second = load_scans(tmp_path / "s.npz").scans
+    assert first.T_base_laser == Pose2D(0.1, 0.2, 0.3)
+    assert second.T_base_laser is None
+    np.savez(tmp_path / "s.npz", **data, mount=[[0.1, 0.2, 0.3], [0.1, np.nan, 0.3]])
+    with pytest.raises(ScanError, match="mount"):
+        load_scans(tmp_path / "s.npz")
+
+
+def test_odometry_may_be_unknown_at_some_scans(tmp_path: Path) -> None:
+    odom = np.array([[1.0, 2.0, 0.5], [np.nan] * 3])
+    np.savez(
+        tmp_path / "s.npz", ranges=np.ones((2, 4)), angles=np.arange(4.0), range_max=9.0, odom=odom
+    )
+    np.testing.assert_array_equal(load_scans(tmp_path / "s.npz").odom, odom)
