@@ -376,6 +376,16 @@ def test_a_scan_that_is_lost_now_and_then_takes_nothing_back() -> None:
     assert set(seen) == {"unique"}
 
 
+def test_who_has_not_moved_has_not_been_followed() -> None:
+    tracker = tracker_of()
+    tracker.place(log().poses[0], (0.1, 0.1))
+    tracker.see(log()[0])
+    assert tracker._followed.tolist() == [0.0] * len(tracker._followed)
+    tracker.move(np.array([0.5, 0.0, 0.0]))
+    tracker.see(log()[0])
+    assert tracker._followed.max() == pytest.approx(0.5)
+
+
 def test_what_is_dark_counts_from_where_it_began() -> None:
     tracker = tracker_of()
     tracker.place(np.array([5.0, 7.0, 0.0]), (0.1, 0.1))

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError, OutputError, ScanError
 from imgloc.io.scans import load_scans, read_npz, save_scans, scans_size, write_npz
-from imgloc.io.scanset import ScanSet
+from imgloc.io.scanset import ScanSet, collect
 from imgloc.model import LaserScan, Pose2D
 
 ANGLES = np.linspace(-1.5, 1.5, 4)
@@ -326,9 +326,8 @@ def test_where_each_sensor_sits_is_a_row_or_not_known(tmp_path: Path) -> None:
         load_scans(tmp_path / "s.npz")
 
 
-def test_odometry_may_be_unknown_at_some_scans(tmp_path: Path) -> None:
-    odom = np.array([[1.0, 2.0, 0.5], [np.nan] * 3])
-    np.savez(
-        tmp_path / "s.npz", ranges=np.ones((2, 4)), angles=np.arange(4.0), range_max=9.0, odom=odom
-    )
-    np.testing.assert_array_equal(load_scans(tmp_path / "s.npz").odom, odom)
+def test_odometry_may_be_unknown_at_some_scans() -> None:
+    odom = np.array([[1.0, 2.0, 0.5], [np.nan] * 3])  # as of a bag
+    entry = {"ranges": [1.0, 2.0], "angles": [0.0, 0.1], "range_max": 9.0}
+    scans = collect([(f"scan {k}", entry | {"odom": row}) for k, row in enumerate(odom)], "a.bag")
+    np.testing.assert_array_equal(scans.odom, odom)
