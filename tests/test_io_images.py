@@ -70,6 +70,20 @@ def test_png_pixels_are_as_stored(data: bytes, expected: object, white: int) -> 
     assert image.channels == (1 if image.pixels.ndim == 2 else image.pixels.shape[2])
 
 
+def test_every_pass_of_an_interlaced_png_is_counted() -> None:
+    rows, columns = np.mgrid[:19, :21]
+    # The pass that each pixel of a block of eight by eight comes with (the PNG specification, 8.2).
+    block = ["16462646", "77777777", "56565656", "77777777",
+             "36463646", "77777777", "56565656", "77777777"]  # fmt: skip
+    number = np.array([list(map(int, row)) for row in block])[rows % 8, columns % 8]
+    lines = [(number[row] == k).sum() for k in range(1, 8) for row in range(19)]
+    data = b"".join(bytes(1 + count) for count in lines if count)  # a filter byte before each line
+    good = png(21, 19, 8, 0, [], idat=zlib.compress(data), interlace=1)
+    assert decode_image(good, "m.png").pixels.shape == (19, 21)
+    with pytest.raises(MapError, match="truncated PNG: "):
+        decode_image(png(21, 19, 8, 0, [], idat=zlib.compress(data[:-1]), interlace=1), "m.png")
+
+
 def test_interlaced_png_is_whole_or_refused() -> None:
     # Adam7 of a 3 x 3 image: passes 1, 5 (row 2), 6 (column 1) and 7 (row 1) hold pixels,
     # pass 4 holds column 2; each row has its filter byte.
