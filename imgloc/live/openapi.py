@@ -114,14 +114,15 @@ PAGE = (
     Parameter("start", "The first scan of the page.", Number(0, 1e9, "scans", whole=True), 0),
     Parameter("count", "Scans of the page.", Number(1, 200, "scans", whole=True), 20),
 )
+_HELD = Parameter("scans", "Scans that were sent before.", SCANS_ID.kind, needed=True)
 LIKELIHOOD = (
-    MAP, SCANS_ID, INDEX, *TAKEN,
+    MAP, _HELD, INDEX, *TAKEN,
     Parameter("method", "Whose likelihood.", Word(STACKS), "cbml"),
     Parameter("slice", "Number of the heading, or max over all.",
               Text(r"max|\d{1,5}", 5, "a number, or max"), "max"),
 )  # fmt: skip
 ATLAS = (
-    MAP, SCANS_ID, INDEX, *TAKEN,
+    MAP, _HELD, INDEX, *TAKEN,
     Parameter("step", "Metres between two places.", Number(0.05, 1000, "metres"), 2.0),
     Parameter("headings", "Headings at each place.", Number(1, 72, whole=True), 1),
     Parameter("start", "The first pose: next of the answer before.", Number(0, 1e9, whole=True), 0),

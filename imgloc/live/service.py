@@ -599,8 +599,6 @@ class Service:
 
     def _held_scan(self, values: Values) -> tuple[int, LaserScan]:
         """The scan of a file that was sent before, and its index there."""
-        if values["scans"] is None:
-            raise ConfigError("scans: missing, expected the id of scans that were sent")
         scans = self._held(values["scans"]).scans
         k = Chosen(values["index"] or "0").of(len(scans), "the file")[0]
         return k, taken(scans[k], values)

@@ -107,7 +107,7 @@ export const selectScan = api.newest(async (index) => {
   change({ index: at });
   const scan = await attempt("", () => item(at));
   if (!scan || state.index !== at || state.set.name !== set.name) return;
-  change({ scan, answer: null, fit: null, reading: -1, chosen: -1 });
+  change({ scan, reading: -1 }); // answer and fit stay, of another scan, until the new ones are there
   if (!state.following) locate();
 });
 
@@ -151,7 +151,7 @@ const askScore = api.newest(async () => {
   const { map, scan, pose } = state, before = settled;
   if (!map || !scan || !pose) return;
   const fit = await attempt("", () => aboutScans((id) => api.score({ ...asked(id), ...fitAt(pose) })));
-  if (fit && scan === state.scan && map === state.map && before === settled) change({ fit });
+  if (fit && scan === state.scan && map === state.map && before === settled) change({ fit: { ...fit, of: scan } });
 });
 
 /** Move the pose to where the scan fits best nearby. */
@@ -161,7 +161,7 @@ export async function settle() {
   const fit = await attempt("Settling", () => aboutScans((id) => api.settle({ ...asked(id), ...fitAt(pose) })));
   if (!fit || scan !== state.scan || pose !== state.pose) return;
   settled += 1;
-  change({ pose: fit.pose, chosen: -1, fit });
+  change({ pose: fit.pose, chosen: -1, fit: { ...fit, of: scan } });
 }
 
 /** Say what is known, and ask again. */

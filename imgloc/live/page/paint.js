@@ -172,7 +172,8 @@ function drawBelief(context, view, belief) {
 
 /** Draw all of it. `sketch` is what is being drawn by hand: a region or an arrow. */
 export function paint(context, view, state, { cells, layer, sketch }) {
-  const palette = colours(), { map, scan, pose, fit, answer, known } = state;
+  const palette = colours(), { map, scan, pose, known } = state;
+  const fit = state.fit?.of === scan ? state.fit : null, answer = state.answer?.index === state.index ? state.answer : null;
   context.clearRect(0, 0, view.width, view.height);
   if (map && cells) drawCells(context, view, cells.image, map.origin, map.resolution);
   if (map && layer) {

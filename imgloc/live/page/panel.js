@@ -67,8 +67,9 @@ function showHypotheses() {
 
 /** By how much a pose fits worse than the best hypothesis, as odds. */
 function comparison() {
-  const { fit, answer, chosen } = state, best = answer?.hypotheses[0];
-  if (!best || answer.parameters?.method !== "fused" || chosen === 0) return "";
+  const { fit, answer, scan, index, chosen } = state, best = answer?.hypotheses[0];
+  if (!best || answer.index !== index || fit.of !== scan) return "";
+  if (answer.parameters?.method !== "fused" || chosen === 0) return "";
   const nats = fit.log_likelihood - best.log_likelihood;
   const worth = Math.exp(Math.min(50, Math.abs(nats) / answer.evidence.temperature));
   const times = worth < 1.05 ? "as likely as" : `${worth < 1000 ? worth.toPrecision(2) : "more than 1000"} times ${nats < 0 ? "less" : "more"} likely than`;

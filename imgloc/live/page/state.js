@@ -11,11 +11,11 @@ export const state = {
   busy: "", // what the service is asked at the moment
   trouble: "", // the last error, in a sentence
   note: "", // news that are no error
-  answer: null, // of the scan, as `imgloc localize --json` prints it
+  answer: null, // of the scan `index`, as `imgloc localize --json` prints it
   verdicts: [], // of the scans that were answered, by index
   pose: null, // {x, y, theta} of the sensor, where its scan is drawn
   chosen: -1, // the hypothesis that this is; -1 set by hand, -2 by the tracker
-  fit: null, // what each reading says at the pose
+  fit: null, // what each reading says at the pose, and the scan that it is `of`
   reading: -1, // the reading that is asked about
   layer: "",
   slice: -1, // of a layer with headings; -1 is the best of all
