@@ -118,3 +118,25 @@ def test_the_way_from_scan_to_answer_fits_a_screen() -> None:
         code += sum(bool(line.strip()) for line in lines[body[0].lineno - 1 : last])
     assert code <= 80
     assert len(lines) <= 350
+
+
+@pytest.mark.parametrize("name", doors.JOBS)
+def test_every_job_is_where_its_name_says(name: str) -> None:
+    assert doors.opened(doors.JOBS[name]).name == name
+
+
+COMMANDS = [*(ROOT / "imgloc" / "cli").glob("*.py"), ROOT / "imgloc" / "plans" / "command.py"]
+COMMANDS += (ROOT / "imgloc" / "lab" / "commands").glob("*.py")
+
+
+@pytest.mark.parametrize("path", COMMANDS, ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_a_command_parses_runs_and_prints_in_sixty_lines(path: Path) -> None:
+    """Lines of code of each function, without the options that its signature declares."""
+    text = path.read_text("utf-8")
+    code = house.code_lines(text)
+    found = {
+        node.name: len(code & {*range(node.body[0].lineno, 1 + (node.end_lineno or 0))})
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+    }
+    assert {name: lines for name, lines in found.items() if lines > 60} == {}

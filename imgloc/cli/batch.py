@@ -23,9 +23,7 @@ if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from imgloc.runs.jobs import Item, Job
-
-    #: key and status of the row of each item
-    Done = dict[tuple[str, str | None], tuple[str, str]]
+    from imgloc.runs.opening import Means
 
 FAILED_ROWS = 5
 _EVERY = 60.0  # seconds between lines of progress without a terminal
@@ -126,15 +124,12 @@ def batch(
     """
     many = opt.count_threads(workers)
     pool = None if dask or dry_run else _pool(context, many, timeout, memory_limit)
-    from imgloc.cli import inputs
-    from imgloc.features.budget import MIB, default_budget
     from imgloc.model import to_json
     from imgloc.options import TOLERANCES, Options
-    from imgloc.output.drawings import DRAWINGS
     from imgloc.output.tables import batch_text
-    from imgloc.runs.batch import find_items, remaining, run_batch
+    from imgloc.runs.batch import find_items, run_batch
     from imgloc.runs.jobs import job_class
-    from imgloc.runs.opening import MapFiles, Means, ScanFiles
+    from imgloc.runs.opening import MapFiles, ScanFiles
     from imgloc.search.priors import Known
 
     kind = job_class(job.value)
@@ -165,18 +160,13 @@ def batch(
     }
     names = {field.name for field in fields(kind)}
     what = kind(**{name: value for name, value in offered.items() if name in names})
-    budget = memory_limit or (None if dask else default_budget() // many)
-    if budget is not None and budget < MIB:
-        raise ConfigError(f"--memory-limit: got {budget} bytes, expected at least 1M")
-    means = Means(budget, inputs.kept_in(None, wanted=not no_cache), DRAWINGS)
+    means = _means(memory_limit, 0 if dask else many, cached=not no_cache)
     again = resume or retry_failed
     items = find_items(maps, scans, what, out=out)
-    rows = _rows(out) if again else {}
-    todo = remaining(items, what, rows, retry_failed=retry_failed)
-    known = len({path for item in items for _, path in item.maps})
-    if near is not None and known > 1:
+    todo, said = _plan(items, what, out if again else None, retry_failed=retry_failed)
+    if near is not None and (known := len({path for item in items for _, path in item.maps})) > 1:
         raise ConfigError(f"--near: is about one map, not about {known:,}")
-    (emit if dry_run else say)(_planned(items, todo, rows, known))
+    (emit if dry_run else say)(said)
     if dry_run:
         return
     limits = {"timeout": timeout, "memory_limit": memory_limit}
@@ -195,15 +185,39 @@ def batch(
         raise typer.Exit(FAILED_ROWS)
 
 
-def _planned(items: "list[Item]", todo: "list[Item]", rows: "Done", maps: int) -> str:
-    """Say what will be done with so many maps; `rows` are there."""
+def _means(memory_limit: int | None, workers: int, *, cached: bool) -> "Means":
+    """What each of so many workers has; 0 of them are elsewhere, and say themselves."""
+    from imgloc.cli import inputs
+    from imgloc.features.budget import MIB, default_budget
+    from imgloc.output.drawings import DRAWINGS
+    from imgloc.runs.opening import Means
+
+    budget = memory_limit or (default_budget() // workers if workers else None)
+    if budget is not None and budget < MIB:
+        raise ConfigError(f"--memory-limit: got {budget} bytes, expected at least 1M")
+    return Means(budget, inputs.kept_in(None, wanted=cached), DRAWINGS)
+
+
+def _plan(
+    items: "list[Item]", job: "Job", out: Path | None, *, retry_failed: bool
+) -> "tuple[list[Item], str]":
+    """What is left to do, beside the rows that are in `out` already, and this in words."""
+    from imgloc.runs.batch import remaining
+    from imgloc.runs.results import RESULTS, id_of, read_rows
+
+    there = out is not None and is_there(out / RESULTS)
+    rows = {
+        id_of(row): (row["key"], row["status"]) for row in (read_rows(out) if out and there else ())
+    }
+    todo = remaining(items, job, rows, retry_failed=retry_failed)
+    maps = len({path for item in items for _, path in item.maps})
     files = len({item.scans_path for item in items if item.scans_path is not None})
     said = f"{len(items):,} items: {maps:,} maps, {files:,} files of scans"
     if len(todo) < len(items):
         said += f"; {len(items) - len(todo):,} are done"
     if anew := sum(rows.get(item.id, ("", ""))[1] == "ok" for item in todo):
         said += f"; {anew:,} were done with other options, files or versions, and are done anew"
-    return said
+    return todo, said
 
 
 def _given(context: typer.Context, kind: "type[Job]", with_scans: bool, maps: Path) -> set[str]:
@@ -222,15 +236,6 @@ def _given(context: typer.Context, kind: "type[Job]", with_scans: bool, maps: Pa
             way for way in ways if way.endswith("with SCANS" if with_scans else "without SCANS")
         ]
     return opt.given(context, {name: theirs for name, theirs in of.items() if theirs}, set(ways))
-
-
-def _rows(out: Path) -> "Done":
-    """Keys and statuses of the rows that are there, by their items."""
-    from imgloc.runs.results import RESULTS, id_of, read_rows
-
-    if not is_there(out / RESULTS):
-        return {}
-    return {id_of(row): (row["key"], row["status"]) for row in read_rows(out)}
 
 
 def _pool(

@@ -4,33 +4,25 @@ This loads all of imgloc: a command imports it when it runs.
 """
 
 import contextlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
 
-from imgloc.choice.choose import names_of
 from imgloc.cli.console import LOG, progress
 from imgloc.cli.options import RADIUS, TOLERANCE, Known, Logs, Mounting
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.store import load_features
 from imgloc.io.cache import cache_folder, cache_limit
 from imgloc.io.calibration import calibration_path, load_calibrations
 from imgloc.io.files import display, is_folder, refuse_existing
-from imgloc.io.folders import find_maps
 from imgloc.io.maps import YAML_ENDINGS, Reading
 from imgloc.io.mapyaml import load_map_yaml
-from imgloc.io.scanset import Chosen, ScanSet
+from imgloc.io.scanset import Chosen
 from imgloc.live.sites import Site
-from imgloc.model import LaserScan, OccupancyGrid
-from imgloc.options import Options, Prior
-from imgloc.pipeline import prepare
+from imgloc.options import Options
 from imgloc.runs import opening
 from imgloc.runs.jobs import Item
-from imgloc.runs.localize import region_of
 from imgloc.runs.opening import Desk, MapFiles, ScanFiles
-from imgloc.runs.opening import cut_scan as cut_scan
 from imgloc.runs.opening import held_bytes as held_bytes
 from imgloc.runs.opening import name_of as name_of
 from imgloc.runs.opening import quiet_libraries as quiet_libraries
@@ -143,15 +135,6 @@ def known_of(known: Known) -> priors.Known:
     return priors.Known(known.near, known.heading, known.clearance)
 
 
-def prior_of(known: Known, grid: OccupancyGrid, *, allow_lossy: bool = False) -> Prior:
-    """Make the prior of a map; its region may be a JPEG if the map may."""
-    prior = priors.Known(known.near, known.heading, known.clearance).prior(grid)
-    if known.region is not None:
-        cells = region_of(known.region, grid, allow_lossy=allow_lossy)
-        prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})
-    return prior
-
-
 def check_prior(known: Known, features: MapFeatures, options: Options) -> None:
     """Refuse a prior without a cell in which a sensor can be, by the option that leaves none."""
     if not priors.leaves_none(options.prior, features):
@@ -175,58 +158,18 @@ def check_prior(known: Known, features: MapFeatures, options: Options) -> None:
 
 
 def site_makers(
-    path: Path, options: Options, folder: Path | None, reading: Reading, *, allow_lossy: bool
-) -> dict[str, Callable[[], Site]]:
-    """What makes each map of a folder, or the one at `path`, by its name.
+    paths: Mapping[str, Path], maps: MapFiles, options: Options, folder: Path | None
+) -> tuple[dict[str, Callable[[], Site]], Callable[[str, Site], None]]:
+    """What makes each map, by its name, and what keeps it in the cache once it is made."""
 
-    One map is loaded here, so that what is wrong with it is said at once; those of a folder when
-    they are made.
-    """
-    many = is_folder(path)
-    paths = find_maps(path, images=reading.get("resolution") is not None) if many else [path]
-    names = names_of(paths, path) if many else [path.stem]
-    maps = MapFiles(reading, allow_lossy, many=many)
+    def made(path: Path) -> Site:
+        # A desk keeps its maps, but who serves sites decides how many are kept: one for each.
+        desk = desk_of(options.threads, options.memory_budget or 0, folder)
+        features = desk.features(path, maps, options)
+        return Site(features, *load_calibrations(calibration_path(path), features.grid))
 
-    def made(at: Path, desk: Desk | None = None) -> Site:
-        # A desk keeps its maps, but who serves sites decides how many are kept.
-        desk = desk or desk_of(options.threads, options.memory_budget or 0, folder)
-        features = desk.features(at, maps, options)
-        return Site(features, *load_calibrations(calibration_path(at), features.grid))
-
-    if many:
-        return {name: partial(made, at) for name, at in zip(names, paths, strict=True)}
-    desk = desk_of(options.threads, options.memory_budget or 0, folder)
-    desk.grid(path, maps, usable=True)
-    return {names[0]: partial(made, path, desk)}
-
-
-# For commands that do not have a desk of their own yet.
-
-
-def load_grid(
-    path: Path, budget: int, *, allow_lossy: bool, usable: bool = True, **reading: Any
-) -> OccupancyGrid:
-    """Load a map within the budget; `usable`: with walls and free cells."""
-    maps = MapFiles(cast("Reading", reading), allow_lossy, many=False)
-    return desk_of(1, budget).grid(path, maps, usable=usable)
-
-
-def load_set(path: Path, budget: int, logs: Logs = Logs()) -> ScanSet:
-    """Load scans, which are read only if they take no more than the budget; ``-`` is stdin."""
-    return desk_of(1, budget).scans(path, as_recorded(logs)).scans
-
-
-def open_features(
-    grid: OccupancyGrid, name: str, folder: Path | None, options: Options,
-    *, scans: Sequence[LaserScan] = (), **parameters: Any,
-) -> MapFeatures:  # fmt: skip
-    """Prepare a map, with what the cache in `folder` has of it, if it fits into the memory."""
-    parameters["memory_budget"] = options.memory_budget
-    features = prepare(grid, name, **parameters)
-    desk_of(1, options.memory_budget or 0).check_answer(features, options, name, scans=scans)
-    return features if folder is None else load_features(grid, folder, parameters)
-
-
-def keep_features(features: MapFeatures, folder: Path | None) -> None:
-    """Keep in the cache what has been computed of a map and is not there yet."""
-    desk_of(1, 0, folder).keep(features)
+    keep = desk_of(1, 0, folder).keep
+    return (
+        {name: partial(made, path) for name, path in paths.items()},
+        lambda _, site: keep(site.features),
+    )

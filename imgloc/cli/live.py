@@ -90,11 +90,8 @@ def live_of(
     else:
         return None
 
-    def ready(scan: "LaserScan") -> "LaserScan":
-        return prepared(scan if logs.scale == 1 else scan.scaled(logs.scale))
-
     name = inputs.name_of(log)
-    return Live(stream.scans_of(lines, name, topic=logs.topic, fov=logs.fov), ready)
+    return Live(stream.scans_of(lines, name, topic=logs.topic, fov=logs.fov), prepared)
 
 
 def _growing(log: Path) -> Iterator[bytes]:

@@ -80,15 +80,23 @@ def node(
         max_age=max_age,
     )
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
-    makers, prepared = {}, None
+    makers: dict[str, Any] = {}
+    prepared: Any = None
     if map_path is not None:
+        from imgloc.choice.choose import names_of
         from imgloc.cli import inputs
+        from imgloc.io.files import is_folder
+        from imgloc.io.folders import find_maps
+        from imgloc.runs.opening import MapFiles
 
-        folder = inputs.kept_in(cache, wanted=not no_cache)
-        makers = inputs.site_makers(map_path, options, folder, reading, allow_lossy=allow_lossy)
-
-        def prepared(_: str, site: Any) -> None:
-            inputs.keep_features(site.features, folder)
+        folder, many = inputs.kept_in(cache, wanted=not no_cache), is_folder(map_path)
+        paths, maps = {map_path.stem: map_path}, MapFiles(reading, allow_lossy, many=many)
+        if many:
+            found = find_maps(map_path, images=reading.get("resolution") is not None)
+            paths = dict(zip(names_of(found, map_path), found, strict=True))
+        else:  # what is wrong with one map is said at once
+            inputs.desk_of(*taken).grid(map_path, maps, usable=True)
+        makers, prepared = inputs.site_makers(paths, maps, options, folder)
 
     words = ["imgloc", *context.meta[_ROS]]
     raise typer.Exit(run_node(ros, words, settings, makers, options, prepared))

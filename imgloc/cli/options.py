@@ -5,8 +5,8 @@ import inspect
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
@@ -19,7 +19,7 @@ from imgloc.errors import ConfigError
 if TYPE_CHECKING:
     from imgloc.io.maps import Reading as Reading
     from imgloc.io.scanset import Chosen as Chosen
-    from imgloc.model import LaserScan, Pose2D
+    from imgloc.model import Pose2D
     from imgloc.options import Tolerance
     from imgloc.simulation.scans import Sensor as Sensor
 
@@ -394,16 +394,6 @@ class Mounting:
         from imgloc.model import Pose2D
 
         return None if self.sensor is None else Pose2D(*self.sensor)
-
-    def check(self, scans: "Iterable[LaserScan]") -> None:
-        """Refuse one pose for several lasers that say where they sit."""
-        if self.sensor is not None and len({scan.T_base_laser for scan in scans}) > 1:
-            raise ConfigError("--sensor: the log has several lasers, each with a place of its own")
-
-    def mount(self, scan: "LaserScan") -> "LaserScan":
-        """The scan as that of a sensor that is mounted upright, with the mounting pose given."""
-        scan = scan.flipped if self.flipped else scan
-        return scan if self.pose is None else replace(scan, T_base_laser=self.pose)
 
 
 def mounting(

@@ -16,7 +16,6 @@ from imgloc.io.files import display, is_folder
 
 if TYPE_CHECKING:
     from imgloc.live.localizer import Localizer
-    from imgloc.live.sites import Site
 
 PORT = 8080
 _NEEDED = ("starlette", "uvicorn", "websockets", "python_multipart", "prometheus_client")
@@ -105,7 +104,7 @@ def open(  # noqa: A001 (the command's name)
 
     opened = None
     if scans_path is not None:
-        scans = inputs.load_set(scans_path, taken.memory_budget, logs)
+        scans = inputs.desk_of(*taken).scans(scans_path, inputs.as_recorded(logs)).scans
         opened = ScansHeld("0" * 16, inputs.name_of(scans_path), scans)
     core, paths = _core([map_path], reading, taken, cache, no_cache, allow_lossy)
 
@@ -134,27 +133,14 @@ def _core(
 ) -> "tuple[Localizer, dict[str, str]]":
     """The maps, which are prepared from now on, and what each is called on a command line."""
     from imgloc.cli import inputs
-    from imgloc.io.calibration import calibration_path, load_calibrations
-    from imgloc.io.maps import reading_of
     from imgloc.live.localizer import Localizer
-    from imgloc.live.sites import Site
     from imgloc.options import Options
+    from imgloc.runs.opening import MapFiles
 
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     folder, paths = inputs.kept_in(cache, wanted=not no_cache), _named(given, reading)
-
-    def made(path: Path) -> "Site":
-        how = reading_of(path, reading) if len(paths) > 1 else reading
-        grid = inputs.load_grid(
-            path, taken.memory_budget, allow_lossy=allow_lossy, usable=False, **how
-        )
-        features = inputs.open_features(grid, display(path), folder, options, threads=taken.threads)
-        return Site(features, *load_calibrations(calibration_path(path), grid))
-
-    def keep(_: str, site: "Site") -> None:
-        inputs.keep_features(site.features, folder)
-
-    makers = {name: (lambda path=path: made(path)) for name, path in paths.items()}
+    maps = MapFiles(reading, allow_lossy, many=len(paths) > 1)
+    makers, keep = inputs.site_makers(paths, maps, options, folder)
     core = Localizer(makers, options, background=True, prepared=keep)
     bundled = {opt.find_map(path): display(path) for path in given}
     return core, {name: bundled.get(path, display(path)) for name, path in paths.items()}

@@ -20,9 +20,10 @@ if TYPE_CHECKING:
     from imgloc.cli.live import Live
     from imgloc.filters.follow import Kidnap, Moment, Tracking
     from imgloc.io.scanset import ScanSet
-    from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
+    from imgloc.model import FloatArray, OccupancyGrid, Pose2D
     from imgloc.output.mcap import Recording
     from imgloc.output.tracks import Video
+    from imgloc.runs.opening import Desk, ScanFiles
 
 _EVERY = (
     "Weigh all places by a scan once the robot has gone M metres or turned DEG degrees; the scans "
@@ -209,15 +210,14 @@ def track(
 
     folder = inputs.kept_in(cache, wanted=not no_cache)
     outputs.check([*inputs.files_of(map_path), log])
-    grid = inputs.load_grid(map_path, taken.memory_budget, allow_lossy=allow_lossy, **reading)
+    desk = inputs.desk_of(taken.threads, taken.memory_budget, folder)
+    maps = inputs.one_map(reading, allow_lossy=allow_lossy)
+    grid = desk.grid(map_path, maps, usable=True)
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     options = calibrated(options, map_path, grid)
-    scans, live = _scans_of(
-        log, logs, asked, mounting, range_max, taken.memory_budget, stamped=outputs.tum is not None
-    )
-    features = inputs.open_features(
-        grid, display(map_path), folder, options, scans=scans.scans, threads=taken.threads
-    )
+    how = inputs.as_recorded(logs, range_max, mounting=mounting)
+    scans, live = _scans_of(log, logs, asked, how, desk, stamped=outputs.tum is not None)
+    features = desk.features(map_path, maps, options, scans=scans.scans)
     chosen = tracking.made(features, options)
     run = follow(
         features, live or scans, chosen, every=tracking.every, limits=tracking.limits,
@@ -235,7 +235,7 @@ def track(
             seen = scans.scans.__getitem__ if live is None else live.last
             shown.append(lambda moment: recording.add(seen(moment.index), moment))
         moments, words = _printed(run, len(scans), live, shown, as_json=as_json)
-        inputs.keep_features(features, folder)
+        desk.keep(features)
         truth = robot_poses(scans) if live is None else live.poses()
         outputs.write(grid, moments, truth, movie, recording)
     if not moments:
@@ -257,8 +257,7 @@ def _hint(found: float, known: float) -> None:
 
 
 def _scans_of(
-    log: Path, logs: opt.Logs, asked: Asked, mounting: opt.Mounting, range_max: float | None,
-    budget: int, *, stamped: bool,
+    log: Path, logs: opt.Logs, asked: Asked, how: "ScanFiles", desk: "Desk", *, stamped: bool,
 ) -> "tuple[ScanSet, Live | None]":  # fmt: skip
     """The scans of a log, as the sensor sits; or those of one that is still being written.
 
@@ -266,23 +265,17 @@ def _scans_of(
     """
     import numpy as np
 
-    from imgloc.cli import inputs
     from imgloc.cli.live import live_of
     from imgloc.filters.follow import with_odometry
     from imgloc.io.scanset import ScanSet
 
-    def prepared(scan: "LaserScan") -> "LaserScan":
-        return mounting.mount(inputs.cut_scan(scan, range_max))
-
-    live = live_of(log, logs, prepared, follow=asked.follow)
+    live = live_of(log, logs, how.mounted, follow=asked.follow)
     if live is not None:
         if asked.kidnap is not None or asked.simulate_odometry is not None:
             wrong = "--kidnap" if asked.kidnap is not None else "--simulate-odometry"
             raise ConfigError(f"{wrong}: needs a log that is whole, not one that is being written")
         return ScanSet(()), live
-    scans = inputs.load_set(log, budget, logs)
-    mounting.check(scans.scans)
-    scans = replace(scans, scans=tuple(map(prepared, scans.scans)))
+    scans = desk.scans(log, how).scans
     if asked.simulate_odometry is not None:
         scans = with_odometry(replace(scans, odom=None), asked.simulate_odometry)[0]
     if stamped and (scans.stamps is None or not np.isfinite(scans.stamps).any()):

@@ -86,6 +86,19 @@ class ScanFiles(Checked):
         if self.mount is not None:
             check_mount(self.mount, "mount")
 
+    def mounted(self, scan: LaserScan) -> LaserScan:
+        """The scan in metres, of an upright sensor with this reach that is mounted so."""
+        scan = scan if self.scale == 1 else scan.scaled(self.scale)
+        scan = scan.flipped if self.flipped else scan
+        reach = scan.range_max if self.range_max is None else min(self.range_max, scan.range_max)
+        if reach <= scan.range_min:
+            raise ConfigError(
+                f"`range_max`: got {reach:g}, expected more than range_min, {scan.range_min:g} m"
+            )
+        if reach == scan.range_max and self.mount is None:
+            return scan
+        return replace(scan, range_max=reach, T_base_laser=self.mount or scan.T_base_laser)
+
 
 @dataclass(frozen=True)
 class Taken:
@@ -249,7 +262,7 @@ class Desk:
             raise ConfigError("`sensor`: the log has several lasers, each with a place of its own")
         indices = files.chosen.of(len(recorded), name)
         some = recorded.take(indices)
-        scans = tuple(_as_mounted(scan, files) for scan in some.scans)
+        scans = tuple(map(files.mounted, some.scans))
         return Taken(name, replace(some, scans=scans), indices, len(recorded))
 
 
@@ -285,25 +298,6 @@ def image_of(path: Path, reading: Reading) -> tuple[ImageSize, str]:
     image = resolve_settings(path, **reading).image
     size = image_size(image)
     return size, f"{display(image)}: an image of {size.width} x {size.height} pixels"
-
-
-def _as_mounted(scan: LaserScan, files: ScanFiles) -> LaserScan:
-    """The scan of an upright sensor, in metres, cut, and mounted as said."""
-    scan = scan if files.scale == 1 else scan.scaled(files.scale)
-    scan = cut_scan(scan, files.range_max, flipped=files.flipped)
-    return scan if files.mount is None else replace(scan, T_base_laser=files.mount)
-
-
-def cut_scan(scan: LaserScan, range_max: float | None, *, flipped: bool = False) -> LaserScan:
-    """The scan that a sensor with a shorter reach, or one upright, would have recorded."""
-    scan = scan.flipped if flipped else scan
-    if range_max is None or range_max >= scan.range_max:
-        return scan
-    if range_max <= scan.range_min:
-        raise ConfigError(
-            f"`range_max`: got {range_max:g}, expected more than range_min, {scan.range_min:g} m"
-        )
-    return replace(scan, range_max=range_max)
 
 
 def answer_need(features: MapFeatures, options: Options, name: str) -> tuple[int, str]:

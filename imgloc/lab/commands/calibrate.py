@@ -1,10 +1,10 @@
 """`imgloc calibrate`: what evidence is worth in a map, and what error all its readings share."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,7 +16,9 @@ from imgloc.io.files import display
 
 if TYPE_CHECKING:
     from imgloc.io.scanset import ScanSet
+    from imgloc.lab.calibrate import CalibrationFit
     from imgloc.model import OccupancyGrid
+    from imgloc.runs.opening import Desk, MapFiles
 
 _STACKS = [name.value for name in opt.MethodName if name != opt.MethodName.FUSED]
 
@@ -62,10 +64,9 @@ def calibrate(
     method begins with that ever after.
     """
     from imgloc.cli import inputs
-    from imgloc.io.calibration import calibration_path, save_calibrations
+    from imgloc.io.calibration import save_calibrations
     from imgloc.lab.calibrate import check_trials, disturbed_set, fit, sweep
-    from imgloc.lab.tables import calibration_table
-    from imgloc.model import plain, to_json
+    from imgloc.model import plain
     from imgloc.options import Options
     from imgloc.pipeline import prepare
     from imgloc.simulation.scans import fine_image, is_world, simulate
@@ -73,16 +74,7 @@ def calibrate(
     chosen = opt.methods_of(methods, _STACKS)
     steps = opt.for_each("--theta-step-deg", theta_step_deg, chosen, *opt.STEP)
     paths = [opt.find_map(given) for given in maps]
-    targets = [calibration_path(path) for path in paths]
-    if len(set(targets)) < len(targets):
-        raise ConfigError("MAP...: the same map twice, or two that would share a file")
-    for given, path, target in [] if dry_run else zip(maps, paths, targets, strict=True):
-        if path != given:
-            raise ConfigError(
-                f"{given}: of a bundled map it would be kept in {display(target)}, among the files "
-                f"of imgloc; give {display(path)} if that is meant, else --dry-run or a copy"
-            )
-        inputs.check_target(target, ".json", force=force)
+    targets = _targets(maps, paths, dry_run=dry_run, force=force)
     if scans is not None:
         if len(paths) > 1:
             raise ConfigError("--scans: expected one MAP, the one that they are from")
@@ -92,11 +84,7 @@ def calibrate(
     desk = inputs.desk_of(taken.threads, taken.memory_budget)
     read = inputs.one_map(reading, allow_lossy=allow_lossy)
     laser = replace(sensor, range_max=range_max)
-    grids: list[OccupancyGrid] = []
-    for path in paths:
-        grids.append(desk.grid(path, read, usable=True))
-        desk.held += grids[-1].occupied.nbytes + grids[-1].free.nbytes
-    desk.held = 0  # what follows counts them itself
+    grids = _grids(paths, read, desk)
     plans = {
         method: Options(
             method=method,
@@ -116,7 +104,7 @@ def calibrate(
         made(grid, count, seed, laser, fine_image(path, grid))
         for path, grid in zip(paths, grids, strict=True)
     ]
-    fits = {}
+    fits: dict[str, CalibrationFit] = {}
     for method, options in plans.items():
         sweeps = []
         with progress(method, count * len(maps), lines=False) as advance:
@@ -127,18 +115,66 @@ def calibrate(
         LOG.info("%s: %s", method, asdict(fits[method].calibration))
     about = {"maps": [display(path) for path in paths], "seed": seed, "trials": count}
     about |= {"sensor": asdict(laser), "clean": clean, "cell": cell}
-    index = {m: {"calibrated": asdict(f.index), "bare": asdict(f.bare)} for m, f in fits.items()}
-    if as_json:
-        fitted = {method: asdict(f.calibration) for method, f in fits.items()}
-        more = {"theta_step_deg": steps, "index": index}
-        emit(to_json({"methods": fitted, "about": about | more}))
-    else:
-        emit(calibration_table(fits))
+    _show(fits, about, steps, as_json=as_json)
     for target, grid in [] if dry_run else zip(targets, grids, strict=True):
-        each = {m: about | {"theta_step_deg": steps.get(m), "index": index[m]} for m in fits}
-        calibrations = {method: f.calibration for method, f in fits.items()}
+        each = {
+            method: about | {"theta_step_deg": steps.get(method), "index": _index(found)}
+            for method, found in fits.items()
+        }
+        calibrations = {method: found.calibration for method, found in fits.items()}
         save_calibrations(target, grid, calibrations, plain(each), force=force)
         say(f"wrote {display(target)}")
+
+
+def _targets(
+    maps: Sequence[Path], paths: Sequence[Path], *, dry_run: bool, force: bool
+) -> list[Path]:
+    """The file beside each map, as it was given and where it is; all that may be written."""
+    from imgloc.cli import inputs
+    from imgloc.io.calibration import calibration_path
+
+    targets = [calibration_path(path) for path in paths]
+    if len(set(targets)) < len(targets):
+        raise ConfigError("MAP...: the same map twice, or two that would share a file")
+    for given, path, target in [] if dry_run else zip(maps, paths, targets, strict=True):
+        if path != given:
+            raise ConfigError(
+                f"{given}: of a bundled map it would be kept in {display(target)}, among the files "
+                f"of imgloc; give {display(path)} if that is meant, else --dry-run or a copy"
+            )
+        inputs.check_target(target, ".json", force=force)
+    return targets
+
+
+def _grids(paths: Sequence[Path], maps: "MapFiles", desk: "Desk") -> list["OccupancyGrid"]:
+    """All maps, each of which has to fit into the memory beside those before it."""
+    grids: list[OccupancyGrid] = []
+    for path in paths:
+        grids.append(desk.grid(path, maps, usable=True))
+        desk.held += grids[-1].occupied.nbytes + grids[-1].free.nbytes
+    desk.held = 0  # what follows counts them itself
+    return grids
+
+
+def _index(found: "CalibrationFit") -> dict[str, Any]:
+    return {"calibrated": asdict(found.index), "bare": asdict(found.bare)}
+
+
+def _show(
+    fits: "Mapping[str, CalibrationFit]", about: Mapping[str, Any], steps: Mapping[str, float],
+    *, as_json: bool,
+) -> None:  # fmt: skip
+    """Print what was fitted."""
+    from imgloc.lab.tables import calibration_table
+    from imgloc.model import to_json
+
+    if not as_json:
+        emit(calibration_table(fits))
+        return
+    fitted = {method: asdict(found.calibration) for method, found in fits.items()}
+    index = {method: _index(found) for method, found in fits.items()}
+    more = {"theta_step_deg": steps, "index": index}
+    emit(to_json({"methods": fitted, "about": {**about, **more}}))
 
 
 def _with_scans(
