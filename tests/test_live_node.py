@@ -17,40 +17,26 @@ from command import MAPS, ROOT, spawn
 
 import imgloc
 from imgloc.geometry import pose_errors
-from imgloc.model import LaserScan, Pose2D
-from imgloc.simulation.scans import simulate_ranges
-from imgloc.simulation.worlds import WORLDS, render
+from imgloc.model import Pose2D
 
 pytest.importorskip("rclpy", reason="no ROS 2 here: source one, or pip install 'imgloc[node]'")
 
 from tools.robot.kill import Told, environment, judged, lines_of, true_poses
+from tools.robot.play import START, to_and_fro
 
 MAP, OTHER = MAPS / "double_wall.yaml", MAPS / "curved.yaml"
 MOUNT = Pose2D(0.1, 0.0, math.radians(90.0))
 SENSOR = "0.1,0,90deg"
-ANGLES = np.deg2rad(np.arange(-180, 180, 1.0))
 PATIENCE = 20.0  # seconds that a scan may be old on a busy machine
 LONG = 60.0  # and anything may take
 
 
-def log_in(folder: Path, world: str, x: float, y: float, theta: float) -> Path:
-    """A robot drives a metre to and fro for a minute, with a scan each 0.1 s; poses are known."""
-    along = np.abs((0.04 * np.arange(600) + 1) % 2 - 1)
-    here = [Pose2D(x + d * math.cos(theta), y + d * math.sin(theta), theta) for d in along]
-    sensors = [imgloc.model.compose(pose, MOUNT) for pose in here]
-    rows = np.array([(p.x, p.y, p.theta) for p in sensors])
-    fine = render(WORLDS[world](), 0.02)
-    ranges = simulate_ranges(fine, rows, ANGLES, seed=3, range_max=12.0)
-    scans = tuple(LaserScan(r, ANGLES, range_max=12.0, T_base_laser=MOUNT) for r in ranges)
-    odom = np.column_stack((along, 0 * along, 0 * along))
-    path = folder / f"{world}.npz"
-    imgloc.save_scans(path, imgloc.ScanSet(scans, rows, 1000 + 0.1 * np.arange(len(along)), odom))
-    return path
-
-
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return log_in(tmp_path_factory.mktemp("log"), "double_wall", 18.3, 3.1, -0.05)
+    """A robot that drives a metre to and fro in MAP, with a scan each 0.1 s."""
+    path = tmp_path_factory.mktemp("log") / "log.npz"
+    imgloc.save_scans(path, to_and_fro(MOUNT))
+    return path
 
 
 def truth_of(log: Path) -> np.ndarray:
@@ -149,7 +135,7 @@ def test_a_robot_is_told_its_first_pose_once_and_silence_is_said(field, log, pub
     assert said["mapId"] == "map"
     assert said["state"] == "quiet"
     assert pose_errors(np.array([[said["x"], said["y"], said["theta"]]]),
-                       Pose2D(18.3, 3.1, -0.05))[0] == pytest.approx([0, 0], abs=1.1)  # fmt: skip
+                       START)[0] == pytest.approx([0, 0], abs=1.1)  # fmt: skip
     player.kill()
     field.until(lambda: field.level() == 3)
     assert field.heard("diagnostics")[-1]["message"] == "no scans on scan"

@@ -58,6 +58,7 @@ _BACK = 1.0  # seconds; stamps that go back farther are a time that begins anew
 _ANSWERED = 15.0  # seconds that ~/localize waits for a pose at most
 _MOVES = 4000  # poses of the odometry that are remembered: 20 s of 200 a second
 _STILL = (0.1, 0.05)  # metres, radians: a robot that has gone less far stands
+_SAID = 5.0  # seconds between two lines of the log that differ in words alone
 _TURN = 0.005  # seconds
 _MAP = "map"
 _ENDING = (signal.SIGINT, signal.SIGTERM)
@@ -234,7 +235,7 @@ class LocalizerNode:
         self._tracked = deque[_Asked]()
         self._robot = core.robot() if settings.track else None
         self._callers = list[_Caller]()  # who waits for an answer of ~/localize
-        self._level = -1
+        self._said = (-1, "", 0.0)  # level and sentence that were logged last, and when
         self._ended = False
         self._connect()
 
@@ -512,10 +513,11 @@ class LocalizerNode:
         self._status.publish(self.made.text(to_json(row)))
         name, time_ = self.node.get_fully_qualified_name(), self.node.get_clock().now().to_msg()
         self._diagnostics.publish(self.made.diagnostics(level, row, name, time_))
-        if level != self._level:
+        now = time.monotonic()
+        if level != self._said[0] or (said != self._said[1] and now > self._said[2] + _SAID):
             log = self.node.get_logger()
             (log.error if level == ERROR else log.info)(said)
-            self._level = level
+            self._said = level, said, now
         self._answer_callers(said)
 
     def _health(self) -> tuple[int, str]:

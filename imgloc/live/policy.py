@@ -41,14 +41,14 @@ WAITING, TRYING, CONFIRMED, QUIET, GIVEN_UP = (
 class Rules(Checked):
     """How often a first pose is tried, and what of it is published."""
 
-    every: Annotated[float, Within(0, 3600, "seconds")] = (
-        0.3  #: from one scan that is tried to the next
-    )
-    metres: Annotated[float, Within(0, 1000, "metres")] = 0.3  #: or so much driving, by odometry
-    tries: Annotated[int, Within(2, 1_000_000, "answers")] = 100  #: until it is given up
-    max_age: Annotated[float, Within(0.01, 3600, "seconds")] = (
-        2.0  #: of a scan whose pose is published
-    )
+    #: from one scan that is tried to the next
+    every: Annotated[float, Within(0, 3600, "seconds")] = 0.3
+    #: or so much driving, by odometry
+    metres: Annotated[float, Within(0, 1000, "metres")] = 0.3
+    #: until it is given up
+    tries: Annotated[int, Within(2, 1_000_000, "answers")] = 100
+    #: of a scan whose pose is published
+    max_age: Annotated[float, Within(0.01, 3600, "seconds")] = 2.0
 
 
 @dataclass(frozen=True)

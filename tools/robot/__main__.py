@@ -1,6 +1,6 @@
 """A robot that is not there, for `imgloc node`; needs a ROS 2, or pip install 'imgloc[node]'.
 
-    python -m tools.robot play                   # a drive through a bundled world: map, odom, scan
+    python -m tools.robot play                   # a robot in a bundled world: map, odom, scan
     python -m tools.robot play MAP LOG           # the same of a log with stamps, in its own time
     python -m tools.robot listen                 # prints what comes on /initialpose
     python -m tools.robot ask localize           # calls a service of the node
@@ -20,12 +20,11 @@ from pathlib import Path
 from typing import Any
 
 from imgloc import ConfigError, OccupancyGrid, Pose2D, ScanSet, load_map, load_scans
+from imgloc.io.maps import bundled_maps
 from imgloc.live.node import load_ros
-from imgloc.simulation.worlds import WORLDS, render
-from tools.drive import WORLD, drive
 from tools.robot.kill import kill_loop
 from tools.robot.listen import Listener
-from tools.robot.play import DISTURBED, Player, Playing, write_to
+from tools.robot.play import DISTURBED, WORLD, Player, Playing, to_and_fro, write_to
 from tools.script import ended, parser_of
 
 
@@ -62,7 +61,9 @@ def main() -> int:
     kill.add_argument("--longest", type=float, default=12.0, help="seconds between two kills")
     kill.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
-    return ended("tools.robot", lambda: given.work(given))
+    with contextlib.suppress(KeyboardInterrupt):
+        return ended("tools.robot", lambda: given.work(given))
+    return 130
 
 
 def _command(commands: Any, name: str, work: Callable[[Any], int]) -> argparse.ArgumentParser:
@@ -73,7 +74,8 @@ def _command(commands: Any, name: str, work: Callable[[Any], int]) -> argparse.A
 
 def _node(name: str) -> tuple[Any, Any]:
     ros = load_ros()
-    ros.rclpy.init(args=[])
+    # Its own handlers would end it in the middle of a message.
+    ros.rclpy.init(args=[], signal_handler_options=ros.signals.SignalHandlerOptions.NO)
     return ros, ros.rclpy.create_node(name)
 
 
@@ -91,9 +93,9 @@ def _play(given: argparse.Namespace) -> int:
 
 
 def _given(given: argparse.Namespace) -> tuple[ScanSet, list[OccupancyGrid]]:
-    """The log and its maps; by default a drive through a bundled world."""
+    """The log and its maps; by default those of a robot that is not there."""
     if given.map is None:
-        return drive(), [render(WORLDS[WORLD](), 0.1)]
+        return to_and_fro(), [load_map(bundled_maps() / f"{WORLD}.yaml")]
     if given.log is None:
         raise ConfigError("expected MAP and LOG, or neither")
     maps = [given.map] if given.then is None else [given.map, given.then]
@@ -103,8 +105,7 @@ def _given(given: argparse.Namespace) -> tuple[ScanSet, list[OccupancyGrid]]:
 def _listen(given: argparse.Namespace) -> int:
     ros, node = _node("listener")
     Listener(ros, node, write_to(given.write) or sys.stdout, everything=given.all)
-    with contextlib.suppress(KeyboardInterrupt, ros.executors.ExternalShutdownException):
-        ros.rclpy.spin(node)
+    ros.rclpy.spin(node)
     return 0
 
 

@@ -13,8 +13,10 @@ import numpy as np
 from imgloc import LaserScan, OccupancyGrid, ScanSet
 from imgloc.errors import ConfigError
 from imgloc.live.messages import fill
-from imgloc.model import FloatArray, Pose2D
+from imgloc.model import FloatArray, Pose2D, compose
 from imgloc.output.ros import pose_fields
+from imgloc.simulation.scans import simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
 
 DISTURBED = ("nan", "empty", "short", "zero")
 """What every other scan may be instead of itself."""
@@ -31,6 +33,28 @@ class Playing:
     first: int = 0  #: scan to begin with
     count: int = 0  #: scans to play; 0: all
     stay: float = 0.0  #: seconds to stay after the last scan, saying nothing
+
+
+WORLD, START = "double_wall", Pose2D(18.3, 3.1, -0.05)
+"""The bundled world of the robot that is not there, and where it starts."""
+_ANGLES = np.deg2rad(np.arange(-180, 180, 1.0))
+_REACH, _STEP, _WAY, _SCANS = 12.0, 0.04, 1.0, 1200  # metres; two minutes of a scan each 0.1 s
+
+
+def to_and_fro(mount: Pose2D | None = None) -> ScanSet:
+    """A robot drives a metre to and fro; the poses of its laser, which sits at `mount`, are known.
+
+    Odometry is as it drives. Scans have 2 cm of noise.
+    """
+    mount = mount or Pose2D(0.0, 0.0)
+    along = np.abs((_STEP * np.arange(_SCANS) + _WAY) % (2 * _WAY) - _WAY)
+    odom = np.column_stack((along, 0 * along, 0 * along))
+    laser = [compose(START, compose(Pose2D(d, 0.0), mount)) for d in along.tolist()]
+    poses = np.array([(pose.x, pose.y, pose.theta) for pose in laser])
+    fine = render(WORLDS[WORLD](), 0.02)
+    ranges = simulate_ranges(fine, poses, _ANGLES, seed=3, range_max=_REACH)
+    scans = tuple(LaserScan(r, _ANGLES, range_max=_REACH, T_base_laser=mount) for r in ranges)
+    return ScanSet(scans, poses, 1000 + 0.1 * np.arange(float(_SCANS)), odom)
 
 
 def topics_of(lasers: int) -> tuple[str, ...]:
