@@ -7,7 +7,7 @@ from .choice.choose import Choice, which
 from .errors import ConfigError, ImglocError, MapError, OutputError, ScanError
 from .features.mapfeatures import MapFeatures
 from .filters.choose import make_filter
-from .filters.follow import Every, Limits, Moment, Tracking, follow
+from .filters.follow import Moment, Tracking, follow
 from .io.mapcheck import MapReport, check_map
 from .io.maps import load_map, save_map
 from .io.scans import load_scans, save_scans
@@ -32,9 +32,13 @@ from .options import (
     ALL_METHODS,
     METHODS,
     Calibration,
+    Every,
     FusedOptions,
+    Known,
+    Limits,
     Options,
     Prior,
+    Sensor,
     Shared,
     Trust,
 )
@@ -44,8 +48,7 @@ from .plans.files import load_plan
 from .plans.floorplan import FloorPlan, plan_to_map
 from .runs.batch import BatchSummary, run_batch
 from .runs.jobs import Job, make_job
-from .search.priors import Known
-from .simulation.scans import Sensor, simulate
+from .simulation.scans import simulate
 
 __all__ = [
     "ALL_METHODS", "METHODS", "Answer", "BatchSummary", "Calibration", "Choice", "ConfigError",

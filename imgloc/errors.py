@@ -10,6 +10,7 @@ import re
 
 _ARGUMENT = re.compile(r"`([a-z][a-z_]*)(?:=([^`\s]+))?`")
 _OPTIONS = {
+    "index": "scans-index",
     "fov": "fov-deg",
     "theta_step": "theta-step-deg",
 }  # arguments that the command line takes by another name

@@ -4,29 +4,42 @@
 (True, 'fused')
 """
 
-from collections.abc import Mapping, Sequence
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Annotated
-
-import numpy as np
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 from imgloc.errors import ConfigError
-from imgloc.geometry import cell_of, inside, uniform_thetas, wrap
-from imgloc.model import BoolArray, FloatArray, GridInfo, Temperature
 from imgloc.numbers import number
-from imgloc.ranges import Checked, OneOf, Within
+from imgloc.ranges import Checked, OneOf, Option, Within, option
+from imgloc.texts import byte_count, metres_degrees, numbers, pose
+
+if TYPE_CHECKING:
+    from imgloc.model import BoolArray, FloatArray, LaserScan, Pose2D, Temperature
+else:  # help reads these declarations, and has no time for NumPy
+    BoolArray = FloatArray = LaserScan = Pose2D = Temperature = Any
 
 Metres = Annotated[float, Within(0, 1e6, "metres")]
 Length = Annotated[float, Within(1e-4, 1e6, "metres")]  #: of something that has one
-Radians = Annotated[float, Within(0, 2 * np.pi, "radians")]
+Radians = Annotated[float, Within(0, math.tau, "radians")]
 Heading = Annotated[float, Within(-1e6, 1e6, "radians")]
-Step = Annotated[float, Within(1e-4, 2 * np.pi, "radians")]
+Step = Annotated[float, Within(1e-4, math.tau, "radians")]
 Share = Annotated[float, Within(0, 1, "a share")]
-Nats = Annotated[float, Within(0, np.inf, "nats")]
+Nats = Annotated[float, Within(0, math.inf, "nats")]
 Factor = Annotated[float, Within(1e-6, 1e6, "a factor")]
 LogOdds = Annotated[float, Within(-1e6, 1e6, "log-odds")]
-Count = Annotated[int, Within(1, 1e12, "at least one")]
+Count = Annotated[int, Within(1, 1e12, "")]
+Yaw = Annotated[float, Within(-1e6, 1e6, "radians")]
+Radius = Annotated[float, Within(0.01, 1e6, "metres")]
+Turn = Annotated[float, Within(0.001, 3.2, "radians")]
+HeadingStep = Annotated[float, Within(math.radians(0.05), math.pi, "radians")]
+Millimetres = Annotated[float, Within(0.001, 10, "metres")]  #: a cell of a map, or of poses
+Bytes = Annotated[int, Within(0, 1e18, "bytes")]
+
+RADIUS, TOLERANCE = 2.0, 0.8
+"""How far from a pose that is roughly known a robot may be, unless stated: metres, radians."""
 
 FUSED = "fused"
 #: share of the mass found that the hypotheses listed hold
@@ -111,6 +124,7 @@ class Prior(Checked):
 
     Examples
     --------
+    >>> import numpy as np
     >>> prior = Prior(np.array([[True, False]]), (0.0, 0.5))
     >>> prior.admits(np.array([[0.5, 0.5, 6.0], [1.5, 0.5, 0], [0.5, 0.5, 1]]), 1.0).tolist()
     [True, False, False]
@@ -124,6 +138,8 @@ class Prior(Checked):
 
     def __and__(self, other: "Prior") -> "Prior":
         """The poses that both allow; a ConfigError if both state a heading."""
+        import numpy as np
+
         if self.heading is not None and other.heading is not None:
             raise ConfigError("the heading is given twice: by a pose and on its own")
         given = [c for c in (self.cells, other.cells) if c is not None]
@@ -133,6 +149,9 @@ class Prior(Checked):
 
     def admits(self, poses: FloatArray, resolution: float) -> BoolArray:
         """Which poses (C, 3), grid frame, are in the set: (C,) bool."""
+        from imgloc.geometry import cell_of, inside
+        from imgloc.model import GridInfo
+
         ok = self.headings(poses[:, 2])
         if self.cells is not None:
             at = cell_of(poses[:, :2], resolution)
@@ -145,6 +164,10 @@ class Prior(Checked):
 
     def headings(self, thetas: FloatArray, slack: float = 0.0) -> BoolArray:
         """Which headings are in the set, or less than `slack` beside it: bool, as `thetas`."""
+        import numpy as np
+
+        from imgloc.geometry import wrap
+
         if self.heading is None:
             return np.ones(np.shape(thetas), bool)
         centre, tolerance = self.heading
@@ -173,8 +196,9 @@ class EvidenceModel(Checked):
     @property
     def best(self) -> float:
         """Log-density of a reading that ends on a surface exactly, nats."""
-        peak = self.hit * np.mean(1 / (np.sqrt(2 * np.pi) * np.asarray(self.sigmas)))
-        return float(np.log(peak + (1 - self.hit) / self.span))
+        densities = [1 / (math.sqrt(math.tau) * sigma) for sigma in self.sigmas]
+        peak = self.hit * sum(densities) / len(densities)
+        return math.log(peak + (1 - self.hit) / self.span)
 
 
 @dataclass(frozen=True)
@@ -263,8 +287,10 @@ class Trust(Checked):
         >>> trust.temperature_at(0.5, cell=0.2).value
         14.0
         """
+        from imgloc.model import Temperature
+
         strain = self.strain * max(0.0, misfit)
-        number = float(np.sqrt(max(1, readings) / 100))
+        number = math.sqrt(max(1, readings) / 100)
         return Temperature(self.temperature, strain, number, max(1.0, cell / self.fine))
 
     def mass_elsewhere(self, evidence: float, best: float) -> float:
@@ -279,9 +305,9 @@ class Trust(Checked):
         (True, True)
         """
         constant, per_nat, per_share = self.elsewhere
-        said = float(np.clip(evidence, -self.most, self.most))
+        said = min(max(evidence, -self.most), self.most)
         odds = constant + per_nat * said + per_share * (1 - best)
-        return float(1 / (1 + np.exp(-odds)))
+        return 1 / (1 + math.exp(min(-odds, 700.0)))
 
 
 @dataclass(frozen=True)
@@ -321,14 +347,37 @@ class Options(Checked):
         What makes a probability of a stack; None takes the method's default. ``fused`` has none.
     """
 
-    method: Annotated[str, OneOf(*ALL_METHODS)] = FUSED
-    top: Count | None = None
-    theta_step: Step | None = None
-    engine: Annotated[str, OneOf("auto", "filter2d", "shift", "dft", "remap")] = "auto"
+    method: Annotated[str, OneOf(*ALL_METHODS)] = option(
+        FUSED,
+        "Localization method: fused searches and scores what it finds, the others score every "
+        "pose by one of the paper's algorithms.",
+    )
+    top: Count | None = option(
+        None,
+        "Number of hypotheses to list. [default: as many as hold 95 % of the mass, at least 5]",
+    )
+    theta_step: HeadingStep | None = option(
+        None,
+        "Step between the headings that are tried, degrees. [default: 1 for fused, the paper's "
+        "for the others]",
+        "--theta-step-deg",
+    )
+    engine: Annotated[str, OneOf("auto", "filter2d", "shift", "dft", "remap")] = option(
+        "auto", "Implementation of the correlations in cbml and cbml-o."
+    )
     threads: Count = 1
-    memory_budget: Annotated[int, Within(0, 1e18, "bytes")] | None = None
-    time_budget: Annotated[float, Within(0, 1e9, "seconds")] | None = None
-    exact: bool = False
+    memory_budget: Bytes | None = None
+    time_budget: Annotated[float, Within(0, 1e9, "seconds")] | None = option(
+        None,
+        "Seconds for the search of each scan. When they are over, the best answer so far is given "
+        "and marked as not complete; it depends on the machine. [default: no limit]",
+    )
+    exact: bool = option(
+        False,
+        "Search by branch and bound: cbml finds its best poses without scoring all of them, "
+        "fused gets further proposals.",
+        "--exact-argmax",
+    )
     prior: Prior = field(default_factory=Prior)
     shared: Shared = field(default_factory=Shared)
     fused: FusedOptions = field(default_factory=FusedOptions)
@@ -340,12 +389,15 @@ class Options(Checked):
 
         Examples
         --------
+        >>> import numpy as np
         >>> some = np.full(12, 1 / 12)
         >>> Options().listed(some), Options(top=2).listed(some), Options(top=99).listed(some)
         (12, 2, 12)
         >>> Options().listed(np.array([0.9, 0.08, *np.full(20, 0.001)]))
         5
         """
+        import numpy as np
+
         if self.top is not None:
             return min(self.top, len(share))
         held = np.cumsum(share)
@@ -369,11 +421,13 @@ class Options(Checked):
         if self.theta_step is not None:
             return self.theta_step
         method = METHODS["cbml" if self.method == FUSED else self.method]
-        return float(np.deg2rad(method.theta_step_deg))
+        return math.radians(method.theta_step_deg)
 
     @property
     def thetas(self) -> FloatArray:
         """Headings that are `step` or less apart, radians."""
+        from imgloc.geometry import uniform_thetas
+
         return uniform_thetas(self.step)
 
 
@@ -387,3 +441,347 @@ class Tolerance(Checked):
 
 TOLERANCES = tuple(Tolerance(*number(f"tolerances.{name}")) for name in ("usual", "cartographer"))
 """Those that are always reported; the second is that of Cartographer's comparison."""
+
+
+@dataclass(frozen=True)
+class Every(Checked):
+    """How far the robot goes or turns between two scans of a laser that are looked at."""
+
+    metres: Metres = 0.5
+    radians: Annotated[float, Within(0, 1e6, "radians")] = math.pi / 6
+
+
+@dataclass(frozen=True)
+class Limits(Checked):
+    """How uncertain a pose may be and still be published: standard deviations."""
+
+    metres: Annotated[float, Within(1e-3, 1e6, "metres")] = 0.5  #: along the longest axis
+    radians: Annotated[float, Within(1e-4, 1e6, "radians")] = math.pi / 18
+
+
+Seed = Annotated[
+    int,
+    Within(0, 1e18, ""),
+    Option("Seed of the random numbers: the same seed gives the same output."),
+]
+Cell = Annotated[
+    Millimetres, Option("Side of a cell of the poses that the paper's algorithms score, metres.")
+]
+RangeMax = Annotated[
+    float,
+    Within(1e-3, 1e6, "metres"),
+    Option(
+        "Reach of the sensor, metres: a recorded reading of this length or more counts as no "
+        "return. [default: the file's]"
+    ),
+]
+MemoryBudget = Annotated[
+    Bytes,
+    Option(
+        "Memory that may be taken, such as 512M or 2G; what needs more is refused. [default: "
+        "half of what is available]",
+        parse=byte_count,
+    ),
+]
+AllowLossy = Annotated[bool, Option("Accept a map image with lossy compression, such as JPEG.")]
+Reach = Annotated[
+    float,
+    Within(1e-3, 1e6, "metres"),
+    Option(
+        "Reach of the sensor, metres: a recorded reading of this length or more, or a longer "
+        "simulated ray, counts as no return. [default: the file's, or 30 if simulated]",
+        "--range-max",
+    ),
+]
+Spacing = Annotated[
+    float, Within(0.02, 1000, "metres"), Option("Distance between the places of an atlas, metres.")
+]
+Headings = Annotated[int, Within(1, 72, ""), Option("Headings at each place of an atlas.")]
+Resets = Annotated[
+    bool,
+    Option(
+        "Draw new places from p(x | z) when the robot is lost. [default: --resets]",
+        "--resets/--no-resets",
+    ),
+]
+Flipped = Annotated[bool, Option("The sensor is mounted upside down: its angles run clockwise.")]
+Sure = Annotated[
+    float,
+    Within(0.5, 1, "a probability"),
+    Option("Probability that a map needs to be named as the one a scan is from."),
+]
+
+
+class Reading(TypedDict, total=False):
+    """How a map is to be read: parameters of :func:`imgloc.load_map`, which documents them."""
+
+    resolution: Annotated[
+        Millimetres | None,
+        Option("Side of a pixel of the map image, metres. [default: the map's YAML]"),
+    ]
+    origin: Annotated[
+        Pose2D | Sequence[float] | None,
+        Option(
+            "Pose of the map image's lower-left corner in the map frame: metres, metres, radians "
+            "(or 90deg). [default: the map's YAML, 0,0,0 for a bare image]",
+            metavar="X,Y,YAW",
+            parse=pose,
+        ),
+    ]
+    mode: Annotated[
+        str | None,
+        OneOf("trinary", "scale", "raw"),
+        Option(
+            "How map_server is to read the greys of the map image. [default: the map's YAML, or "
+            "trinary]"
+        ),
+    ]
+    semantics: Annotated[
+        str | None,
+        OneOf("nav2", "ros1"),
+        Option(
+            "Whose map_server: they treat thresholds and transparent pixels differently. [default: "
+            "nav2]"
+        ),
+    ]
+    occupied_thresh: Annotated[
+        Share | None,
+        Option(
+            "Occupancy from which a pixel of the map image is a wall. [default: the map's YAML, or "
+            "0.65]"
+        ),
+    ]
+    free_thresh: Annotated[
+        Share | None,
+        Option(
+            "Occupancy up to which a pixel of the map image is free. [default: the map's YAML, or "
+            "0.196]"
+        ),
+    ]
+    negate: Annotated[
+        bool | None,
+        Option(
+            "White pixels of the map image are walls. [default: the map's YAML, or --no-negate]",
+            "--negate/--no-negate",
+        ),
+    ]
+    max_pixels: int
+
+
+@dataclass(frozen=True)
+class Chosen(Checked):
+    """Which scans of a file are looked at: by default all.
+
+    Examples
+    --------
+    >>> Chosen("3,7,10:20:4").of(40, "scans.npz"), Chosen(sample=2).of(40, "scans.npz")
+    ([3, 7, 10, 14, 18], [18, 20])
+    """
+
+    index: str | None = option(
+        None,
+        "Take only these scans of a file, counted from 0: 3 or 3,7,10:20 (without 20) or ::10 "
+        "(every tenth). May be repeated. [default: all]",
+        "--scans-index",
+        metavar="LIST",
+        joined=True,
+    )
+    sample: Count | None = option(
+        None,
+        "Take only N scans of a file, drawn at random; a seed always draws the same ones. "
+        "[default: all]",
+    )
+    seed: Annotated[int, Within(0, 1e18, "")] = option(
+        1, "Seed that draws the random scans of a file.", "--sample-seed"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for word in () if self.index is None else self.index.split(","):
+            if not re.fullmatch(r"\s*(\d+|\d*:\d*(:0*[1-9]\d*)?)\s*", word, re.ASCII):
+                raise ConfigError(
+                    f"`index`: got {self.index!r}, expected indices from 0, ranges A:B "
+                    "(without B) or A:B:STEP, and commas between, such as 3,7,10:20"
+                )
+
+    def of(self, count: int, name: str) -> list[int]:
+        """Indices of the scans, of `count` in the file called `name`; ConfigError if there is none.
+
+        They are in the order asked for, each once; those of a sample rise.
+        """
+        found: dict[int, None] = {}
+        for word in (":" if self.index is None else self.index).split(","):
+            parts = [int(part) if part.strip() else None for part in word.split(":")]
+            (first, *_), here = parts, range(count)[slice(*parts)]
+            if len(parts) == 1 and first is not None:
+                here = range(first, first + 1)
+            if self.index is not None and not (here and here[-1] < count):
+                raise ConfigError(
+                    f"`index`: got {word.strip()}, expected 0 to {count - 1}: {name} has "
+                    f"{count} scans"
+                )
+            found |= dict.fromkeys(here)
+        indices = list(found)
+        if self.sample is None or self.sample >= len(indices):
+            return indices
+        import numpy as np
+
+        rng = np.random.default_rng(self.seed)
+        picked = rng.choice(len(indices), self.sample, replace=False)
+        return sorted(indices[k] for k in picked.tolist())
+
+
+@dataclass(frozen=True)
+class Known(Checked):
+    """What is known of the poses of all scans, map frame; None where nothing is."""
+
+    near: tuple[Yaw, Yaw, Yaw, Radius, Turn] | None = option(
+        None,
+        "Consider only poses within R metres of x, y in the map frame that face YAW up to T, "
+        f"radians (or 90deg). [default: anywhere; R = {RADIUS:g}, T = {TOLERANCE:g}]",
+        metavar="X,Y,YAW[,R[,T]]",
+        parse=numbers(3, (RADIUS, TOLERANCE), angles=(2, 4)),
+    )
+    heading: tuple[Yaw, Turn] | None = option(
+        None,
+        "Consider only poses that face YAW up to T in the map frame, radians (or 90deg), as a "
+        f"compass gives it. [default: any; T = {TOLERANCE:g}]",
+        metavar="YAW[,T]",
+        parse=numbers(1, (TOLERANCE,), angles=(0, 1)),
+    )
+    clearance: Annotated[float, Within(0, 1000, "metres")] | None = option(
+        None,
+        "Consider only poses at least this far from walls and unknown space, metres: the radius "
+        "of the robot. [default: 0]",
+    )
+
+
+@dataclass(frozen=True)
+class Logs(Checked):
+    """How files of scans are read."""
+
+    topic: str | None = option(
+        None,
+        "Laser to read from a log that holds several; commas join lasers. [default: the front "
+        "laser]",
+        metavar="NAME",
+    )
+    #: radians
+    fov: Annotated[float, Within(math.radians(0.01), math.tau, "radians")] | None = option(
+        None,
+        "Angle from the first to the last ray, degrees, for a file that does not hold it. "
+        "[default: the file's]",
+        "--fov-deg",
+    )
+    scale: Factor = option(
+        1.0,
+        "Metres that 1 stands for in the ranges of a file: 0.001 for millimetres.",
+        "--range-scale",
+    )
+
+
+@dataclass(frozen=True)
+class Mounting(Checked):
+    """How the sensor sits on the robot."""
+
+    sensor: Pose2D | None = option(
+        None,
+        "Pose of the sensor on the robot: metres, metres, radians (or 90deg). With it, poses of "
+        "the robot are given, too. [default: the log's]",
+        metavar="X,Y,YAW",
+        parse=pose,
+    )
+    flipped: Flipped = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.sensor is not None:
+            from imgloc.model import check_mount
+
+            check_mount(self.sensor, "`sensor`")
+
+    def check(self, scans: Iterable[LaserScan]) -> None:
+        """Refuse one pose for several lasers that say where they sit."""
+        if self.sensor is not None and len({scan.T_base_laser for scan in scans}) > 1:
+            raise ConfigError("`sensor`: the log has several lasers, each with a place of its own")
+
+    def mount(self, scan: LaserScan) -> LaserScan:
+        """The scan as that of a sensor that is mounted upright, with the mounting pose given."""
+        scan = scan.flipped if self.flipped else scan
+        return scan if self.sensor is None else replace(scan, T_base_laser=self.sensor)
+
+
+def _on_base() -> Pose2D:
+    from imgloc.model import Pose2D
+
+    return Pose2D(0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Sensor(Checked):
+    """A simulated laser; the defaults are that of Sec. VI, with a reach of 30 m.
+
+    `fov` is in radians, see :func:`imgloc.simulation.scans.ray_angles`; `outliers` and `dropped`
+    are explained by :func:`imgloc.simulation.scans.simulate_ranges`; `mount` is the pose of the
+    sensor on the robot.
+    """
+
+    rays: Count = option(181, "Rays of a simulated scan.")
+    fov: Annotated[float, Within(math.radians(0.01), math.tau, "radians")] = option(
+        math.pi, "Angle that a simulated scan covers, degrees.", "--fov-deg"
+    )
+    sigma: Annotated[float, Within(0, 10, "metres")] = option(
+        0.02, "Standard deviation of the noise of a simulated reading, metres."
+    )
+    range_max: Annotated[float, Within(0.01, 10_000, "metres")] = option(
+        30.0, "Reach of the simulated sensor, metres: a longer ray has no return."
+    )
+    outliers: Share = option(
+        0.0, "Share of the simulated rays that end at something that is not on the map."
+    )
+    dropped: Share = option(0.0, "Share of the simulated rays that give no valid reading.")
+    clearance: Annotated[float, Within(0, 1000, "metres")] = option(
+        0.3, "Distance of the simulated robot from walls and unknown space, metres."
+    )
+    mount: Pose2D = option(
+        ...,
+        "Pose of the simulated sensor on the robot: metres, metres, radians (or 90deg). "
+        "[default: 0,0,0]",
+        "--sensor",
+        metavar="X,Y,YAW",
+        parse=pose,
+        factory=_on_base,
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        from imgloc.model import check_mount
+
+        check_mount(self.mount, "`sensor`")
+
+
+FILTERS = ("tracker", "grid", "particle")
+
+
+@dataclass(frozen=True)
+class Followed(Checked):
+    """How a robot is followed."""
+
+    filter: Annotated[str, OneOf(*FILTERS)] = option("tracker", "Filter that follows the robot.")
+    every: Every = option(
+        Every(),
+        "Weigh all places by a scan each time the robot has gone M metres or turned DEG degrees; "
+        "scans between only correct the best place. [default: 0.5,30]",
+        metavar="M,DEG",
+        parse=lambda text: Every(*metres_degrees(text)),
+    )
+    limits: Limits = option(
+        Limits(),
+        "Greatest standard deviations of a pose that is called unique: M metres and DEG degrees. "
+        "[default: 0.5,10]",
+        "--max-sd",
+        metavar="M,DEG",
+        parse=lambda text: Limits(*metres_degrees(text)),
+    )
+    resets: Resets = True
+    seed: Seed = 0

@@ -1,41 +1,60 @@
-"""What a field of an options dataclass may be: its annotation says it, one function checks it.
+"""The declaration of an option: the annotation of a dataclass field.
+
+It holds the type, the limits with their unit, and the text that explains the option. Range checks,
+the command line (:mod:`imgloc.cli.command`) and the docs all read this one declaration.
 
 >>> from typing import Annotated
 >>> @dataclass(frozen=True)
 ... class Walk(Checked):
-...     metres: Annotated[float, Within(0, 10, "metres")] = 1.0
-...     kind: Annotated[str, OneOf("there", "back")] = "there"
+...     metres: Annotated[float, Within(0, 10, "metres")] = option(1.0, "Length of the walk.")
+...     kind: Annotated[str, OneOf("there", "back"), Doc("Direction of the walk.")] = "there"
 >>> Walk(2).metres, Walk(kind="back").kind
 (2, 'back')
 >>> Walk(-1)
 Traceback (most recent call last):
     ...
 imgloc.errors.ConfigError: Walk.metres: got -1, expected metres, 0 to 10
+>>> [(part.name, part.option is not None, part.text) for part in declared(Walk)]
+[('metres', True, 'Length of the walk.'), ('kind', False, 'Direction of the walk.')]
 """
 
 import math
 import types
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from functools import cache
 from numbers import Integral, Real
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 from imgloc.errors import ConfigError
 
+#: What stands for a value in the help, by its unit; for others their first letter.
+METAVARS = {"": "N", "degrees": "DEG", "a share": "P", "a probability": "P", "a factor": "F",
+            "bytes": "BYTES"}  # fmt: skip
+_SHOWN = 1e5  # limits above are not worth showing
+_VAST = 1e9  # a limit so far away is none to anybody
+
 
 @dataclass(frozen=True)
 class Within:
-    """A number from `low` to `high`, both of them allowed, in a unit; NaN is none."""
+    """A number from `low` to `high`, both allowed, in a unit; NaN is not such a number."""
 
     low: float
     high: float
     unit: str
 
     def __str__(self) -> str:
-        if math.isinf(self.high):
-            return f"{self.unit}, {self.low:g} or more"
-        return f"{self.unit}, {self.low:g} to {self.high:g}"
+        return self.words()
+
+    def words(self, factor: float = 1.0, unit: str | None = None) -> str:
+        """Unit and limits as a text, in another `unit` if its `factor` is given."""
+        unit = self.unit if unit is None else unit
+        return f"{unit}, {self.limits(factor)}" if unit else self.limits(factor)
+
+    def limits(self, factor: float = 1.0) -> str:
+        """The limits as a text: ``0 to 10``, or ``1 or more``."""
+        low, high = self.low * factor, self.high * factor
+        return f"{low:g} or more" if self.high >= _VAST else f"{low:g} to {high:g}"
 
     def admits(self, value: Any) -> bool:
         """Whether the value is such a number."""
@@ -55,6 +74,144 @@ class OneOf:
     def admits(self, value: Any) -> bool:
         """Whether the value is one of them."""
         return isinstance(value, str) and value in self.names
+
+
+class Doc:
+    """What a field is: a text that stands on its own, with the unit."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+
+
+class Option(Doc):
+    """A field that commands have as an option, too.
+
+    Parameters
+    ----------
+    text : str
+        What the option does; it stands on its own, with the unit. ``[default: ...]`` at its end
+        says what is used if the option is left out, unless the default of the field says it.
+    *names : str
+        How it is written; by default the name of the field. A name without dashes in front is that
+        of an argument. An angle whose name ends in ``-deg`` is typed in degrees, kept in radians.
+    metavar : str, optional
+        What stands for the value in the help; by default a letter for the unit.
+    parse : callable, optional
+        Makes the value of the text that was typed, or raises a ConfigError that says what it got
+        and what it expected; by default the type of the field does.
+    joined : bool
+        The option may be repeated: its texts are joined by commas.
+    """
+
+    def __init__(
+        self,
+        text: str,
+        *names: str,
+        metavar: str = "",
+        parse: Callable[[str], Any] | None = None,
+        joined: bool = False,
+    ) -> None:
+        super().__init__(text)
+        self.names, self.metavar, self.parse, self.joined = names, metavar, parse, joined
+
+
+@dataclass(frozen=True)
+class Declared:
+    """A declaration that was read: of a field, or of a parameter of a command."""
+
+    name: str
+    hint: Any  #: its annotation
+    default: Any  #: MISSING if a value is needed
+    kind: Any  #: its type, without None and without what the annotation adds
+    limit: "Within | OneOf | None"
+    text: str
+    option: Option | None
+
+    @property
+    def flag(self) -> str:
+        """How the option is written; of an argument, what stands for it."""
+        names = self.option.names if self.option else ()
+        return names[0].partition("/")[0] if names else "--" + self.name.replace("_", "-")
+
+    @property
+    def in_degrees(self) -> bool:
+        """Whether the angle is typed in degrees."""
+        return self.flag.endswith("-deg")
+
+    @property
+    def metavar(self) -> str | None:
+        """What stands for the value in the help; None for a switch."""
+        if self.option is not None and self.option.metavar:
+            return self.option.metavar
+        if isinstance(self.limit, OneOf):
+            return f"[{'|'.join(self.limit.names)}]"
+        if self.kind is bool:
+            return None
+        unit = "degrees" if self.in_degrees else getattr(self.limit, "unit", "")
+        return METAVARS.get(unit, unit[:1].upper())
+
+
+def declaration(name: str, hint: Any, default: Any = MISSING) -> Declared:
+    """Read the declaration of one field, or of a parameter that has this default."""
+    kind, notes = hint, list[Any]()
+    if isinstance(default, Field):
+        notes += default.metadata.values()
+        default = None if default.default_factory is not MISSING else default.default
+    while True:
+        parts = get_args(kind)
+        if get_origin(kind) is Annotated:
+            kind, notes = parts[0], [*notes, *parts[1:]]
+        elif get_origin(kind) in (Union, types.UnionType):
+            several = [part for part in parts if part is not types.NoneType]
+            kind = several[0] if len(several) == 1 else Any
+        else:
+            break
+    limit = next((note for note in notes if isinstance(note, Within | OneOf)), None)
+    docs = [note for note in notes if isinstance(note, Doc)]
+    option = next((note for note in docs if isinstance(note, Option)), None)
+    return Declared(name, hint, default, kind, limit, docs[0].text if docs else "", option)
+
+
+@cache
+def declared(kind: Any) -> tuple[Declared, ...]:
+    """Read the declarations of a dataclass, or of a TypedDict, whose keys may be left out."""
+    hints = get_type_hints(kind, include_extras=True)
+    if not is_dataclass(kind):
+        return tuple(declaration(name, hint, None) for name, hint in hints.items())
+    return tuple(declaration(part.name, hints[part.name], part) for part in fields(kind))
+
+
+def help_of(field: Declared) -> str:
+    """The text of a field as the help and the docs show it: with its limits and its default."""
+    text, limit, some = field.text, field.limit, list[str]()
+    if isinstance(limit, Within) and limit.high <= _SHOWN:
+        some.append(limit.limits(180 / math.pi if field.in_degrees else 1.0))
+    if "[default:" in text:
+        text, _, default = text.removesuffix("]").partition(" [default: ")
+        some.append(f"default: {default}")
+    elif field.default not in (None, MISSING, []) and field.kind is not bool:
+        some.append(f"default: {_shown(field)}")
+    return text + (f"  [{'; '.join(some)}]" if some else "")
+
+
+def _shown(field: Declared) -> str:
+    """The default of an option as it would be typed."""
+    value = math.degrees(field.default) if field.in_degrees else field.default
+    if isinstance(value, tuple | list):
+        return ",".join(map(str, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def option(default: Any, text: str, *names: str, factory: Any = MISSING, **more: Any) -> Any:
+    """Return the default of a field, or of a parameter of a command, that is an option.
+
+    It is the default that stands there; ``...`` if a value is needed, or if `factory` makes the
+    default. What follows is that of :class:`Option`.
+    """
+    made: dict[str, Any] = {} if default is ... else {"default": default}
+    if factory is not MISSING:
+        made = {"default_factory": factory}
+    return field(metadata={"option": Option(text, *names, **more)}, **made)
 
 
 class Checked:
@@ -82,18 +239,19 @@ _PLAIN: Mapping[Any, tuple[Any, str]] = {
 def _checks(kind: Any) -> tuple[tuple[str, Check], ...]:
     """The fields of a dataclass that have something to check, and how."""
     hints = get_type_hints(kind, include_extras=True)
-    made = [(part.name, _check_of(hints[part.name])) for part in fields(kind)]
+    made = [(part.name, check_of(hints[part.name])) for part in fields(kind)]
     return tuple((name, check) for name, check in made if check is not None)
 
 
-def _check_of(hint: Any) -> Check | None:
-    """What checks a value by an annotation; None for one that says nothing of values."""
+def check_of(hint: Any) -> Check | None:
+    """What checks a value by an annotation; None for one that limits nothing."""
     origin, parts = get_origin(hint), get_args(hint)
     if origin is Annotated:
-        return _limited(parts[0], parts[1])
+        limits = [note for note in parts[1:] if isinstance(note, Within | OneOf)]
+        return _limited(parts[0], limits[0]) if limits else check_of(parts[0])
     if origin in (Union, types.UnionType):
-        inner = [_check_of(part) for part in parts if part is not type(None)]
-        (one,) = inner  # nothing here is one of several kinds, but it may be None
+        inner = [check_of(part) for part in parts if part is not types.NoneType]
+        one = inner[0] if len(inner) == 1 else None  # several kinds: their user tells them apart
         return None if one is None else lambda value: None if value is None else one(value)
     if origin is tuple or origin is Sequence:
         return _each(parts, exact=origin is tuple and ... not in parts)
@@ -110,18 +268,28 @@ def _check_of(hint: Any) -> Check | None:
 
 def _limited(kind: Any, limit: Within | OneOf) -> Check:
     """What checks a number or text that has a limit."""
-    whole, expected = kind is int, f"a whole number, {limit}" if kind is int else str(limit)
+    optional = types.NoneType in get_args(kind)
+    kinds = [part for part in (get_args(kind) or (kind,)) if part is not types.NoneType]
+    whole, expected = kinds == [int], expected_of(kinds[0], limit)
 
     def check(value: Any) -> Refused:
+        if optional and value is None:
+            return None
         fine = limit.admits(value) and not (whole and not isinstance(value, Integral))
         return None if fine else ("", expected)
 
     return check
 
 
+def expected_of(kind: Any, limit: Within | OneOf, factor: float = 1.0, unit: str = "") -> str:
+    """What a value has to be, in words; in another `unit` if its `factor` is given."""
+    words = limit.words(factor, unit) if unit and isinstance(limit, Within) else str(limit)
+    return f"a whole number, {words}" if kind is int else words
+
+
 def _each(parts: Any, *, exact: bool) -> Check:
     """What checks the parts of a tuple, or of a sequence of any length but none."""
-    checks = [_check_of(part) for part in parts if part is not ...]
+    checks = [check_of(part) for part in parts if part is not ...]
 
     def check(value: Any) -> Refused:
         several = isinstance(value, tuple | list) or hasattr(value, "tolist")

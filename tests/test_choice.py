@@ -12,9 +12,9 @@ from imgloc.errors import ConfigError
 from imgloc.io.folders import find_maps
 from imgloc.io.maps import save_map
 from imgloc.model import Evidence, Hypothesis, Localization, OccupancyGrid, Pose2D
-from imgloc.options import Options, Trust
+from imgloc.options import Options, Sensor, Trust
 from imgloc.pipeline import prepare
-from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
 

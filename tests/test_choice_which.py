@@ -24,10 +24,10 @@ from imgloc.io.maps import load_map, save_map
 from imgloc.io.scans import save_scans
 from imgloc.likelihoods.correlate import correlate
 from imgloc.model import LaserScan, Localization, OccupancyGrid, Pose2D
-from imgloc.options import Options, Prior, Shared
+from imgloc.options import Options, Prior, Sensor, Shared
 from imgloc.pipeline import prepare
 from imgloc.runs.results import read_rows
-from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.trust.thousand import ask_thousand, make_thousand, pieces, turned
 
@@ -254,10 +254,10 @@ def test_bounds_see_the_heading_that_is_known(site: Path) -> None:
 def test_the_command_makes_and_uses_an_index(site: Path) -> None:
     file = site / "index.npz"
     given = ("which", site / "floors")
-    run = call(*given, "--index", file, "--build")
+    run = call(*given, "--maps-index", file, "--build")
     assert (run.code, run.out) == (0, "")
     assert "3 maps" in run.err
-    with_index = call(*given, site / "s.npz", "--index", file, "--json")
+    with_index = call(*given, site / "s.npz", "--maps-index", file, "--json")
     assert with_index == call(*given, site / "s.npz", "--json")
     assert [row["verdict"] for row in rows(with_index.out)] == ["post", "post"]
     assert [row["ruled_out"] for row in rows(with_index.out)] == [0, 0]
@@ -266,12 +266,12 @@ def test_the_command_makes_and_uses_an_index(site: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["{}/s.npz", "--near", "1,2,0"], "--near: is about one map"),
-        (["{}/s.npz", "--region", "a.png"], "--region: is about one map"),
-        (["--build"], "--build: expected --index"),
-        (["{}/s.npz", "--build", "--index", "{}/i.npz"], "--build: expected --index"),
+        (["{}/s.npz", "--near", "1,2,0"], "No such option: --near"),
+        (["{}/s.npz", "--region", "a.png"], "No such option: --region"),
+        (["--build"], "--build: expected --maps-index"),
+        (["{}/s.npz", "--build", "--maps-index", "{}/i.npz"], "--build: expected --maps-index"),
         ([], "expected scans"),
-        (["{}/s.npz", "--index", "{}/index.txt"], "ends in .npz"),
+        (["{}/s.npz", "--maps-index", "{}/index.txt"], "ends in .npz"),
         (["{}/s.npz", "--clearance", "90"], "--clearance: no map has a place"),
         (["{}/s.npz", "--picture", "{}/floors/post.png", "--force"], "will not be overwritten"),
     ],

@@ -20,15 +20,15 @@ from command import MAPS, ROOT, call, command, rows, spawn
 
 import imgloc
 from imgloc.__main__ import main as imgloc_command
-from imgloc.cli.app import app
+from imgloc.cli.app import program
 from imgloc.cli.console import Group, emit
-from imgloc.cli.demo import DemoMap
-from imgloc.cli.options import EngineName, MethodName, ModeName, SemanticsName
+from imgloc.cli.demo import DEMO_MAPS
 from imgloc.errors import ConfigError, MapError, OutputError, ScanError, as_options
 from imgloc.io.maps import SEMANTICS
 from imgloc.io.mapyaml import MODES
 from imgloc.likelihoods.correlate import ENGINES
-from imgloc.options import ALL_METHODS
+from imgloc.options import ALL_METHODS, Options, Reading
+from imgloc.ranges import OneOf, declared
 from imgloc.simulation.worlds import WORLDS
 
 COMMANDS = (
@@ -104,7 +104,7 @@ def texts_of(path: Path) -> Iterator[str]:
 
 
 def test_messages_name_only_options_that_exist() -> None:
-    known = options_of(typer.main.get_command(app)) | {"--ros-args"}  # of ROS
+    known = options_of(typer.main.get_command(program())) | {"--ros-args"}  # of ROS
     assert {"--memory-budget", "--no-negate", "--what"} <= known
     named: dict[str, str] = {}
     for path in (ROOT / "imgloc").rglob("*.py"):
@@ -116,7 +116,7 @@ def test_messages_name_only_options_that_exist() -> None:
 
 
 def test_the_library_speaks_of_arguments_and_the_command_line_of_options() -> None:
-    commands = {"cli", "commands", "command.py"}
+    commands = {"cli", "commands", "command.py", "options.py"}  # these name options, too
     for path in (ROOT / "imgloc").rglob("*.py"):
         if commands & set(path.relative_to(ROOT).parts):
             continue
@@ -144,11 +144,12 @@ def test_python_m_imgloc_says_its_version() -> None:
 
 
 def test_names_spelled_out_for_the_help_are_those_of_the_code() -> None:
-    assert tuple(m.value for m in MethodName) == ALL_METHODS
-    assert [e.value for e in EngineName] == ["auto", *ENGINES]
-    assert {m.value for m in ModeName} == set(MODES)
-    assert {s.value for s in SemanticsName} == set(SEMANTICS)
-    assert [m.value for m in DemoMap] == list(WORLDS)
+    said = {part.name: part.limit.names for kind in (Options, Reading) for part in declared(kind)
+            if isinstance(part.limit, OneOf)}  # fmt: skip
+    assert said == {
+        "method": ALL_METHODS, "engine": ("auto", *ENGINES), "mode": MODES, "semantics": SEMANTICS
+    }  # fmt: skip
+    assert list(DEMO_MAPS) == list(WORLDS)
 
 
 @pytest.mark.parametrize(
@@ -191,14 +192,14 @@ def test_every_failure_is_one_line_and_its_exit_code(
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--method", "cmbl"], "'cbml-o', 'ght', 'ght-v', 'beam'"),
+        (["--method", "cmbl"], "'cmbl', expected one of fused, cbml, cbml-o"),
         (["--top", "0"], "--top"),
         (["--threads", "0"], "--threads"),
-        (["--index", "-1"], "--index"),
-        (["--index", "40"], "--index: got 40, expected 0 to 39"),
+        (["--scans-index", "-1"], "--scans-index"),
+        (["--scans-index", "40"], "--scans-index: got 40, expected 0 to 39"),
         (["--origin", "1,2"], "expected 3 numbers"),
         (["--origin", "1,nan,2"], "expected 3 numbers"),
-        (["--mode", "fancy"], "'trinary', 'scale', 'raw'"),
+        (["--mode", "fancy"], "'fancy', expected one of trinary, scale, raw"),
         (["--resolution", "0"], "--resolution: got 0"),
         (["--resolution", "nan"], "--resolution: got nan"),
         (["--free-thresh", "0.9"], "expected 0 <= free_thresh < occupied_thresh"),
@@ -228,7 +229,7 @@ def test_debug_shows_the_traceback_and_keeps_the_exit_code(tmp_path: Path) -> No
 
 
 def test_verbose_logs_to_stderr_alone(scans: Path) -> None:
-    words = ("localize", MAPS / "curved.yaml", scans, "--json", "--index", 3)
+    words = ("localize", MAPS / "curved.yaml", scans, "--json", "--scans-index", 3)
     loud, quiet = call(*words, "-v"), call(*words)
     assert len(rows(loud.out)) == 1
     assert "scan 3: " in loud.err
@@ -297,7 +298,7 @@ def test_a_full_disk_under_stdout_is_one_line() -> None:
 def test_progress_is_shown_on_a_terminal_and_stdout_stays_clean(scans: Path) -> None:
     pty = importlib.import_module("pty")
     leader, follower = pty.openpty()
-    words = ["localize", MAPS / "curved.yaml", scans, "--json", "--index", "0"]
+    words = ["localize", MAPS / "curved.yaml", scans, "--json", "--scans-index", "0"]
     with subprocess.Popen(
         command(words), stdout=subprocess.PIPE, stderr=follower, env={**os.environ, "TERM": "xterm"}
     ) as run:

@@ -170,8 +170,8 @@ READERS: list[list[object]] = [
     ["map", "show", "{}/m.yaml", "--out", "{}/o.png"],
     ["map", "check", "{}/m.yaml"],
     ["atlas", "{}/m.yaml", "--out", "{}/o.png", "--step", 50, "--headings", 1],
-    ["calibrate", "{}/m.yaml", "--methods", "cbml", "--dry-run"],
-    ["evaluate", "{}/m.yaml", "--methods", "cbml"],
+    ["calibrate", "{}/m.yaml", "--method", "cbml", "--dry-run"],
+    ["evaluate", "{}/m.yaml", "--method", "cbml"],
     ["which", "{}", "{}/s.npz", "--no-cache"],
 ]
 
@@ -272,9 +272,9 @@ def test_headers_are_read_without_the_rest(tmp_path: Path) -> None:
 
 
 SCAN_READERS: list[list[object]] = [
-    ["localize", CURVED, "{}", "--no-cache", "--index", 0],
+    ["localize", CURVED, "{}", "--no-cache", "--scans-index", 0],
     ["sample", CURVED, "{}", "--out", "{}.csv"],
-    ["evaluate", CURVED, "--scans", "{}", "--methods", "cbml"],
+    ["evaluate", CURVED, "--scans", "{}", "--method", "cbml"],
     ["which", MAPS, "{}", "--no-cache"],
 ]
 
@@ -309,7 +309,7 @@ def test_no_command_reads_scans_over_the_budget(
 def test_scans_that_are_held_count_beside_the_answer(tmp_path: Path) -> None:
     path = tmp_path / "s.npz"
     np.savez_compressed(path, ranges=np.ones((1000, 999)), angles=np.linspace(-1, 1, 999))
-    given = ("localize", CURVED, path, "--index", 0, "--no-cache", "--threads", 1)
+    given = ("localize", CURVED, path, "--scans-index", 0, "--no-cache", "--threads", 1)
     run = call(*given, "--memory-budget", "60M")
     found = re.search(r"\((\d+) MiB\) with .*\((\d+) MiB\) and scans \((\d+) MiB\)", run.err)
     assert found is not None

@@ -23,7 +23,7 @@ def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_one_scan_is_one_page(scans: Path, tmp_path: Path) -> None:
     out = tmp_path / "why.html"
-    words = ["localize", CURVED, scans, "--index", 1, "--explain", out]
+    words = ["localize", CURVED, scans, "--scans-index", 1, "--explain", out]
     plain = call(*words[:-2])
     code, text, err = call(*words)
     assert (code, err) == (0, "")
@@ -39,7 +39,7 @@ def test_one_scan_is_one_page(scans: Path, tmp_path: Path) -> None:
 def test_nothing_is_overwritten_without_force(scans: Path, tmp_path: Path) -> None:
     out = tmp_path / "why.html"
     out.write_text("mine")
-    words = ["localize", CURVED, scans, "--index", 0, "--explain", out]
+    words = ["localize", CURVED, scans, "--scans-index", 0, "--explain", out]
     code, text, err = call(*words)
     assert (code, text) == (1, "")
     assert "why.html: exists already; pass --force" in err
@@ -76,7 +76,7 @@ def test_the_same_page_for_any_number_of_threads(scans: Path, tmp_path: Path) ->
     pages = []
     for n in (1, 2):
         out = tmp_path / f"{n}.html"
-        run = call("localize", CURVED, scans, "--index", 0, "--explain", out, "--threads", n)
+        run = call("localize", CURVED, scans, "--scans-index", 0, "--explain", out, "--threads", n)
         assert run.code == 0
         lines = out.read_text(encoding="utf-8").splitlines()
         pages.append([line for line in lines if "Time: localize" not in line])
@@ -85,7 +85,7 @@ def test_the_same_page_for_any_number_of_threads(scans: Path, tmp_path: Path) ->
 
 def test_the_mounting_and_the_prior_are_on_the_page(scans: Path, tmp_path: Path) -> None:
     out = tmp_path / "why.html"
-    words = ["--index", 0, "--sensor", "0.2,0,0", "--clearance", 0.1, "--explain", out]
+    words = ["--scans-index", 0, "--sensor", "0.2,0,0", "--clearance", 0.1, "--explain", out]
     assert call("localize", CURVED, scans, *words).code == 0
     page = out.read_text(encoding="utf-8")
     assert "Pose of the robot" in page
@@ -107,7 +107,7 @@ def test_a_real_scan_on_a_real_map_and_on_a_wrong_one(shared: Path, tmp_path: Pa
     for name, verdicts in (("fr079", {"unique"}), ("gh25", {"no-match", "ambiguous"})):
         out = tmp_path / f"{name}.html"
         here = shared / "data" / name / "map.yaml"
-        run = call("localize", here, scans, "--index", 100, "--explain", out, "--no-cache")
+        run = call("localize", here, scans, "--scans-index", 100, "--explain", out, "--no-cache")
         assert run.code == 0
         page = out.read_text(encoding="utf-8")
         assert any(f"<span class=word>{verdict}</span>" in page for verdict in verdicts)
@@ -122,7 +122,7 @@ def test_a_browser_shows_the_page_without_scrolling_sideways(
     if (chromium := shutil.which("chromium")) is None:
         pytest.skip("chromium is not installed")
     out = tmp_path / "why.html"
-    words = ["localize", CURVED, scans, "--index", 0, "--range-scale", 1000, "--explain", out]
+    words = ["localize", CURVED, scans, "--scans-index", 0, "--range-scale", 1000, "--explain", out]
     assert "ranges are multiplied by 0.001" in call(*words).err
     with sync.sync_playwright() as p:
         browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])

@@ -14,7 +14,8 @@ from places import room_with_a_post
 
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
-from imgloc.simulation.scans import Sensor, simulate
+from imgloc.options import Sensor
+from imgloc.simulation.scans import simulate
 
 OFF = "--no-cache"
 
@@ -39,7 +40,7 @@ def test_standard_input_is_read_whatever_it_is(
     text = "".join(f"{a},{r}\n" for a, r in zip(angles, ranges, strict=True))
     wanted = rows(call("localize", "curved", scans, OFF, "--json").out)
     for data, index in ((scans.read_bytes(), 1), (text.encode(), 0)):
-        run = through_stdin(monkeypatch, data, "--json", "--index", index)
+        run = through_stdin(monkeypatch, data, "--json", "--scans-index", index)
         (row,) = rows(run.out)
         assert row["pose"] == pytest.approx(wanted[1]["pose"], abs=1e-3)
     run = through_stdin(monkeypatch, b"1,2,3\n4,5,6\n")
@@ -59,7 +60,7 @@ def test_standard_input_has_a_name(
 ) -> None:
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(scans.read_bytes())))
     out = tmp_path / ("a.csv" if words[0] == "sample" else "a.png")
-    run = call(*words, "--index", 9, "--out", out)
+    run = call(*words, "--scans-index", 9, "--out", out)
     assert (run.code, "standard input has 2 scans" in run.err) == (2, True)
 
 
@@ -89,7 +90,7 @@ def test_after_a_run_it_is_said_how_it_went(scans: Path) -> None:
     run = call("localize", "curved", scans, scans, scans, OFF)
     said = r"6 scans: 6 unique; 6 of 6 first poses within 0\.5 m and 10 deg of the known ones, "
     assert re.search(said + r"median error 0\.\d+ m and \d\.\d+ deg\n$", run.err)
-    one = call("localize", "curved", scans, OFF, "--index", 0)
+    one = call("localize", "curved", scans, OFF, "--scans-index", 0)
     assert "sd xy / m" in one.out
     assert re.search(r"a wall shares\n\d\.\d % of the mass is in none of these rows", one.out)
     verbose = call("localize", "curved", scans, OFF, "-v").err
@@ -98,16 +99,18 @@ def test_after_a_run_it_is_said_how_it_went(scans: Path) -> None:
 
 
 def test_angles_may_be_degrees(scans: Path) -> None:
-    place = rows(call("localize", "curved", scans, OFF, "--json", "--index", 0).out)[0]["pose"]
+    place = rows(call("localize", "curved", scans, OFF, "--json", "--scans-index", 0).out)[0][
+        "pose"
+    ]
     x, y, degrees = place["x"], place["y"], np.rad2deg(place["theta"])
     near = f"{x:.3f},{y:.3f},{degrees:.2f}deg,1,5deg"
-    words = ("--near", near, "--sensor", "0.2,0,90deg", "--json", "--index", 0)
+    words = ("--near", near, "--sensor", "0.2,0,90deg", "--json", "--scans-index", 0)
     (row,) = rows(call("localize", "curved", scans, OFF, *words).out)
     about = row["parameters"]["prior"]["near"]
     assert about["theta"] == pytest.approx(place["theta"], abs=1e-3)
     assert about["tolerance"] == pytest.approx(np.deg2rad(5))
     assert row["parameters"]["sensor"]["theta"] == pytest.approx(np.pi / 2)
-    heading = ("--heading", "90deg,10deg", "--json", "--index", 0)
+    heading = ("--heading", "90deg,10deg", "--json", "--scans-index", 0)
     (row,) = rows(call("localize", "curved", scans, OFF, *heading).out)
     assert row["parameters"]["prior"]["heading"]["theta"] == pytest.approx(np.pi / 2)
     wrong = call("localize", "curved", scans, "--near", "1deg,2,3")
@@ -179,25 +182,25 @@ def indices(*words: object) -> list[int]:
 
 def test_scans_are_chosen_by_lists_ranges_and_samples(tmp_path: Path) -> None:
     both = where, path = twelve(tmp_path)
-    assert indices(*both, "--index", "7,2,2") == [7, 2]
-    assert indices(*both, "--index", "3", "--index", "8:") == [3, 8, 9, 10, 11]
-    assert indices(*both, "--index", "::5") == [0, 5, 10]
+    assert indices(*both, "--scans-index", "7,2,2") == [7, 2]
+    assert indices(*both, "--scans-index", "3", "--scans-index", "8:") == [3, 8, 9, 10, 11]
+    assert indices(*both, "--scans-index", "::5") == [0, 5, 10]
     some = indices(*both, "--sample", 3)
     assert some == sorted(some)
     assert len(set(some)) == 3
     assert (
         some == indices(*both, "--sample", 3) != indices(*both, "--sample", 3, "--sample-seed", 2)
     )
-    assert set(indices(*both, "--index", "::5", "--sample", 2)) < {0, 5, 10}
-    words = ("evaluate", where, "--scans", path, "--methods", "cbml", "--json", *QUICK[2:])
-    (row,) = rows(call(*words, "--index", "2:6").out)
+    assert set(indices(*both, "--scans-index", "::5", "--sample", 2)) < {0, 5, 10}
+    words = ("evaluate", where, "--scans", path, "--method", "cbml", "--json", *QUICK[2:])
+    (row,) = rows(call(*words, "--scans-index", "2:6").out)
     assert (row["trials"], row["source"]["index"]) == (4, "2:6")
     out = tmp_path / "a.csv"
-    run = call("sample", *both, "--index", "4,6", "-n", 5, "--out", out)
+    run = call("sample", *both, "--scans-index", "4,6", "-n", 5, "--out", out)
     assert run.code == 0, run.err
     assert [line.split(",")[0] for line in out.read_text().splitlines()[1::5]] == ["4", "6"]
     found = tmp_path / "found"
-    run = call("batch", *both, "--out", found, "--index", "1,5", "--workers", 1, *QUICK)
+    run = call("batch", *both, "--out", found, "--scans-index", "1,5", "--workers", 1, *QUICK)
     assert run.code == 0, run.err
     assert [a["index"] for a in rows((found / "results.jsonl").read_text())[0]["answers"]] == [1, 5]
 
@@ -205,13 +208,14 @@ def test_scans_are_chosen_by_lists_ranges_and_samples(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (("localize", "--index", "3-5"), "got '3-5', expected indices from 0, ranges A:B"),
-        (("localize", "--index", "1:4:0"), "got '1:4:0', expected indices from 0"),
-        (("localize", "--index", "4,12"), "got 12, expected 0 to 11: a.npz has 12 scans"),
-        (("localize", "--index", "12:"), "got 12:, expected 0 to 11"),
-        (("localize", "--index", "5:2"), "got 5:2, expected 0 to 11"),
-        (("which", "--index", "3"), "got 3, expected a name that ends in .npz"),
-        (("evaluate", "--index", "3"), "--index: expected --scans to take from"),
+        (("localize", "--scans-index", "3-5"), "got '3-5', expected indices from 0, ranges A:B"),
+        (("localize", "--scans-index", "1:4:0"), "got '1:4:0', expected indices from 0"),
+        (("localize", "--scans-index", "4,12"), "got 12, expected 0 to 11: a.npz has 12 scans"),
+        (("localize", "--scans-index", "12:"), "got 12:, expected 0 to 11"),
+        (("localize", "--scans-index", "5:2"), "got 5:2, expected 0 to 11"),
+        (("which", "--maps-index", "3"), "3: expected a name that ends in .npz"),
+        (("which", "--index", "3"), "--index: expected --maps-index, which is its name now"),
+        (("evaluate", "--scans-index", "3"), "--scans-index: expected --scans to take from"),
     ],
 )
 def test_what_is_no_choice_of_scans_is_said(

@@ -15,8 +15,8 @@ import pytest
 from command import MAPS, call, command, rows
 
 from imgloc.cli.live import live_of
-from imgloc.cli.options import Logs
 from imgloc.filters.motion import noisy_odometry
+from imgloc.options import Logs
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 

@@ -101,7 +101,7 @@ def test_json_has_the_documented_keys_and_the_right_poses(scans: Path) -> None:
 
 
 def test_the_evidence_is_in_the_json_and_in_the_text(scans: Path) -> None:
-    words = ("localize", CURVED, scans, "--index", 0, "--method", "fused", "--top", 1)
+    words = ("localize", CURVED, scans, "--scans-index", 0, "--method", "fused", "--top", 1)
     (answer,) = rows(call(*words, "--json").out)
     evidence = answer["evidence"]
     assert list(evidence) == [
@@ -127,7 +127,7 @@ def test_the_same_bytes_for_every_run_and_number_of_threads(scans: Path) -> None
 
 @pytest.mark.parametrize("method", ALL_METHODS)
 def test_every_method_answers(method: str, scans: Path) -> None:
-    words = ["localize", CURVED, scans, "--json", "--method", method, "--index", 1]
+    words = ["localize", CURVED, scans, "--json", "--method", method, "--scans-index", 1]
     words += ["--theta-step-deg", 10, "--cell", 0.2]
     one, two = call(*words, "--threads", 1), call(*words, "--threads", 2)
     assert one.code == 0
@@ -164,13 +164,13 @@ def test_origin_with_a_yaw_moves_every_pose(scans: Path, tmp_path: Path) -> None
     assert b.poses is not None
     np.testing.assert_allclose(b.poses, transform_poses(origin, a.poses), atol=1e-9)
     np.testing.assert_array_equal(a[1].ranges, b[1].ranges)
-    text = call("localize", turned, tmp_path / "b.npz", "--index", 0).out
+    text = call("localize", turned, tmp_path / "b.npz", "--scans-index", 0).out
     error = next(line for line in text.splitlines() if line.startswith("  error")).split()
     assert float(error[1]) < 0.1
 
 
 def test_text_is_a_table_for_one_scan_and_a_line_for_each_of_several(scans: Path) -> None:
-    one = call("localize", CURVED, scans, "--index", 2)
+    one = call("localize", CURVED, scans, "--scans-index", 2)
     assert one.code == 0
     assert one.out.startswith("scan 2: unique\n  pose       x ")
     assert "| 1 | " in one.out
@@ -195,7 +195,7 @@ def test_a_line_says_how_much_mass_is_not_listed(tmp_path: Path) -> None:
 
 def test_pictures_are_numbered_when_there_are_several(scans: Path, tmp_path: Path) -> None:
     words = ["localize", CURVED, scans, "--picture", tmp_path / "out.png", "--threads", 1]
-    assert call(*words, "--index", 1).code == 0
+    assert call(*words, "--scans-index", 1).code == 0
     assert [p.name for p in tmp_path.iterdir()] == ["out.png"]
     assert call(*words, "--force").code == 0
     numbered = [f"out-000{k}.png" for k in range(3)]
@@ -211,7 +211,7 @@ def test_pictures_are_numbered_when_there_are_several(scans: Path, tmp_path: Pat
 
 def test_picture_does_not_depend_on_the_origin(scans: Path, tmp_path: Path) -> None:
     for name, origin in (("a", "0,0,0"), ("b", "0,0,6.283185307179586")):
-        words = ["--index", 0, "--origin", origin, "--picture", tmp_path / f"{name}.png"]
+        words = ["--scans-index", 0, "--origin", origin, "--picture", tmp_path / f"{name}.png"]
         assert call("localize", CURVED, scans, *words).code == 0
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
@@ -226,13 +226,15 @@ def test_strict_exits_with_6_after_all_answers(tmp_path: Path) -> None:
     assert [r["verdict"] for r in rows(out)] == ["invalid", "invalid"]
     assert all(r["pose"] is None and r["hypotheses"] == [] for r in rows(out))
     assert call("localize", CURVED, path).code == 0
-    text = call("localize", CURVED, path, "--index", 0, "--picture", tmp_path / "p.png")
+    text = call("localize", CURVED, path, "--scans-index", 0, "--picture", tmp_path / "p.png")
     assert text.out.startswith("scan 0: invalid\n  readings   0 valid")
     assert (tmp_path / "p.png").exists()
 
 
 def test_range_max_cuts_readings_to_no_return(scans: Path) -> None:
-    (row,) = rows(call("localize", CURVED, scans, "--index", 0, "--json", "--range-max", "2.5").out)
+    (row,) = rows(
+        call("localize", CURVED, scans, "--scans-index", 0, "--json", "--range-max", "2.5").out
+    )
     ranges = load_scans(scans)[0].ranges
     beyond = int(np.count_nonzero(ranges >= 2.5))  # NaN is not
     assert beyond > 0

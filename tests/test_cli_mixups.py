@@ -10,7 +10,8 @@ from command import MAPS, call, rows
 
 from imgloc.io.images import encode_png, read_image
 from imgloc.io.scans import load_scans, save_scans
-from imgloc.simulation.scans import Sensor, simulate
+from imgloc.options import Sensor
+from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
 OFF = "--no-cache"
@@ -50,7 +51,9 @@ def test_units_are_recognised_and_mended(
     assert re.search(hint, run.err), run.err
     if "multiplied" in hint:  # the page and the picture of one of them say it, too
         page = path.with_suffix(".html")
-        said = call("localize", "curved", path, OFF, "--index", 1, "--explain", page, "--force")
+        said = call(
+            "localize", "curved", path, OFF, "--scans-index", 1, "--explain", page, "--force"
+        )
         assert re.search("this scan fits at one place if ranges are " + hint[:14], said.err)
         assert "What to look at next" in page.read_text("utf-8")
     (option,) = re.findall(r"--range-scale (\S+?)[,\s]", run.err + "\n")

@@ -22,7 +22,8 @@ from imgloc.io.maps import save_map
 from imgloc.io.mapyaml import MapYaml, load_map_yaml
 from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.simulation.scans import Sensor, simulate
+from imgloc.options import Sensor
+from imgloc.simulation.scans import simulate
 
 needs_pipes = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
 
@@ -313,7 +314,7 @@ def test_a_damaged_calibration_beside_a_map_is_a_warning(folder: Path, value: st
     path = folder / "maps" / "post.calibration.json"
     text = '{"format": 1, "map_hash": "a", "methods": {}, "shared": {"scale": 1, "thinner": HERE}}'
     path.write_text(text.replace("HERE", value))
-    words = ["localize", folder / "maps" / "post.yaml", folder / "scans.npz", "--index", 0]
+    words = ["localize", folder / "maps" / "post.yaml", folder / "scans.npz", "--scans-index", 0]
     run = call(*words, "--method", "cbml", "--cell", 0.2, "--no-cache")
     assert run.code == 0
     (line,) = run.err.splitlines()
@@ -325,7 +326,7 @@ def test_a_damaged_calibration_beside_a_map_is_a_warning(folder: Path, value: st
 
 def build(folder: Path) -> Path:
     index = folder / "index.npz"
-    run = call("which", folder / "maps", "--index", index, "--build", "--no-cache")
+    run = call("which", folder / "maps", "--maps-index", index, "--build", "--no-cache")
     assert run.code == 0, run.err
     return index
 
@@ -356,7 +357,7 @@ def with_about(index: Path, edit: Callable[[dict], object], **arrays: np.ndarray
 def test_an_index_that_was_edited(folder: Path, edit: dict, said: str) -> None:
     index = build(folder)
     with_about(index, lambda about: about.update(edit))
-    words = ["which", folder / "maps", folder / "scans.npz", "--index", index]
+    words = ["which", folder / "maps", folder / "scans.npz", "--maps-index", index]
     refused(f"index.npz: is no index of maps ({said}", *words)
 
 
@@ -367,7 +368,7 @@ def test_an_index_is_not_inflated(folder: Path) -> None:
     np.savez_compressed(index, **arrays)
     assert index.stat().st_size < 1 << 20
     tracemalloc.start()
-    words = ["which", folder / "maps", folder / "scans.npz", "--index", index]
+    words = ["which", folder / "maps", folder / "scans.npz", "--maps-index", index]
     refused("index.npz: is no index of maps (it is compressed)", *words)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
@@ -381,7 +382,7 @@ def test_members_of_an_archive_that_lie_over_one_another_are_not_read_twice(fold
         archive.filelist += archive.filelist * 9
         archive._didModify = True
     index.write_bytes(data.getvalue())
-    words = ["which", folder / "maps", folder / "scans.npz", "--index", index]
+    words = ["which", folder / "maps", folder / "scans.npz", "--maps-index", index]
     refused("its header claims arrays larger than the file", *words)
 
 
@@ -441,7 +442,7 @@ def atlas(made: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[ob
 @needs_pipes
 @pytest.mark.parametrize("kind", ["pipe", "zeros", "text", "pickle"])
 def test_an_entry_of_the_cache_that_is_none(folder: Path, kind: str) -> None:
-    words = ["localize", folder / "maps" / "post.yaml", folder / "scans.npz", "--index", 0]
+    words = ["localize", folder / "maps" / "post.yaml", folder / "scans.npz", "--scans-index", 0]
     words += ["--cache", folder / "cache", "--json"]
     good = call(*words)
     (entry,) = (folder / "cache").glob("*.npz")

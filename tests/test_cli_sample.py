@@ -52,7 +52,7 @@ def test_poses_are_in_the_map_frame(method: str, scans: Path, tmp_path: Path) ->
     grid, origin = load_map(CURVED), Pose2D(-20.0, 7.0, 2.0)
     moved = tmp_path / "moved.yaml"
     save_map(moved, OccupancyGrid(grid.occupied, grid.free, grid.resolution, origin))
-    words = ("--index", 1, "--method", method, "-n", 50, "--out")
+    words = ("--scans-index", 1, "--method", method, "-n", 50, "--out")
     here, there = (
         drawn(path, scans, *words, tmp_path / f"{path.stem}.csv")[:, 1:] for path in (CURVED, moved)
     )
@@ -67,7 +67,7 @@ def test_draws_depend_on_the_seed_and_the_scan_alone(scans: Path, tmp_path: Path
     words = ("-n", 20, "--out", tmp_path / "a.csv", "--force")
     both = drawn(CURVED, scans, *words, "--threads", 1)
     np.testing.assert_array_equal(drawn(CURVED, scans, *words, "--threads", 2), both)
-    np.testing.assert_array_equal(drawn(CURVED, scans, *words, "--index", 1), both[20:])
+    np.testing.assert_array_equal(drawn(CURVED, scans, *words, "--scans-index", 1), both[20:])
     assert (drawn(CURVED, scans, *words, "--seed", 1) != both).any()
 
 
@@ -85,7 +85,7 @@ def test_a_scan_that_says_nothing_may_be_from_anywhere(method: str, tmp_path: Pa
     ("words", "code", "expected"),
     [
         (["--theta-step-deg", 3], 2, "fused has no stack"),
-        (["--index", 2], 2, "--index: got 2, expected 0 to 1"),
+        (["--scans-index", 2], 2, "--scans-index: got 2, expected 0 to 1"),
         (["-n", 10**8], 2, "more than 10,000,000"),
         (["--cell", 0], 2, "--cell: got 0"),
         (["--range-max", -1], 2, "--range-max: got -1"),

@@ -21,10 +21,10 @@ from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, Pose2D
-from imgloc.options import Options
+from imgloc.options import Options, Sensor
 from imgloc.pipeline import prepare
 from imgloc.runs.opening import ScanFiles
-from imgloc.simulation.scans import Sensor, simulate_ranges
+from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
 MAP, N = MAPS / "visibility.yaml", 6
@@ -48,7 +48,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def by_all(map_path: Path, log: Path, folder: Path, *words: object) -> dict[str, str]:
     """What each command says on standard error; each must succeed."""
     runs = {
-        "localize": call("localize", map_path, log, "--index", 0, *words),
+        "localize": call("localize", map_path, log, "--scans-index", 0, *words),
         "track": call("track", map_path, log, *words),
         "batch": call("batch", map_path, log, "--out", folder / "out", "--workers", 1, *words),
     }
@@ -71,7 +71,7 @@ def test_a_byte_order_mark_takes_no_scan_of_a_log(log: Path, tmp_path: Path) -> 
         got = load_scans(tmp_path / name, fov=2 * np.pi)
         assert len(got) == N
         np.testing.assert_allclose(got[0].ranges, ranges[0], atol=1e-3)
-    words = ("--fov-deg", 360, "--index", 0, "--json")
+    words = ("--fov-deg", 360, "--scans-index", 0, "--json")
     poses = [
         rows(call("localize", MAP, tmp_path / name, *words).out)[0]["pose"]
         for name in ("plain.log", "marked.log")
@@ -147,7 +147,7 @@ def test_a_sensor_in_centimetres_is_refused(log: Path, tmp_path: Path) -> None:
     ):
         with pytest.raises(ConfigError, match="centimetres"):
             make()
-    assert call("localize", MAP, log, "--index", 0, "--sensor", "0.3,0,180deg").code == 0
+    assert call("localize", MAP, log, "--scans-index", 0, "--sensor", "0.3,0,180deg").code == 0
 
 
 def test_a_mount_in_a_json_line_is_where_the_sensor_sits(log: Path, tmp_path: Path) -> None:
@@ -250,12 +250,12 @@ def test_an_image_beside_its_yaml_is_in_another_frame(log: Path, tmp_path: Path)
     for name, err in by_all(image, log, tmp_path, "--resolution", resolution).items():
         assert err.count(said) == 1, (name, err)
         assert "give visibility.yaml instead" in err
-    both = ("--resolution", 2 * resolution, "--index", 0)
+    both = ("--resolution", 2 * resolution, "--scans-index", 0)
     assert f"resolution {resolution:g} there" in call("localize", image, log, *both).err
-    same = ("--resolution", resolution, "--origin", "-12.5,-8,0", "--index", 0)
+    same = ("--resolution", resolution, "--origin", "-12.5,-8,0", "--scans-index", 0)
     assert "frame" not in call("localize", image, log, *same).err
     (tmp_path / MAP.name).unlink()
-    assert "frame" not in call("localize", image, log, *same[:2], "--index", 0).err
+    assert "frame" not in call("localize", image, log, *same[:2], "--scans-index", 0).err
 
 
 def test_an_image_in_another_frame_is_said_in_python(tmp_path: Path, caplog, monkeypatch) -> None:
@@ -281,7 +281,7 @@ def test_unknown_cells_that_count_as_free_are_said(
         assert err.count(said) == 1, (name, err)
         assert "0.196 keeps them unknown" in err
     assert said in call("map", "check", path).out
-    assert said not in call("localize", path, log, "--index", 0, "--free-thresh", 0.196).err
+    assert said not in call("localize", path, log, "--scans-index", 0, "--free-thresh", 0.196).err
     monkeypatch.setattr(logging.getLogger("imgloc"), "propagate", True)
     with caplog.at_level(logging.WARNING):
         load_map(path)
@@ -307,6 +307,6 @@ def test_a_limit_of_the_cache_that_is_no_number_is_refused(
     ):
         assert run.code == 2
         assert "IMGLOC_CACHE_MIB: got 'abc', expected a whole number of MiB, such as" in run.err
-    assert call("localize", MAP, log, "--index", 0, "--no-cache").code == 0
+    assert call("localize", MAP, log, "--scans-index", 0, "--no-cache").code == 0
     monkeypatch.setenv("IMGLOC_CACHE_MIB", "3")
     assert cache_limit() == 3 << 20

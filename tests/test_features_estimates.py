@@ -17,7 +17,8 @@ from imgloc.io.images import ImageSize, image_size
 from imgloc.io.mapcheck import check_bytes, check_map
 from imgloc.io.maps import load_bytes
 from imgloc.io.scans import scans_size
-from imgloc.simulation.scans import Sensor, fine_factor, refine_grid, simulate
+from imgloc.options import Sensor
+from imgloc.simulation.scans import fine_factor, refine_grid, simulate
 
 TABLES = load_bytes(ImageSize(0, 0, 0, grey=True))
 LOADS = """

@@ -12,11 +12,11 @@ from places import POSES, error, features_of
 
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import NO_PLACES, search, sight, view_of
-from imgloc.filters.follow import Every, follow, robot_poses
+from imgloc.filters.follow import follow, robot_poses
 from imgloc.filters.motion import compose_poses, noisy_odometry
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, Pose2D, compose
-from imgloc.options import Options
+from imgloc.options import Every, Options
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 

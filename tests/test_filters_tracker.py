@@ -12,7 +12,7 @@ from imgloc.errors import ConfigError, ScanError
 from imgloc.filters.belief import Followed, belief_of, deviations_of
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import NO_PLACES, Places, Sight, settled, view_of
-from imgloc.filters.follow import Every, Kidnap, follow
+from imgloc.filters.follow import Kidnap, follow
 from imgloc.filters.motion import compose_poses, noisy_odometry
 from imgloc.filters.tracker import Tracker, TrackerOptions
 from imgloc.geometry import transform_poses, wrap
@@ -20,7 +20,7 @@ from imgloc.io.scanset import ScanSet
 from imgloc.lab.particle import ParticleFilter, ParticleOptions, kld_bound, low_variance
 from imgloc.lab.sequences import Searches, piece
 from imgloc.model import LaserScan, Pose2D, compose, inverse
-from imgloc.options import Options, Shared
+from imgloc.options import Every, Options, Shared
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 

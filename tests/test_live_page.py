@@ -168,7 +168,7 @@ def test_a_map_and_scans_that_are_dropped_are_answered_as_the_command_does(
     sync.expect(page.locator("#map")).to_have_value("curved")
     drop(page, (scans.name, scans.read_bytes()))
     said = answered(page)
-    row = rows(call("localize", MAPS / "curved.yaml", scans, "--index", 0, "--json").out)[0]
+    row = rows(call("localize", MAPS / "curved.yaml", scans, "--scans-index", 0, "--json").out)[0]
     assert f"Scan 0: {row['verdict']}." in said
     listed = page.locator("#hypotheses li")
     assert listed.count() == min(20, len(row["hypotheses"]))
@@ -490,7 +490,7 @@ def test_open_shows_a_map_and_scans(browser: Any, log: Path) -> None:
         opened(browser, one.address) as page,
     ):
         assert "Scan 0: unique." in answered(page)
-        here = f"imgloc localize {MAPS / 'visibility.yaml'} {log} --index 0\n"
+        here = f"imgloc localize {MAPS / 'visibility.yaml'} {log} --scans-index 0\n"
         assert copied(page, "c") == here
 
 

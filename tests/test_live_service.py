@@ -74,14 +74,14 @@ def laser_scan(scans: Path, k: int) -> dict[str, Any]:
     ("options", "asked"),
     [
         ([], {}),
-        (["--index", "1"], {"index": "1"}),
+        (["--scans-index", "1"], {"index": "1"}),
         (["--top", "2", "--range-max", "8", "--sensor", "0.1,0,3"],
          {"top": 2, "range_max": 8, "sensor": "0.1,0,3"}),
         (["--near", "4,7,0.5,3"], {"near": "4,7,0.5,3"}),
         (["--heading", "1", "--clearance", "0.2"], {"heading": "1", "clearance": 0.2}),
-        (["--method", "cbml", "--theta-step-deg", "9", "--index", "0"],
+        (["--method", "cbml", "--theta-step-deg", "9", "--scans-index", "0"],
          {"method": "cbml", "theta_step_deg": 9, "index": "0"}),
-        (["--exact-argmax", "--index", "2", "--flipped"],
+        (["--exact-argmax", "--scans-index", "2", "--flipped"],
          {"exact": "true", "index": "2", "flipped": "true"}),
     ],
 )  # fmt: skip

@@ -13,13 +13,13 @@ from imgloc.features.budget import fused_bytes
 from imgloc.geometry import uniform_thetas
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
-from imgloc.options import Calibration, FusedOptions, Options, Prior, Shared, Trust
+from imgloc.options import Calibration, FusedOptions, Options, Prior, Sensor, Shared, Trust
 from imgloc.output.pages import why
 from imgloc.output.svg import macro
 from imgloc.pipeline import localize, prepare
 from imgloc.search.asked import check_options
 from imgloc.search.stacked import posterior_of
-from imgloc.simulation.scans import Sensor, simulate, simulate_ranges
+from imgloc.simulation.scans import simulate, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
 

@@ -15,11 +15,12 @@ import typer.main
 from command import ROOT, call
 from places import room_with_a_post
 
-from imgloc.cli.app import app
+from imgloc.cli.app import program
 from imgloc.io.maps import save_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.model import Pose2D
-from imgloc.simulation.scans import Sensor, simulate
+from imgloc.options import Sensor
+from imgloc.simulation.scans import simulate
 
 README = (ROOT / "README.md").read_text("utf-8")
 PAGES = {"README.md": README}
@@ -103,7 +104,7 @@ def test_the_example_files_are_read() -> None:
 
 @pytest.mark.parametrize("name", list(PAGES))
 def test_every_command_of_a_page_parses(name: str) -> None:
-    tree = typer.main.get_command(app)
+    tree = typer.main.get_command(program())
     for line in commands(PAGES[name]):
         command, words = tree, shlex.split(line)
         while hasattr(command, "commands"):
@@ -119,7 +120,7 @@ def test_what_a_page_names_is_there(name: str) -> None:
         assert (folder / link).exists(), link
     for module in re.findall(r"python -m (tools[\w.]*)", PAGES[name]):
         assert find_spec(module) is not None, module
-    known, groups = {"--help"}, [typer.main.get_command(app)]
+    known, groups = {"--help"}, [typer.main.get_command(program())]
     while groups:
         command = groups.pop()
         known |= {o for p in command.params for o in (*p.opts, *p.secondary_opts)}

@@ -24,7 +24,7 @@ from imgloc.io.maps import save_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.model import Pose2D
-from imgloc.options import Options
+from imgloc.options import Known, Options, Sensor
 from imgloc.output.drawings import DRAWINGS
 from imgloc.output.export import columns_of
 from imgloc.output.report import render_report
@@ -33,8 +33,7 @@ from imgloc.runs.jobs import Item, Job, make_job
 from imgloc.runs.opening import MapFiles, Means, ScanFiles
 from imgloc.runs.results import LOCK, RESULTS, SUMMARY, Results, read_rows
 from imgloc.runs.workers import Supervised
-from imgloc.search.priors import Known
-from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.scans import simulate
 
 QUICK = make_job(options=Options(method="cbml", top=2), cell=0.2)
 

@@ -22,12 +22,12 @@ from imgloc.features.budget import default_budget
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.options import Options
+from imgloc.options import Options, Sensor
 from imgloc.runs.batch import run_batch
 from imgloc.runs.cluster import cluster
 from imgloc.runs.jobs import make_job
 from imgloc.runs.results import read_rows
-from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.scans import simulate
 
 distributed = pytest.importorskip(
     "distributed", reason="the extra imgloc[cluster] is not installed"

@@ -13,7 +13,7 @@ from imgloc.answers.diagnose import doubts
 from imgloc.errors import as_options
 from imgloc.io.scans import save_scans
 from imgloc.model import Evidence
-from imgloc.options import Options
+from imgloc.options import Options, Sensor
 from imgloc.output.report import render_report
 from imgloc.output.tables import batch_text
 from imgloc.pipeline import localize, prepare
@@ -21,7 +21,7 @@ from imgloc.runs.batch import BatchSummary, run_batch
 from imgloc.runs.hints import Doubtful
 from imgloc.runs.jobs import Item
 from imgloc.runs.results import read_rows
-from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
 MILLIMETRES = "if ranges are multiplied by 0.001: are they millimetres? Try `range_scale=0.001`"

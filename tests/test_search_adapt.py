@@ -12,14 +12,14 @@ from imgloc.answers.explain import explain
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import one_per_place
 from imgloc.model import LaserScan, OccupancyGrid
-from imgloc.options import FusedOptions, Options, Shared
+from imgloc.options import FusedOptions, Options, Sensor, Shared
 from imgloc.output.pictures import draw
 from imgloc.output.tables import answer_text
 from imgloc.pipeline import localize
 from imgloc.search.adapt import adapt
 from imgloc.search.refine import normal_equations, refine
 from imgloc.search.rescore import rescore
-from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
 AS_IT_IS = Options(fused=FusedOptions(strained=float("inf")))

@@ -8,18 +8,18 @@ import pytest
 from imgloc.errors import ConfigError
 from imgloc.features.pyramid import Level
 from imgloc.model import GridInfo, LaserScan, OccupancyGrid
-from imgloc.options import ALL_METHODS, FusedOptions, Options, Prior
+from imgloc.options import ALL_METHODS, FusedOptions, Known, Options, Prior, Sensor
 from imgloc.pipeline import localize, prepare
 from imgloc.search.priors import (
-    Known,
     around,
     clearance,
     near,
     nearest,
     on_lattice,
+    prior_of,
     pyramid_levels,
 )
-from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
 # One row, 1 m cells: the sensor may be in the second and third.
@@ -240,7 +240,9 @@ def test_what_is_known_lets_no_room_in_that_is_on_no_map(visibility, known):
         (2.9, 5.1, (0.2, 1.0, 2.9)),
     ]
     for room in rooms:
-        answer = localize(features, closed_room(*room), Options(prior=known.prior(features.grid)))
+        answer = localize(
+            features, closed_room(*room), Options(prior=prior_of(known, features.grid))
+        )
         assert (answer.verdict, answer.pose) == ("no-match", None), room
         assert answer.best == answer.hypotheses[0].pose
 

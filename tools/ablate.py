@@ -184,6 +184,7 @@ def _answers(asking: Asking, weighs: bool, keep: bool, pieces: Path) -> Iterator
     from imgloc.geometry import pose_errors, wrap
     from imgloc.model import Pose2D
     from imgloc.options import Options
+    from imgloc.search.priors import prior_of
     from tools.trust.precision import REGION, TRUTH
 
     stored, file = list[Any](), pieces / "searches.pickle"
@@ -199,7 +200,7 @@ def _answers(asking: Asking, weighs: bool, keep: bool, pieces: Path) -> Iterator
 
     pipeline.find_adapted_modes = search
     for name, condition, features, scan, pose, known in _cases(asking):
-        options = Options(prior=known.prior(features.grid))
+        options = Options(prior=prior_of(known, features.grid))
         start = time.process_time()
         answer = pipeline.localize(features, scan, options)
         ms = 1e3 * (time.process_time() - start)
@@ -229,8 +230,8 @@ def _cases(asking: Asking) -> Iterator[tuple[str, str, Any, Any, Any, Any]]:
     import numpy as np
 
     from imgloc.geometry import transform_poses
+    from imgloc.options import Known
     from imgloc.pipeline import prepare
-    from imgloc.search.priors import Known
     from tools.recorded import in_world, recorded_sets
     from tools.trust.disturb import MAPS, PRIORS, ROOMS, SCANS, unmapped
     from tools.trust.fit import mapped

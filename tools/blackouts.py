@@ -18,7 +18,7 @@ import numpy as np
 
 from imgloc import Options, ScanSet, make_filter
 from imgloc.filters.belief import Filter
-from imgloc.filters.follow import Every, Limits, robot_poses
+from imgloc.filters.follow import robot_poses
 from imgloc.io.files import write_text_atomic
 from imgloc.lab.sequences import (
     INSIDE,
@@ -30,6 +30,7 @@ from imgloc.lab.sequences import (
     piece,
 )
 from imgloc.model import LaserScan, Pose2D, to_json
+from imgloc.options import Every, Limits
 from imgloc.pipeline import prepare
 from tools.script import parser_of, progress, table_lines
 from tools.sequences import KeptSearches, load_log

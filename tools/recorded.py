@@ -7,7 +7,8 @@ from pathlib import Path
 from imgloc import ConfigError, ScanSet, load_map, load_scans, save_scans
 from imgloc.io.files import display
 from imgloc.model import OccupancyGrid
-from imgloc.simulation.scans import Sensor, sample_set, simulate
+from imgloc.options import Sensor
+from imgloc.simulation.scans import sample_set, simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.script import at_least_one
 

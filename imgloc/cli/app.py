@@ -1,7 +1,10 @@
 """The program: its commands with their examples, and their groups."""
 
 import functools
-from collections.abc import Callable, Sequence
+import os
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import typer
 from typer.main import get_command
@@ -9,6 +12,7 @@ from typer.main import get_command
 from imgloc.__about__ import __version__
 from imgloc.cli.batch import batch
 from imgloc.cli.cache import cache, clear
+from imgloc.cli.command import Command, command
 from imgloc.cli.console import Group, emit
 from imgloc.cli.demo import demo
 from imgloc.cli.export import export
@@ -27,20 +31,14 @@ from imgloc.doors import behind
 
 _OPTIONS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
-# No rich: help has to appear at once, and examples have to stay as they are typed.
-app = typer.Typer(
-    cls=Group,
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    context_settings=_OPTIONS,
-    epilog=examples(
-        "imgloc demo",
-        "imgloc map check office.yaml",
-        "imgloc localize office.yaml scans.npz --picture answer.png",
-        "imgloc simulate office.yaml -n 100 --out scans.npz",
-        "imgloc localize office.yaml scans.npz --json > answers.jsonl",
-    ),
+_EXAMPLES = (
+    "imgloc demo",
+    "imgloc map check office.yaml",
+    "imgloc localize office.yaml scans.npz --picture answer.png",
+    "imgloc simulate office.yaml -n 100 --out scans.npz",
+    "imgloc localize office.yaml scans.npz --json > answers.jsonl",
 )
+_CACHES = ("imgloc cache", "imgloc cache --json", "imgloc cache clear")
 _HELP = """Where am I on this map?
 
 Finds the pose of a 2-D laser scan in a map that is an image, without an initial guess, and says
@@ -57,7 +55,6 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback(help=_HELP)
 def root(
     version: bool = typer.Option(
         False, "--version", callback=_version, is_eager=True, help="Print the version."
@@ -70,8 +67,8 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
     demo: ("imgloc demo", "imgloc demo --map corridor --seed 4"),
     localize: (
         "imgloc localize office.yaml scans.npz",
-        "imgloc localize office.yaml scans.npz --index 3 --picture answer.png",
-        "imgloc localize office.yaml run.log --index 7,100:120 --explain why.html",
+        "imgloc localize office.yaml scans.npz --scans-index 3 --picture answer.png",
+        "imgloc localize office.yaml run.log --scans-index 7,100:120 --explain why.html",
         "imgloc localize office.png scan.csv --resolution 0.05 --origin -12.5,-8,0",
         "imgloc localize office.yaml monday.log tuesday.bag --sensor 0.2,0,180deg",
         "imgloc localize office.yaml - < scan.csv",
@@ -83,22 +80,22 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc simulate office.yaml -n 20 --rays 360 --fov-deg 360 --outliers 0.2 --out hard.npz",
     ),
     behind("evaluate"): (
-        "imgloc evaluate curved visibility large --methods cbml,cbml-o,ght,ght-v,beam",
-        "imgloc evaluate office.yaml -n 50 --methods fused --range-max 10 --tolerance 0.3,10",
+        "imgloc evaluate curved visibility large --method cbml,cbml-o,ght,ght-v,beam",
+        "imgloc evaluate office.yaml -n 50 --method fused --range-max 10 --tolerance 0.3,10",
         "imgloc evaluate office.yaml --scans scans.npz --sample 60 --json > results.jsonl",
-        "imgloc evaluate a.yaml b.yaml --scans a.npz --scans b.npz --methods fused,ght-v",
-        "imgloc evaluate curved --methods ght,ght-v --theta-step-deg ght=10 --cell 0.2",
-        "imgloc evaluate office.yaml --scans log.npz --sequence --filters tracker,particle",
+        "imgloc evaluate a.yaml b.yaml --scans a.npz --scans b.npz --method fused,ght-v",
+        "imgloc evaluate curved --method ght,ght-v --theta-step-deg ght=10 --cell 0.2",
+        "imgloc evaluate office.yaml --scans log.npz --sequence --filter tracker,particle",
     ),
     behind("calibrate"): (
         "imgloc calibrate office.yaml",
-        "imgloc calibrate office.yaml --methods ght-v,beam --rays 360 --fov-deg 360 --range-max 12",
+        "imgloc calibrate office.yaml --method ght-v,beam --rays 360 --fov-deg 360 --range-max 12",
         "imgloc calibrate floor1.yaml floor2.yaml -n 15 --json",
         "imgloc calibrate curved visibility --dry-run",
     ),
     sample: (
         "imgloc sample office.yaml scans.npz --out particles.csv",
-        "imgloc sample office.yaml scans.npz --index 3 -n 2000 --seed 7 --method beam --out a.csv",
+        "imgloc sample office.yaml scans.npz --scans-index 3 -n 2000 --seed 7 --out a.csv",
     ),
     behind("atlas"): (
         "imgloc atlas office.yaml --out atlas.png",
@@ -113,10 +110,7 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc batch images scans --resolution 0.05 --out found --dask tcp://10.0.0.5:8786",
     ),
     report: ("imgloc report found", "imgloc report found --out site.html"),
-    export: (
-        "imgloc export found",
-        "imgloc export found --format parquet --out answers.parquet",
-    ),
+    export: ("imgloc export found", "imgloc export found --format parquet --out answers.parquet"),
     track: (
         "imgloc track office.yaml run.log --tum out.tum --picture track.png",
         "imgloc track office.yaml run.bag --ros poses.yaml --json > track.jsonl",
@@ -132,8 +126,8 @@ _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
     which: (
         "imgloc which floors scans.npz",
         "imgloc which floors scan.csv --range-max 20 --heading 90deg --json",
-        "imgloc which sites --index sites.npz --build",
-        "imgloc which sites scans.npz --index sites.npz --picture where.png",
+        "imgloc which sites --maps-index sites.npz --build",
+        "imgloc which sites scans.npz --maps-index sites.npz --picture where.png",
     ),
     serve: (
         "imgloc serve office.yaml",
@@ -158,23 +152,54 @@ _MAP: dict[Callable[..., None], tuple[str, ...]] = {
 }
 _CACHE: dict[Callable[..., None], tuple[str, ...]] = {clear: ("imgloc cache clear",)}
 
-maps = typer.Typer(no_args_is_help=True, rich_markup_mode=None, context_settings=_OPTIONS)
-kept = typer.Typer(
-    invoke_without_command=True,
-    rich_markup_mode=None,
-    context_settings=_OPTIONS,
-    epilog=examples("imgloc cache", "imgloc cache --json", "imgloc cache clear"),
-    callback=cache,
-)
-for group, commands in ((app, _COMMANDS), (maps, _MAP), (kept, _CACHE)):
-    for command, lines in commands.items():
-        more = FORMATS if command is localize else ""
-        kind = RosCommand if command is node else None
-        group.command(cls=kind, epilog=examples(*lines, more=more))(command)
-app.add_typer(maps, name="map", help="Look at a map, or make one of a floor plan.")
-app.add_typer(kept, name="cache")
+_GROUPS = {"": _COMMANDS, "map": _MAP, "cache": _CACHE}
 
-_command_of = functools.cache(get_command)  # which is most of what a short command takes
+
+def program(words: Iterable[str] | None = None) -> typer.Typer:
+    """Make the program, with the options of those commands alone that a line of `words` names.
+
+    To make all options takes a while, and no line needs more than its own; None is any line.
+    """
+    named = None if words is None else frozenset(words)
+    groups = {
+        # No rich: help has to appear at once, and examples have to stay as they are typed.
+        name: typer.Typer(
+            cls=None if name else Group,
+            no_args_is_help=name != "cache",
+            invoke_without_command=name == "cache",
+            rich_markup_mode=None,
+            context_settings=_OPTIONS,
+        )
+        for name in _GROUPS
+    }
+    for name, commands in _GROUPS.items():
+        for function, lines in commands.items():
+            epilog = examples(*lines, more=FORMATS if function is localize else "")
+            wanted = named is None or function.__name__ in named
+            made = command(function) if wanted else _unmade(function)
+            kind = RosCommand if function is node else Command
+            groups[name].command(cls=kind, epilog=epilog)(made)
+    app = groups[""]
+    app.callback(help=_HELP, epilog=examples(*_EXAMPLES))(root)
+    app.add_typer(groups["map"], name="map", help="Look at a map, or make one of a floor plan.")
+    groups["cache"].callback(epilog=examples(*_CACHES))(command(cache))
+    app.add_typer(groups["cache"], name="cache")
+    return app
+
+
+def _unmade(function: Callable[..., None]) -> Callable[[], None]:
+    """A command without its options, for a line that does not name it."""
+
+    def unmade() -> None:
+        raise AssertionError(function.__name__)
+
+    unmade.__name__, unmade.__doc__ = function.__name__, function.__doc__
+    return unmade
+
+
+@functools.cache
+def _program_of(names: frozenset[str]) -> Any:
+    return get_command(program(names))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -185,4 +210,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     arguments : sequence of str, optional
         Without the program's name; ``sys.argv[1:]`` by default.
     """
-    _command_of(app)(None if arguments is None else list(arguments), prog_name="imgloc")
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    known = {function.__name__ for commands in _GROUPS.values() for function in commands}
+    # The completion of a shell has its words elsewhere.
+    named = known if "_IMGLOC_COMPLETE" in os.environ else known & set(words)
+    _program_of(frozenset(named))(words, prog_name="imgloc")

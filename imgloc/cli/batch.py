@@ -1,23 +1,42 @@
 """`imgloc batch`: every map of a folder with every file of scans of another, nothing lost."""
 
 import contextlib
-import math
 import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from imgloc.cli import options as opt
+from imgloc.cli.command import Given, Only, Without
 from imgloc.cli.console import bar_of, emit, say
-from imgloc.cli.options import flag, option
 from imgloc.doors import JOBS
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_there
+from imgloc.options import (
+    TOLERANCES,
+    AllowLossy,
+    Bytes,
+    Cell,
+    Chosen,
+    Count,
+    Headings,
+    Known,
+    Logs,
+    Mounting,
+    Options,
+    Reach,
+    Reading,
+    Seed,
+    Sensor,
+    Spacing,
+    Sure,
+)
+from imgloc.ranges import OneOf, Within, option
+from imgloc.texts import byte_count
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -27,14 +46,13 @@ if TYPE_CHECKING:
 
 FAILED_ROWS = 5
 _EVERY = 60.0  # seconds between lines of progress without a terminal
-JobName = StrEnum("JobName", list(JOBS))  # type: ignore[misc]
-Pictures = StrEnum("Pictures", ("NONE", "DOUBTFUL", "ALL"))
 #: Which field of a job an option is for, if it is not called as the option.
 _FIELDS = {
-    **dict.fromkeys(("topic", "range_scale", "range_max", "sensor", "flipped"), ("scans",)),
-    **dict.fromkeys(("index", "sample", "sample_seed"), ("scans",)),
+    **dict.fromkeys(("topic", "range_scale", "flipped"), ("scans",)),
+    **dict.fromkeys(("scans_index", "sample", "sample_seed"), ("scans",)),
     **dict.fromkeys(("rays", "fov_deg", "sigma", "outliers", "dropped"), ("sensor",)),
-    **dict.fromkeys(("mount", "reach"), ("sensor",)),
+    **dict.fromkeys(("sensor", "range_max"), ("scans", "sensor")),
+    "n": ("count",),
     "method": ("options", "method"),
     "theta_step_deg": ("options", "theta_step"),
     "top": ("options",),
@@ -45,75 +63,69 @@ _FIELDS = {
 }
 
 
-@opt.with_options(opt.mounting, opt.reading, opt.sensor, opt.chosen, opt.console)
 def batch(
+    *,
     context: typer.Context,
-    maps: Annotated[
-        Path,
-        typer.Argument(
-            metavar="MAPS",
-            # A CSV here is one of pairs.
-            callback=lambda path: path if path.suffix.lower() == ".csv" else opt.find_map(path),
-            help="Folder tree of maps (images without a YAML with --resolution), a map, or a CSV "
-            "of pairs with the columns map,scans.",
-        ),
-    ],
-    out: Annotated[Path, option(..., "DIR", "Folder of the results.", show_default=False)],
-    mounting: opt.Mounting,
-    reading: "opt.Reading",
-    sensor: "opt.Sensor",
-    chosen: "opt.Chosen",
-    scans: Annotated[
-        Path | None,
-        typer.Argument(metavar="[SCANS]", help="Folder tree of files of scans, or one."),
-    ] = None,
-    job: JobName = typer.Option(JobName("localize"), help="Whose work is done with each."),
-    method: opt.MethodName = typer.Option(opt.MethodName.FUSED, help="As of localize, evaluate."),
-    top: opt.Top = None,
-    cell: opt.Cell = 0.1,
-    theta_step_deg: opt.StepDeg = None,
-    near: Any = opt.NEAR,
-    heading: Any = opt.HEADING,
-    topic: str | None = option(None, "NAME", "Of logs with several lasers, this one."),
-    range_scale: float = opt.RANGE_SCALE,
-    range_max: opt.Cut = None,
-    tolerance: str | None = option(
-        None, "M,DEG", "How near a known pose is a hit. [default: 0.5,10]"
+    given: Given,
+    maps: Path = option(
+        ...,
+        "Folder tree of maps (images without a YAML with --resolution), a map, or a CSV of pairs "
+        "with the columns map,scans.",
+        "MAPS",
+        # A CSV here is one of pairs.
+        parse=lambda path: path if path.suffix.lower() == ".csv" else opt.find_map(path),
     ),
-    sure: float = option(
-        0.5, "P", "For which: probability a map needs.", within=(0.5, 1, "a probability")
+    out: Path = option(..., "Folder of the results.", metavar="DIR"),
+    mounting: Mounting,
+    reading: Reading,
+    logs: Annotated[Logs, Without("fov")],
+    chosen: Chosen,
+    search: Annotated[Options, Only("method", "top", "theta_step")],
+    known: Annotated[Known, Without("clearance")],
+    sensor: Annotated[Sensor, Without("range_max", "clearance", "mount")],
+    scans: Path | None = option(None, "Folder tree of files of scans, or one file.", "[SCANS]"),
+    job: Annotated[str, OneOf(*JOBS)] = option(
+        "localize", "Command whose work is done with each map and file of scans."
     ),
-    count: int = option(100, "N", "For evaluate without SCANS: scans simulated.", "-n", min=1),
-    seed: opt.Seed = 0,
-    step: float = option(
-        0.5, "M", "For atlas: metres between places.", within=(0.02, 1000, "metres")
-    ),
-    headings: int = option(4, "K", "For atlas: headings at each place.", min=1, max=72),
-    reach: opt.Reach = 30.0,
-    pictures: Pictures = typer.Option(Pictures.NONE, help="Of which answers pictures are kept."),
-    workers: int | None = option(
-        None, "N", "Processes; no row depends on it. [default: all processors]", min=1
-    ),
-    dask: str | None = option(
-        None, "ADDRESS", "Run on a Dask cluster, tcp://host:port, or one started here: local."
-    ),
-    timeout: float = option(
-        3600.0, "S", "Seconds that an item may take.", within=(0.1, 1e7, "seconds")
-    ),
-    memory_limit: Any = option(
+    cell: Cell = 0.1,
+    clearance: Annotated[float | None, Within(0, 1000, "metres")] = option(
         None,
-        "BYTES",
-        "What a worker may take, such as 512M or 2G. [default: its share of half of what is "
-        "available]",
-        parser=opt.byte_count,
+        "Distance of the robot from walls and unknown space, metres: nearer poses are not "
+        "considered, or not simulated. [default: 0, or 0.3 if simulated]",
     ),
-    resume: bool = flag("--resume", "Go on with the results in DIR: what is done stays."),
-    retry_failed: bool = flag("--retry-failed", "Go on, and do what has failed again."),
-    fail_fast: bool = flag("--fail-fast", "Stop at the first item that fails."),
-    dry_run: bool = flag("--dry-run", "Only say what would be done."),
+    range_max: Reach | None = None,
+    tolerance: opt.ToleranceOf = TOLERANCES[-1],
+    sure: Sure = 0.5,
+    count: Count = option(100, "Scans that are simulated on each map.", "-n", "--count"),
+    seed: Seed = 0,
+    step: Spacing = 0.5,
+    headings: Headings = 4,
+    pictures: Annotated[str, OneOf("none", "doubtful", "all")] = option(
+        "none", "Answers of which pictures are kept."
+    ),
+    workers: opt.Workers = None,
+    dask: str | None = option(
+        None,
+        "Run on the Dask cluster at tcp://host:port, or on one that is started here: local. "
+        "[default: processes of this machine]",
+        metavar="ADDRESS",
+    ),
+    timeout: Annotated[float, Within(0.1, 1e7, "seconds")] = option(
+        3600.0, "Seconds that one item may take."
+    ),
+    memory_limit: Bytes | None = option(
+        None,
+        "Memory that one worker may take, such as 512M or 2G. [default: its share of half of "
+        "what is available]",
+        parse=byte_count,
+    ),
+    resume: bool = option(False, "Go on with the results in DIR: what is done stays."),
+    retry_failed: bool = option(False, "Go on with the results in DIR, and do failed items again."),
+    fail_fast: bool = option(False, "Stop at the first item that fails."),
+    dry_run: bool = option(False, "Only print what would be done."),
     as_json: opt.AsJson = False,
-    no_cache: bool = flag("--no-cache", "Prepare the maps anew and keep nothing."),
-    allow_lossy: opt.AllowLossy = False,
+    no_cache: opt.NoCache = False,
+    allow_lossy: AllowLossy = False,
 ) -> None:
     """Do a command's work with every map and every file of scans: one row each.
 
@@ -125,38 +137,34 @@ def batch(
     many = opt.count_threads(workers)
     pool = None if dask or dry_run else _pool(context, many, timeout, memory_limit)
     from imgloc.model import to_json
-    from imgloc.options import TOLERANCES, Options
     from imgloc.output.tables import batch_text
     from imgloc.runs.batch import find_items, run_batch
     from imgloc.runs.jobs import job_class
     from imgloc.runs.opening import MapFiles, ScanFiles
-    from imgloc.search.priors import Known
 
-    kind = job_class(job.value)
-    given = _given(context, kind, scans is not None, maps)
-    opt.check_known(near, heading)
-    angle = None if theta_step_deg is None else math.radians(theta_step_deg)
-    within = TOLERANCES[-1] if tolerance is None else opt.tolerance_of(tolerance)
+    kind = job_class(job)
+    _refuse(given, kind, scans is not None, maps)
+    laser = {"range_max": range_max, "clearance": clearance, "mount": mounting.sensor}
+    typed: dict[str, Any] = {name: value for name, value in laser.items() if value is not None}
     offered: dict[str, Any] = {
         "maps": MapFiles(reading, allow_lossy),
         "scans": ScanFiles(
-            topic, None, range_scale, range_max, chosen, mounting.flipped, mounting.pose
+            logs.topic, None, logs.scale, range_max, chosen, mounting.flipped, mounting.sensor
         ),
-        "options": Options(method=method.value, top=top).stepped(angle),
-        "method": method.value,
-        "theta_step": angle,
+        "options": replace(search, theta_step=None).stepped(search.theta_step),
+        "method": search.method,
+        "theta_step": search.theta_step,
         "cell": cell,
-        # Of simulated robots a clearance is another matter.
-        "known": Known(near, heading, sensor.clearance if "clearance" in given else None),
-        "tolerance": within,
-        "tolerances": (*TOLERANCES, within),
+        "known": replace(known, clearance=clearance),
+        "tolerance": tolerance,
+        "tolerances": (*TOLERANCES, tolerance),
         "sure": sure,
-        "sensor": replace(sensor, range_max=reach),
+        "sensor": replace(sensor, **typed),
         "count": count,
         "seed": seed,
         "step": step,
         "headings": headings,
-        "pictures": pictures.value,
+        "pictures": pictures,
     }
     names = {field.name for field in fields(kind)}
     what = kind(**{name: value for name, value in offered.items() if name in names})
@@ -164,8 +172,9 @@ def batch(
     again = resume or retry_failed
     items = find_items(maps, scans, what, out=out)
     todo, said = _plan(items, what, out if again else None, retry_failed=retry_failed)
-    if near is not None and (known := len({path for item in items for _, path in item.maps})) > 1:
-        raise ConfigError(f"--near: is about one map, not about {known:,}")
+    number = len({path for item in items for _, path in item.maps})
+    if known.near is not None and number > 1:
+        raise ConfigError(f"--near: is about one map, not about {number:,}")
     (emit if dry_run else say)(said)
     if dry_run:
         return
@@ -220,22 +229,23 @@ def _plan(
     return todo, said
 
 
-def _given(context: typer.Context, kind: "type[Job]", with_scans: bool, maps: Path) -> set[str]:
-    """Names of the options that were given; one that is of other jobs alone is refused."""
+def _refuse(given: Given, kind: "type[Job]", with_scans: bool, maps: Path) -> None:
+    """Refuse an option that is for other jobs alone."""
     from imgloc.runs.jobs import job_class
 
     def ways_of(other: "type[Job]", option: str) -> list[str]:
         wanted = {option} if option in other.refused else {*_FIELDS.get(option, (option,))}
         return [way for way, names in other.ways().items() if names & wanted]
 
-    options = [p.name or "" for p in context.command.params if p.opts[0].startswith("-")]
-    of = {name: [way for job in JOBS for way in ways_of(job_class(job), name)] for name in options}
+    named = {flag: flag.lstrip("-").replace("-", "_") for flag in given if flag.startswith("-")}
+    kinds = [job_class(job) for job in JOBS]
+    of = {flag: [w for one in kinds for w in ways_of(one, name)] for flag, name in named.items()}
     ways = list(kind.ways())
     if len(ways) > 1 and maps.suffix.lower() != ".csv":  # whose lines may have scans
         ways = [
             way for way in ways if way.endswith("with SCANS" if with_scans else "without SCANS")
         ]
-    return opt.given(context, {name: theirs for name, theirs in of.items() if theirs}, set(ways))
+    opt.refuse_others(given, {flag: theirs for flag, theirs in of.items() if theirs}, set(ways))
 
 
 def _pool(

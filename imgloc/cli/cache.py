@@ -25,7 +25,6 @@ def cache(context: typer.Context, as_json: opt.AsJson = False) -> None:
     emit(f"size     {info.bytes / _MIB:,.1f} MiB, at most {info.limit / _MIB:,.0f} MiB")
 
 
-@opt.with_options(opt.console)
 def clear() -> None:
     """Remove all prepared maps; they are prepared anew when they are needed."""
     from imgloc.io.cache import cache_info, clear_cache

@@ -140,7 +140,7 @@ def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable
 
     columns = (
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Remaining(),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[note]}")
     )  # fmt: skip
     with bar_of(*columns, disable=quiet) as bar:
         task = bar.add_task(title, total=total if total > 1 else None, note="")

@@ -3,31 +3,33 @@
 import itertools
 import os
 from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
+from typing import Annotated
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit
-from imgloc.cli.options import flag, option
 from imgloc.io.files import display
+from imgloc.options import Options, Seed
+from imgloc.ranges import OneOf, option
 
 _OUT = Path("imgloc-demo.png")
 
 
 # The bundled maps; spelled out, as imgloc.simulation.worlds loads OpenCV.
-DemoMap = StrEnum("DemoMap", ("DOUBLE_WALL", "VISIBILITY", "LARGE", "CURVED", "CORRIDOR"))
+DEMO_MAPS = ("double_wall", "visibility", "large", "curved", "corridor")
 
 
-@opt.with_options(opt.taken, opt.console)
 def demo(
+    *,
     taken: opt.Resources,
-    name: DemoMap = flag("--map", "Bundled map.", DemoMap.DOUBLE_WALL),
-    seed: int = option(0, "N", "Seed of the pose and of the noise.", min=0),
+    name: Annotated[str, OneOf(*DEMO_MAPS)] = option(
+        "double_wall", "Bundled map in which a scan is simulated.", "--map"
+    ),
+    seed: Seed = 0,
     out: Path | None = option(
         None,
-        "PNG",
-        "Picture to write. [default: imgloc-demo.png here, or the next free name]",
-        show_default=False,
+        "Picture that is written. [default: imgloc-demo.png here, or the next free name]",
+        metavar="PNG",
     ),
     force: opt.Force = False,
 ) -> None:
@@ -43,7 +45,6 @@ def demo(
     from imgloc.io.maps import bundled_maps, load_map
     from imgloc.likelihoods.stacks import likelihood
     from imgloc.model import Pose2D
-    from imgloc.options import Options
     from imgloc.output.pictures import Picture, draw, mosaic
     from imgloc.output.tables import answer_text
     from imgloc.pipeline import localize, prepare
@@ -51,22 +52,22 @@ def demo(
 
     maps = bundled_maps()
     inputs.check_target(out, ".png", force=force, inputs=maps.glob("*.png"))
-    path = maps / f"{name.value}.yaml"
+    path = maps / f"{name}.yaml"
     grid = load_map(path)
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     cbml = replace(options, method="cbml")
-    features = prepare(grid, name.value, threads=taken.threads)
+    features = prepare(grid, name, threads=taken.threads)
     hint = "use another --map"
     desk = inputs.desk_of(taken.threads, taken.memory_budget)
-    desk.check_simulation(grid, name.value, 1, 181, hint=hint)
+    desk.check_simulation(grid, name, 1, 181, hint=hint)
     for each in (options, cbml):
-        desk.check_answer(features, each, name.value, hint=hint)
+        desk.check_answer(features, each, name, hint=hint)
     simulated = simulate(grid, 1, seed)
     scan = replace(simulated.scans[0], T_base_laser=None)  # of no robot
     truth = Pose2D(*np.asarray(simulated.poses)[0])
     answer = localize(features, scan, options)
     LOG.info("map %s, seed %d", display(path), seed)
-    emit(answer_text(f"map {name.value}, seed {seed}", answer, truth))
+    emit(answer_text(f"map {name}, seed {seed}", answer, truth))
     stack = draw(grid, likelihood(features, scan, cbml), truth=truth).image
     caption = (
         "CBML: likelihood of each position at its best heading, black is high; red is the truth"

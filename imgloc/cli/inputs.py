@@ -9,17 +9,24 @@ from functools import partial
 from pathlib import Path
 
 from imgloc.cli.console import LOG, progress
-from imgloc.cli.options import RADIUS, TOLERANCE, Known, Logs, Mounting
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.cache import cache_folder, cache_limit
 from imgloc.io.calibration import calibration_path, load_calibrations
 from imgloc.io.files import display, is_folder, refuse_existing
-from imgloc.io.maps import YAML_ENDINGS, Reading
+from imgloc.io.maps import YAML_ENDINGS
 from imgloc.io.mapyaml import load_map_yaml
-from imgloc.io.scanset import Chosen
 from imgloc.live.sites import Site
-from imgloc.options import Options
+from imgloc.options import (
+    RADIUS,
+    TOLERANCE,
+    Chosen,
+    Known,
+    Logs,
+    Mounting,
+    Options,
+    Reading,
+)
 from imgloc.runs import opening
 from imgloc.runs.jobs import Item
 from imgloc.runs.opening import Desk, MapFiles, ScanFiles
@@ -47,7 +54,7 @@ def as_recorded(
     return ScanFiles(
         logs.topic, logs.fov, logs.scale, range_max, chosen or Chosen(),
         flipped or (mounting is not None and mounting.flipped),
-        None if mounting is None else mounting.pose, many=False,
+        None if mounting is None else mounting.sensor, many=False,
     )  # fmt: skip
 
 
@@ -130,12 +137,7 @@ def kept_in(given: Path | None, *, wanted: bool) -> Path | None:
         return None
 
 
-def known_of(known: Known) -> priors.Known:
-    """What the options say of all poses, but for a region of one map."""
-    return priors.Known(known.near, known.heading, known.clearance)
-
-
-def check_prior(known: Known, features: MapFeatures, options: Options) -> None:
+def check_prior(known: Known, region: Path | None, features: MapFeatures, options: Options) -> None:
     """Refuse a prior without a cell in which a sensor can be, by the option that leaves none."""
     if not priors.leaves_none(options.prior, features):
         return
@@ -143,7 +145,7 @@ def check_prior(known: Known, features: MapFeatures, options: Options) -> None:
     near = near[:3] if near[3:] == (RADIUS, TOLERANCE) else near
     said = {
         "--near": ",".join(f"{value:g}" for value in near),
-        "--region": known.region and display(known.region),
+        "--region": region and display(region),
         "--clearance": known.clearance and f"{known.clearance:g}",
     }
     given = " with ".join(f"{option} {value}" for option, value in said.items() if value)

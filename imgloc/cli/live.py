@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from imgloc.cli.options import Logs
 from imgloc.errors import ConfigError
+from imgloc.options import Logs
 
 if TYPE_CHECKING:
     from imgloc.filters.follow import Reading

@@ -1,18 +1,30 @@
 """`imgloc localize`: the poses of scans in a map."""
 
 import logging
-import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from imgloc.cli import options as opt
+from imgloc.cli.command import Without
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, say, width
-from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError, as_options
 from imgloc.io.files import display, write_text_atomic
+from imgloc.options import (
+    AllowLossy,
+    Cell,
+    Chosen,
+    Known,
+    Logs,
+    Mounting,
+    Options,
+    RangeMax,
+    Reading,
+)
+from imgloc.ranges import option
 
 if TYPE_CHECKING:
     from imgloc.answers.diagnose import Doubt
@@ -23,52 +35,38 @@ _MANY = 5  # scans whose verdicts one does not count oneself
 _WIDE = 112  # columns of a line with the poses of the sensor and of the base
 
 
-@opt.with_options(
-    opt.known, opt.mounting, opt.reading, opt.logs, opt.chosen, opt.taken, opt.console
-)
 def localize(
+    *,
     map_path: opt.MapPath,
     scans_paths: opt.ScansPaths,
-    known: opt.Known,
-    mounting: opt.Mounting,
-    reading: "opt.Reading",
-    logs: opt.Logs,
-    chosen: "opt.Chosen",
+    search: Annotated[Options, Without("threads", "memory_budget")],
+    known: Known,
+    mounting: Mounting,
+    reading: Reading,
+    logs: Logs,
+    chosen: Chosen,
     taken: opt.Resources,
-    method: opt.MethodName = typer.Option(
-        opt.MethodName.FUSED,
-        help="How: fused searches and re-scores, the others are the paper's stacks.",
-    ),
-    top: opt.Top = None,
-    as_json: opt.AsJson = False,
-    picture: Path | None = option(
-        None, "PNG", "Draw the scan at each hypothesis; several scans: NAME-0003.png and so on."
-    ),
-    explain: Path | None = option(
-        None, "HTML", "Say why, ray by ray, on a page of its own; several scans: NAME-0003.html."
-    ),
-    strict: bool = flag("--strict", "Exit with 6 unless every scan is unique."),
-    range_max: opt.Cut = None,
-    theta_step_deg: opt.StepDeg = None,
-    cell: opt.Cell = 0.1,
-    engine: opt.EngineName = typer.Option(
-        opt.EngineName.AUTO, help="Of the correlations of cbml and cbml-o."
-    ),
-    exact_argmax: bool = flag(
-        "--exact-argmax",
-        "Branch and bound: the best poses of cbml without its stack; to fused, more proposals.",
-    ),
-    time_budget: float | None = option(
+    region: Path | None = option(
         None,
-        "S",
-        "Seconds for each scan: then the best so far, marked as not complete. Such "
-        "answers depend on the machine.",
-        within=(0.001, 1e6, "seconds"),
+        "Consider only positions in the white part of this image, which has the size of the "
+        "map's. [default: anywhere]",
+        metavar="PNG",
     ),
+    as_json: opt.AsJson = False,
+    picture: opt.Picture = None,
+    explain: Path | None = option(
+        None,
+        "Write a page that explains the answer ray by ray; of several scans NAME-0003.html and "
+        "so on.",
+        metavar="HTML",
+    ),
+    strict: opt.Strict = False,
+    range_max: RangeMax | None = None,
+    cell: Cell = 0.1,
     cache: opt.CacheDir = None,
     no_cache: opt.NoCache = False,
     force: opt.Force = False,
-    allow_lossy: opt.AllowLossy = False,
+    allow_lossy: AllowLossy = False,
 ) -> None:
     """Find the pose of each scan in a map, without an initial guess.
 
@@ -77,32 +75,24 @@ def localize(
     in the map frame. Look at the mass of the second hypothesis before trusting the first.
     """
     from imgloc.cli import inputs
-    from imgloc.options import Options
     from imgloc.runs.localize import Localize
     from imgloc.search.asked import check_options
 
     folder = inputs.kept_in(cache, wanted=not no_cache)
-    if engine != opt.EngineName.AUTO and method not in (opt.MethodName.CBML, opt.MethodName.CBML_O):
-        raise ConfigError(f"--engine: {method.value} does not correlate; use cbml or cbml-o")
+    if search.engine != "auto" and search.method not in ("cbml", "cbml-o"):
+        raise ConfigError(f"--engine: {search.method} does not correlate; use cbml or cbml-o")
     if list(map(str, scans_paths)).count("-") > 1:
         raise ConfigError("-: got it more than once, but standard input can be read only once")
-    read = [*inputs.files_of(map_path), *([] if known.region is None else [known.region])]
+    read = [*inputs.files_of(map_path), *([] if region is None else [region])]
     inputs.check_target(picture, ".png", force=force, inputs=read)
     inputs.check_target(explain, ".html", force=force)
-    options = Options(
-        method=method.value,
-        top=top,
-        engine=engine.value,
-        time_budget=time_budget,
-        exact=exact_argmax,
-    )
     job = Localize(
-        options=options.stepped(None if theta_step_deg is None else math.radians(theta_step_deg)),
+        options=replace(search, theta_step=None).stepped(search.theta_step),
         maps=inputs.one_map(reading, allow_lossy=allow_lossy),
         scans=inputs.as_recorded(logs, range_max, chosen, mounting),
         cell=cell,
-        known=inputs.known_of(known),
-        region=known.region,
+        known=known,
+        region=region,
     )
     desk = inputs.desk_of(taken.threads, taken.memory_budget, folder)
     desk.grid(map_path, job.maps)  # a map that is not there is told before scans are waited for
@@ -113,7 +103,7 @@ def localize(
     sink = _Sink(runs, as_json, mounting, force)
     sink.pictures = inputs.targets(picture, ".png", sink.numbers, force=force, inputs=read)
     sink.pages = inputs.targets(explain, ".html", sink.numbers, force=force)
-    inputs.check_prior(known, runs[0].features, runs[0].options)
+    inputs.check_prior(known, region, runs[0].features, runs[0].options)
     check_options(runs[0].features, runs[0].options)
     sink.begin(display(map_path))
     for run in runs:
@@ -128,7 +118,7 @@ class _Sink:
     """Prints answers as they come, and draws them."""
 
     def __init__(
-        self, runs: "list[Locating]", as_json: bool, mounting: opt.Mounting, force: bool
+        self, runs: "list[Locating]", as_json: bool, mounting: Mounting, force: bool
     ) -> None:
         self.runs, self.as_json, self.mounting, self.force = runs, as_json, mounting, force
         counts = [len(run) for run in runs]
@@ -206,7 +196,7 @@ class _Sink:
             emit(f"{run.taken.name}:")
         if self.as_json:
             about = {"scans": run.taken.name} if self.several else {}
-            sensor, flipped = self.mounting.pose, self.mounting.flipped
+            sensor, flipped = self.mounting.sensor, self.mounting.flipped
             row = answer_row(
                 answer.of, answer.scan, answer.index, sensor=sensor, flipped=flipped, about=about
             )

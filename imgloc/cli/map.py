@@ -1,29 +1,28 @@
 """`imgloc map`: what is in a map, what may be wrong with it, its picture."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import emit, say
-from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import display
+from imgloc.options import METHODS, AllowLossy, Chosen, MemoryBudget, Millimetres, Options, Reading
+from imgloc.ranges import OneOf, Within, option
+from imgloc.texts import numbers
 
-Subject = StrEnum(
-    "Subject", ("MAP", "BMAP", "VMAP", "SURFACE", "VISIBILITY", "DISTANCE", "LIKELIHOOD")
-)
+SUBJECTS = ("map", "bmap", "vmap", "surface", "visibility", "distance", "likelihood")
 
 
-@opt.with_options(opt.reading, opt.console)
 def check(
+    *,
     map_path: opt.MapPath,
-    reading: "opt.Reading",
+    reading: Reading,
     as_json: opt.AsJson = False,
-    strict: bool = flag("--strict", "Exit with 3 if there is any warning."),
-    memory_budget: opt.MemoryBudget = None,
+    strict: bool = option(False, "Exit with code 3 if there is any warning."),
+    memory_budget: MemoryBudget | None = None,
 ) -> None:
     """Report what is in a map, and what is likely to be wrong with it.
 
@@ -42,36 +41,42 @@ def check(
         raise typer.Exit(MapError.exit_code)
 
 
-@opt.with_options(opt.reading, opt.console)
 def show(
+    *,
     map_path: opt.MapPath,
-    out: Annotated[Path, option(..., "PNG", "Picture to write.", show_default=False)],
-    reading: "opt.Reading",
-    what: Subject = typer.Option(
-        Subject.MAP,
-        help="The map as it is read; blurred (bmap); normals, blurred (vmap); surface points "
-        "with normals; what one surface point sees; distance to the nearest wall; likelihood of "
-        "a scan.",
+    out: Path = option(..., "Picture that is written.", metavar="PNG"),
+    reading: Reading,
+    what: Annotated[str, OneOf(*SUBJECTS)] = option(
+        "map",
+        "What is drawn: the map as it is read; the blurred map (bmap); its blurred normals "
+        "(vmap); surface points with normals; what one surface point sees; the distance to the "
+        "nearest wall; the likelihood of a scan.",
     ),
-    at: Any = option(
+    at: tuple[float, float] | None = option(
         None,
-        "X,Y",
-        "For visibility: near here, metres, map frame. [default: what sees most]",
-        parser=opt.numbers(2),
+        "Surface point whose view --what visibility draws: the one nearest to this point of the "
+        "map frame, metres. [default: the one that sees most]",
+        metavar="X,Y",
+        parse=numbers(2),
     ),
-    sigma: float | None = option(
-        None,
-        "M",
-        "Blur of bmap and vmap, standard deviation, metres. [default: 0.1]",
-        within=(0.001, 100, "metres"),
+    sigma: Annotated[float | None, Within(0.001, 100, "metres")] = option(
+        None, "Standard deviation of the blur of bmap and vmap, metres. [default: 0.1]"
     ),
-    cell: float | None = option(None, "M", "Cell of bmap and vmap, metres.", within=opt.SIDE),
-    scans: Path | None = option(None, "SCANS", "For likelihood: the file of the scan."),
-    index: opt.Index = None,
-    method: opt.MethodName = typer.Option(opt.MethodName.CBML, help="Whose likelihood."),
-    memory_budget: opt.MemoryBudget = None,
+    cell: Millimetres | None = option(
+        None, "Side of a cell of bmap and vmap, metres. [default: the map's cells]"
+    ),
+    scans: Path | None = option(
+        None, "File of the scan whose likelihood is drawn.", metavar="SCANS", parse=opt.find_scans
+    ),
+    scans_index: Annotated[int, Within(0, 1e9, "")] = option(
+        0, "Scan of the file whose likelihood is drawn, counted from 0."
+    ),
+    method: Annotated[str, OneOf(*METHODS)] = option(
+        "cbml", "Algorithm of the paper whose likelihood of the scan is drawn."
+    ),
+    memory_budget: MemoryBudget | None = None,
     force: opt.Force = False,
-    allow_lossy: opt.AllowLossy = False,
+    allow_lossy: AllowLossy = False,
 ) -> None:
     """Draw a map, or what is computed from it, into a PNG."""
     import numpy as np
@@ -79,25 +84,21 @@ def show(
     from imgloc.cli import inputs
     from imgloc.features.mapfeatures import MapFeatures
     from imgloc.geometry import cell_of, in_grid_frame, inside
-    from imgloc.io.scanset import Chosen
     from imgloc.likelihoods.stacks import likelihood
     from imgloc.model import Pose2D
-    from imgloc.options import Options
     from imgloc.output.pictures import draw
 
     inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
-    if (scans is None) == (what == Subject.LIKELIHOOD):
+    if (scans is None) == (what == "likelihood"):
         raise ConfigError("--scans: expected with --what likelihood, and only there")
-    if method == opt.MethodName.FUSED:
-        raise ConfigError("--method: fused has no likelihood of all poses; use one of the others")
-    if at is not None and what != Subject.VISIBILITY:
+    if at is not None and what != "visibility":
         raise ConfigError("--at: only --what visibility is drawn at a point")
     for name, value in (("--sigma", sigma), ("--cell", cell)):
-        if value is not None and what not in (Subject.BMAP, Subject.VMAP):
+        if value is not None and what not in ("bmap", "vmap"):
             raise ConfigError(f"{name}: only --what bmap and --what vmap are blurred")
     budget = opt.fixed_budget(memory_budget)
     desk, maps = inputs.desk_of(1, budget), inputs.one_map(reading, allow_lossy=allow_lossy)
-    grid = desk.grid(map_path, maps, usable=what != Subject.MAP)
+    grid = desk.grid(map_path, maps, usable=what != "map")
     features = MapFeatures(grid, cell=cell or grid.resolution, sigma=sigma or 0.1)
     if at is not None:
         there = in_grid_frame(Pose2D(*at), grid)
@@ -106,12 +107,12 @@ def show(
                 f"--at: {at[0]:g},{at[1]:g} is not on the map, expected a point of it"
             )
     if scans is None:
-        picture = draw(features, what=what.value, at=at)
+        picture = draw(features, what=what, at=at)
     else:
-        held = desk.scans(scans, inputs.as_recorded(chosen=Chosen(str(index or 0)))).scans
-        options = Options(method=method.value, memory_budget=budget)
+        held = desk.scans(scans, inputs.as_recorded(chosen=Chosen(str(scans_index)))).scans
+        options = Options(method=method, memory_budget=budget)
         features = desk.features(map_path, maps, options, scans=held.scans)
         picture = draw(grid, likelihood(features, held[0], options))
     picture.save(out, force=force)
     height, width = picture.image.shape[:2]
-    say(f"wrote {display(out)}: {what.value}, {width} x {height} pixels")
+    say(f"wrote {display(out)}: {what}, {width} x {height} pixels")

@@ -5,22 +5,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperCommand
 
 from imgloc.cli import options as opt
-from imgloc.cli.options import flag, option
+from imgloc.cli.command import Command
+from imgloc.options import AllowLossy, Flipped, Options, RangeMax, Reading
+from imgloc.ranges import Within, option
+from imgloc.texts import pose
 
 if TYPE_CHECKING:
-    pass
+    from imgloc.model import Pose2D
+else:
+    Pose2D = Any
 
 _ROS = "--ros-args"
-_SENSOR = (
-    "Pose of the laser on the robot (metres; radians, or 90deg). Repeat it for several lasers, in "
-    "the order of --scan. [default: tf says it, if tf2_msgs is installed]"
-)
 
 
-class RosCommand(TyperCommand):
+class RosCommand(Command):
     """A command after whose own words those of ROS come: `--ros-args -p every:=1.0`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -30,32 +30,41 @@ class RosCommand(TyperCommand):
         return list(super().parse_args(ctx, args[:at]))
 
 
-@opt.with_options(opt.reading, opt.taken, opt.console)
 def node(
+    *,
     context: typer.Context,
-    reading: "opt.Reading",
+    reading: Reading,
     taken: opt.Resources,
-    map_path: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="MAP|FOLDER",
-            help="A map, or a folder of maps, one for each floor. Without it the node takes the "
-            "map of the topic map.",
-        ),
-    ] = None,
-    scan: list[str] = typer.Option(
-        ["scan"], metavar="TOPIC", help="Topic of a laser; repeat it for several lasers."
+    map_path: Path | None = option(
+        None,
+        "Map, or a folder of maps, one for each floor. [default: the map of the topic map]",
+        "MAP|FOLDER",
     ),
-    sensor: list[str] = typer.Option([], metavar="X,Y,YAW", help=_SENSOR),
-    flipped: opt.Flipped = False,
-    range_max: opt.Cut = None,
-    track: bool = flag("--track", "Follow the robot too: topics ~/pose and ~/map_odom."),
-    every: float = option(0.3, "S", "Seconds between two scans that are tried.", min=0),
-    tries: int = option(100, "N", "Give up after N scans without a confirmed pose.", min=2),
-    max_age: float = option(2.0, "S", "Publish no pose of a scan older than S seconds.", min=0.01),
+    scan: list[str] = option(
+        ["scan"], "Topic of a laser. Repeat it for several lasers.", metavar="TOPIC"
+    ),
+    sensor: list[Pose2D] = option(
+        [],
+        "Pose of the laser on the robot: metres, metres, radians (or 90deg). Repeat it for several "
+        "lasers, in the order of their topics. [default: tf says it, if tf2_msgs is installed]",
+        metavar="X,Y,YAW",
+        parse=pose,
+    ),
+    flipped: Flipped = False,
+    range_max: RangeMax | None = None,
+    track: bool = option(False, "Follow the robot, too, on the topics ~/pose and ~/map_odom."),
+    every: Annotated[float, Within(0, 1e9, "seconds")] = option(
+        0.5, "Seconds between two scans that are tried."
+    ),
+    tries: Annotated[int, Within(2, 1e12, "scans")] = option(
+        60, "Scans without a confirmed pose after which the node gives up.", metavar="N"
+    ),
+    max_age: Annotated[float, Within(0.01, 1e9, "seconds")] = option(
+        2.0, "Age of a scan, seconds, from which its pose is not published any more."
+    ),
     cache: opt.CacheDir = None,
     no_cache: opt.NoCache = False,
-    allow_lossy: opt.AllowLossy = False,
+    allow_lossy: AllowLossy = False,
 ) -> None:
     """Run a ROS 2 node that finds the robot on the map and publishes its first pose.
 
@@ -65,13 +74,11 @@ def node(
     --ros-args -p every:=1.0 -p use_sim_time:=true -r scan:=/front/scan. Ctrl-C ends the node.
     """
     from imgloc.live.node import Settings, load_ros, run_node
-    from imgloc.options import Options
 
     ros = load_ros()  # the first word is of what is not installed
-    mounts = [opt.numbers(3, pose="--sensor")(text) for text in sensor]
     settings = Settings(
         tuple(scan),
-        tuple(value for mount in mounts for value in mount),
+        tuple(value for at in sensor for value in (at.x, at.y, at.theta)),
         flipped=flipped,
         range_max=math.inf if range_max is None else range_max,
         track=track,
@@ -95,7 +102,7 @@ def node(
             found = find_maps(map_path, images=reading.get("resolution") is not None)
             paths = dict(zip(names_of(found, map_path), found, strict=True))
         else:  # what is wrong with one map is said at once
-            inputs.desk_of(*taken).grid(map_path, maps, usable=True)
+            inputs.desk_of(taken.threads, taken.memory_budget).grid(map_path, maps, usable=True)
         makers, prepared = inputs.site_makers(paths, maps, options, folder)
 
     words = ["imgloc", *context.meta[_ROS]]

@@ -4,21 +4,21 @@ import os
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from imgloc.cli import options as opt
 from imgloc.cli.console import say
-from imgloc.cli.options import option
 from imgloc.errors import OutputError
 from imgloc.io.files import display, open_regular, write_text_atomic
+from imgloc.ranges import Option, option
 
-Results = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of results of imgloc batch.")]
+Results = Annotated[Path, Option("Folder of the results of imgloc batch.", "DIR")]
 
 
-@opt.with_options(opt.console)
 def report(
+    *,
     folder: Results,
-    out: Path | None = option(None, "HTML", "Page to write. [default: DIR/report.html]"),
+    out: Path | None = option(
+        None, "Page that is written. [default: report.html in DIR]", metavar="HTML"
+    ),
     force: opt.Force = False,
 ) -> None:
     """Write one page about a batch: verdicts, errors, times, maps, failures, pictures.

@@ -1,42 +1,49 @@
 """`imgloc sample`: poses drawn from p(x | z), where a particle filter may start again."""
 
-import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from imgloc.cli import options as opt
+from imgloc.cli.command import Only
 from imgloc.cli.console import LOG, progress, say
-from imgloc.cli.options import option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
+from imgloc.options import (
+    FUSED,
+    AllowLossy,
+    Cell,
+    Chosen,
+    Count,
+    Flipped,
+    Logs,
+    Options,
+    RangeMax,
+    Reading,
+    Seed,
+)
+from imgloc.ranges import option
 
 _MOST = 10_000_000  # poses in all
 
 
-@opt.with_options(opt.reading, opt.logs, opt.chosen, opt.taken, opt.console)
 def sample(
+    *,
     map_path: opt.MapPath,
     scans_path: opt.ScansPath,
-    reading: "opt.Reading",
-    logs: opt.Logs,
-    chosen: "opt.Chosen",
+    out: Path = option(..., "File of the poses that is written.", metavar="CSV"),
+    search: Annotated[Options, Only("method", "theta_step")],
+    reading: Reading,
+    logs: Logs,
+    chosen: Chosen,
     taken: opt.Resources,
-    out: Annotated[Path, option(..., "CSV", "File to write.", show_default=False)],
-    count: int = option(500, "N", "Poses for each scan.", "-n", "--count", min=1),
-    seed: int = option(0, "N", "Of the draws.", min=0),
-    method: opt.MethodName = typer.Option(
-        opt.MethodName.FUSED, help="Whose posterior; fused draws around its hypotheses."
-    ),
-    range_max: opt.Cut = None,
-    flipped: opt.Flipped = False,
-    theta_step_deg: float | None = option(
-        None, "DEG", "Step of a stack's headings. [default: the method's]", within=opt.STEP
-    ),
-    cell: opt.Cell = 0.1,
+    count: Count = option(500, "Poses that are drawn for each scan.", "-n", "--count"),
+    seed: Seed = 0,
+    range_max: RangeMax | None = None,
+    flipped: Flipped = False,
+    cell: Cell = 0.1,
     force: opt.Force = False,
-    allow_lossy: opt.AllowLossy = False,
+    allow_lossy: AllowLossy = False,
 ) -> None:
     """Draw poses from the calibrated posterior p(x | z) of each scan.
 
@@ -49,9 +56,8 @@ def sample(
     from imgloc.answers.sample import sample_poses
     from imgloc.cli import inputs
     from imgloc.io.calibration import calibrated
-    from imgloc.options import Options
 
-    if theta_step_deg is not None and method == opt.MethodName.FUSED:
+    if search.theta_step is not None and search.method == FUSED:
         raise ConfigError("--theta-step-deg: fused has no stack of headings")
     inputs.check_target(out, ".csv", force=force, inputs=[scans_path])
     desk = inputs.desk_of(taken.threads, taken.memory_budget)
@@ -61,12 +67,7 @@ def sample(
     total = len(asked.indices)
     if count * total > _MOST:
         raise ConfigError(f"-n: {count:,} poses of {total:,} scans are more than {_MOST:,}")
-    options = Options(
-        method=method.value,
-        threads=taken.threads,
-        memory_budget=taken.memory_budget,
-        theta_step=None if theta_step_deg is None else math.radians(theta_step_deg),
-    )
+    options = replace(search, threads=taken.threads, memory_budget=taken.memory_budget)
     options = calibrated(options, map_path, grid)
     features = desk.features(map_path, maps, options, cell=cell, scans=asked.scans.scans)
     lines = ["scan,x,y,theta"]

@@ -1,5 +1,6 @@
 """`imgloc serve`, `imgloc open`: answers over HTTP, and a page to look at them."""
 
+import os
 import re
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
@@ -10,57 +11,57 @@ import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import INTERRUPTED, LOG, emit, say
-from imgloc.cli.options import option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_folder
+from imgloc.options import AllowLossy, Bytes, Logs, Options, Reading
+from imgloc.ranges import Option, Within, option
+from imgloc.texts import byte_count
 
 if TYPE_CHECKING:
     from imgloc.live.localizer import Localizer
 
 PORT = 8080
 _NEEDED = ("starlette", "uvicorn", "websockets", "python_multipart", "prometheus_client")
-MapsPaths = Annotated[
-    list[Path] | None,
-    typer.Argument(
-        metavar="[MAPS...]",
-        help="Maps: map_server YAML files, images with --resolution, names of bundled maps, or "
-        "folders of maps. Clients may send more.",
-    ),
-]
 _LOCAL = "127.0.0.1"
-_BODY = "64M"
+Patience = Annotated[float, Within(0.1, 3600, "seconds")]
 
 
-@opt.with_options(opt.reading, opt.taken, opt.console)
 def serve(
-    reading: "opt.Reading",
+    *,
+    reading: Reading,
     taken: opt.Resources,
-    maps: MapsPaths = None,
-    port: int = option(
-        PORT, "N", "Port to listen at; 0 takes any that is free.", min=0, max=65_535
+    maps: list[Path] = option(
+        [],
+        "Maps: map_server YAML files, images with --resolution, names of bundled maps, or folders "
+        "of maps. Clients may send more.",
+        "[MAPS...]",
+    ),
+    port: Annotated[int, Within(0, 65_535, "")] = option(
+        PORT, "Port to listen at; 0 takes any that is free."
     ),
     host: str = option(
-        _LOCAL, "ADDRESS", "Address to listen at; one that others reach needs --token."
+        _LOCAL, "Address to listen at; one that others reach needs --token.", metavar="ADDRESS"
     ),
     token: str | None = option(
-        None, "TEXT", "What requests must carry: 16 characters or more.", envvar="IMGLOC_TOKEN"
+        None,
+        "Secret that requests must carry: 16 characters or more. [default: the environment "
+        "variable IMGLOC_TOKEN, or none]",
+        metavar="TEXT",
     ),
-    allow_host: list[str] | None = option(
-        None, "NAME", "Another name by which clients call this host; may be repeated."
+    allow_host: list[str] = option(
+        [], "Another name by which clients call this host. May be repeated.", metavar="NAME"
     ),
-    seconds: float = option(
-        30.0, "S", "Seconds after which an answer is given up.", within=(0.1, 3600, "seconds")
+    seconds: Patience = option(30.0, "Seconds after which an answer is given up."),
+    patience: Patience = option(15.0, "Seconds within which a request has to come."),
+    waiting: Annotated[int, Within(1, 10_000, "")] = option(
+        16, "Requests that may wait for an answer; more are refused."
     ),
-    patience: float = option(
-        15.0, "S", "Seconds within which a request has to come.", within=(0.1, 3600, "seconds")
+    max_body: Bytes = option(
+        64 << 20, "Largest body of a request, such as 512K or 2M. [default: 64M]", parse=byte_count
     ),
-    waiting: int = option(
-        16, "N", "Requests that may wait for an answer; more are refused.", min=1, max=10_000
-    ),
-    max_body: Any = option(_BODY, "BYTES", "Largest body of a request.", parser=opt.byte_count),
     cache: opt.CacheDir = None,
     no_cache: opt.NoCache = False,
-    allow_lossy: opt.AllowLossy = False,
+    allow_lossy: AllowLossy = False,
 ) -> None:
     """Answer over HTTP: where scans are, from which map; and a page at / that shows why.
 
@@ -72,25 +73,22 @@ def serve(
     from imgloc.live.requests import Bounds
     from imgloc.live.service import Given, Service
 
-    access = Access(host, token, tuple(allow_host or ()))
+    access = Access(host, token or os.environ.get("IMGLOC_TOKEN"), tuple(allow_host))
     bounds = Bounds(body=max_body, seconds=seconds, patience=patience, waiting=waiting)
-    core, paths = _core(maps or [], reading, taken, cache, no_cache, allow_lossy)
+    core, paths = _core(maps, reading, taken, cache, no_cache, allow_lossy)
     _run(lambda: Service(core, access, bounds, Given(paths)), host, port, emit)
 
 
-@opt.with_options(opt.logs, opt.reading, opt.taken, opt.console)
 def open(  # noqa: A001 (the command's name)
+    *,
     map_path: opt.MapPath,
-    logs: opt.Logs,
-    reading: "opt.Reading",
+    logs: Logs,
+    reading: Reading,
     taken: opt.Resources,
-    scans_path: Annotated[
-        Path | None,
-        typer.Argument(metavar="[SCANS]", help="A file of scans, as of `imgloc localize`."),
-    ] = None,
+    scans_path: Annotated[Path | None, Option(opt.SCANS, "[SCANS]", parse=opt.find_scans)] = None,
     cache: opt.CacheDir = None,
     no_cache: opt.NoCache = False,
-    allow_lossy: opt.AllowLossy = False,
+    allow_lossy: AllowLossy = False,
 ) -> None:
     """Look at a map and scans in the browser: answers in place, and why.
 
@@ -104,7 +102,11 @@ def open(  # noqa: A001 (the command's name)
 
     opened = None
     if scans_path is not None:
-        scans = inputs.desk_of(*taken).scans(scans_path, inputs.as_recorded(logs)).scans
+        scans = (
+            inputs.desk_of(taken.threads, taken.memory_budget)
+            .scans(scans_path, inputs.as_recorded(logs))
+            .scans
+        )
         opened = ScansHeld("0" * 16, inputs.name_of(scans_path), scans)
     core, paths = _core([map_path], reading, taken, cache, no_cache, allow_lossy)
 
@@ -125,7 +127,7 @@ def _check_installed() -> None:
 
 def _core(
     given: Sequence[Path],
-    reading: "opt.Reading",
+    reading: Reading,
     taken: opt.Resources,
     cache: Path | None,
     no_cache: bool,
@@ -134,7 +136,6 @@ def _core(
     """The maps, which are prepared from now on, and what each is called on a command line."""
     from imgloc.cli import inputs
     from imgloc.live.localizer import Localizer
-    from imgloc.options import Options
     from imgloc.runs.opening import MapFiles
 
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
@@ -146,7 +147,7 @@ def _core(
     return core, {name: bundled.get(path, display(path)) for name, path in paths.items()}
 
 
-def _named(given: Sequence[Path], reading: "opt.Reading") -> dict[str, Path]:
+def _named(given: Sequence[Path], reading: Reading) -> dict[str, Path]:
     """Files of maps by the names that clients call them, in the order given."""
     from imgloc.choice.choose import names_of
     from imgloc.io.folders import find_maps

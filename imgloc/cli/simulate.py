@@ -1,30 +1,28 @@
 """`imgloc simulate`: scans with known poses, to try the rest with."""
 
-from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import say
-from imgloc.cli.options import option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
+from imgloc.options import AllowLossy, Count, MemoryBudget, Reading, Seed, Sensor
+from imgloc.ranges import option
 
 _MAX_READINGS = 10_000_000  # about 1.5 GB while they are simulated
 
 
-@opt.with_options(opt.sensor, opt.reading, opt.console)
 def simulate(
+    *,
     map_path: opt.MapPath,
-    out: Annotated[Path, option(..., "NPZ", "File to write.", show_default=False)],
-    sensor: "opt.Sensor",
-    reading: "opt.Reading",
-    count: int = option(100, "N", "Number of scans.", "-n", "--count", min=1),
-    range_max: opt.Reach = 30.0,
-    seed: opt.Seed = 0,
-    memory_budget: opt.MemoryBudget = None,
+    out: Path = option(..., "File of the scans that is written.", metavar="NPZ"),
+    sensor: Sensor,
+    reading: Reading,
+    count: Count = option(100, "Scans that are simulated.", "-n", "--count"),
+    seed: Seed = 0,
+    memory_budget: MemoryBudget | None = None,
     force: opt.Force = False,
-    allow_lossy: opt.AllowLossy = False,
+    allow_lossy: AllowLossy = False,
 ) -> None:
     """Simulate scans at random free poses of a map.
 
@@ -46,6 +44,6 @@ def simulate(
     maps = inputs.one_map(reading, allow_lossy=allow_lossy)
     grid = desk.grid(map_path, maps, usable=True)
     desk.check_simulation(grid, display(map_path), count, rays)
-    scans = simulate(grid, count, seed, replace(sensor, range_max=range_max))
+    scans = simulate(grid, count, seed, sensor)
     save_scans(out, scans, force=force)
     say(f"wrote {display(out)}: {count} scans of {rays} readings, with their poses")

@@ -6,65 +6,55 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, say
-from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.files import display, write_text_atomic
+from imgloc.options import AllowLossy, Followed, Logs, Mounting, Options, RangeMax, Reading
+from imgloc.ranges import Checked, Within, option
+from imgloc.texts import numbers, pose
 
 if TYPE_CHECKING:
     from imgloc.cli.live import Live
-    from imgloc.filters.follow import Kidnap, Moment, Tracking
+    from imgloc.filters.follow import Kidnap, Moment
     from imgloc.io.scanset import ScanSet
     from imgloc.model import FloatArray, OccupancyGrid, Pose2D
     from imgloc.output.mcap import Recording
     from imgloc.output.tracks import Video
     from imgloc.runs.opening import Desk, ScanFiles
-
-_EVERY = (
-    "Weigh all places by a scan once the robot has gone M metres or turned DEG degrees; the scans "
-    "between correct the best one alone. [default: 0.5,30]"
-)
-
-
-def tracking(
-    filter_: opt.FilterName = typer.Option(
-        opt.FilterName.TRACKER, "--filter", help="Which filter."
-    ),
-    every: Any = option(None, "M,DEG", _EVERY, parser=opt.numbers(2)),
-    max_sd: Any = option(
-        None,
-        "M,DEG",
-        "A pose is unique only while its standard deviations are at most M metres and DEG degrees. "
-        "[default: 0.5,10]",
-        parser=opt.numbers(2),
-    ),
-    resets: bool = flag("--resets/--no-resets", "Draw from p(x | z) when lost.", True),
-    seed: opt.Seed = 0,
-) -> "Tracking":
-    """Options of how a robot is followed."""
-    from imgloc.filters.follow import Every, Limits, Tracking
-
-    gap = Every() if every is None else Every(every[0], math.radians(every[1]))
-    limits = Limits() if max_sd is None else Limits(max_sd[0], math.radians(max_sd[1]))
-    return Tracking(filter_.value, gap, limits, resets, seed)
+else:
+    Pose2D = Any
 
 
 @dataclass(frozen=True)
 class Outputs:
     """Files that are written of a track."""
 
-    tum: Path | None
-    ros: Path | None
-    best: bool
-    picture: Path | None
-    video: Path | None
-    mcap: Path | None
-    force: bool
+    tum: Path | None = option(
+        None, "Write the trajectory into this file: unique poses only.", metavar="TUM"
+    )
+    ros: Path | None = option(
+        None,
+        "Write ROS messages into this file: PoseWithCovarianceStamped while the pose is unique, "
+        "PoseArray while several places fit.",
+        metavar="YAML|BAG",
+    )
+    best: bool = option(
+        False, "Let ROS messages hold the best pose alone, also while several places fit."
+    )
+    picture: Path | None = option(None, "Draw the path over the map into this file.", metavar="PNG")
+    video: Path | None = option(None, "Draw the belief over time into this file.", metavar="MP4")
+    mcap: Path | None = option(
+        None,
+        "Write map, scans, places, pose and verdict for Foxglove into this file; needs "
+        "imgloc[foxglove].",
+        metavar="MCAP",
+    )
+    force: opt.Force = False
 
     def check(self, read: Sequence[Path]) -> None:
         """Refuse what cannot be written, before the work; `read` are files of the command."""
@@ -109,87 +99,65 @@ class Outputs:
                 LOG.info("wrote %s", display(path))
 
 
-def outputs(
-    tum: Path | None = option(None, "TUM", "Write the trajectory, of unique poses only."),
-    ros: Path | None = option(
-        None,
-        "YAML|BAG",
-        "Write PoseWithCovarianceStamped while unique, PoseArray while several places fit.",
-    ),
-    best: bool = flag("--best", "In --ros one pose, the best, also while several places fit."),
-    picture: Path | None = option(None, "PNG", "Draw the path over the map."),
-    video: Path | None = option(None, "MP4", "Draw the belief over time."),
-    mcap: Path | None = option(
-        None, "MCAP", "Write map, scans, places, pose and verdict for Foxglove (imgloc[foxglove])."
-    ),
-    force: opt.Force = False,
-) -> Outputs:
-    """Options of what is written."""
-    return Outputs(tum, ros, best, picture, video, mcap, force)
-
-
-class Asked(NamedTuple):
+@dataclass(frozen=True)
+class Asked(Checked):
     """What is asked of the log."""
 
-    start: "Pose2D | None"
-    kidnap: "Kidnap | None"
-    follow: bool  # a file that grows
-    simulate_odometry: int | None
-
-
-def asked(
-    start: Any = opt.pose_of("--start", "Where the robot starts, about. [default: anywhere]"),
+    start: Pose2D | None = option(
+        None,
+        "Rough pose at the beginning, map frame: metres, metres, radians (or 90deg). [default: "
+        "anywhere]",
+        metavar="X,Y,YAW",
+        parse=pose,
+    )
     kidnap: Any = option(
         None,
-        "T,X,Y,YAW",
-        "After T seconds the filter believes to be at this pose: a robot carried off.",
-        parser=opt.numbers(4, angles=(3,)),
-    ),
-    follow: bool = flag(
-        "--follow", "Go on with a file of lines that grows, .jsonl or .log, until Ctrl-C."
-    ),
-    simulate_odometry: int | None = option(
-        None, "SEED", "Make odometry of the recorded poses, with noise and a bias.", min=0
-    ),
-) -> Asked:
-    """Options of what is asked of the log."""
+        "Trial: T seconds after the beginning the filter is made to believe in this pose, as if "
+        "the robot had been carried off.",
+        metavar="T,X,Y,YAW",
+        parse=lambda text: _kidnap(*numbers(4, angles=(3,))(text)),
+    )
+    follow: bool = option(
+        False, "Go on with a file of lines that grows, .jsonl or .log, until Ctrl-C."
+    )
+    simulate_odometry: Annotated[int | None, Within(0, 1e18, "")] = option(
+        None,
+        "Make odometry of the recorded poses, with noise and a bias drawn by this seed.",
+        metavar="SEED",
+    )
+
+
+def _kidnap(after: float, x: float, y: float, yaw: float) -> "Kidnap":
     from imgloc.filters.follow import Kidnap
     from imgloc.model import Pose2D
 
-    if kidnap is not None:
-        opt.check_yaw("--kidnap", kidnap[3])
-    carried = None if kidnap is None else Kidnap(kidnap[0], Pose2D(*kidnap[1:]))
-    return Asked(None if start is None else Pose2D(*start), carried, follow, simulate_odometry)
+    return Kidnap(after, Pose2D(x, y, yaw))
 
 
-@opt.with_options(
-    asked, tracking, outputs, opt.mounting, opt.reading, opt.logs, opt.taken, opt.console
-)
 def track(
+    *,
     map_path: opt.MapPath,
-    log: Annotated[
-        Path,
-        typer.Argument(
-            metavar="LOG",
-            callback=opt.find_scans,
-            help="Scans with odometry, in the order of time: a CARMEN .log; a ROS .bag, .mcap or "
-            ".db3; .npz or .jsonl with odom. JSON lines or a CARMEN log from standard input (-) "
-            "or a named pipe are followed as they come.",
-        ),
-    ],
+    log: Path = option(
+        ...,
+        "Scans with odometry, in the order of time: a CARMEN .log; a ROS .bag, .mcap or .db3; "
+        ".npz or .jsonl with odom. JSON lines or a CARMEN log from standard input (-) or a named "
+        "pipe are followed as they come.",
+        "LOG",
+        parse=opt.find_scans,
+    ),
     asked: Asked,
-    tracking: "Tracking",
+    followed: Followed,
     outputs: Outputs,
-    mounting: opt.Mounting,
-    reading: "opt.Reading",
-    logs: opt.Logs,
+    mounting: Mounting,
+    reading: Reading,
+    logs: Logs,
     taken: opt.Resources,
     as_json: opt.AsJson = False,
-    range_max: opt.Cut = None,
-    strict: bool = flag("--strict", "Exit with 6 unless the last pose is unique."),
+    range_max: RangeMax | None = None,
+    strict: bool = option(False, "Exit with code 6 unless the last pose is unique."),
     cache: opt.CacheDir = None,
     no_cache: opt.NoCache = False,
-    allow_lossy: opt.AllowLossy = False,
+    allow_lossy: AllowLossy = False,
 ) -> None:
     """Follow a robot through a log of scans with odometry, from anywhere on the map.
 
@@ -202,9 +170,8 @@ def track(
     --sensor says where that sits. Several lasers are followed together (--topic /front,/rear).
     """
     from imgloc.cli import inputs
-    from imgloc.filters.follow import follow, robot_poses
+    from imgloc.filters.follow import Tracking, follow, robot_poses
     from imgloc.io.calibration import calibrated
-    from imgloc.options import Options
     from imgloc.output.mcap import Recording
     from imgloc.output.tracks import Video
 
@@ -218,6 +185,7 @@ def track(
     how = inputs.as_recorded(logs, range_max, mounting=mounting)
     scans, live = _scans_of(log, logs, asked, how, desk, stamped=outputs.tum is not None)
     features = desk.features(map_path, maps, options, scans=scans.scans)
+    tracking = Tracking(**vars(followed))
     chosen = tracking.made(features, options)
     run = follow(
         features, live or scans, chosen, every=tracking.every, limits=tracking.limits,
@@ -257,7 +225,7 @@ def _hint(found: float, known: float) -> None:
 
 
 def _scans_of(
-    log: Path, logs: opt.Logs, asked: Asked, how: "ScanFiles", desk: "Desk", *, stamped: bool,
+    log: Path, logs: Logs, asked: Asked, how: "ScanFiles", desk: "Desk", *, stamped: bool,
 ) -> "tuple[ScanSet, Live | None]":  # fmt: skip
     """The scans of a log, as the sensor sits; or those of one that is still being written.
 

@@ -1,60 +1,59 @@
 """`imgloc which`: which of the maps in a folder a scan is from."""
 
-import re
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from imgloc.cli import options as opt
+from imgloc.cli.command import Without
 from imgloc.cli.console import emit, say
-from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
+from imgloc.options import AllowLossy, Flipped, Known, Logs, RangeMax, Reading, Sure
+from imgloc.ranges import option
 
 FAILED_ROWS = 5
 
 
-@opt.with_options(opt.known, opt.reading, opt.logs, opt.taken, opt.console)
 def which(
-    maps_dir: Annotated[
-        Path,
-        typer.Argument(
-            metavar="MAPS_DIR",
-            help="Folder tree of maps: map_server YAML; with --resolution bare images, too.",
-        ),
-    ],
-    known: opt.Known,
-    reading: "opt.Reading",
-    logs: opt.Logs,
+    *,
+    maps_dir: Path = option(
+        ...,
+        "Folder tree of maps: map_server YAML; with --resolution also images without one.",
+        "MAPS_DIR",
+    ),
+    known: Annotated[Known, Without("near")],
+    reading: Reading,
+    logs: Logs,
     taken: opt.Resources,
-    scans_path: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="SCANS",
-            callback=lambda path: None if path is None else opt.find_scans(path),
-            help="Scans, as of localize; none with --build.",
-        ),
-    ] = None,
-    index: Path | None = option(
+    scans_path: Path | None = option(
         None,
-        "NPZ",
-        "Keep what is looked at of all maps in this file: made if it is not there, and where maps "
-        "have changed made anew.",
+        "Scans: .npz, .csv, .jsonl, .json; a CARMEN .log; a ROS .bag, .mcap, .db3 or the folder "
+        "of a recording; - is standard input. With --build there are none.",
+        "SCANS",
+        parse=opt.find_scans,
     ),
-    build: bool = flag("--build", "Only make the --index."),
+    maps_index: Path | None = option(
+        None,
+        "Keep the coarse look at all maps in this file, for the next run: it is made if it is "
+        "not there, and made anew for maps that have changed.",
+        metavar="NPZ",
+    ),
+    build: bool = option(False, "Make the file of --maps-index, and locate no scan."),
     picture: Path | None = option(
-        None, "PNG", "Draw the scan in the best map; several scans: NAME-0003.png and so on."
+        None,
+        "Draw the scan in the best map into this file; of several scans into NAME-0003.png and "
+        "so on.",
+        metavar="PNG",
     ),
-    range_max: opt.Cut = None,
-    flipped: opt.Flipped = False,
-    sure: float = option(
-        0.5, "P", "Probability that a map needs to be named.", within=(0.5, 1, "a probability")
-    ),
+    range_max: RangeMax | None = None,
+    flipped: Flipped = False,
+    sure: Sure = 0.5,
     as_json: opt.AsJson = False,
-    no_cache: bool = flag("--no-cache", "Prepare the maps anew and keep nothing of them."),
+    no_cache: opt.NoCache = False,
     force: opt.Force = False,
-    allow_lossy: opt.AllowLossy = False,
+    allow_lossy: AllowLossy = False,
 ) -> None:
     """Say which of the maps in a folder each scan is from: one of them, none, or undecided.
 
@@ -75,15 +74,15 @@ def which(
     from imgloc.runs.opening import MapFiles
     from imgloc.runs.which import Which
 
-    _check(known, scans_path, index, build=build)
-    if index is not None:
-        inputs.check_target(index, ".npz", force=True)  # nothing is replaced but an index
-    paths = find_maps(maps_dir, images=reading["resolution"] is not None)
+    _check(scans_path, maps_index, build=build)
+    if maps_index is not None:
+        inputs.check_target(maps_index, ".npz", force=True)  # nothing is replaced but an index
+    paths = find_maps(maps_dir, images=reading.get("resolution") is not None)
     files = tuple(zip(names_of(paths, maps_dir), paths, strict=True))
     job = Which(
         maps=MapFiles(reading, allow_lossy),
         scans=inputs.as_recorded(logs, range_max, flipped=flipped),
-        known=inputs.known_of(known),
+        known=known,
         sure=sure,
     )
     folder = inputs.kept_in(None, wanted=not no_cache)
@@ -92,9 +91,9 @@ def which(
     numbers = [] if asked is None else asked.indices
     read = [file for path in paths for file in inputs.files_of(path)]
     targets = inputs.targets(picture, ".png", numbers, force=force, inputs=read)
-    found = job.look(Item(display(maps_dir), None, files, scans_path), desk, asked, file=index)
+    found = job.look(Item(display(maps_dir), None, files, scans_path), desk, asked, file=maps_index)
     if build:
-        say(f"{display(index or maps_dir)}: {len(found.index.names):,} maps")
+        say(f"{display(maps_index or maps_dir)}: {len(found.index.names):,} maps")
     for k, answer in enumerate(found):
         if k == 0 and not as_json:
             emit(CHOICE_HEADER)
@@ -108,17 +107,9 @@ def which(
         raise typer.Exit(FAILED_ROWS)
 
 
-def _check(known: opt.Known, scans: Path | None, index: Path | None, *, build: bool) -> None:
+def _check(scans: Path | None, index: Path | None, *, build: bool) -> None:
     """Refuse options that do not go together."""
-    if known.near is not None or known.region is not None:
-        said = "--near" if known.near is not None else "--region"
-        raise ConfigError(f"{said}: is about one map; of many, --heading or --clearance are known")
     if build and (scans is not None or index is None):
-        raise ConfigError("--build: expected --index, which it makes, and no scans")
+        raise ConfigError("--build: expected --maps-index, which it makes, and no scans")
     if scans is None and not build:
-        raise ConfigError("expected scans, or --build with --index")
-    if index is not None and re.fullmatch(r"[\d:,]+", str(index)):
-        raise ConfigError(
-            f"--index: got {index}, expected a name that ends in .npz: here it is of all maps "
-            "what is looked at; which takes all scans of a file"
-        )
+        raise ConfigError("expected scans, or --build with --maps-index")

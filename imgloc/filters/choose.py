@@ -9,9 +9,7 @@ from imgloc.filters.belief import Filter
 from imgloc.filters.evidence import Places
 from imgloc.filters.tracker import Tracker, TrackerOptions
 from imgloc.model import LaserScan
-from imgloc.options import Options
-
-FILTERS = ("tracker", "grid", "particle")
+from imgloc.options import FILTERS, Options
 
 
 def make_filter(
@@ -29,7 +27,7 @@ def make_filter(
     Parameters
     ----------
     name : str
-        One of :data:`FILTERS`, or a ConfigError.
+        One of :data:`imgloc.options.FILTERS`, or a ConfigError.
     seed : int
         Of its draws.
     resets : bool

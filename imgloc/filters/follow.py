@@ -3,23 +3,21 @@
 import logging
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
-from typing import Annotated
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from imgloc.errors import ConfigError, ScanError, expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import AMBIGUOUS, UNIQUE, Belief, Filter, deviations_of
-from imgloc.filters.choose import FILTERS, make_filter
+from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import usable
 from imgloc.filters.motion import compose_poses, increments, invert_poses, noisy_odometry, way_of
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.numbers import number
-from imgloc.options import Metres, Options
-from imgloc.ranges import Checked, OneOf, Within
+from imgloc.options import Every, Followed, Limits, Options
 
 LOG = logging.getLogger(__name__)
 
@@ -35,22 +33,6 @@ BLIND, WIDE = "blind", "wide"
 _LATEST = 1e18  # seconds
 _FASTEST = 50.0  # metres a second: no robot on the ground is
 _FARTHEST = 1e6  # metres between two scans: a number is damaged
-
-
-@dataclass(frozen=True)
-class Every(Checked):
-    """How far the robot goes or turns between two scans of a laser that are looked at."""
-
-    metres: Metres = 0.5
-    radians: Annotated[float, Within(0, 1e6, "radians")] = float(np.deg2rad(30.0))
-
-
-@dataclass(frozen=True)
-class Limits(Checked):
-    """How uncertain a pose may be and still be published: standard deviations."""
-
-    metres: Annotated[float, Within(1e-3, 1e6, "metres")] = 0.5  #: along the longest axis
-    radians: Annotated[float, Within(1e-4, 1e6, "radians")] = float(np.deg2rad(10.0))
 
 
 @dataclass(frozen=True)
@@ -93,7 +75,7 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class Tracking(Checked):
+class Tracking(Followed):
     """How a robot is followed.
 
     Examples
@@ -101,12 +83,6 @@ class Tracking(Checked):
     >>> Tracking(limits=Limits(0.2)).every
     Every(metres=0.5, radians=0.5235987755982988)
     """
-
-    filter: Annotated[str, OneOf(*FILTERS)] = "tracker"
-    every: Every = field(default_factory=Every)
-    limits: Limits = field(default_factory=Limits)
-    resets: bool = True  #: whether it starts again from p(x | z) where it is lost
-    seed: Annotated[int, Within(0, 2**63 - 1, "a number")] = 0  #: of a filter's draws
 
     def follower(self, features: MapFeatures, options: Options, name: str = "log") -> "Follower":
         """What takes the scans of one robot."""

@@ -20,7 +20,6 @@ from imgloc.io.maps import (
     GREY_205,
     SWAPPED,
     MapSettings,
-    Reading,
     channel_sum,
     grid_of,
     lacks_unknown,
@@ -31,6 +30,7 @@ from imgloc.io.maps import (
     unknown_as_free,
 )
 from imgloc.model import OccupancyGrid, Pose2D, plain
+from imgloc.options import Reading
 
 _MANY_GREYS, _HUGE_CELLS = 16, 16_000_000
 _MOST = 10  # greys, and parts, that are listed

@@ -16,11 +16,10 @@ import contextlib
 import logging
 import math
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any, Unpack
 
 import cv2
 import numpy as np
@@ -47,6 +46,7 @@ from imgloc.io.images import (
 )
 from imgloc.io.mapyaml import MODES, RESOLUTION_RANGE, MapYaml, load_map_yaml, parse_map_yaml
 from imgloc.model import BoolArray, OccupancyGrid, Pose2D
+from imgloc.options import Reading
 
 _LOG = logging.getLogger("imgloc")
 SEMANTICS = ("nav2", "ros1")
@@ -60,19 +60,6 @@ UNKNOWN = -1
 # Bytes that were measured to be taken at most: per pixel, as it is decoded and read as occupied
 # or free; per byte of the file, whose samples may be written as text; and for tables of greys.
 _GREY, _COLOURED, _TEXT, _TABLES = 7, 26, 4, 6 << 20
-
-
-class Reading(TypedDict, total=False):
-    """How a map is to be read: parameters of :func:`load_map`, which documents them."""
-
-    resolution: float | None
-    origin: Pose2D | Sequence[float] | None
-    mode: str | None
-    semantics: str
-    occupied_thresh: float | None
-    free_thresh: float | None
-    negate: bool | None
-    max_pixels: int
 
 
 @dataclass(frozen=True)

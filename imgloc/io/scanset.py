@@ -2,7 +2,6 @@
 
 import logging
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -117,54 +116,6 @@ class ScanSet:
             tuple(self.scans[k] for k in at),
             **{key: None if array is None else array[at] for key, array in beside.items()},
         )
-
-
-@dataclass(frozen=True)
-class Chosen:
-    """Which scans of a file are looked at: by default all.
-
-    Examples
-    --------
-    >>> Chosen("3,7,10:20:4").of(40, "scans.npz"), Chosen(sample=2).of(40, "scans.npz")
-    ([3, 7, 10, 14, 18], [18, 20])
-    """
-
-    #: indices from 0 and ranges A:B:STEP as Python has them (B is left out), commas between
-    index: str | None = None
-    sample: int | None = None  #: as many of these at random, without repetition
-    seed: int = 1  #: decides which
-
-    def __post_init__(self) -> None:
-        for word in () if self.index is None else self.index.split(","):
-            if not re.fullmatch(r"\s*(\d+|\d*:\d*(:0*[1-9]\d*)?)\s*", word, re.ASCII):
-                raise ConfigError(
-                    f"`index`: got {self.index!r}, expected indices from 0, ranges A:B (without B) "
-                    "or A:B:STEP, and commas between, such as 3,7,10:20"
-                )
-
-    def of(self, count: int, name: str) -> list[int]:
-        """Indices of the scans, of `count` in the file called `name`; ConfigError if there is none.
-
-        They are in the order asked for, each once; those of a sample rise.
-        """
-        found: dict[int, None] = {}
-        for word in (":" if self.index is None else self.index).split(","):
-            parts = [int(part) if part.strip() else None for part in word.split(":")]
-            (first, *_), here = parts, range(count)[slice(*parts)]
-            if len(parts) == 1 and first is not None:
-                here = range(first, first + 1)
-            if self.index is not None and not (here and here[-1] < count):
-                raise ConfigError(
-                    f"`index`: got {word.strip()}, expected 0 to {count - 1}: {name} has {count} "
-                    "scans"
-                )
-            found |= dict.fromkeys(here)
-        indices = list(found)
-        if self.sample is None or self.sample >= len(indices):
-            return indices
-        rng = np.random.default_rng(self.seed)
-        picked = rng.choice(len(indices), self.sample, replace=False)
-        return sorted(indices[k] for k in picked.tolist())
 
 
 def wrong(where: str, got: object, expected: str) -> ScanError:

@@ -17,10 +17,10 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import cell_of, in_map_frame, inside, pose_errors, poses_of
 from imgloc.lab.evaluation import share
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, plain
-from imgloc.options import Options
+from imgloc.options import Options, Sensor
 from imgloc.pipeline import localize, prepare
 from imgloc.search.priors import clearance as roomy
-from imgloc.simulation.scans import Sensor, ray_angles, refine_grid, simulate_ranges
+from imgloc.simulation.scans import ray_angles, refine_grid, simulate_ranges
 
 KINDS = ("unique", "ambiguous", "no-match", "wrong")
 """What became of a scan: ``unique`` and right, ``wrong`` is unique but elsewhere."""

@@ -36,10 +36,10 @@ from imgloc.model import (
     OccupancyGrid,
     Pose2D,
 )
-from imgloc.options import LOG_METHODS, Calibration, Options, Shared, scale
+from imgloc.options import LOG_METHODS, Calibration, Options, Sensor, Shared, scale
 from imgloc.pipeline import localize
 from imgloc.search.refine import refine
-from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.scans import simulate
 
 SIGMAS_XY = (0.0, 0.1, 0.2)  #: metres tried
 SIGMAS_THETA = tuple(float(np.deg2rad(deg)) for deg in (0.0, 5.0, 10.0, 15.0))  #: radians tried

@@ -1,6 +1,7 @@
 """How well and at what cost a method locates scans whose poses are known: `evaluate`.
 
->>> from imgloc.simulation.scans import Sensor, simulate
+>>> from imgloc.options import Sensor
+>>> from imgloc.simulation.scans import simulate
 >>> from imgloc.simulation.worlds import WORLDS, render
 >>> from imgloc.pipeline import prepare
 >>> grid = render(WORLDS["curved"](), 0.1)

@@ -18,12 +18,22 @@ from imgloc.lab.atlas import summarise as summarise_atlas
 from imgloc.lab.evaluation import evaluate, method_options
 from imgloc.lab.performance_index import FLOOR
 from imgloc.model import FloatArray, OccupancyGrid
-from imgloc.options import ALL_METHODS, FUSED, TOLERANCES, Count, Length, Options, Step, Tolerance
+from imgloc.options import (
+    ALL_METHODS,
+    FUSED,
+    TOLERANCES,
+    Count,
+    Length,
+    Options,
+    Sensor,
+    Step,
+    Tolerance,
+)
 from imgloc.pipeline import prepare
 from imgloc.ranges import OneOf, Within
 from imgloc.runs.jobs import Answer, Item, Job
 from imgloc.runs.opening import LOG, Desk, ScanFiles
-from imgloc.simulation.scans import Sensor, fine_image, is_world, simulate
+from imgloc.simulation.scans import fine_image, is_world, simulate
 
 Source = dict[str, Any]
 _EACH = 8  # poses that are worth a process

@@ -18,13 +18,13 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import LOST, UNIQUE, Filter, deviations_of
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import Places, search
-from imgloc.filters.follow import Every, follow, robot_poses
+from imgloc.filters.follow import follow, robot_poses
 from imgloc.filters.motion import compose_poses, increments
 from imgloc.geometry import wrap
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.evaluation import Share, share
 from imgloc.model import FloatArray, LaserScan, Pose2D
-from imgloc.options import Options
+from imgloc.options import Every, Options
 
 TRUTH = (0.03, float(np.deg2rad(0.4)))
 """Standard deviations of the true poses of recorded logs themselves, metres and radians."""

@@ -29,9 +29,9 @@ from imgloc.filters.follow import DEVIATION, Follower, Moment, Tracking
 from imgloc.live.line import Dropped, Key, Line
 from imgloc.live.sites import Maker, MapLike, Site, site_of, warm
 from imgloc.model import FloatArray, LaserScan, Localization, Pose2D, plain
-from imgloc.options import Options, Prior
+from imgloc.options import Known, Options, Prior
 from imgloc.pipeline import localize
-from imgloc.search.priors import Known, leaves_none
+from imgloc.search.priors import leaves_none, prior_of
 
 T = TypeVar("T")
 Clock = Callable[[], float]
@@ -323,7 +323,7 @@ class Localizer:
             entry, site = self._ready(name)
             how = site.options(options or self.options)
             if known is not None:
-                how = replace(how, prior=how.prior & known.prior(site.features.grid))
+                how = replace(how, prior=how.prior & prior_of(known, site.features.grid))
             found = localize(site.features, scan, how)
             return self._answer(found, name, scan, key, waited, begin, entry.era)
 
@@ -494,7 +494,7 @@ class Localizer:
         @contextmanager
         def open_map(name: str) -> Iterator[Opened | None]:
             site = _site(entries[name])
-            prior = known.prior(site.features.grid)
+            prior = prior_of(known, site.features.grid)
             how = site.options(replace(base, prior=prior))
             yield None if leaves_none(prior, site.features) else (site.features, how)
 

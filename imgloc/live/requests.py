@@ -17,7 +17,7 @@ import numpy as np
 from imgloc.errors import MapError, OutputError, ScanError, printable
 from imgloc.features.budget import scans_bytes
 from imgloc.io.files import reason
-from imgloc.io.maps import Reading, map_of_bytes
+from imgloc.io.maps import map_of_bytes
 from imgloc.io.mapyaml import MAX_YAML_BYTES, parse_map_yaml
 from imgloc.io.own import parse_json
 from imgloc.io.scans import SCAN_ENDINGS, load_scans, scans_size
@@ -25,7 +25,7 @@ from imgloc.io.scanset import ScanSet
 from imgloc.io.textscans import MAX_LINE, read_jsonl_line
 from imgloc.live.problems import Refused
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
-from imgloc.options import Count
+from imgloc.options import Count, Reading
 from imgloc.ranges import Checked, Within
 
 JSON, FORM = "application/json", "multipart/form-data"

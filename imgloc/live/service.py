@@ -34,7 +34,7 @@ from imgloc.geometry import transform_poses
 from imgloc.io.calibration import map_hash
 from imgloc.io.maps import DRAWN, SWAPPED, looks_drawn, looks_swapped
 from imgloc.io.scans import write_npz
-from imgloc.io.scanset import Chosen, ScanSet
+from imgloc.io.scanset import ScanSet
 from imgloc.io.textscans import read_jsonl_line
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.live import layers, openapi
@@ -50,15 +50,13 @@ from imgloc.live.requests import Bounds, map_of, marked_of, scans_of, taken
 from imgloc.live.sites import Site
 from imgloc.live.static import page_files
 from imgloc.model import LaserScan, Likelihood, OccupancyGrid, Pose2D, plain, to_json
-from imgloc.options import FUSED, Prior, Shared
+from imgloc.options import FUSED, RADIUS, TOLERANCE, Chosen, Known, Prior, Shared
 from imgloc.output.rows import answer_row, moment_row
 from imgloc.pipeline import prepare
 from imgloc.search.asked import answer_bytes
-from imgloc.search.priors import Known
+from imgloc.search.priors import prior_of
 
 LOG = logging.getLogger("imgloc")
-RADIUS, TOLERANCE = 2.0, 0.8
-"""How far from a known pose a robot may be, and turned how far, unless stated: metres, radians."""
 _LINES = "application/x-ndjson"
 _PLACES = 20  # of a belief, that are sent
 _DRAIN = 1.0  # seconds in which what a client still sends of a refused body is thrown away
@@ -536,7 +534,7 @@ class Service:
             near = (*near, *(RADIUS, TOLERANCE)[len(near) - 3 :]) if len(near) < 5 else near
         grid = site.features.grid
         known = Known(near, _turned(values["heading"], 1), values["clearance"])
-        prior = known.prior(grid)
+        prior = prior_of(known, grid)
         if values["region"] is not None:
             cells = layers.region_cells(grid, _corners(values["region"]))
             prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})

@@ -8,9 +8,9 @@ from imgloc.answers.explain import layers_of
 from imgloc.doors import behind
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.images import encode_picture
-from imgloc.io.maps import Reading, load_map
+from imgloc.io.maps import load_map
 from imgloc.model import LaserScan, Localization, Pose2D
-from imgloc.options import Options
+from imgloc.options import Options, Reading
 from imgloc.output.canvas import draw_map
 from imgloc.output.pictures import draw, draw_likelihood
 from imgloc.runs.opening import Drawing

@@ -3,59 +3,73 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from imgloc.cli import options as opt
 from imgloc.cli.console import emit, say
-from imgloc.cli.options import option
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import display
+from imgloc.options import MemoryBudget
+from imgloc.ranges import Within, check_of, option
+from imgloc.texts import numbers, pose
 
 if TYPE_CHECKING:
+    from imgloc.model import Pose2D
     from imgloc.plans.floorplan import FloorPlan
+else:
+    Pose2D = Any
 
-_WALLS = (0.005, 3, "metres")
+PlanScale = Annotated[float, Within(0.0005, 1, "metres a pixel")]
 
 
-@opt.with_options(opt.console)
 def plan(
-    path: Annotated[
-        Path, typer.Argument(metavar="PLAN", help="Image of a floor plan: PNG, JPEG, TIFF ...")
-    ],
-    out: Annotated[
-        Path, option(..., "YAML", "Map to write, and its PNG beside it.", "--out", "-o")
-    ],
-    resolution: float | None = option(
-        None, "M", "Metres a pixel of the plan.", within=(0.0005, 1, "metres a pixel")
+    *,
+    path: Path = option(..., "Image of a floor plan: PNG, JPEG, TIFF ...", "PLAN"),
+    out: Path = option(
+        ...,
+        "Map that is written; its image gets the same name with .png.",
+        "--out",
+        "-o",
+        metavar="YAML",
+    ),
+    resolution: PlanScale | None = option(
+        None, "Side of a pixel of the plan, metres. [default: found by --distance]", metavar="M"
     ),
     distance: Any = option(
         None,
-        "X1,Y1,X2,Y2,M",
-        "Or two points of the plan, in pixels from its upper left corner, and the metres between "
-        "them: of a dimension line, or the outer walls.",
-        parser=opt.numbers(5),
+        "Two points of the plan, in pixels from its upper left corner, and the metres between "
+        "them: the ends of a dimension line, or of an outer wall. They tell the size of a pixel.",
+        metavar="X1,Y1,X2,Y2,M",
+        parse=numbers(5),
     ),
-    origin: Any = opt.pose_of(
-        "--origin", "Pose of the plan's lower-left corner in the map frame. [default: 0,0,0]"
+    origin: "Pose2D | None" = option(
+        None,
+        "Pose of the plan's lower-left corner in the map frame: metres, metres, radians (or "
+        "90deg). [default: 0,0,0]",
+        metavar="X,Y,YAW",
+        parse=pose,
     ),
-    cell: float | None = option(
-        None, "M", "Cell of the map. [default: 0.05, or a pixel]", within=(0.01, 1, "metres")
+    cell: Annotated[float | None, Within(0.01, 1, "metres")] = option(
+        None, "Side of a cell of the map, metres. [default: 0.05, or a pixel of the plan]"
     ),
-    thinnest: float = option(0.07, "M", "Of walls: what is thinner is a line.", within=_WALLS),
-    thickest: float = option(
-        0.5, "M", "Of walls that are drawn as two lines: what is wider is a room.", within=_WALLS
+    thinnest: Annotated[float, Within(0.005, 3, "metres")] = option(
+        0.07, "Least thickness of a wall, metres: thinner strokes are no walls."
     ),
-    gap: float | None = option(
-        None, "M", "Outer doors are no wider. [default: found]", within=(0, 30, "metres")
+    thickest: Annotated[float, Within(0.005, 3, "metres")] = option(
+        0.5,
+        "Greatest thickness of a wall that is drawn as two lines, metres: lines farther apart "
+        "enclose a room.",
     ),
-    ink: float | None = option(
-        None, "P", "Darkness from which on a pixel is ink, 0..1. [default: found]",
-        within=(0.01, 0.99, "a share"),
+    gap: Annotated[float | None, Within(0, 30, "metres")] = option(
+        None, "Width of the widest outer door, metres. [default: found]"
+    ),
+    ink: Annotated[float | None, Within(0.01, 0.99, "a share")] = option(
+        None, "Darkness from which a pixel of the plan is ink. [default: found]"
     ),
     picture: Path | None = option(
-        None, "PNG", "Draw the plan, what was taken from it in colour, beside the map."
+        None,
+        "Draw the plan, with what was taken from it in colour, beside the map into this file.",
+        metavar="PNG",
     ),
-    memory_budget: opt.MemoryBudget = None,
+    memory_budget: MemoryBudget | None = None,
     as_json: opt.AsJson = False,
     force: opt.Force = False,
 ) -> None:  # fmt: skip
@@ -67,7 +81,7 @@ def plan(
     from imgloc.cli import inputs
     from imgloc.io.images import image_size
     from imgloc.io.maps import save_map
-    from imgloc.model import Pose2D, to_json
+    from imgloc.model import to_json
     from imgloc.plans.files import load_plan, measured_resolution
     from imgloc.plans.floorplan import plan_bytes, plan_to_map
     from imgloc.plans.picture import draw_floor_plan
@@ -84,17 +98,18 @@ def plan(
             f"{name}: the scale is {'missing' if distance is None else 'given twice'}, expected "
             "--resolution, metres a pixel, or --distance: two points and the metres between them"
         )
-    if resolution is None:
-        resolution = measured_resolution(distance, size.width, size.height)
-        opt.check_range("--distance", resolution, 0.0005, 1, "metres a pixel")
+    scale = resolution or measured_resolution(distance, size.width, size.height)
+    check = check_of(PlanScale)
+    if check is not None and (refused := check(scale)) is not None:
+        raise ConfigError(f"--distance: got {scale:g}, expected {refused[1]}")
     what = f"{name}: a plan of {size.width} x {size.height} pixels"
-    need = plan_bytes(size.height, size.width, resolution, cell)
+    need = plan_bytes(size.height, size.width, scale, cell)
     inputs.desk_of(1, budget).check(need, what, "crop the plan, use a larger --cell")
     with inputs.quiet_libraries():
         grey = load_plan(path)
     try:
         found = plan_to_map(
-            grey, resolution, origin=None if origin is None else Pose2D(*origin), cell=cell,
+            grey, scale, origin=origin, cell=cell,
             thinnest=thinnest, thickest=thickest, gap=gap, ink=ink,
         )  # fmt: skip
     except MapError as error:
@@ -103,10 +118,10 @@ def plan(
     if picture is not None:
         draw_floor_plan(grey, found).save(picture, force=force)
     if as_json:
-        about = {"path": name, "resolution": resolution, "map": display(out), "image": display(png)}
+        about = {"path": name, "resolution": scale, "map": display(out), "image": display(png)}
         emit(to_json(about | found.as_row()))
     else:
-        emit(plan_text(name, resolution, found, display(out)))
+        emit(plan_text(name, scale, found, display(out)))
     if picture is not None:
         say(f"wrote {display(picture)}")
 

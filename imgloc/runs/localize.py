@@ -14,11 +14,11 @@ from imgloc.io.calibration import calibrated
 from imgloc.io.files import display
 from imgloc.io.images import image_size, read_image
 from imgloc.model import BoolArray, LaserScan, Localization, OccupancyGrid, Pose2D
-from imgloc.options import FUSED, TOLERANCES, Length, Options, Prior, Tolerance
+from imgloc.options import FUSED, TOLERANCES, Known, Length, Options, Prior, Tolerance
 from imgloc.pipeline import localize
 from imgloc.runs.jobs import Answer, Item, Job, compared
 from imgloc.runs.opening import Desk, ScanFiles, Taken
-from imgloc.search.priors import Known
+from imgloc.search.priors import prior_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +41,7 @@ class Localize(Job):
         features = desk.features(path, self.maps, options, cell=self.cell, scans=taken.scans.scans)
         if options.calibration is None:
             options = calibrated(options, path, features.grid)
-        prior = self.known.prior(features.grid)
+        prior = prior_of(self.known, features.grid)
         if self.region is not None:
             cells = region_of(self.region, features.grid, allow_lossy=self.maps.allow_lossy)
             prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})

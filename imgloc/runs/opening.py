@@ -33,7 +33,6 @@ from imgloc.io.files import display
 from imgloc.io.images import ImageSize, image_size
 from imgloc.io.maps import (
     SWAPPED,
-    Reading,
     load_bytes,
     load_map,
     looks_swapped,
@@ -42,9 +41,9 @@ from imgloc.io.maps import (
     resolve_settings,
 )
 from imgloc.io.scans import has_topics, load_scans, scans_size
-from imgloc.io.scanset import Chosen, ScanSet
+from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, check_mount
-from imgloc.options import Factor, Length, Options, Radians
+from imgloc.options import Chosen, Factor, Length, Options, Radians, Reading
 from imgloc.pipeline import prepare
 from imgloc.ranges import Checked
 from imgloc.search.asked import answer_bytes
@@ -84,7 +83,7 @@ class ScanFiles(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.mount is not None:
-            check_mount(self.mount, "mount")
+            check_mount(self.mount, "`sensor`")
 
     def mounted(self, scan: LaserScan) -> LaserScan:
         """The scan in metres, of an upright sensor with this reach that is mounted so."""

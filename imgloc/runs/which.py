@@ -14,12 +14,12 @@ from imgloc.io.calibration import calibrated
 from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import display
 from imgloc.model import LaserScan, Localization
-from imgloc.options import Length, Prior
+from imgloc.options import Known, Length, Prior
 from imgloc.ranges import Within
 from imgloc.runs.jobs import Answer, Item, Job
 from imgloc.runs.opening import LOG, Desk, ScanFiles, Taken
 from imgloc.search.asked import check_options
-from imgloc.search.priors import Known, leaves_none
+from imgloc.search.priors import leaves_none, prior_of
 
 Unusable = MapError | ConfigError
 
@@ -117,7 +117,7 @@ class Choosing:
         path = self.files[name]
         try:
             features = self.features(path)
-            prior = self.job.known.prior(features.grid)
+            prior = prior_of(self.job.known, features.grid)
             options = calibrated(replace(self.options, prior=prior), path, features.grid)
             if leaves_none(prior, features):
                 LOG.info("%s: has no place for the robot", display(path))

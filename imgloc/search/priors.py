@@ -4,7 +4,7 @@ A prior is a set of poses, all equally likely; the others have no probability at
 the true pose that it excludes can therefore make an ambiguous scan unique.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ from imgloc.features.pyramid import Level, any_of_blocks
 from imgloc.geometry import cell_of, in_grid_frame, inside, wrap
 from imgloc.model import BoolArray, FloatArray, GridInfo, IntArray, OccupancyGrid, Pose2D
 from imgloc.numbers import number
-from imgloc.options import Prior
+from imgloc.options import Known, Prior
 
 SLIP = number("priors.slip")
 """How far outside a set a pose can be that a refinement has taken there from a place in it."""
@@ -121,43 +121,31 @@ def pyramid_levels(prior: Prior, levels: tuple[Level, ...], resolution: float) -
     )
 
 
-@dataclass(frozen=True)
-class Known:
-    """What is known of the poses of all scans, map frame; None where nothing is."""
+def prior_of(known: Known, grid: OccupancyGrid) -> Prior:
+    """The poses of a map that may be; a ConfigError if a heading is known twice.
 
-    #: x, y, heading, and how far the pose may be from there: metres and radians
-    near: tuple[float, float, float, float, float] | None = None
-    heading: tuple[float, float] | None = None  #: and how far it may be off, radians
-    clearance: float | None = None  #: metres, at least, from what is not free
-
-    def prior(self, grid: OccupancyGrid) -> Prior:
-        """The poses of a map that may be.
-
-        A radius or clearance out of its range is a ConfigError, as is a heading that is given
-        twice.
-
-        Examples
-        --------
-        >>> free = np.ones((4, 4), bool)
-        >>> prior = Known(heading=(1.0, 0.1)).prior(OccupancyGrid(~free, free, 1.0))
-        >>> prior.heading, prior.cells is None
-        ((1.0, 0.1), True)
-        """
-        prior = Prior()
-        if self.near is not None:
-            x, y, yaw, radius, tolerance = self.near
-            at = in_grid_frame(Pose2D(x, y, yaw), grid)
-            about = {"x": x, "y": y, "theta": yaw, "radius": radius, "tolerance": tolerance}
-            disc = near(grid.info, at.x, at.y, radius)
-            prior &= Prior(disc, (at.theta, tolerance), {"near": about})
-        if self.heading is not None:
-            yaw, tolerance = self.heading
-            about = {"theta": yaw, "tolerance": tolerance}
-            prior &= Prior(None, (yaw - grid.origin.theta, tolerance), {"heading": about})
-        if self.clearance:
-            cells = clearance(grid, self.clearance)
-            prior &= Prior(cells, None, {"clearance": self.clearance})
-        return prior
+    Examples
+    --------
+    >>> free = np.ones((4, 4), bool)
+    >>> prior = prior_of(Known(heading=(1.0, 0.1)), OccupancyGrid(~free, free, 1.0))
+    >>> prior.heading, prior.cells is None
+    ((1.0, 0.1), True)
+    """
+    prior = Prior()
+    if known.near is not None:
+        x, y, yaw, radius, tolerance = known.near
+        at = in_grid_frame(Pose2D(x, y, yaw), grid)
+        about = {"x": x, "y": y, "theta": yaw, "radius": radius, "tolerance": tolerance}
+        disc = near(grid.info, at.x, at.y, radius)
+        prior &= Prior(disc, (at.theta, tolerance), {"near": about})
+    if known.heading is not None:
+        yaw, tolerance = known.heading
+        about = {"theta": yaw, "tolerance": tolerance}
+        prior &= Prior(None, (yaw - grid.origin.theta, tolerance), {"heading": about})
+    if known.clearance:
+        cells = clearance(grid, known.clearance)
+        prior &= Prior(cells, None, {"clearance": known.clearance})
+    return prior
 
 
 def leaves_none(prior: Prior, features: MapFeatures) -> bool:

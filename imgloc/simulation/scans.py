@@ -4,7 +4,6 @@ A scan must not know the cells of the map in which it is to be located: rays are
 much finer image than the map, :func:`refine_grid` of it or a world's polygons rendered at 1 cm.
 """
 
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -24,10 +23,8 @@ from imgloc.model import (
     LaserScan,
     OccupancyGrid,
     Pose2D,
-    check_mount,
 )
-from imgloc.options import Count, Length, Metres, Share, Step
-from imgloc.ranges import Checked
+from imgloc.options import Sensor
 from imgloc.simulation.worlds import WORLDS, render
 
 FINE = 0.01  #: cells on which scans are simulated, metres
@@ -38,29 +35,6 @@ _DRAWS = 100  # of n poses each, before a mounting pose counts as impossible
 # off. Raised to 0.8 its outline at 0.5 is again half a cell off, as it was; so with gaps.
 _BLUR = 0.7
 _THIN, _THIN_VALUE = 0.6, 0.8
-
-
-@dataclass(frozen=True)
-class Sensor(Checked):
-    """A simulated laser; the defaults are that of Sec. VI, with a reach of 30 m.
-
-    `fov` is in radians, see :func:`ray_angles`; `sigma` (noise of a reading), `range_max` and
-    `clearance` (of the robot) in metres; `outliers` and `dropped` are shares of the rays, see
-    :func:`simulate_ranges`; `mount` is the pose of the sensor on the robot.
-    """
-
-    rays: Count = 181
-    fov: Step = np.pi
-    sigma: Metres = 0.02
-    range_max: Length = 30.0
-    outliers: Share = 0.0
-    dropped: Share = 0.0
-    clearance: Metres = 0.3
-    mount: Pose2D = field(default_factory=lambda: Pose2D(0.0, 0.0))
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_mount(self.mount, "mount")
 
 
 def simulate(

@@ -12,7 +12,7 @@ from imgloc.io.calibration import load_calibrations
 from imgloc.io.maps import load_map
 from imgloc.options import DEFAULTS
 
-QUICK = ("--methods", "ght-v", "-n", 20, "--rays", 61, "--theta-step-deg", 15, "--cell", 0.2,
+QUICK = ("--method", "ght-v", "-n", 20, "--rays", 61, "--theta-step-deg", 15, "--cell", 0.2,
          "--threads", 1)  # fmt: skip
 
 
@@ -43,7 +43,7 @@ def test_what_is_fitted_is_used(office: Path) -> None:
     assert call("simulate", office, "-n", 1, "--rays", 61, "--out", scans).code == 0
     for words in (
         ("localize", office, scans, "--method", "ght-v", "--json"),
-        ("evaluate", office, "-n", 1, "--rays", 61, "--methods", "ght-v", "--json"),
+        ("evaluate", office, "-n", 1, "--rays", 61, "--method", "ght-v", "--json"),
     ):
         (row,) = rows(call(*words).out)
         assert row["parameters"]["calibration"] == vars(fitted["ght-v"])
@@ -68,7 +68,7 @@ def test_the_same_seed_the_same_bytes_for_every_number_of_threads(office: Path) 
 
 def test_a_dry_run_stores_nothing(office: Path) -> None:
     before = sorted(office.parent.iterdir())
-    words = ("--methods", "ght,beam", "--cell", 0.2, "--theta-step-deg", 15, "-n", 20, "--clean")
+    words = ("--method", "ght,beam", "--cell", 0.2, "--theta-step-deg", 15, "-n", 20, "--clean")
     (row,) = rows(call("calibrate", office, *words, "--dry-run", "--json").out)
     assert sorted(office.parent.iterdir()) == before
     assert list(row["methods"]) == ["ght", "beam"]
@@ -92,8 +92,8 @@ def test_maps_that_share_a_fit(office: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "code", "expected"),
     [
-        (["--methods", "fused"], 2, "--methods: got 'fused', expected cbml,"),
-        (["--theta-step-deg", "beam=3", "--methods", "ght"], 2, "not one of --methods"),
+        (["--method", "fused"], 2, "--method: got 'fused', expected cbml,"),
+        (["--theta-step-deg", "beam=3", "--method", "ght"], 2, "not one of --method"),
         (["--cell", "0"], 2, "--cell: got 0"),
         (["--range-max", "0"], 2, "--range-max: got 0"),
         (["--clearance", "50"], 3, "clearance"),
@@ -115,7 +115,7 @@ def test_other_methods_keep_their_fits(office: Path) -> None:
     path, grid = office.with_name("curved.calibration.json"), load_map(office)
     assert call("calibrate", office, *QUICK).code == 0
     votes = load_calibrations(path, grid)[0]
-    assert call("calibrate", office, "--methods", "cbml", *QUICK[2:], "--force").code == 0
+    assert call("calibrate", office, "--method", "cbml", *QUICK[2:], "--force").code == 0
     both = load_calibrations(path, grid)[0]
     assert list(both) == ["ght-v", "cbml"]
     assert both["ght-v"] == votes["ght-v"]
@@ -161,10 +161,12 @@ def test_recorded_scans_say_what_error_they_share(office: Path) -> None:
         assert row["parameters"]["shared"] == content["shared"]
         assert row["evidence"]["scale"] == content["shared"]["scale"]
     # What is simulated in the map as it is has no such error.
-    quick = ("-n", 1, "--rays", 121, "--methods", "fused", "--json", *longer)
+    quick = ("-n", 1, "--rays", 121, "--method", "fused", "--json", *longer)
     (row,) = rows(call("evaluate", office, *quick).out)
     assert row["parameters"]["shared"] == {"scale": 1.0, "thinner": 0}
-    assert call("localize", office, scans, "--index", 0).code == 0  # of another resolution: unused
+    assert (
+        call("localize", office, scans, "--scans-index", 0).code == 0
+    )  # of another resolution: unused
 
 
 def test_scans_from_elsewhere_say_nothing(office: Path) -> None:

@@ -21,7 +21,7 @@ from imgloc.model import OccupancyGrid, Pose2D
 from imgloc.options import DEFAULTS
 
 CURVED = MAPS / "curved.yaml"
-QUICK = ["--methods", "fused,ght-v", "--threads", 1]
+QUICK = ["--method", "fused,ght-v", "--threads", 1]
 KEYS = ["map", "method", "trials", "index", "index_box", "index_calibrated", "outside", "exact"]
 KEYS += ["near", "success", "position", "heading", "verdicts", "unit", "work", "stack_bytes"]
 KEYS += ["features_bytes", "cost", "lattice", "source", "parameters"]
@@ -45,7 +45,19 @@ def without_cost(text: str) -> list[str]:
 
 
 def test_simulated_scans_on_a_bundled_map_called_by_its_name() -> None:
-    words = ["curved", "-n", 3, "--seed", 5, "--rays", 91, "--mount", "0.1,0,0.5", "--range-max", 8]
+    words = [
+        "curved",
+        "-n",
+        3,
+        "--seed",
+        5,
+        "--rays",
+        91,
+        "--sensor",
+        "0.1,0,0.5",
+        "--range-max",
+        8,
+    ]
     fused, votes = evaluated(*words, *QUICK, "--tolerance", "0.3,20")
     assert list(fused) == list(votes) == KEYS
     assert (fused["method"], votes["method"]) == ("fused", "ght-v")
@@ -80,7 +92,7 @@ def test_recorded_scans_of_a_sensor_upside_down(scans: Path, tmp_path: Path) -> 
     data = dict(np.load(scans))
     data["angles"] = -data["angles"]
     np.savez(tmp_path / "flipped.npz", **data)
-    words = ("curved", "--methods", "fused", "--threads", 1, "--scans")
+    words = ("curved", "--method", "fused", "--threads", 1, "--scans")
     (told,) = evaluated(*words, tmp_path / "flipped.npz", "--flipped", "--range-max", 20_000)
     (upright,) = evaluated(*words, scans)
     assert told["success"] == upright["success"]
@@ -93,7 +105,7 @@ def test_the_same_for_every_run_and_number_of_threads() -> None:
         "curved",
         "-n",
         1,
-        "--methods",
+        "--method",
         "fused,cbml,ght-v",
         "--cell",
         0.2,
@@ -111,9 +123,9 @@ def test_recorded_scans_are_sampled_as_numpy_samples(scans: Path, tmp_path: Path
     few = tmp_path / "few.npz"
     save_scans(few, ScanSet(tuple(whole[int(k)] for k in pick), poses=whole.poses[pick]))
     (a,) = evaluated(
-        CURVED, "--scans", scans, "--sample", 2, "--sample-seed", 7, "--methods", "cbml"
+        CURVED, "--scans", scans, "--sample", 2, "--sample-seed", 7, "--method", "cbml"
     )
-    (b,) = evaluated(CURVED, "--scans", few, "--methods", "cbml")
+    (b,) = evaluated(CURVED, "--scans", few, "--method", "cbml")
     assert (a["source"]["sample"], a["source"]["sample_seed"]) == (2, 7)
     assert a["source"]["scans"] == str(scans)
     for key in set(KEYS) - {"source", "cost"}:
@@ -129,7 +141,7 @@ def test_several_maps_with_scans_of_their_own(scans: Path, tmp_path: Path) -> No
     save_scans(tmp_path / "b.npz", ScanSet(recorded.scans, poses=moved))
     a, b = evaluated(
         CURVED, tmp_path / "map.yaml", "--scans", scans, "--scans", tmp_path / "b.npz",
-        "--methods", "fused",
+        "--method", "fused",
     )  # fmt: skip
     assert (a["map"], b["map"]) == ("curved", tmp_path.name)
     assert b["index"]["value"] == pytest.approx(a["index"]["value"], abs=0.01)
@@ -138,7 +150,7 @@ def test_several_maps_with_scans_of_their_own(scans: Path, tmp_path: Path) -> No
 
 
 def test_range_max_cuts_recorded_readings(scans: Path) -> None:
-    words = (CURVED, "--scans", scans, "--methods", "cbml", "--cell", 0.2)
+    words = (CURVED, "--scans", scans, "--method", "cbml", "--cell", 0.2)
     (whole,), (short,) = evaluated(*words), evaluated(*words, "--range-max", 2)
     assert short["work"] < whole["work"]
     assert short["source"]["range_max"] == 2
@@ -147,7 +159,7 @@ def test_range_max_cuts_recorded_readings(scans: Path) -> None:
 
 def test_steps_and_cells_by_method(scans: Path) -> None:
     ght, votes = evaluated(
-        CURVED, "--scans", scans, "--methods", "ght,ght-v", "--theta-step-deg", "ght=12",
+        CURVED, "--scans", scans, "--method", "ght,ght-v", "--theta-step-deg", "ght=12",
         "--theta-step-deg", "20", "--cell", "ght-v=0.2",
     )  # fmt: skip
     assert ght["lattice"]["theta_step"] == pytest.approx(np.deg2rad(12))
@@ -174,7 +186,7 @@ def test_no_line_of_the_table_is_wider_than_the_terminal() -> None:
     pty, termios = (importlib.import_module(name) for name in ("pty", "termios"))
     leader, follower = pty.openpty()
     termios.tcsetwinsize(follower, (24, 80))
-    words = command(["evaluate", "curved", "-n", 1, "--methods", "fused", "--tolerance", "0.3,10"])
+    words = command(["evaluate", "curved", "-n", 1, "--method", "fused", "--tolerance", "0.3,10"])
     plain = {key: value for key, value in os.environ.items() if key not in ("COLUMNS", "LINES")}
     with subprocess.Popen(words, stdout=follower, stderr=subprocess.DEVNULL, env=plain) as run:
         os.close(follower)
@@ -194,21 +206,21 @@ def test_no_line_of_the_table_is_wider_than_the_terminal() -> None:
 @pytest.mark.parametrize(
     ("words", "code", "expected"),
     [
-        (["--methods", "cbml,cmbl"], 2, "--methods: got 'cmbl', expected fused,cbml,"),
-        (["--theta-step-deg", "ght=10"], 2, "'ght' is not one of --methods"),
+        (["--method", "cbml,cmbl"], 2, "--method: got 'cmbl', expected fused,cbml,"),
+        (["--theta-step-deg", "ght=10"], 2, "'ght' is not one of --method"),
         (["--theta-step-deg", "0"], 2, "--theta-step-deg: got 0, expected degrees"),
-        (["--cell", "x"], 2, "--cell: got 'x', expected a number"),
-        (["--tolerance", "0.3"], 2, "--tolerance: got '0.3', expected metres and degrees"),
-        (["--tolerance", "0.3,x"], 2, "--tolerance: got 'x', expected a number"),
+        (["--cell", "x"], 2, "--cell: got 'x', expected metres"),
+        (["--tolerance", "0.3"], 2, "--tolerance: got '0.3', expected 2 numbers"),
+        (["--tolerance", "0.3,x"], 2, "--tolerance: got '0.3,x', expected 2 numbers"),
         (["--flipped"], 2, "--flipped: expected --scans"),
-        (["--mount", "0,0,90"], 2, "--mount: got a yaw of 90, expected radians"),
-        (["--tolerance", "nan,1"], 2, "--tolerance: got nan"),
+        (["--sensor", "0,0,90"], 2, "--sensor: got an angle of 90, expected radians"),
+        (["--tolerance", "nan,1"], 2, "--tolerance: got 'nan,1'"),
         (["--floor", "0"], 2, "--floor: got 0"),
         (["--sample", "3"], 2, "--sample: expected --scans"),
         (["-n", "1000000"], 2, "-n: got 1,000,000"),
         (["--range-max", "0"], 2, "--range-max: got 0"),
-        (["--mount", "1,2"], 2, "expected 3 numbers"),
-        (["--mount", "99,0,0"], 2, "mount: got 99,0: 99 m from the robot's base"),
+        (["--sensor", "1,2"], 2, "expected 3 numbers"),
+        (["--sensor", "99,0,0"], 2, "--sensor: got 99,0: 99 m from the robot's base"),
         (["--scans", "SCANS", "-n", "4"], 2, "use --sample"),
         (["--scans", "SCANS", "--rays", "90"], 2, "do not go with recorded scans"),
         (["--scans", "SCANS", "--scans", "SCANS"], 2, "got 2 for 1 maps"),
@@ -218,7 +230,7 @@ def test_no_line_of_the_table_is_wider_than_the_terminal() -> None:
 )
 def test_refuses(words: list[str], code: int, expected: str, scans: Path) -> None:
     given = [str(scans) if w == "SCANS" else w for w in words]
-    run = call("evaluate", CURVED, "--methods", "fused", *given)
+    run = call("evaluate", CURVED, "--method", "fused", *given)
     assert (run.code, run.out) == (code, "")
     assert expected in " ".join(run.err.split())
 
@@ -240,7 +252,7 @@ def test_an_unknown_name_is_a_missing_map() -> None:
 def test_real_data(shared: Path) -> None:
     folder = shared / "data" / "fr079"
     words = ("--scans", folder / "scans.npz", "--sample", 3, "--range-max", 20)
-    (row,) = evaluated(folder / "map.yaml", *words, "--methods", "fused")
+    (row,) = evaluated(folder / "map.yaml", *words, "--method", "fused")
     assert row["map"] == "fr079"
     assert row["success"][1]["at_1"]["hits"] == 3
     assert row["outside"] == 0

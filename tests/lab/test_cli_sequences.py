@@ -17,17 +17,17 @@ def test_sequences_are_evaluated(log: Path) -> None:  # noqa: F811
     assert row["right"]["2"]["value"] == 1.0
     assert row["wrong"] == 0
     assert call("evaluate", MAP, "--sequence").code == 2
-    assert call("evaluate", MAP, *words, "--filters", "kalman").code == 2
+    assert call("evaluate", MAP, *words, "--filter", "kalman").code == 2
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--sequence", "-n", 5), "--count: is of evaluate without --sequence, not of"),
-        (("--sequence", "--methods", "cbml"), "--methods: is of evaluate without --sequence"),
-        (("--sequence", "--sample", 5), "--sample: is of evaluate without --sequence"),
-        (("--starts", 5), "--starts: is of evaluate --sequence, not of evaluate without"),
-        (("--no-resets",), "--resets: is of evaluate --sequence, not of"),
+        (("--sequence", "-n", 5), "-n: is for evaluate without --sequence, not for"),
+        (("--sequence", "--method", "cbml"), "--method: is for evaluate without --sequence"),
+        (("--sequence", "--sample", 5), "--sample: is for evaluate without --sequence"),
+        (("--starts", 5), "--starts: is for evaluate --sequence, not for evaluate without"),
+        (("--no-resets",), "--resets: is for evaluate --sequence, not for"),
     ],
 )
 def test_an_option_of_the_other_evaluation_is_refused(

@@ -18,11 +18,11 @@ from imgloc.options import Options
 from imgloc.search.asked import answer_bytes
 from imgloc.simulation.scans import Sensor, fine_factor
 
-EVALUATE = ["evaluate", MAPS / "curved.yaml", "-n", 1, "--methods", "ght-v,cbml", "--threads", 1]
+EVALUATE = ["evaluate", MAPS / "curved.yaml", "-n", 1, "--method", "ght-v,cbml", "--threads", 1]
 CURVED = MAPS / "curved.yaml"
 ATLAS = ["atlas", CURVED, "--out", "{}/a.png", "--step", 3, "--headings", 2,
          "--rays", 61, "--workers"]  # fmt: skip
-CALIBRATE = ["calibrate", CURVED, "--methods", "ght", "--theta-step-deg", 15, "-n", 20,
+CALIBRATE = ["calibrate", CURVED, "--method", "ght", "--theta-step-deg", 15, "-n", 20,
              "--rays", 61, "--dry-run", "--threads"]  # fmt: skip
 
 
@@ -134,7 +134,7 @@ def test_as_many_workers_as_there_is_work_for(folder: Path) -> None:
 def test_every_method_of_a_calibration_is_checked_before_the_first_one_runs(
     folder: Path,
 ) -> None:
-    low = [*CALIBRATE[:2], "--methods", "ght,beam", *CALIBRATE[4:], 1]
+    low = [*CALIBRATE[:2], "--method", "ght,beam", *CALIBRATE[4:], 1]
     run = call(*words(low, folder), "--memory-budget", "85M", "-v")
     assert (run.code, run.out) == (2, "")
     assert "ght on" in run.err

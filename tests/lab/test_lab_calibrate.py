@@ -22,9 +22,9 @@ from imgloc.lab.performance_index import density_in_stack, performance_index
 from imgloc.likelihoods.posterior import calibrated
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
-from imgloc.options import METHODS, Calibration, Options
+from imgloc.options import METHODS, Calibration, Options, Sensor
 from imgloc.pipeline import prepare
-from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.scans import simulate
 
 
 def room() -> OccupancyGrid:

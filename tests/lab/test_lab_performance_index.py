@@ -15,9 +15,9 @@ from imgloc.lab.performance_index import (
 )
 from imgloc.likelihoods.stacks import stack_of
 from imgloc.model import Hypothesis, Localization, OccupancyGrid, Pose2D
-from imgloc.options import METHODS
+from imgloc.options import METHODS, Sensor
 from imgloc.pipeline import prepare
-from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.scans import simulate
 
 # Two headings, two rows, three columns; the sums are 20 over the box and 16 over `FREE`.
 STACK = np.array([[[0, 1, 2], [3, 0, 4]], [[1, 1, 0], [2, 6, 0]]], dtype=np.float32)

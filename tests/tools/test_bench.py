@@ -13,8 +13,9 @@ from imgloc.io.scans import save_scans
 from imgloc.likelihoods.cbml import cbml
 from imgloc.likelihoods.correlate import ENGINES, EXACT
 from imgloc.likelihoods.ght import ght
+from imgloc.options import Sensor
 from imgloc.pipeline import prepare
-from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.bench import (
     PAIR_HEADINGS,

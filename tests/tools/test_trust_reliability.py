@@ -13,8 +13,9 @@ from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.model import Hypothesis, Localization, Pose2D
+from imgloc.options import Sensor
 from imgloc.pipeline import prepare
-from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.trust.__main__ import main
 from tools.trust.precision import precision

@@ -7,19 +7,18 @@ import numpy as np
 import pytest
 from command import run
 
-from imgloc.cli.options import Mounting
 from imgloc.errors import ConfigError
 from imgloc.features.pyramid import Level
 from imgloc.io.maps import save_map
 from imgloc.io.scans import save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose
-from imgloc.options import EvidenceModel, FusedOptions, Options
+from imgloc.options import EvidenceModel, FusedOptions, Mounting, Options, Sensor
 from imgloc.pipeline import localize, prepare
 from imgloc.search.modes import Modes
 from imgloc.search.proposals import propose_all
 from imgloc.search.rescore import Scores
-from imgloc.simulation.scans import Sensor, simulate, simulate_ranges
+from imgloc.simulation.scans import simulate, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 from tools.recorded import cut_set
 from tools.trust import robustness as room

@@ -3,6 +3,7 @@
 python -m sphinx -W tools/docs pages
 """
 
+import dataclasses
 import sys
 from pathlib import Path
 from typing import Any
@@ -48,6 +49,25 @@ def pictures(_block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, An
     path = next(block_vars["image_path_iterator"])
     make().save(path, force=True)
     return str(figure_rst([path], gallery_conf["src_dir"]))
+
+
+def fields(_app: Any, what: str, _name: str, obj: Any, _options: Any, lines: list[str]) -> None:
+    """Add the fields of a dataclass of options, with the texts that the command line shows, too."""
+    from imgloc.ranges import declared, help_of
+
+    if what != "class" or not dataclasses.is_dataclass(obj) or "Parameters" in lines:
+        return
+    kind: Any = obj
+    texts = {part.name: help_of(part) for part in declared(kind) if part.text}
+    if texts:
+        entries = [line for name, text in texts.items() for line in (name, f"    {text}")]
+        at = next((k for k, line in enumerate(lines) if line == "Examples"), len(lines))
+        lines[at:at] = ["", "Parameters", "----------", *entries, ""]
+
+
+def setup(app: Any) -> None:
+    """Connect what Sphinx calls."""
+    app.connect("autodoc-process-docstring", fields, priority=400)  # before numpydoc
 
 
 sphinx_gallery_conf = {

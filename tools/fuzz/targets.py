@@ -32,13 +32,13 @@ import imgloc
 from imgloc.choice.folder_index import open_index
 from imgloc.features.budget import MIB
 from imgloc.features.store import features_key, load_features, save_features
-from imgloc.filters.choose import FILTERS
 from imgloc.io.cache import entry_path
 from imgloc.io.calibration import load_calibrations, save_calibrations
 from imgloc.io.scans import scans_size
 from imgloc.lab.atlas import Spot, summarise
 from imgloc.lab.atlas_rows import Journal, as_csv
 from imgloc.lab.picture import draw_atlas
+from imgloc.options import FILTERS
 from imgloc.output.export import as_bytes
 from imgloc.output.report import render_report
 from imgloc.runs.batch import BatchSummary, find_items, work

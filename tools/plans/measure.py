@@ -11,8 +11,9 @@ from imgloc import FloorPlan, OccupancyGrid, Options, Pose2D, ScanSet, load_map,
 from imgloc.geometry import pose_errors, poses_of
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
+from imgloc.options import Sensor
 from imgloc.pipeline import localize, prepare
-from imgloc.simulation.scans import Sensor, simulate
+from imgloc.simulation.scans import simulate
 from tools.plans.drawing import Building, Image, building, draw_plan, inside, solid, true_world
 from tools.script import table_lines
 

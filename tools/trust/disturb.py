@@ -16,7 +16,7 @@ import numpy as np
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
 from imgloc.model import BoolArray, FloatArray, LaserScan, OccupancyGrid
-from imgloc.search.priors import Known
+from imgloc.options import Known
 from imgloc.simulation.scans import ray_angles
 
 Rng = np.random.Generator

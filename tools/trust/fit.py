@@ -20,10 +20,11 @@ from imgloc.geometry import cell_of, centre_of, pose_errors, transform_points, t
 from imgloc.lab.evaluation import share
 from imgloc.model import BoolArray, FloatArray, inverse
 from imgloc.numbers import Origin, write
+from imgloc.options import Known
 from imgloc.pipeline import find_adapted_modes
 from imgloc.search.background import unmapped_score
 from imgloc.search.hypotheses import masses
-from imgloc.search.priors import Known, share_of_poses
+from imgloc.search.priors import prior_of, share_of_poses
 from imgloc.search.trust import judge
 from tools.script import table_lines
 from tools.trust.disturb import MAPS, PRIORS, ROOMS, SCANS, unmapped
@@ -74,7 +75,7 @@ def case_of(
     known: Known | None = None,
 ) -> Case | None:
     """Lay a scan on a map; `pose` (3,) is the true one, map frame. None if nothing is found."""
-    options = Options(prior=(known or Known()).prior(features.grid))
+    options = Options(prior=prior_of(known or Known(), features.grid))
     if scan.directions < options.trust.readings:
         return None
     found = find_adapted_modes(features, scan, options)

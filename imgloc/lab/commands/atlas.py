@@ -1,34 +1,41 @@
 """`imgloc atlas`: where on a map a single scan says where one is."""
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import emit, progress, say
-from imgloc.cli.options import option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
+from imgloc.options import (
+    AllowLossy,
+    Headings,
+    MemoryBudget,
+    Reading,
+    Seed,
+    Sensor,
+    Spacing,
+)
+from imgloc.ranges import option
 
 
-@opt.with_options(opt.sensor, opt.reading, opt.console)
 def atlas(
+    *,
     map_path: opt.MapPath,
-    out: Annotated[Path, option(..., "PNG", "Picture to write.", show_default=False)],
-    sensor: "opt.Sensor",
-    reading: "opt.Reading",
-    csv: Path | None = option(None, "CSV", "Write a row for each pose, too."),
-    step: float = option(0.5, "M", "Metres between places.", within=(0.02, 1000, "metres")),
-    headings: int = option(4, "K", "Headings at each place.", min=1, max=72),
-    range_max: opt.Reach = 30.0,
-    seed: opt.Seed = 0,
-    workers: int | None = option(
-        None, "N", "Processes; no result depends on it. [default: all processors]", min=1
+    out: Path = option(..., "Picture that is written.", metavar="PNG"),
+    sensor: Sensor,
+    reading: Reading,
+    csv: Path | None = option(
+        None, "Write a row for each pose into this file, too.", metavar="CSV"
     ),
-    memory_budget: opt.MemoryBudget = None,
+    step: Spacing = 0.5,
+    headings: Headings = 4,
+    seed: Seed = 0,
+    workers: opt.Workers = None,
+    memory_budget: MemoryBudget | None = None,
     as_json: opt.AsJson = False,
     force: opt.Force = False,
-    allow_lossy: opt.AllowLossy = False,
+    allow_lossy: AllowLossy = False,
 ) -> None:
     """Draw where on this map, for this lidar, a single scan is enough.
 
@@ -50,7 +57,7 @@ def atlas(
     inputs.check_target(csv, ".csv", force=force)
     job = Atlas(
         maps=inputs.one_map(reading, allow_lossy=allow_lossy),
-        sensor=replace(sensor, range_max=range_max), step=step, headings=headings, seed=seed,
+        sensor=sensor, step=step, headings=headings, seed=seed,
     )  # fmt: skip
     desk = inputs.desk_of(1, opt.fixed_budget(memory_budget))
     found = job.open(inputs.item_of(map_path), desk, workers=opt.count_threads(workers))

@@ -2,17 +2,17 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress, say
-from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
+from imgloc.options import METHODS, AllowLossy, Cell, HeadingStep, Options, Reading, Seed, Sensor
+from imgloc.ranges import Within, option
+from imgloc.texts import names
 
 if TYPE_CHECKING:
     from imgloc.io.scanset import ScanSet
@@ -20,37 +20,43 @@ if TYPE_CHECKING:
     from imgloc.model import OccupancyGrid
     from imgloc.runs.opening import Desk, MapFiles
 
-_STACKS = [name.value for name in opt.MethodName if name != opt.MethodName.FUSED]
 
-
-@opt.with_options(opt.sensor, opt.reading, opt.taken, opt.console)
 def calibrate(
-    maps: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="MAP...",
-            help="map_server YAML, image, or the name of a bundled map; several share one fit.",
-        ),
-    ],
-    sensor: "opt.Sensor",
-    reading: "opt.Reading",
+    *,
+    maps: list[Path] = option(
+        ...,
+        "Maps: the YAML of map_server, an image with --resolution, or the name of a bundled map; "
+        "several share one fit.",
+        "MAP...",
+    ),
+    sensor: Sensor,
+    reading: Reading,
     taken: opt.Resources,
     scans: list[Path] | None = option(
-        None, "FILE", "Recorded scans: fit the scale of the map and the thickness of its walls."
+        None,
+        "Recorded scans: fit the scale of the map and the thickness of its walls by them. May be "
+        "repeated.",
+        metavar="FILE",
     ),
-    methods: str = option(",".join(_STACKS), "NAMES", "With commas between."),
-    count: int = option(30, "N", "Scans of each map.", "-n", "--count", min=1, max=10_000),
-    seed: int = option(1000, "N", "Of what is simulated; evaluate with another.", min=0),
-    range_max: float = option(30.0, "M", "Reach of the simulated sensor.", within=opt.REACH),
-    theta_step_deg: list[str] | None = option(
-        None, "[METHOD=]DEG", "Step of the headings. [default: the method's]"
+    method: tuple[str, ...] = option(
+        tuple(METHODS),
+        "Algorithms of the paper that are fitted, with commas between.",
+        metavar="NAMES",
+        parse=names(list(METHODS)),
     ),
-    cell: opt.Cell = 0.1,
-    clean: bool = flag("--clean", "Disturb no scan. [default: two thirds are, as by people]"),
-    dry_run: bool = flag("--dry-run", "Store nothing, only show what would be."),
+    count: Annotated[int, Within(1, 10_000, "")] = option(
+        30, "Scans that are simulated on each map.", "-n", "--count"
+    ),
+    seed: Seed = 1000,
+    theta_step_deg: opt.Steps = None,
+    cell: Cell = 0.1,
+    clean: bool = option(
+        False, "Disturb no scan. [default: two thirds are disturbed, as by people]"
+    ),
+    dry_run: bool = option(False, "Print the fit, and store nothing."),
     as_json: opt.AsJson = False,
     force: opt.Force = False,
-    allow_lossy: opt.AllowLossy = False,
+    allow_lossy: AllowLossy = False,
 ) -> None:
     """Fit what a map's methods are worth, or with --scans its scale and walls; keep it beside it.
 
@@ -67,12 +73,10 @@ def calibrate(
     from imgloc.io.calibration import save_calibrations
     from imgloc.lab.calibrate import check_trials, disturbed_set, fit, sweep
     from imgloc.model import plain
-    from imgloc.options import Options
     from imgloc.pipeline import prepare
     from imgloc.simulation.scans import fine_image, is_world, simulate
 
-    chosen = opt.methods_of(methods, _STACKS)
-    steps = opt.for_each("--theta-step-deg", theta_step_deg, chosen, *opt.STEP)
+    steps = opt.for_each("theta_step_deg", theta_step_deg, method, HeadingStep)
     paths = [opt.find_map(given) for given in maps]
     targets = _targets(maps, paths, dry_run=dry_run, force=force)
     if scans is not None:
@@ -83,16 +87,15 @@ def calibrate(
     check_trials(count * len(paths))
     desk = inputs.desk_of(taken.threads, taken.memory_budget)
     read = inputs.one_map(reading, allow_lossy=allow_lossy)
-    laser = replace(sensor, range_max=range_max)
     grids = _grids(paths, read, desk)
     plans = {
-        method: Options(
-            method=method,
-            theta_step=math.radians(steps[method]) if method in steps else None,
+        name: Options(
+            name,
+            theta_step=steps.get(name),
             threads=taken.threads,
             memory_budget=taken.memory_budget,
         )
-        for method in chosen
+        for name in method
     }
     for path, grid in zip(paths, grids, strict=True):
         name, world = display(path), is_world(path, grid)
@@ -101,27 +104,28 @@ def calibrate(
             desk.check_answer(prepare(grid, name, cell=cell), options, name)
     made: Callable[..., ScanSet] = simulate if clean else disturbed_set
     sets = [
-        made(grid, count, seed, laser, fine_image(path, grid))
+        made(grid, count, seed, sensor, fine_image(path, grid))
         for path, grid in zip(paths, grids, strict=True)
     ]
     fits: dict[str, CalibrationFit] = {}
-    for method, options in plans.items():
+    for name, options in plans.items():
         sweeps = []
-        with progress(method, count * len(maps), lines=False) as advance:
+        with progress(name, count * len(maps), lines=False) as advance:
             for path, grid, told in zip(paths, grids, sets, strict=True):
                 features = prepare(grid, display(path), cell=cell, threads=taken.threads)
                 sweeps.append(sweep(features, told, options, advance=advance))
-        fits[method] = fit(sweeps)
-        LOG.info("%s: %s", method, asdict(fits[method].calibration))
+        fits[name] = fit(sweeps)
+        LOG.info("%s: %s", name, asdict(fits[name].calibration))
     about = {"maps": [display(path) for path in paths], "seed": seed, "trials": count}
-    about |= {"sensor": asdict(laser), "clean": clean, "cell": cell}
-    _show(fits, about, steps, as_json=as_json)
+    about |= {"sensor": asdict(sensor), "clean": clean, "cell": cell}
+    degrees = {m: round(math.degrees(step), 9) for m, step in steps.items()}
+    _show(fits, about, degrees, as_json=as_json)
     for target, grid in [] if dry_run else zip(targets, grids, strict=True):
         each = {
-            method: about | {"theta_step_deg": steps.get(method), "index": _index(found)}
-            for method, found in fits.items()
+            one: about | {"theta_step_deg": degrees.get(one), "index": _index(found)}
+            for one, found in fits.items()
         }
-        calibrations = {method: found.calibration for method, found in fits.items()}
+        calibrations = {one: found.calibration for one, found in fits.items()}
         save_calibrations(target, grid, calibrations, plain(each), force=force)
         say(f"wrote {display(target)}")
 
@@ -180,8 +184,8 @@ def _show(
 def _with_scans(
     path: Path,
     files: list[Path],
-    reading: "opt.Reading",
-    taken: "opt.Resources",
+    reading: Reading,
+    taken: opt.Resources,
     as_json: bool,
     dry_run: bool,
     force: bool,
@@ -193,9 +197,9 @@ def _with_scans(
     from imgloc.lab.calibrate import SCANS, fit_shared
     from imgloc.lab.tables import shared_words
     from imgloc.model import to_json
-    from imgloc.options import Options
 
-    desk, maps = inputs.desk_of(*taken), inputs.one_map(reading, allow_lossy=allow_lossy)
+    desk = inputs.desk_of(taken.threads, taken.memory_budget)
+    maps = inputs.one_map(reading, allow_lossy=allow_lossy)
     grid = desk.grid(path, maps, usable=True)
     some = [scan for file in files for scan in desk.scans(file, inputs.as_recorded()).scans.scans]
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)

@@ -1,84 +1,112 @@
 """`imgloc evaluate`: how often, how precisely and how fast each method finds known poses."""
 
 import itertools
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from imgloc.cli import options as opt
+from imgloc.cli.command import Given, Without
 from imgloc.cli.console import emit, width
-from imgloc.cli.options import flag, option
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
+from imgloc.options import (
+    ALL_METHODS,
+    FILTERS,
+    TOLERANCES,
+    AllowLossy,
+    Cell,
+    Chosen,
+    Count,
+    HeadingStep,
+    Mounting,
+    Reach,
+    Reading,
+    Resets,
+    Seed,
+    Sensor,
+    Tolerance,
+)
+from imgloc.ranges import Within, option
+from imgloc.texts import metres_degrees, names
 
-_METHODS = ",".join(opt.MethodName)
 _MAX_SCANS = 100_000
-_FLOOR = (1e-12, 0.5, "a share")
 _SCANS, _SEQUENCE = ("evaluate without --sequence",), ("evaluate --sequence",)
 #: Of which of the two options are that the other would not notice.
 _OF = {
-    **dict.fromkeys(("methods", "count", "tolerance", "theta_step_deg", "cell", "floor"), _SCANS),
-    **dict.fromkeys(("rays", "fov_deg", "sigma", "outliers", "dropped"), _SCANS),
-    **dict.fromkeys(("clearance", "mount", "index", "sample", "sample_seed"), _SCANS),
-    **dict.fromkeys(("filters", "begin", "metres", "resets", "mounted"), _SEQUENCE),
+    **dict.fromkeys(("--method", "-n", "--tolerance", "--theta-step-deg", "--cell"), _SCANS),
+    **dict.fromkeys(("--floor", "--rays", "--fov-deg", "--sigma", "--outliers"), _SCANS),
+    **dict.fromkeys(("--dropped", "--clearance", "--scans-index"), _SCANS),
+    **dict.fromkeys(("--sample", "--sample-seed"), _SCANS),
+    **dict.fromkeys(("--filter", "--starts", "--metres", "--resets"), _SEQUENCE),
 }
 
 
-@opt.with_options(opt.sensor, opt.reading, opt.chosen, opt.taken, opt.console)
 def evaluate(
-    context: typer.Context,
-    maps: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="MAP...", help="map_server YAML, image, or the name of a bundled map."
-        ),
-    ],
-    sensor: "opt.Sensor",
-    reading: "opt.Reading",
-    chosen: "opt.Chosen",
+    *,
+    given: Given,
+    maps: list[Path] = option(
+        ...,
+        "Maps: the YAML of map_server, an image with --resolution, or the name of a bundled map.",
+        "MAP...",
+    ),
+    sensor: Annotated[Sensor, Without("range_max", "mount")],
+    mounting: Mounting,
+    reading: Reading,
+    chosen: Chosen,
     taken: opt.Resources,
-    methods: str = option(_METHODS, "NAMES", "With commas between."),
-    count: int | None = option(
-        None, "N", "Scans simulated. [default: 100]", "-n", "--count", min=1
+    method: tuple[str, ...] = option(
+        ALL_METHODS,
+        "Localization methods that are measured, with commas between.",
+        metavar="NAMES",
+        parse=names(ALL_METHODS),
     ),
-    seed: int = option(0, "N", "Seed of what is simulated.", min=0),
-    range_max: float | None = option(
-        None, "M", "Reach of the simulated sensor [default: 30]; cuts recorded readings."
+    count: Count | None = option(
+        None, "Scans that are simulated on each map. [default: 100]", "-n", "--count"
     ),
+    seed: Seed = 0,
+    range_max: Reach | None = None,
     scans: list[Path] | None = option(
-        None, "FILE", "Recorded scans with poses; once for each MAP."
+        None,
+        "Recorded scans with poses, instead of simulated ones; once for each map.",
+        metavar="FILE",
     ),
-    flipped: opt.Flipped = False,
-    tolerance: list[str] | None = option(
-        None, "M,DEG", "Report success within this too; the last rules unique, wrong."
+    tolerance: list[Tolerance] | None = option(
+        None,
+        "Distance in metres and turn in degrees from the true pose up to which an answer is a "
+        "hit, beside the usual ones. May be repeated; the last one decides what is wrong.",
+        metavar="M,DEG",
+        parse=lambda text: Tolerance(*metres_degrees(text)),
     ),
-    theta_step_deg: list[str] | None = option(
-        None, "[METHOD=]DEG", "Step of the headings. [default: as in the paper]"
-    ),
+    theta_step_deg: opt.Steps = None,
     cell: list[str] | None = option(
-        None, "[METHOD=]M", "Cell of the poses, metres. [default: 0.1]"
+        None,
+        "Side of a cell of the poses that the paper's algorithms score, metres; for one method "
+        "METHOD=M. May be repeated. [default: 0.1]",
+        metavar="[METHOD=]M",
     ),
-    floor: float = option(
-        1e-3, "P", "Share of the uniform density mixed into each, for S.", within=_FLOOR
+    floor: Annotated[float, Within(1e-12, 0.5, "a share")] = option(
+        1e-3, "Share of a uniform density that is mixed into each posterior before S is taken."
     ),
-    sequence: bool = flag(
-        "--sequence", "Follow the robot along each log, from many starts, instead of scan by scan."
+    sequence: bool = option(
+        False, "Follow the robot along each log from many starts, instead of scan by scan."
     ),
-    filters: str = option("tracker", "NAMES", "Of --sequence: tracker, grid, particle."),
-    begin: int = option(50, "N", "Of --sequence: random starts.", "--starts", min=1),
-    metres: float = option(
-        15.0, "M", "Of --sequence: driven from each start.", within=(1, 1000, "metres")
+    filter_: tuple[str, ...] = option(
+        ("tracker",),
+        "Filters that follow the robot in a sequence, with commas between: some of "
+        f"{', '.join(FILTERS)}.",
+        "--filter",
+        metavar="NAMES",
+        parse=names(FILTERS),
     ),
-    resets: bool = flag("--resets/--no-resets", "Of --sequence: start again when lost.", True),
-    mounted: Any = opt.pose_of(
-        "--mounted", "Of --sequence: pose of the sensor on the robot whose odometry it is."
+    starts: Count = option(50, "Random starts in a sequence."),
+    metres: Annotated[float, Within(1, 1000, "metres")] = option(
+        15.0, "Way that the robot drives from each start in a sequence, metres."
     ),
+    resets: Resets = True,
     as_json: opt.AsJson = False,
-    allow_lossy: opt.AllowLossy = False,
+    allow_lossy: AllowLossy = False,
 ) -> None:
     """Measure methods on scans whose poses are known: simulated at random, or recorded.
 
@@ -95,47 +123,44 @@ def evaluate(
     from imgloc.lab.jobs import Evaluate
     from imgloc.lab.tables import evaluation_tables
     from imgloc.model import to_json
-    from imgloc.options import TOLERANCES
 
-    opt.given(context, _OF, set(_SEQUENCE if sequence else _SCANS))
+    opt.refuse_others(given, _OF, set(_SEQUENCE if sequence else _SCANS))
     if sequence:
         from imgloc.lab.commands.sequence import measure_sequences
         from imgloc.lab.sequences import Trials
 
         if scans is None or len(scans) != len(maps):
             raise ConfigError("--sequence: expected --scans, recorded ones, once for each MAP")
-        names = opt.names_of("--filters", filters, list(opt.FilterName))
         measure_sequences(
-            maps, scans, names, Trials(begin, metres, seed=seed, resets=resets),
-            opt.Mounting(mounted, flipped), range_max, taken, reading, as_json, allow_lossy,
+            maps, scans, filter_, Trials(starts, metres, seed=seed, resets=resets),
+            mounting, range_max, taken, reading, as_json, allow_lossy,
         )  # fmt: skip
         return
-    names = opt.methods_of(methods, list(opt.MethodName))
-    steps = opt.for_each("--theta-step-deg", theta_step_deg, names, *opt.STEP)
-    cells = opt.for_each("--cell", cell, names, *opt.SIDE)
-    opt.check_range("--range-max", range_max, 1e-3, 10_000 if scans is None else 1e6, "metres")
-    _check_sources(maps, scans, count, chosen, sensor, flipped=flipped)
-    reach = 30.0 if scans is not None or range_max is None else range_max
+    steps = opt.for_each("theta_step_deg", theta_step_deg, method, HeadingStep)
+    cells = opt.for_each("cell", cell, method, Cell)
+    _check_sources(maps, scans, count, chosen, sensor, mounting)
+    laser: dict[str, Any] = {"range_max": range_max, "mount": mounting.sensor}
+    if scans is None:
+        sensor = replace(sensor, **{key: value for key, value in laser.items() if value})
     jobs = [
         Evaluate(
             method=name,
-            theta_step=math.radians(steps[name]) if name in steps else None,
+            theta_step=steps.get(name),
             cell=cells.get(name, 0.1),
-            tolerances=(*TOLERANCES, *map(opt.tolerance_of, tolerance or ())),
+            tolerances=(*TOLERANCES, *(tolerance or ())),
             floor=floor,
             maps=inputs.one_map(reading, allow_lossy=allow_lossy),
-            scans=inputs.as_recorded(range_max=range_max, chosen=chosen, flipped=flipped),
-            sensor=replace(sensor, range_max=reach),
+            scans=inputs.as_recorded(range_max=range_max, chosen=chosen, flipped=mounting.flipped),
+            sensor=sensor,
             count=count or 100,
             seed=seed,
         )
-        for name in names
+        for name in method
     ]
     table: list[dict[str, Any]] = []
-    for k, given in enumerate(maps):
-        path = opt.find_map(given)
+    for k, path in enumerate(map(opt.find_map, maps)):
         # The folder of a map.yaml says more than its name.
-        name = display((given.stem == "map" and given.parent.name) or given.stem)
+        name = display((path.stem == "map" and path.parent.name) or path.stem)
         item = inputs.item_of(path, None if scans is None else scans[k], name)
         desk = inputs.desk_of(taken.threads, taken.memory_budget)
         # All of them are opened before the first one takes its time.
@@ -148,23 +173,22 @@ def evaluate(
 
 
 def _check_sources(
-    maps: Sequence[Path], scans: Sequence[Path] | None, count: int | None, chosen: "opt.Chosen",
-    sensor: "opt.Sensor", *, flipped: bool,
+    maps: Sequence[Path], scans: Sequence[Path] | None, count: int | None, chosen: Chosen,
+    sensor: Sensor, mounting: Mounting,
 ) -> None:  # fmt: skip
     """Refuse options that would be ignored."""
-    from imgloc.simulation.scans import Sensor
-
     n, many, sampled = len(scans or ()), count or 0, chosen.sample is not None
     simulated = {
-        "--flipped: expected --scans; simulated sensors are upright": flipped,
+        "--flipped: expected --scans; simulated sensors are upright": mounting.flipped,
         "--sample: expected --scans to take from; -n is for simulated scans": sampled,
-        "--index: expected --scans to take from": chosen.index is not None,
+        "--scans-index: expected --scans to take from": chosen.index is not None,
         f"-n: got {many:,}, expected at most {_MAX_SCANS:,} scans": many > _MAX_SCANS,
     }
     recorded = {
         f"--scans: got {n} for {len(maps)} maps, expected one each": n != len(maps),
         "-n: recorded scans are not simulated; use --sample": count is not None,
         "--scans: options of a simulated sensor do not go with recorded scans": sensor != Sensor(),
+        "--sensor: only a --sequence has odometry of the robot": mounting.sensor is not None,
     }
     for message, wrong in (simulated if scans is None else recorded).items():
         if wrong:

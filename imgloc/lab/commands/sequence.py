@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress, width
 from imgloc.io.files import display
+from imgloc.options import Mounting, Options, Reading
 
 if TYPE_CHECKING:
     from imgloc.lab.sequences import Trials
@@ -16,8 +17,8 @@ GRID_CELL = 0.2  # metres: of the grid filter, whose stacks are held whole
 
 def measure_sequences(
     maps: Sequence[Path], logs: Sequence[Path], filters: Sequence[str], trials: "Trials",
-    mounting: opt.Mounting, range_max: float | None, taken: opt.Resources,
-    reading: "opt.Reading", as_json: bool, allow_lossy: bool,
+    mounting: Mounting, range_max: float | None, taken: opt.Resources,
+    reading: Reading, as_json: bool, allow_lossy: bool,
 ) -> None:  # fmt: skip
     """Measure each filter on each log, and print a table or rows."""
     from imgloc.cli import inputs
@@ -26,14 +27,14 @@ def measure_sequences(
     from imgloc.lab.sequences import measure
     from imgloc.lab.tables import sequence_row, sequence_tables
     from imgloc.model import to_json
-    from imgloc.options import Options
 
     rows: list[dict[str, Any]] = []
     plain = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     for given, log in zip(maps, logs, strict=True):
         path = opt.find_map(given)
         name = display((path.stem == "map" and path.parent.name) or path.stem)
-        desk, read = inputs.desk_of(*taken), inputs.one_map(reading, allow_lossy=allow_lossy)
+        desk = inputs.desk_of(taken.threads, taken.memory_budget)
+        read = inputs.one_map(reading, allow_lossy=allow_lossy)
         grid = desk.grid(path, read, usable=True)
         options = calibrated(plain, path, grid)
         how = inputs.as_recorded(range_max=range_max, mounting=mounting)

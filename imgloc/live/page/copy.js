@@ -39,7 +39,7 @@ export function command(state) {
   const lines = [];
   if (set) {
     const how = method === "fused" ? [] : ["--method", method];
-    lines.push(line("imgloc localize", quoted(files.map), quoted(files.scans), "--index", index, ...reading, ...how, ...knownOptions(known)));
+    lines.push(line("imgloc localize", quoted(files.map), quoted(files.scans), "--scans-index", index, ...reading, ...how, ...knownOptions(known)));
   }
   const show = ["imgloc map show", quoted(files.map), ...reading];
   if (["bmap", "vmap", "distance"].includes(layer)) lines.push(line(...show, "--what", layer, "--out", `${layer}.png`));
@@ -47,7 +47,7 @@ export function command(state) {
     lines.push(line(...show, "--what visibility", `--at=${state.seen.at.map(number).join(",")}`, "--out visibility.png"));
   }
   if (METHODS.includes(layer) && set) {
-    lines.push(line(...show, "--what likelihood", "--scans", quoted(files.scans), "--index", index, "--method", layer, "--out", `${layer}.png`));
+    lines.push(line(...show, "--what likelihood", "--scans", quoted(files.scans), "--scans-index", index, "--method", layer, "--out", `${layer}.png`));
   }
   if (layer === "atlas" && scan) {
     const { step, headings } = surveyOf(map, scan), wide = Math.max(...scan.angles) - Math.min(...scan.angles);

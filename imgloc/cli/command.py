@@ -1,0 +1,257 @@
+"""A command is a function whose parameters are options; Typer is given what they declare.
+
+A parameter is an option itself, annotated as the fields of :mod:`imgloc.options` are, or a
+dataclass of such fields: each field with an :class:`~imgloc.ranges.Option` becomes an option, and
+the command gets the dataclass. ``Annotated[Options, Only("method", "top")]`` takes some fields,
+``Annotated[Sensor, Without("mount")]`` all others. A parameter ``given: Given`` gets the names of
+the options that were typed. Every command has --verbose and --debug.
+"""
+
+import contextlib
+import functools
+import inspect
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, is_dataclass
+from math import pi, radians
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_origin, get_type_hints, is_typeddict
+
+import typer
+from typer.core import TyperCommand
+
+from imgloc.cli.console import configure
+from imgloc.errors import ConfigError
+from imgloc.ranges import (
+    Declared,
+    OneOf,
+    Option,
+    Within,
+    check_of,
+    declaration,
+    declared,
+    expected_of,
+    help_of,
+)
+
+#: Names that options had, and what they are called now: the first one that the command has.
+RENAMED: Mapping[str, tuple[str, ...]] = {
+    "mount": ("--sensor",),
+    "mounted": ("--sensor",),
+    "reach": ("--range-max",),
+    "methods": ("--method",),
+    "filters": ("--filter",),
+    "index": ("--scans-index", "--maps-index"),
+}
+Given = frozenset[str]  #: names of the options that were typed, as they are written
+
+
+class Only:
+    """Fields of a dataclass that a command has as options; the others keep their defaults."""
+
+    def __init__(self, *names: str) -> None:
+        self.names = names
+
+    def takes(self, name: str) -> bool:
+        """Whether the command has an option for the field."""
+        return name in self.names
+
+
+class Without(Only):
+    """Fields of a dataclass that a command has no options for: these keep their defaults."""
+
+    def takes(self, name: str) -> bool:
+        """Whether the command has an option for the field."""
+        return name not in self.names
+
+
+class Command(TyperCommand):
+    """A command that tells the new name of an option by its old one."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the command line; an old name is a ConfigError that has the new one."""
+        own = {name for p in self.params for name in (*p.opts, *p.secondary_opts)}
+        for word in args[: args.index("--")] if "--" in args else args:
+            old = word.partition("=")[0]
+            there = RENAMED.get(old.removeprefix("--"), ())
+            new = next((name for name in there if name in own), None)
+            if new is not None and old not in own:
+                raise ConfigError(f"{old}: expected {new}, which is its name now")
+        return super().parse_args(ctx, args)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A parameter of a command, and the options that it is made of."""
+
+    name: str
+    fields: tuple[Declared, ...]
+    kind: Any = None  #: a dataclass or TypedDict; None for an option of its own
+
+    def make(self, values: dict[str, Any]) -> Any:
+        """The argument of the command, made of the values that were typed."""
+        if self.kind is not None:
+            return self.kind(**values)
+        return values.get(self.name, self.fields[0].default)
+
+
+def command(function: Callable[..., None]) -> Callable[..., None]:
+    """Make a command of a function: what Typer is to call, with the options that it declares."""
+    hints = get_type_hints(function, include_extras=True)
+    parts, parameters, aside = list[_Part](), list[inspect.Parameter](), dict[str, Any]()
+    for parameter in inspect.signature(function).parameters.values():
+        hint = hints[parameter.name]
+        if hint in (Given, typer.Context):
+            aside[parameter.name] = hint
+            continue
+        part = _part(parameter, hint)
+        parts.append(part)
+        parameters += [_parameter(part, field) for field in part.fields]
+    flags = {(_kind_name(p), f.name): f.flag for p in parts for f in p.fields}
+    context = [name for name, hint in aside.items() if hint is typer.Context]
+    parameters += [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
+        for name in context
+    ]
+
+    @functools.wraps(function)
+    def run(*, verbose: bool, debug: bool, **raw: Any) -> None:
+        configure(verbose=verbose, debug=debug)
+        values: dict[str, Any] = {name: raw[name] for name in context}
+        typed = set[str]()
+        with _flags_for(flags):
+            for part in parts:
+                texts = [(field, raw[_key(part, field)]) for field in part.fields]
+                there = [(field, text) for field, text in texts if text is not None and text != []]
+                typed |= {field.flag for field, _ in there}
+                values[part.name] = part.make({f.name: value_of(f, text) for f, text in there})
+            values |= {name: Given(typed) for name, hint in aside.items() if hint == Given}
+            function(**values)
+
+    signature = inspect.Signature([*parameters, *_SWITCHES])
+    run.__signature__ = signature  # type: ignore[attr-defined]
+    run.__annotations__ = {p.name: p.annotation for p in signature.parameters.values()}
+    return run
+
+
+def value_of(field: Declared, text: Any) -> Any:
+    """The value of an option that was typed; a ConfigError, by its name, if it is none."""
+    try:
+        return _value_of(field, text)
+    except ConfigError as error:
+        text = re.sub(r"^[A-Z]\w+\.\w+: ", "", str(error))  # of a dataclass made of one option
+        raise ConfigError(f"{field.flag}: {text}") from None
+
+
+def _value_of(field: Declared, text: Any) -> Any:
+    option, kind, limit = field.option, field.kind, field.limit
+    if isinstance(text, list):
+        if option is not None and option.joined:
+            return ",".join(text)
+        return [option.parse(one) if option and option.parse else one for one in text]
+    value, scale = text, (180 / pi, "degrees") if field.in_degrees else ()
+    if option is not None and option.parse is not None:
+        value = option.parse(text)
+    elif kind in (int, float):
+        with contextlib.suppress(ValueError):
+            value = radians(float(text)) if field.in_degrees else kind(text)
+    check = check_of(field.hint)
+    refused = None if check is None else check(value)
+    if refused is None:
+        return value
+    at, expected = refused
+    if isinstance(limit, Within):
+        expected = expected_of(kind, limit, *scale)
+    got = repr(text) if isinstance(value, str) else _at(field, at, value) if at else text
+    raise ConfigError(f"got {got}, expected {expected}")
+
+
+def _at(field: Declared, at: str, value: Any) -> str:
+    """One of several numbers of a value, by what stands for it in the help."""
+    k, letters = int(at.strip("[]")), re.findall(r"[A-Z]\w*", field.metavar or "")
+    return f"{letters[k] if k < len(letters) else at} {value[k]:g}"
+
+
+def _part(parameter: inspect.Parameter, hint: Any) -> _Part:
+    """Read the declaration of a parameter."""
+    kind, notes = hint, list[Any]()
+    if get_origin(hint) is Annotated:
+        kind, *notes = get_args(hint)
+    if (
+        isinstance(kind, type)
+        and (is_dataclass(kind) or is_typeddict(kind))
+        and not any(isinstance(note, Option) for note in notes)
+    ):
+        only = next((note for note in notes if isinstance(note, Only)), Without())
+        some = (field for field in declared(kind) if field.option and only.takes(field.name))
+        return _Part(parameter.name, tuple(some), kind)
+    default = MISSING if parameter.default is parameter.empty else parameter.default
+    return _Part(parameter.name, (declaration(parameter.name, hint, default),))
+
+
+def _key(part: _Part, field: Declared) -> str:
+    return field.name if part.kind is None else f"{part.name}_{field.name}"
+
+
+def _kind_name(part: _Part) -> str:
+    return "" if part.kind is None else str(part.kind.__name__)
+
+
+def _parameter(part: _Part, field: Declared) -> inspect.Parameter:
+    """What Typer is given of an option: its name and help; values are read here."""
+    option = field.option
+    if option is None:
+        raise TypeError(f"{part.name}.{field.name} has no Option in its annotation")
+    kind: Any = bool if field.kind is bool else Path if field.kind is Path else str
+    if get_origin(field.kind) is list:
+        kind = list[Path] if get_args(field.kind) == (Path,) else list[str]
+    elif option.joined:
+        kind = list[str]
+    names = [name for name in option.names if name.startswith("-")]
+    about: dict[str, Any] = {"help": help_of(field), "show_default": False}
+    default = ... if field.default is MISSING else None
+    if isinstance(field.limit, OneOf):
+        about["autocompletion"] = _completion(field.limit.names)
+    if option.names and not names:
+        made = typer.Argument(default, metavar=field.flag, **about)
+    else:
+        made = typer.Option(default, *(names or [field.flag]), metavar=field.metavar, **about)
+    return inspect.Parameter(
+        _key(part, field), inspect.Parameter.KEYWORD_ONLY, default=made,
+        annotation=kind if default is ... else kind | None
+    )  # fmt: skip
+
+
+def _completion(known: Sequence[str]) -> Callable[[str], list[str]]:
+    """What completes, for a shell, a name that begins as was typed."""
+
+    def complete(incomplete: str) -> list[str]:
+        return [name for name in known if name.startswith(incomplete)]
+
+    return complete
+
+
+@contextlib.contextmanager
+def _flags_for(flags: Mapping[tuple[str, str], str]) -> Iterator[None]:
+    """Errors that name a field of a dataclass name the option instead."""
+    try:
+        yield
+    except ConfigError as error:
+        found = re.match(r"(\w+)\.(\w+)(?:\[\d+\])?: ", str(error))
+        flag = flags.get((found[1], found[2])) if found else None
+        if found is None or flag is None:
+            raise
+        raise ConfigError(f"{flag}: {str(error)[found.end() :]}") from None
+
+
+def _switch(name: str, text: str, *flags: str) -> inspect.Parameter:
+    return inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, default=typer.Option(False, *flags, help=text),
+        annotation=bool
+    )  # fmt: skip
+
+
+_SWITCHES = (
+    _switch("verbose", "Log each step to standard error.", "--verbose", "-v"),
+    _switch("debug", "Show the traceback of an error.", "--debug"),
+)

@@ -1,0 +1,203 @@
+"""Options are declared once: help, values, ranges, JSON and the library have the same."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from command import MAPS, ROOT, call
+
+from imgloc.cli.app import program
+from imgloc.cli.command import RENAMED, Only, Without, command, value_of
+from imgloc.errors import ConfigError
+from imgloc.options import ALL_METHODS, Known, Options, Reading, Sensor
+from imgloc.ranges import declared, help_of
+
+
+def commands(
+    below: Any = None, words: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Each command of the program, with its words."""
+    below = typer.main.get_command(program()) if below is None else below
+    yield words, below
+    for name, one in getattr(below, "commands", {}).items():
+        yield from commands(one, (*words, name))
+
+
+COMMANDS = {" ".join(words): one for words, one in commands() if words}
+
+
+def flags(one: Any) -> list[str]:
+    return [name for param in one.params for name in (*param.opts, *param.secondary_opts)]
+
+
+def test_an_option_that_is_added_in_one_place_is_everywhere(tmp_path: Path) -> None:
+    for folder in ("imgloc", "maps"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pyc*"))
+    file = tmp_path / "imgloc" / "options.py"
+    code = file.read_text("utf-8")
+    before = "    prior: Prior = field(default_factory=Prior)\n"
+    assert code.count(before) == 1
+    new = '    naps: Annotated[int, Within(0, 9, "naps")] = option(3, "Naps before each, naps.")\n'
+    file.write_text(code.replace(before, new + before), "utf-8")
+
+    def run(*words: object) -> subprocess.CompletedProcess[str]:
+        line = [sys.executable, *map(str, words)]
+        return subprocess.run(
+            line, cwd=tmp_path, capture_output=True, text=True, check=False,
+            env={**os.environ, "PYTHONPATH": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)},
+        )  # fmt: skip
+
+    text = " ".join(run("-m", "imgloc", "localize", "--help").stdout.split())
+    assert "--naps N Naps before each, naps. [0 to 9; default: 3]" in text
+    scans = tmp_path / "s.npz"
+    assert run("-m", "imgloc", "simulate", "curved", "-n", 1, "--out", scans).returncode == 0
+    words = ("-m", "imgloc", "localize", "curved", scans, "--json")
+    assert json.loads(run(*words).stdout)["parameters"]["naps"] == 3
+    assert json.loads(run(*words, "--naps", 9).stdout)["parameters"]["naps"] == 9
+    wrong = run(*words, "--naps", 10)
+    assert wrong.returncode == 2
+    assert wrong.stderr == (
+        "imgloc: error: --naps: got 10, expected a whole number, naps, 0 to 9\n"
+    )
+    wrong = run("-c", "import imgloc; imgloc.Options(naps=10)")
+    assert "Options.naps: got 10, expected a whole number, naps, 0 to 9" in wrong.stderr
+
+
+@pytest.mark.parametrize("words", COMMANDS)
+def test_each_text_of_the_help_stands_on_its_own(words: str) -> None:
+    leans = re.compile(
+        r"\bas of\b|\bditto\b|\blikewise\b|\babove\b|\bthe same as\b|\bsaid\b|\btold\b|^Of |\btoo\)"
+    )
+    for param in COMMANDS[words].params:
+        text = param.help or ""
+        if param.name in ("help", "install_completion", "show_completion"):
+            continue
+        assert re.match(r"[A-Z].{11,}[.\]]$", text, re.DOTALL), (param.name, text)
+        assert not leans.search(text), (param.name, text)
+        assert "default: None" not in text
+        assert text.count("default: ") <= 1
+
+
+@pytest.mark.parametrize("words", COMMANDS)
+def test_no_option_has_two_meanings_or_an_old_name(words: str) -> None:
+    names = flags(COMMANDS[words])
+    assert len(names) == len(set(names))
+    assert not {name.removeprefix("--") for name in names} & set(RENAMED)
+
+
+@pytest.mark.parametrize(
+    ("words", "new"),
+    [
+        (("simulate", "curved", "--mount", "0,0,0"), "--sensor"),
+        (("evaluate", "curved", "--mounted", "0,0,0"), "--sensor"),
+        (("batch", "maps", "--reach", "9"), "--range-max"),
+        (("evaluate", "curved", "--methods=fused"), "--method"),
+        (("calibrate", "curved", "--methods", "ght"), "--method"),
+        (("evaluate", "curved", "--sequence", "--filters", "grid"), "--filter"),
+        (("localize", "curved", "s.npz", "--index", "3"), "--scans-index"),
+        (("which", "maps", "s.npz", "--index", "i.npz"), "--maps-index"),
+    ],
+)
+def test_an_old_name_tells_the_new_one(words: tuple[str, ...], new: str) -> None:
+    run = call(*words)
+    old = next(word for word in words if word.startswith("--") and word != "--sequence")
+    old = old.partition("=")[0]
+    said = f"imgloc: error: {old}: expected {new}, which is its name now\n"
+    assert (run.code, run.out, run.err) == (2, "", said)
+
+
+def test_every_new_name_exists() -> None:
+    known = {name for one in COMMANDS.values() for name in flags(one)}
+    assert {new for names in RENAMED.values() for new in names} <= known
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "text", "value"),
+    [
+        (Options, "top", "3", 3),
+        (Options, "method", "ght-v", "ght-v"),
+        (Sensor, "fov", "180", 3.141592653589793),
+        (Known, "heading", "90deg", (1.5707963267948966, 0.8)),
+        (Reading, "resolution", "0.05", 0.05),
+    ],
+)
+def test_a_text_becomes_the_value_of_a_field(
+    kind: Any, name: str, text: str, value: object
+) -> None:
+    (field,) = (part for part in declared(kind) if part.name == name)
+    assert value_of(field, text) == value
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "text", "says"),
+    [
+        (Options, "top", "0", "--top: got 0, expected a whole number, 1 or more"),
+        (Options, "top", "x", "--top: got 'x', expected a whole number, 1 or more"),
+        (Options, "method", "cmbl", "--method: got 'cmbl', expected one of fused, cbml"),
+        (Sensor, "fov", "361", "--fov-deg: got 361, expected degrees, 0.01 to 360"),
+        (Sensor, "sigma", "nan", "--sigma: got nan, expected metres, 0 to 10"),
+        (Sensor, "mount", "1,2", "--sensor: got '1,2', expected 3 numbers with commas between"),
+        (Known, "near", "1,2,90", "--near: got an angle of 90, expected radians, -6.2832 to"),
+        (Known, "near", "1,2,0,0", "--near: got R 0, expected metres, 0.01 to 1e+06"),
+        (Known, "near", "1,2,0,1,3.3", "--near: got T 3.3, expected radians, 0.001 to 3.2"),
+    ],
+)
+def test_a_text_that_is_no_value_is_refused_by_the_option(
+    kind: Any, name: str, text: str, says: str
+) -> None:
+    (field,) = (part for part in declared(kind) if part.name == name)
+    with pytest.raises(ConfigError) as error:
+        value_of(field, text)
+    assert str(error.value).startswith(says)
+
+
+def test_help_has_limits_and_defaults() -> None:
+    texts = {part.flag: help_of(part) for kind in (Options, Sensor) for part in declared(kind)
+             if part.option}  # fmt: skip
+    assert texts["--sigma"].endswith("  [0 to 10; default: 0.02]")
+    assert texts["--fov-deg"].endswith("  [0.01 to 360; default: 180]")
+    assert texts["--method"].endswith("  [default: fused]")
+    assert texts["--time-budget"].endswith("  [default: no limit]")
+    assert texts["--exact-argmax"].endswith(".")
+
+
+def test_a_command_takes_fields_of_dataclasses() -> None:
+    from typing import Annotated
+
+    seen: list[Any] = []
+
+    def some(
+        search: Annotated[Options, Only("method", "top")],
+        sensor: Annotated[Sensor, Without("mount", "rays", "fov")],
+    ) -> None:
+        """Do something."""
+        seen.extend((search, sensor))
+
+    app = typer.Typer()
+    app.command()(command(some))
+    made = typer.main.get_command(app)
+    assert {"--method", "--top", "--sigma", "--range-max", "--debug"} <= set(flags(made))
+    assert not {"--engine", "--sensor", "--rays"} & set(flags(made))
+    made(["--top", "4", "--sigma", "0.1"], standalone_mode=False)
+    assert seen == [Options(top=4), Sensor(sigma=0.1)]
+
+
+def test_errors_of_the_library_name_the_option() -> None:
+    run = call("evaluate", MAPS / "curved.yaml", "--tolerance", "0.5,400")
+    assert (run.code, "--tolerance: got 400 degrees" in run.err) == (2, True)
+    run = call("localize", "curved", "s.npz", "--sensor", "9,0,0")
+    assert (run.code, "--sensor: got 9,0: 9 m from the robot's base" in run.err) == (2, True)
+
+
+def test_all_methods_are_measured_by_name() -> None:
+    run = call("evaluate", "curved", "--method", "fused,sift")
+    names = ",".join(ALL_METHODS)
+    assert run.err == f"imgloc: error: --method: got 'sift', expected {names} or some of them\n"
