@@ -77,6 +77,10 @@ def test_the_goals_are_beside_what_is(capsys) -> None:
     assert [most for _, _, most, _ in goals] == ["20500", "13500", "10500", "5500", "6", "0"]
     assert code == any(int(is_) > int(most) for _, is_, most, _ in goals)
     assert sum("lines of code:" in line for line in lines) == 1
+    house.main(["--without", "io"])
+    fewer = capsys.readouterr().out
+    assert "| io |" in "\n".join(lines)
+    assert "| io |" not in fewer
 
 
 def test_the_wall_has_no_hole_but_the_doors() -> None:
