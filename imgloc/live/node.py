@@ -224,6 +224,7 @@ class LocalizerNode:
         ]
         self.found: Found | None = None
         self._sure = False  # whether that is a pose that was published
+        self._took = 0.0  # seconds from the last scan that was tried to its answer
         self._followed = False  # whether the filter has had a pose
         self._map_frame, self._odom_frame = settings.map_frame, "odom"
         self._moves = deque[tuple[float, float, float, float]](maxlen=_MOVES)
@@ -391,6 +392,7 @@ class LocalizerNode:
     def _again(self) -> None:
         """Look for a first pose once more; answers to what was asked before do not count."""
         self.first.start()
+        self._took = 0.0
         self._era += 1
         self._asked = None
 
@@ -455,6 +457,7 @@ class LocalizerNode:
         else:
             assert isinstance(value, Localization)
             found = found_of(value, asked.scan.stamp, name)
+        self._took = self.now - asked.scan.stamp
         sighting = Sighting(asked.scan.stamp, found.map, found.pose, asked.odom)
         sure = found.verdict != "invalid" and self.first.answered(sighting, self.now)
         if found.verdict == "invalid":  # it says nothing of the place
@@ -551,6 +554,11 @@ class LocalizerNode:
                     f"{laser.topic}: its scans are {laser.age:.3g} s old when they come, at most "
                     f"{self.settings.max_age:g} s are taken; {hint}"
                 )
+        if self._took > self.settings.max_age:
+            return (
+                f"answers come {self._took:.3g} s after their scans, and poses are published up to "
+                f"{self.settings.max_age:g} s: this computer is too slow or too busy; raise max_age"
+            )
         return ""
 
     def _stands(self) -> bool:

@@ -48,6 +48,7 @@ def main() -> int:
     play.add_argument("--clock", action="store_true", help="recorded stamps, and a /clock")
     play.add_argument("--first", type=int, default=0, help="scan to begin with")
     play.add_argument("--count", type=int, default=0, help="scans to play; 0: all")
+    play.add_argument("--times", type=int, default=1, help="how often")
     play.add_argument("--hold", type=float, default=0.0, help="seconds from map to first scan")
     play.add_argument("--stay", type=float, default=0.0, help="seconds after the last scan")
     play.add_argument("--write", type=Path, help="JSONL: index and stamp of each scan")
@@ -81,7 +82,7 @@ def _node(name: str) -> tuple[Any, Any]:
 
 def _play(given: argparse.Namespace) -> int:
     log, grids = _given(given)
-    names = ("lasers", "best_effort", "disturb", "clock", "first", "count", "stay")
+    names = ("lasers", "best_effort", "disturb", "clock", "first", "count", "times", "stay")
     ros, node = _node("player")
     how = Playing(**{name: getattr(given, name) for name in names})
     player = Player(ros, node, how, write_to(given.write))

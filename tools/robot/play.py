@@ -32,6 +32,7 @@ class Playing:
     clock: bool = False  #: the recorded stamps with a clock, not those of now
     first: int = 0  #: scan to begin with
     count: int = 0  #: scans to play; 0: all
+    times: int = 1  #: how often, one after the other
     stay: float = 0.0  #: seconds to stay after the last scan, saying nothing
 
 
@@ -113,14 +114,16 @@ class Player:
             raise ConfigError("the log has no stamps, in whose time it could be played")
         how = self._how
         last = len(log) if not how.count else min(len(log), how.first + how.count)
-        begin, since, maps = time.time(), time.monotonic(), list(then)
-        for k in range(how.first, last):
-            late = float(log.stamps[k] - log.stamps[how.first])
-            time.sleep(max(0.0, late - (time.monotonic() - since)))
-            if maps and late >= after:
-                self.show(maps.pop(0))
-            stamp = float(log.stamps[k]) if how.clock else begin + late
-            self._step(k, log[k], None if log.odom is None else log.odom[k], stamp)
+        maps = list(then)
+        for _ in range(how.times):
+            begin, since = time.time(), time.monotonic()
+            for k in range(how.first, last):
+                late = float(log.stamps[k] - log.stamps[how.first])
+                time.sleep(max(0.0, late - (time.monotonic() - since)))
+                if maps and late >= after:
+                    self.show(maps.pop(0))
+                stamp = float(log.stamps[k]) if how.clock else begin + late
+                self._step(k, log[k], None if log.odom is None else log.odom[k], stamp)
         time.sleep(how.stay)
 
     def _step(self, k: int, scan: LaserScan, odom: FloatArray | None, stamp: float) -> None:
