@@ -6,11 +6,15 @@ import sys
 
 import numpy as np
 import pytest
+import typer.main
+import yaml
 from command import ROOT
 
+from imgloc.cli.app import program
 from imgloc.filters.belief import Belief
 from imgloc.filters.follow import Moment
-from imgloc.live.policy import FirstPose, Sighting
+from imgloc.live.node import Settings
+from imgloc.live.policy import FirstPose, Rules, Sighting
 from imgloc.live.status import (
     ERROR,
     OK,
@@ -128,3 +132,20 @@ def test_without_ros_one_error_says_what_to_install() -> None:
     assert b"pip install 'imgloc[node]'" in done.stderr
     assert b"source a ROS 2" in done.stderr
     assert done.stderr.count(b"\n") == 1
+
+
+def test_the_command_has_the_defaults_of_the_node_and_so_has_the_file_of_parameters() -> None:
+    command = typer.main.get_command(program()).commands["node"]
+    settings = vars(Settings())
+    said = {p.name: p.default for p in command.params if p.name in settings}
+    assert said.keys() >= {"every", "tries", "max_age", "track", "flipped"}
+    assert {k: v for k, v in said.items() if v is not None} == {
+        k: settings[k] for k, v in said.items() if v is not None
+    }
+    file = ROOT / "tools" / "docs" / "nav2" / "imgloc.params.yaml"
+    written = yaml.safe_load(file.read_text())["imgloc"]["ros__parameters"]
+    assert {k: tuple(v) if isinstance(v, list) else v for k, v in written.items()} == {
+        k: settings[k] for k in written
+    }
+    rules = Settings().rules
+    assert rules == Rules()

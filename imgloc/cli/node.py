@@ -54,10 +54,10 @@ def node(
     range_max: RangeMax | None = None,
     track: bool = option(False, "Follow the robot, too, on the topics ~/pose and ~/map_odom."),
     every: Annotated[float, Within(0, 1e9, "seconds")] = option(
-        0.5, "Seconds between two scans that are tried."
+        0.3, "Seconds between two scans that are tried."
     ),
     tries: Annotated[int, Within(2, 1e12, "scans")] = option(
-        60, "Scans without a confirmed pose after which the node gives up.", metavar="N"
+        100, "Scans without a confirmed pose after which the node gives up.", metavar="N"
     ),
     max_age: Annotated[float, Within(0.01, 1e9, "seconds")] = option(
         2.0, "Age of a scan, seconds, from which its pose is not published any more."
