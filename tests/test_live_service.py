@@ -139,6 +139,19 @@ def test_a_robot_is_followed_as_track_does(service: Served, tmp_path: Path) -> N
 # Maps and scans that clients send.
 
 
+def test_a_robot_that_says_nothing_for_long_is_followed_on() -> None:
+    line = json.dumps({"ranges": [3.0] * 90, "angle_min": -3.1, "angle_increment": 0.07,
+                       "range_max": 30.0, "odom": [0, 0, 0]})  # fmt: skip
+    with (
+        served(MAP, "--patience", 1) as one,
+        connect(one.address.replace("http", "ws") + "/v1/track") as robot,
+    ):
+        for index in range(3):
+            robot.send(line)
+            assert json.loads(robot.recv(60))["index"] == index
+            time.sleep(1.5)
+
+
 def test_places_of_a_belief_are_added_when_asked_for(service: Served) -> None:
     pose = np.array([[4.0, 7.0, 0.5]])
     seen = simulate_ranges(render(WORLDS["visibility"](), 0.05), pose, ANGLES, seed=2)[0]

@@ -40,7 +40,7 @@ def protocol_of(bounds: Bounds) -> type[H11Protocol]:
 
         def data_received(self, data: bytes) -> None:
             super().data_received(data)
-            if not self.idle:
+            if not self.idle or self.transport.get_protocol() is not self:  # a WebSocket by now
                 self._disarm()
             elif self._head is None:
                 self._arm()
