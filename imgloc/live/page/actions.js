@@ -16,14 +16,24 @@ const REFETCH = 404; // the service holds a few uploads: it may have dropped thi
 let items = new Map(); // by index, scans that are here
 let files = null; // what the scans were uploaded from: {file, said}
 
-/** Run an action that asks the service, `busy` with something unless it is quick: trouble is said. */
+let troubled = null; // what the last trouble was with
+
+/** Say what went wrong with something, until that goes well. */
+function trouble(what, text) {
+  troubled = what;
+  change({ trouble: text });
+}
+
+/** Run an action that asks the service, `busy` with something unless it is quick. */
 export async function attempt(busy, action) {
-  if (busy) change({ busy, trouble: "", note: "" });
+  if (busy) change({ busy, note: "" });
   try {
-    return await action();
+    const answer = await action();
+    if (troubled === busy) trouble(null, "");
+    return answer;
   } catch (error) {
     if (!(error instanceof api.Problem)) throw error;
-    change({ trouble: error.message });
+    trouble(busy, error.message);
     return null;
   } finally {
     if (busy && state.busy === busy) change({ busy: "" });
@@ -246,37 +256,45 @@ export const look = api.newest(async ({ x, y }) => {
 export async function follow() {
   if (state.following) {
     state.following.close();
+    change({ following: null });
     return;
   }
   const { map, set } = state;
   if (!map || !set?.odom) return;
-  const socket = api.tracker(map.name), beliefs = [];
-  change({ following: socket, beliefs, trouble: "" });
-  const answers = [];
-  let wake = () => {};
+  const socket = api.tracker(map.name), answers = [], lines = "the tracker";
+  trouble(null, "");
+  change({ following: socket, beliefs: [] });
+  const running = () => state.following === socket && map === state.map && set.name === state.set.name;
+  let wake = () => {}, why = "The tracker has ended: its connection is closed.";
   socket.onmessage = ({ data }) => { answers.push(JSON.parse(data)); wake(); };
   socket.onclose = () => { answers.push(null); wake(); };
   const next = () => new Promise((done) => { wake = done; if (answers.length) done(); }).then(() => answers.shift());
-  try {
-    await new Promise((done) => { socket.onopen = done; socket.addEventListener("close", done); });
-    for (let k = 0; k < set.scans && socket.readyState === WebSocket.OPEN; k += 1) {
-      const scan = await attempt("", () => item(k));
-      if (!scan || set.name !== state.set.name || map !== state.map) break;
-      if (!scan.given.odom) continue;
-      socket.send(JSON.stringify(scan.given));
-      const belief = await next();
-      if (!belief?.verdict) {
-        if (belief) change({ trouble: belief.detail ?? belief.title });
-        break;
-      }
-      state.beliefs[k] = belief;
-      change({ index: k, scan, answer: null, fit: null, chosen: -2, reading: -1, beliefs: [...state.beliefs], pose: poseOf(belief, scan) ?? state.pose });
+  await new Promise((done) => { socket.onopen = done; socket.addEventListener("close", done); });
+  for (let k = 0; running(); k += 1) {
+    if (k === set.scans) why = "";
+    const scan = k < set.scans && await attempt(lines, () => item(k));
+    if (!scan || socket.readyState !== WebSocket.OPEN) break;
+    if (!scan.given.odom) continue; // the tracker leaves it out, too
+    socket.send(JSON.stringify(scan.given));
+    const belief = await next();
+    if (!belief?.verdict) {
+      why = belief?.detail ?? why;
+      break;
     }
-  } finally {
-    socket.close();
-    change({ following: null });
-    if (state.scan && state.map === map) locate();
+    if (running()) showBelief(k, scan, belief);
   }
+  socket.close();
+  if (!running()) return;
+  if (why && !state.trouble) trouble(lines, why);
+  change({ following: null });
+  locate();
+}
+
+/** Look at a scan with what the tracker believes there. */
+function showBelief(index, scan, belief) {
+  const beliefs = [...state.beliefs], pose = poseOf(belief, scan) ?? state.pose;
+  beliefs[index] = belief;
+  change({ index, scan, beliefs, pose, answer: null, fit: null, chosen: -2, reading: -1 });
 }
 
 /** The sensor's pose by a belief, whose places are the robot's. */

@@ -10,6 +10,7 @@ const LOSSY = /\.jpe?g$/i;
 
 /** Take files: a map first, as scans are looked for on it. */
 export async function take(list) {
+  change({ trouble: "" });
   const all = [...list], images = all.filter((f) => IMAGES.test(f.name));
   const yamls = [], scans = [];
   for (const file of all.filter((f) => !IMAGES.test(f.name))) {

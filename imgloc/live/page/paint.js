@@ -238,7 +238,7 @@ export function paintStrip(canvas, state) {
     context.fillStyle = fill;
     context.fillRect(Math.floor(k * each), from * high, Math.max(1, Math.ceil(each)), share * high);
   };
-  state.verdicts.forEach((verdict, k) => bar(k, 0, 0.4, verdictColour(verdict)));
-  state.beliefs.forEach((belief, k) => bar(k, 0.5, 0.3, verdictColour(belief.verdict)));
+  state.verdicts.forEach((verdict, k) => verdict && bar(k, 0, 0.4, verdictColour(verdict)));
+  state.beliefs.forEach((belief, k) => belief && bar(k, 0.5, 0.3, verdictColour(belief.verdict)));
   state.marks.forEach((mark, k) => mark && bar(k, 0.85, 0.15, truth));
 }
