@@ -62,8 +62,8 @@ export function chooseMap(map) {
   change({
     map, answer: null, verdicts: [], beliefs: [], fit: null, pose: null, chosen: -1, reading: -1, seen: null,
     picture: null, marks: [], unsaved: false, known: { near: null, region: null, clearance: state.known.clearance },
-    trouble: (map.warnings ?? []).map((text) => `${map.name}: ${text}`).join(" "),
   });
+  if (map.warnings?.length) trouble("the map", map.warnings.map((text) => `${map.name}: ${text}`).join(" "));
   showLayer();
   if (state.set) selectScan(state.index);
 }
@@ -95,7 +95,7 @@ export async function addScans(file, said = {}) {
 export function openSet(set, from = null) {
   items = new Map();
   files = from;
-  change({ set, scan: null, answer: null, verdicts: [], beliefs: [], marks: [], unsaved: false, fit: null, reading: -1, chosen: -1, trouble: "" });
+  change({ set, scan: null, answer: null, verdicts: [], beliefs: [], marks: [], unsaved: false, fit: null, reading: -1, chosen: -1 });
   selectScan(0);
 }
 
