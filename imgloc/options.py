@@ -38,7 +38,7 @@ HeadingStep = Annotated[float, Within(math.radians(0.05), math.pi, "radians")]
 Millimetres = Annotated[float, Within(0.001, 10, "metres")]  #: a cell of a map, or of poses
 Bytes = Annotated[int, Within(0, 1e18, "bytes")]
 
-RADIUS, TOLERANCE = 2.0, 0.8
+RADIUS, TOLERANCE = number("options.near")
 """How far from a pose that is roughly known a robot may be, unless stated: metres, radians."""
 
 FUSED = "fused"

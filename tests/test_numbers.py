@@ -27,10 +27,7 @@ LEFT = {
         "_FULL _OFF_EVERY_MAP _REACH VMAP_LEVELS OFF_CELLS _NOTHING MAX_POWER MAX_OFFSET EPSILON"
         " ALLOWED_ERROR"
     ),
-    "a unit, a pattern, nothing at all": (
-        "_CM _QUARTERS _FACTORS NOWHERE NO_PLACES METHODS Metres Length Radians Heading"
-        " Step Share Nats Factor LogOdds Count Alpha"
-    ),
+    "a unit, a pattern, nothing at all": ("_CM _QUARTERS _FACTORS NOWHERE NO_PLACES METHODS"),
     "bounds of files, pictures, clocks": (
         "_SIDE _WORK _ALL _YOUNG _LIMIT _BESIDE _BUFFERS _LATEST _FASTEST _FARTHEST"
     ),
@@ -96,6 +93,8 @@ def test_each_constant_that_is_left_in_the_code_has_a_reason() -> None:
             continue
         for node in tree.body:
             if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+                if ast.unparse(node.value).startswith("Annotated["):
+                    continue  # a type, and the range of its values
                 targets = node.targets if isinstance(node, ast.Assign) else [node.target]
                 left += [ast.unparse(t) for t in targets if list(literals(node.value))]
     assert sorted(set(left)) == sorted(" ".join(LEFT.values()).split())
