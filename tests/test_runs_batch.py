@@ -18,6 +18,7 @@ from killers import Saboteur
 from killloop import kill_loop
 from places import room_with_a_post
 
+from imgloc import doors
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.geometry import wrap
 from imgloc.io.maps import save_map
@@ -345,6 +346,22 @@ def test_every_command_s_work(site: Path, tmp_path: Path, job: str) -> None:
     assert columns_of(out)["status"] == ["ok"]
 
 
+def test_a_job_of_somebody_else_is_a_class_and_a_name(
+    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(doors.JOBS, "area", "strangers:Area")
+    out = tmp_path / "out"
+    with ThreadPoolExecutor(1) as pool:
+        run_batch(site / "floors", None, out, make_job("area", step=0.5), executor=pool)
+    (row,) = read_rows(out)
+    free = room_with_a_post().free.sum() * 0.1**2
+    assert row["answers"] == [{"size": {"squares": pytest.approx(free / 0.25)}, "unit": "squares"}]
+    assert "size.squares" in render_report(out)
+    assert columns_of(out)["size_squares"] == [pytest.approx(free / 0.25)]
+    with pytest.raises(TypeError, match="cell"):
+        make_job("area", cell=0.2)
+
+
 def test_fused_is_evaluated_with_the_step_that_was_asked_for(site: Path) -> None:
     floor = (("post", site / "floors" / "post.yaml"),)
     item = Item("post", "s0.npz", floor, site / "scans" / "s0.npz")
@@ -408,13 +425,13 @@ def test_the_command_says_what_it_comes_to(site: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("job", "words", "said"),
     [
-        ("check", ["--method", "cbml"], "--method: is of localize, evaluate"),
-        ("check", ["--heading", "1"], "--heading: is of localize, which, not of check"),
-        ("localize", ["--sure", "0.9"], "--sure: is of which, not of localize"),
-        ("localize", ["-n", "3"], "-n: is of evaluate without SCANS, not of localize"),
-        ("evaluate", ["--rays", "90"], "--rays: is of evaluate without SCANS, atlas, not of"),
-        ("which", ["--near", "1,2,3"], "--near: is of localize, not of which"),
-        ("which", ["--method", "fused"], "--method: is of localize"),
+        ("check", ["--method", "cbml"], "--method: is for localize, evaluate"),
+        ("check", ["--heading", "1"], "--heading: is for localize, which, not for check"),
+        ("localize", ["--sure", "0.9"], "--sure: is for which, not for localize"),
+        ("localize", ["-n", "3"], "-n: is for evaluate without SCANS, not for localize"),
+        ("evaluate", ["--rays", "90"], "--rays: is for evaluate without SCANS, atlas, not for"),
+        ("which", ["--near", "1,2,3"], "--near: is for localize, not for which"),
+        ("which", ["--method", "fused"], "--method: is for localize"),
     ],
 )
 def test_an_option_that_the_job_would_not_notice_is_refused(

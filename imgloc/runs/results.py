@@ -342,6 +342,8 @@ def _no_row(name: str, k: int, why: str) -> OutputError:
 
 def _hold(path: Path, name: str) -> IO[bytes]:
     """Lock a file until it is closed, or the process has ended in whatever way."""
+    # Not filelock's: the number of the process that holds it, and the refusal of a file that is
+    # something else, which are most of this, would stay.
     fd = open_regular(path, OutputError, _LOCKED, follow=False, write=True)
     file = os.fdopen(fd, "r+b", buffering=0)
     try:

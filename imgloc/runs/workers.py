@@ -5,6 +5,11 @@ that shares a queue can be killed while it holds the queue's lock. Here each wor
 its own, with pipes that nobody else holds, and a thread that looks after it. It needs neither a
 fork nor an importable main module, and it may run within a worker of a cluster.
 
+Pebble's pool (5.2, spawned) ends what hangs and survives what dies, but its workers outlive a
+program that is killed, it fails where the main module is not guarded, and a daemon, as Dask's
+workers are, may not start it. Groups of tasks, a limit of memory and a worker's last words would
+still be written here: it would replace about a third of this file, and break three tests.
+
 >>> with Supervised(1) as pool:
 ...     pool.submit(divmod, 17, 5).result()
 (3, 2)
