@@ -9,7 +9,7 @@ A trial drives 8 m from a known start with its sight, then so many metres withou
 again. It writes a table (``blackouts.md``) and every number of it (``blackouts.jsonl``).
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,15 +20,7 @@ from imgloc import Options, ScanSet, make_filter
 from imgloc.filters.belief import Filter
 from imgloc.filters.follow import robot_poses
 from imgloc.io.files import write_text_atomic
-from imgloc.lab.sequences import (
-    INSIDE,
-    WRONG,
-    Run,
-    Searches,
-    drive,
-    driven,
-    piece,
-)
+from imgloc.lab.sequences import INSIDE, WRONG, Run, Searches, drive, driven, piece
 from imgloc.model import LaserScan, Pose2D, to_json
 from imgloc.options import Every, Limits
 from imgloc.pipeline import prepare
@@ -108,37 +100,32 @@ def carried(
         )
 
 
-def row_of(name: str, kind: str, metres: str, runs: list[tuple[Run, range]]) -> dict[str, Any]:
-    """Numbers of all runs of one kind."""
-    limits, unique, wrong, late, dark, worst = Limits(), 0, 0, 0, 0, 0.0
-    found, published, blind_moments = list[bool](), list[bool](), 0
-    inside = list[float]()
-    for run, blind in runs:
-        sure = run.unique > 0
-        off = (run.error > WRONG).any(axis=1)
-        unique += int(sure.sum())
-        wrong += int((sure & off).sum())
-        wide = (run.spread[:, 0] > limits.metres) | (run.spread[:, 1] > limits.radians)
-        late += int((sure & wide).sum())
-        dark += int(sure[blind.start : blind.stop].sum())
-        blind_moments += len(blind)
-        worst = max(worst, float(run.error[sure, 0].max(initial=0.0)))
-        inside += (run.square[sure] <= INSIDE).tolist()
-        again = (run.metres >= run.metres[blind.stop - 1]) & (
-            run.metres <= run.metres[blind.stop - 1] + BACK
-        )
-        again[: blind.stop] = False
-        at = np.flatnonzero(again)
-        if len(at):
-            found.append(bool(run.right[at[-1]]))
-            published.append(bool((run.right[at] * run.unique[at]).any()))
+def counts_of(run: Run, blind: range, limits: Limits) -> dict[str, Any]:
+    """Numbers of one run: of its unique moments, and of the way after it was blind."""
+    sure, after = run.unique > 0, run.metres - run.metres[blind.stop - 1]
+    wide = (run.spread > (limits.metres, limits.radians)).any(axis=1)
+    (back,) = np.nonzero((np.arange(len(after)) >= blind.stop) & (after >= 0) & (after <= BACK))
     return {
-        "log": name, "kind": kind, "blind": metres, "trials": len(runs), "unique": unique,
-        "wrong": wrong, "late": late, "dark": dark, "moments": blind_moments, "worst": worst,
-        "found": float(np.mean(found)) if found else float("nan"),
-        "published": float(np.mean(published)) if published else float("nan"),
-        "inside": float(np.mean(inside)) if inside else float("nan"),
+        "unique": sure.sum(), "wrong": (sure & (run.error > WRONG).any(axis=1)).sum(),
+        "late": (sure & wide).sum(), "dark": sure[blind.start : blind.stop].sum(),
+        "moments": len(blind), "worst": run.error[sure, 0].max(initial=0.0),
+        "found": run.right[back[-1:]], "published": run.right[back] * run.unique[back],
+        "inside": run.square[sure] <= INSIDE,
     }  # fmt: skip
+
+
+def row_of(name: str, kind: str, metres: str, runs: Sequence[tuple[Run, range]]) -> dict[str, Any]:
+    """Numbers of all runs of one kind."""
+    each = [counts_of(run, blind, Limits()) for run, blind in runs]
+    row: dict[str, Any] = {"log": name, "kind": kind, "blind": metres, "trials": len(runs)}
+    row |= {k: int(sum(c[k] for c in each)) for k in ("unique", "wrong", "late", "dark", "moments")}
+    shares: dict[str, Sequence[bool]] = {
+        "found": [bool(c["found"][0]) for c in each if len(c["found"])],
+        "published": [bool(c["published"].any()) for c in each if len(c["published"])],
+        "inside": np.concatenate([c["inside"] for c in each]).tolist(),
+    }
+    row["worst"] = float(max(c["worst"] for c in each))
+    return row | {k: float(np.mean(v)) if len(v) else float("nan") for k, v in shares.items()}
 
 
 def measure_log(

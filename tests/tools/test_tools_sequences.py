@@ -13,13 +13,13 @@ from imgloc.filters.follow import with_odometry
 from imgloc.io.maps import load_map, save_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.lab.sequences import Searches, Trials, measure
+from imgloc.lab.sequences import Run, Searches, Trials, measure
 from imgloc.model import LaserScan
 from imgloc.options import Options
 from imgloc.pipeline import prepare
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
-from tools import drive, sequences
+from tools import blackouts, drive, sequences
 
 ANGLES = np.deg2rad(np.arange(-180, 180, 4.0))
 
@@ -121,3 +121,29 @@ def test_a_way_keeps_off_the_walls() -> None:
     assert np.median(np.abs(heading - poses[:-1, 2])) < 0.1
     with pytest.raises(ValueError, match="free"):
         drive.path_between(grid, np.array([[0.1, 0.1], [14.0, 5.0]]), 0.25)
+
+
+def test_a_blind_sensor_says_what_its_kind_says(folder: Path) -> None:
+    scans = load_scans(folder / "scans.npz")
+    for kind in blackouts.KINDS:
+        dark = blackouts.blinded(scans, range(2, 4), kind)
+        same = [np.array_equal(a.ranges, b.ranges, equal_nan=True)
+                for a, b in zip(scans.scans, dark.scans, strict=True)]  # fmt: skip
+        assert same == [True, True, False, False, True, True, True]
+    frozen = blackouts.blinded(scans, range(2, 4), "frozen")
+    np.testing.assert_array_equal(frozen[3].ranges, scans[1].ranges)
+
+
+def test_moments_of_a_blackout_are_counted() -> None:
+    """Blind at 2 and 3; unique but for 3; wrong at 2; too wide at 4; right but there."""
+    error, spread = np.zeros((8, 2)), np.zeros((8, 2))
+    error[2, 0], spread[4, 1] = 1.5, 3.0
+    unique, square = np.ones(8), np.zeros(8)
+    unique[3], square[:3] = 0.0, 100.0
+    metres = np.arange(8) * 2.0
+    run = Run(metres, metres, error, unique, np.zeros(8), 0.0, spread, square)
+    row = blackouts.row_of("hall", "NaN", "4 m", [(run, range(2, 4))])
+    counts = {k: row[k] for k in ("trials", "unique", "wrong", "late", "dark", "moments", "worst")}
+    assert list(counts.values()) == [1, 7, 1, 1, 1, 2, 1.5]
+    assert (row["found"], row["published"]) == (1.0, 1.0)
+    assert row["inside"] == pytest.approx(4 / 7)
