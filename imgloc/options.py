@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 from imgloc.errors import ConfigError
 from imgloc.numbers import number
-from imgloc.ranges import Checked, OneOf, Option, Within, option
+from imgloc.ranges import Checked, Doc, OneOf, Option, Within, option
 from imgloc.texts import byte_count, metres_degrees, numbers, pose
 
 if TYPE_CHECKING:
@@ -78,11 +78,12 @@ FEW = number("options.few_votes")
 class Calibration(Checked):
     """What makes a probability of one method's stack."""
 
-    #: of the Gaussian that models the uncertainty of eq. 8: metres and radians.
+    #: standard deviation, metres, of the Gaussian that blurs positions (eq. 8)
     sigma_xy: Metres = 0.0
+    #: standard deviation, radians, of the Gaussian that blurs headings (eq. 8)
     sigma_theta: Radians = 0.0
-    #: votes and correlations are raised to the power ``1 / temperature``. Log-likelihoods, which
-    #: are sums over the readings, are divided by ``temperature * readings``.
+    #: exponent of the scores: votes and correlations are raised to the power ``1 / temperature``;
+    #: log-likelihoods, which are sums over the readings, are divided by ``temperature * readings``
     temperature: Factor = 1.0
 
     def temperature_at(self, method: str, readings: int) -> float:
@@ -178,19 +179,19 @@ class Prior(Checked):
 class EvidenceModel(Checked):
     """The parameters of the score."""
 
-    #: standard deviations of an endpoint's distance from its surface, metres, equally probable for
-    #: every reading
+    #: standard deviations, metres, of the distance from an endpoint to its surface; each of them is
+    #: equally probable for every reading
     sigmas: Sequence[Length] = number("EvidenceModel.sigmas")
-    #: share of the readings that come from mapped surfaces
+    #: share of the readings that end on a surface of the map
     hit: Annotated[float, Within(0, 0.9999, "a share")] = number("EvidenceModel.hit")
-    #: metres over which the readings that do not come from the map are spread
+    #: metres over which readings that end on no surface of the map are spread evenly
     span: Length = number("EvidenceModel.span")
-    #: probability that a mapped wall is not there any more
+    #: probability that a wall of the map is gone
     absent: Annotated[float, Within(1e-6, 1, "a probability")] = number("EvidenceModel.absent")
-    #: metres by which a reading may pass a wall at no cost, besides half a cell
+    #: metres beyond half a cell by which a reading may pass through a wall at no cost
     margin: Metres = number("EvidenceModel.margin")
-    #: how far beyond that a wall may be drawn in a wrong place, metres: the chance falls like a
-    #: Gaussian of this scale, down to `absent`
+    #: standard deviation, metres, of the place of a wall on the map: the farther a reading passes
+    #: through a wall, the less probable it is, down to `absent`
     displaced: Length = number("EvidenceModel.displaced")
 
     @property
@@ -205,75 +206,83 @@ class EvidenceModel(Checked):
 class FusedOptions(Checked):
     """What the search spends where."""
 
-    #: between the headings of the endpoint correlation, radians
+    #: step between the headings of the endpoint correlation, radians
     theta_step: Step = number("FusedOptions.theta_step")
-    #: nodes kept by each level of the endpoint pyramid, finest first; as many as there are
+    #: nodes that each level of the endpoint pyramid keeps, finest level first
     keep: tuple[Count, Count, Count, Count] = number("FusedOptions.keep")
-    #: all levels of the pyramid but the finest take every `skip`-th of the few rays
+    #: coarse levels of the pyramid use every `skip`-th of the `few_rays`
     skip: Count = number("FusedOptions.skip")
-    vote_cell: Length = number("FusedOptions.vote_cell")  #: cell of the GHT-V votes, metres
-    #: with more cells than this, headings and all, the votes of a map get larger ones
+    #: side of a cell of the GHT-V votes, metres
+    vote_cell: Length = number("FusedOptions.vote_cell")
+    #: greatest number of cells of the GHT-V votes, headings counted: on a larger map cells grow
     vote_cells: Count = number("FusedOptions.vote_cells")
     #: number of headings of the GHT-V votes
     vote_headings: Count = number("FusedOptions.vote_headings")
-    #: how many peaks of the votes become proposals
+    #: number of peaks of the GHT-V votes that become proposals
     vote_peaks: Count = number("FusedOptions.vote_peaks")
-    #: side of the squares of which each counts as one reading, metres
+    #: side of a square, metres, whose endpoints count as one reading
     place: Length = number("FusedOptions.place")
-    #: such readings of the first look at all proposals, and of the second at
+    #: readings that score all proposals, in the first look
     few_rays: Count = number("FusedOptions.few_rays")
-    rays: Count = number("FusedOptions.rays")  #: the best
-    #: how many places get the second look, and how many poses, which may be of one place: between
-    #: two layers of a wall the score has several maxima
+    #: readings that score the best proposals, in the second look
+    rays: Count = number("FusedOptions.rays")
+    #: number of places that get the second look
     second_look: Count = number("FusedOptions.second_look")
+    #: number of poses that get the second look whatever their place: between the two layers of a
+    #: wall the score of one place has several maxima
     closer: Annotated[int, Within(0, 1e12, "poses")] = number("FusedOptions.closer")
-    #: proposals nearer than this, metres and radians, are of one place, and one pose
+    #: distance, metres and radians, below which two proposals are one place
     twins: tuple[Metres, Radians] = number("FusedOptions.twins")
+    #: distance, metres and radians, below which two proposals are one pose
     same: tuple[Length, Step] = number("FusedOptions.same")
-    #: misfit of all endpoint proposals, nats per reading, above which votes propose, too
+    #: misfit of the best endpoint proposal, nats per reading, above which GHT-V votes propose poses
     unfit: Nats = number("FusedOptions.unfit")
-    #: misfit, nats per reading, above which readings may share an error, see
-    #: :mod:`imgloc.search.adapt`; nats that they must gain; how far a scale may be from the
-    #: one that is known, a factor: with more of it any building fits
+    #: misfit, nats per reading, above which an error that all readings share is looked for, see
+    #: :mod:`imgloc.search.adapt`
     strained: Nats = number("FusedOptions.strained")
+    #: nats that the readings must gain together before a shared error is believed
     adapted: Nats = number("FusedOptions.adapted")
+    #: greatest factor between a scale that is found and the known one: with more, any building fits
     most_scaled: Annotated[float, Within(1, 10, "a factor")] = number("FusedOptions.most_scaled")
-    #: two poses nearer than this, metres and radians, are one hypothesis
+    #: distance, metres and radians, below which two poses are one hypothesis
     separation: tuple[Metres, Radians] = number("FusedOptions.separation")
-    model: EvidenceModel = field(default_factory=EvidenceModel)  #: the score
+    #: parameters of the score
+    model: EvidenceModel = field(default_factory=EvidenceModel)
 
 
 @dataclass(frozen=True)
 class Shared(Checked):
     """An error that all readings of a sensor on a map share, see :mod:`imgloc.search.adapt`."""
 
-    scale: Annotated[float, Within(0.5, 2, "a factor")] = (
-        1.0  #: what their lengths are multiplied by
-    )
-    thinner: Annotated[int, Within(0, 100, "cells")] = 0  #: cells that walls lose on each side
+    #: factor that multiplies the ranges of all readings
+    scale: Annotated[float, Within(0.5, 2, "a factor")] = 1.0
+    #: cells that each wall loses on each side
+    thinner: Annotated[int, Within(0, 100, "cells")] = 0
 
 
 @dataclass(frozen=True)
 class Trust(Checked):
     """What turns evidence into probabilities and a verdict."""
 
-    #: with valid readings in fewer directions than this a scan is ``invalid``
+    #: fewest directions with a valid reading: a scan with fewer is ``invalid``
     readings: Annotated[int, Within(0, 1e6, "directions")] = number("Trust.readings")
-    #: what the evidence of 100 readings is divided by where map and scan agree perfectly: errors of
-    #: neighbours are not independent. It grows with the root of their number.
+    #: divisor of the evidence of 100 readings where map and scan agree perfectly: neighbours share
+    #: errors. It grows with the square root of the number of readings.
     temperature: Factor = number("Trust.temperature")
-    #: growth of that temperature per nat of misfit
+    #: growth of the temperature per nat of misfit
     strain: Annotated[float, Within(0, 1e6, "per nat")] = number("Trust.strain")
-    #: cell of a map, metres, above which the temperature grows in proportion: all readings on a
-    #: wall share the error of its place, up to half a cell
+    #: cell of a map, metres, above which the temperature grows in proportion to the cell: all
+    #: readings on a wall share the error of its place
     fine: Length = number("Trust.fine")
-    #: log-odds that the true pose is none of the hypotheses: constant, per nat of evidence by which
-    #: the best fits better than a building on no map would, per share of the mass that it does not
-    #: hold. A logistic regression, see ``python -m tools.trust fit``
+    #: log-odds that the true pose is none of the hypotheses: a constant, a weight per nat by which
+    #: the best pose fits better than a building that is not on the map, and a weight per share of
+    #: mass that the best pose lacks. A logistic regression, see ``python -m tools.trust fit``
     elsewhere: tuple[LogOdds, LogOdds, LogOdds] = number("Trust.elsewhere")
-    most: Nats = number("Trust.most")  #: nats of such evidence; more says no more
-    mass: Share = number("Trust.mass")  #: mass that the best pose needs to be ``unique``
-    #: how many neighbouring readings share one error, for the covariances
+    #: greatest evidence, nats, that counts in the log-odds
+    most: Nats = number("Trust.most")
+    #: mass that the best pose needs to be ``unique``
+    mass: Share = number("Trust.mass")
+    #: number of neighbouring readings that share one error, for the covariances
     correlated: Factor = number("Trust.correlated")
 
     def temperature_at(self, misfit: float, readings: int = 100, cell: float = 0.0) -> Temperature:
@@ -312,40 +321,7 @@ class Trust(Checked):
 
 @dataclass(frozen=True)
 class Options(Checked):
-    """Everything that decides an answer, apart from the map and the scan.
-
-    Parameters
-    ----------
-    method : str
-        ``fused`` or a name of :data:`METHODS`.
-    top : int, optional
-        How many hypotheses are listed; None takes as many as hold :data:`MOST_OF_IT` of the mass,
-        from :data:`AT_LEAST` to :data:`AT_MOST`.
-    theta_step : float or None
-        Step of the headings of a stack, radians, and of branch and bound, whose own are those
-        of ``cbml``; None takes the method's own.
-    engine : str
-        Of the correlations, see :mod:`imgloc.likelihoods.correlate`.
-    threads : int
-        No result depends on it.
-    memory_budget : int, optional
-        Bytes that an answer may take besides the map's features; None is half of the RAM that
-        is available.
-    time_budget : float, optional
-        Seconds for the search of ``fused``; what is found by then is the answer, marked as not
-        complete. Such an answer depends on the machine.
-    exact : bool
-        Branch and bound: with ``cbml`` find its best poses without its stack, with ``fused``
-        have them as further proposals.
-    prior : Prior
-        The poses that may be.
-    shared : Shared
-        Of ``fused``: what is known of the map's scale and walls, see `imgloc calibrate --scans`.
-    fused : FusedOptions
-    trust : Trust
-    calibration : Calibration, optional
-        What makes a probability of a stack; None takes the method's default. ``fused`` has none.
-    """
+    """Everything that decides an answer, apart from the map and the scan."""
 
     method: Annotated[str, OneOf(*ALL_METHODS)] = option(
         FUSED,
@@ -365,8 +341,14 @@ class Options(Checked):
     engine: Annotated[str, OneOf("auto", "filter2d", "shift", "dft", "remap")] = option(
         "auto", "Implementation of the correlations in cbml and cbml-o."
     )
-    threads: Count = 1
-    memory_budget: Bytes | None = None
+    threads: Annotated[Count, Doc("Threads; no result depends on their number.")] = 1
+    memory_budget: Annotated[
+        Bytes | None,
+        Doc(
+            "Bytes that an answer may take besides the features of the map. [default: half of the "
+            "memory that is available]"
+        ),
+    ] = None
     time_budget: Annotated[float, Within(0, 1e9, "seconds")] | None = option(
         None,
         "Seconds for the search of each scan. When they are over, the best answer so far is given "
@@ -378,11 +360,29 @@ class Options(Checked):
         "fused gets further proposals.",
         "--exact-argmax",
     )
-    prior: Prior = field(default_factory=Prior)
-    shared: Shared = field(default_factory=Shared)
-    fused: FusedOptions = field(default_factory=FusedOptions)
-    trust: Trust = field(default_factory=Trust)
-    calibration: Calibration | None = None
+    prior: Annotated[Prior, Doc("Poses that are considered. [default: all]")] = field(
+        default_factory=Prior
+    )
+    shared: Annotated[
+        Shared,
+        Doc(
+            "Known error that all readings of fused share on the map; `imgloc calibrate --scans` "
+            "finds it. [default: none]"
+        ),
+    ] = field(default_factory=Shared)
+    fused: Annotated[FusedOptions, Doc("Effort of the search of fused.")] = field(
+        default_factory=FusedOptions
+    )
+    trust: Annotated[Trust, Doc("Numbers that turn evidence into masses and a verdict.")] = field(
+        default_factory=Trust
+    )
+    calibration: Annotated[
+        Calibration | None,
+        Doc(
+            "Calibration that makes probabilities of the scores of one of the paper's algorithms. "
+            "[default: the method's]"
+        ),
+    ] = None
 
     def listed(self, share: FloatArray) -> int:
         """How many hypotheses of these shares (M,), in their order, are listed.

@@ -43,7 +43,7 @@ def test_an_option_that_is_added_in_one_place_is_everywhere(tmp_path: Path) -> N
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pyc*"))
     file = tmp_path / "imgloc" / "options.py"
     code = file.read_text("utf-8")
-    before = "    prior: Prior = field(default_factory=Prior)\n"
+    before = "    threads: Annotated[Count, Doc("
     assert code.count(before) == 1
     new = '    naps: Annotated[int, Within(0, 9, "naps")] = option(3, "Naps before each, naps.")\n'
     file.write_text(code.replace(before, new + before), "utf-8")

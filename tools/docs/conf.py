@@ -58,7 +58,12 @@ def fields(_app: Any, what: str, _name: str, obj: Any, _options: Any, lines: lis
     if what != "class" or not dataclasses.is_dataclass(obj) or "Parameters" in lines:
         return
     kind: Any = obj
-    texts = {part.name: help_of(part) for part in declared(kind) if part.text}
+    turned = " Radians in Python."  # what commands take in degrees
+    texts = {
+        part.name: help_of(part) + (turned if part.in_degrees else "")
+        for part in declared(kind)
+        if part.text
+    }
     if texts:
         entries = [line for name, text in texts.items() for line in (name, f"    {text}")]
         at = next((k for k, line in enumerate(lines) if line == "Examples"), len(lines))
