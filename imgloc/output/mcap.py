@@ -63,6 +63,7 @@ class Recording:
         self._context = context = sdk.Context()  # which channels do not keep
         # One thread: with several the order of the chunks, and so the bytes, would be by chance.
         options = mcap.MCAPWriteOptions(compression_threads=0)
+        row = sdk.Schema(name="imgloc.track", encoding="jsonschema", data=b'{"type": "object"}')
         self._writer = sdk.open_mcap(self._path, context=context, writer_options=options)
         self._to = SimpleNamespace(
             map=channels.GridChannel("/map", context=context),
@@ -71,7 +72,9 @@ class Recording:
             pose=channels.PoseInFrameChannel("/imgloc/pose", context=context),
             tf=channels.FrameTransformChannel("/tf", context=context),
             verdict=channels.LogChannel("/imgloc/verdict", context=context),
-            track=sdk.Channel("/imgloc/track", message_encoding="json", context=context),
+            track=sdk.Channel(
+                "/imgloc/track", schema=row, message_encoding="json", context=context
+            ),
         )
 
     def add(self, scan: LaserScan, moment: Moment) -> None:
