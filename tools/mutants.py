@@ -1,6 +1,6 @@
 """Would a test notice? Random small errors put into the code, one at a time, each tested.
 
-    python -m tools.mutants --seed 0 -n 60       # of features, likelihood, search, the pipeline
+    python -m tools.mutants --seed 0 -n 60       # of the rooms that an answer comes from
     python -m tools.mutants --seed 0 -n 20 --paths imgloc/features/raycast.py
 
 A mutant changes one operator, sign, wrap, constant, `True`, `min` or the like. In a copy of the
@@ -32,7 +32,19 @@ from queue import SimpleQueue
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
-PATHS = ("imgloc/features", "imgloc/likelihoods", "imgloc/search", "imgloc/pipeline.py")
+PATHS = tuple(
+    f"imgloc/{room}"
+    for room in (
+        "io",
+        "features",
+        "likelihoods",
+        "search",
+        "pipeline.py",
+        "choice",
+        "filters",
+        "runs",
+    )
+)
 SLOW = r"tools/|test_(cli|lab_atlas|runs)"
 ENDLESS = " did not end"
 PATIENCE = 60.0  # seconds of a processor for one test, the slowest of which takes a tenth of that
