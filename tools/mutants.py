@@ -32,19 +32,8 @@ from queue import SimpleQueue
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
-PATHS = tuple(
-    f"imgloc/{room}"
-    for room in (
-        "io",
-        "features",
-        "likelihoods",
-        "search",
-        "pipeline.py",
-        "choice",
-        "filters",
-        "runs",
-    )
-)
+ROOMS = "io features likelihoods search pipeline.py choice filters runs"
+PATHS = tuple(f"imgloc/{room}" for room in ROOMS.split())
 SLOW = r"tools/|test_(cli|lab_atlas|runs)"
 ENDLESS = " did not end"
 PATIENCE = 60.0  # seconds of a processor for one test, the slowest of which takes a tenth of that
