@@ -390,6 +390,13 @@ def test_the_copied_command_and_python_give_the_same_answer(
     values: dict[str, Any] = {}
     exec(page.locator("#copied").input_value(), values)
     assert values["answer"].best.x == pytest.approx(row["hypotheses"][0]["x"], abs=1e-6)
+    # Of a pose that was set by hand, what its readings say.
+    page.keyboard.press("ArrowUp")
+    sync.expect(page.locator("#pose-title")).to_have_text("Pose set by hand")
+    page.keyboard.press("y")
+    sync.expect(page.locator("#copied")).to_have_value(re.compile("by_hand"))
+    exec(page.locator("#copied").input_value(), values)
+    assert sum(values["rays"].counts.values()) == len(ANGLES)
 
 
 def test_a_region_is_copied_as_python(

@@ -66,6 +66,7 @@ export function script(state) {
   const reading = Object.entries(readingOf(map))
     .map(([key, value]) => `, ${key}=${key === "origin" ? `(${value})` : value}`).join("");
   const lines = ["import imgloc", ""];
+  if (isKnown(known) && set) lines.splice(1, 0, "from imgloc.search.priors import prior_of");
   if (known.region && set) lines.splice(1, 0, "import numpy as np", "from skimage.draw import polygon2mask");
   lines.push(`grid = imgloc.load_map(${python(files.map)}${reading})`, "features = imgloc.prepare(grid)");
   if (!set) return `${lines.join("\n")}\n`;
@@ -75,7 +76,7 @@ export function script(state) {
     const said = [];
     if (known.near) said.push(`near=(${known.near.map(number).join(", ")})`);
     if (known.clearance > 0) said.push(`clearance=${number(known.clearance)}`);
-    lines.push(`prior = imgloc.Known(${said.join(", ")}).prior(grid)`);
+    lines.push(`prior = prior_of(imgloc.Known(${said.join(", ")}), grid)`);
     if (known.region) lines.push(...regionLines(map, known.region));
     options.push("prior=prior");
   }
