@@ -70,7 +70,7 @@ function table(view, redraw) {
   ];
 }
 
-const NAMES = { 1: "1 to 9", ArrowLeft: "← → ↑ ↓", PageUp: "Page ↑", PageDown: "Page ↓", Escape: "Esc", q: "Q", e: "E" };
+const NAMES = { 1: "1 to 9", ",": ", comma", ".": ". period", ArrowLeft: "← → ↑ ↓", PageUp: "Page ↑", PageDown: "Page ↓", Escape: "Esc", q: "Q", e: "E" };
 const nameOf = (key) => NAMES[key] ?? key.toUpperCase();
 
 /** Listen to the keyboard, and write the help sheet. */
