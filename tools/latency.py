@@ -90,7 +90,7 @@ def lines(map_path: Path, fed: Sequence[bytes], every: float) -> FloatArray:
             run.stdin.flush()
         reader.join()
         run.stdin.close()
-    return np.array(out) - np.array(given)
+    return np.asarray(np.array(out) - np.array(given))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
