@@ -241,6 +241,14 @@ def test_json_array_object_and_python_style_numbers(tmp_path: Path) -> None:
         assert scans[0].angles.tolist() == [0, 0.5, 1]
 
 
+@pytest.mark.parametrize("key", ["ranges", "angles", "mount"])
+def test_true_is_no_number_beside_numbers_either(tmp_path: Path, key: str) -> None:
+    entry = {"ranges": [1.0, 2.0, 3.0], "angles": [0, 1, 2], "mount": [0.1, 0, 0]}
+    (tmp_path / "s.jsonl").write_text(json.dumps({**entry, key: [True, 0.5, 1]}))
+    with pytest.raises(ScanError, match=f"line 1: {key}: got true or false"):
+        load_scans(tmp_path / "s.jsonl")
+
+
 def test_angle_max_may_be_the_ray_after_the_last(tmp_path: Path) -> None:
     path = tmp_path / "s.jsonl"
     entry = {"ranges": [1] * 4, "angle_min": 0, "angle_increment": 0.25, "angle_max": 1}

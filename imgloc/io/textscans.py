@@ -29,6 +29,7 @@ MAX_LINE = 64 * MAX_RAYS
 _SETTING = re.compile(r"\b(\w+)\s*[=:]\s*([^\s,;]+)")
 _SETTINGS = (*SPACING, "range_min", "range_max")
 _BESIDE = ("stamp", "x", "y", "theta")
+_POSES = ("pose", "odom", "mount")
 
 
 def read_csv(path: PathLike, *, fov: float | None = None) -> ScanSet:
@@ -207,7 +208,11 @@ def plain_entry(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
         seconds, nanoseconds = (scalar(part, f"{where}: stamp") for part in parts)
         stamp = seconds + nanoseconds * 1e-9
     plain["stamp"] = stamp
-    for key in ("pose", "odom", "mount"):
+    for key in _POSES:
         if isinstance(entry.get(key), dict):
             plain[key] = [entry[key].get(k) for k in ("x", "y", "theta")]
+    for key in ("ranges", "angles", *_POSES):
+        # Beside numbers NumPy takes true for 1.
+        if isinstance(plain.get(key), list) and any(isinstance(v, bool) for v in plain[key]):
+            raise ScanError(f"{where}: {key}: got true or false in it, expected numbers")
     return plain
