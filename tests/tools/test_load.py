@@ -1,0 +1,16 @@
+"""The load of a service, in short."""
+
+import contextlib
+import io
+
+from tools.load import main
+
+
+def test_no_request_is_lost_and_the_service_ends() -> None:
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        code = main(["--requests", "24", "--clients", "4", "--pairs", "3", "--near"])
+    said = out.getvalue()
+    assert code == 0, said
+    assert "status {200: 24}; 0 without an answer" in said
+    assert said.endswith("exit code 0\n")

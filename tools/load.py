@@ -1,0 +1,188 @@
+"""What a service under load costs: memory, what is lost, and time over the call in Python.
+
+    python -m tools.load                        # 10,000 requests by four clients
+    python -m tools.load --requests 200         # a look
+
+It runs `imgloc serve` as a process of its own. First one client asks, and each request is
+followed by the same call in this process: the difference of the medians is what HTTP costs. Then
+all clients ask at once. Exits with 1 if a request is lost, or the memory grows, after the first
+500 requests, by more than --growth MiB. Linux alone tells the memory of a process.
+"""
+
+import argparse
+import http.client
+import json
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import imgloc
+from imgloc.errors import ConfigError
+from imgloc.io.maps import bundled_maps
+from imgloc.live.service import scan_row
+from tools.script import at_least_one, ended, parser_of
+
+_WARM = 500  # requests after which memory is to stay
+
+
+class Ask(NamedTuple):
+    """A request: where it goes, and its body."""
+
+    path: str
+    body: bytes
+
+
+@dataclass
+class Clients:
+    """What some clients have seen, together."""
+
+    host: str
+    asks: Sequence["Ask"]
+    left: int
+    codes: Counter[int] = field(default_factory=Counter)
+    seconds: list[float] = field(default_factory=list)
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def take(self) -> int | None:
+        """The number of the next request; None when there is none."""
+        with self.lock:
+            self.left -= 1
+            return None if self.left < 0 else self.left
+
+    def ask(self) -> None:
+        """Be one of the clients, over one connection."""
+        link = http.client.HTTPConnection(self.host, timeout=120)
+        while (k := self.take()) is not None:
+            begin = time.perf_counter()
+            code = asked(link, self.asks[k % len(self.asks)])
+            with self.lock:
+                self.codes[code] += 1
+                self.seconds.append(time.perf_counter() - begin)
+        link.close()
+
+
+def asked(link: http.client.HTTPConnection, ask: Ask) -> int:
+    """The status of one request, its answer read; 0 if there was none."""
+    try:
+        link.request("POST", ask.path, ask.body, {"Content-Type": "application/json"})
+        answer = link.getresponse()
+        answer.read()
+    except (OSError, http.client.HTTPException):
+        link.close()
+        return 0
+    return answer.status
+
+
+def resident(pid: int) -> float:
+    """MiB of memory that a process holds."""
+    try:
+        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    except OSError:
+        raise ConfigError("expected Linux, which tells the memory of a process") from None
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS")) / 1024
+
+
+def percentiles(seconds: Sequence[float]) -> str:
+    """The median and the 99th percentile, in words."""
+    ranks = statistics.quantiles(seconds, n=100)
+    return f"p50 {1e3 * ranks[49]:.1f} ms, p99 {1e3 * ranks[98]:.1f} ms"
+
+
+def overhead(
+    host: str, asks: Sequence[Ask], map_path: Path, scans: imgloc.ScanSet, pairs: int
+) -> float:
+    """Milliseconds that a request takes more than the call in Python, at the median."""
+    features, options = imgloc.prepare(imgloc.load_map(map_path)), imgloc.Options()
+    link, http_, call = http.client.HTTPConnection(host, timeout=120), list[float](), list[float]()
+    imgloc.localize(features, scans[0], options)
+    for k in range(pairs):
+        begin = time.perf_counter()
+        asked(link, asks[k % len(asks)])
+        between = time.perf_counter()
+        imgloc.localize(features, scans[k % len(scans)], options)
+        http_.append(between - begin)
+        call.append(time.perf_counter() - between)
+    print(f"one client, {pairs} requests: {percentiles(http_)}")
+    print(f"the call in Python: {percentiles(call)}")
+    return 1e3 * (statistics.median(http_) - statistics.median(call))
+
+
+def run(process: "subprocess.Popen[str]", args: argparse.Namespace) -> int:
+    """Load a service that is being started; the exit code."""
+    assert process.stdout is not None
+    address = process.stdout.readline().strip()
+    if not address.startswith("http://"):
+        raise ConfigError("imgloc serve has not begun")
+    host = address.removeprefix("http://")
+    map_path = bundled_maps() / f"{args.map}.yaml"
+    scans = imgloc.simulate(imgloc.load_map(map_path), 50, seed=1)
+    bodies = [json.dumps(scan_row(scans, k)).encode() for k in range(len(scans))]
+    asks = [Ask("/v1/localize", body) for body in bodies]
+    print(f"over the call: {overhead(host, asks, map_path, scans, args.pairs):.1f} ms at p50")
+    if args.near:
+        near = [",".join(map(str, pose.tolist())) for _, pose in scans.with_poses()]
+        asks = [Ask(f"{a.path}?near={at}", a.body) for a, at in zip(asks, near, strict=True)]
+    requests = args.requests
+    held, grown, codes, begin = 0.0, 0.0, Counter[int](), time.perf_counter()
+    for count in (min(requests, _WARM), max(0, requests - _WARM)):
+        part = Clients(host, asks, count)
+        threads = [threading.Thread(target=part.ask) for _ in range(args.clients)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        codes += part.codes
+        grown, held = resident(process.pid) - held, resident(process.pid)
+        if len(part.seconds) > 1:
+            said = percentiles(part.seconds)
+            print(f"{args.clients} clients, {len(part.seconds)} requests: {said}")
+    took = time.perf_counter() - begin
+    lost = requests - codes[200]
+    print(f"{requests / took:.1f} answers a second; status {dict(codes)}; {lost} without an answer")
+    print(f"memory {held:.1f} MiB, {grown:+.1f} MiB after the first {_WARM} requests")
+    process.send_signal(signal.SIGTERM)
+    code = process.wait(60)
+    print(f"exit code {code}")
+    return int(bool(lost) or code != 0 or (requests > _WARM and grown > args.growth))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit code."""
+    parser = parser_of("python -m tools.load", __doc__)
+    parser.add_argument("--requests", type=int, default=10_000)
+    parser.add_argument("--clients", type=int, default=4)
+    parser.add_argument("--pairs", type=int, default=200, help="requests beside a call")
+    parser.add_argument("--map", default="visibility", help="name of a bundled map")
+    parser.add_argument("--growth", type=float, default=16.0, metavar="MIB")
+    near = "each request says where the scan is, within 2 m: a shorter search"
+    parser.add_argument("--near", action="store_true", help=near)
+    args = parser.parse_args(arguments)
+
+    def work() -> int:
+        at_least_one(requests=args.requests, clients=args.clients, pairs=args.pairs - 1)
+        command = [sys.executable, "-m", "imgloc", "serve", args.map, "--port", "0"]
+        with tempfile.TemporaryFile() as err:
+            process = subprocess.Popen(  # noqa: S603 (this very program)
+                [*command, "--waiting", "64"], stdout=subprocess.PIPE, stderr=err, text=True
+            )
+            try:
+                return run(process, args)
+            finally:
+                if process.poll() is None:
+                    process.kill()
+                    process.wait()
+
+    return ended("load", work)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
