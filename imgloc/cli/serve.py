@@ -1,5 +1,6 @@
 """`imgloc serve`, `imgloc open`: answers over HTTP, and a page to look at them."""
 
+import logging
 import os
 import re
 from collections.abc import Callable, Sequence
@@ -185,6 +186,8 @@ def _run(make: "Callable[[], Any]", host: str, port: int, show: Callable[[str], 
             core.drop(name)
         if not service.stopping.is_set():
             show(address)
+        if not LOG.isEnabledFor(logging.INFO):  # what clients send is no news here
+            LOG.setLevel(logging.ERROR)
 
     LOG.info("listening at %s", address)
     if serve(service, one, ready) == INTERRUPTED - 128:

@@ -11,9 +11,11 @@ import json
 import logging
 import math
 import time
+import traceback
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -190,7 +192,9 @@ class Service:
         problem = problem_of(error)
         self.metrics.refused.labels(problem.document["type"].rpartition(":")[2]).inc()
         if problem.status == 500:
-            LOG.error("internal error: %s: %s", type(error).__name__, error, exc_info=error)
+            frame = traceback.extract_tb(error.__traceback__)[-1]
+            at = f"{Path(frame.filename).name}:{frame.lineno}"
+            LOG.error("internal error at %s: %s: %s", at, type(error).__name__, error)
         return problem
 
     async def _refuse(
@@ -377,8 +381,7 @@ class Service:
             check_budget(all_of_it, self._budget // 2, what, "crop the map")
             self.core.put(name, features, background=False)
             for gone in self._maps.put(name, name, need):
-                self.core.drop(gone)
-                self._about.pop(gone, None)
+                self._forget(gone)
             return name
 
         name = await self.lanes["files"].run(held, self.bounds.seconds)
@@ -390,9 +393,14 @@ class Service:
         if name not in self._maps:
             raise Refused("name-taken", f"{name}: was given to the service, and stays")
         self._maps.drop(name)
-        self._about.pop(name, None)
-        self.core.drop(name)
+        self._forget(name)
         return Response(status_code=204)
+
+    def _forget(self, name: str) -> None:
+        """Hold nothing of a map any more."""
+        self.core.drop(name)
+        self._about.pop(name, None)
+        self._stack = None
 
     # ---- scans ----------------------------------------------------------------------------------
 
@@ -579,12 +587,12 @@ class Service:
         return await self._layer(lambda: layers.feature_layer(site.features, what))
 
     async def _likelihood(self, _: Request, values: Values) -> Response:
-        name, site = self._site(values["map"])
+        site = self._site(values["map"])[1]
         k, scan = self._held_scan(values)
         options = site.options(replace(self.core.options, method=values["method"]))
         which = None if values["slice"] == "max" else int(values["slice"])
         how = [str(values[k]) for k in ("scans", "method", "range_scale", "range_max", "flipped")]
-        key = (name, id(site.features), k, *how)
+        key = (site.features, k, *how)
 
         def drawn() -> layers.Layer:
             if self._stack is None or self._stack[0] != key:

@@ -3,6 +3,7 @@
 import base64
 import io
 import json
+import signal
 import socket
 import subprocess
 import sys
@@ -20,6 +21,7 @@ import pytest
 from badfiles import YAML, png, room
 from command import MAPS, call, rows, untimed
 from serving import Served, served
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 import imgloc
@@ -624,6 +626,13 @@ def test_sigterm_ends_what_runs_and_refuses_the_rest(scans: Path) -> None:
     assert len(codes) == 5
     assert set(codes) <= {200, 503}
     assert 200 in codes
+
+
+def test_ctrl_c_ends_it_too_and_tells_those_who_are_followed() -> None:
+    with served(MAP) as one, connect(f"ws://127.0.0.1:{one.port}/v1/track") as robot:
+        assert one.end(signal.SIGINT)[0] == 130
+        with pytest.raises(ConnectionClosed, match="1012"):
+            robot.recv(timeout=30)
 
 
 # The command.
