@@ -121,6 +121,7 @@ def overhead(
         here += time.process_time() - busy
         http_.append(between - begin)
         call.append(time.perf_counter() - between)
+    link.close()
     more = 1e3 * (statistics.median(http_) - statistics.median(call))
     there, here = 1e3 * (spent(pid) - there) / pairs, 1e3 * here / pairs
     print(f"one client, {pairs} requests: {percentiles(http_)}; processor {there:.1f} ms each")
@@ -196,7 +197,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             finally:
                 if process.poll() is None:
                     process.kill()
-                    process.wait()
+                process.communicate()
 
     return ended("load", work)
 
