@@ -2,8 +2,8 @@
 
 import json
 import math
-import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -56,10 +56,15 @@ class Field:
     """Processes of one test, which hear each other alone, and what was heard and played."""
 
     def __init__(self, folder: Path) -> None:
-        worker = os.environ.get("PYTEST_XDIST_WORKER", "gw0")
-        Field.count = getattr(Field, "count", 0) + 1
-        # Each test a domain of its own; of two runs at a time the process decides.
-        self.around = environment((11 + 17 * int(worker[2:]) + Field.count + os.getpid()) % 101)
+        # A domain that no other test on this machine has: who holds the port has the domain.
+        self.held, domain = socket.socket(), 1
+        while True:
+            try:
+                self.held.bind(("127.0.0.1", 28_900 + domain))
+                break
+            except OSError:
+                domain += 1
+        self.around = environment(domain)
         self.around["PYTHONPATH"] = str(ROOT)
         self.folder, self.running = folder, list[subprocess.Popen[bytes]]()
         self.played_in, self.heard_in = folder / "played.jsonl", folder / "heard.jsonl"
@@ -122,6 +127,7 @@ def field(tmp_path: Path) -> Iterator[Field]:
     for process in made.running:
         process.kill()
         process.wait()
+    made.held.close()
 
 
 @pytest.mark.parametrize("publisher", ["reliable", "--best-effort"])
