@@ -60,8 +60,13 @@ function showHypotheses() {
     }, make("span", { class: "rank" }, String(k + 1)), make("span", { class: "where" }, where), bar, make("span", { class: "mass" }, percent(h.mass))));
   });
   list.replaceChildren(...rows);
-  const more = (answer?.evidence.found ?? 0) - rows.length;
-  say($("more"), more > 0 ? `${more} more with ${percent(answer.evidence.unlisted)} together` : "");
+  const more = (answer?.evidence.found ?? 0) - rows.length, words = [];
+  if (more > 0) {
+    const unseen = answer.hypotheses.slice(rows.length).reduce((sum, h) => sum + h.mass, 0);
+    words.push(`${more} more with ${percent(answer.evidence.unlisted + unseen)} together.`);
+  }
+  if (rows.length) words.push(`Elsewhere: ${percent(answer.elsewhere)}.`);
+  say($("more"), words.join(" "));
   $("answer").hidden = !rows.length;
 }
 
