@@ -39,27 +39,33 @@ from imgloc.search.stacked import exact_poses, weigh_exact, weigh_stack
 from imgloc.search.weigh import nothing, weigh
 
 _LAST = number("pipeline.last")  # proposals that get the second look when time is up
-_ROUNDS = number("pipeline.rounds")  # of searches with an error that the readings share
+_ROUNDS = number("pipeline.rounds")  # searches again with an error that the readings share
 _FIRST_LOOK, _SECOND_LOOK = number("refine.first_look"), number("refine.second_look")
 
 
 def prepare(grid: OccupancyGrid, name: str = "map", **parameters: Any) -> MapFeatures:
-    """Prepare a map: refuse one that is of no use, and wrap it into its features.
+    """Check a map, and wrap it into its features.
 
     Parameters
     ----------
     grid : OccupancyGrid
+        The map.
     name : str
-        What error messages call the map.
+        Name of the map in error messages.
     **parameters
-        Of :class:`~imgloc.features.mapfeatures.MapFeatures`.
+        Parameters of :class:`~imgloc.features.mapfeatures.MapFeatures`.
+
+    Returns
+    -------
+    MapFeatures
+        Features of the map. Each is computed when it is first used.
 
     Raises
     ------
     MapError
         If the map has no walls or no free cells.
     TypeError
-        If `grid` is none: a path, say, that :func:`imgloc.load_map` should read first.
+        If `grid` is no OccupancyGrid, but for example a path. :func:`imgloc.load_map` reads a path.
     """
     expect(grid, OccupancyGrid, "grid")
     require_usable(grid, name)
@@ -73,32 +79,33 @@ def localize(
     *,
     stack: Likelihood | None = None,
 ) -> Localization:
-    """Find every pose that fits a scan, and say how much to trust each.
+    """Find every pose that fits a scan, with the probability of each and a verdict.
 
     Parameters
     ----------
     features : MapFeatures
-        Of :func:`prepare`.
+        The map, from :func:`prepare`.
     scan : LaserScan
+        The scan, in the sensor frame.
     options : Options, optional
+        Method, prior and limits of the search. By default the whole map is searched.
     stack : Likelihood, optional
-        Of :func:`likelihood` with the same arguments, if it is there already; a ConfigError for
-        that of another method, map or scan.
+        Stack of this method, map and scan from :func:`likelihood`, to save computing it again.
 
     Returns
     -------
     Localization
-        Poses of the sensor in the map frame. A scan with readings in too few directions is
-        answered with the verdict ``invalid``, not with an error; a search that ran out of time
+        Poses of the sensor in the map frame: metres, metres, radians. A scan with readings in too
+        few directions raises no error: its verdict is ``invalid``. A search that ran out of time
         is never ``unique``.
 
     Raises
     ------
     ConfigError
-        If an option is out of its range, the memory budget too small, or no pose in which a
-        sensor can be is in the prior.
+        If an option is out of its range or the memory budget is too small. If no pose of the prior
+        can hold a sensor. If `stack` belongs to another method, map or scan.
     TypeError
-        If an argument is of another kind.
+        If an argument has a wrong type.
     """
     options = Options() if options is None else options
     check_options(features, options)
@@ -122,33 +129,42 @@ def localize(
 def find_modes(
     features: MapFeatures, scan: LaserScan, options: Options, *, more: FloatArray | None = None
 ) -> Modes:
-    """Search for all poses that fit a scan, by the default method.
+    """Search a map for all poses that fit a scan, by the default method.
 
-    Endpoint correlation and GHT-V votes fail differently: where nothing that the one proposes
-    fits, the other proposes, too. The score that decides is a third one. Most proposals are
-    dropped after a look with a few rays. When the time of the `options` is up, only the best so
+    Endpoint correlation proposes poses. If none of them fits, GHT-V votes propose others, because
+    the two methods fail in different cases. A third score decides. Most proposals are dropped after
+    a look with few readings. When the time budget of the `options` is spent, only the best poses so
     far are followed.
 
     Parameters
     ----------
-    features, scan, options
-        As of :func:`localize`; with at least one valid reading.
+    features : MapFeatures
+        The map.
+    scan : LaserScan
+        The scan, with at least one valid reading.
+    options : Options
+        Prior, limits and time budget of the search.
     more : (M, 3) float array, optional
-        Proposals of another source, grid frame.
+        Further proposals, grid frame: metres, metres, radians.
+
+    Returns
+    -------
+    Modes
+        Separated modes in the grid frame, best first; perhaps none.
     """
     fused, prior, threads = options.fused, options.prior, options.threads
     end = time.monotonic() + (np.inf if options.time_budget is None else options.time_budget)
 
-    # One reading for each place that was seen: few of them for a first look, more for a second.
+    # Thin the readings to one for each place. Take few for a first look, more for a second.
     seen = one_per_place(scan, fused.place)
     few, many = seen.spread(fused.few_rays), seen.spread(fused.rays)
 
-    # Propose poses whose endpoints fall on walls, and look which are worth more readings.
+    # Propose poses whose endpoints fall on walls, and pick those that are worth more readings.
     proposals = propose(features, scan, few, options, end)
     proposals = proposals if more is None else np.concatenate((proposals, more))
     looked, score = look(features, proposals, few, options)
 
-    # Where none of them fits, pairs of oriented points vote for others.
+    # If none of them fits, pairs of oriented points vote for others.
     unfit = not len(looked) or score[0] < (fused.model.best - fused.unfit) * len(few)
     if unfit and time.monotonic() < end:
         votes = propose_votes(features, scan, fused, prior, threads)
@@ -167,9 +183,11 @@ def find_modes(
 def propose(
     features: MapFeatures, scan: LaserScan, few: Readings, options: Options, end: float
 ) -> FloatArray:
-    """Poses (M, 3) by endpoint correlation, and by branch and bound if it is asked for.
+    """Propose poses by endpoint correlation, and by branch and bound if `options.exact` is set.
 
-    `end` is when the time is up, by :func:`time.monotonic`: then only the best are given.
+    The result (M, 3) is in the grid frame: metres, metres, radians. `few` are the readings to
+    correlate. Only the best poses are returned if the time is past `end`, seconds by
+    :func:`time.monotonic`.
     """
     fused, prior = options.fused, options.prior
     levels = pyramid_levels(prior, features.pyramid, features.grid.resolution)
@@ -191,9 +209,10 @@ def look(
     options: Options,
     before: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """The best of some proposals, refined with few readings, and their scores (L,), best first.
+    """Refine proposals with few readings, and keep the best of them.
 
-    Poses that got this look `before` are compared with them.
+    `proposals` (M, 3) and `before` (B, 3), poses kept by an earlier look, are in the grid frame.
+    The result has the best poses of both (L, 3) and their scores (L,) in nats, best first.
     """
     poses = refine(proposals, few.xy, features.field, sigmas=_FIRST_LOOK)
     poses = standing(poses, options.prior, features)
@@ -202,12 +221,24 @@ def look(
 
 
 def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options) -> Modes:
-    """Search for all poses, and again if the readings fit far better with an error they share.
+    """Search for all poses that fit a scan, and allow for an error that all readings share.
+
+    If nothing fits well, and the readings fit far better with another scale or with thinner walls,
+    the search is repeated with that error.
 
     Parameters
     ----------
-    features, scan, options
-        As of :func:`find_modes`; a budget of time is that of all searches together.
+    features : MapFeatures
+        The map without any correction.
+    scan : LaserScan
+        The scan, with at least one valid reading.
+    options : Options
+        Prior and limits of the search. The time budget, seconds, covers all searches together.
+
+    Returns
+    -------
+    Modes
+        Separated modes in the grid frame, best first, with the shared error in use.
     """
     start = time.monotonic()
 

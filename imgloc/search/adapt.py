@@ -1,9 +1,9 @@
 """Errors that all readings share: a scale that is off, walls that are drawn too thick.
 
-A map that is drawn, or that was blurred as it was made, has walls that are thicker than the real
-ones; a plan is of another scale than it says; a sensor's ranges are too long by a share. Each of
-these moves all readings together. Where nothing fits well, poses are refined once more with such
-an error free, and the readings say by how much better they fit.
+A drawn or blurred map has walls that are thicker than the real ones. A plan may have another scale
+than its file gives. A sensor's ranges may be too long by a share. Each of these errors moves all
+readings together. If nothing fits well, the poses are refined once more with such an error free.
+The error is kept if the readings fit far better with it.
 """
 
 import numpy as np
@@ -20,8 +20,8 @@ from imgloc.search.rescore import rescore
 _SIGMAS = number("adapt.sigmas")
 THINNEST: int = number("adapt.thinner")
 """Cells that walls may lose on each side."""
-_SCALES = number("adapt.scales")  # at which the scale begins
-_PLACES, _READINGS = number("adapt.places"), number("adapt.readings")  # that are asked
+_SCALES = number("adapt.scales")  # factors from which the search for a scale starts
+_PLACES, _READINGS = number("adapt.places"), number("adapt.readings")  # how many are used
 
 
 def adapt(
@@ -31,21 +31,26 @@ def adapt(
     now: Shared,
     options: Options,
 ) -> Shared:
-    """The error with which the readings fit far better than with that of `now`; or `now`.
+    """Find a shared error with which the readings fit far better than with `now`.
 
     Parameters
     ----------
     features : MapFeatures
-        Of the map as it is.
+        The map without any correction.
     readings : Readings
-        Of the scan, its lengths multiplied by the scale of `now`.
+        Readings of the scan, their ranges already multiplied by the scale of `now`.
     places : (C, 3) float array, C > 0
-        Where they may have been seen from, the best fit of `now` first; grid frame.
+        Poses to start from, grid frame: metres, metres, radians. The best fit of `now` comes first.
     now : Shared
         The error that is allowed for already.
     options : Options
-        The poses that may be; the score, what is far better, and how far a scale may be from the
-        one that is known.
+        Possible poses, the score, the gain in nats that counts as far better, and how far a scale
+        may be from `options.shared.scale`, a factor.
+
+    Returns
+    -------
+    Shared
+        The better error, or `now` if there is none.
     """
     fused = options.fused
     count, readings = len(readings), readings.spread(_READINGS)
@@ -66,7 +71,7 @@ def adapt(
         k = int(score.argmax())
         return float(score[k]), Shared(float(scale[small][k]), thinner)
 
-    # A reading that is too long ends behind its wall, and would be drawn to the other side of it.
+    # A reading that is too long ends behind its wall: refinement pulls it to the wall's far side.
     places = places[:_PLACES]
     scaled = [np.column_stack((places, np.full(len(places), scale))) for scale in _SCALES]
     found = best(np.concatenate(scaled), now.thinner)

@@ -18,7 +18,11 @@ from imgloc.search.weigh import Weighed
 def answered(
     features: MapFeatures, scan: LaserScan, found: Weighed, options: Options, ms: float
 ) -> Localization:
-    """The answer for a scan whose poses have been weighed, in `ms` milliseconds."""
+    """Make the answer for a scan whose poses have been weighed.
+
+    `features` are those of the map, `found` has its poses in the grid frame. The answer has them in
+    the map frame. `ms` is the wall time of the search, milliseconds.
+    """
     elsewhere = 1.0
     if len(found.poses):
         elsewhere = options.trust.mass_elsewhere(found.evidence.gained, found.lead)
@@ -51,9 +55,12 @@ def answered(
 
 
 def log_volumes(hypotheses: tuple[Hypothesis, ...], features: MapFeatures) -> FloatArray:
-    """Logarithm of the volume of each mode as a share of that of all poses."""
+    """Logarithm (L,) of each hypothesis' volume, as a share of the volume of all poses.
+
+    The volume of a hypothesis is the integral of its Gaussian without the factor in front.
+    """
     space = np.count_nonzero(features.free) * features.lattice.resolution**2 * 2 * np.pi
-    # An integral of a density that is no narrower than the score is sharp: the search's own
-    # rounding and a mode that is its own best pose cost as much in every map.
+    # A covariance is no narrower than the score is sharp. The rounding of the search, and a mode
+    # that is its own best pose, cost as much in every map.
     volumes = [0.5 * np.linalg.slogdet(2 * np.pi * h.covariance)[1] for h in hypotheses]
     return np.asarray(np.array(volumes) - np.log(space))

@@ -1,4 +1,4 @@
-"""What is asked: refused before anything is done, and as plain values for the record."""
+"""Checks of a request before any work is done, and its parameters as plain values."""
 
 from dataclasses import asdict, fields, replace
 
@@ -10,7 +10,16 @@ from imgloc.options import DEFAULTS, FUSED, Options, Prior
 
 
 def check_options(features: MapFeatures, options: Options) -> None:
-    """Refuse what :func:`localize` cannot do, by its errors, before anything is done."""
+    """Refuse options that :func:`imgloc.localize` cannot follow on a map, before any work.
+
+    Raises
+    ------
+    ConfigError
+        If two options contradict each other, no cell of the prior can hold a sensor, or the search
+        needs more bytes than the memory budget.
+    TypeError
+        If `features` or `options` is of another type.
+    """
     expect(features, MapFeatures, "features")
     expect(options, Options, "options")
     if options.exact and options.method not in (FUSED, "cbml"):
@@ -28,7 +37,7 @@ def check_options(features: MapFeatures, options: Options) -> None:
 
 
 def answer_bytes(features: MapFeatures, options: Options) -> int:
-    """How many bytes :func:`localize` takes at most, besides the map's features."""
+    """Bytes that :func:`imgloc.localize` needs at most, besides the map's features."""
     shape, cell = features.lattice.shape, features.lattice.resolution
     exact = exact_bytes(shape, cell, len(options.thetas)) if options.exact else 0
     if options.method == FUSED:
@@ -47,7 +56,10 @@ def answer_bytes(features: MapFeatures, options: Options) -> int:
 
 
 def effective(options: Options, features: MapFeatures) -> dict[str, object]:
-    """The parameters that decided an answer, as plain values. Threads do not."""
+    """The parameters that decided an answer, as plain values.
+
+    The number of threads is left out, because no answer depends on it.
+    """
     out = asdict(replace(options, prior=Prior(), theta_step=options.step))
     out["prior"] = dict(options.prior.about)
     hidden = {"threads", "memory_budget"}
@@ -55,10 +67,10 @@ def effective(options: Options, features: MapFeatures) -> dict[str, object]:
         hidden.add("time_budget")
     if options.method != FUSED:
         out["calibration"] = asdict(options.calibration or DEFAULTS[options.method])
-        hidden.add("shared")  # votes know nothing of it
+        hidden.add("shared")  # no stack uses it
     else:
         hidden |= {"engine", "calibration"}
-        if not options.exact:  # they are the headings of branch and bound
+        if not options.exact:  # only branch and bound uses these headings
             hidden.add("theta_step")
     unsaid = ("grid", "memory_budget", "threads")
     about_map = {

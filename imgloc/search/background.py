@@ -1,8 +1,9 @@
-"""How well would a scan fit a building that nobody has mapped? As well as its best empty room does.
+"""The score that a scan reaches in a building on no map, from the empty room that fits it best.
 
-Any building has rectangular rooms, so that a scan of one fits somewhere in every map. Four straight
-walls that are fitted to the scan alone say how much of it is no more than a room: what the map
-explains beyond that is evidence for the map. And nearly any scan fits any map somewhere by chance.
+Every building has rectangular rooms, so a scan of a room fits somewhere in every map. Four straight
+walls are fitted to the scan alone. Their score shows how much of the scan is only a room. What the
+map explains beyond that room is evidence for the map. The score has a lower limit, because nearly
+any scan fits any map somewhere by chance.
 """
 
 import numpy as np
@@ -14,12 +15,13 @@ from imgloc.options import EvidenceModel
 from imgloc.search.rescore import hit_density
 
 CHANCE: float = number("background.chance")
-"""Nats that a reading lacks where a scan is laid on a map by chance."""
+"""Nats per reading below a perfect fit that a scan reaches by chance anywhere on a map."""
 CHANCE_TOLD: float = number("background.chance_told")
-"""The same where so much is known of the pose that one place is left: of readings laid on a wrong
-one they lack more, and a right one is not looked for where it is not."""
-_PRIOR: float = number("background.prior")  # share of the evidence of a prior that is believed
-# of the room, over the quarter turn after which it is itself again
+"""Nats per reading below a perfect fit that a scan reaches by chance at a single place.
+
+It applies if the prior leaves one place: with nowhere else to look, a wrong place fits worse."""
+_PRIOR: float = number("background.prior")  # share of a prior's evidence that counts
+# headings of the room that are tried; it looks the same after a quarter turn
 _HEADINGS = number("background.headings")
 _BIN = number("background.bin")  # metres; a wall is looked for in three of them
 _BINS = number("background.bins")
@@ -28,18 +30,22 @@ _BINS = number("background.bins")
 def unmapped_score(
     xy: FloatArray, model: EvidenceModel, share: float = 1.0, nats: float = 0.0
 ) -> float:
-    """Mean log-density of readings (N, 2) in a building that is on no map, nats.
+    """Mean log-density of readings in a building that is on no map, nats per reading.
 
-    That of :func:`best_room`, but never less than :data:`CHANCE` below a perfect fit.
+    It is the score of the best empty room, but never farther than :data:`CHANCE` below a perfect
+    fit. With fewer possible poses that limit moves toward :data:`CHANCE_TOLD`.
 
     Parameters
     ----------
+    xy : (N, 2) float array
+        Endpoints in the sensor's frame, metres, N > 0.
+    model : EvidenceModel
+        The density of a reading by its distance from a wall.
     share : float
-        Of the poses of the map that are left by what is known, 0..1. The fewer there are, the less
-        likely a room fits at one of them; and the nearer to :data:`CHANCE_TOLD` is what must be
-        lacking for the place to be a wrong one.
+        Share of the map's poses that the prior leaves, 0..1. The fewer poses are left, the less
+        likely a room fits at one of them.
     nats : float
-        Of a reading, that one nat of evidence is worth: the temperature over N.
+        Nats per reading that one nat of tempered evidence is worth: the temperature divided by N.
     """
     chance = CHANCE_TOLD + (CHANCE - CHANCE_TOLD) * share
     fewer = _PRIOR * nats * float(np.log(max(share, 1e-12)))
@@ -55,8 +61,8 @@ def best_room(xy: FloatArray, model: EvidenceModel) -> float:
         Endpoints in the sensor's frame, metres, N > 0. The sensor is in the room; walls that it
         does not see may be missing.
     model : EvidenceModel
-        The density of a reading by its distance from a wall, as in
-        :func:`~imgloc.search.rescore.rescore`; comparable with a score of that per reading.
+        The density of a reading by its distance from a wall. The result compares with the score
+        per reading of :func:`~imgloc.search.rescore.rescore`.
 
     Examples
     --------
@@ -78,9 +84,9 @@ def best_room(xy: FloatArray, model: EvidenceModel) -> float:
 
 
 def _walls(u: FloatArray) -> FloatArray:
-    """Distance of points (K, N), one coordinate, to the nearer of two walls, one on each side.
+    """Distance of points, one coordinate (K, N) in metres, to the nearer wall of two.
 
-    A wall stands where most points of its side are: at the peak of their histogram.
+    One wall is on each side of 0. A wall stands at the peak of the histogram of its side's points.
     """
     bins = np.minimum(np.abs(u) / _BIN, _BINS - 1).astype(np.int64)
     return np.minimum(*(_wall(u, bins, side) for side in (u > 0, u <= 0)))
@@ -95,5 +101,5 @@ def _wall(u: FloatArray, bins: npt.NDArray[np.int64], side: BoolArray) -> FloatA
     member = side & (np.abs(bins - three.argmax(axis=1)[:, None]) <= 1)
     count = member.sum(axis=1)
     place = np.where(member, u, 0).sum(axis=1) / np.maximum(count, 1)
-    place[count == 0] = np.inf  # nothing is seen on this side: no wall, not one at the sensor
+    place[count == 0] = np.inf  # no points on this side: no wall, rather than one at the sensor
     return np.asarray(np.abs(u - place[:, None]))

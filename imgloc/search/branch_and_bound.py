@@ -1,11 +1,11 @@
 """The best poses of the CBML score over the whole map, exactly, without its stack.
 
-Branch and bound (Hess et al. 2016): a block of poses whose bound, from a max-pooled map, is
-below what is already known to be reached is left out with all its poses. Nothing here is an
-approximation: the result is that of the exhaustive search, ties included.
+Branch and bound (Hess et al. 2016): a max-pooled map gives an upper bound for a block of poses. The
+search drops a block with all its poses if its bound is below a score that other poses reach.
+Nothing is approximated: the result equals that of the exhaustive search, ties included.
 
-The top level is summed as runs of memory, heading by heading; the finer ones are gathered with one
-call for hundreds of blocks.
+The top level is summed as runs of memory, heading by heading. One call looks up hundreds of blocks
+of a finer level.
 """
 
 import time
@@ -34,10 +34,10 @@ _QUARTERS = np.array([(0, 0, 0), (0, 0, 1), (0, 1, 0), (0, 1, 1)])
 
 @dataclass(frozen=True)
 class Best:
-    """The best poses of a lattice, best first."""
+    """The M best poses of a lattice, best first."""
 
     cells: IntArray  #: (M, 3) ``(theta, row, col)`` indices, as into a stack
-    #: (M,) The values that the stack of :func:`imgloc.likelihoods.cbml.cbml` has there
+    #: (M,) values that the stack of :func:`imgloc.likelihoods.cbml.cbml` has at these cells
     scores: Float32Array
 
 
@@ -54,31 +54,40 @@ def best_poses(
 ) -> Best:
     """Find the poses of the largest CBML score, as if the stack had been computed.
 
-    That is what :func:`imgloc.search.hypotheses.separated` picks from all wanted poses, equal ones
-    in (theta, row, col) order: the best, the best of those that are not its neighbours, and so on.
+    The first pick is the best pose, the next one is the best that is no neighbour of a pick, and so
+    on (:func:`imgloc.search.hypotheses.separated`). Among poses of equal score the first in
+    (theta, row, col) order wins.
 
     Parameters
     ----------
     pooled : PooledMaps
-        Of :func:`imgloc.features.pyramid.pooled_maps`; it also says which poses are wanted.
+        Max-pooled maps from :func:`imgloc.features.pyramid.pooled_maps`, with the mask of the poses
+        that are wanted.
     xy : (N, 2) float array
         Scan points, sensor frame, metres. Points that are not finite are left out.
     thetas : (K,) float array
         Headings, radians.
-    count, distance, angle : int, float, float
-        At most so many poses: far more than fit the map make the search exhaustive. Two poses are
-        neighbours if they are closer than both, metres and radians.
+    count : int
+        Number of poses to find, at most. The search is exhaustive if far fewer fit on the map.
+    distance, angle : float
+        Two poses are neighbours if they are closer than both, metres and radians.
     threads : int
-        The result does not depend on it.
+        Number of threads. The result does not depend on it.
     deadline : float
-        Time by :func:`time.monotonic` at which what is known is the result: the first of the
-        best poses, or none.
+        Time by :func:`time.monotonic` at which the search stops, seconds. The result then holds the
+        picks made so far, perhaps none.
 
     Returns
     -------
     Best
-        Only poses with a score above 0: a pose that no reading speaks for is no answer. A number
-        out of its range is a ConfigError, `xy` of a wrong shape a ValueError.
+        Only poses with a score above 0, because a pose that no reading supports is no answer.
+
+    Raises
+    ------
+    ConfigError
+        If a number is out of its range.
+    ValueError
+        If `xy` has a wrong shape.
 
     Examples
     --------
@@ -137,7 +146,7 @@ class _Bounds:
         points = points[np.argsort(np.arange(len(points)) % _GROUPS, kind="stable")]
         cuts = [-(-(len(points) - g) // _GROUPS) for g in range(_GROUPS)]
         self.groups = [slice(b - n, b) for n, b in zip(cuts, np.cumsum(cuts).tolist(), strict=True)]
-        # What holds the sum of so many bytes: half the memory is half the time.
+        # The smallest type that holds the sum of all readings: half the memory is half the time.
         self.sums_type = np.uint16 if cuts[0] * _FULL < 1 << 16 else np.uint32
         offsets = cell_offsets(points, thetas, pooled.resolution)
         # Farther than the map is large, a point misses it from everywhere.
@@ -255,7 +264,7 @@ class _Bounds:
 
 
 class _Picks:
-    """What has been found, and what a block must reach to matter."""
+    """The poses found so far, and the score that a block must reach to matter."""
 
     def __init__(self, bounds: "_Bounds", count: int, distance: float, angle: float) -> None:
         self.bounds, self.count, self.distance, self.angle = bounds, count, distance, angle
@@ -275,10 +284,10 @@ class _Picks:
         return np.asarray((bounds > self.threshold) | ((bounds == self.threshold) & before))
 
     def promise(self, nodes: IntArray, scores: IntArray) -> None:
-        """Raise the threshold to what the last pick is known to reach.
+        """Raise the threshold to a score that the last pick reaches for certain.
 
-        Two poses that are twice the separation apart are not neighbours of one and the same
-        pick, so that `count` such poses bring about as many picks that score no less.
+        Two poses that are twice the separation apart are never neighbours of one pick. `count`
+        such poses therefore lead to `count` picks that score no less.
         """
         few = np.argsort(-scores, kind="stable")[: _CHUNK + self.count]
         nodes, scores = self.sort((self.apart[0], nodes[few]), (self.apart[1], scores[few]))
@@ -295,7 +304,7 @@ class _Picks:
             self.found = self.sort((self.found[0], nodes), (self.found[1], scores))
 
     def settle(self, rest: int) -> bool:
-        """Pick among the poses that beat every bound still open, `rest`; whether that is all."""
+        """Pick among the poses that beat `rest`, the highest open bound; True if all are picked."""
         nodes, scores = self.found
         picked, owner = self.separate(nodes, 1.0)
         picked = picked[scores[picked] > rest]

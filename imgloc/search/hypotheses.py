@@ -9,18 +9,18 @@ from imgloc.model import FloatArray, Hypothesis, IntArray, Pose2D
 from imgloc.numbers import number
 from imgloc.search.refine import normal_equations
 
-_BLOCKS = number("hypotheses.blocks")  # of neighbouring readings, that are left out in turn
-# How much more than their variance counts: walls are longer than blocks. And the place of a wall,
-# in cells.
+_BLOCKS = number("hypotheses.blocks")  # blocks of neighbouring readings, each left out once
+# Factor on the jackknife's variance, because walls are longer than blocks; and the standard
+# deviation of a wall's place, in cells.
 _SHARED, _WALLS = number("hypotheses.shared"), number("hypotheses.walls")
-_LEAST = number("hypotheses.least")  # cells that a scan fits by, at best
+_LEAST = number("hypotheses.least")  # smallest residual that counts, as a share of a cell
 _TOGETHER = 64  # poses that are compared with all others at a time
 
 
 def masses(log_likelihood: FloatArray, temperature: float) -> FloatArray:
-    """Softmax of ``log_likelihood / temperature``: (M,) shares that sum to 1.
+    """Softmax of ``log_likelihood / temperature``, (M,) nats: shares (M,) that sum to 1.
 
-    A temperature that is not positive and finite is a ConfigError.
+    A temperature that is not positive and finite raises a ConfigError.
 
     Examples
     --------
@@ -29,15 +29,16 @@ def masses(log_likelihood: FloatArray, temperature: float) -> FloatArray:
     """
     if not (np.isfinite(temperature) and temperature > 0):
         raise ConfigError(f"temperature must be positive and finite, got {temperature}")
-    # scipy.special's softmax refuses none, and takes a fifth of a second to import.
+    # scipy.special.softmax checks nothing, and takes a fifth of a second to import.
     weight = np.exp((log_likelihood - log_likelihood.max(initial=-np.inf)) / temperature)
     return np.asarray(weight / weight.sum())
 
 
 def first_in_cell(poses: FloatArray, distance: float, angle: float) -> IntArray:
-    """Indices, in order, of the poses (M, 3) that are the first in their cell of pose space.
+    """Indices of the poses (M, 3) that come first in their cell of pose space, in rising order.
 
-    The sides of a cell are `distance` metres and `angle` radians, made to fit the circle.
+    A cell has sides of `distance` metres and about `angle` radians, so that whole cells fill the
+    circle.
 
     Examples
     --------
@@ -57,20 +58,22 @@ def first_in_cell(poses: FloatArray, distance: float, angle: float) -> IntArray:
 def separated(
     poses: FloatArray, n: int, *, distance: float, angle: float
 ) -> tuple[IntArray, IntArray]:
-    """Pick poses, best first, that are not another one's neighbour.
+    """Pick poses in the given order, and leave out the neighbours of each pick.
 
     Parameters
     ----------
-    poses, n : (M, 3) float array, int
-        Best first: metres, metres, radians; and how many to pick at most.
+    poses : (M, 3) float array
+        Metres, metres, radians; the best pose first.
+    n : int
+        Number of poses to pick, at most.
     distance, angle : float
         Two poses are neighbours if they are closer than both, metres and radians.
 
     Returns
     -------
     picked, owner : (K,) and (M,) int arrays
-        Indices of the picked poses, and for each pose the position in `picked` of the one it is
-        a neighbour of, or -1.
+        Indices of the picked poses. For each pose the position in `picked` of its neighbour, or
+        of itself; -1 if it has none.
 
     Examples
     --------
@@ -100,10 +103,10 @@ def separated(
 def modes(
     poses: FloatArray, score: FloatArray, *, distance: float, angle: float, most: int | None = None
 ) -> IntArray:
-    """Indices of the best pose of each mode, best first, ties in index order; at most `most`.
+    """Indices of the best pose of each mode, at most `most`; best first, ties in index order.
 
-    Poses that a refinement has brought together are one mode, whose score is that of its best
-    pose: how many proposals led there says nothing about it.
+    Poses that refinement has brought together are one mode. Its score is the score of its best
+    pose, because the number of proposals that led to a mode is no evidence for it.
     """
     order = np.argsort(-score, kind="stable")
     n = len(order) if most is None else most
@@ -126,20 +129,31 @@ def covariances(
 ) -> FloatArray:
     """Covariance (C, 3, 3) of each pose, from how well and how firmly its scan fits.
 
-    Least squares: the mean square distance left over, times the inverse of ``J^T J``. It knows
-    the sensor's noise and the map's cells without being told. Errors of the map are shared along
-    a wall: how far the pose moves where neighbouring readings are left out together, a block at a
-    time, is added (the jackknife of blocks, linearised).
+    Least squares gives the mean square of the remaining distances times the inverse of ``J^T J``.
+    These distances contain the sensor's noise and the map's rounding to cells. The error of a wall
+    moves neighbouring readings together. A linearised jackknife therefore leaves out one block of
+    neighbouring readings after another, and adds the variance of the pose.
 
     Parameters
     ----------
-    poses, xy, field, sigma
-        As of :func:`~imgloc.search.refine.refine`, refined; width of the robust kernel, metres.
+    poses : (C, 3) float array
+        Refined poses, grid frame: metres, metres, radians.
+    xy : (N, 2) float array
+        Scan points, sensor frame, metres.
+    field : DistanceField
+        Signed distance to the surfaces of the map, metres.
+    sigma : float
+        Width of the robust kernel, metres.
     correlated : float
-        How many neighbouring readings share their error: the staircase of a wall's cells.
+        Number of neighbouring readings that share their error: the staircase of a wall's cells.
     extent : (float, float)
-        Half-widths of a mode, metres and radians. A corridor leaves its own direction
-        undetermined; the mode is no longer than this all the same.
+        Half-widths of a mode, metres and radians. They limit the covariance along a corridor, where
+        the scan does not determine the pose.
+
+    Returns
+    -------
+    (C, 3, 3) float array
+        In m², m rad and rad²; positive definite.
     """
     blocks, b, square = normal_equations(poses, xy, field, sigma, _BLOCKS)
     A, jackknife = blocks.sum(axis=0), _jackknife(blocks, b, sigma, extent)
@@ -147,7 +161,7 @@ def covariances(
     information = A / variance[:, None, None]
     information[:, range(3), range(3)] += 1 / np.square([extent[0], extent[0], extent[1]])
     out = np.linalg.inv(information) + _SHARED * jackknife
-    # Walls are drawn in cells: no pose is better known than a tenth of one.
+    # Walls are drawn in cells, so no pose is more exact than a share of a cell.
     cell = _WALLS * field.resolution
     lever = max(float(np.sqrt(np.square(xy).sum(axis=1).mean())) if len(xy) else 0.0, cell)
     out[:, range(3), range(3)] += np.square([cell, cell, cell / lever])
@@ -165,20 +179,25 @@ def centres(
     within: tuple[float, float],
     same: tuple[float, float],
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean (C, 3) and covariance (C, 3, 3) of the maxima of each mode, by what they score.
+    """Mean (C, 3) and covariance (C, 3, 3) of the maxima of each mode, weighted by their scores.
 
-    Between two layers of a wall, or where a wall is drawn twice, the score has several maxima that
-    are close together: how firmly the scan holds in one of them says nothing about the others, and
-    which one is the best is chance. Their mean is nearer to the true pose, by a third.
+    Between two layers of a wall, or where a wall is drawn twice, the score has several maxima close
+    together. Which one is the highest is chance. Their mean is nearer to the true pose than the
+    highest one, by a third. The curvature of the score at one maximum does not show the others, so
+    their spread is given, too.
 
     Parameters
     ----------
-    poses, score : (M, 3) and (M,) float arrays
-        All that were refined; nats, divided by the temperature.
+    poses : (M, 3) float array
+        All refined poses, grid frame: metres, metres, radians.
+    score : (M,) float array
+        Their log-likelihoods in nats, divided by the temperature.
     best : (C,) int array
-        Which are the best of their modes, see :func:`modes`.
-    within, same : (float, float)
-        Metres and radians: poses of one mode, and poses that are one.
+        Index of the best pose of each mode, from :func:`modes`.
+    within : (float, float)
+        Poses nearer than this, metres and radians, belong to one mode.
+    same : (float, float)
+        Poses nearer than this, metres and radians, are one maximum.
 
     Examples
     --------
@@ -195,7 +214,7 @@ def centres(
     near = np.hypot(away[..., 0], away[..., 1]) < within[0]
     near &= np.abs(away[..., 2]) < within[1]
     below = score[order] - score[best][:, None]
-    near &= below <= 0  # what scores more is of a better mode beside this one
+    near &= below <= 0  # a pose that scores more belongs to a better mode beside this one
     weight = near * np.exp(np.minimum(below, 0))
     weight = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
     mean = np.einsum("cm,cmi->ci", weight, away)
@@ -209,9 +228,9 @@ def centres(
 def _jackknife(
     A: FloatArray, b: FloatArray, sigma: float, extent: tuple[float, float]
 ) -> FloatArray:
-    """Covariance (C, 3, 3) of poses by leaving out each block of :func:`normal_equations`."""
+    """Covariance (C, 3, 3) of poses: each block of :func:`normal_equations` is left out once."""
     left = A.sum(axis=0) - A
-    # What a block alone holds in place moves no farther than the mode is long.
+    # A direction that one block alone determines moves no farther than the mode is long.
     scale = np.square(sigma) / np.square([extent[0], extent[0], extent[1]])
     left[..., range(3), range(3)] += scale
     moved = -np.linalg.solve(left, (b.sum(axis=0) - b)[..., None])[..., 0]

@@ -1,7 +1,7 @@
-"""What images hold under a scan at many poses: Alg. 1, l. 4-6, a few poses and not all.
+"""Sums of image values under a scan at some poses, not at all of them: Alg. 1, l. 4-6.
 
-Poses that move together are looked up together: an image of wider integers holds the cells of
-several of them side by side.
+Poses that move together are looked up together. An image of wider integers holds the cells of
+several poses side by side.
 """
 
 from collections.abc import Sequence
@@ -13,23 +13,23 @@ import numpy.typing as npt
 
 from imgloc.model import IntArray
 
-_LOOKUPS = 1 << 15  # at a time: they stay in the cache
+_LOOKUPS = 1 << 15  # lookups at a time, so that they stay in the cache
 
 
 def sums_under(
     images: Sequence[npt.NDArray[Any]], offsets: IntArray, k: IntArray, base: IntArray
 ) -> npt.NDArray[np.int32]:
-    """Sum what each byte of the images holds under the scan: (M, B), B bytes for M poses.
+    """Sum the bytes of the images under the scan at M poses: (M, B) for B bytes in all.
 
     Parameters
     ----------
     images : sequence of flat arrays
-        Of unsigned integers of one type; each of their bytes, in the order of the memory, is an
-        image of its own.
+        Unsigned integers of one type. Each of their bytes, in memory order, is an image of its own.
     offsets : (K, N) int array
-        Of the readings from a pose, for each heading, as indices into the images.
+        Offset of each reading from a pose, for each heading, as an index into the images.
     k, base : (M,) int arrays
-        Heading and place of each pose. No sum of `base` and `offsets` is out of range.
+        Index of each pose's heading, and index of its cell. Every sum of `base` and `offsets` is in
+        range.
 
     Examples
     --------
@@ -41,11 +41,11 @@ def sums_under(
     size = images[0].itemsize
     out = np.zeros((len(k), len(images) * size), dtype=np.int32)
     readings = offsets.shape[1]
-    if not readings:  # of no columns cv2.reduce makes anything, before OpenCV 4.14
+    if not readings:  # before OpenCV 4.14 cv2.reduce returns arbitrary sums for no columns
         return out
     step = max(1, _LOOKUPS // readings)
     for i in range(0, len(k), step):
-        # Nothing is out of range; with "clip" NumPy needs no buffer of its own.
+        # Every index is in range. With "clip" NumPy needs no buffer of its own.
         index = offsets.take(k[i : i + step], axis=0, mode="clip")
         index += base[i : i + step, None]
         for j, image in enumerate(images):

@@ -1,4 +1,4 @@
-"""What the search found: separated modes, each in the mean of its maxima."""
+"""The result of the search: separated modes, each at the mean of its maxima."""
 
 from dataclasses import dataclass, field
 
@@ -16,15 +16,16 @@ from imgloc.search.rescore import Scores
 
 @dataclass(frozen=True)
 class Modes:
-    """What the search found, best first: C separated modes of the grid frame; there may be none."""
+    """C separated modes in the grid frame, best first. There may be none."""
 
-    poses: FloatArray  #: (C, 3) the mean of the maxima of each, if a sensor can be there
-    scores: Scores  #: of the best of them
-    readings: Readings  #: those that were scored
+    #: (C, 3) mean of the maxima of each mode, or its best maximum if the mean is in a wall
+    poses: FloatArray
+    scores: Scores  #: scores of the best maximum of each mode
+    readings: Readings  #: readings that were scored
     complete: bool = True  #: the search came to its end
-    #: (L, 3) those that got the second look, before they had it
+    #: (L, 3) poses that were chosen for the second look, before it moved them
     looked: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
-    #: (C, 3, 3) second moments of the maxima around those poses, if they are known
+    #: (C, 3, 3) second moments of the maxima around `poses`; None if there are none to give
     spread: FloatArray | None = None
     shared: Shared = field(default_factory=Shared)  #: the error that was allowed for
 
@@ -38,10 +39,11 @@ class Modes:
 def separate(
     features: MapFeatures, poses: FloatArray, scores: Scores, n: int, options: Options
 ) -> tuple[FloatArray, Scores, FloatArray]:
-    """Modes of refined poses (M, 3) that were scored by `n` readings, best first.
+    """Group refined poses (M, 3), grid frame, that were scored by `n` readings, into modes.
 
-    Their poses (C, 3), each in the mean of its maxima if a sensor can be there, the scores of the
-    best of these, and their second moments (C, 3, 3) around the mean.
+    Returns the poses of the modes (C, 3), best first, the scores of the best maximum of each, and
+    the second moments (C, 3, 3) of the maxima around these poses. A mode's pose is the mean of its
+    maxima if a sensor can be there.
     """
     fused, score = options.fused, scores.log_likelihood
     distance, angle = fused.separation
@@ -57,5 +59,5 @@ def separate(
 
 
 def misfit_of(scores: Scores, n: int, options: Options) -> float:
-    """Nats per reading, of `n`, that the best of some scores lacks."""
+    """Misfit of the best of some scores by `n` readings, nats per reading."""
     return options.fused.model.best - float(scores.log_likelihood.max(initial=-np.inf)) / n

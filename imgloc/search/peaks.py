@@ -9,19 +9,21 @@ from imgloc.geometry import wrap
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 from imgloc.search.hypotheses import separated
 
-_FEW = 4096  # peaks sorted at a time
+_FEW = 4096  # peaks that are sorted at a time
 
 
 def find_peaks(
     values: Float32Array, n: int, *, radius: int = 1, where: BoolArray | None = None
 ) -> IntArray:
-    """Local maxima ``(theta, row, col)`` of a stack (K, H, W) above 0: (M, 3), the `n` best first.
+    """Find the `n` greatest local maxima above 0 of a stack (K, H, W).
+
+    The result (M, 3) has their indices ``(theta, row, col)``, the greatest first.
 
     Parameters
     ----------
     radius : int
-        A peak is the largest of the ``2 radius + 1`` cells and headings around it, theta
-        wrapping around. Of equal neighbours the first in index order stays.
+        A peak is the largest value in a window of ``2 radius + 1`` cells and headings on each axis.
+        Theta wraps around. The first of equal neighbours, in index order, is the peak.
     where : (H, W) bool array, optional
         Cells that may hold a peak.
 
@@ -38,7 +40,7 @@ def find_peaks(
         for cell in np.stack(np.unravel_index(cells[some], values.shape), axis=1):
             if len(kept) == n:
                 return kept
-            # Of a plateau only the first stays.
+            # A plateau keeps only its first cell.
             gap = np.abs(kept - cell)
             gap[:, 0] = np.minimum(gap[:, 0], len(values) - gap[:, 0])
             if not (gap <= radius).all(axis=1).any():
@@ -47,7 +49,7 @@ def find_peaks(
 
 
 def _local_maxima(values: Float32Array, radius: int, where: BoolArray | None) -> IntArray:
-    """Flat indices, in order, of what is positive and no less than anything in its window.
+    """Flat indices, in order, of the positive values that are the largest in their window.
 
     The headings of a window are held in a ring, so that they are dilated once and stay in the
     cache.
@@ -96,17 +98,33 @@ def peaks_of_posterior(
     n: int,
     separation: tuple[float, float],
 ) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-    """Modes of a posterior: its peaks, each with the peaks beside it.
+    """Find the modes of a posterior: its peaks, each joined with the peaks beside it.
 
-    At most `n` peaks are looked for; those nearer than `separation`, metres and radians, are of
-    one mode. The other parameters, and the results, the highest peak first, are those of
-    :func:`peak_moments`; the last result holds the peaks' cells.
+    Parameters
+    ----------
+    probability : (K, H, W) float32 array
+        Sums to 1.
+    thetas : (K,) float array
+        Uniform headings, radians.
+    resolution : float
+        Side of a cell, metres.
+    n : int
+        Number of peaks to look for, at most.
+    separation : (float, float)
+        Peaks nearer than this, metres and radians, belong to one mode.
+
+    Returns
+    -------
+    poses : (M, 3), mass : (M,), covariance : (M, 3, 3) float arrays
+        Grid frame: metres and radians, the mode of the highest peak first.
+    peaks : (M, 3) int array
+        Cell ``(theta, row, col)`` of the highest peak of each mode.
     """
     peaks = find_peaks(probability, n, radius=2)
     poses, mass, covariance = peak_moments(probability, peaks, thetas, resolution)
     distance, angle = separation
     best, of = separated(poses, len(poses), distance=distance, angle=angle)
-    # Mass and covariance of each with those of the peaks that it owns.
+    # The mass and covariance of a mode include the peaks that belong to it.
     owner = best[of]
     offset = poses - poses[owner]
     offset[:, 2] = wrap(offset[:, 2])
@@ -129,19 +147,23 @@ def peak_moments(
 
     Parameters
     ----------
-    probability, thetas, resolution
-        (K, H, W), sums to 1; (K,) uniform headings, radians; side of a cell, metres.
+    probability : (K, H, W) float32 array
+        Sums to 1.
+    thetas : (K,) float array
+        Uniform headings, radians.
+    resolution : float
+        Side of a cell, metres.
     peaks : (M, 3) int array
-        ``(theta, row, col)``, best first. A cell that lies in the window of two peaks counts
-        for the first.
+        Cells ``(theta, row, col)``, best first. A cell in the windows of two peaks counts for the
+        first one.
     radius : int
-        The window reaches so many cells and headings to every side.
+        Number of cells and headings that the window reaches to every side.
 
     Returns
     -------
     poses : (M, 3), mass : (M,), covariance : (M, 3, 3) float arrays
-        Grid frame. Means over the window, yaw on the circle; the covariance holds the
-        variance of a uniform draw within a cell, so that it is never zero.
+        Grid frame, metres and radians. The pose is the mean over the window, theta on the circle.
+        The covariance includes the variance of a uniform draw within a cell, so it is never zero.
     """
     n, height, width = probability.shape
     step = 2 * np.pi / n

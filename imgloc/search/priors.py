@@ -1,7 +1,7 @@
-"""What is known before the scan: where the robot may be, and which way it may face.
+"""The prior: where the sensor may be before the scan is looked at, and which way it may face.
 
-A prior is a set of poses, all equally likely; the others have no probability at all. A twin of
-the true pose that it excludes can therefore make an ambiguous scan unique.
+A prior is a set of poses, all equally likely. All other poses have probability 0. A prior that
+excludes the twin of the true pose can therefore make an ambiguous scan unique.
 """
 
 from dataclasses import replace
@@ -18,16 +18,16 @@ from imgloc.numbers import number
 from imgloc.options import Known, Prior
 
 SLIP = number("priors.slip")
-"""How far outside a set a pose can be that a refinement has taken there from a place in it."""
-_REACH = number("priors.reach")  # cells: the same on maps finer than 5 mm
-_LOOKS = 1 << 18  # cells looked at in one go
+"""How far outside of the prior a refined pose may lie and be brought back: metres, radians."""
+_REACH = number("priors.reach")  # the same in cells, for maps finer than 5 mm
+_LOOKS = 1 << 18  # cells that are looked at in one go
 
 
 def nearest(prior: Prior, poses: FloatArray, resolution: float) -> FloatArray:
-    """The poses (C, 3), grid frame, those beside the set moved to where it begins.
+    """Move poses (C, 3), grid frame, that lie just outside the prior to its border.
 
-    A scan that settles a few centimetres beside what is known of its place is no scan of
-    another place. Poses farther out than :data:`SLIP` are left out.
+    A pose that refinement takes a few centimetres out of the prior is still the same place. Poses
+    farther out than :data:`SLIP` are left out. `resolution` is the side of a cell, metres.
 
     Examples
     --------
@@ -54,13 +54,16 @@ def nearest(prior: Prior, poses: FloatArray, resolution: float) -> FloatArray:
 
 
 def standing(poses: FloatArray, prior: Prior, features: MapFeatures) -> FloatArray:
-    """The poses at which a sensor can be and may be, moved there if they are just beside."""
+    """The poses (C, 3), grid frame, that are in the prior and where a sensor can be.
+
+    Poses just outside the prior are moved to its border, as :func:`nearest` does.
+    """
     poses = nearest(prior, poses, features.grid.resolution)
     return poses[stands(poses, prior, features)]
 
 
 def stands(poses: FloatArray, prior: Prior, features: MapFeatures) -> BoolArray:
-    """Whether a sensor can be, and may be, at each of the poses (C, 3), grid frame: (C,) bool."""
+    """Whether each pose (C, 3), grid frame, is in the prior and can hold a sensor: (C,) bool."""
     cells = cell_of(poses[:, :2], features.grid.resolution)
     ok = inside(cells, features.grid.info)
     ok[ok] = features.standable[tuple(cells[ok].T)]
@@ -68,7 +71,9 @@ def stands(poses: FloatArray, prior: Prior, features: MapFeatures) -> BoolArray:
 
 
 def share_of_poses(prior: Prior, features: MapFeatures) -> float:
-    """The share of the poses at which a sensor can be that are in the set, 0..1.
+    """Share of the map's poses that the prior leaves, 0..1.
+
+    Only poses where a sensor can be count.
 
     Examples
     --------
@@ -87,7 +92,10 @@ def share_of_poses(prior: Prior, features: MapFeatures) -> float:
 
 
 def on_lattice(prior: Prior, free: BoolArray, factor: int) -> BoolArray:
-    """`free` without the lattice cells that hold no cell of the set, (H', W') bool."""
+    """The lattice cells in `free` that hold a cell of the prior, (H', W') bool.
+
+    A lattice cell has `factor` x `factor` cells of the map.
+    """
     if prior.cells is None:
         return free
     return np.asarray(free & any_of_blocks(prior.cells, factor))
@@ -96,13 +104,13 @@ def on_lattice(prior: Prior, free: BoolArray, factor: int) -> BoolArray:
 def around(
     prior: Prior, shape: tuple[int, int], cell: float, resolution: float
 ) -> BoolArray | None:
-    """Cells of another lattice over the map, `cell` metres, that lie in the set or touch it."""
+    """Cells of another lattice over the map, `cell` metres wide, that touch the prior."""
     if prior.cells is None:
         return None
     row, column = (
         ((np.arange(n) + 0.5) * (resolution / cell)).astype(np.intp) for n in prior.cells.shape
     )
-    # Rows and columns that meet in one lattice cell are neighbours: no list of cells is made.
+    # Rows and columns that meet in one lattice cell are neighbours: no list of cells is needed.
     first, left = (np.flatnonzero(np.diff(at, prepend=-1)) for at in (row, column))
     some = np.logical_or.reduceat(np.logical_or.reduceat(prior.cells, first), left, axis=1)
     out = np.zeros(shape, np.uint8)
@@ -112,7 +120,10 @@ def around(
 
 
 def pyramid_levels(prior: Prior, levels: tuple[Level, ...], resolution: float) -> tuple[Level, ...]:
-    """A pyramid whose free cells are those of the set."""
+    """The pyramid with only those free cells that touch the prior.
+
+    `resolution` is the side of a map cell, metres.
+    """
     if prior.cells is None:
         return levels
     return tuple(
@@ -122,7 +133,9 @@ def pyramid_levels(prior: Prior, levels: tuple[Level, ...], resolution: float) -
 
 
 def prior_of(known: Known, grid: OccupancyGrid) -> Prior:
-    """The poses of a map that may be; a ConfigError if a heading is known twice.
+    """Turn constraints in the map frame into a prior on the cells of a map.
+
+    Two constraints on the heading raise a ConfigError.
 
     Examples
     --------
@@ -149,15 +162,15 @@ def prior_of(known: Known, grid: OccupancyGrid) -> Prior:
 
 
 def leaves_none(prior: Prior, features: MapFeatures) -> bool:
-    """Whether there is no cell of the map in the set in which a sensor can be."""
+    """Whether the prior has no cell of the map in which a sensor can be."""
     return prior.cells is not None and not bool((prior.cells & features.standable).any())
 
 
 def near(info: GridInfo, x: float, y: float, radius: float) -> BoolArray:
-    """Cells (H, W) whose centre is within `radius` of a point, grid frame, metres.
+    """Cells (H, W) whose centre is within `radius` metres of a point in the grid frame, metres.
 
-    The cell that holds the point is one of them, however small the radius. A radius that is not
-    positive and finite is a ConfigError.
+    The cell that holds the point is always one of them. A radius that is not positive and finite
+    raises a ConfigError.
 
     Examples
     --------
@@ -176,11 +189,12 @@ def near(info: GridInfo, x: float, y: float, radius: float) -> BoolArray:
 
 
 def clearance(grid: OccupancyGrid, radius: float) -> BoolArray:
-    """Cells (H, W) whose centre is about `radius` or more from all that is not free, metres.
+    """Cells (H, W) whose centre is at least `radius` metres away from everything that is not free.
 
-    Unknown cells and the world off the map are not free: a robot has not been there. Distances
-    are those of the centres less half a cell: exact for walls along the axes, up to 0.21 cells
-    too large at a corner. A radius that is negative or not finite is a ConfigError.
+    Unknown cells and the world off the map are not free, because no robot has been there. The
+    distance is that between cell centres, less half a cell. It is exact for walls along the axes,
+    and at most 0.21 cells too large at a corner. A radius that is negative or not finite raises a
+    ConfigError.
 
     Examples
     --------
@@ -191,14 +205,14 @@ def clearance(grid: OccupancyGrid, radius: float) -> BoolArray:
     if not (np.isfinite(radius) and radius >= 0):
         raise ConfigError(f"the clearance must be finite and not negative, got {radius:g} m")
     padded = np.pad(grid.free, 1).astype(np.uint8)
-    # From centre to centre; the blocked cell itself begins half a cell nearer.
+    # Distances are between centres; the blocked cell itself begins half a cell nearer.
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     return np.asarray(grid.free & ((distance - 0.5) * grid.resolution >= radius - 1e-6))
 
 
 def _nearest_cells(mask: BoolArray, cells: IntArray, resolution: float) -> IntArray:
-    """For each (row, col) of (C, 2) the cell of `mask` that is nearest; itself if all are far."""
-    # Few cells are asked: a distance transform with indices takes 40 ms on a large map, this 2.
+    """The nearest cell of `mask` for each (row, col) of (C, 2); the cell itself if all are far."""
+    # For few cells this takes 2 ms; a distance transform with indices takes 40 ms on a large map.
     reach = min(int(np.ceil(SLIP[0] / resolution)), _REACH)
     side = np.arange(-reach, reach + 1)
     square = np.add.outer(side**2, side**2)
@@ -207,7 +221,7 @@ def _nearest_cells(mask: BoolArray, cells: IntArray, resolution: float) -> IntAr
     info = GridInfo(mask.shape[0], mask.shape[1], resolution)
     out, left = cells.copy(), np.arange(len(cells))
     while len(left) and len(offsets):
-        # Nearly all are found by the first look: few are left for the many offsets far away.
+        # The first look finds nearly all: few are left for the many offsets far away.
         some, offsets = np.split(offsets, [1 + _LOOKS // len(left)])
         looks = cells[left, None] + some
         hit = inside(looks, info)

@@ -1,8 +1,9 @@
-"""Where to look closely: poses proposed by endpoint correlation, and by coarse GHT-V votes.
+"""Proposals: poses that endpoint correlation, or coarse GHT-V votes, find worth a closer look.
 
-The correlation of CBML with a narrow kernel and a fine theta step proposes the true pose
-almost always, on clean and on old maps alike; votes find some of the others. Only the coarsest
-level is exhaustive; every finer one is evaluated around what the level before it kept.
+The correlation of CBML with a narrow kernel and a fine theta step proposes the true pose almost
+always, on clean and on old maps alike. Votes find some of the others. Only the coarsest level of
+the pyramid is searched exhaustively. A finer level is searched around the poses that the coarser
+one kept.
 """
 
 from collections.abc import Sequence
@@ -29,10 +30,10 @@ from imgloc.search.peaks import find_peaks
 from imgloc.search.priors import around
 
 _CHUNK_CELLS = 1 << 20  # of the exhaustive level's stack: 4 MB at a time
-_FIRST_CELLS = 1 << 18  # of its first piece
-_FEWEST_LEVELS = number("proposals.fewest_levels")  # of grey besides 0
-_VOTE_BLUR = number("proposals.vote_blur")  # cells, headings
-_BLOCK = number("proposals.block")  # cells and headings a side: one proposal each
+_FIRST_CELLS = 1 << 18  # cells of its first piece
+_FEWEST_LEVELS = number("proposals.fewest_levels")  # grey levels besides 0
+_VOTE_BLUR = number("proposals.vote_blur")  # standard deviations, cells and headings
+_BLOCK = number("proposals.block")  # cells and headings a side; each block has one proposal
 
 
 def propose_endpoints(
@@ -50,32 +51,35 @@ def propose_endpoints(
     Parameters
     ----------
     levels : sequence of Level
-        Of :func:`~imgloc.features.pyramid.pyramid`, finest first, at least two.
+        Levels from :func:`~imgloc.features.pyramid.pyramid`, finest first, at least two.
     xy : (N, 2) float array
         Scan points, sensor frame, metres.
     theta_step : float
-        Largest step between headings, radians; the coarsest level takes every second one.
-    keep, skip : sequence of int, int
-        How many nodes each level keeps, finest first. All levels but the finest take every
-        `skip`-th point: their cells are coarse, and neighbouring points say nearly the same.
+        Largest step between headings, radians. The coarsest level uses every second heading.
+    keep : sequence of int
+        Number of nodes that each level keeps, finest first.
+    skip : int
+        All levels but the finest use every `skip`-th point, because their cells are coarse and
+        neighbouring points fall on the same ones.
     prior : Prior, optional
-        Whose headings are the only ones; its cells are in the levels' `free` already.
+        Limits the headings. Its cells must be in the levels' `free` already.
     threads : int
-        For the exhaustive level; the result does not depend on it.
+        Threads for the exhaustive level. The result does not depend on it.
 
     Returns
     -------
-    poses, scores : (M, 3) and (M,) float arrays
-        Grid frame, best first, at most ``keep[0]``, one per block of 2 x 2 cells and 2
-        headings; none that meets no wall at all. Scores are means of the finest endpoint image
-        under the points, 0..1.
+    poses : (M, 3) float array
+        Grid frame: metres, metres, radians. Best first, at most ``keep[0]`` poses, one for each
+        block of 2 x 2 cells and 2 headings. Poses that meet no wall are left out.
+    scores : (M,) float array
+        Mean of the finest endpoint image under the points, 0..1.
     """
     if len(xy) == 0:
         return np.empty((0, 3)), np.empty(0)
     thetas = uniform_thetas(theta_step)
     thetas = uniform_thetas(2 * np.pi / (len(thetas) + len(thetas) % 2))
     wanted = np.ones(len(thetas), bool)
-    if prior is not None:  # a coarse heading stands for those beside it
+    if prior is not None:  # a coarse heading stands for the finer ones beside it
         wanted = prior.headings(thetas, 2 * np.pi / len(thetas))
     coarse = np.flatnonzero(wanted[::2])
     rough = _rough(levels[-1], len(xy[::skip]))
@@ -88,7 +92,7 @@ def propose_endpoints(
         sums[~_free_children(level, parents)] = -1
         best = _best(sums.ravel(), count)
         nodes, scores = parents[best >> 2] * (1, 2, 2), sums.ravel()[best]
-        nodes[:, 1:] += np.stack((best >> 1 & 1, best & 1), axis=1)  # of its four cells
+        nodes[:, 1:] += np.stack((best >> 1 & 1, best & 1), axis=1)  # the best of its four cells
     first = np.sort(np.unique(_key(*nodes.T // _BLOCK), return_index=True)[1])
     first = first[scores[first] > 0]
     nodes, scores = nodes[first], scores[first]
@@ -98,9 +102,10 @@ def propose_endpoints(
 def propose_all(
     level: Level, xy: FloatArray, *, theta_step: float, keep: int, threads: int = 1
 ) -> FloatArray:
-    """The best `keep` of all poses of one level, each heading tried: (M, 3), grid frame.
+    """The best `keep` poses of one level at every heading: (M, 3), grid frame, best first.
 
-    They come best first. The other parameters are those of :func:`propose_endpoints`.
+    `xy` are scan points (N, 2) in the sensor frame, metres. `theta_step` is the largest step
+    between headings, radians. The result does not depend on `threads`.
     """
     thetas = uniform_thetas(theta_step)
     return _poses(_exhaustive(level, xy, thetas, keep, threads), thetas, level)
@@ -112,9 +117,9 @@ def _poses(nodes: IntArray, thetas: FloatArray, level: Level) -> FloatArray:
 
 
 def _rough(level: Level, points: int) -> Level:
-    """The level with so few grey levels that a byte holds the sum of a few points.
+    """Reduce the grey levels of a level, so that a byte holds the sum over a few `points`.
 
-    Half the memory to move. An image of a few levels hardly orders the poses differently.
+    This halves the memory to move. An image of few grey levels hardly orders the poses differently.
     """
     most, top = int(level.image.max()), np.iinfo(np.uint8).max // max(1, points)
     if not _FEWEST_LEVELS <= top < most:
@@ -130,14 +135,14 @@ def _exhaustive(
     chunk = min(len(thetas), max(1, _CHUNK_CELLS // area))
     nodes, scores, threshold = np.empty(0, np.int64), np.empty(0, np.float32), np.float32(0)
     buffer = np.empty((chunk, *level.image.shape), np.float32)
-    # A few headings first: what they reach spares a look at nearly all of the others.
+    # The first few headings give a threshold, which nearly all nodes of the others miss.
     first = min(chunk, -(-_FIRST_CELLS // area))
     for start, stop in pairwise([0, *range(first, len(thetas), chunk), len(thetas)]):
         some, out = thetas[start:stop], buffer[: stop - start]
         stack = correlate(
             level.image, xy, some, level.resolution, threads=threads, where=level.free, out=out
         )
-        # What is known to be reached by `keep` nodes already is all that can still matter.
+        # Only nodes above the score that `keep` nodes reach already can still matter.
         best = (
             np.flatnonzero(stack.ravel() >= threshold)
             if threshold > 0
@@ -156,30 +161,30 @@ def _exhaustive(
 def _largest(stack: Float32Array, n: int, free: BoolArray) -> IntArray:
     """Indices of the `n` largest sums in free cells, and of all that equal the last of them.
 
-    They are of integers. Zeros count, so many that there are `n`, those that come first: what a
-    coarse pose misses by a cell one of its finer ones may meet.
+    The sums are whole numbers. Zeros fill up to `n` in index order: a wall that a coarse pose
+    misses by a cell may be met by one of its finer poses.
     """
-    # A histogram: partitions take long where many are equal, and most are 0 on some maps.
+    # A histogram, because a partition is slow if many sums are equal: on some maps most are 0.
     reached = np.bincount(stack.ravel().astype(np.intp))[::-1].cumsum() >= n
     threshold = len(reached) - 1 - int(reached.argmax()) if reached.any() else 0
     if threshold > 0:
         return np.flatnonzero(stack >= threshold)
     above = np.flatnonzero(stack)
-    zeros = np.flatnonzero((stack == 0) & free)  # what is not free is 0 as well
+    zeros = np.flatnonzero((stack == 0) & free)  # cells that are not free are 0 as well
     return np.sort(np.concatenate((above, zeros[: n - len(above)])))
 
 
 def _parents(nodes: IntArray, spread: IntArray, wanted: BoolArray) -> IntArray:
-    """The nodes at their own and their neighbouring headings: each once, by their indices."""
+    """The nodes at their own and their neighbouring headings: each once, in index order."""
     k = (nodes[:, 0] + spread[:, None]) % len(wanted)
     key = _key(k, nodes[:, 1], nodes[:, 2])[wanted[k]]
     key.sort()
-    key = key[np.diff(key, prepend=-1) > 0]  # neighbouring headings meet
+    key = key[np.diff(key, prepend=-1) > 0]  # two nodes may share a neighbouring heading
     return np.stack((key >> 40, key >> 20 & 0xFFFFF, key & 0xFFFFF), axis=1)
 
 
 def _free_children(level: Level, parents: IntArray) -> BoolArray:
-    """Which of the four cells of each node are free, (M, 4), and on the map: a side may be odd."""
+    """Which of the four cells of each node are free and on the map, (M, 4): a side may be odd."""
     free = np.pad(level.free, [(0, side % 2) for side in level.free.shape])
     first = 2 * (parents[:, 1] * free.shape[1] + parents[:, 2])
     four = first[:, None] + [0, 1, free.shape[1], free.shape[1] + 1]
@@ -187,7 +192,7 @@ def _free_children(level: Level, parents: IntArray) -> BoolArray:
 
 
 def _best(scores: npt.NDArray[np.int32], n: int) -> IntArray:
-    """Indices of the `n` largest that are not negative, best first; equal ones in their order."""
+    """Indices of the `n` largest scores that are not negative, best first, ties in index order."""
     index = np.flatnonzero(scores >= 0)
     if n < len(index):
         threshold = np.partition(scores, len(scores) - n)[len(scores) - n]
@@ -209,11 +214,11 @@ def _score(
     # A shift by the whole image misses it from anywhere; a longer one needs no wider padding.
     down, across = (np.clip(offsets[..., i], -side, side) for i, side in enumerate((height, width)))
     rows, columns = int(np.abs(down).max()), int(np.abs(across).max())
-    # Off the map is a miss. A side may be odd: the last node's second row or column is one more.
+    # Points off the map miss. A side may be odd: the last node's second row or column is one more.
     padded = np.pad(level.image, ((rows, rows + 2), (columns, columns + 2)))
     images: list[npt.NDArray[np.unsignedinteger]]
     if 4 * len(parents) * len(xy) > padded.size:
-        # Worth making: the four cells that a point falls on from the four poses, side by side.
+        # Many nodes make it worth while to lay the cells under a point, from four poses, together.
         top, bottom = padded[:-1], padded[1:]
         quads = cv2.merge((top[:, :-1], top[:, 1:], bottom[:, :-1], bottom[:, 1:]))
         stride, images = quads.shape[1], [quads.view(np.uint32).ravel()]
@@ -231,7 +236,10 @@ def propose_votes(
     prior: Prior | None = None,
     threads: int = 1,
 ) -> FloatArray:
-    """Peaks (M, 3) of :func:`cast_votes`: grid frame, best first."""
+    """Propose the peaks of coarse GHT-V votes: poses (M, 3), grid frame, best first.
+
+    The poses have metres, metres and radians. The result does not depend on `threads`.
+    """
     votes = cast_votes(features, scan, options, prior, threads)
     cell, where = vote_cell(features.grid.info, options), None
     if prior is not None:
@@ -242,7 +250,7 @@ def propose_votes(
 
 
 def vote_cell(grid: GridInfo, options: FusedOptions) -> float:
-    """Cell of the votes on a map, metres: time and memory for them have an end.
+    """Side of a vote's cell on a map, metres: larger on large maps, to limit time and memory.
 
     Examples
     --------
@@ -262,7 +270,7 @@ def cast_votes(
     prior: Prior | None = None,
     threads: int = 1,
 ) -> Float32Array:
-    """Coarse, smoothed GHT-V votes (K, H, W) at the headings of the prior, Alg. 5."""
+    """Coarse, smoothed GHT-V votes (K, H, W), Alg. 5; 0 at headings outside of the prior."""
     points = scan_points(scan.ranges, scan.angles, scan.valid)
     usable = np.flatnonzero(points.valid)
     points = points.select(usable[evenly(len(usable), options.few_rays)])

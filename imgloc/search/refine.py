@@ -12,9 +12,9 @@ from imgloc.numbers import number
 
 _MAX_STEP = np.array(number("refine.step"))
 _DAMPING = number("refine.damping")
-# m²: what holds a scale near 1, square of an error of 0.1 m over one of 10 %
+# m²: weight that holds a scale near 1: the square of 0.1 m over 10 %
 _SCALE = number("refine.scale")
-_OFF_EVERY_MAP = 1e6  # metres; what float32 still squares
+_OFF_EVERY_MAP = 1e6  # metres; float32 can still square it
 
 
 def refine(
@@ -25,21 +25,25 @@ def refine(
     sigmas: Sequence[float],
     iterations: int = 2,
 ) -> FloatArray:
-    """Gauss-Newton on the signed distance of the endpoints, with a shrinking kernel.
+    """Move poses to where their endpoints meet the walls, by Gauss-Newton with a shrinking kernel.
+
+    The residual is the signed distance of each endpoint from the nearest surface.
 
     Parameters
     ----------
     poses : (C, 3) or (C, 4) float array
-        Grid frame: metres, metres, radians; and the scale of the readings, if that is free.
+        Grid frame: metres, metres, radians. A fourth column is a scale of the readings, a factor
+        that is refined, too.
     xy : (N, 2) float array
         Scan points, sensor frame, metres.
     field : DistanceField
-        Signed, so that a pose settles on the surface itself and not on cell centres.
+        Distance to the surfaces, metres. It is signed, so that a pose settles on the surface itself
+        and not on cell centres.
     sigmas : sequence of float
-        Widths of the robust (Geman-McClure) kernel, metres, in the order in which to use
-        them; endpoints much farther from a wall than that have no say.
+        Widths of the robust (Geman-McClure) kernel, metres, in the order of their use. Endpoints
+        much farther than that from a wall have no weight.
     iterations : int
-        Steps for each width; a pose moves at most 0.1 m, 2 degrees and 2 % a step.
+        Steps for each width. A step moves a pose by at most 0.1 m, 2 degrees and 2 % of scale.
     """
     poses = np.array(poses, dtype=np.float64)
     for sigma in sigmas if len(poses) and len(xy) else ():
@@ -60,9 +64,9 @@ def normal_equations(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Weighted ``J^T J`` (G, C, 3, 3) and ``J^T e`` (G, C, 3) of the endpoint distances e.
 
-    Of each of `blocks` of neighbouring readings, or of as many as there are readings; with a scale
-    they are (G, C, 4, 4) and (G, C, 4). The third result, (C,), is the weighted mean of ``e^2``
-    over all, m²: how well the scan fits.
+    G is the smaller of `blocks` and the number of readings: each block has neighbouring readings.
+    Poses with a scale give (G, C, 4, 4) and (G, C, 4). The third result (C,) is the weighted mean
+    of ``e^2`` over all readings, m²: it is small where the scan fits well.
     """
     dx, dy, distance, gx, gy = endpoints(poses, xy, field)
     weight = 1 / np.square(1 + np.square(distance / np.float32(sigma)))
@@ -82,9 +86,10 @@ def normal_equations(
 def endpoints(
     poses: FloatArray, xy: FloatArray, field: DistanceField
 ) -> tuple[Float32Array, Float32Array, Float32Array, Float32Array, Float32Array]:
-    """Turned points ``R_theta p`` (dx, dy) and distance, gx, gy there, each (C, N) float32.
+    """Turn the points, and look up distance and gradient at them: (C, N) float32 arrays.
 
-    Poses (C, 4) have a scale: ``s R_theta p``.
+    The results are dx and dy of ``R_theta p``, the distance d, and its gradient gx and gy, all in
+    metres and in the grid frame. Poses (C, 4) have a scale s: dx and dy are then ``s R_theta p``.
     """
     p = np.clip(xy, -_OFF_EVERY_MAP, _OFF_EVERY_MAP).astype(np.float32)
     x, y, theta, *scale = (v[:, None] for v in np.asarray(poses, dtype=np.float64).T)

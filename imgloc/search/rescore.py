@@ -1,15 +1,15 @@
 """The score that decides: endpoint evidence under the paper's visibility constraint.
 
-Does a reading end on a surface? Distance to the nearest one answers, which forgives half-cells,
-grazing angles and thick walls, as ray-traced ranges do not. And did it get there? If it passes
-through a mapped wall it contradicts the map (Sec. V), unless the wall has gone since: a door. ::
+A reading should end on a surface. The distance to the nearest surface measures that, and forgives
+half-cells, grazing angles and thick walls, as ray-traced ranges do not. A reading that passes
+through a mapped wall contradicts the map (Sec. V), unless the wall has gone, as an open door. ::
 
     p(rho | x) = o * (h mean_s N(d; 0, sigma_s) + (1 - h) / span)
 
-with d that distance, h the share of readings that come from mapped surfaces, and o = 1, or,
-beyond a wall, the chance that it is drawn in a wrong place by as much, or gone. What is left of
-eq. 2 is that too short a reading is no surprise and too long a one is. A sharp and a wide sigma
-make the score sharp where map and scan agree, and forgiving where the map is old.
+where d is that distance and h the share of readings that come from mapped surfaces. The factor o is
+1 before a wall. Beyond it o is the chance that the wall has gone, or is drawn that far from its
+true place. As in eq. 2, too short a reading is no surprise, and too long a reading is one. A sharp
+and a wide sigma make the score sharp where map and scan agree, and forgiving where the map is old.
 """
 
 from dataclasses import dataclass
@@ -28,12 +28,12 @@ from imgloc.search.refine import endpoints
 
 @dataclass(frozen=True)
 class Scores:
-    """What :func:`rescore` found for C poses and N readings."""
+    """Scores of C poses by N readings, from :func:`rescore`."""
 
-    log_likelihood: FloatArray  #: (C,) Nats
-    #: (C, N) Readings that end within two standard deviations, of the wider sigma, of a surface
+    log_likelihood: FloatArray  #: (C,) nats
+    #: (C, N) whether a reading ends nearer to a surface than twice the wider sigma
     on_surface: BoolArray
-    #: (C, N) Readings that pass through a mapped wall: more likely than not it is gone
+    #: (C, N) whether a reading passes through a mapped wall, which more likely than not is gone
     crossed: BoolArray
 
     def select(self, index: IntArray) -> "Scores":
@@ -42,7 +42,7 @@ class Scores:
 
     @property
     def explained(self) -> FloatArray:
-        """(C,) share of readings that end on a surface and cross no wall."""
+        """Share of the readings, 0..1, that end on a surface and cross no wall, (C,)."""
         return np.asarray((self.on_surface & ~self.crossed).mean(axis=1))
 
 
@@ -54,17 +54,19 @@ def rescore(
     walls: Float32Array,
     model: EvidenceModel,
 ) -> Scores:
-    """Evaluate the score of the module's head for some poses.
+    """Score poses by endpoint evidence, with a penalty for readings that pass through a wall.
 
     Parameters
     ----------
     poses : (C, 3) or (C, 4) float array
-        Grid frame; with a scale of the readings.
+        Grid frame: metres, metres, radians. A fourth column is a scale of the readings, a factor.
     ranges, angles : (N,) float arrays
-        Valid readings only.
-    field, walls : DistanceField, (H, W) float32 array
-        Signed distance to the surfaces; :func:`~imgloc.features.raycast.distance_image` of the
-        occupied cells, in cells.
+        Valid readings only: metres, and radians in the sensor frame.
+    field : DistanceField
+        Signed distance to the surfaces, metres.
+    walls : (H, W) float32 array
+        Distance to the occupied cells, in cells, from
+        :func:`~imgloc.features.raycast.distance_image`.
     """
     density, distance = _endpoint_density(poses, ranges, angles, field, model)
     margin = model.margin + field.resolution / 2
@@ -84,7 +86,7 @@ def rescore(
 def score_poses(
     features: MapFeatures, readings: Readings, poses: FloatArray, options: Options
 ) -> Scores:
-    """Scores of poses (C, 3), or with a scale (C, 4), grid frame, by some readings of a scan."""
+    """Score poses in the grid frame, (C, 3) or with a scale (C, 4), by readings of a scan."""
     ranges, angles, model = readings.ranges, readings.angles, options.fused.model
     return rescore(poses, ranges, angles, features.field, features.walls, model)
 
@@ -96,14 +98,17 @@ def _endpoint_density(
     field: DistanceField,
     model: EvidenceModel,
 ) -> tuple[Float32Array, Float32Array]:
-    """Density of each reading by where it ends alone, and its distance from a surface, (C, N)."""
+    """Density of each reading by its endpoint alone, 1 / metres, and distance in metres: (C, N)."""
     xy = np.column_stack((ranges * np.cos(angles), ranges * np.sin(angles)))
     distance = endpoints(poses, xy, field)[2]
     return hit_density(distance, model), distance
 
 
 def hit_density(distance: Float32Array, model: EvidenceModel) -> Float32Array:
-    """Density of readings that end so far from a surface, metres, of any shape: 1 / metres."""
+    """Density of readings by the distance of their endpoints from a surface.
+
+    `distance` is in metres and has any shape. The densities have the same shape and 1 / metres.
+    """
     density = np.full(distance.shape, (1 - model.hit) / model.span, dtype=np.float32)
     for sigma in model.sigmas:
         peak = model.hit / (len(model.sigmas) * sigma * np.sqrt(2 * np.pi))
@@ -114,10 +119,11 @@ def hit_density(distance: Float32Array, model: EvidenceModel) -> Float32Array:
 def shortlist(
     poses: FloatArray, readings: Readings, features: MapFeatures, options: FusedOptions
 ) -> tuple[FloatArray, FloatArray]:
-    """The best places with a few rays, and the best poses: those that get the second look.
+    """Choose the poses that get the second look, by a score with few readings.
 
-    And their scores, the best one first. Of poses that have met, that stands for all whose readings
-    end best.
+    `poses` (C, 3) are in the grid frame. The result has the best places, and the best poses even if
+    they share a place: (L, 3), the best places first, and their scores (L,) in nats. If refinement
+    has brought poses together, the one whose readings end nearest to walls stands for all.
     """
     ranges, angles, field, model = readings.ranges, readings.angles, features.field, options.model
     density = _endpoint_density(poses, ranges, angles, field, model)[0]

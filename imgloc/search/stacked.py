@@ -26,14 +26,14 @@ from imgloc.search.weigh import (
 )
 
 MODES = number("pipeline.modes")
-"""Poses that are looked for, however few are listed: no verdict depends on the list's length."""
+"""Least number of poses to look for, so that no verdict depends on the length of the list."""
 
 
 def weigh_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Weighed:
-    """The best poses of CBML's stack without the stack.
+    """Find and weigh the best poses of CBML's stack without computing the stack.
 
-    Shares are among at least :data:`MODES` of them, each score raised to the calibrated power,
-    as if every mode were equally wide.
+    Each score is raised to the calibrated power. The shares are those among at least :data:`MODES`
+    poses, as if all modes were equally wide. Poses are in the grid frame.
     """
     poses, score = exact_poses(features, scan, options)
     if len(poses) == 0:
@@ -51,9 +51,10 @@ def weigh_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Wei
 def exact_poses(
     features: MapFeatures, scan: LaserScan, options: Options, deadline: float = np.inf
 ) -> tuple[FloatArray, FloatArray]:
-    """Best separated poses (M, 3) by CBML's score, grid frame, and their scores (M,), exactly.
+    """Find the best separated poses (M, 3) by CBML's score, grid frame, and their scores (M,).
 
-    After the `deadline`, by :func:`time.monotonic`, only those that are known by then.
+    The search is exact: it returns the poses that the full stack would give. It stops at the
+    `deadline`, seconds by :func:`time.monotonic`, and then returns the poses found so far.
     """
     prior, pooled, thetas = options.prior, features.pooled, options.thetas
     wanted = np.flatnonzero(prior.headings(thetas, np.pi / len(thetas)))
@@ -73,10 +74,10 @@ def exact_poses(
 def weigh_stack(
     features: MapFeatures, scan: LaserScan, stack: Likelihood, options: Options
 ) -> Weighed:
-    """Modes of the posterior of a full stack: mass and moments of the peaks of each.
+    """Find and weigh the modes of the posterior of a full stack.
 
-    The highest peak comes first, the paper's global maximum; a lower one that is broader may
-    hold more mass.
+    The mode of the highest peak, the paper's global maximum, comes first. A lower and broader mode
+    may hold more mass. Poses are in the grid frame.
     """
     probability = posterior_of(features, scan, stack, options)
     n = 4 * max(options.top or MODES, MODES)  # some are neighbours on the slope of one mode
@@ -98,9 +99,9 @@ def weigh_stack(
 def _settled_fit(
     features: MapFeatures, scan: LaserScan, best: FloatArray, temperature: float, options: Options
 ) -> tuple[Evidence, float]:
-    """How well a stack's best pose (1, 3) fits once it has settled, and the rays it explains.
+    """Evidence of a stack's best pose (1, 3) after refinement, and the share of rays it explains.
 
-    The `temperature` is that of the stack.
+    The evidence has the stack's `temperature`.
     """
     pose, readings, scores = settle(features, scan, best, options)
     fit = evidence_of(features, readings, scores, options)
@@ -111,7 +112,7 @@ def _settled_fit(
 def posterior_of(
     features: MapFeatures, scan: LaserScan, stack: Likelihood, options: Options
 ) -> Float32Array:
-    """The calibrated posterior (K, H, W) of a stack over the poses of the prior."""
+    """The calibrated posterior (K, H, W) of a stack over the poses of the prior; it sums to 1."""
     where = on_lattice(options.prior, features.free, features.factor)
     headings = options.prior.headings(stack.thetas, np.pi / len(stack.thetas))
     return calibrated(stack, where, int(scan.valid.sum()), options.calibration, headings=headings)

@@ -1,34 +1,46 @@
-"""Can this answer be trusted? Temperature, the chance of being elsewhere, and the verdict.
+"""The verdict: can this answer be trusted?
 
 A scan from the best pose should score about as well as its readings can: close to
-:attr:`~imgloc.options.EvidenceModel.best` nats each. What is missing, the **misfit**,
-says how far map and scan disagree. Where they do, differences of evidence mean less than they
-claim: the errors are not independent. Whether the true pose is one of those found is judged by
-what the map explains beyond an empty room, see :mod:`imgloc.search.background`.
+:attr:`~imgloc.options.EvidenceModel.best` nats each. The **misfit** is what is missing to that, in
+nats per reading. It measures how far map and scan disagree. If they disagree, their errors are not
+independent, and a higher temperature makes differences of evidence count less. The probability that
+the true pose is elsewhere depends on what the map explains beyond an empty room, see
+:mod:`imgloc.search.background`.
 """
 
 from imgloc.model import Check, FloatArray
 from imgloc.numbers import number
 from imgloc.options import Trust
 
-DOUBT = number("trust.doubt")  #: with more probability elsewhere than this there is no match
+DOUBT = number("trust.doubt")  #: probability *elsewhere* above which the verdict is ``no-match``
 
 
 def judge(
     directions: int, mass: FloatArray, elsewhere: float, trust: Trust, complete: bool = True
 ) -> tuple[str, tuple[Check, ...]]:
-    """Return one of ``unique``, ``ambiguous``, ``no-match`` and ``invalid``, and why.
-
-    The questions are returned up to the first that is answered with no: that one decided.
+    """Return the verdict on an answer, and the checks that led to it.
 
     Parameters
     ----------
     directions : int
-        Of the valid readings, see :attr:`~imgloc.model.LaserScan.directions`.
-    mass, elsewhere : (M,) float array, float
-        Of the hypotheses, best first, and of :meth:`~imgloc.options.Trust.mass_elsewhere`.
+        Number of different directions of the valid readings, see
+        :attr:`~imgloc.model.LaserScan.directions`.
+    mass : (M,) float array
+        Mass of each hypothesis, best first.
+    elsewhere : float
+        Probability that the true pose is none of them, from
+        :meth:`~imgloc.options.Trust.mass_elsewhere`.
+    trust : Trust
+        Limits of the checks.
     complete : bool
-        Whether the search came to its end: what was not looked at may fit as well.
+        Whether the search came to its end. Poses that it did not reach may fit as well.
+
+    Returns
+    -------
+    verdict : str
+        One of ``unique``, ``ambiguous``, ``no-match`` and ``invalid``.
+    checks : tuple of Check
+        The checks in their order, up to the first that does not hold. That one decided.
 
     Examples
     --------

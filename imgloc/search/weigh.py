@@ -1,4 +1,4 @@
-"""What are separated, scored poses worth? Shares, covariances, and how well the best one fits."""
+"""Shares and covariances of separated, scored poses, and how well the best one fits."""
 
 from dataclasses import dataclass, replace
 
@@ -16,29 +16,30 @@ from imgloc.search.priors import share_of_poses
 from imgloc.search.refine import refine
 from imgloc.search.rescore import Scores, score_poses
 
-_MAXIMA = number("pipeline.maxima")  # share of the spread of maxima by which their mean may be off
+# The mean of a mode's maxima is itself uncertain: this share of their second moments is added.
+_MAXIMA = number("pipeline.maxima")
 _FROM_CELLS = number("refine.from_cells")
 
 
 @dataclass(frozen=True)
 class Weighed:
-    """M separated poses of the grid frame, best first, and what they are worth."""
+    """M separated poses in the grid frame, best first, with their shares and covariances."""
 
-    poses: FloatArray  #: (M, 3)
-    log_likelihood: FloatArray  #: (M,)
-    share: FloatArray  #: (M,) mass of each if the true pose is one of them
-    covariance: FloatArray  #: (L, 3, 3) of as many as are listed, at least
-    evidence: Evidence  #: how well the best one fits; the answer adds the rest
-    explained: float = 0.0  #: share of the valid rays that the best pose explains
-    #: share of the best, as far as it tells whether the true pose is another one: 0 for a stack,
-    #: whose votes spread where walls are few
+    poses: FloatArray  #: (M, 3) metres, metres, radians
+    log_likelihood: FloatArray  #: (M,) nats, up to a constant of the scan
+    share: FloatArray  #: (M,) mass of each pose if the true pose is one of them
+    covariance: FloatArray  #: (L, 3, 3) covariances of the first L poses, at least those listed
+    evidence: Evidence  #: how well the best pose fits; the answer adds the rest
+    explained: float = 0.0  #: share of the valid rays that the best pose explains, 0..1
+    #: share of the best pose, 0..1, as evidence that the true pose is not elsewhere. It is 0 for a
+    #: stack, because votes also spread where walls are few.
     lead: float = 0.0
-    entropy: float | None = None  #: of a whole posterior, nats
+    entropy: float | None = None  #: entropy of the whole posterior, nats; None without one
     complete: bool = True  #: the search came to its end
 
 
 def nothing(options: Options, complete: bool = True) -> Weighed:
-    """No pose at all."""
+    """The result of a search that found no pose."""
     none = np.empty(0)
     fit = Evidence(best=options.fused.model.best)
     return Weighed(np.empty((0, 3)), none, none, np.empty((0, 3, 3)), fit, complete=complete)
@@ -47,7 +48,10 @@ def nothing(options: Options, complete: bool = True) -> Weighed:
 def weigh(
     features: MapFeatures, found: Modes, options: Options, scan: LaserScan | None = None
 ) -> Weighed:
-    """Weigh what the search found: shares and covariances; of a `scan` also the explained rays."""
+    """Weigh the modes that the search found: their shares, covariances and evidence.
+
+    The share of explained rays is computed if the `scan` is given.
+    """
     if len(found.poses) == 0:
         return nothing(options, found.complete)
     shared, explained = found.shared, 0.0
@@ -70,7 +74,7 @@ def weigh(
 def evidence_of(
     features: MapFeatures, readings: Readings, scores: Scores, options: Options
 ) -> Evidence:
-    """How well the best of some poses fits, and what that is worth."""
+    """How well the best of some poses fits: misfit, temperature and the nats gained."""
     n, model = len(readings), options.fused.model
     misfit = misfit_of(scores, n, options)
     temperature = options.trust.temperature_at(misfit, n, features.grid.resolution)
@@ -83,7 +87,10 @@ def evidence_of(
 def covariances_of(
     features: MapFeatures, poses: FloatArray, xy: FloatArray, options: Options, sigma: float
 ) -> FloatArray:
-    """Covariances (L, 3, 3) of the poses that are listed; `sigma` is the kernel's width, metres."""
+    """Covariances (L, 3, 3) of poses (L, 3), grid frame, with scan points `xy` (N, 2), metres.
+
+    `sigma` is the width of the robust kernel, metres.
+    """
     field, trust, extent = features.field, options.trust, options.fused.separation
     return covariances(poses, xy, field, sigma=sigma, correlated=trust.correlated, extent=extent)
 
@@ -93,8 +100,8 @@ def explained_rays(
 ) -> float:
     """Share of the valid rays, 0..1, that end on a surface of the map and pass through no wall.
 
-    From a `pose` (1, 3), grid frame. The score asks squares, of which each counts once; this is of
-    the rays as they were recorded: half of them on the robot itself are half.
+    The `pose` (1, 3) is in the grid frame. The score uses one reading for each square of the plane.
+    This share counts all recorded rays: if half of them hit the robot itself, it is at most 0.5.
     """
     scan, there = scan.scaled(shared.scale), features.thinner(shared.thinner)
     rays = Readings(scan.ranges[scan.valid], scan.angles[scan.valid])
@@ -104,7 +111,10 @@ def explained_rays(
 def settle(
     features: MapFeatures, scan: LaserScan, poses: FloatArray, options: Options
 ) -> tuple[FloatArray, Readings, Scores]:
-    """Poses after they have settled, and their scores: trust is about the place, not the cell."""
+    """Refine poses (M, 3), grid frame, and score them: poses, the readings used, and scores.
+
+    A stack's pose is the centre of a cell. Trust is judged at the place where it settles.
+    """
     readings = one_per_place(scan, options.fused.place).spread(options.fused.rays)
     poses = refine(poses, readings.xy, features.field, sigmas=_FROM_CELLS)
     return poses, readings, score_poses(features, readings, poses, options)
