@@ -1,4 +1,4 @@
-"""The verdict: can this answer be trusted?
+"""The verdict on an answer: whether its pose can be trusted.
 
 A scan from the best pose should score about as well as its readings can: close to
 :attr:`~imgloc.options.EvidenceModel.best` nats each. The **misfit** is what is missing to that, in
