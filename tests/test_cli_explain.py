@@ -99,7 +99,7 @@ def test_an_invalid_scan_has_a_page_too(tmp_path: Path) -> None:
     save_scans(path, ScanSet((blind,)))
     run = call("localize", CURVED, path, "--explain", out, "--strict")
     assert run.code == 6
-    assert "0 of its 20 readings are distances to something" in out.read_text(encoding="utf-8")
+    assert "0 of its 20 readings are valid" in out.read_text(encoding="utf-8")
 
 
 def test_a_real_scan_on_a_real_map_and_on_a_wrong_one(shared: Path, tmp_path: Path) -> None:

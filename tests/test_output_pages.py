@@ -316,7 +316,7 @@ def test_what_is_not_listed_is_on_the_page(why) -> None:
         shown = replace(why, answer=replace(why.answer, evidence=evidence))
         return Page(render_explanation(shown, "x")).text
 
-    said = "9 poses were found. Those that are not listed hold 10 % together."
+    said = "9 poses were found. Those that the table leaves out hold 10 % together."
     assert said in text_of(found=9, listed=2, unlisted=0.1)
     assert "poses were found" not in text_of(found=2, listed=2)
 
@@ -350,7 +350,7 @@ def test_too_few_readings_are_explained() -> None:
     ranges[:3], ranges[3:7] = 1.0, np.inf
     scan = LaserScan(ranges, np.linspace(-1, 1, 20), range_max=9.0)
     _, page = page_of(prepare(room_with_a_post()), scan)
-    assert "3 of its 20 readings are distances to something; 10 are needed." in page.text
+    assert "3 of its 20 readings are valid; 10 are needed." in page.text
     assert "4 no return" in page.text
     assert "Ray by ray" not in page.text
     assert page.tags.count("img") == 0
@@ -365,7 +365,7 @@ def test_a_scan_of_elsewhere_is_a_best_guess_at_most() -> None:
     assert "Best guess x " in page.text
     assert "Pose of the sensor" not in page.text
     _, nothing = page_of(features, LaserScan(np.full(120, 70.0), angles, range_max=80.0))
-    assert "The search found no pose in which" in nothing.text
+    assert "The search found no free place where" in nothing.text
 
 
 @pytest.mark.parametrize("method", ["cbml", "ght-v", "beam"])
@@ -377,7 +377,7 @@ def test_a_stack_is_its_own_picture(method: str) -> None:
     assert layer.likelihood is not None
     assert layer.likelihood.values.min() >= 0
     page = Page(render_explanation(why, "x"))
-    assert f"no finer than the cells and headings of {method}'s stack" in page.text
+    assert f"no finer than the cells and headings of the stack of {method}" in page.text
     assert "nan" not in page.text
 
 

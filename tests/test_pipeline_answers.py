@@ -218,7 +218,7 @@ def test_an_answer_out_of_time_is_never_unique():
     assert [c.holds for c in late.evidence.checks] == [True, True, True, False]
     asked = macro("question", "words.html", check=late.evidence.checks[-1])
     assert asked.split("<td>")[2] == "out of time"
-    assert why(reason).startswith("Of those looked at")
+    assert why(reason).startswith("The best pose that the search reached")
 
 
 # --- repetition
@@ -245,7 +245,7 @@ def test_the_page_says_that_directions_are_repeated():
     for given, said in ((again, ", in 3 different directions"), (scan, "")):
         invalid = localize(features, given, Options(trust=Trust(readings=999)))
         text = why(explain(features, given, invalid, Options(trust=Trust(readings=999))))
-        assert f"distances to something{said};" in text
+        assert f"readings are valid{said};" in text
 
 
 # --- what is recorded, and what is taken

@@ -55,7 +55,7 @@ def test_a_batch_ends_with_what_keeps_scans_from_fitting(found: tuple[Path, Batc
     # What fits one of the maps is not doubtful on the other.
     assert (hint["items"], hint["of"], hint["first"]) == (1, 2, ["mm.npz on curved"])
     text = batch_text(summary, "out")
-    assert "1 of 2 doubtful items looked at again, such as mm.npz on curved: scans like" in text
+    assert "1 of 2 doubtful items tried again, for example mm.npz on curved: scans like" in text
     assert json.loads((folder / "out" / "summary.json").read_text())["hints"] == summary.hints
     page = render_report(folder / "out")
     assert "What to look at next" in page
@@ -67,7 +67,7 @@ def test_known_poses_are_said_to_count_on_every_map(found: tuple[Path, BatchSumm
     assert (summary.known, summary.pairs, summary.files) == (8, 4, 2)
     text = batch_text(summary, "out")
     assert "of 8 scans with a known pose 2 are right (25.0 %), 0 unique and wrong" in text
-    assert "4 pairs of 2 files; a CSV of pairs (map,scans) says which map is whose" in text
+    assert "2 files count on every map, in 4 pairs; a CSV of pairs (map,scans) assigns" in text
     assert "pairs" not in batch_text(BatchSummary(known=3, hits=3, pairs=2, files=2), "out")
 
 

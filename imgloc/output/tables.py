@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from imgloc.runs.batch import BatchSummary
 
 _WIDE = 1000  # characters of a line at most: a table is as wide as its cells, wherever it goes
-_UNDER = "sd: standard deviation, of noise and of errors that a wall shares"
+_UNDER = "sd: standard deviation, from noise and from errors that a wall shares"
 _LISTED = 3  # maps that a line of `imgloc which` names
 
 
@@ -299,15 +299,14 @@ def batch_text(summary: "BatchSummary", folder: str) -> str:
         wrong = f"{summary.unique_wrong:,} unique and wrong"
         lines.append(f"of {summary.known:,} scans with a known pose {right}, {wrong}")
         if summary.pairs > summary.files:
+            files = f"{summary.files:,} file{'s' * (summary.files != 1)}"
             lines.append(
-                "  a pose counts on each map that its file is tried with: "
-                f"{summary.pairs:,} pairs of {summary.files:,} "
-                f"file{'s' * (summary.files != 1)}; a CSV of pairs (map,scans) "
-                "says which map is whose"
+                f"  the poses of {files} count on every map, in {summary.pairs:,} pairs; a CSV of "
+                "pairs (map,scans) assigns files to maps"
             )
     for hint in summary.hints:
-        tried = f"{hint['items']} of {hint['of']} doubtful items looked at again"
-        lines.append(f"{tried}, such as {hint['first'][0]}: {as_options(hint['hint'])}")
+        tried = f"{hint['items']} of {hint['of']} doubtful items tried again"
+        lines.append(f"{tried}, for example {hint['first'][0]}: {as_options(hint['hint'])}")
     lines.append(f"{summary.new:,} new rows in {summary.seconds:.1f} s: {folder}/results.jsonl")
     return "\n".join(lines)
 
