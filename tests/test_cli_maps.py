@@ -139,4 +139,4 @@ def test_the_likelihood_of_a_scan_is_one_command(tmp_path: Path) -> None:
     for wrong in (words, ("map", "show", "curved", "--out", out, "--force", "--scans", scans)):
         assert call(*wrong).err.startswith("imgloc: error: --scans: expected with --what likelih")
     run = call(*words, "--scans", scans, "--method", "fused")
-    assert "--method: fused has no likelihood" in run.err
+    assert "--method: got 'fused', expected one of cbml, cbml-o" in run.err

@@ -192,6 +192,12 @@ def test_csv_with_names_stamp_and_pose(tmp_path: Path) -> None:
     assert scans.stamps.tolist() == [7.5, 8]
 
 
+def test_a_range_a_line_is_no_set_of_scans(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("1.5\n1.6\n1.7\n")
+    with pytest.raises(ScanError, match="3 lines of one range each, expected a scan a line"):
+        load_scans(tmp_path / "a.csv", fov=1.0)
+
+
 def test_csv_of_angle_and_range_is_one_scan(tmp_path: Path) -> None:
     scans = csv(tmp_path, "# range_max=9\r\nrange,Angle,intensity\r\n5,-1,0\r\n6,1,0\r\n")
     (scan,) = scans.scans

@@ -37,6 +37,7 @@ from imgloc.live.line import Key, Line
 from imgloc.model import to_json
 from imgloc.options import Calibration, Shared
 from imgloc.output.rows import answer_row, moment_row
+from imgloc.search.priors import prior_of
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -172,7 +173,7 @@ def test_what_is_known_and_what_was_calibrated_counts(
     save_calibrations(path, grid, fitted, {}, shared=shared)
     site = Site(imgloc.prepare(grid), *load_calibrations(path, grid))
     known = Known(heading=(0.5, 0.2))
-    expected = replace(Options(prior=known.prior(grid)), shared=shared)
+    expected = replace(Options(prior=prior_of(known, grid)), shared=shared)
     with Localizer(site) as core:
         answer = core.localize(scans[0], known=known).value
         assert whole(answer.as_row()) == whole(

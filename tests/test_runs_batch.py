@@ -18,7 +18,7 @@ from killers import Saboteur
 from killloop import kill_loop
 from places import room_with_a_post
 
-from imgloc import doors
+from imgloc import doors, numbers
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.geometry import wrap
 from imgloc.io.maps import save_map
@@ -542,3 +542,11 @@ def test_a_batch_that_is_killed_again_and_again_in_short(site: Path, tmp_path: P
     found = kill_loop(site / "floors", site / "scans", tmp_path, 2, 1, *words)
     assert (found.items, found.equal, len(found.after)) == (6, True, 2)
     assert found.ended >= 1
+
+
+def test_other_numbers_make_other_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = make_job("check").digest
+    assert make_job("check").digest == before
+    changed = replace(numbers.NUMBERS["Trust.mass"], value=0.95)
+    monkeypatch.setitem(numbers.NUMBERS, "Trust.mass", changed)
+    assert make_job("check").digest != before

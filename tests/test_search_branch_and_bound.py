@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import features_of, scan_of
 
-from imgloc import pipeline
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.pyramid import pooled_maps
@@ -21,6 +20,7 @@ from imgloc.likelihoods.cbml import cbml
 from imgloc.model import BoolArray, Float32Array, FloatArray
 from imgloc.options import Options
 from imgloc.pipeline import localize
+from imgloc.search import stacked
 from imgloc.search.branch_and_bound import Best, _Bounds, best_poses
 from imgloc.search.hypotheses import separated
 
@@ -256,7 +256,7 @@ def test_after_its_time_the_search_says_what_it_knows(monkeypatch):
         asked.append(more)
         return best_poses(*given, **more)
 
-    monkeypatch.setattr(pipeline, "best_poses", noted)
+    monkeypatch.setattr(stacked, "best_poses", noted)
     assert len(localize(features, scan, Options(exact=True, time_budget=1e-9)).hypotheses)
     assert asked == []  # what takes a second is not begun
     assert localize(features, scan, Options(exact=True, time_budget=60.0)).complete

@@ -22,7 +22,7 @@ def find_map(path: str | Path) -> Path:
 
     path = Path(path)
     if path.suffix.lower() in SCAN_ENDINGS and is_there(path):
-        raise ConfigError(f"MAP: {path} is a file of scans; the order is MAP, then SCANS")
+        raise ConfigError(f"{path} is a file of scans; the order is MAP, then SCANS")
     if path.name != str(path) or path.suffix or is_there(path):
         return path
     try:
@@ -38,7 +38,7 @@ def find_scans(path: str | Path) -> Path:
 
     path = Path(path)
     if path.suffix.lower() in (*IMAGE_ENDINGS, *LOSSY_ENDINGS):
-        raise ConfigError(f"SCANS: {path} is an image; the order is MAP, then SCANS")
+        raise ConfigError(f"{path} is an image; the order is MAP, then SCANS")
     return path
 
 

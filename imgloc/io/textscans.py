@@ -80,6 +80,9 @@ def read_csv(path: PathLike, *, fov: float | None = None) -> ScanSet:
         named = ", ".join(columns[i] for i in place)
         raise ScanError(f"{name}: columns {named}, expected all of x, y, theta or none")
     ranges = np.delete(table, list(beside.values()), axis=1)
+    if ranges.shape[1] == 1 and len(ranges) > 1:
+        expected = "a scan a line, its ranges with commas between, or two columns, angle and range"
+        raise ScanError(f"{name}: {len(ranges):,} lines of one range each, expected {expected}")
     entries: list[Entry] = []
     if fov is not None and "angle_min" not in settings:
         settings["angles"] = spread(ranges.shape[1], fov)

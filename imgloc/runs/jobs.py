@@ -15,6 +15,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
+from imgloc import numbers
 from imgloc.doors import JOBS, opened
 from imgloc.errors import ConfigError
 from imgloc.geometry import pose_errors
@@ -101,8 +102,8 @@ class Job(Checked, ABC):
 
     @cached_property
     def digest(self) -> str:
-        """Hash of what decides the rows, apart from the files and the version."""
-        text = json.dumps(self.parameters, sort_keys=True)
+        """Hash of the options and numbers that decide the rows, beside files and version."""
+        text = json.dumps([self.parameters, numbers.digest()], sort_keys=True)
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
     @property
