@@ -1,1 +1,1 @@
-"""The robot moves: what odometry and scan after scan say together (eq. 1)."""
+"""Filters that follow a moving robot by odometry and scan after scan (eq. 1)."""

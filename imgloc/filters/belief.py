@@ -1,4 +1,4 @@
-"""What a filter believes at one moment, whichever filter it is."""
+"""The belief of a filter at one moment, and the interface that all filters have."""
 
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -14,21 +14,21 @@ from imgloc.search.hypotheses import separated
 
 UNIQUE, AMBIGUOUS, LOST = VERDICTS = ("unique", "ambiguous", "lost")
 STRANGE = number("belief.strange")
-"""Misfit, nats per reading, that is taken for usual where nothing was seen yet."""
-_HABIT = number("belief.habit")  # share of a scan in what is the usual misfit
+"""Misfit, nats per reading, that counts as usual before the first scan."""
+_HABIT = number("belief.habit")  # weight of a new scan in the running mean of the misfit
 
 
 @dataclass(frozen=True)
 class Belief:
     """Where the robot may be: places, best first, in the grid frame."""
 
-    poses: FloatArray  #: (M, 3)
-    mass: FloatArray  #: (M,) of each place; with `lost` they sum to at most 1
-    covariance: FloatArray  #: (M, 3, 3)
-    lost: float  #: probability of being at none of them
+    poses: FloatArray  #: (M, 3) metres, metres, radians
+    mass: FloatArray  #: (M,) probability of each place; with `lost` they sum to at most 1
+    covariance: FloatArray  #: (M, 3, 3) m², m rad and rad²
+    lost: float  #: probability that the robot is at none of them
     verdict: str  #: ``unique``, ``ambiguous`` or ``lost``
     neff: float  #: effective number of components or particles
-    resets: int = 0  #: how often places were put in from p(x | z)
+    resets: int = 0  #: number of times that the filter added places from p(x | z)
 
 
 NOWHERE = Belief(np.empty((0, 3)), np.empty(0), np.empty((0, 3, 3)), 1.0, LOST, 0.0)
@@ -47,63 +47,64 @@ def deviations_of(covariance: FloatArray) -> tuple[float, float]:
 
 
 class Filter(Protocol):
-    """What :mod:`imgloc.filters.follow` drives along a log.
+    """The interface of a filter, which :mod:`imgloc.filters.follow` drives along a log.
 
-    The poses are those of the robot; of scans without a `T_base_laser`, of the sensor.
+    Poses are the robot's in the grid frame. If scans have no `T_base_laser`, poses are the
+    sensor's.
     """
 
-    options: Options  #: with what is known by now of the scale of its scans
+    options: Options  #: options of the search, with the scale of the scans as estimated so far
 
     def move(self, increment: FloatArray) -> None:
-        """Take a motion (3,) of the robot, in its frame before."""
+        """Move the belief by a motion (3,), in the robot's earlier frame: m, m, radians."""
 
     def see(self, scan: LaserScan) -> None:
-        """Take a scan."""
+        """Weigh the whole belief by a scan."""
 
     def watch(self, scan: LaserScan) -> bool:
-        """Correct the pose by a scan; True if it contradicts the belief and has to be taken."""
+        """Correct the best pose by a scan; True if it contradicts the belief: then `see` it."""
 
     def miss(self, seconds: float) -> None:
-        """Take note of a scan that says nothing, so long after the one before."""
+        """Note a blind scan, `seconds` after the scan before it."""
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
-        """Believe to be at a pose (3,), grid frame, with deviations in metres and radians."""
+        """Start at a pose (3,), grid frame, with standard deviations in metres and radians."""
 
     @property
     def belief(self) -> Belief:
-        """What is believed now."""
+        """The belief now."""
 
 
 @dataclass
 class Habit:
-    """What a filter remembers of one laser of a robot: another one sees other walls."""
+    """Memory of a filter for one laser of a robot, because another laser sees other walls."""
 
-    #: metres and radians since the last scan that was taken
+    #: metres and radians driven since the last scan that weighed the belief
     way: FloatArray = field(default_factory=lambda: np.full(2, np.inf))
-    usual: float = np.nan  #: misfit, in the long run
-    last: float = np.nan  #: misfit of the last scan
-    doubted: bool = False  #: it was much more than usual
+    usual: float = np.nan  #: running mean of the misfit, nats per reading
+    last: float = np.nan  #: misfit of the last scan, nats per reading
+    doubted: bool = False  #: whether the last misfit was much above the usual one
 
     def expect(self, misfit: float) -> None:
-        """Say what a scan is expected to lack, if nothing is known of that."""
+        """Set the usual misfit, nats per reading, if no scan has set it yet."""
         if np.isnan(self.usual):
             self.usual = self.last = misfit
 
     def learn(self, misfit: float) -> None:
-        """Take the misfit of a scan."""
+        """Take the misfit of a scan, nats per reading, into the running mean."""
         self.expect(misfit)
         self.last, self.usual = misfit, self.usual + _HABIT * (misfit - self.usual)
 
 
 class Habits:
-    """A :class:`Habit` for each place at which a scan's laser sits."""
+    """A :class:`Habit` for each laser, told apart by its place on the robot."""
 
     def __init__(self) -> None:
         self._of: dict[Pose2D | None, Habit] = {}
         self._placed = False
 
     def of(self, scan: LaserScan) -> Habit:
-        """That of the laser of a scan."""
+        """The habit of the laser of a scan."""
         if scan.T_base_laser not in self._of:
             self._of[scan.T_base_laser] = Habit()
             if self._placed:
@@ -112,23 +113,23 @@ class Habits:
 
     @property
     def doubted(self) -> bool:
-        """Whether what one of the lasers saw is doubted."""
+        """Whether the last scan of any laser is doubted."""
         return any(habit.doubted for habit in self._of.values())
 
     def move(self, increment: FloatArray) -> None:
-        """Take a motion (3,)."""
+        """Add a motion (3,), metres, metres, radians, to the way of each laser."""
         for habit in self._of.values():
             habit.way = habit.way + way_of(increment)
 
     def place(self) -> None:
-        """A place was told: scans are expected to fit there."""
+        """Expect scans to fit, because a place was given."""
         self._placed = True
         for habit in self._of.values():
             habit.expect(STRANGE)
 
 
 PLACE = number("belief.place")
-"""Poses nearer than this, metres and radians, are of one place."""
+"""Poses nearer than this, metres and radians, belong to one place."""
 _PLACES = number("belief.places")
 
 
@@ -142,14 +143,24 @@ def belief_of(
     neff: float,
     resets: int,
 ) -> Belief:
-    """The places of many weighted poses (N, 3), mass (N,), heaviest first.
+    """Join many weighted poses into places, the heaviest first.
 
     Parameters
     ----------
+    poses : (N, 3) float array
+        Grid frame: metres, metres, radians.
+    mass : (N,) float array
+        Probability of each pose.
     sure : float
-        Mass of the first place from which on it is ``unique``, unless it is `doubted`.
+        Mass, 0..1, from which the first place is ``unique``, unless it is `doubted`.
     lost : bool
-        The best place does not explain what is seen.
+        Whether the best place does not explain the scan.
+    doubted : bool
+        Whether the best place fits much worse than usual.
+    neff : float
+        Effective number of poses, for the record.
+    resets : int
+        Number of times that the filter added places from p(x | z), for the record.
 
     Examples
     --------
@@ -184,20 +195,20 @@ def belief_of(
 
 
 class Followed:
-    """For how many metres the best place has been the same one, carried by odometry."""
+    """Counts the metres for which odometry has carried one best place."""
 
     def __init__(self) -> None:
         self.metres = 0.0
         self._pose: FloatArray | None = None
 
     def move(self, increment: FloatArray) -> None:
-        """Take a motion (3,)."""
+        """Move the best place by a motion (3,): metres, metres, radians."""
         self.metres += float(np.hypot(*increment[:2]))
         if self._pose is not None:
             self._pose = compose_poses(self._pose, increment)
 
     def best(self, pose: FloatArray) -> None:
-        """Say which pose (3,) is the best one now."""
+        """Set the best pose (3,), grid frame; another place starts the count again."""
         if self._pose is not None:
             apart = pose - self._pose
             if np.hypot(*apart[:2]) < PLACE[0] and abs(float(wrap(apart[2]))) < PLACE[1]:

@@ -22,20 +22,21 @@ def make_filter(
     reset_by: str = "ght-v",
     find: Callable[[LaserScan], Places] | None = None,
 ) -> Filter:
-    """Make a filter that knows nothing yet.
+    """Make a filter that has seen nothing yet.
 
     Parameters
     ----------
     name : str
-        One of :data:`imgloc.options.FILTERS`, or a ConfigError.
+        One of :data:`imgloc.options.FILTERS`. Any other name raises a ConfigError.
     seed : int
-        Of its draws.
+        Seed of the filter's random draws.
     resets : bool
-        Whether it starts again from p(x | z) where it is lost.
+        Whether the filter starts again from p(x | z) if it is lost.
     reset_by : str
-        The method whose p(x | z) particles are drawn from.
+        Method whose p(x | z) the particle filter draws new particles from.
     find : callable, optional
-        Instead of the search of places in a scan: gives those of a search that was done before.
+        Replaces the search: a function of a scan that returns its places, from an earlier search
+        for example.
     """
     if name == "tracker":
         return Tracker(features, options, TrackerOptions(resets=resets), find)

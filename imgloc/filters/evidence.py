@@ -1,11 +1,11 @@
-"""What one scan says of some poses: the only place where filters touch the recipe of one scan.
+"""Evidence of one scan for some poses. Only here do filters use the recipe of one scan.
 
-Poses are those of the robot, on which each scan says where its sensor sits: scans of several lasers
-are scored one after the other, each from where its own rays start. Of a scan that does not say it,
-robot and sensor are one.
+Poses are the robot's. Each scan has the place of its sensor on the robot, `T_base_laser`, so scans
+of several lasers are scored each from where its own rays start. If a scan has none, robot and
+sensor are one.
 
-What is known of the scale of the readings, `Options.shared`, is applied once, by :func:`usable`; of
-the walls, by the features that a filter takes.
+:func:`usable` multiplies the ranges by the scale in `Options.shared`, once. Walls that are drawn
+too thick are allowed for by the features that a filter takes.
 """
 
 from dataclasses import dataclass
@@ -27,39 +27,42 @@ from imgloc.search.weigh import weigh
 _SETTLE = number("evidence.settle")  # widths of the kernel, metres
 _SETTLE_SCALED = number("evidence.settle_scaled")  # the same where the scale is free
 _FEW = number("evidence.readings")  # readings of the first look around a pose
-_STEP: tuple[float, float] = number("evidence.step")  # between the poses of it, metres and radians
-_REACH = number("evidence.reach")  # standard deviations that it goes, and
-_FARTHEST = number("evidence.farthest")  # metres and radians, at most
-_SCALES = number("evidence.scales")  # at which that of the readings begins
-_MOST = number("evidence.most")  # poses of all first looks together: time has an end
-_CLOSER = number("evidence.closer")  # of them that are moved to where they fit best
-_UNKNOWN = number("evidence.unknown")  # metres, metres, radians: of a pose that was not weighed
-# metres: what is nearer on all sides is a cover, or the robot itself
+# Step between the poses of the first look, metres and radians.
+_STEP: tuple[float, float] = number("evidence.step")
+_REACH = number("evidence.reach")  # reach of the first look, standard deviations
+_FARTHEST = number("evidence.farthest")  # and its limit, metres and radians
+_SCALES = number("evidence.scales")  # factors from which the search for a scale starts
+_MOST = number("evidence.most")  # poses of all first looks together, to limit the time
+_CLOSER = number("evidence.closer")  # poses of a first look that are refined
+# Standard deviations of a pose without a covariance: metres, metres, radians.
+_UNKNOWN = number("evidence.unknown")
+# Metres. If all readings are nearer, a cover or the robot itself blocks the sensor.
 _BODY = number("evidence.body")
-# of the kernel that tells which: of the first look, and of the last, metres
+# Widths of the kernel that picks poses, metres: for the first look, and for the last one.
 _WIDTHS = number("evidence.widths")
 
 
 @dataclass(frozen=True)
 class View:
-    """A scan, as poses (C, 3) of the robot, C > 0, grid frame, are asked about it."""
+    """A scan made ready to score poses (C, 3) of the robot, C > 0, grid frame."""
 
-    readings: Readings  #: those that a search scores poses by
-    mount: FloatArray  #: (3,) pose of the sensor on the robot
+    readings: Readings  #: readings that score the poses
+    mount: FloatArray  #: (3,) pose of the sensor on the robot: metres, metres, radians
 
     def sensor(self, poses: FloatArray) -> FloatArray:
-        """Where the sensor is if the robot is at the poses."""
+        """Poses (C, 3) of the sensor if the robot is at `poses` (C, 3)."""
         return compose_poses(poses, self.mount)
 
     def robot(self, poses: FloatArray) -> FloatArray:
-        """Where the robot is if its sensor is at the poses."""
+        """Poses (C, 3) of the robot if its sensor is at `poses` (C, 3)."""
         return compose_poses(poses, invert_poses(self.mount))
 
 
 def usable(scan: LaserScan, options: Options) -> LaserScan | None:
-    """The scan at the scale that is known; None if it says nothing of where the robot is.
+    """The scan with its ranges multiplied by the scale in use; None if the scan is blind.
 
-    It does if it has readings in enough directions, and of enough places beyond the robot's body.
+    A scan is blind if it has readings in too few directions, or of too few places beyond the
+    robot's body.
     """
     few = max(1, options.trust.readings)
     if scan.directions < few:
@@ -70,7 +73,7 @@ def usable(scan: LaserScan, options: Options) -> LaserScan | None:
 
 
 def view_of(scan: LaserScan, options: Options) -> View:
-    """The scan, made ready for the functions below."""
+    """Thin the readings of a scan, and look up where its sensor sits on the robot."""
     m = scan.T_base_laser or Pose2D(0.0, 0.0)
     readings = one_per_place(scan, options.fused.place).spread(options.fused.rays)
     return View(readings, np.array([m.x, m.y, m.theta]))
@@ -78,13 +81,13 @@ def view_of(scan: LaserScan, options: Options) -> View:
 
 @dataclass(frozen=True)
 class Sight:
-    """Poses by one scan, in the order in which they were asked for."""
+    """Scores of C poses by one scan, in the order of the poses."""
 
-    poses: FloatArray  #: (C, 3), grid frame
+    poses: FloatArray  #: (C, 3) grid frame: metres, metres, radians
     log_likelihood: FloatArray  #: (C,) nats, divided by the temperature of the scan
-    covariance: FloatArray  #: (C, 3, 3) of the readings' noise around each
-    misfit: FloatArray  #: (C,) nats per reading that are lacking to a perfect fit
-    gained: float  #: nats, tempered, by which the best one beats a building on no map
+    covariance: FloatArray  #: (C, 3, 3) covariance of each pose from the readings' noise
+    misfit: FloatArray  #: (C,) nats per reading that each pose lacks against a perfect fit
+    gained: float  #: tempered nats by which the best pose beats a building on no map
 
 
 def sight(
@@ -94,7 +97,10 @@ def sight(
     options: Options,
     spread: FloatArray | None = None,
 ) -> Sight:
-    """Score poses as they are; a `spread` (C, 3, 3) as of :class:`Places` widens covariances."""
+    """Score poses (C, 3) of the robot, grid frame, without moving them.
+
+    `spread` (C, 3, 3) has second moments in m², m rad and rad² that widen the covariances.
+    """
     seen, at = view.readings, view.sensor(poses)
     scores = score_poses(features, seen, at, options)
     order = np.argsort(-scores.log_likelihood, kind="stable")
@@ -105,7 +111,7 @@ def sight(
     misfit = options.fused.model.best - score / len(seen)
     covariance = np.tile(np.diag(_UNKNOWN) ** 2, (len(poses), 1, 1))
     covariance[order[: len(found.covariance)]] = found.covariance
-    lever = np.tile(np.eye(3), (len(poses), 1, 1))  # a sensor that turns moves the robot
+    lever = np.tile(np.eye(3), (len(poses), 1, 1))  # if the sensor turns, the robot moves
     lever[:, 0, 2], lever[:, 1, 2] = (at - poses)[:, 1], (poses - at)[:, 0]
     covariance = lever @ covariance @ lever.transpose(0, 2, 1)
     log = score / found.evidence.temperature.value
@@ -115,10 +121,11 @@ def sight(
 def settled(
     features: MapFeatures, view: View, poses: FloatArray, covariance: FloatArray | None = None
 ) -> FloatArray:
-    """The poses (C, 3), best first, moved to where the scan fits best around them.
+    """Move poses (C, 3) of the robot, grid frame, to where the scan fits best around them.
 
-    By half a metre and some degrees at most; with the covariance (C, 3, 3) of each, as far as that
-    allows: of readings that are far away, few are near their walls unless the heading is right.
+    Without a `covariance` a pose moves by at most half a metre and some degrees. With the
+    covariance (C, 3, 3) of each, a first look tries poses all over its Gaussian: far readings end
+    near their walls only if the heading is nearly right. `poses` come best first.
     """
     if covariance is None or not len(poses):
         return view.robot(_refined(features, view, view.sensor(poses)))
@@ -134,7 +141,7 @@ def settled(
 
 
 def _around(pose: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Poses (K, 3) all over a Gaussian, itself among them: a heading moves the place along."""
+    """Poses (K, 3) all over a Gaussian, its mean among them; x and y follow theta's correlation."""
     turned = _steps(float(np.sqrt(covariance[2, 2])), 1)
     lever = covariance[:2, 2] / max(1e-12, covariance[2, 2])
     values, axes = np.linalg.eigh(covariance[:2, :2] - np.outer(lever, covariance[:2, 2]))
@@ -145,7 +152,7 @@ def _around(pose: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def _steps(deviation: float, kind: int) -> FloatArray:
-    """Offsets in metres (0) or radians (1) on both sides of none."""
+    """Offsets on both sides of 0 and 0 itself, in metres (kind 0) or radians (kind 1)."""
     n = int(min(_REACH * deviation, _FARTHEST[kind]) / _STEP[kind] + 0.5)
     return _STEP[kind] * np.arange(-n, n + 1.0)
 
@@ -155,7 +162,7 @@ def _refined(features: MapFeatures, view: View, at: FloatArray) -> FloatArray:
 
 
 def _met(features: MapFeatures, at: FloatArray, xy: FloatArray, width: float) -> FloatArray:
-    """How many of the points (N, 2) poses (C, 3) of the sensor put on walls, softly: (C,)."""
+    """Soft count (C,) of the points (N, 2) that sensor poses (C, 3) put on walls."""
     distance = endpoints(at, xy, features.field)[2]
     met = 1 / (1 + np.square(distance / np.float32(width)))
     return np.asarray(met.sum(axis=1, dtype=np.float64))
@@ -170,14 +177,14 @@ def _best_of(owner: IntArray, score: FloatArray, n: int) -> IntArray:
 
 @dataclass(frozen=True)
 class Places:
-    """Where the **sensor** may be by one scan: separated poses, grid frame, best first."""
+    """Poses where the **sensor** may be by one scan: separated, grid frame, best first."""
 
-    poses: FloatArray  #: (M, 3)
-    #: (M, 3, 3) second moments of the maxima around each: which of them it is, one scan cannot tell
+    poses: FloatArray  #: (M, 3) metres, metres, radians
+    #: (M, 3, 3) second moments of the maxima around each pose; one scan cannot tell them apart
     spread: FloatArray
 
     def best(self, n: int) -> "Places":
-        """The `n` best of them, if there are so many."""
+        """The `n` best places, or all if there are fewer."""
         return Places(self.poses[:n], self.spread[:n])
 
 
@@ -185,14 +192,14 @@ NO_PLACES = Places(np.empty((0, 3)), np.empty((0, 3, 3)))
 
 
 def search(features: MapFeatures, scan: LaserScan, options: Options) -> Places:
-    """All places that one scan allows."""
+    """Search the map for all places that fit a scan."""
     found = find_modes(features, scan, options)
     alone = np.zeros((len(found.poses), 3, 3))
     return Places(found.poses, alone if found.spread is None else found.spread)
 
 
 def misfit_at(features: MapFeatures, view: View, poses: FloatArray, options: Options) -> float:
-    """Least misfit of poses as they are, nats per reading."""
+    """Least misfit of poses (C, 3) of the robot without moving them, nats per reading."""
     scores = score_poses(features, view.readings, view.sensor(poses), options)
     return options.fused.model.best - float(scores.log_likelihood.max()) / len(view.readings)
 
@@ -204,14 +211,14 @@ def misfit_near(
     options: Options,
     covariance: FloatArray | None = None,
 ) -> float:
-    """Least misfit of poses once they have settled, nats per reading."""
+    """Least misfit of poses (C, 3) of the robot after refinement, nats per reading."""
     return misfit_at(features, view, settled(features, view, poses, covariance), options)
 
 
 def stretched(
     features: MapFeatures, view: View, pose: FloatArray, options: Options
 ) -> tuple[float, float]:
-    """By what to multiply the readings to fit best at a pose (3,), and what that gains, nats."""
+    """Fit a scale of the readings at a pose (3,) of the robot: the factor, and the nats gained."""
     same = np.tile(view.sensor(pose), (len(_SCALES), 1))
     poses = np.column_stack((same, _SCALES))
     poses = refine(poses, view.readings.xy, features.field, sigmas=_SETTLE_SCALED)

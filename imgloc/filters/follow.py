@@ -1,4 +1,4 @@
-"""A filter along a log: when it looks, what it publishes, and when it says nothing."""
+"""A filter along a log: which scans it weighs, and which poses it publishes or withholds."""
 
 import logging
 from collections import deque
@@ -22,61 +22,61 @@ from imgloc.options import Every, Followed, Limits, Options
 LOG = logging.getLogger(__name__)
 
 DEVIATION: tuple[float, float] = number("follow.deviation")
-"""How far a pose that was told may be off, unless said otherwise: metres and radians."""
-_BUFFERS = 8  # scans of a laser that are remembered: a driver may go round some buffers
-#: after so many metres or radians a scan that has not changed by so many metres at such a share of
-#: its readings is an old one
+"""Default standard deviations of a pose that is given to a filter: metres and radians."""
+_BUFFERS = 8  # scans of a laser that are remembered, because a driver may repeat its buffers
+#: A scan is an old one again if the robot has moved by so many metres or radians, and at least such
+#: a share of its readings have changed by less than so many metres.
 _STALE = number("follow.stale")
 Reading = tuple[LaserScan, FloatArray | None]
-"""A scan with its stamp, and the pose (3,) of the odometry then; None if it is not known."""
+"""A scan with its stamp, and the odometry's pose (3,) at that time; None without odometry."""
 BLIND, WIDE = "blind", "wide"
 _LATEST = 1e18  # seconds
-_FASTEST = 50.0  # metres a second: no robot on the ground is
-_FARTHEST = 1e6  # metres between two scans: a number is damaged
+_FASTEST = 50.0  # metres a second: no robot on the ground is faster
+_FARTHEST = 1e6  # metres between two scans: beyond it a number is damaged
 
 
 @dataclass(frozen=True)
 class Kidnap:
-    """From a moment on the robot is not where it believes to be: at `pose`, map frame."""
+    """A test: from a moment on the filter believes in `pose`, map frame, where the robot is not."""
 
     after: float  #: seconds since the first scan
     pose: Pose2D
-    deviation: tuple[float, float] = (0.1, 0.05)  #: metres and radians
+    deviation: tuple[float, float] = (0.1, 0.05)  #: standard deviations, metres and radians
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What is believed when a scan has come in.
+    """The belief after a scan.
 
-    Poses, in the map frame, are those of the robot; of a scan without a `T_base_laser`, of its
-    sensor.
+    Poses are the robot's in the map frame. If the scan has no `T_base_laser`, poses are the
+    sensor's.
     """
 
-    index: int  #: of the scan
-    stamp: float  #: seconds; NaN when unknown
-    age: float  #: seconds since the last scan that said something
-    looked: bool  #: whether the whole belief was weighed by this one
-    metres: float  #: driven since the first scan, by odometry
+    index: int  #: index of the scan
+    stamp: float  #: stamp of the scan, seconds; NaN when unknown
+    age: float  #: seconds since the last scan that was not blind
+    looked: bool  #: whether this scan weighed the whole belief
+    metres: float  #: metres driven since the first scan, by odometry
     belief: Belief
-    #: why a pose that holds the mass is not published: ``blind`` (this scan says nothing), ``wide``
-    #: (its standard deviation is above the limit), or an empty string
+    #: why a pose that holds the mass is withheld: ``blind`` (this scan says nothing), ``wide`` (the
+    #: pose's standard deviation is above the limit); empty if nothing is withheld
     withheld: str
     #: best pose, whatever the verdict; None if there is none
     best: Pose2D | None
-    covariance: FloatArray  #: (3, 3) of `best`, map frame
-    #: (metres along the longest axis, radians): standard deviations of `best`
+    covariance: FloatArray  #: (3, 3) covariance of `best`, map frame: m², m rad and rad²
+    #: standard deviations of `best`: metres along the longest axis, and radians
     deviation: tuple[float, float]
     map_odom: Pose2D | None  #: pose of the odometry's frame in the map, by `best`
 
     @property
     def pose(self) -> Pose2D | None:
-        """The pose, if there is one that can be relied upon: only when it is unique."""
+        """The best pose if it is ``unique``, so that it can be relied upon; else None."""
         return self.best if self.belief.verdict == UNIQUE else None
 
 
 @dataclass(frozen=True)
 class Tracking(Followed):
-    """How a robot is followed.
+    """Settings by which a robot is followed.
 
     Examples
     --------
@@ -85,12 +85,12 @@ class Tracking(Followed):
     """
 
     def follower(self, features: MapFeatures, options: Options, name: str = "log") -> "Follower":
-        """What takes the scans of one robot."""
+        """Make the follower that takes the scans of one robot; errors call the log `name`."""
         made = self.made(features, options)
         return Follower(features, made, every=self.every, limits=self.limits, name=name)
 
     def made(self, features: MapFeatures, options: Options) -> Filter:
-        """A filter that knows nothing yet."""
+        """Make a filter that has seen nothing yet."""
         return make_filter(self.filter, features, options, seed=self.seed, resets=self.resets)
 
 
@@ -106,32 +106,43 @@ def follow(
     kidnap: Kidnap | None = None,
     name: str = "log",
 ) -> Iterator[Moment]:
-    """Drive a filter along a log: one moment for each scan, as soon as it is there.
+    """Drive a filter along a log: yield one moment for each scan, as soon as the scan is there.
 
     Parameters
     ----------
     features : MapFeatures
+        The map.
     scans : ScanSet, or iterable of (LaserScan, (3,) array or None)
-        In the order of time. Of several lasers, each scan says where its own sits. An iterable
-        gives each scan, with its stamp, and the odometry at that time; the next one is asked for
-        when the moment of the last one has been taken. Scans without odometry are left out.
+        Scans in the order of time. `T_base_laser` of each scan tells several lasers apart. An
+        iterable yields each scan, with its stamp, and the odometry's pose at that time: metres,
+        metres, radians. The next scan is taken from it after the moment of the last one has been
+        used. Scans without odometry are left out.
     filter_ : Filter
-        Of the same features; it is changed.
+        A filter made for the same features. It is changed.
     every : Every, optional
-        Scans nearer to the last one of their laser that was looked at correct the best pose alone.
+        Way after which a scan weighs the whole belief. Until then the scans of that laser correct
+        the best pose only.
     limits : Limits, optional
-        Beyond them a pose is not unique.
-    start, deviation : Pose2D, (float, float), optional
-        Map frame, and how far it may be off, metres and radians; by default from anywhere.
+        Standard deviations beyond which a pose is withheld.
+    start : Pose2D, optional
+        Pose at the first scan, map frame. By default the robot may be anywhere.
+    deviation : (float, float), optional
+        Standard deviations of `start`, metres and radians.
     kidnap : Kidnap, optional
+        A test: the filter is put at a wrong pose during the log.
     name : str
-        What error messages call the log.
+        Name of the log in error messages.
+
+    Yields
+    ------
+    Moment
+        The belief after each scan, map frame.
 
     Raises
     ------
     ScanError
-        If there is no odometry, it is in millimetres, or stamps run backwards: of a ScanSet before
-        its first moment.
+        If there is no odometry, it is in millimetres, or stamps run backwards. A ScanSet is checked
+        before its first moment.
     ConfigError
         If `start` or `kidnap` is outside of the map, or `kidnap` outside of the log's time.
 
@@ -167,7 +178,7 @@ _Steps = Iterator[tuple[int, LaserScan, FloatArray, float]]  # index, scan, odom
 
 
 def _coming(scans: Iterable[Reading], name: str) -> _Steps:
-    """Scans with odometry, each with its index, as they come; how many have none, at the end."""
+    """Yield scans with odometry, and their index, as they come; at the end log how many lack it."""
     left, index = 0, -1
     for index, (scan, odom) in enumerate(scans):
         if odom is None or not np.isfinite(odom).all():
@@ -179,7 +190,7 @@ def _coming(scans: Iterable[Reading], name: str) -> _Steps:
 
 
 def _whole(scans: ScanSet, features: MapFeatures, kidnap: Kidnap | None, name: str) -> _Steps:
-    """Scans with odometry, each with its index, after a look at all of them."""
+    """Yield scans with odometry, each with its index, after a check of the whole log."""
     known, indices = scans.with_odometry(name)
     odom = np.empty((0, 3)) if known.odom is None else known.odom
     stamps = np.full(len(known), np.nan) if known.stamps is None else known.stamps
@@ -198,17 +209,20 @@ def _whole(scans: ScanSet, features: MapFeatures, kidnap: Kidnap | None, name: s
 
 
 class Follower:
-    """A filter that is given one scan after the other: a moment for each.
+    """Drives a filter scan after scan: :meth:`step` takes a scan and returns a moment.
 
     Parameters
     ----------
     features : MapFeatures
+        The map.
     filter_ : Filter
-        Of the same features; it is changed.
-    every, limits : Every, Limits, optional
-        As of :func:`follow`.
+        A filter made for the same features. It is changed.
+    every : Every, optional
+        Way after which a scan weighs the whole belief, metres and radians.
+    limits : Limits, optional
+        Standard deviations beyond which a pose is withheld.
     name : str
-        What error messages call the log.
+        Name of the log in error messages.
 
     Examples
     --------
@@ -234,16 +248,16 @@ class Follower:
         self.every, self.limits = every or Every(), limits or Limits()
         self._lasers = dict[Pose2D | None, _Laser]()
         self._count, self._blind, self._metres = 0, 0, 0.0
-        self._dark = 0.0  # seconds without sight that the filter was not told of yet
+        self._dark = 0.0  # seconds of blind scans that the filter has not counted yet
         self._odom: FloatArray | None = None
         self._stamp = self._said = float("nan")
 
     def place(
         self, pose: Pose2D, deviation: tuple[float, float] = DEVIATION, given: str = "pose"
     ) -> None:
-        """Believe to be at a pose, map frame, with deviations in metres and radians.
+        """Start at a pose, map frame, with standard deviations in metres and radians.
 
-        A pose outside of the map is a ConfigError, which says by what it was `given`.
+        A pose outside of the map raises a ConfigError, which names the argument `given`.
         """
         self.filter.place(_local(given, pose, self.features), deviation)
 
@@ -254,12 +268,15 @@ class Follower:
         stamp: float | None = None,
         kidnap: Kidnap | None = None,
     ) -> Moment:
-        """Take a scan, with the pose (3,) of the odometry at its stamp, by default the scan's own.
+        """Take a scan and the odometry's pose (3,) at its stamp: metres, metres, radians.
+
+        `stamp` is in seconds, by default the scan's own.
 
         Raises
         ------
         ScanError
-            If the stamp is before that of the last scan, or the odometry has gone out of reason.
+            If the stamp is before that of the last scan. If the odometry jumps by more than
+            1,000 km.
         """
         k, odom = self._count, np.asarray(odom, dtype=np.float64)
         stamp = scan.stamp if stamp is None else stamp
@@ -287,13 +304,13 @@ class Follower:
         self._metres += float(moved[0])
 
     def _take(self, scan: LaserScan, laser: "_Laser", waited: float) -> bool:
-        """Whether the whole belief was weighed by the scan."""
+        """Take a scan; return whether it weighed the whole belief."""
         if laser.repeats(scan) or usable(scan, self.filter.options) is None:
             self._blind += 1
             self._dark += waited
             if self._blind < len(self._lasers):  # another one has just seen something
                 return False
-            for one in self._lasers.values():  # the next thing that is seen is looked at
+            for one in self._lasers.values():  # the next scan that sees something weighs all
                 one.way = np.full(2, np.inf)
             self.filter.miss(self._dark)
             self._dark = 0.0
@@ -316,7 +333,7 @@ class Follower:
             covariance = rotate_covariance(belief.covariance[0], grid.origin.theta)
             map_odom = Pose2D(*compose_poses(pose, invert_poses(np.asarray(self._odom))))
             deviation = deviations_of(covariance)
-        if self._blind >= len(self._lasers):  # of several another one has just seen something
+        if self._blind >= len(self._lasers):  # else another laser has just seen something
             withheld = BLIND
         if belief.verdict == UNIQUE:
             if deviation[0] > self.limits.metres or deviation[1] > self.limits.radians:
@@ -357,7 +374,7 @@ def _check_way(name: str, k: int, metres: float) -> None:
 
 
 class _Laser:
-    """One laser of a robot: its way since it was looked at, and what it measured lately."""
+    """One laser of a robot: its way since it last weighed the belief, and its latest scans."""
 
     def __init__(self) -> None:
         self.way = np.full(2, np.inf)
@@ -366,14 +383,13 @@ class _Laser:
         self._moved = np.zeros(2)  # since the reference
 
     def move(self, moved: FloatArray) -> None:
-        """Take a motion: metres and radians (2,)."""
+        """Add a motion (2,): metres and radians."""
         self.way, self._moved = self.way + moved, self._moved + moved
 
     def repeats(self, scan: LaserScan) -> bool:
-        """Whether a scan is an old one, which a driver gives again, also with some noise.
+        """Whether a scan is an old one that a driver publishes again, perhaps with some noise.
 
-        No sensor measures the same twice, to the bit; and hardly a scan stays as it is while the
-        robot moves on.
+        No sensor measures the same to the bit twice, and scans change while the robot moves.
         """
         content = scan.ranges.tobytes()
         again = content in self._last
@@ -393,7 +409,7 @@ class _Laser:
 
 
 def robot_poses(scans: ScanSet) -> FloatArray | None:
-    """Known poses (N, 3) of the robot, map frame: those of the sensors where these are all."""
+    """Known poses (N, 3) of the robot, map frame; of the sensor if its mounting is unknown."""
     if scans.poses is None:
         return None
     mounts = (scan.T_base_laser or Pose2D(0.0, 0.0) for scan in scans.scans)
@@ -401,7 +417,7 @@ def robot_poses(scans: ScanSet) -> FloatArray | None:
 
 
 def with_odometry(scans: ScanSet, seed: int = 0) -> tuple[ScanSet, str]:
-    """The log with odometry, and which kind: recorded, or of its poses with noise and a bias."""
+    """The log with odometry, and its kind: recorded, or made of the poses with noise and a bias."""
     if scans.odom is not None:
         return scans, "recorded"
     truth = robot_poses(scans)
@@ -412,7 +428,7 @@ def with_odometry(scans: ScanSet, seed: int = 0) -> tuple[ScanSet, str]:
 
 
 def _check_kidnap(kidnap: Kidnap, features: MapFeatures, stamps: FloatArray) -> None:
-    """Refuse what would never happen."""
+    """Raise a ConfigError for a kidnapping outside of the map or of the log's time."""
     _local("kidnap", kidnap.pose, features)
     since = stamps - stamps[0]
     latest = float(np.max(since, initial=-np.inf, where=np.isfinite(since)))
@@ -422,7 +438,7 @@ def _check_kidnap(kidnap: Kidnap, features: MapFeatures, stamps: FloatArray) -> 
 
 
 def _local(given: str, pose: Pose2D, features: MapFeatures) -> FloatArray:
-    """`pose` in the grid frame; refused, by what gave it, if it is outside of the map."""
+    """`pose` in the grid frame, (3,); a ConfigError that names `given` if it is off the map."""
     local, grid = in_grid_frame(pose, features.grid), features.grid
     height, width = np.array(grid.occupied.shape) * grid.resolution
     if not (0 <= local.x <= width and 0 <= local.y <= height):

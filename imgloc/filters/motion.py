@@ -1,8 +1,8 @@
-"""What odometry says of a motion, and how far it may be wrong: turn, go, turn.
+"""Motions by odometry and their errors: turn, go, turn.
 
 An increment is the later pose in the frame of the earlier one, so that composing it with any pose
-of the earlier time is exact. Its error is that of three parts, with AMCL's names and meaning of the
-four parameters (Thrun, Burgard and Fox, *Probabilistic Robotics*, table 5.6)::
+of the earlier time is exact. Its error has three parts. The four parameters have AMCL's names and
+meaning (Thrun, Burgard and Fox, *Probabilistic Robotics*, table 5.6)::
 
     var(rot)   = alpha1 rot^2   + alpha2 trans^2
     var(trans) = alpha3 trans^2 + alpha4 (rot1^2 + rot2^2)
@@ -25,18 +25,18 @@ _STILL = number("motion.still")  # metres: below, the direction of a motion is n
 
 @dataclass(frozen=True)
 class MotionNoise(Checked):
-    """How far odometry may be wrong; the square roots of the alphas are shares."""
+    """Errors of odometry; the square roots of the alphas are shares."""
 
-    alpha1: Alpha = number("MotionNoise.alpha")[0]  #: of rotation, from rotation
-    alpha2: Alpha = number("MotionNoise.alpha")[1]  #: of rotation, from translation, rad²/m²
-    alpha3: Alpha = number("MotionNoise.alpha")[2]  #: of translation, from translation
-    alpha4: Alpha = number("MotionNoise.alpha")[3]  #: of translation, from rotation, m²/rad²
-    #: of every motion that is not none, for steps so short that shares of them are nothing:
-    #: standard deviations, metres and radians
+    alpha1: Alpha = number("MotionNoise.alpha")[0]  #: rotation error from rotation
+    alpha2: Alpha = number("MotionNoise.alpha")[1]  #: rotation error from translation, rad²/m²
+    alpha3: Alpha = number("MotionNoise.alpha")[2]  #: translation error from translation
+    alpha4: Alpha = number("MotionNoise.alpha")[3]  #: translation error from rotation, m²/rad²
+    #: least standard deviations of a motion other than 0, metres and radians, because a share of a
+    #: very short step is next to nothing
     floor: tuple[Metres, Radians] = number("MotionNoise.floor")
 
     def scaled(self, factor: float) -> "MotionNoise":
-        """The noise of odometry whose variances are so many times these."""
+        """The noise with all variances multiplied by `factor`."""
         if factor == 1:
             return self
         some = {f"alpha{k}": factor * getattr(self, f"alpha{k}") for k in range(1, 5)}
@@ -44,7 +44,7 @@ class MotionNoise(Checked):
 
 
 def compose_poses(a: FloatArray, b: FloatArray) -> FloatArray:
-    """``a ⊕ b`` of poses (..., 3), which broadcast: `b`, given in the frame of `a`; theta wrapped.
+    """``a ⊕ b`` for poses (..., 3) that broadcast: `b` is in the frame of `a`. Theta is wrapped.
 
     Examples
     --------
@@ -67,7 +67,7 @@ def invert_poses(a: FloatArray) -> FloatArray:
 
 
 def increments(odom: FloatArray) -> FloatArray:
-    """The motion from each of the poses (N, 3) to the next, (N - 1, 3), in the frame of the first.
+    """Motions (N - 1, 3) from each of the poses (N, 3) to the next, in the frame of the earlier.
 
     Examples
     --------
@@ -98,11 +98,11 @@ def turn_go_turn(increment: FloatArray) -> FloatArray:
 
 
 def deviations(increment: FloatArray, noise: MotionNoise) -> FloatArray:
-    """Standard deviations (..., 3) of the parts of :func:`turn_go_turn`."""
+    """Standard deviations (..., 3) of first turn, distance and second turn: radians, m, radians."""
     first, go, second = np.moveaxis(turn_go_turn(increment), -1, 0)
     still = go < _STILL
     first, second = np.where(still, 0.0, first), np.where(still, wrap(first + second), second)
-    # Backwards is no half turn.
+    # Driving backwards is no half turn.
     first, second = (np.minimum(np.abs(r), np.pi - np.abs(r)) for r in (first, second))
     moved = np.any(np.asarray(increment) != 0, axis=-1)
     metres, radians = (np.where(moved, floor, 0.0) for floor in noise.floor)
@@ -133,12 +133,12 @@ def sample_motion(
 def move_gaussians(
     poses: FloatArray, covariance: FloatArray, increment: FloatArray, noise: MotionNoise
 ) -> tuple[FloatArray, FloatArray]:
-    """Means (M, 3) and covariances (M, 3, 3) after a motion (3,), to first order."""
+    """Means (M, 3) and covariances (M, 3, 3) of Gaussians after a motion (3,), to first order."""
     first, go, _ = turn_go_turn(increment)
     c, s = np.cos(first), np.sin(first)
     G = np.array([[-go * s, c, 0.0], [go * c, s, 0.0], [1.0, 0.0, 1.0]])
     own = G @ np.diag(deviations(increment, noise) ** 2) @ G.T
-    own[[0, 1], [0, 1]] += noise.floor[0] ** 2 * bool(np.any(increment != 0))  # slip to the side
+    own[[0, 1], [0, 1]] += noise.floor[0] ** 2 * bool(np.any(increment != 0))  # sideways slip
     moved = compose_poses(poses, increment)
     F, R = np.tile(np.eye(3), (2, len(poses), 1, 1))
     F[:, 0, 2], F[:, 1, 2] = -(moved[:, 1] - poses[:, 1]), moved[:, 0] - poses[:, 0]
@@ -154,14 +154,14 @@ def noisy_odometry(
     *,
     noise: MotionNoise | None = None,
 ) -> FloatArray:
-    """Odometry (N, 3) as a robot may have recorded it that went through the poses (N, 3).
+    """Simulate the odometry (N, 3) of a robot that drives through the poses (N, 3).
 
-    Distances are 2 % too long, and it turns by 0.01 rad per metre too much.
+    Its distances are 2 % too long, and it turns by 0.01 rad per metre too much.
 
     Parameters
     ----------
     noise : MotionNoise, optional
-        By default shares of 0.05 of each.
+        Random errors besides. By default all shares are 0.05.
     """
     if noise is None:
         noise = MotionNoise(0.0025, 0.0025, 0.0025, 0.0025, (0.0, 0.0))

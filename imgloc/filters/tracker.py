@@ -1,13 +1,13 @@
 """The hypothesis tracker: the modes of one scan, carried by odometry, judged by every scan.
 
-The belief is a mixture of some dozens of Gaussians, and the chance of being **lost**, at none of
-them. Odometry moves the Gaussians (the integral of eq. 1). A scan scores each of them at its own
-place, whether or not a search would have found it there, and what the search finds besides is where
-the lost mass goes: sensor resetting without particles. The mass of being lost grows by a small
-leak, and by what a scan leaves unexplained at every place that is followed.
+The belief is a mixture of some dozens of Gaussians, and the probability of being **lost**, at none
+of them. Odometry moves the Gaussians (the integral of eq. 1). A scan scores each Gaussian at its
+own place, even if a search would not find that place. Other places that the search finds take the
+lost mass: sensor resetting without particles. The lost mass grows by a small leak with each scan.
+It grows more if a scan fits badly at every place that is followed.
 
-Scans that are taken close to each other see the same walls, with the same errors of the map: the
-evidence of a scan counts in proportion to the way since the last one.
+Scans that are taken close to each other see the same walls, with the same errors of the map. The
+evidence of a scan therefore counts in proportion to the way since the last scan.
 """
 
 from collections.abc import Callable
@@ -41,75 +41,80 @@ from imgloc.search.hypotheses import masses, separated
 _SURE = number("tracker.sure")  # odds of being lost, at most
 _MAPPED: float = number(
     "tracker.mapped"
-)  # log-odds that a scan is of its map where trust was fitted
+)  # log-odds that a scan was located, among the cases that trust was fitted to
 _MOST: float = number("tracker.most")  # nats that being lost can gain by one scan
-_NOTHING = number("tracker.nothing")  # mass of a component that is dropped
-_RESET = number("tracker.reset")  # mass that is put in at once: a reset
+_NOTHING = number("tracker.nothing")  # mass below which a component is dropped
+_RESET = number("tracker.reset")  # mass of new components from which a scan counts as a reset
 
 Search = Callable[[LaserScan], Places]
 
 
 @dataclass(frozen=True)
 class TrackerOptions(Checked):
-    """What a tracker makes of scans and odometry."""
+    """Settings of the tracker."""
 
     noise: MotionNoise = field(default_factory=MotionNoise)
-    components: Count = number("TrackerOptions.components")  #: at most
+    components: Count = number("TrackerOptions.components")  #: largest number of components
     births: Count = number("TrackerOptions.births")  #: modes of one scan that may become components
-    #: metres and radians of motion after which a scan says something entirely new
+    #: metres and radians of motion after which all of a scan's evidence is new
     fresh: tuple[Length, Step] = number("TrackerOptions.fresh")
     #: share of a scan's evidence that counts without any motion
     least: Share = number("TrackerOptions.least")
-    #: nats that one scan can take from a component, at most
+    #: most nats that one scan can take from a component
     drop: Nats = number("TrackerOptions.drop")
-    #: chance of being carried off: for each scan's worth of motion, and where the best component
-    #: fits abruptly worse than in the scan before. A place that has changed is approached.
+    #: probability that the robot is carried off during one scan's worth of motion: usually, and if
+    #: the best component fits abruptly worse than in the scan before. A changed place fits worse
+    #: step by step, because the robot drives up to it.
     leak: tuple[Share, Share] = number("TrackerOptions.leak")
-    #: odds of being lost that one scan can lead to, at most
+    #: highest odds of being lost that one scan can lead to
     patience: Factor = number("TrackerOptions.patience")
-    #: of the map, as far as scans share it: standard deviations, metres and radians
+    #: standard deviations of the map's error that all scans share, metres and radians
     error: tuple[Metres, Radians] = number("TrackerOptions.error")
-    #: squared Mahalanobis distance up to which a pose may be a component's
+    #: squared Mahalanobis distance up to which a mode may belong to a component
     gate: Nats = number("TrackerOptions.gate")
-    #: components nearer than this are one, metres and radians
+    #: components nearer than this, metres and radians, are joined
     merge: tuple[Metres, Radians] = number("TrackerOptions.merge")
-    mass: Share = number("TrackerOptions.mass")  #: of the best component, to be ``unique``
-    #: metres that it has to be followed for before it is: at first, and where it replaces another
+    mass: Share = number("TrackerOptions.mass")  #: least mass of a ``unique`` component
+    #: metres for which a component must be followed before it is ``unique``: the first one, and one
+    #: that replaces another
     sure: tuple[Metres, Metres] = number("TrackerOptions.sure")
-    #: scans in a row that have to leave it so much, and readings that each needs to count
+    #: scans in a row that must leave a component the mass to be ``unique``, and readings that a
+    #: scan needs to count
     agree: tuple[Count, Count] = number("TrackerOptions.agree")
-    #: scans in a row where the place is another than the one that was unique before: a building
-    #: that repeats fits for some metres at the wrong bay
+    #: scans in a row that must agree if the last ``unique`` pose was at another place, because a
+    #: building that repeats fits for some metres at the wrong bay
     again: Count = number("TrackerOptions.again")
-    #: how far apart poses are of other places: metres, and metres for each metre driven since
+    #: distance from which a pose is at another place: metres, and metres for each metre driven
     elsewhere: tuple[Metres, Share] = number("TrackerOptions.elsewhere")
-    #: metres between two searches while what is followed fits as usual: other places are then only
-    #: looked at where they are followed. At first, and most; twice as far after each search that
-    #: left the best component unique
+    #: metres between two searches of the whole map while the best component fits as usual: the
+    #: first distance, and the greatest. It doubles after each search that leaves the best component
+    #: unique. Between searches only the components are scored.
     search: tuple[Metres, Metres] = number("TrackerOptions.search")
-    known: Share = number("TrackerOptions.known")  #: chance of being lost, at most, for that
-    #: nats per reading that the best component may lack more than usual to stay ``unique``, and
-    #: more than in the scan before to be no surprise
+    #: probability of being lost above which every scan is searched
+    known: Share = number("TrackerOptions.known")
+    #: nats per reading by which the misfit may exceed the usual one for the best component to stay
+    #: ``unique``, and that of the scan before for the scan to be no surprise
     surprise: tuple[Nats, Nats] = number("TrackerOptions.surprise")
-    #: share of its evidence that a surprising scan has at least
+    #: least share of a surprising scan's evidence that counts
     startle: Share = number("TrackerOptions.startle")
-    #: how far odometry may be off at once, metres and radians, if a scan shows it: wheels that
-    #: slip, a heading that lags in turns
+    #: sudden error of odometry that a scan may reveal, metres and radians: wheels that slip, a
+    #: heading that lags in turns
     slip: tuple[Metres, Radians] = number("TrackerOptions.slip")
-    #: how soon it is learnt that odometry is worse than `noise` says: share of one scan in what is
-    #: known, and how many times the variance it may have
+    #: odometry may turn out worse than `noise`: weight of one scan in the running estimate of its
+    #: variance, and the largest factor on the variance
     learn: tuple[Share, Factor] = number("TrackerOptions.learn")
-    #: metres since a scan agreed with the best component, to be ``unique``
+    #: most metres since a scan agreed with a ``unique`` component
     stale: Metres = number("TrackerOptions.stale")
-    #: metres and seconds without sight that count for nothing: a reading that is lost now and then
+    #: metres and seconds without sight, added, that change nothing: scans are lost now and then
     blink: Metres = number("TrackerOptions.blink")
-    #: chance of being carried off: for each second without sight, and in all of them; and where the
-    #: pose is found as far off as wheels may slip: in a building that repeats, that may be it
+    #: probability that the robot was carried off: for each second without sight, at most for all
+    #: such seconds, and after a sudden error of odometry, which may be the next bay of a building
+    #: that repeats
     dark: tuple[Share, Share, Share] = number("TrackerOptions.dark")
-    #: scans that show another scale of the readings, nats that they must gain together, and how
-    #: far their median must be from 1: a logarithm, and standard errors of the median
+    #: number of scans whose median may change the scale of the readings, nats that they must gain
+    #: together, and least distance of the scale from 1: as a logarithm, and in standard errors
     stretch: tuple[Count, Nats, Nats, Nats] = number("TrackerOptions.stretch")
-    resets: bool = True  #: whether lost mass is put where scans find places: sensor resetting
+    resets: bool = True  #: whether places that a scan finds take the lost mass: sensor resetting
 
 
 class Tracker:
@@ -118,11 +123,13 @@ class Tracker:
     Parameters
     ----------
     features : MapFeatures
+        The map.
     options : Options, optional
-        Of the search in each scan.
+        Options of the search for each scan.
     how : TrackerOptions, optional
+        Settings of the tracker.
     find : callable, optional
-        Gives the places that a scan allows, instead of a search.
+        Replaces the search: a function of a scan that returns its :class:`Places`.
 
     Examples
     --------
@@ -152,25 +159,25 @@ class Tracker:
         self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
         self._mass, self._followed = np.empty(0), np.empty(0)
         self._lost, self._resets, self._agreed, self._dark = 1.0, 0, 0, False
-        self._unique: tuple[FloatArray, float] | None = None  # last such pose (3,), metres ago
-        self._wrong = 1.0  # variance of odometry's errors, as scans show it, over what is expected
-        self._unseen = np.nan  # metres and seconds since the first of the scans that said nothing
+        self._unique: tuple[FloatArray, float] | None = None  # last unique pose (3,), metres ago
+        self._wrong = 1.0  # factor on the variance of odometry, as scans show it
+        self._unseen = np.nan  # metres and seconds, added, since the first of some blind scans
         self._way, self._since = 0.0, 0.0  # metres since the last scan, and since one agreed
         self._unsearched, self._pause = 0.0, self.how.search[0]  # metres
         self._habits, self._scales = Habits(), list[tuple[float, float]]()
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
-        """Believe to be at a pose (3,), with deviations in metres and radians."""
+        """Start at a pose (3,), grid frame, with standard deviations in metres and radians."""
         metres, radians = deviation
         self._poses = np.array(pose, dtype=np.float64).reshape(1, 3)
         self._covariance = np.diag([metres, metres, radians])[None] ** 2
         self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
         self._unique = None
-        self._agreed = self.how.agree[0] - 1  # one scan has to agree with what was told
+        self._agreed = self.how.agree[0] - 1  # one scan has to agree with the given pose
         self._habits.place()
 
     def move(self, increment: FloatArray) -> None:
-        """Take a motion (3,) of the robot, in its frame before."""
+        """Move the belief by a motion (3,), in the robot's earlier frame: m, m, radians."""
         noise = self.how.noise.scaled(self._wrong)
         self._poses, self._covariance = move_gaussians(
             self._poses, self._covariance, increment, noise
@@ -184,14 +191,15 @@ class Tracker:
             self._unique = compose_poses(pose, increment), ago + metres
 
     def miss(self, seconds: float) -> None:
-        """Take note of a scan that says nothing, so long after the one before.
+        """Note a blind scan, `seconds` after the scan before it.
 
-        Who sees nothing may be carried off. After a blink, a second or a metre without sight takes
-        back a metre of having been followed, and scans have to agree anew.
+        A robot that sees nothing may be carried off. After more than a blink, each second or metre
+        without sight takes back a metre for which components were followed, and scans have to agree
+        anew.
         """
         first, (rate, most, _) = self.how.sure[0], self.how.dark
         way, self._way = self._way, 0.0
-        if np.isnan(self._unseen):  # the first one: between two scans nobody sees anything
+        if np.isnan(self._unseen):  # the first blind scan: the gap before it is an ordinary one
             self._unseen = 0.0
             return
         before, self._unseen = self._unseen, self._unseen + way + seconds
@@ -204,17 +212,17 @@ class Tracker:
         self._doubt_place(min(most, self._lost + rate * seconds))
 
     def _doubt_place(self, lost: float) -> None:
-        """Raise the mass of being lost to so much."""
+        """Raise the probability of being lost to `lost`."""
         if self.how.resets and self._lost < lost:
             self._mass, self._lost = self._mass * (1 - lost) / (1 - self._lost), lost
 
     def watch(self, scan: LaserScan) -> bool:
-        """Correct the best pose by a scan; True if it contradicts what is believed: look at it."""
+        """Correct the best pose by a scan; True if it contradicts the belief: then `see` it."""
         seen = usable(scan, self.options)
         if seen is None or not len(self._poses):
             return False
         if self._dark and self._agreed < self.how.agree[0]:
-            return True  # who was blind is to be sure again, also where it stands
+            return True  # after darkness scans have to agree again, even if the robot stands still
         habit, view = self._habits.of(seen), view_of(seen, self.options)
         near = self._unsurprised(view, habit)
         if near is None or self._lost > self.how.known:
@@ -234,7 +242,7 @@ class Tracker:
             self._unique = self._poses[int(np.argmax(self._mass))].copy(), 0.0
 
     def _needed(self, pose: FloatArray) -> int:
-        """How many scans in a row have to agree with the best pose (3,)."""
+        """Number of scans in a row that have to agree with the best pose (3,)."""
         if self._unique is None:
             return self.how.agree[0]
         (before, ago), (metres, share) = self._unique, self.how.elsewhere
@@ -242,17 +250,18 @@ class Tracker:
         return self.how.agree[0] if near else self.how.again
 
     def _follow_on(self) -> None:
-        """Something was seen: what was driven since the last scan was followed."""
+        """Count the way since the last scan as followed, because a scan saw something."""
         self._followed, self._way, self._unseen = self._followed + self._way, 0.0, np.nan
 
     def _fresh(self, habit: Habit) -> float:
-        """Share of a scan's evidence that is new after the way since the last one looked at."""
+        """Share of a scan's evidence that is new, 0..1, by the way since the last weighed scan."""
         return float(np.clip((habit.way / self.how.fresh).sum(), self.how.least, 1.0))
 
     def _unsurprised(self, view: View, habit: Habit) -> FloatArray | None:
-        """Where the best component settles (1, 3); None if it fits abruptly worse than before.
+        """Pose (1, 3) where the best component settles; None if it fits abruptly worse than before.
 
-        As far as odometry says, and if that does not fit, as far as it may be off at once.
+        The pose is first sought within the component's covariance. If nothing fits there, it is
+        sought as far away as odometry may suddenly be off.
         """
         best = int(np.argmax(self._mass))
         pose, spread = self._poses[best : best + 1], self._covariance[best : best + 1]
@@ -274,11 +283,11 @@ class Tracker:
         return near
 
     def _strange(self, habit: Habit) -> float:
-        """The misfit of a scan of this laser from which on it is doubted."""
+        """Misfit, nats per reading, above which a scan of this laser is doubted."""
         return habit.usual + self.how.surprise[0]
 
     def see(self, scan: LaserScan) -> None:
-        """Take a scan; one with too few readings says nothing."""
+        """Weigh the whole belief by a scan. A blind scan changes nothing."""
         seen = usable(scan, self.options)
         if seen is not None:
             self._see(seen)
@@ -304,7 +313,7 @@ class Tracker:
         best = float(seen.log_likelihood.max())
         relative = np.maximum((seen.log_likelihood - best) * new, -how.drop)
 
-        # Each component where it is, where it settles, or at a mode that may be it.
+        # A component may be where it is, where it settles, or at a mode within its gate.
         at, gain = self._follow(seen, relative, new)
         leak = how.leak[0] * new
         if known:
@@ -320,8 +329,8 @@ class Tracker:
             mass *= (1 - lost) / self._mass.sum()
             gained = seen.gained - best + float(seen.log_likelihood[at].max())
             gone = lost * float(np.exp(new * min(_MOST, self._doubt(gained))))
-            # Somebody may stand in the way once: a second scan has to agree, unless this one is
-            # trusted to tell on its own where it is from.
+            # Somebody may stand in the way once. A second scan has to agree, unless this scan alone
+            # is sure of another place.
             told = self._told(seen, 2 * known) if how.resets else 0.0
             odds = max(how.patience, told, np.exp(_MOST) * lost / (1 - lost))
             lost = min(gone, odds * float(mass.sum()))
@@ -345,10 +354,11 @@ class Tracker:
         self._remember()
 
     def _stretch(self, view: View, *, fits: bool) -> None:
-        """Allow for another scale of the readings, once some scans together fit far better so.
+        """Change the scale of the readings if some scans together fit far better with another one.
 
-        A scale that they cannot tell from the one that was given, by the standard error of their
-        median, is that one. A scan that `fits` speaks for the scale in use.
+        The new scale is the median of these scans. If it differs from the given scale by less than
+        some standard errors, the given scale is used. A scan that `fits` counts for the scale in
+        use.
         """
         (count, gain, least, errors), shared = self.how.stretch, self.options.shared
         other = stretched(self.features, view, self._poses[0], self.options) if not fits else None
@@ -359,7 +369,7 @@ class Tracker:
             return
         logs = np.log(scales * shared.scale)
         middle = float(np.median(logs))
-        error = 1.25 * float(np.std(logs, ddof=1)) / np.sqrt(count)  # 1.25 times that of a mean
+        error = 1.25 * float(np.std(logs, ddof=1)) / np.sqrt(count)  # 1.25 times a mean's
         unsure = max(least, errors * error)
         if abs(middle - np.log(self._given)) <= unsure:
             scale = self._given
@@ -372,15 +382,16 @@ class Tracker:
             self._scales = []
 
     def _doubt(self, gained: float) -> float:
-        """How much likelier a scan is somewhere unknown than where it gains so much, nats.
+        """Nats by which a scan that gains `gained` nats is likelier at an unknown place.
 
-        What a single scan is trusted by, without what was known before of the cases that is from.
+        They come from the trust in a single scan, without the prior odds of the cases to which that
+        trust was fitted.
         """
         elsewhere = self.options.trust.mass_elsewhere(gained, 1.0)
         return float(np.log(elsewhere / (1 - elsewhere))) + _MAPPED
 
     def _told(self, seen: Sight, first: int) -> float:
-        """Odds of the places from the index `first` on, by a single scan; capped as doubt is."""
+        """Odds, by a single scan, of the places from the index `first` on; at most exp(_MOST)."""
         log = seen.log_likelihood
         if first == len(log):
             return 0.0
@@ -390,7 +401,7 @@ class Tracker:
         return min(float(np.exp(_MOST)), (1 - elsewhere) / elsewhere)
 
     def _follow(self, seen: Sight, relative: FloatArray, new: float) -> tuple[IntArray, FloatArray]:
-        """For each component the pose that it is at, and what it gains there, nats."""
+        """Index of the pose that each component (C,) is at, and the nats that it gains there."""
         known = len(self._poses)
         apart = seen.poses - self._poses[:, None]
         apart[..., 2] = wrap(apart[..., 2])
@@ -411,7 +422,7 @@ class Tracker:
     def _settle(self, seen: Sight, at: IntArray, habit: Habit) -> None:
         """Correct the components by the poses they are at.
 
-        One that is found at no other pose than expected is confirmed there, if the scan fits.
+        A component that stays at its own pose is corrected only if the scan fits there.
         """
         fits = seen.misfit[at] <= self._strange(habit)
         some = np.flatnonzero((at != np.arange(len(at))) | fits)
@@ -423,14 +434,14 @@ class Tracker:
     ) -> None:
         """Kalman's update of some components (C,) by poses (C, 3) with covariances (C, 3, 3).
 
-        Of the poses' evidence a `share` is new: 0..1.
+        Only a `share` of the poses' evidence is new, 0..1.
         """
         P = self._covariance[which]
         apart = poses - self._poses[which]
         apart[:, 2] = wrap(apart[:, 2])
         if np.arange(len(self._poses))[which][0] == 0:
             rate, most = self.how.learn
-            # Of the heaviest; 1 in the mean.
+            # Normalised error of the heaviest component: 1 in the mean if `noise` is right.
             square = float(apart[0] @ np.linalg.solve(P[0] + noise[0], apart[0])) / 3
             self._wrong = float(np.clip(self._wrong + rate * (square - self._wrong), 1.0, most))
         gain = P @ np.linalg.inv(P + noise / share)
@@ -441,7 +452,7 @@ class Tracker:
         self._covariance[which] = (P + P.transpose(0, 2, 1)) / 2
 
     def _bear(self, seen: Sight, first: int, relative: FloatArray) -> None:
-        """Put the lost mass where the scan fits: the poses from the index `first` on."""
+        """Move the lost mass to the poses where the scan fits: those from the index `first` on."""
         new, trust = np.arange(first, len(seen.poses)), self.options.trust
         if not len(new):
             return
@@ -462,13 +473,13 @@ class Tracker:
         self._lost -= given * float(share.sum())
 
     def _normalise(self) -> None:
-        if len(self._mass):  # so sure of being lost that nothing is left is never
+        if len(self._mass):  # the odds are limited, so that a place can recover
             self._lost = min(self._lost, _SURE * float(self._mass.sum()))
         whole = self._lost + self._mass.sum()
         self._mass, self._lost = self._mass / whole, self._lost / whole
 
     def _tidy(self) -> None:
-        """Join what has met, drop what is nothing, best first."""
+        """Join components that have met, drop those without mass, and sort them best first."""
         order = np.argsort(-self._mass, kind="stable")
         distance, angle = self.how.merge
         picked, owner = separated(
@@ -489,7 +500,7 @@ class Tracker:
 
     @property
     def belief(self) -> Belief:
-        """What is believed now."""
+        """The belief now: the components, best first, grid frame."""
         order = np.argsort(-self._mass, kind="stable")
         mass = self._mass[order]
         verdict = AMBIGUOUS
