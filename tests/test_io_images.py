@@ -1,8 +1,10 @@
 """Image files: pixels as stored on every OpenCV, damage refused. `field-notes` section 4."""
 
 import io
+import re
 import struct
 import zlib
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,9 +14,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+import imgloc
 from imgloc.errors import MapError
 from imgloc.io.files import display
-from imgloc.io.images import decode_image, image_size, read_image
+from imgloc.io.images import (
+    IMAGE_ENDINGS,
+    LOSSY_ENDINGS,
+    decode_image,
+    image_size,
+    read_image,
+)
 
 EXIF_ROTATED = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
 PALETTE = chunk(b"PLTE", bytes([0, 255, 0, 9, 8, 7]))
@@ -351,3 +360,10 @@ def test_garbage_gives_pixels_or_a_map_error(ending: str, data: st.DataObject) -
         message = str(e)
     assert message.startswith("g.img: ")
     assert "\n" not in message
+
+
+def test_the_page_in_the_browser_takes_the_same_endings_for_images() -> None:
+    page = (Path(imgloc.__file__).parent / "live" / "page" / "files.js").read_text()
+    (pattern,) = re.findall(r"IMAGES = /(.*)/i", page)
+    for ending in (*IMAGE_ENDINGS, *LOSSY_ENDINGS):
+        assert re.search(pattern, f"a{ending}"), ending

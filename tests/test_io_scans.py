@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from imgloc.errors import ConfigError, OutputError, ScanError
-from imgloc.io.scans import load_scans, read_npz, save_scans, scans_size, write_npz
+from imgloc.io.scans import SCAN_ENDINGS, load_scans, read_npz, save_scans, scans_size, write_npz
 from imgloc.io.scanset import ScanSet, collect
 from imgloc.model import LaserScan, Pose2D
 
@@ -345,3 +345,7 @@ def test_odometry_may_be_unknown_at_some_scans() -> None:
     entry = {"ranges": [1.0, 2.0], "angles": [0.0, 0.1], "range_max": 9.0}
     scans = collect([(f"scan {k}", entry | {"odom": row}) for k, row in enumerate(odom)], "a.bag")
     np.testing.assert_array_equal(scans.odom, odom)
+
+
+def test_an_ending_of_scans_has_one_dot_as_path_suffix_has() -> None:
+    assert [ending for ending in SCAN_ENDINGS if ending.count(".") != 1] == []
