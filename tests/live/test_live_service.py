@@ -306,7 +306,7 @@ def test_an_atlas_is_that_of_the_laser_of_a_scan(http: httpx.Client, scans: Path
     wrong = http.get("/v1/layers/atlas", params={**asked, "start": len(spots)})
     assert "start" in problem(wrong, 422, "bad-options")
     no_scan = http.get("/v1/layers/atlas?map=curved")
-    assert "scans: missing" in problem(no_scan, 422, "bad-options")
+    assert "scans: missing" in problem(no_scan, 400, "bad-parameter")
 
 
 def test_marked_scans_come_back_with_their_poses(
