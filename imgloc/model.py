@@ -23,16 +23,16 @@ BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 
 FAR = 1e6
-"""Metres that no sensor reaches: drivers write such numbers where a ray met nothing."""
+"""Range in metres that no sensor reaches. Drivers write such numbers if a ray met nothing."""
 
 MOUNTED = 5.0
-"""Metres from the base of its robot beyond which no sensor sits."""
+"""Largest distance of a sensor from the base of its robot, metres."""
 
 VERDICTS = ("unique", "ambiguous", "no-match", "invalid")
-SURE = VERDICTS[:2]  #: those under which there is a pose to be named, not the best fit at most
+SURE = VERDICTS[:2]  #: verdicts with which an answer has a pose
 
 
-_CODES = 2  # different numbers for "nothing seen" that one sensor has, at most
+_CODES = 2  # most numbers that one sensor uses for "nothing seen"
 
 
 def _freeze(record: Any, dtype: npt.DTypeLike, *names: str) -> None:
@@ -68,7 +68,9 @@ class Pose2D:
 
 
 def check_mount(mount: Pose2D, name: str) -> None:
-    """Refuse, by a ConfigError, a sensor that sits farther from its base than robots are large.
+    """Raise a ConfigError if a sensor sits more than :data:`MOUNTED` metres from its robot's base.
+
+    `mount` is the pose of the sensor on the robot. The message calls it `name`.
 
     Examples
     --------
@@ -86,7 +88,7 @@ m; are these centimetres, or millimetres? write metres
 
 
 def compose(a: Pose2D, b: Pose2D) -> Pose2D:
-    """Return ``a ⊕ b``: pose `b`, given in the frame of `a`, in the frame of `a`'s parent.
+    """Return ``a ⊕ b``: pose `b` is in the frame of `a`, the result in the parent frame of `a`.
 
     Examples
     --------
@@ -105,7 +107,7 @@ def inverse(a: Pose2D) -> Pose2D:
 
 
 def base_of(pose: Pose2D, mount: Pose2D) -> Pose2D:
-    """Pose of the robot's base, of its sensor's pose and mounting: T_map_base.
+    """Pose T_map_base of the robot's base, from the sensor's `pose` and its `mount` on the robot.
 
     Examples
     --------
@@ -142,7 +144,7 @@ class GridInfo:
 
 @dataclass(frozen=True, repr=False)
 class OccupancyGrid:
-    """A map: which cells are occupied, which are free; a cell that is neither is unknown.
+    """A map: its occupied and its free cells. A cell that is neither is unknown.
 
     Row 0 is the lowest y (the order of nav_msgs/OccupancyGrid): images are flipped once when
     they are loaded and once when they are drawn.
@@ -200,13 +202,13 @@ class OccupancyGrid:
 
 @dataclass(frozen=True, repr=False)
 class LaserScan:
-    """One 2-D scan, kept as recorded; which readings count is derived (REP 117).
+    """One 2-D scan as it was recorded. Which readings count follows from REP 117.
 
     Parameters
     ----------
     ranges : (N,) float array
-        Metres. +inf and values >= `range_max` or :data:`FAR` are "no return"; NaN, -inf,
-        values <= `range_min` are no evidence at all.
+        Metres. +inf and values >= `range_max` or :data:`FAR` are "no return". NaN, -inf and
+        values <= `range_min` are no evidence.
     angles : (N,) float array
         Direction of each ray in the sensor's frame, radians, counter-clockwise, 0 = forward;
         finite, also for rays without a reading.
@@ -215,7 +217,7 @@ class LaserScan:
     stamp : float
         Seconds; NaN when unknown.
     T_base_laser : Pose2D, optional
-        Where the sensor sits on the robot, if that is known; answers then know the robot's pose.
+        Pose of the sensor on the robot. With it, answers have the robot's pose, too.
 
     Examples
     --------
@@ -253,14 +255,14 @@ class LaserScan:
 
     @property
     def valid(self) -> BoolArray:
-        """(N,) bool: the readings that are distances to something."""
+        """(N,) bool: the readings that are distances to a surface."""
         r = self.ranges
         with np.errstate(invalid="ignore"):
             return np.isfinite(r) & (r > self.range_min) & (r < min(self.range_max, FAR))
 
     @property
     def directions(self) -> int:
-        """Number of different directions of the valid readings: to a milliradian, mod 2 pi.
+        """Number of different directions of the valid readings, to a milliradian, modulo 2 pi.
 
         Examples
         --------
@@ -279,7 +281,7 @@ class LaserScan:
 
     @property
     def flipped(self) -> "LaserScan":
-        """What the scan is if the sensor hangs upside down: its angles run clockwise.
+        """The scan of a sensor that hangs upside down: its angles run clockwise.
 
         Examples
         --------
@@ -289,10 +291,11 @@ class LaserScan:
         return replace(self, angles=-self.angles)
 
     def scaled(self, factor: float) -> "LaserScan":
-        """The scan with its ranges multiplied: by 0.001 if they were millimetres.
+        """The scan with its ranges multiplied by `factor`: 0.001 turns millimetres into metres.
 
-        Where the unit changes, a range_max that most different readings exceed was in metres
-        already, and stays. Codes for "nothing seen" exceed it as well, but are few different ones.
+        `range_min` and `range_max` are multiplied, too. If the unit changes and most different
+        readings exceed `range_max`, the limits were in metres already, and stay. Codes for "nothing
+        seen" also exceed it, but a sensor has at most two of them.
 
         Examples
         --------
@@ -312,7 +315,7 @@ class LaserScan:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How many readings are used, and how many are dropped for which reason."""
+        """Numbers of readings: `valid` ones, and those dropped for each reason."""
         r = self.ranges
         with np.errstate(invalid="ignore"):
             too_close = (r == -np.inf) | (np.isfinite(r) & (r <= self.range_min))
@@ -386,7 +389,7 @@ class Likelihood:
     method : str
         Name of the algorithm that made it.
     scan : LaserScan, optional
-        Of which scan it is.
+        The scan that it was computed for.
     """
 
     values: Float32Array
@@ -418,14 +421,16 @@ class Hypothesis:
     Parameters
     ----------
     pose : Pose2D
-        Of the sensor; the map frame in everything that leaves the program. Of ``fused``: the mean
-        of the maxima of a mode.
+        Pose of the sensor, in the map frame in every answer. The method ``fused`` gives the mean of
+        the maxima of a mode.
     log_likelihood : float
-        Nats, up to a constant of the scan. Of ``fused``: of the best of these maxima.
+        Nats, up to a constant of the scan. The method ``fused`` gives that of the mode's highest
+        maximum.
     mass : float
-        Share of the posterior probability, 0..1; all hypotheses sum to at most 1.
+        Probability that the true pose belongs to this hypothesis, 0..1. The masses of all
+        hypotheses sum to at most 1.
     covariance : (3, 3) float array
-        Of (x, y, theta): m², m rad, rad². Positive definite.
+        Covariance of (x, y, theta): m², m rad, rad². Positive definite.
     """
 
     pose: Pose2D
@@ -439,7 +444,7 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Temperature:
-    """What evidence was divided by, and why: ``(base + strain) * number * cell``.
+    """The divisor of a score in nats, and its parts: ``(base + strain) * number * cell``.
 
     Examples
     --------
@@ -447,22 +452,22 @@ class Temperature:
     9.0
     """
 
-    #: where map and scan agree perfectly; of a stack its calibrated temperature. NaN without a
-    #: pose.
+    #: temperature if map and scan agree perfectly, or the calibrated temperature of a stack; NaN
+    #: without a pose
     base: float = math.nan
-    strain: float = 0.0  #: added for the misfit
+    strain: float = 0.0  #: increase because of the misfit
     number: float = 1.0  #: factor for the number of readings
-    cell: float = 1.0  #: factor for the cells of the map, at least 1
+    cell: float = 1.0  #: factor for the size of the map's cells, at least 1
 
     @property
     def value(self) -> float:
-        """The product."""
+        """The temperature: the product of its parts."""
         return (self.base + self.strain) * (self.number * self.cell)
 
 
 @dataclass(frozen=True)
 class Check:
-    """One question of the verdict: `value` must be at least, or at most, `limit`."""
+    """One check of the verdict: `value` must be at least `limit`, or at most if not `at_least`."""
 
     name: str
     value: float
@@ -471,34 +476,36 @@ class Check:
 
     @property
     def holds(self) -> bool:
-        """Whether it is answered with yes."""
+        """Whether `value` is on the right side of `limit`."""
         return self.value >= self.limit if self.at_least else self.value <= self.limit
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What an answer rests on."""
+    """The evidence for the masses and the verdict of an answer."""
 
-    readings: int = 0  #: how many were scored
+    readings: int = 0  #: number of readings that were scored
     best: float = math.nan  #: log-likelihood of a reading that fits perfectly, nats
-    misfit: float = math.nan  #: nats per reading that the best pose lacks; NaN without a pose
-    unmapped: float = math.nan  #: nats per reading in a building that is on no map
-    #: nats, divided by the score's temperature, by which the best pose fits better than that
+    #: nats per reading that the best pose lacks against a perfect fit; NaN without a pose
+    misfit: float = math.nan
+    #: nats per reading that a building on no map would reach, from the best empty room
+    unmapped: float = math.nan
+    #: nats, divided by the temperature, by which the best pose beats `unmapped`
     gained: float = math.nan
-    #: what the readings were multiplied by, and metres that walls lost on each side: where they fit
-    #: far better so, because the map's scale or theirs is off, or its walls are drawn too thick
+    #: factor on the readings with which they fit far better; 1 if none was needed
     scale: float = 1.0
+    #: metres taken off each side of the walls, because the readings fit far better so; else 0
     thinner: float = 0.0
-    #: what made masses of the log-likelihoods
+    #: divisor that turned log-likelihoods into masses
     temperature: Temperature = field(default_factory=Temperature)
-    #: (L,) Of each listed hypothesis: logarithm of its volume as a share of that of all poses
+    #: (L,) logarithm of the volume of each listed hypothesis, as a share of that of all poses
     log_volume: FloatArray = field(default_factory=lambda: np.empty(0))
-    #: the questions of the verdict, up to the first that is answered with no: that one decided. All
-    #: answered with yes is ``unique``.
+    #: checks of the verdict in their order, up to the first that does not hold, which decided; if
+    #: all hold, the verdict is ``unique``
     checks: tuple[Check, ...] = ()
-    found: int = 0  #: modes that were found, and how many of them are listed
-    listed: int = 0
-    unlisted: float = 0.0  #: mass of those that are not
+    found: int = 0  #: number of modes that were found
+    listed: int = 0  #: number of modes that are listed as hypotheses
+    unlisted: float = 0.0  #: mass of the modes that are not listed
 
     def __post_init__(self) -> None:
         _freeze(self, np.float64, "log_volume")
@@ -511,29 +518,29 @@ class Localization:
     Parameters
     ----------
     hypotheses : tuple of Hypothesis
-        Best first; separated poses, not samples of one mode.
+        Separated poses, not samples of one mode; the best one first.
     verdict : str
         One of ``unique``, ``ambiguous``, ``no-match``, ``invalid``.
     entropy : float
-        Nats, of the masses with what is left for other poses; of a stack's whole posterior
-        where the method has one. 0 means one pose holds everything.
+        Entropy of the masses and `elsewhere`, nats. For a method with a stack, that of its whole
+        posterior. 0 means that one pose holds all probability.
     explained : float
-        Share of the valid rays, as recorded, that end on a surface of the map at the best pose
+        Share of the valid recorded rays, 0..1, that end on a surface of the map at the best pose
         and pass through no wall.
     counts : mapping
-        Readings used and dropped, by reason.
+        Number of valid readings, and of those dropped for each reason.
     timings_ms : mapping
-        Wall time of each step.
+        Wall time of each step, milliseconds.
     parameters : mapping
-        Everything that decided the answer, with the seed.
+        Every parameter that decided the answer, with the seed.
     complete : bool
         False if a time budget ended the search early.
     elsewhere : float
-        Probability that the true pose is none of those found; a part of what the masses lack.
+        Probability that the true pose is none of those found, 0..1.
     evidence : Evidence
-        What masses and verdict rest on.
+        The evidence for the masses and the verdict.
     T_base_laser : Pose2D, optional
-        Of the scan: where its sensor sits on the robot.
+        Pose of the scan's sensor on the robot.
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -550,7 +557,7 @@ class Localization:
 
     @property
     def best(self) -> Pose2D | None:
-        """The pose of the most likely hypothesis, whatever the verdict; None when there is none."""
+        """The pose of the best hypothesis, whatever the verdict; None without a hypothesis."""
         return self.hypotheses[0].pose if self.hypotheses else None
 
     @property
@@ -560,14 +567,14 @@ class Localization:
 
     @property
     def base_pose(self) -> Pose2D | None:
-        """The robot's pose, T_map_base; None without a :attr:`pose` or a known mounting."""
+        """The robot's pose T_map_base, map frame; None without `pose` or `T_base_laser`."""
         mount = self.T_base_laser
         return None if self.pose is None or mount is None else base_of(self.pose, mount)
 
     def as_row(self, index: int = 0, **parameters: object) -> dict[str, Any]:
         """The row of the scan `index` of a file, as `imgloc localize --json` writes it.
 
-        What else has decided is joined to the `parameters`.
+        Further `parameters` that decided the answer are added to its own.
 
         Examples
         --------
@@ -605,7 +612,7 @@ class Localization:
         return dict(plain(out))
 
     def to_json(self) -> str:
-        """One line of JSON: :meth:`as_row`."""
+        """The row of :meth:`as_row` as one line of JSON."""
         return to_json(self.as_row())
 
     def _repr_html_(self) -> str:
@@ -621,7 +628,7 @@ class Localization:
 
 
 def plain(value: Any) -> Any:
-    """Return `value` as JSON knows it: what is not finite becomes null.
+    """Return `value` in types that JSON has; a number that is not finite becomes None.
 
     Examples
     --------
@@ -642,5 +649,5 @@ def plain(value: Any) -> Any:
 
 
 def to_json(row: Mapping[str, object]) -> str:
-    """Return one line of JSON; what is not finite becomes null."""
+    """Return a row as one line of JSON; a number that is not finite becomes null."""
     return json.dumps(plain(row), allow_nan=False)

@@ -33,27 +33,33 @@ def beam(
     range_max: float = np.inf,
     threads: int = 1,
 ) -> Float32Array:
-    """Log-likelihood of a scan for the poses at all cell centres and headings.
+    """Compute the log-likelihood of a scan for the poses at all cell centres and headings.
 
     Parameters
     ----------
     distances : (n_psi, H, W) uint16 array
-        From :func:`imgloc.features.raydistance.ray_distances`; n_psi is a multiple of K.
-    ranges, angles, valid, no_return : (N,) arrays
-        Of a :class:`imgloc.model.LaserScan`. What is neither valid nor no_return is no evidence.
+        Distance to the wall from each cell in n_psi directions, from
+        :func:`imgloc.features.raydistance.ray_distances`. n_psi is a multiple of K.
+    ranges, angles : (N,) float arrays
+        Metres, and radians in the sensor frame.
+    valid, no_return : (N,) bool arrays
+        The masks of a :class:`imgloc.model.LaserScan`. A reading in neither is no evidence.
     thetas : (K,) float array
-        Headings, uniform over the circle and starting at 0.
+        Headings, radians, uniform over the circle and starting at 0.
     sigma, sigma_theta : float
-        The deviation of a hit at range rho is hypot(sigma, rho sigma_theta): metres, the sensor's
-        and half a cell (of 10 cm by default), and radians, see :func:`heading_sigma`.
+        The standard deviation of a hit at range rho is hypot(sigma, rho sigma_theta), metres.
+        `sigma` covers the sensor and half a cell (of 10 cm by default). `sigma_theta`, radians,
+        covers the rounding of headings, see :func:`heading_sigma`.
     hit, short, span : float
-        Shares of readings of the mapped wall and of something unmapped before it; the rest, > 0, is
-        all that can come from *behind* the wall. All but `hit` are spread over `span` metres.
+        `hit` is the share of readings of the mapped wall, `short` that of something unmapped before
+        it. The rest, > 0, may also come from *behind* the wall. Both `short` and the rest are
+        spread over `span` metres.
     lost, range_max : float
-        Probability of no return with a wall within `range_max` metres, which 1 does not need: real
-        sensors lose readings on dark and slanted surfaces, so missing ones are neutral.
+        Probability of no return although a wall is within `range_max` metres. 1 makes missing
+        readings neutral and needs no `range_max`: real sensors lose readings on dark and slanted
+        surfaces.
     threads : int
-        Of headings; the result does not depend on it.
+        Number of threads, each for some headings. The result does not depend on it.
 
     Returns
     -------
@@ -69,8 +75,8 @@ def beam(
     -----
     The robust form of eq. 2, ``sum_i log p(rho_i | r_m(x, y, theta + phi_i))`` with
     ``p(rho | r) = hit N(rho - r; sigma^2) + (short [rho < r] + 1 - hit - short) / span``, the
-    direction rounded to one of the stack. The readings are taken for independent, which they are
-    not; what that is worth is in :mod:`imgloc.options`.
+    direction rounded to one of the stack. The readings count as independent, which they are not.
+    The temperatures in :mod:`imgloc.options` make up for that.
 
     Examples
     --------
@@ -133,8 +139,8 @@ def beam(
             entry, value = np.empty(total.shape, np.uint8), np.empty(total.shape, np.float32)
             for psi, start, step, table in beams:
                 r_m = distances[(psi + index * (n_psi // k)) % n_psi, top : top + rows]
-                # r_m - start in steps, cut to what the table holds. An image of `start`: OpenCV
-                # takes a scalar for an image of four rows.
+                # r_m - start in steps, cut to the length of the table. `offset` is an image of
+                # `start`, because OpenCV takes a scalar for an image of four rows.
                 offset.fill(start)
                 cv2.subtract(r_m, offset, dst=ahead)  # saturates at 0
                 cv2.convertScaleAbs(ahead, dst=entry, alpha=1 / step)  # saturates at 255
@@ -147,7 +153,10 @@ def beam(
 
 
 def heading_sigma(n_thetas: int) -> float:
-    """A good `sigma_theta`, radians: a uniform draw's in a step, twice, as rays are rounded too.
+    """A good `sigma_theta` for a number of headings, radians.
+
+    It is the deviation of the sum of two uniform draws within a step: headings are rounded, and
+    rays, too.
 
     Examples
     --------
@@ -162,8 +171,8 @@ def _hit_table(
 ) -> tuple[int, float, Float32Array]:
     """Log density of a reading `rho` over the expected distance: first entry, step, table.
 
-    Entry j is for an expected distance of ``start + j * step`` centimetres; the first and the
-    last serve for all that are nearer and farther.
+    Entry j is for an expected distance of ``start + j * step`` centimetres. The first entry serves
+    all nearer distances, the last one all farther ones.
     """
     step = max(1.0, 8 * sigma * _CM / _REACH)  # so that the table reaches 8 sigma
     start = int(np.clip(round(rho * _CM - _REACH * step), 0, np.iinfo(np.uint16).max))

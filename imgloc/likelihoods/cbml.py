@@ -30,20 +30,38 @@ def cbml(
 ) -> Float32Array:
     """Correlate the scan with the blurred map: CBML, Alg. 1 in the order of Alg. 2.
 
-    `bmap` is rounded to 256 levels: the sums are integers, and any number of threads and every
-    engine but ``remap`` give the same bits.
+    `bmap` is rounded to 256 levels, so that the sums are integers. Every number of threads, and
+    every engine but ``remap``, gives the same bits.
 
     Parameters
     ----------
     bmap : (H, W) float array
-        Of :func:`imgloc.features.fields.bmap`; a ValueError if it leaves 0..1.
-    points_xy, thetas, resolution, engine, threads, where, out
-        As of :func:`~imgloc.likelihoods.correlate.correlate`, and so are the other errors.
+        Blurred walls, 0..1, from :func:`imgloc.features.fields.bmap`.
+    points_xy : (N, 2) float array
+        Scan points, sensor frame, metres. Points that are not finite are left out.
+    thetas : (K,) float array
+        Headings, radians.
+    resolution : float
+        Side of a cell, metres.
+    engine : {"auto", "filter2d", "shift", "dft", "remap"}
+        How to compute it.
+    threads : int
+        Number of threads. The result does not depend on it.
+    where : (H, W) bool array, optional
+        Cells whose poses are wanted. The others are 0.
+    out : (K, H, W) float32 array, optional
+        Stack to overwrite and return, instead of a new one.
 
     Returns
     -------
     (K, H, W) float32 array
         ``L[theta, y, x]``, between 0 and N.
+
+    Raises
+    ------
+    ConfigError, ValueError
+        If `engine`, `threads` or `resolution` is out of its range; if an array does not fit, or
+        `bmap` leaves 0..1.
 
     Examples
     --------
@@ -76,28 +94,45 @@ def cbml_o(
 ) -> Float32Array:
     """Correlate the oriented scan with the blurred vector field: CBML-O, Alg. 3.
 
-    The direction ``alpha_i + theta`` of each normal is rounded to one of `directions`: with the
-    field projected on them, a point adds one shifted image, as in CBML.
+    The direction ``alpha_i + theta`` of each normal is rounded to one of `directions`. The field is
+    projected on these directions, so that a point adds one shifted image, as in CBML.
 
     Parameters
     ----------
     vmap : (2, H, W) float array
-        Of :func:`imgloc.features.fields.vmap`; a ValueError if longer than 1 somewhere.
+        Field of vectors of length 0..1, from :func:`imgloc.features.fields.vmap`.
     points : OrientedPoints
-        Scan points, sensor frame. Those without a valid normal are left out.
+        Scan points, sensor frame, metres and radians. Points without a valid normal are left out.
+    thetas : (K,) float array
+        Headings, radians.
+    resolution : float
+        Side of a cell, metres.
     directions : int
-        Directions that normals are rounded to; even, or a ConfigError. 64 change a scalar product
-        by 0.12 % at most where the normals agree.
-    thetas, resolution, engine, threads, where, out
-        As of :func:`~imgloc.likelihoods.correlate.correlate`, and so are the other errors. The
-        engines agree up to 0.004 per reading, the rounding of projections; ``remap`` interpolates.
+        Number of directions to which normals are rounded, even. With 64 a scalar product of equal
+        normals changes by at most 0.12 %.
+    engine : {"auto", "filter2d", "shift", "dft", "remap"}
+        How to compute it. The engines agree up to 0.004 per reading, the rounding of projections,
+        but for ``remap``, which interpolates.
+    threads : int
+        Number of threads. The result does not depend on it.
+    where : (H, W) bool array, optional
+        Cells whose poses are wanted. The others are 0.
     projections : (directions // 2, H, W) int16 array, optional
-        Of :func:`project`, to be reused from scan to scan. Only ``shift`` uses it.
+        The field's projections from :func:`project`, to be reused from scan to scan. Only ``shift``
+        uses them.
+    out : (K, H, W) float32 array, optional
+        Stack to overwrite and return, instead of a new one.
 
     Returns
     -------
     (K, H, W) float32 array
-        ``L[theta, y, x]``, between -N and N: negative where the normals contradict.
+        ``L[theta, y, x]``, between -N and N. It is negative if the normals contradict the map.
+
+    Raises
+    ------
+    ConfigError, ValueError
+        If `engine`, `threads`, `resolution` or `directions` is out of its range; if an array does
+        not fit, or a vector is longer than 1.
 
     Examples
     --------
@@ -125,7 +160,7 @@ def cbml_o(
     field = field[:, *frame.window]
 
     def facing(turn: FloatArray | float) -> tuple[IntArray, IntArray]:
-        """Direction of each normal; the projection to add, or -1 - the opposite to subtract."""
+        """Direction of each normal, and its projection: k >= 0 to add, -1 - k to subtract."""
         turned = (usable.alpha + turn) * (directions / (2 * np.pi))
         direction = np.floor(turned + 0.5).astype(np.int64) % directions
         return direction, np.where(direction < half, direction, half - 1 - direction)
@@ -166,8 +201,9 @@ def cbml_o(
 def project(vmap: Float32Array, directions: int = 64) -> npt.NDArray[np.int16]:
     """Project a vector field on directions, once per map, for the shift engine of CBML-O.
 
-    (directions // 2, H, W) int16: ``127 (vx cos a + vy sin a)`` for a = 2 pi d / directions,
-    rounded; the other half of the circle is its negative. The parameters are of :func:`cbml_o`.
+    `vmap` is a (2, H, W) field of vectors of length 0..1, `directions` an even number. The result
+    (directions // 2, H, W) int16 is ``127 (vx cos a + vy sin a)``, rounded, for
+    a = 2 pi d / directions. The other half of the circle is its negative.
 
     Examples
     --------
@@ -183,7 +219,7 @@ def project(vmap: Float32Array, directions: int = 64) -> npt.NDArray[np.int16]:
 
 
 def unit_vectors(directions: int) -> Float32Array:
-    """Return the cosine and the sine of each direction, (directions, 2) float32."""
+    """Cosine and sine of each direction, (directions, 2) float32."""
     a = np.arange(directions) * (2 * np.pi / directions)
     return np.stack((np.cos(a), np.sin(a)), axis=1).astype(np.float32)
 

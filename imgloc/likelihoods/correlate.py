@@ -1,9 +1,9 @@
 """Correlate a scan, turned to every heading, with an image: the core of CBML and CBML-O.
 
-``filter2d`` draws the scan as a kernel and is the engine to read; ``shift`` adds shifted views,
-Alg. 2 as printed; ``dft`` multiplies spectra. They compute the same; which one is fastest depends
-on the reach in cells and the number of readings, so ``auto`` estimates. ``remap`` turns the image
-under the upright scan, and interpolates.
+``filter2d`` draws the scan as a kernel and is the engine to read. ``shift`` adds shifted views,
+Alg. 2 as printed. ``dft`` multiplies spectra. These three compute the same. Which one is fastest
+depends on the reach in cells and on the number of readings, so ``auto`` estimates their costs.
+``remap`` turns the image under the upright scan, and interpolates.
 """
 
 import math
@@ -32,20 +32,20 @@ from imgloc.likelihoods.slices import (
 from imgloc.likelihoods.spectral import needs_double, spectral_stack
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 
-#: Engines that take weights: of the image's values, or the vectors of a field.
+#: Engines that take weights for the values of an image, or for the vectors of a field.
 WEIGHTED = {"filter2d": filter2d_stack, "dft": spectral_stack}
 EXACT = ("filter2d", "shift", "dft")
 ENGINES = (*EXACT, "remap")
 
-# Cells of an image, padding included, up to which flat_stack is the faster way to shift.
+# Cells of an image, with padding, up to which flat_stack is the faster way to shift.
 FLAT_CELLS = 1 << 17
 # Measured on one core of a server CPU. Only their ratios matter, and only to `auto`.
 SHIFT_SECONDS_PER_BYTE = 2.9e-11
 SHIFT_SECONDS_PER_CALL = 3.5e-6
 FLAT_SECONDS_PER_CALL = 6e-7
 DFT_SECONDS_PER_STEP = 1.4e-10
-DFT_CACHE = 4.5e6  # bytes of a plane; a larger one
-DFT_BEYOND_CACHE = 1.3  # costs so many times as much
+DFT_CACHE = 4.5e6  # bytes of a plane that fits the cache
+DFT_BEYOND_CACHE = 1.3  # factor on the cost of a larger plane
 
 
 def correlate(
@@ -68,20 +68,22 @@ def correlate(
     Parameters
     ----------
     image : (H, W) uint8 or float32 array
-        Row 0 is the lowest y. The engines of :data:`EXACT` sum integers exactly, and agree on
-        floats up to rounding.
+        Row 0 is the lowest y. The engines of :data:`EXACT` sum integers exactly. On floats they
+        agree up to rounding.
     xy : (N, 2) float array
         Scan points, sensor frame, metres. Points that are not finite are left out.
     thetas : (K,) float array
         Headings, radians.
-    resolution, divisor : float
-        Side of a cell, metres; what the sums are divided by.
+    resolution : float
+        Side of a cell, metres.
+    divisor : float
+        Divisor of the sums.
     engine : {"auto", "filter2d", "shift", "dft", "remap"}
         How to compute it.
     threads : int
-        Of headings; the result does not depend on it.
+        Number of threads, each for some headings. The result does not depend on it.
     where : (H, W) bool array, optional
-        Poses that are wanted; the others come out 0. Tiles without any are skipped.
+        Cells whose poses are wanted. The others are 0. Tiles without a wanted pose are skipped.
     out : (K, H, W) float32 array, optional
         Stack to overwrite and return, instead of a new one.
 
@@ -113,8 +115,8 @@ def correlate(
     shape = (int(image.shape[0]), int(image.shape[1]))
     offsets = cell_offsets(points, headings, resolution)
     integers = image.dtype == np.uint8
-    # The image in the type of its sums, and how often that holds its largest value. A few points
-    # of an image of a few levels are summed in bytes.
+    # The image in the type of its sums, and how many of its largest value that type can sum. A few
+    # points on an image of few levels are summed in bytes.
     top = max(1, int(image.max())) if integers else 1
     kind = np.uint8 if len(points) * top <= np.iinfo(np.uint8).max else np.uint16
     wide: Summable = image.astype(kind, copy=False) if integers else np.ascontiguousarray(image)
@@ -163,16 +165,17 @@ def choose_engine(
     which: IntArray | None = None,
     doubtful: Callable[[], bool] = lambda: False,
 ) -> str:
-    """Return `engine`, or for ``"auto"`` the one of ``shift`` and ``dft`` with the lower cost.
+    """Return `engine`, or for ``"auto"`` the cheaper one of ``shift`` and ``dft``.
 
-    ``filter2d`` is never chosen: OpenCV runs it as a DFT too, of the scan anew for each tile; nor
-    is ``remap``, which interpolates.
+    ``filter2d`` is never chosen, because OpenCV runs it as a DFT, too, and transforms the scan anew
+    for each tile. ``remap`` is never chosen, because it interpolates. A name that is neither
+    ``"auto"`` nor in :data:`ENGINES` raises a ConfigError.
 
-    Any name but these and :data:`ENGINES` is a ConfigError. `offsets` (K, N, 2) are of the readings
-    and `shape` of the image. Of the shift engine are the `tiles`, the bytes of a cell of its sums,
-    whether it is :func:`~imgloc.likelihoods.shift.flat_stack`, and `which` (K, N) images are read
-    if there are several; of the transforms the `components`, 2 of a vector field, and whether they
-    need double precision, asked if it matters.
+    `offsets` (K, N, 2) are those of the readings, in cells, and `shape` is that of the image. The
+    cost of ``shift`` depends on the `tiles`, the bytes of a cell of its sums, whether
+    :func:`~imgloc.likelihoods.shift.flat_stack` does it, and `which` (K, N) images are read if
+    there are several. The cost of ``dft`` depends on the `components`, 2 for a vector field, and on
+    a function that tells whether double precision is needed.
     """
     if engine in ENGINES:
         return engine

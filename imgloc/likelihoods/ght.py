@@ -1,10 +1,10 @@
 """GHT and GHT-V: every pair of a map point and a scan point votes for a pose (Secs. IV, V).
 
-Each scan point is put into the frame of its own surface once, ``q_i = R(-alpha_i) p_i``. The
-pose of a pair is then ``t = p_j - R(alpha_j) q_i``, without trigonometry, and the direction from
-p_j to t, seen from the normal of p_j, that of ``-q_i`` whatever j is: the visibility test of Alg. 5
-compares one row of `visibility` with ``|p_i|``. Pairs are worked on in blocks that fit the cache,
-without a matrix product, so that a vote does not depend on the block its pair is in.
+Each scan point is put into the frame of its own surface once, ``q_i = R(-alpha_i) p_i``. The pose
+of a pair is then ``t = p_j - R(alpha_j) q_i``, without trigonometry. Seen from the normal of p_j,
+the direction from p_j to t is that of ``-q_i`` for every j. The visibility test of Alg. 5 therefore
+compares one row of `visibility` with ``|p_i|``. Pairs are computed in blocks that fit the cache,
+without a matrix product, so that a vote does not depend on the block of its pair.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,8 @@ from imgloc.geometry import theta_bin
 from imgloc.likelihoods.slices import check_arguments, output_stack, over_slices
 from imgloc.model import Float32Array, FloatArray, IntArray, OrientedPoints
 
-# Pairs of a block: 512 KB of float64 for each of its two buffers; calls cost, misses too.
+# Pairs of a block: 512 KB of float64 for each of its two buffers. Smaller blocks cost more calls,
+# larger ones more cache misses.
 BLOCK_PAIRS = 1 << 16
 BLOCK_COLUMNS = 1 << 13
 # Points this many cells off cast no vote; the bound keeps the conversion to integers defined.
@@ -36,29 +37,39 @@ def ght(
     threads: int = 1,
     out: Float32Array | None = None,
 ) -> Float32Array:
-    """Count, for every pose, the pairs of points that it brings together: GHT, Alg. 4.
+    """Count the pairs of points that each pose brings together: GHT, Alg. 4.
 
     Parameters
     ----------
     surface : OrientedPoints
-        Surface points of the map, grid frame, metres; fastest if in order along the walls.
+        Surface points of the map, grid frame, metres. Votes are fastest if the points are in order
+        along the walls.
     points : OrientedPoints
-        Scan points, sensor frame, metres. In both sets, points that are not finite or without a
-        valid normal cast no vote.
+        Scan points, sensor frame, metres. In both sets, points that are not finite or lack a valid
+        normal cast no vote.
     n_theta : int
         Number K of headings, ``theta_k = 2 pi k / K``.
-    shape, resolution : (int, int), float
-        Of the lattice of votes, whose lower-left corner is that of the grid; cells in metres.
+    shape : (int, int)
+        Rows and columns of the lattice of votes. Its lower-left corner is that of the grid.
+    resolution : float
+        Side of a cell of that lattice, metres.
     once : bool
-        At most one vote of each scan point in a cell, Sec. VII: counts the scan points that a pose
-        explains, where a wall casts many in the cells along it.
-    threads, out
-        As of :func:`~imgloc.likelihoods.correlate.correlate`; a stack for each thread.
+        Whether each scan point has at most one vote in a cell (Sec. VII). The votes then count the
+        scan points that a pose explains. Otherwise a wall casts many votes in the cells along it.
+    threads : int
+        Number of threads, each with a stack of its own. The result does not depend on it.
+    out : (K, H, W) float32 array, optional
+        Stack to overwrite and return, instead of a new one.
 
     Returns
     -------
     (K, H, W) float32 array
-        Votes ``L[theta, y, x]``, whole numbers; a vote off the lattice is lost.
+        Votes ``L[theta, y, x]``, whole numbers. Votes off the lattice do not count.
+
+    Raises
+    ------
+    ConfigError, ValueError
+        If a number is out of its range; if an array does not fit.
 
     Examples
     --------
@@ -91,11 +102,35 @@ def ght_v(
     Parameters
     ----------
     visibility : (n_psi, M) float32 array or None
-        Of :func:`~imgloc.features.visibility.visibility_frames`: the pair (i, j) votes iff
-        ``visibility[b, j] > |p_i|``; all do without.
-    surface, points, n_theta, shape, resolution, once, threads, out
-        As in :func:`ght`, and so is what is returned. A number out of its range is a ConfigError,
-        an array that does not fit a ValueError.
+        How far one sees from each map point, metres, from
+        :func:`~imgloc.features.visibility.visibility_frames`. The pair (i, j) votes if and only if
+        ``visibility[b, j] > |p_i|``, with b the direction of the pose. With None all pairs vote.
+    surface : OrientedPoints
+        Surface points of the map, grid frame, metres.
+    points : OrientedPoints
+        Scan points, sensor frame, metres.
+    n_theta : int
+        Number K of headings, ``theta_k = 2 pi k / K``.
+    shape : (int, int)
+        Rows and columns of the lattice of votes. Its lower-left corner is that of the grid.
+    resolution : float
+        Side of a cell of that lattice, metres.
+    once : bool
+        Whether each scan point has at most one vote in a cell.
+    threads : int
+        Number of threads, each with a stack of its own. The result does not depend on it.
+    out : (K, H, W) float32 array, optional
+        Stack to overwrite and return, instead of a new one.
+
+    Returns
+    -------
+    (K, H, W) float32 array
+        Votes ``L[theta, y, x]``, whole numbers. Votes off the lattice do not count.
+
+    Raises
+    ------
+    ConfigError, ValueError
+        If a number is out of its range; if an array does not fit.
 
     Examples
     --------
@@ -126,7 +161,7 @@ def ght_v(
 
 @dataclass(frozen=True)
 class Pairs:
-    """What the pairs need, in cells and bins: columns for map points, rows for scan points."""
+    """Arrays that the pairs share, in cells and bins: columns for map points, rows for scans'."""
 
     x: FloatArray  # (M,) p_j, columns of the lattice
     y: FloatArray
@@ -142,7 +177,7 @@ class Pairs:
 
 
 def _usable(points: OrientedPoints, resolution: float) -> npt.NDArray[np.bool_]:
-    """(N,) bool: points that may vote. NaN is not near."""
+    """(N,) bool: points that may vote. A NaN fails the test of distance."""
     near = np.all(np.abs(points.xy) < OFF_CELLS * resolution, axis=1)
     return np.asarray(points.valid & near & np.isfinite(points.alpha))
 
@@ -160,7 +195,7 @@ def pair_up(
     n_theta: int,
     resolution: float,
 ) -> Pairs:
-    """Drop the points that cannot vote and compute what does not depend on the pair."""
+    """Drop the points that cannot vote, and compute the values that belong to single points."""
     kept = _usable(surface, resolution)
     if not kept.all():
         surface = surface.select(kept)
@@ -193,7 +228,7 @@ def pair_up(
 def blocks_of(n: int, m: int, once: bool = False) -> list[tuple[slice, slice]]:
     """Cut the pairs of n scan points and m map points into blocks that fit the cache.
 
-    With `once`, all votes of a scan point are in one block, whatever its size.
+    With `once` all pairs of a scan point are in one block, whatever its size.
 
     Examples
     --------
@@ -202,7 +237,7 @@ def blocks_of(n: int, m: int, once: bool = False) -> list[tuple[slice, slice]]:
     >>> blocks_of(2, 8200)
     [(slice(0, 2, None), slice(0, 4100, None)), (slice(0, 2, None), slice(4100, 8200, None))]
     """
-    # Evenly: a narrow block costs as many calls as a wide one.
+    # Blocks are of equal width, because a narrow one costs as many calls as a wide one.
     columns = m if once else -(-m // max(1, -(-m // BLOCK_COLUMNS)))
     rows = max(1, BLOCK_PAIRS // max(1, columns))
     return [
@@ -241,7 +276,7 @@ class Voter:
                 np.greater(g.visibility[psi, j], rho, out=seen)  # Alg. 5, l. 5
 
         def cells(value: FloatArray, size: int, out: IntArray) -> None:
-            """The cells of coordinates along one axis; off the lattice is a miss."""
+            """Cells of coordinates along one axis; coordinates off the lattice are misses."""
             for ufunc, bound in ((np.greater_equal, 0), (np.less, size)):
                 ufunc(value, bound, out=test)
                 np.logical_and(keep, test, out=keep)
@@ -275,8 +310,8 @@ class Voter:
             # Alg. 5, l. 6. Since NumPy 1.25 as fast as bincount, which needs a stack of its own.
             np.add.at(self.stack, chosen, np.float32(1))
             return
-        # One scan point at a time: with an index repeated, += adds once (Sec. VII), however many
-        # map points ask for it.
+        # One scan point at a time: += adds once at a repeated index (Sec. VII), however many map
+        # points vote there.
         for part in np.split(chosen, np.cumsum(np.count_nonzero(keep, axis=1))[:-1]):
             self.stack[part] += 1
 

@@ -1,8 +1,8 @@
 """The engines to read: the map filtered with the scan as a kernel (eq. 3), and the map turned.
 
-One image operation of OpenCV for what the other engines do by hand. ``filter2d`` draws the turned
-scan as a kernel. ``remap`` leaves the scan upright and turns the map under it: the same shifts
-serve every heading, at the price of two interpolations.
+One image operation of OpenCV replaces the work that the other engines do by hand. ``filter2d``
+draws the turned scan as a kernel. ``remap`` leaves the scan upright and turns the map under it: the
+same shifts serve every heading, at the price of two interpolations.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,10 +32,15 @@ def filter2d_stack(
     image : (C, H, W) uint8 or float32 array
         One image, or the two components of a vector field.
     offsets, weights : (K, N, 2) int and (K, C, N) float32 arrays
-        (rows, columns) from a pose to each point, and what it counts in each component.
-    threads, out, exact, finish
-        As of :func:`~imgloc.likelihoods.correlate.correlate`; whether the sums are integers, to be
-        recovered by rounding; called with each slice.
+        (rows, columns) from a pose to each point, and its weight in each component.
+    threads : int
+        Number of threads. The result does not depend on it.
+    out : (K, H, W) float32 array
+        Stack to write.
+    exact : bool
+        Whether the sums are integers, which rounding recovers.
+    finish : callable
+        Called with each finished slice (H, W).
     """
     components = np.asarray(image, dtype=np.float64)
     _, height, width = image.shape
@@ -53,7 +58,7 @@ def filter2d_stack(
                 np.add.at(kernel, tuple((points - low).T), weight[near])
                 # Double precision, or large sums would lose their last digit.
                 anchor = (-int(low[1]), -int(low[0]))
-                off = cv2.BORDER_CONSTANT  # off the map is a miss
+                off = cv2.BORDER_CONSTANT  # points off the map miss
                 total += cv2.filter2D(component, cv2.CV_64F, kernel, anchor=anchor, borderType=off)
             np.copyto(out[k], np.rint(total) if exact else total, casting="unsafe")
             finish(out[k])
@@ -76,9 +81,10 @@ def remap_stack(
     Exact for multiples of 90 degrees, but for readings on the border of two cells. In between,
     readings are rounded to cells of the turned frame and values are interpolated linearly.
 
-    `summands` are the images to add up, from the turned one (H, W[, C]) and the heading; `scan` is
-    ``offsets, which, powers`` of the upright scan, as `limit` for
-    :func:`~imgloc.likelihoods.shift.shift_sum`; the rest is as in :func:`filter2d_stack`.
+    `image` is (H, W[, C]) uint8 or float32, and `out` the stack (K, H, W) to write. `summands` is a
+    function of the turned image (H, W[, C]) and the heading that returns the images to add up.
+    `scan` has ``offsets, which, powers`` of the upright scan. `limit` is the number of largest
+    values that the type of the images can sum. `finish` is called with each slice.
     """
     height, width = image.shape[:2]
 
@@ -98,9 +104,9 @@ def remap_stack(
 
 
 def _turn(shape: tuple[int, int], theta: float) -> tuple[FloatArray, tuple[int, int]]:
-    """From (x, y) of an image to a scan's own frame at a heading, and rows and columns there.
+    """Transform from (x, y) of an image to the scan's frame at a heading, and its rows and columns.
 
-    Cells meet cells where the heading is a multiple of 90 degrees.
+    Cells meet cells if the heading is a multiple of 90 degrees.
     """
     c, s = np.round((np.cos(theta), np.sin(theta)), 12)
     ends = np.array([shape[1] - 1, shape[0] - 1])
