@@ -312,7 +312,7 @@ def test_bare_images_are_maps_with_a_resolution(site: Path) -> None:
     given = ("which", site / "floors", site / "s.npz", "--json")
     run = call(*given)
     assert run.code == 2
-    assert "of its 3 images --resolution makes maps" in run.err
+    assert "pass --resolution to use its 3 images as maps" in run.err
     run = call(*given, "--resolution", 0.1)
     assert {m["map"] for m in rows(run.out)[0]["maps"]} == {"hall", "post", "turned"}
     assert rows(run.out)[0]["verdict"] == "post"

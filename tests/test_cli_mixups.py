@@ -81,7 +81,7 @@ def test_a_map_with_black_and_white_swapped_is_told_by_check_and_localize(
     said = (MAPS / "curved.yaml").read_text().replace("curved.png", "m.png")
     (tmp_path / "m.yaml").write_text(said)
     check = call("map", "check", tmp_path / "m.yaml")
-    assert "swapped: what is free is as thin as walls" in check.out
+    assert "swapped: free space is as thin as walls" in check.out
     run = call("localize", tmp_path / "m.yaml", scans, OFF)
     assert "black and white look swapped; try --negate with --occupied-thresh 0.9" in run.err
     mend = ("--negate", "--occupied-thresh", 0.9)
@@ -149,4 +149,4 @@ def test_a_prior_off_the_map_and_a_missing_image_are_named(scans: Path, tmp_path
     run = call("localize", tmp_path / "m.yaml", scans, OFF)
     assert run.code == 3
     assert "gone.png: no such file; " in run.err
-    assert "m.yaml says that this is its image" in run.err
+    assert "m.yaml names it as its image" in run.err

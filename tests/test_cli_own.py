@@ -318,7 +318,7 @@ def test_a_damaged_calibration_beside_a_map_is_a_warning(folder: Path, value: st
     run = call(*words, "--method", "cbml", "--cell", 0.2, "--no-cache")
     assert run.code == 0
     (line,) = run.err.splitlines()
-    assert "post.calibration.json: not used, the defaults are: is no calibration: " in line
+    assert "post.calibration.json: ignored, the defaults are used: is no calibration: " in line
 
 
 # The index of many maps.

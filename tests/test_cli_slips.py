@@ -97,7 +97,7 @@ def coded(log: Path, path: Path, code: float) -> list[int]:
 def test_a_code_for_nothing_seen_is_no_wall(log: Path, tmp_path: Path, caplog, monkeypatch) -> None:
     path = tmp_path / "coded.jsonl"
     real = coded(log, path, 81.83)
-    said = "range_max = 81.83; give range_max in the file if these are distances"
+    said = "range_max = 81.83; add range_max to the file if these are distances"
     for name, err in by_all(MAP, path, tmp_path).items():
         assert err.count(said) == 1, (name, err)
     run = call("localize", MAP, path, "--json")
@@ -215,7 +215,7 @@ def test_odometry_that_starts_late_costs_only_the_scans_before_it(
     run = call("track", MAP, path, "--json", "--picture", tmp_path / "track.png")
     assert run.code == 0, run.err
     assert [row["index"] for row in rows(run.out)] == [2, 3, 4, 5]
-    said = "the odometry of 2 of 6 scans, 0 to 1, is not known, and they are left out"
+    said = "2 of 6 scans, from 0 to 1, have no odometry and are left out"
     assert run.err.count(said) == 1
     run = call("localize", MAP, path, "--json")
     assert [row["index"] for row in rows(run.out)] == list(range(N))
@@ -246,7 +246,7 @@ def copy_of_map(folder: Path, **changes: object) -> Path:
 def test_an_image_beside_its_yaml_is_in_another_frame(log: Path, tmp_path: Path) -> None:
     image = copy_of_map(tmp_path, origin="[-12.5, -8, 0]").with_suffix(".png")
     resolution = load_map(MAP).resolution
-    said = f"{image}: visibility.yaml, which is of this image, is not read: origin [-12.5, -8, 0]"
+    said = f"{image}: visibility.yaml, which is of this image, is ignored: origin [-12.5, -8, 0]"
     for name, err in by_all(image, log, tmp_path, "--resolution", resolution).items():
         assert err.count(said) == 1, (name, err)
         assert "give visibility.yaml instead" in err

@@ -193,7 +193,7 @@ def test_of_several_topics_one_is_named(tmp_path: Path) -> None:
     assert len(load_scans(path, topic="rear")) == 2
     with pytest.raises(ScanError, match=r"no scans on /up; it has /front"):
         load_scans(path, topic="/up")
-    with pytest.raises(ScanError, match=r"/front: it is not known where it sits"):
+    with pytest.raises(ScanError, match=r"/front: no place on the robot"):
         load_scans(path, topic="/front,/rear")
 
 

@@ -66,7 +66,7 @@ def test_of_another_map_it_is_not_used(path: Path, caplog: pytest.LogCaptureFixt
     assert load_calibrations(path, finer) == ({}, Shared())
     (record,) = caplog.records
     assert record.levelno == logging.WARNING
-    assert "office.v2.calibration.json: not used" in record.getMessage()
+    assert "office.v2.calibration.json: ignored" in record.getMessage()
     assert "a map with other cells" in record.getMessage()
 
 

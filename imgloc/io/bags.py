@@ -224,12 +224,12 @@ def _assemble(
     table = np.array(moves).reshape(-1, 4)
     odom = odometry_at(stamps, table[:, 0], table[:, 1:]) if len(table) else None
     if odom is None and len(table):
-        _LOG.warning("%s: its odometry does not cover its scans, and is not used", name)
+        _LOG.warning("%s: its odometry does not cover the time of its scans, and is ignored", name)
     mount, turned = None, False
     if mounting is not None:
         mount, turned = Pose2D(*planar(mounting)), mounting[2, 2] < 0
         if abs(mounting[2, 2]) < _TILTED:
-            _LOG.warning("%s: its laser is tilted, by its transforms; scans are of a plane", name)
+            _LOG.warning("%s: its laser is tilted in tf; imgloc takes scans for level", name)
     whole: list[Entry] = []
     for k, (where, entry) in enumerate(entries):
         more = {"mount": mount, "odom": None if odom is None else odom[k]}

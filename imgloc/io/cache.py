@@ -128,7 +128,7 @@ def load_entry(folder: PathLike, key: str) -> dict[str, npt.NDArray[Any]] | None
     try:
         with open_arrays(path, limit=_MOST, what=_ENTRY) as (archive, _):
             if archive.files[:1] != ["key"] or str(archive["key"]) != key:
-                raise ValueError("the entry is another one's")
+                raise ValueError("the entry belongs to another key")
             arrays = {name: np.asarray(archive[name]) for name in archive.files[1:]}
     except Exception as e:  # a file that is not what it says can end in anything
         if not isinstance(e.__context__, FileNotFoundError):  # another process has removed it since

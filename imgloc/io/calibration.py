@@ -110,7 +110,7 @@ def load_calibrations(path: PathLike, grid: OccupancyGrid) -> tuple[dict[str, Ca
         hint = "make it anew with `imgloc calibrate`"
         name = display(path)
         why = str(e).removeprefix(f"{name}: ")
-        LOG.warning("%s: not used, the defaults are: %s; %s", name, why, hint)
+        LOG.warning("%s: ignored, the defaults are used: %s; %s", name, why, hint)
         return {}, Shared()
     return methods, shared
 

@@ -58,6 +58,6 @@ def find_maps(
                 drawn.add(os.path.realpath(load_map_yaml(path).image))
         found = sorted({*yamls, *(path for path in bare if os.path.realpath(path) not in drawn)})
     if not found:
-        hint = f"; of its {len(bare)} images `resolution` makes maps" if bare else ""
+        hint = f"; pass `resolution` to use its {len(bare)} images as maps" if bare else ""
         raise ConfigError(f"{name}: no map, expected map_server YAML files (*.yaml){hint}")
     return found

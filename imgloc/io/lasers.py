@@ -43,10 +43,12 @@ def together(sets: Mapping[str, ScanSet], name: str) -> ScanSet:
     """
     for laser, scans in sets.items():
         if scans.stamps is None or not np.isfinite(scans.stamps).all():
-            raise ScanError(f"{name}: {laser}: no stamps, expected them of each of several lasers")
+            raise ScanError(
+                f"{name}: {laser}: no stamps, expected a stamp for each scan of several lasers"
+            )
         if any(scan.T_base_laser is None for scan in scans.scans):
-            where = "expected transforms from the robot's base to each of several lasers"
-            raise ScanError(f"{name}: {laser}: it is not known where it sits, {where}")
+            where = "expected a transform from the robot's base to each laser"
+            raise ScanError(f"{name}: {laser}: no place on the robot, {where}")
     for (a, one), (b, other) in itertools.combinations(sets.items(), 2):
         if one[0].T_base_laser == other[0].T_base_laser:
             raise ScanError(f"{name}: {a} and {b} sit at the same place, expected one of them")

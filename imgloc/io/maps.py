@@ -180,8 +180,8 @@ def _warn_of_other_frame(settings: MapSettings) -> None:
             ]
             if found:
                 _LOG.warning(
-                    "%s: %s, which is of this image, is not read: %s; poses are in another frame; "
-                    "give %s instead, or say the same", display(settings.image),
+                    "%s: %s, which is of this image, is ignored: %s; poses are in another frame; "
+                    "give %s instead, or the same values", display(settings.image),
                     display(beside.name), ", ".join(found), display(beside.name),
                 )  # fmt: skip
 
@@ -214,7 +214,7 @@ def unknown_as_free(image: MapImage, settings: MapSettings, grid: OccupancyGrid)
 
 
 SWAPPED = (
-    "what is free is as thin as walls, and walls are as wide as rooms: black and white look "
+    "free space is as thin as walls, and walls are as wide as rooms: black and white look "
     "swapped; try `negate=True` with `occupied_thresh=0.9`, or `negate=False` where the YAML has "
     "negate: 1"
 )
@@ -255,8 +255,8 @@ def looks_swapped(grid: OccupancyGrid) -> bool:
 
 
 DRAWN = (
-    "nothing is unknown and it is free all around: a floor plan? Then its text, furniture and door "
-    "swings count as walls; imgloc map plan makes a map of it"
+    "nothing is unknown, and all around is free: a floor plan? Then its text, furniture and door "
+    "swings count as walls; imgloc map plan turns the plan into a map"
 )
 
 
@@ -353,7 +353,7 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
         try:
             os.close(open_regular(said.image, MapError, "map image"))
         except MapError as e:
-            raise MapError(f"{e}; {name} says that this is its image") from None
+            raise MapError(f"{e}; {name} names it as its image") from None
     written = said or MapYaml(file, file, origin=Pose2D(0.0, 0.0, 0.0))
     return _settings(written, given, name, bare=said is None)
 

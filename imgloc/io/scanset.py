@@ -102,8 +102,8 @@ class ScanSet:
             return self, indices
         left = sorted(set(range(len(self))) - set(indices))
         _LOG.warning(
-            "%s: the odometry of %d of %d scans, %d to %d, is not known, and they are left out: do "
-            "scans and odometry begin and end together?",
+            "%s: %d of %d scans, from %d to %d, have no odometry and are left out; do scans and "
+            "odometry begin and end together?",
             name, len(left), len(self), left[0], left[-1],
         )  # fmt: skip
         return self.take(indices), indices
@@ -355,9 +355,9 @@ def _without_codes(scans: Sequence[LaserScan], name: str) -> tuple[LaserScan, ..
     readings = sum(scan.ranges.size for scan in silent)
     share = sum(int(np.count_nonzero(scan.ranges == code)) for scan in silent) / readings
     said = (
-        f"no range_max is given, and the greatest range, {code:g}, is that of {share:.1%} of the "
-        f"readings: it is taken for the code of rays that met nothing, range_max = {code:g}; give "
-        "range_max in the file if these are distances"
+        f"range_max is missing, and {share:.1%} of the readings have the greatest range, {code:g}; "
+        f"imgloc takes it for the code of rays that met nothing, range_max = {code:g}; add "
+        "range_max to the file if these are distances"
     )
     _LOG.warning("%s: %s", name, said)
     return tuple(replace(s, range_max=code) if math.isinf(s.range_max) else s for s in scans)

@@ -211,8 +211,8 @@ class LocalizerNode:
         mounts = settings.mounts
         if mounts is None and ros.tf2_msgs is None:
             raise ConfigError(
-                "sensor: missing, expected X,Y,YAW, where the laser sits on the robot (0,0,0 if it "
-                "is the base): tf, which could say it, needs tf2_msgs, and that is not installed"
+                "sensor: missing, expected X,Y,YAW, the pose of the laser on the robot (0,0,0 if "
+                "they are equal); tf cannot give it, because tf2_msgs is not installed"
             )
         self.ros, self.node, self.settings, self.core = ros, node, settings, core
         self.made = Messages(ros)
@@ -603,7 +603,7 @@ class LocalizerNode:
 
     def _on_reset(self, _: Any, response: Any) -> Any:
         self.start_anew("~/reset was called")
-        response.success, response.message = True, "knows nothing, and looks for a first pose"
+        response.success, response.message = True, "starts anew, and looks for a first pose"
         return response
 
     def close(self) -> None:

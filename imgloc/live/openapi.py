@@ -24,11 +24,13 @@ X_Y_YAW = Numbers(3, (PLACE, PLACE, TURN))
 
 MAP = Parameter("map", "Name of the map; one map needs none.", Text(NAME, 100, NAME_WORDS))
 SCANS_ID = Parameter(
-    "scans", "Scans that were sent before, in place of a body.", Text("[0-9a-f]{16}", 16, "an id")
+    "scans",
+    "Scans that were sent before, instead of a body.",
+    Text("[0-9a-f]{16}", 16, "an id"),
 )
 FILE = Parameter(
     "name",
-    "Name of the file of scans: its ending tells the format; without it the content does.",
+    "Name of the file of scans. Its ending sets the format; without it the content decides.",
     Text(_FILE, 200, "a file name"),
 )
 INDEX = Parameter(
@@ -37,20 +39,20 @@ INDEX = Parameter(
     Text(f"{_LIST}(,{_LIST}){{0,99}}", 2000, INDEX_WORDS),
 )
 TOPIC = Parameter(
-    "topic", "Which of several lasers of a log.", Text(r"[!-~]{1,200}", 200, "a name")
+    "topic", "Laser to read from a log that has several.", Text(r"[!-~]{1,200}", 200, "a name")
 )
 FOV = Parameter(
     "fov_deg",
-    "Angle from the first to the last ray, where the file does not say it.",
+    "Angle from the first to the last ray, for a file that does not contain it.",
     Number(0.01, 360, "degrees"),
 )
-SCALE = Parameter("range_scale", "Metres of a range: 0.001 of millimetres.", Number(1e-6, 1e6), 1.0)
+SCALE = Parameter("range_scale", "Metres that a range of 1 stands for.", Number(1e-6, 1e6), 1.0)
 CUT = Parameter(
-    "range_max", "Readings are cut here: there, no return.", Number(1e-3, 1e6, "metres")
+    "range_max", "Reach: a longer reading counts as no return.", Number(1e-3, 1e6, "metres")
 )
 SENSOR = Parameter(
     "sensor",
-    "Pose of the sensor on the robot (x, y, yaw): poses of the base are given, too.",
+    "Pose of the sensor on the robot (x, y, yaw); answers then contain poses of the base.",
     Numbers(3, ((-5.0, 5.0), (-5.0, 5.0), TURN)),
 )
 FLIPPED = Parameter(
@@ -60,12 +62,12 @@ TAKEN = (SCALE, CUT, SENSOR, FLIPPED)
 READ = (FILE, TOPIC, FOV)
 SCANS = (SCANS_ID, *READ, INDEX, *TAKEN)
 HEADING = Parameter(
-    "heading", "Only poses with this heading, and how far it may be off.",
+    "heading", "Only poses that face this heading, up to a deviation.",
     Numbers(1, (TURN, _DEVIATION)),
 )  # fmt: skip
 CLEARANCE = Parameter(
     "clearance",
-    "Only poses at least so far from what is not free: the robot's size.",
+    "Only poses at least this far from walls and unknown space: the radius of the robot.",
     Number(0, 1000, "metres"),
 )
 REGION = Parameter(
@@ -75,39 +77,46 @@ REGION = Parameter(
 PRIOR = (
     Parameter(
         "near",
-        "Only poses near this one: x, y, yaw, how far away and how far turned from it.",
+        "Only poses near this one: x, y, yaw, then radius and deviation of the heading.",
         Numbers(3, (PLACE, PLACE, TURN, _RADIUS, _DEVIATION)),
     ),
     HEADING,
     CLEARANCE,
     REGION,
 )
-METHOD = Parameter("method", "How: fused is the default of imgloc.", Word(_METHODS), "fused")
+METHOD = Parameter(
+    "method", "Localization method; fused is the default of imgloc.", Word(_METHODS), "fused"
+)
 LOCALIZE = (
     MAP, *SCANS, *PRIOR, METHOD,
-    Parameter("top", "Hypotheses that are listed.", Number(1, 1000, "hypotheses", whole=True)),
-    Parameter("theta_step_deg", "Step of the headings.", Number(0.5, 180, "degrees")),
-    Parameter("exact", "Branch and bound: of fused and cbml.", Flag(), False),
+    Parameter("top", "Number of hypotheses to list.", Number(1, 1000, "hypotheses", whole=True)),
+    Parameter("theta_step_deg", "Step between headings, degrees.", Number(0.5, 180, "degrees")),
+    Parameter("exact", "Search by branch and bound, for fused and cbml.", Flag(), False),
 )  # fmt: skip
 WHICH = (*SCANS, HEADING, CLEARANCE)
 FIT = (
     MAP, *SCANS,
     Parameter("pose", "Pose of the sensor: x, y, yaw, map frame.", X_Y_YAW, needed=True),
-    Parameter("scale", "What lengths are multiplied by: an answer's evidence.scale.",
+    Parameter("scale", "Factor of all ranges: evidence.scale of an answer.",
               Number(0.5, 2)),
-    Parameter("thinner", "What walls lose on each side: an answer's evidence.thinner.",
+    Parameter("thinner", "Metres that walls lose on each side: evidence.thinner.",
               Number(0, 10, "metres")),
 )  # fmt: skip
 UPLOAD = (
-    Parameter("name", "What the map is called.", Text(NAME, 100, NAME_WORDS)),
+    Parameter("name", "Name of the map.", Text(NAME, 100, NAME_WORDS)),
     Parameter("resolution", "Metres per cell.", Number(0.001, 10, "metres")),
     Parameter("origin", "Pose of the lower-left corner: x, y, yaw.", X_Y_YAW),
-    Parameter("mode", "How greys are read.", Word(("trinary", "scale", "raw"))),
-    Parameter("semantics", "Whose thresholds and transparency.", Word(("nav2", "ros1")), "nav2"),
-    Parameter("occupied_thresh", "Occupied from here on.", Number(0, 1)),
-    Parameter("free_thresh", "Free up to here.", Number(0, 1)),
-    Parameter("negate", "White is a wall.", Flag()),
-    Parameter("allow_lossy", "Take a JPEG or a lossy WebP.", Flag(), False),
+    Parameter("mode", "How map_server reads greys.", Word(("trinary", "scale", "raw"))),
+    Parameter(
+        "semantics",
+        "Whose map_server: thresholds and transparency.",
+        Word(("nav2", "ros1")),
+        "nav2",
+    ),
+    Parameter("occupied_thresh", "Occupancy from which a pixel is a wall.", Number(0, 1)),
+    Parameter("free_thresh", "Occupancy up to which a pixel is free.", Number(0, 1)),
+    Parameter("negate", "White pixels are walls.", Flag()),
+    Parameter("allow_lossy", "Accept a JPEG or a lossy WebP.", Flag(), False),
 )
 UPLOAD_SCANS = (*READ, SCALE)
 PAGE = (
@@ -117,15 +126,15 @@ PAGE = (
 _HELD = Parameter("scans", "Scans that were sent before.", SCANS_ID.kind, needed=True)
 LIKELIHOOD = (
     MAP, _HELD, INDEX, *TAKEN,
-    Parameter("method", "Whose likelihood.", Word(STACKS), "cbml"),
-    Parameter("slice", "Number of the heading, or max over all.",
+    Parameter("method", "Method of the likelihood.", Word(STACKS), "cbml"),
+    Parameter("slice", "Number of the heading, or max for the best over all.",
               Text(r"max|\d{1,5}", 5, "a number, or max"), "max"),
 )  # fmt: skip
 ATLAS = (
     MAP, _HELD, INDEX, *TAKEN,
     Parameter("step", "Metres between two places.", Number(0.05, 1000, "metres"), 2.0),
     Parameter("headings", "Headings at each place.", Number(1, 72, whole=True), 1),
-    Parameter("start", "The first pose: next of the answer before.", Number(0, 1e9, whole=True), 0),
+    Parameter("start", "First pose: next of the last answer.", Number(0, 1e9, whole=True), 0),
 )  # fmt: skip
 VISIBILITY = (
     MAP,
@@ -134,9 +143,9 @@ VISIBILITY = (
 REGION_LAYER = (MAP, Parameter("region", REGION.about, REGION.kind, needed=True))
 TRACK = (
     MAP, *TAKEN,
-    Parameter("filter", "Which filter.", Word(FILTERS), "tracker"),
-    Parameter("seed", "Seed of everything random.", Number(0, 2**31, whole=True), 0),
-    Parameter("start", "Where the robot starts, about: x, y, yaw.", X_Y_YAW),
+    Parameter("filter", "Filter that follows the robot.", Word(FILTERS), "tracker"),
+    Parameter("seed", "Seed of the random numbers.", Number(0, 2**31, whole=True), 0),
+    Parameter("start", "Rough pose at the beginning: x, y, yaw.", X_Y_YAW),
     Parameter("places", "Add the places of the belief to each line.", Flag(), False),
 )  # fmt: skip
 
@@ -318,16 +327,16 @@ class Operation:
 
 _BODY = (408, 413, 415, 503, 504)
 OPERATIONS = (
-    Operation("/healthz", "Whether the service lives.", {200: ("It does.", _of("object"))}),
+    Operation("/healthz", "Whether the service runs.", {200: ("It runs.", _of("object"))}),
     Operation(
         "/readyz",
         "Whether all maps are prepared.",
-        {200: ("They are.", _of("object"))},
+        {200: ("All maps are prepared.", _of("object"))},
         problems=(503,),
     ),
     Operation("/metrics", "Counts and times.", {200: ("Prometheus' text.", {"text/plain": {}})}),
-    Operation("/v1/openapi.json", "This document.", {200: ("It.", _of("object"))}),
-    Operation("/v1/maps", "The maps that are held.", {200: ("Them.", _of("object"))}),
+    Operation("/v1/openapi.json", "This document.", {200: ("OpenAPI 3.1.", _of("object"))}),
+    Operation("/v1/maps", "The maps of the service.", {200: ("Their list.", _of("object"))}),
     Operation(
         "/v1/maps",
         "Send a map: its image, or a form with its image and YAML.",
@@ -339,7 +348,7 @@ OPERATIONS = (
         problems=(409, *_BODY),
     ),
     Operation(
-        "/v1/maps/{name}", "A map.", {200: ("It.", _ref("Map"))}, problems=(404, 503)
+        "/v1/maps/{name}", "A map.", {200: ("The map.", _ref("Map"))}, problems=(404, 503)
     ),
     Operation(
         "/v1/maps/{name}",
@@ -398,7 +407,7 @@ OPERATIONS = (
     ),
     Operation(
         "/v1/which",
-        "From which map scans are: the JSON of `imgloc which`.",
+        "The map that scans are from: the JSON of `imgloc which`.",
         {200: ("A JSON object; of several scans, one a line.", _ref("Choice") | _LINES)},
         WHICH,
         SCAN_BODY,
@@ -412,7 +421,7 @@ OPERATIONS = (
         )
         for name, about in (
             ("score", "How a scan fits at a pose."),
-            ("settle", "How a scan fits where it settles, from a pose."),
+            ("settle", "How a scan fits at the best pose nearby."),
         )
     ),
     *(
@@ -431,21 +440,21 @@ OPERATIONS = (
     ),
     Operation(
         "/v1/layers/atlas",
-        "Where one scan of the laser of a scan is enough, some poses at a time.",
+        "Places where one scan of this laser is enough, some poses at a time.",
         {200: ("Some of the poses, and where to go on.", _of("object"))},
         ATLAS,
         problems=(503, 504),
     ),
     Operation(
         "/v1/layers/visibility",
-        "What is seen from a place.",
+        "The view from a place.",
         {200: ("A polygon.", _of("object"))},
         VISIBILITY,
         problems=(503, 504),
     ),
     Operation(
         "/v1/layers/region",
-        "The cells of a region, white: the image of a region on the command line.",
+        "The cells of a region in white, as `--region` takes them.",
         {200: ("PNG.", _PNG)},
         REGION_LAYER,
         problems=(503, 504),

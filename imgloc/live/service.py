@@ -369,7 +369,7 @@ class Service:
         def held() -> str:
             name, grid = map_of(body, kind, values["name"] or "", self.bounds, values)
             if name in self.core.names and name not in self._maps:
-                hint = "it was given to the service; send it by another name"
+                hint = "it is a map of the service itself; send yours by another name"
                 raise Refused("name-taken", f"name: there is a map {name!r} already: {hint}")
             options = self.core.options
             features = prepare(
@@ -391,7 +391,9 @@ class Service:
     async def _drop_map(self, request: Request, _: Values) -> Response:
         name, _site = self._site(request.path_params["name"])
         if name not in self._maps:
-            raise Refused("name-taken", f"{name}: was given to the service, and stays")
+            raise Refused(
+                "name-taken", f"{name}: is a map of the service itself, and cannot be removed"
+            )
         self._maps.drop(name)
         self._forget(name)
         return Response(status_code=204)
@@ -560,7 +562,7 @@ class Service:
             options.shared.thinner if thinner is None else round(thinner / grid.resolution),
         )
         if shared.thinner > 0 and not site.features.peels:
-            raise ConfigError("thinner: of a map this large walls stay as they are")
+            raise ConfigError("thinner: the map is too large to make its walls thinner, expected 0")
         pose, begin = Pose2D(*values["pose"]), time.perf_counter()
 
         def text() -> str:

@@ -207,7 +207,7 @@ def _warn(texts: Iterable[str], warned: set[str]) -> None:
     for text in texts:
         if text not in warned and len(warned) <= _WARNED:
             warned.add(text)
-            more = f"more is in cost.warnings of the rows of {RESULTS}"
+            more = f"more warnings are in cost.warnings of the rows of {RESULTS}"
             _LOG.warning("%s", text if len(warned) <= _WARNED else more)
 
 
@@ -433,7 +433,9 @@ def find_items(
     maps = Path(maps)
     if maps.suffix.lower() == ".csv":
         if scans is not None:
-            raise ConfigError(f"{display(maps)}: its pairs name the scans, expected no others")
+            raise ConfigError(
+                f"{display(maps)}: its pairs name the scans, expected no other file of scans"
+            )
         return _pairs(maps, job)
     if scans is not None and job.with_scans is False:
         raise ConfigError(f"the job {job.name} looks at maps alone: expected no scans")
@@ -476,7 +478,7 @@ def _scans_in(scans: Path, out: PathLike | None) -> Iterator[tuple[str, Path]]:
 def _pairs(path: Path, job: Job) -> list[Item]:
     name = display(path)
     if job.all_maps:
-        raise ConfigError(f"{name}: the job which compares all maps of a folder, expected one")
+        raise ConfigError(f"{name}: the job {job.name} compares all maps of a folder, expected one")
     data = read_file(path, limit=_MAX_PAIRS, error=ConfigError, what="CSV of pairs")
     reader = csv.DictReader(data.decode("utf-8-sig", "surrogateescape").splitlines())
     columns = {"map", "scans"} if job.with_scans else {"map"}

@@ -159,7 +159,9 @@ class Results:
         elif os.path.lexists(self.folder / RUN):
             read_run(self.folder)  # a run that was stopped before its first row, or not ours
         elif os.path.lexists(self.folder / SUMMARY):
-            raise OutputError(f"{self.name}: has a {SUMMARY} of others; expected another `out`")
+            raise OutputError(
+                f"{self.name}: has a {SUMMARY} of another program; expected another `out`"
+            )
         text = json.dumps({"format": _FORMAT, **about}, indent=1, allow_nan=False) + "\n"
         write_text_atomic(self.folder / RUN, text, force=True)
         fd = open_regular(self.path, OutputError, "file of rows", follow=False, write=True)

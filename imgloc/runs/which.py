@@ -41,7 +41,7 @@ class Which(Job):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.known.near is not None:
-            raise ConfigError("a place is known of one map, not of several to choose from")
+            raise ConfigError("`near`: a place belongs to one map, and several are to be compared")
 
     def open(self, item: Item, desk: Desk, *, file: Path | None = None) -> "Choosing":
         """Read the scans of an item, and look at all of its maps: see :meth:`look`."""
@@ -120,7 +120,7 @@ class Choosing:
             prior = prior_of(self.job.known, features.grid)
             options = calibrated(replace(self.options, prior=prior), path, features.grid)
             if leaves_none(prior, features):
-                LOG.info("%s: has no place for the robot", display(path))
+                LOG.info("%s: left out, no place for the robot satisfies the prior", display(path))
                 yield None
                 return
             check_options(features, options)

@@ -120,7 +120,7 @@ def test_map_check_knows_a_plan(folder: Path) -> None:
     for name in ("drawing.png", "drawing.jpg"):
         (row,) = rows(call("map", "check", folder / name, "--resolution", 0.02, "--json").out)
         codes = {w["code"]: w["text"] for w in row["warnings"]}
-        assert "imgloc map plan makes a map of it" in codes["plan"], name
+        assert "imgloc map plan turns the plan into a map" in codes["plan"], name
         assert "no-unknown" not in codes
 
 
@@ -149,7 +149,7 @@ def test_localize_says_that_its_map_is_a_plan_where_scans_do_not_fit(tmp_path: P
     run = call(*words, "--resolution", 0.1)
     assert run.code == 0
     assert "a floor plan? Then its text, furniture and door swings count as walls" in run.err
-    assert "imgloc map plan makes a map of it" in run.err
+    assert "imgloc map plan turns the plan into a map" in run.err
 
 
 def test_the_measurement_of_plans_counts_what_it_says() -> None:
