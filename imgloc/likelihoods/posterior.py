@@ -11,7 +11,7 @@ from imgloc.model import BoolArray, Float32Array, Likelihood
 from imgloc.numbers import number
 from imgloc.options import DEFAULTS, LOG_METHODS, Calibration
 
-# standard deviations that a kernel in theta reaches to either side
+# Reach of a kernel in theta to either side, standard deviations.
 _REACH = number("posterior.reach")
 _NOTHING = -104.0  # nats; the exponential of less is 0 in 32 bits
 
@@ -24,10 +24,11 @@ def calibrated(
     *,
     headings: BoolArray | None = None,
 ) -> Float32Array:
-    """The probability of each pose, with what the method's evidence is worth.
+    """Turn a stack into the calibrated probability of each pose, (K, H, W) float32, sum 1.
 
-    The result, `free` and `headings` are those of :func:`posterior`; `readings` is the number of
-    valid ones in the scan. The calibration is by default that of :data:`~imgloc.options.DEFAULTS`.
+    `free` (H, W) and `headings` (K,) are bool masks of the poses that are possible, by default all
+    headings. `readings` is the number of valid readings in the scan. The calibration is by default
+    that of the method in :data:`~imgloc.options.DEFAULTS`.
 
     Examples
     --------
@@ -44,7 +45,7 @@ def calibrated(
 
 
 def smoothed(stack: Likelihood, calibration: Calibration) -> Float32Array:
-    """The values of a stack, blurred as a calibration says; negative correlations count as 0."""
+    """Blur the values of a stack by the deviations of a calibration; negative values count as 0."""
     log, values = stack.method in LOG_METHODS, stack.values
     if not (calibration.sigma_xy or calibration.sigma_theta):
         return values
@@ -71,19 +72,26 @@ def posterior(
     Parameters
     ----------
     values : (K, H, W) float32 array
+        Values of the stack.
     method : str
-        Log-likelihoods (``beam``) are exponentiated; the others are proportional to the
-        likelihood, as in the paper, and clamped at 0: CBML-O may be negative.
-    free, headings : (H, W) and (K,) bool arrays
-        The pose space; by default all headings.
+        Name of the method. The log-likelihoods of ``beam`` are exponentiated. The values of the
+        others are proportional to the likelihood, as in the paper. Negative ones count as 0.
+    free : (H, W) bool array
+        Cells whose poses are possible.
+    headings : (K,) bool array, optional
+        Headings that are possible, by default all.
     temperature : float
-        Logarithms are divided by it: votes are raised to the power ``1 / temperature``. One that
-        is not positive and finite is a ConfigError.
+        Divisor of the logarithms: votes are raised to the power ``1 / temperature``.
 
     Returns
     -------
     (K, H, W) float32 array
         Sums to 1; all 0 if no free pose has a positive likelihood.
+
+    Raises
+    ------
+    ConfigError
+        If `temperature` is not positive and finite.
 
     Examples
     --------
@@ -117,7 +125,7 @@ def posterior(
             np.maximum(values[k], 0, out=into)
             if temperature != 1:
                 into *= np.float32(1 / top)
-                # What is outside the pose space may be greater than the top in it.
+                # A value outside of the pose space may exceed the greatest one within.
                 cv2.pow(np.minimum(into, 1, out=into), 1 / temperature, into)
         into *= inside
         total += float(into.sum(dtype=np.float64))
@@ -127,7 +135,9 @@ def posterior(
 
 
 def entropy(mass: npt.NDArray[Any]) -> float:
-    """Of shares of any shape that sum to 1, nats: 0 for certainty, ``log(n)`` for no idea among n.
+    """Entropy of shares of any shape that sum to 1, nats.
+
+    It is 0 if one share is 1, and ``log(n)`` for n equal shares.
 
     Examples
     --------
@@ -143,9 +153,9 @@ def smooth(
 ) -> Float32Array:
     """Blur a stack with a Gaussian in x, y and, circularly, in theta: the uncertainty of eq. 8.
 
-    A new (K, H, W) float32 stack. The standard deviations are in cells and in headings; 0 leaves
-    that axis alone. The `border` is OpenCV's: by default nothing comes in from outside, but for
-    logarithms 0 means something else: ``cv2.BORDER_REPLICATE``.
+    The result is a new (K, H, W) float32 stack. The standard deviations are in cells and in
+    headings. 0 leaves that axis as it is. `border` is OpenCV's border type. By default values off
+    the map are 0; logarithms need ``cv2.BORDER_REPLICATE``.
 
     Examples
     --------
@@ -172,7 +182,7 @@ def smooth(
 
 
 def circular_kernel(n: int, sigma: float) -> Float32Array:
-    """Weights (n,) of the headings ``0 .. n - 1`` steps around the circle, sum 1; `sigma` in steps.
+    """Weights (n,) of headings 0 to n - 1 steps around the circle, sum 1; `sigma` is in steps.
 
     Examples
     --------
@@ -183,7 +193,7 @@ def circular_kernel(n: int, sigma: float) -> Float32Array:
     """
     steps = np.arange(n)
     near = np.minimum(steps, n - steps)
-    if sigma < 0.1:  # a neighbour has 2e-22 of it
+    if sigma < 0.1:  # the weight of a neighbour is 2e-22
         return np.asarray(near == 0, dtype=np.float32)
     weights = np.where(near <= max(1.0, _REACH * sigma), np.exp(-0.5 * (near / sigma) ** 2), 0.0)
     return np.asarray(weights / weights.sum(), dtype=np.float32)

@@ -1,8 +1,8 @@
 """The shift engine: Alg. 2 line by line, each line of its inner loop one ``cv2.add``.
 
-Integers are what makes it fast. A uint8 image is summed in uint16, twice as dense as float32, for
-as many points as cannot overflow it; in uint8, if that holds the sum of all. The plane is cut into
-tiles small enough for accumulator and source to stay in the second-level cache.
+Integers make it fast. A uint8 image is summed in uint16, twice as dense as float32, over as many
+points as cannot overflow it. It is summed in uint8 if that holds the sum of all points. The plane
+is cut into tiles so small that accumulator and source stay in the second-level cache.
 """
 
 import math
@@ -42,7 +42,9 @@ class Tile(NamedTuple):
 
 
 def tiles_of(shape: tuple[int, int], where: BoolArray | None = None) -> list[Tile]:
-    """Cut the plane into cache-sized tiles, each shrunk to the poses wanted in it.
+    """Cut a plane of (H, W) cells into cache-sized tiles, each shrunk to its wanted poses.
+
+    `where` (H, W) marks the wanted poses, by default all.
 
     Examples
     --------
@@ -69,10 +71,10 @@ def tiles_of(shape: tuple[int, int], where: BoolArray | None = None) -> list[Til
 
 
 def merge_repeats(offsets: IntArray, which: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Add readings that fall in one cell once: offsets (n, 2), which image, power of two.
+    """Join readings with the same offset: offsets (n, 2), which image (n,), power of two (n,).
 
-    What m readings share is needed once for each binary digit of m that is 1, the highest powers
-    first: :func:`shift_sum` doubles its sums on the way down (Horner).
+    An offset that m readings share remains once for each binary digit of m that is 1, the highest
+    power first. :func:`shift_sum` doubles its sums on the way down (Horner).
 
     Examples
     --------
@@ -82,7 +84,7 @@ def merge_repeats(offsets: IntArray, which: IntArray) -> tuple[IntArray, IntArra
     """
     if not len(offsets):
         return offsets, which, which
-    # One image after the other, added or subtracted: it stays in the cache.
+    # Sorted by image, so that an image stays in the cache.
     image = np.where(which >= 0, 2 * which, -1 - 2 * which)
     cell = (offsets[:, 0] << 32) + offsets[:, 1]
     order = np.lexsort((cell, image))
@@ -106,10 +108,10 @@ def shift_stack(
     out: Float32Array,
     finish: Finish,
 ) -> None:
-    """Fill a stack (K, H, W): :func:`shift_sum` for each heading, 0 off the tiles.
+    """Fill a stack (K, H, W) with :func:`shift_sum` for each heading, and with 0 off the tiles.
 
-    `scan` returns, for the index of a heading, the ``offsets, which, powers`` of its points;
-    `finish` is called with each slice.
+    `scan` is a function of the index of a heading that returns ``offsets, which, powers`` of its
+    points. `finish` is called with each slice.
     """
     largest = max((math.prod(t.shape) for t in tiles), default=0)
 
@@ -135,17 +137,26 @@ def shift_sum(
 ) -> None:
     """Write ``out[r, c] = sum_i ± 2**k_i images[w_i][r + dr_i, c + dc_i]`` on the tiles.
 
-    Exact for integer images while the sums stay below 2**24.
+    The result is exact for integer images while the sums stay below 2**24.
 
     Parameters
     ----------
-    images, limit
-        (H, W) of one :data:`Summable` type, and how often that holds the largest value in them.
-    offsets, which, powers : (n, 2), (n,), (n,) int arrays
-        (dr, dc) of each point: what it brings from outside the image is 0. ``w_i >= 0`` adds image
-        ``w_i``, ``w_i < 0`` subtracts image ``-1 - w_i``. No power is greater than the one before.
-    tiles, scratch, out
-        Where to compute; flat, of the images' type, as large as the largest tile; 0 on entry.
+    images : sequence of (H, W) arrays
+        Images of one :data:`Summable` type.
+    offsets : (n, 2) int array
+        (dr, dc) of each point. Cells outside of the image count as 0.
+    which : (n,) int array
+        ``w_i >= 0`` adds image ``w_i``, ``w_i < 0`` subtracts image ``-1 - w_i``.
+    powers : (n,) int array
+        Powers of two. No power is greater than the one before.
+    limit : int
+        Number of largest values that the type of the images can sum.
+    tiles : sequence of Tile
+        Where to compute.
+    scratch : flat array
+        Buffer of the images' type, as large as the largest tile.
+    out : (H, W) float32 array
+        The result; 0 on entry.
     """
     height, width = images[0].shape
     weights = 1 << powers
@@ -187,9 +198,9 @@ def flat_stack(
     out: Float32Array,
     where: BoolArray | None = None,
 ) -> None:
-    """Write ``out[k, r, c] = sum_i image[r + dr_ki, c + dc_ki]``, 0 for poses not wanted (`where`).
+    """Write ``out[k, r, c] = sum_i image[r + dr_ki, c + dc_ki]``, and 0 outside of `where`.
 
-    What :func:`shift_sum` does, on one thread: several would only wait for each other.
+    It sums like :func:`shift_sum`, but on one thread, because several would wait for each other.
 
     Examples
     --------

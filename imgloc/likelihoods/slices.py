@@ -1,4 +1,4 @@
-"""What every engine shares: offsets in cells, the stack to fill, threads over its slices."""
+"""Parts of every engine: offsets in cells, the stack to fill, threads over its slices."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -17,12 +17,14 @@ MAX_OFFSET = 2.0**30
 
 
 def cell_offsets(xy: FloatArray, thetas: FloatArray, resolution: float) -> IntArray:
-    """How many cells away from a pose each scan point falls, for each heading.
+    """Offset in cells of each scan point from a pose, for each heading: (K, N, 2) rows and columns.
 
-    A pose sits at the centre of its cell, so the cell that holds ``p ⊕ (x, y, theta)`` (Alg. 1,
-    l. 5) is its own plus ``floor(R_theta p / resolution + 0.5)`` wherever it is, which turns Alg. 1
-    into Alg. 2. (K, N, 2) int, rows and columns; the parameters, all finite, are as of
-    :func:`~imgloc.likelihoods.correlate.correlate`.
+    A pose sits at the centre of its cell. The cell that holds ``p ⊕ (x, y, theta)`` (Alg. 1, l. 5)
+    is therefore the pose's cell plus ``floor(R_theta p / resolution + 0.5)``, wherever the pose is.
+    That turns Alg. 1 into Alg. 2.
+
+    `xy` are finite scan points (N, 2) in the sensor frame, metres, `thetas` headings (K,) in
+    radians, and `resolution` is the side of a cell, metres.
 
     Examples
     --------
@@ -36,14 +38,17 @@ def cell_offsets(xy: FloatArray, thetas: FloatArray, resolution: float) -> IntAr
 
 
 def reach_of(offsets: IntArray, shape: tuple[int, ...]) -> tuple[BoolArray, tuple[int, int]]:
-    """Which offsets (K, N) meet an image at all, and how many rows and columns those reach."""
+    """Which offsets (K, N) meet an image of some `shape`, and how many rows and columns they reach.
+
+    `offsets` (K, N, 2) are in cells.
+    """
     near = np.all(np.abs(offsets) < shape[-2:], axis=2)  # the others miss from every pose
     reach = np.where(near[..., None], np.abs(offsets), 0).max(axis=(0, 1), initial=0)
     return near, (int(reach[0]), int(reach[1]))
 
 
 def check_arguments(resolution: float, threads: int) -> None:
-    """Raise a ConfigError for a resolution or a number of threads that cannot be meant."""
+    """Raise a ConfigError if the resolution is not positive and finite, or `threads` is below 1."""
     if not (np.isfinite(resolution) and resolution > 0):
         raise ConfigError(f"resolution must be a positive number of metres, got {resolution}")
     if threads < 1:
@@ -51,21 +56,21 @@ def check_arguments(resolution: float, threads: int) -> None:
 
 
 class Frame(NamedTuple):
-    """What of a stack is to be computed."""
+    """The part of a stack that is to be computed."""
 
     out: Float32Array  #: (K, H, W) the stack; 0 around the view
-    view: Float32Array  #: (K, h, w) the part of it to compute
+    view: Float32Array  #: (K, h, w) the part to compute
     window: tuple[slice, slice]  #: rows and columns of the view
-    where: BoolArray | None  #: (h, w) the poses in it that are wanted; None for all
+    where: BoolArray | None  #: (h, w) the wanted poses in the view; None for all
 
 
 def frame_of(
     marked: BoolArray, headings: int, where: BoolArray | None, out: Float32Array | None
 ) -> Frame:
-    """Cut a stack down to what matters: poses that are wanted (`where`), cells that are `marked`.
+    """Cut a stack down to the wanted poses (`where`) that can meet a `marked` cell.
 
-    Maps often carry a wide unknown border. A mask or a stack that does not fit the (H, W) of
-    `marked` is a ValueError.
+    Maps often have a wide unknown border. A mask or a stack that does not fit the (H, W) of
+    `marked` raises a ValueError.
 
     Examples
     --------
@@ -88,7 +93,7 @@ def frame_of(
 
 
 def box_of(mask: BoolArray) -> tuple[slice, slice]:
-    """Rows and columns from the first to the last in which something is set."""
+    """Rows and columns of a mask (H, W) from the first to the last one with a True."""
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     if not rows.size:
         return slice(0, 0), slice(0, 0)
@@ -96,9 +101,10 @@ def box_of(mask: BoolArray) -> tuple[slice, slice]:
 
 
 def output_stack(out: Float32Array | None, shape: tuple[int, int, int]) -> Float32Array:
-    """Return `out`, unless it does not fit (a ValueError), or a new uninitialised stack.
+    """Return `out`, or a new uninitialised stack of this shape if it is None.
 
-    Reusing a stack saves the page faults of a new one: for tens of megabytes as much as an engine.
+    Reusing a stack saves the page faults of a new one, which cost as much as an engine for tens of
+    megabytes. An `out` that does not fit raises a ValueError.
     """
     if out is None:
         return np.empty(shape, dtype=np.float32)
@@ -112,12 +118,12 @@ def output_stack(out: Float32Array | None, shape: tuple[int, int, int]) -> Float
     return out
 
 
-#: What is left to do with a slice (H, W) of a stack, in place, while it is in the cache.
+#: A last step on a slice (H, W) of a stack, in place, while the slice is in the cache.
 Finish = Callable[[Float32Array], object]
 
 
 def finishing(divisor: float, where: BoolArray | None = None) -> Finish:
-    """Divide a slice, and clear the poses that are not wanted.
+    """Make the last step: divide a slice (H, W) by `divisor`, and set it to 0 outside of `where`.
 
     Examples
     --------
@@ -143,7 +149,7 @@ def over_slices(
 ) -> None:
     """Call ``work(share)`` for disjoint shares of `units`, one share per thread.
 
-    A share per thread, and not a task per unit, lets `work` allocate its scratch once.
+    With one share per thread, and not one task per unit, `work` allocates its scratch only once.
 
     Examples
     --------
@@ -162,7 +168,7 @@ def over_slices(
 
 
 def finite_points(xy: npt.ArrayLike) -> FloatArray:
-    """Return the points (N, 2) that are finite; a lost reading casts no vote."""
+    """Return the points of (N, 2) that are finite, because a lost reading casts no vote."""
     points = np.asarray(xy, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 2:
         raise ValueError(f"points must have shape (N, 2), got {points.shape}")

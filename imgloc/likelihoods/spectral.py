@@ -9,17 +9,18 @@ import numpy.typing as npt
 from imgloc.likelihoods.slices import Finish, over_slices, reach_of
 from imgloc.model import Float32Array, IntArray
 
-# Largest error of a correlation in float32, in norms of image and kernel multiplied, measured on
-# both OpenCV majors. Integers survive 0.5; other builds have other transforms.
+# Largest error of a correlation in float32, as a share of the norms of image and kernel multiplied,
+# measured on both OpenCV majors. Rounding recovers integers up to an error of 0.5; the margin is
+# for other builds, which have other transforms.
 EPSILON = 6e-8
 ALLOWED_ERROR = 0.1
 
 
 class Spectrum:
-    """The cached spectrum of an image (1, H, W), and what is done with it.
+    """The cached spectrum of an image (1, H, W), and correlations with it.
 
-    `reach` is the largest row and column offset: they pad the plane, so that nothing wraps around.
-    Sums that are integers are recovered by rounding (`exact`), which may need double precision.
+    `reach` is the largest row and column offset. It pads the plane, so that nothing wraps around.
+    With `exact` the sums are integers, which rounding recovers. That may need double precision.
     """
 
     channels = 1
@@ -39,7 +40,7 @@ class Spectrum:
         """Transform the image."""
         values = np.asarray(image[0], dtype=np.float64)
         self.spectrum: npt.NDArray[np.floating] = np.zeros(self.shape, dtype=self.dtype)
-        # The scale of the inverse transform goes in here, once for all headings.
+        # The scale of the inverse transform is applied here, once for all headings.
         self.spectrum[: self.height, : self.width] = values / (self.shape[0] * self.shape[1])
         cv2.dft(self.spectrum, self.spectrum)
 
@@ -55,18 +56,17 @@ class Spectrum:
         plane = scratch[1]
         plane.fill(0)
         rows, columns = self.shape
-        cells = offsets[:, 0] % rows * columns + offsets[:, 1] % columns  # it wraps around
+        cells = offsets[:, 0] % rows * columns + offsets[:, 1] % columns  # offsets wrap around
         for c, weight in enumerate(weights):
             np.add.at(plane.reshape(-1), self.channels * cells + c, weight)
-        cv2.dft(plane, plane)  # in place: what is in the cache is half of the work
+        cv2.dft(plane, plane)  # in place, because the cache decides half of the time
 
     def correlate(
         self, scratch: list[npt.NDArray[np.floating]], out: Float32Array, *, half_turn: bool = False
     ) -> None:
-        """Write the correlation with the scan last transformed into `out` (H, W).
+        """Write the correlation with the last transformed scan into `out` (H, W).
 
-        With a `half_turn` it is the scan turned by 180 degrees: the spectrum of a mirrored kernel
-        is the conjugate.
+        A `half_turn` turns that scan by 180 degrees: a mirrored kernel has the conjugate spectrum.
         """
         product, scan = scratch
         multiply_packed(self.spectrum, scan, product, conjugate=not half_turn)
@@ -80,10 +80,10 @@ class Spectrum:
 
 
 class VectorSpectrum(Spectrum):
-    """As :class:`Spectrum`, of a vector field (2, H, W): vectors are complex numbers.
+    """The cached spectrum of a vector field (2, H, W), whose vectors are complex numbers.
 
     ``sum_p Re(v(x + p) conj(s(p)))`` is the sum of scalar products. One complex transform takes
-    less than two real ones: a scan with normals costs little more than one without.
+    less time than two real ones, so a scan with normals costs little more than one without.
     """
 
     channels = 2
@@ -100,9 +100,12 @@ class VectorSpectrum(Spectrum):
     def correlate(
         self, scratch: list[npt.NDArray[np.floating]], out: Float32Array, *, half_turn: bool = False
     ) -> None:
-        """As of a :class:`Spectrum`; a half turn negates the normals, too."""
+        """Write the correlation with the last transformed scan into `out` (H, W).
+
+        A `half_turn` turns that scan by 180 degrees, and negates its normals.
+        """
         product, scan = (plane.view(np.complex64)[..., 0] for plane in scratch)
-        if half_turn:  # what is conjugate is the field then
+        if half_turn:  # the conjugate is then that of the field
             np.multiply(self.spectra[1], scan, out=product)
         else:
             np.conjugate(scan, out=product)
@@ -122,10 +125,10 @@ def multiply_packed(
     *,
     conjugate: bool,
 ) -> None:
-    """Multiply two packed spectra of real images, the second one conjugated if so wanted.
+    """Multiply two packed spectra of real images, with the second one conjugated on request.
 
-    What ``cv2.mulSpectrums`` does, at a third of its cost. Real and imaginary parts lie side by
-    side, but for the first column, and the last of an even number: those are packed downwards.
+    It takes a third of the time of ``cv2.mulSpectrums``. Real and imaginary parts lie side by side,
+    but for the first column, and the last of an even number of columns: those are packed downwards.
     """
     width = a.shape[1]
     paired = slice(1, width - 1 + width % 2)
@@ -152,8 +155,10 @@ def spectral_stack(
 ) -> None:
     """Write the correlation of each heading's scan with the image, summed over components.
 
-    The parameters are those of :func:`imgloc.likelihoods.kernels.filter2d_stack`, but that sums of
-    a vector field cannot be exact, and that a thread takes pairs of opposite headings.
+    `image` is (C, H, W) uint8 or float32: one image, or the two components of a vector field.
+    `offsets` (K, N, 2) are rows and columns from a pose to each point, `weights` (K, C, N) its
+    weights. `exact` sums are integers, which rounding recovers; those of a vector field cannot be.
+    `finish` is called with each slice. A thread takes pairs of opposite headings.
     """
     near, reach = reach_of(offsets, image.shape)
     kind = VectorSpectrum if len(image) == 2 else Spectrum
@@ -173,10 +178,10 @@ def spectral_stack(
 
 
 def needs_double(image: npt.NDArray[np.generic], offsets: IntArray) -> bool:
-    """Tell whether exact sums of these scans (K, N, 2) over the image need double precision."""
+    """Whether exact sums of the scans' offsets (K, N, 2) over the image need double precision."""
     keys = (offsets[..., 0] << 32) + offsets[..., 1]  # readings may share cells
     norms = (float(np.linalg.norm(np.unique(key, return_counts=True)[1])) for key in keys)
-    # Not np.linalg.norm, which wakes the threads of a BLAS.
+    # np.linalg.norm would wake the threads of a BLAS.
     norm = float(np.sqrt(np.square(np.asarray(image, dtype=np.float64)).sum()))
     return EPSILON * max(norms, default=0.0) * norm > ALLOWED_ERROR
 

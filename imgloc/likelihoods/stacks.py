@@ -1,4 +1,4 @@
-"""The stack of a method by its name: what of map and scan each algorithm takes."""
+"""The stack of a method by its name."""
 
 from collections.abc import Sequence
 
@@ -21,10 +21,16 @@ def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -
     Parameters
     ----------
     features : MapFeatures
-        On whose lattice of poses, in the grid frame, the stack is.
+        The map. Its lattice, in the grid frame, has the poses of the stack.
     scan : LaserScan
+        The scan, in the sensor frame.
     options : Options or str
-        Or the name of the method alone.
+        Options of the method, or only its name.
+
+    Returns
+    -------
+    Likelihood
+        Its `values` (K, H, W) are those of the poses at K headings and H x W cells.
 
     Raises
     ------
@@ -60,7 +66,7 @@ def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -
 def check_stack(
     stack: Likelihood, features: MapFeatures, scan: LaserScan, options: Options
 ) -> None:
-    """Refuse a stack of something else than what is asked."""
+    """Raise a ConfigError if a stack belongs to another method, map or scan."""
     if stack.method != options.method:
         raise ConfigError(f"stack: got one of {stack.method}, expected one of {options.method}")
     of, here = ((*g.shape, g.resolution) for g in (stack.grid, features.lattice))
@@ -76,7 +82,7 @@ def check_stack(
 
 
 def check_method(name: str, known: Sequence[str]) -> None:
-    """Refuse a method that does not exist, by a ConfigError that names those that do."""
+    """Raise a ConfigError that names the `known` methods if `name` is none of them."""
     if name not in known:
         raise ConfigError(f"method must be one of {', '.join(known)}, got {name!r}")
 
@@ -93,9 +99,10 @@ def stack_of(
 ) -> Float32Array:
     """Compute a method's values (K, H, W) on the features' lattice at some headings.
 
-    `thetas` (K,) are uniform over the circle from 0, radians; `engine` and `threads` as of
-    :func:`~imgloc.likelihoods.correlate.correlate`. ConfigError for a method without a stack, or if
-    the ray distances of ``beam`` take more bytes than `memory_budget`, by default the map's own.
+    `thetas` (K,) are headings in radians, uniform over the circle from 0. `engine` computes the
+    correlations: "auto", "filter2d", "shift", "dft" or "remap". The result does not depend on
+    `threads`. A ConfigError is raised for a method without a stack, and if the ray distances of
+    ``beam`` take more bytes than `memory_budget`, by default that of the map.
     """
     f, (shape, cell) = features, (features.lattice.shape, features.lattice.resolution)
     if method == "cbml":
