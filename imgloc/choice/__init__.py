@@ -1,1 +1,1 @@
-"""Which of several maps is a scan from? Of hundreds, too, by an index of their folder."""
+"""The choice of the map that a scan is from, among a few or, by an index, among hundreds."""

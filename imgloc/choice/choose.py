@@ -1,16 +1,17 @@
-"""Which of some maps is a scan from? Evidence that is comparable across maps of any size.
+"""The choice of the map that a scan is from, by evidence that compares maps of any size.
 
-The evidence of a map is the mean of the scan's likelihood over all poses in it: eq. 12's
-``1 / V`` in front of an integral that is, mode by mode, the height of a Gaussian times its
-volume. A large map has more places that fit by chance, and pays for them with its V.
+The evidence of a map is the mean of the scan's likelihood over all poses in it: eq. 12's ``1 / V``
+in front of an integral. Each mode contributes the height of its Gaussian times its volume. A large
+map has more places that fit by chance, and its larger V makes up for them.
 
-How well a scan may fit a building that is not among the maps is seen from them: at best two are of
-its building, so that the third best fits by chance. The best of many that do leads the third by as
-much as the best of few: upper spacings of a tail that is about exponential do not depend on them.
+The maps also show how well a scan may fit a building that is not among them. At most two maps are
+of the scan's building, so the third best map fits by chance. The best of all chance fits leads that
+one by a few nats, and by as much with many maps as with few: the upper spacings of a tail that is
+about exponential do not depend on their number.
 
-Of many maps few are searched to the end. A look at the coarse levels of all bounds how well the
-scan can fit each; the best bounds are followed first, until three maps lead that others do not
-overtake any more. It is branch and bound over the folder, with a bound that holds nearly always.
+Only a few of many maps are searched to the end. The coarse levels of a map give a bound on how well
+the scan can fit it. The maps of the best bounds are searched first, until no other can overtake the
+leading three. This is branch and bound over the folder, with a bound that holds nearly always.
 """
 
 from collections import Counter
@@ -33,21 +34,26 @@ from imgloc.pipeline import localize
 from imgloc.search.hypotheses import masses
 
 OPTIONS = Options(top=number("choose.top"), fused=FusedOptions(strained=float("inf")))
-"""Evidence is summed over the modes that are listed. No map is bent to fit: any would gain."""
+"""Options for comparing maps: many modes are listed, because evidence is summed over them.
+
+No shared error is allowed for, because every map would gain by one."""
 LEAD: float = number("choose.lead")
 """Nats per reading by which an unknown building may fit better than the third best map."""
 LUCK: float = number("choose.luck")
-"""Log-evidence that an unknown building does not exceed, nats.
-Maps that fit better are alike, and a scan of one of them is not from none."""
+"""Log-evidence, in nats, that an unknown building rarely exceeds: one scan in forty did.
+
+If three maps exceed it, they are alike, and the scan is from one of them."""
 FEW = number("choose.few")
-"""Of fewer maps than this, one is named only if the scan is ``unique`` in it: too few to tell what
-fits by chance, and of chance there are mostly several places."""
+"""Number of maps below which a map is named only if the scan is ``unique`` in it.
+
+Fewer maps do not show what fits by chance. A scan that fits by chance mostly fits at several
+places."""
 FIRST: int = number("choose.first")
-"""How many maps are searched to the end at first."""
+"""Number of maps that are searched to the end at first."""
 NEXT: int = number("choose.next")
-"""How many more are searched at a time, while one of the last is among the best three."""
+"""Number of further maps to search at a time, while one of the last is among the best three."""
 MOST: int = number("choose.most")
-"""How many maps are searched to the end at most."""
+"""Largest number of maps that are searched to the end."""
 Opened = tuple[MapFeatures, Options]  #: a map, and how scans are located in it
 NO_MAP = ("none", "undecided", "invalid")  #: verdicts that name no map
 
@@ -56,20 +62,21 @@ NO_MAP = ("none", "undecided", "invalid")  #: verdicts that name no map
 class Choice:
     """Probabilities of the maps."""
 
-    #: the name of a map, ``none``, ``undecided``, or ``invalid``: the scan has too few readings to
-    #: say anything, and no probability is known (NaN)
+    #: the name of a map, ``none``, ``undecided``, or ``invalid`` if the scan has too few readings;
+    #: all probabilities are then NaN
     verdict: str
-    probability: Mapping[str, float]  #: of each map, best first; with `none` they sum to 1
-    #: that the scan is from none of them: it fits badly, or no better than it may fit any map
+    #: probability that the scan is from each map, best first; with `none` they sum to 1
+    probability: Mapping[str, float]
+    #: probability that the scan is from none of the maps
     none: float
     log_evidence: Mapping[str, float]  #: nats, relative to the best map's
-    temperature: float  #: common to all maps: that of the one that fits best
-    ruled_out: int = 0  #: maps that were not searched to the end: they cannot fit as well
+    temperature: float  #: temperature of the map that fits best, used for all maps
+    ruled_out: int = 0  #: number of maps not searched to the end, whose bounds are too low
 
     def as_row(self, fits: Mapping[str, Localization], index: int = 0) -> dict[str, Any]:
         """The row of the scan `index` of a file, as `imgloc which --json` writes it.
 
-        `fits` are those that were compared: each map has its pose in the row.
+        `fits` are the answers that were compared, by map. The row has the pose in each map.
         """
         maps = [
             {
@@ -91,14 +98,21 @@ class Choice:
 def which(
     maps: Mapping[str, MapFeatures], scan: LaserScan, options: Options | None = None
 ) -> Choice:
-    """Say from which of some maps a scan is: one of them, none, or undecided.
+    """Choose the map that a scan is from: one of them, none, or undecided.
 
     Parameters
     ----------
     maps : mapping of str to MapFeatures
+        The maps by name, from :func:`imgloc.prepare`.
     scan : LaserScan
+        The scan, in the sensor frame.
     options : Options, optional
-        Of the method ``fused``; evidence is summed over the `top` modes.
+        Options of the method ``fused``. Evidence is summed over the `top` modes.
+
+    Returns
+    -------
+    Choice
+        The verdict, and the probability of each map.
 
     Raises
     ------
@@ -127,9 +141,9 @@ def which(
 def bounds_of(
     index: MapIndex, files: Mapping[str, Path], scan: LaserScan, options: Options
 ) -> dict[str, float]:
-    """How well a scan can fit each map, by its name: :meth:`MapIndex.bounds`.
+    """Bound, for each map by its name, on the share of a scan that can fall on walls, 0..1.
 
-    Of a map that is calibrated also with the scale that it has.
+    A map with a calibrated scale is tried with that scale, too.
     """
     return bounds_at(index, [said_scale(files[name]) for name in index.names], scan, options)
 
@@ -137,7 +151,7 @@ def bounds_of(
 def bounds_at(
     index: MapIndex, said: Sequence[float], scan: LaserScan, options: Options
 ) -> dict[str, float]:
-    """:func:`bounds_of` maps that are at hand, each with the scale `said` of it."""
+    """Bounds, as :func:`bounds_of`, for prepared maps; `said` has the scale of each, a factor."""
     bounds, scales = index.bounds(scan, options), np.array(said)
     for scale in np.unique(scales[scales != 1]):
         scaled = index.bounds(scan.scaled(float(scale)), options)
@@ -164,17 +178,17 @@ def search(
     ----------
     scans : sequence of LaserScan
     bounds : sequence of mappings of str to float
-        Of each scan how well it can fit each map, see :class:`MapIndex`.
+        For each scan the bound of each map by its name, from :func:`bounds_of`.
     open_map : callable
-        Gives a map by its name, with the options for it; None if it cannot be used. One at a time
-        is open, for all scans that ask for it.
+        Takes the name of a map, and returns the map with the options for it; None if the map cannot
+        be used. One map at a time is open, for all scans that need it.
     advance : callable
         Called after each answer.
 
     Returns
     -------
     list of dict of str to Localization
-        For each scan its :func:`fit` in maps, best bounds first.
+        For each scan its answer in each map that was searched, best bounds first.
     """
     usable = [dict(of) for of in bounds]
     found: list[dict[str, Localization]] = [{} for _ in scans]
@@ -197,19 +211,19 @@ def search(
 
 
 def best_first(bounds: Mapping[str, float]) -> list[str]:
-    """Names of maps in the order in which they are searched."""
+    """Names of maps by falling bound, the order in which they are searched."""
     return sorted(bounds, key=lambda name: (-bounds[name], name))
 
 
 def next_maps(bounds: Mapping[str, float], fits: Mapping[str, Localization]) -> list[str]:
-    """Maps that are to be searched besides those of `fits`; none if these are enough."""
+    """Names of the maps to search next, besides those of `fits`; none if these are enough."""
     order = best_first(bounds)
     more = _more([fits[name] for name in order if name in fits])
     return [name for name in order if name not in fits][:more]
 
 
 def _more(fits: Sequence[Localization]) -> int:
-    """How many more maps are to be searched after these, which have the best bounds."""
+    """Number of maps to search after these, which have the best bounds."""
     if len(fits) < FIRST:
         return FIRST - len(fits)
     if len(fits) >= MOST or not any(f.hypotheses for f in fits):
@@ -228,8 +242,9 @@ def choose(
 ) -> Choice:
     """Compare maps by how a scan fits them; all maps are equally likely beforehand.
 
-    `fits` are those of :func:`fit` in each map, at least one; `sure` is the probability that a map
-    needs to be the verdict. So many maps more were `ruled_out` without a close look.
+    `fits` has the answer of :func:`fit` for each map by name, at least one. `sure` is the
+    probability, 0..1, that a map needs to be the verdict. `ruled_out` is the number of further maps
+    that were not searched to the end.
 
     Examples
     --------
@@ -261,7 +276,7 @@ def choose(
     weights = np.exp([evidence[name] - top for name in order])
     lead = LEAD * said.readings / temperature
     other = np.exp(unknown_evidence(list(evidence.values()), lead) - top)
-    # The chance of being elsewhere counts twins in one map; twins in two maps are no less twins.
+    # *elsewhere* depends on twins within one map. Twins in two maps count in the same way.
     share = masses(np.array([h.log_likelihood for h in best.hypotheses]), temperature)
     elsewhere = trust.mass_elsewhere(said.gained, float(share[0]))
     weights *= (1 - elsewhere) / (weights.sum() + other)
@@ -275,7 +290,7 @@ def choose(
 
 
 def _best(fits: Iterable[Localization], trust: Trust) -> tuple[Localization, float]:
-    """The answer that fits best, of those with a pose, and its temperature: that of all maps."""
+    """The answer that fits best among those with a pose, and its temperature."""
     best = min((f for f in fits if f.hypotheses), key=lambda f: f.evidence.misfit)
     return best, trust.temperature_at(best.evidence.misfit, best.evidence.readings).value
 
@@ -284,17 +299,17 @@ def log_evidence(answer: Localization, temperature: float) -> float:
     """Logarithm of the mean likelihood over the poses of a map, nats; -inf without a mode."""
     if not answer.hypotheses:
         return float("-inf")
-    # The modes of the tempered likelihood are wider by the root of the temperature.
+    # The modes of a tempered likelihood are wider by the root of the temperature.
     score = np.array([h.log_likelihood for h in answer.hypotheses])
     terms = score / temperature + answer.evidence.log_volume + 1.5 * np.log(temperature)
     return float(np.logaddexp.reduce(terms))
 
 
 def unknown_evidence(evidence: Sequence[float], lead: float) -> float:
-    """Log-evidence of a building that is not among the maps, see the module's head.
+    """Log-evidence of a building that is not among the maps, nats.
 
-    It leads the third best `evidence`, but is at most :data:`LUCK`; all in nats. With fewer than
-    three maps it is -inf: nothing follows from two.
+    It is the third best of `evidence` plus `lead`, but at most :data:`LUCK`. With fewer than three
+    maps it is -inf, because two maps do not show what fits by chance.
 
     Examples
     --------
@@ -306,7 +321,7 @@ def unknown_evidence(evidence: Sequence[float], lead: float) -> float:
 
 
 def names_of(paths: Iterable[Path], folder: Path) -> list[str]:
-    """Names of maps in a folder, each other than all others and than the verdicts without a map.
+    """Names of maps in a folder: all different, and none of them a verdict in :data:`NO_MAP`.
 
     Examples
     --------
@@ -316,7 +331,7 @@ def names_of(paths: Iterable[Path], folder: Path) -> list[str]:
     ['b.yaml', 'b/map.yaml', 'none.yaml']
     """
     full = [path.relative_to(folder) for path in paths]
-    # a/map.yaml is called after its folder
+    # a/map.yaml is named after its folder
     inner = [path.stem == "map" and path.parent != Path() for path in full]
     short = [p.parent if i else p.with_suffix("") for p, i in zip(full, inner, strict=True)]
     taken = Counter([*(name.as_posix() for name in short), *NO_MAP])

@@ -1,7 +1,7 @@
-"""What `which` looks at of hundreds of maps before it opens any: their coarse levels, in one file.
+"""The index of a folder: coarse levels of its maps in one file, so that `which` opens few maps.
 
-A map has an entry as long as its files hold what they held. It is told by the times and sizes of
-the files, and where these differ by their contents.
+An entry of a map is valid while the contents of its files are the same. The times and sizes of the
+files are compared first. If these differ, the contents are compared.
 """
 
 import hashlib
@@ -34,18 +34,18 @@ from imgloc.options import Options
 
 LOG = logging.getLogger(__name__)
 LEVEL = number("folder_index.level")
-"""Of the pyramid: cells four times as large as those of the poses."""
-# of a scan: a map that is dropped here is not looked at again
+"""Level of the pyramid in the index: its cells are four times as large as those of the poses."""
+# Readings of a scan: many, because a map that is dropped here is not looked at again.
 _READINGS = number("folder_index.readings")
 _FORMAT = "imgloc index of maps, 1"
 _YOUNG = 2_000_000_000  # ns before the index was written; a younger file may change unnoticed
-_LIMIT = 1 << 36  # bytes of a file
+_LIMIT = 1 << 36  # most bytes of a file
 _STAMP = [str, (int, None), (int, None)]
 _ABOUT = {
     "format": str, "code": str, "written": int, "levels": [[str, int, int, float, float]],
     "maps": {str: [[_STAMP], str]},
 }  # fmt: skip
-_BESIDE = 6  # bytes for each cell of a level: itself, in a mosaic, and sums there
+_BESIDE = 6  # bytes for each cell of a level: the level, its mosaic, and the sums of that
 
 
 @dataclass(frozen=True)
@@ -58,14 +58,14 @@ class MapIndex:
 
     @cached_property
     def tiles(self) -> tuple[Mosaic, ...]:
-        """All of them, side by side."""
+        """The levels of all maps, side by side."""
         return tuple(mosaics(self.levels, self.turns))
 
     def bounds(self, scan: LaserScan, options: Options) -> FloatArray:
-        """How much of a scan can fall on walls, for each map: (M,), 0..1.
+        """Bound on the share of a scan that can fall on walls, for each map: (M,), 0..1.
 
-        It is the most that any pose with a heading of the prior reaches on the coarse level,
-        which has nearly all that a close look can find.
+        It is the largest share over all poses with a heading of the prior on the coarse level. A
+        finer level nearly never reaches more.
         """
         fused = options.fused
         xy = one_per_place(scan, fused.place).spread(_READINGS).xy
@@ -76,7 +76,7 @@ class MapIndex:
 
 
 def index_of(maps: Mapping[str, MapFeatures]) -> MapIndex:
-    """The index of maps that are there."""
+    """Make the index of prepared maps."""
     levels = tuple(features.pyramid[LEVEL] for features in maps.values())
     turns = tuple(features.grid.origin.theta for features in maps.values())
     return MapIndex(tuple(maps), levels, turns)
@@ -91,20 +91,20 @@ def open_index(
     memory_budget: int | None = None,
     advance: Callable[[], object] = lambda: None,
 ) -> tuple[MapIndex, dict[str, MapError | ConfigError]]:
-    """Read the index of some maps, and prepare those that are not in it, or not as they are now.
+    """Read the index of some maps, and prepare the maps that are missing in it or have changed.
 
     Parameters
     ----------
     maps : mapping of str to Path
-        By their names.
+        Path of each map by its name.
     prepare : callable
-        What reads and prepares one of the maps.
+        Reads and prepares one of the maps.
     about : str
-        What else decides the levels: how the maps are read.
+        How the maps are read, which also decides the levels.
     file : path, optional
-        Where the index is kept; it is written if it is not there, or has changed.
+        File of the index. It is written if it does not exist or has changed.
     memory_budget : int, optional
-        Bytes that the index may take; None is half of what is available.
+        Most bytes of the index. None is half of the available memory.
     advance : callable
         Called after each map.
 
@@ -116,9 +116,9 @@ def open_index(
     Raises
     ------
     OutputError
-        If the file is something else, or cannot be written.
+        If the file is no index, or cannot be written.
     ConfigError
-        If the index takes more memory than it may.
+        If the index takes more bytes than `memory_budget`.
     """
     kept = _Kept() if file is None else _load(file, memory_budget)
     levels, turns, names = list[Level](), list[float](), list[str]()
@@ -150,16 +150,16 @@ def open_index(
 
 
 class _Kept:
-    """What a file holds."""
+    """The contents of an index file."""
 
     def __init__(self) -> None:
         self.entries: dict[str, tuple[Level, float]] = {}  # level and yaw by contents
-        self.seen: dict[str, list[Any]] = {}  # of each map the stamps of its files, and contents
+        self.seen: dict[str, list[Any]] = {}  # by map the stamps of its files, and contents
         self.written = 0  # ns
         self.stale = False  # whether contents had to be looked at
 
     def find(self, path: Path, about: str) -> tuple[list[list[Any]], str]:
-        """Stamps of the files of a map, and what tells its contents."""
+        """Stamps of the files of a map, and the hash of their contents."""
         if str(path) in self.seen:
             stamps, digest = self.seen[str(path)]
             now = [_stamp(Path(stamp[0])) for stamp in stamps]
@@ -173,7 +173,7 @@ class _Kept:
 
 
 def _stamp(file: Path) -> list[Any]:
-    """Name, time in ns and size of a file; None for those of one that is not there."""
+    """Name, time in ns and size of a file; time and size are None if there is no such file."""
     try:
         about = file.stat()
     except (OSError, ValueError):
@@ -203,7 +203,7 @@ def _save(
 
 
 def _load(file: Path, memory_budget: int | None) -> _Kept:
-    """What a file holds; nothing if it is not there, or was made by another version."""
+    """Read an index file; an empty result if it does not exist or is of another version."""
     kept = _Kept()
     if not os.path.lexists(file):
         return kept
@@ -230,9 +230,9 @@ def _load(file: Path, memory_budget: int | None) -> _Kept:
                 at += height * width
             kept.seen, kept.written = about["maps"], about["written"]
             return kept
-    except ImglocError:  # it cannot be read, or is too large: not its contents
+    except ImglocError:  # the file cannot be read, or is too large: its contents are not at fault
         raise
-    except Exception as e:  # a file that is not what it says can end in anything
+    except Exception as e:  # a damaged file can raise anything
         raise OutputError(
             f"{name}: is no index of maps ({reason(e)}); expected another name, or remove it"
         ) from None

@@ -1,8 +1,8 @@
-"""How well does a scan fit each of many maps at most? One look at all of them, side by side.
+"""A bound on how well a scan fits each of many maps, from one look at all of them side by side.
 
-The coarse levels of maps of about one size are interleaved: a mosaic is one image in which column
-``c * n + m`` is column ``c`` of map ``m`` of `n`. A shift by a column shifts all of them, and what
-leaves one map enters none, so that Alg. 2 runs over hundreds of maps as over one large image.
+The coarse levels of maps of about one size are interleaved. A mosaic is one image in which column
+``c * n + m`` is column ``c`` of map ``m`` of `n`. A shift by `n` columns shifts all maps by one,
+and no map is shifted into another. Alg. 2 thus runs over hundreds of maps as over one large image.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -18,8 +18,8 @@ from imgloc.model import BoolArray, FloatArray
 from imgloc.options import Prior
 
 CELLS = 1 << 18
-"""Cells of a mosaic, about: its sums and what is added to them stay in the cache."""
-_ALIKE = 1.2  # how much larger a map beside others may be than the smallest
+"""Approximate number of cells of a mosaic: its sums and their summands stay in the cache."""
+_ALIKE = 1.2  # largest factor between the widths of the maps of a mosaic
 _MOST = np.iinfo(np.uint8).max
 
 
@@ -27,9 +27,9 @@ _MOST = np.iinfo(np.uint8).max
 class Mosaic:
     """The same level of some maps as one image."""
 
-    image: npt.NDArray[np.uint8]  #: (H, W * n) as of :class:`~imgloc.features.pyramid.Level`
-    free: BoolArray  #: (H, W * n)
-    maps: tuple[int, ...]  #: (n,) which maps they are
+    image: npt.NDArray[np.uint8]  #: (H, W * n) endpoint images of the maps, interleaved
+    free: BoolArray  #: (H, W * n) free cells of the maps, interleaved
+    maps: tuple[int, ...]  #: (n,) indices of the maps
     resolution: float  #: side of a cell, metres
     turn: float  #: yaw of their origins, radians
 
@@ -41,7 +41,7 @@ class Mosaic:
 
 
 def mosaics(levels: Sequence[Level], turns: Sequence[float]) -> Iterator[Mosaic]:
-    """Lay out one level of many maps, those of about one size together.
+    """Interleave one level of many maps, those of about one size together.
 
     `turns` are the yaws of the origins of the maps, radians.
 
@@ -82,20 +82,20 @@ def best_fits(
     prior: Prior | None = None,
     threads: int = 1,
 ) -> FloatArray:
-    """The largest share of a scan that falls on the walls of each map, of all its poses: (count,).
+    """Largest share of a scan, over all poses, that falls on walls of each map: (count,), 0..1.
 
     Parameters
     ----------
     tiles : iterable of Mosaic
-        Of `count` maps.
+        The mosaics of `count` maps.
     xy : (N, 2) float array
         At most 255 scan points, sensor frame, metres.
     theta_step : float
         Largest step between headings, radians.
     prior : Prior, optional
-        Whose headings, map frame, are the only ones; its cells do not matter.
+        Limits the headings, map frame. Its cells are not used.
     threads : int
-        The result does not depend on it.
+        Number of threads. The result does not depend on it.
 
     Examples
     --------
@@ -108,7 +108,7 @@ def best_fits(
     out, levels = np.zeros(count), _MOST // max(1, len(xy))
     every = uniform_thetas(theta_step)
     for tile in tiles:
-        # So few levels of grey that a byte holds the sum: half the memory to move.
+        # With few grey levels a byte holds the sum, which halves the memory to move.
         image = np.rint(tile.image * np.float32(levels / _MOST)).astype(np.uint8)
         wanted = np.ones(len(every), bool)
         if prior is not None:

@@ -1,1 +1,1 @@
-"""What measures, and what is compared: evaluation, calibration, atlas, two more filters."""
+"""Measurements and comparisons: evaluation, calibration, atlas, two more filters."""

@@ -1,4 +1,4 @@
-"""Where on a map is one scan enough? A scan simulated at every place, located, and judged."""
+"""The atlas of a map: where one scan is enough. A scan is simulated and located at every place."""
 
 import multiprocessing
 import os
@@ -23,24 +23,24 @@ from imgloc.search.priors import clearance as roomy
 from imgloc.simulation.scans import ray_angles, refine_grid, simulate_ranges
 
 KINDS = ("unique", "ambiguous", "no-match", "wrong")
-"""What became of a scan: ``unique`` and right, ``wrong`` is unique but elsewhere."""
+"""Results of a scan: ``unique`` means unique and right, ``wrong`` means unique but elsewhere."""
 NEAR = (0.5, float(np.deg2rad(15.0)))
-"""A hypothesis this near the true pose is it, metres and radians."""
+"""A hypothesis nearer than this to the true pose is right, metres and radians."""
 TOP = 10
-MOST = 20_000  #: poses
+MOST = 20_000  #: largest number of poses
 AT_ONCE = 1000  #: scans that are simulated at a time
 
 
 @dataclass(frozen=True)
 class Spot:
-    """One pose of the atlas, map frame, and what its scan says."""
+    """One pose of the atlas, map frame, and the result of its scan."""
 
     pose: Pose2D
     kind: str  #: one of :data:`KINDS`
-    mass: float  #: of the true pose; 0 if it is not among the hypotheses
+    mass: float  #: mass of the true pose; 0 if it is not among the hypotheses
     error: float  #: metres from the true pose to the best hypothesis; NaN without one
-    turn: float  #: the same in radians
-    twin: Pose2D | None  #: the best hypothesis that is not the true pose
+    turn: float  #: radians from the true heading to that of the best hypothesis; NaN without one
+    twin: Pose2D | None  #: the best hypothesis that is not the true pose, map frame
     twin_mass: float
 
     @property
@@ -52,16 +52,17 @@ class Spot:
 
     @classmethod
     def of(cls, row: Sequence[Any]) -> "Spot":
-        """The spot of a row; what a journal could not hold is NaN again."""
+        """The spot of a row; numbers that a journal leaves empty become NaN."""
         mass, error, turn = (float("nan") if v is None else float(v) for v in row[4:7])
         twin = None if row[7] is None else Pose2D(*row[7:10])
         return cls(Pose2D(*row[:3]), str(row[3]), mass, error, turn, twin, float(row[10]))
 
 
 def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: float) -> FloatArray:
-    """Poses (N, 3), grid frame, at the centres of squares of `step` metres that are free there.
+    """Poses (N, 3), grid frame, at the free centres of squares of `step` metres.
 
-    Headings are evenly spaced, the first along x; `clearance` is in metres from what is not free.
+    Each place has evenly spaced `headings`, the first along x. It is at least `clearance` metres
+    from everything that is not free.
 
     Raises
     ------
@@ -103,9 +104,9 @@ def simulate_at(
     seed: int,
     fine: OccupancyGrid | None = None,
 ) -> list[tuple[Pose2D, LaserScan]]:
-    """Simulate a scan at each pose (N, 3), grid frame, some at a time.
+    """Simulate a scan at each pose (N, 3), grid frame.
 
-    Rays are cast in `fine`, by default the map redrawn at 1 cm.
+    Rays are cast in `fine`, by default the map redrawn with cells of 1 cm.
     """
     fine = fine or refine_grid(grid)
     angles, range_max = ray_angles(sensor.rays, sensor.fov), sensor.range_max
@@ -121,7 +122,7 @@ def simulate_at(
 
 
 def summarise(spots: Sequence[Spot], step: float) -> dict[str, Any]:
-    """Shares of the poses, and of the places, `step` metres apart: of the free area."""
+    """Shares of the poses, and of the free area, by result; places are `step` metres apart."""
     places: dict[tuple[float, float], list[bool]] = {}
     for spot in spots:
         places.setdefault((spot.pose.x, spot.pose.y), []).append(spot.kind == "unique")
@@ -144,34 +145,37 @@ def survey_part(
     start: int = 0,
     seconds: float = 0.5,
 ) -> dict[str, Any]:
-    """Survey a map with the laser of a scan for some time: a part of its atlas.
+    """Survey a map with the laser of a scan for some seconds: a part of its atlas.
 
     Parameters
     ----------
     features : MapFeatures
-        Rays are cast in the cells of its map.
+        The map. Rays are cast in its cells.
     scan : LaserScan
-        Its angles and its reach are those of the laser.
+        A scan of the laser, which gives its angles and its reach.
     options : Options
-    step, headings : float, int
-        Metres between two places, and headings at each. Places come in no order, so that a part is
-        about the whole map.
+        Options of the search.
+    step : float
+        Metres between two places. Places come in random order, so that each part covers the whole
+        map.
+    headings : int
+        Number of headings at each place.
     start : int
         Number of the first pose of this part: ``next`` of the part before.
     seconds : float
-        Another pose is begun until they are over; a part has at least one.
+        Time after which no further pose is begun. A part has at least one pose.
 
     Returns
     -------
     dict
-        ``of``, the number of all poses; ``next``, where to go on, or None; and ``spots``, of
-        each pose (map frame, metres and radians) its ``kind``, one of :data:`KINDS`. No result
-        depends on how the poses are divided into parts.
+        ``of`` is the number of all poses. ``next`` is the number of the next pose, or None at the
+        end. ``spots`` has each pose (map frame, metres and radians) with its ``kind``, one of
+        :data:`KINDS`. No result depends on how the poses are divided into parts.
 
     Raises
     ------
     ConfigError, MapError
-        If there are too many poses or none, or `start` is none of them.
+        If there are too many poses or none, or `start` is none of their numbers.
 
     Examples
     --------
@@ -208,15 +212,16 @@ def survey(
     *,
     workers: int = 1,
 ) -> Iterator[Spot]:
-    """Locate scan after scan and compare with the true poses, in the order given.
+    """Locate scan after scan, and compare each with its true pose; yield the spots in that order.
 
-    Poses are the sensor's, in the grid frame. `workers` are processes; no result depends on them.
+    Poses are the sensor's in the grid frame. `workers` is the number of processes. No result
+    depends on it.
     """
     if workers == 1:
         features = prepare(grid)
         yield from (_spot(features, pose, scan, options) for pose, scan in scans)
         return
-    # No fork: this process may have threads.
+    # Processes are not forked, because this one may have threads.
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(workers, context, _start, (grid, options)) as pool:
         yield from pool.map(_work, scans, chunksize=4)
@@ -232,7 +237,7 @@ def _start(grid: OccupancyGrid, options: Options) -> None:
 
 
 def _end_with_parent() -> None:
-    """A worker waits for tasks for ever, even from a parent that was killed."""
+    """End this worker with its parent. Otherwise it waits for tasks of a killed parent for ever."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

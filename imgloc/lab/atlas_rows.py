@@ -1,4 +1,4 @@
-"""The atlas as CSV: one row for each pose, and a file that a survey goes on from."""
+"""The atlas as CSV, one row for each pose, and the journal from which a survey continues."""
 
 import csv
 import io
@@ -19,11 +19,11 @@ COLUMNS = (
 """Map frame, metres and radians; kind is unique, ambiguous, no-match or wrong."""
 _KIND = frozenset({"unique", "ambiguous", "no-match", "wrong"})
 _ROW = [float] * 3 + [_KIND] + [(float, None)] * 6 + [float]
-_MOST = 1 << 26  # bytes of a journal, ten times what an atlas has
+_MOST = 1 << 26  # most bytes of a journal, ten times those of the largest atlas
 
 
 def as_csv(rows: Sequence[Sequence[object]]) -> str:
-    """Rows of :data:`COLUMNS` below their names; what is not a number is left empty.
+    """Rows of :data:`COLUMNS` below their names. NaN is left empty.
 
     Examples
     --------
@@ -43,11 +43,11 @@ def _plain(value: object) -> object:
 
 
 class Journal:
-    """Rows as they come, in a file that only grows, so that a survey can go on after a stop.
+    """A file to which rows are appended, so that a survey can continue after a stop.
 
-    Whole rows stay in the file whenever the program is stopped, also while it starts again.
-    OutputError if there is a journal of a survey with another `key` (what decides the rows), or
-    it cannot be read or written.
+    Whole rows stay in the file whenever the program stops, even while it starts again. `key` has
+    the parameters that decide the rows. An OutputError is raised if the file belongs to a survey
+    with another key, or cannot be read or written.
     """
 
     def __init__(self, path: Path, key: Mapping[str, object]) -> None:
@@ -64,7 +64,7 @@ class Journal:
                 if not content.startswith(head) and not head.startswith(content):
                     why = "begun with another map or other options; remove it, or go on with those"
                     raise OutputError(f"{name}: {why}")
-                # A stop may have cut the last line, be it the first: no more than that goes.
+                # A stop may have cut the last line, perhaps the only one. Only that line is lost.
                 whole = content[: content.rfind(b"\n") + 1]
                 lines = whole[len(head) :].splitlines()
                 self.rows = [parse_json(line, _ROW) for line in lines]
@@ -95,6 +95,6 @@ class Journal:
         self._file.close()
 
     def remove(self) -> None:
-        """All is done: the file is of no use any more."""
+        """Remove the file, because the survey is complete."""
         self._file.close()
         self.path.unlink()

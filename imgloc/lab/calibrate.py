@@ -1,15 +1,14 @@
-"""Fit what a stack is worth: the smoothing and temperature with the greatest S, eq. 12.
+"""Calibration of a stack: the smoothing and temperature with the greatest S, eq. 12.
 
-Each trial's stack is computed once, blurred once for each pair of sigmas, and turned into a
-histogram of its logarithms, from which the index of every temperature follows; no more than
-one trial's stack is kept.
+Each trial's stack is computed once and blurred once for each pair of sigmas. A histogram of its
+logarithms then gives the index of every temperature. Only one trial's stack is kept at a time.
 
-Scans are simulated in the map itself, where every wall is where the map has it. A real map has
-errors and a real place has people: two thirds of the scans are disturbed, so that what is fitted
-does not believe a scan more than it deserves there.
+Scans are simulated in the map itself, where every wall is in its place. A real map has errors, and
+a real place has people. Two thirds of the scans are therefore disturbed, so that the fit does not
+trust a scan more than it deserves there.
 
-The map's own errors are not simulated: recorded scans, whose poses need not be known, say together
-of what scale it is and by how much its walls are too thick.
+The map's own errors are not simulated. They are fitted from recorded scans, whose poses need not be
+known: together these scans determine the map's scale and by how much its walls are too thick.
 """
 
 from collections.abc import Callable, Sequence
@@ -45,29 +44,29 @@ SIGMAS_XY = (0.0, 0.1, 0.2)  #: metres tried
 SIGMAS_THETA = tuple(float(np.deg2rad(deg)) for deg in (0.0, 5.0, 10.0, 15.0))  #: radians tried
 EXPONENTS = np.geomspace(0.25, 256.0, 61)  #: 1 / temperature tried, in steps of an eighth
 LEAST = 20
-"""Trials, of all maps together, below which nothing is fitted: a few lucky scans promise all."""
-SCANS = 20  #: at most, that say together what error they share
-LEAST_FIT = 5  #: of them, that must fit the map at one place
+"""Fewest trials, on all maps together, for a fit: a few lucky scans would promise too much."""
+SCANS = 20  #: largest number of scans from which a shared error is fitted
+LEAST_FIT = 5  #: number of these scans that must fit the map at one place
 _STARTS, _MOST_SCALED = (1.0, 0.9, 1.1), 1.06  # where the search for a scale begins; and ends
 _BINS = 8192
-_WALLS = 0.1  # metres by which walls are displaced
-_SHARED = 10.0  # readings over which they are so alike
+_WALLS = 0.1  # standard deviation of a wall's displacement, metres
+_SHARED = 10.0  # neighbouring readings with nearly the same displacement
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """Logarithms of the relative density at the true pose, with the floor mixed in, nats."""
+    """Logarithms of the relative densities at the true poses, with the floor mixed in, nats."""
 
     method: str
     configurations: tuple[tuple[float, float], ...]  #: sigma_xy [m] and sigma_theta [rad]
     logs: FloatArray  #: (n, C, E) by trial, configuration and exponent
-    bare: FloatArray  #: (n,) of the stacks as they are, as in the paper
+    bare: FloatArray  #: (n,) by trial, for the stacks without calibration, as in the paper
     floor: float = FLOOR
 
 
 @dataclass(frozen=True)
 class CalibrationFit:
-    """A calibration with its index on the scans that it was fitted to, and the bare stack's."""
+    """A calibration, with its index on the scans that it was fitted to, and the bare stack's."""
 
     calibration: Calibration
     index: Index
@@ -77,11 +76,11 @@ class CalibrationFit:
 def disturbed_set(
     grid: OccupancyGrid, n: int, seed: int, sensor: Sensor, fine: OccupancyGrid | None = None
 ) -> ScanSet:
-    """Simulate scans of which one third is as the sensor says and two thirds are worse.
+    """Simulate scans: one third as the sensor measures, and two thirds disturbed.
 
-    Of each three scans the second has 50 % of its rays stopped by something that the map does not
-    show. The third has 10 % of these, 10 % dropped, and walls that are not where the map has them:
-    an error of 10 cm that neighbouring readings share.
+    In the second scan of each three, something unmapped stops 50 % of the rays. In the third one,
+    something unmapped stops 10 % of the rays, 10 % are dropped, and the walls are displaced by an
+    error of 10 cm that neighbouring readings share.
 
     The arguments are those of :func:`imgloc.simulation.scans.simulate`.
     """
@@ -112,8 +111,8 @@ def sweep(
 ) -> Sweep:
     """Measure every smoothing and temperature on scans whose poses are known.
 
-    The method is one of the paper's; ``beam`` has a sigma of its own for the cells: of it only
-    the temperature is measured. The arguments and errors are those of
+    The method is one of the paper's. For ``beam`` only the temperature is measured, because it has
+    a sigma of its own for the cells. The arguments and errors are those of
     :func:`imgloc.lab.evaluation.evaluate`.
     """
     if not len(scans) or scans.poses is None:
@@ -139,9 +138,9 @@ def sweep(
 def densities(
     stack: Likelihood, at: tuple[int, int, int], features: MapFeatures, powers: FloatArray
 ) -> FloatArray:
-    """Relative densities (E,) of the pose cell `at` over free cells, for each power of a stack.
+    """Relative densities (E,) of the pose cell `at` among free cells, for each power of a stack.
 
-    From a histogram of ``log max L - log L``, whose bins are finer the nearer to the maximum.
+    They come from a histogram of ``log max L - log L``, with finer bins near the maximum.
     """
     log = stack.method in LOG_METHODS
     images = stack.values.reshape(len(stack.thetas), -1)
@@ -157,7 +156,7 @@ def densities(
             return np.asarray(top - values, dtype=np.float64)
         return np.asarray(-np.log(values[values > 0] / np.float64(top)))
 
-    # Beyond 40 nats of the flattest power nothing counts; what is -inf is beyond.
+    # Values more than 40 nats below the maximum, at the flattest power, do not count.
     farthest = 40.0 / float(powers[0])
     width = np.sqrt(farthest) / (_BINS - 1)
     counts, sums = np.zeros(_BINS), np.zeros(_BINS)
@@ -177,7 +176,7 @@ def densities(
 
 
 def check_trials(count: int) -> None:
-    """Refuse, by a ConfigError, to fit to fewer trials than :data:`LEAST`."""
+    """Raise a ConfigError if there are fewer trials than :data:`LEAST`."""
     if count < LEAST:
         raise ConfigError(
             f"got {count} in all, expected at least {LEAST} scans to fit to: fewer make a method "
@@ -188,10 +187,10 @@ def check_trials(count: int) -> None:
 def fit(sweeps: Sequence[Sweep]) -> CalibrationFit:
     """Choose the smoothing and temperature with the greatest S over all trials of all maps.
 
-    Of the temperatures whose S is within one standard error of the greatest, the highest is taken:
-    a real map agrees less with its scans than a simulated one, and a posterior that claims too
-    much misleads where one that claims too little only says less. Each map, with one sweep of the
-    method, counts alike. Fewer than :data:`LEAST` trials are a ConfigError.
+    Among the temperatures whose S is within one standard error of the greatest, the highest is
+    taken. A real map agrees less with its scans than a simulated one, and a posterior that claims
+    too much misleads. `sweeps` has one sweep of the method for each map, and all maps count alike.
+    Fewer than :data:`LEAST` trials raise a ConfigError.
     """
     check_trials(sum(len(s.bare) for s in sweeps))
     mean = np.mean([s.logs.mean(axis=0) for s in sweeps], axis=0)
@@ -222,20 +221,24 @@ def fit_shared(
     *,
     advance: Callable[[], None] = lambda: None,
 ) -> SharedFit:
-    """Say of what scale a map is, and by how much its walls are too thick, from scans.
+    """Fit the scale of a map, and by how much its walls are too thick, from scans.
 
-    Hard EM without poses: each of some evenly picked scans is placed where it fits best at any
-    scale near 0.9, 1 or 1.1 and with walls of any thickness; the medians of those that are
-    ``unique`` are given to all, and what remains of the scale where they then are is the median
-    and the standard error of the result.
+    The poses of the scans need not be known (hard EM). Some evenly picked scans are each placed
+    where they fit best, at any scale near 0.9, 1 or 1.1 and with walls of any thickness. The
+    medians over the ``unique`` ones are then applied to all scans, which are placed again. The
+    median of the scales that remain corrects the result, and their scatter gives its standard
+    error.
 
     Parameters
     ----------
     features : MapFeatures
+        The map.
     scans : sequence of LaserScan
-        Of one sensor. `advance` is called once for each of :data:`SCANS` at most.
+        Scans of one sensor. At most :data:`SCANS` of them are used.
     options : Options, optional
-        Of ``fused``.
+        Options of the method ``fused``.
+    advance : callable
+        Called after each scan.
 
     Raises
     ------
@@ -258,17 +261,17 @@ def fit_shared(
         steps = np.array([step for step in left if step is not None])
         _enough(len(steps), len(some))
         middle = float(np.median(steps))
-        spread = 1.4826 * float(np.median(np.abs(steps - middle)))  # of a Gaussian, as a deviation
+        spread = 1.4826 * float(np.median(np.abs(steps - middle)))  # deviation of a Gaussian
         shared = replace(shared, scale=shared.scale * middle)
-        error = 1.2533 * spread / np.sqrt(len(steps))  # of a median
-    # A wall is drawn in cells: half a cell at the usual distance is as much of a scale.
+        error = 1.2533 * spread / np.sqrt(len(steps))  # standard error of a median
+    # Walls are drawn in cells: half a cell at the usual distance is an error of the scale, too.
     far = np.median(np.concatenate([scan.ranges[scan.valid] for scan in some]))
     error = np.hypot(error, features.grid.resolution / 2 / far)
     return SharedFit(shared, float(error), len(steps), len(some))
 
 
 def _enough(fit: int, asked: int) -> None:
-    """Refuse to speak of an error that only a few scans share."""
+    """Raise a ConfigError if too few scans fit to tell an error that they share."""
     if fit < LEAST_FIT:
         raise ConfigError(
             f"{fit} of {asked} scans fit this map at one place, expected at least {LEAST_FIT} to "
@@ -282,13 +285,13 @@ def _misfit(answer: Localization) -> float:
 
 
 def _bent(features: MapFeatures, scan: LaserScan, options: Options, shared: Shared) -> Localization:
-    """The answer that begins at an error of all readings and looks for a better one."""
+    """Locate a scan, starting with a shared error and looking for a better one."""
     eager = replace(options.fused, strained=0.0, most_scaled=_MOST_SCALED)
     return localize(features, scan, replace(options, shared=shared, fused=eager))
 
 
 def _left(features: MapFeatures, scan: LaserScan, options: Options, shared: Shared) -> float | None:
-    """By what a scan would multiply a known scale where it then fits; None if nowhere alone."""
+    """Factor on a given scale with which a scan fits best; None if it fits at no single place."""
     known = replace(options.fused, strained=float("inf"))
     answer = localize(features, scan, replace(options, shared=shared, fused=known))
     if answer.verdict != "unique":
