@@ -59,13 +59,13 @@ from imgloc.search.stacked import posterior_of
 
 Z95 = 1.959964  #: quantile of the normal distribution for intervals of 95 %
 PAPER_STEPS_DEG = {"cbml": 3.0, "cbml-o": 3.0, "ght": 30.0, "ght-v": 30.0, "beam": 3.0}
-"""Steps of the headings in Sec. VI, degrees; the beam model, its reference, gets the finer one."""
+"""Steps of the headings in Sec. VI, degrees. The beam model, its reference, has the finer step."""
 PAIR_METHODS = frozenset({"ght", "ght-v"})
-"""Methods whose work is counted in pairs of points, not in poses and readings."""
-LISTED = 5  #: hypotheses of an answer that are compared with the true pose
+"""Methods whose work is counted in pairs of points, not in poses times readings."""
+LISTED = 5  #: number of hypotheses of an answer that are compared with the true pose
 PERCENTILES = (50, 90, 95)
-_MIXTURE = 20  # hypotheses of `fused` that its density is made of
-_FUSED_STEP_DEG = 3.0  # of the cells in which the answer of `fused`, which has none, is compared
+_MIXTURE = 20  # hypotheses of `fused` that make its density
+_FUSED_STEP_DEG = 3.0  # `fused` has no cells; its answers are compared in cells of this step
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Share:
 
 
 def share(happened: Iterable[bool]) -> Share:
-    """Count and give Wilson's 95 % interval, sensible at 0 and 1 too.
+    """Count hits, with Wilson's 95 % interval, which is sensible at 0 and 1, too.
 
     Examples
     --------
@@ -94,7 +94,7 @@ def share(happened: Iterable[bool]) -> Share:
     hits, n = sum(outcomes), len(outcomes)
     if n == 0:
         return Share(0, 0, nan, 0.0, 1.0)
-    # Not scipy.stats': it takes 0.7 s and 40 MB, which `max_rss_bytes` would count as the method's.
+    # Importing scipy.stats takes 0.7 s and 40 MB, which `max_rss_bytes` would add to the method's.
     p, square = hits / n, Z95 * Z95 / n
     middle = (p + square / 2) / (1 + square)
     half = Z95 * sqrt(p * (1 - p) / n + square / (4 * n)) / (1 + square)
@@ -103,18 +103,18 @@ def share(happened: Iterable[bool]) -> Share:
 
 @dataclass(frozen=True)
 class Trial:
-    """What one scan has shown; densities are relative ones, ``p V``, at the true pose."""
+    """Measurements of one scan; densities are relative ones, ``p V``, at the true pose."""
 
-    free: float  #: over free cells, of a stack as it is, as in the paper
-    box: float  #: the same over the whole box of the map
-    calibrated: float  #: over free cells, of the posterior; of ``fused`` that of the lattice's cell
-    outside: bool  #: the true pose is not in a free cell of the map, so that `free` is 0
-    exact: bool  #: the global maximum over free cells is the cell of the true pose
-    near: bool  #: it is that cell or one next to it, of the 27
+    free: float  #: density over free cells by the stack without calibration, as in the paper
+    box: float  #: density over the whole box of the map by that stack
+    calibrated: float  #: density over free cells by the posterior; ``fused``: in its lattice's cell
+    outside: bool  #: whether the true pose is in no free cell of the map, so that `free` is 0
+    exact: bool  #: whether the global maximum over free cells is the cell of the true pose
+    near: bool  #: whether the global maximum is one of the 27 cells around the true pose
     errors: FloatArray  #: (M, 2) metres and radians to each of at most :data:`LISTED` hypotheses
     verdict: str
-    ms: float  #: of the whole answer
-    stack_ms: float  #: of the likelihood stack alone; NaN where there is none
+    ms: float  #: milliseconds of the whole answer
+    stack_ms: float  #: milliseconds of the likelihood stack alone; NaN without a stack
     stack_bytes: int
     work: int  #: poses times readings, or pairs of points; 0 without a stack
 
@@ -131,7 +131,7 @@ class Success:
 
 @dataclass(frozen=True)
 class Spread:
-    """Median and 99th percentile of the trials; NaN where nothing was measured."""
+    """Median and 99th percentile of the trials; NaN if nothing was measured."""
 
     median: float
     p99: float
@@ -139,13 +139,13 @@ class Spread:
 
 @dataclass(frozen=True)
 class Cost:
-    """What it took; the only part of a summary that two runs do not share."""
+    """Time and memory: the only part of a summary that differs between two runs."""
 
-    ms: Spread  #: the whole answer for a scan
-    stack_ms: Spread  #: of that, the likelihood stack
-    ns_per_unit: float  #: median over the trials, see `Summary.unit`
-    first_ms: float  #: an answer that found no features of the map ready
-    max_rss_bytes: int | None  #: the process's greatest so far; None where it is not known
+    ms: Spread  #: milliseconds of the whole answer for a scan
+    stack_ms: Spread  #: milliseconds of the likelihood stack alone
+    ns_per_unit: float  #: nanoseconds for each unit of work, median; `Summary.unit` names the unit
+    first_ms: float  #: milliseconds of the first answer, which computes the features of the map
+    max_rss_bytes: int | None  #: largest resident memory of the process; None if it is not known
 
 
 @dataclass(frozen=True)
@@ -156,35 +156,36 @@ class Summary:
     trials: int
     index: Index  #: S, eq. 12, over poses in free cells
     index_box: Index  #: S over the whole box of the map
-    index_calibrated: Index  #: S of the posterior over free cells; of ``fused`` on the lattice
-    outside: int  #: trials whose true pose is in no free cell
-    exact: Share  #: the global maximum is in the cell of the true pose
-    near: Share  #: it is in that cell or one next to it
+    index_calibrated: Index  #: S of the posterior over free cells; ``fused``: on the lattice
+    outside: int  #: number of trials whose true pose is in no free cell
+    exact: Share  #: trials whose global maximum is in the cell of the true pose
+    near: Share  #: trials whose global maximum is in that cell or one next to it
     success: tuple[Success, ...]
     position: dict[str, float]  #: percentiles of the first hypothesis' error, metres
-    heading: dict[str, float]  #: the same in radians; infinite where so many have no answer
+    #: percentiles of its error in radians; infinite if so many trials have no answer
+    heading: dict[str, float]
     verdicts: dict[str, Share]
     unit: str | None  #: what `Cost.ns_per_unit` counts
-    work: int  #: units of the median trial
-    stack_bytes: int  #: of the likelihood stack itself
-    features_bytes: int  #: of what the method keeps of the map
+    work: int  #: units of work of the median trial
+    stack_bytes: int  #: bytes of the likelihood stack
+    features_bytes: int  #: bytes of the map's features that the method keeps
     cost: Cost
 
 
 @dataclass(frozen=True)
 class Lattice:
-    """The poses that are told apart."""
+    """The lattice of the poses that a method tells apart."""
 
-    cell: float  #: metres
-    theta_step: float  #: radians
-    poses: int  #: in free cells
-    poses_box: int  #: in all
-    log_poses: float  #: S of a method that puts everything into the right free cell
+    cell: float  #: side of a cell, metres
+    theta_step: float  #: step between headings, radians
+    poses: int  #: number of poses in free cells
+    poses_box: int  #: number of all poses
+    log_poses: float  #: S of a method that gives all probability to the right free cell, nats
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Results of one method on one map, with what decided them."""
+    """Results of one method on one map, with the parameters that decided them."""
 
     lattice: Lattice
     summary: Summary
@@ -202,9 +203,10 @@ class Evaluation:
 
 
 def method_options(method: str, theta_step: float | None = None, threads: int = 1) -> Options:
-    """Options of an experiment: the paper's step of the headings unless another is given.
+    """Options of a method in an experiment.
 
-    `theta_step` in radians; for ``fused`` it is that of its endpoint correlation.
+    `theta_step` is the step between headings, radians, by default that of the paper. For ``fused``
+    it is the step of the endpoint correlation.
 
     Examples
     --------
@@ -227,17 +229,21 @@ def evaluate(
     floor: float = FLOOR,
     advance: Callable[[], None] = lambda: None,
 ) -> Evaluation:
-    """Measure a method. Everything but ``summary.cost`` is the same in every run.
+    """Measure a method on scans with known poses. All but ``summary.cost`` is the same in each run.
 
     Parameters
     ----------
     features : MapFeatures
-        Fresh ones, if their bytes and the time of the first answer are to be this method's.
+        The map. Pass fresh features, so that their bytes and the time of the first answer are those
+        of this method.
     scans : ScanSet
-        With poses of the sensor in the map frame. The first one is located once more than the
-        others, before the clock counts.
-    options, floor
-        See :func:`method_options` and :mod:`imgloc.lab.performance_index`.
+        Scans with the true poses of the sensor, map frame. The first scan is located once more than
+        the others, before time is measured.
+    options : Options
+        Options of the method, for example from :func:`method_options`.
+    floor : float
+        Share of the uniform density in every density, 0..1, see
+        :mod:`imgloc.lab.performance_index`.
     advance : callable
         Called after each trial.
 
@@ -273,10 +279,10 @@ def headings(options: Options) -> int:
 
 
 def run_trials(features: MapFeatures, scans: ScanSet, options: Options) -> Iterator[Trial]:
-    """Locate scan after scan with one method and compare with the true poses.
+    """Locate scan after scan with one method, and compare each answer with the true pose.
 
-    The arguments are those of :func:`evaluate`. Features that are not computed yet are so within
-    the time of the first trial; the stack of a scan is dropped before the next one is computed.
+    The arguments are those of :func:`evaluate`. The time of the first trial includes features that
+    are not computed yet. The stack of a scan is dropped before the next one is computed.
     """
     for scan, pose in scans.with_poses():
         yield _trial(features, scan, Pose2D(*pose), options)
@@ -284,7 +290,7 @@ def run_trials(features: MapFeatures, scans: ScanSet, options: Options) -> Itera
 
 def _trial(features: MapFeatures, scan: LaserScan, truth: Pose2D, options: Options) -> Trial:
     start = time.perf_counter()
-    # Hypotheses are all that the default method says; of the paper's, the whole stack is looked at.
+    # The default method only gives hypotheses. The paper's methods are measured by their stacks.
     stack = None if options.method == FUSED else likelihood(features, scan, options)
     between = time.perf_counter()
     answer = localize(features, scan, options, stack=stack)
@@ -325,7 +331,7 @@ def _trial(features: MapFeatures, scan: LaserScan, truth: Pose2D, options: Optio
 def _on_lattice(
     features: MapFeatures, answer: Localization, at: tuple[int, int, int], n: int
 ) -> float:
-    """Relative density of an answer in a cell of free space."""
+    """Relative density of an answer in the cell of the true pose, over free cells."""
     lattice, step = features.lattice, 2 * np.pi / n
     answer = replace(answer, hypotheses=tuple(in_grid_frame(h, lattice) for h in answer.hypotheses))
     x, y = centre_of(np.array(at[1:]), lattice.resolution)
@@ -345,7 +351,7 @@ def _work(features: MapFeatures, scan: LaserScan, stack: Likelihood) -> int:
 
 
 def cell_of_pose(features: MapFeatures, pose: Pose2D, n: int) -> tuple[int, int, int]:
-    """Cell ``(theta, row, col)`` of a pose of the map frame; may lie off the map."""
+    """Cell ``(theta, row, col)`` of a pose in the map frame; it may lie off the map."""
     local = in_grid_frame(pose, features.lattice)
     row, col = cell_of(np.array([local.x, local.y]), features.lattice.resolution).tolist()
     return int(theta_bin(local.theta, n)), row, col
@@ -366,10 +372,11 @@ def summarise(
     features_bytes: int = 0,
     first_ms: float = nan,
 ) -> Summary:
-    """Make numbers of the trials, at least one, of one method on one map.
+    """Summarise the trials, at least one, of one method on one map.
 
-    `tolerances` and `floor`, with its ConfigError, as of :func:`evaluate`, the others as in
-    :class:`Summary`.
+    `tolerances` set how near to the true pose a hypothesis is right. `floor` is the share of the
+    uniform density in every density; outside of 0..1 it raises a ConfigError. The other arguments
+    are the fields of the same name in :class:`Summary`.
     """
     first = np.array([t.errors[0] if len(t.errors) else (np.inf, np.inf) for t in trials])
     unit = "pair of points" if method in PAIR_METHODS else "pose and reading"
@@ -414,7 +421,7 @@ def _success(trials: Sequence[Trial], tolerance: Tolerance) -> Success:
 
 
 def _percentiles(errors: FloatArray) -> dict[str, float]:
-    """Without interpolation: half of infinity is of no use."""
+    """Percentiles without interpolation, because errors may be infinite."""
     values = np.percentile(errors, PERCENTILES, method="inverted_cdf")
     return {f"p{q}": float(v) for q, v in zip(PERCENTILES, values, strict=True)}
 
@@ -427,7 +434,7 @@ def _spread(values: Sequence[float]) -> Spread:
 
 
 def bytes_of(features: MapFeatures) -> int:
-    """Bytes of the arrays that the features of a map hold by now, without the map itself.
+    """Bytes of the arrays that the features of a map hold now, without the map itself.
 
     Examples
     --------
@@ -453,7 +460,7 @@ def _nbytes(value: Any) -> int:
 
 
 def _max_rss_bytes() -> int | None:
-    """Greatest resident memory of this process so far; None where the system does not tell."""
+    """Largest resident memory of this process so far, bytes; None if it is not available."""
     try:
         import resource
     except ImportError:

@@ -1,11 +1,11 @@
 """The grid filter: eq. 1 as image processing.
 
 The belief is a stack of images ``(theta, y, x)`` on the lattice of poses. The integral of eq. 1 is
-done image by image: each is shifted by the motion turned into its heading (``warpAffine``), blurred
-by what the motion may have been, and mixed with those of neighbouring headings around the circle.
-Walls and unknown space hold no mass. A scan multiplies it with the calibrated likelihood of any
-method. Once nearly all of the mass lies in a small box, only that box is computed, and its cells
-are scored one by one: that is what makes it real time.
+computed image by image. Each image is shifted by the motion, turned into its heading
+(``warpAffine``), blurred by the errors of the motion, and mixed with the images of neighbouring
+headings around the circle. Walls and unknown space hold no mass. A scan multiplies the belief by
+the calibrated likelihood of any method. Once nearly all of the mass lies in a small box, only the
+cells of that box are computed and scored. That makes the filter fast enough for real time.
 """
 
 from dataclasses import dataclass, field, replace
@@ -31,40 +31,40 @@ from imgloc.search.stacked import posterior_of
 _ROOT = float(np.sqrt(2 * np.pi))
 _FINE = 32  # warpAffine interpolates between so many places of a pixel
 _COPIES = 4  # stacks that are held at a time
-_WIDE = 16.0  # cells: a blur that is wider costs less as a product of matrices
-# share of the mass that a motion has to leave on the map, or it was no such motion
+_WIDE = 16.0  # cells: a wider blur costs less as a product of matrices
+# Least share of the mass that a motion leaves on the map; with less the belief was wrong.
 _LEFT = number("grid.left")
 _EXACT = MotionNoise(0.0, 0.0, 0.0, 0.0, (0.0, 0.0))
 
 
 @dataclass(frozen=True)
 class GridOptions(Checked):
-    """What a grid filter makes of scans and odometry."""
+    """Settings of the grid filter."""
 
     method: Annotated[str, OneOf(*METHODS)] = (
-        "ght-v"  #: whose likelihood is multiplied in while the whole map is looked at
+        "ght-v"  #: method whose likelihood multiplies the belief on the whole map
     )
     noise: MotionNoise = field(default_factory=MotionNoise)
-    #: metres and radians of motion after which a scan says something entirely new
+    #: metres and radians of motion after which all of a scan's evidence is new
     fresh: tuple[Length, Step] = number("GridOptions.fresh")
     #: share of a scan's evidence that counts without any motion
     least: Share = number("GridOptions.least")
-    #: of the likelihood, as a share of a uniform one: no cell is ruled out
+    #: least likelihood of a cell, as a share of a uniform one, so that no cell is ruled out
     floor: Share = number("GridOptions.floor")
-    #: mass within a box from which on only the box is computed
+    #: mass within a box above which only the box is computed
     box: Share = number("GridOptions.box")
-    #: that are scored one by one, at most, headings and all
+    #: largest number of cells of the box, over all headings, that are scored one by one
     box_cells: Count = number("GridOptions.box_cells")
-    margin: Metres = number("GridOptions.margin")  #: metres around them
-    #: nats per reading that the best place may lack more than usual, before p(x | z) is mixed in
+    margin: Metres = number("GridOptions.margin")  #: metres around the box
+    #: nats per reading by which the misfit may exceed the usual one before p(x | z) is mixed in
     surprise: Nats = number("GridOptions.surprise")
-    #: of p(x | z) that is mixed in then: sensor resetting
+    #: share of p(x | z) that is then mixed in: sensor resetting
     share: Share = number("GridOptions.share")
     resets: bool = True
-    mass: Share = number("GridOptions.mass")  #: of the best place, to be ``unique``
-    #: metres that it has to be the best one for before it is
+    mass: Share = number("GridOptions.mass")  #: least mass of a ``unique`` place
+    #: metres for which a place must be the best one before it is ``unique``
     sure: Metres = number("GridOptions.sure")
-    #: nats per reading that it may lack and not be lost
+    #: largest misfit, nats per reading, at which the filter is not ``lost``
     misfit: Nats = number("GridOptions.misfit")
 
 
@@ -76,19 +76,19 @@ def predict(
     increment: FloatArray,
     noise: MotionNoise,
 ) -> Float32Array:
-    """The integral of eq. 1: move a belief (K, H, W) by an increment (3,), and blur it.
+    """Move a belief (K, H, W) by an increment (3,), metres, metres, radians, and blur it: eq. 1.
 
     Parameters
     ----------
     thetas : (K,) float array
         Headings, radians, equally spaced over the circle.
     free : (H, W) bool array
-        Cells that can hold mass; what would leave them is spread over the others.
+        Cells that can hold mass. Mass that would leave them is spread over the others.
 
     Returns
     -------
     (K, H, W) float32 array
-        With the sum of `belief`; all zero if next to nothing of it would stay on free cells.
+        Its sum is that of `belief`. It is all 0 if nearly no mass would stay on free cells.
 
     Examples
     --------
@@ -102,7 +102,7 @@ def predict(
     """
     first, along, second = deviations(increment, noise).tolist()
     go = float(np.hypot(*increment[:2]))
-    # Across, a first turn that was wrong; the blur is round, and as wide as the wider.
+    # An error of the first turn moves poses sideways. The blur is round and has the larger width.
     sigma, out = max(along, first * go) / resolution, np.empty_like(belief)
     shift = _shift_far if sigma > _WIDE else _shift_near
     for k, theta in enumerate(thetas):
@@ -117,7 +117,7 @@ def predict(
 def _shift_near(image: Float32Array, shift: FloatArray, sigma: float) -> Float32Array:
     """Shift an image (H, W) by x and y (2,), pixels, and blur it by `sigma` pixels."""
     kernel, (height, width) = gaussian(sigma), image.shape
-    # With a rim: what is shifted off the map may be blurred back onto it.
+    # The image has a rim, because mass that is shifted off the map may be blurred back onto it.
     rim = len(kernel) // 2 + 1
     x, y = np.rint(shift * _FINE) / _FINE
     M = np.array([[1.0, 0.0, x + rim], [0.0, 1.0, y + rim]])
@@ -128,7 +128,7 @@ def _shift_near(image: Float32Array, shift: FloatArray, sigma: float) -> Float32
 
 
 def _shift_far(image: Float32Array, shift: FloatArray, sigma: float) -> Float32Array:
-    """The same, from every row and column to every other: the cost is that of the map alone."""
+    """Shift and blur like :func:`_shift_near`, as matrix products: any width costs the same."""
     x, y = (
         np.exp(-0.5 * np.square((np.subtract.outer(i, i) - by) / sigma)) / (sigma * _ROOT)
         for by, i in zip(shift, map(np.arange, image.shape[::-1]), strict=True)
@@ -140,7 +140,7 @@ def turn(stack: Float32Array, angle: float, sigma: float) -> Float32Array:
     """Move a stack (K, H, W) around the circle by an angle, and blur it by `sigma`, radians."""
     step = 2 * np.pi / len(stack)
     whole, part = divmod(angle / step, 1.0)
-    # Wider than the circle is all around it, however much wider.
+    # A blur wider than the circle is uniform around it.
     taps = np.convolve(gaussian(min(sigma, 2 * np.pi) / step).ravel(), [1 - part, part])
     by = np.arange(len(taps)) + int(whole) - (len(taps) - 2) // 2
     out = np.zeros_like(stack)
@@ -161,10 +161,11 @@ class GridFilter(ScannedFilter):
     Parameters
     ----------
     features : MapFeatures
-        With the cells of the belief: 0.1 m by default, larger ones are faster.
+        The map, with the cells of the belief: 0.1 m by default. Larger cells are faster.
     options : Options, optional
-        Headings of the method, threads, memory.
+        Headings of the method, threads and memory budget.
     how : GridOptions, optional
+        Settings of the filter.
 
     Raises
     ------
@@ -200,7 +201,7 @@ class GridFilter(ScannedFilter):
         return out
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
-        """Believe to be at a pose (3,), grid frame, with deviations in metres and radians."""
+        """Start at a pose (3,), grid frame, with standard deviations in metres and radians."""
         self._dense()
         metres, radians = deviation
         rows, columns = (
@@ -216,13 +217,13 @@ class GridFilter(ScannedFilter):
         self._habits.place()
 
     def move(self, increment: FloatArray) -> None:
-        """Take a motion (3,) of the robot, in its frame before."""
+        """Move the belief by a motion (3,), in the robot's earlier frame: m, m, radians."""
         if not np.any(increment):
             return
         self._followed.move(increment)
         self._habits.move(increment)
         if not self._seen:
-            return  # what is uniform stays so
+            return  # a uniform belief stays uniform
         first, along, _ = deviations(increment, self.how.noise).tolist()
         go = float(np.hypot(*increment[:2]))
         reach = go + 3 * max(along, first * go)
@@ -315,7 +316,7 @@ class GridFilter(ScannedFilter):
         self._room = np.inf
 
     def _sparse(self, reach: float = 0.0) -> None:
-        """Keep the box around nearly all of the mass alone, and metres around it, if small."""
+        """Keep only the box around nearly all of the mass, with a margin in metres, if small."""
         stack, ends = self._belief, []
         image = stack.sum(axis=0, dtype=np.float64)
         tail, room = (1 - self.how.box) / 4, self.how.margin + reach
@@ -336,7 +337,7 @@ class GridFilter(ScannedFilter):
 
     @property
     def belief(self) -> Belief:
-        """What is believed now: the places of the cells that hold most."""
+        """The belief now: the places of the heaviest cells."""
         if not self._seen:
             return NOWHERE
         flat = self._belief.ravel().astype(np.float64)

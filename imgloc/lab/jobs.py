@@ -1,4 +1,4 @@
-"""Jobs that measure: ``evaluate`` on scans whose poses are known, ``atlas`` on a map."""
+"""Jobs of measurements: ``evaluate`` on scans with known poses, ``atlas`` on a map."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -75,9 +75,9 @@ class Evaluate(Job):
         make = self._simulated if item.scans_path is None else self._recorded
         trials, source = desk.once("trials", of, lambda: make(item, desk, grid))
         known = calibrated(options, path, grid)
-        if item.scans_path is None:  # what is simulated in the map has no error of its own
+        if item.scans_path is None:  # scans simulated in the map have no error of its scale
             known = replace(known, shared=options.shared)
-        # The bytes of the features are part of the row: no others have used them.
+        # The bytes of the features are part of the row, so no other method may have used them.
         features = desk.features(
             path, self.maps, known, cell=self.cell, scans=trials.scans, fresh=True
         )
@@ -87,7 +87,7 @@ class Evaluate(Job):
         path, sensor = item.path, self.sensor
         world, name = is_world(path, grid), display(path)
         desk.check_simulation(grid, name, self.count, sensor.rays, world=world)
-        # In a bundled map on its walls, not on its cells.
+        # In a bundled map rays meet its true walls, not its cells.
         trials = simulate(grid, self.count, self.seed, sensor, fine_image(path, grid))
         return trials, {"seed": self.seed, "sensor": asdict(sensor)}
 
@@ -135,7 +135,7 @@ class Atlas(Job):
     seed: int = 0
 
     def open(self, item: Item, desk: Desk, *, workers: int = 1) -> "Surveying":
-        """Read a map, and find its places; `workers` are processes that may look at them."""
+        """Read a map, and find its places; `workers` is the largest number of processes."""
         path, name = item.path, display(item.path)
         grid = desk.grid(path, self.maps, usable=True)
         height, width = grid.occupied.shape
@@ -159,7 +159,7 @@ class Atlas(Job):
 
 @dataclass(frozen=True)
 class Surveying:
-    """A map that is looked at as its answer is asked for."""
+    """A map whose poses are located while the answer is iterated."""
 
     job: Atlas
     path: Path
@@ -169,14 +169,14 @@ class Surveying:
     workers: int
 
     def spots(self, begin: int = 0) -> Iterator[Spot]:
-        """What the scan of each pose says, from the one at an index on."""
+        """Yield the spot of each pose, from the index `begin` on."""
         fine = fine_image(self.path, self.grid)
         scans = simulate_at(self.grid, self.poses, self.job.sensor, self.job.seed, fine)[begin:]
         workers = min(self.workers, max(1, len(scans) // _EACH))
         return survey(self.grid, scans, self.options, workers=workers)
 
     def answer(self, spots: Sequence[Spot]) -> Answer:
-        """What all of them come to."""
+        """The answer that sums up all spots."""
         drawn = "atlas", self.grid, spots, self.job.step, self.job.headings
         row = summarise_atlas(spots, self.job.step)
         return Answer(row=row, of=spots, doubtful=True, drawn=drawn)

@@ -43,53 +43,56 @@ from imgloc.ranges import Checked, OneOf, Within
 from imgloc.search.hypotheses import first_in_cell
 from imgloc.search.stacked import posterior_of
 
-# of a uniform posterior: what GHT-V leaves of a particle that it rules out
+# Density, relative to a uniform posterior, that GHT-V leaves a particle that it rules out.
 _FLOOR = number("particle.floor")
 
 
 @dataclass(frozen=True)
 class ParticleOptions(Checked):
-    """What a particle filter makes of scans and odometry."""
+    """Settings of the particle filter."""
 
-    least: Count = number("ParticleOptions.least")  #: particles
+    least: Count = number("ParticleOptions.least")  #: least number of particles
     most: Count = number("ParticleOptions.most")
-    #: KLD-sampling: distance of the distributions, nats
+    #: KLD-sampling: largest distance of the distributions, nats
     error: Annotated[float, Within(1e-6, 1e6, "nats")] = number("ParticleOptions.error")
-    #: of the normal distribution: 2.33 is 99 %
+    #: KLD-sampling: quantile of the normal distribution; 2.33 is 99 %
     quantile: Annotated[float, Within(0, 10, "deviations")] = number("ParticleOptions.quantile")
     bins: tuple[Length, Step] = number("ParticleOptions.bins")  #: metres and radians
     noise: MotionNoise = field(default_factory=MotionNoise)
     weigh_by: Annotated[str, OneOf(*ALL_METHODS)] = (
-        "fused"  #: whose likelihood weighs them: ``fused`` or a method
+        "fused"  #: method whose likelihood weighs the particles
     )
-    rays: Count = number("ParticleOptions.rays")  #: readings by which ``fused`` does
-    #: metres and radians of motion after which a scan says something entirely new
+    rays: Count = number("ParticleOptions.rays")  #: number of readings for ``fused``
+    #: metres and radians of motion after which all of a scan's evidence is new
     fresh: tuple[Length, Step] = number("ParticleOptions.fresh")
     #: share of a scan's evidence that counts without any motion
     least_new: Share = number("ParticleOptions.least_new")
     reset_by: Annotated[str, OneOf(*ALL_METHODS)] = (
-        "ght-v"  #: whose p(x | z): ``fused`` or a method
+        "ght-v"  #: method whose p(x | z) new particles are drawn from
     )
     resets: bool = True
-    #: of the long and the short mean of the likelihood
+    #: rates of the long and the short mean of the likelihood
     alphas: tuple[Share, Share] = number("ParticleOptions.alphas")
-    #: by how much the short mean may be below the long one
+    #: factor by which the short mean may lie below the long one without a reset
     slack: Factor = number("ParticleOptions.slack")
     #: scans between two cuts by GHT-V; 0 for none
     cut: Annotated[int, Within(0, 1e6, "scans")] = number("ParticleOptions.cut")
-    #: of particles that are drawn again, m and rad
+    #: standard deviations of particles that are drawn again, metres and radians
     jitter: tuple[Metres, Radians] = number("ParticleOptions.jitter")
-    mass: Share = number("ParticleOptions.mass")  #: of the best place, to be ``unique``
-    #: metres that it has to be the best one for before it is
+    mass: Share = number("ParticleOptions.mass")  #: least mass of a ``unique`` place
+    #: metres for which a place must be the best one before it is ``unique``
     sure: Metres = number("ParticleOptions.sure")
-    #: nats per reading more than usual that it may lack to be
+    #: nats per reading by which the misfit of a ``unique`` place may exceed the usual one
     surprise: Nats = number("ParticleOptions.surprise")
-    #: nats per reading that it may lack and not be lost
+    #: largest misfit, nats per reading, at which the filter is not ``lost``
     misfit: Nats = number("ParticleOptions.misfit")
 
 
 def kld_bound(bins: int, error: float, quantile: float) -> int:
-    """How many particles keep the KL distance from what they stand for below `error` (Fox 2003).
+    """Number of particles that keep the KL distance to their distribution below `error` (Fox 2003).
+
+    The particles fill `bins` bins. `error` is in nats. `quantile` is that of the normal
+    distribution.
 
     Examples
     --------
@@ -121,10 +124,13 @@ class ParticleFilter(ScannedFilter):
     Parameters
     ----------
     features : MapFeatures
+        The map.
     options : Options, optional
+        Options of the search.
     how : ParticleOptions, optional
+        Settings of the filter.
     seed : int
-        Of every draw.
+        Seed of all random draws.
     """
 
     def __init__(
@@ -145,14 +151,14 @@ class ParticleFilter(ScannedFilter):
         self._looks = 0
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
-        """Believe to be at a pose (3,), grid frame, with deviations in metres and radians."""
+        """Start at a pose (3,), grid frame, with standard deviations in metres and radians."""
         spread = (deviation[0], deviation[0], deviation[1])
         self.poses = pose + self._rng.standard_normal((self.how.least * 2, 3)) * spread
         self.weights = np.full(len(self.poses), 1 / len(self.poses))
         self._habits.place()
 
     def move(self, increment: FloatArray) -> None:
-        """Take a motion (3,) of the robot, in its frame before."""
+        """Move the particles by a motion (3,), in the robot's earlier frame: m, m, radians."""
         self._followed.move(increment)
         self._habits.move(increment)
         if len(self.poses) and np.any(increment):
@@ -172,7 +178,7 @@ class ParticleFilter(ScannedFilter):
         log = log * new + self._cut(scan)
         weights = self.weights * np.exp(log - log.max())
         self.weights = weights / weights.sum()
-        # Of the particles as they are weighted now: those put in by the last reset count little.
+        # The mean has the present weights, so particles from the last reset count little.
         mean = float(self.weights @ np.exp(-seen.misfit))
         # Lenser and Veloso: the share that is drawn anew follows the running likelihood.
         slow, fast = how.alphas
@@ -203,7 +209,7 @@ class ParticleFilter(ScannedFilter):
         self.poses, self.weights = old, np.full(len(old), 1 / len(old))
 
     def _new(self, scan: LaserScan, n: int) -> FloatArray:
-        # What all readings share is in the scan and in these features already.
+        # The scan and these features already allow for the shared error.
         how = replace(self.options, method=self.how.reset_by, shared=Shared())
         drawn = sample_poses(self.features, scan, n, self._rng, how)
         poses = transform_poses(inverse(self.features.grid.origin), drawn)
@@ -217,7 +223,7 @@ class ParticleFilter(ScannedFilter):
         return np.minimum(0.0, self._log_density(scan, "ght-v"))
 
     def _log_density(self, scan: LaserScan, method: str) -> FloatArray:
-        """Logarithm of a method's p(x | z) at the particles, relative to a uniform one's."""
+        """Logarithm of a method's p(x | z) at the particles, relative to a uniform density."""
         options = replace(self.options, method=method)
         stack = likelihood(self.features, scan, options)
         posterior = posterior_of(self.features, scan, stack, options)
@@ -240,10 +246,10 @@ class ParticleFilter(ScannedFilter):
 
     @property
     def belief(self) -> Belief:
-        """What is believed now."""
+        """The belief now: the places of the particles."""
         if not len(self.poses):
             return NOWHERE
-        # Where many are comes first: the order of equal weights says nothing.
+        # Places with many particles come first, because the order of equal weights is arbitrary.
         turn = max(1, round(2 * np.pi / self.how.bins[1]))
         cells = np.column_stack(
             (np.floor(self.poses[:, :2] / self.how.bins[0]), theta_bin(self.poses[:, 2], turn))

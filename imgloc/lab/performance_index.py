@@ -4,9 +4,9 @@
 stands for "no idea". On a lattice of N poses ``p V`` is ``L[k*] N / sum(L)``, where k* is the cell
 of the true pose; at most N. A density that has no cells, see :func:`density_at`, may say more.
 
-A method that gives the true pose no probability at all would have S = -inf. So every density is
-mixed with a small share of the uniform one, :data:`FLOOR`: it stays a density, a trial costs at
-most ``-log(floor)`` nats, and the trials that hit the floor are counted.
+A method that gives the true pose no probability would have S = -inf. Every density is therefore
+mixed with a small share of the uniform one, :data:`FLOOR`. It stays a density, and a trial costs at
+most ``-log(floor)`` nats. The trials that hit the floor are counted.
 """
 
 from collections.abc import Sequence
@@ -36,8 +36,8 @@ class Index:
 def performance_index(densities: Sequence[float], floor: float = FLOOR) -> Index:
     """Average the logarithms of relative densities (n,), ``p(x_k | z_k) V`` of each trial: eq. 12.
 
-    A `floor`, the share of the uniform density that is mixed in, that is not between 0 and 1 is a
-    ConfigError, a density that is negative or not finite a ValueError.
+    `floor` is the share of the uniform density that is mixed in. If it is not between 0 and 1, a
+    ConfigError is raised. A density that is negative or not finite raises a ValueError.
 
     Examples
     --------
@@ -70,17 +70,17 @@ def density_in_stack(
 ) -> float:
     """Relative density ``L[k*] N / sum(L)`` that a stack gives to one of its cells.
 
-    It is 1 if the stack is 0 everywhere: it says nothing. It is 0 for a cell outside the pose
-    space.
+    It is 1 if the stack is 0 everywhere, because the stack then has no information. It is 0 for a
+    cell outside of the pose space.
 
     Parameters
     ----------
     values : (K, H, W) float32 array
-        Likelihoods up to a factor, negative ones (CBML-O) count as 0; with `log` log-likelihoods.
+        Likelihoods up to a factor, or log-likelihoods if `log`. Negative likelihoods count as 0.
     cell : (int, int, int)
         ``(theta, row, col)`` of the true pose.
     where : (H, W) bool array, optional
-        The pose space: free cells, say. By default all of the box.
+        The pose space, for example the free cells. By default the whole box.
 
     Examples
     --------
@@ -110,8 +110,8 @@ def density_in_stack(
 def density_at(answer: Localization, pose: Pose2D, volume: float) -> float:
     """Relative density ``p(pose | scan) V`` of an answer made of hypotheses.
 
-    Each hypothesis is a Gaussian, theta being taken the short way round; what mass they leave is
-    spread evenly over the pose space, of `volume` m² rad. `pose` is in the map frame, as they are.
+    Each hypothesis is a Gaussian, with theta the short way round. The remaining mass is spread
+    evenly over the pose space of `volume` m² rad. `pose` and the answer are in the map frame.
 
     Examples
     --------
@@ -130,10 +130,11 @@ def density_at(answer: Localization, pose: Pose2D, volume: float) -> float:
 def density_in_cell(
     answer: Localization, pose: Pose2D, cell: float, theta_step: float, poses: int
 ) -> float:
-    """Relative density ``p N`` of a cell: what :func:`density_at` says, as a stack would say it.
+    """Relative density ``p N`` of a cell by an answer made of hypotheses, to compare with stacks.
 
-    `pose` is the centre of the cell, whose sides are along the axes of the frame of the answer:
-    `cell` metres and `theta_step` radians. `poses` is N, the cells of the pose space.
+    `pose` is the centre of the cell. The sides of the cell lie along the axes of the answer's
+    frame: `cell` metres and `theta_step` radians. `poses` is N, the number of cells of the pose
+    space.
 
     Examples
     --------
@@ -164,9 +165,9 @@ def _gaussian(hypothesis: Hypothesis, d: FloatArray) -> FloatArray:
 
 
 def global_maximum(values: Float32Array, where: BoolArray | None = None) -> tuple[int, int, int]:
-    """Cell ``(theta, row, col)`` of the greatest of (K, H, W) values in the cells that count.
+    """Cell ``(theta, row, col)`` of the greatest of the values (K, H, W) in the cells of `where`.
 
-    Of equal ones it is the first in index order.
+    The first of equal values in index order wins.
 
     Examples
     --------

@@ -24,8 +24,8 @@ _MEANINGS = ("one scan is enough", "several places fit", "not recognized", "wron
 def draw_atlas(grid: OccupancyGrid, spots: Sequence[Spot], *, step: float, headings: int) -> Image:
     """Draw where a single scan is enough.
 
-    Places are `step` metres apart and have as many `headings`: each gets a wedge that points along
-    it. From an ambiguous spot a thin line leads to its twin.
+    Places are `step` metres apart. Each of the `headings` at a place has a wedge that points along
+    it. A thin line leads from an ambiguous spot to its twin.
     """
     canvas = map_canvas(grid)
     local = [in_grid_frame(spot.pose, grid) for spot in spots]

@@ -1,4 +1,4 @@
-"""What the grid filter and the particle filter share: how a scan is taken, and what is believed."""
+"""Common parts of the grid filter and the particle filter: scans, habits and the belief."""
 
 from abc import ABC, abstractmethod
 from typing import Protocol
@@ -15,19 +15,19 @@ class Limits(Protocol):
 
     @property
     def mass(self) -> float:
-        """Mass of the best place, to be ``unique``."""
+        """Least mass of the best place for ``unique``, 0..1."""
 
     @property
     def sure(self) -> float:
-        """Metres that it has to be the best one for before it is."""
+        """Metres for which a place must be the best one before it is ``unique``."""
 
     @property
     def surprise(self) -> float:
-        """Nats per reading that it may lack more than usual."""
+        """Nats per reading by which the misfit of a ``unique`` place may exceed the usual one."""
 
     @property
     def misfit(self) -> float:
-        """Nats per reading that it may lack and not be lost."""
+        """Largest misfit, nats per reading, at which the filter is not ``lost``."""
 
 
 class ScannedFilter(ABC):
@@ -36,8 +36,11 @@ class ScannedFilter(ABC):
     Parameters
     ----------
     features : MapFeatures
+        The map.
     options : Options
+        Options of the search.
     limits : Limits
+        Limits of the verdict.
     """
 
     def __init__(self, features: MapFeatures, options: Options, limits: Limits) -> None:
@@ -53,16 +56,16 @@ class ScannedFilter(ABC):
 
     @abstractmethod
     def _see(self, scan: LaserScan) -> None:
-        """Take a scan that says something."""
+        """Take a scan that is not blind."""
 
     def see(self, scan: LaserScan) -> None:
-        """Take a scan; one with too few readings says nothing."""
+        """Weigh the belief by a scan. A blind scan changes nothing."""
         seen = usable(scan, self.options)
         if seen is not None:
             self._see(seen)
 
     def miss(self, seconds: float) -> None:  # noqa: B027 which is all that it does
-        """Nothing: what motion adds to the spread is all that is lost."""
+        """Do nothing for a blind scan, because motion alone widens the belief."""
 
     def watch(self, scan: LaserScan) -> bool:
         """Whether a scan contradicts the best place."""

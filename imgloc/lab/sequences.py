@@ -1,9 +1,9 @@
-"""How well a filter finds and keeps a robot along logs whose poses are known.
+"""Measures how well a filter finds and keeps a robot along logs with known poses.
 
-Every start is a robot that is switched on somewhere in a log; a kidnapping joins two pieces of a
-log that are far apart, with odometry that noticed nothing. The rules of others stand beside each
-other: shares of right poses against metres driven, and what ENM-MCL, F3Loc and Fox, Burgard and
-Thrun (JAIR 11) call a success.
+A start is a robot that is switched on somewhere in a log. A kidnapping joins two distant pieces of
+a log, with odometry that misses the move. Several rules of success are reported side by side:
+shares of right poses against metres driven, and the rules of ENM-MCL, F3Loc, and Fox, Burgard and
+Thrun (JAIR 11).
 """
 
 import itertools
@@ -43,14 +43,14 @@ JAIR = (0.45, 10.0)  #: JAIR 11: recovered, within metres for more than so many 
 
 @dataclass(frozen=True)
 class Run:
-    """What a filter believed along one piece of a log: arrays of N moments."""
+    """The beliefs of a filter along one piece of a log: arrays of N moments."""
 
     seconds: FloatArray  #: since the start
     metres: FloatArray  #: driven since the start
     error: FloatArray  #: (N, 2) metres and radians of the best pose; infinite without one
     unique: FloatArray  #: 1 where the verdict is ``unique``
     lost: FloatArray  #: 1 where it is ``lost``
-    cost: float  #: processor seconds that it took
+    cost: float  #: processor seconds of the run
     #: (N, 2) standard deviations of the best pose: metres along its longest axis, and radians
     spread: FloatArray
     #: (N,) squared Mahalanobis distance of the best pose from the true one
@@ -64,14 +64,14 @@ class Run:
 
 
 class Searches:
-    """Searches of scans, each done once: what a scan says does not depend on what is believed.
+    """Searches of scans, each done only once, because a search does not depend on the belief.
 
-    Its clock runs as if each had been done anew.
+    The clock counts a repeated search as if it were done again.
     """
 
     def __init__(self, features: MapFeatures, options: Options) -> None:
         self.features, self.options = features.thinner(options.shared.thinner), options
-        self.clock = 0.0  #: processor seconds of all searches that were asked for
+        self.clock = 0.0  #: processor seconds of all searches, repeated ones included
         self._kept: dict[int, tuple[LaserScan, Places, float]] = {}
 
     def __call__(self, scan: LaserScan) -> Places:
@@ -83,7 +83,7 @@ class Searches:
         return places
 
     def anew(self, scan: LaserScan) -> tuple[Places, float]:
-        """Search a scan that was not searched yet: its places, and how long that took."""
+        """Search a scan anew: its places, and the processor seconds of the search."""
         start = time.process_time()
         places = search(self.features, scan, self.options)
         return places, time.process_time() - start
@@ -98,7 +98,7 @@ def drive(
     jump: int | None = None,
     start: Pose2D | None = None,
 ) -> Run:
-    """Run a new filter, which searches so, along a log with poses and odometry."""
+    """Run a new filter along a log with poses and odometry."""
     truth = robot_poses(scans)
     if truth is None:
         raise ConfigError("expected the true pose of each scan")
@@ -127,7 +127,7 @@ def drive(
 
 
 def piece(scans: ScanSet, *parts: range) -> ScanSet:
-    """Parts of a log, one after the other: time and odometry run on as if nothing had happened."""
+    """Join parts of a log. Time and odometry go on without a jump between the parts."""
     index = np.concatenate([np.asarray(part) for part in parts])
     stamps = np.arange(len(scans), dtype=np.float64) if scans.stamps is None else scans.stamps
     gaps, steps = np.diff(stamps, prepend=stamps[0]), np.zeros((len(scans), 3))
@@ -161,8 +161,8 @@ def starts(
 ) -> list[int]:
     """Scans at which a robot is switched on: one each 30 s and `count` at random.
 
-    All have `ahead` metres to drive before them, if the log is long enough. No scan is drawn twice,
-    if there are enough: what was the same once is the same again.
+    From each start the log goes on for at least `ahead` metres, if it is long enough. No scan is
+    drawn twice if there are enough, because a repeated run gives the same result.
     """
     way = driven(scans)
     last = int(np.searchsorted(way, max(0.0, way[-1] - ahead), side="right"))
@@ -185,9 +185,9 @@ def from_starts(scans: ScanSet, at: Iterable[int], metres: float) -> Iterator[Sc
 def kidnappings(
     scans: ScanSet, count: int, rng: np.random.Generator
 ) -> Iterator[tuple[ScanSet, int]]:
-    """Drive, carry the robot off, drive on: as far as :data:`CARRIED` says.
+    """Yield pieces of a log in which the robot is carried off, each with the moment of that.
 
-    Pieces of a log, each with the moment at which the robot is carried off.
+    :data:`CARRIED` has the metres that the robot drives before and after, and is carried at least.
     """
     (metres, least), way = CARRIED, driven(scans)
     places = np.zeros((len(scans), 3)) if scans.poses is None else scans.poses
@@ -208,15 +208,15 @@ def kidnappings(
 
 @dataclass(frozen=True)
 class Trials:
-    """What is tried on one log."""
+    """The runs on one log."""
 
-    starts: int = 50  #: at random; one each `seconds` comes on top
-    metres: float = 15.0  #: driven from each of them
+    starts: int = 50  #: number of random starts, besides one start each `seconds`
+    metres: float = 15.0  #: metres driven from each start
     kidnaps: int = 20
     seed: int = 0
     seconds: float = 30.0
     resets: bool = True
-    reset_by: str = "ght-v"  #: whose p(x | z) particles are drawn from
+    reset_by: str = "ght-v"  #: method whose p(x | z) new particles are drawn from
     every: Every = field(default_factory=Every)
 
     def at(self, scans: ScanSet) -> list[int]:
@@ -241,8 +241,8 @@ def measure(
 ) -> "SequenceSummary":
     """Measure the filter called `name` on a log with poses and odometry.
 
-    `searches` are those of earlier measurements of the same scans; `advance` is called after each
-    run.
+    `searches` has the searches of earlier measurements of the same scans. `advance` is called after
+    each run.
     """
     found = searches or Searches(features, options)
 
@@ -264,7 +264,7 @@ def measure(
 
 @dataclass(frozen=True)
 class SequenceSummary:
-    """A filter on one log."""
+    """Results of a filter on one log."""
 
     runs: int
     right: dict[str, Share]  #: right after so many metres
@@ -285,7 +285,7 @@ class SequenceSummary:
 
 
 def _after(run: Run, metres: float) -> int | None:
-    """First moment at which so much was driven; None if the run is shorter."""
+    """First moment at which so many metres were driven; None if the run is shorter."""
     k = int(np.searchsorted(run.metres, metres - 1e-9))
     return k if k < len(run.metres) else None
 
@@ -306,7 +306,7 @@ def recovered(run: Run) -> float | None:
 
 
 def summarise_runs(runs: Sequence[Run], kidnaps: Sequence[Run] = ()) -> SequenceSummary:
-    """Make numbers of runs, at least one."""
+    """Summarise runs, at least one, and kidnappings."""
     right, stays, published = {}, {}, {}
     for metres in AT:
         at = [(run, k) for run in runs if (k := _after(run, metres)) is not None]
@@ -317,7 +317,7 @@ def summarise_runs(runs: Sequence[Run], kidnaps: Sequence[Run] = ()) -> Sequence
     long = [run.error[run.seconds >= after, 0] for run in runs if run.seconds[-1] > after]
     frames, radii = F3LOC
     last = [run.error[-frames:, 0] for run in runs if len(run.seconds) >= frames]
-    # A verdict may be withdrawn later; the pose is to be right from there on.
+    # A verdict may be withdrawn later, but the pose has to be right from there on.
     first = [int(np.argmax(run.unique * for_good(run.right) > 0)) for run in runs]
     done = [
         (run, k) for run, k in zip(runs, first, strict=True)

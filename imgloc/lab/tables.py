@@ -1,4 +1,4 @@
-"""Results of what measures as text for people, and rows."""
+"""Results of measurements as text and as rows."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ def atlas_text(summary: Mapping[str, Any]) -> str:
 
 
 def shared_words(found: SharedFit, resolution: float) -> str:
-    """Say what `fit_shared` found on a map of cells of so many metres."""
+    """Describe a shared error that was fitted on a map with cells of `resolution` metres."""
     shared, error = found.shared, found.deviation
     right = "as the map has it"
     if abs(shared.scale - 1) > max(2 * error, 0.002):
