@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import signal
 import socket
 import subprocess
@@ -32,6 +33,7 @@ MOUNT = Pose2D(0.1, 0.0, math.radians(90.0))
 SENSOR = "0.1,0,90deg"
 PATIENCE = 30.0  # seconds that a scan may be old on a busy machine
 LONG = 120.0  # and anything may take
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 
 
 @pytest.fixture(scope="module")
@@ -253,6 +255,14 @@ def test_a_recorded_robot_is_told_where_it_is(field, shared, name, start) -> Non
     assert told.right, told
 
 
+def test_a_listener_who_hears_nothing_ends_at_ctrl_c(field) -> None:
+    field.listen()
+    (listener,) = field.running
+    time.sleep(2.0)  # until it waits
+    listener.send_signal(signal.SIGINT)
+    assert listener.wait(LONG / 4) == 130
+
+
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
@@ -299,3 +309,19 @@ def test_messages_are_those_that_amcl_and_rviz_take() -> None:
     assert [(p.position.x, p.position.y) for p in array.poses] == [(1.0, 2.0), (3.0, 2.0)]
     link = made.link(Pose2D(1.0, 2.0, 0.5), header, "odom")
     assert (link.child_frame_id, link.transform.translation.y) == ("odom", 2.0)
+
+
+@pytest.mark.parametrize(
+    ("set_before", "heard"), [({}, "LOCALHOST"), ({RANGE: "SUBNET"}, "SUBNET")]
+)
+def test_a_played_robot_is_heard_on_this_machine_alone(set_before, heard) -> None:
+    program = (
+        "import os, sys; sys.modules['rclpy'] = None; sys.argv[1:] = ['ask', 'reset']\n"
+        f"from tools.robot.__main__ import main; main(); print(os.environ.get({RANGE!r}))"
+    )
+    around = {k: v for k, v in os.environ.items() if not k.startswith("ROS_")} | set_before
+    around["PYTHONPATH"] = str(ROOT)
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=around, capture_output=True, text=True, timeout=LONG
+    )
+    assert done.stdout == f"{heard}\n", done.stderr

@@ -1,10 +1,14 @@
-"""A robot that is not there, for `imgloc node`; needs a ROS 2, or pip install 'imgloc[node]'.
+"""A robot that is not there, for `imgloc node`; needs a ROS 2, or pip install '.[node]'.
 
     python -m tools.robot play                   # a robot in a bundled world: map, odom, scan
     python -m tools.robot play MAP LOG           # the same of a log with stamps, in its own time
     python -m tools.robot listen                 # prints what comes on /initialpose
     python -m tools.robot ask localize           # calls a service of the node
     python -m tools.robot kill LOG MAP X,Y,YAW   # kills node or player at random moments
+
+Other machines hear nothing of it, unless ROS_AUTOMATIC_DISCOVERY_RANGE is set: a played /map and
+/scan must not reach a real robot. A node in another terminal needs the same:
+export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST, for Humble ROS_LOCALHOST_ONLY=1.
 
 `kill` prints a JSON object; its exit code is 1 if a pose was wrong, of another scan or stale. It
 follows the log from X,Y,YAW, where the robot was at its beginning: these poses are the true ones.
@@ -13,6 +17,7 @@ follows the log from X,Y,YAW, where the robot was at its beginning: these poses 
 import argparse
 import contextlib
 import json
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -26,6 +31,8 @@ from tools.robot.kill import kill_loop
 from tools.robot.listen import Listener
 from tools.robot.play import DISTURBED, WORLD, Player, Playing, to_and_fro, write_to
 from tools.script import ended, parser_of
+
+_TURN = 0.1  # seconds from Ctrl-C to the end at most
 
 
 def main() -> int:
@@ -62,6 +69,7 @@ def main() -> int:
     kill.add_argument("--longest", type=float, default=12.0, help="seconds between two kills")
     kill.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
+    _stay_here()
     with contextlib.suppress(KeyboardInterrupt):
         return ended("tools.robot", lambda: given.work(given))
     return 130
@@ -71,6 +79,13 @@ def _command(commands: Any, name: str, work: Callable[[Any], int]) -> argparse.A
     parser: argparse.ArgumentParser = commands.add_parser(name)
     parser.set_defaults(work=work)
     return parser
+
+
+def _stay_here() -> None:
+    """Be heard on this machine alone; rclpy reads this when it is loaded."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if os.environ.get("ROS_DISTRO") == "humble":  # knows that only; later ones warn of it
+        os.environ.setdefault("ROS_LOCALHOST_ONLY", "1")
 
 
 def _node(name: str) -> tuple[Any, Any]:
@@ -106,7 +121,15 @@ def _given(given: argparse.Namespace) -> tuple[ScanSet, list[OccupancyGrid]]:
 def _listen(given: argparse.Namespace) -> int:
     ros, node = _node("listener")
     Listener(ros, node, write_to(given.write) or sys.stdout, everything=given.all)
-    ros.rclpy.spin(node)
+    return _spin(ros, node, lambda: False)
+
+
+def _spin(ros: Any, node: Any, done: Callable[[], bool]) -> int:
+    """Spin until it is done; a wait without end in ROS would not notice Ctrl-C."""
+    executor = ros.executors.SingleThreadedExecutor()
+    executor.add_node(node)
+    while not done():
+        executor.spin_once(timeout_sec=_TURN)
     return 0
 
 
@@ -117,8 +140,9 @@ def _ask(given: argparse.Namespace) -> int:
     if not client.wait_for_service(timeout_sec=10.0):
         raise ConfigError(f"no node answers imgloc/{given.service}")
     begin, asked = time.monotonic(), client.call_async(trigger.Request())
-    ros.rclpy.spin_until_future_complete(node, asked, timeout_sec=30.0)
-    answer, seconds = asked.result(), round(time.monotonic() - begin, 3)
+    _spin(ros, node, lambda: asked.done() or time.monotonic() > begin + 30.0)
+    seconds = round(time.monotonic() - begin, 3)
+    answer = asked.result() if asked.done() else None
     if answer is None:
         raise ConfigError(f"imgloc/{given.service}: no answer in {seconds:g} s")
     said = {"success": answer.success, "message": answer.message, "seconds": seconds}
