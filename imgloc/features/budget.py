@@ -1,4 +1,4 @@
-"""How many bytes something will take, known before they are taken, and how many there are.
+"""Estimates of the memory that a computation needs, in bytes, and the memory that is available.
 
 The factors are upper bounds of peaks measured with :mod:`tracemalloc`, as the tests do again, and
 rarely more than a few times too high.

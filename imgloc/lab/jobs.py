@@ -49,17 +49,17 @@ class Evaluate(Job):
 
     method: Annotated[str, OneOf(*ALL_METHODS)] = FUSED
     theta_step: Step | None = None  #: radians; None is that of the paper
-    cell: Length = 0.1  #: of the poses, metres
-    tolerances: tuple[Tolerance, ...] = TOLERANCES  #: how near a known pose an answer is right
+    cell: Length = 0.1  #: side of a cell of the poses, metres
+    tolerances: tuple[Tolerance, ...] = TOLERANCES  #: how near to a known pose an answer is right
     floor: Annotated[float, Within(1e-12, 0.5, "a share")] = FLOOR
     scans: ScanFiles = field(default_factory=ScanFiles)
-    sensor: Sensor = field(default_factory=Sensor)  #: of scans that are simulated
+    sensor: Sensor = field(default_factory=Sensor)  #: sensor of simulated scans
     count: Count = 100
     seed: int = 0
 
     @classmethod
     def ways(cls) -> dict[str, set[str]]:
-        """With scans, whose poses are known, or without, which simulates them."""
+        """Two ways: recorded scans with known poses, or simulated scans."""
         (names,) = super().ways().values()
         recorded = names - {"sensor", "count", "seed"}
         return {f"{cls.name} with SCANS": recorded, f"{cls.name} without SCANS": names - {"scans"}}

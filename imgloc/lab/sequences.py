@@ -270,11 +270,12 @@ class SequenceSummary:
     right: dict[str, Share]  #: right after so many metres
     stays: dict[str, Share]  #: and at every later moment of the run
     published: dict[str, Share]  #: right and ``unique`` after so many metres
-    enm: Share  #: success by ENM-MCL's rule, of the runs that are long enough
-    f3loc: dict[str, Share]  #: by F3Loc's, within so many metres
-    seconds: float  #: median until ``unique`` and right for good
-    metres: float  #: the same in metres driven
-    rmse: tuple[float, float]  #: of ``unique`` right moments after that: metres, radians
+    enm: Share  #: success by ENM-MCL's rule, among the runs that are long enough
+    f3loc: dict[str, Share]  #: success by F3Loc's rule, within so many metres
+    seconds: float  #: median time until ``unique`` and right for good, seconds
+    metres: float  #: median way until ``unique`` and right for good, metres
+    #: root mean square error of ``unique`` right poses after that: metres, radians
+    rmse: tuple[float, float]
     inside: Share  #: ``unique`` poses whose 95 % region holds the true pose, of all runs
     wrong: float  #: seconds ``unique`` and more than :data:`WRONG` off, of all runs
     wrong_moments: int

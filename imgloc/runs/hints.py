@@ -29,8 +29,7 @@ class Doubtful:
     _said: dict[Id, Said] = field(default_factory=dict)
     _fits: set[str] = field(default_factory=set)  # files of which most scans are unique somewhere
     _single: set[str] = field(default_factory=set)  # files of one scan
-    # Of each map, of the scans of such files: those with an error that all readings share, above
-    # one half.
+    # For each map: scans of such files with a shared error, less the scans without one.
     _bent: Counter[str] = field(default_factory=Counter)
 
     def noting(self, rows: Iterable[Row]) -> Iterator[Row]:

@@ -60,7 +60,7 @@ def log_volumes(hypotheses: tuple[Hypothesis, ...], features: MapFeatures) -> Fl
     The volume of a hypothesis is the integral of its Gaussian without the factor in front.
     """
     space = np.count_nonzero(features.free) * features.lattice.resolution**2 * 2 * np.pi
-    # A covariance is no narrower than the score is sharp. The rounding of the search, and a mode
-    # that is its own best pose, cost as much in every map.
+    # No covariance is narrower than the score allows. The rounding of the search, and a mode with a
+    # single maximum, therefore cost as much in every map.
     volumes = [0.5 * np.linalg.slogdet(2 * np.pi * h.covariance)[1] for h in hypotheses]
     return np.asarray(np.array(volumes) - np.log(space))

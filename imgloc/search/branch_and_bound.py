@@ -28,7 +28,7 @@ _CHUNK = 2048  # blocks of the top level opened before the threshold is looked a
 _PATHS = 64  # blocks that are descended first, to have a threshold
 _FULL = 255  # a reading on a wall
 _BAND_BYTES = 1 << 18  # readings x blocks of the top level summed at a time
-_GROUPS = 4  # of readings; a block that falls behind after one group is not looked at further
+_GROUPS = 4  # groups of readings; a block that falls behind after one group is dropped
 _QUARTERS = np.array([(0, 0, 0), (0, 0, 1), (0, 1, 0), (0, 1, 1)])
 
 

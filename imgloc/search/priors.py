@@ -115,7 +115,7 @@ def around(
     some = np.logical_or.reduceat(np.logical_or.reduceat(prior.cells, first), left, axis=1)
     out = np.zeros(shape, np.uint8)
     out[np.ix_(row[first], column[left])] = some
-    side = 2 * int(np.ceil(resolution / (2 * cell))) + 1  # of map cells larger than these
+    side = 2 * int(np.ceil(resolution / (2 * cell))) + 1  # for map cells larger than these
     return np.asarray(cv2.dilate(out, np.ones((side, side), np.uint8)) > 0)
 
 

@@ -29,7 +29,7 @@ from imgloc.search.lookups import sums_under
 from imgloc.search.peaks import find_peaks
 from imgloc.search.priors import around
 
-_CHUNK_CELLS = 1 << 20  # of the exhaustive level's stack: 4 MB at a time
+_CHUNK_CELLS = 1 << 20  # cells of the exhaustive level's stack at a time: 4 MB
 _FIRST_CELLS = 1 << 18  # cells of its first piece
 _FEWEST_LEVELS = number("proposals.fewest_levels")  # grey levels besides 0
 _VOTE_BLUR = number("proposals.vote_blur")  # standard deviations, cells and headings
