@@ -83,6 +83,7 @@ class _Entry:
 
     made: MapLike | Maker
     era: int
+    compared: bool = True
     site: Site | None = None
     error: Exception | None = None
 
@@ -172,8 +173,9 @@ class Localizer:
     def ready(self) -> bool:
         """Whether every map is prepared: no later answer has to make anything of a map."""
         entries = tuple(self._entries.values())
-        index = self._index
-        return not self._closed and index is not None and index[0] == entries
+        prepared = bool(entries) and all(entry.site is not None for entry in entries)
+        indexed = not self._compared() or self._indexed() is not None
+        return not self._closed and prepared and indexed
 
     @property
     def errors(self) -> Mapping[str, Exception]:
@@ -212,7 +214,9 @@ class Localizer:
             raise Dropped("late")
         return self._ready(found)[1]
 
-    def put(self, name: str, made: MapLike | Maker, *, background: bool = True) -> None:
+    def put(
+        self, name: str, made: MapLike | Maker, *, background: bool = True, compared: bool = True
+    ) -> None:
         """Add a map, or replace the map of this name; its robots are reset.
 
         Parameters
@@ -221,15 +225,19 @@ class Localizer:
         made : OccupancyGrid, MapFeatures, Site or callable
         background : bool
             Prepare it in a thread. Otherwise it is ready on return, and an error changes nothing.
+        compared : bool
+            :meth:`which` compares this map with the others.
         """
-        self._put(name, made, background=background)
+        self._put(name, made, background=background, compared=compared)
         if not background:
             self._make_index()
 
-    def _put(self, name: str, made: MapLike | Maker, *, background: bool) -> None:
+    def _put(
+        self, name: str, made: MapLike | Maker, *, background: bool, compared: bool = True
+    ) -> None:
         if self._closed:
             raise Dropped("closed")
-        entry = _Entry(made, self._next_era())
+        entry = _Entry(made, self._next_era(), compared)
         if not background:
             self._prepare(name, entry)
             if entry.error is not None:
@@ -348,10 +356,10 @@ class Localizer:
         known : Known, optional
             Heading and clearance of the sensor, valid in any map.
         source, timeout : hashable, float
-            See :meth:`localize`. The call waits until all maps are prepared.
+            See :meth:`localize`. The call waits until all maps to compare are prepared.
         """
         until = _until(timeout)
-        for name in self.names:
+        for name in self._compared():
             self.site(name, _left(until))
         return _wait_for(self.which_soon(scan, sure=sure, known=known, source=source), until)
 
@@ -460,20 +468,32 @@ class Localizer:
         return entry, entry.site
 
     def _all(self) -> tuple[dict[str, _Entry], MapIndex]:
-        """All maps and their index; raises Dropped if one is not prepared."""
-        entries, index = dict(self._entries), self._index
+        """The maps to compare and their index; raises Dropped if one is not prepared."""
+        entries, index = self._compared(), self._indexed()
         if not entries:
             self._entry(None)
         for name in entries:
             self._ready(name)
-        if index is None or index[0] != tuple(entries.values()):
+        if index is None:
             raise Dropped("preparing")
-        return entries, index[1]
+        return entries, index
+
+    def _compared(self) -> dict[str, _Entry]:
+        """The maps that :meth:`which` compares."""
+        return {name: entry for name, entry in dict(self._entries).items() if entry.compared}
+
+    def _indexed(self) -> MapIndex | None:
+        """The index of the maps to compare; None if it has not been made for these."""
+        index = self._index
+        these = tuple(self._compared().values())
+        return None if index is None or index[0] != these else index[1]
 
     def _make_index(self) -> None:
-        """Make the index of all maps, once all are prepared."""
+        """Make the index of the maps to compare, once all of them are prepared."""
         with self._changed:
-            entries = dict(self._entries)
+            entries = self._compared()
+            if entries and self._indexed() is not None:
+                return
             if not entries or any(entry.site is None for entry in entries.values()):
                 self._index = None
                 return

@@ -22,7 +22,11 @@ _LIST = r"(\d{1,9}|\d{0,9}:\d{0,9}(:0{0,9}[1-9]\d{0,8})?)"
 INDEX_WORDS = "indices from 0, ranges A:B (without B) or A:B:STEP, and commas between"
 X_Y_YAW = Numbers(3, (PLACE, PLACE, TURN))
 
-MAP = Parameter("map", "Name of the map; one map needs none.", Text(NAME, 100, NAME_WORDS))
+MAP = Parameter(
+    "map",
+    "Name of the map. Without it: the only one given at the start, or else the only one sent.",
+    Text(NAME, 100, NAME_WORDS),
+)
 SCANS_ID = Parameter(
     "scans",
     "Scans that were sent before, instead of a body.",

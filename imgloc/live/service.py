@@ -120,6 +120,7 @@ class Service:
         self.lanes = {"files": Lane(some, 1), "answers": Lane(some), "looks": Lane(some, 1),
                       "layers": Lane(some, 1)}  # fmt: skip
         self._maps: Held[str] = Held(self.bounds.held, self._budget // 2)
+        self._begun_with = frozenset(core.names)
         self._scans: Held[ScansHeld] = Held(self.bounds.held, 2 * self.bounds.numbers)
         self._stack: tuple[object, Likelihood] | None = None
         self._about: dict[str, tuple[MapFeatures, dict[str, Any]]] = {}
@@ -311,13 +312,17 @@ class Service:
     # ---- maps -----------------------------------------------------------------------------------
 
     def _site(self, name: str | None) -> tuple[str, Site]:
-        """The map that is asked for, prepared."""
+        """The map that is asked for, prepared.
+
+        What one client uploads must not change what another one, which names no map, is answered.
+        """
         names = self.core.names
         if name is None:
-            if len(names) != 1:
-                some = f"one of {', '.join(names)}" if names else "a map; none is held, send one"
+            own = [one for one in names if self._is_own(one)] if self._begun_with else names
+            if len(own) != 1:
+                some = f"one of {', '.join(own)}" if own else "a map; none is held, send one"
                 raise ConfigError(f"map: missing, expected {some}")
-            (name,) = names
+            (name,) = own
         if name not in names:
             some = f"expected one of {', '.join(names)}" if names else "none is held, send one"
             raise Refused("not-found", f"map: there is no {name!r}, {some}")
@@ -326,6 +331,10 @@ class Service:
         if name in self._maps:
             self._maps.get(name)
         return name, self.core.site(name)
+
+    def _is_own(self, name: str) -> bool:
+        """Whether the service was started with this map."""
+        return name in self._begun_with and name not in self._maps
 
     def _describe(self, name: str) -> dict[str, Any]:
         """What there is to say of a map."""
@@ -379,7 +388,8 @@ class Service:
             what = f"{name}: a map of {grid.info.width} x {grid.info.height} cells"
             all_of_it = need + answer_bytes(features, options)
             check_budget(all_of_it, self._budget // 2, what, "crop the map")
-            self.core.put(name, features, background=False)
+            compared = not self._begun_with
+            self.core.put(name, features, background=False, compared=compared)
             for gone in self._maps.put(name, name, need):
                 self._forget(gone)
             return name

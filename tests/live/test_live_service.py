@@ -188,6 +188,56 @@ def test_a_map_that_is_sent_answers_as_the_file_does(http: httpx.Client, scans: 
     problem(http.post("/v1/maps?name=visibility", files=files), 409, "name-taken")
 
 
+def upload(address: str, name: str, of: str) -> httpx.Response:
+    """Send one of the bundled maps under a name."""
+    files = {"image": (f"{of}.png", (MAPS / f"{of}.png").read_bytes()),
+             "yaml": (f"{of}.yaml", (MAPS / f"{of}.yaml").read_bytes())}  # fmt: skip
+    return httpx.post(f"{address}/v1/maps", params={"name": name}, files=files, timeout=60)
+
+
+def test_an_uploaded_map_changes_no_answer_to_those_who_name_no_map(scans: Path) -> None:
+    line = json.dumps({"ranges": [3.0] * 90, "angle_min": -3.1, "angle_increment": 0.07,
+                       "range_max": 30.0, "odom": [0, 0, 0]})  # fmt: skip
+    with served(MAP) as one:
+
+        def asked(what: str, **more: str) -> str:
+            answer = httpx.post(f"{one.address}/v1/{what}", params={"index": "1", **more},
+                                content=scans.read_bytes(), timeout=60)  # fmt: skip
+            assert answer.status_code == 200, answer.text
+            return answer.text
+
+        before = asked("localize"), asked("which")
+        assert upload(one.address, "stranger", "visibility").status_code == 201
+        assert untimed(asked("localize")) == untimed(before[0])
+        assert asked("which") == before[1]
+        with connect(f"ws://127.0.0.1:{one.port}/v1/track") as robot:
+            robot.send(line)
+            assert json.loads(robot.recv(60))["index"] == 0
+        assert untimed(asked("localize", map="stranger")) == untimed(before[0])
+
+
+def test_several_maps_to_begin_with_are_named_without_the_uploaded(
+    http: httpx.Client, service: Served, scans: Path
+) -> None:
+    assert upload(service.address, "stranger", "visibility").status_code == 201
+    answer = http.post("/v1/localize", content=scans.read_bytes())
+    assert problem(answer, 422, "bad-options").endswith("one of visibility, curved")
+    assert http.delete("/v1/maps/stranger").status_code == 204
+
+
+def test_without_maps_to_begin_with_the_only_uploaded_one_is_meant(scans: Path) -> None:
+    with served() as one:
+        body = scans.read_bytes()
+        assert upload(one.address, "a", "visibility").status_code == 201
+        asked = f"{one.address}/v1/localize?index=1"
+        assert httpx.post(asked, content=body, timeout=60).status_code == 200
+        assert upload(one.address, "b", "curved").status_code == 201
+        answer = httpx.post(asked, content=body, timeout=60)
+        assert problem(answer, 422, "bad-options").endswith("one of a, b")
+        found = httpx.post(f"{one.address}/v1/which?index=1", content=body, timeout=60).json()
+        assert found["verdict"] == "a"
+
+
 def test_a_map_as_image_is_the_one_that_was_sent(http: httpx.Client) -> None:
     image = cv2.imdecode(np.frombuffer(http.get("/v1/maps/curved/image").content, np.uint8),
                          cv2.IMREAD_UNCHANGED)  # fmt: skip
