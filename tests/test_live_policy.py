@@ -120,3 +120,17 @@ def test_an_answer_for_what_was_reset_in_between_is_not_taken() -> None:
 def test_rules_out_of_range_are_refused() -> None:
     with pytest.raises(ConfigError, match=r"tries: got 1, expected"):
         Rules(tries=1)
+
+
+def test_a_blind_scan_counts_and_says_nothing_of_the_place() -> None:
+    first = FirstPose(Rules(tries=3))
+    for stamp, found in ((10.0, HERE), (10.5, None), (11.0, HERE)):
+        assert first.due(stamp, None)
+        sighting = Sighting(stamp, "map", found, None, blind=found is None)
+        sure = first.answered(sighting, stamp)
+    assert (sure, first.tries) == (True, 3)
+    first.start()
+    for stamp in (12.0, 12.5, 13.0):
+        assert first.due(stamp, None)
+        first.answered(Sighting(stamp, "map", None, None, blind=True), stamp)
+    assert first.state == GIVEN_UP

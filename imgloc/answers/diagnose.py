@@ -158,17 +158,31 @@ def bent(said: Said, known: Shared, resolution: float) -> list[Doubt]:
 
 
 def _too_few(scans: Sequence[LaserScan]) -> str:
-    """Why scans have too few readings."""
+    """Why scans have too few readings, and what to do."""
+    found = few_readings(scans)
+    if "milli" in found:
+        return f"{found} Try `range_scale=0.001`"
+    return (
+        f"most scans have too few readings to be placed: {found}. Look at range_min and range_max "
+        "of the file, and pass `range_max`"
+    )
+
+
+def few_readings(scans: Sequence[LaserScan]) -> str:
+    """What the readings are of scans that have too few: probably millimetres, or their counts.
+
+    Examples
+    --------
+    >>> few_readings([LaserScan([np.nan, 20.0, 3.0], [0.0, 1.0, 2.0], range_max=10.0)])
+    'of 3 readings 1 valid, 1 no return, 0 too close, 1 nan'
+    """
     ranges = np.concatenate([scan.ranges for scan in scans[:100]])
     limit = max(scan.range_max for scan in scans)
     finite = ranges[np.isfinite(ranges) & (ranges > 0)]
     beyond = finite[finite >= limit]
     if len(beyond) > 0.5 * len(ranges) and np.percentile(beyond, 25) > 5 * limit:
         found = f"most ranges are far beyond range_max (half are above {np.median(finite):g}, "
-        return f"{found}range_max is {limit:g}): are they millimetres? Try `range_scale=0.001`"
+        return f"{found}range_max is {limit:g}): are they millimetres?"
     total = {key: sum(scan.counts[key] for scan in scans) for key in scans[0].counts}
     unused = ", ".join(f"{n:,} {key.replace('_', ' ')}" for key, n in total.items())
-    return (
-        f"most scans have too few readings to be placed: of {sum(total.values()):,} readings "
-        f"{unused}. Look at range_min and range_max of the file, and pass `range_max`"
-    )
+    return f"of {sum(total.values()):,} readings {unused}"

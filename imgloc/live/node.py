@@ -38,7 +38,7 @@ from imgloc.live.localizer import Answer, Chosen, Localizer
 from imgloc.live.messages import Messages, words_of
 from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose, Rules, Sighting
 from imgloc.live.sites import Maker, Site
-from imgloc.live.status import ERROR, Found, found_along, found_of, health, status_row
+from imgloc.live.status import ERROR, Found, found_along, found_blind, found_of, health, status_row
 from imgloc.model import LaserScan, Localization, Pose2D, check_mount, to_json
 from imgloc.options import Options
 
@@ -452,16 +452,18 @@ class LocalizerNode:
         value, name = answer.value, answer.map
         if isinstance(value, Chosen):
             found = Found(asked.scan.stamp, None, "no-match")
+            verdict = value.choice.verdict
             if value.best is not None:
                 found = found_of(value.best, asked.scan.stamp, name)
         else:
             assert isinstance(value, Localization)
-            found = found_of(value, asked.scan.stamp, name)
+            verdict, found = value.verdict, found_of(value, asked.scan.stamp, name)
+        blind = verdict == "invalid"
+        if blind:
+            found = found_blind(asked.scan, name)
         self._took = self.now - asked.scan.stamp
-        sighting = Sighting(asked.scan.stamp, found.map, found.pose, asked.odom)
-        sure = found.verdict != "invalid" and self.first.answered(sighting, self.now)
-        if found.verdict == "invalid":  # it says nothing of the place
-            self.first.answered(None, self.now)
+        sighting = Sighting(asked.scan.stamp, found.map, found.pose, asked.odom, blind)
+        sure = self.first.answered(sighting, self.now)
         if not self._followed:
             self._show(found, asked, sure=sure)
         if sure:
@@ -594,7 +596,7 @@ class LocalizerNode:
         if not decided and all(caller.until > late for caller in self._callers):
             return
         words = said
-        if decided and found is not None:
+        if decided and found is not None and not found.readings:
             words = f"{found.verdict}: {words_of(found)}"
         for caller in self._callers:
             if decided or caller.until <= late:

@@ -59,6 +59,7 @@ class Sighting:
     map: str | None  #: its name
     pose: Pose2D | None  #: of the robot's base, map frame, if it is unique; None otherwise
     odom: Pose2D | None  #: of the robot's base in the frame of its odometry, if that is known
+    blind: bool = False  #: the scan has too few readings to say anything of the place
 
 
 class FirstPose:
@@ -103,7 +104,8 @@ class FirstPose:
         if self.fresh(found.stamp, now) and agree(self._before, found):
             self.state = CONFIRMED
             return True
-        self._before = found if found.pose is not None else None
+        if not found.blind:  # such a scan neither confirms a place nor speaks against it
+            self._before = found if found.pose is not None else None
         if self.tries >= self.rules.tries:
             self.state = GIVEN_UP
         return False

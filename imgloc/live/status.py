@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from imgloc.answers.diagnose import few_readings
 from imgloc.filters.belief import LOST, deviations_of
 from imgloc.filters.follow import Moment
 from imgloc.geometry import transform_poses
 from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose
-from imgloc.model import SURE, FloatArray, Localization, Pose2D, base_of, plain
+from imgloc.model import SURE, FloatArray, LaserScan, Localization, Pose2D, base_of, plain
 
 LISTED = 10  # places of a message at most
 OK, WARN, ERROR, STALE = range(4)
@@ -30,6 +31,7 @@ class Found:
     covariance: FloatArray | None = None  #: (3, 3) of the first pose
     explained: float = math.nan  #: share of the readings that the first pose explains
     why: str = ""  #: a pose was withheld: a word of Moment
+    readings: str = ""  #: why the scan is invalid, in words
 
     @property
     def pose(self) -> Pose2D | None:
@@ -57,6 +59,11 @@ def found_of(answer: Localization, stamp: float, name: str | None) -> Found:
         covariance = base_covariance(listed[0].covariance, listed[0].pose, poses[0])
     masses = tuple(h.mass for h in listed)
     return Found(stamp, name, answer.verdict, poses, masses, covariance, answer.explained)
+
+
+def found_blind(scan: LaserScan, name: str | None) -> Found:
+    """What there is for a scan with too few readings: why."""
+    return Found(scan.stamp, name, "invalid", readings=few_readings([scan]))
 
 
 def found_along(moment: Moment, origin: Pose2D, name: str | None) -> Found:
@@ -167,11 +174,15 @@ def health(
     if waits:
         return WARN, waits
     last = "no answer yet" if found is None else f"the last scan is {found.verdict}"
+    if found is not None and found.readings:
+        last += f": {found.readings}"
     if track and found is not None:
         return (OK, "the pose is unique") if found.pose is not None else (WARN, last)
     if first.state == QUIET:
         return OK, "the pose was published"
     if first.state == GIVEN_UP:
         hint = "drive on and call ~/localize, or give a pose"
+        if found is not None and found.readings:
+            hint = "mend what the laser sends, then call ~/localize"
         return WARN, f"gave up after {first.tries} scans: {last}; {hint}"
     return WARN, f"{first.state}: {last}"

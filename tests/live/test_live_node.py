@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -176,6 +177,23 @@ def test_no_pose_has_the_stamp_of_a_scan_that_says_nothing(field, log, wrong) ->
     assert field.told(log).right
     disturbed = {round(p["stamp"], 6) for p in field.played() if p["disturbed"]}
     assert not disturbed & {round(p["stamp"], 6) for p in field.heard("initialpose")}
+
+
+def test_millimetres_are_explained_and_given_up(field, log) -> None:
+    scans, path = imgloc.load_scans(log), field.folder / "mm.npz"
+    wrong = tuple(replace(scan, ranges=1000 * scan.ranges) for scan in scans)
+    imgloc.save_scans(path, imgloc.ScanSet(wrong, scans.poses, scans.stamps, scans.odom))
+    field.listen()
+    field.node(MAP, "--sensor", SENSOR, "--tries", 3)
+    field.play(MAP, path, "--no-map")
+    field.until(lambda: any(said["state"] == "given up" for said in field.heard("status")))
+    said = next(said for said in field.heard("status") if said["state"] == "given up")
+    assert (said["verdict"], said["tries"], said["localized"]) == ("invalid", 3, False)
+    assert "range_max is 12): are they millimetres?" in said["message"]
+    field.until(lambda: "gave up after 3" in field.heard("diagnostics")[-1]["message"])
+    printed = field.folder / "1-imgloc.txt"
+    field.until(lambda: "are they millimetres?" in printed.read_text())
+    assert not field.heard("initialpose")
 
 
 def test_another_map_starts_anew_and_what_was_found_in_the_first_is_gone(field, log) -> None:
