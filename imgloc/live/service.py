@@ -380,6 +380,12 @@ class Service:
             if name in self.core.names and name not in self._maps:
                 hint = "it is a map of the service itself; send yours by another name"
                 raise Refused("name-taken", f"name: there is a map {name!r} already: {hint}")
+            if name in self.core.names:
+                if not _same(self.core.site(name).features.grid, grid):
+                    hint = "another one was sent by this name; send yours by another name"
+                    raise Refused("name-taken", f"name: there is a map {name!r} already: {hint}")
+                self._maps.get(name)
+                return name
             options = self.core.options
             features = prepare(
                 grid, name, memory_budget=options.memory_budget, threads=options.threads
@@ -658,7 +664,7 @@ class Service:
                 robot.start_at(Pose2D(*values["start"]))
             offered = socket.scope.get("subprotocols", [])
             await socket.accept("imgloc" if "imgloc" in offered else None)
-            count = 0
+            count, last = 0, -math.inf
             while (message := await socket.receive())["type"] == "websocket.receive":
                 line = message.get("text")
                 if line is None:
@@ -667,6 +673,10 @@ class Service:
                     continue
                 begin = time.perf_counter()
                 scan, odom = moment_of(line, f"line {count + 1}", values)
+                if scan.stamp < last:
+                    got = f"stamp: got {scan.stamp} s, expected {last} s or later"
+                    raise ScanError(f"line {count + 1}: {got}, the stamp of the line before")
+                last = scan.stamp
                 future = robot.update_soon(scan, odom)
                 moment = (await waited(future, self.bounds.seconds, None)).value
                 self._count("track", moment.belief.verdict, begin)
@@ -686,6 +696,11 @@ class Service:
             self._sockets -= 1
             if robot is not None:
                 robot.end()
+
+
+def _same(one: OccupancyGrid, other: OccupancyGrid) -> bool:
+    """Whether two maps have the same cells, and lie at the same place."""
+    return map_hash(one) == map_hash(other) and one.origin == other.origin
 
 
 def _places(belief: Belief, grid: OccupancyGrid) -> list[dict[str, float]]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import httpx
 import numpy as np
 import pytest
 from command import MAPS, call, rows
@@ -181,6 +182,18 @@ def test_a_map_and_scans_that_are_dropped_are_answered_as_the_command_does(
         key: int(page.locator(f"#count-{key}").inner_text()) for key in ("agrees", "unexplained")
     }
     assert kinds["agrees"] > 0.8 * row["counts"]["valid"] > kinds["unexplained"]
+
+
+def test_a_map_whose_name_is_taken_gets_another(page: Any, service: str) -> None:
+    image, yaml = ((MAPS / f"visibility.{end}").read_bytes() for end in ("png", "yaml"))
+    files = {"image": ("visibility.png", image), "yaml": ("visibility.yaml", yaml)}
+    assert httpx.post(f"{service}/v1/maps?name=hall", files=files).status_code == 201
+    other = (MAPS / "curved.yaml").read_bytes()
+    drop(page, ("hall.yaml", other), ("curved.png", (MAPS / "curved.png").read_bytes()))
+    sync.expect(page.locator("#map")).to_have_value("hall-2")
+    sync.expect(page.locator("#trouble")).to_be_hidden()
+    for name in ("hall", "hall-2"):
+        assert httpx.delete(f"{service}/v1/maps/{name}").status_code == 204
 
 
 def test_an_image_alone_is_asked_for_its_resolution(page: Any) -> None:

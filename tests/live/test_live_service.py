@@ -195,6 +195,20 @@ def upload(address: str, name: str, of: str) -> httpx.Response:
     return httpx.post(f"{address}/v1/maps", params={"name": name}, files=files, timeout=60)
 
 
+def test_an_uploaded_map_is_replaced_by_no_other(service: Served, http: httpx.Client) -> None:
+    sent = upload(service.address, "mine", "curved")
+    assert sent.status_code == 201
+    detail = problem(upload(service.address, "mine", "visibility"), 409, "name-taken")
+    assert "'mine'" in detail
+    again = upload(service.address, "mine", "curved")
+    assert (again.status_code, again.json()) == (201, sent.json())
+    files = {"image": ("curved.png", (MAPS / "curved.png").read_bytes())}
+    moved = http.post("/v1/maps?name=mine&resolution=0.05&origin=7,0,0", files=files)
+    problem(moved, 409, "name-taken")
+    assert http.get("/v1/maps/mine").json() == sent.json()
+    assert http.delete("/v1/maps/mine").status_code == 204
+
+
 def test_an_uploaded_map_changes_no_answer_to_those_who_name_no_map(scans: Path) -> None:
     line = json.dumps({"ranges": [3.0] * 90, "angle_min": -3.1, "angle_increment": 0.07,
                        "range_max": 30.0, "odom": [0, 0, 0]})  # fmt: skip
@@ -614,6 +628,20 @@ def test_a_bad_line_ends_a_robot_with_a_problem(service: Served) -> None:
             assert said in told["detail"]
             with pytest.raises(Exception, match="1007"):
                 one.recv(timeout=30)
+
+
+def test_a_stamp_that_goes_back_is_named(service: Served) -> None:
+    line = {"ranges": [3.0] * 90, "angle_min": -3.1, "angle_increment": 0.07, "range_max": 30.0,
+            "odom": [0, 0, 0]}  # fmt: skip
+    with connect(f"ws://127.0.0.1:{service.port}/v1/track?map=curved") as robot:
+        robot.send(json.dumps({**line, "stamp": 12.5}))
+        assert json.loads(robot.recv(60))["index"] == 0
+        robot.send(json.dumps({**line, "stamp": 11.25}))
+        told = json.loads(robot.recv(60))
+        assert (told["status"], told["type"]) == (422, "urn:imgloc:problem:bad-scan")
+        assert "line 2: stamp: got 11.25 s, expected 12.5 s or later" in told["detail"]
+        with pytest.raises(ConnectionClosed, match="1007"):
+            robot.recv(timeout=30)
 
 
 # Load, and the end.

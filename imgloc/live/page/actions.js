@@ -11,6 +11,8 @@ export const METHODS = ["cbml", "cbml-o", "ght", "ght-v", "beam"];
 export const LOOKING = "Looking for the pose";
 const CHUNK = 50; // scans that are fetched at a time
 const LONGEST = 90; // characters of a name of a map
+const TAKEN = 409; // the name of a map
+const NAMES = 20; // that are tried for a map
 const REFETCH = 404; // the service holds a few uploads: it may have dropped this one
 
 let items = new Map(); // by index, scans that are here
@@ -74,9 +76,17 @@ export async function addMap(image, yaml, reading) {
   const plain = stem.replace(/[^\w. -]/g, "-").replace(/^[-. ]+|[-. ]+$/g, "").slice(0, LONGEST) || "map";
   // A map that the service was started with keeps its name: this one gets another.
   const given = new Set(state.maps.filter((m) => !m.uploaded).map((m) => m.name));
-  let name = plain;
-  for (let k = 2; given.has(name); k += 1) name = `${plain}-${k}`;
-  const map = await attempt(`Reading ${image.name}`, () => api.uploadMap(image, yaml, { name, ...reading }));
+  const send = async (k) => {
+    const name = k === 1 ? plain : `${plain}-${k}`;
+    if (given.has(name)) return send(k + 1);
+    try {
+      return await api.uploadMap(image, yaml, { name, ...reading });
+    } catch (error) { // somebody has sent another map by this name
+      if (error.status !== TAKEN || k >= NAMES) throw error;
+      return send(k + 1);
+    }
+  };
+  const map = await attempt(`Reading ${image.name}`, () => send(1));
   if (!map) return false;
   const known = { ...map, file: (yaml ?? image).name, reading: yaml ? null : reading };
   change({ maps: [...state.maps.filter((other) => other.name !== map.name), known] });
