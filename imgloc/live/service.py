@@ -356,13 +356,17 @@ class Service:
         return self._about[name][1]
 
     async def _list(self, _: Request, __: Values) -> Response:
-        ready = [name for name in self.core.names if self.core.state(name) == "ready"]
+        states = {name: self.core.state(name) for name in self.core.names}
+        ready = [name for name, state in states.items() if state == "ready"]
+        preparing = [name for name, state in states.items() if state == "preparing"]
         described = await self._look(lambda: [self._describe(name) for name in ready])
         b, opened = self.bounds, self.given.opened
         limits = {"body": b.body, "pixels": b.pixels, "scans": b.scans, "numbers": b.numbers,
                   "each": b.each, "message": b.message, "seconds": b.seconds}  # fmt: skip
         about = None if opened is None else opened.about()
-        return JSONResponse({"maps": described, "limits": limits, "opened": about})
+        return JSONResponse(
+            {"maps": described, "preparing": preparing, "limits": limits, "opened": about}
+        )
 
     async def _map(self, request: Request, _: Values) -> Response:
         name, _site = self._site(request.path_params["name"])

@@ -5,6 +5,7 @@ import contextlib
 import re
 import shlex
 import shutil
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,14 +18,17 @@ from command import MAPS, call, rows
 from serving import served
 
 from imgloc.filters.motion import noisy_odometry
+from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.model import LaserScan
+from imgloc.live.localizer import Localizer
+from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
 pytest.importorskip("starlette", reason="starlette is not installed")
 sync = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+uvicorn = pytest.importorskip("uvicorn", reason="uvicorn is not installed")
 CHROMIUM = shutil.which("chromium")
 if CHROMIUM is None:
     pytest.skip("chromium is not installed", allow_module_level=True)
@@ -524,6 +528,58 @@ def test_the_page_sends_the_token_of_its_address(browser: Any, log: Path) -> Non
             page.get_by_role("button", name="Follow").click()
             sync.expect(page.locator("#tracked")).to_contain_text("Tracker: ")
             sync.expect(page.get_by_role("button", name="Follow")).to_be_visible()
+
+
+@pytest.mark.parametrize(
+    ("end", "said"), [("", "has none"), ("#token=not-the-right-one", "does not accept")]
+)
+def test_without_the_token_the_page_says_what_it_needs(browser: Any, end: str, said: str) -> None:
+    secret = "correct-horse-battery"
+    with served(MAPS / "visibility.yaml", "--token", secret) as one:
+        page = browser.new_page()
+        address = one.address.partition("#")[0].rstrip("/")
+        page.goto(f"{address}/{end}")
+        trouble = page.locator("#trouble")
+        sync.expect(trouble).to_contain_text(said)
+        sync.expect(trouble).to_contain_text("#token=...")
+        sync.expect(page.locator("#welcome")).to_be_hidden()
+        trouble.get_by_role("button").click()  # nothing lies over it
+        page.goto(f"{address}/#token={secret}")
+        sync.expect(page.locator("#map")).to_have_value("visibility")
+        page.close()
+
+
+def test_the_page_waits_for_maps_that_are_being_prepared(browser: Any) -> None:
+    grid, prepared = load_map(MAPS / "visibility.yaml"), threading.Event()
+
+    def made() -> OccupancyGrid:
+        prepared.wait(60)
+        return grid
+
+    from imgloc.live.server import address_of, bound
+    from imgloc.live.service import Service
+
+    core = Localizer({"slow": made}, background=True)
+    service = Service(core)
+    with bound("127.0.0.1", 0) as socket:
+        config = uvicorn.Config(service, lifespan="off", log_config=None)
+        server = uvicorn.Server(config)
+        run = threading.Thread(target=server.run, kwargs={"sockets": [socket]})
+        run.start()
+        try:
+            page = browser.new_page()
+            socket.listen()  # who comes before the server listens waits
+            page.goto(address_of(socket))
+            sync.expect(page.locator("#preparing")).to_contain_text("preparing slow")
+            prepared.set()
+            sync.expect(page.locator("#map")).to_have_value("slow")
+            sync.expect(page.locator("#preparing")).to_be_hidden()
+            page.close()
+        finally:
+            prepared.set()
+            server.should_exit = True
+            run.join(60)
+            core.close()
 
 
 def test_scans_that_the_service_has_dropped_are_sent_again(page: Any, log: Path) -> None:

@@ -2,6 +2,10 @@
 
 const token = new URLSearchParams(location.hash.slice(1)).get("token");
 
+const WHOLE = "Open the whole address that the service's owner has: it ends in #token=...";
+const MISSING = `The service needs its token, and the address of this page has none. ${WHOLE}`;
+const WRONG = `The service does not accept the token in the address of this page. ${WHOLE}`;
+
 /** An answer of the service that is no success, in its own sentence. */
 export class Problem extends Error {
   constructor(status, { title = "", detail = "" } = {}) {
@@ -20,6 +24,7 @@ async function ask(path, values = {}, options = {}) {
   } catch {
     throw new Problem(0, { detail: "The service does not answer. Does imgloc serve still run?" });
   }
+  if (response.status === 401) throw new Problem(401, { detail: token ? WRONG : MISSING });
   if (!response.ok) throw new Problem(response.status, await response.json().catch(() => ({})));
   return response;
 }

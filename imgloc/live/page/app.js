@@ -201,11 +201,28 @@ async function start() {
   new ResizeObserver(resize).observe($("stage"));
   showMaps();
   showLog();
-  const found = await actions.attempt("Asking for maps", api.maps);
-  if (!found) return;
-  change({ maps: found.maps });
-  if (found.maps.length) actions.chooseMap(found.maps[0]);
-  if (found.opened) actions.openSet(found.opened);
+  addEventListener("hashchange", () => location.reload()); // it has another token
+  const found = await askForMaps();
+  if (found?.opened) actions.openSet(found.opened);
+}
+
+const AGAIN = 1000; // milliseconds, while maps are being prepared
+
+/** Ask for the maps until all of them are prepared, and look at the first. */
+async function askForMaps() {
+  for (;;) {
+    const found = await actions.attempt("Asking for maps", api.maps);
+    document.body.classList.toggle("shut", !found);
+    if (!found) return null;
+    const here = new Map(state.maps.map((map) => [map.name, map]));
+    change({ maps: found.maps.map((map) => here.get(map.name) ?? map) });
+    if (!state.map && found.maps.length) actions.chooseMap(state.maps[0]);
+    const words = found.preparing.length ? `The service is preparing ${found.preparing.join(", ")} …` : "";
+    say($("preparing"), words);
+    $("preparing").hidden = !words;
+    if (!words) return found;
+    await new Promise((done) => { setTimeout(done, AGAIN); });
+  }
 }
 
 start();
