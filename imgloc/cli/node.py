@@ -37,8 +37,10 @@ def node(
     taken: opt.Resources,
     map_path: Path | None = option(
         None,
-        "Map, or a folder of maps, one for each floor. [default: the map of the topic map]",
+        "Map, the name of a bundled map, or a folder of maps, one for each floor. [default: the "
+        "map of the topic map]",
         "MAP|FOLDER",
+        parse=opt.find_map,
     ),
     scan: list[str] = option(
         ["scan"], "Topic of a laser. Repeat it for several lasers.", metavar="TOPIC"

@@ -290,6 +290,7 @@ def test_a_listener_who_hears_nothing_ends_at_ctrl_c(field) -> None:
         ((MAP, "--sensor", "0,0,0", "--ros-args", "-p", "every:=soon"), 2, "every: got 'soon'"),
         ((MAP, "--sensor", "0,0,0", "--ros-args", "-p", "every:=-1.0"), 2, "Rules.every: got -1"),
         ((MAP, "--sensor", "0,0,0", "--ros-args", "-p", "every"), 2, "the arguments of ROS: "),
+        (("visibility",), 2, "sensor: missing"),
         (("nowhere.yaml", "--sensor", "0,0,0"), 3, "nowhere.yaml: no such file"),
     ],
 )
