@@ -7,6 +7,7 @@ All callbacks run in the thread that spins; the localizer's thread only wakes it
 """
 
 import contextlib
+import difflib
 import importlib
 import math
 import signal
@@ -61,6 +62,7 @@ _STILL = (0.1, 0.05)  # metres, radians: a robot that has gone less far stands
 _SAID = 5.0  # seconds between two lines of the log that differ in words alone
 _TURN = 0.005  # seconds
 _MAP = "map"
+_OTHERS, _POLICIES = ("use_sim_time", "start_type_description_service"), "qos_overrides."  # rclpy's
 _ENDING = (signal.SIGINT, signal.SIGTERM)
 INTERRUPTED = 128 + signal.SIGINT
 
@@ -88,7 +90,10 @@ class Settings:
     @property
     def rules(self) -> Rules:
         """Those of the first pose."""
-        return Rules(self.every, self.metres, self.tries, self.max_age)
+        try:
+            return Rules(self.every, self.metres, self.tries, self.max_age)
+        except ConfigError as error:
+            raise ConfigError(f"parameter {str(error).removeprefix('Rules.')}") from None
 
     @property
     def mounts(self) -> list[Pose2D] | None:
@@ -124,8 +129,16 @@ def load_ros() -> Any:
 
 def with_parameters(ros: Any, node: Any, settings: Settings) -> Settings:
     """The settings with what was said by ROS parameters; ConfigError for a wrong one."""
-    said = dict[str, Any]()
-    for name, default in vars(settings).items():
+    said, known = dict[str, Any](), vars(settings)
+    given = node.get_parameters_by_prefix("")  # rclpy has declared what was passed, and its own
+    for name in sorted(given.keys() - known.keys()):
+        if name not in _OTHERS and not name.startswith(_POLICIES):
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f"did you mean {near[0]}?" if near else f"expected {', '.join(known)}"
+            node.get_logger().warning(f"parameter {name}: unknown, and ignored; {hint}")
+    for name, default in known.items():
+        if name in given:
+            node.undeclare_parameter(name)
         about = ros.rcl_interfaces.ParameterDescriptor(dynamic_typing=True, read_only=True)
         plain = list(default) if isinstance(default, tuple) else default
         value = node.declare_parameter(name, plain, about).value
@@ -643,7 +656,7 @@ def run_node(
         ros.rclpy.init(args=list(words), signal_handler_options=ros.signals.SignalHandlerOptions.NO)
     except Exception as error:  # rclpy has a class for each kind of wrong word
         raise ConfigError(f"the arguments of ROS: {error}") from None
-    node = ros.rclpy.create_node("imgloc")
+    node = ros.rclpy.create_node("imgloc", automatically_declare_parameters_from_overrides=True)
     with contextlib.ExitStack() as undo:
         for number, before in signals.items():
             undo.callback(signal.signal, number, before)

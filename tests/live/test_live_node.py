@@ -288,7 +288,16 @@ def test_a_listener_who_hears_nothing_ends_at_ctrl_c(field) -> None:
         ((MAP, "--sensor", "20,0,0"), 2, "20 m from the robot's base"),
         ((MAP, "--scan", "a", "--scan", "b", "--sensor", "0,0,0"), 2, "for each of 2"),
         ((MAP, "--sensor", "0,0,0", "--ros-args", "-p", "every:=soon"), 2, "every: got 'soon'"),
-        ((MAP, "--sensor", "0,0,0", "--ros-args", "-p", "every:=-1.0"), 2, "Rules.every: got -1"),
+        (
+            (MAP, "--sensor", "0,0,0", "--ros-args", "-p", "every:=-1.0"),
+            2,
+            "error: parameter every: got -1",
+        ),
+        (
+            (MAP, "--sensor", "0,0,0", "--ros-args", "-p", "evry:=1.0", "-p", "every:=-1.0"),
+            2,
+            "parameter evry: unknown, and ignored; did you mean every?",
+        ),
         ((MAP, "--sensor", "0,0,0", "--ros-args", "-p", "every"), 2, "the arguments of ROS: "),
         (("visibility",), 2, "sensor: missing"),
         (("nowhere.yaml", "--sensor", "0,0,0"), 3, "nowhere.yaml: no such file"),
