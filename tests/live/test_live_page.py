@@ -296,6 +296,31 @@ def test_what_is_known_changes_the_answer(page: Any, log: Path) -> None:
     sync.expect(page.locator("#known-words")).to_have_text("At least 0.3 m from walls.")
 
 
+def test_what_is_refused_is_not_known_and_leaves_no_answer(page: Any, log: Path) -> None:
+    drop(page, (log.name, log.read_bytes()))
+    first = answered(page)
+    room, words = page.get_by_label("Room around it"), page.locator("#known-words")
+    room.fill("0.3")
+    room.press("Enter")
+    sync.expect(words).to_have_text("At least 0.3 m from walls.")
+    answered(page)
+    sync.expect(page.locator("#note")).to_be_hidden()
+    room.fill("99999")
+    room.press("Enter")
+    sync.expect(page.locator("#trouble")).to_contain_text("99999")
+    sync.expect(page.locator("#word")).to_have_text("No answer")
+    sync.expect(page.locator("#verdict")).not_to_have_class("unique")
+    for part in ("#answer", "#pose"):
+        sync.expect(page.locator(part)).to_be_hidden()
+    sync.expect(words).to_have_text("At least 0.3 m from walls.")
+    sync.expect(room).to_have_value("0.3")
+    page.keyboard.press("Escape")
+    page.get_by_role("button", name="Forget").click()
+    sync.expect(page.locator("#live")).to_have_text(first)
+    sync.expect(page.locator("#trouble")).to_be_hidden()
+    sync.expect(page.locator("#answer")).to_be_visible()
+
+
 def test_a_slider_goes_along_the_log_and_the_tracker_follows_it(page: Any, log: Path) -> None:
     drop(page, (log.name, log.read_bytes()))
     answered(page)

@@ -61,8 +61,9 @@ const asked = (id) => ({ map: state.map.name, scans: id, index: state.index });
 
 /** Look at a map. */
 export function chooseMap(map) {
+  granted = NOTHING;
   change({
-    map, answer: null, verdicts: [], beliefs: [], fit: null, pose: null, chosen: -1, reading: -1, seen: null,
+    map, answer: null, refused: false, verdicts: [], beliefs: [], fit: null, pose: null, chosen: -1, reading: -1, seen: null,
     picture: null, marks: [], unsaved: false, known: { near: null, region: null, clearance: state.known.clearance },
   });
   if (map.warnings?.length) trouble("the map", map.warnings.map((text) => `${map.name}: ${text}`).join(" "));
@@ -105,7 +106,7 @@ export async function addScans(file, said = {}) {
 export function openSet(set, from = null) {
   items = new Map();
   files = from;
-  change({ set, scan: null, answer: null, verdicts: [], beliefs: [], marks: [], unsaved: false, fit: null, reading: -1, chosen: -1 });
+  change({ set, scan: null, answer: null, refused: false, verdicts: [], beliefs: [], marks: [], unsaved: false, fit: null, reading: -1, chosen: -1 });
   selectScan(0);
 }
 
@@ -133,16 +134,42 @@ export const selectScan = api.newest(async (index) => {
 
 // ---- answers
 
+const NOTHING = { near: null, region: null, clearance: 0 };
+let granted = NOTHING; // what was known when the service answered last
+const BAD = [400, 422]; // it will refuse the same again
+
+/** Show no answer; what the service has refused to know is not known. */
+function withdraw(known, status) {
+  const { index, chosen } = state, verdicts = [...state.verdicts];
+  verdicts[index] = null;
+  const drawn = chosen >= 0 ? { pose: null, fit: null, chosen: -1 } : {}; // of the answer
+  change({ answer: null, verdicts, reading: -1, refused: true, ...drawn });
+  if (BAD.includes(status) && known === state.known) change({ known: granted });
+}
+
 /** Find where the scan is, with what is known. */
 export const locate = api.newest(async () => {
   const { map, scan, index, known, method } = state;
   if (!map || !scan) return;
   const said = { ...priorOf(known), method };
-  const answer = await attempt(LOOKING, () => aboutScans((id) => api.localize({ ...asked(id), ...said })));
-  if (!answer || scan !== state.scan || map !== state.map) return;
+  let status = 0;
+  const answer = await attempt(LOOKING, async () => {
+    try {
+      return await aboutScans((id) => api.localize({ ...asked(id), ...said }));
+    } catch (error) {
+      status = error.status;
+      throw error;
+    }
+  });
+  if (scan !== state.scan || map !== state.map) return;
+  if (!answer) {
+    withdraw(known, status);
+    return;
+  }
+  granted = known;
   const verdicts = [...state.verdicts];
   verdicts[index] = answer.verdict;
-  change({ answer, verdicts, reading: -1 });
+  change({ answer, verdicts, reading: -1, refused: false });
   if (answer.hypotheses.length) chooseHypothesis(0);
   else if (!state.pose) place(compose(map.origin, { x: (map.width * map.resolution) / 2, y: (map.height * map.resolution) / 2 }));
   else askScore();

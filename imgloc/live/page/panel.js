@@ -41,7 +41,9 @@ function showVerdict() {
     say($("word"), belief.verdict);
     say($("why"), "");
   } else {
-    say($("word"), map ? (set ? "Looking …" : "No scan yet") : "No map yet");
+    const word = state.refused && busy !== LOOKING ? "No answer" : "Looking …";
+    say($("word"), map ? (set ? word : "No scan yet") : "No map yet");
+    if (map && set && word === "No answer") say($("live"), `Scan ${index}: no answer.`);
     say($("why"), map && !set ? "Drop a file of scans on the map." : "");
   }
   const where = belief?.pose ? ` at ${poseWords(belief.pose)}` : belief?.withheld ? `: ${belief.withheld}` : "";
@@ -103,6 +105,7 @@ function showPose() {
 function showKnown() {
   const { known } = state;
   say($("known-words"), knownWords(known));
+  $("clearance").value = known.clearance > 0 ? known.clearance : "";
   $("near").hidden = !known.near;
   if (known.near) {
     $("radius").value = known.near[3];
@@ -170,7 +173,7 @@ export function showTip(view) {
 /** Paint the shapes of the key, and the panel from now on. */
 export function startPanel() {
   makeKey();
-  watch(["answer", "beliefs", "index", "busy", "map", "set", "following"], showVerdict);
+  watch(["answer", "refused", "beliefs", "index", "busy", "map", "set", "following"], showVerdict);
   watch(["answer", "chosen"], showHypotheses);
   watch(["pose", "fit", "scan", "chosen", "answer", "marks", "index"], showPose);
   watch(["known"], showKnown);

@@ -12,6 +12,7 @@ export const state = {
   trouble: "", // the last error, in a sentence
   note: "", // news that are no error
   answer: null, // of the scan `index`, as `imgloc localize --json` prints it
+  refused: false, // whether the service has refused to answer the scan
   verdicts: [], // of the scans that were answered, by index
   pose: null, // {x, y, theta} of the sensor, where its scan is drawn
   chosen: -1, // the hypothesis that this is; -1 set by hand, -2 by the tracker
