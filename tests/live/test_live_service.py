@@ -3,6 +3,9 @@
 import base64
 import io
 import json
+import re
+import shlex
+import shutil
 import signal
 import socket
 import subprocess
@@ -740,6 +743,26 @@ def test_a_port_that_is_taken_is_said(service: Served) -> None:
     run = call("serve", MAP, "--port", service.port)
     assert run.code == 2
     assert f"127.0.0.1:{service.port}" in run.err
+
+
+@pytest.mark.skipif(shutil.which("curl") is None, reason="curl is not installed")
+def test_the_examples_with_curl_are_answered(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = (Path(__file__).parents[2] / "tools/docs/serving.md").read_text()
+    lines = [
+        shlex.split(line, comments=True) for line in re.findall(r"(?m)^(?:curl|imgloc) .*", text)
+    ]
+    simulate = next(words for words in lines if words[1] == "simulate")
+    assert call(*simulate[1:]).code == 0
+    asked = [words for words in lines if words[0] == "curl"]
+    assert asked
+    with served("visibility") as one:
+        for words in asked:
+            here = [word.replace("http://127.0.0.1:8080", one.address) for word in words]
+            run = subprocess.run(
+                [*here, "-s"], capture_output=True, text=True, timeout=60, check=True
+            )
+            assert json.loads(run.stdout)["verdict"] == "unique"
 
 
 def test_rows_of_a_file_are_json_lines(http: httpx.Client, scans: Path) -> None:
