@@ -458,7 +458,7 @@ OPERATIONS = (
     ),
     Operation(
         "/v1/layers/region",
-        "The cells of a region in white, as `--region` takes them.",
+        "The cells of a region in white: an image for the option region of imgloc localize.",
         {200: ("PNG.", _PNG)},
         REGION_LAYER,
         problems=(503, 504),
