@@ -67,8 +67,7 @@ def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: floa
     Raises
     ------
     ConfigError, MapError
-        If there is no heading, the step is not positive, or there are more than :data:`MOST` poses;
-        if no place has the clearance.
+        If there is no heading, or the step is not positive; if no place has the clearance.
 
     Examples
     --------
@@ -90,11 +89,15 @@ def atlas_poses(grid: OccupancyGrid, step: float, headings: int, clearance: floa
             f"no place on a raster of {step:g} m is {clearance:g} m away from what is not free; "
             "expected some, hint: a smaller step or clearance"
         )
-    if len(places) * headings > MOST:
-        found = f"`step`: {len(places) * headings:,} poses at places {step:g} m apart"
-        raise ConfigError(f"{found}, expected at most {MOST:,}; use a larger step")
     theta = np.arange(headings) * (2 * np.pi / headings)
     return np.column_stack((places.repeat(headings, axis=0), np.tile(theta, len(places))))
+
+
+def check_count(poses: FloatArray, step: float) -> None:
+    """Refuse more poses (N, 3) than :data:`MOST`, at places `step` metres apart: a ConfigError."""
+    if len(poses) > MOST:
+        found = f"`step`: {len(poses):,} poses at places {step:g} m apart"
+        raise ConfigError(f"{found}, expected at most {MOST:,}; use a larger step")
 
 
 def simulate_at(
@@ -188,6 +191,7 @@ def survey_part(
     """
     end, grid = time.monotonic() + seconds, features.grid
     poses = atlas_poses(grid, step, headings, Sensor().clearance)
+    check_count(poses, step)
     if start >= len(poses):
         raise ConfigError(f"start: got {start}, expected less than {len(poses)}")
     mixed = np.random.default_rng(0).permutation(len(poses) // headings)
