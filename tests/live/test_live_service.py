@@ -522,12 +522,12 @@ def test_a_body_without_an_end_is_refused_when_it_is_too_long(service: Served) -
         chunk = b"100000\r\n" + bytes(1 << 20) + b"\r\n"
         sent = 0
         try:
-            while sent < 2000:
+            while sent < 20_000:
                 one.sendall(chunk)
                 sent += 1
         except OSError:
             pass
-        assert 60 < sent < 2000
+        assert 60 < sent < 20_000
         assert one.recv(100).startswith(b"HTTP/1.1 413 ")
 
 
