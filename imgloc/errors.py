@@ -7,7 +7,10 @@ ends with the class's exit code; anything that is not an :class:`ImglocError` is
 """
 
 import re
+import threading
 
+STDERR = threading.RLock()
+"""Held while standard error leads nowhere: an error that another thread prints waits for it."""
 _ARGUMENT = re.compile(r"`([a-z][a-z_]*)(?:=([^`\s]+))?`")
 _OPTIONS = {
     "index": "scans-index",

@@ -18,7 +18,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from imgloc.errors import ImglocError, OutputError, as_options, printable
+from imgloc.errors import STDERR, ImglocError, OutputError, as_options, printable
 
 LOG = logging.getLogger("imgloc")
 NOT_UNIQUE = 6  # exit code under --strict
@@ -111,7 +111,7 @@ def width() -> int | None:
 
 def say(message: str) -> None:
     """Write one line to standard error."""
-    with contextlib.suppress(OSError):
+    with STDERR, contextlib.suppress(OSError):
         print(f"imgloc: {printable(as_options(message))}", file=sys.stderr, flush=True)
 
 

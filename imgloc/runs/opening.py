@@ -17,7 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO, Any, TypeVar
 
-from imgloc.errors import ConfigError, OutputError, ScanError
+from imgloc.errors import STDERR, ConfigError, OutputError, ScanError
 from imgloc.features.budget import (
     MIB,
     PROCESS,
@@ -346,7 +346,7 @@ def quiet_libraries() -> Iterator[None]:
     """
     if sys.stderr is not None:
         sys.stderr.flush()
-    with contextlib.ExitStack() as undo:
+    with STDERR, contextlib.ExitStack() as undo:
         with contextlib.suppress(OSError):  # without a standard error nothing is to be done
             kept = os.dup(2)
             undo.callback(os.close, kept)
