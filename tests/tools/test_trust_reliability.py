@@ -178,3 +178,30 @@ def test_covariances_are_held_against_truth_halves_and_single_readings(capsys):
     assert lenient.inside == 1
     assert strict.inside < 1  # 8 cm beside the truth is not within a centimetre
     assert lenient.claimed == strict.claimed
+
+
+def test_the_mean_error_is_given_along_the_view_and_to_its_left():
+    grid = render(WORLDS["visibility"](), 0.1)
+    scans = simulate(grid, 3, 0, Sensor(fov=np.pi))
+    ahead, left = np.array([[0.2, 0.0], [0.0, 0.1]])
+    x, y, theta = scans.poses.T
+    for off in (ahead, left):  # the poses that are told are behind and to the right of the answers
+        told = np.column_stack(
+            (
+                x - off[0] * np.cos(theta) + off[1] * np.sin(theta),
+                y - off[0] * np.sin(theta) - off[1] * np.cos(theta),
+                theta,
+            )
+        )
+        found = precision("", prepare(grid), replace(scans, poses=told))
+        np.testing.assert_allclose(found.bias, off, atol=0.03)
+        assert found.ratio < 1
+
+
+def test_maps_without_scans_are_measured_by_simulated_ones(tmp_path, capsys):
+    grid = render(WORLDS["visibility"](), 0.1)
+    save_map(tmp_path / "map.yaml", grid)
+    assert main(["precision", "-n", "1", "--worlds", "", "--maps", f"{tmp_path}/map.yaml"]) == 0
+    rows = capsys.readouterr().out.splitlines()
+    assert len(rows) == 2 + 4
+    assert rows[2].startswith(f"| {tmp_path.name}, noise of 1 cm | 1 |")

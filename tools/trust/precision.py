@@ -1,5 +1,7 @@
 """Do covariances keep what they claim? By true poses, by halves of a scan, by readings left out.
 
+The mean error along the middle of the view shows whether poses lean toward what the sensor sees.
+
 The halves are every other pair of readings. Even and odd ones would do where a scan is of one
 moment; but a scanner that reads every half degree in two turns of its mirror, as that of
 ``belgioioso``, has its odd readings from 0.03 s later: on a robot that turns these are of another
@@ -21,6 +23,7 @@ REGION = 7.815
 TRUTH = (0.03, 0.03, float(np.deg2rad(0.4)))
 """Standard deviations of recorded poses: metres, metres, radians."""
 _NEAR = 0.5  # metres; farther off an answer is wrong, not imprecise
+_ROUND = 0.05  # length of the mean ray, of rays of length 1, below which a view is a full circle
 
 
 @dataclass(frozen=True)
@@ -32,15 +35,22 @@ class Precision:
     inside: float  #: true poses within the 95 % region
     agree: float  #: halves of a scan within their joint 95 % region
     moved: float  #: scans that one reading less moves by more than two standard deviations
-    claimed: tuple[float, float]  #: metres along x, radians
-    error: tuple[float, float]  #: root mean square, metres along x, radians
+    claimed: tuple[float, float]  #: metres along one axis, radians
+    error: tuple[float, float]  #: root mean square, metres along one axis, radians
+    #: mean error, metres: along the middle of the view, and to its left
+    bias: tuple[float, float]
+
+    @property
+    def ratio(self) -> float:
+        """Standard deviation that is claimed over the error, of positions."""
+        return self.claimed[0] / self.error[0]
 
 
 def precision(
     name: str, features: MapFeatures, scans: ScanSet, truth: Sequence[float] = TRUTH
 ) -> Precision:
     """Measure one set of scans with poses; `truth` are the standard deviations of those."""
-    rows, claimed, errors = [], [], []
+    rows, claimed, errors, biases = [], [], [], []
     for k, (scan, pose) in enumerate(scans.with_poses()):
         answer = localize(features, scan)
         found, covariance = _first(answer)
@@ -58,26 +68,42 @@ def precision(
         step = _difference(_first(less)[0], found)
         moved = bool(np.any(np.abs(step) > 2 * np.sqrt(np.diag(covariance))))
         rows.append((inside, _within(_difference(a, b), A + B), moved))
-        claimed.append(np.sqrt(np.diag(covariance))[[0, 2]])
-        errors.append(error[[0, 2]])
+        x, y, turn = np.diag(covariance)
+        claimed.append(np.sqrt([(x + y) / 2, turn]))
+        errors.append([np.hypot(*error[:2]) / np.sqrt(2), error[2]])
+        biases.append(_seen_from(error, pose[2] + _middle(scan)))
     if not rows:
         nan = float("nan")
-        return Precision(name, 0, nan, nan, nan, (nan, nan), (nan, nan))
+        return Precision(name, 0, nan, nan, nan, *[(nan, nan)] * 3)
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
     within, agree, moves = np.mean(rows, axis=0).tolist()
-    claim, off = (tuple(v.tolist()) for v in (np.median(claimed, axis=0), rms))
-    return Precision(name, len(rows), within, agree, moves, claim, off)
+    means = np.median(claimed, axis=0), rms, np.mean(biases, axis=0)
+    return Precision(name, len(rows), within, agree, moves, *(tuple(v.tolist()) for v in means))
 
 
 def precision_table(rows: Sequence[Precision]) -> str:
     """The rows as Markdown."""
     head = "scans | `unique` and right | truth inside | halves agree | moved"
+    head += " | claimed m, deg | error m, deg | claimed / error | along, across the view cm"
     cells = (
         (r.name, r.answers, *(f"{share:.2f}" for share in (r.inside, r.agree, r.moved)),
-         *(f"{m:.4f}, {np.rad2deg(t):.3f}" for m, t in (r.claimed, r.error)))
+         *(f"{m:.4f}, {np.rad2deg(t):.3f}" for m, t in (r.claimed, r.error)),
+         f"{r.ratio:.1f}", ", ".join(f"{100 * m:+.1f}" for m in r.bias))
         for r in rows
     )  # fmt: skip
-    return "\n".join(table_lines(f"{head} | claimed m, deg | error m, deg", cells))
+    return "\n".join(table_lines(head, cells))
+
+
+def _middle(scan: LaserScan) -> float:
+    """Angle of the middle of the view, radians; 0 for a full circle, which has none."""
+    ahead = np.exp(1j * scan.angles).mean()
+    return float(np.angle(ahead)) if np.abs(ahead) > _ROUND else 0.0
+
+
+def _seen_from(error: FloatArray, heading: float) -> FloatArray:
+    """An error (3,) in x and y as one along a heading, radians, and to its left: (2,) metres."""
+    c, s = np.cos(heading), np.sin(heading)
+    return np.array([[c, s], [-s, c]]) @ error[:2]
 
 
 def _halves(scan: LaserScan) -> list[tuple[FloatArray, FloatArray]]:
