@@ -87,10 +87,11 @@ def box(x0: float, y0: float, x1: float, y1: float) -> FloatArray:
     return np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], np.float64)
 
 
-def building(seed: int, turn: float = 0.0) -> Building:
+def building(seed: int, turn: float = 0.0, floor: int | None = None) -> Building:
     """An office floor: rooms of random widths on both sides of a corridor, and a hall.
 
-    Outer walls are 0.3 to 0.4 m thick, those of the corridor 0.2, the others 0.1 to 0.15.
+    Outer walls are 0.3 to 0.4 m thick, those of the corridor 0.2, the others 0.1 to 0.15. Another
+    `floor` of the same seed has the same outer walls and the same corridor, but other rooms.
     """
     rng = np.random.default_rng(seed)
     width, depth = rng.uniform(24, 34), rng.uniform(13, 16)
@@ -115,6 +116,7 @@ def building(seed: int, turn: float = 0.0) -> Building:
         side = 1 if facade == east else -1
         b.openings.append(Opening(facade, middle, wide, kind, side, hinge))
 
+    rng = rng if floor is None else np.random.default_rng((seed, floor))
     for row, (side, bottom, top) in enumerate(
         zip(sides, (outer, high + 0.1), (low - 0.1, depth - outer), strict=True)
     ):

@@ -1,4 +1,4 @@
-"""Can answers be trusted? Each of six measurements says its part.
+"""Can answers be trusted? Each of these measurements says its part.
 
     python -m tools.trust reliability -n 100                          # scans in each world
     python -m tools.trust reliability --sets ../data/*/map.yaml       # and recorded ones
@@ -8,6 +8,7 @@
     python -m tools.trust fit --sets ../data/*/map.yaml               # constants of trust
     python -m tools.trust precision --sets ../data/*/map.yaml         # covariances
     python -m tools.trust precision --maps ../data/map_*/map.yaml     # and of simulated scans
+    python -m tools.trust foreign --sets ../data/*/map.yaml           # scans that are on no map
     python -m tools.trust scale --sets ../data/*/map.yaml             # calibrate --scans
     python -m tools.trust which maps ../data --same fr079,fr079_half  # names of maps
     python -m tools.trust thousand maps ../data --full
@@ -24,6 +25,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from datetime import date
 from inspect import getdoc
+from itertools import chain
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -53,6 +55,16 @@ from tools.trust.fit import (
     listed,
     numbers_of,
     trust_of,
+)
+from tools.trust.foreign import (
+    answers,
+    at_home,
+    floors_of,
+    foreign_table,
+    name_floors,
+    naming_table,
+    on_other_floors,
+    rooms_and_others,
 )
 from tools.trust.naming import ask_all, bound_all, naming_shares, scans_of
 from tools.trust.precision import precision, precision_table
@@ -134,6 +146,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument(
         "--maps", type=Path, nargs="*", default=[], help="maps on which scans are simulated"
     )
+
+    one = add(run_foreign, 20, 1, "scans of each set and building, and on no map, for each map")
+    add_sets(one)
+    one.add_argument("--maps", type=Path, nargs="*", default=[], help="more maps, without scans")
+    one.add_argument("--buildings", type=int, default=5, help="drawn, each with four floors")
+    one.add_argument("--same", action="append", default=[], help="names of one building")
 
     one = add(run_scale, 30, 1, "scans of each set, as many again to fit to")
     add_sets(one, required=True)
@@ -305,6 +323,32 @@ def run_precision(given: argparse.Namespace) -> int:
             rows.append(precision(name, prepare(grid, name), scans))
             advance()
     print(precision_table(rows))
+    return 0
+
+
+def run_foreign(given: argparse.Namespace) -> int:
+    """How often `imgloc localize` is sure, and `imgloc which` names a map, where neither may be.
+
+    Scans of rooms on no map, of other buildings, of other floors of the same building, on mirrored
+    plans, and on halves of their own map, with and without a prior; undisturbed scans, too. Prints
+    two Markdown tables.
+    """
+    n, seed = given.n, given.seed
+    at_least_one(n=n)
+    cv2.setNumThreads(1)
+    sets = recorded_sets(given.sets, n, seed, given.range_max)
+    buildings = [floors_of(seed * 1000 + k, n) for k in range(given.buildings)]
+    grids = {name: grid for name, grid, _ in sets}
+    grids |= {path.parent.name: load_map(path) for path in given.maps}
+    foreign = {name: scans.scans for name, _, scans in sets}
+    same = {name: group for group in given.same for name in group.split(",")}
+    rooms = rooms_and_others(grids, foreign, n, seed, same)
+    floors = chain.from_iterable(map(on_other_floors, buildings))
+    with progress("foreign", 0) as advance:
+        found = list(answers(chain(at_home(sets), rooms, floors), advance))
+        named = [pair for some in buildings for pair in name_floors(some, advance)]
+    tables = [foreign_table(found)] + [naming_table(named)] * bool(named)
+    print(*tables, sep="\n\n")
     return 0
 
 

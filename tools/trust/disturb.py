@@ -139,7 +139,11 @@ def displaced(grid: OccupancyGrid, rng: Rng, metres: float, over: float = 8.0) -
 
 def half(grid: OccupancyGrid, rng: Rng) -> OccupancyGrid:
     """One half of the map is unknown."""
-    side = int(rng.integers(4))
+    return half_of(grid, int(rng.integers(4)))
+
+
+def half_of(grid: OccupancyGrid, side: int) -> OccupancyGrid:
+    """What is left of a map above (0), below (1), to the right (2) or left (3) of its middle."""
     middle = int(np.median(np.argwhere(grid.occupied)[:, side // 2]))
     keep = np.zeros(grid.occupied.shape, bool)
     part = slice(None, middle) if side % 2 else slice(middle, None)
