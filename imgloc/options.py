@@ -47,6 +47,8 @@ MOST_OF_IT = number("options.most_of_it")
 #: hypotheses that are listed, however much mass they hold
 AT_LEAST: int = number("options.at_least")
 AT_MOST: int = number("options.at_most")
+#: share of the lines of a file that may be broken
+MAX_BAD = number("options.max_bad")
 
 
 @dataclass(frozen=True)
@@ -677,6 +679,11 @@ class Logs(Checked):
         1.0,
         "Metres that 1 stands for in the ranges of a file: 0.001 for millimetres.",
         "--range-scale",
+    )
+    max_bad: Share = option(
+        MAX_BAD,
+        "Share of the lines of a file that may be broken: they are left out, and named. A file "
+        "with more of them is refused.",
     )
 
 

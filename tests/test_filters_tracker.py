@@ -560,3 +560,25 @@ def test_another_best_place_is_followed_anew() -> None:
 def test_options_of_the_tracker_say_what_they_are() -> None:
     assert TrackerOptions().resets
     assert Tracker(features_of(WORLD)).belief.lost == 1.0
+
+
+def test_a_few_stamps_that_go_back_are_sorted_and_a_clock_set_back_is_refused(caplog) -> None:
+    scans, features = log(), features_of(WORLD)
+    order = [*range(10), 11, 10, *range(12, len(scans))]
+    moments = list(follow(features, scans.take(order), Tracker(features), name="a.npz"))
+    assert [moment.index for moment in moments] == [*range(10), 11, 10, *range(12, len(scans))]
+    assert [moment.stamp for moment in moments] == scans.stamps.tolist()
+    assert "the stamp of scan 11, 10.00, is 1 s before that of scan 10, 11.00" in caplog.text
+    set_back = np.where(np.arange(len(scans)) > 12, scans.stamps - 9.5, scans.stamps)
+    back = ScanSet(scans.scans, scans.poses, set_back, scans.odom)
+    with pytest.raises(ScanError, match=r"stamps\[13\]: 3.50 after 12.00, 8.5 s back, expected"):
+        next(follow(features, back, Tracker(features)))
+
+
+def test_scans_without_odometry_are_left_out_alone(caplog) -> None:
+    scans, features = log(), features_of(WORLD)
+    odom = scans.odom.copy()
+    odom[[4, 7]] = np.nan
+    some = ScanSet(scans.scans, scans.poses, scans.stamps, odom)
+    assert len(list(follow(features, some, Tracker(features)))) == len(scans) - 2
+    assert "2 of 24 scans, from 4 to 7, have no odometry" in caplog.text

@@ -1,5 +1,6 @@
 """CARMEN logs: each kind of message, what the whole log says of them, and logs of others."""
 
+import gzip
 import math
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from command import MAPS, call, rows
 from imgloc.errors import ScanError
 from imgloc.io.carmen import read_carmen
 from imgloc.io.odometry import odometry_at
-from imgloc.io.scans import load_scans
+from imgloc.io.scans import load_scans, scans_size
 from imgloc.model import Pose2D, compose
 
 RANGES = " ".join(f"{1 + i / 100:.2f}" for i in range(181))
@@ -115,9 +116,11 @@ def test_what_a_sick_writes_for_nothing_tells_how_far_it_reaches(tmp_path: Path)
 def test_a_line_that_is_cut_off_is_an_error_but_for_the_last(tmp_path: Path) -> None:
     half = FLASER[:300]
     assert len(load_scans(log(tmp_path, FLASER, half, end=""))) == 1
-    with pytest.raises(ScanError, match="line 1: FLASER: a word is missing or is no number"):
+    with pytest.raises(
+        ScanError, match="line 1: FLASER: 60 words, expected 189 or more: 181 readings"
+    ):
         load_scans(log(tmp_path, half, FLASER))
-    with pytest.raises(ScanError, match="holds no whole FLASER"):
+    with pytest.raises(ScanError, match="line 1: FLASER: 60 words, expected 189 or more"):
         load_scans(log(tmp_path, half))
     with pytest.raises(ScanError, match="no line of a laser, expected FLASER"):
         load_scans(log(tmp_path, "hello"))
@@ -181,3 +184,77 @@ def test_localize_reads_a_log(tmp_path: Path) -> None:
 def test_the_greatest_word_of_a_sick_tells_its_reach(tmp_path: Path, word: float, reach) -> None:
     scans = load_scans(log(tmp_path, FLASER.replace(" 1.00 ", f" {word} ")))
     assert scans[0].range_max == reach
+
+
+def drive(n: int = 200, odom: str = "0 0 0") -> list[str]:
+    return [f"FLASER 181 {RANGES} {k / 10} 2 0.5 {odom} {1000 + k}.25 pippo 0" for k in range(n)]
+
+
+def test_a_few_broken_lines_are_left_out_and_named(tmp_path: Path, caplog) -> None:
+    lines = drive()
+    lines[50] = lines[50].replace(" 1050.25 ", " ")  # no stamp
+    path = log(tmp_path, *lines)
+    scans = load_scans(path)
+    assert len(scans) == 199
+    assert "left out 1 of 200 lines, which are broken: line 51: FLASER: the stamp" in caplog.text
+    lines[60] = lines[60].replace(" 1.05 ", " 1.O5 ")
+    lines[70] = lines[70][:300]
+    assert len(load_scans(log(tmp_path, *lines), max_bad=0.02)) == 197
+    assert "line 61: FLASER: word 8 is '1.O5', expected a range; line 71: FLASER: 60 words, " in (
+        caplog.text
+    )
+    with pytest.raises(ScanError, match=r"line 61: .*3 of 200 are broken; `max_bad=0.02` leaves"):
+        load_scans(path)
+
+
+def test_odometry_that_never_moves_is_none(tmp_path: Path, caplog) -> None:
+    scans = load_scans(log(tmp_path, *drive(20)))
+    assert scans.odom is not None
+    assert scans.odom[3].tolist() == [0.3, 2, 0.5]
+    assert scans[0].T_base_laser is None
+    assert "the robot's poses never change (all are 0 0 0)" in caplog.text
+    still = [line.replace(f" {k / 10} 2", " 0 2", 1) for k, line in enumerate(drive(5))]
+    assert load_scans(log(tmp_path, *still)).odom.tolist() == [[0, 0, 0]] * 5
+
+
+def test_logs_of_courses_are_centimetres(tmp_path: Path) -> None:
+    ranges = " ".join(str(100 + k) for k in range(180))
+    lines = ("O 94 -139 0.5 0.03", f"L 100 200 0.5 121.94 211.99 0.5 {ranges} 0.026")
+    (scan,) = (scans := load_scans(log(tmp_path, *lines))).scans
+    assert scan.ranges[:2].tolist() == [1.0, 1.01]
+    assert len(scan.angles) == 180
+    assert np.rad2deg(scan.angles[[0, -1]]).round(6).tolist() == [-90, 89]
+    assert scans.odom is not None
+    assert scans.odom.tolist() == [[1, 2, 0.5]]
+    assert scan.T_base_laser is not None
+    assert scan.T_base_laser.x == pytest.approx(0.25, abs=1e-3)
+    with pytest.raises(ScanError, match="line 1: L: 4 words, expected 9 or more"):
+        load_scans(log(tmp_path, "L 1 2 3"))
+
+
+@pytest.mark.parametrize("packed", [False, True])
+@pytest.mark.parametrize("code", ["utf-8", "utf-8-sig", "utf-16"])
+def test_packed_and_marked_files_are_read(tmp_path: Path, packed: bool, code: str) -> None:
+    data = FLASER.encode(code)
+    for name in ("a.log", "a"):
+        path = tmp_path / (name + ".gz" * packed)
+        path.write_bytes(gzip.compress(data) if packed else data)
+        assert load_scans(path)[0].stamp == 1211.5
+        assert scans_size(path).scans == 1
+    rows = "# angle_min=-1, angle_max=1\n1,2,3\n".encode(code)
+    (tmp_path / "b.csv.gz").write_bytes(gzip.compress(rows))
+    assert load_scans(tmp_path / "b.csv.gz")[0].ranges.tolist() == [1, 2, 3]
+
+
+def test_what_gzip_unpacks_to_has_an_end(tmp_path: Path) -> None:
+    path = tmp_path / "a.log.gz"
+    path.write_bytes(gzip.compress(b"FLASER " * 4_000_000))
+    for read in (load_scans, scans_size):
+        with pytest.raises(ScanError, match=r"gzip unpacks to too much, expected at most 100"):
+            read(path)
+    path.write_bytes(gzip.compress(FLASER.encode())[:-20])
+    with pytest.raises(ScanError, match="damaged gzip file"):
+        load_scans(path)
+    (tmp_path / "a.npz.gz").write_bytes(path.read_bytes())
+    with pytest.raises(ScanError, match="cannot be read packed: unpack it with gunzip"):
+        load_scans(tmp_path / "a.npz.gz")

@@ -136,11 +136,12 @@ def batch(
     """
     many = opt.count_threads(workers)
     pool = None if dask or dry_run else _pool(context, many, timeout, memory_limit)
+    from imgloc.cli import inputs
     from imgloc.model import to_json
     from imgloc.output.tables import batch_text
     from imgloc.runs.batch import find_items, run_batch
     from imgloc.runs.jobs import job_class
-    from imgloc.runs.opening import MapFiles, ScanFiles
+    from imgloc.runs.opening import MapFiles
 
     kind = job_class(job)
     _refuse(given, kind, scans is not None, maps)
@@ -148,9 +149,7 @@ def batch(
     typed: dict[str, Any] = {name: value for name, value in laser.items() if value is not None}
     offered: dict[str, Any] = {
         "maps": MapFiles(reading, allow_lossy),
-        "scans": ScanFiles(
-            logs.topic, None, logs.scale, range_max, chosen, mounting.flipped, mounting.sensor
-        ),
+        "scans": replace(inputs.as_recorded(logs, range_max, chosen, mounting), many=True),
         "options": replace(search, theta_step=None).stepped(search.theta_step),
         "method": search.method,
         "theta_step": search.theta_step,

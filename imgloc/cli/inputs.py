@@ -54,7 +54,7 @@ def as_recorded(
     return ScanFiles(
         logs.topic, logs.fov, logs.scale, range_max, chosen or Chosen(),
         flipped or (mounting is not None and mounting.flipped),
-        None if mounting is None else mounting.sensor, many=False,
+        None if mounting is None else mounting.sensor, many=False, max_bad=logs.max_bad,
     )  # fmt: skip
 
 

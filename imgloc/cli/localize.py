@@ -98,7 +98,7 @@ def localize(
     desk.grid(map_path, job.maps)  # a map that is not there is told before scans are waited for
     runs = []
     for path in scans_paths:
-        runs.append(job.open(inputs.item_of(map_path, path), desk))
+        runs.append(job.open(inputs.item_of(map_path, path), desk).with_true_poses())
         desk.held += inputs.held_bytes(runs[-1].taken.scans.scans)
     sink = _Sink(runs, as_json, mounting, force)
     sink.pictures = inputs.targets(picture, ".png", sink.numbers, force=force, inputs=read)

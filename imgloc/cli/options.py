@@ -69,9 +69,10 @@ Scans (ranges in metres, angles in radians, counter-clockwise, 0 forward):
                             {"angle_min": -1.57, "angle_increment": 0.785, "range_max": 30,
                              "ranges": [2.31, 2.30, null, "inf", 1.02]}
   .npz                    ranges (N,B), angles (B,), range_max; poses (N,3), stamps, odom
-  .log, .clf              CARMEN: FLASER, ROBOTLASER1, RAWLASER1, ODOM, PARAM
+  .log, .clf              CARMEN: FLASER, ROBOTLASER1, RAWLASER1, ODOM, PARAM; L of homework logs
   .bag, .mcap, .db3       ROS 1 and 2, or the folder of a recording (pip install 'imgloc[ros]')
   .yaml                   ros2 topic echo -f /scan > scans.yaml
+  .log.gz, .csv.gz ...    any of these texts, packed by gzip
   -                       standard input, any of these
 """
 Picture = Annotated[

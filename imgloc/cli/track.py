@@ -169,6 +169,7 @@ def track(
     Poses are those of the robot's base in the map frame; of the sensor where neither the log nor
     --sensor says where that sits. Several lasers are followed together (--topic /front,/rear).
     """
+    from imgloc.answers.truth import with_true_poses
     from imgloc.cli import inputs
     from imgloc.filters.follow import Tracking, follow, robot_poses
     from imgloc.io.calibration import calibrated
@@ -185,6 +186,7 @@ def track(
     how = inputs.as_recorded(logs, range_max, mounting=mounting)
     scans, live = _scans_of(log, logs, asked, how, desk, stamped=outputs.tum is not None)
     features = desk.features(map_path, maps, options, scans=scans.scans)
+    scans = with_true_poses(scans, grid, inputs.name_of(log))
     tracking = Tracking(**vars(followed))
     chosen = tracking.made(features, options)
     run = follow(

@@ -2,7 +2,7 @@
 
 import logging
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +32,8 @@ Reading = tuple[LaserScan, FloatArray | None]
 BLIND, WIDE = "blind", "wide"
 _LATEST = 1e18  # seconds
 _FASTEST = 50.0  # metres a second: no robot on the ground is faster
+# Share of the stamps that may go back, and by which share the way may be longer in their order.
+_BACK, _LONGER = number("follow.sorted")
 _FARTHEST = 1e6  # metres between two scans: beyond it a number is damaged
 
 
@@ -113,10 +115,11 @@ def follow(
     features : MapFeatures
         The map.
     scans : ScanSet, or iterable of (LaserScan, (3,) array or None)
-        Scans in the order of time. `T_base_laser` of each scan tells several lasers apart. An
-        iterable yields each scan, with its stamp, and the odometry's pose at that time: metres,
-        metres, radians. The next scan is taken from it after the moment of the last one has been
-        used. Scans without odometry are left out.
+        Scans in the order of time; a ScanSet in which few scans are out of it is sorted, with a
+        warning. `T_base_laser` of each scan tells several lasers apart. An iterable yields each
+        scan, with its stamp, and the odometry's pose at that time: metres, metres, radians.
+        The next scan is taken from it after the moment of the last one has been used. Scans
+        without odometry are left out.
     filter_ : Filter
         A filter made for the same features. It is changed.
     every : Every, optional
@@ -195,9 +198,18 @@ def _whole(scans: ScanSet, features: MapFeatures, kidnap: Kidnap | None, name: s
     odom = np.empty((0, 3)) if known.odom is None else known.odom
     stamps = np.full(len(known), np.nan) if known.stamps is None else known.stamps
     if (far := np.flatnonzero(np.abs(stamps) > _LATEST)).size:
-        _check_order(name, int(far[0]), np.nan, float(stamps[far[0]]))
+        _check_order(name, indices[far[0]], np.nan, float(stamps[far[0]]))
     if (back := np.flatnonzero(np.diff(stamps) < 0)).size:
-        _check_order(name, int(back[0]) + 1, *stamps[back[0] : back[0] + 2])
+        order = in_order(stamps, odom)
+        if order is None:
+            _check_order(name, indices[back[0] + 1], *stamps[back[0] : back[0] + 2])
+        else:
+            LOG.warning(
+                "%s: %s; imgloc follows the scans in the order of their stamps", name,
+                back_words(stamps, indices), extra={"code": "order"},
+            )  # fmt: skip
+            known, odom, stamps = known.take(order), odom[order], stamps[order]
+            indices = [indices[k] for k in order]
     with np.errstate(over="ignore", invalid="ignore"):
         way, seconds = np.hypot(*increments(odom)[:, :2].T), np.diff(stamps)
     if (leaps := np.flatnonzero(~(way <= _FARTHEST))).size:
@@ -347,12 +359,69 @@ class Follower:
         )  # fmt: skip
 
 
+def in_order(stamps: FloatArray, odom: FloatArray) -> list[int] | None:
+    """The order of stamps (N,) of which a few go back; None if the clock was set back.
+
+    The way of the robot along the odometry (N, 3) tells: if the clock was set back, or the log is
+    made of two, the way is longer in the order of the stamps.
+
+    Examples
+    --------
+    >>> x, stamps = np.arange(12.0), np.arange(12.0)
+    >>> x[[5, 6]] = stamps[[5, 6]] = 6.0, 5.0
+    >>> in_order(stamps, np.column_stack((x, x, 0 * x)))
+    [0, 1, 2, 3, 4, 6, 5, 7, 8, 9, 10, 11]
+    >>> in_order(np.where(x > 7, x - 5.5, x), np.column_stack((x, x, 0 * x))) is None
+    True
+    """
+    if not np.isfinite(stamps).all() or np.mean(np.diff(stamps) < 0) > _BACK:
+        return None
+    order = np.argsort(stamps, kind="stable")
+    before, after = (
+        float(np.hypot(*np.diff(p[:, :2], axis=0).T).sum()) for p in (odom, odom[order])
+    )
+    return order.tolist() if after <= before + _LONGER * before else None
+
+
+def back_words(stamps: FloatArray, indices: Sequence[int]) -> str:
+    """Say where stamps (N,) of scans go back for the first time, and how often they do.
+
+    Examples
+    --------
+    >>> back_words(np.array([976053569.80, 976053569.71, 976053570.1]), range(3))
+    'the stamp of scan 1, 976053569.71, is 0.09 s before that of scan 0, 976053569.80'
+    """
+    back = np.flatnonzero(np.diff(stamps) < 0)
+    k = int(back[0])
+    first, second = stamp_words(float(stamps[k]), float(stamps[k + 1]))
+    by = float(stamps[k] - stamps[k + 1])
+    more = f", and so are {len(back) - 1:,} more" if len(back) > 1 else ""
+    return (
+        f"the stamp of scan {indices[k + 1]}, {second}, is {by:.3g} s before that of scan "
+        f"{indices[k]}, {first}{more}"
+    )
+
+
+def stamp_words(a: float, b: float) -> tuple[str, str]:
+    """Two stamps in seconds, with as many digits as tell them apart.
+
+    Examples
+    --------
+    >>> stamp_words(976053569.801, 976053569.709)
+    ('976053569.80', '976053569.71')
+    """
+    digits = next((d for d in range(2, 10) if f"{a:.{d}f}" != f"{b:.{d}f}"), 9)
+    return f"{a:.{digits}f}", f"{b:.{digits}f}"
+
+
 def _check_order(name: str, k: int, before: float, stamp: float) -> None:
     if abs(stamp) > _LATEST:
         raise ScanError(f"{name}: stamps[{k}]: got {stamp:g}, expected seconds")
     if stamp < before:
+        last, this = stamp_words(before, stamp)
         raise ScanError(
-            f"{name}: stamps[{k}]: {stamp:.9g} after {before:.9g}, expected the order of time"
+            f"{name}: stamps[{k}]: {this} after {last}, {before - stamp:.3g} s back, expected the "
+            "order of time; was the clock set back, or are these two logs? Cut the log there"
         )
 
 

@@ -11,7 +11,8 @@
 ([[1.0, 2.0, 0.5]], [1211.5], 80.0)
 """
 
-import codecs
+import contextlib
+import logging
 import math
 import re
 from collections import Counter
@@ -21,18 +22,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from imgloc.errors import ScanError
-from imgloc.io.files import PathLike, display, read_file
+from imgloc.io.badlines import BadLines
+from imgloc.io.files import PathLike, display
 from imgloc.io.lasers import lasers_of, together
 from imgloc.io.odometry import odometry_at
-from imgloc.io.scanset import MAX_READINGS, Entry, ScanSet, collect, spread, wrong
+from imgloc.io.scanset import Entry, ScanSet, collect, spread, wrong
+from imgloc.io.text import read_text
 from imgloc.io.textscans import check_lines
 from imgloc.model import MOUNTED, FloatArray, LaserScan, Pose2D, compose, inverse
+from imgloc.options import MAX_BAD
 
-_MAX_BYTES = 8 * MAX_READINGS
+_LOG = logging.getLogger("imgloc")
 # In the order of preference: a log may hold the same laser in an old and in a new form.
-_LASERS = re.compile(r"ROBOTLASER\d|FLASER|RAWLASER\d|Laser|RLASER|LASER\d")
-_PREFERRED = ("ROBOTLASER1", "FLASER", "RAWLASER1", "Laser", "RLASER")
-_WHOLE = ("ROBOTLASER1", "FLASER", "Laser")  # with the robot's pose in or before them
+_LASERS = re.compile(r"ROBOTLASER\d|FLASER|RAWLASER\d|Laser|RLASER|LASER\d|L")
+_PREFERRED = ("ROBOTLASER1", "FLASER", "RAWLASER1", "Laser", "L", "RLASER")
+_WHOLE = ("ROBOTLASER1", "FLASER", "Laser", "L")  # with the robot's pose in or before them
 _ODOMETRY = ("ODOM", "Odometry")
 # SICK scanners, the only ones when FLASER was made: readings of a half turn, and the step of the
 # rays in degrees, the first at -90 (the last of an even number is not recorded).
@@ -41,6 +45,10 @@ _SICK_STEPS = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5}
 _SICK_REACH = ((8.18, 8.2, 8.0), (16.36, 16.4, 16.0), (32.72, 32.8, 32.0))
 _REACH = 80.0
 _RIGID = 5e-3  # metres, radians: six digits of a pose that is hundreds of metres away
+_CENTIMETRES = 0.01  # metres
+# For each kind of message, the place of the number of readings, and the least words behind them.
+_COUNTS = {"ROBOTLASER": (8, 14), "RAWLASER": (8, 3), "LASER": (8, 3), "Laser": (1, 0)}
+_FLASER = (1, 6)
 
 
 @dataclass(frozen=True)
@@ -56,16 +64,21 @@ class _Message:
     robot: Pose2D | None = None
 
 
-def read_carmen(path: PathLike, *, topic: str | None = None, fov: float | None = None) -> ScanSet:
+def read_carmen(
+    path: PathLike, *, topic: str | None = None, fov: float | None = None, max_bad: float = MAX_BAD
+) -> ScanSet:
     """Read the scans of a CARMEN log, with the robot's odometry and where its laser sits.
 
     Messages read are ``ROBOTLASER1`` (and 2 to 5; with or without the number of remissions),
-    ``FLASER``, ``RLASER``, ``RAWLASER1``, ``ODOM``, ``PARAM``, and ``Laser`` with ``Odometry`` of
-    DP-SLAM; any other line is left out, as is a last line that was cut off.
+    ``FLASER``, ``RLASER``, ``RAWLASER1``, ``ODOM``, ``PARAM``; ``Laser`` with ``Odometry`` of
+    DP-SLAM; and ``L`` of the logs that many courses use for a first particle filter: poses and
+    180 ranges, all in centimetres. Any other line is left out, as is a last line that was cut off.
 
     `odom` is the robot's pose as each message holds it, or that of the ODOM lines at its time.
     If the laser's poses move against the robot's, a mapper has corrected them: they are `poses`
-    then. If not, they tell where the laser sits: `T_base_laser`.
+    then. If not, they tell where the laser sits: `T_base_laser`. If the robot's poses never change
+    and the laser's do, the laser's are the odometry; whether they are true poses, too, the map
+    tells (:func:`imgloc.answers.truth.poses_fit`).
 
     Parameters
     ----------
@@ -78,9 +91,11 @@ def read_carmen(path: PathLike, *, topic: str | None = None, fov: float | None =
         Angle from the first to the last ray, radians, of lasers that do not say it (FLASER,
         RLASER, Laser). 180, 181, 360 and 361 readings need none, those are SICK scanners, nor
         does a log whose parameters have ``laser_front_laser_resolution``.
+    max_bad : float
+        Share of the laser's lines, 0 to 1, that may be broken: they are left out, with a warning.
     """
     if topic is not None and len(words := lasers_of(topic)) > 1:
-        sets = {word: read_carmen(path, topic=word, fov=fov) for word in words}
+        sets = {word: read_carmen(path, topic=word, fov=fov, max_bad=max_bad) for word in words}
         return together({word: _placed(scans) for word, scans in sets.items()}, display(path))
     name, lines = display(path), _lines(path)
     first = [line.split(None, 1)[0] for _, line in lines]
@@ -91,27 +106,39 @@ def read_carmen(path: PathLike, *, topic: str | None = None, fov: float | None =
         for (_, line), word in zip(lines, first, strict=True)
         if word == "PARAM" and len(words := line.split()) > 2
     }
-    read = _ROBOT if chosen.startswith("ROBOTLASER") else _OTHER.get(chosen, _raw)
     messages, moves = list[_Message](), list[tuple[float, float, float, float]]()
+    bad = BadLines(name, max_bad)
     for (number, line), word in zip(lines, first, strict=True):
         words = line.split()
         where = f"{name}: line {number}: {word}"
         try:
             if word == chosen:
-                messages.append(read(words, where))
+                messages.append(_message(words, where))
                 if chosen == "Laser" and moves:  # the pose of the line before
                     messages[-1] = replace(messages[-1], robot=Pose2D(*moves[-1][1:]))
             elif word in _ODOMETRY:
-                x, y, theta = map(float, words[1:4])
-                stamp = float(words[7]) if word == "ODOM" and len(words) > 7 else math.nan
-                moves.append((stamp, x, y, theta))
-        except (ValueError, IndexError):
-            if number == lines[-1][0]:  # whoever wrote the log was switched off
-                break
-            raise ScanError(f"{where}: a word is missing or is no number") from None
+                moves.append(_move(words, where))
+        except ScanError as error:
+            if messages and number == lines[-1][0]:  # whoever wrote the log was switched off
+                bad.cut(where)
+            else:
+                bad.skip(error)
     if not messages:
+        bad.check(0)
         raise ScanError(f"{name}: holds no whole {chosen}, expected at least one")
+    messages = _stamped(messages, bad)
+    bad.check(len(messages) + len(moves))
     return _assemble(messages, moves, parameters, fov, name, rear=chosen == "RLASER")
+
+
+def _stamped(messages: list[_Message], bad: BadLines) -> list[_Message]:
+    """The messages, without those that lack a stamp if most have one."""
+    lacking = [message for message in messages if math.isnan(message.stamp)]
+    if 2 * len(lacking) > len(messages):
+        return messages
+    for message in lacking:
+        bad.skip(ScanError(f"{message.where}: the stamp is missing, expected seconds"))
+    return [message for message in messages if not math.isnan(message.stamp)]
 
 
 class CarmenLines:
@@ -154,22 +181,18 @@ class CarmenLines:
         """
         words = line.split()
         where = f"{where}: {words[0]}"
-        try:
-            if words[0] in _ODOMETRY:
-                self._odometry = Pose2D(*map(float, words[1:4]))
-            elif words[0] == "PARAM" and len(words) > 2:
-                self._parameters[words[1]] = words[2]
-            elif words[0] == self._word or (self._word is None and words[0] in _WHOLE):
-                self._word = words[0]
-                return self._scan(words, where)
-        except (ValueError, IndexError):
-            raise ScanError(f"{where}: a word is missing or is no number") from None
+        if words[0] in _ODOMETRY:
+            self._odometry = Pose2D(*_move(words, where)[1:])
+        elif words[0] == "PARAM" and len(words) > 2:
+            self._parameters[words[1]] = words[2]
+        elif words[0] == self._word or (self._word is None and words[0] in _WHOLE):
+            scan = self._scan(words, where)
+            self._word = words[0]
+            return scan
         return None
 
     def _scan(self, words: Sequence[str], where: str) -> ScanSet:
-        word = words[0]
-        read = _ROBOT if word.startswith("ROBOTLASER") else _OTHER.get(word, _raw)
-        message = read(words, where)
+        word, message = words[0], _message(words, where)
         if word == "Laser":
             message = replace(message, robot=self._odometry)
         elif "e" in words[-3].lower():
@@ -203,10 +226,8 @@ def _placed(scans: ScanSet) -> ScanSet:
 
 def _lines(path: PathLike) -> list[tuple[int, str]]:
     """The lines that are neither blank nor comments, with their numbers."""
-    data = read_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file")
     # Only names of hosts may be anything else than ASCII, and what an editor puts in front.
-    text = data.removeprefix(codecs.BOM_UTF8).decode("ascii", "replace")
-    lines = check_lines(text.split("\n"), display(path))
+    lines = check_lines(read_text(path, errors="replace").split("\n"), display(path))
     return [(i, line) for i, line in lines if not line.startswith("#")]
 
 
@@ -223,6 +244,49 @@ def _choose(counts: Counter[str], topic: str | None, name: str) -> str:
     return topic
 
 
+def _message(words: Sequence[str], where: str) -> _Message:
+    """The message of a line; a ScanError that says which word is missing or is no number."""
+    word = words[0]
+    read = _ROBOT if word.startswith("ROBOTLASER") else _OTHER.get(word, _raw)
+    try:
+        return read(words, where)
+    except (ValueError, IndexError):
+        raise ScanError(f"{where}: {_fault(words)}") from None
+
+
+def _move(words: Sequence[str], where: str) -> tuple[float, float, float, float]:
+    """Stamp, x, y and theta of ``ODOM x y theta tv rv accel time`` or ``Odometry x y theta``."""
+    try:
+        x, y, theta = map(float, words[1:4])
+        stamp = float(words[7]) if words[0] == "ODOM" and len(words) > 7 else math.nan
+    except ValueError:
+        raise ScanError(f"{where}: {_fault(words)}") from None
+    return stamp, x, y, theta
+
+
+def _fault(words: Sequence[str]) -> str:
+    """Which word of a message is missing or is no number, and what was expected there."""
+    word = words[0]
+    if word in _ODOMETRY or word == "L":
+        before, readings, after = (4, 0, 0) if word in _ODOMETRY else (7, 1, 1)
+    else:
+        at, after = _COUNTS.get(word.rstrip("12345"), _FLASER)
+        if len(words) <= at:
+            return f"{len(words)} words, expected the number of readings as word {at + 1}"
+        if not words[at].isascii() or not words[at].isdigit() or int(words[at][:9]) < 1:
+            return f"word {at + 1} is {words[at][:40]!r}, expected the number of readings"
+        before, readings = at + 1, int(words[at][:9])
+    need = before + readings + after
+    for k, value in enumerate(words[1 : need + 1], 1):
+        try:
+            float(value)
+        except ValueError:
+            what = "a range" if before <= k < before + readings else "a number"
+            return f"word {k + 1} is {value[:40]!r}, expected {what}"
+    expected = f"{readings:,} readings and {after} words behind them" if readings else "x, y, theta"
+    return f"{len(words):,} words, expected {need:,} or more: {expected}"
+
+
 def _numbers(words: Sequence[str]) -> FloatArray:
     return np.array(words, dtype=np.float64)
 
@@ -234,7 +298,9 @@ def _flaser(words: Sequence[str], where: str) -> _Message:
     if len(rest) < 6 or n < 1:
         raise ValueError
     laser, robot = Pose2D(*map(float, rest[:3])), Pose2D(*map(float, rest[3:6]))
-    stamp = float(rest[6]) if len(rest) > 6 else math.nan
+    stamp = math.nan
+    with contextlib.suppress(ValueError, IndexError):  # a word that is no number is the host
+        stamp = float(rest[6])
     return _Message(where, _numbers(words[2 : 2 + n]), stamp, laser=laser, robot=robot)
 
 
@@ -245,6 +311,17 @@ def _laser(words: Sequence[str], where: str) -> _Message:
     if len(ranges) != n or n < 1:
         raise ValueError
     return _Message(where, ranges, math.nan)
+
+
+def _centimetres(words: Sequence[str], where: str) -> _Message:
+    """``L robot-pose laser-pose r.. time``, centimetres and radians."""
+    values = _numbers(words[1:])
+    ranges, stamp = values[6:-1] * _CENTIMETRES, float(values[-1])
+    if not len(ranges):
+        raise ValueError
+    scale = (_CENTIMETRES, _CENTIMETRES, 1.0)
+    robot, laser = (Pose2D(*(values[k : k + 3] * scale).tolist()) for k in (0, 3))
+    return _Message(where, ranges, stamp, laser=laser, robot=robot)
 
 
 def _configured(words: Sequence[str], where: str, after: int) -> tuple[_Message, Sequence[str]]:
@@ -280,7 +357,7 @@ def _raw(words: Sequence[str], where: str) -> _Message:
 
 
 _ROBOT: Callable[[Sequence[str], str], _Message] = _robot_laser
-_OTHER = {"FLASER": _flaser, "RLASER": _flaser, "Laser": _laser}
+_OTHER = {"FLASER": _flaser, "RLASER": _flaser, "Laser": _laser, "L": _centimetres}
 
 
 def _assemble(
@@ -297,6 +374,12 @@ def _assemble(
     timed = len(np.unique(stamps)) > len(stamps) // 2
     odom = _odometry(messages, moves, stamps)
     poses, mount = _laser_poses(messages)
+    if odom is not None and poses is not None and len(odom) > 1 and not np.ptp(odom, axis=0).any():
+        _LOG.warning(
+            "%s: the robot's poses never change (all are %g %g %g); imgloc takes the laser's poses "
+            "for the odometry", name, *odom[0], extra={"code": "odometry-zero"},
+        )  # fmt: skip
+        odom = poses
     entries: list[Entry] = []
     for i, message in enumerate(messages):
         angles = message.angles

@@ -4,12 +4,12 @@ import re
 from typing import Any
 
 from imgloc.errors import ScanError
-from imgloc.io.files import PathLike, display, read_file
+from imgloc.io.files import PathLike, display
 from imgloc.io.plainyaml import plain_yaml
-from imgloc.io.scanset import MAX_RAYS, MAX_READINGS, Entry, ScanSet, collect
+from imgloc.io.scanset import MAX_RAYS, Entry, ScanSet, collect
+from imgloc.io.text import read_text
 from imgloc.io.textscans import plain_entry
 
-_MAX_BYTES = 8 * MAX_READINGS
 _MOST = 4 * MAX_RAYS  # values of a message: ranges and intensities
 _MAP_KEYS = {"image", "resolution", "origin"}
 
@@ -22,11 +22,7 @@ def read_echo(path: PathLike) -> ScanSet:
     arrays that were printed shortened, for what is not plain YAML, and for a map's YAML.
     """
     name = display(path)
-    data = read_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as e:
-        raise ScanError(f"{name}: byte {e.start} is not UTF-8 text") from None
+    text = read_text(path)
     entries: list[Entry] = []
     for document in re.split(r"^---.*$", text, flags=re.MULTILINE):
         if document.strip():

@@ -10,7 +10,6 @@ An NPZ is read by its headers first: an archive of 2 MB may claim arrays of 2 GB
 [1.0, 2.5]
 """
 
-import codecs
 import contextlib
 import io
 import math
@@ -48,13 +47,17 @@ from imgloc.io.scanset import (
     scan_set,
     wrong,
 )
+from imgloc.io.text import open_text, unmarked
 from imgloc.io.textscans import read_csv, read_jsonl, text_size
 from imgloc.model import FloatArray
+from imgloc.options import MAX_BAD, Logs
 
 _MAX_BYTES = 16 * MAX_READINGS
 
 
-def load_scans(path: PathLike, *, topic: str | None = None, fov: float | None = None) -> ScanSet:
+def load_scans(
+    path: PathLike, *, topic: str | None = None, fov: float | None = None, max_bad: float = MAX_BAD
+) -> ScanSet:
     """Load laser scans: at least one, each with at least one reading, all angles finite.
 
     ScanError names the file, the line or key, what was found and what was expected.
@@ -67,16 +70,19 @@ def load_scans(path: PathLike, *, topic: str | None = None, fov: float | None = 
         ``.carmen`` (:func:`~imgloc.io.carmen.read_carmen`), ``.yaml`` or ``.yml``
         (:func:`~imgloc.io.echo.read_echo`), ``.bag``, ``.db3``, ``.mcap`` or the folder of a ROS 2
         recording (:func:`~imgloc.io.bags.read_bag`). A name without an ending, or with ``.txt``,
-        is read by its content. Ranges are metres, angles radians in the sensor's frame,
-        counter-clockwise, 0 forward. Ranges stay as recorded;
-        :class:`~imgloc.model.LaserScan` defines NaN, +inf and codes.
+        is read by its content; ``.gz`` may follow the ending of a file of text. Ranges
+        are metres, angles radians in the sensor's frame, counter-clockwise, 0 forward.
+        Ranges stay as recorded; :class:`~imgloc.model.LaserScan` defines NaN, +inf and codes.
     topic : str, optional
         Which laser of a log with several. ScanError if the file is no log, see
         :func:`has_topics`.
     fov : float, optional
         Angle from the first to the last ray, radians, for a CSV or a log that does not state it.
+    max_bad : float
+        Share of the lines of a CSV, a log or JSON lines, 0 to 1, that may be broken: they are left
+        out, with a warning that names them. ScanError if there are more.
     """
-    return _kind(path, topic).read(path, topic, fov)
+    return _kind(path, topic).read(path, Logs(topic, fov, max_bad=max_bad))
 
 
 def scans_size(path: PathLike, *, topic: str | None = None) -> ScansSize:
@@ -139,22 +145,28 @@ def write_npz(scans: ScanSet) -> bytes:
 class _Kind(NamedTuple):
     """A kind of file: how it is read, and how its size is known before."""
 
-    read: Callable[[PathLike, str | None, float | None], ScanSet]  # path, topic, fov
+    read: Callable[[PathLike, Logs], ScanSet]
     size: Callable[[PathLike, str | None], ScansSize]
 
 
-_NPZ = _Kind(lambda path, _, __: read_npz(path), lambda path, _: _npz_size(path))
-_CSV = _Kind(lambda path, _, fov: read_csv(path, fov=fov), lambda path, _: text_size(path))
-_JSON = _Kind(lambda path, _, __: read_jsonl(path), lambda path, _: text_size(path))
-_ECHO = _Kind(lambda path, _, __: read_echo(path), lambda path, _: text_size(path, between=b"\n"))
+_NPZ = _Kind(lambda path, _: read_npz(path), lambda path, _: _npz_size(path))
+_CSV = _Kind(
+    lambda path, how: read_csv(path, fov=how.fov, max_bad=how.max_bad),
+    lambda path, _: text_size(path),
+)
+_JSON = _Kind(
+    lambda path, how: read_jsonl(path, max_bad=how.max_bad), lambda path, _: text_size(path)
+)
+_ECHO = _Kind(lambda path, _: read_echo(path), lambda path, _: text_size(path, between=b"\n"))
 _CARMEN = _Kind(
-    lambda path, topic, fov: read_carmen(path, topic=topic, fov=fov),
+    lambda path, how: read_carmen(path, topic=how.topic, fov=how.fov, max_bad=how.max_bad),
     lambda path, _: text_size(path, between=b" "),
 )
 _BAG = _Kind(
-    lambda path, topic, _: read_bag(path, topic=topic),
+    lambda path, how: read_bag(path, topic=how.topic),
     lambda path, topic: bag_size(path, topic=topic),
 )
+_TEXTS = _CSV, _JSON, _ECHO, _CARMEN  # which may be packed by gzip
 _LOGS = _CARMEN, _BAG  # in which each of several lasers has a name
 _KINDS = {
     ".npz": _NPZ, ".csv": _CSV, ".jsonl": _JSON, ".ndjson": _JSON, ".json": _JSON,
@@ -162,12 +174,12 @@ _KINDS = {
     ".bag": _BAG, ".db3": _BAG, ".mcap": _BAG,
 }  # fmt: skip
 #: Endings of scan files in a folder. A YAML file there is taken for a map's.
-SCAN_ENDINGS = tuple(ending for ending in _KINDS if ending not in (".yaml", ".yml"))
+SCAN_ENDINGS = (*(ending for ending in _KINDS if ending not in (".yaml", ".yml")), ".gz")
 # What files begin with whose name does not tell.
 _MAGIC = (
     (rb"PK\x03\x04", _NPZ), (rb"#ROSBAG V2", _BAG), (rb"SQLite format 3", _BAG),
     (rb"\x89MCAP", _BAG), (rb"\s*[{\[]", _JSON),
-    (rb"(?s).*?^(PARAM|ODOM|[FR]LASER|ROBOTLASER\d|RAWLASER\d|Odometry) ", _CARMEN),
+    (rb"(?s).*?^(PARAM|ODOM|[FR]LASER|ROBOTLASER\d|RAWLASER\d|Odometry|[LO]) ", _CARMEN),
     (rb"(?s).*?^(header|angle_min|ranges):", _ECHO),
     (rb"(?:\s*#[^\n]*\n)*\s*[-+.\w]", _CSV),
 )  # fmt: skip
@@ -203,7 +215,7 @@ def _kind(path: PathLike, topic: str | None) -> _Kind:
 def _kind_of(path: PathLike) -> _Kind:
     """The kind of a file by the ending of its name, else by how it begins."""
     name, lower, file = display(path), str(path).lower(), Path(path)
-    ending = file.suffix.lower()
+    ending = Path(lower.removesuffix(".gz")).suffix
     if is_folder(file) and ending not in _KINDS:
         if any(file.glob("*.mcap")) or any(file.glob("*.db3")) or is_there(file / "metadata.yaml"):
             return _BAG
@@ -211,13 +223,16 @@ def _kind_of(path: PathLike) -> _Kind:
             f"{name}: is a folder, expected a file of scans; imgloc batch takes folders"
         )
     if ending in _KINDS:
-        return _KINDS[ending]
+        kind = _KINDS[ending]
+        if lower.endswith(".gz") and kind not in _TEXTS:
+            raise ScanError(f"{name}: cannot be read packed: unpack it with gunzip")
+        return kind
     for known, hint in _CONVERTED.items():
         if lower.endswith((known, f"{known}.gz", f"{known}.zip")):
             raise ScanError(f"{name}: cannot be read: {hint}")
-    with open_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file") as (opened, _):
+    with open_text(path) as (opened, _):
         head = opened.read(_HEAD)
-    head = head.removeprefix(codecs.BOM_UTF8)
+    head = unmarked(head)
     if ending in ("", ".txt", ".dat", ".scan"):
         for pattern, kind in _MAGIC:
             if re.match(pattern, head, re.MULTILINE):

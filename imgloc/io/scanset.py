@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.errors import ConfigError, ScanError
+from imgloc.io.badlines import BadLines
 from imgloc.model import FloatArray, LaserScan, Pose2D
 
 _LOG = logging.getLogger("imgloc")
@@ -166,33 +167,46 @@ def _check_finite(
         raise wrong(f"{name}: {key}{at.tolist()}", array[tuple(at)], expected)
 
 
-def collect(entries: Sequence[Entry], name: str) -> ScanSet:
-    """Check each entry of the file `name` and make the set."""
-    if not entries:
+def collect(entries: Sequence[Entry], name: str, bad: BadLines | None = None) -> ScanSet:
+    """Check each entry of the file `name` and make the set.
+
+    Entries that are broken are left out if there are no more of them than `bad` allows; without it
+    none may be. `odom` is NaN for an entry without odometry.
+    """
+    if bad is None:
+        bad = BadLines(name, 0.0)
+    scans, beside = list[LaserScan](), {"pose": list[FloatArray](), "odom": list[FloatArray]()}
+    for where, entry in entries:
+        try:
+            scan = _scan(entry, where)
+            poses = {key: _pose(entry.get(key), where, key) for key in beside}
+        except ScanError as error:
+            bad.skip(error)
+            continue
+        scans.append(scan)
+        for key, pose in poses.items():
+            beside[key].append(pose)
+    bad.check(len(scans))
+    if not scans:
         raise ScanError(f"{name}: holds no scan, expected one per line")
-    scans = [_scan(entry, where) for where, entry in entries]
-    beside: dict[str, FloatArray | None] = {}
-    for key in ("pose", "odom"):
-        given = [(where, entry[key]) for where, entry in entries if entry.get(key) is not None]
-        if len(given) not in (0, len(scans)):
-            some = f"in {len(given)} of {len(scans)} scans"
-            raise ScanError(f"{name}: {key}: {some}, expected all or none")
-        poses = [
-            np.full(3, np.nan) if key == "odom" and _unknown(value) else _pose(value, where, key)
-            for where, value in given
-        ]
-        beside[key] = np.array(poses) if poses else None
+    known = {key: _known(np.array(poses)) for key, poses in beside.items()}
+    if known["pose"] is not None and (there := np.isfinite(known["pose"][:, 0])).sum() < len(scans):
+        some = f"in {there.sum()} of {len(scans)} scans"
+        raise ScanError(f"{name}: pose: {some}, expected all or none")
     times = np.array([scan.stamp for scan in scans])
     stamps = None if np.isnan(times).all() else times
-    return ScanSet(_without_codes(scans, name), beside["pose"], stamps, beside["odom"])
+    return ScanSet(_without_codes(scans, name), known["pose"], stamps, known["odom"])
 
 
-def _unknown(pose: Any) -> bool:
-    """Whether a pose of an array is NaN throughout: not known."""
-    return isinstance(pose, np.ndarray) and bool(np.isnan(pose).all())
+def _known(poses: FloatArray) -> FloatArray | None:
+    """The poses (N, 3), or None if none of them is known."""
+    return None if np.isnan(poses).all() else poses
 
 
 def _pose(value: Any, where: str, key: str) -> FloatArray:
+    """A pose (3,), NaN where it is not known."""
+    if value is None or (isinstance(value, np.ndarray) and np.isnan(value).all()):
+        return np.full(3, np.nan)
     pose = numbers(value, where, key, ndim=(1,))
     if pose.shape != (3,):
         raise wrong(f"{where}: {key}", f"{len(pose)} numbers", "x, y, theta")

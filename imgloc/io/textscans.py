@@ -5,15 +5,15 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from imgloc.errors import ScanError
-from imgloc.io.files import PathLike, display, open_file, read_file
+from imgloc.io.badlines import BadLines
+from imgloc.io.files import PathLike, display
 from imgloc.io.scanset import (
     MAX_RAYS,
-    MAX_READINGS,
     SPACING,
     Entry,
     ScanSet,
@@ -22,8 +22,10 @@ from imgloc.io.scanset import (
     scalar,
     spread,
 )
+from imgloc.io.text import MAX_TEXT, open_text, read_text
+from imgloc.options import MAX_BAD
 
-_LIMIT, _BLOCK = 8 * MAX_READINGS, 1 << 20  # bytes
+_BLOCK = 1 << 20  # bytes
 MAX_LINE = 64 * MAX_RAYS
 """Characters of a line of text, which holds a scan."""
 _SETTING = re.compile(r"\b(\w+)\s*[=:]\s*([^\s,;]+)")
@@ -32,7 +34,7 @@ _BESIDE = ("stamp", "x", "y", "theta")
 _POSES = ("pose", "odom", "mount")
 
 
-def read_csv(path: PathLike, *, fov: float | None = None) -> ScanSet:
+def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_BAD) -> ScanSet:
     """Read scans from a CSV: one scan a line, its ranges in the order of the angles.
 
     Lines that begin with ``#`` give what the numbers do not, in metres and radians::
@@ -45,11 +47,12 @@ def read_csv(path: PathLike, *, fov: float | None = None) -> ScanSet:
     is optional; columns called ``stamp``, ``x``, ``y``, ``theta`` are the stamp and the known
     pose of the sensor, all others are ranges in order. A file with the two columns ``angle``
     and ``range``, or with just two columns of numbers, is one scan, one reading a line. Empty
-    cells are NaN.
+    cells are NaN. Broken lines are left out, up to the share `max_bad`, as is a last one that was
+    cut off.
     """
     name, settings, columns = display(path), dict[str, Any](), list[str]()
-    rows: list[tuple[str, list[float]]] = []
-    for line, text in _lines(path, MAX_LINE):
+    rows, bad, lines = list[tuple[str, list[float]]](), BadLines(name, max_bad), _lines(path)
+    for line, text in lines.numbered:
         where = f"{name}: line {line}"
         if text.startswith("#"):
             said = [(key, value) for key, value in _SETTING.findall(text) if key in _SETTINGS]
@@ -60,18 +63,27 @@ def read_csv(path: PathLike, *, fov: float | None = None) -> ScanSet:
         if not columns and not rows and not any(map(_is_number, cells)):
             columns = [cell.strip("\"'").lower() for cell in cells]
             continue
-        row = [_number_of(cell, f"{where}: column {i + 1}") for i, cell in enumerate(cells)]
-        for before, why in ((rows and rows[0][1], " as before"), (columns, ": one per name")):
-            if before and len(row) != len(before):
-                raise ScanError(f"{where}: {len(row)} numbers, expected {len(before)}{why}")
+        try:
+            row = [_number_of(cell, f"{where}: column {i + 1}") for i, cell in enumerate(cells)]
+            for before, why in ((rows and rows[0][1], " as before"), (columns, ": one per name")):
+                if before and len(row) != len(before):
+                    raise ScanError(f"{where}: {len(row)} numbers, expected {len(before)}{why}")
+        except ScanError as error:
+            if rows and line == lines.cut:
+                bad.cut(where)
+            else:
+                bad.skip(error)
+            continue
         rows.append((where, row))
     if not rows:
+        bad.check(0)
         raise ScanError(f"{name}: holds no scan, expected one per line")
     table = np.array([row for _, row in rows])
     at = {column: i for i, column in enumerate(columns)}
     if not at and table.shape[1] == 2 and len(table) > 1 and not settings:
         at = {"angle": 0, "range": 1}
     if at.keys() >= {"angle", "range"}:
+        bad.check(len(table))
         angles, ranges = table[:, at["angle"]], table[:, at["range"]]
         return collect([(name, {**settings, "angles": angles, "ranges": ranges})], name)
     beside = {column: i for column, i in at.items() if column in _BESIDE}
@@ -93,10 +105,10 @@ def read_csv(path: PathLike, *, fov: float | None = None) -> ScanSet:
         stamp = row[beside["stamp"]] if "stamp" in beside else None
         pose = [row[i] for i in place] or None
         entries.append((where, {**settings, "ranges": values, "stamp": stamp, "pose": pose}))
-    return collect(entries, name)
+    return collect(entries, name, bad)
 
 
-def read_jsonl(path: PathLike) -> ScanSet:
+def read_jsonl(path: PathLike, *, max_bad: float = MAX_BAD) -> ScanSet:
     """Read scans from JSON lines, one object per line with the names of sensor_msgs/LaserScan.
 
     Needed are ``ranges`` and either ``angles`` or ``angle_min`` with ``angle_increment``
@@ -104,20 +116,32 @@ def read_jsonl(path: PathLike) -> ScanSet:
     ``header.stamp`` with ``sec`` and ``nanosec``), ``pose``, ``odom`` and ``mount`` (where the
     sensor sits on the robot) as [x, y, theta] or an object of these names. In ranges, null is
     NaN, and "inf", "-inf", "nan" may be strings.
-    A ``.json`` file may also be one such object, or an array of them.
+    A ``.json`` file may also be one such object, or an array of them. Broken lines are left out,
+    up to the share `max_bad`, as is a last one that was cut off.
     """
-    name, whole_file = display(path), str(path).lower().endswith(".json")
-    lines = _lines(path, _LIMIT if whole_file else MAX_LINE)
+    name, bad = display(path), BadLines(display(path), max_bad)
+    whole_file = str(path).lower().removesuffix(".gz").endswith(".json")
+    lines = _lines(path, MAX_TEXT if whole_file else MAX_LINE)
+    entries = list[Entry]()
     if whole_file:
-        commas, braces = (sum(text.count(mark) for _, text in lines) for mark in ",{")
+        text = "\n".join(text for _, text in lines.numbered)
+        commas, braces = text.count(","), text.count("{")
         if commas > 4 * MAX_RAYS * max(braces, 1):
             raise ScanError(f"{name}: {commas:,} values, expected at most {MAX_RAYS:,} a scan")
-        whole = _json("\n".join(text for _, text in lines), name)
-        items = whole if isinstance(whole, list) else [whole]
-        entries = [(f"{name}: scan {i}", item) for i, item in enumerate(items)]
-    else:
-        entries = [(where := f"{name}: line {i}", _json(text, where)) for i, text in lines]
-    return collect([(where, _object(entry, where)) for where, entry in entries], name)
+        whole = _json(text, name)
+        for i, item in enumerate(whole if isinstance(whole, list) else [whole]):
+            entries.append((where := f"{name}: scan {i}", _object(item, where)))
+        return collect(entries, name, bad)
+    for line, text in lines.numbered:
+        where = f"{name}: line {line}"
+        try:
+            entries.append((where, _object(_json(text, where), where)))
+        except ScanError as error:
+            if entries and line == lines.cut:
+                bad.cut(where)
+            else:
+                bad.skip(error)
+    return collect(entries, name, bad)
 
 
 def read_jsonl_line(text: str, where: str) -> ScanSet:
@@ -137,7 +161,7 @@ def text_size(path: PathLike, *, between: bytes = b",") -> ScansSize:
     Where numbers are on lines of their own, messages are between lines of dashes.
     """
     counts = np.array([1, 0, 0, 0, 1])
-    with open_file(path, limit=_LIMIT, error=ScanError, what="scan file") as (file, length):
+    with open_text(path) as (file, length):
         while block := file.read(_BLOCK):
             counts += [block.count(mark) for mark in (b"\n", b"{", b",", between, b"\n---")]
     lines, braces, commas, marks, dashes = counts.tolist()
@@ -146,14 +170,18 @@ def text_size(path: PathLike, *, between: bytes = b",") -> ScansSize:
     return ScansSize(max(lines, braces), lines + marks, length, text=True)
 
 
-def _lines(path: PathLike, most: int) -> list[tuple[int, str]]:
-    """The lines of a UTF-8 file that are not blank, each at most so long, numbered from 1."""
-    data = read_file(path, limit=_LIMIT, error=ScanError, what="scan file")
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as e:
-        raise ScanError(f"{display(path)}: byte {e.start} is not UTF-8 text") from None
-    return check_lines(text.split("\n"), display(path), most)
+class _Lines(NamedTuple):
+    """The lines of a file that are not blank, numbered from 1."""
+
+    numbered: list[tuple[int, str]]
+    cut: int  # number of the last line if that does not end, else 0
+
+
+def _lines(path: PathLike, most: int = MAX_LINE) -> _Lines:
+    """The lines of a file of text, each of at most so many characters."""
+    text = read_text(path)
+    numbered = check_lines(text.split("\n"), display(path), most)
+    return _Lines(numbered, 0 if text.endswith("\n") or not numbered else numbered[-1][0])
 
 
 def check_lines(lines: Sequence[str], name: str, most: int = MAX_LINE) -> list[tuple[int, str]]:

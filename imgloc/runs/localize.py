@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from imgloc.answers.diagnose import Doubt, Said, doubts
+from imgloc.answers.truth import with_true_poses
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import poses_of
@@ -90,6 +91,11 @@ class Locating:
                     truth=truth,
                 )
         self.desk.keep(self.features)
+
+    def with_true_poses(self) -> "Locating":
+        """The same, without known poses if the scans do not fit the map there."""
+        scans = with_true_poses(self.taken.scans, self.features.grid, self.taken.name)
+        return replace(self, taken=replace(self.taken, scans=scans))
 
     def doubts(self, scans: Sequence[LaserScan], said: Said) -> list[Doubt]:
         """What may be wrong with scans of which this was `said`."""

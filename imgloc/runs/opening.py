@@ -43,7 +43,7 @@ from imgloc.io.maps import (
 from imgloc.io.scans import has_topics, load_scans, scans_size
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, check_mount
-from imgloc.options import Chosen, Factor, Length, Options, Radians, Reading
+from imgloc.options import MAX_BAD, Chosen, Factor, Length, Options, Radians, Reading, Share
 from imgloc.pipeline import prepare
 from imgloc.ranges import Checked
 from imgloc.search.asked import answer_bytes
@@ -79,6 +79,7 @@ class ScanFiles(Checked):
     mount: Pose2D | None = None  #: pose of the sensor on the robot
     #: there may be several files: a topic is for those that have any
     many: bool = True
+    max_bad: Share = MAX_BAD  #: share of the lines of a file that may be broken
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -256,7 +257,7 @@ class Desk:
             f"{name}: a file of up to {size.scans:,} scans and {size.numbers:,} numbers",
             "take fewer scans, in several files",
         )
-        recorded = load_scans(path, topic=topic, fov=files.fov)
+        recorded = load_scans(path, topic=topic, fov=files.fov, max_bad=files.max_bad)
         if files.mount is not None and len({s.T_base_laser for s in recorded.scans}) > 1:
             raise ConfigError("`sensor`: the log has several lasers, each with a place of its own")
         indices = files.chosen.of(len(recorded), name)

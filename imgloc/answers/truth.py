@@ -1,0 +1,108 @@
+"""Whether recorded poses are true ones: scans lie on the walls of the map there, not beside it."""
+
+import logging
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from imgloc.features.scanpoints import evenly, scan_xy
+from imgloc.geometry import in_grid_frame
+from imgloc.io.scanset import ScanSet
+from imgloc.model import BoolArray, FloatArray, LaserScan, OccupancyGrid, Pose2D
+from imgloc.numbers import number
+
+_LOG = logging.getLogger("imgloc")
+_NEAR = number("truth.near")
+_AROUND, _APART = number("truth.around"), number("truth.apart")
+_SHARE, _BEST = number("truth.fits")
+_SCANS, _RAYS, _LEAST = number("truth.tried")
+NOT_TRUE = (
+    "the scans do not fit the map at their recorded poses, so imgloc does not take these for true "
+    "poses; they may be odometry, or in the frame of another map"
+)
+
+
+def poses_fit(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray) -> bool | None:
+    """Whether scans fit a map at poses that are given; None if they have too few readings.
+
+    They fit if most of them have more readings near walls at their poses than elsewhere within 3 m
+    and 10 degrees, or nearly as many.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+    scans : sequence of LaserScan
+    poses : (N, 3) float array
+        Poses of the sensors, map frame: metres, metres, radians.
+
+    Examples
+    --------
+    >>> wall = np.pad(np.zeros((60, 80), bool), 2, constant_values=True)
+    >>> grid = OccupancyGrid(wall, ~wall, 0.1)
+    >>> from imgloc.simulation.scans import simulate
+    >>> known = simulate(grid, 3, seed=1)
+    >>> poses_fit(grid, known.scans, known.poses), poses_fit(grid, known.scans, known.poses + 1.5)
+    (True, False)
+    """
+    walls = near_walls(grid)
+    shares = list[tuple[float, float]]()
+    for k in evenly(len(scans), _SCANS).tolist():
+        xy = scan_xy(scans[k])
+        xy = xy[evenly(len(xy), _RAYS)]
+        if len(xy) >= _LEAST:
+            local = in_grid_frame(Pose2D(*poses[k]), grid)
+            here = _nearby(np.array([local.x, local.y, local.theta]))
+            found = shares_near(walls, grid.resolution, xy, here)
+            shares.append((float(found[0]), float(found.max())))
+    if not shares:
+        return None
+    here, best = np.median(shares, axis=0)
+    ratio = float(np.median([a / b if b else 0.0 for a, b in shares]))
+    return bool(here >= _SHARE and ratio >= _BEST and best > 0)
+
+
+def with_true_poses(scans: ScanSet, grid: OccupancyGrid, name: str) -> ScanSet:
+    """The scans, without their poses and with a warning if :func:`poses_fit` says that they do not.
+
+    `name` is that of the file, for the warning.
+    """
+    if scans.poses is None or poses_fit(grid, scans.scans, scans.poses) is not False:
+        return scans
+    _LOG.warning("%s: %s", name, NOT_TRUE)
+    return replace(scans, poses=None)
+
+
+def near_walls(grid: OccupancyGrid) -> BoolArray:
+    """(H, W) bool: the cells that are a wall, or near one."""
+    r = max(1, round(_NEAR / grid.resolution))
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * r + 1, 2 * r + 1))
+    return cv2.dilate(grid.occupied.astype(np.uint8), disc).astype(bool)
+
+
+def shares_near(
+    walls: BoolArray, resolution: float, xy: FloatArray, poses: FloatArray
+) -> FloatArray:
+    """(C,) share of the points xy (N, 2), sensor frame, that are near walls at poses (C, 3)."""
+    cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
+    x = cos * xy[:, 0] - sin * xy[:, 1] + poses[:, :1]
+    y = sin * xy[:, 0] + cos * xy[:, 1] + poses[:, 1:2]
+    height, width = walls.shape
+    far = 2.0 * max(height, width) * resolution  # before a number is too large for a cell
+    column, row = (np.floor(np.clip(v, -far, far) / resolution).astype(np.int64) for v in (x, y))
+    there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    at = walls[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
+    return np.asarray((there & at).mean(axis=1))
+
+
+def _nearby(pose: FloatArray) -> FloatArray:
+    """A pose (3,), and poses around it: (C, 3), the pose first."""
+    steps = [
+        np.arange(-math.floor(far / step), math.floor(far / step) + 1) * step
+        for far, step in zip(_AROUND, _APART, strict=True)
+    ]
+    x, y, turn = np.meshgrid(steps[0], steps[0], steps[1], indexing="ij")
+    off = np.column_stack((x.ravel(), y.ravel(), turn.ravel()))
+    return np.asarray(pose + np.concatenate((np.zeros((1, 3)), off)))

@@ -1,0 +1,73 @@
+"""Lines of a file that are broken: left out, counted and named, or refused if they are many."""
+
+import logging
+import re
+
+from imgloc.errors import ScanError
+from imgloc.options import MAX_BAD
+
+_LOG = logging.getLogger("imgloc")
+_SHOWN = 3  # lines that a note names
+
+
+class BadLines:
+    """Lines that a reader leaves out because they are broken.
+
+    Parameters
+    ----------
+    name : str
+        Name of the file, for messages.
+    most : float
+        Share of the lines, 0 to 1, that may be broken.
+
+    Examples
+    --------
+    >>> bad = BadLines("a.log", 0.5)
+    >>> bad.skip(ScanError("a.log: line 3: FLASER: 12 words, expected 190"))
+    >>> bad.check(1)
+    >>> bad.skip(ScanError("a.log: line 4: FLASER: 13 words, expected 190"))
+    >>> bad.check(1)
+    Traceback (most recent call last):
+        ...
+    imgloc.errors.ScanError: a.log: line 3: FLASER: 12 words, expected 190 (2 of 3 are broken; \
+`max_bad=0.67` leaves them out)
+    """
+
+    def __init__(self, name: str, most: float = MAX_BAD) -> None:
+        self.name, self.most, self.count = name, most, 0
+        self._first: list[ScanError] = []
+
+    def skip(self, error: ScanError) -> None:
+        """Leave out the line that this error is about."""
+        self.count += 1
+        if len(self._first) < _SHOWN:
+            self._first.append(error)
+
+    def cut(self, where: str) -> None:
+        """Note that the last line ends in the middle, and is left out."""
+        text = "the last line was cut off and is left out"
+        _LOG.warning("%s: %s", where, text, extra={"code": "cut"})
+
+    def check(self, good: int) -> None:
+        """Say which lines were left out of a file of `good` ones, or raise the error of the first.
+
+        That is raised if more of the lines are broken than may be.
+        """
+        if not self.count:
+            return
+        total = self.count + good
+        if self.count > self.most * total:
+            hint = ""
+            if good:
+                share = min(1.0, 0.01 * -(-100 * self.count // total))
+                are = "is" if self.count == 1 else "are"
+                hint = f" ({self.count:,} of {total:,} {are} broken; "
+                hint += f"`max_bad={share:g}` leaves {'it' if self.count == 1 else 'them'} out)"
+            raise ScanError(f"{self._first[0]}{hint}") from None
+        texts = [re.sub(rf"^{re.escape(self.name)}: ", "", str(error)) for error in self._first]
+        more = self.count - len(texts)
+        _LOG.warning(
+            "%s: left out %d of %d lines, which are broken: %s%s",
+            self.name, self.count, total, "; ".join(texts), f"; and {more:,} more" if more else "",
+            extra={"code": "broken"},
+        )  # fmt: skip

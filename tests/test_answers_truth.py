@@ -1,0 +1,53 @@
+"""Recorded poses: true ones, odometry, and those of other maps."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import MAPS, call
+
+import imgloc
+from imgloc.answers.truth import poses_fit
+from imgloc.io.scanset import ScanSet
+
+
+def simulated(tmp_path: Path, shift: float) -> Path:
+    grid = imgloc.load_map(MAPS / "curved.yaml")
+    scans = imgloc.simulate(grid, 6, seed=3)
+    assert scans.poses is not None
+    path = tmp_path / f"{shift}.npz"
+    poses = scans.poses + (shift, 0, 0)
+    imgloc.save_scans(path, ScanSet(scans.scans, poses, np.arange(6.0), poses))
+    return path
+
+
+@pytest.mark.parametrize("shift", [0.0, 2.0])
+def test_poses_that_do_not_fit_the_map_are_not_truth(tmp_path: Path, shift: float) -> None:
+    path = simulated(tmp_path, shift)
+    run = call("localize", "curved", path, "--scans-index", 2, "--no-cache")
+    assert run.code == 0
+    assert ("truth" in run.out) == (shift == 0)
+    assert ("does not take these for true poses" in run.err) == (shift > 0)
+    run = call("track", "curved", path, "--no-cache")
+    assert run.code == 0
+    assert ("does not take these for true poses" in run.err) == (shift > 0)
+
+
+def test_scans_without_readings_tell_nothing() -> None:
+    grid = imgloc.load_map(MAPS / "curved.yaml")
+    scan = imgloc.LaserScan(np.full(9, np.inf), np.arange(9.0))
+    assert poses_fit(grid, [scan], np.zeros((1, 3))) is None
+
+
+@pytest.mark.parametrize(
+    "name", ["fr079", "fr079_half", "belgioioso", "duke_loop5", "gh25", "malaga_campus", "wean",
+             "factory_changed"],
+)  # fmt: skip
+def test_known_poses_of_recorded_sets_are_true(shared: Path, name: str) -> None:
+    folder = shared / "data" / name
+    grid, scans = imgloc.load_map(folder / "map.yaml"), imgloc.load_scans(folder / "scans.npz")
+    assert scans.poses is not None
+    assert poses_fit(grid, scans.scans, scans.poses)
+    assert not poses_fit(grid, scans.scans, scans.poses + (0.5, 0.3, 0.05))
+    if scans.odom is not None:
+        assert not poses_fit(grid, scans.scans, scans.odom)
