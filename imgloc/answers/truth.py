@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import cv2
@@ -19,6 +19,13 @@ _NEAR = number("truth.near")
 _AROUND, _APART = number("truth.around"), number("truth.apart")
 _SHARE, _BEST = number("truth.fits")
 _SCANS, _RAYS, _LEAST = number("truth.tried")
+#: What may be wrong with all scans of a file, and what mends it.
+WAYS: Mapping[str, Callable[[LaserScan], LaserScan]] = {
+    "": lambda scan: scan,
+    "flipped": lambda scan: scan.flipped,
+    "centimetres": lambda scan: scan.scaled(0.01),
+    "millimetres": lambda scan: scan.scaled(0.001),
+}
 NOT_TRUE = (
     "the scans do not fit the map at their recorded poses, so imgloc does not take these for true "
     "poses; they may be odometry, or in the frame of another map"
@@ -67,9 +74,14 @@ def poses_fit(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray
 def with_true_poses(scans: ScanSet, grid: OccupancyGrid, name: str) -> ScanSet:
     """The scans, without their poses and with a warning if :func:`poses_fit` says that they do not.
 
-    `name` is that of the file, for the warning.
+    Poses are true, too, if the scans fit there in another unit, or turned over. `name` is that of
+    the file, for the warning.
     """
-    if scans.poses is None or poses_fit(grid, scans.scans, scans.poses) is not False:
+    if scans.poses is None:
+        return scans
+    some = evenly(len(scans), _SCANS).tolist()
+    tried, poses = [scans[k] for k in some], scans.poses[some]
+    if any(poses_fit(grid, [way(s) for s in tried], poses) is not False for way in WAYS.values()):
         return scans
     _LOG.warning("%s: %s", name, NOT_TRUE)
     return replace(scans, poses=None)
