@@ -685,6 +685,13 @@ class Logs(Checked):
         "Share of the lines of a file that may be broken: they are left out, and named. A file "
         "with more of them is refused.",
     )
+    height: tuple[float, float] | None = option(
+        None,
+        "Make scans of clouds of points: of each take the slice from MIN to MAX, heights in the "
+        "sensor's frame, metres.",
+        metavar="MIN,MAX",
+        parse=numbers(2),
+    )
 
 
 @dataclass(frozen=True)

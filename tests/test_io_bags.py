@@ -250,3 +250,62 @@ def test_a_bag_goes_through_the_command(tmp_path: Path) -> None:
     base = row["base_pose"]
     away = math.hypot(base["x"] - row["pose"]["x"], base["y"] - row["pose"]["y"])
     assert away == pytest.approx(0.3, abs=1e-6)
+
+
+def cloud(m: Messages, stamp: float, points):
+    fields = [
+        m.make("sensor_msgs/msg/PointField", axis, 4 * k, 7, 1) for k, axis in enumerate("xyz")
+    ]
+    data = np.asarray(points, "<f4")
+    return m.make(
+        CLOUD, m.header(stamp, "laser"), 1, len(data), fields, False, 12, 12 * len(data),
+        np.frombuffer(data.tobytes(), np.uint8), True,
+    )  # fmt: skip
+
+
+CLOUD = "sensor_msgs/msg/PointCloud2"
+
+
+@pytest.mark.parametrize("kind", ["bag", "mcap"])
+def test_a_slice_of_a_cloud_is_a_scan(tmp_path: Path, kind: str) -> None:
+    m = messages_of(kind == "bag")
+    points = [(2, 0, 0.1), (1, 0, 0.9), (3, 0, 0), (0, -3, -0.1), (math.nan, 0, 0)]
+    content = [("/tf_static", TF, m.transform("base_link", "laser", 0.3, DOWN)),
+               ("/points", CLOUD, cloud(m, 10.5, points)),
+               ("/points", CLOUD, cloud(m, 11.0, [(1, 1, 5.0)]))]  # fmt: skip
+    path = write(tmp_path / ("a.bag" if kind == "bag" else "log"), kind, content)
+    with pytest.raises(ScanError, match=r"cloud of points: a slice .* pass `height=-0.1,0.1`"):
+        scans_size(path)
+    scans = load_scans(path, height=(-0.2, 0.2))
+    assert len(scans) == 2
+    assert scans_size(path, height=(-0.2, 0.2)).scans == 2
+    first, empty = scans.scans
+    assert first.ranges[first.valid].tolist() == [3.0, 2.0]
+    assert np.rad2deg(first.angles[first.valid]).tolist() == [90.0, 0.0]  # it hangs upside down
+    assert (first.stamp, len(empty.ranges), empty.valid.any()) == (10.5, 720, False)
+    with pytest.raises(ScanError, match="no point 7 to 8 m above the sensor"):
+        load_scans(path, height=(7, 8))
+    bad = call("localize", "curved", path, "--height", "1,-1", "--no-cache")
+    assert bad.code == 2
+    assert "--height: got 1,-1, expected a lower end first" in bad.err
+
+
+@pytest.mark.parametrize("how", ["ascii", "binary"])
+def test_a_slice_of_a_pcd_is_a_scan(tmp_path: Path, how: str) -> None:
+    points = np.array([(0, 2, 0.1, 7), (1, 0, 0.9, 7), (-4, 0, 0, 7)], "<f4")
+    head = (
+        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z i\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n"
+        f"WIDTH 3\nHEIGHT 1\nPOINTS 3\nDATA {how}\n"
+    )
+    words = "\n".join(" ".join(map(str, p)) for p in points.tolist()).encode()
+    for name in ("a.pcd", "a"):
+        path = tmp_path / name
+        path.write_bytes(head.encode() + (words if how == "ascii" else points.tobytes()))
+        (scan,) = load_scans(path, height=(-0.2, 0.2)).scans
+        assert scan.ranges[scan.valid].tolist() == [4.0, 2.0]
+        assert np.rad2deg(scan.angles[scan.valid]).round(6).tolist() == [180.0, 90.0]
+    with pytest.raises(ScanError, match=r"pass `height=-0.1,0.1`"):
+        load_scans(path)
+    path.write_bytes(head.replace(how, "binary_compressed").encode() + b"1")
+    with pytest.raises(ScanError, match="pcl_convert_pcd_ascii_binary"):
+        load_scans(path, height=(-0.2, 0.2))

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from imgloc.errors import ScanError
+from imgloc.errors import ConfigError, ScanError
 from imgloc.io.bagbounds import MAX_METADATA, bounded, largest_chunk, messages_of, metadata
+from imgloc.io.clouds import Height, check_height, check_seen, points_of, slice_of
 from imgloc.io.files import (
     PathLike,
     display,
@@ -39,17 +40,16 @@ from imgloc.model import FloatArray, Pose2D
 
 _LOG = logging.getLogger("imgloc")
 _SCAN, _ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
+_CLOUD = "sensor_msgs/msg/PointCloud2"
 _TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _SHOWN = 8  # topics in a message
 _TILTED = math.cos(math.radians(5))
 _HINTS = {
-    "sensor_msgs/msg/PointCloud2": "ros2 run pointcloud_to_laserscan "
-    "pointcloud_to_laserscan_node makes scans of point clouds",
     "sensor_msgs/msg/MultiEchoLaserScan": "ros2 run laser_proc laser_proc_node makes scans of them",
 }
 
 
-def read_bag(path: PathLike, *, topic: str | None = None) -> ScanSet:
+def read_bag(path: PathLike, *, topic: str | None = None, height: Height | None = None) -> ScanSet:
     """Read the scans of a topic of a bag, with the robot's odometry and the sensor's place.
 
     `odom` is the robot's pose at the time of each scan, from nav_msgs/Odometry, else from the
@@ -65,10 +65,13 @@ def read_bag(path: PathLike, *, topic: str | None = None) -> ScanSet:
     topic : str, optional
         Topic with sensor_msgs/LaserScan messages; default ``/scan``, or the only such topic.
         Several topics stand with commas between; then each scan has its own `T_base_laser`.
+        Without any such topic those of sensor_msgs/PointCloud2 are looked at.
+    height : (float, float), optional
+        Lowest and highest point of the slice of a cloud that is a scan, metres above the sensor.
     """
     name = display(path)
     if topic is not None and len(topics := lasers_of(topic)) > 1:
-        return together({t: read_bag(path, topic=t) for t in topics}, name)
+        return together({t: read_bag(path, topic=t, height=height) for t in topics}, name)
     with _opened(path, name) as bag:
         chosen = _choose(bag, topic, name)
         odometry = _by_type(bag, _ODOMETRY)
@@ -85,14 +88,16 @@ def read_bag(path: PathLike, *, topic: str | None = None) -> ScanSet:
             if connection.topic == chosen:
                 laser = frame_name(message.header.frame_id)
                 where = f"{name}: {chosen}: message {len(entries)}"
-                readings += len(message.ranges)
+                entry = _entry(message, connection.msgtype, 1e-9 * time, height, where)
+                rays = len(entry["ranges"])
+                readings += rays
                 # Twice what bag_size() says, for lasers whose scans differ, and a scan.
                 most = most or 2 * count * max(readings, 1) + MAX_RAYS
-                check_size(len(entries) + 1, len(message.ranges), where)
+                check_size(len(entries) + 1, rays, where)
                 if readings > most:
                     hint = f"expected {count:,} scans like the first; ros2 bag reindex"
                     raise ScanError(f"{where}: {readings:,} readings up to it, {hint}")
-                entries.append((where, entry_of(message, 1e-9 * time)))
+                entries.append((where, entry))
             elif connection.topic == source:
                 base = frame_name(message.child_frame_id)
                 moves.append(move_of(message))
@@ -102,17 +107,31 @@ def read_bag(path: PathLike, *, topic: str | None = None) -> ScanSet:
                     frames.setdefault(child, (parent, pose))
                     if parent.endswith("odom"):
                         transforms.append((seconds_of(item.header.stamp), parent, child, pose))
+    if height is not None and entries and "angles" in entries[0][1]:
+        check_seen([entry for _, entry in entries], height, f"{name}: {chosen}")
     if not moves and transforms:
         base = transforms[0][2]
         moves = [(at, *planar(pose)) for at, _, child, pose in transforms if child == base]
     return _assemble(entries, moves, mounting_of(frames, laser, base), name)
 
 
-def bag_size(path: PathLike, *, topic: str | None = None) -> ScansSize:
+def _entry(
+    message: Any, kind: str, received: float, height: Height | None, where: str
+) -> dict[str, Any]:
+    """The entry of a scan, or of a slice of a cloud."""
+    if kind != _CLOUD:
+        return entry_of(message, received)
+    stamp = seconds_of(message.header.stamp) or received
+    return slice_of(points_of(message, where), check_height(height, where)) | {"stamp": stamp}
+
+
+def bag_size(
+    path: PathLike, *, topic: str | None = None, height: Height | None = None
+) -> ScansSize:
     """How much :func:`read_bag` would read: messages of the topic, readings of its first."""
     name = display(path)
     if topic is not None and len(topics := lasers_of(topic)) > 1:
-        sizes = [bag_size(path, topic=t) for t in topics]
+        sizes = [bag_size(path, topic=t, height=height) for t in topics]
         beside = max(s.file_bytes for s in sizes)
         return ScansSize(sum(s.scans for s in sizes), sum(s.numbers for s in sizes), beside)
     with _opened(path, name) as bag:
@@ -121,7 +140,9 @@ def bag_size(path: PathLike, *, topic: str | None = None) -> ScansSize:
         count = sum(c.msgcount for c in connections)
         readings = 0
         for connection, _, data in messages_of(bag, connections):
-            readings = len(bag.deserialize(data, connection.msgtype).ranges)
+            message = bag.deserialize(data, connection.msgtype)
+            entry = _entry(message, connection.msgtype, 0.0, height, f"{name}: {chosen}")
+            readings = len(entry["ranges"])
             break
         # Beside the scans: a chunk as it is packed, unpacked and cut, and the robot's poses.
         moves = sum(c.msgcount for c in bag.connections if c.msgtype in (_ODOMETRY, *_TF))
@@ -152,7 +173,7 @@ def _opened(path: PathLike, name: str) -> Iterator[Any]:
         store = get_typestore(Stores.ROS2_HUMBLE)
         with bounded(name, size), AnyReader([file], default_typestore=store) as bag:
             yield bag
-    except ScanError:
+    except (ConfigError, ScanError):
         raise
     except Exception as e:  # of rosbags, of SQLite, of what unpacks them; lengths that are wrong
         why = "a length that no memory holds" if isinstance(e, MemoryError) else reason(e)
@@ -193,20 +214,26 @@ def _by_type(bag: Any, kind: str) -> dict[str, int]:
 
 def _choose(bag: Any, topic: str | None, name: str) -> str:
     """The topic asked for, else /scan, else the only one."""
-    topics = _by_type(bag, _SCAN)
+    topics, clouds = _by_type(bag, _SCAN), _by_type(bag, _CLOUD)
+    if not topics or (topic is not None and any(_same(t, topic) for t in clouds)):
+        topics = clouds
     there = _some([f"{t} ({n})" for t, n in topics.items()])
     if not topics:
         kinds = sorted({c.msgtype for c in bag.connections if c.msgcount})
         hint = next((f"; {_HINTS[kind]}" for kind in kinds if kind in _HINTS), "")
         raise ScanError(f"{name}: no sensor_msgs/LaserScan in it, but {_some(kinds)}{hint}")
     if topic is not None:
-        match = [t for t in topics if t.strip("/") == topic.strip("/")]
+        match = [t for t in topics if _same(t, topic)]
         if not match:
             raise ScanError(f"{name}: no scans on {topic}; it has {there}")
         return match[0]
     if "/scan" not in topics and len(topics) > 1:
         raise ScanError(f"{name}: scans on several topics, pass `topic`, one of {there}")
     return "/scan" if "/scan" in topics else next(iter(topics))
+
+
+def _same(a: str, b: str) -> bool:
+    return a.strip("/") == b.strip("/")
 
 
 def _some(names: Sequence[str]) -> str:
@@ -234,7 +261,7 @@ def _assemble(
     for k, (where, entry) in enumerate(entries):
         more = {"mount": mount, "odom": None if odom is None else odom[k]}
         if turned:  # its angles run clockwise
-            keys = ("angle_min", "angle_max", "angle_increment")
+            keys = ("angle_min", "angle_max", "angle_increment", "angles")
             more |= {key: -entry[key] for key in keys if key in entry}
         whole.append((where, {**entry, **more}))
     return collect(whole, name)

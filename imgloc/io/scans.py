@@ -26,6 +26,7 @@ import numpy as np
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.bags import bag_size, read_bag
 from imgloc.io.carmen import read_carmen
+from imgloc.io.clouds import Height, pcd_size, read_pcd
 from imgloc.io.echo import read_echo
 from imgloc.io.files import (
     PathLike,
@@ -56,7 +57,12 @@ _MAX_BYTES = 16 * MAX_READINGS
 
 
 def load_scans(
-    path: PathLike, *, topic: str | None = None, fov: float | None = None, max_bad: float = MAX_BAD
+    path: PathLike,
+    *,
+    topic: str | None = None,
+    fov: float | None = None,
+    max_bad: float = MAX_BAD,
+    height: Height | None = None,
 ) -> ScanSet:
     """Load laser scans: at least one, each with at least one reading, all angles finite.
 
@@ -81,13 +87,20 @@ def load_scans(
     max_bad : float
         Share of the lines of a CSV, a log or JSON lines, 0 to 1, that may be broken: they are left
         out, with a warning that names them. ScanError if there are more.
+    height : (float, float), optional
+        Lowest and highest point, metres above the sensor, of the slice of a cloud of points that
+        is a scan. Clouds are sensor_msgs/PointCloud2 of a bag, where there is no LaserScan or
+        `topic` names them, and ``.pcd`` (:func:`~imgloc.io.clouds.read_pcd`).
     """
-    return _kind(path, topic).read(path, Logs(topic, fov, max_bad=max_bad))
+    how = Logs(topic, fov, max_bad=max_bad, height=height)
+    return _kind(path, topic).read(path, how)
 
 
-def scans_size(path: PathLike, *, topic: str | None = None) -> ScansSize:
+def scans_size(
+    path: PathLike, *, topic: str | None = None, height: Height | None = None
+) -> ScansSize:
     """How much :func:`load_scans` would load, at most; errors are those that headers show."""
-    return _kind(path, topic).size(path, topic)
+    return _kind(path, topic).size(path, Logs(topic, height=height))
 
 
 def save_scans(path: PathLike, scans: ScanSet, *, force: bool = False) -> None:
@@ -146,7 +159,7 @@ class _Kind(NamedTuple):
     """A kind of file: how it is read, and how its size is known before."""
 
     read: Callable[[PathLike, Logs], ScanSet]
-    size: Callable[[PathLike, str | None], ScansSize]
+    size: Callable[[PathLike, Logs], ScansSize]
 
 
 _NPZ = _Kind(lambda path, _: read_npz(path), lambda path, _: _npz_size(path))
@@ -163,22 +176,23 @@ _CARMEN = _Kind(
     lambda path, _: text_size(path, between=b" "),
 )
 _BAG = _Kind(
-    lambda path, how: read_bag(path, topic=how.topic),
-    lambda path, topic: bag_size(path, topic=topic),
+    lambda path, how: read_bag(path, topic=how.topic, height=how.height),
+    lambda path, how: bag_size(path, topic=how.topic, height=how.height),
 )
+_PCD = _Kind(lambda path, how: read_pcd(path, height=how.height), lambda path, _: pcd_size(path))
 _TEXTS = _CSV, _JSON, _ECHO, _CARMEN  # which may be packed by gzip
 _LOGS = _CARMEN, _BAG  # in which each of several lasers has a name
 _KINDS = {
     ".npz": _NPZ, ".csv": _CSV, ".jsonl": _JSON, ".ndjson": _JSON, ".json": _JSON,
     ".yaml": _ECHO, ".yml": _ECHO, ".log": _CARMEN, ".clf": _CARMEN, ".carmen": _CARMEN,
-    ".bag": _BAG, ".db3": _BAG, ".mcap": _BAG,
+    ".bag": _BAG, ".db3": _BAG, ".mcap": _BAG, ".pcd": _PCD,
 }  # fmt: skip
 #: Endings of scan files in a folder. A YAML file there is taken for a map's.
 SCAN_ENDINGS = (*(ending for ending in _KINDS if ending not in (".yaml", ".yml")), ".gz")
 # What files begin with whose name does not tell.
 _MAGIC = (
     (rb"PK\x03\x04", _NPZ), (rb"#ROSBAG V2", _BAG), (rb"SQLite format 3", _BAG),
-    (rb"\x89MCAP", _BAG), (rb"\s*[{\[]", _JSON),
+    (rb"\x89MCAP", _BAG), (rb"(?s).{,200}^VERSION .{,200}^FIELDS ", _PCD), (rb"\s*[{\[]", _JSON),
     (rb"(?s).*?^(PARAM|ODOM|[FR]LASER|ROBOTLASER\d|RAWLASER\d|Odometry|[LO]) ", _CARMEN),
     (rb"(?s).*?^(header|angle_min|ranges):", _ECHO),
     (rb"(?:\s*#[^\n]*\n)*\s*[-+.\w]", _CSV),
@@ -191,9 +205,8 @@ _CONVERTED = {
     ".simplemap": "a map of MRPT with its scans, not a log of them",
     ".pcap": "packets of a sensor: play them to its ROS driver and record a bag of its scans",
     ".bag.active": "a bag that was not closed: rosbag reindex",
-    ".pcd": "a cloud of points: pointcloud_to_laserscan makes scans of clouds",
-    ".ply": "a cloud of points: pointcloud_to_laserscan makes scans of clouds",
-    ".las": "a cloud of points: pointcloud_to_laserscan makes scans of clouds",
+    ".ply": "a cloud of points: save it as .pcd, of which `height` takes a slice",
+    ".las": "a cloud of points: save it as .pcd, of which `height` takes a slice",
     ".xlsx": "a workbook: save the sheet as CSV",
 }
 

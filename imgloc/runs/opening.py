@@ -80,6 +80,7 @@ class ScanFiles(Checked):
     #: there may be several files: a topic is for those that have any
     many: bool = True
     max_bad: Share = MAX_BAD  #: share of the lines of a file that may be broken
+    height: tuple[float, float] | None = None  #: of the slice of a cloud that is a scan, metres
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -251,13 +252,15 @@ class Desk:
         topic, name = files.topic, display(path)
         if files.many and topic is not None and not has_topics(path):
             topic = None
-        size = scans_size(path, topic=topic)
+        size = scans_size(path, topic=topic, height=files.height)
         self.check(
             scans_bytes(size.scans, size.numbers, size.file_bytes, text=size.text),
             f"{name}: a file of up to {size.scans:,} scans and {size.numbers:,} numbers",
             "take fewer scans, in several files",
         )
-        recorded = load_scans(path, topic=topic, fov=files.fov, max_bad=files.max_bad)
+        recorded = load_scans(
+            path, topic=topic, fov=files.fov, max_bad=files.max_bad, height=files.height
+        )
         if files.mount is not None and len({s.T_base_laser for s in recorded.scans}) > 1:
             raise ConfigError("`sensor`: the log has several lasers, each with a place of its own")
         indices = files.chosen.of(len(recorded), name)

@@ -9,6 +9,7 @@ return, or raise imgloc's own error::
 """
 
 import contextlib
+import gzip
 import io
 import json
 import shutil
@@ -235,6 +236,21 @@ def _carmen(_: Path) -> list[bytes]:
     return [text.encode() for text in (f"# log\n{flaser}{flaser}", 2 * laser, rest + laser)]
 
 
+def _packed(folder: Path) -> list[bytes]:
+    return [gzip.compress(text, mtime=0) for text in (*_carmen(folder), *_csv(folder))]
+
+
+def _pcd(_: Path) -> list[bytes]:
+    points = np.column_stack((np.cos(_ANGLES), np.sin(_ANGLES), 0 * _ANGLES, _ANGLES))
+    head = (
+        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z i\nSIZE 4 4 4 4\nTYPE F F F F\nCOUNT 1 1 1 1\n"
+        "WIDTH 24\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS 24\nDATA "
+    )
+    words = "\n".join(" ".join(f"{v:.3f}" for v in point) for point in points)
+    return [f"{head}ascii\n{words}\n".encode(),
+            f"{head}binary\n".encode() + points.astype("<f4").tobytes()]  # fmt: skip
+
+
 def _echo(_: Path) -> list[bytes]:
     text = (
         b"header:\n  stamp:\n    sec: 12\n    nanosec: 500000000\n  frame_id: laser\n"
@@ -272,9 +288,16 @@ _MESSAGES: dict[str, dict[str, Any]] = {
         "header": _HEAD, "angle_min": -1.0, "angle_max": 1.0, "angle_increment": 1.0,
         "range_max": 30.0, "ranges": [1.0, np.inf, np.nan]},
 }  # fmt: skip
+_CLOUDS: dict[str, dict[str, Any]] = {
+    "sensor_msgs/msg/PointCloud2": {
+        "header": _HEAD, "height": 1, "width": 2, "point_step": 12, "row_step": 24,
+        "fields": [{"name": axis, "offset": 4 * k, "datatype": 7, "count": 1}
+                   for k, axis in enumerate("xyz")],
+        "data": list(np.array([1, 2, 0, -1, 2, 0], "<f4").tobytes())},
+}  # fmt: skip
 
 
-def _bags(kind: str, folder: Path) -> list[bytes]:
+def _bags(kind: str, folder: Path, messages: dict[str, dict[str, Any]] = _MESSAGES) -> list[bytes]:
     """A log with what is looked at in one."""
     store = get_typestore(Stores.ROS1_NOETIC if kind == "bag" else Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _TF))
@@ -282,7 +305,7 @@ def _bags(kind: str, folder: Path) -> list[bytes]:
     plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
     path = folder / ("a.bag" if kind == "bag" else "log")
     with Writer1(path) if kind == "bag" else Writer(path, version=9, storage_plugin=plugin) as bag:
-        for topic, values in _MESSAGES.items():
+        for topic, values in messages.items():
             name = {_TF: "/tf_static"}.get(topic, f"/{topic[-4:]}")
             connection = bag.add_connection(name, topic, typestore=store)
             for k in range(2):
@@ -293,13 +316,15 @@ def _bags(kind: str, folder: Path) -> list[bytes]:
 
 def _read(name: str, data: bytes, folder: Path) -> None:
     path = _written(data, folder / name)
-    _each(lambda: scans_size(path), lambda: imgloc.load_scans(path))
+    cut = (-0.5, 0.5)
+    _each(lambda: scans_size(path, height=cut), lambda: imgloc.load_scans(path, height=cut))
 
 
 _npz = _made("a.npz", lambda path: imgloc.save_scans(path, DRIVE))
 _FILES: tuple[tuple[str, str, Make], ...] = (
     ("csv", ".csv", _csv), ("jsonl", ".jsonl", _jsonl), ("carmen", ".log", _carmen),
-    ("echo", ".yaml", _echo), ("npz", ".npz", _npz),
+    ("echo", ".yaml", _echo), ("npz", ".npz", _npz), ("packed", "", _packed), ("pcd", ".pcd", _pcd),
+    ("cloud", ".mcap", partial(_bags, "mcap", messages=_CLOUDS)),
 )  # fmt: skip
 for _name, _ending, _make in _FILES:
     target(_make, _name)(partial(_read, f"input{_ending}"))
