@@ -1,9 +1,11 @@
 """One live core: maps held ready, one scan at a time, what is dropped is said."""
 
 import contextlib
+import gc
 import math
 import threading
 import time
+import weakref
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future
@@ -548,3 +550,14 @@ def test_a_line_serves_in_order_and_an_error_is_of_who_asked() -> None:
     line.close()
     with pytest.raises(Dropped):
         line.put(Key("a", 1), number(1))
+
+
+def test_an_answer_is_gone_once_nobody_has_it(core: Localizer, scans: list[LaserScan]) -> None:
+    gc.collect()
+    gc.disable()  # what goes round in circles would wait for it, and a service would grow
+    try:
+        held = [weakref.ref(core.localize(scan, "curved", source=object())) for scan in scans]
+        core.which(scans[0])  # the thread has gone on to another piece of work
+        assert [one() for one in held] == [None] * len(scans)
+    finally:
+        gc.enable()

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Hashable
 from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 from imgloc.errors import ImglocError
@@ -98,7 +99,8 @@ class Line:
         places of one kind the least `stamp` comes first.
         """
         task, old = _Task(key, work, stamp, time.perf_counter(), Future()), None
-        task.future.add_done_callback(lambda _: self._leave(task))
+        # The future must not hold its task: answers would wait for the collector of cycles.
+        task.future.add_done_callback(partial(self._leave, key))
         with self._changed:
             if self._closed:
                 raise Dropped("closed")
@@ -148,11 +150,12 @@ class Line:
         self._total += 1
         self._counts[key] += 1
 
-    def _leave(self, task: _Task) -> None:
+    def _leave(self, key: Key, future: "Future[Any]") -> None:
         """Take out work that was cancelled while it waited."""
         with self._changed:
-            if self._waiting.get(task.key) is task:
-                del self._waiting[task.key]
+            task = self._waiting.get(key)
+            if task is not None and task.future is future:
+                del self._waiting[key]
                 self._total += 1  # a source may be of one scan alone: nothing is kept of it
 
     def _next(self) -> _Task | None:
