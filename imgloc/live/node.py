@@ -171,6 +171,9 @@ class Laser:
     bad: int = 0  #: messages that are no scan, and what is wrong with the last one
     wrong: str = ""
     skipped: int = 0  #: scans that came late, or again
+    fresh: float = -math.inf  #: seconds, monotonic, of the last scan that repeats none
+    frozen: bool = False  #: whether the last scan repeats the one before
+    stamped: bool = True  #: whether the last scan has a stamp
     frame: str = ""  #: whose place tf does not say
 
 
@@ -313,21 +316,30 @@ class LocalizerNode:
         return lambda message: self._on_scan(laser, message)
 
     def _on_scan(self, laser: Laser, message: Any) -> None:
-        laser.heard = time.monotonic()
+        before, laser.heard = laser.heard, time.monotonic()
         now = self.now
         try:
-            scan = self._complete(laser, message, now)
+            scan = self._complete(laser, message)
         except ScanError as error:
             laser.bad, laser.wrong = laser.bad + 1, str(error)
             raise
         laser.wrong, laser.age = "", now - scan.stamp
+        laser.stamped = bool(scan.stamp) or self.first.fresh(0.0, now)  # a clock may begin at 0
+        if not laser.stamped:
+            laser.skipped += 1
+            return
         if scan.stamp < laser.stamp - _BACK:
             self.start_anew("the time of the scans has gone back")
         elif scan.stamp <= laser.stamp:
-            laser.skipped += 1
+            laser.skipped, laser.heard = laser.skipped + 1, before
+            self._repeat(laser, now)
             return
         content = scan.ranges.tobytes()
         again, laser.ranges, laser.stamp = content == laser.ranges, content, scan.stamp
+        if again:
+            self._repeat(laser, now)
+        else:
+            laser.fresh, laser.frozen = laser.heard, False
         if scan.T_base_laser is None or not self.core.ready:
             return
         odom = self._odometry(scan.stamp)
@@ -339,7 +351,13 @@ class LocalizerNode:
         if self.first.due(scan.stamp, odom):
             self._ask(scan, message.header.stamp, odom)
 
-    def _complete(self, laser: Laser, message: Any, now: float) -> LaserScan:
+    def _repeat(self, laser: Laser, now: float) -> None:
+        """Take note of a scan that repeats the one before, or comes after a later one."""
+        laser.frozen = True
+        if self.core.ready and all(self._frozen(one) or self._silent(one) for one in self.lasers):
+            self.first.repeated(now)
+
+    def _complete(self, laser: Laser, message: Any) -> LaserScan:
         """The scan, cut and mounted; with no mounting as long as tf does not say it."""
         mount, turned = laser.mount, self.settings.flipped
         if mount is None:
@@ -347,7 +365,7 @@ class LocalizerNode:
             link = mounting_of(self._frames, laser.frame, self.settings.base_frame)
             if link is not None:
                 mount, turned, laser.frame = Pose2D(*planar(link)), link[2, 2] < 0, ""
-        scan = scan_of(message, laser.topic, mount, now)
+        scan = scan_of(message, laser.topic, mount, received=0.0)
         if turned:
             scan = scan.flipped
         return replace(scan, range_max=min(scan.range_max, self.settings.range_max))
@@ -541,7 +559,10 @@ class LocalizerNode:
     def _health(self) -> tuple[int, str]:
         errors = [self._map_error] if self._map_error else []
         errors += [f"map {name}: {error}" for name, error in self.core.errors.items()]
-        silent = [laser.topic for laser in self.lasers if self._silent(laser)]
+        silent = [
+            laser.topic + " (its stamp stays the same)" * laser.frozen
+            for laser in self.lasers if self._silent(laser)
+        ]  # fmt: skip
         return health(
             self.first, self.found, silent=silent, alive=len(silent) < len(self.lasers),
             errors=errors, waits=self._waits(), track=self._followed,
@@ -550,6 +571,10 @@ class LocalizerNode:
     def _silent(self, laser: Laser) -> bool:
         """Whether a laser has said nothing for too long."""
         return time.monotonic() - laser.heard > self.settings.scan_timeout
+
+    def _frozen(self, laser: Laser) -> bool:
+        """Whether a laser has repeated one scan for too long."""
+        return laser.frozen and time.monotonic() - laser.fresh > self.settings.scan_timeout
 
     def _waits(self) -> str:
         """What is lacking before a scan can be looked at."""
@@ -563,6 +588,10 @@ class LocalizerNode:
             if laser.frame:
                 base = self.settings.base_frame
                 return f"{laser.topic}: tf does not say where {laser.frame} sits on {base}"
+            if not laser.stamped:
+                return f"{laser.topic}: its scans have the stamp 0; expected the driver to set it"
+            if self._frozen(laser) and self.first.state != QUIET:
+                return f"{laser.topic}: each scan repeats the one before; is its driver frozen?"
             if abs(laser.age) > self.settings.max_age:
                 hint = "are the clocks the same, or is use_sim_time needed?"
                 return (

@@ -80,6 +80,7 @@ class FirstPose:
         self._before: Sighting | None = None  # the last answer, if it was unique
         self._tried: tuple[float, Pose2D | None] | None = None  # stamp and odometry of the last try
         self._asked = False
+        self._repeated = -math.inf  # time of the last repeated scan that counted as a try
 
     def due(self, stamp: float, odom: Pose2D | None) -> bool:
         """Whether a scan is to be looked at; :meth:`answered` has to follow then."""
@@ -106,9 +107,24 @@ class FirstPose:
             return True
         if not found.blind:  # such a scan neither confirms a place nor speaks against it
             self._before = found if found.pose is not None else None
+        self._give_up()
+        return False
+
+    def repeated(self, now: float) -> None:
+        """Count a scan that repeats the one before as a try, one in `every` seconds at most.
+
+        `now` is in seconds.
+        """
+        if self._asked or self.state not in (WAITING, TRYING):
+            return
+        if abs(now - self._repeated) < self.rules.every:
+            return
+        self.state, self.tries, self._repeated = TRYING, self.tries + 1, now
+        self._give_up()
+
+    def _give_up(self) -> None:
         if self.tries >= self.rules.tries:
             self.state = GIVEN_UP
-        return False
 
     def fresh(self, stamp: float, now: float) -> bool:
         """Whether a scan is young enough; one from the future, by another clock, is not."""

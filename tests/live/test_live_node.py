@@ -168,7 +168,21 @@ def test_two_lasers_are_one_robot(field, log) -> None:
     assert field.told(log).right
 
 
-@pytest.mark.parametrize("wrong", ["nan", "empty", "short", "zero"])
+@pytest.mark.parametrize(
+    ("what", "said", "level"),
+    [("stamp", "no scans on scan (its stamp stays the same)", 3),
+     ("ranges", "scan: each scan repeats the one before; is its driver frozen?", 1)],
+)  # fmt: skip
+def test_a_laser_that_repeats_one_scan_is_given_up(field, log, what, said, level) -> None:
+    field.listen()
+    field.node(MAP, "--sensor", SENSOR, "--tries", 6)
+    field.play(MAP, log, "--no-map", "--freeze", what)
+    field.until(lambda: any(one["state"] == "given up" for one in field.heard("status")))
+    field.until(lambda: (field.level(), field.heard("diagnostics")[-1]["message"]) == (level, said))
+    assert not field.heard("initialpose")
+
+
+@pytest.mark.parametrize("wrong", ["nan", "empty", "short", "zero", "unstamped"])
 def test_no_pose_has_the_stamp_of_a_scan_that_says_nothing(field, log, wrong) -> None:
     field.listen()
     field.node(MAP, "--sensor", SENSOR)

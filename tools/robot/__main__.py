@@ -29,7 +29,7 @@ from imgloc.io.maps import bundled_maps
 from imgloc.live.node import load_ros
 from tools.robot.kill import kill_loop
 from tools.robot.listen import Listener
-from tools.robot.play import DISTURBED, WORLD, Player, Playing, to_and_fro, write_to
+from tools.robot.play import DISTURBED, FROZEN, WORLD, Player, Playing, to_and_fro, write_to
 from tools.script import ended, parser_of
 
 _TURN = 0.1  # seconds from Ctrl-C to the end at most
@@ -52,6 +52,7 @@ def main() -> int:
     play.add_argument("--lasers", type=int, choices=(1, 2), default=1)
     play.add_argument("--best-effort", action="store_true")
     play.add_argument("--disturb", choices=DISTURBED, default="", help="every other scan")
+    play.add_argument("--freeze", choices=FROZEN, default="", help="of the first scan, repeated")
     play.add_argument("--clock", action="store_true", help="recorded stamps, and a /clock")
     play.add_argument("--first", type=int, default=0, help="scan to begin with")
     play.add_argument("--count", type=int, default=0, help="scans to play; 0: all")
@@ -97,7 +98,17 @@ def _node(name: str) -> tuple[Any, Any]:
 
 def _play(given: argparse.Namespace) -> int:
     log, grids = _given(given)
-    names = ("lasers", "best_effort", "disturb", "clock", "first", "count", "times", "stay")
+    names = (
+        "lasers",
+        "best_effort",
+        "disturb",
+        "freeze",
+        "clock",
+        "first",
+        "count",
+        "times",
+        "stay",
+    )
     ros, node = _node("player")
     how = Playing(**{name: getattr(given, name) for name in names})
     player = Player(ros, node, how, write_to(given.write))

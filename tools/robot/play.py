@@ -18,8 +18,10 @@ from imgloc.output.ros import pose_fields
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
-DISTURBED = ("nan", "empty", "short", "zero")
+DISTURBED = ("nan", "empty", "short", "zero", "unstamped")
 """What every other scan may be instead of itself."""
+FROZEN = ("stamp", "ranges")
+"""What each scan may have of the first one: its stamp and ranges, or its ranges alone."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +31,7 @@ class Playing:
     lasers: int = 1  #: two: the front half of each scan is a laser, the rear half another one
     best_effort: bool = False
     disturb: str = ""  #: one of `DISTURBED`
+    freeze: str = ""  #: one of `FROZEN`
     clock: bool = False  #: the recorded stamps with a clock, not those of now
     first: int = 0  #: scan to begin with
     count: int = 0  #: scans to play; 0: all
@@ -82,6 +85,7 @@ class Player:
         latched = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
         self._map = node.create_publisher(ros.nav_msgs.OccupancyGrid, "map", latched)
         self._odom = node.create_publisher(ros.nav_msgs.Odometry, "odom", sensor)
+        self._frozen = dict[Any, Any]()  # the first message of each publisher
         self._scans = [
             node.create_publisher(ros.sensor_msgs.LaserScan, topic, sensor)
             for topic in topics_of(how.lasers)
@@ -139,7 +143,11 @@ class Player:
             self._odom.publish(message)
         wrong = self._how.disturb if k % 2 else ""
         for publisher, part in zip(self._scans, _parts(scan, self._how.lasers), strict=True):
-            publisher.publish(_message(self._ros, part, at, wrong))
+            message = _message(self._ros, part, at, wrong)
+            first = self._frozen.setdefault(publisher, message)
+            if self._how.freeze:
+                message.ranges = first.ranges
+            publisher.publish(first if self._how.freeze == "stamp" else message)
         if self._said is not None:
             said = {"index": k, "stamp": at["sec"] + 1e-9 * at["nanosec"], "disturbed": wrong}
             self._said.write(json.dumps(said) + "\n")
@@ -160,7 +168,9 @@ def _parts(scan: LaserScan, lasers: int) -> Iterator[LaserScan]:
 
 def _message(ros: Any, scan: LaserScan, at: dict[str, int], wrong: str) -> Any:
     ranges = scan.ranges.copy()
-    if wrong == "nan":
+    if wrong == "unstamped":
+        at = {"sec": 0, "nanosec": 0}
+    elif wrong == "nan":
         ranges[:] = np.nan
     elif wrong == "zero":
         ranges[:] = 0.0
