@@ -3,6 +3,7 @@
 import logging
 import os
 import re
+import socket
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -77,7 +78,14 @@ def serve(
     access = Access(host, token or os.environ.get("IMGLOC_TOKEN"), tuple(allow_host))
     bounds = Bounds(body=max_body, seconds=seconds, patience=patience, waiting=waiting)
     core, paths = _core(maps, reading, taken, cache, no_cache, allow_lossy)
-    _run(lambda: Service(core, access, bounds, Given(paths)), host, port, emit)
+
+    def show(address: str) -> None:
+        emit(address)
+        if access.token is not None:
+            there = re.sub(r"//(0\.0\.0\.0|\[::\])", f"//{socket.gethostname()}", address)
+            say(f"in a browser: {there}/#token=TOKEN, with your token instead of TOKEN")
+
+    _run(lambda: Service(core, access, bounds, Given(paths)), host, port, show)
 
 
 def open(  # noqa: A001 (the command's name)

@@ -25,6 +25,7 @@ KINDS: Mapping[str, tuple[int, str]] = {
     "method-not-allowed": (405, "This cannot be done here"),
     "too-slow": (408, "The body did not come in time"),
     "name-taken": (409, "The name is taken"),
+    "in-use": (409, "The map is in use"),
     "too-large": (413, "The body is too large"),
     "unsupported-media": (415, "The body is of another kind"),
     "bad-map": (422, "The map cannot be used"),

@@ -12,6 +12,7 @@ import logging
 import math
 import time
 import traceback
+from collections import Counter
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -124,7 +125,7 @@ class Service:
         self._scans: Held[ScansHeld] = Held(self.bounds.held, 2 * self.bounds.numbers)
         self._stack: tuple[object, Likelihood] | None = None
         self._about: dict[str, tuple[MapFeatures, dict[str, Any]]] = {}
-        self._sockets = 0
+        self._followed = Counter[str]()  # robots, by map
         self._router = Router(self._routes())
 
     @property
@@ -296,7 +297,7 @@ class Service:
             self.metrics.queue.labels(name).set(lane.pending)
         self.metrics.dropped.set(self.core.dropped)
         self.metrics.maps.set(len(self.core.names))
-        self.metrics.sockets.set(self._sockets)
+        self.metrics.sockets.set(self._followed.total())
         return Response(self.metrics.text(), media_type="text/plain; version=0.0.4")
 
     async def _document(self, _: Request, __: Values) -> Response:
@@ -414,6 +415,9 @@ class Service:
             raise Refused(
                 "name-taken", f"{name}: is a map of the service itself, and cannot be removed"
             )
+        if count := self._followed[name]:
+            some = "a robot is" if count == 1 else f"{count} robots are"
+            raise Refused("in-use", f"{name}: {some} followed in it; remove it when they are gone")
         self._maps.drop(name)
         self._forget(name)
         return Response(status_code=204)
@@ -657,10 +661,10 @@ class Service:
         given = read_query(socket.scope["query_string"], openapi.TRACK)
         values = with_defaults(given, openapi.TRACK)
         name, _ = self._site(values["map"])
-        if self.stopping.is_set() or self._sockets >= self.bounds.sockets:
-            raise Refused("busy", f"{self._sockets} robots are followed", retry=5)
+        if self.stopping.is_set() or self._followed.total() >= self.bounds.sockets:
+            raise Refused("busy", f"{self._followed.total()} robots are followed", retry=5)
         tracking = Tracking(filter=values["filter"], seed=values["seed"])
-        self._sockets += 1
+        self._followed[name] += 1
         robot = None
         try:
             robot = await asyncio.to_thread(self.core.robot, name, tracking)
@@ -681,6 +685,7 @@ class Service:
                     got = f"stamp: got {scan.stamp} s, expected {last} s or later"
                     raise ScanError(f"line {count + 1}: {got}, the stamp of the line before")
                 last = scan.stamp
+                self._site(name)  # it is in use, so others have to make room first
                 future = robot.update_soon(scan, odom)
                 moment = (await waited(future, self.bounds.seconds, None)).value
                 self._count("track", moment.belief.verdict, begin)
@@ -697,7 +702,7 @@ class Service:
             await socket.send_text(json.dumps(self._problem(error).document))
             await socket.close(1007, "see the last message")
         finally:
-            self._sockets -= 1
+            self._followed[name] -= 1
             if robot is not None:
                 robot.end()
 

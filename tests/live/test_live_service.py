@@ -212,6 +212,32 @@ def test_an_uploaded_map_is_replaced_by_no_other(service: Served, http: httpx.Cl
     assert http.delete("/v1/maps/mine").status_code == 204
 
 
+def test_a_map_stays_while_a_robot_is_followed_in_it(service: Served, http: httpx.Client) -> None:
+    line = json.dumps({"ranges": [3.0] * 90, "angle_min": -3.1, "angle_increment": 0.07,
+                       "range_max": 30.0, "odom": [0, 0, 0]})  # fmt: skip
+    assert upload(service.address, "followed", "curved").status_code == 201
+    with connect(f"ws://127.0.0.1:{service.port}/v1/track?map=followed") as robot:
+        robot.send(line)
+        assert json.loads(robot.recv(60))["index"] == 0
+        detail = problem(http.delete("/v1/maps/followed"), 409, "in-use")
+        assert "a robot is followed in it" in detail
+        for k in range(10):  # others' maps make room for one another, not for this one
+            assert upload(service.address, f"other{k}", "curved").status_code == 201
+            robot.send(line)
+            assert json.loads(robot.recv(60))["index"] == k + 1
+    names = [one["name"] for one in http.get("/v1/maps").json()["maps"]]
+    assert "followed" in names
+    assert "other0" not in names
+    until = time.monotonic() + 60
+    while (gone := http.delete("/v1/maps/followed")).status_code == 409:
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    assert gone.status_code == 204
+    for name in names:
+        if name.startswith("other"):
+            http.delete(f"/v1/maps/{name}")
+
+
 def test_an_uploaded_map_changes_no_answer_to_those_who_name_no_map(scans: Path) -> None:
     line = json.dumps({"ranges": [3.0] * 90, "angle_min": -3.1, "angle_increment": 0.07,
                        "range_max": 30.0, "odom": [0, 0, 0]})  # fmt: skip
@@ -604,6 +630,12 @@ def test_others_reach_it_by_a_token_alone(scans: Path) -> None:
     assert call("serve", MAP, "--host", "0.0.0.0", "--token", "short").code == 2
     token = "a-token-of-some-length"
     with served(MAP, "--host", "0.0.0.0", IMGLOC_TOKEN=token) as one:
+        assert one.address == f"http://0.0.0.0:{one.port}"
+        assert one.process.stderr is not None
+        said = one.process.stderr.readline()
+        there = f"http://{socket.gethostname()}:{one.port}/#token=TOKEN"
+        assert there in said
+        assert token not in said
         at = f"http://127.0.0.1:{one.port}"
         for given in ({}, {"Authorization": "Bearer no"}, {"Authorization": token}):
             answer = httpx.post(f"{at}/v1/localize", content=scans.read_bytes(), headers=given)
