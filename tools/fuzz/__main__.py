@@ -5,9 +5,9 @@
     python -m tools.fuzz csv --input fuzz/csv-1a2b3c4d.input # one input again
 
 Valid samples are changed at random and read in a child process. What is neither read nor refused
-by imgloc's own error, takes more than 5 s or 512 MiB above the budget, or ends the interpreter, is
-a finding: its input, made shorter, and its traceback are kept in --out. The exit code is 1 then.
-The same seed gives the same inputs.
+by imgloc's own error, takes more than 5 s of the processor or 512 MiB above the budget, or ends the
+interpreter, is a finding: its input, made shorter, and its traceback are kept in --out. The exit
+code is 1 then. The same seed gives the same inputs.
 """
 
 from collections.abc import Sequence

@@ -22,16 +22,18 @@ from tools.fuzz.mutate import mutate
 from tools.fuzz.targets import BUDGET, Run, Target
 
 SECONDS = 5.0
-"""That an input may take."""
+"""Processor seconds that an input may take."""
 MEMORY = BUDGET + 512 * MIB
 """Bytes that it may take beside what the interpreter has with everything imported."""
 
 _PATIENCE = 60.0  # seconds for a sample: what is imported and prepared first takes longer
+_BUSY = 12.0  # seconds on a busy machine for a second of the processor
 _SHORTER = 30.0  # seconds for making an input shorter
 _AT_ONCE = 32  # inputs that are sent together
 _STACK = ".stack"  # file of a folder: where a child was when it died, or was late
 _REFUSED = "refused: "
 _GREEDY = "memory: an input took"
+_SLOW = "overdue: an input took"
 _FRAME = re.compile(r'File "([^"]+)", line (\d+),? in (\S+)')
 
 
@@ -77,13 +79,14 @@ def _peak() -> int:
 
 
 def execute(
-    run: Run, inputs: Sequence[bytes], folder: Path, seconds: float, memory: int
+    run: Run, inputs: Sequence[bytes], folder: Path, limits: tuple[float, int], timeout: float
 ) -> list[str]:
     """In the child: for each input nothing, what imgloc's own error says, or a traceback."""
-    peak = _peak()
-    faulthandler.dump_traceback_later(0.9 * seconds, file=_stack_file(folder))
+    peak, (seconds, memory) = _peak(), limits
+    faulthandler.dump_traceback_later(0.9 * timeout, file=_stack_file(folder))
     said = []
     for data in inputs:
+        begin = time.process_time()
         try:
             run(data, folder)
             said.append("")
@@ -95,6 +98,8 @@ def execute(
         if _peak() - peak > memory:
             said[-1] = f"{_GREEDY} {(_peak() - peak) // MIB} MiB; {said[-1]}"
         peak = _peak()
+        if (took := time.process_time() - begin) > seconds:
+            said[-1] = f"{_SLOW} {took:.1f} s of the processor; {said[-1]}"
     faulthandler.cancel_dump_traceback_later()
     return said
 
@@ -103,18 +108,18 @@ class Child:
     """A process that executes inputs of a target, and is replaced when it has died."""
 
     def __init__(self, target: Target, folder: Path, seconds: float, memory: int) -> None:
-        self._run, self._folder, self._seconds, self._memory = target.run, folder, seconds, memory
+        self._run, self._folder, self._limits = target.run, folder, (seconds, memory)
         self._supervisor, self._warm = Supervisor(None, 2 * memory), False
         self.samples = target.make(folder)
         self.close = self._supervisor.close
 
-    def run(self, inputs: Sequence[bytes], *, again: bool = True) -> list[Outcome]:
+    def run(self, inputs: Sequence[bytes], patience: float = 1.0) -> list[Outcome]:
         """Execute some inputs."""
         if not self._warm:
             self._warm = True
             self._send(self.samples[:1], _PATIENCE)
         try:
-            said = self._send(inputs, self._seconds)
+            said = self._send(inputs, patience * self._limits[0])
             if any(text.startswith(_GREEDY) or "MemoryError" in text for text in said):
                 self._supervisor.stop()  # its peak is that for ever, and it may hold what it took
                 self._warm = False
@@ -125,8 +130,8 @@ class Child:
             self._warm, late = False, isinstance(error, OverdueError)
             if len(inputs) > 1:  # one of them
                 return [self.run([data])[0] for data in inputs]
-            if late and again:  # the machine may have been busy
-                return self.run(inputs, again=False)
+            if late and patience == 1:  # the machine may be busy: the processor's time decides
+                return self.run(inputs, _BUSY)
             stack = (self._folder / _STACK).read_text(errors="replace")
             threads = stack.split("hread 0x")  # the last that was at work, which is not the newest
             stack = next((one for one in reversed(threads) if " in execute" in one), stack)
@@ -134,18 +139,22 @@ class Child:
             what = "overdue" if late else f"dead ({error})"
             return [Outcome(f"{what}: {file} in {function}", f"{error}\n{stack}")]
 
-    def _send(self, inputs: Sequence[bytes], seconds: float) -> list[str]:
-        self._supervisor.timeout = seconds
+    def _send(self, inputs: Sequence[bytes], timeout: float) -> list[str]:
+        self._supervisor.timeout = timeout
         run = self._supervisor.run
-        return run(execute, self._run, inputs, self._folder, seconds, self._memory)
+        return run(execute, self._run, inputs, self._folder, self._limits, timeout)
 
 
 def _outcome(said: str) -> Outcome:
     if not said or said.startswith(_REFUSED):
         return Outcome("", said)
     file, line, function = [("?", "?", "?"), *_places(said)][-1]
-    what = "memory" if said.startswith(_GREEDY) else said.rstrip().rpartition("\n")[2].split(":")[0]
+    what = said.split(":")[0] if said.startswith((_GREEDY, _SLOW)) else _last_line(said)
     return Outcome(f"{what}: {file}:{line} in {function}", said)
+
+
+def _last_line(said: str) -> str:
+    return said.rstrip().rpartition("\n")[2].split(":")[0]
 
 
 def _places(text: str) -> list[tuple[str, str, str]]:
@@ -176,8 +185,8 @@ def fuzz(
 ) -> Count:  # fmt: skip
     """Execute `runs` inputs, or for some `seconds`; findings are files in `out`.
 
-    An input may take `limit` seconds and `memory` bytes. What they are is decided by the seed, the
-    target's name and their number; the first ones are the samples, which must be accepted.
+    An input may take `limit` seconds of the processor and `memory` bytes. The seed, the target's
+    name and their number decide the inputs. The first ones are the samples, which must be accepted.
     """
     count, begin, digest = Count(target.name), time.monotonic(), hashlib.blake2b(digest_size=6)
     found = set[str]()
