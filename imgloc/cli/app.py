@@ -145,6 +145,12 @@ _MAP: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc map show office.yaml --what visibility --at 3.5,2 --out fan.png",
         "imgloc map show office.yaml --what likelihood --scans scan.csv --out where.png",
     ),
+    behind("align"): (
+        "imgloc map align office.yaml office-new.yaml --picture both.png",
+        "imgloc map align new.yaml old.yaml --move waypoints.csv --out waypoints-new.csv",
+        "imgloc map align a.yaml b.yaml --scans run.bag --json",
+        "imgloc map align a.yaml drawing.yaml --scale --write drawing-in-a.yaml",
+    ),
     behind("plan"): (
         "imgloc map plan drawing.png --resolution 0.02 --out office.yaml --picture plan-check.png",
         "imgloc map plan drawing.jpg --distance 210,880,1650,880,24.5 --out office.yaml",
@@ -181,7 +187,9 @@ def program(words: Iterable[str] | None = None) -> typer.Typer:
             groups[name].command(cls=kind, epilog=epilog)(made)
     app = groups[""]
     app.callback(help=_HELP, epilog=examples(*_EXAMPLES))(root)
-    app.add_typer(groups["map"], name="map", help="Look at a map, or make one of a floor plan.")
+    app.add_typer(
+        groups["map"], name="map", help="Look at maps, compare them, or make one of a floor plan."
+    )
     groups["cache"].callback(epilog=examples(*_CACHES))(command(cache))
     app.add_typer(groups["cache"], name="cache")
     return app

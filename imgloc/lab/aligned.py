@@ -1,0 +1,215 @@
+"""What is written of two maps that lie on each other: text, picture, poses, YAML."""
+
+import csv
+import io
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from imgloc.errors import ConfigError
+from imgloc.features.distance import distance_image
+from imgloc.geometry import cell_of, inside, rotation, transform_points
+from imgloc.io.files import display, read_file
+from imgloc.io.maps import MapSettings
+from imgloc.lab.align import Alignment
+from imgloc.model import FloatArray, GridInfo, OccupancyGrid, Pose2D, compose, inverse
+from imgloc.output.canvas import (
+    INK,
+    PAPER,
+    SHADE,
+    Colour,
+    legend,
+    scale_bar,
+    sheet,
+)
+from imgloc.output.pictures import Picture
+
+BOTH, ONLY_A, ONLY_B = INK, (178, 114, 0), (0, 94, 213)
+_SEEN: Colour = (247, 245, 243)  # free in one of them
+_LARGEST = 4000  # cells of the picture along a side
+_MOST = 16 << 20  # bytes of a CSV of poses
+_HEADINGS = ("theta", "yaw")
+_LISTED = 3  # other places that the text has
+
+
+def alignment_text(row: Mapping[str, Any]) -> str:
+    """Return the row of an alignment as text."""
+    agree = f"{100 * (row['agreement'] or 0):.0f} %"
+    lines = [f"{row['b']} in the frame of {row['a']}: {row['verdict']}"]
+    if row["x"] is None:
+        lines.append(
+            f"  walls      {agree} agree at the best place, as by chance: two places, or the "
+            "maps share too little; --scans may tell"
+        )
+    else:
+        against = f"{row['contradicting_m']:.0f} m that one has and the other sees free"
+        lines += [
+            f"  pose       {_pose(row)}",
+            f"  walls      {agree} agree: {row['agreeing_m']:.0f} m, against {against}",
+            f"  residual   {row['residual']:.3f} m; walls of B are {row['thicker']:+.2f} m thicker",
+            f"  bend       {row['bend']:.2f} m: by so much the maps deform against each other",
+            f"  overlap    {100 * row['overlap']:.0f} % of the smaller map's free space",
+        ]
+        others = row["others"] if row["verdict"] == "ambiguous" else []
+        lines += [
+            f"  or         {_pose(o)}: {100 * o['agreement']:.0f} % agree, {o['agreeing_m']:.0f} m "
+            f"against {o['contradicting_m']:.0f} m"
+            for o in others[:_LISTED]
+        ]
+    if (scans := row.get("scans")) is not None:
+        lines += _scans_text(scans)
+    return "\n".join(lines)
+
+
+def _pose(row: Mapping[str, Any]) -> str:
+    text = f"x {row['x']:.3f} m, y {row['y']:.3f} m, theta {math.degrees(row['theta']):.2f} deg"
+    return text if row.get("scale", 1) == 1 else f"{text}, scale {row['scale']:.4f}"
+
+
+def _scans_text(scans: Mapping[str, Any]) -> list[str]:
+    if scans["pose"] is None:
+        return [f"  scans      most of the {scans['located']} located agree on no transform"]
+    lines = [
+        f"  scans      {_pose(scans['pose'])}",
+        f"             {scans['used']} of {scans['located']} agree, residual "
+        f"{scans['residual']:.3f} m, {math.degrees(scans['turn']):.2f} deg",
+    ]
+    if scans["walls_apart"] is not None:
+        lines.append(
+            f"             there walls and scans differ by {scans['walls_apart']:.3f} m, "
+            f"{math.degrees(scans['walls_turned']):.2f} deg"
+        )
+    return lines
+
+
+@dataclass(frozen=True)
+class Waypoints:
+    """Poses of a CSV, and the cells of its rows."""
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    columns: tuple[int, ...]  #: of x, y and, if there is one, the heading
+    poses: FloatArray  #: (N, 3) metres, metres, radians
+
+
+def read_poses(path: Path) -> Waypoints:
+    """Read a CSV with columns x, y and perhaps theta or yaw, metres and radians."""
+    name = display(path)
+    data = read_file(path, limit=_MOST, error=ConfigError, what="CSV of poses")
+    lines = list(csv.reader(data.decode("utf-8-sig", "surrogateescape").splitlines()))
+    header = tuple(cell.strip() for cell in lines[0]) if lines else ()
+    by = {cell.lower(): k for k, cell in enumerate(header)}
+    if not {"x", "y"} <= by.keys():
+        found = ", ".join(header) or "nothing"
+        raise ConfigError(f"{name}: got the columns {found}, expected x, y and perhaps theta")
+    columns = [by["x"], by["y"], *[by[key] for key in _HEADINGS if key in by][:1]]
+    rows, poses = list[tuple[str, ...]](), list[list[float]]()
+    for number, cells in enumerate(lines[1:], start=2):
+        if not cells:
+            continue
+        try:
+            values = [float(cells[k]) for k in columns]
+        except (ValueError, IndexError):
+            values = [math.nan]
+        if not all(map(math.isfinite, values)):
+            raise ConfigError(f"{name}: line {number}: expected numbers: metres, metres, radians")
+        rows.append(tuple(cells))
+        poses.append([*values, 0.0][:3])
+    return Waypoints(header, tuple(rows), tuple(columns), np.array(poses).reshape(-1, 3))
+
+
+def moved_text(given: Waypoints, found: Alignment) -> str:
+    """The CSV of poses of `b` in the frame of `a`; what is no pose stays as it was."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(given.header)
+    for cells, pose in zip(given.rows, found.move(given.poses).tolist(), strict=True):
+        row = list(cells)
+        for column, value in zip(given.columns, pose, strict=False):
+            row[column] = f"{value:.6f}"
+        writer.writerow(row)
+    return text.getvalue()
+
+
+def moved_yaml(settings: MapSettings, found: Alignment, folder: Path) -> str:
+    """The YAML, for a file in a folder, of `b`, read as `settings` say, in the frame of `a`."""
+    place = found.best
+    if place is None:
+        raise ConfigError("expected maps that match")
+    corner = settings.origin
+    scaled = Pose2D(place.scale * corner.x, place.scale * corner.y, corner.theta)
+    origin = compose(place.pose, scaled)
+    said = {
+        "image": Path(os.path.relpath(settings.image, folder)).as_posix(),
+        "resolution": place.scale * settings.resolution,
+        "origin": [round(v, 6) for v in (origin.x, origin.y, origin.theta)],
+        "negate": int(settings.negate),
+        "occupied_thresh": settings.occupied_thresh,
+        "free_thresh": settings.free_thresh,
+        "mode": settings.mode,
+    }
+    return str(yaml.safe_dump(said, sort_keys=False, allow_unicode=True))
+
+
+def draw_alignment(
+    a: OccupancyGrid, b: OccupancyGrid, found: Alignment, names: Sequence[str] = ("A", "B")
+) -> Picture:
+    """Draw `b` over `a`: walls of both, and walls of one where the other is free or unknown.
+
+    Nothing bends: walls that the maps have in two places are drawn twice. Without a match the best
+    place is drawn.
+    """
+    place = found.places[0]
+    corners = [
+        transform_points(compose(place.pose, Pose2D(0, 0)), place.scale * _corners(b)),
+        _corners(a),
+    ]
+    local = transform_points(inverse(a.origin), np.concatenate(corners))
+    low, high = local.min(axis=0), local.max(axis=0)
+    cell = max(a.resolution, float((high - low).max()) / _LARGEST)
+    width, height = (int(n) for n in np.ceil((high - low) / cell).clip(1))
+    column, row = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    at = np.column_stack((column.ravel(), row.ravel())) * cell + low
+    x, y, theta, scale, _ = place.bend.pose.tolist()
+    layers = []
+    for grid, xy in ((a, at), (b, (at - (x, y)) @ rotation(theta) / scale)):
+        cells = cell_of(xy, grid.resolution)
+        on = inside(cells, grid.info)
+        rows, columns = np.where(on[:, None], cells, 0).T
+        layers.append(
+            [
+                (on & image[rows, columns]).reshape(height, width)
+                for image in (grid.occupied, grid.free)
+            ]
+        )
+    (wall_a, free_a), (wall_b, free_b) = layers
+    image = np.empty((height, width, 3), np.uint8)
+    image[:] = SHADE
+    image[free_a | free_b] = _SEEN
+    image[free_a & free_b] = PAPER
+    near = 0.2 / cell
+    beside_a, beside_b = (distance_image(wall) <= near for wall in (wall_a, wall_b))
+    image[wall_a] = ONLY_A
+    image[wall_b] = ONLY_B
+    image[(wall_a & beside_b) | (wall_b & beside_a)] = BOTH
+    canvas = sheet(image, GridInfo(height, width, cell), None)
+    scale_bar(canvas)
+    entries = [
+        (BOTH, "walls of both"),
+        (ONLY_A, f"only in {names[0]}"),
+        (ONLY_B, f"only in {names[1]}"),
+    ]
+    return Picture(legend(canvas.image, entries))
+
+
+def _corners(grid: OccupancyGrid) -> FloatArray:
+    """Corners (4, 2) of a map in its frame, metres."""
+    height, width = grid.occupied.shape
+    sides = np.array([(0, 0), (width, 0), (0, height), (width, height)]) * grid.resolution
+    return transform_points(grid.origin, sides.astype(np.float64))

@@ -1,0 +1,295 @@
+"""Two maps of one place: turned, cut, coarser, symmetric; scans in both; the command."""
+
+import csv
+import json
+import math
+
+import numpy as np
+import pytest
+from command import MAPS, call
+
+from imgloc.errors import ConfigError, MapError
+from imgloc.geometry import rotation, transform_poses
+from imgloc.io.maps import load_map, save_map
+from imgloc.lab.align import ScanAlignment, align_maps, align_scans, differences
+from imgloc.lab.aligned import ONLY_A, ONLY_B, draw_alignment, moved_text, read_poses
+from imgloc.model import (
+    Hypothesis,
+    Localization,
+    OccupancyGrid,
+    Pose2D,
+    compose,
+    inverse,
+)
+
+
+def room() -> np.ndarray:
+    """Walls of a flat without any symmetry, 8 x 6 m at 0.1 m."""
+    wall = np.pad(np.zeros((56, 76), bool), 2, constant_values=True)
+    wall[2:40, 30:32] = wall[38:40, 30:60] = wall[20:22, 50:78] = True
+    wall[45:50, 10:18] = True
+    return wall
+
+
+def turned(grid: OccupancyGrid, theta: float, cell: float, origin: Pose2D):
+    """The same walls in an image turned by theta, and the pose of its frame in that of the grid."""
+    R, (height, width) = rotation(theta), grid.occupied.shape
+    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) * grid.resolution @ R.T
+    low, size = corners.min(axis=0), np.ceil(np.ptp(corners, axis=0) / cell).astype(int)
+    row, column = np.mgrid[: size[1], : size[0]]
+    here = (np.stack((column, row), axis=-1) + 0.5) * cell + low
+    there = np.floor(here @ R / grid.resolution).astype(int)
+    on = ((there >= 0) & (there < (width, height))).all(axis=-1)
+    column, row = np.where(on[..., None], there, 0).transpose(2, 0, 1)
+    image = OccupancyGrid(
+        on & grid.occupied[row, column], on & grid.free[row, column], cell, origin
+    )
+    corner = Pose2D(*(low @ R), -theta)  # of the new image in the old
+    return image, compose(compose(grid.origin, corner), inverse(origin))
+
+
+@pytest.fixture(scope="module")
+def a():
+    return OccupancyGrid(room(), ~room(), 0.1, Pose2D(-3.0, 2.0, 0.4))
+
+
+@pytest.mark.parametrize(
+    ("theta", "cell"), [(0.0, 0.1), (2.4, 0.07), (-math.pi / 2, 0.1), (math.pi, 0.13)]
+)
+def test_a_map_is_found_turned_by_any_angle_with_other_cells_and_origin(a, theta, cell):
+    b, truth = turned(a, theta, cell, Pose2D(7.0, -4.0, -1.0))
+    found = align_maps(a, b)
+    assert found.verdict == "unique"
+    off = compose(inverse(truth), found.pose)
+    at = compose(inverse(truth), compose(found.pose, Pose2D(4.0, 3.0)))
+    assert math.hypot(at.x - 4, at.y - 3) < 0.04
+    assert abs(off.theta) < math.radians(0.3)
+    agree = found.best.agreement
+    assert agree.share > 0.95
+    assert agree.overlap > 0.9
+    assert agree.residual < 0.04
+    poses = np.array([[1.0, 2.0, 3.0]])
+    there = transform_poses(truth, poses)
+    assert np.abs(found.move(poses) - there).max() < 0.06
+
+
+def test_parts_of_a_map_that_share_half_come_first_where_they_belong(a):
+    left, right = a.free.copy(), a.free.copy()
+    left[:, 60:] = right[:, :20] = False
+    parts = [
+        OccupancyGrid(a.occupied & seen, free, 0.1, a.origin)
+        for free, seen in ((left, np.arange(80) < 60), (right, np.arange(80) >= 20))
+    ]
+    b, truth = turned(parts[1], 1.0, 0.1, Pose2D(0.0, 0.0))
+    found = align_maps(parts[0], b)
+    assert found.verdict in ("unique", "ambiguous")  # other corners are much alike
+    off = compose(inverse(truth), found.pose)
+    assert math.hypot(off.x, off.y) < 0.06
+    assert found.best.agreement.overlap < 0.8
+
+
+def test_walls_that_are_drawn_thicker_do_not_pull_it_aside(a):
+    thick = a.occupied.copy()
+    for axis in (0, 1):
+        thick |= np.roll(thick, 1, axis) | np.roll(thick, -1, axis)
+    found = align_maps(a, OccupancyGrid(thick, a.free & ~thick, 0.1, a.origin))
+    assert found.verdict == "unique"
+    assert math.hypot(found.pose.x, found.pose.y) < 0.02
+    assert 2 * found.best.bend.pose[4] == pytest.approx(0.2, abs=0.03)
+
+
+def test_a_scale_is_found_if_it_is_free(a):
+    b = OccupancyGrid(a.occupied, a.free, 0.111, Pose2D(0.0, 0.0))
+    found = align_maps(a, b, scale=True)
+    assert found.verdict == "unique"
+    assert found.best.scale == pytest.approx(0.1 / 0.111, abs=0.004)
+
+
+def test_a_room_that_is_the_same_turned_by_half_is_ambiguous():
+    wall = np.pad(np.zeros((50, 80), bool), 2, constant_values=True)
+    grid = OccupancyGrid(wall, ~wall, 0.1)
+    found = align_maps(grid, grid)
+    assert found.verdict == "ambiguous"
+    turns = sorted(round(abs(place.pose.theta), 2) for place in found.places[:2])
+    assert turns == [0.0, 3.14]
+
+
+@pytest.mark.parametrize("names", [("curved", "visibility"), ("visibility", "double_wall")])
+def test_maps_of_different_places_do_not_match(names):
+    found = align_maps(*(load_map(MAPS / f"{name}.yaml") for name in names))
+    assert found.verdict == "no-match"
+    assert found.pose is None
+    row = found.as_row()
+    assert row["x"] is row["theta"] is row["residual"] is None
+    with pytest.raises(MapError, match="do not match"):
+        found.move(np.zeros((1, 3)))
+
+
+def test_a_map_without_a_wall_is_refused(a):
+    free = np.ones((9, 9), bool)
+    with pytest.raises(MapError, match="b: no wall"):
+        align_maps(a, OccupancyGrid(~free, free, 0.1))
+
+
+def answer(*poses: Pose2D, verdict: str = "unique") -> Localization:
+    mass = 1 / max(1, len(poses))
+    return Localization(tuple(Hypothesis(p, 0.0, mass, np.eye(3)) for p in poses), verdict, 0.0, 1)
+
+
+def test_scans_agree_on_a_transform_also_if_they_are_ambiguous_in_one_map():
+    T, pairs = Pose2D(3.0, -1.0, 2.0), []
+    for k in range(6):
+        here = Pose2D(k, 0.3 * k * k, k)
+        other = Pose2D(-9.0 + 3 * k, 5.0 * k, 1.0)
+        there = [compose(T, here), other][:: -1 if k % 2 else 1]
+        pairs.append((answer(*there, verdict="ambiguous"), answer(here)))
+    pairs.append((answer(verdict="no-match"), answer(Pose2D(0, 0))))
+    found = align_scans(pairs)
+    assert (found.used, found.located) == (6, 6)
+    off = compose(inverse(T), found.pose)
+    assert np.abs((off.x, off.y, off.theta)).max() < 1e-9
+    assert found.residual < 1e-9
+
+
+def test_scans_that_differ_by_many_transforms_agree_on_none():
+    rng = np.random.default_rng(1)
+    pairs = [
+        (answer(Pose2D(*rng.uniform(-9, 9, 3))), answer(Pose2D(*rng.uniform(-9, 9, 3))))
+        for _ in range(8)
+    ]
+    assert align_scans(pairs).pose is None
+
+
+def test_scans_decide_between_places_that_agree_as_well():
+    wall = np.pad(np.zeros((50, 80), bool), 2, constant_values=True)
+    grid = OccupancyGrid(wall, ~wall, 0.1)
+    T = Pose2D(8.4, 5.4, math.pi)  # half a turn about the middle
+    here = np.array([(1.0, 1.0, 0.2), (5.0, 2.0, 1.0)])
+    scans = ScanAlignment(T, 2, 2, 0.0, 0.0, here, transform_poses(T, here))
+    found = align_maps(grid, grid, scans=scans)
+    assert found.verdict == "unique"
+    assert abs(found.pose.theta) == pytest.approx(math.pi, abs=1e-3)
+    assert differences(found, scans)["walls_apart"] < 0.02
+    elsewhere = ScanAlignment(Pose2D(2.0, 0.0), 2, 2, 0.0, 0.0, here, here + (2, 0, 0))
+    assert align_maps(grid, grid, scans=elsewhere).verdict == "ambiguous"
+
+
+def test_what_only_one_map_has_is_drawn_in_its_colour(a):
+    more = a.occupied.copy()
+    more[48:50, 50:60] = True
+    more[45:50, 10:18] = False
+    b = OccupancyGrid(more, ~more, 0.1, a.origin)
+    image = draw_alignment(a, b, align_maps(a, b)).image
+    for colour, cells, (x, y) in ((ONLY_A, 40, (14, 47.5)), (ONLY_B, 20, (55, 49))):
+        row, column = np.nonzero((image == colour).all(axis=2))
+        scale = 13  # pixels of a cell
+        assert len(row) / scale**2 == pytest.approx(cells, rel=0.1)
+        assert np.median(column) / scale == pytest.approx(x, abs=1)
+        assert 60 - np.median(row) / scale == pytest.approx(y, abs=1.6)
+
+
+def test_poses_keep_their_other_columns(a, tmp_path):
+    path = tmp_path / "way.csv"
+    path.write_text("name,Y,x,yaw\ndock,2,1,0.5\n\ndesk,4.5,3,-3\n")
+    given = read_poses(path)
+    assert given.poses.tolist() == [[1, 2, 0.5], [3, 4.5, -3]]
+    rows = list(csv.reader(moved_text(given, align_maps(a, a)).splitlines()))
+    assert rows[0] == ["name", "Y", "x", "yaw"]
+    assert rows[1][0] == "dock"
+    assert np.abs(np.array(rows[1][1:], float) - (2, 1, 0.5)).max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a,b\n1,2\n", "got the columns a, b, expected x, y"),
+        ("x,y\n1,two\n", "line 2: expected numbers"),
+        ("x,y,theta\n1,2\n", "line 2"),
+        ("x,y\n1,inf\n", "line 2"),
+    ],
+)
+def test_a_csv_that_has_no_poses_is_refused(tmp_path, text, said):
+    path = tmp_path / "way.csv"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=said):
+        read_poses(path)
+
+
+@pytest.fixture
+def files(a, tmp_path):
+    b, truth = turned(a, 0.7, 0.1, Pose2D(1.0, 1.0))
+    save_map(tmp_path / "a.yaml", a)
+    save_map(tmp_path / "b.yaml", b)
+    (tmp_path / "way.csv").write_text("x,y,theta\n2,3,1\n")
+    return tmp_path, truth
+
+
+def test_the_command_says_where_b_lies_and_carries_poses_and_yaml_over(files):
+    folder, truth = files
+    (folder / "sub").mkdir()
+    given = call(
+        "map", "align", folder / "a.yaml", folder / "b.yaml", "--json", "--move",
+        folder / "way.csv", "--out", folder / "out.csv", "--write", folder / "sub" / "in-a.yaml",
+        "--picture", folder / "both.png",
+    )  # fmt: skip
+    assert given.code == 0, given.err
+    row = json.loads(given.out)
+    assert row["verdict"] == "unique"
+    assert (row["x"], row["y"]) == pytest.approx((truth.x, truth.y), abs=0.05)
+    assert row["theta"] == pytest.approx(truth.theta, abs=0.005)
+    (moved,) = csv.DictReader((folder / "out.csv").read_text().splitlines())
+    there = compose(truth, Pose2D(2, 3, 1))
+    assert float(moved["x"]) == pytest.approx(there.x, abs=0.05)
+    assert float(moved["theta"]) == pytest.approx(there.theta, abs=0.01)
+    again = call("map", "align", folder / "a.yaml", folder / "sub" / "in-a.yaml", "--json")
+    row = json.loads(again.out)
+    assert np.abs((row["x"], row["y"], row["theta"])).max() < 0.01
+    assert (folder / "both.png").stat().st_size > 1000
+    assert len([line for line in given.err.splitlines() if "wrote" in line]) == 3
+
+
+def test_the_text_has_the_pose_and_how_far_to_trust_it(files):
+    folder, _ = files
+    given = call("map", "align", folder / "a.yaml", folder / "b.yaml", "--strict")
+    assert given.code == 0
+    assert "unique\n  pose       x " in given.out
+    for word in ("agree", "residual", "bend", "overlap"):
+        assert word in given.out
+
+
+def test_nothing_is_written_of_maps_that_do_not_match(tmp_path):
+    (tmp_path / "way.csv").write_text("x,y\n2,3\n")
+    given = call(
+        "map", "align", "curved", "visibility", "--move", tmp_path / "way.csv", "--out",
+        tmp_path / "out.csv", "--write", tmp_path / "new.yaml",
+    )  # fmt: skip
+    assert given.code == 6
+    assert "no-match" in given.out
+    assert "no pose and no YAML is written" in given.err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["way.csv"]
+
+
+def test_slips_of_the_command_are_named(files):
+    folder, _ = files
+    pair = "map", "align", folder / "a.yaml", folder / "b.yaml"
+    given = call(*pair, "--move", folder / "way.csv")
+    assert (given.code, "--move, --out" in given.err) == (2, True)
+    given = call(*pair, "--write", folder / "b.yaml", "--force")
+    assert (given.code, "is read by this command" in given.err) == (1, True)
+    given = call(*pair[:3], folder / "none.yaml")
+    assert (given.code, "none.yaml: no such file" in given.err) == (3, True)
+
+
+def test_scans_are_located_in_both(tmp_path):
+    scans = tmp_path / "scans.npz"
+    assert call("simulate", "visibility", "-n", "6", "--out", scans).code == 0
+    grid = load_map(MAPS / "visibility.yaml")
+    b, truth = turned(grid, 2.0, grid.resolution, Pose2D(0.0, 0.0))
+    save_map(tmp_path / "b.yaml", b)
+    given = call("map", "align", "visibility", tmp_path / "b.yaml", "--scans", scans, "--json")
+    row = json.loads(given.out)
+    assert row["scans"]["used"] >= 4
+    assert row["scans"]["walls_apart"] < 0.05
+    assert row["scans"]["pose"]["theta"] == pytest.approx(truth.theta, abs=0.01)
+    text = call("map", "align", "visibility", tmp_path / "b.yaml", "--scans", scans).out
+    assert "walls and scans differ by 0.0" in text
