@@ -569,6 +569,11 @@ def test_a_few_stamps_that_go_back_are_sorted_and_a_clock_set_back_is_refused(ca
     assert [moment.index for moment in moments] == [*range(10), 11, 10, *range(12, len(scans))]
     assert [moment.stamp for moment in moments] == scans.stamps.tolist()
     assert "the stamp of scan 11, 10.00, is 1 s before that of scan 10, 11.00" in caplog.text
+    swapped = scans.stamps.copy()
+    swapped[[10, 11]] = swapped[[11, 10]]
+    moments = list(follow(features, replace(scans, stamps=swapped), Tracker(features)))
+    assert [moment.index for moment in moments] == list(range(len(scans)))
+    assert [moment.stamp for moment in moments[9:13]] == [9, 11, 11, 12]
     set_back = np.where(np.arange(len(scans)) > 12, scans.stamps - 9.5, scans.stamps)
     back = ScanSet(scans.scans, scans.poses, set_back, scans.odom)
     with pytest.raises(ScanError, match=r"stamps\[13\]: 3.50 after 12.00, 8.5 s back, expected"):

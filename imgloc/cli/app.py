@@ -16,6 +16,7 @@ from imgloc.cli.command import Command, command
 from imgloc.cli.console import Group, emit
 from imgloc.cli.demo import demo
 from imgloc.cli.export import export
+from imgloc.cli.inspect import inspect
 from imgloc.cli.localize import localize
 from imgloc.cli.map import check, show
 from imgloc.cli.node import RosCommand, node
@@ -65,6 +66,11 @@ def root(
 
 _COMMANDS: dict[Callable[..., None], tuple[str, ...]] = {
     demo: ("imgloc demo", "imgloc demo --map corridor --seed 4"),
+    inspect: (
+        "imgloc inspect run.log",
+        "imgloc inspect office.yaml run.bag --picture run.png",
+        "imgloc inspect office.yaml monday.log tuesday.log.gz --json",
+    ),
     localize: (
         "imgloc localize office.yaml scans.npz",
         "imgloc localize office.yaml scans.npz --scans-index 3 --picture answer.png",

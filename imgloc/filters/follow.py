@@ -200,15 +200,15 @@ def _whole(scans: ScanSet, features: MapFeatures, kidnap: Kidnap | None, name: s
     if (far := np.flatnonzero(np.abs(stamps) > _LATEST)).size:
         _check_order(name, indices[far[0]], np.nan, float(stamps[far[0]]))
     if (back := np.flatnonzero(np.diff(stamps) < 0)).size:
-        order = in_order(stamps, odom)
-        if order is None:
+        ordered = in_order(stamps, odom)
+        if ordered is None:
             _check_order(name, indices[back[0] + 1], *stamps[back[0] : back[0] + 2])
         else:
-            LOG.warning(
-                "%s: %s; imgloc follows the scans in the order of their stamps", name,
-                back_words(stamps, indices), extra={"code": "order"},
-            )  # fmt: skip
-            known, odom, stamps = known.take(order), odom[order], stamps[order]
+            how = "in the order of their stamps" if ordered[0] else "as they stand in the file"
+            said = back_words(stamps, indices)
+            LOG.warning("%s: %s; imgloc follows the scans %s", name, said, how)
+            order, stamps = ordered[0] or list(range(len(known))), ordered[1]
+            known, odom = known.take(order), odom[order]
             indices = [indices[k] for k in order]
     with np.errstate(over="ignore", invalid="ignore"):
         way, seconds = np.hypot(*increments(odom)[:, :2].T), np.diff(stamps)
@@ -359,18 +359,22 @@ class Follower:
         )  # fmt: skip
 
 
-def in_order(stamps: FloatArray, odom: FloatArray) -> list[int] | None:
-    """The order of stamps (N,) of which a few go back; None if the clock was set back.
+def in_order(stamps: FloatArray, odom: FloatArray) -> tuple[list[int], FloatArray] | None:
+    """The order of scans of whose stamps (N,) a few go back, and stamps that do not.
 
-    The way of the robot along the odometry (N, 3) tells: if the clock was set back, or the log is
-    made of two, the way is longer in the order of the stamps.
+    The way of the robot along the odometry (N, 3) tells whether scans or stamps are wrong: it is
+    longer in the order of wrong stamps. Then the order is empty, for that of the file, and a wrong
+    stamp becomes the one before. None if the clock was set back, or the log is made of two.
 
     Examples
     --------
     >>> x, stamps = np.arange(12.0), np.arange(12.0)
     >>> x[[5, 6]] = stamps[[5, 6]] = 6.0, 5.0
-    >>> in_order(stamps, np.column_stack((x, x, 0 * x)))
+    >>> in_order(stamps, np.column_stack((x, x, 0 * x)))[0]
     [0, 1, 2, 3, 4, 6, 5, 7, 8, 9, 10, 11]
+    >>> order, lifted = in_order(stamps, np.column_stack((np.sort(x), x, 0 * x))[:, [0, 0, 2]])
+    >>> order, lifted[4:8].tolist()
+    ([], [4.0, 6.0, 6.0, 7.0])
     >>> in_order(np.where(x > 7, x - 5.5, x), np.column_stack((x, x, 0 * x))) is None
     True
     """
@@ -380,7 +384,10 @@ def in_order(stamps: FloatArray, odom: FloatArray) -> list[int] | None:
     before, after = (
         float(np.hypot(*np.diff(p[:, :2], axis=0).T).sum()) for p in (odom, odom[order])
     )
-    return order.tolist() if after <= before + _LONGER * before else None
+    if after <= before + _LONGER * before:
+        return order.tolist(), stamps[order]
+    lifted = np.maximum.accumulate(stamps)
+    return ([], lifted) if np.mean(lifted > stamps) <= _BACK else None
 
 
 def back_words(stamps: FloatArray, indices: Sequence[int]) -> str:

@@ -151,6 +151,15 @@ def bag_size(
     return ScansSize(count, 2 * count * readings, beside)
 
 
+def topics_of(path: PathLike) -> list[tuple[str, str, int]]:
+    """Topic, type and number of messages of what is in a bag."""
+    counts: dict[tuple[str, str], int] = {}
+    with _opened(path, display(path)) as bag:
+        for c in bag.connections:
+            counts[c.topic, c.msgtype] = counts.get((c.topic, c.msgtype), 0) + c.msgcount
+    return [(topic, kind, count) for (topic, kind), count in sorted(counts.items())]
+
+
 @contextlib.contextmanager
 def _opened(path: PathLike, name: str) -> Iterator[Any]:
     """The bag, open; whatever is wrong with it is a ScanError."""

@@ -182,6 +182,8 @@ _BAG = _Kind(
 _PCD = _Kind(lambda path, how: read_pcd(path, height=how.height), lambda path, _: pcd_size(path))
 _TEXTS = _CSV, _JSON, _ECHO, _CARMEN  # which may be packed by gzip
 _LOGS = _CARMEN, _BAG  # in which each of several lasers has a name
+_NAMES = {_NPZ: "NPZ", _CSV: "CSV", _JSON: "JSON", _ECHO: "echo of a topic",
+          _CARMEN: "CARMEN log", _BAG: "bag", _PCD: "PCD"}  # fmt: skip
 _KINDS = {
     ".npz": _NPZ, ".csv": _CSV, ".jsonl": _JSON, ".ndjson": _JSON, ".json": _JSON,
     ".yaml": _ECHO, ".yml": _ECHO, ".log": _CARMEN, ".clf": _CARMEN, ".carmen": _CARMEN,
@@ -209,6 +211,11 @@ _CONVERTED = {
     ".las": "a cloud of points: save it as .pcd, of which `height` takes a slice",
     ".xlsx": "a workbook: save the sheet as CSV",
 }
+
+
+def format_of(path: PathLike) -> str:
+    """What the format of a file is called: by the ending of its name, else by how it begins."""
+    return _NAMES[_kind_of(path)]
 
 
 def has_topics(path: PathLike) -> bool:

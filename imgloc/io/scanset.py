@@ -373,7 +373,7 @@ def _without_codes(scans: Sequence[LaserScan], name: str) -> tuple[LaserScan, ..
         f"imgloc takes it for the code of rays that met nothing, range_max = {code:g}; add "
         "range_max to the file if these are distances"
     )
-    _LOG.warning("%s: %s", name, said)
+    _LOG.warning("%s: %s", name, said, extra={"code": "codes"})
     return tuple(replace(s, range_max=code) if math.isinf(s.range_max) else s for s in scans)
 
 

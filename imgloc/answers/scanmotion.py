@@ -1,0 +1,200 @@
+"""Whether scans and odometry of a log agree: what a scan sees lies where an earlier one saw it.
+
+No map is needed. Two scans are laid over each other as the odometry moved the sensor between them;
+the share of the readings that fall on each other tells how well that went. If it is small, the same
+is tried with what is often wrong: a sensor upside down or turned, other units, odometry that lags.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from imgloc.features.scanpoints import evenly, scan_xy
+from imgloc.io.scanset import ScanSet
+from imgloc.model import BoolArray, FloatArray, IntArray, LaserScan, Pose2D, compose, inverse
+from imgloc.numbers import number
+
+_FAR, _TURN = number("scanmotion.apart")
+_LOOKED, _PAIRS, _RAYS, _LEAST, _AHEAD = number("scanmotion.tried")
+_CELL = number("scanmotion.cell")
+AGREES, _WINS, _HALF = number("scanmotion.agrees")
+_LAGS = number("scanmotion.lags")
+_ANGLES = number("scanmotion.angles")
+_SIDE = 4000  # cells of an image of a scan; readings so far off are errors
+Scan = Callable[[LaserScan], LaserScan]
+Odometry = Callable[[FloatArray], FloatArray]
+
+
+@dataclass(frozen=True)
+class Way:
+    """What may be wrong with a log, and what undoes it."""
+
+    code: str
+    value: float = 0.0  #: factor, angle in radians or seconds, as the code needs it
+    scan: Scan = lambda scan: scan
+    odom: Odometry = lambda odom: odom  #: of poses (N, 3)
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How well scans and odometry of a log agree, 0 to 1, and how well if something is undone."""
+
+    share: float  #: NaN if the robot does not move enough
+    best: Way | None = None  #: what makes them agree, if they do not
+    best_share: float = math.nan
+    two_lasers: bool = False  #: whether every other scan agrees with its like alone
+
+
+def agreement(scans: ScanSet, odom: FloatArray) -> Agreement:
+    """How well scans agree with poses of the robot (N, 3), finite, in the odometry's frame."""
+    if len(scans) < _LEAST:
+        return Agreement(math.nan)
+    pairs = _pairs(odom)
+    here = _share(scans, odom, pairs, Way(""))
+    if math.isnan(here) or here >= AGREES:
+        return Agreement(here)
+    if _alternates(scans, odom):
+        return Agreement(here, two_lasers=True)
+    best, most = None, max(_WINS, here / _HALF)
+    for way in _ways(scans, odom):
+        share = _share(scans, odom, pairs, way)
+        if share > most:
+            best, most = way, share
+    return Agreement(here, best, most if best else math.nan)
+
+
+def _alternates(scans: ScanSet, odom: FloatArray) -> bool:
+    """Whether each scan agrees with the one after the next, and not with the next."""
+    starts = evenly(len(scans) - 2, 4 * _PAIRS)
+
+    def median(ahead: int, some: IntArray) -> float:
+        shares = [
+            overlap(
+                scans[i],
+                scans[i + ahead],
+                compose(inverse(Pose2D(*odom[i])), Pose2D(*odom[i + ahead])),
+            )
+            for i in some.tolist()
+        ]
+        return float(np.nanmedian([0.0, *shares]))
+
+    alike = max(median(2, starts[starts % 2 == odd]) for odd in (0, 1))
+    return bool(alike > max(_WINS, median(1, starts[::2]) / _HALF))
+
+
+def _ways(scans: ScanSet, odom: FloatArray) -> list[Way]:
+    """What is tried, the likeliest first."""
+    ways = [Way("flipped", scan=lambda s: s.flipped),
+            Way("odometry-turn", odom=lambda o: o * (1, 1, -1))]  # fmt: skip
+    for factor in (0.001, 0.01):
+        ways.append(Way("units", factor, scan=lambda s, f=factor: s.scaled(f)))  # type: ignore[misc]
+    for quarter in (2, 1, -1):
+        turn = quarter * math.pi / 2
+        ways.append(Way("mounting", turn, scan=lambda s, t=turn: _turned(s, t)))  # type: ignore[misc]
+    for factor in _ANGLES:
+        ways.append(Way("view", factor, scan=lambda s, f=factor: _widened(s, f)))  # type: ignore[misc]
+    times, unit = np.arange(len(odom), dtype=float), 1.0
+    if scans.stamps is not None and np.isfinite(scans.stamps).all():
+        times = scans.stamps - scans.stamps[0]
+        if not (np.diff(times) > 0).all():
+            return ways
+        unit = float(np.median(np.diff(times)))
+    for late in _LAGS:
+        for sign in (1, -1):
+            shift = sign * late * unit
+            ways.append(Way("lag", shift, odom=lambda o, t=times, s=shift: _shifted(o, t, s)))  # type: ignore[misc]
+    return ways
+
+
+def _turned(scan: LaserScan, turn: float) -> LaserScan:
+    mount = scan.T_base_laser or Pose2D(0.0, 0.0)
+    return replace(scan, T_base_laser=Pose2D(mount.x, mount.y, mount.theta + turn))
+
+
+def _widened(scan: LaserScan, factor: float) -> LaserScan:
+    middle = 0.5 * (scan.angles.min() + scan.angles.max())
+    return replace(scan, angles=middle + factor * (scan.angles - middle))
+
+
+def _shifted(odom: FloatArray, times: FloatArray, shift: float) -> FloatArray:
+    """The odometry `shift` after each time."""
+    at = times + shift
+    columns = [odom[:, 0], odom[:, 1], np.unwrap(odom[:, 2])]
+    return np.stack([np.interp(at, times, column) for column in columns], axis=1)
+
+
+def _pairs(odom: FloatArray) -> list[tuple[int, int]]:
+    """Pairs of scans between which the robot went or turned far enough, and not farther."""
+    out = list[tuple[int, int]]()
+    for i in evenly(len(odom) - 1, _LOOKED).tolist():
+        ahead = odom[i + 1 : i + 1 + _AHEAD]
+        far = np.hypot(*(ahead[:, :2] - odom[i, :2]).T) > _FAR
+        turned = np.abs(np.remainder(ahead[:, 2] - odom[i, 2] + math.pi, math.tau) - math.pi)
+        found = np.flatnonzero(far | (turned > _TURN))
+        if found.size:
+            out.append((i, i + 1 + int(found[0])))
+    return out
+
+
+def _share(scans: ScanSet, odom: FloatArray, pairs: Sequence[tuple[int, int]], way: Way) -> float:
+    """The lesser of two medians: of the pairs that turned most, and of those that went farthest.
+
+    Turns tell of angles, and ways of lengths.
+    """
+    moved = way.odom(odom)
+    steps = [compose(inverse(Pose2D(*odom[i])), Pose2D(*odom[j])) for i, j in pairs]
+    turned = sorted(range(len(pairs)), key=lambda k: -abs(steps[k].theta))
+    gone = sorted(
+        range(len(pairs)),
+        key=lambda k: abs(steps[k].theta) - math.hypot(steps[k].x, steps[k].y),
+    )
+    seen = dict[int, float]()
+    medians = list[float]()
+    for order in (turned, gone):
+        shares = list[float]()
+        for k in order[:_PAIRS]:
+            if k not in seen:
+                i, j = pairs[k]
+                step = compose(inverse(Pose2D(*moved[i])), Pose2D(*moved[j]))
+                seen[k] = overlap(way.scan(scans[i]), way.scan(scans[j]), step)
+            if not math.isnan(seen[k]):
+                shares.append(seen[k])
+        if 2 * len(shares) >= _PAIRS:
+            medians.append(float(np.median(shares)))
+        elif len(order) >= _PAIRS:  # scans without readings agree with nothing
+            medians.append(0.0)
+    return min(medians, default=math.nan)
+
+
+def overlap(before: LaserScan, after: LaserScan, step: Pose2D) -> float:
+    """Share of the readings of a scan that fall on those of one before, NaN if they are few.
+
+    The robot's motion `step` is in its own frame. Cells are as fine as the ranges are short, so
+    that no unit is better than another.
+    """
+    one, other = scan_xy(before), scan_xy(after)
+    if min(len(one), len(other)) < _LEAST:
+        return math.nan
+    mount = before.T_base_laser or Pose2D(0.0, 0.0)
+    back = after.T_base_laser or Pose2D(0.0, 0.0)
+    to = compose(compose(inverse(mount), step), back)
+    cell = _CELL * float(np.median(np.hypot(*one.T)))
+    if not cell > 0:
+        return math.nan
+    other = other[evenly(len(other), _RAYS)]
+    c, s = math.cos(to.theta), math.sin(to.theta)
+    moved = other @ np.array([[c, s], [-s, c]]) + (to.x, to.y)
+    corner = one.min(axis=0) - 2 * cell
+    filled = np.floor(np.minimum((one - corner) / cell, _SIDE - 3)).astype(np.int64)
+    width, height = (filled.max(axis=0) + 3).tolist()
+    image = np.zeros((height, width), np.uint8)
+    image[filled[:, 1], filled[:, 0]] = 1
+    image = cv2.dilate(image, np.ones((3, 3), np.uint8))
+    at = np.floor(np.clip((moved - corner) / cell, -1, _SIDE)).astype(np.int64)
+    inside: BoolArray = (at >= 0).all(axis=1) & (at[:, 0] < width) & (at[:, 1] < height)
+    hits = np.zeros(len(at), bool)
+    hits[inside] = image[at[inside, 1], at[inside, 0]] > 0
+    return float(hits.mean())

@@ -1,0 +1,207 @@
+"""`imgloc inspect`: what is in a log or a map, before it is used."""
+
+import contextlib
+import logging
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from math import degrees
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from imgloc.cli import options as opt
+from imgloc.cli.console import LOG, emit
+from imgloc.errors import ConfigError
+from imgloc.io.files import display
+from imgloc.options import AllowLossy, Logs, MemoryBudget, Mounting, Options, RangeMax, Reading
+from imgloc.ranges import option
+
+if TYPE_CHECKING:
+    from imgloc.answers.logcheck import Finding, LogReport
+    from imgloc.io.kinds import Kind
+    from imgloc.runs.opening import Desk, MapFiles
+
+_LEAST = 10  # scans that are worth following
+
+
+def inspect(
+    *,
+    files: list[Path] = option(
+        ...,
+        "Logs or other files of scans, and maps. Logs are checked against the map if there is one.",
+        "FILE...",
+    ),
+    logs: Logs,
+    mounting: Mounting,
+    reading: Reading,
+    as_json: opt.AsJson = False,
+    picture: Path | None = option(
+        None,
+        "Draw the way of the odometry, one scan and the histogram of ranges into this file; of "
+        "several logs into NAME-0003.png and so on.",
+        metavar="PNG",
+    ),
+    range_max: RangeMax | None = None,
+    cache: opt.CacheDir = None,
+    no_cache: opt.NoCache = False,
+    memory_budget: MemoryBudget | None = None,
+    force: opt.Force = False,
+    allow_lossy: AllowLossy = False,
+) -> None:
+    """Look at a log or a map before it is used, and name what is wrong with it.
+
+    Of a log: kinds of lines or topics, scans, rays, ranges, codes for nothing seen, units, stamps,
+    odometry, known poses, the place of the sensor, and whether scans and odometry agree. Of a log
+    with a map, also whether the scans fit the map. The last line is the command to go on with.
+    """
+    from imgloc.cli import inputs
+
+    folder = inputs.kept_in(cache, wanted=not no_cache)
+    desk = inputs.desk_of(1, opt.fixed_budget(memory_budget), folder)
+    given = [opt.find_map(path) if _is_map(path) else path for path in files]
+    maps = [path for path in given if _is_map(path)]
+    found = [path for path in given if path not in maps]
+    names = inputs.targets(picture, ".png", range(len(found)), force=force, inputs=files)
+    if picture is not None and not found:
+        raise ConfigError("--picture: is of logs; imgloc map show draws a map")
+    how = inputs.one_map(reading, allow_lossy=allow_lossy)
+    for path in maps:
+        _map(path, how, desk, as_json=as_json)
+    the_map = maps[0] if len(maps) == 1 else None
+    look = _Look(desk, how, the_map, logs, mounting, range_max)
+    for k, path in enumerate(found):
+        look.at(path, as_json=as_json, picture=names.get(k), force=force)
+
+
+def _is_map(path: Path) -> bool:
+    """Whether a file is a map: an image, a YAML that names one, or a bundled map by its name."""
+    from imgloc.errors import MapError
+    from imgloc.io.images import IMAGE_ENDINGS, LOSSY_ENDINGS
+    from imgloc.io.maps import YAML_ENDINGS
+    from imgloc.io.mapyaml import load_map_yaml
+    from imgloc.io.scans import SCAN_ENDINGS
+
+    ending = path.suffix.lower()
+    if ending in YAML_ENDINGS:
+        with contextlib.suppress(MapError):
+            load_map_yaml(path)
+            return True
+        return not _is_echo(path)
+    if ending in (*IMAGE_ENDINGS, *LOSSY_ENDINGS):
+        return True
+    return ending not in SCAN_ENDINGS and opt.find_map(path) != path
+
+
+def _is_echo(path: Path) -> bool:
+    """Whether a YAML is what `ros2 topic echo` prints: a map's has no ranges."""
+    with contextlib.suppress(OSError), path.open("rb") as file:
+        return b"ranges:" in file.read(4096)
+    return False
+
+
+def _map(path: Path, how: "MapFiles", desk: "Desk", *, as_json: bool) -> None:
+    from imgloc.cli import inputs
+    from imgloc.model import to_json
+    from imgloc.output.tables import report_text
+    from imgloc.runs.check import Check
+
+    (answer,) = Check(maps=how).open(inputs.item_of(path), desk)
+    command = f"imgloc map check {shlex.quote(str(path))}"
+    if as_json:
+        emit(to_json(answer.row | {"next": command}))
+    else:
+        emit(f"{report_text(answer.of)}\n  next        {command}")
+
+
+class _Look:
+    """Looks at logs, one after the other."""
+
+    def __init__(
+        self, desk: "Desk", how: "MapFiles", the_map: Path | None, logs: Logs, mounting: Mounting,
+        range_max: float | None,
+    ) -> None:  # fmt: skip
+        self.desk, self.how, self.map, self.logs = desk, how, the_map, logs
+        self.mounting, self.range_max = mounting, range_max
+
+    def at(self, path: Path, *, as_json: bool, picture: Path | None, force: bool) -> None:
+        """Look at a log, print what is in it, draw it."""
+        from imgloc.answers.logcheck import check_log, on_map
+        from imgloc.cli import inputs
+        from imgloc.io.kinds import kinds_of
+        from imgloc.model import to_json
+        from imgloc.output.inspection import draw_log, log_row, log_text
+
+        form, kinds = ("standard input", []) if str(path) == "-" else kinds_of(path)
+        logs, more = self._topic(form, kinds)
+        with _heard(inputs.name_of(path)) as notes:
+            how = inputs.as_recorded(logs, self.range_max, mounting=self.mounting)
+            scans = self.desk.scans(path, how).scans
+        report = check_log(scans, [*notes, *more])
+        if self.map is not None:
+            features = self.desk.features(self.map, self.how, Options(), scans=scans.scans)
+            options = Options(memory_budget=self.desk.budget)
+            report = on_map(report, scans, features, options)
+            self.desk.keep(features)
+        command = self._next(path, report, logs)
+        about = inputs.name_of(path), form, kinds, report, command
+        emit(to_json(log_row(*about)) if as_json else log_text(*about))
+        if picture is not None:
+            draw_log(about[0], report, scans[report.scan]).save(picture, force=force)
+            LOG.info("wrote %s", display(picture))
+
+    def _topic(self, form: str, kinds: "Sequence[Kind]") -> "tuple[Logs, list[Finding]]":
+        """The laser that is looked at, and a word about the others."""
+        from imgloc.answers.logcheck import Finding
+        from imgloc.io.kinds import lasers_in
+
+        lasers = lasers_in(form, list(kinds))
+        if len(lasers) < 2 or self.logs.topic is not None:
+            return self.logs, []
+        names = ",".join(laser.name for laser in lasers)
+        first = next((k.name for k in lasers if k.name in ("/scan", "FLASER")), lasers[0].name)
+        if first == "/scan":  # the others are often made of it
+            return self.logs, []
+        text = f"{len(lasers)} lasers: this is {first}; `topic={names}` follows all of them"
+        return replace(self.logs, topic=first), [Finding("two-lasers", text, serious=False)]
+
+    def _next(self, path: Path, report: "LogReport", logs: Logs) -> str:
+        """The command to go on with."""
+        follow = report.can_be_followed and report.facts["scans"] >= _LEAST
+        words = ["imgloc", "track" if follow else "localize"]
+        words += ["MAP" if self.map is None else shlex.quote(str(self.map)), shlex.quote(str(path))]
+        words += [] if follow else ["--scans-index", str(report.scan)]
+        words += [f"--topic {logs.topic}"] if logs.topic is not None else []
+        words += [f"--height {logs.height[0]:g},{logs.height[1]:g}"] if logs.height else []
+        given = f" {report.options} "
+        if logs.scale != 1 and "--range-scale" not in given:
+            words.append(f"--range-scale {logs.scale:g}")
+        if logs.fov is not None:
+            words.append(f"--fov-deg {degrees(logs.fov):g}")
+        if self.range_max is not None and "--range-max" not in given:
+            words.append(f"--range-max {self.range_max:g}")
+        words += ["--flipped"] if self.mounting.flipped and "--flipped" not in given else []
+        return " ".join([*words, report.options]).strip()
+
+
+@contextlib.contextmanager
+def _heard(name: str) -> "Iterator[list[Finding]]":
+    """What readers of the file `name` warn of, as findings; it is not printed besides."""
+    from imgloc.answers.logcheck import Finding
+
+    notes = list[Finding]()
+
+    class Ear(logging.Filter):
+        def filter(self, record: logging.LogRecord) -> bool:
+            if record.levelno < logging.WARNING:
+                return True
+            code = getattr(record, "code", "reader")
+            text = record.getMessage().removeprefix(f"{name}: ")
+            notes.append(Finding(code, text, serious=False))
+            return False
+
+    ear = Ear()
+    LOG.addFilter(ear)
+    try:
+        yield notes
+    finally:
+        LOG.removeFilter(ear)

@@ -1,0 +1,51 @@
+"""What a file holds before it is read: kinds of lines, or topics with their types."""
+
+from collections import Counter
+from dataclasses import dataclass
+
+from imgloc.io.bags import topics_of
+from imgloc.io.files import PathLike
+from imgloc.io.scans import format_of
+from imgloc.io.text import read_text
+
+_SHOWN = 40  # characters of a word
+_MANY = 200  # kinds of lines in a log
+
+
+@dataclass(frozen=True)
+class Kind:
+    """Lines that begin with a word, or messages of a topic."""
+
+    name: str
+    count: int
+    type: str = ""  #: of a topic's messages
+
+
+def kinds_of(path: PathLike) -> tuple[str, list[Kind]]:
+    """The format of a file of scans, and what kinds of lines or topics are in it.
+
+    ScanError if it cannot be read.
+    """
+    form = format_of(path)
+    if form == "bag":
+        return form, [Kind(topic, count, kind) for topic, kind, count in topics_of(path)]
+    if form == "CARMEN log":
+        lines = read_text(path, errors="replace").split("\n")
+        words = Counter(w[0][:_SHOWN] for line in lines if (w := line.split(None, 1)))
+        return form, [Kind(word, n) for word, n in words.most_common(_MANY)]
+    return form, []
+
+
+def lasers_in(form: str, kinds: list[Kind]) -> list[Kind]:
+    """Those kinds that are lasers, most messages first.
+
+    Examples
+    --------
+    >>> [kind.name for kind in lasers_in("CARMEN log", [Kind("ODOM", 9), Kind("FLASER", 8)])]
+    ['FLASER']
+    """
+    if form == "bag":
+        found = [k for k in kinds if k.type == "sensor_msgs/msg/LaserScan" and k.count]
+    else:
+        found = [k for k in kinds if k.name in ("FLASER", "RLASER")]
+    return sorted(found, key=lambda kind: (-kind.count, kind.name))

@@ -1,0 +1,231 @@
+"""`imgloc inspect`: each disturbance of a table is named, and nothing of logs as they are."""
+
+import functools
+import math
+import shlex
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from command import call, rows
+
+import imgloc
+from imgloc.io.scanset import ScanSet
+from imgloc.model import LaserScan, Pose2D
+
+LOGS = {
+    "fr079": ("raw/fr079.log", "fr079/map.yaml"),
+    "belgioioso": ("raw/belgioioso.log", "belgioioso/map.yaml"),
+    "olin_mac": ("olin_mac/bags/macfirst_floor_take_2", "olin_mac/maps/mac_1st_floor_final.yaml"),
+}
+
+
+@functools.cache
+def recorded(shared: Path, name: str) -> ScanSet:
+    if name == "olin_mac":
+        pytest.importorskip("rosbags", reason="reads bags: the extra ros")
+    scans = imgloc.load_scans(shared / "data" / LOGS[name][0])
+    scans = scans.take(range(min(len(scans), 360)))
+    stamps = np.arange(len(scans)) * 0.5 if scans.stamps is None else scans.stamps
+    return replace(scans, stamps=stamps)
+
+
+def each(scans: ScanSet, change: Callable[[LaserScan], LaserScan], step: int = 1) -> ScanSet:
+    return replace(
+        scans, scans=tuple(change(s) if k % step == 0 else s for k, s in enumerate(scans.scans))
+    )
+
+
+def ranged(change: Callable[[LaserScan], Any], **more: float) -> Callable[[ScanSet], ScanSet]:
+    return lambda scans: each(scans, lambda s: replace(s, ranges=change(s), **more))
+
+
+def turned(angle: float, step: int = 1) -> Callable[[ScanSet], ScanSet]:
+    return lambda scans: each(scans, lambda s: replace(s, angles=s.angles + angle), step)
+
+
+def moved(change: Callable[[Any, Any], Any]) -> Callable[[ScanSet], ScanSet]:
+    """Other odometry, of that and of the stamps."""
+    return lambda scans: replace(scans, odom=change(scans.odom, scans.stamps))
+
+
+def late(odom, stamps):
+    by = 5 * float(np.median(np.diff(stamps)))
+    heading = np.unwrap(odom[:, 2])
+    columns = [np.interp(stamps - by, stamps, c) for c in (odom[:, 0], odom[:, 1], heading)]
+    columns[2] = (columns[2] + math.pi) % math.tau - math.pi
+    return np.stack(columns, axis=1)
+
+
+def coded(code: float) -> Callable[[LaserScan], Any]:
+    """A code for nothing seen in place of each tenth reading, and of those beyond it."""
+    return lambda s: np.where(
+        (np.arange(len(s.ranges)) % 10 == 3) | (s.ranges > code), code, s.ranges
+    )
+
+
+def stamped(change: Callable[[Any], None]) -> Callable[[ScanSet], ScanSet]:
+    def made(scans: ScanSet) -> ScanSet:
+        stamps = scans.stamps.copy()
+        change(stamps)
+        return replace(scans, stamps=stamps)
+
+    return made
+
+
+def swap(stamps) -> None:
+    stamps[[100, 101]] = stamps[[101, 100]]
+
+
+def longest_way(scans: ScanSet) -> ScanSet:
+    """Without the scans of a part in which the robot goes far, the stamps being as they are."""
+    far = np.hypot(*(scans.odom[:, :2] - scans.odom[40, :2]).T)
+    end = next((k for k in range(50, len(scans)) if far[k] > 5.5), int(far.argmax()))
+    return scans.take([*range(40), *range(end, len(scans))])
+
+
+def jumped(odom, _):
+    return odom + (np.arange(len(odom)) > 200)[:, None] * (4.0, 3.0, 0.0)
+
+
+def some_unknown(odom, _):
+    odom = odom.copy()
+    odom[10:15] = np.nan
+    return odom
+
+
+def repeated(scans: ScanSet) -> ScanSet:
+    return replace(scans, scans=tuple(scans[k - k % 3] for k in range(len(scans))))
+
+
+def body(scan: LaserScan) -> Any:
+    at = np.arange(len(scan.ranges))
+    return np.where(at < len(at) // 12, 0.3 + 0.001 * at / len(at), scan.ranges)
+
+
+class Case(NamedTuple):
+    change: Callable[[ScanSet], ScanSet]
+    code: str
+    on_map: bool = False
+
+
+DISTURBED = {
+    "millimetres": Case(ranged(lambda s: 1000 * s.ranges), "units"),
+    "centimetres": Case(ranged(lambda s: 100 * s.ranges), "units"),
+    "a code and no range_max": Case(ranged(coded(45.5), range_max=math.inf), "codes"),
+    "a code below range_max": Case(ranged(coded(9.5)), "codes"),
+    "range_max too small": Case(ranged(lambda s: s.ranges, range_max=0.4, range_min=0), "few"),
+    "the robot in view": Case(ranged(body, range_min=0), "own-body"),
+    "upside down": Case(lambda scans: each(scans, lambda s: s.flipped), "flipped"),
+    "backwards": Case(turned(math.pi), "mounting"),
+    "to the left": Case(turned(-math.pi / 2), "mounting"),
+    "a narrower view": Case(
+        lambda scans: each(scans, lambda s: replace(s, angles=s.angles * 2 / 3)), "view"
+    ),
+    "two lasers": Case(turned(math.pi, 2), "two-lasers"),
+    "old buffers": Case(repeated, "repeats"),
+    "odometry of zeros": Case(moved(lambda odom, _: 0 * odom), "odometry-zero"),
+    "odometry in millimetres": Case(
+        moved(lambda odom, _: odom * (1000, 1000, 1)), "odometry-units"
+    ),
+    "odometry that turns the other way": Case(moved(lambda o, _: o * (1, 1, -1)), "odometry-turn"),
+    "odometry of some scans": Case(moved(some_unknown), "odometry-part"),
+    "odometry that lags": Case(moved(late), "lag"),
+    "odometry that jumps": Case(moved(jumped), "jump"),
+    "stamps swapped": Case(stamped(swap), "order"),
+    "a gap": Case(longest_way, "gap"),
+    "poses of another map": Case(lambda scans: replace(scans, poses=scans.odom + 7), "poses", True),
+}
+
+
+def codes(run) -> list[str]:
+    assert run.code == 0, run.err
+    return [finding["code"] for finding in rows(run.out)[-1]["findings"]]
+
+
+@pytest.mark.parametrize("name", LOGS)
+@pytest.mark.parametrize("what", DISTURBED)
+def test_each_disturbance_is_named(shared: Path, tmp_path: Path, name: str, what: str) -> None:
+    case = DISTURBED[what]
+    file = tmp_path / "log.npz"
+    imgloc.save_scans(file, case.change(recorded(shared, name)))
+    beside = [shared / "data" / LOGS[name][1]] if case.on_map else []
+    assert case.code in codes(call("inspect", *beside, file, "--json", "--no-cache"))
+
+
+def text_of(scans: ScanSet, robot: bool = True) -> list[str]:
+    """ROBOTLASER1 lines; without the robot's poses if those are not to be known."""
+    lines = []
+    for scan, odom, stamp in zip(scans.scans, scans.odom, scans.stamps, strict=True):
+        mount = scan.T_base_laser or Pose2D(0.0, 0.0)
+        at = imgloc.model.compose(Pose2D(*odom), mount)
+        step = scan.angles[1] - scan.angles[0]
+        ranges = " ".join(f"{r:.3f}" for r in np.nan_to_num(scan.ranges, posinf=99.0))
+        pose = " ".join(f"{v:.4f}" for v in (odom if robot else 0 * odom))
+        lines.append(
+            f"ROBOTLASER1 0 {scan.angles[0]:.6f} 3 {step:.8f} {scan.range_max} 0.01 0 "
+            f"{len(scan.ranges)} {ranges} 0 {at.x:.4f} {at.y:.4f} {at.theta:.5f} {pose} 0 0 0 0 0 "
+            f"{stamp:.4f} host 0"
+        )
+    return lines
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_what_a_reader_forgives_is_named(shared: Path, tmp_path: Path, name: str) -> None:
+    scans, file = recorded(shared, name), tmp_path / "run.log"
+    file.write_text("\n".join(lines := text_of(scans)) + "\n")
+    assert codes(call("inspect", file, "--json")) == []
+    file.write_text("\n".join([*lines[:7], lines[7][:99], *lines[8:]]) + "\n")
+    assert codes(call("inspect", file, "--json")) == ["broken"]
+    file.write_text("\n".join([*lines, lines[0][:200]]))
+    assert codes(call("inspect", file, "--json")) == ["cut"]
+    file.write_text("\n".join(text_of(scans, robot=False)) + "\n")
+    run = call("inspect", file, "--json")
+    assert codes(run) == ["odometry-zero"]
+    assert not run.err
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_the_map_tells_a_mirrored_image(shared: Path, tmp_path: Path, name: str) -> None:
+    grid = imgloc.load_map(shared / "data" / LOGS[name][1], free_thresh=0.196)
+    mirrored = imgloc.OccupancyGrid(grid.occupied[::-1], grid.free[::-1], grid.resolution)
+    imgloc.save_map(tmp_path / "map.yaml", mirrored)
+    imgloc.save_scans(tmp_path / "log.npz", recorded(shared, name))
+    found = codes(call("inspect", tmp_path / "map.yaml", tmp_path / "log.npz", "--json"))
+    assert found == ["mirrored"]
+
+
+UNDISTURBED = [
+    "fr079/scans.npz", "fr079_half/scans.npz", "belgioioso/scans.npz", "duke_loop5/scans.npz",
+    "gh25/scans.npz", "malaga_campus/scans.npz", "factory_changed/scans.npz", "wean/scans.npz",
+    "raw/fr079.log", "raw/belgioioso.log", "raw/duke_loop5.dpslam.log", "olin_pen/left_side.bag",
+    "olin_pen/middle.bag", "olin_mac/bags/macfirst_floor_take_2",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", UNDISTURBED)
+def test_nothing_is_found_in_a_log_as_it_was_recorded(shared: Path, name: str) -> None:
+    folder = shared / "data" / name.split("/")[0]
+    maps = [folder / "map.yaml"] if name.endswith("scans.npz") else []
+    assert codes(call("inspect", *maps, shared / "data" / name, "--json")) == []
+
+
+@pytest.mark.parametrize(
+    "what", ["", "millimetres", "upside down", "backwards", "stamps swapped"]
+)  # fmt: skip
+def test_the_command_to_go_on_with_works(shared: Path, tmp_path: Path, what: str) -> None:
+    scans, place = recorded(shared, "fr079"), shared / "data" / "fr079" / "map.yaml"
+    file = tmp_path / "a log.npz"
+    few = DISTURBED[what].change(scans) if what else scans
+    imgloc.save_scans(file, few.take(range(80, 140)))
+    run = call("inspect", place, file)
+    assert run.code == 0
+    words = shlex.split(run.out.splitlines()[-1].split(None, 1)[1])
+    assert words[0] == "imgloc"
+    done = call(*words[1:])
+    assert done.code == 0, done.err
+    verdicts = done.out.count("unique")
+    assert verdicts >= (25 if words[1] == "track" else 1)
