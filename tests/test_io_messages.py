@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from imgloc.errors import MapError, ScanError
+from imgloc.errors import ConfigError, MapError, ScanError
 from imgloc.io import messages
-from imgloc.model import Pose2D
+from imgloc.model import LaserScan, Pose2D
 
 STAMP = {"sec": 12, "nanosec": 250_000_000}
 HEADER = {"stamp": STAMP, "frame_id": "laser"}
@@ -71,7 +71,7 @@ NAMES = ["mapping", "object", "rosbags", "rclpy"]
 
 @pytest.mark.parametrize("form", forms("sensor_msgs/msg/LaserScan", SCAN), ids=NAMES)
 def test_a_scan_is_the_same_whoever_made_its_message(form) -> None:
-    scan = messages.scan_of(form(), mount=Pose2D(0.1, 0.0))
+    scan = messages.scan_from_msg(form(), mount=Pose2D(0.1, 0.0))
     np.testing.assert_array_equal(scan.ranges.astype(np.float32), np.float32(SCAN["ranges"]))
     assert scan.angles == pytest.approx([-1.0, -0.5, 0.0, 0.5, 1.0])
     assert (scan.stamp, scan.T_base_laser) == (12.25, Pose2D(0.1, 0.0))
@@ -81,7 +81,7 @@ def test_a_scan_is_the_same_whoever_made_its_message(form) -> None:
 
 @pytest.mark.parametrize("form", forms("nav_msgs/msg/OccupancyGrid", GRID), ids=NAMES)
 def test_a_map_is_the_same_whoever_made_its_message(form) -> None:
-    grid = messages.grid_of_message(form())
+    grid = messages.grid_from_msg(form())
     assert grid.free.tolist() == [[True, True, False], [False, False, False]]
     assert grid.occupied.tolist() == [[False, False, False], [False, True, False]]
     assert grid.resolution == 0.05  # a float32 in the message
@@ -96,12 +96,12 @@ def test_a_map_is_the_same_whoever_made_its_message(form) -> None:
 )  # fmt: skip
 def test_a_scan_that_contradicts_itself_is_refused(change, said) -> None:
     with pytest.raises(ScanError, match=said):
-        messages.scan_of(SCAN | change, "/scan")
+        messages.scan_from_msg(SCAN | change, "/scan")
 
 
 def test_a_scan_without_a_stamp_has_the_time_when_it_came() -> None:
     unset = SCAN | {"header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""}}
-    assert messages.scan_of(unset, received=7.5).stamp == 7.5
+    assert messages.scan_from_msg(unset, received=7.5).stamp == 7.5
 
 
 @pytest.mark.parametrize(
@@ -109,7 +109,7 @@ def test_a_scan_without_a_stamp_has_the_time_when_it_came() -> None:
 )
 def test_a_map_that_contradicts_itself_is_refused(change) -> None:
     with pytest.raises(MapError, match="expected"):
-        messages.grid_of_message(GRID | {"info": INFO | change})
+        messages.grid_from_msg(GRID | {"info": INFO | change})
 
 
 def test_a_laser_is_found_through_transforms_also_upside_down() -> None:
@@ -147,3 +147,32 @@ def test_a_transform_may_turn_about_any_axis() -> None:
     expected = np.eye(4)
     expected[:3, :3], expected[:3, 3] = Rotation.from_quat(q).as_matrix(), (1, 2, 3)
     np.testing.assert_allclose(messages.matrix_of(pose), expected, atol=1e-12)
+
+
+def test_messages_are_written_as_they_are_read() -> None:
+    scan = messages.scan_from_msg(SCAN)
+    fields = messages.scan_to_msg(scan, "laser")
+    for again in (fields, as_rosbags("sensor_msgs/msg/LaserScan", fields)):
+        twin = messages.scan_from_msg(again)
+        np.testing.assert_allclose(twin.ranges, scan.ranges, rtol=1e-6)
+        np.testing.assert_allclose(twin.angles, scan.angles, rtol=1e-6)
+        assert (twin.stamp, twin.range_max) == (scan.stamp, scan.range_max)
+    grid = messages.grid_from_msg(GRID)
+    fields = messages.grid_to_msg(grid, stamp=12.25)
+    assert fields["header"]["stamp"] == STAMP
+    for again in (fields, as_rosbags("nav_msgs/msg/OccupancyGrid", fields)):
+        twin = messages.grid_from_msg(again)
+        assert (twin.occupied == grid.occupied).all()
+        assert (twin.free == grid.free).all()
+        assert twin.origin.theta == pytest.approx(grid.origin.theta)
+
+
+def test_angles_that_are_not_even_are_no_message() -> None:
+    scan = LaserScan([1.0, 2.0, 3.0], [0.0, 0.1, 0.5])
+    with pytest.raises(ConfigError, match="not evenly spaced"):
+        messages.scan_to_msg(scan)
+
+
+def test_stamps_of_rospy_are_read() -> None:
+    header = {"stamp": {"secs": 12, "nsecs": 250_000_000}, "frame_id": "laser"}
+    assert messages.scan_from_msg(as_object(SCAN | {"header": header})).stamp == 12.25

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from imgloc.errors import MapError
+from imgloc.errors import ConfigError, MapError, expect
 from imgloc.io.scanset import collect
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
 
@@ -20,6 +20,7 @@ FREE, OCCUPIED = 19.6, 65.0
 """Occupancies of a cell, per cent, up to which it is free and from which it is a wall: the
 thresholds that ROS's map_saver writes beside a map."""
 _MOST = 100  # per cent
+_UNEVEN = 1e-3  # of the step between two rays, by which one may be off
 Frames = dict[str, tuple[str, FloatArray]]
 """Of a frame: its parent, and the pose in it, 4 x 4."""
 
@@ -49,10 +50,10 @@ def entry_of(message: Any, received: float) -> dict[str, Any]:
     }
 
 
-def scan_of(
+def scan_from_msg(
     message: Any, name: str = "scan", mount: Pose2D | None = None, received: float = math.nan
 ) -> LaserScan:
-    """The scan of a sensor_msgs/LaserScan.
+    """The scan of a sensor_msgs/LaserScan: of rclpy, rospy or rosbags, or a mapping of its fields.
 
     Parameters
     ----------
@@ -75,14 +76,14 @@ def scan_of(
     >>> message = {"header": {"stamp": stamp, "frame_id": "laser"}, "angle_min": -0.5,
     ...            "angle_max": 0.5, "angle_increment": 0.5, "range_min": 0.1, "range_max": 9.0,
     ...            "ranges": [1.0, 2.0, float("inf")]}
-    >>> scan_of(message), scan_of(message).stamp
+    >>> scan_from_msg(message), scan_from_msg(message).stamp
     (<LaserScan of 3 rays, 2 valid: -28.65 to 28.65 deg, 1 to 2 m of at most 9>, 5.5)
     """
     entry = entry_of(message, received) | {"mount": mount}
     return collect([(name, entry)], name)[0]
 
 
-def grid_of_message(message: Any, name: str = "map") -> OccupancyGrid:
+def grid_from_msg(message: Any, name: str = "map") -> OccupancyGrid:
     """The map of a nav_msgs/OccupancyGrid: free up to :data:`FREE`, a wall from :data:`OCCUPIED`.
 
     Anything between, or below 0, is unknown.
@@ -97,7 +98,7 @@ def grid_of_message(message: Any, name: str = "map") -> OccupancyGrid:
     >>> pose = {"position": {"x": 1.0, "y": 2.0, "z": 0.0},
     ...         "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
     >>> info = {"resolution": 0.5, "width": 3, "height": 1, "origin": pose}
-    >>> grid_of_message({"info": info, "data": [0, 100, -1]})
+    >>> grid_from_msg({"info": info, "data": [0, 100, -1]})
     <OccupancyGrid 3 x 1 cells of 0.5 m: 1.5 x 0.5 m, 33.3% occupied, 33.3% free>
     """
     width, height = (int(field(message, f"info.{key}")) for key in ("width", "height"))
@@ -114,9 +115,112 @@ def grid_of_message(message: Any, name: str = "map") -> OccupancyGrid:
     return OccupancyGrid(occupied, free, resolution, pose_of(field(message, "info.origin")))
 
 
+def scan_to_msg(scan: LaserScan, frame_id: str = "laser") -> dict[str, Any]:
+    """The fields of a sensor_msgs/LaserScan, as :func:`scan_from_msg` reads them.
+
+    ``rosidl_runtime_py.set_message_fields(message, fields)`` puts them into a message of rclpy.
+
+    Parameters
+    ----------
+    scan : LaserScan
+        Its angles are evenly spaced.
+    frame_id : str
+        Name of the sensor's frame.
+
+    Raises
+    ------
+    ConfigError
+        If the angles are not evenly spaced, which such a message cannot hold.
+
+    Examples
+    --------
+    >>> fields = scan_to_msg(LaserScan([1.0, 2.0], [-0.5, 0.5], range_max=9.0, stamp=5.5))
+    >>> fields["angle_increment"], fields["header"]["stamp"]
+    (1.0, {'sec': 5, 'nanosec': 500000000})
+    >>> scan_from_msg(fields).ranges.tolist()
+    [1.0, 2.0]
+    """
+    expect(scan, LaserScan, "scan")
+    angles, count = scan.angles, len(scan.angles)
+    step = float(angles[-1] - angles[0]) / (count - 1) if count > 1 else 0.0
+    even = angles[0] + step * np.arange(count) if count else angles
+    if not count or np.abs(even - angles).max() > max(_UNEVEN * abs(step), _UNEVEN**2):
+        raise ConfigError("scan: its angles are not evenly spaced, as those of a LaserScan are")
+    return {
+        "header": _header(scan.stamp, frame_id),
+        "angle_min": float(angles[0]),
+        "angle_max": float(angles[-1]),
+        "angle_increment": step,
+        "time_increment": 0.0,
+        "scan_time": 0.0,
+        "range_min": float(scan.range_min),
+        "range_max": float(scan.range_max),
+        "ranges": scan.ranges.tolist(),
+        "intensities": [],
+    }
+
+
+def grid_to_msg(grid: OccupancyGrid, frame_id: str = "map", stamp: float = 0.0) -> dict[str, Any]:
+    """The fields of a nav_msgs/OccupancyGrid: 0 is free, 100 a wall, -1 unknown.
+
+    ``rosidl_runtime_py.set_message_fields(message, fields)`` puts them into a message of rclpy.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+    frame_id : str
+        Name of the map frame.
+    stamp : float
+        Seconds.
+
+    Raises
+    ------
+    TypeError
+        If `grid` is something else.
+
+    Examples
+    --------
+    >>> wall = np.eye(2, dtype=bool)
+    >>> fields = grid_to_msg(OccupancyGrid(wall, ~wall, 0.5, Pose2D(1.0, 2.0, 0.5)))
+    >>> fields["data"], round(grid_from_msg(fields).origin.theta, 3)
+    ([100, 0, 0, 100], 0.5)
+    """
+    expect(grid, OccupancyGrid, "grid")
+    height, width = grid.occupied.shape
+    data = np.where(grid.occupied, _MOST, np.where(grid.free, 0, -1))
+    at, header = grid.origin, _header(stamp, frame_id)
+    half = at.theta / 2
+    origin = {
+        "position": {"x": at.x, "y": at.y, "z": 0.0},
+        "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)},
+    }
+    info = {"map_load_time": header["stamp"], "resolution": float(grid.resolution),
+            "width": width, "height": height, "origin": origin}  # fmt: skip
+    return {"header": header, "info": info, "data": data.ravel().tolist()}
+
+
+def _header(stamp: float, frame_id: str) -> dict[str, Any]:
+    """A std_msgs/Header; a stamp that is not known is 0."""
+    nanoseconds = round(1e9 * stamp) if math.isfinite(stamp) else 0
+    seconds, rest = divmod(nanoseconds, 10**9)
+    return {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": frame_id}
+
+
 def seconds_of(stamp: Any) -> float:
-    """Seconds of a stamp."""
-    return float(field(stamp, "sec")) + 1e-9 * float(field(stamp, "nanosec"))
+    """Seconds of a stamp, of ROS 2 or 1.
+
+    Examples
+    --------
+    >>> seconds_of({"sec": 1, "nanosec": 5}) == seconds_of({"secs": 1, "nsecs": 5})
+    True
+    """
+    names = ("secs", "nsecs") if _has(stamp, "secs") else ("sec", "nanosec")
+    seconds, rest = (float(field(stamp, name)) for name in names)
+    return seconds + 1e-9 * rest
+
+
+def _has(message: Any, name: str) -> bool:
+    return name in message if isinstance(message, Mapping) else hasattr(message, name)
 
 
 def frame_name(name: str) -> str:
@@ -153,7 +257,7 @@ def link_of(message: Any) -> tuple[str, str, FloatArray]:
 def matrix_of(pose: Any) -> FloatArray:
     """A Pose or a Transform as 4 x 4."""
     names = "position", "orientation"
-    if not (names[0] in pose if isinstance(pose, Mapping) else hasattr(pose, names[0])):
+    if not _has(pose, names[0]):
         names = "translation", "rotation"
     at, q = (field(pose, name) for name in names)
     # A quaternion of zeros, which scipy's Rotation refuses, is one that nobody filled in.

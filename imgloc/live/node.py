@@ -26,12 +26,12 @@ from imgloc.filters.follow import Moment
 from imgloc.io.messages import (
     Frames,
     frame_name,
-    grid_of_message,
+    grid_from_msg,
     link_of,
     mounting_of,
     move_of,
     planar,
-    scan_of,
+    scan_from_msg,
 )
 from imgloc.io.odometry import odometry_at
 from imgloc.live.line import Dropped
@@ -365,7 +365,7 @@ class LocalizerNode:
             link = mounting_of(self._frames, laser.frame, self.settings.base_frame)
             if link is not None:
                 mount, turned, laser.frame = Pose2D(*planar(link)), link[2, 2] < 0, ""
-        scan = scan_of(message, laser.topic, mount, received=0.0)
+        scan = scan_from_msg(message, laser.topic, mount, received=0.0)
         if turned:
             scan = scan.flipped
         return replace(scan, range_max=min(scan.range_max, self.settings.range_max))
@@ -392,7 +392,7 @@ class LocalizerNode:
         if self._map is not None and (stamp, data) == self._map:
             return  # the same message once more: it is latched
         try:
-            grid = grid_of_message(message, "map")
+            grid = grid_from_msg(message, "map")
             self.core.put(_MAP, grid)
         except ImglocError as error:
             self._map_error = str(error)
