@@ -503,6 +503,83 @@ def test_it_fits_on_telephones_and_desks_by_day_and_by_night(page: Any, log: Pat
     assert (sum(map(int, re.findall(r"\d+", ground)[:3])) < 3 * 128) is dark
 
 
+INK = """() => {
+    const canvas = document.getElementById("canvas"), { width, height } = canvas;
+    const copy = new OffscreenCanvas(width, height);
+    const context = copy.getContext("2d", { willReadFrequently: true });
+    context.drawImage(canvas, 0, 0);
+    const { data } = context.getImageData(0, 0, width, height);
+    let top = height, bottom = 0;
+    for (let y = 0; y < height; y += 1) for (let x = 150; x < width; x += 1) { // right of the scale
+        const k = 4 * (y * width + x);
+        if (data[k + 3] < 255 || data[k] + data[k + 1] + data[k + 2] > 180) continue;
+        top = Math.min(top, y);
+        bottom = y;
+    }
+    return [top, bottom];
+}"""
+
+
+@pytest.mark.parametrize("page", [{"viewport": {"width": width, "height": 900}}
+                                  for width in (390, 820, 1400)], indirect=True)  # fmt: skip
+def test_no_wall_lies_under_a_button_until_the_map_is_moved(page: Any, log: Path) -> None:
+    def within(most: float = np.inf) -> float:
+        """Wait until all walls are in view and no button is over them; the canvas' height."""
+        buttons = """[...document.querySelectorAll(".tools")].map(
+            (one) => one.offsetTop + one.offsetHeight)"""
+        for _ in range(150):
+            top, bottom = page.evaluate(INK)
+            height = page.evaluate("document.getElementById('canvas').height")
+            lowest = max(page.evaluate(buttons))
+            if lowest < top < bottom < height - 20 and height <= most:
+                return height
+            page.wait_for_timeout(100)
+        raise AssertionError((lowest, top, bottom, height, most))
+
+    height = within()
+    drop(page, (log.name, log.read_bytes()))
+    answered(page)
+    width = page.viewport_size["width"]
+    within(height - (width > 832))  # the log takes room
+    page.set_viewport_size({"width": width, "height": 700})
+    within(height - 1)
+    page.locator("#larger").click()
+    before = page.evaluate(INK)
+    page.set_viewport_size({"width": width, "height": 900})
+    page.wait_for_timeout(500)
+    after = page.evaluate(INK)
+    assert after[1] - after[0] >= before[1] - before[0]  # what somebody has enlarged stays so
+
+
+@pytest.mark.parametrize("width", [390, 900, 1400])
+def test_far_poses_are_written_whole(browser: Any, service: str, log: Path, width: int) -> None:
+    files = {"image": ("far.png", (MAPS / "visibility.png").read_bytes())}
+    how = {"name": "far", "origin": "-1234.5,-2345.6,0", "resolution": "0.1"}
+    sent = httpx.post(f"{service}/v1/maps", params=how, files=files, timeout=60)
+    assert sent.status_code == 201
+    with opened(browser, service, viewport={"width": width, "height": 900}) as page:
+        page.locator("#map").select_option("far")
+        drop(page, (log.name, log.read_bytes()))
+        answered(page)
+        sync.expect(page.locator("#pose-where")).to_contain_text("−1230.")
+        rows = page.locator("#hypotheses .where")
+        assert rows.count() > 1
+        for row in rows.all():
+            assert re.fullmatch(
+                r"−\d+\.\d\d, −\d+\.\d\d m −?\d+\.\d°", " ".join(row.inner_text().split())
+            )
+            words = """(row) => {
+                const range = document.createRange();
+                range.selectNodeContents(row);
+                const inner = range.getBoundingClientRect(), outer = row.parentElement;
+                const { top, bottom } = outer.getBoundingClientRect();
+                const { left } = row.nextSibling.getBoundingClientRect();
+                return inner.right <= left && inner.bottom <= bottom && inner.top >= top;
+            }"""
+            assert row.evaluate(words)
+    assert httpx.delete(f"{service}/v1/maps/far", timeout=60).status_code == 204
+
+
 def touched(page: Any, *moves: tuple[tuple[float, float], ...]) -> None:
     """Put fingers on the canvas, move them, and lift them: the pixels of all, move for move."""
     box, send = page.locator("#canvas").bounding_box(), page.context.new_cdp_session(page).send

@@ -35,13 +35,13 @@ function redraw() {
   });
 }
 
-/** Fit the canvas to its place on the page, and the map to the canvas for the first time. */
+/** Fit the canvas to its place on the page, and the map to the canvas unless somebody has moved it. */
 function resize() {
-  const { width, height } = $("stage").getBoundingClientRect(), first = view.width <= 1;
+  const { width, height } = $("stage").getBoundingClientRect(), free = view.width <= 1 || view.untouched;
   Object.assign(view, { width, height });
   canvas.width = Math.round(width * devicePixelRatio);
   canvas.height = Math.round(height * devicePixelRatio);
-  if (first) fit();
+  if (free) fit();
   redraw();
 }
 

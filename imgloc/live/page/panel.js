@@ -55,7 +55,8 @@ function showHypotheses() {
   const rows = (answer?.hypotheses ?? []).slice(0, LISTED).map((h, k) => {
     const bar = make("span", { class: "bar", "aria-hidden": "true" }, make("span"));
     bar.firstChild.style.width = `${100 * h.mass}%`;
-    const where = `${fixed(h.x, 2)}, ${fixed(h.y, 2)} m  ${fixed(degrees(h.theta), 1)}°`;
+    const place = `${fixed(h.x, 2)}, ${fixed(h.y, 2)} m`.replaceAll(" ", "\u00a0"); // breaks before the heading only
+    const where = `${place}\u2002${fixed(degrees(h.theta), 1)}°`;
     return make("li", {}, make("button", {
       type: "button", "aria-pressed": String(k === chosen), onclick: () => chooseHypothesis(k),
       "aria-label": `Hypothesis ${k + 1}: ${percent(h.mass)}, ${poseWords(h)}`,

@@ -39,13 +39,19 @@ export class View {
     this.y += before.y - after.y;
   }
 
-  /** Show a box with a margin around it, pixels. */
-  fit(box, margin = 24) {
-    const across = (this.width - 2 * margin) / Math.max(box.width, 0.1);
-    const up = (this.height - 2 * margin) / Math.max(box.height, 0.1);
-    this.x = box.x + box.width / 2;
-    this.y = box.y + box.height / 2;
-    this.scale = Math.min(MOST, Math.max(LEAST, Math.min(across, up)));
+  /** Show a box with a margin around it: pixels at the sides, above (the buttons) and below (the scale bar). */
+  fit(box, side = 24, above = 56, below = 40) {
+    const across = (this.width - 2 * side) / Math.max(box.width, 0.1);
+    const up = (this.height - above - below) / Math.max(box.height, 0.1);
+    const scale = Math.min(MOST, Math.max(LEAST, Math.min(across, up)));
+    this.fitted = { x: box.x + box.width / 2, y: box.y + box.height / 2 + (above - below) / 2 / scale, scale };
+    Object.assign(this, this.fitted);
+  }
+
+  /** Whether nobody has moved or enlarged the map since it was fitted. */
+  get untouched() {
+    const { x, y, scale } = this.fitted ?? {};
+    return x === this.x && y === this.y && scale === this.scale;
   }
 
   /** Bring a point into view, if it is out of it. */
