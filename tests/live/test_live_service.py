@@ -751,6 +751,58 @@ def test_ctrl_c_ends_it_too_and_tells_those_who_are_followed() -> None:
 # The command.
 
 
+def test_a_service_that_is_killed_loses_nothing_but_what_ran(scans: Path, tmp_path: Path) -> None:
+    """kill -9 with a request, an upload and a robot under way; then it is started again."""
+    cache = tmp_path / "cache"
+    image = (MAPS / "curved.png").read_bytes()
+    head = b"POST /v1/maps?name=half&resolution=0.05 HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n"
+    line = json.dumps({"ranges": [3.0] * 90, "angle_min": -3.1, "angle_increment": 0.07,
+                       "range_max": 30.0, "odom": [0, 0, 0]})  # fmt: skip
+    asked = {"params": {"map": "visibility"}, "content": scans.read_bytes(), "timeout": 60}
+    with served(MAP, "--cache", cache) as one:
+        assert upload(one.address, "mine", "curved").status_code == 201
+        answer = httpx.post(f"{one.address}/v1/localize", **asked).text
+        failed = list[str]()
+
+        def ask() -> None:
+            try:
+                many = f"{one.address}/v1/localize"
+                hard = {**asked["params"], "method": "beam", "theta_step_deg": 1}
+                httpx.post(many, **{**asked, "params": hard})
+            except httpx.HTTPError as error:
+                failed.append(type(error).__name__)
+
+        request = threading.Thread(target=ask)
+        with (
+            connect(f"ws://127.0.0.1:{one.port}/v1/track?map=mine") as robot,
+            socket.create_connection(("127.0.0.1", one.port)) as sending,
+        ):
+            robot.send(line)
+            assert json.loads(robot.recv(60))["index"] == 0
+            more = b"Content-Type: image/png\r\nContent-Length: %d\r\n\r\n" % len(image)
+            sending.sendall(head % one.port + more + image[: len(image) // 2])
+            request.start()
+            queue = 'imgloc_queue{lane="answers"} 1.0'
+            until = time.monotonic() + 60
+            while queue not in httpx.get(f"{one.address}/metrics", timeout=60).text:
+                assert time.monotonic() < until
+            assert one.end(signal.SIGKILL)[0] == -signal.SIGKILL
+            with pytest.raises(ConnectionClosed):
+                robot.recv(60)
+            request.join(60)
+        assert failed  # whoever waits is not told an answer
+    kept = sorted(path for path in cache.rglob("*") if path.is_file())
+    assert kept
+    assert not [path.name for path in kept if not path.name.endswith(".npz")]
+    with served(MAP, "--cache", cache) as one:
+        names = [one["name"] for one in httpx.get(f"{one.address}/v1/maps").json()["maps"]]
+        assert names == ["visibility"]
+        problem(httpx.get(f"{one.address}/v1/maps/mine"), 404, "not-found")
+        assert untimed(httpx.post(f"{one.address}/v1/localize", **asked).text) == untimed(answer)
+        assert upload(one.address, "mine", "curved").status_code == 201
+        assert one.end()[0] == 0
+
+
 def test_what_is_not_installed_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("imgloc.cli.serve._NEEDED", ("starlette", "not_to_be_had"))
     run = call("serve", MAP)
