@@ -13,6 +13,7 @@ from .io.maps import load_map, save_map
 from .io.scans import load_scans, save_scans
 from .io.scanset import ScanSet
 from .lab.align import Alignment, ScanAlignment, align_maps, align_scans
+from .lab.changes import Changes, map_changes, sure_poses
 from .lab.evaluation import Evaluation, evaluate
 from .likelihoods.stacks import likelihood
 from .live.line import Dropped
@@ -52,14 +53,14 @@ from .runs.jobs import Job, make_job
 from .simulation.scans import simulate
 
 __all__ = [
-    "ALL_METHODS", "METHODS", "Alignment", "Answer", "BatchSummary", "Calibration", "Choice",
-    "ConfigError", "Dropped", "Evaluation", "Every", "Evidence", "Explanation", "FloorPlan",
-    "FusedOptions", "GridInfo", "Hypothesis", "ImglocError", "Job", "Known", "LaserScan",
-    "Likelihood", "Limits", "Localization", "Localizer", "MapError", "MapFeatures", "MapReport",
-    "Moment", "OccupancyGrid", "Options", "OrientedPoints", "OutputError", "Picture", "Pose2D",
-    "Prior", "ScanAlignment", "ScanError", "ScanSet", "Sensor", "Shared", "Site", "Tracking",
-    "Trust", "__version__", "align_maps", "align_scans", "check_map", "draw", "evaluate",
-    "explain", "follow", "likelihood", "load_map", "load_plan", "load_scans", "localize",
-    "make_filter", "make_job", "plan_to_map", "prepare", "run_batch", "sample_poses", "save_map",
-    "save_scans", "simulate", "which",
+    "ALL_METHODS", "METHODS", "Alignment", "Answer", "BatchSummary", "Calibration", "Changes",
+    "Choice", "ConfigError", "Dropped", "Evaluation", "Every", "Evidence", "Explanation",
+    "FloorPlan", "FusedOptions", "GridInfo", "Hypothesis", "ImglocError", "Job", "Known",
+    "LaserScan", "Likelihood", "Limits", "Localization", "Localizer", "MapError", "MapFeatures",
+    "MapReport", "Moment", "OccupancyGrid", "Options", "OrientedPoints", "OutputError", "Picture",
+    "Pose2D", "Prior", "ScanAlignment", "ScanError", "ScanSet", "Sensor", "Shared", "Site",
+    "Tracking", "Trust", "__version__", "align_maps", "align_scans", "check_map", "draw",
+    "evaluate", "explain", "follow", "likelihood", "load_map", "load_plan", "load_scans",
+    "localize", "make_filter", "make_job", "map_changes", "plan_to_map", "prepare", "run_batch",
+    "sample_poses", "save_map", "save_scans", "simulate", "sure_poses", "which",
 ]  # fmt: skip

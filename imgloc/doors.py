@@ -11,6 +11,7 @@ _HOMES = {
     "imgloc.lab.commands.align": "align",
     "imgloc.lab.commands.atlas": "atlas",
     "imgloc.lab.commands.calibrate": "calibrate",
+    "imgloc.lab.commands.changes": "changes",
     "imgloc.lab.commands.evaluate": "evaluate",
     "imgloc.lab.grid": "GridFilter GridOptions",
     "imgloc.lab.particle": "ParticleFilter ParticleOptions",

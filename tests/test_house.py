@@ -14,6 +14,7 @@ DOORS = [
     "align",
     "atlas",
     "calibrate",
+    "changes",
     "evaluate",
     "plan",
     "survey_part",

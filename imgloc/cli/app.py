@@ -157,6 +157,11 @@ _MAP: dict[Callable[..., None], tuple[str, ...]] = {
         "imgloc map align a.yaml b.yaml --scans run.bag --json",
         "imgloc map align a.yaml drawing.yaml --scale --write drawing-in-a.yaml",
     ),
+    behind("changes"): (
+        "imgloc map changes office.yaml run.log --out aged.png",
+        "imgloc map changes office.yaml monday.bag tuesday.bag --update office-mended.yaml",
+        "imgloc map changes office.yaml scans.npz --sample 100 --json",
+    ),
     behind("plan"): (
         "imgloc map plan drawing.png --resolution 0.02 --out office.yaml --picture plan-check.png",
         "imgloc map plan drawing.jpg --distance 210,880,1650,880,24.5 --out office.yaml",

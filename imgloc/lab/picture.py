@@ -1,4 +1,4 @@
-"""The picture of an atlas: where on a map one scan is enough."""
+"""Pictures of measurements: where on a map one scan is enough, and where a map has aged."""
 
 from collections.abc import Mapping, Sequence
 
@@ -8,8 +8,19 @@ import numpy as np
 from imgloc.geometry import in_grid_frame
 from imgloc.io.images import encode_picture
 from imgloc.lab.atlas import Spot
+from imgloc.lab.changes import Changes
 from imgloc.model import OccupancyGrid
-from imgloc.output.canvas import Colour, Image, legend, map_canvas, scale_bar
+from imgloc.output.canvas import (
+    INK,
+    PAPER,
+    SHADE,
+    Colour,
+    Image,
+    legend,
+    map_canvas,
+    scale_bar,
+    sheet,
+)
 
 # Okabe and Ito's colours: told apart by colour-blind readers, and in grey by their lightness.
 ATLAS_COLOURS: Mapping[str, Colour] = {
@@ -18,6 +29,7 @@ ATLAS_COLOURS: Mapping[str, Colour] = {
     "no-match": (190, 190, 190),
     "wrong": (0, 0, 0),
 }
+_UNSEEN: Colour = (190, 186, 182)
 _MEANINGS = ("one scan is enough", "several places fit", "not recognized", "wrong, but sure")
 
 
@@ -56,3 +68,28 @@ def draw_survey(
 ) -> dict[str, bytes]:
     """Where on a map one scan is enough."""
     return {"atlas": encode_picture(draw_atlas(grid, spots, step=step, headings=headings))}
+
+
+GONE, NEW = (0, 94, 213), (178, 114, 0)
+
+
+def draw_changes(changes: Changes) -> Image:
+    """Draw a map with its walls that are gone and with the surfaces that are new."""
+    grid, seen = changes.grid, changes.seen
+    looked = (seen.near > 0) | (seen.passed > 0)
+    colours = np.empty((*grid.occupied.shape, 3), np.uint8)
+    colours[:] = SHADE
+    colours[grid.free] = PAPER
+    colours[grid.occupied] = _UNSEEN
+    colours[grid.occupied & looked] = INK
+    colours[changes.gone], colours[changes.new] = GONE, NEW
+    canvas = sheet(colours, grid.info, None)
+    scale_bar(canvas)
+    share = changes.gone_share
+    entries = [
+        (GONE, "gone" if np.isnan(share) else f"gone: {100 * share:.1f} % of the walls seen"),
+        (NEW, f"new: {changes.new_m2:.1f} m2"),
+        (INK, "wall"),
+        (_UNSEEN, "wall that no scan has seen"),
+    ]
+    return legend(canvas.image, entries)
