@@ -229,3 +229,14 @@ def test_the_command_to_go_on_with_works(shared: Path, tmp_path: Path, what: str
     assert done.code == 0, done.err
     verdicts = done.out.count("unique")
     assert verdicts >= (25 if words[1] == "track" else 1)
+
+
+def test_track_says_the_same_where_it_matters(shared: Path, tmp_path: Path) -> None:
+    scans, place = recorded(shared, "fr079"), shared / "data" / "fr079" / "map.yaml"
+    for what, said in (("", False), ("odometry that turns the other way", True)):
+        file = tmp_path / f"{len(what)}.npz"
+        some = DISTURBED[what].change(scans) if what else scans
+        imgloc.save_scans(file, some.take(range(80, 180)))
+        run = call("track", place, file)
+        assert run.code == 0
+        assert ("with theta of the odometry negated" in run.err) == said

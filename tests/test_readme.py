@@ -126,3 +126,16 @@ def test_what_a_page_names_is_there(name: str) -> None:
         known |= {o for p in command.params for o in (*p.opts, *p.secondary_opts)}
         groups += getattr(command, "commands", {}).values()
     assert set(re.findall(r"`(--[a-z-]+)", PAGES[name])) <= known
+
+
+def test_the_lines_that_convert_a_log_make_scans_of_it(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("own.txt").write_text("12.5 100 200 90 231 230 102\n13.5 110 200 90 231 230 103\n")
+    (block,) = re.findall(r"^```python\n(.*?)^```", PAGES["logs.md"], re.MULTILINE | re.DOTALL)
+    exec(block, {})
+    scans = load_scans("own.csv")
+    assert scans.stamps is not None
+    assert scans.poses is not None
+    assert scans.stamps.tolist() == [12.5, 13.5]
+    assert scans.poses[1].tolist() == pytest.approx([1.1, 2, np.pi / 2], abs=1e-5)
+    assert scans[1].ranges.tolist() == [2.31, 2.3, 1.03]

@@ -208,6 +208,7 @@ class _Sink:
 
     def end(self) -> None:
         """Say how it went, and what most likely keeps scans from fitting."""
+        from imgloc.answers.logcheck import warn_of
         from imgloc.io.maps import SWAPPED
         from imgloc.output.tables import run_words
 
@@ -226,3 +227,6 @@ class _Sink:
         for hint in self.hints:
             if hint.text != SWAPPED:  # is said when the map is read
                 LOG.warning("%s", hint.text)
+        if not self.hints and 2 * verdicts.count("unique") < len(verdicts):
+            for run in self.runs:
+                warn_of(run.taken.scans, run.taken.name)

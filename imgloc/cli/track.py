@@ -169,6 +169,7 @@ def track(
     Poses are those of the robot's base in the map frame; of the sensor where neither the log nor
     --sensor says where that sits. Several lasers are followed together (--topic /front,/rear).
     """
+    from imgloc.answers.logcheck import warn_of
     from imgloc.answers.truth import with_true_poses
     from imgloc.cli import inputs
     from imgloc.filters.follow import Tracking, follow, robot_poses
@@ -211,6 +212,8 @@ def track(
     if not moments:
         raise ScanError(f"{inputs.name_of(log)}: holds no scan with odometry")
     say(words)
+    if 2 * sum(m.belief.verdict == "unique" for m in moments) < len(moments) and live is None:
+        warn_of(scans, inputs.name_of(log))
     _hint(chosen.options.shared.scale, options.shared.scale)
     if strict and moments[-1].belief.verdict != "unique":
         raise typer.Exit(NOT_UNIQUE)
