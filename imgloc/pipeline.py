@@ -14,6 +14,7 @@
 """
 
 import time
+from collections.abc import Generator
 from dataclasses import replace
 from typing import Any
 
@@ -152,6 +153,18 @@ def find_modes(
     Modes
         Separated modes in the grid frame, best first; perhaps none.
     """
+    steps = find_modes_by_steps(features, scan, options, more=more)
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value  # type: ignore[no-any-return]
+
+
+def find_modes_by_steps(
+    features: MapFeatures, scan: LaserScan, options: Options, *, more: FloatArray | None = None
+) -> Generator[None, None, Modes]:
+    """Search as :func:`find_modes` does, and pause after each step; return the modes."""
     fused, prior, threads = options.fused, options.prior, options.threads
     end = time.monotonic() + (np.inf if options.time_budget is None else options.time_budget)
 
@@ -162,13 +175,17 @@ def find_modes(
     # Propose poses whose endpoints fall on walls, and pick those that are worth more readings.
     proposals = propose(features, scan, few, options, end)
     proposals = proposals if more is None else np.concatenate((proposals, more))
+    yield
     looked, score = look(features, proposals, few, options)
+    yield
 
     # If none of them fits, pairs of oriented points vote for others.
     unfit = not len(looked) or score[0] < (fused.model.best - fused.unfit) * len(few)
     if unfit and time.monotonic() < end:
         votes = propose_votes(features, scan, fused, prior, threads)
+        yield
         looked, _ = look(features, votes, few, options, before=looked)
+        yield
     late = time.monotonic() >= end
     looked = looked[:_LAST] if late else looked
 

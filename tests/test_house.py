@@ -118,7 +118,7 @@ def test_the_way_from_scan_to_answer_fits_a_screen() -> None:
     steps = {f.name: f for f in parsed(Path("imgloc/pipeline.py")).body
              if isinstance(f, ast.FunctionDef)}  # fmt: skip
     code = 0
-    for name in ("localize", "find_modes", "find_adapted_modes"):
+    for name in ("localize", "find_modes_by_steps", "find_adapted_modes"):
         (docs, *body), last = steps[name].body, steps[name].end_lineno
         assert isinstance(docs, ast.Expr)
         code += sum(bool(line.strip()) for line in lines[body[0].lineno - 1 : last])
