@@ -14,7 +14,7 @@ from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import NO_PLACES, Places, Sight, settled, view_of
 from imgloc.filters.follow import Kidnap, follow
 from imgloc.filters.motion import compose_poses, noisy_odometry
-from imgloc.filters.tracker import Tracker, TrackerOptions
+from imgloc.filters.tracker import Tracker, TrackerOptions, _Search
 from imgloc.geometry import transform_poses, wrap
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.particle import ParticleFilter, ParticleOptions, kld_bound, low_variance
@@ -203,6 +203,38 @@ def test_a_tracker_that_knows_its_place_seldom_searches_the_map() -> None:
     assert asked == [0.0, 3.0, 9.0, 21.0]  # after 1.5 m, then twice as far each time, up to 6 m
 
 
+def test_no_scan_of_a_robot_that_is_sure_waits_for_a_whole_search(monkeypatch) -> None:
+    taken, step, sure = list[int](), _Search.step, [False]
+
+    def counted(self):
+        taken[-1] += 1
+        step(self)
+
+    monkeypatch.setattr(_Search, "step", counted)
+    taken.append(0)
+    for moment in follow(features_of(WORLD), log(), tracker_of(None)):
+        sure.append(moment.belief.verdict == "unique")
+        taken.append(0)
+    assert [n for n, was in zip(taken, sure, strict=True) if n > 1 and was] == []
+    assert sum(n == 1 for n, was in zip(taken, sure, strict=True) if was) > 8
+    assert taken[0] > 1  # who is lost does not go on without
+
+
+def test_places_of_a_search_are_scored_where_the_robot_is_by_then() -> None:
+    scans, held = log(), []
+    how = TrackerOptions(search=(2.0, 2.0), later=1.5)
+    robot = Tracker(features_of(WORLD), how=how, find=found)
+    for moment in follow(features_of(WORLD), scans, robot):
+        held.append(robot._searching)
+        if robot._searching is not None:
+            places = robot._searching.places(1)
+            assert moment.belief.verdict == "unique"
+            assert np.hypot(*(places.poses[0] - scans.poses[moment.index])[:2]) < 0.5
+    spans = [sum(one is another for another in held) for one in held if one is not None]
+    assert set(spans) <= {3, 4}  # 1.5 m by odometry, about half a metre for each scan
+    assert len(spans) > 6
+
+
 def test_unique_takes_two_scans_that_agree_or_one_and_a_place_that_was_told() -> None:
     features, scans = features_of(WORLD), piece(log(), range(4, 7))
     for start, expected in ((None, "ambiguous"), (Pose2D(*scans.poses[0]), "unique")):
@@ -326,14 +358,12 @@ def test_scans_that_are_not_looked_at_correct_the_pose() -> None:
 
 
 def test_odometry_that_is_often_wrong_is_trusted_less() -> None:
-    wide = []
-    for slip in (0.0, 0.12):
-        poses = compose_poses(np.tile([0.5, 0, 0.02 + slip], (24, 1)), np.zeros(3))
-        odom = np.array([[0.5 * k, 0, 0.0] for k in range(24)])
-        odom[:, 2] = np.cumsum(poses[:, 2] * (-1.0) ** np.arange(24))
+    wide, scans = [], log()
+    for slip in (0.0, 0.18):
+        odom = scans.odom + np.outer((-1.0) ** np.arange(24), [0, 0, slip])
         tracker = tracker_of()
-        start = Pose2D(*log().poses[0])
-        list(follow(features_of(WORLD), replace(log(), odom=odom), tracker, start=start))
+        list(follow(features_of(WORLD), replace(scans, odom=odom), tracker))
+        assert tracker.belief.verdict == "unique"
         tracker.move(np.array([2.0, 0.0, 0.0]))
         wide.append(deviations_of(tracker.belief.covariance[0])[0])
     assert wide[1] > 1.3 * wide[0]

@@ -8,6 +8,7 @@ sensor are one.
 too thick are allowed for by the features that a filter takes.
 """
 
+from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +19,7 @@ from imgloc.filters.motion import compose_poses, invert_poses
 from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D
 from imgloc.numbers import number
 from imgloc.options import Options
-from imgloc.pipeline import find_modes
+from imgloc.pipeline import find_modes, find_modes_by_steps
 from imgloc.search.modes import Modes
 from imgloc.search.refine import endpoints, refine
 from imgloc.search.rescore import score_poses
@@ -193,7 +194,22 @@ NO_PLACES = Places(np.empty((0, 3)), np.empty((0, 3, 3)))
 
 def search(features: MapFeatures, scan: LaserScan, options: Options) -> Places:
     """Search the map for all places that fit a scan."""
-    found = find_modes(features, scan, options)
+    return _places(find_modes(features, scan, options))
+
+
+def search_by_steps(
+    features: MapFeatures, scan: LaserScan, options: Options
+) -> Generator[None, None, Places]:
+    """Search as :func:`search` does, and pause after each step; return the places.
+
+    With a time budget there is one step, because the budget counts the pauses, too.
+    """
+    if options.time_budget is not None:
+        return search(features, scan, options)
+    return _places((yield from find_modes_by_steps(features, scan, options)))
+
+
+def _places(found: Modes) -> Places:
     alone = np.zeros((len(found.poses), 3, 3))
     return Places(found.poses, alone if found.spread is None else found.spread)
 

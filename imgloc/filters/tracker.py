@@ -10,7 +10,7 @@ Scans that are taken close to each other see the same walls, with the same error
 evidence of a scan therefore counts in proportion to the way since the last scan.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from imgloc.filters.evidence import (
     Sight,
     View,
     misfit_at,
-    search,
+    search_by_steps,
     settled,
     sight,
     stretched,
@@ -90,6 +90,9 @@ class TrackerOptions(Checked):
     #: first distance, and the greatest. It doubles after each search that leaves the best component
     #: unique. Between searches only the components are scored.
     search: tuple[Metres, Metres] = number("TrackerOptions.search")
+    #: metres from the scan of a search to the scan that scores its places, if the best component
+    #: was unique when the search began. Each scan between them does one step of the search.
+    later: Metres = number("TrackerOptions.later")
     #: probability of being lost above which every scan is searched
     known: Share = number("TrackerOptions.known")
     #: nats per reading by which the misfit may exceed the usual one for the best component to stay
@@ -115,6 +118,36 @@ class TrackerOptions(Checked):
     #: together, and least distance of the scale from 1: as a logarithm, and in standard errors
     stretch: tuple[Count, Nats, Nats, Nats] = number("TrackerOptions.stretch")
     resets: bool = True  #: whether places that a scan finds take the lost mass: sensor resetting
+
+
+class _Search:
+    """A search of the map for one scan, done step by step while the robot drives on."""
+
+    def __init__(self, steps: Generator[None, None, Places], view: View) -> None:
+        self._steps, self._view = steps, view
+        self._way = np.zeros(3)  # pose of the robot now, in its frame at the scan
+        self._found: Places | None = None
+        self.metres = 0.0  #: driven since the scan
+
+    def move(self, increment: FloatArray) -> None:
+        """Add a motion (3,) of the robot, in its earlier frame: m, m, radians."""
+        self._way = compose_poses(self._way, increment)
+        self.metres += float(way_of(increment)[0])
+
+    def step(self) -> None:
+        """Do one step."""
+        try:
+            if self._found is None:
+                next(self._steps)
+        except StopIteration as end:
+            self._found = end.value
+
+    def places(self, most: int) -> Places:
+        """At most so many places where the **robot** may be now; the steps left are done first."""
+        while self._found is None:
+            self.step()
+        found = self._found.best(most)
+        return Places(compose_poses(self._view.robot(found.poses), self._way), found.spread)
 
 
 class Tracker:
@@ -155,7 +188,8 @@ class Tracker:
         self.options = replace(options or Options(), top=1000)  # covariances of all
         self._given = self.options.shared.scale
         self.features = features.thinner(self.options.shared.thinner)
-        self._find = find or (lambda scan: search(self.features, scan, self.options))
+        self._find = find
+        self._searching: _Search | None = None
         self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
         self._mass, self._followed = np.empty(0), np.empty(0)
         self._lost, self._resets, self._agreed, self._dark = 1.0, 0, 0, False
@@ -172,7 +206,7 @@ class Tracker:
         self._poses = np.array(pose, dtype=np.float64).reshape(1, 3)
         self._covariance = np.diag([metres, metres, radians])[None] ** 2
         self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
-        self._unique = None
+        self._unique = self._searching = None
         self._agreed = self.how.agree[0] - 1  # one scan has to agree with the given pose
         self._habits.place()
 
@@ -183,6 +217,8 @@ class Tracker:
             self._poses, self._covariance, increment, noise
         )
         self._habits.move(increment)
+        if self._searching is not None:
+            self._searching.move(increment)
         metres = float(way_of(increment)[0])
         self._unsearched += metres
         self._way, self._since = self._way + metres, self._since + metres
@@ -234,6 +270,8 @@ class Tracker:
             self._correct(best, near, self._noise(one), self._fresh(habit))
             self._since = 0.0
         self._remember()
+        if self._searching is not None:
+            self._searching.step()
         return False
 
     def _remember(self) -> None:
@@ -294,17 +332,14 @@ class Tracker:
 
     def _see(self, scan: LaserScan) -> None:
         how, known = self.how, len(self._poses)
-        habit, view, found = self._habits.of(scan), view_of(scan, self.options), NO_PLACES
+        habit, view = self._habits.of(scan), view_of(scan, self.options)
         new, habit.way = self._fresh(habit), np.zeros(2)
         self._follow_on()
         contradicted = known > 0 and self._unsurprised(view, habit) is None
         strange = contradicted or self._habits.doubted or self._lost > how.known
-        if strange or self._unsearched >= self._pause:
-            found, self._unsearched = self._find(scan).best(2 * how.births), 0.0
-            sure = not strange and self.belief.verdict == UNIQUE
-            self._pause = min(2 * self._pause, how.search[1]) if sure else how.search[0]
+        found = self._search(scan, view, strange=strange)
         near = settled(self.features, view, self._poses, self._covariance)
-        poses = np.concatenate((self._poses, near, view.robot(found.poses)))
+        poses = np.concatenate((self._poses, near, found.poses))
         spread = np.concatenate((np.zeros((2 * known, 3, 3)), found.spread))
         if not len(poses):
             self._lost = 1.0
@@ -352,6 +387,35 @@ class Tracker:
             if alone:
                 self._stretch(view, fits=habit.last <= self.options.fused.strained)
         self._remember()
+
+    def _search(self, scan: LaserScan, view: View, *, strange: bool) -> Places:
+        """Search the map if it is time; return where the **robot** may be besides its components.
+
+        A scan that is `strange` needs the places at once. A robot that is unique does not: each of
+        the next scans does one step of the search, so that none takes much longer than the others.
+        The way decides when the places are scored, so times and threads change nothing.
+        """
+        how, begun, self._searching = self.how, self._searching, None
+        if strange or (begun is None and self._unsearched >= self._pause):
+            sure = not strange and self.belief.verdict == UNIQUE
+            self._pause = min(2 * self._pause, how.search[1]) if sure else how.search[0]
+            self._unsearched, begun = 0.0, _Search(self._steps(scan), view)
+            if not sure:
+                return begun.places(2 * how.births)
+        if begun is None:
+            return NO_PLACES
+        if begun.metres < how.later:
+            begun.step()
+            self._searching = begun
+            return NO_PLACES
+        found = begun.places(how.births)
+        return Places(settled(self.features, view, found.poses), found.spread)
+
+    def _steps(self, scan: LaserScan) -> Generator[None, None, Places]:
+        """Search a scan: pause after each step, but not if a function replaces the search."""
+        if self._find is not None:
+            return self._find(scan)
+        return (yield from search_by_steps(self.features, scan, self.options))
 
     def _stretch(self, view: View, *, fits: bool) -> None:
         """Change the scale of the readings if some scans together fit far better with another one.
