@@ -333,11 +333,11 @@ class Tracker:
     def _see(self, scan: LaserScan) -> None:
         how, known = self.how, len(self._poses)
         habit, view = self._habits.of(scan), view_of(scan, self.options)
-        new, habit.way = self._fresh(habit), np.zeros(2)
+        new, driven, habit.way = self._fresh(habit), habit.way[0], np.zeros(2)
         self._follow_on()
         contradicted = known > 0 and self._unsurprised(view, habit) is None
         strange = contradicted or self._habits.doubted or self._lost > how.known
-        found = self._search(scan, view, strange=strange)
+        found = self._search(scan, view, strange=strange, at_once=driven >= how.later)
         near = settled(self.features, view, self._poses, self._covariance)
         poses = np.concatenate((self._poses, near, found.poses))
         spread = np.concatenate((np.zeros((2 * known, 3, 3)), found.spread))
@@ -388,19 +388,22 @@ class Tracker:
                 self._stretch(view, fits=habit.last <= self.options.fused.strained)
         self._remember()
 
-    def _search(self, scan: LaserScan, view: View, *, strange: bool) -> Places:
+    def _search(
+        self, scan: LaserScan, view: View, *, strange: bool, at_once: bool = False
+    ) -> Places:
         """Search the map if it is time; return where the **robot** may be besides its components.
 
         A scan that is `strange` needs the places at once. A robot that is unique does not: each of
         the next scans does one step of the search, so that none takes much longer than the others.
-        The way decides when the places are scored, so times and threads change nothing.
+        The way decides when the places are scored, so times and threads change nothing. Scans that
+        are far apart leave the time for a whole search: `at_once`.
         """
         how, begun, self._searching = self.how, self._searching, None
         if strange or (begun is None and self._unsearched >= self._pause):
             sure = not strange and self.belief.verdict == UNIQUE
             self._pause = min(2 * self._pause, how.search[1]) if sure else how.search[0]
             self._unsearched, begun = 0.0, _Search(self._steps(scan), view)
-            if not sure:
+            if at_once or not sure:
                 return begun.places(2 * how.births)
         if begun is None:
             return NO_PLACES
