@@ -197,4 +197,4 @@ def test_stamps_that_run_backwards_end_it(lines: list[str]) -> None:
     out, said = run.communicate(lines[1] + lines[0])
     assert run.returncode == 4
     assert len(rows(out)) == 1
-    assert "standard input: stamps[1]: 100 after 101" in said
+    assert "standard input: stamps[1]: 100.00 after 101.00" in said
