@@ -492,6 +492,9 @@ class Evidence:
     unmapped: float = math.nan
     #: nats, divided by the temperature, by which the best pose beats `unmapped`
     gained: float = math.nan
+    #: nats against the best pose: map and scan disagree, the scan shows nothing but an empty room,
+    #: or neighbouring readings pass through a wall
+    against: float = 0.0
     #: factor on the readings with which they fit far better; 1 if none was needed
     scale: float = 1.0
     #: metres taken off each side of the walls, because the readings fit far better so; else 0
@@ -509,6 +512,11 @@ class Evidence:
 
     def __post_init__(self) -> None:
         _freeze(self, np.float64, "log_volume")
+
+    @property
+    def net(self) -> float:
+        """Nats for the best pose: `gained` less `against`."""
+        return self.gained - self.against
 
 
 @dataclass(frozen=True)
@@ -592,7 +600,7 @@ class Localization:
         ]
         evidence = {"readings": e.readings, "misfit": e.misfit, "temperature": t.value}
         evidence |= {name: getattr(t, name) for name in ("base", "strain", "number", "cell")}
-        rest = ("unmapped", "gained", "scale", "thinner", "found", "listed", "unlisted")
+        rest = ("unmapped", "gained", "against", "scale", "thinner", "found", "listed", "unlisted")
         evidence |= {name: getattr(e, name) for name in rest}
         out = {
             "index": index,

@@ -277,8 +277,9 @@ class Trust(Checked):
     #: readings on a wall share the error of its place
     fine: Length = number("Trust.fine")
     #: log-odds that the true pose is none of the hypotheses: a constant, a weight per nat by which
-    #: the best pose fits better than a building that is not on the map, and a weight per share of
-    #: mass that the best pose lacks. A logistic regression, see ``python -m tools.trust fit``
+    #: the best pose fits better than a building that is not on the map, less the nats against the
+    #: pose, and a weight per share of mass that the best pose lacks. A logistic regression, see
+    #: ``python -m tools.trust fit``
     elsewhere: tuple[LogOdds, LogOdds, LogOdds] = number("Trust.elsewhere")
     #: greatest evidence, nats, that counts in the log-odds
     most: Nats = number("Trust.most")
@@ -308,7 +309,8 @@ class Trust(Checked):
         """Probability that the true pose is none of the hypotheses.
 
         `evidence` is by how many nats, divided by the temperature, the best pose fits better than
-        a building on no map would; `best` is its mass among the hypotheses, 0..1.
+        a building on no map would, less what contradicts it: :attr:`imgloc.model.Evidence.net`.
+        `best` is its mass among the hypotheses, 0..1.
 
         Examples
         --------

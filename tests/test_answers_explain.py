@@ -130,7 +130,7 @@ def test_the_numbers_are_those_of_the_answer(method) -> None:
     masses = [f.before * (1 - answer.elsewhere) for f in why.fits]
     np.testing.assert_allclose(masses, [h.mass for h in answer.hypotheses])
     share = why.fits[0].before if method == "fused" else 0.0
-    assert options.trust.mass_elsewhere(answer.evidence.gained, share) == pytest.approx(
+    assert options.trust.mass_elsewhere(answer.evidence.net, share) == pytest.approx(
         answer.elsewhere
     )
     assert answer.evidence.misfit == pytest.approx(

@@ -14,6 +14,7 @@ from imgloc.io.maps import save_map
 from imgloc.model import Evidence, Hypothesis, Localization, OccupancyGrid, Pose2D
 from imgloc.options import Options, Sensor, Trust
 from imgloc.pipeline import prepare
+from imgloc.search.background import contradiction
 from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -25,7 +26,8 @@ def made(*scores: float, log_volume: float = -10.0) -> Localization:
     temperature = Trust().temperature_at(misfit).value
     gained = (scores[0] - 50) / temperature if scores else np.nan
     volume = np.full(len(scores), log_volume)
-    evidence = Evidence(100, 1.5, misfit, unmapped=0.5, gained=gained, log_volume=volume)
+    against = contradiction(misfit, 1.0, 0.0) if scores else 0.0
+    evidence = Evidence(100, 1.5, misfit, 0.5, gained, against, log_volume=volume)
     return Localization(hypotheses, "unique", 0.0, 1.0, evidence=evidence)
 
 

@@ -103,7 +103,7 @@ def test_each_constant_that_is_left_in_the_code_has_a_reason() -> None:
 def test_numbers_are_in_si_units() -> None:
     assert NUMBERS["refine.step"].value == (0.1, 0.1, pytest.approx(0.0349066), 0.02)
     assert isinstance(NUMBERS["Trust.readings"].value, int)
-    assert origin("Trust.elsewhere").by.startswith("python -m tools.trust fit")
+    assert origin("Trust.temperature").by.startswith("python -m tools.trust fit")
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_a_fit_writes_its_numbers_and_where_they_are_from() -> None:
     assert sources[numbers["Trust.elsewhere"].source] == made
     changed = [a for a, b in zip(out.split("\n"), TEXT.split("\n"), strict=True) if a != b]
     assert len(changed) == 2
-    assert write(TEXT, {}, "trust-fit", origin("Trust.elsewhere")) == TEXT
+    assert write(TEXT, {}, "trust-fit", origin("FusedOptions.unfit")) == TEXT
 
 
 def test_a_fit_writes_no_number_that_is_out_of_its_range() -> None:

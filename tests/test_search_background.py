@@ -8,10 +8,13 @@ from places import features_of, scan_of
 
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
+from imgloc.features.scanpoints import one_per_place
 from imgloc.model import LaserScan, OccupancyGrid
-from imgloc.options import EvidenceModel
+from imgloc.options import EvidenceModel, Known, Options
 from imgloc.pipeline import localize, prepare
-from imgloc.search.background import best_room
+from imgloc.search.background import best_room, contradiction, unmapped_score
+from imgloc.search.priors import prior_of
+from imgloc.search.weigh import longest_run
 
 MODEL = EvidenceModel()
 
@@ -90,3 +93,52 @@ def test_the_only_room_of_a_map_is_not_told_from_one_that_is_on_no_map():
     answer = localize(prepare(OccupancyGrid(wall, ~wall, 0.1)), seen_in(free, 1.5, 1.1))
     assert abs(answer.evidence.gained) < 30
     assert answer.verdict != "unique"
+
+
+@pytest.fixture(scope="module")
+def hall():
+    """A map with a bare room of 4 x 3 m beside a hall, and a scan of another room of that size."""
+    wall = np.ones((80, 120), bool)
+    wall[5:35, 5:45] = False
+    wall[40:75, 5:110] = False
+    wall[50:60, 30:34] = wall[45:48, 80:90] = True
+    wall[35:40, 20:30] = False
+    room = np.zeros((150, 200), bool)
+    room[2:-2, 2:-2] = True
+    return prepare(OccupancyGrid(wall, ~wall, 0.1)), seen_in(room, 1.1, 0.9)
+
+
+@pytest.mark.parametrize("known", [Known(), Known(clearance=0.3), Known(heading=(0.0, 0.4))])
+def test_a_bare_room_is_never_unique_whatever_is_known(hall, known):
+    features, scan = hall
+    answer = localize(features, scan, Options(prior=prior_of(known, features.grid)))
+    assert answer.verdict != "unique"
+    assert answer.evidence.against > 5
+
+
+def test_a_prior_is_no_evidence_against_buildings_on_no_map(hall):
+    features, scan = hall
+    xy = one_per_place(scan, 0.07).xy
+    free = localize(features, scan)
+    here = Known(near=(free.best.x, free.best.y, free.best.theta, 1.0, 0.5))
+    told = localize(features, scan, Options(prior=prior_of(here, features.grid)))
+    assert told.evidence.unmapped == free.evidence.unmapped
+    assert unmapped_score(xy, MODEL) <= MODEL.best
+
+
+@given(st.floats(0, 3), st.floats(0, 3), st.floats(0, 1), st.floats(0, 1))
+def test_what_is_unexplained_only_ever_speaks_against_a_place(misfit, lack, through, more):
+    here = contradiction(misfit, lack, through)
+    assert here >= 0
+    assert contradiction(misfit + more, lack, through) >= here
+    assert contradiction(misfit, lack, through + more) >= here
+    assert contradiction(misfit, lack + more, through) <= here  # less of it is only a room
+
+
+def test_neighbours_through_a_wall_count_and_strays_do_not():
+    rows = np.zeros(40, bool)
+    rows[::4] = True
+    assert longest_run(rows) == 1
+    rows[10:20] = True
+    assert longest_run(rows) == 11  # 20 is one of the strays
+    assert longest_run(np.ones(5, bool)) == 5

@@ -278,7 +278,7 @@ def choose(
     other = np.exp(unknown_evidence(list(evidence.values()), lead) - top)
     # *elsewhere* depends on twins within one map. Twins in two maps count in the same way.
     share = masses(np.array([h.log_likelihood for h in best.hypotheses]), temperature)
-    elsewhere = trust.mass_elsewhere(said.gained, float(share[0]))
+    elsewhere = trust.mass_elsewhere(said.net, float(share[0]))
     weights *= (1 - elsewhere) / (weights.sum() + other)
     none = float(1 - weights.sum())
     probability = dict(zip(order, weights.tolist(), strict=True))

@@ -25,7 +25,7 @@ def answered(
     """
     elsewhere = 1.0
     if len(found.poses):
-        elsewhere = options.trust.mass_elsewhere(found.evidence.gained, found.lead)
+        elsewhere = options.trust.mass_elsewhere(found.evidence.net, found.lead)
     mass = (1 - elsewhere) * found.share
     verdict, checks = judge(scan.directions, mass, elsewhere, options.trust, found.complete)
     arrays = (found.poses, found.log_likelihood, mass, found.covariance)

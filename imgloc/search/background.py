@@ -3,7 +3,12 @@
 Every building has rectangular rooms, so a scan of a room fits somewhere in every map. Four straight
 walls are fitted to the scan alone. Their score shows how much of the scan is only a room. What the
 map explains beyond that room is evidence for the map. The score has a lower limit, because nearly
-any scan fits any map somewhere by chance.
+any scan fits any map somewhere by chance. A prior does not change this score: it says nothing about
+the fit of buildings that are on no map.
+
+Other floors of a building, and buildings like it, have corridors like those of the map. A scan from
+there fits better than a room does, but some of it contradicts the map. :func:`contradiction` weighs
+what is left unexplained.
 """
 
 import numpy as np
@@ -16,24 +21,24 @@ from imgloc.search.rescore import hit_density
 
 CHANCE: float = number("background.chance")
 """Nats per reading below a perfect fit that a scan reaches by chance anywhere on a map."""
-CHANCE_TOLD: float = number("background.chance_told")
-"""Nats per reading below a perfect fit that a scan reaches by chance at a single place.
-
-It applies if the prior leaves one place: with nowhere else to look, a wrong place fits worse."""
-_PRIOR: float = number("background.prior")  # share of a prior's evidence that counts
 # headings of the room that are tried; it looks the same after a quarter turn
 _HEADINGS = number("background.headings")
 _BIN = number("background.bin")  # metres; a wall is looked for in three of them
 _BINS = number("background.bins")
+# nats against a place: factor on the misfit; of a scan of nothing but a room; of one all of whose
+# readings pass through walls
+_STRANGE = number("background.strange")
+_BARE, _THROUGH = number("background.bare"), number("background.through")
+_PLAIN = number(
+    "background.plain"
+)  # nats per reading by which a bare room falls short of four walls
 
 
-def unmapped_score(
-    xy: FloatArray, model: EvidenceModel, share: float = 1.0, nats: float = 0.0
-) -> float:
+def unmapped_score(xy: FloatArray, model: EvidenceModel) -> float:
     """Mean log-density of readings in a building that is on no map, nats per reading.
 
     It is the score of the best empty room, but never farther than :data:`CHANCE` below a perfect
-    fit. With fewer possible poses that limit moves toward :data:`CHANCE_TOLD`.
+    fit.
 
     Parameters
     ----------
@@ -41,15 +46,35 @@ def unmapped_score(
         Endpoints in the sensor's frame, metres, N > 0.
     model : EvidenceModel
         The density of a reading by its distance from a wall.
-    share : float
-        Share of the map's poses that the prior leaves, 0..1. The fewer poses are left, the less
-        likely a room fits at one of them.
-    nats : float
-        Nats per reading that one nat of tempered evidence is worth: the temperature divided by N.
     """
-    chance = CHANCE_TOLD + (CHANCE - CHANCE_TOLD) * share
-    fewer = _PRIOR * nats * float(np.log(max(share, 1e-12)))
-    return max(best_room(xy, model) + fewer, model.best - chance)
+    return max(best_room(xy, model), model.best - CHANCE)
+
+
+def contradiction(misfit: float, unmapped: float, through: float) -> float:
+    """Evidence against a place that fits better than an empty room, nats after the temperature.
+
+    The place is doubtful if map and scan disagree. It is doubtful if the scan shows nothing but an
+    empty room, because every building has such rooms. And it is doubtful if neighbouring readings
+    pass through a wall of the map, as through the open door of another floor.
+
+    Parameters
+    ----------
+    misfit : float
+        Nats per reading that the best pose lacks against a perfect fit.
+    unmapped : float
+        Nats per reading that the score of :func:`unmapped_score` lacks against a perfect fit.
+    through : float
+        Longest run of neighbouring readings that pass through a wall, as a share of all readings.
+
+    Examples
+    --------
+    >>> contradiction(0.0, 3.0, 0.0) < 0.1
+    True
+    >>> contradiction(1.5, 1.0, 0.0) > 5, contradiction(0.1, 0.05, 0.0) > 5
+    (True, True)
+    """
+    bare = 1 / (1 + (max(unmapped, 0.0) / _PLAIN) ** 4)
+    return float(_STRANGE * max(misfit, 0.0) + _BARE * bare + _THROUGH * through)
 
 
 def best_room(xy: FloatArray, model: EvidenceModel) -> float:

@@ -70,27 +70,6 @@ def stands(poses: FloatArray, prior: Prior, features: MapFeatures) -> BoolArray:
     return ok & prior.admits(poses, features.grid.resolution)
 
 
-def share_of_poses(prior: Prior, features: MapFeatures) -> float:
-    """Share of the map's poses that the prior leaves, 0..1.
-
-    Only poses where a sensor can be count.
-
-    Examples
-    --------
-    >>> from types import SimpleNamespace
-    >>> features = SimpleNamespace(standable=np.array([[True, True, False]]))
-    >>> share_of_poses(Prior(np.array([[True, False, True]]), (0.0, np.pi / 2)), features)
-    0.25
-    """
-    share = 1.0
-    if prior.cells is not None:
-        left = int(np.count_nonzero(prior.cells & features.standable))
-        share = left / max(1, int(np.count_nonzero(features.standable)))
-    if prior.heading is not None:
-        share *= min(1.0, prior.heading[1] / np.pi)
-    return float(share)
-
-
 def on_lattice(prior: Prior, free: BoolArray, factor: int) -> BoolArray:
     """The lattice cells in `free` that hold a cell of the prior, (H', W') bool.
 

@@ -6,13 +6,12 @@ import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings, one_per_place
-from imgloc.model import Evidence, FloatArray, LaserScan
+from imgloc.model import BoolArray, Evidence, FloatArray, LaserScan
 from imgloc.numbers import number
 from imgloc.options import Options, Shared
-from imgloc.search.background import unmapped_score
+from imgloc.search.background import contradiction, unmapped_score
 from imgloc.search.hypotheses import covariances, masses
 from imgloc.search.modes import Modes, misfit_of
-from imgloc.search.priors import share_of_poses
 from imgloc.search.refine import refine
 from imgloc.search.rescore import Scores, score_poses
 
@@ -78,10 +77,24 @@ def evidence_of(
     n, model = len(readings), options.fused.model
     misfit = misfit_of(scores, n, options)
     temperature = options.trust.temperature_at(misfit, n, features.grid.resolution)
-    share = share_of_poses(options.prior, features)
-    unmapped = unmapped_score(readings.xy, model, share, temperature.value / n)
+    unmapped = unmapped_score(readings.xy, model)
     gained = (model.best - misfit - unmapped) * n / temperature.value
-    return Evidence(n, model.best, misfit, unmapped, gained, temperature=temperature)
+    best = int(np.argmax(scores.log_likelihood))
+    through = longest_run(scores.crossed[best][np.argsort(readings.angles, kind="stable")]) / n
+    against = contradiction(misfit, model.best - unmapped, through)
+    return Evidence(n, model.best, misfit, unmapped, gained, against, temperature=temperature)
+
+
+def longest_run(yes: BoolArray) -> int:
+    """Length of the longest run of True in an array (N,).
+
+    Examples
+    --------
+    >>> longest_run(np.array([True, False, True, True, False])), longest_run(np.zeros(3, bool))
+    (2, 0)
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], yes, [False]))))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
 def covariances_of(

@@ -22,10 +22,10 @@ from imgloc.model import BoolArray, FloatArray, inverse
 from imgloc.numbers import Origin, write
 from imgloc.options import Known
 from imgloc.pipeline import find_adapted_modes
-from imgloc.search.background import unmapped_score
 from imgloc.search.hypotheses import masses
-from imgloc.search.priors import prior_of, share_of_poses
+from imgloc.search.priors import prior_of
 from imgloc.search.trust import judge
+from imgloc.search.weigh import evidence_of
 from tools.script import table_lines
 from tools.trust.disturb import MAPS, PRIORS, ROOMS, SCANS, unmapped
 from tools.trust.reliability import LEAST, RIGHT, Judged, reliability
@@ -50,6 +50,11 @@ class Case:
     misfit: float
     gap: float  #: nats per reading by which the best mode beats a building on no map
     cell: float  #: of the map, metres
+    against: float = 0.0  #: nats that contradict the best mode
+
+    def net(self, temperature: float) -> float:
+        """Nats for the best mode, as :attr:`imgloc.model.Evidence.net`."""
+        return self.gap * self.readings / temperature - self.against
 
 
 @dataclass(frozen=True)
@@ -86,12 +91,10 @@ def case_of(
     if pose is not None:
         there = transform_poses(features.grid.origin, found.poses[:MODES])
         right = np.all(pose_errors(there, Pose2D(*pose)) <= RIGHT, axis=1)
-    model, each = options.fused.model, float(score[0]) / n
-    share = share_of_poses(options.prior, features)
-    misfit, cell = model.best - each, features.grid.resolution
-    nats = options.trust.temperature_at(misfit, n, cell).value / n
-    gap = each - unmapped_score(found.readings.xy, model, share, nats)
-    return Case(building, condition, score, right, n, misfit, gap, cell)
+    thinned = features.thinner(found.shared.thinner)
+    fit = evidence_of(thinned, found.readings, found.scores, options)
+    gap, cell = fit.best - fit.misfit - fit.unmapped, features.grid.resolution
+    return Case(building, condition, score, right, n, fit.misfit, gap, cell, fit.against)
 
 
 def cases_at_home(building: str, grid: OccupancyGrid, scans: ScanSet, seed: int) -> Iterator[Case]:
@@ -234,12 +237,12 @@ def _temperature_loss(cases: Sequence[Case], scale: FloatArray) -> float:
 
 
 def _regressors(cases: Sequence[Case], scale: FloatArray) -> FloatArray:
-    """(N, 3): one, evidence against a building on no map, mass that the best does not hold."""
+    """(N, 3): one, nats for the best mode, mass that the best does not hold."""
     most = Trust().most
     rows = []
     for c in cases:
         T = _temperature(c, scale * (1, MARGIN))
-        rows.append((1.0, np.clip(c.gap * c.readings / T, -most, most), 1 - masses(c.score, T)[0]))
+        rows.append((1.0, np.clip(c.net(T), -most, most), 1 - masses(c.score, T)[0]))
     return np.array(rows)
 
 
@@ -279,7 +282,7 @@ def conditions_table(cases: Sequence[Case], trust: Trust) -> str:
 def _judged(case: Case, trust: Trust) -> Judged:
     T = trust.temperature_at(case.misfit, case.readings, case.cell).value
     mass = masses(case.score, T)
-    elsewhere = trust.mass_elsewhere(case.gap * case.readings / T, float(mass[0]))
+    elsewhere = trust.mass_elsewhere(case.net(T), float(mass[0]))
     mass *= 1 - elsewhere
     verdict = judge(trust.readings, mass, elsewhere, trust)[0]
     told = mass >= LEAST
