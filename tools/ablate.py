@@ -98,7 +98,9 @@ STEPS: Mapping[str, Step] = {
         "nothing is expected of an empty room", instead={"search.background.best_room": _no_room},
         weighs=True,
     ),
-    "prior": Step("a prior is no evidence", {"background.prior": 0.0}, weighs=True),
+    "strange": Step("a misfit is not against a place", {"background.strange": 1e-6}, weighs=True),
+    "bare": Step("a bare room is a place", {"background.bare": 0.0}, weighs=True),
+    "through": Step("doors may be anywhere", {"background.through": 0.0}, weighs=True),
     "strain": Step("misfit does not count", {"Trust.strain": 0.0}, weighs=True),
     "number": Step(
         "readings are not counted", instead={"options.Trust.temperature_at": _any_number},
@@ -106,10 +108,10 @@ STEPS: Mapping[str, Step] = {
     ),
     "fine": Step("the cell of the map does not count", {"Trust.fine": 1e6}, weighs=True),
     "evidence": Step(
-        "what fits well may be elsewhere, too", {"Trust.elsewhere": (-3.39, 0.0, 2.72)}, weighs=True
+        "what fits well may be elsewhere, too", {"Trust.elsewhere": (-5.0, 0.0, 1.6)}, weighs=True
     ),
     "lead": Step(
-        "the mass of the best does not count", {"Trust.elsewhere": (-3.39, -0.46, 0.0)}, weighs=True
+        "the mass of the best does not count", {"Trust.elsewhere": (-5.0, -0.235, 0.0)}, weighs=True
     ),
     "most": Step("evidence has no bound", {"Trust.most": 1e6}, weighs=True),
     "jackknife": Step("covariances without blocks", {"hypotheses.shared": 1e-6}, weighs=True),
