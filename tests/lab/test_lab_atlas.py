@@ -40,13 +40,14 @@ def twin_rooms() -> OccupancyGrid:
     walls[[0, 51], 120:] = True
     walls[:, 179] = True
     walls[10:40, 150] = True
+    walls[8:14, 168:174] = walls[35:40, 130:136] = True  # a bare room would be no evidence
     return OccupancyGrid(walls, ~walls, 0.1, Pose2D(5.0, -3.0, 0.0))
 
 
 @pytest.fixture(scope="module")
 def spots():
     grid = twin_rooms()
-    poses = [Pose2D(2.5, 3.0, 0.3), Pose2D(8.5, 3.0, 0.3), Pose2D(16.5, 2.5, 1.0)]
+    poses = [Pose2D(2.5, 3.0, 0.3), Pose2D(8.5, 3.0, 0.3), Pose2D(16.0, 4.0, -1.0)]
     angles = ray_angles(181, np.pi * 1.5)
     ranges = simulate_ranges(grid, [(p.x, p.y, p.theta) for p in poses], angles, seed=1)
     scans = [(p, LaserScan(r, angles, range_max=30.0)) for p, r in zip(poses, ranges, strict=True)]
