@@ -5,9 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import call, rows
+from command import MAPS, call, rows
 
 from imgloc.errors import ScanError
+from imgloc.io.bags import read_bag_map
+from imgloc.io.maps import load_map
+from imgloc.io.messages import grid_to_msg
 from imgloc.io.scans import load_scans, scans_size
 from imgloc.model import Pose2D
 from imgloc.simulation.scans import simulate
@@ -309,3 +312,35 @@ def test_a_slice_of_a_pcd_is_a_scan(tmp_path: Path, how: str) -> None:
     path.write_bytes(head.replace(how, "binary_compressed").encode() + b"1")
     with pytest.raises(ScanError, match="pcl_convert_pcd_ascii_binary"):
         load_scans(path, height=(-0.2, 0.2))
+
+
+def test_a_map_in_a_bag_is_a_map(tmp_path: Path) -> None:
+    m, grid = messages_of(False), load_map(MAPS / "curved.yaml")
+    fields = grid_to_msg(grid, stamp=1.0)
+    at, turn = (fields["info"]["origin"][key] for key in ("position", "orientation"))
+    pose = m.make(
+        "geometry_msgs/msg/Pose", m.vector(at["x"], at["y"], "Point"), m.turn(turn.values())
+    )
+    info = m.make(
+        "nav_msgs/msg/MapMetaData", m.header(1.0, "map").stamp, grid.resolution,
+        fields["info"]["width"], fields["info"]["height"], pose,
+    )  # fmt: skip
+    data = np.array(fields["data"], np.int8)
+    kind = "nav_msgs/msg/OccupancyGrid"
+    content = [("/map", kind, m.make(kind, m.header(1.0, "map"), info, data))]
+    write(tmp_path / "log", "mcap", [*content, ("/scan", SCAN, m.scan(2.0))])
+    (path,) = (tmp_path / "log").glob("*.mcap")
+    found = read_bag_map(path)
+    assert (found.occupied == grid.occupied).all()
+    assert found.origin == grid.origin
+    assert call("simulate", "curved", "-n", 1, "--out", tmp_path / "a.npz").code == 0
+    run = call("localize", path, tmp_path / "a.npz", "--json", "--no-cache")
+    assert run.code == 0, run.err
+    (row,) = rows(run.out)
+    (twin,) = rows(call("localize", "curved", tmp_path / "a.npz", "--json", "--no-cache").out)
+    assert row["pose"]["x"] == pytest.approx(twin["pose"]["x"], abs=1e-6)
+    write(tmp_path / "none", "mcap", [("/scan", SCAN, m.scan(2.0))])
+    (none,) = (tmp_path / "none").glob("*.mcap")
+    run = call("localize", none, tmp_path / "a.npz", "--no-cache")
+    assert run.code == 3
+    assert "no map on /map: expected a map, then scans" in run.err

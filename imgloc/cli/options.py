@@ -16,12 +16,14 @@ from imgloc.texts import byte_count, metres_degrees
 def find_map(path: str | Path) -> Path:
     """The file of a bundled map that is called by its name, or `path` itself."""
     from imgloc.errors import MapError
+    from imgloc.io.bags import BAG_ENDINGS
     from imgloc.io.files import is_file, is_there
     from imgloc.io.maps import bundled_maps
     from imgloc.io.scans import SCAN_ENDINGS
 
     path = Path(path)
-    if path.suffix.lower() in SCAN_ENDINGS and is_there(path):
+    ending = path.suffix.lower()
+    if ending in SCAN_ENDINGS and ending not in BAG_ENDINGS and is_there(path):
         raise ConfigError(f"{path} is a file of scans; the order is MAP, then SCANS")
     if path.name != str(path) or path.suffix or is_there(path):
         return path
@@ -45,7 +47,8 @@ def find_scans(path: str | Path) -> Path:
 MapPath = Annotated[
     Path,
     Option(
-        "Map: the YAML of map_server, an image with --resolution, or the name of a bundled map.",
+        "Map: the YAML of map_server, an image with --resolution, a bag with an OccupancyGrid, or "
+        "the name of a bundled map.",
         "MAP",
         parse=find_map,
     ),

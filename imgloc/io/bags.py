@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from imgloc.errors import ConfigError, ScanError
+from imgloc.errors import ImglocError, MapError, ScanError
 from imgloc.io.bagbounds import MAX_METADATA, bounded, largest_chunk, messages_of, metadata
 from imgloc.io.clouds import Height, check_height, check_seen, points_of, slice_of
 from imgloc.io.files import (
@@ -28,6 +28,7 @@ from imgloc.io.messages import (
     Frames,
     entry_of,
     frame_name,
+    grid_from_msg,
     link_of,
     mounting_of,
     move_of,
@@ -36,11 +37,12 @@ from imgloc.io.messages import (
 )
 from imgloc.io.odometry import odometry_at
 from imgloc.io.scanset import MAX_RAYS, Entry, ScanSet, ScansSize, check_size, collect
-from imgloc.model import FloatArray, Pose2D
+from imgloc.model import FloatArray, OccupancyGrid, Pose2D
 
 _LOG = logging.getLogger("imgloc")
 _SCAN, _ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
-_CLOUD = "sensor_msgs/msg/PointCloud2"
+_CLOUD, _GRID = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/OccupancyGrid"
+BAG_ENDINGS = (".bag", ".mcap", ".db3")
 _TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _SHOWN = 8  # topics in a message
 _TILTED = math.cos(math.radians(5))
@@ -151,6 +153,33 @@ def bag_size(
     return ScansSize(count, 2 * count * readings, beside)
 
 
+def read_bag_map(path: PathLike, *, topic: str | None = None) -> OccupancyGrid:
+    """The last nav_msgs/OccupancyGrid of a bag: on ``/map``, or the only such topic.
+
+    MapError if there is none, or it is damaged.
+    """
+    name = display(path)
+    try:
+        with _opened(path, name) as bag:
+            topics = _by_type(bag, _GRID)
+            wanted = topic or (
+                "/map" if "/map" in topics or len(topics) != 1 else next(iter(topics))
+            )
+            found, last = (
+                [c for c in bag.connections if c.topic == wanted and wanted in topics],
+                None,
+            )
+            for connection, _, data in messages_of(bag, found) if found else ():
+                last = connection, data
+            if last is None:
+                there = _some([f"{t} ({n})" for t, n in topics.items()]) or "none"
+                hint = "expected a map, then scans; the bag's maps (OccupancyGrid)"
+                raise MapError(f"{name}: no map on {wanted}: {hint}: {there}")
+            return grid_from_msg(bag.deserialize(last[1], last[0].msgtype), f"{name}: {wanted}")
+    except ScanError as error:
+        raise MapError(str(error)) from None
+
+
 def topics_of(path: PathLike) -> list[tuple[str, str, int]]:
     """Topic, type and number of messages of what is in a bag."""
     counts: dict[tuple[str, str], int] = {}
@@ -182,7 +211,7 @@ def _opened(path: PathLike, name: str) -> Iterator[Any]:
         store = get_typestore(Stores.ROS2_HUMBLE)
         with bounded(name, size), AnyReader([file], default_typestore=store) as bag:
             yield bag
-    except (ConfigError, ScanError):
+    except ImglocError:
         raise
     except Exception as e:  # of rosbags, of SQLite, of what unpacks them; lengths that are wrong
         why = "a length that no memory holds" if isinstance(e, MemoryError) else reason(e)

@@ -28,6 +28,7 @@ from imgloc.features.budget import (
 )
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.store import load_features, save_features
+from imgloc.io.bags import BAG_ENDINGS, read_bag_map
 from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import display
 from imgloc.io.images import ImageSize, image_size
@@ -165,6 +166,8 @@ class Desk:
         return grid
 
     def _load(self, path: Path, maps: MapFiles) -> OccupancyGrid:
+        if path.suffix.lower() in BAG_ENDINGS:
+            return read_bag_map(path)
         reading = reading_of(path, maps.reading) if maps.many else maps.reading
         size, what = image_of(path, reading)
         what += f" beside {-(-self.held // MIB)} MiB of other maps" if self.held else ""
