@@ -54,8 +54,12 @@ def bound(host: str, port: int) -> socket.socket:
     if not _FIRST <= port <= _LAST:
         raise ConfigError(f"port: got {port}, expected {_FIRST} to {_LAST}")
     try:
-        family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        one = socket.socket(family, kind)
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, proto=socket.IPPROTO_TCP
+        )[0]
+        # asyncio sends at once (TCP_NODELAY) only where the socket names its protocol. Otherwise
+        # the body of an answer waits some 40 ms until the client acknowledges the head.
+        one = socket.socket(family, kind, protocol)
     except OSError as error:
         raise ConfigError(f"host: got {host}, which is no address: {error.strerror}") from None
     one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

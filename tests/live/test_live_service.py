@@ -1,5 +1,6 @@
 """`imgloc serve`: the real process on loopback, asked by good clients and by bad ones."""
 
+import asyncio
 import base64
 import io
 import json
@@ -30,6 +31,7 @@ from websockets.sync.client import connect
 import imgloc
 from imgloc.filters.motion import noisy_odometry
 from imgloc.lab.atlas import survey_part
+from imgloc.live.server import bound
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -821,6 +823,25 @@ def test_a_bad_map_is_left_out_unless_there_is_no_other(tmp_path: Path) -> None:
         code, err = one.end()
         assert code == 0
         assert err.startswith("imgloc: left out: ")
+
+
+def test_no_answer_waits_for_the_client_to_acknowledge_its_head() -> None:
+    with bound("127.0.0.1", 0) as one:
+        one.listen()
+
+        async def accepted() -> int:
+            here: asyncio.Future[int] = asyncio.get_running_loop().create_future()
+
+            def connected(_: Any, writer: asyncio.StreamWriter) -> None:
+                made = writer.get_extra_info("socket")
+                here.set_result(made.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+                writer.close()
+
+            async with await asyncio.start_server(connected, sock=one):
+                with socket.create_connection(one.getsockname()):
+                    return await here
+
+        assert asyncio.run(accepted())
 
 
 def test_a_port_that_is_taken_is_said(service: Served) -> None:
