@@ -160,7 +160,11 @@ _POSE = {
     "required": ["x", "y", "theta"],
 }
 _TURNED = {"type": "number", "minimum": -4 * math.pi, "maximum": 4 * math.pi}
-_GIVEN_POSE = {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
+_NUMBER = {"type": "number"}
+_OR_NULL = {**_TURNED, "type": ["number", "null"]}
+_INDEX = {"type": "integer", "minimum": 0, "maximum": 2**31 - 1}
+_METRES = {"type": "number", "minimum": -1e300, "maximum": 1e300}
+_GIVEN_POSE = {"type": ["array", "null"], "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
 _SCHEMAS: Mapping[str, Any] = {
     "Problem": {
         "type": "object",
@@ -176,7 +180,7 @@ _SCHEMAS: Mapping[str, Any] = {
     "LaserScan": {
         "type": "object",
         "description": "Names of sensor_msgs/LaserScan; metres and radians, counter-clockwise, 0 "
-        "forward. In ranges null is no reading, 'inf' no return.",
+        "forward. In ranges null is no reading, 'inf' no return. Other keys may be null: missing.",
         "properties": {
             "ranges": {
                 "type": "array",
@@ -186,11 +190,19 @@ _SCHEMAS: Mapping[str, Any] = {
                     {"type": "number"}, {"type": "null"}, {"enum": ["inf", "-inf", "nan"]},
                 ]},
             },
-            "angles": {"type": "array", "items": _TURNED, "minItems": 1, "maxItems": MAX_RAYS},
-            "angle_min": _TURNED, "angle_max": _TURNED, "angle_increment": _TURNED,
-            "range_min": {"type": "number", "minimum": 0},
-            "range_max": {"type": "number", "exclusiveMinimum": 0},
-            "stamp": {"type": "number"},
+            "angles": {
+                "type": ["array", "null"], "items": _TURNED, "minItems": 1, "maxItems": MAX_RAYS,
+            },
+            "angle_min": _OR_NULL, "angle_max": _OR_NULL, "angle_increment": _OR_NULL,
+            "range_min": {"type": ["number", "null"], "minimum": 0},
+            "range_max": {"type": ["number", "null"], "exclusiveMinimum": 0},
+            "stamp": {
+                "description": "Seconds, or the stamp of a ROS message.",
+                "anyOf": [
+                    {"type": ["number", "null"]},
+                    {"type": "object", "properties": {"sec": _NUMBER, "nanosec": _NUMBER}},
+                ],
+            },
             "odom": _GIVEN_POSE, "pose": _GIVEN_POSE, "mount": _GIVEN_POSE,
         },
         "required": ["ranges"],
@@ -224,7 +236,7 @@ _SCHEMAS: Mapping[str, Any] = {
                 "minItems": 1,
                 "items": {
                     "type": "array",
-                    "prefixItems": [{"type": "integer", "minimum": 0}, *({"type": "number"},) * 3],
+                    "prefixItems": [_INDEX, *(_METRES,) * 3],
                     "items": False, "minItems": 4, "maxItems": 4,
                 },
             },

@@ -5,6 +5,8 @@
 [1.0, nan, inf]
 """
 
+import json
+import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -204,14 +206,21 @@ def marked_of(body: bytes, scans: ScanSet) -> ScanSet:
     [[3.5, -2.0, 0.5]]
     """
     try:
-        rows = parse_json(body, {"poses": [[int, float, float, float]]})["poses"]
+        rows = parse_json(body, {"poses": [[float, float, float, float]]})["poses"]
     except ValueError as error:
         raise Refused("bad-request", f"body: {reason(error)}") from None
-    indices = [row[0] for row in rows]
+    for k, row in enumerate(rows):
+        if row[0] % 1:  # 1.0 is a whole number, too
+            got = f"body: poses.{k}.0: got {row[0]}, expected a whole number"
+            raise Refused("bad-request", got)
+    indices = [int(row[0]) for row in rows]
     if not rows or len(set(indices)) != len(rows) or not all(0 <= k < len(scans) for k in indices):
         some = f"each once, 0 to {len(scans) - 1}"
         raise ScanError(f"poses: expected indices of scans, {some}")
     return replace(scans.take(indices), poses=np.array([row[1:] for row in rows]))
+
+
+_STEPS, _TURNS = ("angle_min", "angle_max", "angle_increment"), 4 * math.pi  # radians
 
 
 def _scan_of(body: bytes) -> ScanSet:
@@ -222,7 +231,15 @@ def _scan_of(body: bytes) -> ScanSet:
         text = body.decode("utf-8")
     except UnicodeDecodeError as error:
         raise ScanError(f"body: byte {error.start} is not UTF-8 text") from None
-    return read_jsonl_line(text, "body")
+    scan = read_jsonl_line(text, "body")
+    given = json.loads(text)
+    for key in (*_STEPS, "range_min", "range_max"):  # also where the angles make a step needless
+        value, most = given.get(key), math.inf if key[0] == "r" else _TURNS
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if value is not None and not (number and abs(value) <= most):
+            expected = "metres" if key[0] == "r" else "radians, at most two turns"
+            raise ScanError(f"body: {key}: got {value!r:.100}, expected {expected}")
+    return scan
 
 
 def taken(scan: LaserScan, how: Mapping[str, Any]) -> LaserScan:

@@ -875,6 +875,19 @@ def test_rows_of_a_file_are_json_lines(http: httpx.Client, scans: Path) -> None:
     assert [row["index"] for row in rows(found.text)] == [0, 1, 2]
 
 
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("angle_min", "x"), ("angle_increment", 13.6), ("angle_max", {}), ("range_max", "5")],
+)
+def test_what_a_scan_does_not_need_has_to_be_right_too(
+    http: httpx.Client, scans: Path, key: str, value: object
+) -> None:
+    body = {"angle_min": None, "mount": None, **laser_scan(scans, 0)}
+    assert http.post("/v1/localize?map=visibility", json=body).status_code == 200
+    answer = http.post("/v1/localize?map=visibility", json={**body, key: value})
+    assert f"body: {key}: got {value!r}" in problem(answer, 422, "bad-scan")
+
+
 def test_schemathesis_finds_nothing(service: Served, tmp_path: Path) -> None:
     """What fits the document may still contradict itself: 422, and nothing else, says so."""
     (tmp_path / "schemathesis.toml").write_text(
