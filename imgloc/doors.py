@@ -15,7 +15,7 @@ _HOMES = {
     "imgloc.lab.commands.evaluate": "evaluate",
     "imgloc.lab.grid": "GridFilter GridOptions",
     "imgloc.lab.particle": "ParticleFilter ParticleOptions",
-    "imgloc.lab.picture": "draw_survey",
+    "imgloc.lab.picture": "draw_aged draw_survey",
     "imgloc.plans.command": "plan",
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names.split()}
@@ -28,6 +28,7 @@ JOBS = {
     "check": "imgloc.runs.check:Check",
     "which": "imgloc.runs.which:Which",
     "atlas": "imgloc.lab.jobs:Atlas",
+    "changes": "imgloc.lab.jobs:Aging",
 }
 
 

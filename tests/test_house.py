@@ -22,6 +22,7 @@ DOORS = [
     "GridOptions",
     "ParticleFilter",
     "ParticleOptions",
+    "draw_aged",
     "draw_survey",
 ]
 FILES = house.counted("imgloc")

@@ -131,7 +131,7 @@ def test_bars_have_everything_in_them() -> None:
     assert histogram([], 1, 2) == []
 
 
-@pytest.mark.parametrize("job", ["check", "which", "evaluate", "atlas"])
+@pytest.mark.parametrize("job", ["check", "which", "evaluate", "atlas", "changes"])
 def test_other_jobs_have_a_page_and_a_table(tmp_path: Path, job: str) -> None:
     share = {"hits": 1, "trials": 2, "value": 0.5, "low": 0.1, "high": 0.9}
     answers = {
@@ -144,6 +144,8 @@ def test_other_jobs_have_a_page_and_a_table(tmp_path: Path, job: str) -> None:
                      "success": [{"at_1": share, "unique_wrong": share}]},
         "atlas": {"places": 12, "unique": share, "ambiguous": share, "wrong": share,
                   "unique_area": share},
+        "changes": {"given": 9, "sure": 8, "gone_share": None, "gone_m": 0.0, "seen_m": 0.0,
+                    "new_m2": 0.0, "pieces": []},
     }  # fmt: skip
     write(tmp_path, job, [row(0, "attic", [answers[job]])])
     assert "Answer by answer" in render_report(tmp_path)

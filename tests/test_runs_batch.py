@@ -320,7 +320,7 @@ def test_nothing_to_do_is_an_error(site: Path, maps, scans, job, said) -> None:
 # Jobs.
 
 
-@pytest.mark.parametrize("job", ["evaluate", "check", "which", "atlas"])
+@pytest.mark.parametrize("job", ["evaluate", "check", "which", "atlas", "changes"])
 def test_every_command_s_work(site: Path, tmp_path: Path, job: str) -> None:
     scans = None if job in ("check", "atlas") else site / "scans" / "s0.npz"
     options = {
@@ -328,6 +328,7 @@ def test_every_command_s_work(site: Path, tmp_path: Path, job: str) -> None:
         "check": {},
         "which": {"cell": 0.2},
         "atlas": {"step": 2.0, "headings": 1, "sensor": Sensor(rays=60)},
+        "changes": {},
     }
     what = make_job(job, pictures="all", **options[job])
     with ThreadPoolExecutor(1) as pool:
@@ -338,6 +339,7 @@ def test_every_command_s_work(site: Path, tmp_path: Path, job: str) -> None:
     (row,) = read_rows(out)
     (answer,) = row["answers"]
     known = {"evaluate": "index", "check": "shares", "which": "maps", "atlas": "unique_area"}
+    known["changes"] = "gone_share"
     assert known[job] in answer
     for name in answer.get("pictures", ()):
         assert (out / "pictures" / name).read_bytes().startswith(b"\x89PNG")

@@ -1,4 +1,4 @@
-"""Jobs of measurements: ``evaluate`` on scans with known poses, ``atlas`` on a map."""
+"""Jobs of measurements: ``evaluate`` on scans with known poses, ``atlas``, ``changes`` of a map."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -15,6 +15,7 @@ from imgloc.io.files import display
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.atlas import AT_ONCE, TOP, Spot, atlas_poses, check_count, simulate_at, survey
 from imgloc.lab.atlas import summarise as summarise_atlas
+from imgloc.lab.changes import map_changes, sure_poses
 from imgloc.lab.evaluation import evaluate, method_options
 from imgloc.lab.performance_index import FLOOR
 from imgloc.model import FloatArray, OccupancyGrid
@@ -32,6 +33,7 @@ from imgloc.options import (
 from imgloc.pipeline import prepare
 from imgloc.ranges import OneOf, Within
 from imgloc.runs.jobs import Answer, Item, Job
+from imgloc.runs.localize import Localize
 from imgloc.runs.opening import LOG, Desk, ScanFiles
 from imgloc.simulation.scans import fine_image, is_world, simulate
 
@@ -184,3 +186,25 @@ class Surveying:
 
     def __iter__(self) -> Iterator[Answer]:
         yield self.answer(list(self.spots()))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Aging(Job):
+    """Locate the scans of a file, and see where the map has aged since it was made."""
+
+    name = "changes"
+
+    scans: ScanFiles = field(default_factory=ScanFiles)
+
+    def open(self, item: Item, desk: Desk) -> Iterator[Answer]:
+        """Read the scans and the map of an item; there is one answer."""
+        run = Localize(maps=self.maps, scans=self.scans).open(item, desk)
+        located = list(run)
+        sure, poses = sure_poses([one.of for one in located])
+        scans = [located[k].scan.scaled(located[k].of.evidence.scale) for k in sure]
+        found = map_changes(run.features.grid, scans, poses)
+        row = {"given": len(located), **found.as_row()}
+        row["sure"] = row.pop("scans")  # which is the file of an item
+        yield Answer(
+            row=row, of=found, doubtful=bool(found.pieces), drawn=("changes", found)
+        )  # fmt: skip

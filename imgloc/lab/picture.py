@@ -93,3 +93,8 @@ def draw_changes(changes: Changes) -> Image:
         (_UNSEEN, "wall that no scan has seen"),
     ]
     return legend(canvas.image, entries)
+
+
+def draw_aged(changes: Changes) -> dict[str, bytes]:
+    """Where a map has aged."""
+    return {"changes": encode_picture(draw_changes(changes))}

@@ -45,4 +45,15 @@ def draw_survey(*what: Any) -> Mapping[str, bytes]:
     return drawn
 
 
-DRAWINGS: Mapping[str, Drawing] = {"answer": draw_answer, "map": draw_checked, "atlas": draw_survey}
+def draw_aged(*what: Any) -> Mapping[str, bytes]:
+    """Where a map has aged."""
+    drawn: Mapping[str, bytes] = behind("draw_aged")(*what)
+    return drawn
+
+
+DRAWINGS: Mapping[str, Drawing] = {
+    "answer": draw_answer,
+    "map": draw_checked,
+    "atlas": draw_survey,
+    "changes": draw_aged,
+}

@@ -116,6 +116,13 @@ _ANSWERS: Mapping[str, tuple[Column, ...]] = {
         Column("wrong", "wrong", 1, "%", "wrong.value"),
         Column("area", "one scan is enough", 1, "% of the area", "unique_area.value"),
     ),
+    "changes": (
+        Column("gone", "walls gone", 1, "%", "gone_share"),
+        Column("seen", "walls seen", 0, "m", "seen_m"),
+        Column("new", "new", 1, "m²", "new_m2"),
+        Column("sure", "scans with a sure pose", 0),
+        Column("given", "scans", 0),
+    ),
 }
 _ITEM = (Column("map", "map"), Column("scans", "scans"), Column("k", "scan", 0))
 _MAPS = (
