@@ -98,7 +98,7 @@ def check_log(scans: ScanSet, notes: Sequence[Finding] = ()) -> LogReport:
         _add(
             findings,
             "order",
-            f"{times['back']:,} stamps go back",
+            _back_words(times["back"]),
             fatal=False,
         )
     path = scans.odom if scans.odom is not None else scans.poses
@@ -170,6 +170,10 @@ def on_map(report: LogReport, scans: ScanSet, features: MapFeatures, options: Op
             at = sensor_poses(scans)
             facts["odometry_fits"] = poses_fit(features.grid, scans.scans, at)
     return replace(report, facts=facts, findings=tuple(_sorted(findings)))
+
+
+def _back_words(count: int) -> str:
+    return "a stamp goes back" if count == 1 else f"{count:,} stamps go back"
 
 
 def _add(

@@ -13,7 +13,16 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
-from imgloc.options import AllowLossy, Logs, MemoryBudget, Mounting, Options, RangeMax, Reading
+from imgloc.options import (
+    MAX_BAD,
+    AllowLossy,
+    Logs,
+    MemoryBudget,
+    Mounting,
+    Options,
+    RangeMax,
+    Reading,
+)
 from imgloc.ranges import option
 
 if TYPE_CHECKING:
@@ -172,6 +181,7 @@ class _Look:
         words += [] if follow else ["--scans-index", str(report.scan)]
         words += [f"--topic {logs.topic}"] if logs.topic is not None else []
         words += [f"--height {logs.height[0]:g},{logs.height[1]:g}"] if logs.height else []
+        words += [f"--max-bad {logs.max_bad:g}"] if logs.max_bad != MAX_BAD else []
         given = f" {report.options} "
         if logs.scale != 1 and "--range-scale" not in given:
             words.append(f"--range-scale {logs.scale:g}")
