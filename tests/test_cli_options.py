@@ -41,13 +41,18 @@ def plain(scans: Path) -> dict:
 def away(row: dict, scans: Path) -> float:
     poses = load_scans(scans).poses
     assert poses is not None
-    return float(np.hypot(row["pose"]["x"] - poses[0, 0], row["pose"]["y"] - poses[0, 1]))
+    best = row["hypotheses"][0]
+    return float(np.hypot(best["x"] - poses[0, 0], best["y"] - poses[0, 1]))
 
 
-def test_near_makes_an_ambiguous_scan_unique(scans: Path, plain: dict) -> None:
+def test_near_excludes_the_twins(scans: Path, plain: dict) -> None:
     assert plain["verdict"] == "ambiguous"
     told = first(scans, "--near", "2.5,1.5,-1.7")
-    assert told["verdict"] == "unique"
+    assert plain["hypotheses"][1]["mass"] > 0.1
+    assert sum(h["mass"] for h in told["hypotheses"][1:]) < 0.01
+    assert told["hypotheses"][0]["mass"] > 5 * plain["hypotheses"][0]["mass"]
+    # A bare room, as this scan shows, may still be on no map.
+    assert told["verdict"] == "ambiguous"
     assert away(told, scans) < 0.1
     assert told["parameters"]["prior"]["near"] == {
         "x": 2.5, "y": 1.5, "theta": -1.7, "radius": 2.0, "tolerance": 0.8,
