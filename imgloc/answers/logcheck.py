@@ -4,7 +4,7 @@
 >>> scan = LaserScan(np.full(90, 2000.0), np.linspace(-1.5, 1.5, 90))
 >>> report = check_log(ScanSet((scan,)))
 >>> report.findings[0].code, report.findings[0].options
-('units', '--range-scale 0.001')
+('units', '`range_scale=0.001`')
 """
 
 import itertools
@@ -21,7 +21,6 @@ import numpy as np
 from imgloc.answers.diagnose import doubts, few_readings
 from imgloc.answers.scanmotion import AGREES, Agreement, Way, agreement, overlap
 from imgloc.answers.truth import NOT_TRUE, poses_fit
-from imgloc.errors import as_options
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly
 from imgloc.io.scanset import ScanSet
@@ -53,7 +52,7 @@ class Finding:
 
     code: str  #: one word that names it, the same in every version
     text: str  #: a sentence or two
-    options: str = ""  #: options of the command line that mend it
+    options: str = ""  #: arguments that mend it, in backquotes
     serious: bool = True  #: whether the robot cannot be followed as long as it is so
 
 
@@ -69,7 +68,7 @@ class LogReport:
 
     @property
     def options(self) -> str:
-        """The options that mend what was found."""
+        """The arguments that mend what was found, in backquotes."""
         return " ".join(dict.fromkeys(f.options for f in self.findings if f.options))
 
     @property
@@ -155,9 +154,9 @@ def on_map(report: LogReport, scans: ScanSet, features: MapFeatures, options: Op
                 "scans fit the map only if mirrored, but agree with the odometry as they are: the "
                 "image of the map is mirrored"
             )
-            findings.append(Finding(code, text, "--flipped", serious))
+            findings.append(Finding(code, text, "`flipped=True`", serious))
         else:
-            tried = re.search(r"Try (--[-\w]+(?: [\d.]+)?)", as_options(doubt.text))
+            tried = re.search(r"Try (`[^`]+`)", doubt.text)
             code = "flipped" if code == "mirrored" else code
             findings.append(Finding(code, doubt.text, tried[1] if tried else "", serious))
     facts["poses_fit"] = facts["odometry_fits"] = None
@@ -220,14 +219,14 @@ def _about_readings(scans: ScanSet, findings: list[Finding]) -> dict[str, Any]:
     if middle > _LONG[1]:
         unit, factor = ("millimetres", 0.001) if middle > _LONG[0] else ("centimetres", 0.01)
         text = f"half of the ranges are above {middle:.4g}: are these {unit}?"
-        _add(findings, "units", text, f"--range-scale {factor:g}")
+        _add(findings, "units", text, f"`range_scale={factor:g}`")
         return facts
     if (code := _code(seen)) is not None:
         text = (
             f"{np.mean(seen == code):.1%} of the readings are exactly {code:g} m, and none is "
             "longer: it is the sensor's code for a ray that met nothing"
         )
-        _add(findings, "codes", text, f"--range-max {code:g}")
+        _add(findings, "codes", text, f"`range_max={code:g}`")
     few = np.median([scan.directions for scan in some]) < Trust().readings
     if few or total["valid"] < _FEW * count:
         _add(
@@ -373,7 +372,7 @@ def _mended(way: Way, scans: ScanSet) -> tuple[str, str, str]:
     agree = "scans and odometry agree only"
     if way.code == "flipped":
         text = f"{agree} with the scans mirrored: the sensor hangs upside down"
-        return way.code, text, "--flipped"
+        return way.code, text, "`flipped=True`"
     if way.code == "odometry-turn":
         return (
             way.code,
@@ -382,14 +381,14 @@ def _mended(way: Way, scans: ScanSet) -> tuple[str, str, str]:
         )
     if way.code == "units":
         unit = "millimetres" if way.value < 0.005 else "centimetres"
-        return way.code, f"{agree} if the ranges are {unit}", f"--range-scale {way.value:g}"
+        return way.code, f"{agree} if the ranges are {unit}", f"`range_scale={way.value:g}`"
     if way.code == "mounting":
         mount = scans[0].T_base_laser or Pose2D(0.0, 0.0)
         turned = Pose2D(mount.x, mount.y, mount.theta + way.value)
         sensor = f"{turned.x:g},{turned.y:g},{math.degrees(turned.theta):.4g}deg"
         turn = f"{math.degrees(way.value):.0f} degrees"
         text = f"{agree} with the sensor turned by {turn} on the robot"
-        return way.code, text, f"--sensor {sensor}"
+        return way.code, text, f"`sensor={sensor}`"
     if way.code == "view":
         angles = scans[0].angles
         view = math.degrees(float(np.ptp(angles)))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit
-from imgloc.errors import ConfigError
+from imgloc.errors import ConfigError, as_options
 from imgloc.io.files import display
 from imgloc.options import (
     MAX_BAD,
@@ -182,7 +182,8 @@ class _Look:
         words += [f"--topic {logs.topic}"] if logs.topic is not None else []
         words += [f"--height {logs.height[0]:g},{logs.height[1]:g}"] if logs.height else []
         words += [f"--max-bad {logs.max_bad:g}"] if logs.max_bad != MAX_BAD else []
-        given = f" {report.options} "
+        mended = as_options(report.options)
+        given = f" {mended} "
         if logs.scale != 1 and "--range-scale" not in given:
             words.append(f"--range-scale {logs.scale:g}")
         if logs.fov is not None:
@@ -190,7 +191,7 @@ class _Look:
         if self.range_max is not None and "--range-max" not in given:
             words.append(f"--range-max {self.range_max:g}")
         words += ["--flipped"] if self.mounting.flipped and "--flipped" not in given else []
-        return " ".join([*words, report.options]).strip()
+        return " ".join([*words, mended]).strip()
 
 
 @contextlib.contextmanager

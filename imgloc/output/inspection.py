@@ -52,7 +52,7 @@ def _finding(finding: Finding) -> dict[str, Any]:
     return {
         "code": finding.code,
         "text": as_options(finding.text),
-        "options": finding.options,
+        "options": as_options(finding.options),
         "serious": finding.serious,
     }
 
@@ -91,7 +91,7 @@ def log_text(name: str, form: str, kinds: Sequence[Kind], report: LogReport, com
 
 
 def _try(finding: Finding) -> str:
-    return f". Pass {finding.options}" if finding.options not in as_options(finding.text) else ""
+    return f". Pass {as_options(finding.options)}" if finding.options not in finding.text else ""
 
 
 def _about(kind: Kind, seconds: float) -> str:
