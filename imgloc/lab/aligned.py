@@ -45,7 +45,7 @@ def alignment_text(row: Mapping[str, Any]) -> str:
     if row["x"] is None:
         lines.append(
             f"  walls      {agree} agree at the best place, as by chance: two places, or the "
-            "maps share too little; --scans may tell"
+            "maps share too little; `scans` may tell"
         )
     else:
         against = f"{row['contradicting_m']:.0f} m that one has and the other sees free"
