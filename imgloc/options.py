@@ -314,7 +314,7 @@ class Trust(Checked):
 
         Examples
         --------
-        >>> Trust().mass_elsewhere(20.0, 1.0) < 0.01, Trust().mass_elsewhere(-15.0, 0.2) > 0.5
+        >>> Trust().mass_elsewhere(20.0, 1.0) < 0.01, Trust().mass_elsewhere(-25.0, 0.2) > 0.5
         (True, True)
         """
         constant, per_nat, per_share = self.elsewhere
