@@ -10,6 +10,7 @@ from .filters.choose import make_filter
 from .filters.follow import Moment, Tracking, follow
 from .io.mapcheck import MapReport, check_map
 from .io.maps import load_map, save_map
+from .io.messages import grid_from_msg, grid_to_msg, scan_from_msg, scan_to_msg
 from .io.scans import load_scans, save_scans
 from .io.scanset import ScanSet
 from .lab.align import Alignment, ScanAlignment, align_maps, align_scans
@@ -60,7 +61,8 @@ __all__ = [
     "MapReport", "Moment", "OccupancyGrid", "Options", "OrientedPoints", "OutputError", "Picture",
     "Pose2D", "Prior", "ScanAlignment", "ScanError", "ScanSet", "Sensor", "Shared", "Site",
     "Tracking", "Trust", "__version__", "align_maps", "align_scans", "check_map", "draw",
-    "evaluate", "explain", "follow", "likelihood", "load_map", "load_plan", "load_scans",
-    "localize", "make_filter", "make_job", "map_changes", "plan_to_map", "prepare", "run_batch",
-    "sample_poses", "save_map", "save_scans", "simulate", "sure_poses", "which",
+    "evaluate", "explain", "follow", "grid_from_msg", "grid_to_msg", "likelihood", "load_map",
+    "load_plan", "load_scans", "localize", "make_filter", "make_job", "map_changes",
+    "plan_to_map", "prepare", "run_batch", "sample_poses", "save_map", "save_scans",
+    "scan_from_msg", "scan_to_msg", "simulate", "sure_poses", "which",
 ]  # fmt: skip
