@@ -195,6 +195,16 @@ class EvidenceModel(Checked):
     #: standard deviation, metres, of the place of a wall on the map: the farther a reading passes
     #: through a wall, the less probable it is, down to `absent`
     displaced: Length = number("EvidenceModel.displaced")
+    #: standard deviation, metres, of the place of each piece of wall on the map: 0 if the map is
+    #: true to shape
+    bent: Metres = number("EvidenceModel.bent")
+
+    def bending(self, metres: float) -> "EvidenceModel":
+        """The parameters for a map whose pieces of wall stand `metres` off: see :class:`Shared`.
+
+        A wall that may stand elsewhere stops no reading.
+        """
+        return replace(self, bent=metres, absent=1.0) if metres else self
 
     @property
     def best(self) -> float:
@@ -260,6 +270,8 @@ class Shared(Checked):
     scale: Annotated[float, Within(0.5, 2, "a factor")] = 1.0
     #: cells that each wall loses on each side
     thinner: Annotated[int, Within(0, 100, "cells")] = 0
+    #: standard deviation, metres, of the place of each piece of wall: a map drawn by others is bent
+    bent: Annotated[float, Within(0, 1, "metres")] = 0.0
 
 
 @dataclass(frozen=True)
@@ -387,6 +399,11 @@ class Options(Checked):
             "[default: the method's]"
         ),
     ] = None
+
+    @property
+    def model(self) -> EvidenceModel:
+        """The parameters of the score, on walls that are as bent as `shared` says."""
+        return self.fused.model.bending(self.shared.bent)
 
     def listed(self, share: FloatArray) -> int:
         """How many hypotheses of these shares (M,), in their order, are listed.

@@ -180,7 +180,7 @@ def find_modes_by_steps(
     yield
 
     # If none of them fits, pairs of oriented points vote for others.
-    unfit = not len(looked) or score[0] < (fused.model.best - fused.unfit) * len(few)
+    unfit = not len(looked) or score[0] < (options.model.best - fused.unfit) * len(few)
     if unfit and time.monotonic() < end:
         votes = propose_votes(features, scan, fused, prior, threads)
         yield
@@ -234,7 +234,7 @@ def look(
     poses = refine(proposals, few.xy, features.field, sigmas=_FIRST_LOOK)
     poses = standing(poses, options.prior, features)
     poses = poses if before is None else np.concatenate((before, poses))
-    return shortlist(poses, few, features, options.fused)
+    return shortlist(poses, few, features, options)
 
 
 def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options) -> Modes:
@@ -269,7 +269,7 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
 
     fused, found = options.fused, find(options.shared)
     for _ in range(_ROUNDS):
-        fits = found.mean_score >= fused.model.best - fused.strained
+        fits = found.mean_score >= options.model.best - fused.strained
         if fits or not (found.complete and len(found.poses)):
             break
         places = np.concatenate((found.poses[:1], found.looked))

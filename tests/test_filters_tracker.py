@@ -38,6 +38,9 @@ def log() -> ScanSet:
     return ScanSet(tuple(scans), poses, np.arange(24.0), odom)
 
 
+BENT_WALLS = np.array([[0.0, 10.0], [9.0, 20.0], [0.0, 0.0], [0.0, 0.0]])
+
+
 def errors(moments, scans):
     return [
         np.inf if m.best is None
@@ -291,6 +294,26 @@ def test_walls_that_are_known_to_be_too_thick_are_thinner() -> None:
         chosen = make_filter(name, features_of(WORLD), Options(shared=Shared(1.0, 1)))
         walls = np.count_nonzero(chosen.features.grid.occupied)
         assert 0 < walls < np.count_nonzero(features_of(WORLD).grid.occupied)
+
+
+def test_bent_walls_are_found_along_the_way_and_the_belief_begins_again(monkeypatch) -> None:
+    monkeypatch.setattr("imgloc.filters.tracker.wall_evidence", lambda *_: BENT_WALLS)
+    bad = replace(Options(), fused=replace(Options().fused, strained=0.0))  # no scan fits
+    tracker = make_filter("tracker", features_of(WORLD), bad)
+    tracker.how = replace(tracker.how, walls=(2, 2.5), sure=(100.0, 100.0))  # never unique
+    carried, step = np.array([*log().poses[0, :2], 0.0]), np.array([0.5, 0.0, 0.02])
+    tracker.place(carried, (0.3, 0.1))
+    scans = iter(log().scans)
+    tracker.see(next(scans))
+    while not tracker.options.shared.bent:
+        tracker.move(step)
+        carried = compose_poses(carried, step)
+        tracker.see(next(scans))
+    assert tracker.options.shared == Shared(thinner=1, bent=0.15)
+    assert tracker.features is features_of(WORLD).thinner(1)
+    # What scans said on straight walls is forgotten: only the given pose counts, and a new search.
+    assert np.hypot(*(tracker.belief.poses[0] - carried)[:2]) < 1.0
+    assert tracker.belief.verdict != "unique"
 
 
 def test_what_particles_are_drawn_from_has_a_shared_error_once(monkeypatch) -> None:

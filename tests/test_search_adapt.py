@@ -16,7 +16,7 @@ from imgloc.options import FusedOptions, Options, Sensor, Shared
 from imgloc.output.pictures import draw
 from imgloc.output.tables import answer_text
 from imgloc.pipeline import localize
-from imgloc.search.adapt import adapt
+from imgloc.search.adapt import BENT, adapt, wall_evidence, walls_of
 from imgloc.search.refine import normal_equations, refine
 from imgloc.search.rescore import rescore
 from imgloc.simulation.scans import simulate
@@ -44,6 +44,41 @@ def thick_features():
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
     occupied = cv2.dilate(grid.occupied.astype(np.uint8), disc) > 0
     return MapFeatures(replace(grid, occupied=occupied, free=grid.free & ~occupied))
+
+
+def bent(grid):
+    """The map as somebody else draws it: each block of 2 m stands 0.2 m off, any way."""
+    occupied, rng = np.zeros_like(grid.occupied), np.random.default_rng(5)
+    for row in range(0, len(occupied), 20):
+        for column in range(0, occupied.shape[1], 20):
+            dy, dx = rng.choice([-2, 2], 2)
+            there = np.argwhere(grid.occupied[row : row + 20, column : column + 20])
+            y, x = (there + [row + dy, column + dx]).T
+            inside = (y >= 0) & (x >= 0) & (y < len(occupied)) & (x < occupied.shape[1])
+            occupied[y[inside], x[inside]] = True
+    return replace(grid, occupied=occupied, free=grid.free & ~occupied)
+
+
+def walls_in(features):
+    """What the scans of the world say together about the walls of a map."""
+    evidence = [
+        wall_evidence(features, found.readings, found.poses, Options())
+        for found in (pipeline.find_modes(features, scan, Options()) for scan in world()[1].scans)
+    ]
+    return walls_of(np.array(evidence), Shared(1.02))
+
+
+def test_scans_tell_together_what_walls_a_map_has():
+    assert walls_in(features()) == Shared(1.02)
+    assert walls_in(thick_features()) == Shared(1.02, 2)
+    assert walls_in(MapFeatures(bent(world()[0]))).bent == BENT
+
+
+def test_what_is_known_of_the_walls_is_kept_where_scans_say_no_more():
+    told = np.zeros((3, 4, 2)) + [0.0, -20.0]
+    assert walls_of(told, Shared(1.0, 7, 0.3)) == Shared(1.0, 7, 0.3)
+    told[:, 1, 0] = 4.9  # nats per scan: too few for thinner walls
+    assert walls_of(told, Shared()) == Shared()
 
 
 def away(answer, pose):
@@ -161,7 +196,7 @@ def test_what_is_known_is_where_the_search_begins():
     answer = localize(features(), scan, known)
     assert away(answer, pose) < 0.05
     assert answer.evidence.scale == 1.12
-    assert answer.parameters["shared"] == {"scale": 1.12, "thinner": 0}
+    assert answer.parameters["shared"] == vars(Shared(1.12))
 
 
 def test_time_is_that_of_all_searches(monkeypatch):

@@ -1,5 +1,6 @@
 """The deciding score against loops over readings, and what each of its terms is for."""
 
+import itertools
 import math
 
 import numpy as np
@@ -9,9 +10,9 @@ from hypothesis import strategies as st
 
 from imgloc.features.distance import distance_field, distance_image
 from imgloc.features.raycast import cast_rays
-from imgloc.options import EvidenceModel
+from imgloc.options import EvidenceModel, Options, Shared
 from imgloc.search.refine import endpoints
-from imgloc.search.rescore import rescore
+from imgloc.search.rescore import bent_evidence, hit_density, rescore
 
 RESOLUTION = 0.1
 seeds = st.integers(0, 2**32 - 1)
@@ -95,6 +96,63 @@ def test_the_score_equals_the_loops(seed, model):
     for i in range(len(poses)):
         fits = [on and not c for on, c in zip(got.on_surface[i], got.crossed[i], strict=True)]
         assert got.explained[i] == pytest.approx(sum(fits) / len(fits))
+
+
+def naive_bent(d, ranges, angles, model):
+    """Pieces of 20 degrees without a jump of 0.5 m; seven offsets up to two deviations."""
+    order = sorted(range(len(angles)), key=lambda k: angles[k])
+    pieces = [[order[0]]]
+    for before, k in itertools.pairwise(order):
+        first = angles[order[0]]
+        turned = [math.floor((angles[j] - first) / math.radians(20)) for j in (before, k)]
+        if turned[0] == turned[1] and abs(ranges[k] - ranges[before]) <= 0.5:
+            pieces[-1].append(k)
+        else:
+            pieces.append([k])
+    steps = [2 * (j - 3) / 3 for j in range(7)]
+    chances = [math.exp(-(e**2) / 2) for e in steps]
+    return sum(
+        math.log(sum(
+            c / sum(chances)
+            * math.exp(sum(naive_log_density(d[k] - e * model.bent, 1.0, model) for k in piece))
+            for e, c in zip(steps, chances, strict=True)
+        ))
+        for piece in pieces
+    )  # fmt: skip
+
+
+@given(seeds, st.sampled_from([0.05, 0.15, 0.4]))
+@settings(max_examples=20)
+def test_the_evidence_of_bent_walls_equals_the_loops(seed, bent):
+    rng, model = np.random.default_rng(seed), EvidenceModel(bent=bent)
+    angles, ranges = rng.uniform(-3, 3, 15), rng.choice([2.0, 2.3, 4.0], 15)
+    distance = rng.normal(0, 0.3, (3, 15)).astype(np.float32)
+    got = bent_evidence(distance, ranges, angles, model)
+    expected = [naive_bent(d.tolist(), ranges, angles, model) for d in distance]
+    np.testing.assert_allclose(got, expected, rtol=1e-4)
+
+
+def test_bent_walls_forgive_a_piece_that_is_off_but_not_readings_that_scatter():
+    angles, ranges = np.linspace(0, 0.3, 12), np.full(12, 3.0)
+    offs = {"none": np.zeros(12), "off": np.full(12, 0.2), "scattered": np.tile([0.2, -0.2], 6)}
+    straight, bent = EvidenceModel(), EvidenceModel(bent=0.15)
+    got = {
+        name: bent_evidence(d, ranges, angles, bent)[0] - np.log(hit_density(d, straight)).sum()
+        for name, d in ((name, d[None].astype(np.float32)) for name, d in offs.items())
+    }
+    assert got["none"] < 0
+    assert got["off"] > 5
+    assert got["scattered"] < got["off"] / 2
+
+
+def test_a_map_with_bent_walls_lets_readings_pass():
+    assert Options(shared=Shared(bent=0.2)).model == EvidenceModel(bent=0.2, absent=1.0)
+    assert Options().model == EvidenceModel()
+    wall, ranges = corridor(screen=3.0), np.full(8, 3.9)
+    angles = np.linspace(-0.05, 0.05, 8)
+    there = [score(wall, POSE, ranges, angles, EvidenceModel().bending(b)) for b in (0.0, 0.15)]
+    assert all(one.crossed.all() for one in there)
+    assert there[1].log_likelihood[0] > there[0].log_likelihood[0] + 10
 
 
 def corridor(screen=None):

@@ -143,7 +143,7 @@ def explain(
         HypothesisFit(
             given.pose,
             h,
-            explain_rays(h.pose, scan, features, options.fused.model),
+            explain_rays(h.pose, scan, features, options.model),
             float(total) / answer.evidence.readings,
             min(1.0, h.mass / max(1 - answer.elsewhere, 1e-12)),
         )

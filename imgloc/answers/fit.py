@@ -113,12 +113,12 @@ def fit_at(
     if len(readings):
         total = float(score_poses(features, readings, at, options).log_likelihood[0])
         explained = explained_rays(features, scan, at, options, Shared())
-    rays = explain_rays(Pose2D(*at[0]), scan, features, options.fused.model)
+    rays = explain_rays(Pose2D(*at[0]), scan, features, options.model)
     ends, distance = transform_points(grid.origin, rays.end), np.full(len(rays.end), np.nan)
     there = np.isfinite(ends[:, 0])
     distance[there] = np.abs(features.field.lookup(*rays.end[there].T.astype(np.float32))[0])
     return PoseFit(
-        *(pose, total, options.fused.model.best, len(readings), explained),
+        *(pose, total, options.model.best, len(readings), explained),
         bool(stands(at, Prior(), features)[0]),
         *(rays, ends, distance),
     )

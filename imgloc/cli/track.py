@@ -14,7 +14,16 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, say
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.files import display, write_text_atomic
-from imgloc.options import AllowLossy, Followed, Logs, Mounting, Options, RangeMax, Reading
+from imgloc.options import (
+    AllowLossy,
+    Followed,
+    Logs,
+    Mounting,
+    Options,
+    RangeMax,
+    Reading,
+    Shared,
+)  # fmt: skip
 from imgloc.ranges import Checked, Within, option
 from imgloc.texts import numbers, pose
 
@@ -214,18 +223,25 @@ def track(
     say(words)
     if 2 * sum(m.belief.verdict == "unique" for m in moments) < len(moments) and live is None:
         warn_of(scans, inputs.name_of(log))
-    _hint(chosen.options.shared.scale, options.shared.scale)
+    _hint(chosen.options.shared, options.shared, grid.resolution)
     if strict and moments[-1].belief.verdict != "unique":
         raise typer.Exit(NOT_UNIQUE)
 
 
-def _hint(found: float, known: float) -> None:
-    """Say so if the readings have another scale than was known."""
-    if found != known:
+def _hint(found: Shared, known: Shared, resolution: float) -> None:
+    """Warn if the readings have another scale than was known, or the map has other walls."""
+    if (found.thinner, found.bent) != (known.thinner, known.bent):
+        LOG.warning(
+            "the scans fit this map far better with walls that are %.2f m thinner on each side and "
+            "bent by %.2f m, so they were taken for that once it was clear; a map drawn from the "
+            "robot's own scans gives surer poses",
+            found.thinner * resolution, found.bent,
+        )  # fmt: skip
+    if found.scale != known.scale:
         LOG.warning(
             "the scans fit this map far better with their ranges multiplied by %.3f and were taken "
             "so once that was clear; imgloc calibrate MAP --scans LOG finds it once for all",
-            found,
+            found.scale,
         )
 
 

@@ -109,7 +109,7 @@ def sight(
     found = weigh(features, Modes(at[order], scores.select(order), seen, spread=wider), options)
     back = np.argsort(order, kind="stable")
     score = found.log_likelihood[back]
-    misfit = options.fused.model.best - score / len(seen)
+    misfit = options.model.best - score / len(seen)
     covariance = np.tile(np.diag(_UNKNOWN) ** 2, (len(poses), 1, 1))
     covariance[order[: len(found.covariance)]] = found.covariance
     lever = np.tile(np.eye(3), (len(poses), 1, 1))  # if the sensor turns, the robot moves
@@ -217,7 +217,7 @@ def _places(found: Modes) -> Places:
 def misfit_at(features: MapFeatures, view: View, poses: FloatArray, options: Options) -> float:
     """Least misfit of poses (C, 3) of the robot without moving them, nats per reading."""
     scores = score_poses(features, view.readings, view.sensor(poses), options)
-    return options.fused.model.best - float(scores.log_likelihood.max()) / len(view.readings)
+    return options.model.best - float(scores.log_likelihood.max()) / len(view.readings)
 
 
 def misfit_near(

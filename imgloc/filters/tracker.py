@@ -47,6 +47,7 @@ from imgloc.options import (
     Trust,
 )
 from imgloc.ranges import Checked
+from imgloc.search.adapt import wall_evidence, walls_of
 from imgloc.search.hypotheses import masses, separated
 
 _SURE = number("tracker.sure")  # odds of being lost, at most
@@ -88,7 +89,8 @@ class TrackerOptions(Checked):
     gate: Nats = number("TrackerOptions.gate")
     #: components nearer than this, metres and radians, are joined
     merge: tuple[Metres, Radians] = number("TrackerOptions.merge")
-    mass: Share = number("TrackerOptions.mass")  #: least mass of a ``unique`` component
+    #: least mass of a ``unique`` component: usually, and on bent walls, where scans share errors
+    mass: tuple[Share, Share] = number("TrackerOptions.mass")
     #: metres for which a component must be followed before it is ``unique``: the first one, and one
     #: that replaces another
     sure: tuple[Metres, Metres] = number("TrackerOptions.sure")
@@ -131,6 +133,9 @@ class TrackerOptions(Checked):
     #: number of scans whose median may change the scale of the readings, nats that they must gain
     #: together, and least distance of the scale from 1: as a logarithm, and in standard errors
     stretch: tuple[Count, Nats, Nats, Nats] = number("TrackerOptions.stretch")
+    #: number of searched scans that fit nowhere and tell together whether the walls are drawn too
+    #: thick, or bent; and metres with unique poses after which walls are good as they are
+    walls: tuple[Count, Metres] = number("TrackerOptions.walls")
     resets: bool = True  #: whether places that a scan finds take the lost mass: sensor resetting
 
 
@@ -213,12 +218,17 @@ class Tracker:
         self._way, self._since = 0.0, 0.0  # metres since the last scan, and since one agreed
         self._unsearched, self._pause = 0.0, self.how.search[0]  # metres
         self._habits, self._scales = Habits(), list[tuple[float, float]]()
+        self._drawn, self._walls = features, list[FloatArray]()
+        self._trusted = 0.0  # metres driven with a unique pose
+        # The given pose and its covariance, carried by odometry alone: (1, 3) and (1, 3, 3).
+        self._begun: tuple[FloatArray, FloatArray] | None = None
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
         """Start at a pose (3,), grid frame, with standard deviations in metres and radians."""
         metres, radians = deviation
         self._poses = np.array(pose, dtype=np.float64).reshape(1, 3)
         self._covariance = np.diag([metres, metres, radians])[None] ** 2
+        self._begun = self._poses.copy(), self._covariance.copy()
         self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
         self._unique = self._searching = None
         self._agreed = self.how.agree[0] - 1  # one scan has to agree with the given pose
@@ -231,6 +241,8 @@ class Tracker:
             self._poses, self._covariance, increment, noise
         )
         self._habits.move(increment)
+        if self._begun is not None:
+            self._begun = move_gaussians(*self._begun, increment, noise)
         if self._searching is not None:
             self._searching.move(increment)
         metres = float(way_of(increment)[0])
@@ -238,6 +250,7 @@ class Tracker:
         self._way, self._since = self._way + metres, self._since + metres
         if self._unique is not None:
             pose, ago = self._unique
+            self._trusted += metres if ago == 0 else 0.0
             self._unique = compose_poses(pose, increment), ago + metres
 
     def miss(self, seconds: float) -> None:
@@ -352,6 +365,9 @@ class Tracker:
         contradicted = known > 0 and self._unsurprised(view, habit) is None
         strange = contradicted or self._habits.doubted or self._lost > how.known
         found = self._search(scan, view, strange=strange, at_once=driven >= how.later)
+        if len(found.poses) and self._judge_walls(view, found.poses):
+            found = self._search(scan, view, strange=True)
+            known = len(self._poses)
         near = settled(self.features, view, self._poses, self._covariance)
         poses = np.concatenate((self._poses, near, found.poses))
         spread = np.concatenate((np.zeros((2 * known, 3, 3)), found.spread))
@@ -389,7 +405,8 @@ class Tracker:
         if how.resets or not known:
             self._bear(seen, 2 * known, relative)
         self._tidy()
-        agrees = (self._mass[:1] >= how.mass).any()
+        least = how.mass[self.options.shared.bent > 0]
+        agrees = (self._mass[:1] >= least).any()
         enough = len(view.readings) >= how.agree[1]
         self._agreed = self._agreed + enough if agrees else 0
         self._dark &= self._agreed < how.agree[0]
@@ -397,7 +414,7 @@ class Tracker:
             self._since = 0.0
         if len(self._mass):
             habit.learn(misfit_at(self.features, view, self._poses[:1], self.options))
-            alone = self._lost < 0.5 and self._mass[0] >= how.mass * self._mass.sum()
+            alone = self._lost < 0.5 and self._mass[0] >= least * self._mass.sum()
             if alone:
                 self._stretch(view, fits=habit.last <= self.options.fused.strained)
         self._remember()
@@ -427,6 +444,40 @@ class Tracker:
             return NO_PLACES
         found = begun.places(how.births)
         return Places(settled(self.features, view, found.poses), found.spread)
+
+    def _judge_walls(self, view: View, poses: FloatArray) -> bool:
+        """Take the walls for thinner or for bent if some scans together fit far better so.
+
+        Returns whether it did. `poses` (C, 3) are places of the robot that a search found. Once
+        poses were unique for some metres, the walls are good enough as they are.
+        """
+        shared, options = self.options.shared, self.options
+        if self._trusted >= self.how.walls[1] or shared.bent:
+            return False
+        if misfit_at(self.features, view, poses, options) <= options.fused.strained:
+            return False
+        at = view.sensor(poses)
+        self._walls.append(wall_evidence(self._drawn, view.readings, at, options))
+        del self._walls[: -self.how.walls[0]]
+        if len(self._walls) < self.how.walls[0]:
+            return False
+        judged = walls_of(np.array(self._walls), shared)
+        if judged == shared:
+            return False
+        self.features = self._drawn.thinner(judged.thinner)
+        self.options = replace(options, shared=judged)
+        self._find, self._walls = None, []  # what replaces the search knows the old walls
+        self._begin_again()
+        return True
+
+    def _begin_again(self) -> None:
+        """Forget what scans said: only a given pose counts, where odometry has carried it."""
+        self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
+        self._mass, self._followed, self._lost = np.empty(0), np.empty(0), 1.0
+        if self._begun is not None:
+            self._poses, self._covariance = self._begun
+            self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
+        self._unique, self._agreed = None, 0
 
     def _steps(self, scan: LaserScan) -> Generator[None, None, Places]:
         """Search a scan: pause after each step, but not if a function replaces the search."""

@@ -27,7 +27,8 @@ _MOST = 1 << 20  # bytes; what is longer is not such a file
 _UNUSABLE = (ValueError, ConfigError, OutputError)
 _METHOD = dict.fromkeys(vars(Calibration()), float)
 _KIND = {
-    "map_hash": str, "methods": {str: _METHOD}, "shared?": dict.fromkeys(vars(Shared()), float),
+    "map_hash": str, "methods": {str: _METHOD},
+    "shared?": {"scale": float, "thinner": float, "bent?": float},
 }  # fmt: skip
 
 
@@ -127,7 +128,7 @@ def _read(file: Path, grid: OccupancyGrid) -> tuple[dict[str, Calibration], Any,
         name: Calibration(**{key: float(values[key]) for key in _METHOD})
         for name, values in methods.items()
     }
-    shared = Shared(float(known["scale"]), int(known["thinner"]))
+    shared = Shared(float(known["scale"]), int(known["thinner"]), float(known.get("bent", 0.0)))
     return found, content.get("about"), shared
 
 

@@ -6,6 +6,8 @@ readings together. If nothing fits well, the poses are refined once more with su
 The error is kept if the readings fit far better with it.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
@@ -14,14 +16,74 @@ from imgloc.model import FloatArray
 from imgloc.numbers import number
 from imgloc.options import Options, Shared
 from imgloc.search.priors import standing
-from imgloc.search.refine import refine
-from imgloc.search.rescore import rescore
+from imgloc.search.refine import endpoints, refine
+from imgloc.search.rescore import bent_evidence, hit_density, rescore
 
 _SIGMAS = number("adapt.sigmas")
 THINNEST: int = number("adapt.thinner")
 """Cells that walls may lose on each side."""
 _SCALES = number("adapt.scales")  # factors from which the search for a scale starts
+_THINNER: int = number("adapt.walls")  # cells that walls are tried to lose on each side
+_GAIN = number("adapt.gain")  # nats per scan that thinner walls have to gain
+BENT: float = number("adapt.bent")
+"""Standard deviation of the place of a piece of wall, metres, on a map that is bent."""
 _PLACES, _READINGS = number("adapt.places"), number("adapt.readings")  # how many are used
+
+
+def wall_evidence(
+    features: MapFeatures, readings: Readings, places: FloatArray, options: Options
+) -> FloatArray:
+    """Find how much one scan speaks for walls that are too thick, or bent.
+
+    Summed over scans it tells a map that others drew from the robot's own, even where no scan fits
+    at one place: each scan is placed where it fits best, for each kind of walls anew.
+
+    Parameters
+    ----------
+    features : MapFeatures
+        The map without any correction.
+    readings : Readings
+        Readings of the scan.
+    places : (C, 3) float array, C > 0
+        Poses to start from, grid frame: metres, metres, radians.
+    options : Options
+        Possible poses and the score.
+
+    Returns
+    -------
+    (T, 2) float array
+        Nats of the best pose, with walls that are 0 to T - 1 cells thinner, straight and bent.
+    """
+    out = np.full((_THINNER + 1, 2), -np.inf)
+    for n in range(_THINNER + 1 if features.peels else 1):
+        there = features.thinner(n)
+        poses = refine(places[:_PLACES], readings.xy, there.field, sigmas=_SIGMAS)
+        poses = standing(poses, options.prior, there)
+        if len(poses):
+            model = options.fused.model.bending(BENT)
+            distance = endpoints(poses, readings.xy, there.field)[2]
+            out[n, 0] = np.log(hit_density(distance, model)).sum(axis=1, dtype=np.float64).max()
+            out[n, 1] = bent_evidence(distance, readings.ranges, readings.angles, model).max()
+    return out
+
+
+def walls_of(evidence: FloatArray, now: Shared) -> Shared:
+    """The walls that scans with this :func:`wall_evidence` (N, T, 2) speak for together.
+
+    How thick walls are, straight ones tell: the offset of a bent wall may stand for its thickness.
+
+    Examples
+    --------
+    >>> thick, bent = [[0.0, -20], [30, 10]], [[0.0, 20], [-5, 15]]
+    >>> walls_of(np.array([thick, thick]), Shared()), walls_of(np.array([bent]), Shared())
+    (Shared(scale=1.0, thinner=1, bent=0.0), Shared(scale=1.0, thinner=0, bent=0.15))
+    """
+    straight, bent = np.mean(evidence, axis=0).T
+    n, now_at = int(np.argmax(straight)), min(now.thinner, len(straight) - 1)
+    if straight[n] - straight[now_at] <= _GAIN:
+        n = now_at
+    thinner = now.thinner if n == now_at else n
+    return replace(now, thinner=thinner, bent=BENT if bent[n] > straight[n] else now.bent)
 
 
 def adapt(
@@ -57,7 +119,7 @@ def adapt(
 
     def score_of(poses: FloatArray, there: MapFeatures) -> FloatArray:
         seen = readings.ranges, readings.angles, there.field, there.walls
-        return rescore(poses, *seen, fused.model).log_likelihood
+        return rescore(poses, *seen, options.model).log_likelihood
 
     def best(poses: FloatArray, thinner: int) -> tuple[float, Shared]:
         there = features.thinner(thinner)
@@ -69,7 +131,7 @@ def adapt(
             return float("-inf"), now
         score = score_of(poses[small], there)
         k = int(score.argmax())
-        return float(score[k]), Shared(float(scale[small][k]), thinner)
+        return float(score[k]), replace(now, scale=float(scale[small][k]), thinner=thinner)
 
     # A reading that is too long ends behind its wall: refinement pulls it to the wall's far side.
     places = places[:_PLACES]

@@ -60,4 +60,4 @@ def separate(
 
 def misfit_of(scores: Scores, n: int, options: Options) -> float:
     """Misfit of the best of some scores by `n` readings, nats per reading."""
-    return options.fused.model.best - float(scores.log_likelihood.max(initial=-np.inf)) / n
+    return options.model.best - float(scores.log_likelihood.max(initial=-np.inf)) / n

@@ -10,20 +10,32 @@ where d is that distance and h the share of readings that come from mapped surfa
 1 before a wall. Beyond it o is the chance that the wall has gone, or is drawn that far from its
 true place. As in eq. 2, too short a reading is no surprise, and too long a reading is one. A sharp
 and a wide sigma make the score sharp where map and scan agree, and forgiving where the map is old.
+
+The walls of a map that others drew may stand some decimetres off, each piece by itself. All
+readings of a piece then share one offset e ~ N(0, bent), which is summed out::
+
+    p(piece | x) = sum_e p(e) prod_rho (h mean_s N(d - e; 0, sigma_s) + (1 - h) / span)
 """
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import logsumexp
 
 from imgloc.features.distance import DistanceField
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import Readings
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
-from imgloc.options import EvidenceModel, FusedOptions, Options
+from imgloc.numbers import number
+from imgloc.options import EvidenceModel, Options
 from imgloc.search.hypotheses import first_in_cell, modes
 from imgloc.search.refine import endpoints
+
+# A piece of wall: radians that it is seen under, and metres between two neighbours that part it.
+_PIECE: tuple[float, float] = number("rescore.piece")
+# Offsets that stand for all: how many, and the farthest, standard deviations.
+_OFFSETS: tuple[int, float] = number("rescore.offsets")
 
 
 @dataclass(frozen=True)
@@ -70,15 +82,19 @@ def rescore(
     """
     density, distance = _endpoint_density(poses, ranges, angles, field, model)
     margin = model.margin + field.resolution / 2
-    if poses.shape[1] == 4:
-        ranges = ranges * poses[:, 3:]
-    reach = np.maximum(ranges - margin, 1e-3)
+    far = ranges * poses[:, 3:] if poses.shape[1] == 4 else ranges
+    reach = np.maximum(far - margin, 1e-3)
     psi = poses[:, 2:3] + angles
     seen = cast_rays(walls, poses[:, None, :2], psi, reach, field.resolution)
-    beyond = np.maximum(ranges - seen - margin, 0).astype(np.float32)  # 0 where nothing is met
+    beyond = np.maximum(far - seen - margin, 0).astype(np.float32)  # 0 where nothing is met
     shifted = np.exp(-np.square(beyond / np.float32(model.displaced)))
-    density *= np.float32(model.absent) + np.float32(1 - model.absent) * shifted
-    log_likelihood = np.log(density).sum(axis=1, dtype=np.float64)
+    if model.bent:
+        kept = model.absent + (1 - model.absent) * shifted
+        log_likelihood = bent_evidence(distance, ranges, angles, model)
+        log_likelihood += np.log(kept).sum(axis=1, dtype=np.float64)
+    else:
+        density *= np.float32(model.absent) + np.float32(1 - model.absent) * shifted
+        log_likelihood = np.log(density).sum(axis=1, dtype=np.float64)
     on_surface = np.abs(distance) < 2 * max(model.sigmas)
     return Scores(log_likelihood, on_surface, shifted < model.absent)
 
@@ -87,7 +103,7 @@ def score_poses(
     features: MapFeatures, readings: Readings, poses: FloatArray, options: Options
 ) -> Scores:
     """Score poses in the grid frame, (C, 3) or with a scale (C, 4), by readings of a scan."""
-    ranges, angles, model = readings.ranges, readings.angles, options.fused.model
+    ranges, angles, model = readings.ranges, readings.angles, options.model
     return rescore(poses, ranges, angles, features.field, features.walls, model)
 
 
@@ -116,8 +132,49 @@ def hit_density(distance: Float32Array, model: EvidenceModel) -> Float32Array:
     return density
 
 
+def bent_evidence(
+    distance: Float32Array, ranges: FloatArray, angles: FloatArray, model: EvidenceModel
+) -> FloatArray:
+    """Evidence (C,) of endpoints alone if each piece of wall is displaced by itself, nats.
+
+    Parameters
+    ----------
+    distance : (C, N) float32 array
+        Signed distance of each endpoint from its surface, metres.
+    ranges, angles : (N,) float arrays
+        The readings, metres and radians. Neighbours are on one piece of wall unless their ranges
+        jump or the piece would be seen under a wide angle.
+    model : EvidenceModel
+        The density of a reading, and the standard deviation of the place of a piece.
+
+    Examples
+    --------
+    Four readings that are all 0.2 m off cost less on a bent map:
+
+    >>> off, ranges, angles = np.full((1, 4), 0.2, np.float32), np.ones(4), np.arange(4) / 100
+    >>> straight = np.log(hit_density(off, EvidenceModel())).sum()
+    >>> bool(bent_evidence(off, ranges, angles, EvidenceModel(bent=0.15))[0] > straight)
+    True
+    """
+    (angle, jump), (count, farthest) = _PIECE, _OFFSETS
+    order = np.argsort(angles, kind="stable")
+    turned, far = angles[order], np.abs(np.diff(ranges[order])) > jump
+    wide = np.diff(np.floor((turned - turned[0]) / angle)) > 0
+    parts = np.flatnonzero(np.append(True, far | wide))
+    ends, offsets = distance[:, order], np.linspace(-farthest, farthest, count)
+    chance = np.exp(-np.square(offsets) / 2)
+    logs = np.stack([
+        np.log(p) + np.add.reduceat(
+            np.log(hit_density(ends - np.float32(offset * model.bent), model)), parts,
+            axis=1, dtype=np.float64,
+        )
+        for offset, p in zip(offsets, chance / chance.sum(), strict=True)
+    ])  # fmt: skip
+    return np.asarray(logsumexp(logs, axis=0).sum(axis=1))
+
+
 def shortlist(
-    poses: FloatArray, readings: Readings, features: MapFeatures, options: FusedOptions
+    poses: FloatArray, readings: Readings, features: MapFeatures, options: Options
 ) -> tuple[FloatArray, FloatArray]:
     """Choose the poses that get the second look, by a score with few readings.
 
@@ -125,16 +182,17 @@ def shortlist(
     they share a place: (L, 3), the best places first, and their scores (L,) in nats. If refinement
     has brought poses together, the one whose readings end nearest to walls stands for all.
     """
-    ranges, angles, field, model = readings.ranges, readings.angles, features.field, options.model
+    fused, model, field = options.fused, options.model, features.field
+    ranges, angles = readings.ranges, readings.angles
     density = _endpoint_density(poses, ranges, angles, field, model)[0]
     ends = np.log(density).sum(axis=1, dtype=np.float64)
     order = np.argsort(-ends, kind="stable")
-    poses = poses[np.sort(order[first_in_cell(poses[order], *options.same)])]
+    poses = poses[np.sort(order[first_in_cell(poses[order], *fused.same)])]
     score = rescore(poses, ranges, angles, field, features.walls, model).log_likelihood
     best, close = (
         modes(poses, score, distance=distance, angle=angle, most=most)
         for (distance, angle), most in (
-            (options.twins, options.second_look), (options.same, options.closer)
+            (fused.twins, fused.second_look), (fused.same, fused.closer)
         )
     )  # fmt: skip
     both = np.concatenate((best, np.setdiff1d(close, best)))

@@ -40,7 +40,7 @@ class Weighed:
 def nothing(options: Options, complete: bool = True) -> Weighed:
     """The result of a search that found no pose."""
     none = np.empty(0)
-    fit = Evidence(best=options.fused.model.best)
+    fit = Evidence(best=options.model.best)
     return Weighed(np.empty((0, 3)), none, none, np.empty((0, 3, 3)), fit, complete=complete)
 
 
@@ -62,7 +62,7 @@ def weigh(
     score = found.scores.log_likelihood
     share = masses(score, fit.temperature.value)
     listed = found.poses[: options.listed(share)]
-    sigma = 2 * min(options.fused.model.sigmas)
+    sigma = 2 * min(options.model.sigmas)
     covariance = covariances_of(there, listed, found.readings.xy, options, sigma)
     if found.spread is not None:
         covariance = covariance + _MAXIMA * found.spread[: len(listed)]
@@ -74,7 +74,7 @@ def evidence_of(
     features: MapFeatures, readings: Readings, scores: Scores, options: Options
 ) -> Evidence:
     """How well the best of some poses fits: misfit, temperature and the nats gained."""
-    n, model = len(readings), options.fused.model
+    n, model = len(readings), options.model
     misfit = misfit_of(scores, n, options)
     temperature = options.trust.temperature_at(misfit, n, features.grid.resolution)
     unmapped = unmapped_score(readings.xy, model)

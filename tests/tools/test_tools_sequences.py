@@ -19,7 +19,7 @@ from imgloc.options import Options
 from imgloc.pipeline import prepare
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
-from tools import blackouts, drive, sequences
+from tools import blackouts, drive, old_maps, sequences
 
 ANGLES = np.deg2rad(np.arange(-180, 180, 4.0))
 
@@ -147,3 +147,21 @@ def test_moments_of_a_blackout_are_counted() -> None:
     assert list(counts.values()) == [1, 7, 1, 1, 1, 2, 1.5]
     assert (row["found"], row["published"]) == (1.0, 1.0)
     assert row["inside"] == pytest.approx(4 / 7)
+
+
+def test_old_maps_have_a_row_for_the_true_start_and_one_for_starts_from_anywhere(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scans = with_odometry(load_scans(folder / "scans.npz"))[0]
+    old = folder.parent / "old"
+    old.mkdir()
+    (old / "map.yaml").write_text((folder / "map.yaml").read_text())
+    (old / "map.png").write_bytes((folder / "map.png").read_bytes())
+    save_scans(old / "scans.npz", scans)
+    monkeypatch.setattr(sys, "argv", ["old_maps", str(old), "--starts", "2"])
+    assert old_maps.main() == 0
+    head, _, true, anywhere = capsys.readouterr().out.splitlines()
+    assert head == f"| {old_maps.HEAD} |"
+    assert true.split(" | ")[1:3] == ["true", "1.00"]
+    assert anywhere.split(" | ")[1] == "2 from anywhere"
+    assert anywhere.endswith("| 0 of 0 |")  # no run is 30 m long

@@ -1,0 +1,99 @@
+"""Is a robot found, and kept, on a map that others drew long ago? The tracker along recorded logs.
+
+Run it with the folders of sets, each with ``map.yaml`` and ``scans.npz`` (poses, odometry, and the
+number of its log for each scan)::
+
+    python -m tools.old_maps ../data/wean --starts 8
+
+It prints a row for each log from its true start, and a row for starts spread over it from anywhere.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from imgloc import Options, ScanSet, load_map, load_scans, make_filter
+from imgloc.filters.belief import Filter
+from imgloc.filters.follow import robot_poses
+from imgloc.lab.sequences import Run, Searches, drive, driven, from_starts
+from imgloc.model import Pose2D
+from imgloc.options import Every
+from imgloc.pipeline import prepare
+from tools.script import at_least_one, ended, parser_of, table_lines
+
+RIGHT = 1.0  # metres
+FOUND = 30.0  # metres driven after which a robot should be found
+PIECE = 35.0  # metres of a run from anywhere
+HEAD = "log | start | within 1 m | unique | unique and wrong | right after 30 m"
+
+
+@dataclass(frozen=True)
+class Row:
+    """What became of some runs."""
+
+    log: str
+    start: str
+    runs: list[Run]
+
+    @property
+    def cells(self) -> Iterator[str]:
+        """The cells of a table."""
+        near = np.concatenate([run.error[:, 0] <= RIGHT for run in self.runs])
+        unique = np.concatenate([run.unique > 0 for run in self.runs])
+        last = [run.error[run.metres >= FOUND, 0] for run in self.runs]
+        found = [errors[0] <= RIGHT for errors in last if len(errors)]
+        yield from (self.log, self.start, f"{near.mean():.2f}", f"{unique.mean():.2f}")
+        yield f"{np.count_nonzero(unique & ~near)} of {len(near)}"
+        yield f"{sum(found)} of {len(found)}"
+
+
+def logs_of(folder: Path) -> Iterator[tuple[str, ScanSet]]:
+    """The logs of a set, each with its name."""
+    scans = load_scans(folder / "scans.npz")
+    with np.load(folder / "scans.npz") as file:
+        number = file["log"] if "log" in file.files else np.zeros(len(scans), int)
+    for one in np.unique(number):
+        yield f"{folder.name} {one}", scans.take(np.flatnonzero(number == one).tolist())
+
+
+def rows_of(folder: Path, starts: int) -> Iterator[Row]:
+    """The rows of a set."""
+    features, options = prepare(load_map(folder / "map.yaml"), folder.name), Options()
+    for name, scans in logs_of(folder):
+
+        def make() -> Filter:
+            return make_filter("tracker", features, options)
+
+        poses = robot_poses(scans)
+        known = Searches(features, options)  # its clock; the tracker searches by itself
+        if poses is not None:
+            begin = Pose2D(*poses[0])
+            yield Row(name, "true", [drive(features, scans, make, Every(), known, start=begin)])
+        last = int(np.searchsorted(driven(scans), max(0.0, driven(scans)[-1] - FOUND - 2)))
+        at = np.linspace(0, last, starts).astype(int).tolist()
+        pieces = from_starts(scans, at, PIECE)
+        runs = [drive(features, piece, make, Every(), known) for piece in pieces]
+        yield Row(name, f"{starts} from anywhere", runs)
+
+
+def main() -> int:
+    """Print the table."""
+    parser = parser_of("tools.old_maps", __doc__)
+    parser.add_argument("folders", nargs="+", type=Path, help="with map.yaml and scans.npz")
+    parser.add_argument("--starts", type=int, default=8, help="from anywhere, in each log")
+    given = parser.parse_args()
+
+    def work() -> int:
+        at_least_one(starts=given.starts)
+        rows = (row.cells for folder in given.folders for row in rows_of(folder, given.starts))
+        for line in table_lines(HEAD, rows):
+            print(line, flush=True)
+        return 0
+
+    return ended("tools.old_maps", work)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
