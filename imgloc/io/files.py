@@ -26,6 +26,18 @@ def display(path: PathLike | bytes) -> str:
     return printable(os.fsencode(path).decode("utf-8", "backslashreplace"), keep="")
 
 
+def map_name(path: PathLike) -> str:
+    """Return the name of a map for people: that of its folder if the file is just called map.
+
+    Examples
+    --------
+    >>> map_name("maps/attic.yaml"), map_name("cellar/map.yaml")
+    ('attic', 'cellar')
+    """
+    file = Path(path)
+    return display((file.stem == "map" and file.absolute().parent.name) or file.stem)
+
+
 @contextlib.contextmanager
 def open_file(
     path: PathLike, *, limit: int, error: type[ImglocError], what: str

@@ -52,7 +52,7 @@ def alignment_text(row: Mapping[str, Any]) -> str:
         lines += [
             f"  pose       {_pose(row)}",
             f"  walls      {agree} agree: {row['agreeing_m']:.0f} m, against {against}",
-            f"  residual   {row['residual']:.3f} m; walls of B are {row['thicker']:+.2f} m thicker",
+            f"  residual   {row['residual']:.3f} m; {_thickness(row['thicker'])}",
             f"  bend       {row['bend']:.2f} m: by so much the maps deform against each other",
             f"  overlap    {100 * row['overlap']:.0f} % of the smaller map's free space",
         ]
@@ -65,6 +65,13 @@ def alignment_text(row: Mapping[str, Any]) -> str:
     if (scans := row.get("scans")) is not None:
         lines += _scans_text(scans)
     return "\n".join(lines)
+
+
+def _thickness(metres: float) -> str:
+    """What the walls of B are beside those of A."""
+    if abs(metres) < 0.005:
+        return "walls of both are as thick"
+    return f"walls of B are {abs(metres):.2f} m {'thicker' if metres > 0 else 'thinner'}"
 
 
 def _pose(row: Mapping[str, Any]) -> str:

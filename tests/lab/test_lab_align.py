@@ -10,6 +10,7 @@ from command import MAPS, call
 
 from imgloc.errors import ConfigError, MapError
 from imgloc.geometry import rotation, transform_poses
+from imgloc.io.files import map_name
 from imgloc.io.maps import load_map, save_map
 from imgloc.lab.align import ScanAlignment, align_maps, align_scans, differences
 from imgloc.lab.aligned import ONLY_A, ONLY_B, draw_alignment, moved_text, read_poses
@@ -293,3 +294,16 @@ def test_scans_are_located_in_both(tmp_path):
     assert row["scans"]["pose"]["theta"] == pytest.approx(truth.theta, abs=0.01)
     text = call("map", "align", "visibility", tmp_path / "b.yaml", "--scans", scans).out
     assert "walls and scans differ by 0.0" in text
+
+
+def test_the_picture_and_the_words_name_maps_that_are_called_map_by_their_folders(tmp_path):
+    for name in ("first", "second"):
+        (tmp_path / name).mkdir()
+        for ending in (".yaml", ".png"):
+            text = (MAPS / f"curved{ending}").read_bytes().replace(b"curved.png", b"map.png")
+            (tmp_path / name / f"map{ending}").write_bytes(text)
+    one, other = (tmp_path / name / "map.yaml" for name in ("first", "second"))
+    done = call("map", "align", one, other, "--picture", tmp_path / "p.png")
+    assert done.code == 0, done
+    assert "walls of both are as thick" in done.out
+    assert (map_name(one), map_name(other)) == ("first", "second")

@@ -8,7 +8,7 @@ import typer
 from imgloc.cli import options as opt
 from imgloc.cli.console import NOT_UNIQUE, emit, progress, say
 from imgloc.errors import ConfigError
-from imgloc.io.files import display, write_text_atomic
+from imgloc.io.files import display, map_name, write_text_atomic
 from imgloc.options import AllowLossy, Chosen, Logs, Mounting, Options, RangeMax, Reading
 from imgloc.ranges import Option, option
 
@@ -101,7 +101,7 @@ def align(
         row["scans"] = by_scans.as_row() | differences(found, by_scans)
     written = [] if picture is None else [picture]
     if picture is not None:
-        names = [display(path.stem) for path in (a_path, b_path)]
+        names = [map_name(path) for path in (a_path, b_path)]
         draw_alignment(grids[0], grids[1], found, names).save(picture, force=force)
     sure = found.verdict == "unique"
     if sure and poses is not None and out is not None:

@@ -10,7 +10,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.command import Given, Without
 from imgloc.cli.console import emit, width
 from imgloc.errors import ConfigError
-from imgloc.io.files import display
+from imgloc.io.files import map_name
 from imgloc.options import (
     ALL_METHODS,
     FILTERS,
@@ -159,8 +159,7 @@ def evaluate(
     ]
     table: list[dict[str, Any]] = []
     for k, path in enumerate(map(opt.find_map, maps)):
-        # The folder of a map.yaml says more than its name.
-        name = display((path.stem == "map" and path.parent.name) or path.stem)
+        name = map_name(path)
         item = inputs.item_of(path, None if scans is None else scans[k], name)
         desk = inputs.desk_of(taken.threads, taken.memory_budget)
         # All of them are opened before the first one takes its time.

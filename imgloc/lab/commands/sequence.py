@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress, width
-from imgloc.io.files import display
+from imgloc.io.files import display, map_name
 from imgloc.options import Mounting, Options, Reading
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def measure_sequences(
     plain = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     for given, log in zip(maps, logs, strict=True):
         path = opt.find_map(given)
-        name = display((path.stem == "map" and path.parent.name) or path.stem)
+        name = map_name(path)
         desk = inputs.desk_of(taken.threads, taken.memory_budget)
         read = inputs.one_map(reading, allow_lossy=allow_lossy)
         grid = desk.grid(path, read, usable=True)
