@@ -181,7 +181,7 @@ def test_what_is_known_and_what_was_calibrated_counts(
         assert whole(answer.as_row()) == whole(
             imgloc.localize(site.features, scans[0], expected).as_row()
         )
-        assert answer.parameters["shared"] == {"scale": 1.01, "thinner": 0}
+        assert answer.parameters["shared"] == vars(Shared(1.01))
         votes = core.localize(scans[0], options=Options("ght")).value
         assert votes.parameters["calibration"]["temperature"] == 0.2
         own = core.localize(scans[0], options=Options(shared=Shared(0.98))).value

@@ -14,7 +14,7 @@
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -98,6 +98,7 @@ def fit_at(
     expect(features, MapFeatures, "features")
     expect(scan, LaserScan, "scan")
     shared = options.shared if shared is None else shared
+    options = replace(options, shared=shared)
     scan, grid = scan.scaled(shared.scale), features.grid
     features = features.thinner(shared.thinner)
     local = in_grid_frame(pose, grid)

@@ -53,7 +53,7 @@ from imgloc.live.requests import Bounds, map_of, marked_of, scans_of, taken
 from imgloc.live.sites import Site
 from imgloc.live.static import page_files
 from imgloc.model import LaserScan, Likelihood, OccupancyGrid, Pose2D, plain, to_json
-from imgloc.options import FUSED, RADIUS, TOLERANCE, Chosen, Known, Prior, Shared
+from imgloc.options import FUSED, RADIUS, TOLERANCE, Chosen, Known, Prior
 from imgloc.output.rows import answer_row, moment_row
 from imgloc.pipeline import prepare
 from imgloc.search.asked import answer_bytes
@@ -581,10 +581,11 @@ class Service:
             raise ConfigError(f"index: got {len(chosen)} scans, expected one")
         scan, grid = taken(scans[chosen[0]], values), site.features.grid
         options, thinner = site.options(self.core.options), values["thinner"]
-        shared = Shared(
-            options.shared.scale if values["scale"] is None else values["scale"],
-            options.shared.thinner if thinner is None else round(thinner / grid.resolution),
-        )
+        given: dict[str, Any] = {"scale": values["scale"]}
+        if thinner is not None:
+            given["thinner"] = round(thinner / grid.resolution)
+        given = {name: value for name, value in given.items() if value is not None}
+        shared = replace(options.shared, **given)
         if shared.thinner > 0 and not site.features.peels:
             raise ConfigError("thinner: the map is too large to make its walls thinner, expected 0")
         pose, begin = Pose2D(*values["pose"]), time.perf_counter()

@@ -10,7 +10,7 @@ from command import MAPS, call, rows
 
 from imgloc.io.calibration import load_calibrations
 from imgloc.io.maps import load_map
-from imgloc.options import DEFAULTS
+from imgloc.options import DEFAULTS, Shared
 
 QUICK = ("--method", "ght-v", "-n", 20, "--rays", 61, "--theta-step-deg", 15, "--cell", 0.2,
          "--threads", 1)  # fmt: skip
@@ -163,7 +163,7 @@ def test_recorded_scans_say_what_error_they_share(office: Path) -> None:
     # What is simulated in the map as it is has no such error.
     quick = ("-n", 1, "--rays", 121, "--method", "fused", "--json", *longer)
     (row,) = rows(call("evaluate", office, *quick).out)
-    assert row["parameters"]["shared"] == {"scale": 1.0, "thinner": 0}
+    assert row["parameters"]["shared"] == vars(Shared())
     assert (
         call("localize", office, scans, "--scans-index", 0).code == 0
     )  # of another resolution: unused
