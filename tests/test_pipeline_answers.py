@@ -323,7 +323,7 @@ def test_parameters_of_a_stack_do_not_say_what_it_does_not_use():
     shared = Shared(1.05, 2)
     assert "shared" not in localize(features, scan, Options("ght-v", shared=shared)).parameters
     said = localize(features, scan, Options(shared=shared)).parameters["shared"]
-    assert said == {"scale": 1.05, "thinner": 2}
+    assert said == vars(shared)
 
 
 @pytest.mark.parametrize("method", ["fused", "cbml"])

@@ -324,7 +324,7 @@ def test_two_layers_of_a_wall_have_a_maximum_each():
     poses = np.array([[6.0, 5.0, 1.0], [6.05, 5.0, 1.0], [6.051, 5.0, 1.0], [3.0, 5.0, 1.0]])
     readings = Readings(scan.ranges[scan.valid][::3], scan.angles[scan.valid][::3])
     for closer, expected in ((0, 2), (40, 3)):
-        options = dataclasses.replace(OPTIONS, closer=closer)
+        options = Options(fused=dataclasses.replace(OPTIONS, closer=closer))
         kept, score = shortlist(poses, readings, features, options)
         assert len(kept) == expected
         seen = (readings.ranges, readings.angles, features.field, features.walls)
