@@ -124,13 +124,14 @@ def _by_scans(
     desk: "Desk", paths: tuple[Path, Path], maps: "MapFiles", scans: Path, files: "ScanFiles"
 ) -> "ScanAlignment":
     """Locate scans in both maps."""
+    from imgloc.features.scanpoints import evenly
     from imgloc.lab.align import align_scans
     from imgloc.pipeline import localize
 
     held = desk.scans(scans, files)
     some = list(held.scans.scans)
-    if files.chosen == Chosen() and len(some) > _SCANS:
-        some = [some[k * (len(some) - 1) // (_SCANS - 1)] for k in range(_SCANS)]
+    if files.chosen == Chosen():
+        some = [some[k] for k in evenly(len(some), _SCANS).tolist()]
     answers = []
     with progress("locate", 2 * len(some)) as advance:
         for path in paths:

@@ -44,6 +44,7 @@ def changes(
     300 are taken, evenly spread, unless --scans-index or --sample chooses.
     """
     from imgloc.cli import inputs
+    from imgloc.features.scanpoints import evenly
     from imgloc.io.calibration import calibrated
     from imgloc.io.maps import save_map
     from imgloc.lab.changes import map_changes, sure_poses
@@ -64,8 +65,8 @@ def changes(
     some = []
     for path in scans_paths:
         held = list(desk.scans(path, files).scans.scans)
-        if chosen == Chosen() and len(held) > _SCANS:
-            held = [held[k * (len(held) - 1) // (_SCANS - 1)] for k in range(_SCANS)]
+        if chosen == Chosen():
+            held = [held[k] for k in evenly(len(held), _SCANS).tolist()]
         some += held
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     options = calibrated(options, map_path, grid)
