@@ -1,5 +1,6 @@
 """What users mix up, through the command: one line that names the cause and what mends it."""
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -150,3 +151,59 @@ def test_a_prior_off_the_map_and_a_missing_image_are_named(scans: Path, tmp_path
     assert run.code == 3
     assert "gone.png: no such file; " in run.err
     assert "m.yaml names it as its image" in run.err
+
+
+def lines_of(scans: Path, count: int) -> list[str]:
+    """JSON lines of the first of some scans, with its pose."""
+    scan, pose = load_scans(scans)[0], load_scans(scans).poses[0].tolist()
+    line = {"ranges": scan.ranges.tolist(), "angles": scan.angles.tolist(), "range_max": 10}
+    return [json.dumps(line | {"pose": pose})] * count
+
+
+def test_evaluate_says_at_once_how_scans_are_given(scans: Path) -> None:
+    run = call("evaluate", "curved", scans)
+    assert (run.code, run.out) == (2, "")
+    assert f"{scans} is a file of scans, expected a map: pass --scans {scans}" in run.err
+    assert call("evaluate", "curved", "--scans", scans, "--method", "fused").code == 0
+    run = call("evaluate", "curved", "gone.yaml", "-n", "100000")
+    assert (run.code, "gone.yaml: no such file" in run.err) == (3, True)
+
+
+def test_evaluate_and_batch_end_with_the_lines_that_were_left_out(
+    scans: Path, tmp_path: Path
+) -> None:
+    log = tmp_path / "a.jsonl"
+    log.write_text("\n".join([*lines_of(scans, 110), '{"ranges": [1,']) + "\n")
+    few = ("--sample", 2)
+    run = call("evaluate", "curved", "--scans", log, "--method", "fused", *few)
+    assert run.code == 0
+    assert "a.jsonl: left out 1 of 111 lines" in run.err.splitlines()[-1]
+    run = call("batch", MAPS / "curved.yaml", log, "--out", tmp_path / "out", OFF, *few)
+    assert run.code == 0
+    assert "left out 1 of 111 lines, which are broken" in run.out.splitlines()[-2]
+
+
+def test_a_batch_of_nothing_leaves_nothing_behind(scans: Path, tmp_path: Path) -> None:
+    out, gone = tmp_path / "out", tmp_path / "nofolder"
+    for arguments, code in (((gone, scans), 3), (("curved", gone), 4), ((gone,), 3)):
+        job = () if len(arguments) > 1 else ("--job", "check")
+        run = call("batch", *arguments, "--out", out, *job, OFF)
+        assert (run.code, "nofolder: no such file or folder" in run.err) == (code, True), run.err
+        assert not out.exists()
+        assert not gone.exists()
+
+
+def test_a_batch_ends_with_why_items_failed(scans: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "runs"
+    folder.mkdir()
+    (folder / "good.npz").write_bytes(scans.read_bytes())
+    for name in ("a.log", "b.log"):
+        (folder / name).write_bytes(b"")
+    (folder / "cut.npz").write_bytes(scans.read_bytes()[:200])
+    run = call("batch", MAPS / "curved.yaml", folder, "--out", tmp_path / "out", OFF)
+    assert run.code == 5
+    failed = {line for line in run.out.splitlines() if line.startswith("failed")}
+    empty = "failed: a.log on curved.yaml and 1 more: the file is empty, expected a scan file"
+    assert empty in failed
+    assert any(line.startswith("failed: cut.npz on curved.yaml: damaged NPZ") for line in failed)
+    assert len(failed) == 2

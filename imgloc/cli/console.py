@@ -87,6 +87,24 @@ def configure(*, verbose: bool, debug: bool) -> None:
     LOG.setLevel(logging.INFO if verbose else logging.WARNING)
 
 
+@contextlib.contextmanager
+def left_out() -> Iterator[list[str]]:
+    """Collect the warnings about lines that readers leave out, to be repeated at the end."""
+    notes = list[str]()
+
+    def heard(record: logging.LogRecord) -> bool:
+        text = record.getMessage()
+        if getattr(record, "code", None) in ("broken", "cut") and text not in notes:
+            notes.append(text)
+        return True
+
+    LOG.addFilter(heard)
+    try:
+        yield notes
+    finally:
+        LOG.removeFilter(heard)
+
+
 def emit(text: str) -> None:
     """Write a piece of the result to standard output, at once.
 

@@ -304,6 +304,18 @@ def batch_text(summary: "BatchSummary", folder: str) -> str:
                 f"  the poses of {files} count on every map, in {summary.pairs:,} pairs; a CSV of "
                 "pairs (map,scans) assigns files to maps"
             )
+    for kind in summary.failures[:_LISTED]:
+        more = f" and {kind['items'] - 1:,} more" if kind["items"] > 1 else ""
+        why = as_options(kind["message"])
+        lines.append(f"{kind['status']}: {kind['first']}{more}: {why}")
+    if (rest := summary.failed - sum(kind["items"] for kind in summary.failures[:_LISTED])) > 0:
+        lines.append(f"{rest:,} more items failed: {folder}/results.jsonl has the message of each")
+    for kind in summary.warnings[:_LISTED]:
+        count = f" (in {kind['items']:,} items)" if kind["items"] > 1 else ""
+        lines.append(f"warning{count}: {as_options(kind['warning'])}")
+    if len(summary.warnings) > _LISTED:
+        more = f"{len(summary.warnings) - _LISTED} more warnings"
+        lines.append(f"{more} are in cost.warnings of the rows")
     for hint in summary.hints:
         tried = f"{hint['items']} of {hint['of']} doubtful items tried again"
         lines.append(f"{tried}, for example {hint['first'][0]}: {as_options(hint['hint'])}")

@@ -29,7 +29,7 @@ from imgloc.__about__ import __version__
 from imgloc.choice.choose import NO_MAP, names_of
 from imgloc.errors import ConfigError, ImglocError, MapError, OutputError, ScanError
 from imgloc.io.contents import content_hash, files_of
-from imgloc.io.files import PathLike, display, is_folder, read_file
+from imgloc.io.files import PathLike, display, is_folder, is_there, read_file
 from imgloc.io.folders import files_in, find_maps
 from imgloc.io.scans import SCAN_ENDINGS
 from imgloc.model import plain
@@ -62,6 +62,10 @@ class BatchSummary:
     #: pairs of a map with a file that has poses, which hold for the map that the file is from
     pairs: int = 0
     files: int = 0  #: files with known poses
+    #: why items failed: `status`, `code`, `message`, how many `items`, and the `first`
+    failures: list[dict[str, Any]] = field(default_factory=list)
+    #: what was warned of: the `warning` that came first for a file, and in how many `items`
+    warnings: list[dict[str, Any]] = field(default_factory=list)
     hints: list[dict[str, Any]] = field(default_factory=list)  #: see :mod:`imgloc.runs.hints`
     _files: set[str] = field(default_factory=set)
     new: int = 0  #: rows that this run has added
@@ -84,6 +88,13 @@ class BatchSummary:
             self._files.add(row["scans"])
             self.files = len(self._files)
         self.statuses[row["status"]] = self.statuses.get(row["status"], 0) + 1
+        name = f"{row['map']}" if row["scans"] is None else f"{row['scans']} on {row['map']}"
+        if row["status"] != "ok":
+            why = str(row["message"]).split(": ", 1)[-1]  # without the file, which comes first
+            about = {"status": row["status"], "code": row["code"], "message": why}
+            _count(self.failures, about, name)
+        for text in row["cost"].get("warnings", ()):
+            _count(self.warnings, {"warning": text}, name)
         for answer in row["answers"]:
             if "verdict" in answer:
                 verdict = answer["verdict"]
@@ -94,6 +105,17 @@ class BatchSummary:
                 self.known += 1
                 self.hits += answer["hit"]
                 self.unique_wrong += answer.get("verdict") == "unique" and not answer["hit"]
+
+
+def _count(found: list[dict[str, Any]], about: Row, name: str) -> None:
+    """Count an item of this name under what `about` says of it; a few kinds are kept, in order."""
+    kind = next((kind for kind in found if about.items() <= kind.items()), None)
+    if kind is not None:
+        kind["items"] += 1
+        kind["first"] = min(kind["first"], name)
+    elif len(found) < _WARNED:
+        found.append({**about, "items": 1, "first": name})
+    found.sort(key=lambda kind: (-kind["items"], kind["first"]))
 
 
 def run_batch(
@@ -429,8 +451,13 @@ def find_items(
     ------
     ConfigError
         If there is none, or scans are missing or of no use.
+    MapError, ScanError
+        If `maps` or `scans` leads nowhere.
     """
     maps = Path(maps)
+    for path, error in ((maps, MapError), (scans, ScanError)):
+        if path is not None and not is_there(path):
+            raise error(f"{display(path)}: no such file or folder")
     if maps.suffix.lower() == ".csv":
         if scans is not None:
             raise ConfigError(

@@ -8,9 +8,9 @@ from typing import Annotated, Any
 
 from imgloc.cli import options as opt
 from imgloc.cli.command import Given, Without
-from imgloc.cli.console import emit, width
-from imgloc.errors import ConfigError
-from imgloc.io.files import map_name
+from imgloc.cli.console import emit, left_out, say, width
+from imgloc.errors import ConfigError, MapError
+from imgloc.io.files import display, is_there, map_name
 from imgloc.options import (
     ALL_METHODS,
     FILTERS,
@@ -50,6 +50,7 @@ def evaluate(
         ...,
         "Maps: the YAML of map_server, an image with --resolution, or the name of a bundled map.",
         "MAP...",
+        parse=lambda path: _map_of(path),
     ),
     sensor: Annotated[Sensor, Without("range_max", "mount")],
     mounting: Mounting,
@@ -158,17 +159,34 @@ def evaluate(
         for name in method
     ]
     table: list[dict[str, Any]] = []
-    for k, path in enumerate(map(opt.find_map, maps)):
-        name = map_name(path)
-        item = inputs.item_of(path, None if scans is None else scans[k], name)
-        desk = inputs.desk_of(taken.threads, taken.memory_budget)
-        # All of them are opened before the first one takes its time.
-        for answer in itertools.chain.from_iterable([job.open(item, desk) for job in jobs]):
-            table.append(answer.row)
-            if as_json:
-                emit(to_json(answer.row))
+    with left_out() as notes:
+        for k, path in enumerate(maps):
+            name = map_name(path)
+            item = inputs.item_of(path, None if scans is None else scans[k], name)
+            desk = inputs.desk_of(taken.threads, taken.memory_budget)
+            # All of them are opened before the first one takes its time.
+            for answer in itertools.chain.from_iterable([job.open(item, desk) for job in jobs]):
+                table.append(answer.row)
+                if as_json:
+                    emit(to_json(answer.row))
     if not as_json:
         emit(evaluation_tables(table, width()))
+    for note in notes:
+        say(f"measured without a part of the file: {note}")
+
+
+def _map_of(path: Path) -> Path:
+    """A map that is there; a ConfigError for a file of scans, before anything is simulated."""
+    from imgloc.io.bags import BAG_ENDINGS
+    from imgloc.io.scans import SCAN_ENDINGS
+
+    if path.suffix.lower() in SCAN_ENDINGS and path.suffix.lower() not in BAG_ENDINGS:
+        name = display(path)
+        raise ConfigError(f"{name} is a file of scans, expected a map: pass --scans {name}")
+    found = opt.find_map(path)
+    if not is_there(found):
+        raise MapError(f"{display(path)}: no such file")
+    return found
 
 
 def _check_sources(
