@@ -181,6 +181,26 @@ def test_sums_up_to_255_fit_a_byte_and_others_do_not(monkeypatch, flat, top, n):
     assert stack.max() == top * n
 
 
+@pytest.mark.parametrize("flat", [True, False])
+@pytest.mark.parametrize("piece", [0, 1 << 20])
+@every_engine
+def test_a_stack_of_bytes_holds_the_sums_that_fit(monkeypatch, engine, flat, piece):
+    if not flat:
+        monkeypatch.setattr(engines, "FLAT_CELLS", 0)
+    monkeypatch.setattr(shift, "FLAT_PIECE", piece)
+    image, xy = random_case(16, (8, 11))
+    image, thetas = image // 13, np.array([0.3, 0.3 + np.pi, 2.0])  # 12 points of at most 19
+    where = image > 2
+    sums = correlate(image, xy, thetas, 0.1, where=where, engine="filter2d")
+    out = np.empty(sums.shape, np.uint8)
+    assert correlate(image, xy, thetas, 0.1, engine=engine, where=where, out=out) is out
+    np.testing.assert_array_equal(out, sums)
+    assert sums.max() > 30
+    for bad, divisor in ((image + np.uint8(5), 1.0), (image, 2.0), (image / np.float32(9), 1.0)):
+        with pytest.raises(ValueError, match="do not fit"):
+            correlate(bad, xy, thetas, 0.1, engine=engine, out=out, divisor=divisor)
+
+
 @every_engine
 def test_divisor(engine):
     image, xy = random_case(14, (8, 9))

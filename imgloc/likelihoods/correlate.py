@@ -23,6 +23,7 @@ from imgloc.likelihoods.shift import (
     tiles_of,
 )
 from imgloc.likelihoods.slices import (
+    Stack,
     cell_offsets,
     check_arguments,
     finishing,
@@ -58,8 +59,8 @@ def correlate(
     engine: str = "auto",
     threads: int = 1,
     where: BoolArray | None = None,
-    out: Float32Array | None = None,
-) -> Float32Array:
+    out: Stack | None = None,
+) -> Stack:
     """Sum the image under every point of a scan, for every pose (Alg. 1 and 2).
 
     ``L[k, r, c] = sum_i image[cell of p_i ⊕ (x, y, theta_k)]`` with (x, y) the centre of cell
@@ -84,8 +85,9 @@ def correlate(
         Number of threads, each for some headings. The result does not depend on it.
     where : (H, W) bool array, optional
         Cells whose poses are wanted. The others are 0. Tiles without a wanted pose are skipped.
-    out : (K, H, W) float32 array, optional
-        Stack to overwrite and return, instead of a new one.
+    out : (K, H, W) float32 or uint8 array, optional
+        Stack to overwrite and return, instead of a new float32 one. Bytes are for a uint8 image
+        whose largest value, once for each point, sums up to at most 255, and for no `divisor`.
 
     Raises
     ------
@@ -108,8 +110,11 @@ def correlate(
         )
     check_arguments(resolution, threads)
     points, headings = finite_points(xy), np.asarray(thetas, dtype=np.float64)
-    frame = frame_of(image != 0, len(headings), where, out)
+    frame = frame_of(image != 0, len(headings), where, out, (np.float32, np.uint8))
     view, image = frame.view, image[frame.window]
+    bytes_fit = image.dtype == np.uint8 and len(points) * int(image.max(initial=0)) <= 255
+    if view.dtype == np.uint8 and not (bytes_fit and divisor == 1):
+        raise ValueError("the sums do not fit out, an array of bytes")
     if view.size == 0:
         return frame.out
     shape = (int(image.shape[0]), int(image.shape[1]))
@@ -118,7 +123,7 @@ def correlate(
     # The image in the type of its sums, and how many of its largest value that type can sum. A few
     # points on an image of few levels are summed in bytes.
     top = max(1, int(image.max())) if integers else 1
-    kind = np.uint8 if len(points) * top <= np.iinfo(np.uint8).max else np.uint16
+    kind = np.uint8 if bytes_fit else np.uint16
     wide: Summable = image.astype(kind, copy=False) if integers else np.ascontiguousarray(image)
     limit = np.iinfo(kind if integers else np.int32).max // top
     tiles = tiles_of(shape, frame.where)
@@ -132,7 +137,7 @@ def correlate(
         flat_stack(wide, limit, offsets, view, where=frame.where)
         finishing(divisor)(view)
         return frame.out
-    finish = finishing(divisor, frame.where)
+    finish = finishing(divisor, frame.where, view.dtype)
     once = np.zeros(len(points), dtype=np.int64)
 
     def scan(cells: IntArray) -> tuple[IntArray, IntArray, IntArray]:

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.stride_tricks import as_strided
 
 from imgloc.likelihoods.slices import Finish, box_of, over_slices, reach_of
 from imgloc.model import BoolArray, Float32Array, IntArray
@@ -25,6 +26,8 @@ TILE_CELLS = 1 << 18
 TILE_WIDTH = 1024
 # Repeated readings are added in powers of two up to 2**MAX_POWER, within the limits of 16 bits.
 MAX_POWER = 3
+# Cells up to which flat_stack copies the views of a heading side by side to add them in one call.
+FLAT_PIECE = 1 << 14
 
 
 class Tile(NamedTuple):
@@ -195,12 +198,13 @@ def flat_stack(
     image: Summable,
     limit: int,
     offsets: IntArray,
-    out: Float32Array,
+    out: Summable,
     where: BoolArray | None = None,
 ) -> None:
     """Write ``out[k, r, c] = sum_i image[r + dr_ki, c + dc_ki]``, and 0 outside of `where`.
 
     It sums like :func:`shift_sum`, but on one thread, because several would wait for each other.
+    The type of `out` must hold the sums.
 
     Examples
     --------
@@ -216,20 +220,23 @@ def flat_stack(
     line = np.zeros((height + 2 * rows) * stride + 2 * columns, dtype=image.dtype)
     first, length = rows * stride + columns, height * stride
     line[first : first + length].reshape(height, stride)[:, :width] = image
-    start = offsets[..., 0] * stride + offsets[..., 1] + first
-    wanted = np.zeros((height, stride), dtype=image.dtype)
-    wanted[:, :width] = 1 if where is None else where
-    mask = wanted.reshape(-1)
+    starts = offsets[..., 0] * stride + offsets[..., 1] + first
+    mask = np.ones((height, width), image.dtype) if where is None else where.astype(image.dtype)
     total = np.empty(length, dtype=image.dtype)
-    sums = total.reshape(height, stride)[:, :width]
+    cells, whole = total.reshape(height, stride)[:, :width], bool(near.all())
+    # The piece of the line that begins at each cell.
+    pieces = as_strided(line, (line.size - length + 1, length), line.strides * 2)
     for k, target in enumerate(out):
-        starts = start[k, near[k]].tolist()
-        for part in range(0, max(1, len(starts)), limit):
-            total.fill(0)
-            for s in starts[part : part + limit]:
-                np.add(total, line[s : s + length], out=total)  # Alg. 2, l. 4-6
-            np.multiply(total, mask, out=total)
-            if part == 0:
-                np.copyto(target, sums)
+        some = starts[k] if whole else starts[k, near[k]]
+        for part in range(0, max(1, len(some)), limit):
+            if length <= FLAT_PIECE:  # one call copies all pieces, and one adds them: few calls
+                every = pieces[some[part : part + limit]]
+                np.add.reduce(every, axis=0, dtype=total.dtype, out=total)
             else:
-                np.add(target, sums, out=target)
+                total.fill(0)
+                for s in some[part : part + limit].tolist():
+                    np.add(total, line[s : s + length], out=total)  # Alg. 2, l. 4-6
+            if part == 0:
+                np.multiply(cells, mask, out=target)
+            else:
+                np.add(target, cells * mask, out=target)

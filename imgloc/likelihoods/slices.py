@@ -2,15 +2,18 @@
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from imgloc.errors import ConfigError
-from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
+from imgloc.model import BoolArray, FloatArray, IntArray
 
 Unit = TypeVar("Unit")
+
+#: A stack (K, H, W), or a slice of one: float32, or uint8 where every sum fits a byte.
+Stack = npt.NDArray[Any]
 
 # Beyond this a shift misses every map; the bound keeps the cast to integers defined.
 MAX_OFFSET = 2.0**30
@@ -58,14 +61,18 @@ def check_arguments(resolution: float, threads: int) -> None:
 class Frame(NamedTuple):
     """The part of a stack that is to be computed."""
 
-    out: Float32Array  #: (K, H, W) the stack; 0 around the view
-    view: Float32Array  #: (K, h, w) the part to compute
+    out: Stack  #: (K, H, W) the stack; 0 around the view
+    view: Stack  #: (K, h, w) the part to compute
     window: tuple[slice, slice]  #: rows and columns of the view
     where: BoolArray | None  #: (h, w) the wanted poses in the view; None for all
 
 
 def frame_of(
-    marked: BoolArray, headings: int, where: BoolArray | None, out: Float32Array | None
+    marked: BoolArray,
+    headings: int,
+    where: BoolArray | None,
+    out: Stack | None,
+    kinds: Sequence[npt.DTypeLike] = (np.float32,),
 ) -> Frame:
     """Cut a stack down to the wanted poses (`where`) that can meet a `marked` cell.
 
@@ -82,7 +89,7 @@ def frame_of(
     height, width = shape = marked.shape
     if where is not None and (where.shape != shape or where.dtype != np.bool_):
         raise ValueError(f"where must be bool {shape}, got {where.dtype} {where.shape}")
-    out = output_stack(out, (headings, height, width))
+    out = output_stack(out, (headings, height, width), kinds)
     if where is None:
         return Frame(out, out, (slice(0, height), slice(0, width)), None)
     window = box_of(where | marked)
@@ -100,17 +107,20 @@ def box_of(mask: BoolArray) -> tuple[slice, slice]:
     return slice(int(rows[0]), int(rows[-1]) + 1), slice(int(columns[0]), int(columns[-1]) + 1)
 
 
-def output_stack(out: Float32Array | None, shape: tuple[int, int, int]) -> Float32Array:
-    """Return `out`, or a new uninitialised stack of this shape if it is None.
+def output_stack(
+    out: Stack | None, shape: tuple[int, int, int], kinds: Sequence[npt.DTypeLike] = (np.float32,)
+) -> Stack:
+    """Return `out`, or a new uninitialised float32 stack of this shape if it is None.
 
     Reusing a stack saves the page faults of a new one, which cost as much as an engine for tens of
     megabytes. An `out` that does not fit raises a ValueError.
     """
     if out is None:
         return np.empty(shape, dtype=np.float32)
-    if out.shape != shape or out.dtype != np.float32 or not out.flags.c_contiguous:
+    if out.shape != shape or out.dtype not in kinds or not out.flags.c_contiguous:
+        names = " or ".join(np.dtype(kind).name for kind in kinds)
         raise ValueError(
-            f"out must be a C-contiguous float32 array of shape {shape}, "
+            f"out must be a C-contiguous {names} array of shape {shape}, "
             f"got {out.dtype} of shape {out.shape}"
         )
     if not out.flags.writeable:
@@ -119,11 +129,15 @@ def output_stack(out: Float32Array | None, shape: tuple[int, int, int]) -> Float
 
 
 #: A last step on a slice (H, W) of a stack, in place, while the slice is in the cache.
-Finish = Callable[[Float32Array], object]
+Finish = Callable[[Stack], object]
 
 
-def finishing(divisor: float, where: BoolArray | None = None) -> Finish:
+def finishing(
+    divisor: float, where: BoolArray | None = None, kind: npt.DTypeLike = np.float32
+) -> Finish:
     """Make the last step: divide a slice (H, W) by `divisor`, and set it to 0 outside of `where`.
+
+    `kind` is the slice's type. Bytes cannot be divided.
 
     Examples
     --------
@@ -133,9 +147,9 @@ def finishing(divisor: float, where: BoolArray | None = None) -> Finish:
     [[2.0, 0.0]]
     """
     # A product of bool and float32 would convert the mask anew for each slice.
-    mask = None if where is None else where.astype(np.float32)
+    mask = None if where is None else where.astype(kind)
 
-    def finish(image: Float32Array) -> None:
+    def finish(image: Stack) -> None:
         if divisor != 1:
             np.divide(image, np.float32(divisor), out=image)
         if mask is not None:

@@ -9,6 +9,7 @@ one kept.
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,7 +22,7 @@ from imgloc.geometry import uniform_thetas
 from imgloc.likelihoods.correlate import correlate
 from imgloc.likelihoods.ght import ght_v
 from imgloc.likelihoods.posterior import smooth
-from imgloc.likelihoods.slices import cell_offsets
+from imgloc.likelihoods.slices import Stack, cell_offsets
 from imgloc.model import BoolArray, Float32Array, FloatArray, GridInfo, IntArray, LaserScan
 from imgloc.numbers import number
 from imgloc.options import FusedOptions, Prior
@@ -133,8 +134,10 @@ def _exhaustive(
     """Best `keep` nodes (theta, row, col) of a whole level, a few headings at a time."""
     area = level.image.size
     chunk = min(len(thetas), max(1, _CHUNK_CELLS // area))
-    nodes, scores, threshold = np.empty(0, np.int64), np.empty(0, np.float32), np.float32(0)
-    buffer = np.empty((chunk, *level.image.shape), np.float32)
+    few = int(level.image.max()) * len(xy) <= np.iinfo(np.uint8).max  # bytes hold the sums
+    kind = np.uint8 if few else np.float32
+    nodes, scores, threshold = np.empty(0, np.int64), np.empty(0, kind), kind(0)
+    buffer = np.empty((chunk, *level.image.shape), kind)
     # The first few headings give a threshold, which nearly all nodes of the others miss.
     first = min(chunk, -(-_FIRST_CELLS // area))
     for start, stop in pairwise([0, *range(first, len(thetas), chunk), len(thetas)]):
@@ -154,11 +157,11 @@ def _exhaustive(
             threshold = np.partition(scores, len(scores) - keep)[len(scores) - keep]
             still = scores >= threshold
             nodes, scores = nodes[still], scores[still]
-    nodes = nodes[np.argsort(-scores, kind="stable")[:keep]]
+    nodes = nodes[_falling(scores)[:keep]]
     return np.stack(np.unravel_index(nodes, (len(thetas), *level.image.shape)), axis=1)
 
 
-def _largest(stack: Float32Array, n: int, free: BoolArray) -> IntArray:
+def _largest(stack: Stack, n: int, free: BoolArray) -> IntArray:
     """Indices of the `n` largest sums in free cells, and of all that equal the last of them.
 
     The sums are whole numbers. Zeros fill up to `n` in index order: a wall that a coarse pose
@@ -197,7 +200,15 @@ def _best(scores: npt.NDArray[np.int32], n: int) -> IntArray:
     if n < len(index):
         threshold = np.partition(scores, len(scores) - n)[len(scores) - n]
         index = np.flatnonzero(scores >= threshold)
-    return index[np.argsort(-scores[index], kind="stable")[:n]]
+    return index[_falling(scores[index])[:n]]
+
+
+def _falling(scores: npt.NDArray[Any]) -> IntArray:
+    """Indices of sums that are not negative, greatest first, equal ones in their order."""
+    # NumPy sorts 16 bits by counting, 15 times as fast as it sorts 32.
+    if scores.max(initial=0) <= np.iinfo(np.int16).max:
+        return np.argsort(-scores.astype(np.int16), kind="stable")
+    return np.argsort(-scores.astype(np.float64), kind="stable")
 
 
 def _key(k: IntArray, r: IntArray, c: IntArray) -> IntArray:
