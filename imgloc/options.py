@@ -272,6 +272,8 @@ class Shared(Checked):
     thinner: Annotated[int, Within(0, 100, "cells")] = 0
     #: standard deviation, metres, of the place of each piece of wall: a map drawn by others is bent
     bent: Annotated[float, Within(0, 1, "metres")] = 0.0
+    #: metres behind the border of a wall's cells at which readings end; None if that is not known
+    depth: Annotated[float, Within(-0.5, 0.5, "metres")] | None = None
 
 
 @dataclass(frozen=True)

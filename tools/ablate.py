@@ -114,9 +114,9 @@ STEPS: Mapping[str, Step] = {
         "the mass of the best does not count", {"Trust.elsewhere": (-5.0, -0.235, 0.0)}, weighs=True
     ),
     "most": Step("evidence has no bound", {"Trust.most": 1e6}, weighs=True),
-    "jackknife": Step("covariances without blocks", {"hypotheses.shared": 1e-6}, weighs=True),
-    "cell": Step("covariances without a share of the cell", {"hypotheses.walls": 0.0}, weighs=True),
-    "spread": Step("covariances without maxima", {"pipeline.maxima": 0.0}, weighs=True),
+    "jackknife": Step("covariances without blocks", {"faces.shared": 1e-6}, weighs=True),
+    "cell": Step("covariances without a share of the cell", {"faces.cell": 0.0}, weighs=True),
+    "spread": Step("covariances without maxima", {"faces.maxima": 0.0}, weighs=True),
     "correlated": Step("neighbours err each on its own", {"Trust.correlated": 1.0}, weighs=True),
 }  # fmt: skip
 BASE = "as it is"

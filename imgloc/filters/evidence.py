@@ -106,7 +106,8 @@ def sight(
     scores = score_poses(features, seen, at, options)
     order = np.argsort(-scores.log_likelihood, kind="stable")
     wider = None if spread is None else spread[order]
-    found = weigh(features, Modes(at[order], scores.select(order), seen, spread=wider), options)
+    modes = Modes(at[order], scores.select(order), seen, spread=wider)
+    found = weigh(features, modes, options, settle=False)
     back = np.argsort(order, kind="stable")
     score = found.log_likelihood[back]
     misfit = options.model.best - score / len(seen)

@@ -1,4 +1,4 @@
-"""What was calibrated for a map, in a JSON file beside it: its methods, its scale and walls.
+"""What was calibrated for a map, in a JSON file beside it: its methods, scale, walls and faces.
 
 The file says for which cells it was made: a map that has been redrawn since is another map, and
 what was fitted on the old one is not used.
@@ -26,10 +26,8 @@ _FORMAT = 1
 _MOST = 1 << 20  # bytes; what is longer is not such a file
 _UNUSABLE = (ValueError, ConfigError, OutputError)
 _METHOD = dict.fromkeys(vars(Calibration()), float)
-_KIND = {
-    "map_hash": str, "methods": {str: _METHOD},
-    "shared?": {"scale": float, "thinner": float, "bent?": float},
-}  # fmt: skip
+_SHARED = {"scale": float, "thinner": float, "bent?": float, "depth?": (float, None)}
+_KIND = {"map_hash": str, "methods": {str: _METHOD}, "shared?": _SHARED}
 
 
 def calibration_path(map_path: PathLike) -> Path:
@@ -128,7 +126,10 @@ def _read(file: Path, grid: OccupancyGrid) -> tuple[dict[str, Calibration], Any,
         name: Calibration(**{key: float(values[key]) for key in _METHOD})
         for name, values in methods.items()
     }
-    shared = Shared(float(known["scale"]), int(known["thinner"]), float(known.get("bent", 0.0)))
+    depth = known.get("depth")
+    depth = None if depth is None else float(depth)
+    bent = float(known.get("bent", 0.0))
+    shared = Shared(float(known["scale"]), int(known["thinner"]), bent, depth)
     return found, content.get("about"), shared
 
 

@@ -37,6 +37,7 @@ from imgloc.model import (
 )
 from imgloc.options import LOG_METHODS, Calibration, Options, Sensor, Shared, scale
 from imgloc.pipeline import localize
+from imgloc.search.faces import any_depth, on_faces
 from imgloc.search.refine import refine
 from imgloc.simulation.scans import simulate
 
@@ -210,6 +211,7 @@ class SharedFit:
 
     shared: Shared
     deviation: float  #: standard error of its scale
+    deviation_depth: float  #: standard error of its depth, metres
     used: int  #: scans that fit the map at one place
     asked: int
 
@@ -221,13 +223,13 @@ def fit_shared(
     *,
     advance: Callable[[], None] = lambda: None,
 ) -> SharedFit:
-    """Fit the scale of a map, and by how much its walls are too thick, from scans.
+    """Fit the scale of a map, by how much its walls are too thick, and their depth, from scans.
 
     The poses of the scans need not be known (hard EM). Some evenly picked scans are each placed
     where they fit best, at any scale near 0.9, 1 or 1.1 and with walls of any thickness. The
     medians over the ``unique`` ones are then applied to all scans, which are placed again. The
     median of the scales that remain corrects the result, and their scatter gives its standard
-    error.
+    error. The depth of the faces is fitted last: :func:`fit_depth`.
 
     Parameters
     ----------
@@ -260,14 +262,47 @@ def fit_shared(
         left = [_left(features, scan, options, shared) for scan in some]
         steps = np.array([step for step in left if step is not None])
         _enough(len(steps), len(some))
-        middle = float(np.median(steps))
-        spread = 1.4826 * float(np.median(np.abs(steps - middle)))  # deviation of a Gaussian
+        middle, error = _middle(steps)
         shared = replace(shared, scale=shared.scale * middle)
-        error = 1.2533 * spread / np.sqrt(len(steps))  # standard error of a median
     # Walls are drawn in cells: half a cell at the usual distance is an error of the scale, too.
     far = np.median(np.concatenate([scan.ranges[scan.valid] for scan in some]))
-    error = np.hypot(error, features.grid.resolution / 2 / far)
-    return SharedFit(shared, float(error), len(steps), len(some))
+    error = float(np.hypot(error, features.grid.resolution / 2 / far))
+    depth, uncertain = fit_depth(features, some, replace(options, shared=shared))
+    shared = replace(shared, depth=depth)
+    return SharedFit(shared, error, uncertain, len(steps), len(some))
+
+
+def fit_depth(
+    features: MapFeatures, scans: Sequence[LaserScan], options: Options | None = None
+) -> tuple[float, float]:
+    """Fit how deep in the walls of a map their faces are, from scans whose poses are not known.
+
+    Readings that end alike before and behind the border of a wall's cells have a depth of 0: the
+    map is sharp. On a map that scans made, they end within the blurred band. Each scan is placed
+    with the scale and the walls in `options`. The result is the median over the ``unique`` scans,
+    and its standard error, metres. A ConfigError says if they are fewer than :data:`LEAST_FIT`.
+    """
+    options = replace(options or Options(), top=1)
+    shared = replace(options.shared, depth=None)
+    there, found = features.thinner(shared.thinner), list[float]()
+    for scan in scans:
+        answer = localize(features, scan, replace(options, shared=shared))
+        if answer.verdict == "unique":
+            pose = in_grid_frame(answer.hypotheses[0], features.grid.info).pose
+            seen = one_per_place(scan.scaled(shared.scale), options.fused.place)
+            seen, at = seen.spread(options.fused.rays), np.array([[pose.x, pose.y, pose.theta]])
+            settled = on_faces(at, seen, there, any_depth(), correlated=options.trust.correlated)
+            found.append(float(settled.depth[0]))
+    _enough(len(found), len(scans))
+    middle, error = _middle(np.array(found))
+    return middle, error
+
+
+def _middle(values: FloatArray) -> tuple[float, float]:
+    """Median of some values, and its standard error if they are those of a Gaussian."""
+    middle = float(np.median(values))
+    spread = 1.4826 * float(np.median(np.abs(values - middle)))
+    return middle, 1.2533 * spread / float(np.sqrt(len(values)))
 
 
 def _enough(fit: int, asked: int) -> None:

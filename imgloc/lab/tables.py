@@ -7,6 +7,7 @@ from typing import Any
 
 from imgloc.lab.calibrate import SharedFit
 from imgloc.lab.sequences import SequenceSummary
+from imgloc.numbers import number
 from imgloc.output.tables import as_plain, percent
 
 
@@ -26,6 +27,17 @@ def atlas_text(summary: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
+SHARP: float = number("faces.sharp")
+"""Metres behind the border of its cells up to which the face of a wall is called sharp."""
+
+
+def _face_words(depth: float, error: float) -> str:
+    """Say how deep in the walls of a map readings end, metres."""
+    sharp = depth < max(3 * error, SHARP)
+    what = "sharp, as drawn" if sharp else "blurred, as scans make them"
+    return f"{depth:.3f} +- {error:.3f} m behind the border of the walls: {what}"
+
+
 def shared_words(found: SharedFit, resolution: float) -> str:
     """Describe a shared error that was fitted on a map with cells of `resolution` metres."""
     shared, error = found.shared, found.deviation
@@ -36,6 +48,7 @@ def shared_words(found: SharedFit, resolution: float) -> str:
         ("scans", f"{found.used} of {found.asked} fit at one place"),
         ("scale", f"ranges x {shared.scale:.4f} +- {error:.4f}: {right}"),
         ("walls", f"{shared.thinner * resolution:.2f} m thinner on each side than drawn"),
+        ("faces", _face_words(shared.depth or 0.0, found.deviation_depth)),
     ]
     return "\n".join(f"{name:<6} {fact}" for name, fact in facts)
 

@@ -9,7 +9,8 @@ from imgloc.model import FloatArray, Hypothesis, IntArray, Pose2D
 from imgloc.numbers import number
 from imgloc.search.refine import normal_equations
 
-_BLOCKS = number("hypotheses.blocks")  # blocks of neighbouring readings, each left out once
+BLOCKS: int = number("hypotheses.blocks")
+"""Blocks of neighbouring readings, each of which the jackknife leaves out once."""
 # Factor on the jackknife's variance, because walls are longer than blocks; and the standard
 # deviation of a wall's place, in cells.
 _SHARED, _WALLS = number("hypotheses.shared"), number("hypotheses.walls")
@@ -155,18 +156,46 @@ def covariances(
     (C, 3, 3) float array
         In m², m rad and rad²; positive definite.
     """
-    blocks, b, square = normal_equations(poses, xy, field, sigma, _BLOCKS)
+    equations = normal_equations(poses, xy, field, sigma, BLOCKS)
+    return covariances_from(
+        *equations, xy, sigma=sigma, correlated=correlated, cell=field.resolution,
+        extent=(extent[0], extent[0], extent[1]), shared=_SHARED, walls=_WALLS,
+    )  # fmt: skip
+
+
+def covariances_from(
+    blocks: FloatArray,
+    b: FloatArray,
+    square: FloatArray,
+    xy: FloatArray,
+    *,
+    sigma: float,
+    correlated: float,
+    cell: float,
+    extent: tuple[float, ...],
+    shared: float,
+    walls: float,
+) -> FloatArray:
+    """Covariance (C, 3, 3) of each pose, from the sums of :func:`~imgloc.search.refine.block_sums`.
+
+    The first three parameters are the pose. What else was refined with it, the scan may not have
+    determined. `extent` has the half-width of a mode in x, y and theta, and the standard deviation
+    of each further parameter before the scan. `cell` is the side of a cell of the map, metres, and
+    `walls` the standard deviation of a wall's place, in cells. `shared` is a factor on the variance
+    of the jackknife. The other arguments are those of :func:`covariances`.
+    """
     A, jackknife = blocks.sum(axis=0), _jackknife(blocks, b, sigma, extent)
-    variance = correlated * np.maximum(square, np.square(_LEAST * field.resolution))
+    variance = correlated * np.maximum(square, np.square(_LEAST * cell))
     information = A / variance[:, None, None]
-    information[:, range(3), range(3)] += 1 / np.square([extent[0], extent[0], extent[1]])
-    out = np.linalg.inv(information) + _SHARED * jackknife
+    each = range(len(extent))
+    information[:, each, each] += 1 / np.square(extent)
+    out = (np.linalg.inv(information) + shared * jackknife)[:, :3, :3]
     # Walls are drawn in cells, so no pose is more exact than a share of a cell.
-    cell = _WALLS * field.resolution
+    cell = walls * cell
     lever = max(float(np.sqrt(np.square(xy).sum(axis=1).mean())) if len(xy) else 0.0, cell)
     out[:, range(3), range(3)] += np.square([cell, cell, cell / lever])
     deviation = np.sqrt(out[:, range(3), range(3)])
-    shrink = np.minimum(1, np.array([extent[0], extent[0], extent[1]]) / deviation)
+    shrink = np.minimum(1, np.array(extent[:3]) / deviation)
     out *= shrink[:, :, None] * shrink[:, None, :]
     return np.asarray((out + out.transpose(0, 2, 1)) / 2)
 
@@ -225,14 +254,12 @@ def centres(
     return mean, covariance
 
 
-def _jackknife(
-    A: FloatArray, b: FloatArray, sigma: float, extent: tuple[float, float]
-) -> FloatArray:
-    """Covariance (C, 3, 3) of poses: each block of :func:`normal_equations` is left out once."""
+def _jackknife(A: FloatArray, b: FloatArray, sigma: float, extent: tuple[float, ...]) -> FloatArray:
+    """Covariance (C, D, D) of D parameters: each block of equations is left out once."""
     left = A.sum(axis=0) - A
     # A direction that one block alone determines moves no farther than the mode is long.
-    scale = np.square(sigma) / np.square([extent[0], extent[0], extent[1]])
-    left[..., range(3), range(3)] += scale
+    each = range(len(extent))
+    left[..., each, each] += np.square(sigma) / np.square(extent)
     moved = -np.linalg.solve(left, (b.sum(axis=0) - b)[..., None])[..., 0]
     moved -= moved.mean(axis=0)
     n = len(b)

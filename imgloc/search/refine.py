@@ -10,11 +10,14 @@ from imgloc.geometry import wrap
 from imgloc.model import Float32Array, FloatArray
 from imgloc.numbers import number
 
-_MAX_STEP = np.array(number("refine.step"))
-_DAMPING = number("refine.damping")
+MAX_STEP = np.array(number("refine.step"))
+"""Most that a pose and a scale move in one step: metres, metres, radians, share."""
+DAMPING: float = number("refine.damping")
+"""Weight for each reading that keeps a pose where a corridor leaves it free."""
 # m²: weight that holds a scale near 1: the square of 0.1 m over 10 %
 _SCALE = number("refine.scale")
 _OFF_EVERY_MAP = 1e6  # metres; float32 can still square it
+AnyFloat = FloatArray | Float32Array
 
 
 def refine(
@@ -50,10 +53,10 @@ def refine(
         for _ in range(iterations):
             (A,), (b,), _ = normal_equations(poses, xy, field, sigma)
             # A corridor leaves one direction free: a little damping keeps the pose where it is.
-            A[:, range(3), range(3)] += _DAMPING * len(xy)
+            A[:, range(3), range(3)] += DAMPING * len(xy)
             A[:, 3:, 3:] += _SCALE
             b[:, 3:] += _SCALE * (poses[:, 3:] - 1)
-            step, most = np.linalg.solve(A, b[..., None])[..., 0], _MAX_STEP[: poses.shape[1]]
+            step, most = np.linalg.solve(A, b[..., None])[..., 0], MAX_STEP[: poses.shape[1]]
             poses -= np.clip(step, -most, most)
     poses[:, 2] = wrap(poses[:, 2])
     return poses
@@ -69,17 +72,29 @@ def normal_equations(
     of ``e^2`` over all readings, m²: it is small where the scan fits well.
     """
     dx, dy, distance, gx, gy = endpoints(poses, xy, field)
-    weight = 1 / np.square(1 + np.square(distance / np.float32(sigma)))
     by = [gx, gy, dx * gy - dy * gx]
     if poses.shape[1] == 4:
         by.append((dx * gx + dy * gy) / poses[:, 3:].astype(np.float32))
-    J = np.stack(by, axis=1)
-    weighted = J * weight[:, None]
-    ends = np.linspace(0, len(xy), min(blocks, len(xy)) + 1).round().astype(int)
+    return block_sums(np.stack(by, axis=1), distance, 1, sigma, blocks)
+
+
+def block_sums(
+    J: AnyFloat, residual: AnyFloat, usable: AnyFloat | int, sigma: float, blocks: int = 1
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Weighted ``J^T J`` (G, C, D, D) and ``J^T e`` (G, C, D) of residuals e.
+
+    `J` (C, D, N) has the derivatives of each `residual` (C, N), metres. A Geman-McClure kernel of
+    width `sigma`, metres, weighs them, times `usable` (C, N). The rest is as in
+    :func:`normal_equations`.
+    """
+    weight = usable / np.square(1 + np.square(residual / np.float32(sigma)))
+    weighted, n = J * weight[:, None], residual.shape[1]
+    ends = np.linspace(0, n, min(blocks, n) + 1).round().astype(int)
     parts = [np.s_[..., a:b] for a, b in pairwise(ends)]
     A = np.stack([weighted[part] @ J[part].transpose(0, 2, 1) for part in parts])
-    b = np.stack([weighted[part] @ distance[part][..., None] for part in parts])
-    square = (weight * np.square(distance)).sum(axis=1) / weight.sum(axis=1)
+    b = np.stack([weighted[part] @ residual[part][..., None] for part in parts])
+    least = np.finfo(np.float32).tiny  # no reading may be usable
+    square = (weight * np.square(residual)).sum(axis=1) / np.maximum(weight.sum(axis=1), least)
     return A.astype(np.float64), b[..., 0].astype(np.float64), square.astype(np.float64)
 
 

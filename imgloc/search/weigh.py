@@ -10,13 +10,17 @@ from imgloc.model import BoolArray, Evidence, FloatArray, LaserScan
 from imgloc.numbers import number
 from imgloc.options import Options, Shared
 from imgloc.search.background import contradiction, unmapped_score
-from imgloc.search.hypotheses import covariances, masses
+from imgloc.search.faces import depth_of, on_faces
+from imgloc.search.hypotheses import BLOCKS, covariances, covariances_from, masses
 from imgloc.search.modes import Modes, misfit_of
-from imgloc.search.refine import refine
+from imgloc.search.priors import stands
+from imgloc.search.refine import block_sums, refine
 from imgloc.search.rescore import Scores, score_poses
 
 # The mean of a mode's maxima is itself uncertain: this share of their second moments is added.
-_MAXIMA = number("pipeline.maxima")
+_MAXIMA, _MAXIMA_ON_FACES = number("pipeline.maxima"), number("faces.maxima")
+# On faces: factor on the jackknife's variance, and the deviation of a wall's place, in cells.
+_SHARED, _CELL = number("faces.shared"), number("faces.cell")
 _FROM_CELLS = number("refine.from_cells")
 
 
@@ -45,11 +49,17 @@ def nothing(options: Options, complete: bool = True) -> Weighed:
 
 
 def weigh(
-    features: MapFeatures, found: Modes, options: Options, scan: LaserScan | None = None
+    features: MapFeatures,
+    found: Modes,
+    options: Options,
+    scan: LaserScan | None = None,
+    *,
+    settle: bool = True,
 ) -> Weighed:
     """Weigh the modes that the search found: their shares, covariances and evidence.
 
-    The share of explained rays is computed if the `scan` is given.
+    The share of explained rays is computed if the `scan` is given. The listed poses are moved onto
+    the faces of the walls, unless `settle` is False.
     """
     if len(found.poses) == 0:
         return nothing(options, found.complete)
@@ -61,13 +71,39 @@ def weigh(
     fit = replace(fit, scale=shared.scale, thinner=shared.thinner * there.grid.resolution)
     score = found.scores.log_likelihood
     share = masses(score, fit.temperature.value)
-    listed = found.poses[: options.listed(share)]
-    sigma = 2 * min(options.model.sigmas)
-    covariance = covariances_of(there, listed, found.readings.xy, options, sigma)
-    if found.spread is not None:
-        covariance = covariance + _MAXIMA * found.spread[: len(listed)]
+    listed = options.listed(share)
+    poses = found.poses.copy()
+    if settle and not shared.bent:
+        poses[:listed], covariance = stand_on_faces(there, found, poses[:listed], options)
+    else:
+        sigma = 2 * min(options.model.sigmas)
+        covariance = covariances_of(there, poses[:listed], found.readings.xy, options, sigma)
+        if found.spread is not None:
+            covariance = covariance + _MAXIMA * found.spread[:listed]
     lead, whole = float(share[0]), found.complete
-    return Weighed(found.poses, score, share, covariance, fit, explained, lead, complete=whole)
+    return Weighed(poses, score, share, covariance, fit, explained, lead, complete=whole)
+
+
+def stand_on_faces(
+    features: MapFeatures, found: Modes, poses: FloatArray, options: Options
+) -> tuple[FloatArray, FloatArray]:
+    """Move the first poses (L, 3) of the modes onto the faces of the walls, with covariances.
+
+    A pose stays where it was if a sensor cannot be at the new place. The covariances are (L, 3, 3).
+    """
+    seen, trust, (metres, radians) = found.readings, options.trust, options.fused.separation
+    sigma, prior = 2 * min(options.fused.model.sigmas), depth_of(found.shared)
+    there = on_faces(poses, seen, features, prior, correlated=trust.correlated)
+    equations = block_sums(there.J, there.residual, there.usable, sigma, BLOCKS)
+    covariance = covariances_from(
+        *equations, seen.xy, sigma=sigma, correlated=trust.correlated,
+        cell=features.grid.resolution, extent=(metres, metres, radians, prior[1]),
+        shared=_SHARED, walls=_CELL,
+    )  # fmt: skip
+    if found.spread is not None:
+        covariance = covariance + _MAXIMA_ON_FACES * found.spread[: len(poses)]
+    stands_there = stands(there.poses, options.prior, features)[:, None]
+    return np.where(stands_there, there.poses, poses), covariance
 
 
 def evidence_of(

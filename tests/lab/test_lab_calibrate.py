@@ -10,19 +10,22 @@ from imgloc.io.scanset import ScanSet
 from imgloc.lab import calibrate
 from imgloc.lab.calibrate import (
     EXPONENTS,
+    SharedFit,
     Sweep,
     densities,
     disturbed_set,
     fit,
+    fit_depth,
     fit_shared,
     sweep,
 )
 from imgloc.lab.evaluation import cell_of_pose
 from imgloc.lab.performance_index import density_in_stack, performance_index
+from imgloc.lab.tables import SHARP, shared_words
 from imgloc.likelihoods.posterior import calibrated
 from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import GridInfo, LaserScan, Likelihood, OccupancyGrid, Pose2D
-from imgloc.options import METHODS, Calibration, Options, Sensor
+from imgloc.options import METHODS, Calibration, Options, Sensor, Shared
 from imgloc.pipeline import prepare
 from imgloc.simulation.scans import simulate
 
@@ -178,3 +181,20 @@ def test_an_error_that_few_scans_share_in_the_end_is_none(monkeypatch) -> None:
     monkeypatch.setattr(calibrate, "_left", lambda *given: None)
     with pytest.raises(ConfigError, match="0 of 5 scans fit this map at one place"):
         fit_shared(features, told.scans)
+
+
+def test_scans_show_how_deep_in_the_walls_the_faces_are() -> None:
+    features, told = prepare(room()), simulate(room(), 6, 4, Sensor(rays=181, fov=6.2))
+    sharp, error = fit_depth(features, told.scans)
+    assert abs(sharp) < SHARP
+    assert 0 < error < 0.01
+    deeper = [dataclasses.replace(scan, ranges=scan.ranges + 0.04) for scan in told.scans]
+    blurred, _ = fit_depth(features, deeper)
+    assert blurred == pytest.approx(sharp + 0.04, abs=0.015)
+    for depth, word in ((sharp, "sharp"), (blurred, "blurred")):
+        words = shared_words(SharedFit(Shared(depth=depth), 0.01, error, 6, 6), 0.05)
+        assert (
+            f"faces  {depth:.3f} +- {error:.3f} m behind the border of the walls: {word}" in words
+        )
+    with pytest.raises(ConfigError, match="of 2 scans fit"):
+        fit_depth(features, told.scans[:2])

@@ -34,8 +34,8 @@ def calibrate(
     taken: opt.Resources,
     scans: list[Path] | None = option(
         None,
-        "Recorded scans: fit the scale of the map and the thickness of its walls by them. May be "
-        "repeated.",
+        "Recorded scans: fit the scale of the map, and the thickness and faces of its walls, by "
+        "them. May be repeated.",
         metavar="FILE",
     ),
     method: tuple[str, ...] = option(
@@ -66,8 +66,9 @@ def calibrate(
     --force what the file has of other methods is kept.
 
     With --scans, whose poses need not be known, it is by how much all readings are too long or too
-    short for the map and by how much its walls are drawn too thick: as of a floor plan. The default
-    method begins with that ever after.
+    short for the map and by how much its walls are drawn too thick: as of a floor plan. And it is
+    how far behind the border of the walls readings end: 0 on a sharp map, some centimetres on one
+    that was made of scans. The default method begins with that ever after.
     """
     from imgloc.cli import inputs
     from imgloc.io.calibration import save_calibrations
