@@ -34,7 +34,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgloc import ConfigError, Options, Sensor, Trust, load_map, prepare
+from imgloc import (
+    ConfigError,
+    MapFeatures,
+    Options,
+    ScanSet,
+    Sensor,
+    Trust,
+    load_map,
+    prepare,
+)
 from imgloc.choice.choose import names_of
 from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
 from imgloc.io.folders import find_maps
@@ -67,7 +76,7 @@ from tools.trust.foreign import (
     rooms_and_others,
 )
 from tools.trust.naming import ask_all, bound_all, naming_shares, scans_of
-from tools.trust.precision import precision, precision_table
+from tools.trust.precision import TRUTH, Precision, knowing, precision, precision_table
 from tools.trust.reliability import Judged, draw_reliability, judged, reliability, summary
 from tools.trust.robustness import (
     CONDITIONS,
@@ -146,6 +155,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     one.add_argument(
         "--maps", type=Path, nargs="*", default=[], help="maps on which scans are simulated"
     )
+    one.add_argument(
+        "--known", action="store_true",
+        help="measure again with the depth of the faces, fitted to as many other scans",
+    )  # fmt: skip
 
     one = add(run_foreign, 20, 1, "scans of each set and building, and on no map, for each map")
     add_sets(one)
@@ -301,26 +314,41 @@ def run_precision(given: argparse.Namespace) -> int:
     """
     at_least_one(n=given.n)
     worlds = list(filter(None, given.worlds.split(",")))
-    sets = recorded_sets(given.sets, given.n, given.seed, given.range_max)
+    most = given.n * (2 if given.known else 1)
+    sets = recorded_sets(given.sets, most, given.seed, given.range_max)
+    rows: list[Precision] = []
+
+    def measure(
+        name: str, features: MapFeatures, told: ScanSet, fit: ScanSet, *truth: float
+    ) -> None:
+        """Measure once as it is and, if so asked, once with the depth that other scans fit."""
+        rows.append(precision(name, features, told, truth or TRUTH))
+        if given.known:
+            what, options = knowing(features, fit)
+            rows.append(precision(f"{name}, {what}", features, told, truth or TRUTH, options))
+
     maps = {path.parent.name: prepare(load_map(path)) for path in given.maps}
-    rows = []
     total = len(NOISES) * (len(worlds) + len(maps)) + len(sets)
     with progress("precision", total) as advance:
         for name in worlds:
             for sigma in NOISES:
                 sensor = Sensor(sigma=sigma, fov=2 * np.pi, rays=361)
-                grid, scans = in_world(name, given.n, given.seed, sensor, 0.05)
-                said = f"{name}, noise of {100 * sigma:g} cm"
-                rows.append(precision(said, prepare(grid), scans, truth=EXACT))
+                grid, told = in_world(name, given.n, given.seed, sensor, 0.05)
+                fit = in_world(name, given.n, given.seed + 1, sensor, 0.05)[1]
+                measure(f"{name}, noise of {100 * sigma:g} cm", prepare(grid), told, fit, *EXACT)
                 advance()
         for name, features in maps.items():
             for sigma in NOISES:
-                scans = simulate(features.grid, given.n, given.seed, Sensor(sigma=sigma))
-                said = f"{name}, noise of {100 * sigma:g} cm"
-                rows.append(precision(said, features, scans, truth=EXACT))
+                told, fit = (
+                    simulate(features.grid, given.n, seed, Sensor(sigma=sigma))
+                    for seed in (given.seed, given.seed + 1)
+                )
+                measure(f"{name}, noise of {100 * sigma:g} cm", features, told, fit, *EXACT)
                 advance()
         for name, grid, scans in sets:
-            rows.append(precision(name, prepare(grid, name), scans))
+            # Every other scan is for the fit.
+            told, fit = (scans.take(range(k, len(scans), 2 if given.known else 1)) for k in (0, 1))
+            measure(name, prepare(grid, name), told, fit)
             advance()
     print(precision_table(rows))
     return 0

@@ -13,9 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from imgloc import LaserScan, Localization, MapFeatures, ScanSet, localize
+from imgloc import LaserScan, Localization, MapFeatures, Options, ScanSet, localize
 from imgloc.geometry import wrap
+from imgloc.lab.calibrate import fit_depth
 from imgloc.model import FloatArray
+from imgloc.options import Shared
 from tools.script import table_lines
 
 REGION = 7.815
@@ -47,24 +49,28 @@ class Precision:
 
 
 def precision(
-    name: str, features: MapFeatures, scans: ScanSet, truth: Sequence[float] = TRUTH
+    name: str,
+    features: MapFeatures,
+    scans: ScanSet,
+    truth: Sequence[float] = TRUTH,
+    options: Options | None = None,
 ) -> Precision:
     """Measure one set of scans with poses; `truth` are the standard deviations of those."""
     rows, claimed, errors, biases = [], [], [], []
     for k, (scan, pose) in enumerate(scans.with_poses()):
-        answer = localize(features, scan)
+        answer = localize(features, scan, options)
         found, covariance = _first(answer)
         error = _difference(found, pose)
         if answer.verdict != "unique" or np.hypot(*error[:2]) > _NEAR:
             continue
         inside = _within(error, covariance + np.diag(np.square(truth)))
         (a, A), (b, B) = (
-            _first(localize(features, replace(scan, ranges=r, angles=phi)))
+            _first(localize(features, replace(scan, ranges=r, angles=phi), options))
             for r, phi in _halves(scan)
         )
         ranges = scan.ranges.copy()
         ranges[np.random.default_rng((0, k)).choice(np.flatnonzero(scan.valid))] = np.nan
-        less = localize(features, replace(scan, ranges=ranges))
+        less = localize(features, replace(scan, ranges=ranges), options)
         step = _difference(_first(less)[0], found)
         moved = bool(np.any(np.abs(step) > 2 * np.sqrt(np.diag(covariance))))
         rows.append((inside, _within(_difference(a, b), A + B), moved))
@@ -79,6 +85,12 @@ def precision(
     within, agree, moves = np.mean(rows, axis=0).tolist()
     means = np.median(claimed, axis=0), rms, np.mean(biases, axis=0)
     return Precision(name, len(rows), within, agree, moves, *(tuple(v.tolist()) for v in means))
+
+
+def knowing(features: MapFeatures, scans: ScanSet) -> tuple[str, Options]:
+    """Options with the depth of a map's faces, fitted to other scans of it; and what to call it."""
+    depth, _ = fit_depth(features, scans.scans)
+    return f"face {100 * depth:.1f} cm deep", Options(shared=Shared(depth=depth))
 
 
 def precision_table(rows: Sequence[Precision]) -> str:
