@@ -64,8 +64,6 @@ def weigh(
     if len(found.poses) == 0:
         return nothing(options, found.complete)
     shared, explained = found.shared, 0.0
-    if scan is not None:
-        explained = explained_rays(features, scan, found.poses[:1], options, shared)
     there = features.thinner(shared.thinner)
     fit = evidence_of(there, found.readings, found.scores, options)
     fit = replace(fit, scale=shared.scale, thinner=shared.thinner * there.grid.resolution)
@@ -80,6 +78,8 @@ def weigh(
         covariance = covariances_of(there, poses[:listed], found.readings.xy, options, sigma)
         if found.spread is not None:
             covariance = covariance + _MAXIMA * found.spread[:listed]
+    if scan is not None:
+        explained = explained_rays(features, scan, poses[:1], options, shared)
     lead, whole = float(share[0]), found.complete
     return Weighed(poses, score, share, covariance, fit, explained, lead, complete=whole)
 
