@@ -144,9 +144,9 @@ def test_a_face_has_its_distance_its_slope_and_the_middle_of_its_wall(cells):
 
 def test_the_depth_is_kept_beside_the_map_and_files_without_one_are_read(tmp_path: Path):
     grid, path = room(1, 360).grid, calibration_path(tmp_path / "office.yaml")
-    save_calibrations(path, grid, {}, {}, shared=Shared(1.01, 1, 0.04))
-    assert load_calibrations(path, grid) == ({}, Shared(1.01, 1, 0.04))
+    save_calibrations(path, grid, {}, {}, shared=Shared(1.01, 1, depth=0.04))
+    assert load_calibrations(path, grid) == ({}, Shared(1.01, 1, depth=0.04))
     content = json.loads(path.read_text())
     del content["shared"]["depth"]
     path.write_text(json.dumps(content))
-    assert load_calibrations(path, grid) == ({}, Shared(1.01, 1, None))
+    assert load_calibrations(path, grid) == ({}, Shared(1.01, 1, depth=None))

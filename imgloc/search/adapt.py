@@ -75,8 +75,9 @@ def walls_of(evidence: FloatArray, now: Shared) -> Shared:
     Examples
     --------
     >>> thick, bent = [[0.0, -20], [30, 10]], [[0.0, 20], [-5, 15]]
-    >>> walls_of(np.array([thick, thick]), Shared()), walls_of(np.array([bent]), Shared())
-    (Shared(scale=1.0, thinner=1, bent=0.0, depth=None), Shared(scale=1.0, thinner=0, bent=0.15, depth=None))
+    >>> found = [walls_of(np.array(scans), Shared()) for scans in ([thick, thick], [bent])]
+    >>> [(shared.thinner, shared.bent) for shared in found]
+    [(1, 0.0), (0, 0.15)]
     """
     straight, bent = np.mean(evidence, axis=0).T
     n, now_at = int(np.argmax(straight)), min(now.thinner, len(straight) - 1)
