@@ -198,13 +198,13 @@ class EvidenceModel(Checked):
     #: standard deviation, metres, of the place of each piece of wall on the map: 0 if the map is
     #: true to shape
     bent: Metres = number("EvidenceModel.bent")
+    #: exponent of the number of readings on one piece of a bent wall: n readings count as n^alike
+    alike: Share = number("EvidenceModel.alike")
 
-    def bending(self, metres: float) -> "EvidenceModel":
-        """The parameters for a map whose pieces of wall stand `metres` off: see :class:`Shared`.
-
-        A wall that may stand elsewhere stops no reading.
-        """
-        return replace(self, bent=metres, absent=1.0) if metres else self
+    def bending(self, metres: float, how: "Bending | None" = None) -> "EvidenceModel":
+        """The parameters for a map whose pieces of wall stand `metres` off: see :class:`Shared`."""
+        how = how or Bending()
+        return replace(self, bent=metres, **vars(how)) if metres else self
 
     @property
     def best(self) -> float:
@@ -212,6 +212,15 @@ class EvidenceModel(Checked):
         densities = [1 / (math.sqrt(math.tau) * sigma) for sigma in self.sigmas]
         peak = self.hit * sum(densities) / len(densities)
         return math.log(peak + (1 - self.hit) / self.span)
+
+
+@dataclass(frozen=True)
+class Bending(Checked):
+    """Parameters of the score, see :class:`EvidenceModel`, that are others on bent walls."""
+
+    absent: Annotated[float, Within(1e-6, 1, "a probability")] = number("Bending.absent")
+    displaced: Length = number("Bending.displaced")
+    alike: Share = number("Bending.alike")
 
 
 @dataclass(frozen=True)
@@ -258,8 +267,9 @@ class FusedOptions(Checked):
     most_scaled: Annotated[float, Within(1, 10, "a factor")] = number("FusedOptions.most_scaled")
     #: distance, metres and radians, below which two poses are one hypothesis
     separation: tuple[Metres, Radians] = number("FusedOptions.separation")
-    #: parameters of the score
+    #: parameters of the score, and those that are others on bent walls
     model: EvidenceModel = field(default_factory=EvidenceModel)
+    bending: Bending = field(default_factory=Bending)
 
 
 @dataclass(frozen=True)
@@ -405,7 +415,7 @@ class Options(Checked):
     @property
     def model(self) -> EvidenceModel:
         """The parameters of the score, on walls that are as bent as `shared` says."""
-        return self.fused.model.bending(self.shared.bent)
+        return self.fused.model.bending(self.shared.bent, self.fused.bending)
 
     def listed(self, share: FloatArray) -> int:
         """How many hypotheses of these shares (M,), in their order, are listed.

@@ -15,6 +15,7 @@ from imgloc.lab.grid import GridOptions
 from imgloc.lab.particle import ParticleOptions
 from imgloc.likelihoods.correlate import ENGINES
 from imgloc.options import (
+    Bending,
     Calibration,
     Chosen,
     Every,
@@ -38,7 +39,7 @@ from imgloc.runs.jobs import make_job
 from imgloc.runs.opening import ScanFiles
 
 SHOWN = (Chosen, Every, Followed, Known, Limits, Logs, Mounting, Sensor)
-KINDS = (Calibration, EvidenceModel, FusedOptions, Options, Prior, Shared, Trust)
+KINDS = (Bending, Calibration, EvidenceModel, FusedOptions, Options, Prior, Shared, Trust)
 OTHERS = (
     GridOptions,
     MotionNoise,

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from imgloc.features.distance import distance_field, distance_image
 from imgloc.features.raycast import cast_rays
-from imgloc.options import EvidenceModel, Options, Shared
+from imgloc.options import Bending, EvidenceModel, FusedOptions, Options, Shared
 from imgloc.search.refine import endpoints
 from imgloc.search.rescore import bent_evidence, hit_density, rescore
 
@@ -98,7 +98,7 @@ def test_the_score_equals_the_loops(seed, model):
         assert got.explained[i] == pytest.approx(sum(fits) / len(fits))
 
 
-def naive_bent(d, ranges, angles, model):
+def naive_bent(d, ranges, angles, model, shifted=None):
     """Pieces of 20 degrees without a jump of 0.5 m; seven offsets up to two deviations."""
     order = sorted(range(len(angles)), key=lambda k: angles[k])
     pieces = [[order[0]]]
@@ -111,14 +111,22 @@ def naive_bent(d, ranges, angles, model):
             pieces.append([k])
     steps = [2 * (j - 3) / 3 for j in range(7)]
     chances = [math.exp(-(e**2) / 2) for e in steps]
-    return sum(
+    logs = [
         math.log(sum(
             c / sum(chances)
             * math.exp(sum(naive_log_density(d[k] - e * model.bent, 1.0, model) for k in piece))
             for e, c in zip(steps, chances, strict=True)
         ))
         for piece in pieces
-    )  # fmt: skip
+    ]  # fmt: skip
+    if shifted is None:
+        return sum(logs)
+    kept = [math.prod(shifted[k] for k in piece) for piece in pieces]
+    gone = [math.log(model.absent + (1 - model.absent) * stands) for stands in kept]
+    weights = [len(piece) ** model.alike / len(piece) for piece in pieces]
+    whole = sum(w * len(piece) for w, piece in zip(weights, pieces, strict=True))
+    both = sum(w * (a + b) for w, a, b in zip(weights, logs, gone, strict=True))
+    return both * len(d) / whole
 
 
 @given(seeds, st.sampled_from([0.05, 0.15, 0.4]))
@@ -129,6 +137,12 @@ def test_the_evidence_of_bent_walls_equals_the_loops(seed, bent):
     distance = rng.normal(0, 0.3, (3, 15)).astype(np.float32)
     got = bent_evidence(distance, ranges, angles, model)
     expected = [naive_bent(d.tolist(), ranges, angles, model) for d in distance]
+    np.testing.assert_allclose(got, expected, rtol=1e-4)
+    model = model.bending(bent)
+    shifted = rng.choice([1.0, 0.9, 0.1, 0.0], (3, 15)).astype(np.float32)
+    got = bent_evidence(distance, ranges, angles, model, shifted)
+    rows = zip(distance.tolist(), shifted.tolist(), strict=True)
+    expected = [naive_bent(d, ranges, angles, model, s) for d, s in rows]
     np.testing.assert_allclose(got, expected, rtol=1e-4)
 
 
@@ -145,14 +159,21 @@ def test_bent_walls_forgive_a_piece_that_is_off_but_not_readings_that_scatter():
     assert got["scattered"] < got["off"] / 2
 
 
-def test_a_map_with_bent_walls_lets_readings_pass():
-    assert Options(shared=Shared(bent=0.2)).model == EvidenceModel(bent=0.2, absent=1.0)
+def test_a_piece_of_a_bent_wall_is_gone_as_a_whole():
+    open_to_all = Bending(absent=1.0, alike=1.0)
+    bent = FusedOptions(bending=open_to_all)
+    assert Options(shared=Shared(bent=0.2), fused=bent).model.absent == 1.0
+    assert Options(shared=Shared(bent=0.2)).model == EvidenceModel().bending(0.2)
     assert Options().model == EvidenceModel()
     wall, ranges = corridor(screen=3.0), np.full(8, 3.9)
     angles = np.linspace(-0.05, 0.05, 8)
-    there = [score(wall, POSE, ranges, angles, EvidenceModel().bending(b)) for b in (0.0, 0.15)]
-    assert all(one.crossed.all() for one in there)
-    assert there[1].log_likelihood[0] > there[0].log_likelihood[0] + 10
+    models = EvidenceModel(), EvidenceModel().bending(0.15), EvidenceModel(bent=0.15, absent=1.0)
+    straight, bent, free = (score(wall, POSE, ranges, angles, model) for model in models)
+    assert all(one.crossed.all() for one in (straight, bent, free))
+    assert bent.log_likelihood[0] > straight.log_likelihood[0] + 10
+    # All readings pass one wall, which is gone once.
+    lost = free.log_likelihood[0] - bent.log_likelihood[0]
+    assert lost == pytest.approx(-math.log(EvidenceModel().bending(0.15).absent), abs=0.01)
 
 
 def corridor(screen=None):

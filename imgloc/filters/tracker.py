@@ -35,6 +35,7 @@ from imgloc.geometry import wrap
 from imgloc.model import FloatArray, IntArray, LaserScan
 from imgloc.numbers import number
 from imgloc.options import (
+    Bending,
     Count,
     Factor,
     Length,
@@ -136,6 +137,9 @@ class TrackerOptions(Checked):
     #: number of searched scans that fit nowhere and tell together whether the walls are drawn too
     #: thick, or bent; and metres with unique poses after which walls are good as they are
     walls: tuple[Count, Metres] = number("TrackerOptions.walls")
+    #: score on bent walls: they stop no reading, and all readings count alike, because scans of
+    #: many places are weighed together
+    bending: Bending = field(default_factory=lambda: Bending(*number("TrackerOptions.bending")))
     resets: bool = True  #: whether places that a scan finds take the lost mass: sensor resetting
 
 
@@ -204,7 +208,9 @@ class Tracker:
         find: Search | None = None,
     ) -> None:
         self.how = how or TrackerOptions()
-        self.options = replace(options or Options(), top=1000)  # covariances of all
+        options = options or Options()
+        fused = replace(options.fused, bending=self.how.bending)
+        self.options = replace(options, top=1000, fused=fused)  # covariances of all
         self._given = self.options.shared.scale
         self.features = features.thinner(self.options.shared.thinner)
         self._find = find

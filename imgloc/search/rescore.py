@@ -11,10 +11,11 @@ where d is that distance and h the share of readings that come from mapped surfa
 true place. As in eq. 2, too short a reading is no surprise, and too long a reading is one. A sharp
 and a wide sigma make the score sharp where map and scan agree, and forgiving where the map is old.
 
-The walls of a map that others drew may stand some decimetres off, each piece by itself. All
-readings of a piece then share one offset e ~ N(0, bent), which is summed out::
+The walls of a map that others drew may stand some decimetres off, or be gone, each piece by
+itself. All readings of a piece then share one offset e ~ N(0, bent), which is summed out, and one
+factor o. They share further errors, so a piece of n readings counts as n^a of them, a < 1::
 
-    p(piece | x) = sum_e p(e) prod_rho (h mean_s N(d - e; 0, sigma_s) + (1 - h) / span)
+    p(piece | x) = o sum_e p(e) prod_rho (h mean_s N(d - e; 0, sigma_s) + (1 - h) / span)
 """
 
 from dataclasses import dataclass
@@ -89,9 +90,7 @@ def rescore(
     beyond = np.maximum(far - seen - margin, 0).astype(np.float32)  # 0 where nothing is met
     shifted = np.exp(-np.square(beyond / np.float32(model.displaced)))
     if model.bent:
-        kept = model.absent + (1 - model.absent) * shifted
-        log_likelihood = bent_evidence(distance, ranges, angles, model)
-        log_likelihood += np.log(kept).sum(axis=1, dtype=np.float64)
+        log_likelihood = bent_evidence(distance, ranges, angles, model, shifted)
     else:
         density *= np.float32(model.absent) + np.float32(1 - model.absent) * shifted
         log_likelihood = np.log(density).sum(axis=1, dtype=np.float64)
@@ -133,9 +132,13 @@ def hit_density(distance: Float32Array, model: EvidenceModel) -> Float32Array:
 
 
 def bent_evidence(
-    distance: Float32Array, ranges: FloatArray, angles: FloatArray, model: EvidenceModel
+    distance: Float32Array,
+    ranges: FloatArray,
+    angles: FloatArray,
+    model: EvidenceModel,
+    shifted: Float32Array | None = None,
 ) -> FloatArray:
-    """Evidence (C,) of endpoints alone if each piece of wall is displaced by itself, nats.
+    """Evidence (C,) of readings if each piece of wall is displaced, or gone, by itself, nats.
 
     Parameters
     ----------
@@ -146,6 +149,9 @@ def bent_evidence(
         jump or the piece would be seen under a wide angle.
     model : EvidenceModel
         The density of a reading, and the standard deviation of the place of a piece.
+    shifted : (C, N) float32 array, optional
+        Chance that the wall before an endpoint is not gone but displaced, 0..1: 1 if the reading
+        passes no wall. By default the evidence is of endpoints alone, and all readings count alike.
 
     Examples
     --------
@@ -170,7 +176,15 @@ def bent_evidence(
         )
         for offset, p in zip(offsets, chance / chance.sum(), strict=True)
     ])  # fmt: skip
-    return np.asarray(logsumexp(logs, axis=0).sum(axis=1))
+    pieces = logsumexp(logs, axis=0)
+    if shifted is None:
+        return np.asarray(pieces.sum(axis=1))
+    stands = np.log(np.maximum(shifted[:, order], np.finfo(np.float32).tiny))
+    whole = np.exp(np.add.reduceat(stands, parts, axis=1, dtype=np.float64))
+    kept = model.absent + (1 - model.absent) * whole
+    sizes = np.diff(np.append(parts, len(order)))
+    weight = sizes ** (model.alike - 1.0)  # together all readings count as many as they are
+    return np.asarray((pieces + np.log(kept)) @ weight * (len(order) / (sizes @ weight)))
 
 
 def shortlist(
