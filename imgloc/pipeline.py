@@ -28,7 +28,7 @@ from imgloc.likelihoods.stacks import check_stack, likelihood
 from imgloc.model import FloatArray, LaserScan, Likelihood, Localization, OccupancyGrid
 from imgloc.numbers import number
 from imgloc.options import FUSED, Options, Shared
-from imgloc.search.adapt import adapt
+from imgloc.search.adapt import THINNER, adapt
 from imgloc.search.answer import answered
 from imgloc.search.asked import check_options
 from imgloc.search.modes import Modes, separate
@@ -44,8 +44,10 @@ _ROUNDS = number("pipeline.rounds")  # searches again with an error that the rea
 _FIRST_LOOK, _SECOND_LOOK = number("refine.first_look"), number("refine.second_look")
 
 
-def prepare(grid: OccupancyGrid, name: str = "map", **parameters: Any) -> MapFeatures:
-    """Check a map, and wrap it into its features.
+def prepare(
+    grid: OccupancyGrid, name: str = "map", *, ready: bool = True, **parameters: Any
+) -> MapFeatures:
+    """Check a map, and make of it what the search needs.
 
     Parameters
     ----------
@@ -53,13 +55,16 @@ def prepare(grid: OccupancyGrid, name: str = "map", **parameters: Any) -> MapFea
         The map.
     name : str
         Name of the map in error messages.
+    ready : bool
+        Compute now what an answer of the default method may use, so that the first answer takes
+        little longer than others. Without it each feature is computed when it is first used.
     **parameters
         Parameters of :class:`~imgloc.features.mapfeatures.MapFeatures`.
 
     Returns
     -------
     MapFeatures
-        Features of the map. Each is computed when it is first used.
+        Features of the map. Those of other methods are computed when they are first used.
 
     Raises
     ------
@@ -70,7 +75,8 @@ def prepare(grid: OccupancyGrid, name: str = "map", **parameters: Any) -> MapFea
     """
     expect(grid, OccupancyGrid, "grid")
     require_usable(grid, name)
-    return MapFeatures(grid, **parameters)
+    features = MapFeatures(grid, **parameters)
+    return features.ready(THINNER) if ready else features
 
 
 def localize(

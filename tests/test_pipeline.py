@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from places import ANGLES, answer_of, error, features_of, grid_of, room_with_a_post, scan_of
 
 from imgloc.errors import ConfigError, MapError
+from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import in_map_frame, rotate_covariance, wrap
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
@@ -18,6 +19,7 @@ from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose, inverse
 from imgloc.options import ALL_METHODS, FusedOptions, Options, Trust
 from imgloc.pipeline import localize, prepare
 from imgloc.simulation.scans import simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
 
 INF, NAN = float("inf"), float("nan")
 
@@ -225,3 +227,21 @@ def test_recorded_scans_are_located(shared, name):
         assert radians < np.deg2rad(10), (i, answer.pose)
         assert answer.verdict in ("unique", "ambiguous")
         assert answer.counts["valid"] == scan.valid.sum()
+
+
+def test_a_prepared_map_has_all_that_a_hard_scan_looks_at() -> None:
+    grid = render(WORLDS["large"](), 0.1)
+    features, lazy = prepare(grid), prepare(grid, ready=False)
+
+    def made(features: MapFeatures) -> dict[int, set[str]]:
+        thinner = vars(features).get("_thinner", {})
+        return {0: set(vars(features))} | {n: set(vars(there)) for n, there in thinner.items()}
+
+    before, few = made(features), made(lazy)
+    scan = LaserScan(np.random.default_rng(0).uniform(1, 9, 181), np.linspace(-1.5, 1.5, 181))
+    answers = [localize(which, scan) for which in (features, lazy)]
+    assert made(features) == before
+    assert few[0] < before[0]
+    assert made(lazy) != few
+    assert answers[0].verdict == "no-match" == answers[1].verdict
+    assert answers[0].evidence.misfit == answers[1].evidence.misfit

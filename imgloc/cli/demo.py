@@ -56,7 +56,7 @@ def demo(
     grid = load_map(path)
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     cbml = replace(options, method="cbml")
-    features = prepare(grid, name, threads=taken.threads)
+    features = prepare(grid, name, ready=False, threads=taken.threads)
     hint = "use another --map"
     desk = inputs.desk_of(taken.threads, taken.memory_budget)
     desk.check_simulation(grid, name, 1, 181, hint=hint)

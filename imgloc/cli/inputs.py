@@ -7,6 +7,7 @@ import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from imgloc.cli.console import LOG, progress
 from imgloc.errors import ConfigError, MapError, OutputError
@@ -16,7 +17,6 @@ from imgloc.io.calibration import calibration_path, load_calibrations
 from imgloc.io.files import display, is_folder, refuse_existing
 from imgloc.io.maps import YAML_ENDINGS
 from imgloc.io.mapyaml import load_map_yaml
-from imgloc.live.sites import Site
 from imgloc.options import (
     RADIUS,
     TOLERANCE,
@@ -34,6 +34,9 @@ from imgloc.runs.opening import held_bytes as held_bytes
 from imgloc.runs.opening import name_of as name_of
 from imgloc.runs.opening import quiet_libraries as quiet_libraries
 from imgloc.search import priors
+
+if TYPE_CHECKING:
+    from imgloc.live.sites import Site
 
 
 def desk_of(threads: int, memory_budget: int, cache: Path | None = None) -> Desk:
@@ -162,8 +165,9 @@ def check_prior(known: Known, region: Path | None, features: MapFeatures, option
 
 def site_makers(
     paths: Mapping[str, Path], maps: MapFiles, options: Options, folder: Path | None
-) -> tuple[dict[str, Callable[[], Site]], Callable[[str, Site], None]]:
+) -> tuple[dict[str, Callable[[], "Site"]], Callable[[str, "Site"], None]]:
     """What makes each map, by its name, and what keeps it in the cache once it is made."""
+    from imgloc.live.sites import Site  # with the filters, which few commands use
 
     def made(path: Path) -> Site:
         # A desk keeps its maps, but who serves sites decides how many are kept: one for each.

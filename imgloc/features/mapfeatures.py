@@ -159,6 +159,20 @@ class MapFeatures:
     def _thinner(self) -> dict[int, "MapFeatures"]:
         return {}
 
+    def ready(self, thinnest: int = 0) -> "MapFeatures":
+        """Compute now what the default method may use, and return these features.
+
+        That includes the same map with walls up to `thinnest` cells thinner. On a very large map
+        (see :attr:`peels`) only what each answer uses is computed.
+        """
+        _ = self.field, self.walls, self.standable, self.free, self.pyramid
+        if self.peels:
+            _ = self.voters_visibility
+            for cells in range(1, thinnest + 1):
+                there = self.thinner(cells)
+                _ = there.field, there.walls, there.standable, there.pyramid
+        return self
+
     @cached_property
     def standable(self) -> BoolArray:
         """Map cells in which a sensor can be: free, or next to free and not occupied."""

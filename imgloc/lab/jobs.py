@@ -156,7 +156,9 @@ class Atlas(Job):
             hint="use a larger `step`, crop the map",
         )  # fmt: skip
         options = Options(top=TOP, threads=1, memory_budget=desk.memory_budget)
-        desk.check_answer(prepare(grid, name), options, name, hint="crop the map", workers=workers)
+        desk.check_answer(
+            prepare(grid, name, ready=False), options, name, hint="crop the map", workers=workers
+        )
         return Surveying(self, path, grid, poses, options, workers)
 
 

@@ -393,8 +393,9 @@ class Service:
                 return name
             options = self.core.options
             features = prepare(
-                grid, name, memory_budget=options.memory_budget, threads=options.threads
-            )
+                grid, name, ready=False,
+                memory_budget=options.memory_budget, threads=options.threads,
+            )  # fmt: skip
             need = features.bytes_for(FUSED)
             what = f"{name}: a map of {grid.info.width} x {grid.info.height} cells"
             all_of_it = need + answer_bytes(features, options)

@@ -61,7 +61,7 @@ def site_of(made: MapLike | Maker, name: str) -> Site:
         made = made()
     if isinstance(made, Site):
         return made
-    return Site(made if isinstance(made, MapFeatures) else prepare(made, name))
+    return Site(made if isinstance(made, MapFeatures) else prepare(made, name, ready=False))
 
 
 def warm(site: Site, options: Options, tracking: Tracking) -> None:

@@ -193,7 +193,7 @@ class Desk:
             return self._maps[key]
         grid = self.grid(path, maps)
         parameters = {"cell": cell, "threads": self.threads, "memory_budget": self.memory_budget}
-        features = prepare(grid, name, **parameters)
+        features = prepare(grid, name, ready=False, **parameters)
         self.check_answer(features, options, name, scans=scans, hint=hint)
         if fresh:
             return features

@@ -23,7 +23,8 @@ _SIGMAS = number("adapt.sigmas")
 THINNEST: int = number("adapt.thinner")
 """Cells that walls may lose on each side."""
 _SCALES = number("adapt.scales")  # factors from which the search for a scale starts
-_THINNER: int = number("adapt.walls")  # cells that walls are tried to lose on each side
+THINNER: int = number("adapt.walls")
+"""Cells that walls are tried to lose on each side."""
 _GAIN = number("adapt.gain")  # nats per scan that thinner walls have to gain
 BENT: float = number("adapt.bent")
 """Standard deviation of the place of a piece of wall, metres, on a map that is bent."""
@@ -54,8 +55,8 @@ def wall_evidence(
     (T, 2) float array
         Nats of the best pose, with walls that are 0 to T - 1 cells thinner, straight and bent.
     """
-    out = np.full((_THINNER + 1, 2), -np.inf)
-    for n in range(_THINNER + 1 if features.peels else 1):
+    out = np.full((THINNER + 1, 2), -np.inf)
+    for n in range(THINNER + 1 if features.peels else 1):
         there = features.thinner(n)
         poses = refine(places[:_PLACES], readings.xy, there.field, sigmas=_SIGMAS)
         poses = standing(poses, options.prior, there)

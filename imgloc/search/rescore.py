@@ -21,7 +21,6 @@ factor o. They share further errors, so a piece of n readings counts as n^a of t
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 
 from imgloc.features.distance import DistanceField
 from imgloc.features.mapfeatures import MapFeatures
@@ -176,7 +175,9 @@ def bent_evidence(
         )
         for offset, p in zip(offsets, chance / chance.sum(), strict=True)
     ])  # fmt: skip
-    pieces = logsumexp(logs, axis=0)
+    # scipy.special.logsumexp takes a quarter of a second to import.
+    most = logs.max(axis=0)
+    pieces = most + np.log(np.exp(logs - most).sum(axis=0))
     if shifted is None:
         return np.asarray(pieces.sum(axis=1))
     stands = np.log(np.maximum(shifted[:, order], np.finfo(np.float32).tiny))

@@ -102,7 +102,7 @@ def calibrate(
         name, world = display(path), is_world(path, grid)
         desk.check_simulation(grid, name, count, sensor.rays, world=world, sets=3 * len(grids))
         for options in plans.values():
-            desk.check_answer(prepare(grid, name, cell=cell), options, name)
+            desk.check_answer(prepare(grid, name, ready=False, cell=cell), options, name)
     made: Callable[..., ScanSet] = simulate if clean else disturbed_set
     sets = [
         made(grid, count, seed, sensor, fine_image(path, grid))
