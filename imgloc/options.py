@@ -756,6 +756,40 @@ class Mounting(Checked):
         return scan if self.sensor is None else replace(scan, T_base_laser=self.sensor)
 
 
+@dataclass(frozen=True)
+class Drawn(Checked):
+    """How others drew the walls of a map; None is what was calibrated for the map.
+
+    Examples
+    --------
+    >>> Drawn(thinner=0.1).on(Shared(scale=1.02), 0.05)
+    Shared(scale=1.02, thinner=2, bent=0.0)
+    """
+
+    thinner: Annotated[float, Within(0, 1, "metres")] | None = option(
+        None,
+        "Metres by which the map draws each side of a wall too thick. [default: what imgloc "
+        "calibrate found, or 0]",
+    )
+    bent: Annotated[float, Within(0, 1, "metres")] | None = option(
+        None,
+        "Standard deviation of the place of each piece of wall, metres: 0.15 suits a map that "
+        "others drew. [default: what imgloc calibrate found, or 0]",
+    )
+
+    def on(self, known: Shared, resolution: float) -> Shared:
+        """The error that is `known`, with these walls; the map's cells are `resolution` metres."""
+        thinner, bent = known.thinner, known.bent
+        if self.thinner is not None:
+            thinner = round(self.thinner / resolution)
+            if self.thinner > 0 and not thinner:
+                raise ConfigError(
+                    f"`thinner`: got {self.thinner:g}, expected 0 or at least half a cell, "
+                    f"{resolution / 2:g} m"
+                )
+        return replace(known, thinner=thinner, bent=bent if self.bent is None else self.bent)
+
+
 def _on_base() -> Pose2D:
     from imgloc.model import Pose2D
 

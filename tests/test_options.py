@@ -18,6 +18,7 @@ from imgloc.options import (
     Bending,
     Calibration,
     Chosen,
+    Drawn,
     Every,
     EvidenceModel,
     Followed,
@@ -38,7 +39,7 @@ from imgloc.ranges import Checked
 from imgloc.runs.jobs import make_job
 from imgloc.runs.opening import ScanFiles
 
-SHOWN = (Chosen, Every, Followed, Known, Limits, Logs, Mounting, Sensor)
+SHOWN = (Chosen, Drawn, Every, Followed, Known, Limits, Logs, Mounting, Sensor)
 KINDS = (Bending, Calibration, EvidenceModel, FusedOptions, Options, Prior, Shared, Trust)
 OTHERS = (
     GridOptions,
@@ -112,7 +113,7 @@ def test_no_number_of_options_may_be_nan(kind: type) -> None:
             asked += 1
             with pytest.raises(ConfigError, match=rf"{kind.__name__}\.{part.name}: got nan"):
                 kind(**{part.name: math.nan})
-    assert asked or kind in (Prior, Known, Mounting)
+    assert asked or kind in (Prior, Drawn, Known, Mounting)
 
 
 def test_all_options_are_checked() -> None:

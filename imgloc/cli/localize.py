@@ -17,6 +17,7 @@ from imgloc.options import (
     AllowLossy,
     Cell,
     Chosen,
+    Drawn,
     Known,
     Logs,
     Mounting,
@@ -41,6 +42,7 @@ def localize(
     scans_paths: opt.ScansPaths,
     search: Annotated[Options, Without("threads", "memory_budget")],
     known: Known,
+    drawn: Drawn,
     mounting: Mounting,
     reading: Reading,
     logs: Logs,
@@ -92,6 +94,7 @@ def localize(
         scans=inputs.as_recorded(logs, range_max, chosen, mounting),
         cell=cell,
         known=known,
+        drawn=drawn,
         region=region,
     )
     desk = inputs.desk_of(taken.threads, taken.memory_budget, folder)

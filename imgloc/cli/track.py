@@ -16,6 +16,7 @@ from imgloc.errors import ConfigError, ScanError
 from imgloc.io.files import display, write_text_atomic
 from imgloc.options import (
     AllowLossy,
+    Drawn,
     Followed,
     Logs,
     Mounting,
@@ -157,6 +158,7 @@ def track(
     asked: Asked,
     followed: Followed,
     outputs: Outputs,
+    drawn: Drawn,
     mounting: Mounting,
     reading: Reading,
     logs: Logs,
@@ -185,6 +187,7 @@ def track(
     from imgloc.io.calibration import calibrated
     from imgloc.output.mcap import Recording
     from imgloc.output.tracks import Video
+    from imgloc.search.asked import check_options
 
     folder = inputs.kept_in(cache, wanted=not no_cache)
     outputs.check([*inputs.files_of(map_path), log])
@@ -192,10 +195,11 @@ def track(
     maps = inputs.one_map(reading, allow_lossy=allow_lossy)
     grid = desk.grid(map_path, maps, usable=True)
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
-    options = calibrated(options, map_path, grid)
+    options = calibrated(options, map_path, grid, drawn)
     how = inputs.as_recorded(logs, range_max, mounting=mounting)
     scans, live = _scans_of(log, logs, asked, how, desk, stamped=outputs.tum is not None)
     features = desk.features(map_path, maps, options, scans=scans.scans)
+    check_options(features, options)
     scans = with_true_poses(scans, grid, inputs.name_of(log))
     tracking = Tracking(**vars(followed))
     chosen = tracking.made(features, options)

@@ -18,7 +18,7 @@ from imgloc.io.cache import cells_digest
 from imgloc.io.files import PathLike, display, is_file, write_text_atomic
 from imgloc.io.own import read_json
 from imgloc.model import OccupancyGrid
-from imgloc.options import DEFAULTS, Calibration, Options, Shared
+from imgloc.options import DEFAULTS, Calibration, Drawn, Options, Shared
 
 LOG = logging.getLogger(__name__)
 
@@ -74,12 +74,16 @@ def save_calibrations(
     write_text_atomic(path, json.dumps(content, indent=2, allow_nan=False) + "\n", force=force)
 
 
-def calibrated(options: Options, map_path: PathLike, grid: OccupancyGrid) -> Options:
+def calibrated(
+    options: Options, map_path: PathLike, grid: OccupancyGrid, drawn: Drawn | None = None
+) -> Options:
     """The options with what was calibrated for a map: for their method, and of its scale and walls.
 
-    They stay as they are if there is no such file, or it is damaged or of another map.
+    Without a file, or with one that is damaged or of another map, nothing was. What is stated of
+    the walls, `drawn`, is more than what was calibrated.
     """
     methods, shared = load_calibrations(calibration_path(map_path), grid)
+    shared = (drawn or Drawn()).on(shared, grid.resolution)
     return replace(options, calibration=methods.get(options.method), shared=shared)
 
 

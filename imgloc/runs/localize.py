@@ -15,7 +15,7 @@ from imgloc.io.calibration import calibrated
 from imgloc.io.files import display
 from imgloc.io.images import image_size, read_image
 from imgloc.model import BoolArray, LaserScan, Localization, OccupancyGrid, Pose2D
-from imgloc.options import FUSED, TOLERANCES, Known, Length, Options, Prior, Tolerance
+from imgloc.options import FUSED, TOLERANCES, Drawn, Known, Length, Options, Prior, Tolerance
 from imgloc.pipeline import localize
 from imgloc.runs.jobs import Answer, Item, Job, compared
 from imgloc.runs.opening import Desk, ScanFiles, Taken
@@ -32,8 +32,17 @@ class Localize(Job):
     scans: ScanFiles = field(default_factory=ScanFiles)
     cell: Length = 0.1  #: of the poses, metres
     known: Known = field(default_factory=Known)  #: what is known of all poses
+    drawn: Drawn = field(default_factory=Drawn)  #: what is stated of the map's walls
     region: Path | None = None  #: an image as large as the map's, white where the robot may be
     tolerance: Tolerance = TOLERANCES[-1]  #: how near a known pose an answer is a hit
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.options.method != FUSED and self.drawn != Drawn():
+            method = self.options.method
+            raise ConfigError(
+                f"`thinner` and `bent`: {method} scores walls as drawn; expected method {FUSED}"
+            )
 
     def open(self, item: Item, desk: Desk) -> "Locating":
         """Read the scans and the map of an item."""
@@ -41,7 +50,7 @@ class Localize(Job):
         options = replace(self.options, threads=desk.threads, memory_budget=desk.memory_budget)
         features = desk.features(path, self.maps, options, cell=self.cell, scans=taken.scans.scans)
         if options.calibration is None:
-            options = calibrated(options, path, features.grid)
+            options = calibrated(options, path, features.grid, self.drawn)
         prior = prior_of(self.known, features.grid)
         if self.region is not None:
             cells = region_of(self.region, features.grid, allow_lossy=self.maps.allow_lossy)

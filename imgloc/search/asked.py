@@ -22,6 +22,8 @@ def check_options(features: MapFeatures, options: Options) -> None:
     """
     expect(features, MapFeatures, "features")
     expect(options, Options, "options")
+    if options.shared.thinner and not features.peels:
+        raise ConfigError("`thinner`: the map is too large to make its walls thinner; expected 0")
     if options.exact and options.method not in (FUSED, "cbml"):
         raise ConfigError(f"the exact search is of cbml's score, not of {options.method}'s")
     if options.time_budget is not None and options.method != FUSED:
