@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import MAPS, call, rows
+from command import MAPS, Run, call, rows
 
 from imgloc.io.images import encode_png, read_image
 from imgloc.io.scans import load_scans, save_scans
@@ -38,9 +38,11 @@ def changed(path: Path, name: str, **more: object) -> Path:
 @pytest.mark.parametrize(
     ("factor", "reach", "hint"),
     [
-        (1000.0, 30_000.0, "multiplied by 0.001: are they millimetres. Try --range-scale 0.001"),
-        (1000.0, 30.0, "far beyond range_max .*millimetres.*--range-scale 0.001"),
-        (0.5, 15.0, "multiplied by 2: is the map's resolution right. .*--resolution 0.05"),
+        (1000.0, 30_000.0, "half of the ranges.*are they millimetres. Try --range-scale 0.001"),
+        (1000.0, 30.0, "half of the ranges.*are they millimetres. Try --range-scale 0.001"),
+        (100.0, 3000.0, "half of the ranges.*are they centimetres. Try --range-scale 0.01"),
+        (10.0, 300.0, "multiplied by 0.1: .*range-scale 0.1, or correct .* to 1 m"),
+        (0.5, 15.0, "multiplied by 2: is the map's resolution right. .*resolution to 0.05 m"),
     ],
 )
 def test_units_are_recognised_and_mended(
@@ -50,7 +52,7 @@ def test_units_are_recognised_and_mended(
     run = call("localize", "curved", path, OFF)
     assert run.code == 0
     assert re.search(hint, run.err), run.err
-    if "multiplied" in hint:  # the page and the picture of one of them say it, too
+    if factor == 0.5:  # the page and the picture of one of them say it, too
         page = path.with_suffix(".html")
         said = call(
             "localize", "curved", path, OFF, "--scans-index", 1, "--explain", page, "--force"
@@ -66,7 +68,7 @@ def test_scans_of_another_place_end_with_what_to_look_at(scans: Path) -> None:
     noise = np.random.default_rng(1).uniform(0.5, 9, (3, 180))
     path = changed(scans, "c.npz", ranges=noise, poses=np.zeros((3, 3)))
     run = call("localize", "curved", path, OFF)
-    assert "most scans do not fit this map. Look at one with --explain" in run.err
+    assert "most scans do not fit this map: is it the map of this place?" in run.err
     none = changed(scans, "d.npz", ranges=np.full((3, 180), np.nan), poses=np.zeros((3, 3)))
     run = call("localize", "curved", none, OFF)
     assert "too few readings to be placed: of 540 readings 0 valid" in run.err
@@ -207,3 +209,47 @@ def test_a_batch_ends_with_why_items_failed(scans: Path, tmp_path: Path) -> None
     assert empty in failed
     assert any(line.startswith("failed: cut.npz on curved.yaml: damaged NPZ") for line in failed)
     assert len(failed) == 2
+
+
+def hint_of(run: Run) -> str:
+    """The only hint of a run: what stands below the words about all scans."""
+    lines = [line.removeprefix("imgloc: ") for line in run.err.splitlines()]
+    (hint,) = (line for line in lines if "recorded poses" not in line and "scans: " not in line)
+    return hint
+
+
+@pytest.mark.parametrize("given", [("--heading", "-1,0.1"), ("--near", "3,3,1,0.4,0.2")])
+def test_a_wrong_prior_is_named_with_the_place_that_it_leaves_out(
+    scans: Path, given: tuple[str, str]
+) -> None:
+    right = rows(call("localize", "curved", scans, OFF, "--json").out)
+    run = call("localize", "curved", scans, OFF, *given)
+    pose = right[0]["pose"]
+    at = f"x {pose['x']:.2f} m, y {pose['y']:.2f} m"
+    assert f"the first at {at}" in hint_of(run)
+    assert hint_of(run).endswith(f"which {given[0]} leaves out: is it right?")
+    one = call("localize", "curved", scans, OFF, *given, "--scans-index", 0)
+    assert hint_of(one).startswith(f"this scan fits this map at {at}")
+
+
+def test_what_was_given_is_not_advised_again(scans: Path) -> None:
+    run = call("localize", "large", scans, OFF, "--flipped")
+    assert "--flipped" not in run.err
+    run = call("localize", "curved", scans, OFF, "--flipped")
+    assert hint_of(run).endswith("Leave out --flipped")
+    run = call("localize", "curved", scans, OFF, "--range-scale", 2)
+    assert "Try --range-scale 1, or" in hint_of(run)
+
+
+def test_a_mirrored_map_has_one_hint_and_the_command_with_it_works(
+    scans: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "m.png").write_bytes(
+        encode_png(np.ascontiguousarray(read_image(MAPS / "curved.png").pixels[:, ::-1]))
+    )
+    said = (MAPS / "curved.yaml").read_text().replace("curved.png", "m.png")
+    (tmp_path / "m.yaml").write_text(said)
+    run = call("localize", tmp_path / "m.yaml", scans, OFF)
+    assert hint_of(run).endswith("or the map's image mirrored? Try --flipped")
+    run = call("localize", tmp_path / "m.yaml", scans, OFF, "--flipped", "--json")
+    assert [row["verdict"] for row in rows(run.out)] == ["unique", "unique"]

@@ -166,7 +166,7 @@ def test_a_blind_robot_gives_no_pose(
 def test_a_pose_is_as_sure_as_was_asked_for(log: Path) -> None:
     run = call("track", MAP, log, "--json", "--max-sd", "0.02,10")
     assert run.code == 0, run.err
-    assert {row["withheld"] for row in rows(run.out)} == {None, "wide"}
+    assert {row["withheld"] for row in rows(run.out)} == {"unconfirmed", "wide"}
     assert not any(row["pose"] for row in rows(run.out))
     assert "wide" not in call("track", MAP, log, "--max-sd", "2,10").out
 

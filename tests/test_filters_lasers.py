@@ -151,7 +151,7 @@ def test_one_laser_sees_for_both() -> None:
     chosen = make_filter("tracker", features, Options(), find=lambda _: NO_PLACES)
     half = replace(scans, scans=tuple(some))
     moments = list(follow(features, half, chosen, start=Pose2D(*PATH[0]), deviation=(0.2, 0.1)))
-    assert [m.withheld for m in moments] == [""] * len(moments)
+    assert {m.withheld for m in moments} <= {"", "unconfirmed"}
     assert [m.age for m in moments[4:6]] == [pytest.approx(0.9), 0.0]
     assert [m.belief.verdict for m in moments[-4:]] == ["unique"] * 4
     blind = [replace(scan, ranges=np.full_like(scan.ranges, np.nan)) for scan in some[8:]]

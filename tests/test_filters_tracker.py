@@ -424,8 +424,8 @@ def blinked(scans: ScanSet, *at: int) -> ScanSet:
 def test_a_scan_that_is_lost_now_and_then_takes_nothing_back() -> None:
     at = range(7, 24, 3)
     moments = list(follow(features_of(WORLD), blinked(log(), *at), tracker_of()))
-    assert [m.withheld for m in moments] == ["blind" if k in at else "" for k in range(24)]
-    seen = [m.belief.verdict for m in moments[4:] if not m.withheld]
+    assert [m.withheld == "blind" for m in moments] == [k in at for k in range(24)]
+    seen = [m.belief.verdict for m in moments[4:] if m.withheld != "blind"]
     assert set(seen) == {"unique"}
 
 

@@ -12,6 +12,7 @@ from command import MAPS
 from imgloc.answers.diagnose import doubts
 from imgloc.errors import as_options
 from imgloc.io.scans import save_scans
+from imgloc.io.scanset import ScanSet
 from imgloc.model import Evidence
 from imgloc.options import Options, Sensor
 from imgloc.output.report import render_report
@@ -24,7 +25,7 @@ from imgloc.runs.results import read_rows
 from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
-MILLIMETRES = "if ranges are multiplied by 0.001: are they millimetres? Try `range_scale=0.001`"
+MILLIMETRES = "are they millimetres? Try `range_scale=0.001`"
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +54,10 @@ def test_a_batch_ends_with_what_keeps_scans_from_fitting(found: tuple[Path, Batc
     (hint,) = summary.hints
     assert hint["hint"].endswith(MILLIMETRES)
     # What fits one of the maps is not doubtful on the other.
-    assert (hint["items"], hint["of"], hint["first"]) == (1, 2, ["mm.npz on curved"])
+    names = ["mm.npz on curved", "mm.npz on visibility"]
+    assert (hint["items"], hint["of"], hint["first"]) == (2, 2, names)
     text = batch_text(summary, "out")
-    assert "1 of 2 doubtful items tried again, for example mm.npz on curved: scans like" in text
+    assert "2 of 2 doubtful items tried again, for example mm.npz on curved: half of" in text
     assert json.loads((folder / "out" / "summary.json").read_text())["hints"] == summary.hints
     page = render_report(folder / "out")
     assert "What to look at next" in page
@@ -135,14 +137,14 @@ def test_where_several_places_fit_as_they_are_nothing_else_is_tried() -> None:
     hanging = [scan.flipped for scan in scans]
     for misfit, count in ((0.1, 0), (0.5, 1)):
         said = [("ambiguous", Evidence(misfit=misfit))]
-        found = doubts(features, hanging, said, Options())
+        found = doubts(features, ScanSet(tuple(hanging)), said, Options())
         assert len(found) == count
     assert "Try `flipped=True`" in found[0].text
-    assert doubts(features, hanging, [("no-match", Evidence())], Options()) == found
+    assert doubts(features, ScanSet(tuple(hanging)), [("no-match", Evidence())], Options()) == found
     noise = [
         replace(hanging[0], ranges=np.random.default_rng(0).uniform(1, 9, hanging[0].ranges.size))
     ]
-    (found,) = doubts(features, noise, [("no-match", Evidence())], Options())
+    (found,) = doubts(features, ScanSet(tuple(noise)), [("no-match", Evidence())], Options())
     assert found.short.startswith("another map?")
     assert "voters" not in vars(features)  # no votes: they take longer than all the rest
     localize(features, noise[0])

@@ -3,17 +3,30 @@
 Upside down, other units, a map of another scale: each is one more answer for a few of the scans.
 """
 
+import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.scanpoints import evenly
 from imgloc.io.maps import DRAWN, SWAPPED, looks_drawn, looks_swapped
-from imgloc.model import SURE, Evidence, LaserScan
+from imgloc.io.scanset import ScanSet
+from imgloc.model import (
+    SURE,
+    Evidence,
+    LaserScan,
+    Localization,
+    Pose2D,
+    base_of,
+    compose,
+    inverse,
+)
 from imgloc.numbers import number
-from imgloc.options import Options, Shared
+from imgloc.options import Options, Prior, Shared
 from imgloc.pipeline import localize
 
 Said = Sequence[tuple[str, Evidence]]
@@ -23,16 +36,44 @@ _FITS = number("diagnose.fits")
 _TRIED = number("diagnose.tried")  # doubtful scans that are looked at in another way
 # By which ranges are off, the likeliest first: millimetres, centimetres, feet; round slips of the
 # resolution.
+_AGREED = number("diagnose.agreed")  # metres, metres for each metre of way, degrees
+_LONG = number("diagnose.long")
+UNITS = {"millimetres": 0.001, "centimetres": 0.01}  #: metres
 _FACTORS = (0.001, 0.01, 0.5, 2.0, 0.1, 10.0, 0.2, 5.0, 0.25, 4.0, 0.4, 2.5)
+
+
+OLD = "an old map? see imgloc map changes"
+_LOOK = "imgloc localize MAP SCANS `index=N` `explain=why.html` shows one ray by ray"
 
 
 @dataclass(frozen=True)
 class Doubt:
     """What most likely is wrong, and what mends it."""
 
+    code: str  #: one word that names it, the same in every version
     text: str  #: a sentence or two
     short: str  #: the same for a picture
+    options: str = ""  #: arguments that mend it, in backquotes; empty if there are none
     found: bool = True  #: tried, and it helps; otherwise it is where to look
+
+
+@dataclass(frozen=True)
+class Given:
+    """What was stated about scans before they were located."""
+
+    flipped: bool = False  #: they were taken for those of a sensor that hangs upside down
+    range_scale: float = 1.0  #: their ranges were multiplied by it
+
+    def advice(self, options: str) -> str:
+        """A sentence that advises `options`, or to leave out what was wrong before.
+
+        Examples
+        --------
+        >>> Given().advice("`flipped=True`"), Given(flipped=True).advice("`flipped=True`")
+        ('Try `flipped=True`', 'Leave out `flipped=True`')
+        """
+        leave = self.flipped and options == "`flipped=True`"
+        return f"{'Leave out' if leave else 'Try'} {options}"
 
 
 def is_doubtful(verdict: str, evidence: Evidence) -> bool:
@@ -47,80 +88,196 @@ def is_doubtful(verdict: str, evidence: Evidence) -> bool:
 
 
 def doubts(
-    features: MapFeatures, scans: Sequence[LaserScan], said: Said, options: Options,
-    *, flipped: bool = False, range_scale: float = 1.0,
-) -> list[Doubt]:  # fmt: skip
+    features: MapFeatures, scans: ScanSet, said: Said, options: Options, given: Given | None = None
+) -> list[Doubt]:
     """Say what most likely keeps most of some scans from being placed, and what mends it.
+
+    Causes are tried in the order of how much they explain: units that the readings themselves give
+    away, too few readings, a map with black and white swapped, a prior that leaves the place out, a
+    mirrored sensor or map, ranges of another scale, a map that is a drawing. The first one that
+    makes a few of the scans unique is the answer.
 
     Parameters
     ----------
     features, options
         Those of the answers.
-    scans, said : sequences of one length
-        The scans, and the verdict and evidence of each.
-    flipped : bool
-        Whether the scans were taken for those of a sensor that hangs upside down.
-    range_scale : float
-        What their ranges were multiplied by already.
+    scans : ScanSet
+        The scans, and their odometry if there is any.
+    said : sequence of (str, Evidence)
+        Verdict and evidence of each scan.
+    given : Given, optional
+        What was stated about the scans, so that no option is advised that was given already.
 
     Returns
     -------
     list of Doubt
-        The likeliest cause; none if at least half of the scans fit. And what :func:`bent` says.
+        At most one; none if at least half of the scans fit, unless they do so as :func:`bent` says.
     """
-    likely = _doubts(features, scans, said, options, flipped, range_scale)
-    return [*likely, *bent(said, options.shared, features.grid.resolution)]
-
-
-def _doubts(
-    features: MapFeatures, scans: Sequence[LaserScan], said: Said, options: Options,
-    flipped: bool, range_scale: float,
-) -> list[Doubt]:  # fmt: skip
-    doubtful = [scan for scan, answer in zip(scans, said, strict=True) if is_doubtful(*answer)]
-    counts = Counter(verdict for verdict, _ in said)
+    given, bent_ = given or Given(), bent(said, options.shared, features.grid.resolution)
+    doubtful = [k for k, answer in enumerate(said) if is_doubtful(*answer)]
     if 2 * len(doubtful) <= len(scans):
-        return []
+        return bent_
+    counts = Counter(verdict for verdict, _ in said)
+    trial = _Trial(features, scans.take(doubtful), options, given, one=len(scans) == 1)
+    if found := trial.units():
+        return [found]
     if 2 * counts["invalid"] > len(scans):
-        few = _too_few(doubtful)
-        short = "millimetres? `range_scale=0.001`" if "milli" in few else "look at `range_max`"
-        return [Doubt(few, f"too few readings: {short}")]
+        few = few_readings(trial.scans.scans)
+        text = (
+            f"most scans have too few readings to be placed: {few}. Look at range_min and "
+            "range_max of the file, and pass `range_max`"
+        )
+        return [Doubt("few", text, "too few readings: look at `range_max`")]
     if looks_swapped(features.grid):
-        return [Doubt(SWAPPED, "black and white of the map look swapped: `negate=True`")]
-    tried = [scan for scan in doubtful if scan.directions][:_TRIED]
-    plan = Doubt(f"the map: {DRAWN}", "the map looks like a drawing: imgloc map plan")
-    drawn = [plan] if looks_drawn(features.grid) else []
+        return [Doubt("swapped", SWAPPED, "black and white of the map look swapped: `negate=True`")]
+    found = trial.prior() or trial.mirrored() or trial.scale()
+    if found or bent_:
+        return [found] if found else bent_
+    if looks_drawn(features.grid):
+        return [Doubt("plan", f"the map: {DRAWN}", "the map looks like a drawing: imgloc map plan")]
+    return [trial.elsewhere()] if 2 * counts["no-match"] > len(scans) else []
 
-    # Votes find a few places more where nothing fits, which takes longer than all the rest.
-    quick = replace(options, fused=replace(options.fused, unfit=np.inf))
 
-    def all_unique(changed: Iterable[LaserScan]) -> bool:
-        verdicts = (localize(features, scan, quick).verdict for scan in changed)
-        return bool(tried) and all(verdict == "unique" for verdict in verdicts)
+@dataclass(frozen=True)
+class _Trial:
+    """Doubtful scans, which are tried in other ways."""
 
-    like = "this scan fits" if len(scans) == 1 else "scans like these fit"
-    if all_unique(scan.flipped for scan in tried):
-        option = "Leave out" if flipped else "Try"
-        mirrored = f"{like} at one place if mirrored"
+    features: MapFeatures
+    scans: ScanSet
+    options: Options
+    given: Given
+    one: bool  #: whether there is only one scan
+
+    @property
+    def tried(self) -> list[int]:
+        """Indices of a few of the scans."""
+        seeing = [k for k, scan in enumerate(self.scans.scans) if scan.directions]
+        return [seeing[k] for k in evenly(len(seeing), _TRIED).tolist()]
+
+    @property
+    def fits(self) -> str:
+        return "this scan fits" if self.one else "scans like these fit"
+
+    def unique(
+        self, change: Callable[[LaserScan], LaserScan] | None = None, prior: Prior | None = None
+    ) -> list[Localization]:
+        """Answers to a few scans that are changed, or without the prior; empty unless all are."""
+        # Votes find a few places more where nothing fits, which takes longer than all the rest.
+        quick = replace(self.options, fused=replace(self.options.fused, unfit=np.inf))
+        quick = replace(quick, prior=quick.prior if prior is None else prior)
+        found = list[Localization]()
+        for k in self.tried:
+            scan = self.scans[k] if change is None else change(self.scans[k])
+            found.append(localize(self.features, scan, quick))
+            if found[-1].verdict != "unique":
+                return []
+        return found
+
+    def units(self) -> Doubt | None:
+        """Half of the ranges are longer than rooms are, or than the map: in which unit they fit."""
+        ranges = np.concatenate([scan.ranges for scan in self.scans.scans[:100]])
+        ranges = ranges[np.isfinite(ranges) & (ranges > 0)]
+        middle = float(np.median(ranges)) if len(ranges) else 0.0
+        height, width = self.features.grid.occupied.shape
+        longest = math.hypot(height, width) * self.features.grid.resolution
+        likely, beyond = unit_of(middle), ""
+        if not likely and middle <= longest:
+            return None
+        fitting = (name for name, f in UNITS.items() if self.unique(lambda s, f=f: s.scaled(f)))  # type: ignore[misc]
+        unit = next(fitting, likely)
+        if not unit:
+            return None
+        asked = f"`range_scale={UNITS[unit] * self.given.range_scale:g}`"
+        if not likely:
+            beyond = f", but the map is {longest:.3g} m from corner to corner"
+        text = f"half of the ranges are above {middle:.4g} m{beyond}: are they {unit}? Try {asked}"
+        return Doubt("units", text, f"{unit}? {asked}", asked)
+
+    def prior(self) -> Doubt | None:
+        """The scans fit elsewhere, at poses that what was given leaves out."""
+        names = [f"`{name}`" for name in self.options.prior.about]
+        if not names or not (found := self.unique(prior=Prior())):
+            return None
+        asked = " and ".join(names)
+        pose = found[0].pose
+        assert pose is not None
+        at = f"x {pose.x:.2f} m, y {pose.y:.2f} m, theta {math.degrees(pose.theta):.0f} degrees"
+        where = f"at {at}" if self.one else f"at one place each, the first at {at}"
+        leave = "leaves" if len(names) == 1 else "leave"
+        text = f"{self.fits} this map {where}, which {asked} {leave} out: is it right?"
+        return Doubt("prior", text, f"fits where {asked} {leave} out")
+
+    def mirrored(self) -> Doubt | None:
+        """The scans fit if left and right are swapped."""
+        if not self.unique(lambda scan: scan.flipped):
+            return None
         why = "is the sensor upside down, or the map's image mirrored?"
-        text = f"{mirrored}: {why} {option} `flipped=True`"
-        return [Doubt(text, "fits if mirrored: `flipped=True`"), *drawn]
-    resolution = features.grid.resolution
-    for factor in _FACTORS:
-        if all_unique(scan.scaled(factor) for scan in tried):
-            units = {0.001: "millimetres", 0.01: "centimetres"}.get(factor)
-            why = f"are they {units}?" if units else "is the map's resolution right?"
-            other = "" if units else f", or `resolution={resolution / factor:g}`"
-            fits = f"{like} at one place if ranges are multiplied by {factor:g}"
-            text = f"{fits}: {why} Try `range_scale={factor * range_scale:g}`{other}"
-            return [Doubt(text, f"fits with ranges x {factor:g}: {why}"), *drawn]
-    if drawn or 2 * counts["no-match"] <= len(scans):
-        return drawn
-    none = "this scan does" if len(scans) == 1 else "most scans do"
-    text = (
-        f"{none} not fit this map. Look at one with `explain`, and at the map "
-        "with imgloc map check; imgloc which tells which of several maps it is from"
-    )
-    return [Doubt(text, "another map? see imgloc map check, imgloc which", found=False)]
+        what = f"{self.fits} at one place if mirrored: {why}"
+        if self.given.flipped:
+            leave = "Leave out `flipped=True`"
+            return Doubt(
+                "mirrored", f"{what} {leave}", "fits if mirrored: leave out `flipped=True`"
+            )
+        asked = "`flipped=True`"
+        return Doubt("mirrored", f"{what} Try {asked}", f"fits if mirrored: {asked}", asked)
+
+    def scale(self) -> Doubt | None:
+        """The scans fit in other units, or the map has another resolution."""
+        resolution = self.features.grid.resolution
+        for factor in _FACTORS:
+            if not self.unique(lambda scan, factor=factor: scan.scaled(factor)):  # type: ignore[misc]
+                continue
+            unit = next((name for name, value in UNITS.items() if value == factor), None)
+            why = f"are they {unit}?" if unit else "is the map's resolution right?"
+            asked = f"`range_scale={factor * self.given.range_scale:g}`"
+            cells = f", or correct the map's resolution to {resolution / factor:g} m"
+            fits = f"{self.fits} at one place if ranges are multiplied by {factor:g}"
+            text = f"{fits}: {why} Try {asked}{'' if unit else cells}"
+            return Doubt("scale", text, f"fits with ranges x {factor:g}: {why}", asked)
+        return None
+
+    def elsewhere(self) -> Doubt:
+        """Nothing helps: an old map if the scans agree about where they are, else another one."""
+        none = "this scan does" if self.one else "most scans do"
+        if (share := self._agreed()) is not None:
+            text = (
+                f"{none} not fit this map well, but they agree about the way between them, and "
+                f"{100 * share:.0f} % of their rays fit there: the map may be old. "
+                f"imgloc map changes MAP SCANS shows where; {_LOOK}"
+            )
+            return Doubt("old", text, OLD, found=False)
+        names = " and ".join(f"`{name}`" for name in self.options.prior.about)
+        also = f", with {names} or without" if names else ""
+        text = (
+            f"{none} not fit this map{also}: is it the map of this place? imgloc which FOLDER "
+            f"SCANS compares the maps of a folder; {_LOOK}"
+        )
+        return Doubt("map", text, "another map? see imgloc which, imgloc map check", found=False)
+
+    def _agreed(self) -> float | None:
+        """Share of the rays that fit, if the best poses of two scans lie as the odometry has them.
+
+        Poses of another map do so as well as odometry.
+        """
+        tried, odometry = self.tried, self.scans.odom is not None
+        path = self.scans.odom if odometry else self.scans.poses
+        if path is None or not np.isfinite(path[tried]).all():
+            return None
+        quick = replace(self.options, fused=replace(self.options.fused, unfit=np.inf))
+        found = list[tuple[Pose2D, Pose2D, float]]()  # where, by the map and the path; what fits
+        for k in tried:
+            answer, mount = localize(self.features, self.scans[k], quick), Pose2D(0.0, 0.0)
+            if answer.best is not None:
+                mount = (self.scans[k].T_base_laser if odometry else None) or mount
+                found.append((base_of(answer.best, mount), Pose2D(*path[k]), answer.explained))
+        for (a, before, one), (b, after, other) in combinations(found, 2):
+            moved, there = compose(inverse(before), after), compose(inverse(a), b)
+            most = _AGREED[0] + _AGREED[1] * math.hypot(moved.x, moved.y)
+            turned = abs(Pose2D(0.0, 0.0, there.theta - moved.theta).theta)
+            near = math.hypot(there.x - moved.x, there.y - moved.y) <= most
+            if near and turned <= math.radians(_AGREED[2]):
+                return (one + other) / 2
+        return None
 
 
 def bent(said: Said, known: Shared, resolution: float) -> list[Doubt]:
@@ -142,30 +299,61 @@ def bent(said: Said, known: Shared, resolution: float) -> list[Doubt]:
     thinner = [e.thinner for e in placed if e.thinner > 0 and known.thinner == 0]
     if 2 * len(scales) > count:
         factor = float(np.median(scales))
-        cells = f"are its cells of {resolution / factor:.4g} m? Then pass `resolution`"
+        cells = f"are its cells of {resolution / factor:.4g} m? Then correct its resolution"
         found = f"their ranges multiplied by {factor:.3f}: {cells}, as poses are in its metres"
         short = f"ranges x {factor:.3f}"
     elif 2 * len(thinner) > count:
         found = short = f"walls that are {np.median(thinner):.2f} m thinner on each side"
     else:
         return []
-    which = "this scan fits" if count == 1 else "most scans fit"
+    return [_bent("this scan fits" if count == 1 else "most scans fit", found, short)]
+
+
+def bent_walls(found: Shared, known: Shared, resolution: float) -> Doubt | None:
+    """Say that a filter took the scans of a log for having another error than was `known`.
+
+    Examples
+    --------
+    >>> bent_walls(Shared(1.02), Shared(), 0.05).short
+    'fits far better with ranges x 1.020: imgloc calibrate'
+    """
+    parts = list[str]()
+    if found.scale != known.scale:
+        parts.append(f"their ranges multiplied by {found.scale:.3f}")
+    if found.thinner != known.thinner:
+        parts.append(f"walls that are {found.thinner * resolution:.2f} m thinner on each side")
+    if not parts and found.bent == known.bent:
+        return None
+    if found.bent != known.bent:
+        parts.append(f"walls that are bent by {found.bent:.2f} m")
+        text = (
+            f"most scans fit this map far better with {' and '.join(parts)}, so imgloc allowed for "
+            "that; a map drawn from the robot's own scans gives surer poses"
+        )
+        return Doubt("bent", text, "the walls of the map are bent")
+    short = parts[0].replace("their ranges multiplied by", "ranges x")
+    return _bent("most scans fit", " and ".join(parts), short)
+
+
+def _bent(which: str, found: str, short: str) -> Doubt:
     text = (
         f"{which} this map far better with {found}. imgloc calibrate MAP --scans FILE finds "
         "it once for all, which is faster and surer"
     )
-    return [Doubt(text, f"fits far better with {short}: imgloc calibrate")]
+    return Doubt("bent", text, f"fits far better with {short}: imgloc calibrate")
 
 
-def _too_few(scans: Sequence[LaserScan]) -> str:
-    """Why scans have too few readings, and what to do."""
-    found = few_readings(scans)
-    if "milli" in found:
-        return f"{found} Try `range_scale=0.001`"
-    return (
-        f"most scans have too few readings to be placed: {found}. Look at range_min and range_max "
-        "of the file, and pass `range_max`"
-    )
+def unit_of(middle: float) -> str:
+    """The unit of ranges whose median is so great that they are not metres; empty if they may be.
+
+    Examples
+    --------
+    >>> unit_of(2.5), unit_of(250.0), unit_of(2500.0)
+    ('', 'centimetres', 'millimetres')
+    """
+    if middle <= _LONG[1]:
+        return ""
+    return "millimetres" if middle > _LONG[0] else "centimetres"
 
 
 def few_readings(scans: Sequence[LaserScan]) -> str:

@@ -10,7 +10,6 @@
 import itertools
 import logging
 import math
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,19 +17,18 @@ from typing import Any
 
 import numpy as np
 
-from imgloc.answers.diagnose import doubts, few_readings
+from imgloc.answers.diagnose import OLD, UNITS, Doubt, Given, doubts, few_readings, unit_of
 from imgloc.answers.scanmotion import AGREES, Agreement, Way, agreement, overlap
 from imgloc.answers.truth import NOT_TRUE, poses_fit
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly
 from imgloc.io.scanset import ScanSet
-from imgloc.model import VERDICTS, FloatArray, LaserScan, Pose2D, compose
+from imgloc.model import VERDICTS, FloatArray, LaserScan, Localization, Pose2D, base_of, compose
 from imgloc.numbers import number
-from imgloc.options import Options, Trust
+from imgloc.options import RADIUS, TOLERANCE, Options, Trust
 from imgloc.pipeline import localize
 
 _LOG = logging.getLogger("imgloc")
-_LONG = number("logcheck.long")
 _SPIKE, _BIN = number("logcheck.code")
 _SECONDS, _TIMES, _METRES = number("logcheck.gap")
 _LEAP, _BEYOND = number("logcheck.jump")
@@ -43,6 +41,13 @@ _BARS = number("logcheck.bars")
 _MANY = number("logcheck.many")
 _LOCATED = number("logcheck.located")
 MIRRORED = number("logcheck.mirrored")
+_OLD = number("logcheck.old")
+FOLLOWED: float = number("logcheck.followed")
+"""Share of unique poses from which a robot counts as followed, so that nothing is looked for."""
+MIRRORED_MAP = (
+    "scans fit the map only if mirrored, but agree with the odometry as they are: the image of the "
+    "map is mirrored"
+)
 _UNDONE = {"units", "flipped", "few", "two-lasers", "view"}  # with which no scan fits a map
 
 
@@ -136,9 +141,7 @@ def on_map(report: LogReport, scans: ScanSet, features: MapFeatures, options: Op
 
     A few scans are located; what keeps them from fitting is tried.
     """
-    some = [scan for scan in scans.scans if scan.directions >= options.trust.readings]
-    some = [some[k] for k in evenly(len(some), _LOCATED).tolist()]
-    answers = [localize(features, scan, options) for scan in some]
+    some, answers = located(features, scans, options)
     facts, findings = dict(report.facts), list(report.findings)
     facts["on_map"] = {v: sum(a.verdict == v for a in answers) for v in VERDICTS}
     sure = [answer.explained for answer in answers if answer.verdict == "unique"]
@@ -147,18 +150,13 @@ def on_map(report: LogReport, scans: ScanSet, features: MapFeatures, options: Op
     known = {finding.code for finding in findings}
     misfits = 2 * len(sure) < len(answers) and not _UNDONE & known
     for doubt in doubts(features, some, said, options) if misfits else ():
-        code, serious = ("map", not sure) if "mirrored" not in doubt.text else ("mirrored", True)
         agrees = facts["agreement"]
-        if code == "mirrored" and agrees is not None and agrees >= MIRRORED:
-            text = (
-                "scans fit the map only if mirrored, but agree with the odometry as they are: the "
-                "image of the map is mirrored"
-            )
-            findings.append(Finding(code, text, "`flipped=True`", serious))
+        if doubt.code == "mirrored" and agrees is not None and agrees >= MIRRORED:
+            findings.append(Finding("mirrored", MIRRORED_MAP, doubt.options))
         else:
-            tried = re.search(r"Try (`[^`]+`)", doubt.text)
-            code = "flipped" if code == "mirrored" else code
-            findings.append(Finding(code, doubt.text, tried[1] if tried else "", serious))
+            code = "flipped" if doubt.code == "mirrored" else "map"
+            serious = code == "flipped" or not sure
+            findings.append(Finding(code, doubt.text, doubt.options, serious))
     facts["poses_fit"] = facts["odometry_fits"] = None
     if not _UNDONE & {finding.code for finding in findings}:
         if scans.poses is not None:
@@ -169,6 +167,77 @@ def on_map(report: LogReport, scans: ScanSet, features: MapFeatures, options: Op
             at = sensor_poses(scans)
             facts["odometry_fits"] = poses_fit(features.grid, scans.scans, at)
     return replace(report, facts=facts, findings=tuple(_sorted(findings)))
+
+
+def located(
+    features: MapFeatures, scans: ScanSet, options: Options
+) -> tuple[ScanSet, list[Localization]]:
+    """A few scans of a log that see enough, from all of it, and their answers."""
+    some = [k for k, s in enumerate(scans.scans) if s.directions >= options.trust.readings]
+    few = scans.take([some[k] for k in evenly(len(some), _LOCATED).tolist()])
+    return few, [localize(features, scan, options) for scan in few.scans]
+
+
+def doubt_of_log(
+    features: MapFeatures, scans: ScanSet, options: Options, given: Given,
+    *, followed: float = 0.0, start: Pose2D | None = None,
+) -> Doubt | None:  # fmt: skip
+    """Say what most likely keeps a robot from being followed through a log; None if nothing is.
+
+    What the scans and the odometry tell without a map comes first if it keeps scans from fitting
+    any map. Then a few scans are located: either they do not fit this map, or the `start` (map
+    frame), the odometry or the place of the sensor is wrong. `followed` is the share of the scans
+    with a unique pose along the way: if it is not small, a map that they do not fit is an old one.
+    """
+    report = check_log(scans)
+    serious = [finding for finding in report.findings if finding.serious]
+    first = next((f for f in serious if f.code in _UNDONE - {"units", "few"}), None)
+    some, answers = located(features, scans, options)
+    if first is None:
+        said = [(answer.verdict, answer.evidence) for answer in answers]
+        found = next(iter(doubts(features, some, said, options, given)), None)
+        agrees = report.facts["agreement"]
+        if found and found.code == "mirrored" and agrees is not None and agrees >= MIRRORED:
+            text = f"{MIRRORED_MAP}. {given.advice(found.options)}"
+            return Doubt("mirrored", text, "the map is mirrored", found.options)
+        if found is not None and found.code == "map" and followed >= _OLD:
+            text = (
+                f"most scans do not fit this map by themselves, but {100 * followed:.0f} % have a "
+                "unique pose along the way: the map may be old. imgloc map changes MAP SCANS shows "
+                "where"
+            )
+            return Doubt("old", text, OLD, found=False)
+        if found is not None:
+            return found
+        if start is not None and (wrong := _started(features, scans, options, start)):
+            return wrong
+        first = serious[0] if serious else None
+    if first is None:
+        return None
+    mended = f". {given.advice(first.options)}" if first.options else ""
+    text = first.text
+    if first.code == "flipped" and given.flipped:
+        text = text.replace("hangs", "does not hang")
+    return Doubt(first.code, f"{text}{mended}", text, first.options)
+
+
+def _started(
+    features: MapFeatures, scans: ScanSet, options: Options, start: Pose2D
+) -> Doubt | None:
+    """The first scan fits at one place, far from where the robot was said to start."""
+    answer = localize(features, scans[0], options)
+    if answer.verdict != "unique" or answer.pose is None:
+        return None
+    at = base_of(answer.pose, scans[0].T_base_laser or Pose2D(0.0, 0.0))
+    away = math.hypot(at.x - start.x, at.y - start.y)
+    turned = abs(Pose2D(0.0, 0.0, at.theta - start.theta).theta)
+    if away <= RADIUS and turned <= TOLERANCE:
+        return None
+    text = (
+        f"the first scan fits this map at x {at.x:.2f} m, y {at.y:.2f} m, theta "
+        f"{math.degrees(at.theta):.0f} degrees, {away:.1f} m from `start`: is it right?"
+    )
+    return Doubt("start", text, "`start` is wrong")
 
 
 def _back_words(count: int) -> str:
@@ -216,10 +285,9 @@ def _about_readings(scans: ScanSet, findings: list[Finding]) -> dict[str, Any]:
     }
     raw = np.concatenate([scan.ranges for scan in some])
     middle = float(np.median(raw[np.isfinite(raw) & (raw > 0)])) if (raw > 0).any() else 0.0
-    if middle > _LONG[1]:
-        unit, factor = ("millimetres", 0.001) if middle > _LONG[0] else ("centimetres", 0.01)
-        text = f"half of the ranges are above {middle:.4g}: are these {unit}?"
-        _add(findings, "units", text, f"`range_scale={factor:g}`")
+    if unit := unit_of(middle):
+        text = f"half of the ranges are above {middle:.4g} m: are these {unit}"
+        _add(findings, "units", text, f"`range_scale={UNITS[unit]:g}`")
         return facts
     if (code := _code(seen)) is not None:
         text = (

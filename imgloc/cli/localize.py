@@ -156,6 +156,7 @@ class _Sink:
 
     def take(self, run: "Locating", answer: "Located", n: int) -> None:
         """Draw and print an answer, the `n`-th."""
+        from imgloc.io.scanset import ScanSet
         from imgloc.output.tables import difference, times_words
 
         found = answer.of
@@ -166,7 +167,7 @@ class _Sink:
         about = run.taken.name, answer.index, found.verdict, times_words(found)
         LOG.info("%s, scan %d: %s, %s", *about)
         if n in self.pictures or n in self.pages:
-            self.hints = run.doubts([answer.scan], self.said[-1:])
+            self.hints = run.doubts(ScanSet((answer.scan,)), self.said[-1:])
         if n in self.pictures:
             self._draw(run, answer, self.pictures[n])
         if n in self.pages:
@@ -213,6 +214,7 @@ class _Sink:
         """Say how it went, and what most likely keeps scans from fitting."""
         from imgloc.answers.logcheck import warn_of
         from imgloc.io.maps import SWAPPED
+        from imgloc.io.scanset import ScanSet
         from imgloc.output.tables import run_words
 
         verdicts = [verdict for verdict, _ in self.said]
@@ -226,7 +228,8 @@ class _Sink:
         if self.as_json and set(verdicts) == {"invalid"}:
             return  # rows say it themselves, to a program
         if self.many or not (self.pictures or self.pages):
-            self.hints = self.runs[0].doubts(self.scans, self.said)
+            scans = ScanSet(tuple(self.scans)) if self.several else self.runs[0].taken.scans
+            self.hints = self.runs[0].doubts(scans, self.said)
         for hint in self.hints:
             if hint.text != SWAPPED:  # is said when the map is read
                 LOG.warning("%s", hint.text)

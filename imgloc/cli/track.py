@@ -23,7 +23,6 @@ from imgloc.options import (
     Options,
     RangeMax,
     Reading,
-    Shared,
 )  # fmt: skip
 from imgloc.ranges import Checked, Within, option
 from imgloc.texts import numbers, pose
@@ -176,11 +175,12 @@ def track(
     place that is known does). No pose is given unless it is unique; the last one is never repeated.
     A scan that says nothing gives none either, "ambiguous: blind": it has no readings, the lens is
     covered, or it is the last scan again. "ambiguous: wide": the standard deviation of the pose is
-    above --max-sd.
+    above --max-sd. "ambiguous: unconfirmed": one place holds the mass, but too few scans agree yet.
     Poses are those of the robot's base in the map frame; of the sensor where neither the log nor
     --sensor says where that sits. Several lasers are followed together (--topic /front,/rear).
     """
-    from imgloc.answers.logcheck import warn_of
+    from imgloc.answers.diagnose import bent_walls
+    from imgloc.answers.logcheck import FOLLOWED, doubt_of_log
     from imgloc.answers.truth import with_true_poses
     from imgloc.cli import inputs
     from imgloc.filters.follow import Tracking, follow, robot_poses
@@ -225,28 +225,17 @@ def track(
     if not moments:
         raise ScanError(f"{inputs.name_of(log)}: holds no scan with odometry")
     say(words)
-    if 2 * sum(m.belief.verdict == "unique" for m in moments) < len(moments) and live is None:
-        warn_of(scans, inputs.name_of(log))
-    _hint(chosen.options.shared, options.shared, grid.resolution)
+    share = sum(m.belief.verdict == "unique" for m in moments) / len(moments)
+    if live is None and share < FOLLOWED:
+        hint = doubt_of_log(
+            features, scans, options, how.given, followed=share, start=asked.start
+        )  # fmt: skip
+    else:
+        hint = bent_walls(chosen.options.shared, options.shared, grid.resolution)
+    if hint is not None:
+        LOG.warning("%s", hint.text)
     if strict and moments[-1].belief.verdict != "unique":
         raise typer.Exit(NOT_UNIQUE)
-
-
-def _hint(found: Shared, known: Shared, resolution: float) -> None:
-    """Warn if the readings have another scale than was known, or the map has other walls."""
-    if (found.thinner, found.bent) != (known.thinner, known.bent):
-        LOG.warning(
-            "the scans fit this map far better with walls that are %.2f m thinner on each side and "
-            "bent by %.2f m, so they were taken for that once it was clear; a map drawn from the "
-            "robot's own scans gives surer poses",
-            found.thinner * resolution, found.bent,
-        )  # fmt: skip
-    if found.scale != known.scale:
-        LOG.warning(
-            "the scans fit this map far better with their ranges multiplied by %.3f and were taken "
-            "so once that was clear; imgloc calibrate MAP --scans LOG finds it once for all",
-            found.scale,
-        )
 
 
 def _scans_of(
@@ -281,6 +270,7 @@ def _printed(
     shown: "Sequence[Callable[[Moment], None]]", *, as_json: bool,
 ) -> "tuple[list[Moment], str]":  # fmt: skip
     """The moments, each printed and `shown` as it comes, and a word about all of them."""
+    from imgloc.filters.follow import UNCONFIRMED
     from imgloc.model import to_json
     from imgloc.output.rows import moment_row
     from imgloc.output.tracks import track_header, track_line
@@ -302,6 +292,8 @@ def _printed(
             advance(speed)
     verdicts = [moment.belief.verdict for moment in moments]
     counts = ", ".join(f"{verdicts.count(v)} {v}" for v in ("unique", "ambiguous", "lost"))
+    if soon := sum(moment.withheld == UNCONFIRMED for moment in moments):
+        counts += f" ({soon} of the ambiguous ones at one place that is not confirmed yet)"
     metres = moments[-1].metres if moments else 0.0
     about = [f"{len(moments)} scans, {metres:.1f} m: {counts}", speed, live.latency if live else ""]
     return moments, "; ".join(filter(None, about))

@@ -13,6 +13,7 @@ from imgloc.filters.belief import AMBIGUOUS, UNIQUE, Belief, Filter, deviations_
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import usable
 from imgloc.filters.motion import compose_poses, increments, invert_poses, noisy_odometry, way_of
+from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, Pose2D
@@ -29,7 +30,7 @@ _BUFFERS = 8  # scans of a laser that are remembered, because a driver may repea
 _STALE = number("follow.stale")
 Reading = tuple[LaserScan, FloatArray | None]
 """A scan with its stamp, and the odometry's pose (3,) at that time; None without odometry."""
-BLIND, WIDE = "blind", "wide"
+BLIND, WIDE, UNCONFIRMED = "blind", "wide", "unconfirmed"
 _LATEST = 1e18  # seconds
 _FASTEST = 50.0  # metres a second: no robot on the ground is faster
 # Share of the stamps that may go back, and by which share the way may be longer in their order.
@@ -61,7 +62,8 @@ class Moment:
     metres: float  #: metres driven since the first scan, by odometry
     belief: Belief
     #: why a pose that holds the mass is withheld: ``blind`` (this scan says nothing), ``wide`` (the
-    #: pose's standard deviation is above the limit); empty if nothing is withheld
+    #: pose's standard deviation is above the limit), ``unconfirmed`` (too few scans along too short
+    #: a way agree with it yet); empty if nothing is withheld
     withheld: str
     #: best pose, whatever the verdict; None if there is none
     best: Pose2D | None
@@ -259,6 +261,7 @@ class Follower:
         self.features, self.filter, self.name = features, filter_, name
         self.every, self.limits = every or Every(), limits or Limits()
         self._lasers = dict[Pose2D | None, _Laser]()
+        self._held = TrackerOptions().mass[0]  # from which one place is no longer one of several
         self._count, self._blind, self._metres = 0, 0, 0.0
         self._dark = 0.0  # seconds of blind scans that the filter has not counted yet
         self._odom: FloatArray | None = None
@@ -352,6 +355,8 @@ class Follower:
                 withheld = withheld or WIDE
             if withheld:
                 belief = replace(belief, verdict=AMBIGUOUS)
+        elif belief.verdict == AMBIGUOUS and not withheld and belief.mass[0] >= self._held:
+            withheld = UNCONFIRMED
         age = self._stamp - self._said
         return Moment(
             index, self._stamp, age, looked, self._metres, belief, withheld, best, covariance,

@@ -59,14 +59,14 @@ def track_line(moment: Moment) -> str:
         place = f"{p.x:>10.3f} {p.y:>10.3f} {math.degrees(p.theta):>12.2f}"
     mass = float(moment.belief.mass[0]) if len(moment.belief.mass) else 0.0
     verdict = ": ".join(filter(None, (moment.belief.verdict, moment.withheld)))
-    head = f"{moment.index:>6} {moment.stamp:>14.3f}  {verdict:<16}"
+    head = f"{moment.index:>6} {moment.stamp:>14.3f}  {verdict:<22}"
     return f"{head} {place} {100 * mass:>7.1f}% {moment.metres:>9.2f}"
 
 
 def track_header() -> str:
     """What stands above the lines of :func:`track_line`."""
     place = f"{'x / m':>10} {'y / m':>10} {'theta / deg':>12}"
-    return f"{'index':>6} {'stamp':>14}  {'verdict':<16} {place} {'mass':>8} {'driven/m':>9}"
+    return f"{'index':>6} {'stamp':>14}  {'verdict':<22} {place} {'mass':>8} {'driven/m':>9}"
 
 
 def draw_track(

@@ -92,7 +92,7 @@ def _unique(said: Said) -> bool:
 def look_again(item: Item, job: Localize, said: Said, means: Means) -> list[Doubt]:
     """What may be wrong with an item of which this was `said`: tried on a few of its scans."""
     found = job.open(item, means.desk())
-    return found.doubts(found.taken.scans.scans, said)
+    return found.doubts(found.taken.scans, said)
 
 
 def hints_of(
@@ -105,14 +105,16 @@ def hints_of(
     if not isinstance(job, Localize) or job.options.method != FUSED:
         return []
     begun = [(item, executor.submit(look_again, item, job, said, means)) for item, said in doubtful]
-    found = defaultdict[Doubt, list[str]](list)
+    found, named = dict[tuple[str, str], Doubt](), defaultdict[tuple[str, str], list[str]](list)
     for item, future in begun:
         with contextlib.suppress(Exception):  # its row is there; a hint is all that is missed
-            for hint in future.result():
-                found[hint].append(f"{item.scans} on {item.map}")
-    sure = any(hint.found for hint in found)
+            for hint in future.result():  # of one cause the first sentence stands for all
+                kind = hint.code, hint.options
+                found.setdefault(kind, hint)
+                named[kind].append(f"{item.scans} on {item.map}")
+    sure = any(hint.found for hint in found.values())
     return [
-        {"hint": hint.text, "items": len(names), "of": len(begun), "first": names[:_NAMED]}
-        for hint, names in sorted(found.items(), key=lambda kv: (-len(kv[1]), kv[0].text))
-        if hint.found or not sure
+        {"hint": found[kind].text, "items": len(names), "of": len(begun), "first": names[:_NAMED]}
+        for kind, names in sorted(named.items(), key=lambda kv: (-len(kv[1]), kv[0]))
+        if found[kind].found or not sure
     ]

@@ -1,6 +1,6 @@
 """The job ``localize``: the pose of each scan of a file in one map."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from imgloc.geometry import poses_of
 from imgloc.io.calibration import calibrated
 from imgloc.io.files import display
 from imgloc.io.images import image_size, read_image
+from imgloc.io.scanset import ScanSet
 from imgloc.model import BoolArray, LaserScan, Localization, OccupancyGrid, Pose2D
 from imgloc.options import FUSED, TOLERANCES, Drawn, Known, Length, Options, Prior, Tolerance
 from imgloc.pipeline import localize
@@ -106,15 +107,11 @@ class Locating:
         scans = with_true_poses(self.taken.scans, self.features.grid, self.taken.name)
         return replace(self, taken=replace(self.taken, scans=scans))
 
-    def doubts(self, scans: Sequence[LaserScan], said: Said) -> list[Doubt]:
+    def doubts(self, scans: ScanSet, said: Said) -> list[Doubt]:
         """What may be wrong with scans of which this was `said`."""
         if self.options.method != FUSED or self.options.time_budget is not None:
             return []
-        files = self.job.scans
-        return doubts(
-            self.features, scans, said, self.options,
-            flipped=files.flipped, range_scale=files.scale,
-        )  # fmt: skip
+        return doubts(self.features, scans, said, self.options, self.job.scans.given)
 
 
 def region_of(path: Path, grid: OccupancyGrid, *, allow_lossy: bool) -> BoolArray:

@@ -17,6 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO, Any, TypeVar
 
+from imgloc.answers.diagnose import Given
 from imgloc.errors import STDERR, ConfigError, OutputError, ScanError
 from imgloc.features.budget import (
     MIB,
@@ -87,6 +88,11 @@ class ScanFiles(Checked):
         super().__post_init__()
         if self.mount is not None:
             check_mount(self.mount, "`sensor`")
+
+    @property
+    def given(self) -> Given:
+        """What is stated about the scans, for those who look for what is wrong with them."""
+        return Given(self.flipped, self.scale)
 
     def mounted(self, scan: LaserScan) -> LaserScan:
         """The scan in metres, of an upright sensor with this reach that is mounted so."""
