@@ -26,7 +26,8 @@ def test_a_stale_picture_is_noticed(
     assert "python -m tools.pictures track" in capsys.readouterr().out
 
 
-def test_every_picture_of_the_readme_is_made_by_the_command() -> None:
-    readme = (ROOT / "README.md").read_text("utf-8")
-    shown = re.findall(r"!\[[^]]*\]\(tools/(\w+)\.png\)", readme)
+def test_every_picture_of_the_readme_and_the_paper_is_made_by_the_command() -> None:
+    pages = (ROOT / name for name in ("README.md", "tools/docs/paper.md"))
+    text = "".join(page.read_text("utf-8") for page in pages)
+    shown = re.findall(r"!\[[^]]*\]\((?:tools|\.\.)/(\w+)\.png\)", text)
     assert sorted(shown) == sorted(pictures.PICTURES)
