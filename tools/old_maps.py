@@ -4,28 +4,37 @@ Run it with the folders of sets, each with ``map.yaml`` and ``scans.npz`` (poses
 number of its log for each scan)::
 
     python -m tools.old_maps ../data/wean --starts 8
+    python -m tools.old_maps ../data/wean --one-scan 60
 
 It prints a row for each log from its true start, and a row for starts spread over it from anywhere.
+With ``--one-scan N`` it locates each of N scans by itself, with the walls as drawn and with what
+``imgloc calibrate --scans`` finds in the whole set.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
-from imgloc import Options, ScanSet, load_map, load_scans, make_filter
+from imgloc import Options, ScanSet, load_map, load_scans, localize, make_filter
 from imgloc.filters.belief import Filter
 from imgloc.filters.follow import robot_poses
+from imgloc.geometry import pose_errors, poses_of
+from imgloc.lab.calibrate import fit_along
 from imgloc.lab.sequences import Run, Searches, drive, driven, from_starts
 from imgloc.model import Pose2D
-from imgloc.options import Every
+from imgloc.options import TOLERANCES, Every, Shared
 from imgloc.pipeline import prepare
+from imgloc.simulation.scans import sample_set
 from tools.script import at_least_one, ended, parser_of, table_lines
 
 RIGHT = 1.0  # metres
+HIT = TOLERANCES[-1]  # of one scan
 FOUND = 30.0  # metres driven after which a robot should be found
 PIECE = 35.0  # metres of a run from anywhere
+ONE = "set | walls | scans | first | unique | unique and wrong | no-match | lists the pose"
 HEAD = "log | start | within 1 m | unique | unique and wrong | right after 30 m"
 
 
@@ -78,14 +87,40 @@ def rows_of(folder: Path, starts: int) -> Iterator[Row]:
         yield Row(name, f"{starts} from anywhere", runs)
 
 
+def one_scan_rows(folder: Path, n: int, seed: int) -> Iterator[tuple[object, ...]]:
+    """The rows of a set whose scans are located one by one."""
+    grid, recorded = load_map(folder / "map.yaml"), load_scans(folder / "scans.npz")
+    features, some = prepare(grid, folder.name), sample_set(recorded, n, seed, folder.name)
+    walls = {"as drawn": Shared(), "calibrated": fit_along(features, [recorded]).shared}
+    for name, shared in walls.items():
+        options, found = Options(shared=shared), []
+        for scan, pose in some.with_poses():
+            answer = localize(features, scan, options)
+            errors = pose_errors(poses_of(answer.hypotheses), Pose2D(*pose))
+            near = np.all(errors <= (HIT.position, HIT.heading), axis=1)
+            found.append((bool(near[:1].any()), bool(near.any()), answer.verdict))
+        first, listed, verdicts = zip(*found, strict=True)
+        wrong = sum(v == "unique" and not hit for hit, _, v in found)
+        sure, none = (verdicts.count(word) for word in ("unique", "no-match"))
+        yield folder.name, name, len(some), sum(first), sure, wrong, none, sum(listed)
+
+
 def main() -> int:
     """Print the table."""
     parser = parser_of("tools.old_maps", __doc__)
     parser.add_argument("folders", nargs="+", type=Path, help="with map.yaml and scans.npz")
     parser.add_argument("--starts", type=int, default=8, help="from anywhere, in each log")
+    parser.add_argument("--one-scan", type=int, metavar="N", help="locate N scans one by one")
+    parser.add_argument("--seed", type=int, default=1, help="draws these scans")
     given = parser.parse_args()
 
     def work() -> int:
+        if given.one_scan is not None:
+            at_least_one(one_scan=given.one_scan)
+            ones = (one_scan_rows(f, given.one_scan, given.seed) for f in given.folders)
+            for line in table_lines(ONE, chain.from_iterable(ones)):
+                print(line, flush=True)
+            return 0
         at_least_one(starts=given.starts)
         rows = (row.cells for folder in given.folders for row in rows_of(folder, given.starts))
         for line in table_lines(HEAD, rows):

@@ -99,16 +99,17 @@ class Habit:
 class Habits:
     """A :class:`Habit` for each laser, told apart by its place on the robot."""
 
-    def __init__(self) -> None:
+    def __init__(self, usual: float = 0.0) -> None:
         self._of: dict[Pose2D | None, Habit] = {}
         self._placed = False
+        self._expected = max(STRANGE, usual)  # misfit, nats per reading, where a place was given
 
     def of(self, scan: LaserScan) -> Habit:
         """The habit of the laser of a scan."""
         if scan.T_base_laser not in self._of:
             self._of[scan.T_base_laser] = Habit()
             if self._placed:
-                self._of[scan.T_base_laser].expect(STRANGE)
+                self._of[scan.T_base_laser].expect(self._expected)
         return self._of[scan.T_base_laser]
 
     @property
@@ -125,7 +126,7 @@ class Habits:
         """Expect scans to fit, because a place was given."""
         self._placed = True
         for habit in self._of.values():
-            habit.expect(STRANGE)
+            habit.expect(self._expected)
 
 
 PLACE = number("belief.place")

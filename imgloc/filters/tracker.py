@@ -223,7 +223,8 @@ class Tracker:
         self._unseen = np.nan  # metres and seconds, added, since the first of some blind scans
         self._way, self._since = 0.0, 0.0  # metres since the last scan, and since one agreed
         self._unsearched, self._pause = 0.0, self.how.search[0]  # metres
-        self._habits, self._scales = Habits(), list[tuple[float, float]]()
+        self._habits = Habits(self.options.shared.usual)
+        self._scales = list[tuple[float, float]]()
         self._drawn, self._walls = features, list[FloatArray]()
         self._trusted = 0.0  # metres driven with a unique pose
         # The given pose and its covariance, carried by odometry alone: (1, 3) and (1, 3, 3).

@@ -26,7 +26,9 @@ _FORMAT = 1
 _MOST = 1 << 20  # bytes; what is longer is not such a file
 _UNUSABLE = (ValueError, ConfigError, OutputError)
 _METHOD = dict.fromkeys(vars(Calibration()), float)
-_SHARED = {"scale": float, "thinner": float, "bent?": float, "depth?": (float, None)}
+_SHARED = {
+    "scale": float, "thinner": float, "bent?": float, "depth?": (float, None), "usual?": float
+}  # fmt: skip
 _KIND = {"map_hash": str, "methods": {str: _METHOD}, "shared?": _SHARED}
 
 
@@ -132,8 +134,8 @@ def _read(file: Path, grid: OccupancyGrid) -> tuple[dict[str, Calibration], Any,
     }
     depth = known.get("depth")
     depth = None if depth is None else float(depth)
-    bent = float(known.get("bent", 0.0))
-    shared = Shared(float(known["scale"]), int(known["thinner"]), bent, depth)
+    bent, usual = (float(known.get(name, 0.0)) for name in ("bent", "usual"))
+    shared = Shared(float(known["scale"]), int(known["thinner"]), bent, depth, usual)
     return found, content.get("about"), shared
 
 

@@ -20,6 +20,10 @@ import numpy as np
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly, one_per_place
+from imgloc.filters.choose import make_filter
+from imgloc.filters.evidence import misfit_near, view_of
+from imgloc.filters.follow import follow
+from imgloc.filters.motion import increments
 from imgloc.geometry import in_grid_frame, inside
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.evaluation import cell_of_pose
@@ -36,7 +40,8 @@ from imgloc.model import (
     Pose2D,
 )
 from imgloc.options import LOG_METHODS, Calibration, Options, Sensor, Shared, scale
-from imgloc.pipeline import localize
+from imgloc.pipeline import find_modes, localize
+from imgloc.search.adapt import wall_evidence, walls_of
 from imgloc.search.faces import any_depth, on_faces
 from imgloc.search.refine import refine
 from imgloc.simulation.scans import simulate
@@ -50,6 +55,8 @@ SCANS = 20  #: largest number of scans from which a shared error is fitted
 LEAST_FIT = 5  #: number of these scans that must fit the map at one place
 _STARTS, _MOST_SCALED = (1.0, 0.9, 1.1), 1.06  # where the search for a scale begins; and ends
 _BINS = 8192
+_JUMP = 2.0  # metres that odometry jumps between two scans of different runs
+_SURE = 0.05  # share of the scans along a way that must have a unique pose
 _WALLS = 0.1  # standard deviation of a wall's displacement, metres
 _SHARED = 10.0  # neighbouring readings with nearly the same displacement
 
@@ -210,10 +217,11 @@ class SharedFit:
     """An error that the scans of a sensor share on a map."""
 
     shared: Shared
-    deviation: float  #: standard error of its scale
-    deviation_depth: float  #: standard error of its depth, metres
-    used: int  #: scans that fit the map at one place
+    deviation: float | None  #: standard error of its scale; None if that was not fitted
+    deviation_depth: float | None  #: standard error of its depth, metres; None as above
+    used: int  #: scans that fit the map at one place, by themselves or along the way
     asked: int
+    metres: float = 0.0  #: way along which odometry joined the scans; 0 if each was located alone
 
 
 def fit_shared(
@@ -272,6 +280,78 @@ def fit_shared(
     return SharedFit(shared, error, uncertain, len(steps), len(some))
 
 
+def fit_along(
+    features: MapFeatures,
+    logs: Sequence[ScanSet],
+    options: Options | None = None,
+    *,
+    advance: Callable[[], None] = lambda: None,
+) -> SharedFit:
+    """Fit the walls of a map that others drew from scans that odometry joins.
+
+    No scan needs to fit the map by itself. Evenly picked scans tell together whether the walls are
+    too thick, or bent: :func:`~imgloc.search.adapt.walls_of`. The tracker then follows the robot
+    with these walls from anywhere. The misfit that is usual here is the median over the scans whose
+    poses are ``unique`` along the way.
+
+    Parameters
+    ----------
+    features : MapFeatures
+        The map.
+    logs : sequence of ScanSet
+        Scans in the order of time, with odometry.
+    options : Options, optional
+        Options of the method ``fused``.
+    advance : callable
+        Called after each scan.
+
+    Raises
+    ------
+    ConfigError
+        If the scans speak for the walls as drawn, or too few of them have a pose that is sure.
+    """
+    options = options or Options()
+    joined = [piece for log in logs if log.odom is not None for piece in _joined(log)]
+    scans = [scan for piece in joined for scan in piece.scans]
+    walls = _walls(features, [scans[k] for k in evenly(len(scans), SCANS)], options)
+    if not scans or not walls.bent:
+        _enough(0, len(scans))
+    known, metres = replace(options, shared=walls), 0.0
+    there, misfits = features.thinner(walls.thinner), list[float]()
+    for piece in joined:
+        robot, before = make_filter("tracker", features, known), 0.0
+        for moment in follow(features, piece, robot):
+            if moment.pose is not None:
+                view = view_of(piece.scans[moment.index], known)
+                misfits.append(misfit_near(there, view, moment.belief.poses[:1], known))
+            metres, before = metres + moment.metres - before, moment.metres
+            advance()
+    if len(misfits) < max(LEAST_FIT, _SURE * len(scans)):
+        _enough(0, len(scans))
+    shared = replace(walls, usual=float(np.median(misfits)))
+    return SharedFit(shared, None, None, len(misfits), len(scans), metres)
+
+
+def _joined(log: ScanSet) -> list[ScanSet]:
+    """The parts of a log within which odometry does not jump, as it does from run to run."""
+    known = log.with_odometry("log")[0]
+    steps = [] if known.odom is None else np.hypot(*increments(known.odom)[:, :2].T)
+    ends = np.flatnonzero(np.asarray(steps) > _JUMP) + 1
+    return [known.take(part.tolist()) for part in np.split(np.arange(len(known)), ends)]
+
+
+def _walls(features: MapFeatures, scans: Sequence[LaserScan], options: Options) -> Shared:
+    """The walls that some scans speak for together, wherever each of them fits best."""
+    evidence = []
+    for scan in scans:
+        if scan.directions >= max(1, options.trust.readings):
+            found = find_modes(features, scan, options)
+            places = np.concatenate((found.poses, found.looked))
+            if len(places):
+                evidence.append(wall_evidence(features, found.readings, places, options))
+    return walls_of(np.array(evidence), Shared()) if evidence else Shared()
+
+
 def fit_depth(
     features: MapFeatures, scans: Sequence[LaserScan], options: Options | None = None
 ) -> tuple[float, float]:
@@ -310,7 +390,8 @@ def _enough(fit: int, asked: int) -> None:
     if fit < LEAST_FIT:
         raise ConfigError(
             f"{fit} of {asked} scans fit this map at one place, expected at least {LEAST_FIT} to "
-            "say what error they share; are they from here?"
+            "say what error they share; are they from here? Scans of a log with odometry need not "
+            "fit one by one"
         )
 
 

@@ -41,14 +41,23 @@ def _face_words(depth: float, error: float) -> str:
 def shared_words(found: SharedFit, resolution: float) -> str:
     """Describe a shared error that was fitted on a map with cells of `resolution` metres."""
     shared, error = found.shared, found.deviation
+    thinner = f"{shared.thinner * resolution:.2f} m thinner on each side than drawn"
+    if error is None:
+        facts = [
+            ("scans", f"{found.used} of {found.asked} are at sure places along "
+                      f"{found.metres:.0f} m of odometry"),
+            ("walls", f"{thinner}, and each piece of them stands {shared.bent:.2f} m off"),
+            ("fit", f"scans at sure places lack {shared.usual:.1f} nats per reading here"),
+        ]  # fmt: skip
+        return "\n".join(f"{name:<6} {fact}" for name, fact in facts)
     right = "as the map has it"
     if abs(shared.scale - 1) > max(2 * error, 0.002):
         right = f"the map's cells are of {resolution / shared.scale:.4g} m, or ranges are off"
     facts = [
         ("scans", f"{found.used} of {found.asked} fit at one place"),
         ("scale", f"ranges x {shared.scale:.4f} +- {error:.4f}: {right}"),
-        ("walls", f"{shared.thinner * resolution:.2f} m thinner on each side than drawn"),
-        ("faces", _face_words(shared.depth or 0.0, found.deviation_depth)),
+        ("walls", thinner),
+        ("faces", _face_words(shared.depth or 0.0, found.deviation_depth or 0.0)),
     ]
     return "\n".join(f"{name:<6} {fact}" for name, fact in facts)
 

@@ -117,7 +117,8 @@ def evidence_of(
     gained = (model.best - misfit - unmapped) * n / temperature.value
     best = int(np.argmax(scores.log_likelihood))
     through = longest_run(scores.crossed[best][np.argsort(readings.angles, kind="stable")]) / n
-    against = contradiction(misfit, model.best - unmapped, through)
+    unusual = misfit - options.shared.usual
+    against = contradiction(unusual, model.best - unmapped, through)
     return Evidence(n, model.best, misfit, unmapped, gained, against, temperature=temperature)
 
 

@@ -62,7 +62,8 @@ def scale_rows(
         features = prepare(replace(grid, resolution=grid.resolution * factor), name)
         fit = fit_shared(features, known.scans)
         before, after = (right(features, factor, s) for s in (Shared(), fit.shared))
-        rows.append(ScaleRow(name, factor, fit.shared.scale, fit.deviation, home, before, after))
+        error = fit.deviation or 0.0
+        rows.append(ScaleRow(name, factor, fit.shared.scale, error, home, before, after))
         advance()
     return rows
 

@@ -2,15 +2,29 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from imgloc.cli import options as opt
+from imgloc.cli.command import Given, Without
 from imgloc.cli.console import LOG, emit, progress, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
-from imgloc.options import METHODS, AllowLossy, Cell, HeadingStep, Options, Reading, Seed, Sensor
+from imgloc.options import (
+    METHODS,
+    AllowLossy,
+    Cell,
+    Chosen,
+    HeadingStep,
+    Logs,
+    Mounting,
+    Options,
+    Reach,
+    Reading,
+    Seed,
+    Sensor,
+)
 from imgloc.ranges import Within, option
 from imgloc.texts import names
 
@@ -18,7 +32,18 @@ if TYPE_CHECKING:
     from imgloc.io.scanset import ScanSet
     from imgloc.lab.calibrate import CalibrationFit
     from imgloc.model import OccupancyGrid
-    from imgloc.runs.opening import Desk, MapFiles
+    from imgloc.runs.opening import Desk, MapFiles, ScanFiles
+
+
+_SIMULATED, _RECORDED = "calibrate without --scans", "calibrate --scans"
+#: Of which of the two options are that the other would not notice.
+_OF = {
+    **dict.fromkeys(("--rays", "--sigma", "--outliers", "--dropped", "--clearance"), (_SIMULATED,)),
+    **dict.fromkeys(("--method", "-n", "--count", "--seed", "--theta-step-deg"), (_SIMULATED,)),
+    **dict.fromkeys(("--cell", "--clean"), (_SIMULATED,)),
+    **dict.fromkeys(("--topic", "--range-scale", "--max-bad", "--height"), (_RECORDED,)),
+    **dict.fromkeys(("--scans-index", "--sample", "--sample-seed", "--flipped"), (_RECORDED,)),
+}
 
 
 def calibrate(
@@ -29,7 +54,11 @@ def calibrate(
         "several share one fit.",
         "MAP...",
     ),
-    sensor: Sensor,
+    given: Given,
+    sensor: Annotated[Sensor, Without("fov", "range_max", "mount")],
+    logs: Annotated[Logs, Without("fov")],
+    chosen: Chosen,
+    mounting: Mounting,
     reading: Reading,
     taken: opt.Resources,
     scans: list[Path] | None = option(
@@ -44,6 +73,13 @@ def calibrate(
         metavar="NAMES",
         parse=names(list(METHODS)),
     ),
+    fov: Annotated[float, Within(math.radians(0.01), math.tau, "radians")] | None = option(
+        None,
+        "Angle that a simulated scan covers, or a recorded one whose file does not hold it, "
+        "degrees. [default: 180, or the file's]",
+        "--fov-deg",
+    ),
+    range_max: Reach | None = None,
     count: Annotated[int, Within(1, 10_000, "")] = option(
         30, "Scans that are simulated on each map.", "-n", "--count"
     ),
@@ -69,6 +105,9 @@ def calibrate(
     short for the map and by how much its walls are drawn too thick: as of a floor plan. And it is
     how far behind the border of the walls readings end: 0 on a sharp map, some centimetres on one
     that was made of scans. The default method begins with that ever after.
+
+    If others drew the map and single scans fit nowhere, scans with odometry tell together how thick
+    and how bent the walls are, and how well scans fit this map at their best.
     """
     from imgloc.cli import inputs
     from imgloc.io.calibration import save_calibrations
@@ -77,14 +116,16 @@ def calibrate(
     from imgloc.pipeline import prepare
     from imgloc.simulation.scans import fine_image, is_world, simulate
 
+    opt.refuse_others(given, _OF, {_SIMULATED if scans is None else _RECORDED})
     steps = opt.for_each("theta_step_deg", theta_step_deg, method, HeadingStep)
     paths = [opt.find_map(given) for given in maps]
     targets = _targets(maps, paths, dry_run=dry_run, force=force)
     if scans is not None:
-        if len(paths) > 1:
-            raise ConfigError("--scans: expected one MAP, the one that they are from")
-        _with_scans(paths[0], scans, reading, taken, as_json, dry_run, force, allow_lossy)
+        how = inputs.as_recorded(replace(logs, fov=fov), range_max, chosen, mounting)
+        _with_scans(paths, scans, how, reading, taken, as_json, dry_run, force, allow_lossy)
         return
+    laser: dict[str, Any] = {"fov": fov, "range_max": range_max, "mount": mounting.sensor}
+    sensor = replace(sensor, **{name: value for name, value in laser.items() if value is not None})
     check_trials(count * len(paths))
     desk = inputs.desk_of(taken.threads, taken.memory_budget)
     read = inputs.one_map(reading, allow_lossy=allow_lossy)
@@ -183,8 +224,9 @@ def _show(
 
 
 def _with_scans(
-    path: Path,
+    paths: list[Path],
     files: list[Path],
+    how: "ScanFiles",
     reading: Reading,
     taken: opt.Resources,
     as_json: bool,
@@ -195,18 +237,27 @@ def _with_scans(
     """Fit the error that recorded scans share on one map."""
     from imgloc.cli import inputs
     from imgloc.io.calibration import calibration_path, save_calibrations
-    from imgloc.lab.calibrate import SCANS, fit_shared
+    from imgloc.lab.calibrate import SCANS, fit_along, fit_shared
     from imgloc.lab.tables import shared_words
     from imgloc.model import to_json
 
-    desk = inputs.desk_of(taken.threads, taken.memory_budget)
+    if len(paths) > 1:
+        raise ConfigError("--scans: expected one MAP, the one that they are from")
+    (path,), desk = paths, inputs.desk_of(taken.threads, taken.memory_budget)
     maps = inputs.one_map(reading, allow_lossy=allow_lossy)
     grid = desk.grid(path, maps, usable=True)
-    some = [scan for file in files for scan in desk.scans(file, inputs.as_recorded()).scans.scans]
+    logs = [desk.scans(file, how).scans for file in files]
+    some = [scan for log in logs for scan in log.scans]
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     features = desk.features(path, maps, options, scans=some)
-    with progress("scans", min(SCANS, len(some)), lines=False) as advance:
-        found = fit_shared(features, some, options, advance=advance)
+    try:
+        with progress("scans", min(SCANS, len(some)), lines=False) as advance:
+            found = fit_shared(features, some, options, advance=advance)
+    except ConfigError:
+        if not any(log.odom is not None for log in logs):
+            raise
+        with progress("along the way", len(some), lines=False) as advance:
+            found = fit_along(features, logs, options, advance=advance)
     about = asdict(found) | {"scans": [display(file) for file in files]}
     emit(to_json(about) if as_json else shared_words(found, grid.resolution))
     if not dry_run:
