@@ -8,7 +8,7 @@ that an origin with a yaw is honoured everywhere.
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, final
 
@@ -54,6 +54,9 @@ class Pose2D:
     --------
     >>> round(Pose2D(1.0, 2.0, 3.5).theta, 4)
     -2.7832
+    >>> x, y, theta = Pose2D(1.0, 2.0, 0.5)
+    >>> x, y, theta
+    (1.0, 2.0, 0.5)
     """
 
     x: float
@@ -65,6 +68,10 @@ class Pose2D:
         object.__setattr__(self, "y", float(self.y))
         theta = math.remainder(self.theta, math.tau)
         object.__setattr__(self, "theta", math.pi if theta <= -math.pi else theta)
+
+    def __iter__(self) -> Iterator[float]:
+        """Yield x, y and theta."""
+        return iter((self.x, self.y, self.theta))
 
 
 def check_mount(mount: Pose2D, name: str) -> None:

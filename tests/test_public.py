@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -145,3 +146,22 @@ def _modules():
     import pkgutil
 
     return [m.name for m in pkgutil.iter_modules(package.__path__, "imgloc.")]
+
+
+def test_a_new_user_s_python(tmp_path: Path) -> None:
+    """README's lines, run twice, and what one types next."""
+    features = imgloc.prepare(imgloc.load_map("large"))
+    assert imgloc.load_map("large").info == imgloc.load_map(MAPS / "large.yaml").info
+    with pytest.raises(imgloc.MapError, match="huge: no such file"):
+        imgloc.load_map("huge")
+    scans = imgloc.simulate(features.grid, 700, seed=1)
+    assert repr(scans) == "<ScanSet of 700 scans of 181 rays, with poses>"
+    answer = imgloc.localize(features, scans[0])
+    x, y, theta = answer.pose
+    assert (x, y, theta) == (answer.pose.x, answer.pose.y, answer.pose.theta)
+    picture = imgloc.draw(features, answer, scans[0])
+    picture.save(tmp_path / "where.png")
+    with pytest.raises(imgloc.OutputError) as refused:
+        picture.save(tmp_path / "where.png")
+    assert "pass `force=True` to overwrite it" in str(refused.value)
+    picture.save(tmp_path / "where.png", force=True)

@@ -15,23 +15,16 @@ from imgloc.texts import byte_count, metres_degrees
 
 def find_map(path: str | Path) -> Path:
     """The file of a bundled map that is called by its name, or `path` itself."""
-    from imgloc.errors import MapError
     from imgloc.io.bags import BAG_ENDINGS
-    from imgloc.io.files import is_file, is_there
-    from imgloc.io.maps import bundled_maps
+    from imgloc.io.files import is_there
+    from imgloc.io.maps import named_map
     from imgloc.io.scans import SCAN_ENDINGS
 
     path = Path(path)
     ending = path.suffix.lower()
     if ending in SCAN_ENDINGS and ending not in BAG_ENDINGS and is_there(path):
         raise ConfigError(f"{path} is a file of scans; the order is MAP, then SCANS")
-    if path.name != str(path) or path.suffix or is_there(path):
-        return path
-    try:
-        bundled = bundled_maps() / f"{path}.yaml"
-    except MapError:
-        return path
-    return bundled if is_file(bundled) else path
+    return named_map(path)
 
 
 def find_scans(path: str | Path) -> Path:

@@ -31,6 +31,7 @@ from imgloc.io.files import (
     PathLike,
     display,
     is_file,
+    is_there,
     open_regular,
     refuse_existing,
     write_bytes_atomic,
@@ -86,7 +87,7 @@ def load_map(
     ----------
     path : path
         A map_server YAML (the image is found relative to it), or an image; then
-        `resolution` is needed, as it is never guessed.
+        `resolution` is needed, as it is never guessed. Or the name of a bundled map: ``large``.
     allow_lossy : bool
         Accept JPEG and lossy WebP.
     resolution : float, optional
@@ -114,7 +115,7 @@ def load_map(
     MapError, ConfigError
         A file is missing, damaged, too large or contradicts itself; an argument is out of range.
     """
-    settings = resolve_settings(path, **reading)
+    settings = resolve_settings(named_map(path), **reading)
     if settings.yaml is None:
         _warn_of_other_frame(settings)
     most = reading.get("max_pixels", MAX_PIXELS)
@@ -331,6 +332,24 @@ def bundled_maps() -> Path:
         if (folder / "double_wall.yaml").is_file():
             return folder
     raise MapError(f"{package / 'maps'}: the bundled maps are missing; reinstall imgloc")
+
+
+def named_map(path: PathLike) -> Path:
+    """The file of the bundled map that is called by its name, or `path` itself.
+
+    Examples
+    --------
+    >>> named_map("large").name, named_map("cellar").name, named_map("large.png").name
+    ('large.yaml', 'cellar', 'large.png')
+    """
+    found = Path(path)
+    if found.name != str(path) or found.suffix or is_there(found):
+        return found
+    try:
+        bundled = bundled_maps() / f"{path}.yaml"
+    except MapError:
+        return found
+    return bundled if is_file(bundled) else found
 
 
 def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:

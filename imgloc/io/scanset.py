@@ -81,6 +81,13 @@ class ScanSet:
     def __len__(self) -> int:
         return len(self.scans)
 
+    def __repr__(self) -> str:
+        rays = sorted({len(scan.ranges) for scan in self.scans})
+        sizes = f" of {rays[0]} rays" if len(rays) == 1 else f" of {rays[0]} to {rays[-1]} rays"
+        there = [key for key in _BESIDE if getattr(self, key) is not None]
+        beside = f", with {', '.join(there)}" if there else ""
+        return f"<ScanSet of {len(self):,} scans{sizes if rays else ''}{beside}>"
+
     def __getitem__(self, index: int) -> LaserScan:
         return self.scans[index]
 
