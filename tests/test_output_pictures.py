@@ -6,6 +6,7 @@ import pytest
 
 from imgloc.errors import OutputError
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.geometry import transform_points
 from imgloc.io.images import encode_png
 from imgloc.model import (
     Evidence,
@@ -20,6 +21,7 @@ from imgloc.model import (
     compose,
 )
 from imgloc.output import pictures
+from imgloc.output.axes import draw_grid
 from imgloc.output.canvas import (
     INK,
     PALETTE,
@@ -317,26 +319,73 @@ def answer(*hypotheses, found=0, unlisted=0.0):
     return Localization(tuple(hypotheses), "ambiguous", 0.0, 1.0, elsewhere=0.1, evidence=evidence)
 
 
+def inner(picture, size=(640, 960)):
+    """The map of a picture with axes, without what is around it."""
+    left = picture.shape[1] - 6 - size[1]
+    return picture[6 : 6 + size[0], left : left + size[1]]
+
+
 def test_one_call_draws_an_answer_in_the_map_frame():
     origin = Pose2D(-7.0, 9.0, np.pi / 2)
     at = compose(origin, Pose2D(4.0, 1.0, 0.0))
     scan = LaserScan([1.0], [np.pi / 2], range_max=9.0)  # one point, on the left
     picture = draw(room(origin=origin), answer(hypothesis(at.x, at.y, at.theta)), scan).image
-    px = picture.shape[1] / 6.0
-    assert close(picture[round((4.0 - 2.0) * px), round(4.0 * px)], PALETTE[0])
+    px = 960 / 6.0
+    assert close(inner(picture)[round((4.0 - 2.0) * px), round(4.0 * px)], PALETTE[0])
     same = draw(MapFeatures(room(origin=origin)), answer(hypothesis(at.x, at.y, at.theta)), scan)
     np.testing.assert_array_equal(same.image, picture)
     crossed = draw(room(origin=origin), answer(hypothesis(at.x, at.y, at.theta)), truth=at).image
-    assert close(crossed[round((4.0 - 1.0) * px), round(4.0 * px)], INK)
+    assert close(inner(crossed)[round((4.0 - 1.0) * px), round(4.0 * px)], INK)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, np.pi / 2])
+def test_a_pose_is_found_by_the_ticks(turn):
+    """Lines of the grid cross where their labels say, whichever way the map frame is turned."""
+    origin = Pose2D(-7.0, 9.0, turn)
+    canvas = Canvas(np.full((400, 600, 3), 255, np.uint8), 100.0)
+    ticks = draw_grid(canvas, origin)
+    assert len({tick.label for tick in ticks}) == len(ticks) > 5
+    for tick in ticks:
+        pixel = (tick.at + 0.5, 400.0) if tick.below else (0.0, tick.at + 0.5)
+        xy = transform_points(origin, np.array([[pixel[0] / 100, (400 - pixel[1]) / 100]]))[0]
+        axis, _, value = tick.label.rpartition(" ")
+        axis = axis or ("x" if tick.below else "y")
+        assert xy["xy".index(axis)] == pytest.approx(float(value), abs=0.02)
+    dark = np.all(canvas.image < 240, axis=2)
+    for tick in ticks:
+        spot = dark[-3:, round(tick.at) - 2 : round(tick.at) + 3]
+        assert not tick.below or spot.any()
+
+
+def test_a_title_a_legend_for_each_layer_and_no_place_without_mass():
+    some = [hypothesis(1.0 + k, 2.0, 0.0, mass) for k, mass in enumerate((0.9, 0.0012, 0.0008))]
+    scan = LaserScan([1.0], [0.5], range_max=9.0)
+    plain = draw(room(), answer(*some, found=3), scan).image
+    fewer = draw(room(), answer(*some[:2], found=3, unlisted=0.0008), scan).image
+    np.testing.assert_array_equal(plain, fewer)
+    titled = draw(room(), answer(*some, found=3), scan, title="attic: a.log, scan 3").image
+    assert len(titled) == len(plain) + 24
+    np.testing.assert_array_equal(titled[24 + 6 :], plain[6:])
+    assert np.all(inner(plain) == PALETTE[0], axis=2).any()
+    assert not np.all(inner(plain) == PALETTE[2], axis=2).any()
+
+
+def test_the_maximum_of_a_likelihood_is_marked():
+    values = np.full((2, 40, 60), 0.2)
+    values[1, 10, 45] = 1.0
+    shown = inner(draw(room(), stack(values)).image)
+    x, y = round(45.5 * 16), 640 - round(10.5 * 16)
+    assert np.all(shown[y - 12 : y + 12, x - 12 : x + 12] == PALETTE[1], axis=2).any()
+    assert np.all(shown == PALETTE[1], axis=2).sum() < 1000
 
 
 def test_one_call_draws_a_map_a_likelihood_and_every_feature():
     grid, lattice = room(), stack(np.ones((1, 40, 60)))
     np.testing.assert_array_equal(draw(grid).image, draw_map(grid))
     shown = draw(grid, lattice, truth=Pose2D(1, 1)).image
-    bare = draw_likelihood(lattice, grid=grid, truth=Pose2D(1, 1))
+    bare = draw_likelihood(lattice, grid=grid, truth=Pose2D(1, 1), origin=grid.origin)
     np.testing.assert_array_equal(shown[: len(bare)], bare)
-    assert len(shown) > len(bare)  # by a bar of the greys
+    assert len(shown) > len(bare) + 38  # by a bar of the greys, and a legend
     features = MapFeatures(grid)
     pictures = [draw(features, what=what).image for what in SUBJECTS]
     assert len({p.tobytes() for p in pictures}) == len(SUBJECTS)
@@ -369,7 +418,7 @@ def test_a_legend_says_what_is_left_out():
     )
     assert _not_drawn(answer(seven[0], found=1)) == "elsewhere: 10.0 %"
     assert text_rows(seven[0]) == text_rows(*seven[:2]) - 24
-    assert text_rows() == 640 + 24 + 28  # the verdict, if nothing else
+    assert text_rows() == 640 + 32 + 24 + 28  # the verdict, if nothing else
 
 
 def test_a_picture_is_saved_whole_and_never_over_another(tmp_path):
@@ -465,9 +514,9 @@ def test_what_is_unknown_around_a_map_is_left_out() -> None:
 
 def test_a_note_stands_below_and_wraps() -> None:
     short, long = (draw(room(), answer(), note=note).image for note in ("mm?", "word " * 90))
-    assert len(short) == 640 + 2 * 24 + 28
+    assert len(short) == 640 + 32 + 2 * 24 + 28
     assert len(long) > len(short) + 4 * 24
-    assert long.shape[1] == short.shape[1] == 960
+    assert long.shape[1] == short.shape[1] < 1000
 
 
 def test_words_grow_with_the_picture() -> None:

@@ -178,7 +178,10 @@ class _Sink:
         from imgloc.output.pictures import draw
 
         note = as_options("; ".join(hint.short for hint in self.hints))
-        image = draw(run.features.grid, answer.of, answer.scan, truth=answer.truth, note=note)
+        image = draw(
+            run.features.grid, answer.of, answer.scan, truth=answer.truth, note=note,
+            title=run.title(answer.index),
+        )  # fmt: skip
         image.save(path, force=self.force)
 
     def _explain(self, run: "Locating", answer: "Located", path: Path) -> None:

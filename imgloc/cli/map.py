@@ -8,7 +8,7 @@ import typer
 from imgloc.cli import options as opt
 from imgloc.cli.console import emit, say
 from imgloc.errors import ConfigError, MapError
-from imgloc.io.files import display
+from imgloc.io.files import display, map_name
 from imgloc.options import METHODS, AllowLossy, Chosen, MemoryBudget, Millimetres, Options, Reading
 from imgloc.ranges import OneOf, Within, option
 from imgloc.texts import numbers
@@ -112,7 +112,8 @@ def show(
         held = desk.scans(scans, inputs.as_recorded(chosen=Chosen(str(scans_index)))).scans
         options = Options(method=method, memory_budget=budget)
         features = desk.features(map_path, maps, options, scans=held.scans)
-        picture = draw(grid, likelihood(features, held[0], options))
+        title = f"{map_name(map_path)}: {inputs.name_of(scans)}, scan {scans_index}"
+        picture = draw(grid, likelihood(features, held[0], options), title=title)
     picture.save(out, force=force)
     height, width = picture.image.shape[:2]
     say(f"wrote {display(out)}: {what}, {width} x {height} pixels")

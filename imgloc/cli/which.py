@@ -101,7 +101,8 @@ def which(
         emit(to_json(answer.row) if as_json else line)
         if answer.index in targets:
             grid = desk.grid(found.files[answer.best], job.maps)
-            image = draw(grid, answer.fits[answer.best], answer.scan)
+            title = f"{answer.best}: {asked.name if asked else ''}, scan {answer.index}"
+            image = draw(grid, answer.fits[answer.best], answer.scan, title=title)
             image.save(targets[answer.index], force=force)
     if found.failed:
         raise typer.Exit(FAILED_ROWS)

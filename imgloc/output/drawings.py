@@ -12,7 +12,7 @@ from imgloc.io.maps import load_map
 from imgloc.model import LaserScan, Localization, Pose2D
 from imgloc.options import Options, Reading
 from imgloc.output.canvas import draw_map
-from imgloc.output.pictures import draw, draw_likelihood
+from imgloc.output.pictures import draw
 from imgloc.runs.opening import Drawing
 
 
@@ -22,14 +22,17 @@ def draw_answer(
     scan: LaserScan,
     truth: Pose2D | None,
     options: Options,
+    title: str = "",
 ) -> dict[str, bytes]:
     """The scan over the map at each hypothesis, and the likelihood of every place."""
-    out = {"poses": encode_picture(draw(features.grid, answer, scan, truth=truth).image)}
+    out = {
+        "poses": encode_picture(draw(features.grid, answer, scan, truth=truth, title=title).image)
+    }
     if answer.verdict != "invalid":
         # Of the default method two propose where to look; the first is the endpoints.
         layer = next(layers_of(features, scan, options))
         if layer.likelihood is not None:
-            picture = draw_likelihood(layer.likelihood, grid=features.grid)
+            picture = draw(features.grid, layer.likelihood, title=title).image
             out["likelihood"] = encode_picture(picture)
     return out
 

@@ -21,8 +21,10 @@ from imgloc.model import (
     Localization,
     OccupancyGrid,
     Pose2D,
+    compose,
 )
 from imgloc.options import LOG_METHODS
+from imgloc.output.axes import draw_grid, framed, wrapped
 from imgloc.output.canvas import (
     INK,
     PALETTE,
@@ -38,6 +40,7 @@ from imgloc.output.canvas import (
     draw_map,
     enlarged,
     faded,
+    legend,
     map_canvas,
     marker_size,
     scale_bar,
@@ -50,6 +53,7 @@ from imgloc.output.features import draw_feature
 _WALL: Colour = (70, 110, 200)
 _ROW = 24  # pixels of a line of the legend
 _TOP = 6  # hypotheses that are drawn at most
+_LEAST = 1e-3  # mass of a hypothesis that is drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +76,7 @@ def draw(
     scan: LaserScan | None = None,
     *,
     truth: Pose2D | None = None,
+    title: str = "",
     note: str = "",
     what: str = "map",
     at: tuple[float, float] | None = None,
@@ -85,8 +90,8 @@ def draw(
         The scan is laid on the map at each hypothesis.
     truth : Pose2D, optional
         True pose of the sensor, map frame.
-    note : str
-        A line below the answer.
+    title, note : str
+        Lines above and below an answer.
     what, at : str, and (float, float) in metres, map frame
         Without an answer: which feature to draw, and the point whose visibility is drawn; see
         :func:`imgloc.output.features.draw_feature`.
@@ -113,18 +118,32 @@ def draw(
     local = None if truth is None else in_grid_frame(truth, grid)
     if isinstance(answer, Likelihood):
         log = answer.method in LOG_METHODS
-        image = draw_likelihood(answer, grid=grid, truth=local, log=log)
-        title = f"likelihood ({answer.method}) at the best heading"
+        image = draw_likelihood(
+            answer, grid=grid, truth=local, log=log, title=title, origin=grid.origin
+        )
+        bar = f"likelihood ({answer.method}) at the best heading"
         shades = np.linspace(255, 0, 64).astype(np.uint8)[None, :, None].repeat(3, axis=2)
-        return Picture(colour_bar(image, shades, ("least", "greatest"), title))
+        image = colour_bar(image, shades, ("least", "greatest"), bar)
+        layers = [(PALETTE[1], "maximum"), (_WALL, "wall"), (SHADE, "unknown")]
+        layers += [(TURQUOISE, "exactly 0")] if (answer.values.max(axis=0) <= 0).any() else []
+        layers += [] if truth is None else [(TRUTH, "true pose")]
+        return Picture(legend(image, layers))
     if isinstance(answer, Localization):
         points = np.zeros((0, 2))
         if scan is not None:
             points = scan_xy(scan)[scan.valid] * answer.evidence.scale
-        hypotheses = [in_grid_frame(h, grid.info) for h in answer.hypotheses]
+        drawn = _drawn(answer)
+        hypotheses = [in_grid_frame(h, grid.info) for h in drawn]
         left = f"; {_not_drawn(answer)}" if hypotheses else ""
         notes = [f"verdict: {answer.verdict}{left}", *([note] if note else [])]
-        return Picture(draw_hypotheses(grid, points, hypotheses, truth=local, notes=notes))
+        if hypotheses:
+            dots = "dots: the scan as seen from each place; " if len(points) else ""
+            notes.append(f"{dots}ellipse: 2 standard deviations; dark: wall; grey: unknown")
+        above = f"{title}: {answer.verdict}" if title else ""
+        image = draw_hypotheses(
+            grid, points, hypotheses, truth=local, notes=notes, title=above, axes=True
+        )
+        return Picture(image)
     if answer is not None:
         raise TypeError(f"expected a Localization or a Likelihood to draw, got {answer!r}")
     if features is None and what == "map":
@@ -141,13 +160,16 @@ def draw_likelihood(
     truth: Pose2D | None = None,
     scale: int | None = None,
     log: bool = False,
+    title: str = "",
+    origin: Pose2D | None = None,
 ) -> Image:
     """Draw a likelihood as the paper does (caption of Fig. 1): its maximum over theta.
 
     Linearly normalised, black is the highest likelihood and white the lowest; turquoise is a
     likelihood of exactly 0. Values below 0 (CBML-O has them) count as 0; of `log`-likelihoods (the
     beam model's) ``exp(L - max L)`` is drawn. Walls and unknown space of the `grid` are laid over
-    the picture; the true pose, grid frame, is red. A cell is `scale` pixels wide.
+    the picture; the true pose, grid frame, is red. A cell is `scale` pixels wide. With the `origin`
+    of the grid in the map frame the maximum is marked and the picture has axes and a `title`.
     """
     best = likelihood.values.max(axis=0).astype(np.float64)
     if log:
@@ -162,9 +184,15 @@ def draw_likelihood(
         free, occupied = _under(canvas, grid)
         canvas.image[~(free | occupied)] = SHADE
         canvas.image[occupied] = _WALL
+    ticks = []
+    if origin is not None:
+        ticks = draw_grid(Canvas(canvas.image.copy(), canvas.px_per_m), origin)
+        k, row, column = np.unravel_index(np.argmax(likelihood.values), likelihood.values.shape)
+        x, y = (np.array((column, row)) + 0.5) * likelihood.grid.resolution
+        canvas.robot(x, y, float(likelihood.thetas[k]), PALETTE[1], marker_size(canvas))
     if truth is not None:
         canvas.robot(truth.x, truth.y, truth.theta, TRUTH, marker_size(canvas))
-    return canvas.image
+    return canvas.image if origin is None else framed(canvas.image, ticks, title)
 
 
 def draw_hypotheses(
@@ -176,6 +204,8 @@ def draw_hypotheses(
     top: int = _TOP,
     scale: int | None = None,
     notes: Sequence[str] = (),
+    title: str = "",
+    axes: bool = False,
 ) -> Image:
     """Draw where a scan may have been taken: the scan laid on the map at each hypothesis.
 
@@ -183,11 +213,12 @@ def draw_hypotheses(
     first, grid frame, are drawn with ellipses of two standard deviations; the true pose, grid
     frame, with a cross. The legend, below or beside a high map, has the mass and the pose, in the
     map frame, of each, and the `notes`. A cell is `scale` pixels wide. Of a map that is mostly
-    unknown what is known is drawn.
+    unknown what is known is drawn. With `axes` it has a grid and ticks in the map frame, instead of
+    a scale bar, and a `title`.
     """
     shown = [(h, PALETTE[k % len(PALETTE)]) for k, h in enumerate(hypotheses[:top])]
     scene = _Scene(grid, scan_xy, shown, truth)
-    image = scene.part(*scene.known()).drawn(scale)
+    image = scene.part(*scene.known()).drawn(scale, title, axes=axes)
     f = enlarged(image)
     legend = _legend(f, scene, notes)
     if legend is None:
@@ -237,13 +268,15 @@ class _Scene:
         def moved(p: Pose2D) -> Pose2D:
             return Pose2D(p.x - columns.start * cell, p.y - rows.start * cell, p.theta)
 
-        part = OccupancyGrid(grid.occupied[rows, columns], grid.free[rows, columns], cell)
+        corner = compose(grid.origin, Pose2D(columns.start * cell, rows.start * cell))
+        part = OccupancyGrid(grid.occupied[rows, columns], grid.free[rows, columns], cell, corner)
         here = [(replace(h, pose=moved(h.pose)), colour) for h, colour in self.shown]
         return _Scene(part, self.scan_xy, here, None if self.truth is None else moved(self.truth))
 
-    def drawn(self, scale: int | None) -> Image:
+    def drawn(self, scale: int | None, title: str = "", *, axes: bool = False) -> Image:
         """Draw hypotheses with their numbers, the bolder the more mass they have, and the truth."""
         canvas, shown, truth = map_canvas(self.grid, scale), self.shown, self.truth
+        ticks = draw_grid(canvas, self.grid.origin) if axes else []
         most = max((h.mass for h, _ in shown), default=0.0)
         bold = [0.3 + 0.7 * (h.mass / most) ** 0.5 if most > 0 else 1.0 for h, _ in shown]
         full = marker_size(canvas)
@@ -260,6 +293,8 @@ class _Scene:
         if truth is not None:
             _cross(canvas, truth.x, truth.y, 1.5 * full)
         _number(canvas, [h.pose for h, _ in shown], truth, full)
+        if axes:
+            return framed(canvas.image, ticks, title)
         scale_bar(canvas)
         return canvas.image
 
@@ -336,10 +371,18 @@ def _number(canvas: Canvas, poses: Sequence[Pose2D], truth: Pose2D | None, size:
         text(canvas.image, word, left, low, INK, big)
 
 
+def _drawn(answer: Localization) -> list[Hypothesis]:
+    """The hypotheses that a picture shows: the best one, and others that hold mass."""
+    some = [h for k, h in enumerate(answer.hypotheses) if k == 0 or h.mass >= _LEAST]
+    return some[:_TOP]
+
+
 def _not_drawn(answer: Localization) -> str:
     """What a picture of an answer leaves out, in words."""
-    more = answer.evidence.found - min(_TOP, len(answer.hypotheses))
-    mass = answer.evidence.unlisted + sum(h.mass for h in answer.hypotheses[_TOP:])
+    drawn = _drawn(answer)
+    more = answer.evidence.found - len(drawn)
+    mass = answer.evidence.unlisted + sum(h.mass for h in answer.hypotheses)
+    mass -= sum(h.mass for h in drawn)
     other = f"{more} other poses: {100 * mass:.1f} %, " if more > 0 else ""
     return f"{other}elsewhere: {100 * answer.elsewhere:.1f} %"
 
@@ -382,7 +425,7 @@ def _legend(f: float, scene: _Scene, notes: Sequence[str]) -> Image | None:
         columns = [px(24) + max(text_width(line[k], size) for line in lines) for k in range(3)]
         ends = px(272) + np.cumsum(columns)
     left = px(44) if poses else px(14)
-    said = [line for note in notes for line in _wrapped(note, int(ends[-1]) - left, size)]
+    said = [line for note in notes for line in wrapped(note, int(ends[-1]) - left, size)]
     rows = len(lines) + len(said)
     if not rows:
         return None
@@ -411,18 +454,6 @@ def _legend(f: float, scene: _Scene, notes: Sequence[str]) -> Image | None:
     for k, words in enumerate(said, start=len(lines)):
         text(out, words, left, base + k * row, size=size)
     return out
-
-
-def _wrapped(words: str, width: int, size: int) -> list[str]:
-    """A text as lines of at most `width` pixels, unless a word is longer."""
-    lines = [""]
-    for word in words.split():
-        longer = f"{lines[-1]} {word}".lstrip()
-        if lines[-1] and text_width(longer, size) > width:
-            lines.append(word)
-        else:
-            lines[-1] = longer
-    return lines
 
 
 def _beside(image: Image, legend: Image) -> tuple[int, int] | None:

@@ -12,7 +12,7 @@ from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import poses_of
 from imgloc.io.calibration import calibrated
-from imgloc.io.files import display
+from imgloc.io.files import display, map_name
 from imgloc.io.images import image_size, read_image
 from imgloc.io.scanset import ScanSet
 from imgloc.model import BoolArray, LaserScan, Localization, OccupancyGrid, Pose2D
@@ -57,7 +57,7 @@ class Localize(Job):
             cells = region_of(self.region, features.grid, allow_lossy=self.maps.allow_lossy)
             prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})
         options = replace(options, prior=prior)
-        return Locating(self, desk, display(path.name), features, options, taken)
+        return Locating(self, desk, map_name(path), features, options, taken)
 
 
 @dataclass(kw_only=True)
@@ -96,11 +96,23 @@ class Locating:
                     ms=answer.timings_ms["localize"],
                     doubtful=answer.verdict != "unique" or beside.get("hit") is False,
                     index=k,
-                    drawn=("answer", self.features, answer, scan, truth, self.options),
+                    drawn=(
+                        "answer",
+                        self.features,
+                        answer,
+                        scan,
+                        truth,
+                        self.options,
+                        self.title(k),
+                    ),
                     scan=scan,
                     truth=truth,
                 )
         self.desk.keep(self.features)
+
+    def title(self, index: int) -> str:
+        """What a picture of the answer to a scan is called: map, file and scan."""
+        return f"{self.map_name}: {Path(self.taken.name).name}, scan {index}"
 
     def with_true_poses(self) -> "Locating":
         """The same, without known poses if the scans do not fit the map there."""

@@ -155,13 +155,16 @@ class Choosing:
                 ms=sum(answer.timings_ms["localize"] for answer in some.values()),
                 doubtful=choice.verdict != best,
                 index=k,
-                drawn=self._drawn(best, some[best], scan),
+                drawn=self._drawn(best, some[best], scan, k),
                 fits=some,
                 scan=scan,
                 best=best,
             )
 
-    def _drawn(self, best: str, answer: Localization, scan: LaserScan) -> tuple[Any, ...]:
+    def _drawn(
+        self, best: str, answer: Localization, scan: LaserScan, index: int
+    ) -> tuple[Any, ...]:
         if self.job.pictures == "none":  # the map may have to be prepared again
             return ()
-        return "answer", self.features(self.files[best]), answer, scan, None, self.options
+        title = f"{best}: {self.item.scans}, scan {index}"
+        return "answer", self.features(self.files[best]), answer, scan, None, self.options, title
