@@ -134,7 +134,8 @@ def test_a_robot_is_followed_as_track_does(service: Served, tmp_path: Path) -> N
     ]  # fmt: skip
     (tmp_path / "log.jsonl").write_text("\n".join(lines))
     here = call("track", MAP, tmp_path / "log.jsonl", "--json")
-    with connect(f"ws://127.0.0.1:{service.port}/v1/track?map=visibility") as socket:
+    address = f"ws://127.0.0.1:{service.port}/v1/track?map=visibility&places=true"
+    with connect(address) as socket:
         there = []
         for line in lines:
             socket.send(line)
