@@ -33,6 +33,19 @@ def test_poses_that_do_not_fit_the_map_are_not_truth(tmp_path: Path, shift: floa
     assert ("does not take these for true poses" in run.err) == (shift > 0)
 
 
+def test_odometry_that_fits_at_one_scan_by_chance_is_not_truth(tmp_path: Path) -> None:
+    """Of this file the first pose is true, and the others are not."""
+    grid = imgloc.load_map(MAPS / "curved.yaml")
+    scans = imgloc.simulate(grid, 6, seed=3)
+    assert scans.poses is not None
+    poses = scans.poses + np.where(np.arange(6) > 0, 2.0, 0.0)[:, None] * (1, 0, 0)
+    imgloc.save_scans(tmp_path / "s.npz", ScanSet(scans.scans, poses, np.arange(6.0), poses))
+    run = call("localize", "curved", tmp_path / "s.npz", "--scans-index", 0, "--no-cache")
+    assert run.code == 0
+    assert "truth" not in run.out
+    assert "does not take these for true poses" in run.err
+
+
 def test_scans_without_readings_tell_nothing() -> None:
     grid = imgloc.load_map(MAPS / "curved.yaml")
     scan = imgloc.LaserScan(np.full(9, np.inf), np.arange(9.0))

@@ -71,17 +71,25 @@ def poses_fit(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray
     return bool(here >= _SHARE and ratio >= _BEST and best > 0)
 
 
-def with_true_poses(scans: ScanSet, grid: OccupancyGrid, name: str) -> ScanSet:
+def tried_of(scans: ScanSet) -> ScanSet:
+    """The scans of a file that tell whether its poses are true: a few, in even steps."""
+    return scans.take(evenly(len(scans), _SCANS).tolist())
+
+
+def with_true_poses(
+    scans: ScanSet, grid: OccupancyGrid, name: str, tried: ScanSet | None = None
+) -> ScanSet:
     """The scans, without their poses and with a warning if :func:`poses_fit` says that they do not.
 
     Poses are true, too, if the scans fit there in another unit, or turned over. `name` is that of
-    the file, for the warning.
+    the file, for the warning. `tried` are :func:`tried_of` the whole file, of which `scans` may be
+    one: odometry may fit the map at one scan by chance.
     """
-    if scans.poses is None:
+    few = tried_of(scans) if tried is None else tried
+    if scans.poses is None or few.poses is None:
         return scans
-    some = evenly(len(scans), _SCANS).tolist()
-    tried, poses = [scans[k] for k in some], scans.poses[some]
-    if any(poses_fit(grid, [way(s) for s in tried], poses) is not False for way in WAYS.values()):
+    fits = (poses_fit(grid, [way(s) for s in few.scans], few.poses) for way in WAYS.values())
+    if any(fit is not False for fit in fits):
         return scans
     _LOG.warning("%s: %s", name, NOT_TRUE)
     return replace(scans, poses=None)

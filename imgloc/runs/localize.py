@@ -116,8 +116,9 @@ class Locating:
 
     def with_true_poses(self) -> "Locating":
         """The same, without known poses if the scans do not fit the map there."""
-        scans = with_true_poses(self.taken.scans, self.features.grid, self.taken.name)
-        return replace(self, taken=replace(self.taken, scans=scans))
+        taken, grid = self.taken, self.features.grid
+        scans = with_true_poses(taken.scans, grid, taken.name, taken.tried)
+        return replace(self, taken=replace(taken, scans=scans))
 
     def doubts(self, scans: ScanSet, said: Said) -> list[Doubt]:
         """What may be wrong with scans of which this was `said`."""

@@ -18,6 +18,7 @@ from tempfile import TemporaryDirectory
 from typing import IO, Any, TypeVar
 
 from imgloc.answers.diagnose import Given
+from imgloc.answers.truth import tried_of
 from imgloc.errors import STDERR, ConfigError, OutputError, ScanError
 from imgloc.features.budget import (
     MIB,
@@ -116,6 +117,7 @@ class Taken:
     scans: ScanSet
     indices: list[int]  #: in the file
     total: int  #: scans that it has
+    tried: ScanSet  #: a few of the whole file, which tell whether its poses are true
 
     def __iter__(self) -> Iterator[tuple[int, LaserScan, Pose2D | None]]:
         """Index, scan, and pose of the sensor in the map frame if that is known, of each."""
@@ -273,9 +275,11 @@ class Desk:
         if files.mount is not None and len({s.T_base_laser for s in recorded.scans}) > 1:
             raise ConfigError("`sensor`: the log has several lasers, each with a place of its own")
         indices = files.chosen.of(len(recorded), name)
-        some = recorded.take(indices)
-        scans = tuple(map(files.mounted, some.scans))
-        return Taken(name, replace(some, scans=scans), indices, len(recorded))
+        some, tried = (
+            replace(part, scans=tuple(map(files.mounted, part.scans)))
+            for part in (recorded.take(indices), tried_of(recorded))
+        )
+        return Taken(name, some, indices, len(recorded), tried)
 
 
 #: Draws a picture of what an answer has for it: PNGs by what they show.
