@@ -1,5 +1,6 @@
 """Recorded poses: true ones, odometry, and those of other maps."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from command import MAPS, call
 
 import imgloc
+from imgloc.answers.scanmotion import overlap
 from imgloc.answers.truth import poses_fit
 from imgloc.io.scanset import ScanSet
 
@@ -50,6 +52,19 @@ def test_scans_without_readings_tell_nothing() -> None:
     grid = imgloc.load_map(MAPS / "curved.yaml")
     scan = imgloc.LaserScan(np.full(9, np.inf), np.arange(9.0))
     assert poses_fit(grid, [scan], np.zeros((1, 3))) is None
+
+
+def test_readings_that_are_not_valid_tell_nothing() -> None:
+    """A slice of a cloud has readings in some directions alone."""
+    grid = imgloc.load_map(MAPS / "curved.yaml")
+    scans = imgloc.simulate(grid, 4, seed=3)
+    assert scans.poses is not None
+    few = [replace(s, ranges=np.where(np.arange(len(s.ranges)) % 3, np.nan, s.ranges))
+           for s in scans.scans]  # fmt: skip
+    assert poses_fit(grid, few, scans.poses)
+    assert not poses_fit(grid, few, scans.poses + (1.5, 0, 0))
+    still = overlap(few[0], few[0], imgloc.Pose2D(0.0, 0.0))
+    assert still == 1
 
 
 @pytest.mark.parametrize(

@@ -192,6 +192,29 @@ def test_csv_with_names_stamp_and_pose(tmp_path: Path) -> None:
     assert scans.stamps.tolist() == [7.5, 8]
 
 
+def test_csv_with_odometry(tmp_path: Path) -> None:
+    head = "# angle_min=0, angle_increment=0.5\n"
+    scans = csv(
+        tmp_path, f"{head}stamp,odom_x,odom_y,odom_theta,r0,r1\n7,1,2,0.5,10,11\n8,4,5,0.6,12,13\n"
+    )
+    assert scans.poses is None
+    assert scans.odom is not None
+    assert scans.odom.tolist() == [[1, 2, 0.5], [4, 5, 0.6]]
+    assert scans[1].ranges.tolist() == [12, 13]
+    with pytest.raises(ScanError, match="columns odom_x, expected all of odom_x, odom_y, odom_th"):
+        csv(tmp_path, f"{head}odom_x,r0,r1\n1,10,11\n")
+
+
+def test_csv_with_columns_that_are_no_ranges(tmp_path: Path) -> None:
+    head = "# angle_min=0, angle_increment=0.5\n"
+    expected = (
+        "columns time, yaw_deg: expected ranges called as d0 is, or stamp, x, y, theta, odom_x"
+    )
+    with pytest.raises(ScanError, match=expected):
+        csv(tmp_path, f"{head}time,yaw_deg,d0,d1,d2\n7,1,2,3,4\n")
+    assert len(csv(tmp_path, f"{head}left,front,right\n2,3,4\n")[0].ranges) == 3
+
+
 def test_a_range_a_line_is_no_set_of_scans(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("1.5\n1.6\n1.7\n")
     with pytest.raises(ScanError, match="3 lines of one range each, expected a scan a line"):

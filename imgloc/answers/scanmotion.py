@@ -170,12 +170,12 @@ def _share(scans: ScanSet, odom: FloatArray, pairs: Sequence[tuple[int, int]], w
 
 
 def overlap(before: LaserScan, after: LaserScan, step: Pose2D) -> float:
-    """Share of the readings of a scan that fall on those of one before, NaN if they are few.
+    """Share of the valid readings of a scan that fall on those of one before, NaN if few are valid.
 
     The robot's motion `step` is in its own frame. Cells are as fine as the ranges are short, so
     that no unit is better than another.
     """
-    one, other = scan_xy(before), scan_xy(after)
+    one, other = (scan_xy(scan)[scan.valid] for scan in (before, after))
     if min(len(one), len(other)) < _LEAST:
         return math.nan
     mount = before.T_base_laser or Pose2D(0.0, 0.0)

@@ -57,7 +57,7 @@ def poses_fit(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray
     walls = near_walls(grid)
     shares = list[tuple[float, float]]()
     for k in evenly(len(scans), _SCANS).tolist():
-        xy = scan_xy(scans[k])
+        xy = scan_xy(scans[k])[scans[k].valid]
         xy = xy[evenly(len(xy), _RAYS)]
         if len(xy) >= _LEAST:
             local = in_grid_frame(Pose2D(*poses[k]), grid)

@@ -105,7 +105,9 @@ class ScanSet:
             indices = np.flatnonzero(np.isfinite(self.odom).all(axis=1)).tolist()
         if not indices:
             missing = "odom: missing, expected the odometry of each scan to track a robot"
-            raise ScanError(f"{name}: {missing}")
+            csv = name.lower().endswith((".csv", ".csv.gz"))
+            hint = "; in a CSV its columns are odom_x, odom_y, odom_theta" if csv else ""
+            raise ScanError(f"{name}: {missing}{hint}")
         if len(indices) == len(self):
             return self, indices
         left = sorted(set(range(len(self))) - set(indices))

@@ -4,6 +4,7 @@ import contextlib
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -30,7 +31,8 @@ MAX_LINE = 64 * MAX_RAYS
 """Characters of a line of text, which holds a scan."""
 _SETTING = re.compile(r"\b(\w+)\s*[=:]\s*([^\s,;]+)")
 _SETTINGS = (*SPACING, "range_min", "range_max")
-_BESIDE = ("stamp", "x", "y", "theta")
+_PLACES = {"pose": ("x", "y", "theta"), "odom": ("odom_x", "odom_y", "odom_theta")}
+_BESIDE = ("stamp", *_PLACES["pose"], *_PLACES["odom"])
 _POSES = ("pose", "odom", "mount")
 
 
@@ -45,10 +47,11 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
     ``angle_min`` is needed with ``angle_max`` or ``angle_increment``, or else `fov`: radians from
     the first ray to the last, straight ahead between. A first line of names
     is optional; columns called ``stamp``, ``x``, ``y``, ``theta`` are the stamp and the known
-    pose of the sensor, all others are ranges in order. A file with the two columns ``angle``
-    and ``range``, or with just two columns of numbers, is one scan, one reading a line. Empty
-    cells are NaN. Broken lines are left out, up to the share `max_bad`, as is a last one that was
-    cut off.
+    pose of the sensor, ``odom_x``, ``odom_y``, ``odom_theta`` the odometry, the robot's pose in
+    its own frame; all others are ranges in order, whose names are alike. A file with
+    the two columns ``angle`` and ``range``, or with just two columns of numbers, is one scan, one
+    reading a line. Empty cells are NaN. Broken lines are left out, up to the share `max_bad`, as is
+    a last one that was cut off.
     """
     name, settings, columns = display(path), dict[str, Any](), list[str]()
     rows, bad, lines = list[tuple[str, list[float]]](), BadLines(name, max_bad), _lines(path)
@@ -87,10 +90,14 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
         angles, ranges = table[:, at["angle"]], table[:, at["range"]]
         return collect([(name, {**settings, "angles": angles, "ranges": ranges})], name)
     beside = {column: i for column, i in at.items() if column in _BESIDE}
-    place = [beside[column] for column in ("x", "y", "theta") if column in beside]
-    if len(place) not in (0, 3):
-        named = ", ".join(columns[i] for i in place)
-        raise ScanError(f"{name}: columns {named}, expected all of x, y, theta or none")
+    places = dict[str, list[int]]()
+    for key, wanted in _PLACES.items():
+        found = [column for column in wanted if column in beside]
+        if found and len(found) < len(wanted):
+            expected = f"expected all of {', '.join(wanted)} or none"
+            raise ScanError(f"{name}: columns {', '.join(found)}, {expected}")
+        places[key] = [beside[column] for column in found]
+    _check_alike([column for column in columns if column not in beside], name)
     ranges = np.delete(table, list(beside.values()), axis=1)
     if ranges.shape[1] == 1 and len(ranges) > 1:
         expected = "a scan a line, its ranges with commas between, or two columns, angle and range"
@@ -103,8 +110,8 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
         raise ScanError(f"{rows[0][0]}: angles: missing, expected {expected}")
     for (where, row), values in zip(rows, ranges, strict=True):
         stamp = row[beside["stamp"]] if "stamp" in beside else None
-        pose = [row[i] for i in place] or None
-        entries.append((where, {**settings, "ranges": values, "stamp": stamp, "pose": pose}))
+        poses = {key: [row[i] for i in place] or None for key, place in places.items()}
+        entries.append((where, {**settings, "ranges": values, "stamp": stamp, **poses}))
     return collect(entries, name, bad)
 
 
@@ -194,6 +201,20 @@ def check_lines(lines: Sequence[str], name: str, most: int = MAX_LINE) -> list[t
             found = f"{len(line):,} characters"
             raise ScanError(f"{name}: line {i}: {found}, expected at most {most:,} for a scan")
     return [(i, s) for i, line in enumerate(lines, 1) if (s := line.strip())]
+
+
+def _check_alike(columns: Sequence[str], name: str) -> None:
+    """ScanError if most columns have one name and a number, such as r0, and others do not.
+
+    Else a time or a heading would be a range, and all rays after it would have a wrong angle.
+    """
+    stems = [re.sub(r"[-+.\d]+", "", column) for column in columns]
+    usual, count = max(Counter(stems).items(), key=lambda item: item[1], default=("", 0))
+    others = [column for column, stem in zip(columns, stems, strict=True) if stem != usual]
+    if count > len(others) > 0:
+        like = columns[stems.index(usual)]
+        expected = f"expected ranges called as {like} is, or {', '.join(_BESIDE)}"
+        raise ScanError(f"{name}: columns {', '.join(others[:5])}: {expected}")
 
 
 def _is_number(cell: str) -> bool:

@@ -141,13 +141,14 @@ def _poses(facts: Mapping[str, Any]) -> str:
     if facts["poses"] == "odometry":
         return "the same as the odometry" + ("" if "on_map" in facts else "; a map tells more")
     fits = {True: "; they fit the map", False: "; they do not fit the map", None: ""}
-    return "recorded, beside the odometry" + fits[facts.get("poses_fit")]
+    beside = "recorded, beside the odometry" if facts["odometry"] else "recorded"
+    return beside + fits[facts.get("poses_fit")]
 
 
 def _sensor(sensor: Sequence[float] | None) -> str:
     if sensor is None:
         return "its place on the robot is not recorded"
-    x, y, turn = sensor
+    x, y, turn = (round(value, 4) + 0.0 for value in sensor)  # no minus before zero
     return f"on the robot at x {x:.3g} m, y {y:.3g} m, turned by {turn:.4g} degrees"
 
 
