@@ -32,7 +32,7 @@ UNITS: Mapping[str, tuple[bool, float, float, float]] = {
     ),
     **dict.fromkeys(("share", "probability"), (False, 0, 1, 1)),
     **dict.fromkeys(
-        ("metres", "metres and seconds", "square metres", "variance", "deviations",
+        ("metres", "seconds", "metres and seconds", "square metres", "variance", "deviations",
          "square deviations", "odds", "logarithm", "per reading"),
         (False, 0, 1e6, 1),
     ),

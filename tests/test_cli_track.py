@@ -21,6 +21,7 @@ from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan
 from imgloc.options import Shared
+from imgloc.output.tracks import COLOURS, SCAN
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -49,7 +50,7 @@ def tracked(log: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
         "--picture",
         folder / "a.png",
         "--video",
-        folder / "a.mp4",
+        folder / "a.webm",
     )
     run = call("track", MAP, log, "--json", *outputs)
     assert run.code == 0, run.err
@@ -87,11 +88,57 @@ def test_tum_has_the_unique_poses(tracked: tuple[Path, str, str]) -> None:
 def test_picture_and_video_show_the_map(tracked: tuple[Path, str, str]) -> None:
     image = read_image(tracked[0] / "a.png").pixels
     assert min(image.shape[:2]) > 300
-    movie = cv2.VideoCapture(str(tracked[0] / "a.mp4"))
+    movie = cv2.VideoCapture(str(tracked[0] / "a.webm"))
     assert int(movie.get(cv2.CAP_PROP_FRAME_COUNT)) == N
     good, frame = movie.read()
     assert good
     assert frame.std() > 10
+    assert b"V_VP8" in (tracked[0] / "a.webm").read_bytes()[:1000]  # which browsers play
+    for _ in range(N - 1):
+        frame = movie.read()[1]
+    for colour in (COLOURS["unique"], SCAN):  # the scan, and the trail with the robot
+        near = np.abs(frame.astype(int) - colour).max(axis=2) < 60
+        assert near.sum() > 50
+
+
+def test_the_errors_against_a_true_trajectory_are_those_of_evo(
+    tracked: tuple[Path, str, str], log: Path, tmp_path: Path
+) -> None:
+    assert "APE of " in tracked[2]  # the log has true poses
+    got = [(row["stamp"], row["pose"]) for row in rows(tracked[1]) if row["pose"]]
+    rng = np.random.default_rng(3)
+    poses = np.array([(p["x"], p["y"], p["theta"]) for _, p in got])
+    true = poses + rng.normal(0, (0.1, 0.1, 0.02), poses.shape)
+    lines = ["# stamp x y z qx qy qz qw"]
+    for (stamp, _), (x, y, theta) in zip(got, true, strict=True):
+        q = f"0 0 {np.sin(theta / 2):.12f} {np.cos(theta / 2):.12f}"
+        lines.append(f"{stamp + 0.004:.6f} {x:.9f} {y:.9f} 0 {q}")
+    (tmp_path / "t.tum").write_text("\n".join(lines) + "\n")
+    outputs = ("--truth", tmp_path / "t.tum", "--picture", tmp_path / "a.png")
+    run = call("track", MAP, log, *outputs)
+    assert run.code == 0, run.err
+    ape = np.hypot(*(poses - true)[:, :2].T)
+
+    def matrix(p: FloatArray) -> FloatArray:
+        c, s = np.cos(p[2]), np.sin(p[2])
+        return np.array([[c, -s, p[0]], [s, c, p[1]], [0, 0, 1]])
+
+    P, Q = [matrix(p) for p in poses], [matrix(p) for p in true]
+    inv, rpe = np.linalg.inv, []
+    for k in range(len(P) - 1):  # evo: the error of each step, in SE(2)
+        rpe.append(np.hypot(*(inv(inv(Q[k]) @ Q[k + 1]) @ (inv(P[k]) @ P[k + 1]))[:2, 2]))
+    for name, errors in (("APE", ape), ("RPE", np.array(rpe))):
+        said = re.search(rf"{name} .*?rmse ([\d.]+), mean ([\d.]+), max ([\d.]+) m", run.err)
+        expected = np.sqrt(np.mean(errors**2)), errors.mean(), errors.max()
+        assert [float(word) for word in said.groups()] == pytest.approx(expected, abs=6e-4)
+    with_truth, without = (read_image(f / "a.png").pixels.shape for f in (tmp_path, tracked[0]))
+    assert with_truth == without  # both have the curve below: the log has true poses, too
+    (tmp_path / "late.tum").write_text(lines[1].replace(lines[1].split()[0], "9999") + "\n")
+    run = call("track", MAP, log, "--truth", tmp_path / "late.tum")
+    assert (run.code, "no stamp is within 0.01 s of a scan" in run.err) == (4, True)
+    (tmp_path / "bad.tum").write_text("1 2 3\n")
+    run = call("track", MAP, log, "--truth", tmp_path / "bad.tum")
+    assert (run.code, "bad.tum: line 1: got '1 2 3', expected stamp x y z" in run.err) == (4, True)
 
 
 def test_lines_for_people(log: Path) -> None:

@@ -180,7 +180,7 @@ def located(
 
 def doubt_of_log(
     features: MapFeatures, scans: ScanSet, options: Options, given: Given,
-    *, followed: float = 0.0, start: Pose2D | None = None,
+    followed: float = 0.0, start: Pose2D | None = None,
 ) -> Doubt | None:  # fmt: skip
     """Say what most likely keeps a robot from being followed through a log; None if nothing is.
 

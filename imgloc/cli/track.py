@@ -13,7 +13,7 @@ import typer
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, say
 from imgloc.errors import ConfigError, ScanError
-from imgloc.io.files import display, write_text_atomic
+from imgloc.io.files import display, map_name, write_text_atomic
 from imgloc.options import (
     AllowLossy,
     Drawn,
@@ -56,7 +56,19 @@ class Outputs:
         False, "Let ROS messages hold the best pose alone, also while several places fit."
     )
     picture: Path | None = option(None, "Draw the path over the map into this file.", metavar="PNG")
-    video: Path | None = option(None, "Draw the belief over time into this file.", metavar="MP4")
+    video: Path | None = option(
+        None,
+        "Draw the belief over time into this file: WebM, which browsers play, or MP4, which they "
+        "do not.",
+        metavar="WEBM",
+    )
+    truth: Path | None = option(
+        None,
+        "True trajectory of the robot in the map frame, a TUM file: print the errors APE and RPE "
+        "of the unique poses as evo has them, and draw them below the picture. [default: true "
+        "poses of the log]",
+        metavar="TUM",
+    )
     mcap: Path | None = option(
         None,
         "Write map, scans, places, pose and verdict for Foxglove into this file; needs "
@@ -72,18 +84,19 @@ class Outputs:
         if self.best and self.ros is None:
             raise ConfigError("--best: is of --ros alone, which is not given")
         ending = ".bag" if self.ros is not None and self.ros.suffix.lower() == ".bag" else ".yaml"
+        mp4 = self.video is not None and self.video.suffix.lower() == ".mp4"
         files = (
-            (self.tum, ".tum"), (self.ros, ending), (self.picture, ".png"), (self.video, ".mp4"),
-            (self.mcap, ".mcap"),
+            (self.tum, ".tum"), (self.ros, ending), (self.picture, ".png"),
+            (self.video, ".mp4" if mp4 else ".webm"), (self.mcap, ".mcap"),
         )  # fmt: skip
         for path, expected in files:
             inputs.check_target(path, expected, force=self.force, inputs=read)
 
     def write(
         self, grid: "OccupancyGrid", moments: "Sequence[Moment]", truth: "FloatArray | None",
-        movie: "Video | None", recording: "Recording | None",
+        movie: "Video | None", recording: "Recording | None", title: str,
     ) -> None:  # fmt: skip
-        """Write them; `truth` are known poses (N, 3) of the robot."""
+        """Write them; `truth` are known poses (N, 3) of the robot at the moments."""
         from imgloc.output.ros import message, write_bag, yaml_text
         from imgloc.output.tracks import draw_track, tum_text
 
@@ -98,7 +111,7 @@ class Outputs:
             else:
                 write_text_atomic(self.ros, yaml_text(messages), force=force)
         if self.picture is not None:
-            draw_track(grid, moments, truth).save(self.picture, force=force)
+            draw_track(grid, moments, truth, title).save(self.picture, force=force)
         if self.video is not None and movie is not None:
             movie.save(self.video, force=force)
         if self.mcap is not None and recording is not None:
@@ -183,6 +196,7 @@ def track(
     from imgloc.answers.logcheck import FOLLOWED, doubt_of_log
     from imgloc.answers.truth import with_true_poses
     from imgloc.cli import inputs
+    from imgloc.filters.deviation import deviation_of
     from imgloc.filters.follow import Tracking, follow, robot_poses
     from imgloc.io.calibration import calibrated
     from imgloc.output.mcap import Recording
@@ -208,34 +222,59 @@ def track(
         start=asked.start, kidnap=asked.kidnap, name=inputs.name_of(log),
     )  # fmt: skip
     with contextlib.ExitStack() as undo:
-        movie = None if outputs.video is None else Video(features)
+        title = f"{map_name(map_path)}: {inputs.name_of(log)}"
+        video = outputs.video
+        movie = None if video is None else Video(features, video.suffix.lower(), title)
         recording = None if outputs.mcap is None else Recording(grid)
         shown = list[Any]()
+        seen = scans.scans.__getitem__ if live is None else live.last
         if movie is not None:
             undo.callback(movie.close)
-            shown.append(movie.add)
+            shown.append(lambda moment: movie.add(moment, seen(moment.index)))
         if recording is not None:
             undo.callback(recording.close)
-            seen = scans.scans.__getitem__ if live is None else live.last
             shown.append(lambda moment: recording.add(seen(moment.index), moment))
         moments, words = _printed(run, len(scans), live, shown, as_json=as_json)
         desk.keep(features)
-        truth = robot_poses(scans) if live is None else live.poses()
-        outputs.write(grid, moments, truth, movie, recording)
+        known = robot_poses(scans) if live is None else live.poses()
+        truth = _truth_of(outputs.truth, moments, known)
+        outputs.write(grid, moments, truth, movie, recording, title)
     if not moments:
         raise ScanError(f"{inputs.name_of(log)}: holds no scan with odometry")
     say(words)
+    if truth is not None:
+        say(deviation_of(moments, truth).words)
     share = sum(m.belief.verdict == "unique" for m in moments) / len(moments)
     if live is None and share < FOLLOWED:
-        hint = doubt_of_log(
-            features, scans, options, how.given, followed=share, start=asked.start
-        )  # fmt: skip
+        hint = doubt_of_log(features, scans, options, how.given, share, asked.start)
     else:
         hint = bent_walls(chosen.options.shared, options.shared, grid.resolution)
     if hint is not None:
         LOG.warning("%s", hint.text)
     if strict and moments[-1].belief.verdict != "unique":
         raise typer.Exit(NOT_UNIQUE)
+
+
+def _truth_of(
+    path: Path | None, moments: "Sequence[Moment]", known: "FloatArray | None"
+) -> "FloatArray | None":
+    """True poses (N, 3) of the robot at the moments: of a file, else those that are `known`."""
+    import numpy as np
+
+    from imgloc.filters.deviation import at_stamps
+    from imgloc.io.tum import load_tum
+
+    if path is None:
+        return None if known is None else known[[moment.index for moment in moments]]
+    stamps, poses = load_tum(path)
+    found = at_stamps(np.array([moment.stamp for moment in moments]), stamps, poses)
+    if not np.isfinite(found).any():
+        raise ScanError(
+            f"{display(path)}: no stamp is within 0.01 s of a scan: these are from {stamps[0]:.2f} "
+            f"to {stamps[-1]:.2f} s, the scans from {moments[0].stamp:.2f} to "
+            f"{moments[-1].stamp:.2f} s"
+        )
+    return found
 
 
 def _scans_of(

@@ -12,29 +12,47 @@ import numpy as np
 
 from imgloc.errors import OutputError
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.scanpoints import scan_xy
 from imgloc.filters.belief import AMBIGUOUS, LOST, UNIQUE, Belief
+from imgloc.filters.deviation import Deviation, deviation_of
 from imgloc.filters.follow import Moment
 from imgloc.geometry import transform_points
 from imgloc.io.files import PathLike, display, write_bytes_atomic
-from imgloc.model import FloatArray, OccupancyGrid, inverse
+from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, compose, inverse
+from imgloc.output.axes import draw_grid, framed
 from imgloc.output.canvas import (
+    INK,
     LEGEND,
+    PALETTE,
+    PAPER,
+    SHADE,
     TRUTH,
     Canvas,
     Colour,
     Image,
+    enlarged,
     faded,
     legend,
     map_canvas,
     marker_size,
-    scale_bar,
+    round_length,
+    text,
+    text_width,
 )
 from imgloc.output.pictures import Picture
+from imgloc.runs.opening import quiet_libraries
 
 COLOURS: dict[str, Colour] = {
     UNIQUE: (178, 114, 0), AMBIGUOUS: (0, 159, 230), LOST: (80, 80, 80),
 }  # fmt: skip
-_SIDE = 960  # pixels of the longer side of a video at most
+START: Colour = PALETTE[2]
+SCAN: Colour = PALETTE[3]
+_SIDE, _NARROW = 960, 480  # pixels of the longer side of a video at most, and of its width at least
+_CODECS = {".webm": "VP80", ".mp4": "mp4v"}
+VIDEOS = tuple(_CODECS)
+_STEP = 3.0  # metres from scan to scan that are drawn as one way
+_MINUTES = (10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0)  # seconds between marks of time
+_MARKS = 12  # of them at most
 _DRAWN = 1e-3  # mass of a place that is drawn
 _CARRIED = 1.0  # metres beyond twice what odometry says: no driving
 
@@ -70,49 +88,140 @@ def track_header() -> str:
 
 
 def draw_track(
-    grid: OccupancyGrid, moments: Sequence[Moment], truth: FloatArray | None = None
+    grid: OccupancyGrid, moments: Sequence[Moment], truth: FloatArray | None = None, title: str = ""
 ) -> Picture:
-    """Draw the path over the map, coloured by verdict; the true path (N, 3) is a thin line.
+    """Draw the path over the map, coloured by verdict, with its start, direction and minutes.
 
-    It has a gap where the robot got farther than odometry knows: there it was carried.
-
-    While several places fit or none does, the best guess is a small dot: it is not a path.
+    While several places fit or none does, the best guess is a small dot: it is not a path. The true
+    path, poses (N, 3) of the robot in the map frame for each moment, is a thin line; it has a gap
+    where the robot got farther than odometry knows: there it was carried. Below is then the error
+    of each unique pose over time.
     """
     canvas = map_canvas(grid)
-    back = inverse(grid.origin)
+    ticks = draw_grid(canvas, grid.origin)
+    back, size = inverse(grid.origin), marker_size(canvas)
     if truth is not None and len(truth) > 1:
         carried = np.hypot(*np.diff(truth[:, :2], axis=0).T)
         carried -= 2 * np.diff([m.metres for m in moments])
-        for part in np.split(truth, np.flatnonzero(carried > _CARRIED) + 1):
-            canvas.lines(transform_points(back, part[:, :2])[None], TRUTH)
-    size = marker_size(canvas)
-    at = [
-        (m, transform_points(back, np.array([[m.best.x, m.best.y]]))[0])
-        for m in moments
-        if m.best is not None
-    ]
-    for m, xy in at:
+        breaks = np.flatnonzero(carried > _CARRIED) + 1
+        for part in np.split(truth, breaks):
+            known = part[np.isfinite(part[:, 0]), :2]
+            canvas.lines(transform_points(back, known)[None], TRUTH)
+    guessed = [m for m in moments if m.best is not None]
+    at = transform_points(back, np.array([(m.best.x, m.best.y) for m in guessed if m.best]))
+    for m, xy in zip(guessed, at, strict=True):
         radius = 0.3 * size if m.belief.verdict == UNIQUE else 0.2 * size
         canvas.dots(xy[None], COLOURS[m.belief.verdict], radius)
-    for (m, xy), (n, next_xy) in itertools.pairwise(at):
-        if m.belief.verdict == n.belief.verdict == UNIQUE and n.index == m.index + 1:
-            step = np.hypot(*(next_xy - xy))
-            if step < 3.0:
-                canvas.lines(np.stack((xy, next_xy))[None], COLOURS[UNIQUE], 2)
-    last = next((m for m in reversed(moments) if m.pose is not None), None)
-    if last is not None and last.pose is not None:
-        x, y = transform_points(back, np.array([[last.pose.x, last.pose.y]]))[0]
-        theta = last.pose.theta - grid.origin.theta
-        canvas.robot(x, y, theta, COLOURS[UNIQUE], size)
-    scale_bar(canvas)
+    sure = [(m, xy) for m, xy in zip(guessed, at, strict=True) if m.pose is not None]
+    for (m, xy), (n, next_xy) in itertools.pairwise(sure):
+        if n.index == m.index + 1 and np.hypot(*(next_xy - xy)) < _STEP:
+            canvas.lines(np.stack((xy, next_xy))[None], COLOURS[UNIQUE], 2)
+    words = _marks(canvas, sure, grid.origin.theta, moments[0].stamp if moments else math.nan)
     counts = [sum(m.belief.verdict == name for m in moments) for name in COLOURS]
     words = [
         (COLOURS[name], f"{name}: {count} of {len(moments)}")
         for name, count in zip(COLOURS, counts, strict=True)
-    ]
+    ] + words
     if truth is not None:
         words.append((TRUTH, "true path"))
-    return Picture(legend(canvas.image, words))
+    image = framed(canvas.image, ticks, title)
+    found = None if truth is None else deviation_of(moments, truth)
+    if found is not None and len(found.ape) > 1:
+        image = _under(image, _curve(moments, found, image.shape[1]))
+    return Picture(legend(image, words))
+
+
+def _marks(
+    canvas: Canvas, sure: Sequence[tuple[Moment, FloatArray]], turned: float, begin: float
+) -> list[tuple[Colour, str]]:
+    """Mark start, end, direction and minutes of a path; returns what the marks mean."""
+    if not sure:
+        return []
+    size, f = marker_size(canvas), enlarged(canvas.image)
+    points = canvas.pixels(np.array([xy for _, xy in sure]))
+    way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
+    last = sure[-1][0].stamp - begin
+    every = next((s for s in _MINUTES if last / s <= _MARKS), _MINUTES[-1])
+    next_arrow, next_mark, used = 6 * size, every, list[tuple[FloatArray, str]]()
+    for (moment, xy), pixel, far in zip(sure, points, way, strict=True):
+        pose = moment.pose
+        assert pose is not None
+        if far >= next_arrow:
+            next_arrow = far + 10 * size
+            _arrow(canvas, xy, pose.theta - turned, 0.8 * size)
+        since = moment.stamp - begin
+        if since >= next_mark:
+            time, next_mark = since // every * every, (since // every + 1) * every
+            near = any(np.abs(pixel - other).max() <= 30 * f for other, _ in used)
+            if since - time < 0.2 * every:  # else no pose was unique at that time
+                canvas.dots(xy[None], INK, 0.35 * size)
+                label = f"{time / 60:g} min" if every >= 60 else f"{time:g} s"
+                used += [] if near else [(pixel, label)]
+    for pixel, label in used:
+        spot = round(pixel[0] + 0.6 * size), round(pixel[1] - 0.6 * size)
+        for dx, dy in ((-2, 0), (2, 0), (0, -2), (0, 2), (0, 0)):
+            ink = INK if dx == dy else PAPER
+            text(canvas.image, label, spot[0] + dx, spot[1] + dy, ink, round(12 * f))
+    first, end = sure[0], sure[-1]
+    canvas.dots(first[1][None], PAPER, 1.2 * size)
+    canvas.dots(first[1][None], START, size)
+    pose = end[0].pose
+    assert pose is not None
+    canvas.robot(end[1][0], end[1][1], pose.theta - turned, COLOURS[UNIQUE], size)
+    marks = [(START, "first unique pose"), (COLOURS[UNIQUE], "robot: last unique pose")]
+    return [*marks, (INK, "arrow: direction")] + ([(INK, "dot: time")] if last >= every else [])
+
+
+def _arrow(canvas: Canvas, xy: FloatArray, theta: float, size: float) -> None:
+    """An arrow head on the path that points along the heading."""
+    r = size / canvas.px_per_m
+    turn = np.array([[np.cos(theta), np.sin(theta)], [-np.sin(theta), np.cos(theta)]])
+    canvas.polygon(
+        np.array([(1.2, 0.0), (-0.7, 0.8), (-0.3, 0.0), (-0.7, -0.8)]) * r @ turn + xy, INK
+    )
+
+
+def _curve(moments: Sequence[Moment], found: Deviation, width: int) -> Image:
+    """The distance of each unique pose from the true one, over time."""
+    f = max(1.0, width / 1500)
+    size, left, low, top = round(12 * f), round(64 * f), round(34 * f), round(44 * f)
+    high = round(150 * f)
+    out = np.full((top + high + low, width, 3), 255, np.uint8)
+    stamps = np.array([m.stamp for m in moments])
+    timed = bool(np.isfinite(stamps).all() and stamps[-1] > stamps[0])
+    x = stamps - stamps[0] if timed else np.array([float(m.index) for m in moments])
+    most = max(float(found.ape.max()), 0.01)
+    wide = width - left - round(20 * f)
+    scale = wide / max(float(x[-1]), 1e-9), high / (1.05 * most)
+    text(out, found.words, round(8 * f), round(18 * f), size=size)
+    text(out, "error / m", round(8 * f), top - round(8 * f), size=size)
+    for value in np.arange(0, 1.05 * most, round_length(most / 3)):
+        y = top + high - round(value * scale[1])
+        out[y : y + 1, left : left + wide] = SHADE
+        text(out, f"{value:g}", left - text_width(f"{value:g}", size) - round(8 * f), y + size // 3,
+             size=size)  # fmt: skip
+    step = round_length(max(float(x[-1]), 1e-9) / 8)
+    for k in range(int(x[-1] / step + 1e-9) + 1):
+        column = left + round(k * step * scale[0])
+        out[top : top + high, column : column + 1] = SHADE
+        label = f"{k * step:g}" + ((" s" if timed else " (scan)") if k == 0 else "")
+        text(
+            out, label, column - text_width(label, size) // 2, top + high + round(20 * f), size=size
+        )
+    spots = np.column_stack((left + x[found.which] * scale[0], top + high - found.ape * scale[1]))
+    pairs = zip(itertools.pairwise(spots), itertools.pairwise(found.which), strict=True)
+    for ends, (k, n) in pairs:
+        if moments[n].index == moments[k].index + 1:
+            line = np.rint(np.array(ends)).astype(np.int32)
+            cv2.polylines(out, [line], False, TRUTH, max(1, round(1.5 * f)), cv2.LINE_AA)
+    for u, v in np.rint(spots).astype(int).tolist():
+        cv2.circle(out, (u, v), max(1, round(1.5 * f)), TRUTH, cv2.FILLED, cv2.LINE_AA)
+    return out
+
+
+def _under(image: Image, below: Image) -> Image:
+    """One picture above another of the same width."""
+    return np.concatenate((image, below))
 
 
 def draw_belief(canvas: Canvas, belief: Belief) -> Image:
@@ -129,33 +238,68 @@ def draw_belief(canvas: Canvas, belief: Belief) -> Image:
 
 
 class Video:
-    """The belief over time as MP4, one frame a scan, written whole or not at all.
+    """The belief over time, one frame a scan: the scan, the trail and all places that may be it.
+
+    WebM with VP8, which browsers play; MP4 (MPEG-4 part 2), which they do not, by the name.
 
     Raises
     ------
     OutputError
-        From :meth:`save`, if OpenCV here cannot write MP4, or the file cannot be written.
+        From :meth:`save`, if OpenCV here cannot write such videos, or the file cannot be written.
     """
 
-    def __init__(self, features: MapFeatures) -> None:
-        self._canvas = map_canvas(features.grid)
-        scale = min(1.0, _SIDE / max(self._canvas.image.shape[:2]))
-        height, width = (2 * max(1, round(scale * n / 2)) for n in self._canvas.image.shape[:2])
-        self._size = width, height + LEGEND
-        handle, self._path = tempfile.mkstemp(suffix=".mp4")
+    def __init__(self, features: MapFeatures, ending: str = ".webm", title: str = "") -> None:
+        large, self._origin = map_canvas(features.grid), features.grid.origin
+        scale = min(1.0, _SIDE / max(large.image.shape[:2]))
+        height, width = (2 * max(1, round(scale * n / 2)) for n in large.image.shape[:2])
+        small = cv2.resize(large.image, (width, height), interpolation=cv2.INTER_AREA)
+        self._canvas = Canvas(np.asarray(small, np.uint8), scale * large.px_per_m)
+        self._title, self._size = title, (max(width, _NARROW), height + 2 * LEGEND)
+        self._trail, self._begin = list[FloatArray](), math.nan
+        self._last: int | None = None
+        handle, self._path = tempfile.mkstemp(suffix=ending)
         os.close(handle)
-        fourcc = cv2.VideoWriter.fourcc(*"mp4v")
-        self._writer = cv2.VideoWriter(self._path, fourcc, 10.0, self._size)
+        fourcc = cv2.VideoWriter.fourcc(*_CODECS[ending])
+        with quiet_libraries():  # FFmpeg says that it does not know the tag, and writes it
+            self._writer = cv2.VideoWriter(self._path, fourcc, 10.0, self._size)
 
-    def add(self, moment: Moment) -> None:
-        """Add the frame of a moment."""
-        image = draw_belief(self._canvas, moment.belief)
+    def add(self, moment: Moment, scan: LaserScan | None = None) -> None:
+        """Add the frame of a moment, with its scan at the best place."""
+        if math.isnan(self._begin):
+            self._begin = moment.stamp
+        canvas = Canvas(self._canvas.image.copy(), self._canvas.px_per_m)
+        verdict, belief = moment.belief.verdict, moment.belief
+        for part in self._trail:
+            canvas.lines(part[None], COLOURS[UNIQUE], 2)
+        if scan is not None and len(belief.poses):
+            base = Pose2D(*belief.poses[0])
+            at = base if scan.T_base_laser is None else compose(base, scan.T_base_laser)
+            canvas.dots(transform_points(at, scan_xy(scan)[scan.valid]), SCAN, 1.5)
+        self._extend(moment)
+        image = draw_belief(canvas, belief)
+        about = f"{moment.stamp - self._begin:.1f} s, " if np.isfinite(moment.stamp) else ""
+        words = [(COLOURS[verdict], f"{about}{moment.metres:.1f} m: {verdict}"), (SCAN, "scan")]
+        others = sum(belief.mass[1:] >= _DRAWN)
+        words += [(faded(COLOURS[verdict], 0.4), f"{others} other places")] if others else []
         width, height = self._size
-        small = cv2.resize(image, (width, height - LEGEND), interpolation=cv2.INTER_AREA)
-        verdict = moment.belief.verdict
-        words = f"{moment.stamp:.1f} s, {moment.metres:.1f} m: {verdict}"
-        framed = legend(np.asarray(small, np.uint8), [(COLOURS[verdict], words)])
-        self._writer.write(np.ascontiguousarray(framed[:, :width]))
+        frame = np.full((height, width, 3), 255, np.uint8)
+        text(frame, self._title, 8, 24)
+        frame[LEGEND : LEGEND + len(image), : image.shape[1]] = image
+        below = legend(np.full((1, width, 3), 255, np.uint8), words)[1 : LEGEND + 1, :width]
+        frame[height - LEGEND :][: len(below)] = below
+        self._writer.write(frame)
+
+    def _extend(self, moment: Moment) -> None:
+        """Add the pose of a moment to the trail, if it is unique."""
+        if moment.pose is None:
+            self._last = None
+            return
+        xy = moment.belief.poses[:1, :2]
+        if self._last == moment.index - 1 and np.hypot(*(xy[0] - self._trail[-1][-1])) < _STEP:
+            self._trail[-1] = np.concatenate((self._trail[-1], xy))
+        else:
+            self._trail.append(xy)
+        self._last = moment.index
 
     def save(self, path: PathLike, *, force: bool = False) -> None:
         """Write the file."""
@@ -164,7 +308,8 @@ class Video:
         data = Path(self._path).read_bytes()
         self.close()
         if not good or not data:
-            raise OutputError(f"{display(path)}: OpenCV here cannot write MP4 videos")
+            ending = Path(path).suffix.lower()
+            raise OutputError(f"{display(path)}: OpenCV here cannot write {ending} videos")
         write_bytes_atomic(path, data, force=force)
 
     def close(self) -> None:
