@@ -89,7 +89,8 @@ def test_every_command_of_the_readme_runs_as_it_is_written(
 def test_the_lines_of_python_run() -> None:
     (block,) = re.findall(r"^```python\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
     names: dict[str, object] = {}
-    exec(block, names)
+    for _ in range(2):  # as a reader does who has changed a line
+        exec(block, names)
     assert Path("where.png").stat().st_size > 1000
     assert names["answer"].verdict == "unique"
 
