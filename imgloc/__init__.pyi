@@ -46,7 +46,7 @@ from .options import (
     Trust,
 )
 from .output.pictures import Picture, draw
-from .pipeline import localize, prepare
+from .pipeline import localize, localize_many, prepare
 from .plans.files import load_plan
 from .plans.floorplan import FloorPlan, plan_to_map
 from .runs.batch import BatchSummary, run_batch
@@ -62,7 +62,7 @@ __all__ = [
     "Pose2D", "Prior", "ScanAlignment", "ScanError", "ScanSet", "Sensor", "Shared", "Site",
     "Tracking", "Trust", "__version__", "align_maps", "align_scans", "check_map", "draw",
     "evaluate", "explain", "follow", "grid_from_msg", "grid_to_msg", "likelihood", "load_map",
-    "load_plan", "load_scans", "localize", "make_filter", "make_job", "map_changes",
-    "plan_to_map", "prepare", "run_batch", "sample_poses", "save_map", "save_scans",
+    "load_plan", "load_scans", "localize", "localize_many", "make_filter", "make_job",
+    "map_changes", "plan_to_map", "prepare", "run_batch", "sample_poses", "save_map", "save_scans",
     "scan_from_msg", "scan_to_msg", "simulate", "sure_poses", "which",
 ]  # fmt: skip

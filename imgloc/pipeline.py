@@ -14,7 +14,7 @@
 """
 
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -119,6 +119,50 @@ def localize(
     expect(scan, LaserScan, "scan")
     if stack is not None:
         check_stack(stack, features, scan, options)
+    return _located(features, scan, options, stack)
+
+
+def localize_many(
+    features: MapFeatures, scans: Iterable[LaserScan], options: Options | None = None
+) -> Iterator[Localization]:
+    """Answer scans of one map, each exactly as :func:`localize` does.
+
+    Parameters
+    ----------
+    features, options
+        As for :func:`localize`. They are checked once, before the first answer is asked for.
+    scans : iterable of LaserScan
+        The scans. One is taken when its answer is asked for.
+
+    Returns
+    -------
+    iterator of Localization
+        One answer for each scan, in their order.
+
+    Raises
+    ------
+    ConfigError, TypeError
+        As :func:`localize` does.
+
+    Examples
+    --------
+    >>> from imgloc.io.maps import bundled_maps, load_map
+    >>> from imgloc.simulation.scans import simulate
+    >>> features = prepare(load_map(bundled_maps() / "curved.yaml"))
+    >>> scans = simulate(features.grid, 2, seed=1)
+    >>> [answer.verdict for answer in localize_many(features, scans.scans)]
+    ['unique', 'unique']
+    """
+    how = Options() if options is None else options
+    check_options(features, how)
+    return (_located(features, scan, how) for scan in scans)
+
+
+def _located(
+    features: MapFeatures, scan: LaserScan, options: Options, stack: Likelihood | None = None
+) -> Localization:
+    """Answer a scan by options that have been checked."""
+    expect(scan, LaserScan, "scan")
     start = time.perf_counter()
     if scan.directions < max(1, options.trust.readings):
         weighed = nothing(options)

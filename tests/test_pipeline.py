@@ -15,9 +15,9 @@ from imgloc.geometry import in_map_frame, rotate_covariance, wrap
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans
 from imgloc.likelihoods.stacks import likelihood
-from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose, inverse
+from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose, inverse, to_json
 from imgloc.options import ALL_METHODS, FusedOptions, Options, Trust
-from imgloc.pipeline import localize, prepare
+from imgloc.pipeline import localize, localize_many, prepare
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -245,3 +245,21 @@ def test_a_prepared_map_has_all_that_a_hard_scan_looks_at() -> None:
     assert made(lazy) != few
     assert answers[0].verdict == "no-match" == answers[1].verdict
     assert answers[0].evidence.misfit == answers[1].evidence.misfit
+
+
+@pytest.mark.parametrize("options", [None, Options("cbml", top=3)])
+def test_many_scans_are_answered_as_each_alone(options) -> None:
+    features, scan = features_of("curved"), scan_of("curved")
+    scans = [scan, dataclasses.replace(scan, ranges=scan.ranges + 0.01), scan]
+    taken = iter(scans)
+    answers = localize_many(features, taken, options)
+    found = [next(answers)]
+    assert list(taken) == scans[1:]  # one is taken for one answer
+    found += localize_many(features, scans[1:], options)
+    for one, many in zip((localize(features, s, options) for s in scans), found, strict=True):
+        rows = [dataclasses.replace(answer, timings_ms={}).as_row(0) for answer in (one, many)]
+        assert to_json(rows[0]) == to_json(rows[1])
+    with pytest.raises(TypeError, match="scan must be LaserScan"):
+        list(localize_many(features, [scan, scan.ranges]))
+    with pytest.raises(ConfigError, match="exact"):
+        localize_many(features, [], Options("ght", exact=True))

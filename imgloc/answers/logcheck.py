@@ -26,7 +26,7 @@ from imgloc.io.scanset import ScanSet
 from imgloc.model import VERDICTS, FloatArray, LaserScan, Localization, Pose2D, base_of, compose
 from imgloc.numbers import number
 from imgloc.options import RADIUS, TOLERANCE, Options, Trust
-from imgloc.pipeline import localize
+from imgloc.pipeline import localize, localize_many
 
 _LOG = logging.getLogger("imgloc")
 _SPIKE, _BIN = number("logcheck.code")
@@ -175,7 +175,7 @@ def located(
     """A few scans of a log that see enough, from all of it, and their answers."""
     some = [k for k, s in enumerate(scans.scans) if s.directions >= options.trust.readings]
     few = scans.take([some[k] for k in evenly(len(some), _LOCATED).tolist()])
-    return few, [localize(features, scan, options) for scan in few.scans]
+    return few, list(localize_many(features, few.scans, options))
 
 
 def doubt_of_log(

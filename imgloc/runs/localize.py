@@ -17,7 +17,7 @@ from imgloc.io.images import image_size, read_image
 from imgloc.io.scanset import ScanSet
 from imgloc.model import BoolArray, LaserScan, Localization, OccupancyGrid, Pose2D
 from imgloc.options import FUSED, TOLERANCES, Drawn, Known, Length, Options, Prior, Tolerance
-from imgloc.pipeline import localize
+from imgloc.pipeline import localize_many
 from imgloc.runs.jobs import Answer, Item, Job, compared
 from imgloc.runs.opening import Desk, ScanFiles, Taken
 from imgloc.search.priors import prior_of
@@ -85,8 +85,9 @@ class Locating:
 
     def __iter__(self) -> Iterator[Located]:
         with self.desk.progress("localize", len(self)) as advance:
-            for k, scan, truth in self.taken:
-                answer = localize(self.features, scan, self.options)
+            taken = list(self.taken)
+            answers = localize_many(self.features, (scan for _, scan, _ in taken), self.options)
+            for (k, scan, truth), answer in zip(taken, answers, strict=True):
                 beside = compared(poses_of(answer.hypotheses), truth, self.job.tolerance)
                 advance()
                 yield Located(
