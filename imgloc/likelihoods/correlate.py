@@ -45,6 +45,7 @@ SHIFT_SECONDS_PER_BYTE = 2.9e-11
 SHIFT_SECONDS_PER_CALL = 3.5e-6
 FLAT_SECONDS_PER_CALL = 6e-7
 DFT_SECONDS_PER_STEP = 1.4e-10
+DFT_SECONDS_PER_HEADING = 4.5e-5
 DFT_CACHE = 4.5e6  # bytes of a plane that fits the cache
 DFT_BEYOND_CACHE = 1.3  # factor on the cost of a larger plane
 
@@ -210,7 +211,8 @@ def choose_engine(
     # One transform back, half a transform forth (two headings share it) and a product.
     dft = DFT_SECONDS_PER_STEP * plane * np.log2(plane + 1) * (1.6 + 0.4 * components)
     single, double = (
-        dft * size / 4 * (DFT_BEYOND_CACHE if components * plane * size > DFT_CACHE else 1)
+        DFT_SECONDS_PER_HEADING
+        + dft * size / 4 * (DFT_BEYOND_CACHE if components * plane * size > DFT_CACHE else 1)
         for size in (4, 8)
     )
     return "shift" if shift < single or (shift < double and doubtful()) else "dft"
