@@ -8,6 +8,7 @@ from typing import Any
 
 _HOMES = {
     "imgloc.lab.atlas": "survey_part",
+    "imgloc.lab.changes": "aging_hint",
     "imgloc.lab.commands.align": "align",
     "imgloc.lab.commands.atlas": "atlas",
     "imgloc.lab.commands.calibrate": "calibrate",

@@ -1,13 +1,14 @@
 """Walls that others drew, thick or bent, from the command line: stated, and calibrated."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from command import call, rows
+from command import MAPS, call, rows
 
 from imgloc.filters.motion import noisy_odometry
 from imgloc.io.maps import save_map
@@ -145,3 +146,17 @@ def test_calibrate_is_told_how_a_log_is_read(thick: Path) -> None:
     (found,) = rows(run.out)
     assert found["asked"] == N // 3
     assert found["shared"]["thinner"] == THICK
+
+
+def test_localize_and_track_say_that_a_map_has_aged(tmp_path: Path) -> None:
+    before = GRID.occupied.copy()
+    for row, column in ((30, 80), (60, 120), (110, 60), (100, 150)):
+        before[row : row + 8, column : column + 8] = True  # boxes that are gone
+    files = drawn(tmp_path, before) / "map.yaml", tmp_path / "log.npz"
+    said = r"the map has aged: (\d+) % of the walls that scans at sure poses look at are gone"
+    for command in ("localize", "track"):
+        run = call(command, *files)
+        assert run.code == 0, run.err
+        share = int(re.findall(said, " ".join(run.err.split()))[0])
+        assert 5 <= share <= 15
+        assert "aged" not in call(command, MAPS / "visibility.yaml", files[1]).err

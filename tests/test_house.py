@@ -11,6 +11,7 @@ from tools import house
 
 #: What comes through the doors in the wall: commands, jobs of a batch, filters, a picture.
 DOORS = [
+    "aging_hint",
     "align",
     "atlas",
     "calibrate",

@@ -4,9 +4,11 @@ Run it with the folders of sets, each with ``map.yaml`` and ``scans.npz`` (poses
 number of its log for each scan)::
 
     python -m tools.old_maps ../data/wean --starts 8
+    python -m tools.old_maps ../data/wean --starts 8 --calibrated
     python -m tools.old_maps ../data/wean --one-scan 60
 
 It prints a row for each log from its true start, and a row for starts spread over it from anywhere.
+With ``--calibrated`` the tracker begins with what ``imgloc calibrate --scans`` finds in the set.
 With ``--one-scan N`` it locates each of N scans by itself, with the walls as drawn and with what
 ``imgloc calibrate --scans`` finds in the whole set.
 """
@@ -67,9 +69,12 @@ def logs_of(folder: Path) -> Iterator[tuple[str, ScanSet]]:
         yield f"{folder.name} {one}", scans.take(np.flatnonzero(number == one).tolist())
 
 
-def rows_of(folder: Path, starts: int) -> Iterator[Row]:
+def rows_of(folder: Path, starts: int, *, calibrated: bool) -> Iterator[Row]:
     """The rows of a set."""
     features, options = prepare(load_map(folder / "map.yaml"), folder.name), Options()
+    if calibrated:
+        recorded = [scans for _, scans in logs_of(folder)]
+        options = Options(shared=fit_along(features, recorded).shared)
     for name, scans in logs_of(folder):
 
         def make() -> Filter:
@@ -110,6 +115,7 @@ def main() -> int:
     parser = parser_of("tools.old_maps", __doc__)
     parser.add_argument("folders", nargs="+", type=Path, help="with map.yaml and scans.npz")
     parser.add_argument("--starts", type=int, default=8, help="from anywhere, in each log")
+    parser.add_argument("--calibrated", action="store_true", help="begin with fitted walls")
     parser.add_argument("--one-scan", type=int, metavar="N", help="locate N scans one by one")
     parser.add_argument("--seed", type=int, default=1, help="draws these scans")
     given = parser.parse_args()
@@ -122,7 +128,8 @@ def main() -> int:
                 print(line, flush=True)
             return 0
         at_least_one(starts=given.starts)
-        rows = (row.cells for folder in given.folders for row in rows_of(folder, given.starts))
+        how = {"calibrated": given.calibrated}
+        rows = (row.cells for f in given.folders for row in rows_of(f, given.starts, **how))
         for line in table_lines(HEAD, rows):
             print(line, flush=True)
         return 0

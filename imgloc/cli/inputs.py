@@ -9,7 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from imgloc.cli.console import LOG, progress
+from imgloc.doors import behind
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.cache import cache_folder, cache_limit
@@ -17,6 +20,7 @@ from imgloc.io.calibration import calibration_path, load_calibrations
 from imgloc.io.files import display, is_folder, refuse_existing
 from imgloc.io.maps import YAML_ENDINGS
 from imgloc.io.mapyaml import load_map_yaml
+from imgloc.model import LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import (
     RADIUS,
     TOLERANCE,
@@ -26,6 +30,7 @@ from imgloc.options import (
     Mounting,
     Options,
     Reading,
+    Shared,
 )
 from imgloc.runs import opening
 from imgloc.runs.jobs import Item
@@ -161,6 +166,21 @@ def check_prior(known: Known, region: Path | None, features: MapFeatures, option
         f"{given}: the prior leaves no cell in which a sensor can be; the map has {about}, its "
         f"{corner}; imgloc map show draws it"
     )
+
+
+def aged_words(
+    grid: OccupancyGrid, sure: Sequence[tuple[LaserScan, Pose2D]], shared: Shared
+) -> str | None:
+    """A line that says that a map has aged, by scans whose sensors' poses are sure; or None.
+
+    Rays also pass walls that others drew too thick or bent, so nothing is said of such a map.
+    """
+    if shared.thinner or shared.bent:
+        return None
+    scans = [scan for scan, _ in sure]
+    poses = np.array([(p.x, p.y, p.theta) for _, p in sure]).reshape(-1, 3)
+    said: str | None = behind("aging_hint")(grid, scans, poses)
+    return said
 
 
 def site_makers(

@@ -29,7 +29,7 @@ from imgloc.ranges import option
 
 if TYPE_CHECKING:
     from imgloc.answers.diagnose import Doubt
-    from imgloc.model import Evidence, LaserScan
+    from imgloc.model import Evidence, LaserScan, Pose2D
     from imgloc.runs.localize import Located, Locating
 
 _MANY = 5  # scans whose verdicts one does not count oneself
@@ -133,6 +133,7 @@ class _Sink:
         self.narrow = (width() or _WIDE) < _WIDE
         self.scans: list[LaserScan] = []
         self.said: list[tuple[str, Evidence]] = []  # of each scan
+        self.sure: list[tuple[LaserScan, Pose2D]] = []  # unique ones, in metres of the map
         self.errors: list[tuple[float, float]] = []  # metres, radians
         self.hints: list[Doubt] = []  # about the last scan
 
@@ -162,6 +163,8 @@ class _Sink:
         found = answer.of
         self.scans.append(answer.scan)
         self.said.append((found.verdict, found.evidence))
+        if found.pose is not None and found.complete:
+            self.sure.append((answer.scan.scaled(found.evidence.scale), found.pose))
         if found.best is not None and answer.truth is not None:
             self.errors.append(difference(found.best, answer.truth))
         about = run.taken.name, answer.index, found.verdict, times_words(found)
@@ -216,6 +219,7 @@ class _Sink:
     def end(self) -> None:
         """Say how it went, and what most likely keeps scans from fitting."""
         from imgloc.answers.logcheck import warn_of
+        from imgloc.cli.inputs import aged_words
         from imgloc.io.maps import SWAPPED
         from imgloc.io.scanset import ScanSet
         from imgloc.output.tables import run_words
@@ -236,6 +240,10 @@ class _Sink:
         for hint in self.hints:
             if hint.text != SWAPPED:  # is said when the map is read
                 LOG.warning("%s", hint.text)
+        first = self.runs[0]
+        aged = aged_words(first.features.grid, self.sure, first.options.shared)
+        if aged and not self.hints:
+            LOG.warning("%s", aged)
         if not self.hints and 2 * verdicts.count("unique") < len(verdicts):
             for run in self.runs:
                 warn_of(run.taken.scans, run.taken.name)

@@ -23,6 +23,7 @@ from imgloc.options import (
     Options,
     RangeMax,
     Reading,
+    Shared,
 )  # fmt: skip
 from imgloc.ranges import Checked, Within, option
 from imgloc.texts import numbers, pose
@@ -249,8 +250,8 @@ def track(
         hint = doubt_of_log(features, scans, options, how.given, share, asked.start)
     else:
         hint = bent_walls(chosen.options.shared, options.shared, grid.resolution)
-    if hint is not None:
-        LOG.warning("%s", hint.text)
+    if said := hint.text if hint else _aged(grid, scans, moments, chosen.options.shared):
+        LOG.warning("%s", said)
     if strict and moments[-1].belief.verdict != "unique":
         raise typer.Exit(NOT_UNIQUE)
 
@@ -275,6 +276,23 @@ def _truth_of(
             f"{moments[-1].stamp:.2f} s"
         )
     return found
+
+
+def _aged(
+    grid: "OccupancyGrid", scans: "ScanSet", moments: "Sequence[Moment]", shared: Shared
+) -> str | None:
+    """A line that says that the map has aged, by the scans whose poses were unique; or None.
+
+    Scans of a log that is still being written are not kept.
+    """
+    from imgloc.cli.inputs import aged_words
+    from imgloc.model import Pose2D, compose
+
+    seen = ((scans.scans[m.index], m.pose) for m in moments if m.pose is not None and len(scans))
+    return aged_words(grid, [
+        (scan.scaled(shared.scale), compose(pose, scan.T_base_laser or Pose2D(0.0, 0.0)))
+        for scan, pose in seen
+    ], shared)  # fmt: skip
 
 
 def _scans_of(

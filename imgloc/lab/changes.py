@@ -31,6 +31,7 @@ import numpy.typing as npt
 
 from imgloc.errors import expect
 from imgloc.features.distance import distance_image
+from imgloc.features.scanpoints import evenly
 from imgloc.features.surface import surface_points
 from imgloc.geometry import cell_of, inside, transform_points, transform_poses
 from imgloc.model import (
@@ -52,6 +53,9 @@ _BESIDE = number("changes.beside")  # metres: an endpoint nearer to a wall is of
 _SCANS, _PLACES = number("changes.scans"), number("changes.places")  # that must say so
 _AGAINST = number("changes.against")  # scans that say so, to each that says otherwise
 _PLACE, _TIME = number("changes.place")  # metres and seconds, within which scans are one look
+# For a hint that the map has aged: scans, metres of wall surface, and share of it that is gone.
+_HINT_SCANS, _HINT_WALLS, _HINT_GONE = number("changes.hint")
+_LOOKED_AT: int = number("changes.looked_at")  # scans, at most
 _PIECE = number("changes.piece")  # metres: smaller pieces are noise
 
 Counts = npt.NDArray[np.uint16]
@@ -184,6 +188,22 @@ def sure_poses(answers: Sequence[Localization]) -> tuple[list[int], FloatArray]:
     sure = [k for k, a in enumerate(answers) if a.verdict == "unique" and a.complete]
     poses = [answers[k].hypotheses[0].pose for k in sure]
     return sure, np.array([(p.x, p.y, p.theta) for p in poses]).reshape(-1, 3)
+
+
+def aging_hint(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray) -> str | None:
+    """One line that says that a map has aged; None if it has not, or too little was looked at.
+
+    The scans are in metres of the map, the `poses` (N, 3) of their sensors in the map frame, both
+    sure. At most 100 of them are looked at, evenly spread.
+    """
+    if len(scans) < _HINT_SCANS:
+        return None
+    some = evenly(len(scans), _LOOKED_AT)
+    found = map_changes(grid, [scans[k] for k in some], poses[some])
+    if found.seen_m < _HINT_WALLS or found.gone_share < _HINT_GONE:
+        return None
+    share = f"{100 * found.gone_share:.0f} % of the walls that scans at sure poses look at are gone"
+    return f"the map has aged: {share}. imgloc map changes MAP SCANS shows where"
 
 
 def map_changes(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray) -> Changes:
