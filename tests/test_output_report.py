@@ -111,7 +111,7 @@ def test_a_batch_without_any_answer_has_a_page(tmp_path: Path) -> None:
     write(tmp_path, "localize", failed)
     page = render_report(tmp_path)
     assert page.count("it is empty") == 1  # texts stand in the page once
-    assert '"answers":{"columns":[],"count":0,"pictures":[]}' in page
+    assert '"answers":{"columns":[],"count":0,"pictures":[],"pages":[]}' in page
 
 
 def test_what_is_no_row_of_a_batch_is_an_error(tmp_path: Path) -> None:

@@ -4,15 +4,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from imgloc.answers.explain import layers_of
+from imgloc.answers.explain import explain, layers_of
 from imgloc.doors import behind
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.images import encode_picture
 from imgloc.io.maps import load_map
 from imgloc.model import LaserScan, Localization, Pose2D
-from imgloc.options import Options, Reading
+from imgloc.options import TOLERANCES, Options, Reading
 from imgloc.output.canvas import draw_map
+from imgloc.output.pages import render_explanation
 from imgloc.output.pictures import draw
+from imgloc.output.tables import difference
 from imgloc.runs.opening import Drawing
 
 
@@ -24,7 +26,10 @@ def draw_answer(
     options: Options,
     title: str = "",
 ) -> dict[str, bytes]:
-    """The scan over the map at each hypothesis, and the likelihood of every place."""
+    """The scan over the map at each hypothesis, the likelihood of every place, and the reasons.
+
+    Only an answer that is not unique, or wrong, has a page that explains it ray by ray.
+    """
     out = {
         "poses": encode_picture(draw(features.grid, answer, scan, truth=truth, title=title).image)
     }
@@ -34,6 +39,12 @@ def draw_answer(
         if layer.likelihood is not None:
             picture = draw(features.grid, layer.likelihood, title=title).image
             out["likelihood"] = encode_picture(picture)
+    wrong = False
+    if truth is not None and answer.best is not None:
+        wrong = difference(answer.best, truth)[0] > TOLERANCES[-1].position
+    if (answer.verdict != "unique" or wrong) and answer.verdict != "invalid":
+        reason = explain(features, scan, answer, options)
+        out["why.html"] = render_explanation(reason, title, truth=truth).encode()
     return out
 
 

@@ -189,6 +189,7 @@ def render_report(folder: PathLike, *, beside: PathLike | None = None) -> str:
         raise OutputError(f"{display(folder)}: results of the job {job!r}, expected {known}")
     columns = [*_ITEM, *(_ANSWERS.get(job) or _plain(folder))]
     answers, failures, pictures = list[list[Any]](), list[list[Any]](), list[Any]()
+    pages = list[Any]()
     kinds = Counter[tuple[str, str]]()
     maps, versions = dict[str, _Counted](), Counter[str]()
     for row in read_rows(folder):
@@ -206,9 +207,10 @@ def render_report(folder: PathLike, *, beside: PathLike | None = None) -> str:
             said = {**answer, **about, "ms": times[k] if k < len(times) else None}
             answers.append([column.of(said) for column in columns])
             pictures.append(answer.get("pictures") or 0)
+            pages.append(answer.get("page") or 0)
     of_maps = [_of_map(name, m, summary.verdicts) for name, m in sorted(maps.items())]
     data = {
-        "answers": _table(columns, answers) | {"pictures": pictures},
+        "answers": _table(columns, answers) | {"pictures": pictures, "pages": pages},
         "maps": _table(_MAPS, of_maps),
         "failures": _table(_FAILURES, failures, whole=True),
         "folder": Path(os.path.relpath(Path(folder) / PICTURES, beside or folder)).as_posix(),

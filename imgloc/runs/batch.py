@@ -325,7 +325,10 @@ def work(item: Item, job: Job, means: Means | None = None) -> tuple[Row, dict[st
             if job.pictures == "all" or (job.pictures == "doubtful" and answer.doubtful):
                 made = _drawn(item, answer, means)
                 pictures |= made
-                kept[-1] |= {"pictures": list(made)} if made else {}
+                shown = [name for name in made if name.endswith(".png")]
+                kept[-1] |= {"pictures": shown} if shown else {}
+                page = next((name for name in made if name.endswith(".html")), None)
+                kept[-1] |= {} if page is None else {"page": page}
     except Exception as error:
         row["status"] = "failed"
         row["code"], row["message"] = _reason(error)
@@ -357,7 +360,8 @@ def _drawn(item: Item, answer: Answer, means: Means) -> dict[str, bytes]:
     if kind not in means.drawings:
         return {}
     made = means.drawings[kind](*what).items()
-    return {f"{picture_stem(item)}-{answer.index:04d}-{name}.png": png for name, png in made}
+    stem = f"{picture_stem(item)}-{answer.index:04d}"
+    return {f"{stem}-{name}{'' if '.' in name else '.png'}": data for name, data in made}
 
 
 def _row(item: Item, job: Job) -> Row:

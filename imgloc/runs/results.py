@@ -41,8 +41,9 @@ _SHARE = {"value": _MAYBE}
 _POSE = {"x": float, "y": float, "theta": float}
 #: of a picture, within the folder of pictures: another place would be taken into a page
 _PICTURE = re.compile(r"[\w.-]+\.png", re.ASCII)
+_PAGE = re.compile(r"[\w.-]+\.html", re.ASCII)  # beside them, explains an answer
 _ANSWER = {
-    "verdict?": str, "pictures?": [_PICTURE], "truth?": _POSE, "hit?": bool,
+    "verdict?": str, "pictures?": [_PICTURE], "page?": _PAGE, "truth?": _POSE, "hit?": bool,
     "error?": {"position": _MAYBE, "heading": _MAYBE},
 }  # fmt: skip
 _HYPOTHESIS = {

@@ -163,6 +163,11 @@
       return [one];
     }));
     dialog.querySelector(".pictures").replaceChildren(...(answers.pictures[i] || []).map((name) => image(name, i)));
+    if (answers.pages[i]) {
+      const page = element("a", "This answer explained ray by ray");
+      page.href = data.folder + "/" + encodeURIComponent(answers.pages[i]);
+      dialog.querySelector(".pictures").prepend(page);
+    }
     const at = rows.order.indexOf(i);
     dialog.querySelectorAll("[data-step]").forEach((button) => {
       button.disabled = rows.order[at + Number(button.dataset.step)] === undefined;
