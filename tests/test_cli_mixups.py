@@ -253,3 +253,63 @@ def test_a_mirrored_map_has_one_hint_and_the_command_with_it_works(
     assert hint_of(run).endswith("or the map's image mirrored? Try --flipped")
     run = call("localize", tmp_path / "m.yaml", scans, OFF, "--flipped", "--json")
     assert [row["verdict"] for row in rows(run.out)] == ["unique", "unique"]
+
+
+def test_which_says_why_localize_is_sure_of_scans_that_have_no_map(
+    shared: Path, tmp_path: Path
+) -> None:
+    names = ("fr079", "gh25", "belgioioso")
+    for name in names:
+        (tmp_path / "maps" / name).mkdir(parents=True)
+        for file in (shared / "data" / name).glob("map.*"):
+            (tmp_path / "maps" / name / file.name).write_bytes(file.read_bytes())
+    some = load_scans(shared / "data" / "fr079" / "scans.npz").take([5, 28, 99, 147, 150, 163, 170])
+    stretched = tuple(replace(scan, ranges=1.06 * scan.ranges) for scan in some.scans)
+    save_scans(tmp_path / "a.npz", replace(some, scans=stretched))
+    run = call("which", tmp_path / "maps", tmp_path / "a.npz", OFF)
+    assert run.code == 0
+    named = sum(line.split()[1] == "fr079" for line in run.out.splitlines()[1:])
+    assert named < 4
+    where = tmp_path / "maps" / "fr079" / "map.yaml"
+    sure = rows(call("localize", where, tmp_path / "a.npz", "--json", OFF).out)
+    assert [row["verdict"] for row in sure].count("unique") >= 5
+    told = run.err.splitlines()[-1]
+    assert "fr079: most scans fit this map far better with their ranges multiplied by 0.9" in told
+    assert "imgloc calibrate MAP --scans FILE finds it once for all" in told
+    done = call("calibrate", where, "--scans", tmp_path / "a.npz")
+    assert done.code == 0, done.err
+    run = call("which", tmp_path / "maps", tmp_path / "a.npz", OFF)
+    assert all(line.split()[1] == "fr079" for line in run.out.splitlines()[1:]), run.out
+
+
+def test_a_row_of_the_report_opens_a_page_that_explains_the_answer(
+    scans: Path, tmp_path: Path
+) -> None:
+    noise = np.random.default_rng(1).uniform(0.5, 9, (3, 180))
+    mixed = changed(scans, "mixed.npz", ranges=lambda a: np.concatenate((noise, a["ranges"])),
+                    poses=lambda a: np.concatenate((np.zeros((3, 3)), a["poses"])))  # fmt: skip
+    out = tmp_path / "out"
+    shown = ("--pictures", "all", OFF)
+    assert call("batch", MAPS / "curved.yaml", mixed, "--out", out, *shown).code == 0
+    (row,) = (json.loads(line) for line in (out / "results.jsonl").read_text().splitlines())
+    pages = [answer.get("page") for answer in row["answers"]]
+    assert [page is not None for page in pages] == [True] * 3 + [False] * 2
+    text = (out / "pictures" / pages[1]).read_text("utf-8")
+    assert "curved: mixed.npz, scan 1: no-match" in text
+    assert call("report", out).code == 0
+    assert json.dumps(pages[1]) in (out / "report.html").read_text("utf-8")
+
+
+def test_evaluate_says_what_localize_says_of_scans_that_nothing_finds(scans: Path) -> None:
+    half = changed(scans, "half.npz", ranges=lambda a: 0.5 * a["ranges"], range_max=15.0)
+    mine = call("localize", "curved", half, OFF).err.splitlines()[-1]
+    run = call("evaluate", "curved", "--scans", half, "--method", "fused")
+    assert run.code == 0
+    assert run.err.splitlines()[-1] == mine
+    assert "Try --range-scale 2, or" in mine
+    mended = ("--range-scale", 2, "--json", "--method", "fused")
+    (row,) = rows(call("evaluate", "curved", "--scans", half, *mended).out)
+    assert row["success"][-1]["at_1"]["hits"] == 2
+    away = changed(scans, "away.npz", poses=lambda a: a["poses"] + 3)
+    run = call("evaluate", "curved", "--scans", away, "--method", "fused")
+    assert "the scans do not fit the map at their recorded poses" in run.err.splitlines()[-1]

@@ -338,7 +338,7 @@ def bent_walls(found: Shared, known: Shared, resolution: float) -> Doubt | None:
 def _bent(which: str, found: str, short: str) -> Doubt:
     text = (
         f"{which} this map far better with {found}. imgloc calibrate MAP --scans FILE finds "
-        "it once for all, which is faster and surer"
+        "it once for all from five scans or more, which is faster and surer"
     )
     return Doubt("bent", text, f"fits far better with {short}: imgloc calibrate")
 

@@ -7,7 +7,7 @@ import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.command import Without
-from imgloc.cli.console import emit, say
+from imgloc.cli.console import LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
 from imgloc.options import AllowLossy, Flipped, Known, Logs, RangeMax, Reading, Sure
@@ -72,7 +72,7 @@ def which(
     from imgloc.output.tables import CHOICE_HEADER, choice_line
     from imgloc.runs.jobs import Item
     from imgloc.runs.opening import MapFiles
-    from imgloc.runs.which import Which
+    from imgloc.runs.which import Named, Which
 
     _check(scans_path, maps_index, build=build)
     if maps_index is not None:
@@ -94,7 +94,9 @@ def which(
     found = job.look(Item(display(maps_dir), None, files, scans_path), desk, asked, file=maps_index)
     if build:
         say(f"{display(maps_index or maps_dir)}: {len(found.index.names):,} maps")
+    answers = list[Named]()
     for k, answer in enumerate(found):
+        answers.append(answer)
         if k == 0 and not as_json:
             emit(CHOICE_HEADER)
         line = choice_line(answer.index, answer.of, answer.fits)
@@ -104,6 +106,8 @@ def which(
             title = f"{answer.best}: {asked.name if asked else ''}, scan {answer.index}"
             image = draw(grid, answer.fits[answer.best], answer.scan, title=title)
             image.save(targets[answer.index], force=force)
+    for hint in found.doubts(answers):
+        LOG.warning("%s", hint.text)
     if found.failed:
         raise typer.Exit(FAILED_ROWS)
 

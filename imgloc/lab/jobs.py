@@ -6,6 +6,9 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+from imgloc.answers.diagnose import doubts
+from imgloc.answers.logcheck import located
+from imgloc.answers.truth import NOT_TRUE, poses_fit
 from imgloc.errors import ScanError
 from imgloc.features.budget import poses_bytes
 from imgloc.features.mapfeatures import MapFeatures
@@ -85,6 +88,22 @@ class Evaluate(Job):
         )
         return self._measured(item, desk, features, trials, known, {"map": where, **source})
 
+    def doubts(self, item: Item, desk: Desk) -> list[str]:
+        """What may keep recorded scans from being found: sentences, tried on a few of them."""
+        run = Localize(maps=self.maps, scans=self.scans, cell=self.cell).open(item, desk)
+        scans, features = run.taken.scans, run.features
+        some, answers = located(features, scans, run.options)
+        said = [(answer.verdict, answer.evidence) for answer in answers]
+        found = doubts(features, some, said, run.options, self.scans.given)
+        poses = scans.poses
+        if (
+            not found
+            and poses is not None
+            and poses_fit(features.grid, scans.scans, poses) is False
+        ):
+            return [f"{run.taken.name}: {NOT_TRUE}"]
+        return [doubt.text for doubt in found]
+
     def _simulated(self, item: Item, desk: Desk, grid: OccupancyGrid) -> tuple[ScanSet, Source]:
         path, sensor = item.path, self.sensor
         world, name = is_world(path, grid), display(path)
@@ -102,6 +121,7 @@ class Evaluate(Job):
         chosen = files.chosen
         source: Source = {"scans": item.scans, "sample": chosen.sample, "sample_seed": chosen.seed}
         source |= {"range_max": files.range_max, "flipped": files.flipped}
+        source |= {} if files.scale == 1 else {"range_scale": files.scale}
         return taken.scans, source | ({} if chosen.index is None else {"index": chosen.index})
 
     def _measured(

@@ -1,20 +1,25 @@
 """The job ``which``: from which of several maps each scan of a file is, or from none."""
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+from imgloc.answers.diagnose import Doubt, doubts
 from imgloc.choice.choose import FIRST, OPTIONS, Choice, Opened, bounds_of, choose, search
 from imgloc.choice.folder_index import MapIndex, open_index
 from imgloc.errors import ConfigError, MapError
 from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.scanpoints import evenly
 from imgloc.io.calibration import calibrated
 from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import display
+from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, Localization
-from imgloc.options import Known, Length, Prior
+from imgloc.options import Known, Length, Options, Prior
+from imgloc.pipeline import localize
 from imgloc.ranges import Within
 from imgloc.runs.jobs import Answer, Item, Job
 from imgloc.runs.opening import LOG, Desk, ScanFiles, Taken
@@ -22,6 +27,7 @@ from imgloc.search.asked import check_options
 from imgloc.search.priors import leaves_none, prior_of
 
 Unusable = MapError | ConfigError
+_TRIED = 3  # scans without a map that are located again
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,6 +166,42 @@ class Choosing:
                 scan=scan,
                 best=best,
             )
+
+    def doubts(self, answers: Sequence[Named]) -> list[Doubt]:
+        """What may be wrong if most of the scans have no map, tried in the map that fits most.
+
+        `which` allows for no error that all readings share, because every map would gain by one;
+        `localize` does, and may be sure of a scan that has no map here.
+        """
+        lost = [answer for answer in answers if answer.of.verdict in ("none", "undecided")]
+        if 2 * len(lost) <= len(answers):
+            return []
+        lost = [lost[k] for k in evenly(len(lost), _TRIED).tolist()]
+        likely = Counter(name for one in lost for name in list(one.of.probability)[:_TRIED])
+        for name, _ in likely.most_common(_TRIED):
+            if found := self._doubts(name, ScanSet(tuple(answer.scan for answer in lost))):
+                return [found]
+        return []
+
+    def _doubts(self, name: str, scans: ScanSet) -> Doubt | None:
+        """What keeps scans from being of one of the maps, if something was found."""
+        features = self.features(self.files[name])
+        prior = prior_of(self.job.known, features.grid)
+        options = Options(
+            prior=prior, threads=self.desk.threads, memory_budget=self.desk.memory_budget
+        )
+        options = calibrated(options, self.files[name], features.grid)
+        located = [localize(features, scan, options) for scan in scans.scans]
+        said = [(answer.verdict, answer.evidence) for answer in located]
+        for doubt in doubts(features, scans, said, options, self.job.scans.given):
+            return replace(doubt, text=f"{name}: {doubt.text}") if doubt.found else None
+        if 2 * sum(answer.verdict == "unique" for answer in located) <= len(located):
+            return None
+        text = (
+            f"imgloc localize finds such scans at one place of {name}, because it takes for "
+            "granted that they are from that map; imgloc which does not"
+        )
+        return Doubt("none", text, text, found=False)
 
     def _drawn(
         self, best: str, answer: Localization, scan: LaserScan, index: int

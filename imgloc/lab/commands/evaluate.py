@@ -19,6 +19,7 @@ from imgloc.options import (
     Cell,
     Chosen,
     Count,
+    Factor,
     HeadingStep,
     Mounting,
     Reach,
@@ -37,7 +38,7 @@ _SCANS, _SEQUENCE = ("evaluate without --sequence",), ("evaluate --sequence",)
 _OF = {
     **dict.fromkeys(("--method", "-n", "--tolerance", "--theta-step-deg", "--cell"), _SCANS),
     **dict.fromkeys(("--floor", "--rays", "--fov-deg", "--sigma", "--outliers"), _SCANS),
-    **dict.fromkeys(("--dropped", "--clearance", "--scans-index"), _SCANS),
+    **dict.fromkeys(("--dropped", "--clearance", "--scans-index", "--range-scale"), _SCANS),
     **dict.fromkeys(("--sample", "--sample-seed"), _SCANS),
     **dict.fromkeys(("--filter", "--starts", "--metres", "--resets"), _SEQUENCE),
 }
@@ -72,6 +73,9 @@ def evaluate(
         None,
         "Recorded scans with poses, instead of simulated ones; once for each map.",
         metavar="FILE",
+    ),
+    range_scale: Factor = option(
+        1.0, "Metres that 1 stands for in the ranges of recorded scans: 0.001 for millimetres."
     ),
     tolerance: list[Tolerance] | None = option(
         None,
@@ -139,7 +143,7 @@ def evaluate(
         return
     steps = opt.for_each("theta_step_deg", theta_step_deg, method, HeadingStep)
     cells = opt.for_each("cell", cell, method, Cell)
-    _check_sources(maps, scans, count, chosen, sensor, mounting)
+    _check_sources(maps, scans, count, chosen, sensor, mounting, range_scale)
     laser: dict[str, Any] = {"range_max": range_max, "mount": mounting.sensor}
     if scans is None:
         sensor = replace(sensor, **{key: value for key, value in laser.items() if value})
@@ -151,7 +155,10 @@ def evaluate(
             tolerances=(*TOLERANCES, *(tolerance or ())),
             floor=floor,
             maps=inputs.one_map(reading, allow_lossy=allow_lossy),
-            scans=inputs.as_recorded(range_max=range_max, chosen=chosen, flipped=mounting.flipped),
+            scans=replace(
+                inputs.as_recorded(range_max=range_max, chosen=chosen, flipped=mounting.flipped),
+                scale=range_scale,
+            ),
             sensor=sensor,
             count=count or 100,
             seed=seed,
@@ -169,10 +176,12 @@ def evaluate(
                 table.append(answer.row)
                 if as_json:
                     emit(to_json(answer.row))
+            if scans is not None and not any(map(_works, table[-len(jobs) :])):
+                notes += jobs[0].doubts(item, desk)
     if not as_json:
         emit(evaluation_tables(table, width()))
     for note in notes:
-        say(f"measured without a part of the file: {note}")
+        say(note)
 
 
 def _map_of(path: Path) -> Path:
@@ -189,15 +198,21 @@ def _map_of(path: Path) -> Path:
     return found
 
 
+def _works(row: dict[str, Any]) -> bool:
+    """Whether a method finds most of the poses."""
+    return bool(row["success"][-1]["at_1"]["value"] >= 0.5)
+
+
 def _check_sources(
     maps: Sequence[Path], scans: Sequence[Path] | None, count: int | None, chosen: Chosen,
-    sensor: Sensor, mounting: Mounting,
+    sensor: Sensor, mounting: Mounting, range_scale: float,
 ) -> None:  # fmt: skip
     """Refuse options that would be ignored."""
     n, many, sampled = len(scans or ()), count or 0, chosen.sample is not None
     simulated = {
         "--flipped: expected --scans; simulated sensors are upright": mounting.flipped,
         "--sample: expected --scans to take from; -n is for simulated scans": sampled,
+        "--range-scale: expected --scans; simulated ranges are in metres": range_scale != 1,
         "--scans-index: expected --scans to take from": chosen.index is not None,
         f"-n: got {many:,}, expected at most {_MAX_SCANS:,} scans": many > _MAX_SCANS,
     }
