@@ -9,10 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from imgloc.features.distance import distance_field, distance_image
+from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
+from imgloc.features.scanpoints import Readings
+from imgloc.model import OccupancyGrid
 from imgloc.options import Bending, EvidenceModel, FusedOptions, Options, Shared
 from imgloc.search.refine import endpoints
-from imgloc.search.rescore import bent_evidence, hit_density, rescore
+from imgloc.search.rescore import bent_evidence, hit_density, rescore, shortlist
 
 RESOLUTION = 0.1
 seeds = st.integers(0, 2**32 - 1)
@@ -313,3 +316,13 @@ def test_no_poses():
     got = score(corridor(), np.empty((0, 3)), [1.0, 2.0], [0.0, 0.1])
     assert got.log_likelihood.shape == got.explained.shape == (0,)
     assert got.crossed.shape == got.on_surface.shape == (0, 2)
+
+
+@pytest.mark.parametrize(("ranges", "kept"), [(4.0, 1), (2.5, 3)], ids=["fits", "fits nowhere"])
+def test_poses_far_behind_are_left_out_where_the_best_one_fits(ranges, kept):
+    wall = corridor()
+    features = MapFeatures(OccupancyGrid(wall, ~wall, RESOLUTION))
+    readings = Readings(np.full(40, ranges), np.linspace(-0.1, 0.1, 40))
+    options = Options(fused=FusedOptions(behind=1.0, least_look=1))
+    poses = np.array([[1.0, 1.0, 0.0], [1.2, 1.0, 0.5], [0.4, 1.0, -0.5]])
+    assert len(shortlist(poses, readings, features, options)[0]) == kept

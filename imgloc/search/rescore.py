@@ -195,8 +195,8 @@ def shortlist(
 
     `poses` (C, 3) are in the grid frame. The result has the best places, and the best poses even if
     they share a place: (L, 3), the best places first, and their scores (L,) in nats. Poses far
-    behind the best one are left out, apart from a few places. If refinement has brought poses
-    together, the one whose readings end nearest to walls stands for all.
+    behind a best one that fits are left out, apart from a few places. If refinement has brought
+    poses together, the one whose readings end nearest to walls stands for all.
     """
     fused, model, field = options.fused, options.model, features.field
     ranges, angles = readings.ranges, readings.angles
@@ -214,6 +214,8 @@ def shortlist(
     both = np.concatenate((best, np.setdiff1d(close, best)))
     # What is far behind cannot win any more, but some of it is listed.
     (distance, angle), count = fused.separation, fused.least_look
-    near = score[both] >= score.max(initial=-np.inf) - fused.behind
+    top = score.max(initial=-np.inf)
+    near = score[both] >= top - fused.behind
+    near |= top < (model.best - fused.strained) * len(ranges)  # where nothing fits, all may be
     near[modes(poses[both], score[both], distance=distance, angle=angle, most=count)] = True
     return poses[both[near]], score[both[near]]
