@@ -30,7 +30,7 @@ def test_one_scan_is_one_page(scans: Path, tmp_path: Path) -> None:
     assert text.splitlines()[:3] == plain.out.splitlines()[:3]  # the answer is the same
     page = out.read_text(encoding="utf-8")
     assert page.startswith("<!doctype html>")
-    assert "two &amp; &lt;b&gt;.npz, scan 1, on curved.yaml" in page
+    assert "two &amp; &lt;b&gt;.npz, scan 1, on curved" in page
     assert "One pose explains this scan." in page
     assert "True pose of the sensor" in page
     assert [p.name for p in tmp_path.iterdir()] == ["why.html"]

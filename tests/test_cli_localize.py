@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from command import MAPS, call, rows, spawn, untimed
 
+import imgloc
 from imgloc.geometry import transform_poses
 from imgloc.io.maps import load_map, save_map
 from imgloc.io.scans import load_scans, save_scans
@@ -268,3 +269,23 @@ def test_codes_for_no_return_need_no_limit_of_the_range(
         answers.append(untimed(out))
     assert rows(answers[0][0])[0]["counts"]["no_return"] == 26
     assert answers[0] == answers[1]
+
+
+def test_a_picture_names_map_file_scan_and_verdict_and_has_axes(tmp_path: Path) -> None:
+    """A map that is just called map.yaml goes by its folder."""
+    folder = tmp_path / "attic"
+    folder.mkdir()
+    text = (MAPS / "curved.yaml").read_text()
+    (folder / "map.yaml").write_text(text.replace("curved.png", "map.png"))
+    (folder / "map.png").write_bytes((MAPS / "curved.png").read_bytes())
+    features = imgloc.prepare(imgloc.load_map(folder / "map.yaml"))
+    scans = imgloc.simulate(features.grid, 3, seed=4)
+    imgloc.save_scans(tmp_path / "run.npz", scans)
+    target = tmp_path / "where.png"
+    asked = ("--scans-index", 2, "--picture", target, "--no-cache")
+    run = call("localize", folder / "map.yaml", tmp_path / "run.npz", *asked)
+    assert run.code == 0, run.err
+    answer = imgloc.localize(features, scans[2])
+    about = {"truth": imgloc.Pose2D(*scans.poses[2]), "title": "attic: run.npz, scan 2"}
+    imgloc.draw(features, answer, scans[2], **about).save(tmp_path / "same.png")
+    assert target.read_bytes() == (tmp_path / "same.png").read_bytes()

@@ -60,6 +60,13 @@ class Finding:
     options: str = ""  #: arguments that mend it, in backquotes
     serious: bool = True  #: whether the robot cannot be followed as long as it is so
 
+    @property
+    def said(self) -> str:
+        """The sentences, and which arguments to pass."""
+        if not self.options or self.options in self.text:
+            return self.text
+        return f"{self.text}{' ' if self.text.endswith('?') else '. '}Pass {self.options}"
+
 
 @dataclass(frozen=True)
 class LogReport:
@@ -132,8 +139,7 @@ def warn_of(scans: ScanSet, name: str) -> None:
     """Log what is wrong with a log called `name`, where the answers of a command suffer from it."""
     for finding in check_log(scans).findings:
         if finding.serious:
-            mended = f". Pass {finding.options}" if finding.options else ""
-            _LOG.warning("%s: %s%s", name, finding.text, mended)
+            _LOG.warning("%s: %s", name, finding.said)
 
 
 def on_map(report: LogReport, scans: ScanSet, features: MapFeatures, options: Options) -> LogReport:
@@ -214,7 +220,8 @@ def doubt_of_log(
         first = serious[0] if serious else None
     if first is None:
         return None
-    mended = f". {given.advice(first.options)}" if first.options else ""
+    end = " " if first.text.endswith("?") else ". "
+    mended = f"{end}{given.advice(first.options)}" if first.options else ""
     text = first.text
     if first.code == "flipped" and given.flipped:
         text = text.replace("hangs", "does not hang")
@@ -286,7 +293,7 @@ def _about_readings(scans: ScanSet, findings: list[Finding]) -> dict[str, Any]:
     raw = np.concatenate([scan.ranges for scan in some])
     middle = float(np.median(raw[np.isfinite(raw) & (raw > 0)])) if (raw > 0).any() else 0.0
     if unit := unit_of(middle):
-        text = f"half of the ranges are above {middle:.4g} m: are these {unit}"
+        text = f"half of the ranges are above {middle:.4g} m: are these {unit}?"
         _add(findings, "units", text, f"`range_scale={UNITS[unit]:g}`")
         return facts
     if (code := _code(seen)) is not None:

@@ -86,12 +86,8 @@ def log_text(name: str, form: str, kinds: Sequence[Kind], report: LogReport, com
         lines.append(("on the map", _on_map(facts)))
     found = "none" if not report.findings else str(len(report.findings))
     out = [name, *(f"  {key:<11} {value}" for key, value in lines), f"  {'findings':<11} {found}"]
-    out += [f"    {f.code}: {as_options(f.text)}{_try(f)}" for f in report.findings]
+    out += [f"    {f.code}: {as_options(f.said)}" for f in report.findings]
     return "\n".join([*out, f"  {'next':<11} {command}"])
-
-
-def _try(finding: Finding) -> str:
-    return f". Pass {as_options(finding.options)}" if finding.options not in finding.text else ""
 
 
 def _about(kind: Kind, seconds: float) -> str:
