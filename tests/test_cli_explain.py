@@ -123,7 +123,7 @@ def test_a_browser_shows_the_page_without_scrolling_sideways(
         pytest.skip("chromium is not installed")
     out = tmp_path / "why.html"
     words = ["localize", CURVED, scans, "--scans-index", 0, "--range-scale", 1000, "--explain", out]
-    assert "ranges are multiplied by 0.001" in call(*words).err
+    assert "are they millimetres? Try --range-scale 1" in call(*words).err
     with sync.sync_playwright() as p:
         browser = p.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         page, said = browser.new_page(viewport={"width": width, "height": 900}), list[str]()
