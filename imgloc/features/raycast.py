@@ -58,6 +58,31 @@ def cast_rays(
     >>> cast_rays(distance_image(wall), [0.15, 0.15], [0.0, np.pi], 5.0, 0.1).round(2).tolist()
     [0.44999998807907104, inf]
     """
+    psi = np.asarray(angles, np.float64)
+    if not np.isfinite(psi).all():
+        raise ValueError("origins and angles must be finite")
+    return cast_along(distance, origins, np.cos(psi), np.sin(psi), max_range, resolution)
+
+
+def cast_along(
+    distance: Float32Array,
+    origins: npt.ArrayLike,
+    cosines: npt.ArrayLike,
+    sines: npt.ArrayLike,
+    max_range: npt.ArrayLike,
+    resolution: float,
+) -> Float32Array:
+    """:func:`cast_rays` with the cosines and sines (...) of the angles, which must be finite.
+
+    A scan is turned to many poses by products, which take far less time than cosines.
+
+    Examples
+    --------
+    >>> from imgloc.features.distance import distance_image
+    >>> wall = distance_image(np.array([[False] * 6 + [True]]))
+    >>> cast_along(wall, [0.15, 0.05], [1.0, 0.0], [0.0, 1.0], 5.0, 0.1).round(2).tolist()
+    [0.44999998807907104, inf]
+    """
     lengths = np.asarray(max_range, dtype=np.float64)
     bad = lengths[~(np.isfinite(lengths) & (lengths > 0))]
     if bad.size or not (np.isfinite(resolution) and resolution > 0):
@@ -66,14 +91,18 @@ def cast_rays(
             "must be positive and finite"
         )
     start = np.asarray(origins, dtype=np.float64)
-    x, y, psi = np.broadcast_arrays(start[..., 0], start[..., 1], np.asarray(angles, np.float64))
-    if not (np.isfinite(x).all() and np.isfinite(y).all() and np.isfinite(psi).all()):
+    if not np.isfinite(start).all():
         raise ValueError("origins and angles must be finite")
-    at = np.stack((x.ravel(), y.ravel())) / resolution
-    along = np.stack((np.cos(psi), np.sin(psi))).reshape(2, -1)
-    reach = np.broadcast_to(lengths / resolution, psi.shape).ravel()
-    cells = _march(distance, *(v.astype(np.float32) for v in (at, along, reach)))
-    return (cells * np.float32(resolution)).reshape(psi.shape)
+    start, lengths = start / resolution, lengths / resolution
+    x, y, u, v = (
+        part.astype(np.float32) for part in np.broadcast_arrays(
+            start[..., 0], start[..., 1], np.asarray(cosines), np.asarray(sines)
+        )
+    )  # fmt: skip
+    at, along = (np.stack((a.ravel(), b.ravel())) for a, b in ((x, y), (u, v)))
+    reach = np.broadcast_to(lengths.astype(np.float32), x.shape).ravel()
+    cells = _march(distance, at, along, reach)
+    return (cells * np.float32(resolution)).reshape(x.shape)
 
 
 def _march(

@@ -87,15 +87,19 @@ def block_sums(
     width `sigma`, metres, weighs them, times `usable` (C, N). The rest is as in
     :func:`normal_equations`.
     """
-    weight = usable / np.square(1 + np.square(residual / np.float32(sigma)))
-    weighted, n = J * weight[:, None], residual.shape[1]
+    square = np.square(residual)
+    weight = usable / np.square(1 + square / np.float32(sigma * sigma))
+    # The residual as one more derivative: one product of matrices gives all sums.
+    D, n = J.shape[1:]
+    both = np.concatenate((J, residual[:, None]), axis=1)
+    weighted = both[:, :D] * weight[:, None]
     ends = np.linspace(0, n, min(blocks, n) + 1).round().astype(int)
     parts = [np.s_[..., a:b] for a, b in pairwise(ends)]
-    A = np.stack([weighted[part] @ J[part].transpose(0, 2, 1) for part in parts])
-    b = np.stack([weighted[part] @ residual[part][..., None] for part in parts])
+    sums = np.stack([weighted[part] @ both[part].transpose(0, 2, 1) for part in parts])
+    sums = sums.astype(np.float64)
     least = np.finfo(np.float32).tiny  # no reading may be usable
-    square = (weight * np.square(residual)).sum(axis=1) / np.maximum(weight.sum(axis=1), least)
-    return A.astype(np.float64), b[..., 0].astype(np.float64), square.astype(np.float64)
+    mean = (weight * square).sum(axis=1) / np.maximum(weight.sum(axis=1), least)
+    return sums[..., :D], sums[..., D], mean.astype(np.float64)
 
 
 def endpoints(

@@ -24,7 +24,7 @@ import numpy as np
 
 from imgloc.features.distance import DistanceField
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.raycast import cast_rays
+from imgloc.features.raycast import cast_along
 from imgloc.features.scanpoints import Readings
 from imgloc.model import BoolArray, Float32Array, FloatArray, IntArray
 from imgloc.numbers import number
@@ -84,8 +84,10 @@ def rescore(
     margin = model.margin + field.resolution / 2
     far = ranges * poses[:, 3:] if poses.shape[1] == 4 else ranges
     reach = np.maximum(far - margin, 1e-3)
-    psi = poses[:, 2:3] + angles
-    seen = cast_rays(walls, poses[:, None, :2], psi, reach, field.resolution)
+    c, s = (turn(poses[:, 2:3]).astype(np.float32) for turn in (np.cos, np.sin))
+    u, v = (turn(angles).astype(np.float32) for turn in (np.cos, np.sin))
+    along = c * u - s * v, s * u + c * v
+    seen = cast_along(walls, poses[:, None, :2], *along, reach, field.resolution)
     beyond = np.maximum(far - seen - margin, 0).astype(np.float32)  # 0 where nothing is met
     shifted = np.exp(-np.square(beyond / np.float32(model.displaced)))
     if model.bent:
