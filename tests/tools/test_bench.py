@@ -129,15 +129,16 @@ def test_a_floor_is_known_or_says_why_not(tmp_path, source, expected):
     assert found["ght"] == "no ght.c"
 
 
-def test_preparing_is_what_the_first_answer_takes_longer():
-    summary = answer_summary([500.0, 100.0, 50.0, 50.0])
-    assert summary["prepare_s"] == pytest.approx(0.4)
+def test_the_first_answer_is_compared_with_the_median():
+    summary = answer_summary([500.0, 100.0, 50.0, 50.0], 0.4)
+    assert summary["prepare_s"] == 0.4
+    assert summary["first_over_median"] == 10
     assert summary["median_ms"] == 50
 
 
 def test_answers_are_measured(case):
     times = answer_times(case[0].grid, [case[1]], 1)
-    assert set(times) == {"median_ms", "p99_over_median", "prepare_s"}
+    assert set(times) == {"median_ms", "p99_over_median", "first_over_median", "prepare_s"}
     assert times["median_ms"] > 0
     assert times["p99_over_median"] == 1  # there is one
     with pytest.raises(ConfigError, match="scans"):
@@ -198,13 +199,14 @@ def test_the_tables_of_the_tool(case):
     timings = in_turns([("nothing", "call", 1, lambda: None)], 1)
     rows = engine_rows((30,), (10,), (16,), headings=2, repeats=1)
     answers = {"A": {"median_ms": 2.0, "p99_over_median": 1.5, "prepare_s": 0.5, "over_c": 0.256}}
+    answers["A"]["first_over_median"] = 1.25
     text = bench_tables(
         {"machine": {"cores": 2}, "costs": [as_row(t) for t in timings], "engines": rows,
          "localize": answers, "floors": {"ght": 2.34567, "cbml": "no C compiler"}}
     )  # fmt: skip
     assert "| nothing |" in text
     assert f"| {rows[0]['best']} | {rows[0]['ratio']:.2f} |" in text
-    assert "| A | 2 | 1.50 | 0.50 | 0.26 |" in text
+    assert "| A | 2 | 1.50 | 1.25 | 0.50 | 0.26 |" in text
     assert text.endswith("the same in C, ns: ght 2.346, cbml no C compiler")
     tables = [part.splitlines() for part in text.split("\n\n")[1:-1]]
     for lines in tables:  # as many cells in each line
