@@ -2,8 +2,10 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from imgloc.features.distance import DistanceField
 from imgloc.geometry import wrap
@@ -91,7 +93,7 @@ def block_sums(
     weight = usable / np.square(1 + square / np.float32(sigma * sigma))
     # The residual as one more derivative: one product of matrices gives all sums.
     D, n = J.shape[1:]
-    both = np.concatenate((J, residual[:, None]), axis=1)
+    both: npt.NDArray[Any] = np.concatenate((J, residual[:, None]), axis=1)
     weighted = both[:, :D] * weight[:, None]
     ends = np.linspace(0, n, min(blocks, n) + 1).round().astype(int)
     parts = [np.s_[..., a:b] for a, b in pairwise(ends)]
