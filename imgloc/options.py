@@ -233,6 +233,8 @@ class FusedOptions(Checked):
     keep: tuple[Count, Count, Count, Count] = number("FusedOptions.keep")
     #: coarse levels of the pyramid use every `skip`-th of the `few_rays`
     skip: Count = number("FusedOptions.skip")
+    #: mean endpoint score, 0..1, by which a proposal may be worse than the best one
+    worse: Share = number("FusedOptions.worse")
     #: side of a cell of the GHT-V votes, metres
     vote_cell: Length = number("FusedOptions.vote_cell")
     #: greatest number of cells of the GHT-V votes, headings counted: on a larger map cells grow

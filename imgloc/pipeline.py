@@ -260,7 +260,7 @@ def propose(
     levels = pyramid_levels(prior, features.pyramid, features.grid.resolution)
     poses, _ = propose_endpoints(
         levels, few.xy, theta_step=fused.theta_step, keep=fused.keep[: len(levels)],
-        skip=fused.skip, prior=prior, threads=options.threads,
+        skip=fused.skip, worse=fused.worse, prior=prior, threads=options.threads,
     )  # fmt: skip
     if time.monotonic() >= end:
         return poses[: fused.second_look]

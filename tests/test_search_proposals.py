@@ -3,15 +3,18 @@
 import dataclasses
 import itertools
 import tracemalloc
+from functools import partial
 
 import naive
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import features_of, scan_of
 
 from imgloc.features.distance import signed_distance
 from imgloc.features.pyramid import Level, pyramid
+from imgloc.features.scanpoints import one_per_place
 from imgloc.geometry import cell_of, theta_bin, transform_points, uniform_thetas
 from imgloc.model import Pose2D
 from imgloc.search import proposals
@@ -321,3 +324,16 @@ def test_a_far_reading_pads_a_long_level_by_its_own_sides():
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 8 * 9 * level.image.size
+
+
+def test_what_is_far_worse_than_the_best_is_not_proposed():
+    features, scan = features_of("curved"), scan_of("curved")
+    levels, xy = features.pyramid, one_per_place(scan, 0.07).spread(48).xy
+    ask = partial(propose_endpoints, levels, xy, theta_step=np.deg2rad(1), keep=(3000, 8000, 8000))
+    poses, scores = ask()
+    few, best = ask(worse=0.1)
+    n = max(100, np.count_nonzero(scores >= scores[0] - 0.1))
+    assert 100 <= n < len(poses)
+    np.testing.assert_array_equal(few, poses[:n])
+    np.testing.assert_array_equal(best, scores[:n])
+    assert len(ask(worse=0.0)[0]) == 100

@@ -33,6 +33,7 @@ from imgloc.search.priors import around
 _CHUNK_CELLS = 1 << 20  # cells of the exhaustive level's stack at a time: 4 MB
 _FIRST_CELLS = 1 << 18  # cells of its first piece
 _FEWEST_LEVELS = number("proposals.fewest_levels")  # grey levels besides 0
+_FEWEST: int = number("proposals.fewest")  # poses that are proposed however bad they are
 _VOTE_BLUR = number("proposals.vote_blur")  # standard deviations, cells and headings
 _BLOCK = number("proposals.block")  # cells and headings a side; each block has one proposal
 
@@ -44,6 +45,7 @@ def propose_endpoints(
     theta_step: float,
     keep: Sequence[int],
     skip: int = 1,
+    worse: float = 1.0,
     prior: Prior | None = None,
     threads: int = 1,
 ) -> tuple[FloatArray, FloatArray]:
@@ -62,6 +64,9 @@ def propose_endpoints(
     skip : int
         All levels but the finest use every `skip`-th point, because their cells are coarse and
         neighbouring points fall on the same ones.
+    worse : float
+        Poses whose score is lower than the best one's by more than this are left out, apart from a
+        few.
     prior : Prior, optional
         Limits the headings. Its cells must be in the levels' `free` already.
     threads : int
@@ -96,8 +101,9 @@ def propose_endpoints(
         nodes[:, 1:] += np.stack((best >> 1 & 1, best & 1), axis=1)  # the best of its four cells
     first = np.sort(np.unique(_key(*nodes.T // _BLOCK), return_index=True)[1])
     first = first[scores[first] > 0]
-    nodes, scores = nodes[first], scores[first]
-    return _poses(nodes, thetas, levels[0]), scores / (255.0 * len(xy))
+    mean = scores[first] / (255.0 * len(xy))
+    few = max(_FEWEST, np.count_nonzero(mean >= mean.max(initial=0) - worse))
+    return _poses(nodes[first[:few]], thetas, levels[0]), mean[:few]
 
 
 def propose_all(
