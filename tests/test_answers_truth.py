@@ -35,6 +35,16 @@ def test_poses_that_do_not_fit_the_map_are_not_truth(tmp_path: Path, shift: floa
     assert ("does not take these for true poses" in run.err) == (shift > 0)
 
 
+@pytest.mark.parametrize("shift", [0.0, 2.0])
+def test_a_batch_compares_with_no_odometry(tmp_path: Path, shift: float) -> None:
+    path, out = simulated(tmp_path, shift), tmp_path / "out"
+    run = call("batch", MAPS / "curved.yaml", path, "--out", out, "--workers", 1, "--no-cache")
+    assert run.code == 0
+    assert ("6 scans with a known pose 6 are right" in run.out) == (shift == 0)
+    assert ("known pose" in run.out) == (shift == 0)
+    assert ("does not take these for true poses" in run.out + run.err) == (shift > 0)
+
+
 def test_odometry_that_fits_at_one_scan_by_chance_is_not_truth(tmp_path: Path) -> None:
     """Of this file the first pose is true, and the others are not."""
     grid = imgloc.load_map(MAPS / "curved.yaml")

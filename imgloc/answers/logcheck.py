@@ -114,9 +114,7 @@ def check_log(scans: ScanSet, notes: Sequence[Finding] = ()) -> LogReport:
         )
     path = scans.odom if scans.odom is not None else scans.poses
     known = np.zeros(0, bool) if path is None else np.isfinite(path).all(axis=1)
-    same = path is not None and scans.poses is not None and np.array_equal(scans.poses, path)
-    same = same and scans.odom is not None
-    poses = "odometry" if same else scans.poses is not None
+    poses = "odometry" if scans.poses_are_odometry else scans.poses is not None
     facts |= {"odometry": None, "poses": poses, "agreement": None}
     if scans.odom is not None:
         facts["odometry"] = _about_odometry(scans, found, findings)

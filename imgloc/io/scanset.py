@@ -95,6 +95,12 @@ class ScanSet:
         """Each scan with its pose (3,), map frame; ValueError if these are not known."""
         return zip(self.scans, () if self.poses is None else self.poses, strict=True)
 
+    @property
+    def poses_are_odometry(self) -> bool:
+        """Whether one set of poses is both: a log that has no other may hold either in it."""
+        both = self.poses is not None and self.odom is not None
+        return both and np.array_equal(self.poses, self.odom, equal_nan=True)  # type: ignore[arg-type]
+
     def with_odometry(self, name: str) -> "tuple[ScanSet, list[int]]":
         """The scans whose odometry is known, and their indices; a warning tells of the others.
 

@@ -57,7 +57,8 @@ class Localize(Job):
             cells = region_of(self.region, features.grid, allow_lossy=self.maps.allow_lossy)
             prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})
         options = replace(options, prior=prior)
-        return Locating(self, desk, map_name(path), features, options, taken)
+        opened = Locating(self, desk, map_name(path), features, options, taken)
+        return opened.with_true_poses() if taken.tried.poses_are_odometry else opened
 
 
 @dataclass(kw_only=True)
