@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import emit, say
-from imgloc.errors import ConfigError, MapError
-from imgloc.io.files import display
+from imgloc.cli.console import LOG, emit, say
+from imgloc.errors import ConfigError, MapError, as_options
+from imgloc.io.files import display, is_file
 from imgloc.options import MemoryBudget
 from imgloc.ranges import Within, check_of, option
 from imgloc.texts import numbers, pose
@@ -31,7 +31,10 @@ def plan(
         metavar="YAML",
     ),
     resolution: PlanScale | None = option(
-        None, "Side of a pixel of the plan, metres. [default: found by --distance]", metavar="M"
+        None,
+        "Side of a pixel of the plan, metres. [default: found by --distance, or that of a YAML "
+        "beside the plan]",
+        metavar="M",
     ),
     distance: Any = option(
         None,
@@ -43,7 +46,7 @@ def plan(
     origin: "Pose2D | None" = option(
         None,
         "Pose of the plan's lower-left corner in the map frame: metres, metres, radians (or "
-        "90deg). [default: 0,0,0]",
+        "90deg). [default: that of a YAML beside the plan, or 0,0,0]",
         metavar="X,Y,YAW",
         parse=pose,
     ),
@@ -81,6 +84,7 @@ def plan(
     from imgloc.cli import inputs
     from imgloc.io.images import image_size
     from imgloc.io.maps import save_map
+    from imgloc.io.mapyaml import load_map_yaml
     from imgloc.model import to_json
     from imgloc.plans.files import load_plan, measured_resolution
     from imgloc.plans.floorplan import plan_bytes, plan_to_map
@@ -92,7 +96,10 @@ def plan(
     if picture is not None and picture.resolve() == png.resolve():
         raise ConfigError(f"--picture: {display(picture)} is the image of the map; another name")
     name, budget = display(path), opt.fixed_budget(memory_budget)
-    size = image_size(path)
+    size, beside = image_size(path), path.with_suffix(".yaml")
+    if resolution is None and distance is None and is_file(beside) and beside != out:
+        said = load_map_yaml(beside)
+        resolution, origin = said.resolution, said.origin if origin is None else origin
     if (resolution is None) == (distance is None):
         raise ConfigError(
             f"{name}: the scale is {'missing' if distance is None else 'given twice'}, expected "
@@ -115,6 +122,8 @@ def plan(
     except MapError as error:
         raise MapError(f"{name}: {error}") from None
     save_map(out, found.grid, force=force)
+    if found.doubt:
+        LOG.warning("%s: %s", name, as_options(found.doubt))
     if picture is not None:
         draw_floor_plan(grey, found).save(picture, force=force)
     if as_json:

@@ -76,6 +76,9 @@ _SPECK = number("floorplan.speck")
 _SHADES = number("floorplan.shades")
 _TONES = number("floorplan.tones")
 _FLAT = number("floorplan.flat")
+# Least share of the drawing that is free, and greatest share of the ink that is outside, without
+# a doubt that the building was found.
+_DOUBT: tuple[float, float] = number("floorplan.doubt")
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,34 @@ class FloorPlan:
         """Of the map, square metres."""
         return float(np.count_nonzero(self.grid.free)) * self.grid.resolution**2
 
+    @property
+    def free_share(self) -> float:
+        """Share of the drawing, 0..1, that became free: of the box around all that is drawn."""
+        drawn = ((self.kinds > 0) & (self.kinds != _FRAME)).astype(np.uint8)
+        _, _, wide, high = cv2.boundingRect(drawn)
+        return self.free_area / (max(1, wide * high) * self.pixel**2)
+
+    @property
+    def outside_share(self) -> float:
+        """Share of the ink, 0..1, that lies outside of the building; a frame does not count."""
+        ink = int(np.count_nonzero((self.kinds > 0) & (self.kinds != _FRAME)))
+        return float(np.count_nonzero(self.kinds == _OUTSIDE)) / max(1, ink)
+
+    @property
+    def doubt(self) -> str:
+        """Why the building was most likely missed; empty if nothing says so."""
+        if self.free_share < _DOUBT[0]:
+            what = f"only {self.free_share:.0%} of the drawing became free"
+        elif self.outside_share > _DOUBT[1]:
+            what = f"{self.outside_share:.0%} of the ink lies outside of what was taken for it"
+        else:
+            return ""
+        return (
+            f"the building was most likely missed: {what}. Look at `picture`; a larger `thickest` "
+            "is for walls drawn as two lines, a larger `gap` for wide doors; crop titles and "
+            "legends; is the resolution right?"
+        )
+
     def as_row(self) -> dict[str, Any]:
         """What was found, as `imgloc map plan --json` writes it."""
         low, median, high = self.thickness
@@ -126,6 +157,9 @@ class FloorPlan:
             "doors": self.doors,
             "removed": [asdict(removed) for removed in self.removed],
             "free_area": self.free_area,
+            "free_share": self.free_share,
+            "outside_share": self.outside_share,
+            "doubt": self.doubt or None,
             "gap": self.gap,
             "thinnest": self.thinnest,
             "inverted": self.inverted,

@@ -158,3 +158,39 @@ def test_the_measurement_of_plans_counts_what_it_says() -> None:
         ("map plan", 2, 2, 0)
     ]
     assert list(table(found))[2].startswith("| filled, 0.04 m a pixel | map plan | 2 of 2 | ")
+
+
+def test_a_title_that_is_taken_for_the_building_is_doubted_aloud(tmp_path: Path) -> None:
+    sheet = np.full((1200, 1600), 255, np.uint8)
+    for x, y, wide, high in ((100, 100, 1400, 700), (150, 150, 600, 600), (800, 150, 600, 600)):
+        cv2.rectangle(sheet, (x, y), (x + wide, y + high), 0, 1)  # rooms in the thinnest line
+    for x in (300, 500, 700):
+        cv2.circle(sheet, (x, 1000), 70, 0, 14)  # letters of a title
+    (tmp_path / "sheet.png").write_bytes(encode_png(sheet))
+    words = ("map", "plan", tmp_path / "sheet.png", "--resolution", PIXEL, "-o")
+    run = call(*words, tmp_path / "map.yaml", "--json")
+    assert run.code == 0, run.err
+    said = " ".join(run.err.split())
+    assert "sheet.png: the building was most likely missed: only " in said
+    assert "Look at --picture" in said
+    (row,) = rows(run.out)
+    assert row["free_share"] < 0.05
+    assert row["doubt"].startswith("the building was most likely missed")
+
+
+def test_a_yaml_beside_a_plan_says_its_scale_and_where_it_lies(
+    folder: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "a.png").write_bytes((folder / "drawing.png").read_bytes())
+    yaml = f"image: a.png\nresolution: {PIXEL}\norigin: [10, 20, 0]\n"
+    (tmp_path / "a.yaml").write_text(yaml)
+    run = call("map", "plan", tmp_path / "a.png", "-o", tmp_path / "map.yaml", "--json")
+    assert run.code == 0, run.err
+    assert "missed" not in run.err
+    (row,) = rows(run.out)
+    assert (row["resolution"], row["doubt"]) == (PIXEL, None)
+    assert row["free_share"] > 0.3
+    here, there = load_map(tmp_path / "map.yaml"), load_map(folder / "map.yaml")
+    np.testing.assert_array_equal(here.occupied, there.occupied)
+    assert here.origin.x == pytest.approx(there.origin.x + 10)
+    assert here.origin.y == pytest.approx(there.origin.y + 20)
