@@ -325,3 +325,14 @@ def test_a_log_without_stamps_cannot_say_when_it_is_kidnapped(log: Path, tmp_pat
     run = call("track", MAP, tmp_path / "bare.npz", "--kidnap", "1,4,8,0")
     assert (run.code, run.out) == (2, "")
     assert "expected a log with stamps" in run.err
+
+
+def test_true_poses_are_those_of_the_scans_that_have_odometry(log: Path, tmp_path: Path) -> None:
+    scans = load_scans(log)
+    odom = scans.odom.copy()
+    odom[:3] = np.nan
+    save_scans(tmp_path / "part.npz", replace(scans, odom=odom))
+    out = tmp_path / "a.png"
+    run = call("track", MAP, tmp_path / "part.npz", "--start", "5.5,8,0.06", "--picture", out)
+    assert run.code == 0, run.err
+    assert float(re.search(r"APE of \d+ unique poses: rmse ([\d.]+)", run.err)[1]) < 0.2

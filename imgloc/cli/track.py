@@ -198,7 +198,7 @@ def track(
     from imgloc.answers.truth import with_true_poses
     from imgloc.cli import inputs
     from imgloc.filters.deviation import deviation_of
-    from imgloc.filters.follow import Tracking, follow, robot_poses
+    from imgloc.filters.follow import Tracking, follow
     from imgloc.io.calibration import calibrated
     from imgloc.output.mcap import Recording
     from imgloc.output.tracks import Video
@@ -237,8 +237,7 @@ def track(
             shown.append(lambda moment: recording.add(seen(moment.index), moment))
         moments, words = _printed(run, len(scans), live, shown, as_json=as_json)
         desk.keep(features)
-        known = robot_poses(scans) if live is None else live.poses()
-        truth = _truth_of(outputs.truth, moments, known)
+        truth = _truth_of(outputs.truth, moments, scans, live)
         outputs.write(grid, moments, truth, movie, recording, title)
     if not moments:
         raise ScanError(f"{inputs.name_of(log)}: holds no scan with odometry")
@@ -257,16 +256,21 @@ def track(
 
 
 def _truth_of(
-    path: Path | None, moments: "Sequence[Moment]", known: "FloatArray | None"
+    path: Path | None, moments: "Sequence[Moment]", scans: "ScanSet", live: "Live | None"
 ) -> "FloatArray | None":
-    """True poses (N, 3) of the robot at the moments: of a file, else those that are `known`."""
+    """True poses (N, 3) of the robot at the moments: of a file, else those of the log, if any."""
     import numpy as np
 
     from imgloc.filters.deviation import at_stamps
+    from imgloc.filters.follow import robot_poses
     from imgloc.io.tum import load_tum
 
+    if not moments:
+        return None
+    if path is None and live is not None:
+        return live.poses()
     if path is None:
-        return None if known is None else known[[moment.index for moment in moments]]
+        return robot_poses(scans.take([moment.index for moment in moments]))
     stamps, poses = load_tum(path)
     found = at_stamps(np.array([moment.stamp for moment in moments]), stamps, poses)
     if not np.isfinite(found).any():
