@@ -30,6 +30,7 @@ from .model import (
     OccupancyGrid,
     OrientedPoints,
     Pose2D,
+    Protection,
 )
 from .options import (
     ALL_METHODS,
@@ -59,8 +60,8 @@ __all__ = [
     "FloorPlan", "FusedOptions", "GridInfo", "Hypothesis", "ImglocError", "Job", "Known",
     "LaserScan", "Likelihood", "Limits", "Localization", "Localizer", "MapError", "MapFeatures",
     "MapReport", "Moment", "OccupancyGrid", "Options", "OrientedPoints", "OutputError", "Picture",
-    "Pose2D", "Prior", "ScanAlignment", "ScanError", "ScanSet", "Sensor", "Shared", "Site",
-    "Tracking", "Trust", "__version__", "align_maps", "align_scans", "check_map", "draw",
+    "Pose2D", "Prior", "Protection", "ScanAlignment", "ScanError", "ScanSet", "Sensor", "Shared",
+    "Site", "Tracking", "Trust", "__version__", "align_maps", "align_scans", "check_map", "draw",
     "evaluate", "explain", "follow", "grid_from_msg", "grid_to_msg", "likelihood", "load_map",
     "load_plan", "load_scans", "localize", "localize_many", "make_filter", "make_job",
     "map_changes", "plan_to_map", "prepare", "run_batch", "sample_poses", "save_map", "save_scans",

@@ -16,9 +16,10 @@ from imgloc.filters.motion import compose_poses, increments, invert_poses, noisy
 from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
-from imgloc.model import FloatArray, LaserScan, Pose2D
+from imgloc.model import FloatArray, LaserScan, Pose2D, Protection
 from imgloc.numbers import number
 from imgloc.options import Every, Followed, Limits, Options
+from imgloc.search.protection import protection
 
 LOG = logging.getLogger(__name__)
 
@@ -76,6 +77,12 @@ class Moment:
     def pose(self) -> Pose2D | None:
         """The best pose if it is ``unique``, so that it can be relied upon; else None."""
         return self.best if self.belief.verdict == UNIQUE else None
+
+    @property
+    def protection(self) -> tuple[Protection, ...]:
+        """Radius and heading around `best` that hold the true pose, at 95, 99 and 99.9 %."""
+        b = self.belief
+        return protection(b.poses, b.mass, b.covariance, b.lost)
 
 
 @dataclass(frozen=True)

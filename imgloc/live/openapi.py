@@ -252,6 +252,16 @@ _SCHEMAS: Mapping[str, Any] = {
             "pose": {"oneOf": [{"$ref": "#/components/schemas/Pose"}, {"type": "null"}]},
             "hypotheses": {"type": "array", "items": {"type": "object"}},
             "elsewhere": {"type": "number"}, "entropy": _NULL_NUMBER, "explained": _NULL_NUMBER,
+            "protection": {
+                "type": "array",
+                "items": {
+                    "type": "object",
+                    "properties": {
+                        "share": {"type": "number"}, "metres": _NULL_NUMBER,
+                        "radians": _NULL_NUMBER,
+                    },
+                },
+            },
             "counts": {"type": "object"}, "timings_ms": {"type": "object"},
             "parameters": {"type": "object"},
         },

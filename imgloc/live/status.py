@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from imgloc.answers.diagnose import few_readings
-from imgloc.filters.belief import LOST, deviations_of
+from imgloc.filters.belief import LOST
 from imgloc.filters.follow import Moment
 from imgloc.geometry import transform_poses
 from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose
 from imgloc.model import SURE, FloatArray, LaserScan, Localization, Pose2D, base_of, plain
+from imgloc.search.protection import SHARES, protection
 
 LISTED = 10  # places of a message at most
 OK, WARN, ERROR, STALE = range(4)
@@ -45,8 +46,12 @@ class Found:
 
     @property
     def deviation(self) -> float:
-        """VDA 5050's deviationRange: standard deviation along its longest axis, metres."""
-        return math.inf if self.covariance is None else deviations_of(self.covariance)[0]
+        """VDA 5050's deviationRange: the radius that holds the true position at 95 %, metres."""
+        if self.covariance is None:
+            return math.inf
+        poses, mass = np.array([(p.x, p.y, p.theta) for p in self.poses]), np.array(self.masses)
+        elsewhere = max(0.0, 1 - float(mass.sum()))
+        return protection(poses, mass, self.covariance[None], elsewhere, SHARES[:1])[0].metres
 
 
 def found_of(answer: Localization, stamp: float, name: str | None) -> Found:

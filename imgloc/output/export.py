@@ -73,6 +73,8 @@ def _located(answer: Row) -> Row:
     out |= {key: answer["evidence"][key] for key in ("misfit", "temperature", "readings", "found")}
     for best in answer["hypotheses"][:1]:
         out |= {key: best[key] for key in ("x", "y", "theta", "mass", "log_likelihood")}
+        for level in answer.get("protection", []):
+            out[f"within_{level['share']:g}"] = level["metres"]
         out |= {f"covariance_{n}": best["covariance"][i][j] for n, (i, j) in _COVARIANCE.items()}
     for second in answer["hypotheses"][1:2]:
         out["second_mass"] = second["mass"]

@@ -52,6 +52,7 @@ def moment_row(moment: Moment) -> dict[str, Any]:
         "covariance": None if pose is None else moment.covariance,
         "map_odom": None if pose is None else moment.map_odom,
         "lost": belief.lost,
+        "protection": [vars(level) for level in moment.protection],
         "mass": float(belief.mass[0]) if len(belief.mass) else 0.0,
         "neff": belief.neff,
         "resets": belief.resets,

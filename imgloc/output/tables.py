@@ -140,6 +140,8 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
             facts.append(("error", f"{away:.3f} m, {math.degrees(turned):.2f} deg"))
         explained = f"{100 * answer.explained:.0f} % of the rays explained"
         facts.append(("trust", f"{explained}, entropy {answer.entropy:.3f} nats"))
+        if within := _within(answer):
+            facts.append(("within", within))
         if (bent := bent_words(evidence.scale, evidence.thinner)) is not None:
             known: Any = answer.parameters.get("shared")
             calibrated = (
@@ -177,6 +179,25 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
         if masses != sorted(masses, reverse=True):  # a peak may be higher than it holds
             lines[-1] += "; they are in the order of log L, the score"
     return "\n".join(lines)
+
+
+def _within(answer: Localization) -> str:
+    """The radii around the pose that hold the true one; empty if even the first is infinite.
+
+    Examples
+    --------
+    >>> from imgloc import Protection
+    >>> levels = Protection(0.95, 0.1, 0.02), Protection(0.999, math.inf, math.inf)
+    >>> _within(Localization((), "unique", 0.0, 0.9, protection=levels))
+    '0.10 m and 1.1 deg of the truth in 95 % of such answers'
+    """
+    finite = [level for level in answer.protection if math.isfinite(level.metres)]
+    words = [
+        f"{level.metres:.2f} m and {math.degrees(min(level.radians, math.pi)):.1f} deg "
+        f"{'of the truth ' * (not k)}in {100 * level.share:g} %{' of such answers' * (not k)}"
+        for k, level in enumerate(finite)
+    ]
+    return ", ".join(words)
 
 
 def _unlisted(answer: Localization) -> float:

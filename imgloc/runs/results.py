@@ -58,7 +58,7 @@ _ANSWERS: Mapping[str, Mapping[str, Any]] = {
     "localize": {
         **_ANSWER, "index": int, "verdict": str, "hypotheses": [_HYPOTHESIS],
         "evidence": _EVIDENCE, "explained": _MAYBE, "entropy": _MAYBE, "elsewhere": _MAYBE,
-        "complete": bool,
+        "complete": bool, "protection?": [{"share": float, "metres": _MAYBE, "radians": _MAYBE}],
     },
     "which": {
         **_ANSWER, "index": int, "verdict": str, "none": _MAYBE,

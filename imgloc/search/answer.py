@@ -11,6 +11,7 @@ from imgloc.model import FloatArray, Hypothesis, LaserScan, Localization
 from imgloc.options import Options
 from imgloc.search.asked import effective
 from imgloc.search.hypotheses import as_hypotheses
+from imgloc.search.protection import protection
 from imgloc.search.trust import judge
 from imgloc.search.weigh import Weighed
 
@@ -51,6 +52,7 @@ def answered(
             unlisted=float(mass[len(hypotheses) :].sum()),
         ),
         T_base_laser=scan.T_base_laser,
+        protection=protection(found.poses, mass, found.covariance, elsewhere),
     )
 
 

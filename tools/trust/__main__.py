@@ -75,6 +75,17 @@ from tools.trust.foreign import (
     on_other_floors,
     rooms_and_others,
 )
+from tools.trust.levels import (
+    UNDISTURBED,
+    answers_at_home,
+    answers_away,
+    draw_stanford,
+    fit_spreads,
+    held_table,
+    numbers_of_levels,
+    risk_table,
+    stanford_table,
+)
 from tools.trust.naming import ask_all, bound_all, naming_shares, scans_of
 from tools.trust.precision import TRUTH, Precision, knowing, precision, precision_table
 from tools.trust.reliability import Judged, draw_reliability, judged, reliability, summary
@@ -159,6 +170,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--known", action="store_true",
         help="measure again with the depth of the faces, fitted to as many other scans",
     )  # fmt: skip
+
+    one = add(run_levels, 100, 1, "scans of each set, as they are")
+    add_sets(one, required=True)
+    one.add_argument("--few", type=int, default=20, help="scans of each set, disturbed")
+    one.add_argument("--write", action="store_true", help="put what is fitted into numbers.json")
+    one.add_argument("--picture", type=Path, help="PNG of the diagrams to write")
+    one.add_argument("--force", action="store_true", help="overwrite --picture")
+    one.add_argument("--workers", type=int, default=threads)
+    one.add_argument("--same", action="append", default=[], help="names of one building")
 
     one = add(run_foreign, 20, 1, "scans of each set and building, and on no map, for each map")
     add_sets(one)
@@ -351,6 +371,52 @@ def run_precision(given: argparse.Namespace) -> int:
             measure(name, prepare(grid, name), told, fit)
             advance()
     print(precision_table(rows))
+    return 0
+
+
+def run_levels(given: argparse.Namespace) -> int:
+    """Protection levels against true poses: the share that they hold, and whom they mislead.
+
+    Prints the spreads that fit the recorded poses, and Markdown tables. First, for each building,
+    the share of errors within the levels of 95, 99 and 99.9 %: with spreads fitted to the other
+    buildings, and as answers have them. Then Stanford's counts for each condition: the share that
+    is available at an alarm limit, answers that mislead, answers that mislead hazardously; once by
+    the level of 95 %, once by that of 99.9 %. Last, the share of answers with at least some mass,
+    and how many of these are wrong.
+    """
+    if given.picture is not None:
+        if not given.force:
+            refuse_existing(given.picture)
+        blank(1, 1)  # if it cannot be drawn, say so now
+    n, seed, few = given.n, given.seed, given.few
+    at_least_one(n=n, few=few)
+    sets = recorded_sets(given.sets, n, seed, given.range_max)
+    one = {name: group for group in given.same for name in group.split(",")}
+    jobs: list[tuple[Callable[..., Iterator[Any]], tuple[Any, ...]]] = []
+    for name, grid, scans in sets:
+        called = one.get(name, name)
+        foreign = [scan for home, _, s in sets if one.get(home, home) != called
+                   for scan in s.scans[: max(1, few // 4)]]  # fmt: skip
+        jobs.append((answers_at_home, (called, grid, scans, few, seed)))
+        jobs.append((answers_away, (called, grid, foreign, max(1, few // 2), seed)))
+    answered: list[Any] = []
+    pool = ProcessPoolExecutor(given.workers, mp_context=get_context("spawn"))
+    with progress("levels", len(jobs)) as advance, pool as workers:
+        for some in workers.map(listed, *zip(*jobs, strict=True)):
+            answered += some
+            advance()
+    home = [a for a in answered if a.condition == UNDISTURBED]
+    fit = fit_spreads(home)
+    print(to_json(asdict(fit)))
+    tables = held_table(home, fit), *(stanford_table(answered, at) for at in (0, 2))
+    print(*tables, risk_table(answered), sep="\n\n")
+    if given.picture is not None:
+        pixels = draw_stanford(answered)
+        write_bytes_atomic(given.picture, encode_png(pixels), force=given.force)
+    if given.write:
+        by = f"python -m tools.trust levels -n {n} --seed {seed}"
+        text, today = FILE.read_text("utf-8"), date.today().isoformat()
+        write_text_atomic(FILE, numbers_of_levels(fit, text, by, today), force=True)
     return 0
 
 

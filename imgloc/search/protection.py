@@ -1,0 +1,133 @@
+"""How far the true pose may be from the best one: a radius for each probability.
+
+The true pose is near one of the modes, each with its mass, or elsewhere. Near a mode, its distance
+is spread as Student's t, whose tail is longer than a Gaussian's: now and then a pose is worse than
+its covariance claims. Its scale is the standard deviation that the scan claims, together with an
+error that all readings of a map share: its walls are drawn where they were measured, not where
+they are. The three numbers of this spread come from recorded poses (`python -m tools.trust
+levels`), which have errors of their own, so that radii are rather too large.
+
+A level is what an aircraft calls a protection level: the radius whose chance of being left is no
+more than allowed. Where the mass elsewhere alone is more than that, no radius will do.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import stdtr
+
+from imgloc.geometry import wrap
+from imgloc.model import FloatArray, Protection
+from imgloc.numbers import number
+
+SHARES: tuple[float, ...] = (0.95, 0.99, 0.999)
+"""Probabilities for which an answer has a level."""
+_STEPS = np.geomspace(
+    1e-3, 1e3, 400
+)  # metres or radians: a level is the next of these, 3.5 % apart
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How the true pose is spread around a mode, along one line or within a plane."""
+
+    axes: int  #: 2 for a position, 1 for a heading
+    scale: float  #: factor on the standard deviation
+    shared: float  #: standard deviation of the error that all readings share, metres or radians
+    tail: float  #: degrees of freedom of Student's t
+
+    def units(self, deviation: FloatArray) -> FloatArray:
+        """The scale of the distance, metres or radians, of modes with a standard deviation."""
+        return self.scale * np.hypot(deviation, self.shared)
+
+    def beyond(self, distance: FloatArray) -> FloatArray:
+        """The chance that the truth is farther than a distance, in :meth:`units`.
+
+        Examples
+        --------
+        >>> Spread(2, 1, 0, 4.0).beyond(np.array([0.0, 2.0])).tolist()
+        [1.0, 0.25]
+        """
+        if self.axes == 1:
+            return np.asarray(2 * stdtr(self.tail, -distance))
+        return np.asarray((1 + np.square(distance) / self.tail) ** (-self.tail / 2))
+
+
+POSITION = Spread(2, *number("protection.position"))
+"""Of positions, metres."""
+HEADING = Spread(1, *number("protection.heading"))
+"""Of headings, radians."""
+
+
+def protection(
+    poses: FloatArray,
+    mass: FloatArray,
+    covariance: FloatArray,
+    elsewhere: float,
+    shares: Sequence[float] = SHARES,
+) -> tuple[Protection, ...]:
+    """Radius and heading around the best of some poses that hold the true pose.
+
+    Parameters
+    ----------
+    poses : (M, 3) float array
+        Modes, the best one first: metres, metres, radians.
+    mass : (M,) float array
+        Probability of each.
+    covariance : (L, 3, 3) float array
+        Of the first L of them; the others are taken for as uncertain as the worst of these.
+    elsewhere : float
+        Probability that the true pose is at none of them.
+    shares : sequence of float
+        Probabilities that the levels hold, each below 1.
+
+    Returns
+    -------
+    tuple of Protection
+        One for each share: infinite where `elsewhere` leaves less than that.
+
+    Examples
+    --------
+    >>> poses, covariance = np.array([[0, 0, 0.0], [8, 0, 0.0]]), np.diag([1e-4, 1e-4, 1e-6])[None]
+    >>> sure, unsure = (
+    ...     protection(poses, np.array([best, 0.999 - best]), covariance, 0.001, [0.9])[0]
+    ...     for best in (0.95, 0.85)
+    ... )
+    >>> sure.metres < 1, 8 < unsure.metres < 9
+    (True, True)
+    """
+    if len(poses) == 0:
+        return tuple(Protection(share, np.inf, np.inf) for share in shares)
+    variance = covariance[:, 2, 2], np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1]
+    turned, wide = (np.sqrt(np.maximum(v, 0)) for v in variance)
+    away = np.hypot(*(poses[:, :2] - poses[0, :2]).T)
+    metres = levels(away, wide, mass, elsewhere, shares, POSITION)
+    radians = levels(
+        np.abs(wrap(poses[:, 2] - poses[0, 2])), turned, mass, elsewhere, shares, HEADING
+    )
+    return tuple(
+        Protection(share, float(m), float(t))
+        for share, m, t in zip(shares, metres, radians, strict=True)
+    )
+
+
+def levels(
+    away: FloatArray,
+    deviation: FloatArray,
+    mass: FloatArray,
+    elsewhere: float,
+    shares: Sequence[float],
+    spread: Spread,
+) -> FloatArray:
+    """Distances (S,) from the first of M modes that hold the truth with some probabilities.
+
+    The modes are `away` (M,) from it, and have a `mass` (M,); the first L a `deviation` (L,).
+    """
+    unit = np.full(len(away), spread.units(deviation).max())
+    unit[: len(deviation)] = spread.units(deviation)
+    left = np.maximum(_STEPS[:, None] - away, 0) / unit
+    risk = elsewhere + spread.beyond(left) @ mass
+    allowed = 1 - np.asarray(shares)
+    at = np.argmax(risk[:, None] <= allowed, axis=0)
+    return np.where(risk[at] <= allowed, _STEPS[at], np.inf)
