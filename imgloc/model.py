@@ -225,6 +225,9 @@ class LaserScan:
         Seconds; NaN when unknown.
     T_base_laser : Pose2D, optional
         Pose of the sensor on the robot. With it, answers have the robot's pose, too.
+    time_increment : float
+        Seconds from a reading to the next, 0 or more. `stamp` is that of the first. 0 if all are of
+        one moment, or if this is not known.
 
     Examples
     --------
@@ -238,6 +241,7 @@ class LaserScan:
     range_max: float = float("inf")
     stamp: float = float("nan")
     T_base_laser: Pose2D | None = None
+    time_increment: float = 0.0
 
     def __post_init__(self) -> None:
         _freeze(self, np.float64, "ranges", "angles")
@@ -249,6 +253,8 @@ class LaserScan:
             raise ValueError(f"angles must be finite, angles[{i}] is {self.angles[i]}")
         if self.T_base_laser is not None:
             check_mount(self.T_base_laser, "T_base_laser")
+        if not 0 <= self.time_increment < math.inf:
+            raise ValueError(f"time_increment must be seconds, 0 or more: {self.time_increment}")
 
     def __repr__(self) -> str:
         seen, n = self.ranges[self.valid], len(self.ranges)
@@ -285,6 +291,47 @@ class LaserScan:
         with np.errstate(invalid="ignore"):
             beyond = np.isfinite(self.ranges) & (self.ranges >= min(self.range_max, FAR))
             return np.asarray(beyond | (self.ranges == np.inf), dtype=np.bool_)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first reading to the last."""
+        return self.time_increment * max(0, len(self.ranges) - 1)
+
+    def straightened(self, velocity: FloatArray) -> "LaserScan":
+        """The scan as a robot that stands where it was at the first reading records it.
+
+        Parameters
+        ----------
+        velocity : (3,) float array
+            Of the robot, in its own frame: m/s, m/s, rad/s. If it is not finite, the scan stays as
+            it is.
+
+        Examples
+        --------
+        >>> scan = LaserScan([2.0, 1.9, 1.8], [0.0, 0.0, 0.0], time_increment=0.1)
+        >>> scan.straightened(np.array([1.0, 0.0, 0.0])).ranges.round(6).tolist()
+        [2.0, 2.0, 2.0]
+        """
+        if not self.time_increment or not np.isfinite(velocity).all():
+            return self
+        t = self.time_increment * np.arange(len(self.ranges))
+        mount = self.T_base_laser or Pose2D(0.0, 0.0)
+        turn, half = velocity[2] * t, np.exp(0.5j * velocity[2] * t)
+        seen = self.valid
+        # Points of the robot's plane as complex numbers: a turn is a product.
+        at, ahead = complex(mount.x, mount.y), np.exp(1j * (mount.theta + self.angles))
+        ends = at + np.where(seen, self.ranges, 1.0) * ahead
+        moved = complex(velocity[0], velocity[1]) * t * half + np.exp(1j * turn) * ends
+        back = (moved - at) * np.exp(-1j * mount.theta)
+        ranges = np.where(seen, np.minimum(np.abs(back), self._longest), self.ranges)
+        # The angle nearest to what it was, so that a view does not break at a half turn.
+        off = np.where(seen, np.angle(back * np.exp(-1j * self.angles)), turn)
+        return replace(self, ranges=ranges, angles=self.angles + off, time_increment=0.0)
+
+    @property
+    def _longest(self) -> float:
+        """The longest range that is a distance, metres."""
+        return float(np.nextafter(min(self.range_max, FAR), 0))
 
     @property
     def flipped(self) -> "LaserScan":

@@ -391,6 +391,17 @@ class Options(Checked):
         "Seconds for the search of each scan. When they are over, the best answer so far is given "
         "and marked as not complete; it depends on the machine. [default: no limit]",
     )
+    max_speed: Annotated[float, Within(0, 1e3, "m/s")] = option(
+        0.0,
+        "Fastest the robot may have moved during a scan, m/s: the covariance allows for it, unless "
+        "odometry has straightened the scan.",
+    )
+    max_turn: Annotated[float, Within(0, 1e3, "rad/s")] = option(
+        0.0,
+        "Fastest the robot may have turned during a scan, degrees/s: the covariance allows for it, "
+        "unless odometry has straightened the scan.",
+        "--max-turn-deg",
+    )
     exact: bool = option(
         False,
         "Search by branch and bound: cbml finds its best poses without scoring all of them, "

@@ -13,6 +13,7 @@ import numpy as np
 from imgloc.errors import ConfigError, MapError, expect
 from imgloc.io.scanset import collect
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
+from imgloc.numbers import number
 
 _BASES = ("base_footprint", "base_link", "base")
 _SPACING = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max")
@@ -20,6 +21,7 @@ FREE, OCCUPIED = 19.6, 65.0
 """Occupancies of a cell, per cent, up to which it is free and from which it is a wall: the
 thresholds that ROS's map_saver writes beside a map."""
 _MOST = 100  # per cent
+_LONGEST = number("messages.longest")  # seconds of a sweep
 _UNEVEN = 1e-3  # of the step between two rays, by which one may be off
 Frames = dict[str, tuple[str, FloatArray]]
 """Of a frame: its parent, and the pose in it, 4 x 4."""
@@ -38,12 +40,23 @@ def field(message: Any, path: str) -> Any:
     return message
 
 
+def _optional(message: Any, path: str) -> Any:
+    """The field of a message, 0 where it has none."""
+    try:
+        return field(message, path)
+    except (KeyError, AttributeError):
+        return 0.0
+
+
 def entry_of(message: Any, received: float) -> dict[str, Any]:
     """A sensor_msgs/LaserScan as other files hold it; its stamp, or when it was received."""
     entry: dict[str, Any] = {key: float(field(message, key)) for key in _SPACING}
     if not entry["angle_increment"]:
         del entry["angle_increment"]
     ranges = np.asarray(field(message, "ranges"), dtype=np.float64)
+    pace = float(_optional(message, "time_increment"))
+    if 0 < pace * len(ranges) <= _LONGEST:  # some drivers write the time since the last scan
+        entry["time_increment"] = pace
     return entry | {
         "ranges": ranges,
         "stamp": seconds_of(field(message, "header.stamp")) or received,
@@ -151,7 +164,7 @@ def scan_to_msg(scan: LaserScan, frame_id: str = "laser") -> dict[str, Any]:
         "angle_min": float(angles[0]),
         "angle_max": float(angles[-1]),
         "angle_increment": step,
-        "time_increment": 0.0,
+        "time_increment": float(scan.time_increment),
         "scan_time": 0.0,
         "range_min": float(scan.range_min),
         "range_max": float(scan.range_max),

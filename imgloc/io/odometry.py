@@ -1,8 +1,16 @@
-"""Odometry beside scans: poses between those recorded."""
+"""Odometry beside scans: poses between those recorded, and how fast the robot is."""
+
+from collections import deque
 
 import numpy as np
 
+from imgloc.geometry import wrap
 from imgloc.model import FloatArray
+from imgloc.numbers import number
+
+# Seconds between two poses that tell a velocity: the odometry's steps are fine enough, and the
+# robot has not changed its mind.
+_LEAST, _MOST = number("odometry.velocity")
 
 _GAP = 1.0  # seconds that a scan may be from the nearest pose
 
@@ -33,3 +41,36 @@ def odometry_at(at: FloatArray, stamps: FloatArray, poses: FloatArray) -> FloatA
     heading = np.interp(at, times, np.unwrap(ordered[:, 2]))
     found = np.stack([*columns, np.arctan2(np.sin(heading), np.cos(heading))], axis=1)
     return np.where(near[:, None], found, np.nan)
+
+
+class Speedometer:
+    """The velocity of a robot from its odometry, pose after pose, and from no later one.
+
+    Examples
+    --------
+    >>> meter = Speedometer()
+    >>> [meter.at(0.5 * k, np.array([k, 0.0, 0.0])).tolist() for k in range(2)]
+    [[nan, nan, nan], [2.0, 0.0, 0.0]]
+    """
+
+    def __init__(self) -> None:
+        self._past = deque[tuple[float, FloatArray]]()
+
+    def at(self, stamp: float, pose: FloatArray) -> FloatArray:
+        """Velocity (3,) at a stamp, seconds, in the robot's frame: m/s, m/s, rad/s.
+
+        `pose` (3,) is that of the robot in the odometry's frame. The velocity is NaN at first, and
+        after a gap.
+        """
+        past, velocity = self._past, np.full(3, np.nan)
+        while len(past) > 1 and past[1][0] <= stamp - _LEAST:
+            past.popleft()
+        if past and _LEAST <= stamp - past[0][0] <= _MOST:
+            before, seconds = past[0][1], stamp - past[0][0]
+            turn = float(wrap(pose[2] - before[2]))
+            middle = before[2] + turn / 2
+            c, s = np.cos(middle), np.sin(middle)
+            step = np.array([[c, s], [-s, c]]) @ (pose[:2] - before[:2])
+            velocity = np.array([*step, turn]) / seconds
+        past.append((stamp, np.array(pose, dtype=np.float64)))
+        return velocity

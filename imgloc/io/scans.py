@@ -124,10 +124,11 @@ def read_npz(path: PathLike) -> ScanSet:
     """Read scans from an NPZ.
 
     Keys: ``ranges`` (N, B) or (B,); ``angles`` (B,) or (N, B), or else ``angle_min`` and
-    ``angle_increment``; optionally ``range_min`` (default 0) and ``range_max`` (default
-    infinite), one number or (N,); ``poses`` (N, 3), ``stamps`` (N,), ``odom`` (N, 3); ``mount``
-    (3,) or (N, 3), where the sensor sits on the robot, NaN where that is not known. Other keys
-    are not read. Arrays of objects are refused, as are more than MAX_READINGS.
+    ``angle_increment``; optionally ``range_min`` (default 0), ``range_max`` (default infinite) and
+    ``time_increment`` (seconds from a reading to the next, default 0), one number or (N,);
+    ``poses`` (N, 3), ``stamps`` (N,), ``odom`` (N, 3); ``mount`` (3,) or (N, 3), where the sensor
+    sits on the robot, NaN where that is not known. Other keys are not read. Arrays of objects are
+    refused, as are more than MAX_READINGS.
     """
     name = display(path)
     data = read_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file")
@@ -140,9 +141,11 @@ def write_npz(scans: ScanSet) -> bytes:
     if len(lengths) != 1:
         raise ConfigError(f"scans of {sorted(lengths)} readings cannot be one array in an NPZ")
     arrays: dict[str, Any] = {"ranges": np.stack([scan.ranges for scan in scans.scans])}
-    for key in ("angles", "range_min", "range_max"):
+    for key in ("angles", "range_min", "range_max", "time_increment"):
         values = np.stack([getattr(scan, key) for scan in scans.scans])
         arrays[key] = values[0] if (values == values[0]).all() else values
+    if not np.any(arrays["time_increment"]):
+        del arrays["time_increment"]
     own = np.array([scan.stamp for scan in scans.scans])
     stamps = own if scans.stamps is None else scans.stamps
     mounts = [scan.T_base_laser for scan in scans.scans]

@@ -10,6 +10,7 @@ import numpy as np
 
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.badlines import BadLines
+from imgloc.io.odometry import Speedometer
 from imgloc.model import FloatArray, LaserScan, Pose2D
 
 _LOG = logging.getLogger("imgloc")
@@ -19,8 +20,9 @@ MAX_SCANS, MAX_RAYS = 500_000, 100_000
 """Scans a file may hold, and readings a scan: 14 hours at 10 Hz, 278 readings a degree."""
 SPACING = ("angle_min", "angle_max", "angle_increment")
 _LIMITS = {"range_min": 0.0, "range_max": math.inf}
+_PACE = "time_increment"
 _BESIDE, _STEPS = ("poses", "stamps", "odom"), ("angle_min", "angle_increment")
-KEYS = ("ranges", "angles", *_LIMITS, *_STEPS, *_BESIDE, "mount")
+KEYS = ("ranges", "angles", *_LIMITS, *_STEPS, _PACE, *_BESIDE, "mount")
 # The greatest reading of a scan is a code if it is that often there: of all readings, readings, and
 # of how often others are. Of 39,000 scans and parts of scans without codes it was so of none.
 _OFTEN, _LEAST, _OTHERS = 0.05, 10, 10
@@ -123,6 +125,15 @@ class ScanSet:
             name, len(left), len(self), left[0], left[-1],
         )  # fmt: skip
         return self.take(indices), indices
+
+    @property
+    def velocities(self) -> FloatArray:
+        """(N, 3) of the robot in its own frame at each scan, m/s, m/s, rad/s; NaN if not known."""
+        meter = Speedometer()
+        if self.odom is None or self.stamps is None:
+            return np.full((len(self), 3), np.nan)
+        pairs = zip(self.stamps.tolist(), self.odom, strict=True)
+        return np.array([meter.at(*pair) for pair in pairs])
 
     def take(self, indices: Sequence[int]) -> "ScanSet":
         """The scans at some indices, in their order, with what was recorded beside them."""
@@ -241,7 +252,7 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
     spaced = entry.get("angles") is None
     given = {
         key: scalar(entry[key], f"{where}: {key}")
-        for key in (*(SPACING if spaced else ()), *_LIMITS, "stamp")
+        for key in (*(SPACING if spaced else ()), *_LIMITS, _PACE, "stamp")
         if entry.get(key) is not None
     }
     for key in SPACING:
@@ -257,12 +268,19 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
     low, high = (given.get(key, default) for key, default in _LIMITS.items())
     _check_limits(low, high, where)
     stamp, mount = given.get("stamp", math.nan), entry.get("mount")
+    _check_pace(pace := given.get(_PACE, 0.0), where)
     if mount is not None and not isinstance(mount, Pose2D):
         mount = Pose2D(*_pose(mount, where, "mount"))
     try:
-        return LaserScan(ranges, angles, low, high, stamp, mount)
+        return LaserScan(ranges, angles, low, high, stamp, mount, pace)
     except ConfigError as error:
         raise ScanError(f"{where}: {error}") from None
+
+
+def _check_pace(pace: float, name: str) -> None:
+    """Refuse a time between two readings that is none."""
+    if not 0 <= pace < math.inf:
+        raise wrong(f"{name}: {_PACE}", f"{pace:g}", "seconds, 0 or more")
 
 
 def scalar(value: Any, where: str) -> float:
@@ -326,13 +344,15 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
         raise wrong(f"{name}: angles", f"shape {angles.shape}", expected)
     _check_angles(angles, name)
     limits = []
-    for key, default in _LIMITS.items():
+    for key, default in (_LIMITS | {_PACE: 0.0}).items():
         value = arrays.get(key, np.array(default))
         if value.size != 1 and value.shape != (n,):
             raise wrong(f"{name}: {key}", f"shape {value.shape}", f"one number or {(n,)}")
         limits.append(np.broadcast_to(value.ravel(), (n,)).tolist())
-    for low, high in zip(*limits, strict=True):
+    paces = limits.pop()
+    for low, high, pace in zip(*limits, paces, strict=True):
         _check_limits(low, high, name)
+        _check_pace(pace, name)
     beside: dict[str, FloatArray] = {}
     for key in [key for key in _BESIDE if key in arrays]:
         value, shape = arrays[key], (n,) if key == "stamps" else (n, 3)
@@ -349,7 +369,7 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
     stamps = beside.get("stamps", np.full(n, np.nan)).tolist()
     mounts = _mounts(arrays.get("mount"), n, name)
     around = np.broadcast_to(angles, ranges.shape)
-    columns = zip(ranges, around, *limits, stamps, mounts, strict=True)
+    columns = zip(ranges, around, *limits, stamps, mounts, paces, strict=True)
     try:
         scans = [LaserScan(*column) for column in columns]
     except ConfigError as error:

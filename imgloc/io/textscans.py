@@ -30,7 +30,7 @@ _BLOCK = 1 << 20  # bytes
 MAX_LINE = 64 * MAX_RAYS
 """Characters of a line of text, which holds a scan."""
 _SETTING = re.compile(r"\b(\w+)\s*[=:]\s*([^\s,;]+)")
-_SETTINGS = (*SPACING, "range_min", "range_max")
+_SETTINGS = (*SPACING, "range_min", "range_max", "time_increment")
 _PLACES = {"pose": ("x", "y", "theta"), "odom": ("odom_x", "odom_y", "odom_theta")}
 _BESIDE = ("stamp", *_PLACES["pose"], *_PLACES["odom"])
 _POSES = ("pose", "odom", "mount")
@@ -119,10 +119,10 @@ def read_jsonl(path: PathLike, *, max_bad: float = MAX_BAD) -> ScanSet:
     """Read scans from JSON lines, one object per line with the names of sensor_msgs/LaserScan.
 
     Needed are ``ranges`` and either ``angles`` or ``angle_min`` with ``angle_increment``
-    (else ``angle_max``). Optional: ``range_min``, ``range_max``, ``stamp`` (seconds, or
-    ``header.stamp`` with ``sec`` and ``nanosec``), ``pose``, ``odom`` and ``mount`` (where the
-    sensor sits on the robot) as [x, y, theta] or an object of these names. In ranges, null is
-    NaN, and "inf", "-inf", "nan" may be strings.
+    (else ``angle_max``). Optional: ``range_min``, ``range_max``, ``time_increment``, ``stamp``
+    (seconds, or ``header.stamp`` with ``sec`` and ``nanosec``), ``pose``, ``odom`` and ``mount``
+    (where the sensor sits on the robot) as [x, y, theta] or an object of these names. In ranges,
+    null is NaN, and "inf", "-inf", "nan" may be strings.
     A ``.json`` file may also be one such object, or an array of them. Broken lines are left out,
     up to the share `max_bad`, as is a last one that was cut off.
     """

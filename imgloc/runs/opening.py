@@ -279,6 +279,10 @@ class Desk:
             replace(part, scans=tuple(map(files.mounted, part.scans)))
             for part in (recorded.take(indices), tried_of(recorded))
         )
+        if any(scan.time_increment for scan in some.scans):
+            speeds = recorded.velocities[indices]
+            straight = tuple(map(LaserScan.straightened, some.scans, speeds))
+            some = replace(some, scans=straight)
         return Taken(name, some, indices, len(recorded), tried)
 
 

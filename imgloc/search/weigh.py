@@ -21,6 +21,7 @@ from imgloc.search.rescore import Scores, score_poses
 _MAXIMA, _MAXIMA_ON_FACES = number("pipeline.maxima"), number("faces.maxima")
 # On faces: factor on the jackknife's variance, and the deviation of a wall's place, in cells.
 _SHARED, _CELL = number("faces.shared"), number("faces.cell")
+_BENDS = number("weigh.bends")  # of what a turn displaces readings, share that displaces the pose
 _FROM_CELLS = number("refine.from_cells")
 
 
@@ -79,9 +80,27 @@ def weigh(
         if found.spread is not None:
             covariance = covariance + _MAXIMA * found.spread[:listed]
     if scan is not None:
+        lever = float(np.sqrt(np.mean(np.square(found.readings.ranges))))
+        covariance = covariance + swept(scan.duration, lever, options)
         explained = explained_rays(features, scan, poses[:1], options, shared)
     lead, whole = float(share[0]), found.complete
     return Weighed(poses, score, share, covariance, fit, explained, lead, complete=whole)
+
+
+def swept(duration: float, lever: float, options: Options) -> FloatArray:
+    """Covariance (3, 3) of a pose because the robot moved during a scan, `duration` seconds.
+
+    The pose is that of the first reading; the middle of the scan is half of the way farther on.
+    A turn also bends what is seen, the more the longer the readings are: `lever`, metres.
+
+    Examples
+    --------
+    >>> swept(0.1, 0.0, Options(max_speed=1.0, max_turn=2.0)).diagonal().round(6).tolist()
+    [0.0025, 0.0025, 0.01]
+    """
+    way, turn = duration / 2 * options.max_speed, duration / 2 * options.max_turn
+    across = way**2 + (_BENDS * lever * turn) ** 2
+    return np.diag([across, across, turn**2])
 
 
 def stand_on_faces(

@@ -93,6 +93,25 @@ def scaled_ranges(scan: LaserScan, _: Rng, factor: float) -> LaserScan:
     return with_ranges(scan, factor * scan.ranges)
 
 
+def moving(scan: LaserScan, _: Rng, velocity: tuple[float, float, float]) -> LaserScan:
+    """A sweep of 0.1 s by a robot that moves: m/s, m/s, rad/s. Its rays keep their directions."""
+    times = np.linspace(0, 0.1, len(scan.ranges))
+    ends = np.where(scan.valid, scan.ranges, 1.0) * np.exp(1j * scan.angles)
+    forth = np.argsort(scan.angles, kind="stable")
+    at, seen = times, ends
+    for _ in range(4):  # a ray sees what is in its direction when its turn comes
+        turn = velocity[2] * at
+        way = complex(velocity[0], velocity[1]) * at * np.exp(0.5j * turn)
+        seen = (ends - way) * np.exp(-1j * turn)
+        where = scan.angles + np.angle(seen * np.exp(-1j * scan.angles))
+        at = np.interp(where, scan.angles[forth], times[forth])
+    order = np.argsort(where, kind="stable")
+    near = np.clip(np.searchsorted(where[order], scan.angles), 1, len(order) - 1)
+    near -= np.abs(where[order][near - 1] - scan.angles) < np.abs(where[order][near] - scan.angles)
+    ranges = np.where(scan.valid, np.abs(seen), scan.ranges)[order][near]
+    return replace(scan, ranges=ranges, time_increment=float(times[1] - times[0]))
+
+
 SCANS: Mapping[str, ScanChange] = MappingProxyType(
     {
         "undisturbed": lambda scan, _: scan,
@@ -106,6 +125,7 @@ SCANS: Mapping[str, ScanChange] = MappingProxyType(
         "18 beams": partial(few, n=18),
         "reach of 5 m": partial(reach, metres=5.0),
         "view of 90 deg": partial(view, degrees=90.0),
+        "1 m/s and 120 deg/s": partial(moving, velocity=(1.0, 0.0, 2.1)),
         "ranges x 0.95": partial(scaled_ranges, factor=0.95),
         "ranges x 1.05": partial(scaled_ranges, factor=1.05),
     }
