@@ -25,11 +25,12 @@ LEFT = {
     ),
     "what a type of numbers holds": (
         "_FULL _OFF_EVERY_MAP _REACH VMAP_LEVELS OFF_CELLS _NOTHING MAX_POWER MAX_OFFSET EPSILON"
-        " ALLOWED_ERROR"
+        " ALLOWED_ERROR _STEPS _MINUTE _erfc"
     ),
     "a unit, a pattern, nothing at all": (
         "_CM _QUARTERS _FACTORS NOWHERE NO_PLACES METHODS WAYS UNITS"
     ),
+    "a promise": "SHARES",
     "bounds of files, pictures, clocks": (
         "_SIDE _WORK _ALL _YOUNG _LIMIT _BESIDE _BUFFERS _LATEST _FASTEST _FARTHEST"
     ),

@@ -1,21 +1,22 @@
 """How far the true pose may be from the best one: a radius for each probability.
 
-The true pose is near one of the modes, each with its mass, or elsewhere. Near a mode, its distance
+The true pose is near one of the modes, each with its mass, or elsewhere. Near a mode, its position
 is spread as Student's t, whose tail is longer than a Gaussian's: now and then a pose is worse than
-its covariance claims. Its scale is the standard deviation that the scan claims, together with an
-error that all readings of a map share: its walls are drawn where they were measured, not where
-they are. The three numbers of this spread come from recorded poses (`python -m tools.trust
-levels`), which have errors of their own, so that radii are rather too large.
+its covariance claims. Its heading is spread as a Gaussian. The scale is the standard deviation that
+the scan claims, together with an error that all readings of a map share: its walls are drawn where
+they were measured, not where they are. The numbers of these spreads come from recorded poses
+(`python -m tools.trust levels`), which have errors of their own, so that radii are rather too
+large.
 
 A level is what an aircraft calls a protection level: the radius whose chance of being left is no
 more than allowed. Where the mass elsewhere alone is more than that, no radius will do.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtr
 
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray, Protection
@@ -23,19 +24,19 @@ from imgloc.numbers import number
 
 SHARES: tuple[float, ...] = (0.95, 0.99, 0.999)
 """Probabilities for which an answer has a level."""
-_STEPS = np.geomspace(
-    1e-3, 1e3, 400
-)  # metres or radians: a level is the next of these, 3.5 % apart
+_STEPS = np.geomspace(1e-3, 1e3, 400)  # metres, radians: a level is the next of these, 3.5 % apart
+_MINUTE = 1e-6  # mass of a mode that counts as elsewhere: a thousandth of what a level allows
+_erfc = np.frompyfunc(math.erfc, 1, 1)
 
 
 @dataclass(frozen=True)
 class Spread:
-    """How the true pose is spread around a mode, along one line or within a plane."""
+    """How the true pose is spread around a mode."""
 
-    axes: int  #: 2 for a position, 1 for a heading
     scale: float  #: factor on the standard deviation
     shared: float  #: standard deviation of the error that all readings share, metres or radians
-    tail: float  #: degrees of freedom of Student's t
+    #: degrees of freedom of Student's t in the plane; None for a Gaussian along a line
+    tail: float | None = None
 
     def units(self, deviation: FloatArray) -> FloatArray:
         """The scale of the distance, metres or radians, of modes with a standard deviation."""
@@ -46,17 +47,19 @@ class Spread:
 
         Examples
         --------
-        >>> Spread(2, 1, 0, 4.0).beyond(np.array([0.0, 2.0])).tolist()
+        >>> Spread(1, 0, 4.0).beyond(np.array([0.0, 2.0])).tolist()
         [1.0, 0.25]
+        >>> Spread(1, 0, None).beyond(np.array([0.0, 1.96])).round(3).tolist()
+        [1.0, 0.05]
         """
-        if self.axes == 1:
-            return np.asarray(2 * stdtr(self.tail, -distance))
+        if self.tail is None:
+            return np.asarray(_erfc(distance * math.sqrt(0.5)), dtype=np.float64)
         return np.asarray((1 + np.square(distance) / self.tail) ** (-self.tail / 2))
 
 
-POSITION = Spread(2, *number("protection.position"))
+POSITION = Spread(*number("protection.position"))
 """Of positions, metres."""
-HEADING = Spread(1, *number("protection.heading"))
+HEADING = Spread(*number("protection.heading"))
 """Of headings, radians."""
 
 
@@ -126,8 +129,9 @@ def levels(
     """
     unit = np.full(len(away), spread.units(deviation).max())
     unit[: len(deviation)] = spread.units(deviation)
-    left = np.maximum(_STEPS[:, None] - away, 0) / unit
-    risk = elsewhere + spread.beyond(left) @ mass
+    big = mass > _MINUTE
+    left = np.maximum(_STEPS[:, None] - away[big], 0) / unit[big]
+    risk = elsewhere + mass[~big].sum() + spread.beyond(left) @ mass[big]
     allowed = 1 - np.asarray(shares)
     at = np.argmax(risk[:, None] <= allowed, axis=0)
     return np.where(risk[at] <= allowed, _STEPS[at], np.inf)

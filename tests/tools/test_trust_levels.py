@@ -12,7 +12,7 @@ from tools.trust.levels import (
     stanford_table,
 )
 
-TRUE = Spread(2, 0.8, 0.02, 5.0)
+TRUE = Spread(0.8, 0.02, 5.0)
 
 
 def answered(error, level, condition="undisturbed", building="A", mass=0.99, deviation=0.03):

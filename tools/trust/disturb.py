@@ -99,7 +99,7 @@ def moving(scan: LaserScan, _: Rng, velocity: tuple[float, float, float]) -> Las
     ends = np.where(scan.valid, scan.ranges, 1.0) * np.exp(1j * scan.angles)
     forth = np.argsort(scan.angles, kind="stable")
     at, seen = times, ends
-    for _ in range(4):  # a ray sees what is in its direction when its turn comes
+    for _round in range(4):  # a ray sees what is in its direction when its turn comes
         turn = velocity[2] * at
         way = complex(velocity[0], velocity[1]) * at * np.exp(0.5j * turn)
         seen = (ends - way) * np.exp(-1j * turn)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize
-from scipy.stats import t as student
+from scipy.stats import norm
 
 from imgloc import (
     LaserScan,
@@ -88,8 +88,8 @@ class SpreadFit:
 def radius(spread: Spread, deviation: FloatArray) -> FloatArray:
     """The distances (S,) that hold :data:`SHARES` of a spread."""
     share, nu = np.array(SHARES), spread.tail
-    far = student.isf((1 - share) / 2, nu)
-    if spread.axes == 2:
+    far = norm.isf((1 - share) / 2)
+    if nu is not None:
         far = np.sqrt(nu * ((1 - share) ** (-2 / nu) - 1))
     return np.asarray(far * spread.units(deviation))
 
@@ -156,7 +156,7 @@ def answers_away(
 def fit_spreads(answers: Sequence[Answered]) -> SpreadFit:
     """Fit the spreads to the answers that are ``unique`` and right; buildings count alike.
 
-    Student's t is fitted by likelihood. Its scale is then the one whose 95 % hold 95 % of the
+    They are fitted by likelihood. The scale is then the one whose 95 % hold 95 % of the
     answers, with one more that no level holds (a conformal factor), so that it does not lean on
     the form of the spread.
     """
@@ -173,19 +173,19 @@ def fit_spreads(answers: Sequence[Answered]) -> SpreadFit:
 
 def _fit(error: FloatArray, deviation: FloatArray, weight: FloatArray, begin: Spread) -> Spread:
     def made(p: FloatArray) -> Spread:
-        scale, shared, tail = np.exp(p)
-        return replace(begin, scale=float(scale), shared=float(shared), tail=float(tail))
+        scale, shared, *tail = np.exp(p).tolist()
+        return Spread(scale, shared, *(tail or (None,)))
 
     def loss(p: FloatArray) -> float:
         now = made(p)
         unit = now.units(deviation)
-        if now.axes == 1:
-            return float(-weight @ (student.logpdf(error / unit, now.tail) - np.log(unit)))
+        if now.tail is None:
+            return float(-weight @ (norm.logpdf(error / unit) - np.log(unit)))
         far = np.square(error / unit)
         log = np.log(np.maximum(error, 1e-9) / unit**2)
         return float(-weight @ (log - (now.tail / 2 + 1) * np.log1p(far / now.tail)))
 
-    start = np.log([begin.scale, begin.shared, begin.tail])
+    start = np.log([value for value in vars(begin).values() if value is not None])
     spread = made(minimize(loss, start, method="Nelder-Mead").x)
     far = error / np.array([radius(spread, np.asarray(sd))[0] for sd in deviation])
     order = np.argsort(far)
@@ -266,11 +266,11 @@ def numbers_of_levels(fit: SpreadFit, text: str, by: str, date: str) -> str:
     count = sum(fit.buildings.values())
     on = f"{count} unique and right answers of {len(fit.buildings)} buildings"
     metres, turned = fit.position, fit.heading
-    now = {
+    now: dict[str, list[float | None]] = {
         "protection.position": [metres.scale, metres.shared, metres.tail],
-        "protection.heading": [turned.scale, float(np.rad2deg(turned.shared)), turned.tail],
+        "protection.heading": [turned.scale, float(np.rad2deg(turned.shared))],
     }
-    rounded = {name: [float(f"{v:.3g}") for v in values] for name, values in now.items()}
+    rounded = {name: [float(f"{v or 0:.3g}") for v in values] for name, values in now.items()}
     return write(text, rounded, "protection", Origin(by, on, date))
 
 

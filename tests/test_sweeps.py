@@ -1,0 +1,173 @@
+"""A sweep takes time: it is straightened by odometry, or the covariance allows for the speed."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from command import MAPS, call
+
+import imgloc
+from imgloc import ConfigError, LaserScan, Pose2D, ScanError, ScanSet, Tracking
+from imgloc.filters.follow import follow
+from imgloc.io.odometry import Speedometer
+from imgloc.io.scans import load_scans, save_scans
+from imgloc.runs.opening import Desk, ScanFiles
+
+PACE, RAYS = 0.1 / 180, 181
+ANGLES = np.linspace(-np.pi / 2, np.pi / 2, RAYS)
+
+
+def room(x: float, y: float, theta: float, angles: np.ndarray) -> np.ndarray:
+    """Ranges in a room of 8 m x 6 m whose corner is the origin."""
+    ux, uy = np.cos(theta + angles), np.sin(theta + angles)
+    with np.errstate(divide="ignore"):
+        return np.minimum(np.where(ux > 0, 8 - x, -x) / ux, np.where(uy > 0, 6 - y, -y) / uy)
+
+
+def sweep(velocity: tuple[float, float, float], mount: Pose2D | None = None) -> LaserScan:
+    """A sweep by a robot that begins at (3, 2, 0.3): its rays are cast one by one, as it moves."""
+    vx, vy, turn = velocity
+    at = mount or Pose2D(0.0, 0.0)
+    ranges = []
+    for k, angle in enumerate(ANGLES):
+        t = k * PACE
+        half, heading = 0.3 + turn * t / 2, 0.3 + turn * t
+        x = 3 + t * (vx * np.cos(half) - vy * np.sin(half))
+        y = 2 + t * (vx * np.sin(half) + vy * np.cos(half))
+        x += np.cos(heading) * at.x - np.sin(heading) * at.y
+        y += np.sin(heading) * at.x + np.cos(heading) * at.y
+        ranges.append(room(x, y, heading + at.theta, np.array([angle]))[0])
+    return LaserScan(ranges, ANGLES, T_base_laser=mount, time_increment=PACE)
+
+
+@pytest.mark.parametrize("mount", [None, Pose2D(0.3, -0.1, 0.5)])
+@pytest.mark.parametrize("velocity", [(1, 0, 0), (0, 0, 2), (0.7, 0.2, -1.5)])
+def test_a_straightened_sweep_ends_on_the_walls_of_where_it_began(velocity, mount) -> None:
+    seen = sweep(velocity, mount)
+    at = mount or Pose2D(0.0, 0.0)
+    x = 3 + np.cos(0.3) * at.x - np.sin(0.3) * at.y
+    y = 2 + np.sin(0.3) * at.x + np.cos(0.3) * at.y
+    straight = seen.straightened(np.array(velocity, dtype=float))
+    expected = room(x, y, 0.3 + at.theta, straight.angles)
+    assert np.abs(straight.ranges - expected).max() < 2e-3
+    assert np.abs(seen.ranges - room(x, y, 0.3 + at.theta, ANGLES)).max() > 0.05
+    assert straight.time_increment == 0
+    assert straight.straightened(np.array([9.0, 9.0, 9.0])) is straight  # once is enough
+
+
+def test_what_is_no_distance_stays_none_and_only_turns() -> None:
+    scan = LaserScan([np.inf, np.nan, 9.0, 2.0], np.zeros(4), range_max=9.0, time_increment=0.1)
+    straight = scan.straightened(np.array([1.0, 0.0, 0.5]))
+    assert straight.no_return.tolist() == [True, False, True, False]
+    assert straight.valid.tolist() == [False, False, False, True]
+    assert straight.angles[:3] == pytest.approx([0.0, 0.05, 0.1])
+    same = scan.straightened(np.array([np.nan, 0.0, 0.0]))
+    assert same is scan
+
+
+def test_a_velocity_is_that_of_the_way_driven_in_the_robots_frame() -> None:
+    meter, turn, radius = Speedometer(), 0.5, 2.0
+    found = []
+    for k in range(8):
+        theta = turn * 0.1 * k
+        pose = np.array([radius * np.sin(theta), radius * (1 - np.cos(theta)), theta])
+        found.append(meter.at(0.1 * k, pose))
+    assert np.isnan(found[0]).all()
+    assert found[-1] == pytest.approx([radius * turn, 0.0, turn], abs=1e-3)
+    assert np.isnan(meter.at(9.0, np.zeros(3))).all()  # after a gap
+
+
+def test_poses_that_are_too_near_in_time_tell_no_velocity_of_their_own() -> None:
+    meter = Speedometer()
+    meter.at(0.0, np.zeros(3))
+    meter.at(0.1, np.array([0.1, 0, 0]))
+    assert meter.at(0.105, np.array([0.106, 0, 0])) == pytest.approx([0.106 / 0.105, 0, 0])
+
+
+def test_the_time_of_a_sweep_is_kept_by_files_and_messages(tmp_path) -> None:
+    scan = sweep((1, 0, 0))
+    save_scans(tmp_path / "a.npz", ScanSet((scan,)))
+    fields = imgloc.scan_to_msg(scan)
+    line = {"ranges": scan.ranges.tolist(), "angles": ANGLES.tolist(), "time_increment": PACE}
+    (tmp_path / "a.jsonl").write_text(json.dumps(line))
+    (tmp_path / "a.csv").write_text(
+        f"# angle_min=-1.57 angle_max=1.57 time_increment={PACE}\n"
+        + ",".join(map(str, scan.ranges))
+    )
+    for read in (
+        *(load_scans(tmp_path / f"a.{kind}")[0] for kind in ("npz", "jsonl", "csv")),
+        imgloc.scan_from_msg(fields),
+    ):
+        assert read.time_increment == pytest.approx(PACE)
+        assert read.duration == pytest.approx(0.1)
+    fields["time_increment"] = 0.1  # of a driver that writes the time between two scans
+    assert imgloc.scan_from_msg(fields).time_increment == 0
+
+
+def test_a_time_between_readings_that_is_none_is_refused(tmp_path) -> None:
+    (tmp_path / "a.json").write_text('{"ranges": [1, 2], "angles": [0, 1], "time_increment": -1}')
+    with pytest.raises(ScanError, match="time_increment: got -1, expected seconds, 0 or more"):
+        load_scans(tmp_path / "a.json")
+
+
+def log(n: int = 6) -> ScanSet:
+    """Sweeps of a robot that drives at 1 m/s, a tenth of a second each."""
+    scan = sweep((1, 0, 0))
+    odom = np.array([[0.2 * k, 0, 0] for k in range(n)])
+    stamps = 0.2 * np.arange(n)
+    scans = tuple(replace(scan, stamp=float(t)) for t in stamps)
+    return ScanSet(scans, stamps=stamps, odom=odom)
+
+
+def test_commands_straighten_the_scans_that_they_choose(tmp_path) -> None:
+    save_scans(tmp_path / "log.npz", log())
+    taken = Desk().scans(tmp_path / "log.npz", ScanFiles())
+    first, second = taken.scans.scans[:2]
+    assert first.time_increment > 0  # nothing before it tells how fast the robot was
+    assert second.time_increment == 0
+    expected = log().scans[1].straightened(np.array([1.0, 0.0, 0.0]))
+    assert second.ranges == pytest.approx(expected.ranges)
+
+
+def test_a_log_and_a_stream_of_it_are_followed_alike() -> None:
+    features = imgloc.prepare(imgloc.load_map(MAPS / "curved.yaml"))
+    scans = log()
+    pairs = list(zip(scans.scans, scans.odom, strict=True))
+    options = imgloc.Options()
+    told = [
+        [moment.belief for moment in follow(features, given, Tracking().made(features, options))]
+        for given in (scans, iter(pairs))
+    ]
+    for a, b in zip(*told, strict=True):
+        assert np.array_equal(a.poses, b.poses)
+        assert np.array_equal(a.mass, b.mass)
+
+
+def test_the_covariance_allows_for_the_speed_that_is_given() -> None:
+    features = imgloc.prepare(imgloc.load_map(MAPS / "curved.yaml"))
+    scan = replace(imgloc.simulate(features.grid, 1, seed=1)[0], time_increment=PACE)
+    plain, wide = (
+        imgloc.localize(features, scan, imgloc.Options(**how)).hypotheses[0].covariance
+        for how in ({}, {"max_speed": 2.0, "max_turn": 1.0})
+    )
+    assert np.sqrt(wide[2, 2]) >= 0.05
+    assert np.sqrt(wide[0, 0]) >= 0.1
+    still = imgloc.localize(
+        features, replace(scan, time_increment=0), imgloc.Options(max_speed=2.0, max_turn=1.0)
+    )
+    assert np.array_equal(still.hypotheses[0].covariance, plain)
+    with pytest.raises(ConfigError, match="max_speed: got -1"):
+        imgloc.Options(max_speed=-1)
+
+
+def test_the_command_takes_the_speed(tmp_path) -> None:
+    scan = sweep((0, 0, 0))
+    save_scans(tmp_path / "a.npz", ScanSet((scan,)))
+    rows = []
+    for how in ((), ("--max-speed", "1", "--max-turn-deg", "90")):
+        out = call("localize", MAPS / "curved.yaml", tmp_path / "a.npz", "--json", *how)
+        rows.append(json.loads(out.out))
+    before, after = (row["hypotheses"][0]["covariance"][2][2] for row in rows)
+    assert after - before == pytest.approx((0.05 * np.pi / 2) ** 2, rel=1e-3)
+    assert rows[1]["parameters"]["max_turn"] == pytest.approx(np.pi / 2)
