@@ -189,15 +189,15 @@ def _within(answer: Localization) -> str:
     >>> from imgloc import Protection
     >>> levels = Protection(0.95, 0.1, 0.02), Protection(0.999, math.inf, math.inf)
     >>> _within(Localization((), "unique", 0.0, 0.9, protection=levels))
-    '0.10 m and 1.1 deg of the truth in 95 % of such answers'
+    '0.10 m, 1.1 deg of the truth in 95 % of such answers'
     """
     finite = [level for level in answer.protection if math.isfinite(level.metres)]
     words = [
-        f"{level.metres:.2f} m and {math.degrees(min(level.radians, math.pi)):.1f} deg "
+        f"{level.metres:.2f} m, {math.degrees(min(level.radians, math.pi)):.1f} deg "
         f"{'of the truth ' * (not k)}in {100 * level.share:g} %{' of such answers' * (not k)}"
         for k, level in enumerate(finite)
     ]
-    return ", ".join(words)
+    return "; ".join(words)
 
 
 def _unlisted(answer: Localization) -> float:

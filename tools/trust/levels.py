@@ -282,9 +282,9 @@ def draw_stanford(answers: Sequence[Answered], at: int = 0) -> npt.NDArray[np.ui
     they are drawn at its right edge.
     """
     names = list(dict.fromkeys(a.condition for a in answers))
-    columns, span = 5, (1e-2, 1e2)
+    columns, span = 6, (1e-2, 1e2)
     lines = -(-len(names) // columns)
-    figure, pixels = blank(3 * columns, 3 * lines, dpi=80, layout="constrained")
+    figure, pixels = blank(2.4 * columns, 2.4 * lines, dpi=75, layout="constrained")
     panels = figure.subplots(lines, columns, sharex=True, sharey=True, squeeze=False)
     for axes, name in zip(panels.flat, names, strict=False):
         some = [a for a in answers if a.condition == name and len(a.level)]
@@ -294,10 +294,10 @@ def draw_stanford(answers: Sequence[Answered], at: int = 0) -> npt.NDArray[np.ui
         axes.loglog(span, span, color="#282f38", linewidth=1)
         axes.vlines(LIMITS, *span, "#999999", linewidth=0.5)
         axes.hlines(LIMITS, *span, "#999999", linewidth=0.5)
-        axes.scatter(error[~bad], level[~bad], 6, "#0072b2", linewidths=0)
-        axes.scatter(error[bad], level[bad], 14, "#d55e00", marker="x", linewidths=1)
+        axes.scatter(error[~bad], level[~bad], 6, "#0072b2", linewidths=0, clip_on=False)
+        axes.scatter(error[bad], level[bad], 14, "#d55e00", marker="x", linewidths=1, clip_on=False)
         axes.set(xlim=span, ylim=span, title=f"{name}: {len(some)}")
-        axes.title.set_fontsize(9)
+        axes.title.set_fontsize(8)
     for axes in panels.flat[len(names) :]:
         axes.set_visible(False)
     figure.supxlabel("error of the position / m")
