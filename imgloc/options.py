@@ -782,8 +782,9 @@ class Drawn(Checked):
 
     Examples
     --------
-    >>> Drawn(thinner=0.1).on(Shared(scale=1.02), 0.05)
-    Shared(scale=1.02, thinner=2, bent=0.0)
+    >>> shared = Drawn(thinner=0.1).on(Shared(scale=1.02), 0.05)
+    >>> shared.scale, shared.thinner, shared.bent
+    (1.02, 2, 0.0)
     """
 
     thinner: Annotated[float, Within(0, 1, "metres")] | None = option(

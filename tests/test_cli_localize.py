@@ -22,6 +22,7 @@ KEYS = [
     "base_pose",
     "hypotheses",
     "elsewhere",
+    "protection",
     "evidence",
     "complete",
     "entropy",

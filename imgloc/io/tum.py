@@ -38,9 +38,9 @@ def load_tum(path: PathLike) -> tuple[FloatArray, FloatArray]:
     >>> from tempfile import TemporaryDirectory
     >>> with TemporaryDirectory() as folder:
     ...     file = Path(folder, "a.tum")
-    ...     _ = file.write_text("# stamp x y z q\n1.5 2 3 0 0 0 0.7071 0.7071\n")
+    ...     _ = file.write_text("# stamp x y z q\n1.5 2 3 0 0 0 0.6 0.8\n")
     ...     load_tum(file)
-    (array([1.5]), array([[2.        , 3.        , 1.57079633]]))
+    (array([1.5]), array([[2.        , 3.        , 1.28700222]]))
     """
     rows = list[tuple[float, float, float, float]]()
     for number, line in enumerate(read_text(path).splitlines(), start=1):

@@ -189,12 +189,12 @@ def _within(answer: Localization) -> str:
     >>> from imgloc import Protection
     >>> levels = Protection(0.95, 0.1, 0.02), Protection(0.999, math.inf, math.inf)
     >>> _within(Localization((), "unique", 0.0, 0.9, protection=levels))
-    '0.10 m, 1.1 deg of the truth in 95 % of such answers'
+    '0.10 m, 1.1 deg in 95 % of such answers'
     """
     finite = [level for level in answer.protection if math.isfinite(level.metres)]
     words = [
         f"{level.metres:.2f} m, {math.degrees(min(level.radians, math.pi)):.1f} deg "
-        f"{'of the truth ' * (not k)}in {100 * level.share:g} %{' of such answers' * (not k)}"
+        f"in {100 * level.share:g} %{' of such answers' * (not k)}"
         for k, level in enumerate(finite)
     ]
     return "; ".join(words)
@@ -309,6 +309,7 @@ def batch_text(summary: "BatchSummary", folder: str) -> str:
     3 items: 2 ok, 1 timeout
     10 scans: 9 unique, 1 ambiguous
     of 10 scans with a known pose 9 are right (90.0 %), 0 unique and wrong
+    1 more items failed: out/results.jsonl has the message of each
     0 new rows in 0.0 s: out/results.jsonl
     """
     lines = [f"{summary.items:,} items: {_counted(summary.statuses)}"]
