@@ -226,8 +226,8 @@ class LaserScan:
     T_base_laser : Pose2D, optional
         Pose of the sensor on the robot. With it, answers have the robot's pose, too.
     time_increment : float
-        Seconds from a reading to the next, 0 or more. `stamp` is that of the first. 0 if all are of
-        one moment, or if this is not known.
+        Seconds from a reading to the next; `stamp` is that of the first in `ranges`. 0 if all are
+        of one moment, or if this is not known.
 
     Examples
     --------
@@ -253,8 +253,8 @@ class LaserScan:
             raise ValueError(f"angles must be finite, angles[{i}] is {self.angles[i]}")
         if self.T_base_laser is not None:
             check_mount(self.T_base_laser, "T_base_laser")
-        if not 0 <= self.time_increment < math.inf:
-            raise ValueError(f"time_increment must be seconds, 0 or more: {self.time_increment}")
+        if not math.isfinite(self.time_increment):
+            raise ValueError(f"time_increment must be finite seconds: {self.time_increment}")
 
     def __repr__(self) -> str:
         seen, n = self.ranges[self.valid], len(self.ranges)
@@ -295,9 +295,9 @@ class LaserScan:
     @property
     def duration(self) -> float:
         """Seconds from the first reading to the last."""
-        return self.time_increment * max(0, len(self.ranges) - 1)
+        return abs(self.time_increment) * max(0, len(self.ranges) - 1)
 
-    def straightened(self, velocity: FloatArray) -> "LaserScan":
+    def straightened(self, velocity: FloatArray, *, backward: bool = False) -> "LaserScan":
         """The scan as a robot that stands where it was at the first reading records it.
 
         Parameters
@@ -305,6 +305,9 @@ class LaserScan:
         velocity : (3,) float array
             Of the robot, in its own frame: m/s, m/s, rad/s. If it is not finite, the scan stays as
             it is.
+        backward : bool
+            The first reading is the newest one: drivers of lidars that turn clockwise reverse the
+            readings, and keep a positive `time_increment`.
 
         Examples
         --------
@@ -314,7 +317,8 @@ class LaserScan:
         """
         if not self.time_increment or not np.isfinite(velocity).all():
             return self
-        t = self.time_increment * np.arange(len(self.ranges))
+        pace = -self.time_increment if backward else self.time_increment
+        t = pace * np.arange(len(self.ranges))
         mount = self.T_base_laser or Pose2D(0.0, 0.0)
         turn, half = velocity[2] * t, np.exp(0.5j * velocity[2] * t)
         seen = self.valid

@@ -394,12 +394,12 @@ class Options(Checked):
     max_speed: Annotated[float, Within(0, 1e3, "m/s")] = option(
         0.0,
         "Fastest the robot may have moved during a scan, m/s: the covariance allows for it, unless "
-        "odometry has straightened the scan.",
+        "the scan has been straightened.",
     )
     max_turn: Annotated[float, Within(0, 1e3, "rad/s")] = option(
         0.0,
         "Fastest the robot may have turned during a scan, degrees/s: the covariance allows for it, "
-        "unless odometry has straightened the scan.",
+        "unless the scan has been straightened.",
         "--max-turn-deg",
     )
     exact: bool = option(
@@ -709,6 +709,9 @@ class Known(Checked):
     )
 
 
+Sweeps = Annotated[str, OneOf("no", "forward", "backward")]
+
+
 @dataclass(frozen=True)
 class Logs(Checked):
     """How files of scans are read."""
@@ -735,6 +738,11 @@ class Logs(Checked):
         MAX_BAD,
         "Share of the lines of a file that may be broken: they are left out, and named. A file "
         "with more of them is refused.",
+    )
+    straighten: Sweeps = option(
+        "no",
+        "Take the robot's motion out of scans that state time_increment, by the odometry: forward "
+        "if the first reading of a scan is its oldest, backward if it is its newest.",
     )
     height: tuple[float, float] | None = option(
         None,

@@ -63,7 +63,7 @@ def as_recorded(
         logs.topic, logs.fov, logs.scale, range_max, chosen or Chosen(),
         flipped or (mounting is not None and mounting.flipped),
         None if mounting is None else mounting.sensor, many=False, max_bad=logs.max_bad,
-        height=logs.height,
+        height=logs.height, straighten=logs.straighten,
     )  # fmt: skip
 
 

@@ -15,7 +15,6 @@ from imgloc.filters.evidence import usable
 from imgloc.filters.motion import compose_poses, increments, invert_poses, noisy_odometry, way_of
 from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
-from imgloc.io.odometry import Speedometer
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, Pose2D, Protection
 from imgloc.numbers import number
@@ -273,7 +272,6 @@ class Follower:
         self._count, self._blind, self._metres = 0, 0, 0.0
         self._dark = 0.0  # seconds of blind scans that the filter has not counted yet
         self._odom: FloatArray | None = None
-        self._speed = Speedometer()
         self._stamp = self._said = float("nan")
 
     def place(
@@ -312,7 +310,6 @@ class Follower:
             with np.errstate(over="ignore", invalid="ignore"):
                 step = increments(np.stack((self._odom, odom)))[0]
             _check_way(self.name, k, float(np.hypot(*step[:2])))
-        scan = scan.straightened(self._speed.at(stamp, odom))
         waited = float(np.nan_to_num(stamp - self._stamp))
         self._count, self._odom, self._stamp = k + 1, odom, stamp
         laser = self._lasers.setdefault(scan.T_base_laser, _Laser())

@@ -278,9 +278,9 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
 
 
 def _check_pace(pace: float, name: str) -> None:
-    """Refuse a time between two readings that is none."""
-    if not 0 <= pace < math.inf:
-        raise wrong(f"{name}: {_PACE}", f"{pace:g}", "seconds, 0 or more")
+    """Refuse a time between two readings that is not finite."""
+    if not math.isfinite(pace):
+        raise wrong(f"{name}: {_PACE}", f"{pace:g}", "finite seconds")
 
 
 def scalar(value: Any, where: str) -> float:

@@ -46,7 +46,7 @@ from imgloc.io.maps import (
 from imgloc.io.scans import has_topics, load_scans, scans_size
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, check_mount
-from imgloc.options import MAX_BAD, Chosen, Factor, Length, Options, Radians, Reading, Share
+from imgloc.options import MAX_BAD, Chosen, Factor, Length, Options, Radians, Reading, Share, Sweeps
 from imgloc.pipeline import prepare
 from imgloc.ranges import Checked
 from imgloc.search.asked import answer_bytes
@@ -84,6 +84,7 @@ class ScanFiles(Checked):
     many: bool = True
     max_bad: Share = MAX_BAD  #: share of the lines of a file that may be broken
     height: tuple[float, float] | None = None  #: of the slice of a cloud that is a scan, metres
+    straighten: Sweeps = "no"  #: whether a robot that moved is taken out of its sweeps, and how
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -279,10 +280,11 @@ class Desk:
             replace(part, scans=tuple(map(files.mounted, part.scans)))
             for part in (recorded.take(indices), tried_of(recorded))
         )
-        if any(scan.time_increment for scan in some.scans):
-            speeds = recorded.velocities[indices]
-            straight = tuple(map(LaserScan.straightened, some.scans, speeds))
-            some = replace(some, scans=straight)
+        if files.straighten != "no":
+            speeds, backward = recorded.velocities[indices], files.straighten == "backward"
+            pairs = zip(some.scans, speeds, strict=True)
+            straight = (scan.straightened(speed, backward=backward) for scan, speed in pairs)
+            some = replace(some, scans=tuple(straight))
         return Taken(name, some, indices, len(recorded), tried)
 
 
