@@ -150,6 +150,31 @@ def test_lines_for_people(log: Path) -> None:
     assert "unique" in lines[-1]
 
 
+def test_the_best_guess_is_marked_in_every_output(log: Path, tmp_path: Path) -> None:
+    tum, ros = tmp_path / "a.tum", tmp_path / "a.yaml"
+    words = ("--every", "0.4,90", "--best", "--no-cache")
+    run = call("track", MAP, log, *words, "--json", "--tum", tum, "--ros", ros)
+    assert run.code == 0, run.err
+    got = rows(run.out)
+    guessed = [row for row in got if row["guess"]]
+    assert 0 < len(guessed) < N
+    for row in got:
+        assert (row["pose"] is None) or (row["guess"] is None)
+        first = row["places"][0]
+        best = row["pose"] or row["guess"]
+        assert (first["x"], first["y"]) == (pytest.approx(best["x"]), pytest.approx(best["y"]))
+        assert sum(place["mass"] for place in row["places"]) + row["lost"] <= 1 + 1e-9
+    lines = tum.read_text().splitlines()
+    assert [line for line in lines if line.startswith("# guess: ")] == [
+        f"# guess: {row['verdict']}" for row in guessed
+    ]
+    assert len(lines) == N + len(guessed)
+    assert ros.read_text().count(", a guess") == len(guessed)
+    run = call("track", MAP, log, *words)
+    assert run.out.count(": guess") == len(guessed)
+    assert ": guess" not in call("track", MAP, log, *words[:2]).out
+
+
 DARK = range(10, 15)
 
 
@@ -271,7 +296,6 @@ def test_strict_says_that_the_end_is_not_unique(log: Path) -> None:
         (["--kidnap", "-1,1,2,0"], 2, "expected 0 to 8 s of the log"),
         (["--kidnap", "1,-1,2,0"], 2, "kidnap: -1,2 is outside of the map"),
         (["--start", "1,900,0"], 2, "start: 1,900 is outside of the map"),
-        (["--best"], 2, "--ros"),
         (["--every", "-1,3"], 2, "--every: got -1.0, expected metres, 0 to "),
         (["--max-sd", "0,10"], 2, "--max-sd: got 0.0, expected metres, 0.001 to "),
         (["--max-sd", "1"], 2, "2 numbers"),

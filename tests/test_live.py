@@ -146,8 +146,9 @@ def test_rows_are_those_of_the_commands(
     said = call("track", MAPS / "visibility.yaml", tmp_path / "log.npz", "--json")
     assert log.odom is not None
     robot = core.robot("visibility")
+    origin = imgloc.load_map(MAPS / "visibility.yaml").origin
     moments = [robot.update(s, o).value for s, o in zip(log.scans, log.odom, strict=True)]
-    assert [to_json(moment_row(m)) for m in moments] == said.out.splitlines()
+    assert [to_json(moment_row(m, origin)) for m in moments] == said.out.splitlines()
     robot.end()
 
 

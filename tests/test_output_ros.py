@@ -9,7 +9,16 @@ from imgloc.filters.belief import Belief
 from imgloc.filters.follow import Moment
 from imgloc.geometry import transform_poses
 from imgloc.model import Pose2D
-from imgloc.output.ros import ARRAY, POSE, containing_diagonal, message, write_bag, yaml_text
+from imgloc.output.ros import (
+    ARRAY,
+    GUESSES,
+    POSE,
+    Message,
+    containing_diagonal,
+    message,
+    write_bag,
+    yaml_text,
+)
 
 ORIGIN = Pose2D(-3.0, 2.0, 0.5)
 COVARIANCE = np.array([[0.04, -0.03, 0.001], [-0.03, 0.09, 0.002], [0.001, 0.002, 0.01]])
@@ -36,7 +45,8 @@ def test_the_diagonal_contains_the_ellipse() -> None:
 
 
 def test_a_unique_pose_is_what_amcl_takes() -> None:
-    kind, body = message(moment("unique"), ORIGIN) or ("", {})
+    kind, body, guess = message(moment("unique"), ORIGIN) or Message("", {})
+    assert not guess
     assert kind == POSE
     assert body["header"]["frame_id"] == "map"
     assert body["header"]["stamp"] == {"sec": 12, "nanosec": 250_000_000}
@@ -49,19 +59,22 @@ def test_a_unique_pose_is_what_amcl_takes() -> None:
 
 
 def test_several_places_are_an_array_unless_the_best_is_asked_for() -> None:
-    kind, body = message(moment("ambiguous"), ORIGIN) or ("", {})
+    kind, body, _ = message(moment("ambiguous"), ORIGIN) or Message("", {})
     assert kind == ARRAY
     assert len(body["poses"]) == 2
     expected = transform_poses(ORIGIN, np.array([[4.0, 5.0, -1.0]]))[0]
     assert body["poses"][1]["position"]["x"] == pytest.approx(expected[0])
-    assert (message(moment("ambiguous"), ORIGIN, best=True) or ("",))[0] == POSE
-    assert message(moment("lost"), ORIGIN, best=True) is None
+    for verdict in ("ambiguous", "lost"):
+        guessed = message(moment(verdict), ORIGIN, best=True) or Message("", {})
+        assert (guessed.kind, guessed.guess) == (POSE, True)
+        assert yaml_text([guessed]).startswith(f"# {POSE}, a guess\n")
+    assert message(moment("lost"), ORIGIN) is None
 
 
 def test_yaml_is_read_back() -> None:
     messages = [m for v in ("unique", "ambiguous", "lost") if (m := message(moment(v), ORIGIN))]
     read = [d for d in yaml.safe_load_all(yaml_text(messages)) if d]
-    assert read == [body for _, body in messages]
+    assert read == [one.body for one in messages]
 
 
 def test_a_bag_is_read_back_by_rosbags(tmp_path) -> None:
@@ -72,11 +85,14 @@ def test_a_bag_is_read_back_by_rosbags(tmp_path) -> None:
         if (m := message(moment(v, 5.5 + k), ORIGIN))
     ]
     path = tmp_path / "out.bag"
-    write_bag(path, messages)
+    guess = message(moment("lost", 7.5), ORIGIN, best=True)
+    assert guess is not None
+    write_bag(path, [*messages, guess])
     with highlevel.AnyReader([path]) as bag:
         got = [(c.topic, t, bag.deserialize(raw, c.msgtype)) for c, t, raw in bag.messages()]
     assert [(topic, t) for topic, t, _ in got] == [
         ("/initialpose", 5_500_000_000), ("/imgloc/hypotheses", 6_500_000_000),
+        (GUESSES, 7_500_000_000),
     ]  # fmt: skip
     body = messages[0][1]["pose"]
     assert got[0][2].pose.pose.position.x == body["pose"]["position"]["x"]

@@ -54,7 +54,9 @@ class Outputs:
         metavar="YAML|BAG",
     )
     best: bool = option(
-        False, "Let ROS messages hold the best pose alone, also while several places fit."
+        False,
+        "Give the best pose also while several places fit or the robot is lost; it is marked as a "
+        "guess.",
     )
     picture: Path | None = option(None, "Draw the path over the map into this file.", metavar="PNG")
     video: Path | None = option(
@@ -82,8 +84,6 @@ class Outputs:
         """Refuse what cannot be written, before the work; `read` are files of the command."""
         from imgloc.cli import inputs
 
-        if self.best and self.ros is None:
-            raise ConfigError("--best: is of --ros alone, which is not given")
         ending = ".bag" if self.ros is not None and self.ros.suffix.lower() == ".bag" else ".yaml"
         mp4 = self.video is not None and self.video.suffix.lower() == ".mp4"
         files = (
@@ -103,7 +103,7 @@ class Outputs:
 
         force = self.force
         if self.tum is not None:
-            write_text_atomic(self.tum, tum_text(moments), force=force)
+            write_text_atomic(self.tum, tum_text(moments, best=self.best), force=force)
         if self.ros is not None:
             found = (message(m, grid.origin, best=self.best) for m in moments)
             messages = [given for given in found if given is not None]
@@ -235,7 +235,8 @@ def track(
         if recording is not None:
             undo.callback(recording.close)
             shown.append(lambda moment: recording.add(seen(moment.index), moment))
-        moments, words = _printed(run, len(scans), live, shown, as_json=as_json)
+        told = _Told(grid.origin, as_json, outputs.best)
+        moments, words = _printed(run, len(scans), live, shown, told)
         desk.keep(features)
         truth = _truth_of(outputs.truth, moments, scans, live)
         outputs.write(grid, moments, truth, movie, recording, title)
@@ -326,23 +327,40 @@ def _scans_of(
     return scans, None
 
 
+@dataclass(frozen=True)
+class _Told:
+    """How a moment is printed."""
+
+    origin: Pose2D  #: of the grid
+    as_json: bool
+    best: bool  #: guesses, too
+
+    def line(self, moment: "Moment") -> str:
+        """The line of a moment."""
+        from imgloc.model import to_json
+        from imgloc.output.rows import moment_row
+        from imgloc.output.tracks import track_line
+
+        if self.as_json:
+            return to_json(moment_row(moment, self.origin, best=self.best))
+        return track_line(moment, best=self.best)
+
+
 def _printed(
     run: "Iterable[Moment]", count: int, live: "Live | None",
-    shown: "Sequence[Callable[[Moment], None]]", *, as_json: bool,
+    shown: "Sequence[Callable[[Moment], None]]", told: "_Told",
 ) -> "tuple[list[Moment], str]":  # fmt: skip
     """The moments, each printed and `shown` as it comes, and a word about all of them."""
     from imgloc.filters.follow import UNCONFIRMED
-    from imgloc.model import to_json
-    from imgloc.output.rows import moment_row
-    from imgloc.output.tracks import track_header, track_line
+    from imgloc.output.tracks import track_header
 
     moments, begin, speed = list["Moment"](), time.perf_counter(), ""
     with progress("track", count) as advance:
         for moment in run:
-            if not (moments or as_json):
+            if not (moments or told.as_json):
                 emit(track_header())
             moments.append(moment)
-            emit(to_json(moment_row(moment)) if as_json else track_line(moment))
+            emit(told.line(moment))
             if live is not None:
                 live.answered()
             for show in shown:

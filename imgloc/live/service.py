@@ -31,9 +31,7 @@ from imgloc.doors import behind
 from imgloc.errors import ConfigError, ImglocError, ScanError
 from imgloc.features.budget import MIB, check_budget
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.belief import Belief
 from imgloc.filters.follow import Tracking
-from imgloc.geometry import transform_poses
 from imgloc.io.calibration import map_hash
 from imgloc.io.maps import DRAWN, SWAPPED, looks_drawn, looks_swapped
 from imgloc.io.scans import write_npz
@@ -61,7 +59,6 @@ from imgloc.search.priors import prior_of
 
 LOG = logging.getLogger("imgloc")
 _LINES = "application/x-ndjson"
-_PLACES = 20  # of a belief, that are sent
 _DRAIN = 1.0  # seconds in which what a client still sends of a refused body is thrown away
 Values = Mapping[str, Any]
 Endpoint = Callable[[Request, Values], Awaitable[Response]]
@@ -691,9 +688,8 @@ class Service:
                 future = robot.update_soon(scan, odom)
                 moment = (await waited(future, self.bounds.seconds, None)).value
                 self._count("track", moment.belief.verdict, begin)
-                row = moment_row(replace(moment, index=count))
-                if values["places"]:
-                    row["places"] = _places(moment.belief, self._site(name)[1].features.grid)
+                origin = self._site(name)[1].features.grid.origin if values["places"] else None
+                row = moment_row(replace(moment, index=count), origin)
                 await socket.send_text(to_json(row))
                 count += 1
         except WebSocketDisconnect:
@@ -712,13 +708,6 @@ class Service:
 def _same(one: OccupancyGrid, other: OccupancyGrid) -> bool:
     """Whether two maps have the same cells, and lie at the same place."""
     return map_hash(one) == map_hash(other) and one.origin == other.origin
-
-
-def _places(belief: Belief, grid: OccupancyGrid) -> list[dict[str, float]]:
-    """The places of a belief, map frame, best first."""
-    poses = transform_poses(grid.origin, belief.poses)[:_PLACES].tolist()
-    return [dict(zip(("x", "y", "theta", "mass"), (*pose, mass), strict=True))
-            for pose, mass in zip(poses, belief.mass.tolist(), strict=False)]  # fmt: skip
 
 
 def _endpoint(

@@ -111,7 +111,7 @@ class Recording:
         level = made.LogLevel.Info if moment.belief.verdict == UNIQUE else made.LogLevel.Warning
         words = ": ".join(filter(None, (moment.belief.verdict, moment.withheld)))
         to.verdict.log(made.Log(timestamp=at, level=level, message=words, name="imgloc"), **now)
-        to.track.log(moment_row(moment), **now)
+        to.track.log(moment_row(moment, self._grid.origin), **now)
 
     def _map(self, at: Any) -> Any:
         """The map, a pixel a cell; row 0 is the lowest y here as there."""

@@ -11,7 +11,7 @@ import math
 import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -24,6 +24,17 @@ from imgloc.model import FloatArray, Pose2D
 
 POSE, ARRAY = "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseArray"
 TOPICS = {POSE: "/initialpose", ARRAY: "/imgloc/hypotheses"}
+GUESSES = "/imgloc/guess"  #: topic of poses that are not unique
+
+
+class Message(NamedTuple):
+    """A message: its type, its fields, and whether its pose is no more than a guess."""
+
+    kind: str
+    body: dict[str, Any]
+    guess: bool = False
+
+
 _LISTED = 20  # poses of an array
 _LEAST, _MOST = 1e-9, 1e9  # of a variance
 
@@ -43,39 +54,32 @@ def containing_diagonal(covariance: FloatArray) -> FloatArray:
     return np.asarray(np.clip(deviation**2 * correlation.sum(axis=1), _LEAST, _MOST))
 
 
-def message(
-    moment: Moment, origin: Pose2D, *, best: bool = False
-) -> tuple[str, dict[str, Any]] | None:
-    """The message of a moment, its type first; None while no place is known.
+def message(moment: Moment, origin: Pose2D, *, best: bool = False) -> Message | None:
+    """The message of a moment; None while no place is known.
 
     Parameters
     ----------
     origin : Pose2D
         Origin of the grid, in whose frame beliefs are.
     best : bool
-        Whether one pose is written although several fit.
+        Whether the best pose is written, as a guess, although several fit or the robot is lost.
     """
     stamp = moment.stamp if math.isfinite(moment.stamp) else 0.0
     whole = math.floor(stamp)
     seconds = {"sec": whole, "nanosec": min(999_999_999, round(1e9 * (stamp - whole)))}
     header = {"stamp": seconds, "frame_id": "map"}
-    pose = moment.best if best and moment.belief.verdict != "lost" else moment.pose
+    pose = moment.best if best else moment.pose
     if pose is not None:
         diagonal = np.zeros((6, 6))
         variances = containing_diagonal(moment.covariance)
         diagonal[[0, 1, 5], [0, 1, 5]] = variances
         covariance = diagonal.ravel().tolist()
-        return POSE, {
-            "header": header,
-            "pose": {"pose": pose_fields(pose), "covariance": covariance},
-        }
+        fields = {"pose": pose_fields(pose), "covariance": covariance}
+        return Message(POSE, {"header": header, "pose": fields}, moment.pose is None)
     if moment.belief.verdict == "lost" or not len(moment.belief.poses):
         return None
     poses = transform_poses(origin, moment.belief.poses[:_LISTED])
-    return ARRAY, {
-        "header": header,
-        "poses": [pose_fields(Pose2D(*row)) for row in poses],
-    }
+    return Message(ARRAY, {"header": header, "poses": [pose_fields(Pose2D(*p)) for p in poses]})
 
 
 def pose_fields(pose: Pose2D) -> dict[str, Any]:
@@ -87,17 +91,16 @@ def pose_fields(pose: Pose2D) -> dict[str, Any]:
     }
 
 
-def yaml_text(messages: Iterable[tuple[str, dict[str, Any]]]) -> str:
+def yaml_text(messages: Iterable[Message]) -> str:
     """Messages as `ros2 topic echo` shows them: one document each."""
     return "".join(
-        f"# {kind}\n" + yaml.safe_dump(body, sort_keys=False) + "---\n" for kind, body in messages
+        f"# {kind}{', a guess' if guess else ''}\n{yaml.safe_dump(body, sort_keys=False)}---\n"
+        for kind, body, guess in messages
     )
 
 
-def write_bag(
-    path: PathLike, messages: Sequence[tuple[str, dict[str, Any]]], *, force: bool = False
-) -> None:
-    """Write messages as a ROS 1 bag, whole or not at all.
+def write_bag(path: PathLike, messages: Sequence[Message], *, force: bool = False) -> None:
+    """Write messages as a ROS 1 bag, whole or not at all; guesses have a topic of their own.
 
     Raises
     ------
@@ -115,13 +118,15 @@ def write_bag(
         temporary = Path(folder) / "out.bag"
         with rosbag1.Writer(temporary) as bag:
             topics = {
-                kind: bag.add_connection(topic, kind, typestore=store)
+                (kind, False): bag.add_connection(topic, kind, typestore=store)
                 for kind, topic in TOPICS.items()
             }
-            for k, (kind, body) in enumerate(messages):
+            if any(one.guess for one in messages):
+                topics[POSE, True] = bag.add_connection(GUESSES, POSE, typestore=store)
+            for k, (kind, body, guess) in enumerate(messages):
                 sec, nanosec = body["header"]["stamp"].values()
                 raw = store.serialize_ros1(_typed(store, kind, body, k), kind)
-                bag.write(topics[kind], 10**9 * sec + nanosec, raw)
+                bag.write(topics[kind, guess], 10**9 * sec + nanosec, raw)
         write_bytes_atomic(path, temporary.read_bytes(), force=force)
 
 

@@ -6,7 +6,9 @@ The row of `imgloc which --json` is :meth:`imgloc.choice.choose.Choice.as_row`.
 from collections.abc import Mapping
 from typing import Any
 
+from imgloc.filters.belief import Belief
 from imgloc.filters.follow import Moment
+from imgloc.geometry import transform_poses
 from imgloc.model import LaserScan, Localization, Pose2D, plain
 
 
@@ -37,10 +39,31 @@ def answer_row(
     return answer.as_row(index, **how)
 
 
-def moment_row(moment: Moment) -> dict[str, Any]:
-    """The row of `imgloc track --json`: the pose is null unless it is unique."""
+PLACES = 20  #: places of a belief that are listed
+
+
+def places_of(belief: Belief, origin: Pose2D, most: int = PLACES) -> list[dict[str, float]]:
+    """The places of a belief with their masses, map frame, best first.
+
+    `origin` is that of the grid, in whose frame beliefs are.
+    """
+    poses = transform_poses(origin, belief.poses[:most]).tolist()
+    return [
+        dict(zip(("x", "y", "theta", "mass"), (*pose, mass), strict=True))
+        for pose, mass in zip(poses, belief.mass[:most].tolist(), strict=True)
+    ]
+
+
+def moment_row(
+    moment: Moment, origin: Pose2D | None = None, *, best: bool = False
+) -> dict[str, Any]:
+    """The row of `imgloc track --json`: the pose is null unless it is unique.
+
+    With the `origin` of the grid it lists all places. With `best` it has the best guess, which is
+    null where the pose is unique.
+    """
     belief, pose = moment.belief, moment.pose
-    row = {
+    row: dict[str, Any] = {
         "index": moment.index,
         "stamp": moment.stamp,
         "age": moment.age,
@@ -57,4 +80,8 @@ def moment_row(moment: Moment) -> dict[str, Any]:
         "neff": belief.neff,
         "resets": belief.resets,
     }
+    if best:
+        row["guess"] = moment.best if pose is None else None
+    if origin is not None:
+        row["places"] = places_of(belief, origin)
     return dict(plain(row))

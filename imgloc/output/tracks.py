@@ -57,26 +57,32 @@ _DRAWN = 1e-3  # mass of a place that is drawn
 _CARRIED = 1.0  # metres beyond twice what odometry says: no driving
 
 
-def tum_text(moments: Iterable[Moment]) -> str:
-    """The trajectory for `evo_ape tum`: ``stamp x y z qx qy qz qw``, of unique poses only."""
+def tum_text(moments: Iterable[Moment], *, best: bool = False) -> str:
+    """The trajectory for `evo_ape tum`: ``stamp x y z qx qy qz qw``, of unique poses only.
+
+    With `best` it has the best guesses, too, each below a comment that says so.
+    """
     lines = []
     for moment in moments:
-        if moment.pose is None or not math.isfinite(moment.stamp):
+        pose = moment.best if best else moment.pose
+        if pose is None or not math.isfinite(moment.stamp):
             continue
-        pose = moment.pose
+        if moment.pose is None:
+            lines.append(f"# guess: {moment.belief.verdict}")
         z, w = math.sin(pose.theta / 2), math.cos(pose.theta / 2)
         lines.append(f"{moment.stamp:.9f} {pose.x:.9f} {pose.y:.9f} 0.0 0.0 0.0 {z:.12f} {w:.12f}")
     return "".join(line + "\n" for line in lines)
 
 
-def track_line(moment: Moment) -> str:
-    """One line for people."""
+def track_line(moment: Moment, *, best: bool = False) -> str:
+    """One line for people; with `best` a pose that is not unique is there, as a guess."""
     place = f"{'-':>10} {'-':>10} {'-':>12}"
-    if moment.pose is not None:
-        p = moment.pose
+    p = moment.best if best else moment.pose
+    if p is not None:
         place = f"{p.x:>10.3f} {p.y:>10.3f} {math.degrees(p.theta):>12.2f}"
     mass = float(moment.belief.mass[0]) if len(moment.belief.mass) else 0.0
-    verdict = ": ".join(filter(None, (moment.belief.verdict, moment.withheld)))
+    guess = "guess" if p is not None and moment.pose is None else ""
+    verdict = ": ".join(filter(None, (moment.belief.verdict, guess or moment.withheld)))
     head = f"{moment.index:>6} {moment.stamp:>14.3f}  {verdict:<22}"
     return f"{head} {place} {100 * mass:>7.1f}% {moment.metres:>9.2f}"
 
