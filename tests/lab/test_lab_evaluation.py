@@ -208,7 +208,7 @@ def test_evaluate_is_the_same_up_to_its_cost(scans: ScanSet) -> None:
 
 
 def test_bytes_are_those_of_the_arrays_a_method_needs() -> None:
-    features = prepare(room())
+    features = prepare(room(), ready=False)
     assert bytes_of(features) == 0  # the map itself is not counted
     points = len(features.surface)
     surface = points * (16 + 8 + 8 + 1)
