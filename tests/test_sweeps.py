@@ -161,3 +161,23 @@ def test_the_command_takes_the_speed(tmp_path) -> None:
     before, after = (row["hypotheses"][0]["covariance"][2][2] for row in rows)
     assert after - before == pytest.approx((0.05 * np.pi / 2) ** 2, rel=1e-3)
     assert rows[1]["parameters"]["max_turn"] == pytest.approx(np.pi / 2)
+
+
+def test_inspect_tells_which_way_sweeps_are_straightened(tmp_path) -> None:
+    scans = []
+    for k in range(40):
+        turned = 0.25 * k
+        ranges = []
+        for i, angle in enumerate(ANGLES):  # turning at 2.5 rad/s, the newest reading first
+            heading = 0.3 + turned - 2.5 * i * PACE
+            x, y = 3 + 0.04 * k * np.cos(0.3), 2 + 0.04 * k * np.sin(0.3)
+            ranges.append(room(x, y, heading, np.array([angle]))[0])
+        scans.append(LaserScan(ranges, ANGLES, stamp=0.1 * k, time_increment=PACE))
+    heading = np.remainder(0.25 * np.arange(40) + np.pi, 2 * np.pi) - np.pi
+    odom = np.column_stack((0.04 * np.arange(40), np.zeros(40), heading))
+    stamps = np.array([scan.stamp for scan in scans])
+    save_scans(tmp_path / "log.npz", ScanSet(tuple(scans), stamps=stamps, odom=odom))
+    facts = json.loads(call("inspect", tmp_path / "log.npz", "--json").out)
+    ways = facts["straightened"]
+    assert ways["backward"] > ways["forward"]
+    assert "with --straighten backward" in call("inspect", tmp_path / "log.npz").out

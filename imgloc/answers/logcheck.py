@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.answers.diagnose import OLD, UNITS, Doubt, Given, doubts, few_readings, unit_of
-from imgloc.answers.scanmotion import AGREES, Agreement, Way, agreement, overlap
+from imgloc.answers.scanmotion import AGREES, Agreement, Way, agreement, overlap, straightening
 from imgloc.answers.truth import NOT_TRUE, poses_fit
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly
@@ -116,6 +116,7 @@ def check_log(scans: ScanSet, notes: Sequence[Finding] = ()) -> LogReport:
     known = np.zeros(0, bool) if path is None else np.isfinite(path).all(axis=1)
     poses = "odometry" if scans.poses_are_odometry else scans.poses is not None
     facts |= {"odometry": None, "poses": poses, "agreement": None}
+    facts["straightened"] = None
     if scans.odom is not None:
         facts["odometry"] = _about_odometry(scans, found, findings)
     if path is not None and known.sum() > 1:
@@ -124,6 +125,7 @@ def check_log(scans: ScanSet, notes: Sequence[Finding] = ()) -> LogReport:
         _about_gaps(some, path, times, findings)
         if "odometry-zero" not in {f.code for f in findings} or path[:, :2].any():
             facts["agreement"] = _about_motion(some, path, findings)
+            facts["straightened"] = straightening(some, path)
     _about_repeats(scans, path, findings)
     _about_lasers(scans, findings)
     edges = np.linspace(0.0, max(facts["longest"] or 1.0, 1e-6), int(_BARS) + 1)

@@ -66,6 +66,22 @@ def agreement(scans: ScanSet, odom: FloatArray) -> Agreement:
     return Agreement(here, best, most if best else math.nan)
 
 
+def straightening(scans: ScanSet, odom: FloatArray) -> dict[str, float] | None:
+    """How well scans agree with poses (N, 3) of the robot, forward and backward straightened.
+
+    The shares are those of :func:`agreement`, by the direction; None if no scan states how long it
+    took.
+    """
+    if not any(scan.time_increment for scan in scans.scans) or len(scans) < _LEAST:
+        return None
+    speeds, pairs, out = scans.velocities, _pairs(odom), dict[str, float]()
+    for way in ("forward", "backward"):
+        both = zip(scans.scans, speeds, strict=True)
+        some = tuple(scan.straightened(v, backward=way == "backward") for scan, v in both)
+        out[way] = _share(replace(scans, scans=some), odom, pairs, Way(""))
+    return out
+
+
 def _alternates(scans: ScanSet, odom: FloatArray) -> bool:
     """Whether each scan agrees with the one after the next, and not with the next."""
     starts = evenly(len(scans) - 2, 4 * _PAIRS)

@@ -82,6 +82,10 @@ def log_text(name: str, form: str, kinds: Sequence[Kind], report: LogReport, com
     if facts["agreement"] is not None:
         share = f"{100 * facts['agreement']:.0f} % of the readings of a scan fall on an earlier one"
         lines.append(("agreement", share + ", moved by the odometry"))
+    if facts["straightened"] is not None:
+        ways = (f"{100 * share:.0f} % with `straighten={way}`"
+                for way, share in facts["straightened"].items())  # fmt: skip
+        lines.append(("sweeps", as_options(f"take time: {', '.join(ways)}")))
     if "on_map" in facts:
         lines.append(("on the map", _on_map(facts)))
     found = "none" if not report.findings else str(len(report.findings))
