@@ -363,6 +363,7 @@ def _batch(name: str, file: str, folder: Path) -> list[bytes]:
     with Results(folder / "batch", about) as results:
         for item in find_items(folder / "map.yaml", scans, job):
             row = _timeless(work(item, job)[0]) | {"map": "map.yaml"}
+            row = json.loads(json.dumps(row).replace(str(folder), "folder"))  # also in warnings
             results.add(row, {})
             summary.add(row)
         results.summarise(summary.as_row())
