@@ -25,6 +25,8 @@ IntArray = npt.NDArray[np.int64]
 FAR = 1e6
 """Range in metres that no sensor reaches. Drivers write such numbers if a ray met nothing."""
 
+LONGEST_SWEEP = 10.0
+"""Seconds that no sensor takes for a scan."""
 MOUNTED = 5.0
 """Largest distance of a sensor from the base of its robot, metres."""
 
@@ -253,8 +255,9 @@ class LaserScan:
             raise ValueError(f"angles must be finite, angles[{i}] is {self.angles[i]}")
         if self.T_base_laser is not None:
             check_mount(self.T_base_laser, "T_base_laser")
-        if not math.isfinite(self.time_increment):
-            raise ValueError(f"time_increment must be finite seconds: {self.time_increment}")
+        if not self.duration <= LONGEST_SWEEP:
+            seconds = f"{self.time_increment} makes a sweep of {self.duration:g} s"
+            raise ValueError(f"time_increment {seconds}, expected at most {LONGEST_SWEEP:g} s")
 
     def __repr__(self) -> str:
         seen, n = self.ranges[self.valid], len(self.ranges)

@@ -360,3 +360,15 @@ def test_true_poses_are_those_of_the_scans_that_have_odometry(log: Path, tmp_pat
     run = call("track", MAP, tmp_path / "part.npz", "--start", "5.5,8,0.06", "--picture", out)
     assert run.code == 0, run.err
     assert float(re.search(r"APE of \d+ unique poses: rmse ([\d.]+)", run.err)[1]) < 0.2
+
+
+def test_a_true_trajectory_is_read_first_and_never_overwritten(tmp_path: Path, log: Path) -> None:
+    truth = tmp_path / "t.tum"
+    truth.write_text("1e9 0 0 0 0 0 0 1\n")
+    run = call("track", MAPS / "visibility.yaml", log, "--truth", truth, "--tum", truth, "--force")
+    assert run.code == 1
+    assert "will not be overwritten" in run.err
+    assert truth.read_text() == "1e9 0 0 0 0 0 0 1\n"
+    run = call("track", MAPS / "visibility.yaml", log, "--truth", truth)
+    assert (run.code, run.out) == (4, "")  # before the log is followed
+    assert "no stamp is within 0.01 s of a scan" in run.err

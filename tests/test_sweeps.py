@@ -106,7 +106,7 @@ def test_the_time_of_a_sweep_is_kept_by_files_and_messages(tmp_path) -> None:
 
 def test_a_time_between_readings_that_is_none_is_refused(tmp_path) -> None:
     (tmp_path / "a.json").write_text('{"ranges": [1, 2], "angles": [0, 1], "time_increment": NaN}')
-    with pytest.raises(ScanError, match="time_increment: got nan"):
+    with pytest.raises(ScanError, match="time_increment: got nan, expected seconds from a reading"):
         load_scans(tmp_path / "a.json")
 
 
@@ -181,3 +181,24 @@ def test_inspect_tells_which_way_sweeps_are_straightened(tmp_path) -> None:
     ways = facts["straightened"]
     assert ways["backward"] > ways["forward"]
     assert "with --straighten backward" in call("inspect", tmp_path / "log.npz").out
+
+
+def test_what_is_not_straightened_is_counted(tmp_path, caplog) -> None:
+    save_scans(tmp_path / "log.npz", log())
+    Desk().scans(tmp_path / "log.npz", ScanFiles(straighten="forward"))
+    assert "1 of 6 scans are not straightened" in caplog.text  # nothing is before the first
+    (tmp_path / "a.jsonl").write_text('{"ranges": [1, 2], "angles": [0, 1], "odom": [0, 0, 0]}\n')
+    grows = (tmp_path / "a.jsonl", "--follow", "--straighten", "forward")
+    run = call("track", MAPS / "curved.yaml", *grows)
+    assert run.code == 2
+    assert "--straighten: needs a log that is whole" in run.err
+
+
+def test_a_sweep_that_takes_longer_than_any_sensor_is_refused(tmp_path) -> None:
+    with pytest.raises(ValueError, match=r"makes a sweep of 180 s, expected at most 10 s"):
+        replace(sweep((0, 0, 0)), time_increment=1.0)
+    (tmp_path / "a.json").write_text(
+        '{"ranges": [1, 2], "angles": [0, 1], "time_increment": 1e155}'
+    )
+    with pytest.raises(ScanError, match=r"time_increment: got 1e.155"):
+        load_scans(tmp_path / "a.json")

@@ -90,6 +90,7 @@ class Outputs:
             (self.tum, ".tum"), (self.ros, ending), (self.picture, ".png"),
             (self.video, ".mp4" if mp4 else ".webm"), (self.mcap, ".mcap"),
         )  # fmt: skip
+        read = [*read, *([] if self.truth is None else [self.truth])]
         for path, expected in files:
             inputs.check_target(path, expected, force=self.force, inputs=read)
 
@@ -212,7 +213,7 @@ def track(
     options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
     options = calibrated(options, map_path, grid, drawn)
     how = inputs.as_recorded(logs, range_max, mounting=mounting)
-    scans, live = _scans_of(log, logs, asked, how, desk, stamped=outputs.tum is not None)
+    scans, live, given = _scans_of(log, logs, asked, how, desk, outputs)
     features = desk.features(map_path, maps, options, scans=scans.scans)
     check_options(features, options)
     scans = with_true_poses(scans, grid, inputs.name_of(log))
@@ -238,7 +239,7 @@ def track(
         told = _Told(grid.origin, as_json, outputs.best)
         moments, words = _printed(run, len(scans), live, shown, told)
         desk.keep(features)
-        truth = _truth_of(outputs.truth, moments, scans, live)
+        truth = _truth_of(given, outputs.truth, moments, scans, live)
         outputs.write(grid, moments, truth, movie, recording, title)
     if not moments:
         raise ScanError(f"{inputs.name_of(log)}: holds no scan with odometry")
@@ -257,28 +258,38 @@ def track(
 
 
 def _truth_of(
-    path: Path | None, moments: "Sequence[Moment]", scans: "ScanSet", live: "Live | None"
-) -> "FloatArray | None":
+    given: "tuple[FloatArray, FloatArray] | None", path: Path | None,
+    moments: "Sequence[Moment]", scans: "ScanSet", live: "Live | None",
+) -> "FloatArray | None":  # fmt: skip
     """True poses (N, 3) of the robot at the moments: of a file, else those of the log, if any."""
     import numpy as np
 
-    from imgloc.filters.deviation import at_stamps
     from imgloc.filters.follow import robot_poses
-    from imgloc.io.tum import load_tum
 
     if not moments:
         return None
-    if path is None and live is not None:
+    if given is not None:
+        return _true_at(np.array([moment.stamp for moment in moments]), given, path)
+    if live is not None:
         return live.poses()
-    if path is None:
-        return robot_poses(scans.take([moment.index for moment in moments]))
-    stamps, poses = load_tum(path)
-    found = at_stamps(np.array([moment.stamp for moment in moments]), stamps, poses)
+    return robot_poses(scans.take([moment.index for moment in moments]))
+
+
+def _true_at(
+    at: "FloatArray", given: "tuple[FloatArray, FloatArray]", path: Path | None
+) -> "FloatArray":
+    """The poses (N, 3) of a trajectory at the stamps of scans; a ScanError if there is none."""
+    import numpy as np
+
+    from imgloc.filters.deviation import at_stamps
+
+    stamps, poses = given
+    found = at_stamps(at, stamps, poses)
     if not np.isfinite(found).any():
+        name = "" if path is None else display(path)
         raise ScanError(
-            f"{display(path)}: no stamp is within 0.01 s of a scan: these are from {stamps[0]:.2f} "
-            f"to {stamps[-1]:.2f} s, the scans from {moments[0].stamp:.2f} to "
-            f"{moments[-1].stamp:.2f} s"
+            f"{name}: no stamp is within 0.01 s of a scan: these are from {stamps[0]:.2f} to "
+            f"{stamps[-1]:.2f} s, the scans from {at[0]:.2f} to {at[-1]:.2f} s"
         )
     return found
 
@@ -301,30 +312,37 @@ def _aged(
 
 
 def _scans_of(
-    log: Path, logs: Logs, asked: Asked, how: "ScanFiles", desk: "Desk", *, stamped: bool,
-) -> "tuple[ScanSet, Live | None]":  # fmt: skip
+    log: Path, logs: Logs, asked: Asked, how: "ScanFiles", desk: "Desk", outputs: Outputs,
+) -> "tuple[ScanSet, Live | None, tuple[FloatArray, FloatArray] | None]":  # fmt: skip
     """The scans of a log, as the sensor sits; or those of one that is still being written.
 
-    A ConfigError if they are to be `stamped` and are not.
+    Also the stamps and poses of a true trajectory, if one is given. A ConfigError if an output
+    needs stamps and there are none.
     """
     import numpy as np
 
     from imgloc.cli.live import live_of
     from imgloc.filters.follow import with_odometry
     from imgloc.io.scanset import ScanSet
+    from imgloc.io.tum import load_tum
 
+    given = None if outputs.truth is None else load_tum(outputs.truth)
     live = live_of(log, logs, how.mounted, follow=asked.follow)
     if live is not None:
+        if logs.straighten != "no":
+            raise ConfigError("--straighten: needs a log that is whole, not one that grows")
         if asked.kidnap is not None or asked.simulate_odometry is not None:
             wrong = "--kidnap" if asked.kidnap is not None else "--simulate-odometry"
             raise ConfigError(f"{wrong}: needs a log that is whole, not one that is being written")
-        return ScanSet(()), live
+        return ScanSet(()), live, given
     scans = desk.scans(log, how).scans
     if asked.simulate_odometry is not None:
         scans = with_odometry(replace(scans, odom=None), asked.simulate_odometry)[0]
-    if stamped and (scans.stamps is None or not np.isfinite(scans.stamps).any()):
+    if given is not None and scans.stamps is not None:
+        _true_at(scans.stamps, given, outputs.truth)
+    if outputs.tum is not None and (scans.stamps is None or not np.isfinite(scans.stamps).any()):
         raise ConfigError("--tum: the log has no stamps, which a trajectory needs")
-    return scans, None
+    return scans, None, given
 
 
 @dataclass(frozen=True)

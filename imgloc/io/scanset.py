@@ -11,7 +11,7 @@ import numpy as np
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.badlines import BadLines
 from imgloc.io.odometry import Speedometer
-from imgloc.model import FloatArray, LaserScan, Pose2D
+from imgloc.model import LONGEST_SWEEP, FloatArray, LaserScan, Pose2D
 
 _LOG = logging.getLogger("imgloc")
 MAX_READINGS = 50_000_000
@@ -268,7 +268,7 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
     low, high = (given.get(key, default) for key, default in _LIMITS.items())
     _check_limits(low, high, where)
     stamp, mount = given.get("stamp", math.nan), entry.get("mount")
-    _check_pace(pace := given.get(_PACE, 0.0), where)
+    _check_pace(pace := given.get(_PACE, 0.0), len(ranges), where)
     if mount is not None and not isinstance(mount, Pose2D):
         mount = Pose2D(*_pose(mount, where, "mount"))
     try:
@@ -277,10 +277,11 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
         raise ScanError(f"{where}: {error}") from None
 
 
-def _check_pace(pace: float, name: str) -> None:
-    """Refuse a time between two readings that is not finite."""
-    if not math.isfinite(pace):
-        raise wrong(f"{name}: {_PACE}", f"{pace:g}", "finite seconds")
+def _check_pace(pace: float, rays: int, name: str) -> None:
+    """Refuse a time between two of so many readings that no sweep takes."""
+    if not abs(pace) * rays <= LONGEST_SWEEP:
+        expected = f"seconds from a reading to the next, at most {LONGEST_SWEEP:g} s in all"
+        raise wrong(f"{name}: {_PACE}", f"{pace:g}", expected)
 
 
 def scalar(value: Any, where: str) -> float:
@@ -352,7 +353,7 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
     paces = limits.pop()
     for low, high, pace in zip(*limits, paces, strict=True):
         _check_limits(low, high, name)
-        _check_pace(pace, name)
+        _check_pace(pace, readings, name)
     beside: dict[str, FloatArray] = {}
     for key in [key for key in _BESIDE if key in arrays]:
         value, shape = arrays[key], (n,) if key == "stamps" else (n, 3)

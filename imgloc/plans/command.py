@@ -97,9 +97,12 @@ def plan(
         raise ConfigError(f"--picture: {display(picture)} is the image of the map; another name")
     name, budget = display(path), opt.fixed_budget(memory_budget)
     size, beside = image_size(path), path.with_suffix(".yaml")
-    if resolution is None and distance is None and is_file(beside) and beside != out:
+    if is_file(beside) and beside != out:
         said = load_map_yaml(beside)
-        resolution, origin = said.resolution, said.origin if origin is None else origin
+        if said.image.name == path.name:
+            origin = said.origin if origin is None else origin
+            if resolution is None and distance is None:
+                resolution = said.resolution
     if (resolution is None) == (distance is None):
         raise ConfigError(
             f"{name}: the scale is {'missing' if distance is None else 'given twice'}, expected "

@@ -283,8 +283,15 @@ class Desk:
         if files.straighten != "no":
             speeds, backward = recorded.velocities[indices], files.straighten == "backward"
             pairs = zip(some.scans, speeds, strict=True)
+            still = sum(not scan.time_increment for scan in some.scans)
             straight = (scan.straightened(speed, backward=backward) for scan, speed in pairs)
             some = replace(some, scans=tuple(straight))
+            if left := sum(bool(scan.time_increment) for scan in some.scans) + still:
+                LOG.warning(
+                    "%s: %d of %d scans are not straightened: that takes time_increment, and "
+                    "odometry with stamps at most a second before",
+                    name, left, len(some),
+                )  # fmt: skip
         return Taken(name, some, indices, len(recorded), tried)
 
 

@@ -52,7 +52,10 @@ def answered(
             unlisted=float(mass[len(hypotheses) :].sum()),
         ),
         T_base_laser=scan.T_base_laser,
-        protection=protection(found.poses, mass, found.covariance, elsewhere),
+        # A search that was cut short may have missed the place: no radius holds it.
+        protection=protection(
+            found.poses, mass, found.covariance, elsewhere if found.complete else 1.0
+        ),
     )
 
 

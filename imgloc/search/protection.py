@@ -110,7 +110,7 @@ def protection(
         np.abs(wrap(poses[:, 2] - poses[0, 2])), turned, mass, elsewhere, shares, HEADING
     )
     return tuple(
-        Protection(share, float(m), float(t))
+        Protection(share, float(m), float(t if np.isinf(t) else min(t, np.pi)))
         for share, m, t in zip(shares, metres, radians, strict=True)
     )
 
