@@ -178,6 +178,7 @@ def test_a_laser_that_repeats_one_scan_is_given_up(field, log, what, said, level
     field.node(MAP, "--sensor", SENSOR, "--tries", 6)
     field.play(MAP, log, "--no-map", "--freeze", what)
     field.until(lambda: any(one["state"] == "given up" for one in field.heard("status")))
+    field.until(lambda: field.heard("diagnostics"))  # a status may come before them
     field.until(lambda: (field.level(), field.heard("diagnostics")[-1]["message"]) == (level, said))
     assert not field.heard("initialpose")
 
