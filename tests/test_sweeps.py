@@ -9,7 +9,7 @@ from command import MAPS, call
 
 import imgloc
 from imgloc import ConfigError, LaserScan, Pose2D, ScanError, ScanSet
-from imgloc.io.odometry import Speedometer
+from imgloc.io.odometry import velocities_at
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.runs.opening import Desk, ScanFiles
 
@@ -66,22 +66,21 @@ def test_what_is_no_distance_stays_none_and_only_turns() -> None:
 
 
 def test_a_velocity_is_that_of_the_way_driven_in_the_robots_frame() -> None:
-    meter, turn, radius = Speedometer(), 0.5, 2.0
-    found = []
-    for k in range(8):
-        theta = turn * 0.1 * k
-        pose = np.array([radius * np.sin(theta), radius * (1 - np.cos(theta)), theta])
-        found.append(meter.at(0.1 * k, pose))
-    assert np.isnan(found[0]).all()
-    assert found[-1] == pytest.approx([radius * turn, 0.0, turn], abs=1e-3)
-    assert np.isnan(meter.at(9.0, np.zeros(3))).all()  # after a gap
+    turn, radius, stamps = 0.5, 2.0, 0.1 * np.arange(9)
+    stamps[-1] = 9.0  # after a gap
+    theta = turn * stamps
+    poses = np.stack((radius * np.sin(theta), radius * (1 - np.cos(theta)), theta), axis=1)
+    found = velocities_at(stamps, poses)
+    assert np.isnan(found[[0, -1]]).all()
+    assert found[1:-1] == pytest.approx(np.tile([radius * turn, 0.0, turn], (7, 1)), abs=1e-3)
+    shuffled = np.random.default_rng(0).permutation(9)
+    assert np.array_equal(velocities_at(stamps[shuffled], poses[shuffled]), found[shuffled], True)
 
 
 def test_poses_that_are_too_near_in_time_tell_no_velocity_of_their_own() -> None:
-    meter = Speedometer()
-    meter.at(0.0, np.zeros(3))
-    meter.at(0.1, np.array([0.1, 0, 0]))
-    assert meter.at(0.105, np.array([0.106, 0, 0])) == pytest.approx([0.106 / 0.105, 0, 0])
+    poses = np.array([[0, 0, 0], [0.1, 0, 0], [0.106, 0, 0]])
+    found = velocities_at(np.array([0.0, 0.1, 0.105]), poses)
+    assert found[2] == pytest.approx([0.106 / 0.105, 0, 0])
 
 
 def test_the_time_of_a_sweep_is_kept_by_files_and_messages(tmp_path) -> None:

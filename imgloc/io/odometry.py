@@ -1,7 +1,5 @@
 """Odometry beside scans: poses between those recorded, and how fast the robot is."""
 
-from collections import deque
-
 import numpy as np
 
 from imgloc.geometry import wrap
@@ -43,34 +41,25 @@ def odometry_at(at: FloatArray, stamps: FloatArray, poses: FloatArray) -> FloatA
     return np.where(near[:, None], found, np.nan)
 
 
-class Speedometer:
-    """The velocity of a robot from its odometry, pose after pose, and from no later one.
+def velocities_at(stamps: FloatArray, poses: FloatArray) -> FloatArray:
+    """Velocities (N, 3) of a robot in its own frame at its poses (N, 3): m/s, m/s, rad/s.
+
+    Each is that of the way from a pose shortly before; NaN at first, and after a gap.
 
     Examples
     --------
-    >>> meter = Speedometer()
-    >>> [meter.at(0.5 * k, np.array([k, 0.0, 0.0])).tolist() for k in range(2)]
+    >>> velocities_at(np.array([0.0, 0.5]), np.array([[0, 0, 0.0], [1, 0, 0]])).tolist()
     [[nan, nan, nan], [2.0, 0.0, 0.0]]
     """
-
-    def __init__(self) -> None:
-        self._past = deque[tuple[float, FloatArray]]()
-
-    def at(self, stamp: float, pose: FloatArray) -> FloatArray:
-        """Velocity (3,) at a stamp, seconds, in the robot's frame: m/s, m/s, rad/s.
-
-        `pose` (3,) is that of the robot in the odometry's frame. The velocity is NaN at first, and
-        after a gap.
-        """
-        past, velocity = self._past, np.full(3, np.nan)
-        while len(past) > 1 and past[1][0] <= stamp - _LEAST:
-            past.popleft()
-        if past and _LEAST <= stamp - past[0][0] <= _MOST:
-            before, seconds = past[0][1], stamp - past[0][0]
-            turn = float(wrap(pose[2] - before[2]))
-            middle = before[2] + turn / 2
-            c, s = np.cos(middle), np.sin(middle)
-            step = np.array([[c, s], [-s, c]]) @ (pose[:2] - before[:2])
-            velocity = np.array([*step, turn]) / seconds
-        past.append((stamp, np.array(pose, dtype=np.float64)))
-        return velocity
+    order = np.argsort(stamps, kind="stable")
+    t, (x, y, theta) = stamps[order], poses[order].T
+    before = np.searchsorted(t, t - _LEAST, side="right") - 1
+    seconds = t - t[before]
+    turn = wrap(theta - theta[before])
+    dx, dy, middle = x - x[before], y - y[before], theta[before] + turn / 2
+    c, s = np.cos(middle), np.sin(middle)
+    steps = np.stack((c * dx + s * dy, c * dy - s * dx, turn), axis=1)
+    known = (before >= 0) & (seconds >= _LEAST) & (seconds <= _MOST)
+    out = np.full_like(steps, np.nan)
+    out[order[known]] = steps[known] / seconds[known, None]
+    return out

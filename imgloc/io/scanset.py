@@ -10,7 +10,7 @@ import numpy as np
 
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.badlines import BadLines
-from imgloc.io.odometry import Speedometer
+from imgloc.io.odometry import velocities_at
 from imgloc.model import LONGEST_SWEEP, FloatArray, LaserScan, Pose2D
 
 _LOG = logging.getLogger("imgloc")
@@ -129,11 +129,9 @@ class ScanSet:
     @property
     def velocities(self) -> FloatArray:
         """(N, 3) of the robot in its own frame at each scan, m/s, m/s, rad/s; NaN if not known."""
-        meter = Speedometer()
         if self.odom is None or self.stamps is None:
             return np.full((len(self), 3), np.nan)
-        pairs = zip(self.stamps.tolist(), self.odom, strict=True)
-        return np.array([meter.at(*pair) for pair in pairs])
+        return velocities_at(self.stamps, self.odom)
 
     def take(self, indices: Sequence[int]) -> "ScanSet":
         """The scans at some indices, in their order, with what was recorded beside them."""
