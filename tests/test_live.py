@@ -3,6 +3,8 @@
 import contextlib
 import gc
 import math
+import subprocess
+import sys
 import threading
 import time
 import weakref
@@ -562,3 +564,27 @@ def test_an_answer_is_gone_once_nobody_has_it(core: Localizer, scans: list[Laser
         assert [one() for one in held] == [None] * len(scans)
     finally:
         gc.enable()
+
+
+_LEAVES = """
+import subprocess
+import sys
+import threading, cv2, numpy as np
+from imgloc.live.localizer import Localizer
+begun = threading.Event()
+def made():
+    begun.set()
+    for _ in range(40):
+        cv2.GaussianBlur(np.zeros((1500, 1500), np.float32), (31, 31), 5)
+    raise OSError("no map")
+core = Localizer(made, background=True)
+begun.wait()
+{closes}
+"""
+
+
+@pytest.mark.parametrize("closes", ["", "core.close()", "core.close(wait=True)"])
+def test_a_process_ends_though_a_map_is_under_way_inside_opencv(closes) -> None:
+    words = [sys.executable, "-c", _LEAVES.format(closes=closes)]
+    ended = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stderr) == (0, "")

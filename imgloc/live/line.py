@@ -135,8 +135,14 @@ class Line:
             for key in [key for key in self._counts if key.kind == kind]:
                 del self._counts[key]
 
-    def close(self) -> None:
-        """Drop all work that waits and take no more; the worker finishes its piece."""
+    def close(self, *, wait: bool = False) -> None:
+        """Drop all work that waits and take no more; the worker finishes its piece.
+
+        Parameters
+        ----------
+        wait : bool
+            Return once it has.
+        """
         with self._changed:
             self._closed = True
             gone = list(self._waiting.values())
@@ -145,6 +151,8 @@ class Line:
             self._changed.notify_all()
         for task in gone:
             _drop(task, "closed")
+        if wait and self._thread is not None:
+            self._thread.join()
 
     def _count(self, key: Key) -> None:
         self._total += 1

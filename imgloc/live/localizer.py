@@ -10,9 +10,11 @@
 ('unique', 'map', 0)
 """
 
+import atexit
 import math
 import threading
 import time
+import weakref
 from collections import deque
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from concurrent.futures import Future
@@ -161,6 +163,7 @@ class Localizer:
         if not background:
             self._make_index()
         self._own = self.robot()
+        _OPEN.add(self)
 
     # Maps.
 
@@ -430,12 +433,21 @@ class Localizer:
         self._robots.append(robot)
         return robot
 
-    def close(self) -> None:
-        """Drop all scans that wait and take no more; the scan under way is finished."""
+    def close(self, *, wait: bool = False) -> None:
+        """Drop all scans that wait and take no more; the scan under way is finished.
+
+        Parameters
+        ----------
+        wait : bool
+            Return once the scan and the map under way are finished.
+        """
         with self._changed:
             self._closed = True
             self._changed.notify_all()
-        self._line.close()
+            preparing = self._preparing
+        self._line.close(wait=wait)
+        if wait and preparing is not None:
+            preparing.join()
 
     def __enter__(self) -> "Localizer":
         return self
@@ -559,7 +571,8 @@ class Localizer:
             with self._changed:
                 if not self._queue or self._closed:
                     try:
-                        self._make_index()
+                        if not self._closed:
+                            self._make_index()
                     finally:
                         self._preparing = None
                         self._changed.notify_all()
@@ -569,6 +582,16 @@ class Localizer:
                 self._prepare(name, entry)
             with self._changed:
                 self._changed.notify_all()
+
+
+_OPEN = weakref.WeakSet[Localizer]()
+
+
+@atexit.register
+def _end_all() -> None:
+    # The process aborts if a thread is inside OpenCV when the interpreter ends.
+    for core in tuple(_OPEN):
+        core.close(wait=True)
 
 
 class Robot:
