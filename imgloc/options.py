@@ -536,7 +536,6 @@ MemoryBudget = Annotated[
         parse=byte_count,
     ),
 ]
-AllowLossy = Annotated[bool, Option("Accept a map image with lossy compression, such as JPEG.")]
 Reach = Annotated[
     float,
     Within(1e-3, 1e6, "metres"),

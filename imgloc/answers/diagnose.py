@@ -15,16 +15,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly
 from imgloc.io.maps import DRAWN, SWAPPED, looks_drawn, looks_swapped
 from imgloc.io.scanset import ScanSet
-from imgloc.model import (
-    SURE,
-    Evidence,
-    LaserScan,
-    Localization,
-    Pose2D,
-    base_of,
-    compose,
-    inverse,
-)
+from imgloc.model import SURE, Evidence, LaserScan, Localization, Pose2D, base_of, compose, inverse
 from imgloc.numbers import number
 from imgloc.options import Options, Prior, Shared
 from imgloc.pipeline import localize

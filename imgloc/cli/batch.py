@@ -18,7 +18,6 @@ from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_there
 from imgloc.options import (
     TOLERANCES,
-    AllowLossy,
     Bytes,
     Cell,
     Chosen,
@@ -30,7 +29,6 @@ from imgloc.options import (
     Mounting,
     Options,
     Reach,
-    Reading,
     Seed,
     Sensor,
     Spacing,
@@ -79,7 +77,7 @@ def batch(
     ),
     out: Path = option(..., "Folder of the results.", metavar="DIR"),
     mounting: Mounting,
-    reading: Reading,
+    reading: opt.MapImages,
     logs: Annotated[Logs, Without("fov")],
     chosen: Chosen,
     search: Annotated[Options, Only("method", "top", "theta_step")],
@@ -127,8 +125,7 @@ def batch(
     fail_fast: bool = option(False, "Stop at the first item that fails."),
     dry_run: bool = option(False, "Only print what would be done."),
     as_json: opt.AsJson = False,
-    no_cache: opt.NoCache = False,
-    allow_lossy: AllowLossy = False,
+    kept: Annotated[opt.Kept, Only("no_cache")],
 ) -> None:
     """Do a command's work with every map and every file of scans: one row each.
 
@@ -144,14 +141,13 @@ def batch(
     from imgloc.output.tables import batch_text
     from imgloc.runs.batch import find_items, run_batch
     from imgloc.runs.jobs import job_class
-    from imgloc.runs.opening import MapFiles
 
     kind = job_class(job)
     _refuse(given, kind, scans is not None, maps)
     laser = {"range_max": range_max, "clearance": clearance, "mount": mounting.sensor}
     typed: dict[str, Any] = {name: value for name, value in laser.items() if value is not None}
     offered: dict[str, Any] = {
-        "maps": MapFiles(reading, allow_lossy),
+        "maps": inputs.map_files(reading, many=True),
         "scans": replace(inputs.as_recorded(logs, range_max, chosen, mounting), many=True),
         "options": replace(search, theta_step=None).stepped(search.theta_step),
         "method": search.method,
@@ -171,7 +167,7 @@ def batch(
     }
     names = {field.name for field in fields(kind)}
     what = kind(**{name: value for name, value in offered.items() if name in names})
-    means = _means(memory_limit, 0 if dask else many, cached=not no_cache)
+    means = _means(memory_limit, 0 if dask else many, kept)
     again = resume or retry_failed
     items = find_items(maps, scans, what, out=out)
     todo, said = _plan(items, what, out if again else None, retry_failed=retry_failed)
@@ -197,7 +193,7 @@ def batch(
         raise typer.Exit(FAILED_ROWS)
 
 
-def _means(memory_limit: int | None, workers: int, *, cached: bool) -> "Means":
+def _means(memory_limit: int | None, workers: int, kept: opt.Kept) -> "Means":
     """What each of so many workers has; 0 of them are elsewhere, and say themselves."""
     from imgloc.cli import inputs
     from imgloc.features.budget import MIB, default_budget
@@ -207,7 +203,7 @@ def _means(memory_limit: int | None, workers: int, *, cached: bool) -> "Means":
     budget = memory_limit or (default_budget() // workers if workers else None)
     if budget is not None and budget < MIB:
         raise ConfigError(f"--memory-limit: got {budget} bytes, expected at least 1M")
-    return Means(budget, inputs.kept_in(None, wanted=cached), DRAWINGS)
+    return Means(budget, inputs.kept_in(kept), DRAWINGS)
 
 
 def _plan(

@@ -54,11 +54,11 @@ def demo(
     inputs.check_target(out, ".png", force=force, inputs=maps.glob("*.png"))
     path = maps / f"{name}.yaml"
     grid = load_map(path)
-    options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
+    options = Options(**vars(taken))
     cbml = replace(options, method="cbml")
     features = prepare(grid, name, ready=False, threads=taken.threads)
     hint = "use another --map"
-    desk = inputs.desk_of(taken.threads, taken.memory_budget)
+    desk = inputs.desk_of(**vars(taken))
     desk.check_simulation(grid, name, 1, 181, hint=hint)
     for each in (options, cbml):
         desk.check_answer(features, each, name, hint=hint)

@@ -7,11 +7,12 @@ import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from imgloc.cli.console import LOG, progress
+from imgloc.cli.options import Kept, MapImages
 from imgloc.doors import behind
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.features.mapfeatures import MapFeatures
@@ -21,17 +22,7 @@ from imgloc.io.files import display, is_folder, refuse_existing
 from imgloc.io.maps import YAML_ENDINGS
 from imgloc.io.mapyaml import load_map_yaml
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
-from imgloc.options import (
-    RADIUS,
-    TOLERANCE,
-    Chosen,
-    Known,
-    Logs,
-    Mounting,
-    Options,
-    Reading,
-    Shared,
-)
+from imgloc.options import RADIUS, TOLERANCE, Chosen, Known, Logs, Mounting, Options, Shared
 from imgloc.runs import opening
 from imgloc.runs.jobs import Item
 from imgloc.runs.opening import Desk, MapFiles, ScanFiles
@@ -49,9 +40,11 @@ def desk_of(threads: int, memory_budget: int, cache: Path | None = None) -> Desk
     return Desk(threads, memory_budget, cache, progress=progress)
 
 
-def one_map(reading: Reading, *, allow_lossy: bool = False) -> MapFiles:
-    """How the only map of a command is read: its options override the YAML."""
-    return MapFiles(reading, allow_lossy, many=False)
+def map_files(reading: MapImages, *, many: bool = False) -> MapFiles:
+    """How the maps of a command are read; the options of its only map override the YAML."""
+    given: Any = dict(reading)
+    lossy = given.pop("allow_lossy", False)
+    return MapFiles(given, lossy, many)
 
 
 def as_recorded(
@@ -132,15 +125,15 @@ def targets(
     return files
 
 
-def kept_in(given: Path | None, *, wanted: bool) -> Path | None:
+def kept_in(kept: Kept) -> Path | None:
     """Where prepared maps are kept: the folder given, else the user's; None for nowhere."""
-    if not wanted:
-        if given is not None:
+    if kept.no_cache:
+        if kept.cache is not None:
             raise ConfigError("--cache and --no-cache: expected one of them")
         return None
     cache_limit()  # nonsense is refused before the work
     try:
-        return given or cache_folder()
+        return kept.cache or cache_folder()
     except OutputError as error:  # nothing but time is lost
         LOG.warning("%s", error)
         return None

@@ -13,16 +13,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit
 from imgloc.errors import ConfigError, as_options
 from imgloc.io.files import display
-from imgloc.options import (
-    MAX_BAD,
-    AllowLossy,
-    Logs,
-    MemoryBudget,
-    Mounting,
-    Options,
-    RangeMax,
-    Reading,
-)
+from imgloc.options import MAX_BAD, Logs, MemoryBudget, Mounting, Options, RangeMax
 from imgloc.ranges import option
 
 if TYPE_CHECKING:
@@ -42,7 +33,7 @@ def inspect(
     ),
     logs: Logs,
     mounting: Mounting,
-    reading: Reading,
+    reading: opt.MapImages,
     as_json: opt.AsJson = False,
     picture: Path | None = option(
         None,
@@ -51,11 +42,9 @@ def inspect(
         metavar="PNG",
     ),
     range_max: RangeMax | None = None,
-    cache: opt.CacheDir = None,
-    no_cache: opt.NoCache = False,
+    kept: opt.Kept,
     memory_budget: MemoryBudget | None = None,
     force: opt.Force = False,
-    allow_lossy: AllowLossy = False,
 ) -> None:
     """Look at a log or a map before it is used, and name what is wrong with it.
 
@@ -65,7 +54,7 @@ def inspect(
     """
     from imgloc.cli import inputs
 
-    folder = inputs.kept_in(cache, wanted=not no_cache)
+    folder = inputs.kept_in(kept)
     desk = inputs.desk_of(1, opt.fixed_budget(memory_budget), folder)
     given = [opt.find_map(path) if _is_map(path) else path for path in files]
     maps = [path for path in given if _is_map(path)]
@@ -73,7 +62,7 @@ def inspect(
     names = inputs.targets(picture, ".png", range(len(found)), force=force, inputs=files)
     if picture is not None and not found:
         raise ConfigError("--picture: is of logs; imgloc map show draws a map")
-    how = inputs.one_map(reading, allow_lossy=allow_lossy)
+    how = inputs.map_files(reading)
     for path in maps:
         _map(path, how, desk, as_json=as_json)
     the_map = maps[0] if len(maps) == 1 else None

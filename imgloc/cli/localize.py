@@ -13,18 +13,7 @@ from imgloc.cli.command import Without
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, say, width
 from imgloc.errors import ConfigError, as_options
 from imgloc.io.files import display, write_text_atomic
-from imgloc.options import (
-    AllowLossy,
-    Cell,
-    Chosen,
-    Drawn,
-    Known,
-    Logs,
-    Mounting,
-    Options,
-    RangeMax,
-    Reading,
-)
+from imgloc.options import Cell, Chosen, Drawn, Known, Logs, Mounting, Options, RangeMax
 from imgloc.ranges import option
 
 if TYPE_CHECKING:
@@ -44,7 +33,7 @@ def localize(
     known: Known,
     drawn: Drawn,
     mounting: Mounting,
-    reading: Reading,
+    reading: opt.MapImages,
     logs: Logs,
     chosen: Chosen,
     taken: opt.Resources,
@@ -65,10 +54,8 @@ def localize(
     strict: opt.Strict = False,
     range_max: RangeMax | None = None,
     cell: Cell = 0.1,
-    cache: opt.CacheDir = None,
-    no_cache: opt.NoCache = False,
+    kept: opt.Kept,
     force: opt.Force = False,
-    allow_lossy: AllowLossy = False,
 ) -> None:
     """Find the pose of each scan in a map, without an initial guess.
 
@@ -80,7 +67,7 @@ def localize(
     from imgloc.runs.localize import Localize
     from imgloc.search.asked import check_options
 
-    folder = inputs.kept_in(cache, wanted=not no_cache)
+    folder = inputs.kept_in(kept)
     if search.engine != "auto" and search.method not in ("cbml", "cbml-o"):
         raise ConfigError(f"--engine: {search.method} does not correlate; use cbml or cbml-o")
     if list(map(str, scans_paths)).count("-") > 1:
@@ -90,14 +77,14 @@ def localize(
     inputs.check_target(explain, ".html", force=force)
     job = Localize(
         options=replace(search, theta_step=None).stepped(search.theta_step),
-        maps=inputs.one_map(reading, allow_lossy=allow_lossy),
+        maps=inputs.map_files(reading),
         scans=inputs.as_recorded(logs, range_max, chosen, mounting),
         cell=cell,
         known=known,
         drawn=drawn,
         region=region,
     )
-    desk = inputs.desk_of(taken.threads, taken.memory_budget, folder)
+    desk = inputs.desk_of(**vars(taken), cache=folder)
     desk.grid(map_path, job.maps)  # a map that is not there is told before scans are waited for
     runs = []
     for path in scans_paths:

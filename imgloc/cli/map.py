@@ -6,10 +6,11 @@ from typing import Annotated
 import typer
 
 from imgloc.cli import options as opt
+from imgloc.cli.command import Without
 from imgloc.cli.console import emit, say
 from imgloc.errors import ConfigError, MapError
 from imgloc.io.files import display, map_name
-from imgloc.options import METHODS, AllowLossy, Chosen, MemoryBudget, Millimetres, Options, Reading
+from imgloc.options import METHODS, Chosen, MemoryBudget, Millimetres, Options
 from imgloc.ranges import OneOf, Within, option
 from imgloc.texts import numbers
 
@@ -19,7 +20,7 @@ SUBJECTS = ("map", "bmap", "vmap", "surface", "visibility", "distance", "likelih
 def check(
     *,
     map_path: opt.MapPath,
-    reading: Reading,
+    reading: Annotated[opt.MapImages, Without("allow_lossy")],
     as_json: opt.AsJson = False,
     strict: bool = option(False, "Exit with code 3 if there is any warning."),
     memory_budget: MemoryBudget | None = None,
@@ -35,7 +36,7 @@ def check(
     from imgloc.runs.check import Check
 
     desk = inputs.desk_of(1, opt.fixed_budget(memory_budget))
-    (answer,) = Check(maps=inputs.one_map(reading)).open(inputs.item_of(map_path), desk)
+    (answer,) = Check(maps=inputs.map_files(reading)).open(inputs.item_of(map_path), desk)
     emit(to_json(answer.row) if as_json else report_text(answer.of))
     if strict and answer.doubtful:
         raise typer.Exit(MapError.exit_code)
@@ -45,7 +46,7 @@ def show(
     *,
     map_path: opt.MapPath,
     out: Path = option(..., "Picture that is written.", metavar="PNG"),
-    reading: Reading,
+    reading: opt.MapImages,
     what: Annotated[str, OneOf(*SUBJECTS)] = option(
         "map",
         "What is drawn: the map as it is read; the blurred map (bmap); its blurred normals "
@@ -76,7 +77,6 @@ def show(
     ),
     memory_budget: MemoryBudget | None = None,
     force: opt.Force = False,
-    allow_lossy: AllowLossy = False,
 ) -> None:
     """Draw a map, or what is computed from it, into a PNG."""
     import numpy as np
@@ -97,7 +97,7 @@ def show(
         if value is not None and what not in ("bmap", "vmap"):
             raise ConfigError(f"{name}: only --what bmap and --what vmap are blurred")
     budget = opt.fixed_budget(memory_budget)
-    desk, maps = inputs.desk_of(1, budget), inputs.one_map(reading, allow_lossy=allow_lossy)
+    desk, maps = inputs.desk_of(1, budget), inputs.map_files(reading)
     grid = desk.grid(map_path, maps, usable=what != "map")
     features = MapFeatures(grid, cell=cell or grid.resolution, sigma=sigma or 0.1)
     if at is not None:

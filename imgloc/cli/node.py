@@ -8,7 +8,7 @@ import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.command import Command
-from imgloc.options import AllowLossy, Flipped, Options, RangeMax, Reading
+from imgloc.options import Flipped, Options, RangeMax
 from imgloc.ranges import Within, option
 from imgloc.texts import pose
 
@@ -33,7 +33,7 @@ class RosCommand(Command):
 def node(
     *,
     context: typer.Context,
-    reading: Reading,
+    reading: opt.MapImages,
     taken: opt.Resources,
     map_path: Path | None = option(
         None,
@@ -64,9 +64,7 @@ def node(
     max_age: Annotated[float, Within(0.01, 1e9, "seconds")] = option(
         2.0, "Age of a scan, seconds, from which its pose is not published any more."
     ),
-    cache: opt.CacheDir = None,
-    no_cache: opt.NoCache = False,
-    allow_lossy: AllowLossy = False,
+    kept: opt.Kept,
 ) -> None:
     """Run a ROS 2 node that finds the robot on the map and publishes its first pose.
 
@@ -88,7 +86,7 @@ def node(
         tries=tries,
         max_age=max_age,
     )
-    options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
+    options = Options(**vars(taken))
     makers: dict[str, Any] = {}
     prepared: Any = None
     if map_path is not None:
@@ -96,15 +94,14 @@ def node(
         from imgloc.cli import inputs
         from imgloc.io.files import is_folder
         from imgloc.io.folders import find_maps
-        from imgloc.runs.opening import MapFiles
 
-        folder, many = inputs.kept_in(cache, wanted=not no_cache), is_folder(map_path)
-        paths, maps = {map_path.stem: map_path}, MapFiles(reading, allow_lossy, many=many)
+        folder, many = inputs.kept_in(kept), is_folder(map_path)
+        paths, maps = {map_path.stem: map_path}, inputs.map_files(reading, many=many)
         if many:
             found = find_maps(map_path, images=reading.get("resolution") is not None)
             paths = dict(zip(names_of(found, map_path), found, strict=True))
         else:  # what is wrong with one map is said at once
-            inputs.desk_of(taken.threads, taken.memory_budget).grid(map_path, maps, usable=True)
+            inputs.desk_of(**vars(taken)).grid(map_path, maps, usable=True)
         makers, prepared = inputs.site_makers(paths, maps, options, folder)
 
     words = ["imgloc", *context.meta[_ROS]]

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from imgloc.cli.command import Given, value_of
 from imgloc.errors import ConfigError
-from imgloc.options import Bytes, Count, Tolerance
+from imgloc.options import Bytes, Count, Reading, Tolerance
 from imgloc.ranges import Option, declaration, option
 from imgloc.texts import byte_count, metres_degrees
 
@@ -79,11 +79,6 @@ Picture = Annotated[
         metavar="PNG",
     ),
 ]
-CacheDir = Annotated[
-    Path | None,
-    Option("Folder that keeps prepared maps. [default: the user's cache folder]", metavar="DIR"),
-]
-NoCache = Annotated[bool, Option("Prepare maps anew, and keep nothing of them.")]
 Force = Annotated[bool, Option("Overwrite output files that exist.")]
 AsJson = Annotated[bool, Option("Print JSON instead of text: one object a line.", "--json")]
 Strict = Annotated[bool, Option("Exit with code 6 unless every scan is unique.")]
@@ -146,6 +141,22 @@ class Resources:
         import cv2
 
         cv2.setNumThreads(self.threads)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Where prepared maps are kept."""
+
+    cache: Path | None = option(
+        None, "Folder that keeps prepared maps. [default: the user's cache folder]", metavar="DIR"
+    )
+    no_cache: bool = option(False, "Prepare maps anew, and keep nothing of them.")
+
+
+class MapImages(Reading, total=False):
+    """How the images of maps are read."""
+
+    allow_lossy: Annotated[bool, Option("Accept a map image with lossy compression, such as JPEG.")]
 
 
 def for_each(

@@ -9,19 +9,7 @@ from imgloc.cli.command import Only
 from imgloc.cli.console import LOG, progress, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
-from imgloc.options import (
-    FUSED,
-    AllowLossy,
-    Cell,
-    Chosen,
-    Count,
-    Flipped,
-    Logs,
-    Options,
-    RangeMax,
-    Reading,
-    Seed,
-)
+from imgloc.options import FUSED, Cell, Chosen, Count, Flipped, Logs, Options, RangeMax, Seed
 from imgloc.ranges import option
 
 _MOST = 10_000_000  # poses in all
@@ -33,7 +21,7 @@ def sample(
     scans_path: opt.ScansPath,
     out: Path = option(..., "File of the poses that is written.", metavar="CSV"),
     search: Annotated[Options, Only("method", "theta_step")],
-    reading: Reading,
+    reading: opt.MapImages,
     logs: Logs,
     chosen: Chosen,
     taken: opt.Resources,
@@ -43,7 +31,6 @@ def sample(
     flipped: Flipped = False,
     cell: Cell = 0.1,
     force: opt.Force = False,
-    allow_lossy: AllowLossy = False,
 ) -> None:
     """Draw poses from the calibrated posterior p(x | z) of each scan.
 
@@ -60,14 +47,14 @@ def sample(
     if search.theta_step is not None and search.method == FUSED:
         raise ConfigError("--theta-step-deg: fused has no stack of headings")
     inputs.check_target(out, ".csv", force=force, inputs=[scans_path])
-    desk = inputs.desk_of(taken.threads, taken.memory_budget)
-    maps = inputs.one_map(reading, allow_lossy=allow_lossy)
+    desk = inputs.desk_of(**vars(taken))
+    maps = inputs.map_files(reading)
     grid = desk.grid(map_path, maps, usable=True)
     asked = desk.scans(scans_path, inputs.as_recorded(logs, range_max, chosen, flipped=flipped))
     total = len(asked.indices)
     if count * total > _MOST:
         raise ConfigError(f"-n: {count:,} poses of {total:,} scans are more than {_MOST:,}")
-    options = replace(search, threads=taken.threads, memory_budget=taken.memory_budget)
+    options = replace(search, **vars(taken))
     options = calibrated(options, map_path, grid)
     features = desk.features(map_path, maps, options, cell=cell, scans=asked.scans.scans)
     lines = ["scan,x,y,theta"]

@@ -15,7 +15,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import INTERRUPTED, LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_folder
-from imgloc.options import AllowLossy, Bytes, Logs, Options, Reading
+from imgloc.options import Bytes, Logs, Options, Reading
 from imgloc.ranges import Option, Within, option
 from imgloc.texts import byte_count
 
@@ -30,7 +30,7 @@ Patience = Annotated[float, Within(0.1, 3600, "seconds")]
 
 def serve(
     *,
-    reading: Reading,
+    reading: opt.MapImages,
     taken: opt.Resources,
     maps: list[Path] = option(
         [],
@@ -61,9 +61,7 @@ def serve(
     max_body: Bytes = option(
         64 << 20, "Largest body of a request, such as 512K or 2M. [default: 64M]", parse=byte_count
     ),
-    cache: opt.CacheDir = None,
-    no_cache: opt.NoCache = False,
-    allow_lossy: AllowLossy = False,
+    kept: opt.Kept,
 ) -> None:
     """Answer over HTTP: where scans are, from which map; and a page at / that shows why.
 
@@ -77,7 +75,7 @@ def serve(
 
     access = Access(host, token or os.environ.get("IMGLOC_TOKEN"), tuple(allow_host))
     bounds = Bounds(body=max_body, seconds=seconds, patience=patience, waiting=waiting)
-    core, paths = _core(maps, reading, taken, cache, no_cache, allow_lossy)
+    core, paths = _core(maps, reading, taken, kept)
 
     def show(address: str) -> None:
         emit(address)
@@ -92,12 +90,10 @@ def open(  # noqa: A001 (the command's name)
     *,
     map_path: opt.MapPath,
     logs: Logs,
-    reading: Reading,
+    reading: opt.MapImages,
     taken: opt.Resources,
     scans_path: Annotated[Path | None, Option(opt.SCANS, "[SCANS]", parse=opt.find_scans)] = None,
-    cache: opt.CacheDir = None,
-    no_cache: opt.NoCache = False,
-    allow_lossy: AllowLossy = False,
+    kept: opt.Kept,
 ) -> None:
     """Look at a map and scans in the browser: answers in place, and why.
 
@@ -111,13 +107,9 @@ def open(  # noqa: A001 (the command's name)
 
     opened = None
     if scans_path is not None:
-        scans = (
-            inputs.desk_of(taken.threads, taken.memory_budget)
-            .scans(scans_path, inputs.as_recorded(logs))
-            .scans
-        )
+        scans = inputs.desk_of(**vars(taken)).scans(scans_path, inputs.as_recorded(logs)).scans
         opened = ScansHeld("0" * 16, inputs.name_of(scans_path), scans)
-    core, paths = _core([map_path], reading, taken, cache, no_cache, allow_lossy)
+    core, paths = _core([map_path], reading, taken, kept)
 
     def show(address: str) -> None:
         emit(address)
@@ -136,20 +128,17 @@ def _check_installed() -> None:
 
 def _core(
     given: Sequence[Path],
-    reading: Reading,
+    reading: opt.MapImages,
     taken: opt.Resources,
-    cache: Path | None,
-    no_cache: bool,
-    allow_lossy: bool,
+    kept: opt.Kept,
 ) -> "tuple[Localizer, dict[str, str]]":
     """The maps, which are prepared from now on, and what each is called on a command line."""
     from imgloc.cli import inputs
     from imgloc.live.localizer import Localizer
-    from imgloc.runs.opening import MapFiles
 
-    options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
-    folder, paths = inputs.kept_in(cache, wanted=not no_cache), _named(given, reading)
-    maps = MapFiles(reading, allow_lossy, many=len(paths) > 1)
+    options = Options(**vars(taken))
+    folder, paths = inputs.kept_in(kept), _named(given, reading)
+    maps = inputs.map_files(reading, many=len(paths) > 1)
     makers, keep = inputs.site_makers(paths, maps, options, folder)
     core = Localizer(makers, options, background=True, prepared=keep)
     bundled = {opt.find_map(path): display(path) for path in given}

@@ -6,7 +6,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
-from imgloc.options import AllowLossy, Count, MemoryBudget, Reading, Seed, Sensor
+from imgloc.options import Count, MemoryBudget, Seed, Sensor
 from imgloc.ranges import option
 
 _MAX_READINGS = 10_000_000  # about 1.5 GB while they are simulated
@@ -17,12 +17,11 @@ def simulate(
     map_path: opt.MapPath,
     out: Path = option(..., "File of the scans that is written.", metavar="NPZ"),
     sensor: Sensor,
-    reading: Reading,
+    reading: opt.MapImages,
     count: Count = option(100, "Scans that are simulated.", "-n", "--count"),
     seed: Seed = 0,
     memory_budget: MemoryBudget | None = None,
     force: opt.Force = False,
-    allow_lossy: AllowLossy = False,
 ) -> None:
     """Simulate scans at random free poses of a map.
 
@@ -41,7 +40,7 @@ def simulate(
             f"{_MAX_READINGS:,}; simulate several files with different seeds"
         )
     desk = inputs.desk_of(1, opt.fixed_budget(memory_budget))
-    maps = inputs.one_map(reading, allow_lossy=allow_lossy)
+    maps = inputs.map_files(reading)
     grid = desk.grid(map_path, maps, usable=True)
     desk.check_simulation(grid, display(map_path), count, rays)
     scans = simulate(grid, count, seed, sensor)

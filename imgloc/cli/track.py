@@ -14,17 +14,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, say
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.files import display, map_name, write_text_atomic
-from imgloc.options import (
-    AllowLossy,
-    Drawn,
-    Followed,
-    Logs,
-    Mounting,
-    Options,
-    RangeMax,
-    Reading,
-    Shared,
-)  # fmt: skip
+from imgloc.options import Drawn, Followed, Logs, Mounting, Options, RangeMax, Shared
 from imgloc.ranges import Checked, Within, option
 from imgloc.texts import numbers, pose
 
@@ -174,15 +164,13 @@ def track(
     outputs: Outputs,
     drawn: Drawn,
     mounting: Mounting,
-    reading: Reading,
+    reading: opt.MapImages,
     logs: Logs,
     taken: opt.Resources,
     as_json: opt.AsJson = False,
     range_max: RangeMax | None = None,
     strict: bool = option(False, "Exit with code 6 unless the last pose is unique."),
-    cache: opt.CacheDir = None,
-    no_cache: opt.NoCache = False,
-    allow_lossy: AllowLossy = False,
+    kept: opt.Kept,
 ) -> None:
     """Follow a robot through a log of scans with odometry, from anywhere on the map.
 
@@ -205,12 +193,12 @@ def track(
     from imgloc.output.tracks import Video
     from imgloc.search.asked import check_options
 
-    folder = inputs.kept_in(cache, wanted=not no_cache)
+    folder = inputs.kept_in(kept)
     outputs.check([*inputs.files_of(map_path), log])
-    desk = inputs.desk_of(taken.threads, taken.memory_budget, folder)
-    maps = inputs.one_map(reading, allow_lossy=allow_lossy)
+    desk = inputs.desk_of(**vars(taken), cache=folder)
+    maps = inputs.map_files(reading)
     grid = desk.grid(map_path, maps, usable=True)
-    options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
+    options = Options(**vars(taken))
     options = calibrated(options, map_path, grid, drawn)
     how = inputs.as_recorded(logs, range_max, mounting=mounting)
     scans, live, given = _scans_of(log, logs, asked, how, desk, outputs)

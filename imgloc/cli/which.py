@@ -6,11 +6,11 @@ from typing import Annotated
 import typer
 
 from imgloc.cli import options as opt
-from imgloc.cli.command import Without
+from imgloc.cli.command import Only, Without
 from imgloc.cli.console import LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
-from imgloc.options import AllowLossy, Flipped, Known, Logs, RangeMax, Reading, Sure
+from imgloc.options import Flipped, Known, Logs, RangeMax, Sure
 from imgloc.ranges import option
 
 FAILED_ROWS = 5
@@ -24,7 +24,7 @@ def which(
         "MAPS_DIR",
     ),
     known: Annotated[Known, Without("near")],
-    reading: Reading,
+    reading: opt.MapImages,
     logs: Logs,
     taken: opt.Resources,
     scans_path: Path | None = option(
@@ -51,9 +51,8 @@ def which(
     flipped: Flipped = False,
     sure: Sure = 0.5,
     as_json: opt.AsJson = False,
-    no_cache: opt.NoCache = False,
+    kept: Annotated[opt.Kept, Only("no_cache")],
     force: opt.Force = False,
-    allow_lossy: AllowLossy = False,
 ) -> None:
     """Say which of the maps in a folder each scan is from: one of them, none, or undecided.
 
@@ -71,7 +70,6 @@ def which(
     from imgloc.output.pictures import draw
     from imgloc.output.tables import CHOICE_HEADER, choice_line
     from imgloc.runs.jobs import Item
-    from imgloc.runs.opening import MapFiles
     from imgloc.runs.which import Named, Which
 
     _check(scans_path, maps_index, build=build)
@@ -80,13 +78,13 @@ def which(
     paths = find_maps(maps_dir, images=reading.get("resolution") is not None)
     files = tuple(zip(names_of(paths, maps_dir), paths, strict=True))
     job = Which(
-        maps=MapFiles(reading, allow_lossy),
+        maps=inputs.map_files(reading, many=True),
         scans=inputs.as_recorded(logs, range_max, flipped=flipped),
         known=known,
         sure=sure,
     )
-    folder = inputs.kept_in(None, wanted=not no_cache)
-    desk = inputs.desk_of(taken.threads, taken.memory_budget, folder)
+    folder = inputs.kept_in(kept)
+    desk = inputs.desk_of(**vars(taken), cache=folder)
     asked = None if scans_path is None else desk.scans(scans_path, job.scans)
     numbers = [] if asked is None else asked.indices
     read = [file for path in paths for file in inputs.files_of(path)]

@@ -14,15 +14,7 @@ import numpy as np
 from imgloc.errors import ImglocError, MapError, ScanError
 from imgloc.io.bagbounds import MAX_METADATA, bounded, largest_chunk, messages_of, metadata
 from imgloc.io.clouds import Height, check_height, check_seen, points_of, slice_of
-from imgloc.io.files import (
-    PathLike,
-    display,
-    is_folder,
-    is_there,
-    open_file,
-    read_file,
-    reason,
-)
+from imgloc.io.files import PathLike, display, is_folder, is_there, open_file, read_file, reason
 from imgloc.io.lasers import lasers_of, together
 from imgloc.io.messages import (
     Frames,

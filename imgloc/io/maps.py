@@ -37,14 +37,7 @@ from imgloc.io.files import (
     write_bytes_atomic,
     write_text_atomic,
 )
-from imgloc.io.images import (
-    MAX_PIXELS,
-    ImageSize,
-    MapImage,
-    decode_image,
-    encode_png,
-    read_image,
-)
+from imgloc.io.images import MAX_PIXELS, ImageSize, MapImage, decode_image, encode_png, read_image
 from imgloc.io.mapyaml import MODES, RESOLUTION_RANGE, MapYaml, load_map_yaml, parse_map_yaml
 from imgloc.model import BoolArray, OccupancyGrid, Pose2D
 from imgloc.options import Reading

@@ -13,16 +13,7 @@ import numpy as np
 from imgloc.errors import ScanError
 from imgloc.io.badlines import BadLines
 from imgloc.io.files import PathLike, display
-from imgloc.io.scanset import (
-    MAX_RAYS,
-    SPACING,
-    Entry,
-    ScanSet,
-    ScansSize,
-    collect,
-    scalar,
-    spread,
-)
+from imgloc.io.scanset import MAX_RAYS, SPACING, Entry, ScanSet, ScansSize, collect, scalar, spread
 from imgloc.io.text import MAX_TEXT, open_text, read_text
 from imgloc.options import MAX_BAD
 

@@ -44,14 +44,7 @@ from imgloc.lab.performance_index import (
     performance_index,
 )
 from imgloc.likelihoods.stacks import likelihood
-from imgloc.model import (
-    VERDICTS,
-    FloatArray,
-    LaserScan,
-    Likelihood,
-    Localization,
-    Pose2D,
-)
+from imgloc.model import VERDICTS, FloatArray, LaserScan, Likelihood, Localization, Pose2D
 from imgloc.options import FUSED, LOG_METHODS, TOLERANCES, Options, Tolerance
 from imgloc.pipeline import localize
 from imgloc.search.asked import effective

@@ -16,14 +16,7 @@ from imgloc.features.raycast import cast_rays
 from imgloc.geometry import cell_of, inside, transform_poses
 from imgloc.io.maps import bundled_maps
 from imgloc.io.scanset import ScanSet
-from imgloc.model import (
-    BoolArray,
-    Float32Array,
-    FloatArray,
-    LaserScan,
-    OccupancyGrid,
-    Pose2D,
-)
+from imgloc.model import BoolArray, Float32Array, FloatArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.options import Sensor
 from imgloc.simulation.worlds import WORLDS, render
 

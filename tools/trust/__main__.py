@@ -34,16 +34,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from imgloc import (
-    ConfigError,
-    MapFeatures,
-    Options,
-    ScanSet,
-    Sensor,
-    Trust,
-    load_map,
-    prepare,
-)
+from imgloc import ConfigError, MapFeatures, Options, ScanSet, Sensor, Trust, load_map, prepare
 from imgloc.choice.choose import names_of
 from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
 from imgloc.io.folders import find_maps

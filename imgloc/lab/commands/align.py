@@ -9,7 +9,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import NOT_UNIQUE, emit, progress, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, map_name, write_text_atomic
-from imgloc.options import AllowLossy, Chosen, Logs, Mounting, Options, RangeMax, Reading
+from imgloc.options import Chosen, Logs, Mounting, Options, RangeMax
 from imgloc.ranges import Option, option
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def align(
         "ROS ignore the yaw of an origin.",
         metavar="YAML",
     ),
-    reading: Reading,
+    reading: opt.MapImages,
     logs: Logs,
     chosen: Chosen,
     mounting: Mounting,
@@ -62,7 +62,6 @@ def align(
     as_json: opt.AsJson = False,
     strict: bool = option(False, "Exit with code 6 unless one place alone matches."),
     force: opt.Force = False,
-    allow_lossy: AllowLossy = False,
 ) -> None:
     """Find where map B lies in the frame of map A, and how well the two agree.
 
@@ -81,7 +80,6 @@ def align(
         read_poses,
     )
     from imgloc.model import to_json
-    from imgloc.runs.opening import MapFiles
 
     read = [*inputs.files_of(a_path), *inputs.files_of(b_path), *([] if move is None else [move])]
     for path, ending in ((picture, ".png"), (out, ".csv"), (write, ".yaml")):
@@ -89,7 +87,10 @@ def align(
     if (move is None) != (out is None):
         raise ConfigError("--move, --out: expected both: poses of B, and the file for those of A")
     poses = None if move is None else read_poses(move)
-    desk, maps = inputs.desk_of(taken.threads, taken.memory_budget), MapFiles(reading, allow_lossy)
+    desk, maps = (
+        inputs.desk_of(**vars(taken)),
+        inputs.map_files(reading, many=True),
+    )
     grids = [desk.grid(path, maps, usable=True) for path in (a_path, b_path)]
     by_scans = None
     if scans is not None:
@@ -108,7 +109,7 @@ def align(
         write_text_atomic(out, moved_text(poses, found), force=force)
         written.append(out)
     if sure and write is not None:
-        settings = resolve_settings(b_path, **reading_of(b_path, reading))
+        settings = resolve_settings(b_path, **reading_of(b_path, maps.reading))
         write_text_atomic(write, moved_yaml(settings, found, write.parent), force=force)
         written.append(write)
     emit(to_json(row) if as_json else alignment_text(row))

@@ -7,15 +7,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import emit, progress, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, write_text_atomic
-from imgloc.options import (
-    AllowLossy,
-    Headings,
-    MemoryBudget,
-    Reading,
-    Seed,
-    Sensor,
-    Spacing,
-)
+from imgloc.options import Headings, MemoryBudget, Seed, Sensor, Spacing
 from imgloc.ranges import option
 
 
@@ -24,7 +16,7 @@ def atlas(
     map_path: opt.MapPath,
     out: Path = option(..., "Picture that is written.", metavar="PNG"),
     sensor: Sensor,
-    reading: Reading,
+    reading: opt.MapImages,
     csv: Path | None = option(
         None, "Write a row for each pose into this file, too.", metavar="CSV"
     ),
@@ -35,7 +27,6 @@ def atlas(
     memory_budget: MemoryBudget | None = None,
     as_json: opt.AsJson = False,
     force: opt.Force = False,
-    allow_lossy: AllowLossy = False,
 ) -> None:
     """Draw where on this map, for this lidar, a single scan is enough.
 
@@ -56,7 +47,7 @@ def atlas(
     inputs.check_target(out, ".png", force=force, inputs=inputs.files_of(map_path))
     inputs.check_target(csv, ".csv", force=force)
     job = Atlas(
-        maps=inputs.one_map(reading, allow_lossy=allow_lossy),
+        maps=inputs.map_files(reading),
         sensor=sensor, step=step, headings=headings, seed=seed,
     )  # fmt: skip
     desk = inputs.desk_of(1, opt.fixed_budget(memory_budget))

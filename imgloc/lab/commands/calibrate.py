@@ -13,7 +13,6 @@ from imgloc.errors import ConfigError
 from imgloc.io.files import display
 from imgloc.options import (
     METHODS,
-    AllowLossy,
     Cell,
     Chosen,
     HeadingStep,
@@ -21,7 +20,6 @@ from imgloc.options import (
     Mounting,
     Options,
     Reach,
-    Reading,
     Seed,
     Sensor,
 )
@@ -59,7 +57,7 @@ def calibrate(
     logs: Annotated[Logs, Without("fov")],
     chosen: Chosen,
     mounting: Mounting,
-    reading: Reading,
+    reading: opt.MapImages,
     taken: opt.Resources,
     scans: list[Path] | None = option(
         None,
@@ -92,7 +90,6 @@ def calibrate(
     dry_run: bool = option(False, "Print the fit, and store nothing."),
     as_json: opt.AsJson = False,
     force: opt.Force = False,
-    allow_lossy: AllowLossy = False,
 ) -> None:
     """Fit what a map's methods are worth, or with --scans its scale and walls; keep it beside it.
 
@@ -120,15 +117,15 @@ def calibrate(
     steps = opt.for_each("theta_step_deg", theta_step_deg, method, HeadingStep)
     paths = [opt.find_map(given) for given in maps]
     targets = _targets(maps, paths, dry_run=dry_run, force=force)
+    read = inputs.map_files(reading)
     if scans is not None:
         how = inputs.as_recorded(replace(logs, fov=fov), range_max, chosen, mounting)
-        _with_scans(paths, scans, how, reading, taken, as_json, dry_run, force, allow_lossy)
+        _with_scans(paths, scans, how, read, taken, as_json, dry_run, force)
         return
     laser: dict[str, Any] = {"fov": fov, "range_max": range_max, "mount": mounting.sensor}
     sensor = replace(sensor, **{name: value for name, value in laser.items() if value is not None})
     check_trials(count * len(paths))
-    desk = inputs.desk_of(taken.threads, taken.memory_budget)
-    read = inputs.one_map(reading, allow_lossy=allow_lossy)
+    desk = inputs.desk_of(**vars(taken))
     grids = _grids(paths, read, desk)
     plans = {
         name: Options(
@@ -227,12 +224,11 @@ def _with_scans(
     paths: list[Path],
     files: list[Path],
     how: "ScanFiles",
-    reading: Reading,
+    maps: "MapFiles",
     taken: opt.Resources,
     as_json: bool,
     dry_run: bool,
     force: bool,
-    allow_lossy: bool,
 ) -> None:
     """Fit the error that recorded scans share on one map."""
     from imgloc.cli import inputs
@@ -243,12 +239,11 @@ def _with_scans(
 
     if len(paths) > 1:
         raise ConfigError("--scans: expected one MAP, the one that they are from")
-    (path,), desk = paths, inputs.desk_of(taken.threads, taken.memory_budget)
-    maps = inputs.one_map(reading, allow_lossy=allow_lossy)
+    (path,), desk = paths, inputs.desk_of(**vars(taken))
     grid = desk.grid(path, maps, usable=True)
     logs = [desk.scans(file, how).scans for file in files]
     some = [scan for log in logs for scan in log.scans]
-    options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
+    options = Options(**vars(taken))
     features = desk.features(path, maps, options, scans=some)
     try:
         with progress("scans", min(SCANS, len(some)), lines=False) as advance:

@@ -6,7 +6,7 @@ from typing import Any
 from imgloc.cli import options as opt
 from imgloc.cli.console import emit, progress, say
 from imgloc.io.files import display
-from imgloc.options import AllowLossy, Chosen, Logs, Mounting, Options, RangeMax, Reading
+from imgloc.options import Chosen, Logs, Mounting, Options, RangeMax
 from imgloc.ranges import option
 
 _SCANS = 300  # of a file, unless they are chosen
@@ -25,17 +25,15 @@ def changes(
         "the same name with .png.",
         metavar="YAML",
     ),
-    reading: Reading,
+    reading: opt.MapImages,
     logs: Logs,
     chosen: Chosen,
     mounting: Mounting,
     taken: opt.Resources,
     range_max: RangeMax | None = None,
     as_json: opt.AsJson = False,
-    cache: opt.CacheDir = None,
-    no_cache: opt.NoCache = False,
+    kept: opt.Kept,
     force: opt.Force = False,
-    allow_lossy: AllowLossy = False,
 ) -> None:
     """Find where a map has aged: walls that rays pass (gone), surfaces where it has none (new).
 
@@ -53,13 +51,13 @@ def changes(
     from imgloc.output.pictures import Picture
     from imgloc.pipeline import localize
 
-    folder = inputs.kept_in(cache, wanted=not no_cache)
+    folder = inputs.kept_in(kept)
     read = inputs.files_of(map_path)
     png = None if update is None else update.with_suffix(".png")
     for path, ending in ((out, ".png"), (update, ".yaml"), (png, ".png")):
         inputs.check_target(path, ending, force=force, inputs=read)
-    desk = inputs.desk_of(taken.threads, taken.memory_budget, folder)
-    maps = inputs.one_map(reading, allow_lossy=allow_lossy)
+    desk = inputs.desk_of(**vars(taken), cache=folder)
+    maps = inputs.map_files(reading)
     grid = desk.grid(map_path, maps, usable=True)
     files = inputs.as_recorded(logs, range_max, chosen, mounting)
     some = []
@@ -68,7 +66,7 @@ def changes(
         if chosen == Chosen():
             held = [held[k] for k in evenly(len(held), _SCANS).tolist()]
         some += held
-    options = Options(threads=taken.threads, memory_budget=taken.memory_budget)
+    options = Options(**vars(taken))
     options = calibrated(options, map_path, grid)
     features = desk.features(map_path, maps, options, scans=some)
     answers = []

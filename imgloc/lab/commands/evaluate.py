@@ -15,7 +15,6 @@ from imgloc.options import (
     ALL_METHODS,
     FILTERS,
     TOLERANCES,
-    AllowLossy,
     Cell,
     Chosen,
     Count,
@@ -23,7 +22,6 @@ from imgloc.options import (
     HeadingStep,
     Mounting,
     Reach,
-    Reading,
     Resets,
     Seed,
     Sensor,
@@ -55,7 +53,7 @@ def evaluate(
     ),
     sensor: Annotated[Sensor, Without("range_max", "mount")],
     mounting: Mounting,
-    reading: Reading,
+    reading: opt.MapImages,
     chosen: Chosen,
     taken: opt.Resources,
     method: tuple[str, ...] = option(
@@ -111,7 +109,6 @@ def evaluate(
     ),
     resets: Resets = True,
     as_json: opt.AsJson = False,
-    allow_lossy: AllowLossy = False,
 ) -> None:
     """Measure methods on scans whose poses are known: simulated at random, or recorded.
 
@@ -130,6 +127,7 @@ def evaluate(
     from imgloc.model import to_json
 
     opt.refuse_others(given, _OF, set(_SEQUENCE if sequence else _SCANS))
+    read = inputs.map_files(reading)
     if sequence:
         from imgloc.lab.commands.sequence import measure_sequences
         from imgloc.lab.sequences import Trials
@@ -138,7 +136,7 @@ def evaluate(
             raise ConfigError("--sequence: expected --scans, recorded ones, once for each MAP")
         measure_sequences(
             maps, scans, filter_, Trials(starts, metres, seed=seed, resets=resets),
-            mounting, range_max, taken, reading, as_json, allow_lossy,
+            mounting, range_max, taken, read, as_json,
         )  # fmt: skip
         return
     steps = opt.for_each("theta_step_deg", theta_step_deg, method, HeadingStep)
@@ -154,7 +152,7 @@ def evaluate(
             cell=cells.get(name, 0.1),
             tolerances=(*TOLERANCES, *(tolerance or ())),
             floor=floor,
-            maps=inputs.one_map(reading, allow_lossy=allow_lossy),
+            maps=read,
             scans=replace(
                 inputs.as_recorded(range_max=range_max, chosen=chosen, flipped=mounting.flipped),
                 scale=range_scale,
@@ -170,7 +168,7 @@ def evaluate(
         for k, path in enumerate(maps):
             name = map_name(path)
             item = inputs.item_of(path, None if scans is None else scans[k], name)
-            desk = inputs.desk_of(taken.threads, taken.memory_budget)
+            desk = inputs.desk_of(**vars(taken))
             # All of them are opened before the first one takes its time.
             for answer in itertools.chain.from_iterable([job.open(item, desk) for job in jobs]):
                 table.append(answer.row)

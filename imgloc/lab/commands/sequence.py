@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress, width
 from imgloc.io.files import display, map_name
-from imgloc.options import Mounting, Options, Reading
+from imgloc.options import Mounting, Options
 
 if TYPE_CHECKING:
     from imgloc.lab.sequences import Trials
+    from imgloc.runs.opening import MapFiles
 
 GRID_CELL = 0.2  # metres: of the grid filter, whose stacks are held whole
 
@@ -18,7 +19,7 @@ GRID_CELL = 0.2  # metres: of the grid filter, whose stacks are held whole
 def measure_sequences(
     maps: Sequence[Path], logs: Sequence[Path], filters: Sequence[str], trials: "Trials",
     mounting: Mounting, range_max: float | None, taken: opt.Resources,
-    reading: Reading, as_json: bool, allow_lossy: bool,
+    read: "MapFiles", as_json: bool,
 ) -> None:  # fmt: skip
     """Measure each filter on each log, and print a table or rows."""
     from imgloc.cli import inputs
@@ -29,12 +30,11 @@ def measure_sequences(
     from imgloc.model import to_json
 
     rows: list[dict[str, Any]] = []
-    plain = Options(threads=taken.threads, memory_budget=taken.memory_budget)
+    plain = Options(**vars(taken))
     for given, log in zip(maps, logs, strict=True):
         path = opt.find_map(given)
         name = map_name(path)
-        desk = inputs.desk_of(taken.threads, taken.memory_budget)
-        read = inputs.one_map(reading, allow_lossy=allow_lossy)
+        desk = inputs.desk_of(**vars(taken))
         grid = desk.grid(path, read, usable=True)
         options = calibrated(plain, path, grid)
         how = inputs.as_recorded(range_max=range_max, mounting=mounting)
