@@ -750,6 +750,7 @@ class Logs(Checked):
         metavar="MIN,MAX",
         parse=numbers(2),
     )
+    range_max: RangeMax | None = None
 
 
 @dataclass(frozen=True)

@@ -78,7 +78,7 @@ def batch(
     out: Path = option(..., "Folder of the results.", metavar="DIR"),
     mounting: Mounting,
     reading: opt.MapImages,
-    logs: Annotated[Logs, Without("fov")],
+    logs: Annotated[Logs, Without("fov", "range_max")],
     chosen: Chosen,
     search: Annotated[Options, Only("method", "top", "theta_step")],
     known: Annotated[Known, Without("clearance")],
@@ -148,7 +148,9 @@ def batch(
     typed: dict[str, Any] = {name: value for name, value in laser.items() if value is not None}
     offered: dict[str, Any] = {
         "maps": inputs.map_files(reading, many=True),
-        "scans": replace(inputs.as_recorded(logs, range_max, chosen, mounting), many=True),
+        "scans": inputs.as_recorded(
+            replace(logs, range_max=range_max), chosen, mounting, many=True
+        ),
         "options": replace(search, theta_step=None).stepped(search.theta_step),
         "method": search.method,
         "theta_step": search.theta_step,

@@ -48,16 +48,12 @@ def map_files(reading: MapImages, *, many: bool = False) -> MapFiles:
 
 
 def as_recorded(
-    logs: Logs = Logs(), range_max: float | None = None, chosen: Chosen | None = None,
-    mounting: Mounting | None = None, *, flipped: bool = False,
+    logs: Logs = Logs(), chosen: Chosen = Chosen(), mounting: Mounting = Mounting(),
+    *, many: bool = False,
 ) -> ScanFiles:  # fmt: skip
     """How the scans of a command are read."""
-    return ScanFiles(
-        logs.topic, logs.fov, logs.scale, range_max, chosen or Chosen(),
-        flipped or (mounting is not None and mounting.flipped),
-        None if mounting is None else mounting.sensor, many=False, max_bad=logs.max_bad,
-        height=logs.height, straighten=logs.straighten,
-    )  # fmt: skip
+    flipped, mount = mounting.flipped, mounting.sensor
+    return ScanFiles(**vars(logs), chosen=chosen, flipped=flipped, mount=mount, many=many)
 
 
 def item_of(map_path: Path, scans: Path | None = None, name: str | None = None) -> Item:

@@ -13,7 +13,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit
 from imgloc.errors import ConfigError, as_options
 from imgloc.io.files import display
-from imgloc.options import MAX_BAD, Logs, MemoryBudget, Mounting, Options, RangeMax
+from imgloc.options import MAX_BAD, Logs, MemoryBudget, Mounting, Options
 from imgloc.ranges import option
 
 if TYPE_CHECKING:
@@ -41,7 +41,6 @@ def inspect(
         "several logs into NAME-0003.png and so on.",
         metavar="PNG",
     ),
-    range_max: RangeMax | None = None,
     kept: opt.Kept,
     memory_budget: MemoryBudget | None = None,
     force: opt.Force = False,
@@ -66,7 +65,7 @@ def inspect(
     for path in maps:
         _map(path, how, desk, as_json=as_json)
     the_map = maps[0] if len(maps) == 1 else None
-    look = _Look(desk, how, the_map, logs, mounting, range_max)
+    look = _Look(desk, how, the_map, logs, mounting)
     for k, path in enumerate(found):
         look.at(path, as_json=as_json, picture=names.get(k), force=force)
 
@@ -116,10 +115,9 @@ class _Look:
 
     def __init__(
         self, desk: "Desk", how: "MapFiles", the_map: Path | None, logs: Logs, mounting: Mounting,
-        range_max: float | None,
     ) -> None:  # fmt: skip
         self.desk, self.how, self.map, self.logs = desk, how, the_map, logs
-        self.mounting, self.range_max = mounting, range_max
+        self.mounting = mounting
 
     def at(self, path: Path, *, as_json: bool, picture: Path | None, force: bool) -> None:
         """Look at a log, print what is in it, draw it."""
@@ -132,7 +130,7 @@ class _Look:
         form, kinds = ("standard input", []) if str(path) == "-" else kinds_of(path)
         logs, more = self._topic(form, kinds)
         with _heard(inputs.name_of(path)) as notes:
-            how = inputs.as_recorded(logs, self.range_max, mounting=self.mounting)
+            how = inputs.as_recorded(logs, mounting=self.mounting)
             scans = self.desk.scans(path, how).scans
         report = check_log(scans, [*notes, *more])
         if self.map is not None:
@@ -177,8 +175,8 @@ class _Look:
             words.append(f"--range-scale {logs.scale:g}")
         if logs.fov is not None:
             words.append(f"--fov-deg {degrees(logs.fov):g}")
-        if self.range_max is not None and "--range-max" not in given:
-            words.append(f"--range-max {self.range_max:g}")
+        if logs.range_max is not None and "--range-max" not in given:
+            words.append(f"--range-max {logs.range_max:g}")
         words += ["--flipped"] if self.mounting.flipped and "--flipped" not in given else []
         return " ".join([*words, mended]).strip()
 

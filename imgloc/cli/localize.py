@@ -13,7 +13,7 @@ from imgloc.cli.command import Without
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, say, width
 from imgloc.errors import ConfigError, as_options
 from imgloc.io.files import display, write_text_atomic
-from imgloc.options import Cell, Chosen, Drawn, Known, Logs, Mounting, Options, RangeMax
+from imgloc.options import Cell, Chosen, Drawn, Known, Logs, Mounting, Options
 from imgloc.ranges import option
 
 if TYPE_CHECKING:
@@ -52,7 +52,6 @@ def localize(
         metavar="HTML",
     ),
     strict: opt.Strict = False,
-    range_max: RangeMax | None = None,
     cell: Cell = 0.1,
     kept: opt.Kept,
     force: opt.Force = False,
@@ -78,7 +77,7 @@ def localize(
     job = Localize(
         options=replace(search, theta_step=None).stepped(search.theta_step),
         maps=inputs.map_files(reading),
-        scans=inputs.as_recorded(logs, range_max, chosen, mounting),
+        scans=inputs.as_recorded(logs, chosen, mounting),
         cell=cell,
         known=known,
         drawn=drawn,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from imgloc.cli import options as opt
+from imgloc.cli.command import Without
 from imgloc.cli.console import INTERRUPTED, LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_folder
@@ -89,7 +90,7 @@ def serve(
 def open(  # noqa: A001 (the command's name)
     *,
     map_path: opt.MapPath,
-    logs: Logs,
+    logs: Annotated[Logs, Without("range_max")],
     reading: opt.MapImages,
     taken: opt.Resources,
     scans_path: Annotated[Path | None, Option(opt.SCANS, "[SCANS]", parse=opt.find_scans)] = None,

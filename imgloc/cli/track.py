@@ -14,7 +14,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, NOT_UNIQUE, emit, progress, say
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.files import display, map_name, write_text_atomic
-from imgloc.options import Drawn, Followed, Logs, Mounting, Options, RangeMax, Shared
+from imgloc.options import Drawn, Followed, Logs, Mounting, Options, Shared
 from imgloc.ranges import Checked, Within, option
 from imgloc.texts import numbers, pose
 
@@ -168,7 +168,6 @@ def track(
     logs: Logs,
     taken: opt.Resources,
     as_json: opt.AsJson = False,
-    range_max: RangeMax | None = None,
     strict: bool = option(False, "Exit with code 6 unless the last pose is unique."),
     kept: opt.Kept,
 ) -> None:
@@ -200,7 +199,7 @@ def track(
     grid = desk.grid(map_path, maps, usable=True)
     options = Options(**vars(taken))
     options = calibrated(options, map_path, grid, drawn)
-    how = inputs.as_recorded(logs, range_max, mounting=mounting)
+    how = inputs.as_recorded(logs, mounting=mounting)
     scans, live, given = _scans_of(log, logs, asked, how, desk, outputs)
     features = desk.features(map_path, maps, options, scans=scans.scans)
     check_options(features, options)

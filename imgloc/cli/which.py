@@ -10,7 +10,7 @@ from imgloc.cli.command import Only, Without
 from imgloc.cli.console import LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
-from imgloc.options import Flipped, Known, Logs, RangeMax, Sure
+from imgloc.options import Known, Logs, Mounting, Sure
 from imgloc.ranges import option
 
 FAILED_ROWS = 5
@@ -47,8 +47,7 @@ def which(
         "so on.",
         metavar="PNG",
     ),
-    range_max: RangeMax | None = None,
-    flipped: Flipped = False,
+    mounting: Annotated[Mounting, Only("flipped")],
     sure: Sure = 0.5,
     as_json: opt.AsJson = False,
     kept: Annotated[opt.Kept, Only("no_cache")],
@@ -79,7 +78,7 @@ def which(
     files = tuple(zip(names_of(paths, maps_dir), paths, strict=True))
     job = Which(
         maps=inputs.map_files(reading, many=True),
-        scans=inputs.as_recorded(logs, range_max, flipped=flipped),
+        scans=inputs.as_recorded(logs, mounting=mounting),
         known=known,
         sure=sure,
     )

@@ -46,7 +46,7 @@ from imgloc.io.maps import (
 from imgloc.io.scans import has_topics, load_scans, scans_size
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, check_mount
-from imgloc.options import MAX_BAD, Chosen, Factor, Length, Options, Radians, Reading, Share, Sweeps
+from imgloc.options import Chosen, Logs, Options, Reading
 from imgloc.pipeline import prepare
 from imgloc.ranges import Checked
 from imgloc.search.asked import answer_bytes
@@ -70,21 +70,14 @@ class MapFiles(Checked):
 
 
 @dataclass(frozen=True)
-class ScanFiles(Checked):
+class ScanFiles(Logs):
     """How files of scans are read, and how their sensor sits on the robot."""
 
-    topic: str | None = None  #: which laser of a log with several, as of :func:`imgloc.load_scans`
-    fov: Radians | None = None  #: from the first to the last ray, where a file does not say it
-    scale: Factor = 1.0  #: metres of a range
-    range_max: Length | None = None  #: readings are cut here, metres
     chosen: Chosen = field(default_factory=Chosen)  #: which scans of a file are looked at
     flipped: bool = False  #: the sensor is upside down
     mount: Pose2D | None = None  #: pose of the sensor on the robot
     #: there may be several files: a topic is for those that have any
     many: bool = True
-    max_bad: Share = MAX_BAD  #: share of the lines of a file that may be broken
-    height: tuple[float, float] | None = None  #: of the slice of a cloud that is a scan, metres
-    straighten: Sweeps = "no"  #: whether a robot that moved is taken out of its sweeps, and how
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -9,7 +9,7 @@ from imgloc.cli import options as opt
 from imgloc.cli.console import NOT_UNIQUE, emit, progress, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, map_name, write_text_atomic
-from imgloc.options import Chosen, Logs, Mounting, Options, RangeMax
+from imgloc.options import Chosen, Logs, Mounting, Options
 from imgloc.ranges import Option, option
 
 if TYPE_CHECKING:
@@ -58,7 +58,6 @@ def align(
     chosen: Chosen,
     mounting: Mounting,
     taken: opt.Resources,
-    range_max: RangeMax | None = None,
     as_json: opt.AsJson = False,
     strict: bool = option(False, "Exit with code 6 unless one place alone matches."),
     force: opt.Force = False,
@@ -94,7 +93,7 @@ def align(
     grids = [desk.grid(path, maps, usable=True) for path in (a_path, b_path)]
     by_scans = None
     if scans is not None:
-        files = inputs.as_recorded(logs, range_max, chosen, mounting)
+        files = inputs.as_recorded(logs, chosen, mounting)
         by_scans = _by_scans(desk, (a_path, b_path), maps, scans, files)
     found = align_maps(grids[0], grids[1], scale=scale, scans=by_scans)
     row: dict[str, Any] = {"a": display(a_path), "b": display(b_path), **found.as_row()}

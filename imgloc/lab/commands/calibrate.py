@@ -54,7 +54,7 @@ def calibrate(
     ),
     given: Given,
     sensor: Annotated[Sensor, Without("fov", "range_max", "mount")],
-    logs: Annotated[Logs, Without("fov")],
+    logs: Annotated[Logs, Without("fov", "range_max")],
     chosen: Chosen,
     mounting: Mounting,
     reading: opt.MapImages,
@@ -119,7 +119,7 @@ def calibrate(
     targets = _targets(maps, paths, dry_run=dry_run, force=force)
     read = inputs.map_files(reading)
     if scans is not None:
-        how = inputs.as_recorded(replace(logs, fov=fov), range_max, chosen, mounting)
+        how = inputs.as_recorded(replace(logs, fov=fov, range_max=range_max), chosen, mounting)
         _with_scans(paths, scans, how, read, taken, as_json, dry_run, force)
         return
     laser: dict[str, Any] = {"fov": fov, "range_max": range_max, "mount": mounting.sensor}

@@ -6,7 +6,7 @@ from typing import Any
 from imgloc.cli import options as opt
 from imgloc.cli.console import emit, progress, say
 from imgloc.io.files import display
-from imgloc.options import Chosen, Logs, Mounting, Options, RangeMax
+from imgloc.options import Chosen, Logs, Mounting, Options
 from imgloc.ranges import option
 
 _SCANS = 300  # of a file, unless they are chosen
@@ -30,7 +30,6 @@ def changes(
     chosen: Chosen,
     mounting: Mounting,
     taken: opt.Resources,
-    range_max: RangeMax | None = None,
     as_json: opt.AsJson = False,
     kept: opt.Kept,
     force: opt.Force = False,
@@ -59,7 +58,7 @@ def changes(
     desk = inputs.desk_of(**vars(taken), cache=folder)
     maps = inputs.map_files(reading)
     grid = desk.grid(map_path, maps, usable=True)
-    files = inputs.as_recorded(logs, range_max, chosen, mounting)
+    files = inputs.as_recorded(logs, chosen, mounting)
     some = []
     for path in scans_paths:
         held = list(desk.scans(path, files).scans.scans)

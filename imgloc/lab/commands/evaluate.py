@@ -20,6 +20,7 @@ from imgloc.options import (
     Count,
     Factor,
     HeadingStep,
+    Logs,
     Mounting,
     Reach,
     Resets,
@@ -145,6 +146,7 @@ def evaluate(
     laser: dict[str, Any] = {"range_max": range_max, "mount": mounting.sensor}
     if scans is None:
         sensor = replace(sensor, **{key: value for key, value in laser.items() if value})
+    recorded = Logs(scale=range_scale, range_max=range_max)
     jobs = [
         Evaluate(
             method=name,
@@ -153,10 +155,7 @@ def evaluate(
             tolerances=(*TOLERANCES, *(tolerance or ())),
             floor=floor,
             maps=read,
-            scans=replace(
-                inputs.as_recorded(range_max=range_max, chosen=chosen, flipped=mounting.flipped),
-                scale=range_scale,
-            ),
+            scans=inputs.as_recorded(recorded, chosen, Mounting(flipped=mounting.flipped)),
             sensor=sensor,
             count=count or 100,
             seed=seed,

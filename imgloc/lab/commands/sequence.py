@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from imgloc.cli import options as opt
 from imgloc.cli.console import LOG, emit, progress, width
 from imgloc.io.files import display, map_name
-from imgloc.options import Mounting, Options
+from imgloc.options import Logs, Mounting, Options
 
 if TYPE_CHECKING:
     from imgloc.lab.sequences import Trials
@@ -37,7 +37,7 @@ def measure_sequences(
         desk = inputs.desk_of(**vars(taken))
         grid = desk.grid(path, read, usable=True)
         options = calibrated(plain, path, grid)
-        how = inputs.as_recorded(range_max=range_max, mounting=mounting)
+        how = inputs.as_recorded(Logs(range_max=range_max), mounting=mounting)
         scans = desk.scans(log, how).scans
         scans = scans if scans.odom is None else scans.with_odometry(display(log))[0]
         scans, odometry = with_odometry(scans, trials.seed)
