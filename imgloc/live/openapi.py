@@ -153,30 +153,29 @@ TRACK = (
     Parameter("places", "Add the places of the belief to each line.", Flag(), False),
 )  # fmt: skip
 
-_NULL_NUMBER = {"type": ["number", "null"]}
-_POSE = {
-    "type": "object",
-    "properties": {key: {"type": "number"} for key in ("x", "y", "theta")},
-    "required": ["x", "y", "theta"],
-}
+_NUMBER, _NULL_NUMBER = {"type": "number"}, {"type": ["number", "null"]}
+_WHOLE, _YES, _WORD = {"type": "integer"}, {"type": "boolean"}, {"type": "string"}
 _TURNED = {"type": "number", "minimum": -4 * math.pi, "maximum": 4 * math.pi}
-_NUMBER = {"type": "number"}
 _OR_NULL = {**_TURNED, "type": ["number", "null"]}
 _INDEX = {"type": "integer", "minimum": 0, "maximum": 2**31 - 1}
 _METRES = {"type": "number", "minimum": -1e300, "maximum": 1e300}
-_GIVEN_POSE = {"type": ["array", "null"], "items": {"type": "number"}, "minItems": 3, "maxItems": 3}
+_GIVEN_POSE = {"type": ["array", "null"], "items": _NUMBER, "minItems": 3, "maxItems": 3}
+_ANY, _SOME = {"type": "object"}, {"type": "array", "items": {"type": "object"}}
+_AT = {"$ref": "#/components/schemas/Pose"}
+
+
+def _object(needed: str, **properties: Any) -> dict[str, Any]:
+    """The schema of an object; `needed` are the names of what it always has."""
+    return {"type": "object", "properties": properties, "required": needed.split()}
+
+
 _SCHEMAS: Mapping[str, Any] = {
-    "Problem": {
-        "type": "object",
-        "properties": {
-            "type": {"type": "string", "enum": [f"urn:imgloc:problem:{kind}" for kind in KINDS]},
-            "title": {"type": "string"},
-            "status": {"type": "integer"},
-            "detail": {"type": "string"},
-        },
-        "required": ["type", "title", "status", "detail"],
-    },
-    "Pose": _POSE,
+    "Problem": _object(
+        "type title status detail",
+        type={"type": "string", "enum": [f"urn:imgloc:problem:{kind}" for kind in KINDS]},
+        title=_WORD, status=_WHOLE, detail=_WORD,
+    ),
+    "Pose": _object("x y theta", x=_NUMBER, y=_NUMBER, theta=_NUMBER),
     "LaserScan": {
         "type": "object",
         "description": "Names of sensor_msgs/LaserScan; metres and radians, counter-clockwise, 0 "
@@ -186,9 +185,7 @@ _SCHEMAS: Mapping[str, Any] = {
                 "type": "array",
                 "minItems": 1,
                 "maxItems": MAX_RAYS,
-                "items": {"anyOf": [
-                    {"type": "number"}, {"type": "null"}, {"enum": ["inf", "-inf", "nan"]},
-                ]},
+                "items": {"anyOf": [_NUMBER, {"type": "null"}, {"enum": ["inf", "-inf", "nan"]}]},
             },
             "angles": {
                 "type": ["array", "null"], "items": _TURNED, "minItems": 1, "maxItems": MAX_RAYS,
@@ -199,7 +196,7 @@ _SCHEMAS: Mapping[str, Any] = {
             "stamp": {
                 "description": "Seconds, or the stamp of a ROS message.",
                 "anyOf": [
-                    {"type": ["number", "null"]},
+                    _NULL_NUMBER,
                     {"type": "object", "properties": {"sec": _NUMBER, "nanosec": _NUMBER}},
                 ],
             },
@@ -207,30 +204,20 @@ _SCHEMAS: Mapping[str, Any] = {
         },
         "required": ["ranges"],
     },
-    "Map": {
-        "type": "object",
-        "properties": {
-            "name": {"type": "string"}, "width": {"type": "integer"}, "height": {"type": "integer"},
-            "resolution": {"type": "number"}, "origin": {"$ref": "#/components/schemas/Pose"},
-            "free_m2": {"type": "number"}, "uploaded": {"type": "boolean"},
-            "version": {"type": "string"}, "path": {"type": ["string", "null"]},
-            "warnings": {"type": "array", "items": {"type": "string"}},
-        },
-        "required": ["name", "width", "height", "resolution", "origin", "uploaded", "version"],
-    },
-    "Scans": {
-        "type": "object",
-        "properties": {
-            "id": {"type": "string"}, "name": {"type": "string"}, "scans": {"type": "integer"},
-            "readings": {"type": "integer"}, "poses": {"type": "boolean"},
-            "odom": {"type": "boolean"}, "stamps": {"type": "boolean"},
-        },
-        "required": ["id", "name", "scans", "readings", "poses", "odom", "stamps"],
-    },
+    "Map": _object(
+        "name width height resolution origin uploaded version",
+        name=_WORD, width=_WHOLE, height=_WHOLE, resolution=_NUMBER, origin=_AT, free_m2=_NUMBER,
+        uploaded=_YES, version=_WORD, path={"type": ["string", "null"]},
+        warnings={"type": "array", "items": _WORD},
+    ),
+    "Scans": _object(
+        "id name scans readings poses odom stamps",
+        id=_WORD, name=_WORD, scans=_WHOLE, readings=_WHOLE, poses=_YES, odom=_YES, stamps=_YES,
+    ),
     "Marks": {
-        "type": "object",
-        "properties": {
-            "poses": {
+        **_object(
+            "poses",
+            poses={
                 "type": "array",
                 "description": "Index of a scan, and the pose of its sensor: x, y, theta.",
                 "minItems": 1,
@@ -240,60 +227,38 @@ _SCHEMAS: Mapping[str, Any] = {
                     "items": False, "minItems": 4, "maxItems": 4,
                 },
             },
-        },
-        "required": ["poses"],
+        ),
         "additionalProperties": False,
     },
-    "Answer": {
-        "type": "object",
-        "properties": {
-            "index": {"type": "integer"},
-            "verdict": {"enum": ["unique", "ambiguous", "no-match", "invalid"]},
-            "pose": {"oneOf": [{"$ref": "#/components/schemas/Pose"}, {"type": "null"}]},
-            "hypotheses": {"type": "array", "items": {"type": "object"}},
-            "elsewhere": {"type": "number"}, "entropy": _NULL_NUMBER, "explained": _NULL_NUMBER,
-            "protection": {
-                "type": "array",
-                "items": {
-                    "type": "object",
-                    "properties": {
-                        "share": {"type": "number"}, "metres": _NULL_NUMBER,
-                        "radians": _NULL_NUMBER,
-                    },
+    "Answer": _object(
+        "index verdict pose hypotheses counts parameters",
+        index=_WHOLE, verdict={"enum": ["unique", "ambiguous", "no-match", "invalid"]},
+        pose={"oneOf": [_AT, {"type": "null"}]}, hypotheses=_SOME, elsewhere=_NUMBER,
+        entropy=_NULL_NUMBER, explained=_NULL_NUMBER,
+        protection={
+            "type": "array",
+            "items": {
+                "type": "object",
+                "properties": {
+                    "share": _NUMBER, "metres": _NULL_NUMBER, "radians": _NULL_NUMBER,
                 },
             },
-            "counts": {"type": "object"}, "timings_ms": {"type": "object"},
-            "parameters": {"type": "object"},
         },
-        "required": ["index", "verdict", "pose", "hypotheses", "counts", "parameters"],
-    },
-    "Choice": {
-        "type": "object",
-        "properties": {
-            "index": {"type": "integer"}, "verdict": {"type": "string"}, "none": _NULL_NUMBER,
-            "maps": {"type": "array", "items": {"type": "object"}},
-        },
-        "required": ["index", "verdict", "none", "maps"],
-    },
-    "Fit": {
-        "type": "object",
-        "properties": {
-            "pose": {"$ref": "#/components/schemas/Pose"}, "log_likelihood": _NULL_NUMBER,
-            "per_reading": _NULL_NUMBER, "best": {"type": "number"}, "misfit": _NULL_NUMBER,
-            "explained": _NULL_NUMBER, "stands": {"type": "boolean"},
-            "readings": {"type": "integer"}, "counts": {"type": "object"},
-            "rays": {"type": "object"},
-        },
-        "required": ["pose", "log_likelihood", "misfit", "explained", "counts", "rays"],
-    },
+        counts=_ANY, timings_ms=_ANY, parameters=_ANY,
+    ),
+    "Choice": _object(
+        "index verdict none maps", index=_WHOLE, verdict=_WORD, none=_NULL_NUMBER, maps=_SOME
+    ),
+    "Fit": _object(
+        "pose log_likelihood misfit explained counts rays",
+        pose=_AT, log_likelihood=_NULL_NUMBER, per_reading=_NULL_NUMBER, best=_NUMBER,
+        misfit=_NULL_NUMBER, explained=_NULL_NUMBER, stands=_YES, readings=_WHOLE, counts=_ANY,
+        rays=_ANY,
+    ),
 }  # fmt: skip
 
 _BINARY = {"type": "string", "format": "binary"}
-#: A body of scans: its media types. One of JSON is one scan.
-SCAN_BODY: Mapping[str, Any] = {
-    "application/json": {"schema": {"$ref": "#/components/schemas/LaserScan"}},
-    "application/octet-stream": {"schema": _BINARY},
-}
+_BYTES: dict[str, Any] = {"application/octet-stream": {"schema": _BINARY}}
 _MAP_BODY: Mapping[str, Any] = {
     "multipart/form-data": {
         "schema": {
@@ -303,20 +268,12 @@ _MAP_BODY: Mapping[str, Any] = {
             "additionalProperties": False,
         }
     },
-    "application/octet-stream": {"schema": _BINARY},
+    **_BYTES,
 }
 
 
-def _ref(name: str, media: str = "application/json") -> dict[str, Any]:
-    return {media: {"schema": {"$ref": f"#/components/schemas/{name}"}}}
-
-
-def _of(kind: str) -> dict[str, Any]:
-    return {"application/json": {"schema": {"type": kind}}}
-
-
-_PNG: dict[str, Any] = {"image/png": {}}
-_LINES: dict[str, Any] = {"application/x-ndjson": {"schema": {"type": "string"}}}
+def _ref(name: str) -> dict[str, Any]:
+    return {"application/json": {"schema": {"$ref": f"#/components/schemas/{name}"}}}
 
 
 @dataclass(frozen=True)
@@ -351,140 +308,85 @@ class Operation:
         return out | {"responses": responses}
 
 
-_BODY = (408, 413, 415, 503, 504)
+_BODY, _LOOK = (408, 413, 415, 503, 504), (503, 504)  # problems of what has a body, of a look
+_PNG: Mapping[str, Any] = {"image/png": {}}
+_OBJECT: Mapping[str, Any] = {"application/json": {"schema": {"type": "object"}}}
+_LINES: dict[str, Any] = {"application/x-ndjson": {"schema": {"type": "string"}}}
+
+
+def _get(
+    path: str, about: str, words: str, content: Mapping[str, Any],
+    parameters: Sequence[Parameter] = (), problems: Sequence[int] = (),
+) -> Operation:  # fmt: skip
+    return Operation(path, about, {200: (words, content)}, parameters, problems=problems)
+
+
+def _delete(path: str, about: str, words: str, *problems: int) -> Operation:
+    return Operation(path, about, {204: (words, {})}, method="delete", problems=problems)
+
+
+def _ask(
+    name: str, about: str, words: str, content: Mapping[str, Any], parameters: Sequence[Parameter]
+) -> Operation:
+    """What is asked about scans, which are in the body or were sent before."""
+    answer = {200: (words, content)}
+    return Operation(f"/v1/{name}", about, answer, parameters, SCAN_BODY, "post", problems=_BODY)
+
+
+def _send(
+    path: str, about: str, answer: Mapping[int, tuple[str, Mapping[str, Any]]],
+    parameters: Sequence[Parameter], body: Mapping[str, Any], *problems: int,
+) -> Operation:  # fmt: skip
+    """What needs a body."""
+    return Operation(
+        path, about, answer, parameters, body, "post", needs_body=True, problems=(*problems, *_BODY)
+    )
+
+
+#: A body of scans: its media types. One of JSON is one scan.
+SCAN_BODY: Mapping[str, Any] = _ref("LaserScan") | _BYTES
+_ROWS = "A JSON object; of several scans, one a line."
 OPERATIONS = (
-    Operation("/healthz", "Whether the service runs.", {200: ("It runs.", _of("object"))}),
-    Operation(
-        "/readyz",
-        "Whether all maps are prepared.",
-        {200: ("All maps are prepared.", _of("object"))},
-        problems=(503,),
-    ),
-    Operation("/metrics", "Counts and times.", {200: ("Prometheus' text.", {"text/plain": {}})}),
-    Operation("/v1/openapi.json", "This document.", {200: ("OpenAPI 3.1.", _of("object"))}),
-    Operation("/v1/maps", "The maps of the service.", {200: ("Their list.", _of("object"))}),
-    Operation(
-        "/v1/maps",
-        "Send a map: its image, or a form with its image and YAML.",
-        {201: ("The map, prepared.", _ref("Map"))},
-        UPLOAD,
-        _MAP_BODY,
-        "post",
-        needs_body=True,
-        problems=(409, *_BODY),
-    ),
-    Operation(
-        "/v1/maps/{name}", "A map.", {200: ("The map.", _ref("Map"))}, problems=(404, 503)
-    ),
-    Operation(
-        "/v1/maps/{name}",
-        "Forget a map that was sent.",
-        {204: ("It is gone.", {})},
-        method="delete",
-        problems=(404, 409, 503),
-    ),
-    Operation(
-        "/v1/maps/{name}/image",
-        "A map as an image: occupied 0, unknown 205, free 254.",
-        {200: ("PNG.", _PNG)},
-        problems=(404, 503),
-    ),
-    Operation(
-        "/v1/scans",
-        "Send a file of scans, to ask about them again and again.",
-        {201: ("What is in it.", _ref("Scans"))},
-        UPLOAD_SCANS,
-        SCAN_BODY,
-        "post",
-        needs_body=True,
-        problems=_BODY,
-    ),
-    Operation(
-        "/v1/scans/{id}",
-        "Scans that were sent, some at a time.",
-        {200: ("Them.", _ref("Scans"))},
-        PAGE,
-        problems=(503, 504),
-    ),
-    Operation(
-        "/v1/scans/{id}",
-        "Forget scans that were sent.",
-        {204: ("They are gone.", {})},
-        method="delete",
-        problems=(404,),
-    ),
-    Operation(
-        "/v1/scans/{id}/marked",
-        "Some of these scans with poses that are known now, as `imgloc.save_scans` writes them.",
-        {200: ("NPZ.", {"application/octet-stream": {"schema": _BINARY}})},
-        body={"application/json": {"schema": {"$ref": "#/components/schemas/Marks"}}},
-        method="post",
-        needs_body=True,
-        problems=(404, 422, *_BODY),
-    ),
-    Operation(
-        "/v1/localize",
-        "Where scans are on a map: the JSON of `imgloc localize`.",
-        {200: ("A JSON object; of several scans, one a line.", _ref("Answer") | _LINES)},
-        LOCALIZE,
-        SCAN_BODY,
-        "post",
-        problems=_BODY,
-    ),
-    Operation(
-        "/v1/which",
-        "The map that scans are from: the JSON of `imgloc which`.",
-        {200: ("A JSON object; of several scans, one a line.", _ref("Choice") | _LINES)},
-        WHICH,
-        SCAN_BODY,
-        "post",
-        problems=_BODY,
-    ),
+    _get("/healthz", "Whether the service runs.", "It runs.", _OBJECT),
+    _get("/readyz", "Whether all maps are prepared.", "All maps are prepared.", _OBJECT,
+         problems=(503,)),
+    _get("/metrics", "Counts and times.", "Prometheus' text.", {"text/plain": {}}),
+    _get("/v1/openapi.json", "This document.", "OpenAPI 3.1.", _OBJECT),
+    _get("/v1/maps", "The maps of the service.", "Their list.", _OBJECT),
+    _send("/v1/maps", "Send a map: its image, or a form with its image and YAML.",
+          {201: ("The map, prepared.", _ref("Map"))}, UPLOAD, _MAP_BODY, 409),
+    _get("/v1/maps/{name}", "A map.", "The map.", _ref("Map"), problems=(404, 503)),
+    _delete("/v1/maps/{name}", "Forget a map that was sent.", "It is gone.", 404, 409, 503),
+    _get("/v1/maps/{name}/image", "A map as an image: occupied 0, unknown 205, free 254.", "PNG.",
+         _PNG, problems=(404, 503)),
+    _send("/v1/scans", "Send a file of scans, to ask about them again and again.",
+          {201: ("What is in it.", _ref("Scans"))}, UPLOAD_SCANS, SCAN_BODY),
+    _get("/v1/scans/{id}", "Scans that were sent, some at a time.", "Them.", _ref("Scans"), PAGE,
+         _LOOK),
+    _delete("/v1/scans/{id}", "Forget scans that were sent.", "They are gone.", 404),
+    _send("/v1/scans/{id}/marked",
+          "Some of these scans with poses that are known now, as `imgloc.save_scans` writes them.",
+          {200: ("NPZ.", _BYTES)}, (), _ref("Marks"), 404, 422),
+    _ask("localize", "Where scans are on a map: the JSON of `imgloc localize`.", _ROWS,
+         _ref("Answer") | _LINES, LOCALIZE),
+    _ask("which", "The map that scans are from: the JSON of `imgloc which`.", _ROWS,
+         _ref("Choice") | _LINES, WHICH),
+    _ask("score", "How a scan fits at a pose.", "The fit.", _ref("Fit"), FIT),
+    _ask("settle", "How a scan fits at the best pose nearby.", "The fit.", _ref("Fit"), FIT),
     *(
-        Operation(
-            f"/v1/{name}", about, {200: ("The fit.", _ref("Fit"))}, FIT, SCAN_BODY, "post",
-            problems=_BODY,
-        )
-        for name, about in (
-            ("score", "How a scan fits at a pose."),
-            ("settle", "How a scan fits at the best pose nearby."),
-        )
-    ),
-    *(
-        Operation(
-            f"/v1/layers/{name}", f"The {name} of a map.", {200: ("PNG.", _PNG)}, (MAP,),
-            problems=(503, 504),
-        )
+        _get(f"/v1/layers/{name}", f"The {name} of a map.", "PNG.", _PNG, (MAP,), _LOOK)
         for name in LAYERS
     ),
-    Operation(
-        "/v1/layers/likelihood",
-        "A likelihood of all poses, at one heading or over all.",
-        {200: ("PNG.", _PNG)},
-        LIKELIHOOD,
-        problems=(503, 504),
-    ),
-    Operation(
-        "/v1/layers/atlas",
-        "Places where one scan of this laser is enough, some poses at a time.",
-        {200: ("Some of the poses, and where to go on.", _of("object"))},
-        ATLAS,
-        problems=(503, 504),
-    ),
-    Operation(
-        "/v1/layers/visibility",
-        "The view from a place.",
-        {200: ("A polygon.", _of("object"))},
-        VISIBILITY,
-        problems=(503, 504),
-    ),
-    Operation(
-        "/v1/layers/region",
-        "The cells of a region in white: an image for the option region of imgloc localize.",
-        {200: ("PNG.", _PNG)},
-        REGION_LAYER,
-        problems=(503, 504),
-    ),
+    _get("/v1/layers/likelihood", "A likelihood of all poses, at one heading or over all.", "PNG.",
+         _PNG, LIKELIHOOD, _LOOK),
+    _get("/v1/layers/atlas",
+         "Places where one scan of this laser is enough, some poses at a time.",
+         "Some of the poses, and where to go on.", _OBJECT, ATLAS, _LOOK),
+    _get("/v1/layers/visibility", "The view from a place.", "A polygon.", _OBJECT, VISIBILITY,
+         _LOOK),
+    _get("/v1/layers/region",
+         "The cells of a region in white: an image for the option region of imgloc localize.",
+         "PNG.", _PNG, REGION_LAYER, _LOOK),
 )  # fmt: skip
 
 
