@@ -61,9 +61,8 @@ def poses_fit(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArray
         xy = xy[evenly(len(xy), _RAYS)]
         if len(xy) >= _LEAST:
             local = in_grid_frame(Pose2D(*poses[k]), grid)
-            here = _nearby(np.array([local.x, local.y, local.theta]))
-            found = shares_near(walls, grid.resolution, xy, here)
-            shares.append((float(found[0]), float(found.max())))
+            pose = np.array([local.x, local.y, local.theta])
+            shares.append(shares_around(walls, grid.resolution, xy, pose))
     if not shares:
         return None
     here, best = np.median(shares, axis=0)
@@ -96,33 +95,30 @@ def with_true_poses(
 
 
 def near_walls(grid: OccupancyGrid) -> BoolArray:
-    """(H, W) bool: the cells that are a wall, or near one."""
+    """(H + 2, W + 2) bool: the cells that are a wall, or near one. None is beyond the map."""
     r = max(1, round(_NEAR / grid.resolution))
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * r + 1, 2 * r + 1))
-    return cv2.dilate(grid.occupied.astype(np.uint8), disc).astype(bool)
+    return np.pad(cv2.dilate(grid.occupied.astype(np.uint8), disc).astype(bool), 1)
 
 
-def shares_near(
-    walls: BoolArray, resolution: float, xy: FloatArray, poses: FloatArray
-) -> FloatArray:
-    """(C,) share of the points xy (N, 2), sensor frame, that are near walls at poses (C, 3)."""
-    cos, sin = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
-    x = cos * xy[:, 0] - sin * xy[:, 1] + poses[:, :1]
-    y = sin * xy[:, 0] + cos * xy[:, 1] + poses[:, 1:2]
-    height, width = walls.shape
-    far = 2.0 * max(height, width) * resolution  # before a number is too large for a cell
-    column, row = (np.floor(np.clip(v, -far, far) / resolution).astype(np.int64) for v in (x, y))
-    there = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    at = walls[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)]
-    return np.asarray((there & at).mean(axis=1))
+def shares_around(
+    walls: BoolArray, resolution: float, xy: FloatArray, pose: FloatArray
+) -> tuple[float, float]:
+    """Share of the points xy (N, 2), sensor frame, that are near walls at a pose (3,).
 
-
-def _nearby(pose: FloatArray) -> FloatArray:
-    """A pose (3,), and poses around it: (C, 3), the pose first."""
-    steps = [
+    The second is the greatest share at the poses around it.
+    """
+    steps, turns = (
         np.arange(-math.floor(far / step), math.floor(far / step) + 1) * step
         for far, step in zip(_AROUND, _APART, strict=True)
-    ]
-    x, y, turn = np.meshgrid(steps[0], steps[0], steps[1], indexing="ij")
-    off = np.column_stack((x.ravel(), y.ravel(), turn.ravel()))
-    return np.asarray(pose + np.concatenate((np.zeros((1, 3)), off)))
+    )
+    cos, sin = np.cos(pose[2] + turns)[:, None, None], np.sin(pose[2] + turns)[:, None, None]
+    x = cos * xy[:, 0] - sin * xy[:, 1] + (pose[0] + steps)[:, None]
+    y = sin * xy[:, 0] + cos * xy[:, 1] + (pose[1] + steps)[:, None]
+    # A step along x changes no row, so there are as few cells to compute as steps, not poses.
+    column, row = (
+        1 + np.clip(np.floor(v / resolution), -1, n - 2).astype(np.int64)
+        for v, n in zip((x, y), walls.shape[::-1], strict=True)
+    )
+    at = walls.ravel()[row[:, :, None] * walls.shape[1] + column[:, None]].mean(axis=-1)
+    return float(at[tuple(n // 2 for n in at.shape)]), float(at.max())
