@@ -35,13 +35,21 @@ def grid() -> OccupancyGrid:
 
 @pytest.fixture(scope="module")
 def arrays(grid: OccupancyGrid) -> dict:
-    return features_to_arrays(MapFeatures(grid, **PARAMETERS), KEPT)
+    return features_to_arrays(peeled(grid), KEPT)
+
+
+def peeled(grid: OccupancyGrid) -> MapFeatures:
+    features = MapFeatures(grid, **PARAMETERS)
+    features.thinner(2)
+    return features
 
 
 def leaves(value: object) -> list[np.ndarray]:
     """All arrays in a feature."""
     if isinstance(value, np.ndarray):
         return [value]
+    if isinstance(value, dict):
+        return leaves(tuple(value.values()))
     if isinstance(value, tuple):
         return [array for part in value for array in leaves(part)]
     if hasattr(value, "__dataclass_fields__"):
@@ -52,8 +60,7 @@ def leaves(value: object) -> list[np.ndarray]:
 
 
 def test_every_feature_comes_back(grid: OccupancyGrid, arrays: dict) -> None:
-    fresh = MapFeatures(grid, **PARAMETERS)
-    back = features_from_arrays(grid, arrays, PARAMETERS)
+    fresh, back = peeled(grid), features_from_arrays(grid, arrays, PARAMETERS)
     for name in KEPT:
         assert name in vars(back)  # nothing is computed
         for a, b in zip(leaves(getattr(fresh, name)), leaves(getattr(back, name)), strict=True):
@@ -97,6 +104,22 @@ def test_loaded_maps_find_the_same_pose(grid: OccupancyGrid, arrays: dict) -> No
     a = best_poses(MapFeatures(grid, **PARAMETERS).pooled, xy, thetas)
     b = best_poses(back.pooled, xy, thetas)
     assert a.cells.tolist() == b.cells.tolist()
+
+
+def test_thinner_walls_come_back_without_peeling(grid: OccupancyGrid, monkeypatch) -> None:
+    fresh = MapFeatures(grid, **PARAMETERS)
+    walls = [fresh.thinner(n).grid for n in range(4)]
+    assert len({g.occupied.sum() for g in walls}) == 3  # the last are lines
+    kept = features_to_arrays(fresh)
+    assert kept.keys() == {"peeled.1", "peeled.2", "peeled.3"}
+    monkeypatch.setattr("skimage.morphology.thin", None)
+    back = features_from_arrays(grid, kept, PARAMETERS)
+    for n, before in enumerate(walls):
+        np.testing.assert_array_equal(back.thinner(n).grid.occupied, before.occupied)
+        np.testing.assert_array_equal(back.thinner(n).grid.free, before.free)
+    gap = {"peeled.2": kept["peeled.2"]}
+    with pytest.raises(ValueError, match="1: got nothing"):
+        features_from_arrays(grid, gap, PARAMETERS)
 
 
 def test_by_default_what_has_been_computed(grid: OccupancyGrid) -> None:

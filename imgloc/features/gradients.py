@@ -7,7 +7,7 @@ normal (alpha is mod 2 pi) says the sign of the gradient, out of the wall into f
 
 import cv2
 import numpy as np
-from skimage.measure import block_reduce
+from skimage import measure
 
 from imgloc.errors import ConfigError
 from imgloc.model import BoolArray, Float32Array
@@ -69,7 +69,7 @@ def vmap_of_image(
     length = gx * nx + gy * ny  # its sign directs the axis
     length *= cv2.dilate(free.astype(np.uint8), np.ones((3, 3), np.uint8))  # towards free space
     left = np.sqrt(max(0.0, (sigma / resolution) ** 2 - _EDGE**2)) / factor
-    field = np.stack([block_reduce(length * n, factor, np.mean) for n in (nx, ny)])
+    field = np.stack([measure.block_reduce(length * n, factor, np.mean) for n in (nx, ny)])
     if left > 0.1:
         for image in field:
             cv2.GaussianBlur(image, (0, 0), left, dst=image, borderType=_NORMALS)

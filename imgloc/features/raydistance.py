@@ -10,7 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 import cv2
 import numpy as np
 import numpy.typing as npt
-from skimage.measure import block_reduce
+from skimage import measure
 
 from imgloc.errors import ConfigError
 from imgloc.model import BoolArray, Float32Array, FloatArray
@@ -80,7 +80,7 @@ def ray_distances(
     if not (np.isfinite(resolution) and resolution > 0):
         raise ConfigError(f"resolution must be positive and finite, got {resolution}")
 
-    solid = np.asarray(block_reduce(occupied, factor, np.all))
+    solid = np.asarray(measure.block_reduce(occupied, factor, np.all))
     stack = np.empty((n_psi, *solid.shape), np.uint16)
     image = watertight(occupied)
     limit = np.uint16(round(max_range * _CM))

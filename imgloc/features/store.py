@@ -23,7 +23,8 @@ from imgloc.model import OccupancyGrid, OrientedPoints
 Array = npt.NDArray[Any]
 
 #: Features that are kept, those first that save most time per byte.
-KEPT = ("surface", "visibility", "voters_visibility", "pyramid", "vmap", "pooled", "walls", "field")
+KEPT = ("peeled", "surface", "visibility", "voters_visibility", "pyramid", "vmap", "pooled",
+        "walls", "field")  # fmt: skip
 #: Bytes of an entry; what does not fit is computed anew each time.
 MAX_BYTES = 1 << 30
 
@@ -99,6 +100,8 @@ def _parts(name: str, value: Any) -> dict[str, Array]:
     if name == "pyramid":
         images = {f"{name}.image{i}": level.image for i, level in enumerate(value)}
         return images | {f"{name}.free{i}": level.free for i, level in enumerate(value)}
+    if name == "peeled":
+        return {f"{name}.{cells}": bits for cells, bits in value.items()}
     return {name: value.table if name == "field" else value}
 
 
@@ -134,6 +137,10 @@ def _build(features: MapFeatures, name: str, parts: dict[str, Array]) -> object:
             levels.append(Level(image, free, resolution))
             height, width, resolution = -(-height // 2), -(-width // 2), 2 * resolution
         return tuple(levels)
+    if name == "peeled":
+        size = -(-shape[0] * shape[1] // 8)
+        cells = range(1, len(parts) + 1)
+        return {n: _take(parts, str(n), np.uint8, (size,)) for n in cells}
     if name == "field":
         table = _take(parts, "field", np.int16, (shape[0] * shape[1] + 1, 4))
         return DistanceField(table, *shape, features.grid.resolution)

@@ -7,7 +7,7 @@ are two surfaces with opposite normals, however thin it is, which Fig. 4 of the 
 import itertools
 
 import numpy as np
-from skimage.measure import find_contours
+from skimage import measure
 
 from imgloc.geometry import wrap
 from imgloc.model import BoolArray, FloatArray, IntArray, OrientedPoints
@@ -129,7 +129,7 @@ def outlines(occupied: BoolArray) -> tuple[FloatArray, IntArray]:
     >>> vertices.tolist(), size.tolist()
     ([[1.5, 1.0], [2.0, 0.5], [1.5, 0.0], [1.0, 0.5], [1.5, 1.0]], [5])
     """
-    found = find_contours(
+    found = measure.find_contours(
         np.pad(occupied, 1).astype(np.float64), 0.5,
         fully_connected="high", positive_orientation="high",
     )  # fmt: skip
