@@ -67,8 +67,8 @@ def test_help_has_examples_that_parse(words: list[str]) -> None:
 
 
 def test_help_imports_nothing_heavy() -> None:
-    heavy = ("numpy", "cv2", "skimage", "scipy", "yaml", "jinja2", "PIL", "imgloc.pipeline",
-             "imgloc.lab.evaluation", "imgloc.plans.floorplan")  # fmt: skip
+    heavy = ("numpy", "cv2", "skimage", "scipy", "yaml", "jinja2", "PIL", "pydantic",
+             "imgloc.pipeline", "imgloc.lab.evaluation", "imgloc.plans.floorplan")  # fmt: skip
     code = (
         f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
         "from imgloc.cli.app import main\n"
@@ -80,6 +80,24 @@ def test_help_imports_nothing_heavy() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
     assert done.stderr.decode().strip() == ""
+
+
+def test_a_prepared_map_waits_for_no_library_that_it_does_not_use(
+    scans: Path, tmp_path: Path
+) -> None:
+    aside = ("skimage.util", "skimage.morphology", "scipy", "pydantic", "rich", "imgloc.filters")
+    code = (
+        f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
+        "from imgloc.cli.app import main\n"
+        "try: main(sys.argv[1:])\n"
+        "except SystemExit as e: assert not e.code\n"
+        f"print([m for m in {aside} if m in sys.modules], file=sys.stderr)"
+    )
+    words = ["localize", MAPS / "curved.yaml", scans, "--scans-index", "0", "--json"]
+    line = [sys.executable, "-c", code, *words, "--cache", tmp_path]
+    for _ in range(2):
+        done = subprocess.run(line, capture_output=True, check=True)
+    assert done.stderr.decode().strip() == "[]"
 
 
 def options_of(command: Any) -> set[str]:

@@ -13,7 +13,7 @@ from imgloc.__about__ import __version__
 from imgloc.cli.batch import batch
 from imgloc.cli.cache import cache, clear
 from imgloc.cli.command import Command, command
-from imgloc.cli.console import Group, emit
+from imgloc.cli.console import Group, Subgroup, emit
 from imgloc.cli.demo import demo
 from imgloc.cli.export import export
 from imgloc.cli.inspect import inspect
@@ -181,7 +181,7 @@ def program(words: Iterable[str] | None = None) -> typer.Typer:
     groups = {
         # No rich: help has to appear at once, and examples have to stay as they are typed.
         name: typer.Typer(
-            cls=None if name else Group,
+            cls=Subgroup if name else Group,
             no_args_is_help=name != "cache",
             invoke_without_command=name == "cache",
             rich_markup_mode=None,

@@ -21,6 +21,7 @@ import typer
 from typer.core import TyperCommand
 
 from imgloc.cli.console import configure
+from imgloc.cli.typed import as_typed
 from imgloc.errors import ConfigError
 from imgloc.ranges import (
     Declared,
@@ -67,6 +68,10 @@ class Without(Only):
 
 class Command(TyperCommand):
     """A command that tells the new name of an option by its old one."""
+
+    def get_params(self, ctx: Any) -> Any:
+        """The options, and that for help."""
+        return as_typed(super().get_params(ctx))
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the command line; an old name is a ConfigError that has the new one."""
@@ -148,7 +153,9 @@ def _value_of(field: Declared, text: Any) -> Any:
     if isinstance(text, list):
         if option is not None and option.joined:
             return ",".join(text)
-        return [option.parse(one) if option and option.parse else one for one in text]
+        words: Any = map(Path, text) if get_args(kind) == (Path,) else text
+        return [option.parse(one) if option and option.parse else one for one in words]
+    text = Path(text) if kind is Path else text
     value, scale = text, (180 / pi, "degrees") if field.in_degrees else ()
     if option is not None and option.parse is not None:
         value = option.parse(text)

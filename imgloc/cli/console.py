@@ -18,6 +18,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from imgloc.cli.typed import as_typed
 from imgloc.errors import STDERR, ImglocError, OutputError, as_options, printable
 
 LOG = logging.getLogger("imgloc")
@@ -29,8 +30,16 @@ PIPE_CLOSED = 128 + 13  # and SIGPIPE
 _SESSION = SimpleNamespace(debug=False)  # switches of one run of the command line
 
 
-class Group(TyperGroup):
-    """The commands, with one end for every way in which one can fail."""
+class Subgroup(TyperGroup):
+    """Commands below one word."""
+
+    def get_params(self, ctx: Any) -> Any:
+        """The options of the group itself, and that for help."""
+        return as_typed(super().get_params(ctx))
+
+
+class Group(Subgroup):
+    """All commands, with one end for every way in which one can fail."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run a command; what it raises becomes one line and a typer.Exit with the exit code."""
@@ -133,14 +142,14 @@ def say(message: str) -> None:
         print(f"imgloc: {printable(as_options(message))}", file=sys.stderr, flush=True)
 
 
-def bar_of(*columns: Any, disable: bool = False) -> Any:
+def bar_of(*columns: Any) -> Any:
     """A progress bar of rich on standard error, which goes when it is done."""
     from rich.console import Console
     from rich.progress import Progress
 
     # Without the redirection: results go to stdout, where they belong.
     to = Console(stderr=True)
-    return Progress(*columns, console=to, transient=True, redirect_stdout=False, disable=disable)
+    return Progress(*columns, console=to, transient=True, redirect_stdout=False)
 
 
 @contextlib.contextmanager
@@ -152,7 +161,9 @@ def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable
     """
     crowded = lines and total != 1 and sys.stdout is not None and sys.stdout.isatty()
     terminal = sys.stderr is not None and sys.stderr.isatty()
-    quiet = not terminal or crowded or LOG.isEnabledFor(logging.INFO)
+    if not terminal or crowded or LOG.isEnabledFor(logging.INFO):
+        yield lambda *_, **__: None
+        return
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
     from rich.progress import TimeRemainingColumn as Remaining
 
@@ -160,7 +171,7 @@ def progress(title: str, total: int, *, lines: bool = True) -> Iterator[Callable
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Remaining(),
         TextColumn("{task.fields[note]}")
     )  # fmt: skip
-    with bar_of(*columns, disable=quiet) as bar:
+    with bar_of(*columns) as bar:
         task = bar.add_task(title, total=total if total > 1 else None, note="")
 
         def advance(note: str = "") -> None:

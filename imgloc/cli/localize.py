@@ -184,13 +184,14 @@ class _Sink:
         write_text_atomic(path, html, force=self.force)
 
     def _print(self, run: "Locating", answer: "Located", *, first: bool) -> None:
-        from imgloc.model import to_json
-        from imgloc.output.rows import answer_row
         from imgloc.output.tables import answer_line, answer_text
 
         if self.several and first and not self.as_json:
             emit(f"{run.taken.name}:")
         if self.as_json:
+            from imgloc.model import to_json
+            from imgloc.output.rows import answer_row
+
             about = {"scans": run.taken.name} if self.several else {}
             sensor, flipped = self.mounting.sensor, self.mounting.flipped
             row = answer_row(
@@ -204,7 +205,6 @@ class _Sink:
 
     def end(self) -> None:
         """Say how it went, and what most likely keeps scans from fitting."""
-        from imgloc.answers.logcheck import warn_of
         from imgloc.cli.inputs import aged_words
         from imgloc.io.maps import SWAPPED
         from imgloc.io.scanset import ScanSet
@@ -231,5 +231,7 @@ class _Sink:
         if aged and not self.hints:
             LOG.warning("%s", aged)
         if not self.hints and 2 * verdicts.count("unique") < len(verdicts):
+            from imgloc.answers.logcheck import warn_of
+
             for run in self.runs:
                 warn_of(run.taken.scans, run.taken.name)

@@ -4,12 +4,14 @@ The row of `imgloc which --json` is :meth:`imgloc.choice.choose.Choice.as_row`.
 """
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from imgloc.filters.belief import Belief
-from imgloc.filters.follow import Moment
 from imgloc.geometry import transform_poses
 from imgloc.model import LaserScan, Localization, Pose2D, plain
+
+if TYPE_CHECKING:
+    from imgloc.filters.belief import Belief
+    from imgloc.filters.follow import Moment
 
 
 def answer_row(
@@ -42,7 +44,7 @@ def answer_row(
 PLACES = 20  #: places of a belief that are listed
 
 
-def places_of(belief: Belief, origin: Pose2D, most: int = PLACES) -> list[dict[str, float]]:
+def places_of(belief: "Belief", origin: Pose2D, most: int = PLACES) -> list[dict[str, float]]:
     """The places of a belief with their masses, map frame, best first.
 
     `origin` is that of the grid, in whose frame beliefs are.
@@ -55,7 +57,7 @@ def places_of(belief: Belief, origin: Pose2D, most: int = PLACES) -> list[dict[s
 
 
 def moment_row(
-    moment: Moment, origin: Pose2D | None = None, *, best: bool = False
+    moment: "Moment", origin: Pose2D | None = None, *, best: bool = False
 ) -> dict[str, Any]:
     """The row of `imgloc track --json`: the pose is null unless it is unique.
 

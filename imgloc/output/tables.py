@@ -6,11 +6,6 @@ import statistics
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from rich import box
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
-
 from imgloc.errors import as_options
 from imgloc.model import SURE, VERDICTS, Localization, Pose2D, base_of
 
@@ -56,6 +51,11 @@ def as_plain(
     | x | 2 |
     +---+---+
     """
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
     if width is not None:
         sizes = [3 + max(map(len, column)) for column in zip(columns, *rows, strict=True)]
         last = left + 1
