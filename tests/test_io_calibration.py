@@ -83,9 +83,9 @@ def values(sigma_xy: float, temperature: object) -> dict[str, object]:
         ({"methods": {"ght": {"sigma_xy": 1}}}, "methods.ght: no sigma_theta, expected a number"),
         ({"methods": {"ght": values(0, "1")}}, "got '1'"),
         ({"methods": {"ght": values(0, True)}}, "got True"),
-        ({"methods": {"ght": values(0, 0)}}, "Calibration.temperature"),
+        ({"methods": {"ght": values(0, 0)}}, "methods.ght.temperature: got 0.0, expected a factor"),
         ({"methods": {"ght": values(-1, 1)}}, "sigma_xy"),
-        ({"methods": {"ght": values(float("nan"), 1)}}, "sigma_xy: got None"),
+        ({"methods": {"ght": values(float("nan"), 1)}}, "methods.ght.sigma_xy: got nan, expected"),
     ],
 )
 def test_a_damaged_file_is_not_used(
@@ -150,7 +150,7 @@ def test_what_is_of_another_map_is_not_kept(path: Path) -> None:
     assert load_calibrations(path, finer)[0] == {"cbml": Calibration()}
 
 
-@pytest.mark.parametrize("about", [[], 7, {"seed": 1}, {"beam": float("nan")}])
+@pytest.mark.parametrize("about", [[], 7, {"seed": 1}, {"beam": None}])
 def test_fits_of_which_nothing_is_said_are_kept(path: Path, about: object) -> None:
     path.write_text(json.dumps(json.loads(path.read_text()) | {"about": about}))
     save_calibrations(path, GRID, {}, {}, force=True)
@@ -178,7 +178,15 @@ def test_a_file_of_before_has_no_error(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "shared", [{"scale": 0.0, "thinner": 0}, {"scale": 1.0}, {"scale": "1", "thinner": 0}, [1, 2]]
+    "shared",
+    [
+        {"scale": 0.0, "thinner": 0},
+        {"scale": 1.0},
+        {"scale": "1", "thinner": 0},
+        [1, 2],
+        {"scale": 1.0, "thinner": 2.5},
+        {"scale": 1.0, "thinner": 0, "depth": float("nan")},
+    ],
 )
 def test_an_error_that_cannot_be_is_not_used(path: Path, shared: object, caplog) -> None:
     path.write_text(json.dumps(json.loads(path.read_text()) | {"shared": shared}))

@@ -6,18 +6,30 @@ Upside down, other units, a map of another scale: each is one more answer for a 
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly
+from imgloc.io.calibration import calibration_path
+from imgloc.io.files import PathLike, display
 from imgloc.io.maps import DRAWN, SWAPPED, looks_drawn, looks_swapped
 from imgloc.io.scanset import ScanSet
-from imgloc.model import SURE, Evidence, LaserScan, Localization, Pose2D, base_of, compose, inverse
+from imgloc.model import (
+    SURE,
+    Evidence,
+    LaserScan,
+    Localization,
+    OccupancyGrid,
+    Pose2D,
+    base_of,
+    compose,
+    inverse,
+)
 from imgloc.numbers import number
-from imgloc.options import Options, Prior, Shared
+from imgloc.options import Drawn, Options, Prior, Shared
 from imgloc.pipeline import localize
 
 Said = Sequence[tuple[str, Evidence]]
@@ -54,6 +66,38 @@ class Given:
 
     flipped: bool = False  #: they were taken for those of a sensor that hangs upside down
     range_scale: float = 1.0  #: their ranges were multiplied by it
+    calibration: str = ""  #: the file that the shared error of the options is from; empty: none is
+    uncalibrated: Shared = field(default_factory=Shared)  #: the shared error without that file
+
+    def beside(
+        self, map_path: PathLike, grid: OccupancyGrid, drawn: Drawn | None = None
+    ) -> "Given":
+        """The same, with the calibration file beside a map; `drawn` is stated about its walls."""
+        shared = (drawn or Drawn()).on(Shared(), grid.resolution)
+        file = display(calibration_path(map_path))
+        return replace(self, calibration=file, uncalibrated=shared)
+
+    def calibrated(self, shared: Shared, keys: Sequence[str]) -> str:
+        """Words that name the calibration file, and what it says of some keys of `shared`.
+
+        They end with what mends it. They are empty if the file does not decide any of these keys.
+
+        Examples
+        --------
+        >>> given = Given(calibration="hall.calibration.json")
+        >>> given.calibrated(Shared(scale=1.3), ["scale", "bent"])[:45]
+        'hall.calibration.json, whose shared.scale is '
+        >>> given.calibrated(Shared(), ["scale"]), Given().calibrated(Shared(1.3), ["scale"])
+        ('', '')
+        """
+        used, without = vars(shared), vars(self.uncalibrated)
+        values = [f"shared.{key} is {used[key]:g}" for key in keys if used[key] != without[key]]
+        if not self.calibration or not values:
+            return ""
+        return (
+            f"{self.calibration}, whose {' and '.join(values)}. Make that file anew with imgloc "
+            "calibrate MAP --scans FILE `force=True`, or move it away"
+        )
 
     def advice(self, options: str) -> str:
         """A sentence that advises `options`, or to leave out what was wrong before.
@@ -83,10 +127,10 @@ def doubts(
 ) -> list[Doubt]:
     """Say what most likely keeps most of some scans from being placed, and what mends it.
 
-    Causes are tried in the order of how much they explain: units that the readings themselves give
-    away, too few readings, a map with black and white swapped, a prior that leaves the place out, a
-    mirrored sensor or map, ranges of another scale, a map that is a drawing. The first one that
-    makes a few of the scans unique is the answer.
+    Causes are tried in the order of how much they explain: a calibration that is wrong, units that
+    the readings themselves give away, too few readings, a map with black and white swapped, a prior
+    that leaves the place out, a mirrored sensor or map, ranges of another scale, a map that is a
+    drawing. The first one that makes a few of the scans unique is the answer.
 
     Parameters
     ----------
@@ -106,10 +150,17 @@ def doubts(
     """
     given, bent_ = given or Given(), bent(said, options.shared, features.grid.resolution)
     doubtful = [k for k, answer in enumerate(said) if is_doubtful(*answer)]
-    if 2 * len(doubtful) <= len(scans):
+    fit = 2 * len(doubtful) <= len(scans)
+    if fit and not bent_:
+        return []
+    some = range(len(scans)) if fit else doubtful
+    misfit = float(np.median([said[k][1].misfit for k in some]))
+    trial = _Trial(features, scans.take(some), options, given, one=len(scans) == 1, misfit=misfit)
+    if found := trial.calibration(is_bent=bool(bent_)):
+        return [found]
+    if fit:
         return bent_
     counts = Counter(verdict for verdict, _ in said)
-    trial = _Trial(features, scans.take(doubtful), options, given, one=len(scans) == 1)
     if found := trial.units():
         return [found]
     if 2 * counts["invalid"] > len(scans):
@@ -138,6 +189,7 @@ class _Trial:
     options: Options
     given: Given
     one: bool  #: whether there is only one scan
+    misfit: float  #: median of the scans as they were located, nats per reading
 
     @property
     def tried(self) -> list[int]:
@@ -150,12 +202,17 @@ class _Trial:
         return "this scan fits" if self.one else "scans like these fit"
 
     def unique(
-        self, change: Callable[[LaserScan], LaserScan] | None = None, prior: Prior | None = None
-    ) -> list[Localization]:
-        """Answers to a few scans that are changed, or without the prior; empty unless all are."""
+        self, change: Callable[[LaserScan], LaserScan] | None = None, prior: Prior | None = None,
+        shared: Shared | None = None,
+    ) -> list[Localization]:  # fmt: skip
+        """Answers to a few scans that are changed, or with others of the options.
+
+        The list is empty unless all of these scans are unique.
+        """
         # Votes find a few places more where nothing fits, which takes longer than all the rest.
         quick = replace(self.options, fused=replace(self.options.fused, unfit=np.inf))
         quick = replace(quick, prior=quick.prior if prior is None else prior)
+        quick = replace(quick, shared=quick.shared if shared is None else shared)
         found = list[Localization]()
         for k in self.tried:
             scan = self.scans[k] if change is None else change(self.scans[k])
@@ -163,6 +220,33 @@ class _Trial:
             if found[-1].verdict != "unique":
                 return []
         return found
+
+    def calibration(self, *, is_bent: bool) -> Doubt | None:
+        """The scans fit far better without what was calibrated for the map.
+
+        If most of them fit, but only with another error than the one that was calibrated
+        (`is_bent`), they are to fit without any.
+        """
+        used, without = self.options.shared, vars(self.given.uncalibrated)
+        if not self.given.calibrated(used, keys := list(without)):
+            return None
+
+        def helps(left_out: Sequence[str]) -> bool:
+            shared = replace(used, **{key: without[key] for key in left_out})
+            found = self.unique(shared=shared)
+            said = [(answer.verdict, answer.evidence) for answer in found]
+            if is_bent:
+                return bool(found) and not bent(said, shared, self.features.grid.resolution)
+            fits = np.median([evidence.misfit for _, evidence in said] or [math.inf])
+            return bool(self.misfit - fits >= _FITS)
+
+        if not helps(keys):
+            return None
+        changed = [key for key in keys if self.given.calibrated(used, [key])]
+        alone = (key for key in changed if len(changed) > 1 and helps([key]))
+        wrong = [key] if (key := next(alone, "")) else changed
+        text = f"{self.fits} this map far better without {self.given.calibrated(used, wrong)}"
+        return Doubt("calibration", text, f"fits far better without {self.given.calibration}")
 
     def units(self) -> Doubt | None:
         """Half of the ranges are longer than rooms are, or than the map: in which unit they fit."""
@@ -300,8 +384,12 @@ def bent(said: Said, known: Shared, resolution: float) -> list[Doubt]:
     return [_bent("this scan fits" if count == 1 else "most scans fit", found, short)]
 
 
-def bent_walls(found: Shared, known: Shared, resolution: float) -> Doubt | None:
+def bent_walls(
+    found: Shared, known: Shared, resolution: float, given: Given | None = None
+) -> Doubt | None:
     """Say that a filter took the scans of a log for having another error than was `known`.
+
+    If that is from a calibration file, the file is the cause.
 
     Examples
     --------
@@ -313,10 +401,15 @@ def bent_walls(found: Shared, known: Shared, resolution: float) -> Doubt | None:
         parts.append(f"their ranges multiplied by {found.scale:.3f}")
     if found.thinner != known.thinner:
         parts.append(f"walls that are {found.thinner * resolution:.2f} m thinner on each side")
-    if not parts and found.bent == known.bent:
-        return None
     if found.bent != known.bent:
         parts.append(f"walls that are bent by {found.bent:.2f} m")
+    if not parts:
+        return None
+    changed = [key for key, value in vars(known).items() if value != vars(found)[key]]
+    if given is not None and (wrong := given.calibrated(known, changed)):
+        text = f"most scans fit this map far better with {' and '.join(parts)} than with {wrong}"
+        return Doubt("calibration", text, f"fits far better without {given.calibration}")
+    if found.bent != known.bent:
         text = (
             f"most scans fit this map far better with {' and '.join(parts)}, so imgloc allowed for "
             "that; a map drawn from the robot's own scans gives surer poses"

@@ -142,7 +142,10 @@ def warn_of(scans: ScanSet, name: str) -> None:
             _LOG.warning("%s: %s", name, finding.said)
 
 
-def on_map(report: LogReport, scans: ScanSet, features: MapFeatures, options: Options) -> LogReport:
+def on_map(
+    report: LogReport, scans: ScanSet, features: MapFeatures, options: Options,
+    given: Given | None = None,
+) -> LogReport:  # fmt: skip
     """The report, with what the map tells: whether scans and poses fit it, and how much is new.
 
     A few scans are located; what keeps them from fitting is tried.
@@ -155,7 +158,7 @@ def on_map(report: LogReport, scans: ScanSet, features: MapFeatures, options: Op
     said = [(answer.verdict, answer.evidence) for answer in answers]
     known = {finding.code for finding in findings}
     misfits = 2 * len(sure) < len(answers) and not _UNDONE & known
-    for doubt in doubts(features, some, said, options) if misfits else ():
+    for doubt in doubts(features, some, said, options, given) if misfits else ():
         agrees = facts["agreement"]
         if doubt.code == "mirrored" and agrees is not None and agrees >= MIRRORED:
             findings.append(Finding("mirrored", MIRRORED_MAP, doubt.options))

@@ -123,6 +123,7 @@ class _Look:
         """Look at a log, print what is in it, draw it."""
         from imgloc.answers.logcheck import check_log, on_map
         from imgloc.cli import inputs
+        from imgloc.io.calibration import calibrated
         from imgloc.io.kinds import kinds_of
         from imgloc.model import to_json
         from imgloc.output.inspection import draw_log, log_row, log_text
@@ -136,7 +137,9 @@ class _Look:
         if self.map is not None:
             features = self.desk.features(self.map, self.how, Options(), scans=scans.scans)
             options = Options(memory_budget=self.desk.budget)
-            report = on_map(report, scans, features, options)
+            options = calibrated(options, self.map, features.grid)
+            given = how.given.beside(self.map, features.grid)
+            report = on_map(report, scans, features, options, given)
             self.desk.keep(features)
         command = self._next(path, report, logs)
         about = inputs.name_of(path), form, kinds, report, command

@@ -212,8 +212,7 @@ def track(
     )  # fmt: skip
     with contextlib.ExitStack() as undo:
         title = f"{map_name(map_path)}: {inputs.name_of(log)}"
-        video = outputs.video
-        movie = None if video is None else Video(features, video.suffix.lower(), title)
+        movie = Video(features, video.suffix.lower(), title) if (video := outputs.video) else None
         recording = None if outputs.mcap is None else Recording(grid)
         shown = list[Any]()
         seen = scans.scans.__getitem__ if live is None else live.last
@@ -234,10 +233,11 @@ def track(
     if truth is not None:
         say(deviation_of(moments, truth).words)
     share = sum(m.belief.verdict == "unique" for m in moments) / len(moments)
+    stated = how.given.beside(map_path, grid, drawn)
     if live is None and share < FOLLOWED:
-        hint = doubt_of_log(features, scans, options, how.given, share, asked.start)
+        hint = doubt_of_log(features, scans, options, stated, share, asked.start)
     else:
-        hint = bent_walls(chosen.options.shared, options.shared, grid.resolution)
+        hint = bent_walls(chosen.options.shared, options.shared, grid.resolution, stated)
     if said := hint.text if hint else _aged(grid, scans, moments, chosen.options.shared):
         LOG.warning("%s", said)
     if strict and moments[-1].belief.verdict != "unique":

@@ -27,7 +27,7 @@ _MOST = 1 << 20  # bytes; what is longer is not such a file
 _UNUSABLE = (ValueError, ConfigError, OutputError)
 _METHOD = dict.fromkeys(vars(Calibration()), float)
 _SHARED = {
-    "scale": float, "thinner": float, "bent?": float, "depth?": (float, None), "usual?": float
+    "scale": float, "thinner": int, "bent?": float, "depth?": (float, None), "usual?": float
 }  # fmt: skip
 _KIND = {"map_hash": str, "methods": {str: _METHOD}, "shared?": _SHARED}
 
@@ -129,16 +129,22 @@ def _read(file: Path, grid: OccupancyGrid) -> tuple[dict[str, Calibration], Any,
     if not methods.keys() <= DEFAULTS.keys():
         raise ValueError(f"methods: expected an object with keys of {', '.join(DEFAULTS)}")
     found = {
-        name: Calibration(**{key: float(values[key]) for key in _METHOD})
+        name: _made(f"methods.{name}", Calibration, {key: float(values[key]) for key in _METHOD})
         for name, values in methods.items()
     }
-    depth = known.get("depth")
-    depth = None if depth is None else float(depth)
-    bent, usual = (float(known.get(name, 0.0)) for name in ("bent", "usual"))
-    shared = Shared(float(known["scale"]), int(known["thinner"]), bent, depth, usual)
-    return found, content.get("about"), shared
+    said = {key: known[key] for key in vars(Shared()) if known.get(key) is not None}
+    numbers = {key: value if key == "thinner" else float(value) for key, value in said.items()}
+    return found, content.get("about"), _made("shared", Shared, numbers)
+
+
+def _made(key: str, kind: Any, values: Mapping[str, Any]) -> Any:
+    """What is at a key of the file; a value out of its range is named as the file has it."""
+    try:
+        return kind(**values)
+    except ConfigError as e:
+        raise ValueError(str(e).replace(kind.__name__, key, 1)) from None
 
 
 def _content(file: Path) -> Any:
     """What a file says; else `_UNUSABLE`."""
-    return read_json(file, _KIND, limit=_MOST, what="calibration", version=_FORMAT)
+    return read_json(file, _KIND, limit=_MOST, what="calibration", version=_FORMAT, strict=True)

@@ -48,10 +48,11 @@ class _WrongError(ValueError):
         return f"{at}: {self.args[0]}" if at else str(self.args[0])
 
 
-def parse_json(data: bytes, kind: Any = object) -> Any:
+def parse_json(data: bytes, kind: Any = object, *, strict: bool = False) -> Any:
     """The value of a JSON text of some kind; what JSON has not (NaN, Infinity) is null.
 
-    ValueError, which says where and what was expected, for whatever is not as imgloc writes it.
+    ValueError, which says where and what was expected, for whatever is not as imgloc writes it; if
+    `strict`, also for what JSON has not.
 
     Examples
     --------
@@ -62,8 +63,8 @@ def parse_json(data: bytes, kind: Any = object) -> Any:
         ...
     ValueError: ms.1: got inf, expected a number
     """
-    try:
-        value = json.loads(data, parse_constant=lambda _: None)
+    try:  # no kind admits what `float` makes of these
+        value = json.loads(data, parse_constant=float if strict else lambda _: None)
     except (json.JSONDecodeError, UnicodeDecodeError) as e:
         raise ValueError(f"not JSON: {e}") from None
     except ValueError:  # Python would say how to read it unsafely
@@ -77,16 +78,17 @@ def parse_json(data: bytes, kind: Any = object) -> Any:
 
 
 def read_json(
-    path: PathLike, kind: Any, *, limit: int, what: str, version: int | None = None
-) -> dict[str, Any]:
+    path: PathLike, kind: Any, *, limit: int, what: str, version: int | None = None,
+    strict: bool = False,
+) -> dict[str, Any]:  # fmt: skip
     """Read a file that is a JSON object of some kind, and has this `version` as its ``format``.
 
     OutputError, which names the file, if it cannot be read, is longer than `limit` bytes or no
-    regular file, or is not what imgloc writes.
+    regular file, or is not what imgloc writes: if `strict`, also one with NaN or Infinity.
     """
     data = read_file(path, limit=limit, error=OutputError, what=what)
     try:
-        value: dict[str, Any] = parse_json(data, {str: object})
+        value: dict[str, Any] = parse_json(data, {str: object}, strict=strict)
         if version is None or value.get("format") == version:
             _expect(value, kind)
             return value

@@ -94,7 +94,8 @@ class Evaluate(Job):
         scans, features = run.taken.scans, run.features
         some, answers = located(features, scans, run.options)
         said = [(answer.verdict, answer.evidence) for answer in answers]
-        found = doubts(features, some, said, run.options, self.scans.given)
+        given = self.scans.given.beside(item.path, features.grid)
+        found = doubts(features, some, said, run.options, given)
         poses = scans.poses
         if (
             not found

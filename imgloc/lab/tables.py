@@ -50,8 +50,10 @@ def shared_words(found: SharedFit, resolution: float) -> str:
             ("fit", f"scans at sure places lack {shared.usual:.1f} nats per reading here"),
         ]  # fmt: skip
         return "\n".join(f"{name:<6} {fact}" for name, fact in facts)
-    right = "as the map has it"
-    if abs(shared.scale - 1) > max(2 * error, 0.002):
+    right = "imgloc uses that, though the map's scale may be right"
+    if shared.scale == 1:
+        right = "as the map has it"
+    elif abs(shared.scale - 1) > max(2 * error, 0.002):
         right = f"the map's cells are of {resolution / shared.scale:.4g} m, or ranges are off"
     facts = [
         ("scans", f"{found.used} of {found.asked} fit at one place"),

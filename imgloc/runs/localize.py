@@ -57,7 +57,7 @@ class Localize(Job):
             cells = region_of(self.region, features.grid, allow_lossy=self.maps.allow_lossy)
             prior &= Prior(cells, None, {"region": {"cells": int(cells.sum())}})
         options = replace(options, prior=prior)
-        opened = Locating(self, desk, map_name(path), features, options, taken)
+        opened = Locating(self, desk, path, features, options, taken)
         return opened.with_true_poses() if taken.tried.poses_are_odometry else opened
 
 
@@ -76,7 +76,7 @@ class Locating:
 
     job: Localize
     desk: Desk
-    map_name: str
+    path: Path  #: of the map
     features: MapFeatures
     options: Options
     taken: Taken
@@ -112,6 +112,11 @@ class Locating:
                 )
         self.desk.keep(self.features)
 
+    @property
+    def map_name(self) -> str:
+        """What people call the map."""
+        return map_name(self.path)
+
     def title(self, index: int) -> str:
         """What a picture of the answer to a scan is called: map, file and scan."""
         return f"{self.map_name}: {Path(self.taken.name).name}, scan {index}"
@@ -126,7 +131,8 @@ class Locating:
         """What may be wrong with scans of which this was `said`."""
         if self.options.method != FUSED or self.options.time_budget is not None:
             return []
-        return doubts(self.features, scans, said, self.options, self.job.scans.given)
+        given = self.job.scans.given.beside(self.path, self.features.grid, self.job.drawn)
+        return doubts(self.features, scans, said, self.options, given)
 
 
 def region_of(path: Path, grid: OccupancyGrid, *, allow_lossy: bool) -> BoolArray:

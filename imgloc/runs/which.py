@@ -193,7 +193,8 @@ class Choosing:
         options = calibrated(options, self.files[name], features.grid)
         located = [localize(features, scan, options) for scan in scans.scans]
         said = [(answer.verdict, answer.evidence) for answer in located]
-        for doubt in doubts(features, scans, said, options, self.job.scans.given):
+        given = self.job.scans.given.beside(self.files[name], features.grid)
+        for doubt in doubts(features, scans, said, options, given):
             return replace(doubt, text=f"{name}: {doubt.text}") if doubt.found else None
         if 2 * sum(answer.verdict == "unique" for answer in located) <= len(located):
             return None
