@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from imgloc import ConfigError, ScanSet, load_map, load_scans, save_scans
+from imgloc import ConfigError, ScanSet, load_map, load_scans
 from imgloc.io.files import display
 from imgloc.model import OccupancyGrid
 from imgloc.options import Sensor
@@ -45,13 +45,6 @@ def in_world(
     at_least_one(n=n)
     grid = render(WORLDS[name](), cell)
     return grid, simulate(grid, n, seed, sensor, render(WORLDS[name](), 0.01))
-
-
-def save_each(folder: Path, scans: ScanSet) -> None:
-    """Make a folder with a file of each scan, and of its pose if that is known."""
-    folder.mkdir()
-    for k in range(len(scans)):
-        save_scans(folder / f"{k:04d}.npz", scans.take([k]))
 
 
 def cut_set(scans: ScanSet, range_max: float) -> ScanSet:

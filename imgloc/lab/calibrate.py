@@ -294,16 +294,8 @@ def fit_along(
     with these walls from anywhere. The misfit that is usual here is the median over the scans whose
     poses are ``unique`` along the way.
 
-    Parameters
-    ----------
-    features : MapFeatures
-        The map.
-    logs : sequence of ScanSet
-        Scans in the order of time, with odometry.
-    options : Options, optional
-        Options of the method ``fused``.
-    advance : callable
-        Called after each scan.
+    `logs` have scans in the order of time, with odometry. The other parameters are those of
+    :func:`fit_shared`.
 
     Raises
     ------

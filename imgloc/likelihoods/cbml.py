@@ -39,18 +39,8 @@ def cbml(
         Blurred walls, 0..1, from :func:`imgloc.features.fields.bmap`.
     points_xy : (N, 2) float array
         Scan points, sensor frame, metres. Points that are not finite are left out.
-    thetas : (K,) float array
-        Headings, radians.
-    resolution : float
-        Side of a cell, metres.
-    engine : {"auto", "filter2d", "shift", "dft", "remap"}
-        How to compute it.
-    threads : int
-        Number of threads. The result does not depend on it.
-    where : (H, W) bool array, optional
-        Cells whose poses are wanted. The others are 0.
-    out : (K, H, W) float32 array, optional
-        Stack to overwrite and return, instead of a new one.
+    thetas, resolution, engine, threads, where, out
+        See :func:`imgloc.likelihoods.correlate.correlate`.
 
     Returns
     -------
@@ -103,25 +93,17 @@ def cbml_o(
         Field of vectors of length 0..1, from :func:`imgloc.features.fields.vmap`.
     points : OrientedPoints
         Scan points, sensor frame, metres and radians. Points without a valid normal are left out.
-    thetas : (K,) float array
-        Headings, radians.
-    resolution : float
-        Side of a cell, metres.
     directions : int
         Number of directions to which normals are rounded, even. With 64 a scalar product of equal
         normals changes by at most 0.12 %.
     engine : {"auto", "filter2d", "shift", "dft", "remap"}
         How to compute it. The engines agree up to 0.004 per reading, the rounding of projections,
         but for ``remap``, which interpolates.
-    threads : int
-        Number of threads. The result does not depend on it.
-    where : (H, W) bool array, optional
-        Cells whose poses are wanted. The others are 0.
     projections : (directions // 2, H, W) int16 array, optional
         The field's projections from :func:`project`, to be reused from scan to scan. Only ``shift``
         uses them.
-    out : (K, H, W) float32 array, optional
-        Stack to overwrite and return, instead of a new one.
+    thetas, resolution, threads, where, out
+        See :func:`imgloc.likelihoods.correlate.correlate`.
 
     Returns
     -------

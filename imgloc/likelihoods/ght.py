@@ -39,37 +39,7 @@ def ght(
 ) -> Float32Array:
     """Count the pairs of points that each pose brings together: GHT, Alg. 4.
 
-    Parameters
-    ----------
-    surface : OrientedPoints
-        Surface points of the map, grid frame, metres. Votes are fastest if the points are in order
-        along the walls.
-    points : OrientedPoints
-        Scan points, sensor frame, metres. In both sets, points that are not finite or lack a valid
-        normal cast no vote.
-    n_theta : int
-        Number K of headings, ``theta_k = 2 pi k / K``.
-    shape : (int, int)
-        Rows and columns of the lattice of votes. Its lower-left corner is that of the grid.
-    resolution : float
-        Side of a cell of that lattice, metres.
-    once : bool
-        Whether each scan point has at most one vote in a cell (Sec. VII). The votes then count the
-        scan points that a pose explains. Otherwise a wall casts many votes in the cells along it.
-    threads : int
-        Number of threads, each with a stack of its own. The result does not depend on it.
-    out : (K, H, W) float32 array, optional
-        Stack to overwrite and return, instead of a new one.
-
-    Returns
-    -------
-    (K, H, W) float32 array
-        Votes ``L[theta, y, x]``, whole numbers. Votes off the lattice do not count.
-
-    Raises
-    ------
-    ConfigError, ValueError
-        If a number is out of its range; if an array does not fit.
+    All pairs vote. Parameters, result and errors are those of :func:`ght_v`.
 
     Examples
     --------
@@ -106,9 +76,11 @@ def ght_v(
         :func:`~imgloc.features.visibility.visibility_frames`. The pair (i, j) votes if and only if
         ``visibility[b, j] > |p_i|``, with b the direction of the pose. With None all pairs vote.
     surface : OrientedPoints
-        Surface points of the map, grid frame, metres.
+        Surface points of the map, grid frame, metres. Votes are fastest if the points are in order
+        along the walls.
     points : OrientedPoints
-        Scan points, sensor frame, metres.
+        Scan points, sensor frame, metres. In both sets, points that are not finite or lack a valid
+        normal cast no vote.
     n_theta : int
         Number K of headings, ``theta_k = 2 pi k / K``.
     shape : (int, int)
@@ -116,7 +88,8 @@ def ght_v(
     resolution : float
         Side of a cell of that lattice, metres.
     once : bool
-        Whether each scan point has at most one vote in a cell.
+        Whether each scan point has at most one vote in a cell (Sec. VII). The votes then count the
+        scan points that a pose explains. Otherwise a wall casts many votes in the cells along it.
     threads : int
         Number of threads, each with a stack of its own. The result does not depend on it.
     out : (K, H, W) float32 array, optional

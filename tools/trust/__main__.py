@@ -20,7 +20,7 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict
 from datetime import date
@@ -103,96 +103,51 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Parse the command line, measure, print; return the exit code."""
     parser = parser_of("tools.trust", __doc__)
     tools = parser.add_subparsers(dest="tool", required=True)
-    threads = os.cpu_count() or 1
-
-    def add(
-        run: Callable[[argparse.Namespace], int], n: int | None, seed: int, what: str
-    ) -> argparse.ArgumentParser:
-        """A tool, which is called as its function is, and described as that is."""
+    for run, n, seed, what, *own in TOOLS:
+        # A tool is called as its function is, and described as that is.
         name, raw = run.__name__.removeprefix("run_"), argparse.RawDescriptionHelpFormatter
         one = tools.add_parser(name, description=getdoc(run), formatter_class=raw)
         one.set_defaults(run=run)
         one.add_argument("-n", type=int, default=n, help=what)
         one.add_argument("--seed", type=int, default=seed, help="(default: %(default)s)")
-        return one
-
-    def add_sets(one: argparse.ArgumentParser, *, required: bool = False) -> None:
-        one.add_argument(
-            "--sets", type=Path, nargs="+", default=[], required=required,
-            help="maps with a scans.npz beside them",
-        )  # fmt: skip
-        one.add_argument("--range-max", type=float, default=20.0, help="of recorded scans, metres")
-
-    one = add(run_reliability, 100, 7, "scans of each world or set")
-    add_sets(one)
-    one.add_argument("--picture", type=Path, help="PNG to write")
-    one.add_argument("--force", action="store_true", help="overwrite --picture")
-
-    one = add(run_robustness, None, 100, "scans in each world or set (default: 20)")
-    add_sets(one)
-    one.add_argument("--out", type=Path, help="JSON file to write, too")
-    one.add_argument("--worlds", help="with commas between (default: all five)")
-    one.add_argument(
-        "--conditions", default=",".join(CONDITIONS), metavar="NAMES",
-        help="with commas between (default: all)",
-    )  # fmt: skip
-    one.add_argument("--quick", action="store_true", help="-n 3 --worlds visibility,curved")
-    one.add_argument("--threads", type=int, default=threads)
-    one.add_argument("--force", action="store_true", help="overwrite --out")
-
-    one = add(run_fit, 30, 5, "scans of each world or set")
-    add_sets(one)
-    one.add_argument("--worlds", default=ALL, help="with commas between")
-    one.add_argument("--maps", type=Path, nargs="*", default=[], help="more maps, without scans")
-    one.add_argument(
-        "--hold-temperature", action="store_true", help="fit only the log-odds of being elsewhere"
-    )
-    one.add_argument("--write", action="store_true", help="put what is fitted into numbers.json")
-    one.add_argument("--workers", type=int, default=threads)
-    one.add_argument("--same", action="append", default=[], help="names of one building")
-
-    one = add(run_precision, 30, 1, "scans of each world, set or map")
-    add_sets(one)
-    one.add_argument("--worlds", default=ALL, help="with commas between")
-    one.add_argument(
-        "--maps", type=Path, nargs="*", default=[], help="maps on which scans are simulated"
-    )
-    one.add_argument(
-        "--known", action="store_true",
-        help="measure again with the depth of the faces, fitted to as many other scans",
-    )  # fmt: skip
-
-    one = add(run_levels, 100, 1, "scans of each set, as they are")
-    add_sets(one, required=True)
-    one.add_argument("--few", type=int, default=20, help="scans of each set, disturbed")
-    one.add_argument("--write", action="store_true", help="put what is fitted into numbers.json")
-    one.add_argument("--picture", type=Path, help="PNG of the diagrams to write")
-    one.add_argument("--force", action="store_true", help="overwrite --picture")
-    one.add_argument("--workers", type=int, default=threads)
-    one.add_argument("--same", action="append", default=[], help="names of one building")
-
-    one = add(run_foreign, 20, 1, "scans of each set and building, and on no map, for each map")
-    add_sets(one)
-    one.add_argument("--maps", type=Path, nargs="*", default=[], help="more maps, without scans")
-    one.add_argument("--buildings", type=int, default=5, help="drawn, each with four floors")
-    one.add_argument("--same", action="append", default=[], help="names of one building")
-
-    one = add(run_scale, 30, 1, "scans of each set, as many again to fit to")
-    add_sets(one, required=True)
-    one.add_argument("--factors", default="0.9,1.1", help="of the maps, with commas between")
-
-    one = add(run_which, 200, 0, "scans, spread over the maps")
-    one.add_argument("folders", type=Path, nargs="+", help="folders of maps")
-    one.add_argument("--range-max", type=float, default=20.0, help="metres")
-    one.add_argument("--same", action="append", default=[], help="names of one building")
-
-    one = add(run_thousand, 1000, 0, "maps that are made of them")
-    one.add_argument("folders", type=Path, nargs="+", help="folders of maps")
-    one.add_argument("--scans", type=int, default=5)
-    one.add_argument("--full", action="store_true", help="search all maps to the end, too")
-
+        for option in own:
+            flag, more = (option, {}) if isinstance(option, str) else option
+            one.add_argument(flag, **OPTIONS[flag] | more)
     given = parser.parse_args(arguments)
     return ended(given.tool, lambda: given.run(given))
+
+
+def to_draw(given: argparse.Namespace) -> None:
+    """Refuse a --picture that is there, or cannot be drawn, before the work."""
+    if given.picture is not None:
+        if not given.force:
+            refuse_existing(given.picture)
+        blank(1, 1)
+
+
+def buildings_of(given: argparse.Namespace) -> dict[str, str]:
+    """The building of each name that --same has."""
+    return {name: group for group in given.same for name in group.split(",")}
+
+
+Work = tuple[Callable[..., Iterator[Any]], tuple[Any, ...]]
+
+
+def all_of(title: str, jobs: Sequence[Work], workers: int) -> list[Any]:
+    """What some functions give with their arguments, in processes."""
+    found: list[Any] = []
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    with progress(title, len(jobs)) as advance, pool as some:
+        for part in some.map(listed, *zip(*jobs, strict=True)):
+            found += part
+            advance()
+    return found
+
+
+def write_numbers(made: Callable[[str, str, str], str], by: str) -> None:
+    """Put what was fitted into the file of numbers, made of its text, the command and the date."""
+    text = made(FILE.read_text("utf-8"), by, date.today().isoformat())
+    write_text_atomic(FILE, text, force=True)
 
 
 def run_reliability(given: argparse.Namespace) -> int:
@@ -201,10 +156,7 @@ def run_reliability(given: argparse.Namespace) -> int:
     Scans of each world are also asked of the next one, where nothing is right. Prints a JSON
     object; --picture PNG draws the reliability diagram.
     """
-    if given.picture is not None:
-        if not given.force:
-            refuse_existing(given.picture)
-        blank(1, 1)  # if it cannot be drawn, say so now
+    to_draw(given)
     n, cores = given.n, os.cpu_count() or 1
     at_least_one(n=n)
     sets = recorded_sets(given.sets, n, given.seed, given.range_max)
@@ -289,30 +241,24 @@ def run_fit(given: argparse.Namespace) -> int:
     sets = recorded_sets(given.sets, n, seed, given.range_max)
     homes = {name: in_world(name, n, seed) for name in filter(None, given.worlds.split(","))}
     homes |= {name: (grid, scans) for name, grid, scans in sets}
-    one = {name: group for group in given.same for name in group.split(",")}
+    one = buildings_of(given)
     maps = {name: grid for name, grid, _ in sets}
     maps |= {path.parent.name: load_map(path) for path in given.maps}
-    jobs: list[tuple[Callable[..., Iterator[Case]], tuple[Any, ...]]] = []
+    jobs: list[Work] = []
     for name, (grid, scans) in homes.items():
         jobs.append((cases_at_home, (one.get(name, name), grid, scans, seed)))
     for name, grid in maps.items():
         away = [s for home, _, s in sets if one.get(home, home) != one.get(name, name)]
         foreign = [scan for s in away for scan in s.scans[: max(1, n // 4)]]
         jobs.append((cases_away, (one.get(name, name), grid, foreign, max(1, n // 6), seed)))
-    cases: list[Case] = []
-    pool = ProcessPoolExecutor(given.workers, mp_context=get_context("spawn"))
-    with progress("fit", len(jobs)) as advance, pool as workers:
-        for some in workers.map(listed, *zip(*jobs, strict=True)):
-            cases += some
-            advance()
+    cases: list[Case] = all_of("fit", jobs, given.workers)
     now = Trust()
     fit = fit_trust(cases, (now.temperature, now.strain) if held else None)
     print(to_json({"n": n, "seed": seed, "range_max": given.range_max} | asdict(fit)))
     print(conditions_table(cases, now), conditions_table(cases, trust_of(fit)), sep="\n\n")
     if given.write:
         by = f"python -m tools.trust fit -n {n} --seed {seed}" + " --hold-temperature" * held
-        text, today = FILE.read_text("utf-8"), date.today().isoformat()
-        write_text_atomic(FILE, numbers_of(fit, text, by, today, held=held), force=True)
+        write_numbers(lambda *about: numbers_of(fit, *about, held=held), by)
     return 0
 
 
@@ -375,27 +321,19 @@ def run_levels(given: argparse.Namespace) -> int:
     the level of 95 %, once by that of 99.9 %. Last, the share of answers with at least some mass,
     and how many of these are wrong.
     """
-    if given.picture is not None:
-        if not given.force:
-            refuse_existing(given.picture)
-        blank(1, 1)  # if it cannot be drawn, say so now
+    to_draw(given)
     n, seed, few = given.n, given.seed, given.few
     at_least_one(n=n, few=few)
     sets = recorded_sets(given.sets, n, seed, given.range_max)
-    one = {name: group for group in given.same for name in group.split(",")}
-    jobs: list[tuple[Callable[..., Iterator[Any]], tuple[Any, ...]]] = []
+    one = buildings_of(given)
+    jobs: list[Work] = []
     for name, grid, scans in sets:
         called = one.get(name, name)
         foreign = [scan for home, _, s in sets if one.get(home, home) != called
                    for scan in s.scans[: max(1, few // 4)]]  # fmt: skip
         jobs.append((answers_at_home, (called, grid, scans, few, seed)))
         jobs.append((answers_away, (called, grid, foreign, max(1, few // 2), seed)))
-    answered: list[Any] = []
-    pool = ProcessPoolExecutor(given.workers, mp_context=get_context("spawn"))
-    with progress("levels", len(jobs)) as advance, pool as workers:
-        for some in workers.map(listed, *zip(*jobs, strict=True)):
-            answered += some
-            advance()
+    answered = all_of("levels", jobs, given.workers)
     home = [a for a in answered if a.condition == UNDISTURBED]
     fit = fit_spreads(home)
     print(to_json(asdict(fit)))
@@ -406,8 +344,7 @@ def run_levels(given: argparse.Namespace) -> int:
         write_bytes_atomic(given.picture, encode_png(pixels), force=given.force)
     if given.write:
         by = f"python -m tools.trust levels -n {n} --seed {seed}"
-        text, today = FILE.read_text("utf-8"), date.today().isoformat()
-        write_text_atomic(FILE, numbers_of_levels(fit, text, by, today), force=True)
+        write_numbers(lambda *about: numbers_of_levels(fit, *about), by)
     return 0
 
 
@@ -426,7 +363,7 @@ def run_foreign(given: argparse.Namespace) -> int:
     grids = {name: grid for name, grid, _ in sets}
     grids |= {path.parent.name: load_map(path) for path in given.maps}
     foreign = {name: scans.scans for name, _, scans in sets}
-    same = {name: group for group in given.same for name in group.split(",")}
+    same = buildings_of(given)
     rooms = rooms_and_others(grids, foreign, n, seed, same)
     floors = chain.from_iterable(map(on_other_floors, buildings))
     with progress("foreign", 0) as advance:
@@ -466,7 +403,7 @@ def run_which(given: argparse.Namespace) -> int:
         for folder in given.folders
         for path, name in zip(find_maps(folder), names_of(find_maps(folder), folder), strict=True)
     }
-    buildings = {name: group for group in given.same for name in group.split(",")}
+    buildings = buildings_of(given)
     asked = scans_of(maps, given.n, given.seed, given.range_max)
     cv2.setNumThreads(cores := os.cpu_count() or 1)
     with progress("which", len(maps) * len(asked)) as advance:
@@ -493,6 +430,63 @@ def run_thousand(given: argparse.Namespace) -> int:
         found = ask_thousand(Path(made), scans, full=given.full, advance=advance)
     print(json.dumps(asdict(found) | {"times": found.times}, indent=1))
     return 0
+
+
+_CORES = os.cpu_count() or 1
+#: What tools share, and what the help says of it unless the tool says something else.
+OPTIONS: Mapping[str, dict[str, Any]] = {
+    "folders": {"type": Path, "nargs": "+", "help": "folders of maps"},
+    "--sets": {"type": Path, "nargs": "+", "default": [],
+               "help": "maps with a scans.npz beside them"},
+    "--range-max": {"type": float, "default": 20.0, "help": "of recorded scans, metres"},
+    "--worlds": {"default": ALL, "help": "with commas between"},
+    "--maps": {"type": Path, "nargs": "*", "default": [], "help": "more maps, without scans"},
+    "--same": {"action": "append", "default": [], "help": "names of one building"},
+    "--workers": {"type": int, "default": _CORES},
+    "--threads": {"type": int, "default": _CORES},
+    "--picture": {"type": Path, "help": "PNG to write"},
+    "--out": {"type": Path, "help": "JSON file to write, too"},
+    "--force": {"action": "store_true", "help": "overwrite what is written"},
+    "--write": {"action": "store_true", "help": "put what is fitted into numbers.json"},
+    "--conditions": {
+        "default": ",".join(CONDITIONS), "metavar": "NAMES",
+        "help": "with commas between (default: all)",
+    },
+    "--quick": {"action": "store_true", "help": "-n 3 --worlds visibility,curved"},
+    "--hold-temperature": {
+        "action": "store_true", "help": "fit only the log-odds of being elsewhere",
+    },
+    "--known": {
+        "action": "store_true",
+        "help": "measure again with the depth of the faces, fitted to as many other scans",
+    },
+    "--few": {"type": int, "default": 20, "help": "scans of each set, disturbed"},
+    "--buildings": {"type": int, "default": 5, "help": "drawn, each with four floors"},
+    "--factors": {"default": "0.9,1.1", "help": "of the maps, with commas between"},
+    "--scans": {"type": int, "default": 5},
+    "--full": {"action": "store_true", "help": "search all maps to the end, too"},
+}  # fmt: skip
+_NEEDED = ("--sets", {"required": True})
+#: Function, default of -n, of --seed, what -n counts, and the options of each tool.
+TOOLS: Sequence[tuple[Any, ...]] = (
+    (run_reliability, 100, 7, "scans of each world or set", "--sets", "--range-max", "--picture",
+     "--force"),
+    (run_robustness, None, 100, "scans in each world or set (default: 20)", "--sets", "--range-max",
+     "--out", ("--worlds", {"default": None, "help": "with commas between (default: all five)"}),
+     "--conditions", "--quick", "--threads", "--force"),
+    (run_fit, 30, 5, "scans of each world or set", "--sets", "--range-max", "--worlds", "--maps",
+     "--hold-temperature", "--write", "--workers", "--same"),
+    (run_precision, 30, 1, "scans of each world, set or map", "--sets", "--range-max", "--worlds",
+     ("--maps", {"help": "maps on which scans are simulated"}), "--known"),
+    (run_levels, 100, 1, "scans of each set, as they are", _NEEDED, "--range-max", "--few",
+     "--write", "--picture", "--force", "--workers", "--same"),
+    (run_foreign, 20, 1, "scans of each set and building, and on no map, for each map", "--sets",
+     "--range-max", "--maps", "--buildings", "--same"),
+    (run_scale, 30, 1, "scans of each set, as many again to fit to", _NEEDED, "--range-max",
+     "--factors"),
+    (run_which, 200, 0, "scans, spread over the maps", "folders", "--range-max", "--same"),
+    (run_thousand, 1000, 0, "maps that are made of them", "folders", "--scans", "--full"),
+)  # fmt: skip
 
 
 if __name__ == "__main__":
