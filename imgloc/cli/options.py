@@ -2,15 +2,15 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 from imgloc.cli.command import Given, value_of
 from imgloc.errors import ConfigError
-from imgloc.options import Bytes, Count, Reading, Tolerance
+from imgloc.options import Count, MemoryBudget, Reading, Tolerance
 from imgloc.ranges import Option, declaration, option
-from imgloc.texts import byte_count, metres_degrees
+from imgloc.texts import metres_degrees
 
 
 def find_map(path: str | Path) -> Path:
@@ -129,13 +129,7 @@ class Resources:
         "Threads; no result depends on their number. [default: all processors]",
         factory=count_threads,
     )
-    memory_budget: Bytes = option(
-        ...,
-        "Memory that may be taken, such as 512M or 2G; what needs more is refused. [default: "
-        "half of what is available]",
-        parse=byte_count,
-        factory=fixed_budget,
-    )
+    memory_budget: MemoryBudget = field(default_factory=fixed_budget)
 
     def __post_init__(self) -> None:
         import cv2
@@ -170,12 +164,12 @@ def for_each(
     {'ght': 2, 'beam': 1}
     """
     out: dict[str, float] = {}
-    field = declaration(name, hint)
+    declared = declaration(name, hint)
     for text in sorted(texts or (), key=lambda t: "=" in t):  # those for one method win
         method, _, number = text.rpartition("=")
         if method and method not in methods:
-            raise ConfigError(f"{field.flag}: got {text!r}, {method!r} is not one of --method")
-        out |= dict.fromkeys([method] if method else methods, value_of(field, number))
+            raise ConfigError(f"{declared.flag}: got {text!r}, {method!r} is not one of --method")
+        out |= dict.fromkeys([method] if method else methods, value_of(declared, number))
     return out
 
 

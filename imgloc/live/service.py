@@ -444,18 +444,20 @@ class Service:
                 raise ConfigError("scans: expected either it or a body, not both")
             scans = self._held(values["scans"]).scans
         else:
-            fov = None if values["fov_deg"] is None else math.radians(values["fov_deg"])
-            name, topic = values["name"] or "", values["topic"]
-            scans = await self._read(
-                partial(scans_of, body, kind, name, self.bounds, topic=topic, fov=fov,
-                        budget=self._budget // 4),
-                small=len(body) < MIB >> 4 and kind.startswith("application/json"),
-            )  # fmt: skip
+            small = len(body) < MIB >> 4 and kind.startswith("application/json")
+            scans = await self._read(lambda: self._scans_in(body, kind, values), small=small)
         chosen = Chosen(values["index"]).of(len(scans), "the file")
         if len(chosen) > self.bounds.each:
             most = f"at most {self.bounds.each:,} at once; index names some"
             raise Refused("too-large", f"{len(chosen):,} scans, expected {most}")
         return chosen, scans
+
+    def _scans_in(self, body: bytes, kind: str, values: Values) -> ScanSet:
+        fov = None if values["fov_deg"] is None else math.radians(values["fov_deg"])
+        return scans_of(
+            body, kind, values["name"] or "", self.bounds,
+            topic=values["topic"], fov=fov, budget=self._budget // 4,
+        )  # fmt: skip
 
     async def _read(self, work: Callable[[], Any], *, small: bool = False) -> Any:
         """Read a file off the loop; a single scan takes less than to hand it over."""
@@ -467,13 +469,9 @@ class Service:
 
     async def _send_scans(self, request: Request, values: Values) -> Response:
         body, kind = await self._body(request)
-        fov = None if values["fov_deg"] is None else math.radians(values["fov_deg"])
 
         def held() -> ScansHeld:
-            scans = scans_of(
-                body, kind, values["name"] or "", self.bounds,
-                topic=values["topic"], fov=fov, budget=self._budget // 4,
-            )  # fmt: skip
+            scans = self._scans_in(body, kind, values)
             if values["range_scale"] != 1:
                 scaled = tuple(scan.scaled(values["range_scale"]) for scan in scans.scans)
                 scans = replace(scans, scans=scaled)

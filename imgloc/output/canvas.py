@@ -106,6 +106,13 @@ def text(image: Image, message: str, x: int, y: int, colour: Colour = INK, size:
     return text_width(message, size)
 
 
+def outlined(image: Image, message: str, x: int, y: int, size: int, wide: int) -> None:
+    """Write `message` as :func:`text` does, with a rim of paper `wide` pixels around it."""
+    for dx, dy in ((-wide, 0), (wide, 0), (0, -wide), (0, wide)):
+        text(image, message, x + dx, y + dy, PAPER, size)
+    text(image, message, x, y, INK, size)
+
+
 def text_width(message: str, size: int = 13) -> int:
     """Width of `message` in pixels."""
     return int(cv2.getTextSize(message, _FONT, size / 22, max(1, round(size / 16)))[0][0])

@@ -43,6 +43,7 @@ from imgloc.output.canvas import (
     legend,
     map_canvas,
     marker_size,
+    outlined,
     scale_bar,
     sheet,
     text,
@@ -366,9 +367,7 @@ def _number(canvas: Canvas, poses: Sequence[Pose2D], truth: Pose2D | None, size:
                 cv2.polylines(canvas.image, [np.rint(lead[0]).astype(np.int32)], False, ink,
                               round(thick * f), cv2.LINE_AA)  # fmt: skip
         left, low = round(u) - text_width(word, big) // 2, round(v) + round(5 * f)
-        for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-            text(canvas.image, word, left + dx * round(2 * f), low + dy * round(2 * f), PAPER, big)
-        text(canvas.image, word, left, low, INK, big)
+        outlined(canvas.image, word, left, low, big, round(2 * f))
 
 
 def _drawn(answer: Localization) -> list[Hypothesis]:

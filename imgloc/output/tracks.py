@@ -35,6 +35,7 @@ from imgloc.output.canvas import (
     legend,
     map_canvas,
     marker_size,
+    outlined,
     round_length,
     text,
     text_width,
@@ -133,7 +134,7 @@ def draw_track(
     image = framed(canvas.image, ticks, title)
     found = None if truth is None else deviation_of(moments, truth)
     if found is not None and len(found.ape) > 1:
-        image = _under(image, _curve(moments, found, image.shape[1]))
+        image = np.concatenate((image, _curve(moments, found, image.shape[1])))
     return Picture(legend(image, words))
 
 
@@ -164,10 +165,8 @@ def _marks(
                 label = f"{time / 60:g} min" if every >= 60 else f"{time:g} s"
                 used += [] if near else [(pixel, label)]
     for pixel, label in used:
-        spot = round(pixel[0] + 0.6 * size), round(pixel[1] - 0.6 * size)
-        for dx, dy in ((-2, 0), (2, 0), (0, -2), (0, 2), (0, 0)):
-            ink = INK if dx == dy else PAPER
-            text(canvas.image, label, spot[0] + dx, spot[1] + dy, ink, round(12 * f))
+        x, y = round(pixel[0] + 0.6 * size), round(pixel[1] - 0.6 * size)
+        outlined(canvas.image, label, x, y, round(12 * f), 2)
     first, end = sure[0], sure[-1]
     canvas.dots(first[1][None], PAPER, 1.2 * size)
     canvas.dots(first[1][None], START, size)
@@ -223,11 +222,6 @@ def _curve(moments: Sequence[Moment], found: Deviation, width: int) -> Image:
     for u, v in np.rint(spots).astype(int).tolist():
         cv2.circle(out, (u, v), max(1, round(1.5 * f)), TRUTH, cv2.FILLED, cv2.LINE_AA)
     return out
-
-
-def _under(image: Image, below: Image) -> Image:
-    """One picture above another of the same width."""
-    return np.concatenate((image, below))
 
 
 def draw_belief(canvas: Canvas, belief: Belief) -> Image:
