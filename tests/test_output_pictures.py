@@ -21,7 +21,7 @@ from imgloc.model import (
     compose,
 )
 from imgloc.output import pictures
-from imgloc.output.axes import draw_grid
+from imgloc.output.axes import draw_grid, framed, wrapped
 from imgloc.output.canvas import (
     INK,
     PALETTE,
@@ -30,6 +30,7 @@ from imgloc.output.canvas import (
     TURQUOISE,
     Canvas,
     draw_map,
+    enlarged,
     text,
     wheel,
 )
@@ -546,3 +547,17 @@ def test_a_picture_that_is_saved_is_small_and_looks_the_same() -> None:
         assert np.all(back[np.all(picture.image == colour, axis=2)] == colour)
     assert size < 0.5 * len(encode_png(picture.image))
     assert np.array_equal(saved(draw(room()))[0], draw_map(room()))
+
+
+@pytest.mark.parametrize("shape", [(900, 12), (12, 900), (20, 20)])
+def test_no_title_is_cut_on_a_strip(shape: tuple[int, int]) -> None:
+    image = np.full((*shape, 3), 255, np.uint8)
+    f = enlarged(image)
+    for title in ("west", "west: monday.npz, scan 3", "west_" * 40, "a b " * 60):
+        out = framed(image, [], title)
+        inked = np.flatnonzero((out[: -shape[0] - round(26 * f)] < 128).any(axis=(0, 2)))
+        assert inked[-1] < out.shape[1] - 2  # the last letter ends before the picture does
+        assert out.shape[1] <= max(shape[1] + 40 * f, 480 * f)
+        lines = wrapped(title, out.shape[1] - 2 * round(6 * f), round(14 * f))
+        assert "".join(lines).replace(" ", "") == title.replace(" ", "")
+        assert len(out) >= shape[0] + len(lines) * round(24 * f)

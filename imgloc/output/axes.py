@@ -1,5 +1,6 @@
 """Axes of a picture of a map: a light grid, ticks in metres of the map frame, and a title."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -22,6 +23,7 @@ from imgloc.output.canvas import (
 
 _LINE: Colour = (214, 208, 202)
 _TICKS = 8  # along the longer side, at most
+_TITLE = 480  # pixels that a title has on a narrow picture
 _TURNED = 1e-3  # radians, from which ticks name their axis
 
 
@@ -82,29 +84,34 @@ def _ticks(label: str, ends: FloatArray, canvas: Canvas) -> list[Tick]:
 
 
 def framed(image: Image, ticks: Sequence[Tick], title: str = "") -> Image:
-    """Put ticks with their labels below and to the left of a picture, and a title above it."""
+    """Put ticks with their labels below and to the left of a picture, and a title above it.
+
+    A picture that is too narrow for its title is widened with paper, but not by much.
+    """
     f = enlarged(image)
     height, width = image.shape[:2]
     size, gap = round(12 * f), round(6 * f)
     left = max([text_width(t.label, size) for t in ticks if not t.below], default=0) + 3 * gap
     big = round(14 * f)
-    lines = wrapped(title, left + width, big) if title else []
+    right = left + width + gap
+    broad = max(right, min(text_width(title, big) + 2 * gap, round(_TITLE * f)))
+    lines = wrapped(title, broad - 2 * gap, big) if title else []
     top, low = round(24 * f) * len(lines) + gap, round(26 * f)
-    out = np.full((top + height + low, left + width + gap, 3), 255, np.uint8)
+    out = np.full((top + height + low, broad, 3), 255, np.uint8)
     out[top : top + height, left : left + width] = image
     cv2.rectangle(out, (left - 1, top - 1), (left + width, top + height), SHADE, 1)
     for k, line in enumerate(lines):
         text(out, line, gap, round(18 * f) + k * round(24 * f), size=big)
     free = left - 3 * gap
     unit = "m" if all(t.label[:1] not in "xy" for t in ticks) else ""
-    last = out.shape[1] - gap - text_width("x / m", size)
+    last = right - gap - text_width("x / m", size)
     for tick in sorted(ticks, key=lambda tick: tick.at):
         wide = text_width(tick.label, size)
         if tick.below:
             x = left + round(tick.at)
             cv2.line(out, (x, top + height), (x, top + height + gap), INK, max(1, round(f)))
             begin = x - wide // 2
-            if begin >= free and begin + wide + gap < (last if unit else out.shape[1]):
+            if begin >= free and begin + wide + gap < (last if unit else right):
                 text(out, tick.label, begin, top + height + round(21 * f), size=size)
                 free = begin + wide + gap
         else:
@@ -119,12 +126,28 @@ def framed(image: Image, ticks: Sequence[Tick], title: str = "") -> Image:
 
 
 def wrapped(words: str, width: int, size: int) -> list[str]:
-    """A text as lines of at most `width` pixels, unless a word is longer."""
+    """A text as lines of at most `width` pixels: a word that is longer is broken.
+
+    Examples
+    --------
+    >>> wrapped("a door", 40, 14), len(wrapped("door" * 9, 40, 14)) > 7
+    (['a', 'door'], True)
+    """
     lines = [""]
-    for word in words.split():
+    for word in itertools.chain.from_iterable(_parts(w, width, size) for w in words.split()):
         longer = f"{lines[-1]} {word}".lstrip()
         if lines[-1] and text_width(longer, size) > width:
             lines.append(word)
         else:
             lines[-1] = longer
     return lines
+
+
+def _parts(word: str, width: int, size: int) -> list[str]:
+    """The word, or pieces of it that are at most `width` pixels wide, of one letter at least."""
+    parts = [""]
+    for letter in word:
+        if parts[-1] and text_width(parts[-1] + letter, size) > width:
+            parts.append("")
+        parts[-1] += letter
+    return parts

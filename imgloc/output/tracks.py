@@ -19,7 +19,7 @@ from imgloc.filters.follow import Moment
 from imgloc.geometry import transform_points
 from imgloc.io.files import PathLike, display, write_bytes_atomic
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D, compose, inverse
-from imgloc.output.axes import draw_grid, framed
+from imgloc.output.axes import draw_grid, framed, wrapped
 from imgloc.output.canvas import (
     INK,
     LEGEND,
@@ -254,7 +254,9 @@ class Video:
         height, width = (2 * max(1, round(scale * n / 2)) for n in large.image.shape[:2])
         small = cv2.resize(large.image, (width, height), interpolation=cv2.INTER_AREA)
         self._canvas = Canvas(np.asarray(small, np.uint8), scale * large.px_per_m)
-        self._title, self._size = title, (max(width, _NARROW), height + 2 * LEGEND)
+        self._size = max(width, _NARROW), height + 2 * LEGEND
+        first, *more = wrapped(title, self._size[0] - 32, 13)
+        self._title = f"{first} ..." if more else first
         self._trail, self._begin = list[FloatArray](), math.nan
         self._last: int | None = None
         handle, self._path = tempfile.mkstemp(suffix=ending)
