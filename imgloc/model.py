@@ -204,6 +204,11 @@ class OccupancyGrid:
         return GridInfo(height, width, self.resolution, self.origin)
 
     @property
+    def diagonal(self) -> float:
+        """From one corner of the map to the opposite one, metres."""
+        return math.hypot(*self.occupied.shape) * self.resolution
+
+    @property
     def unknown(self) -> BoolArray:
         """Cells that are neither occupied nor free, (H, W) bool."""
         return ~(self.occupied | self.free)
@@ -531,7 +536,9 @@ class Protection:
     """Around the best pose, what holds the true pose with a probability: a protection level."""
 
     share: float  #: the probability, 0..1
-    metres: float  #: radius around its position; infinite if too much mass is elsewhere
+    #: radius around its position; infinite if too much mass is elsewhere, or if it would be larger
+    #: than the map
+    metres: float
     radians: float  #: the most that its heading is off; infinite if too much mass is elsewhere
 
 

@@ -66,6 +66,17 @@ def test_a_heading_is_taken_around_the_circle():
     assert level.radians < 0.1
 
 
+def test_a_level_that_is_larger_than_the_map_is_none():
+    poses, covariance = np.zeros((1, 3)), np.diag([100.0, 100.0, 0.01])[None]
+    free = [level.metres for level in protection(poses, np.ones(1), covariance, 0.0)]
+    assert np.isfinite(free).all()
+    for farthest in (1.01 * free[2], 1.01 * free[1], 1.01 * free[0], 0.99 * free[0]):
+        found = protection(poses, np.ones(1), covariance, 0.0, farthest=farthest)
+        expected = [metres if metres <= farthest else np.inf for metres in free]
+        assert [level.metres for level in found] == expected
+        assert all(np.isfinite(level.radians) for level in found)
+
+
 def test_without_a_pose_no_radius_holds_anything():
     none = protection(np.empty((0, 3)), np.empty(0), np.empty((0, 3, 3)), 1.0)
     assert none == tuple(Protection(share, math.inf, math.inf) for share in SHARES)

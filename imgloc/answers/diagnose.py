@@ -253,8 +253,7 @@ class _Trial:
         ranges = np.concatenate([scan.ranges for scan in self.scans.scans[:100]])
         ranges = ranges[np.isfinite(ranges) & (ranges > 0)]
         middle = float(np.median(ranges)) if len(ranges) else 0.0
-        height, width = self.features.grid.occupied.shape
-        longest = math.hypot(height, width) * self.features.grid.resolution
+        longest = self.features.grid.diagonal
         likely, beyond = unit_of(middle), ""
         if not likely and middle <= longest:
             return None

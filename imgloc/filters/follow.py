@@ -72,6 +72,7 @@ class Moment:
     #: standard deviations of `best`: metres along the longest axis, and radians
     deviation: tuple[float, float]
     map_odom: Pose2D | None  #: pose of the odometry's frame in the map, by `best`
+    diagonal: float = np.inf  #: from corner to corner of the map, metres
 
     @property
     def pose(self) -> Pose2D | None:
@@ -82,7 +83,7 @@ class Moment:
     def protection(self) -> tuple[Protection, ...]:
         """Radius and heading around `best` that hold the true pose, at 95, 99 and 99.9 %."""
         b = self.belief
-        return protection(b.poses, b.mass, b.covariance, b.lost)
+        return protection(b.poses, b.mass, b.covariance, b.lost, farthest=self.diagonal)
 
 
 @dataclass(frozen=True)
@@ -367,7 +368,7 @@ class Follower:
         age = self._stamp - self._said
         return Moment(
             index, self._stamp, age, looked, self._metres, belief, withheld, best, covariance,
-            deviation, map_odom,
+            deviation, map_odom, grid.diagonal,
         )  # fmt: skip
 
 

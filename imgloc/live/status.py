@@ -33,6 +33,7 @@ class Found:
     explained: float = math.nan  #: share of the readings that the first pose explains
     why: str = ""  #: a pose was withheld: a word of Moment
     readings: str = ""  #: why the scan is invalid, in words
+    diagonal: float = math.inf  #: from corner to corner of the map, metres
 
     @property
     def pose(self) -> Pose2D | None:
@@ -51,7 +52,8 @@ class Found:
             return math.inf
         poses, mass = np.array([(p.x, p.y, p.theta) for p in self.poses]), np.array(self.masses)
         elsewhere = max(0.0, 1 - float(mass.sum()))
-        return protection(poses, mass, self.covariance[None], elsewhere, SHARES[:1])[0].metres
+        about = poses, mass, self.covariance[None], elsewhere, SHARES[:1]
+        return protection(*about, farthest=self.diagonal)[0].metres
 
 
 def found_of(answer: Localization, stamp: float, name: str | None) -> Found:
@@ -79,7 +81,7 @@ def found_along(moment: Moment, origin: Pose2D, name: str | None) -> Found:
     verdict = "no-match" if belief.verdict == LOST else belief.verdict
     return Found(
         moment.stamp, name, verdict, poses, masses, moment.covariance if poses else None,
-        why=moment.withheld,
+        why=moment.withheld, diagonal=moment.diagonal,
     )  # fmt: skip
 
 

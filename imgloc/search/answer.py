@@ -54,7 +54,11 @@ def answered(
         T_base_laser=scan.T_base_laser,
         # A search that was cut short may have missed the place: no radius holds it.
         protection=protection(
-            found.poses, mass, found.covariance, elsewhere if found.complete else 1.0
+            found.poses,
+            mass,
+            found.covariance,
+            elsewhere if found.complete else 1.0,
+            farthest=features.grid.diagonal,
         ),
     )
 

@@ -69,6 +69,8 @@ def protection(
     covariance: FloatArray,
     elsewhere: float,
     shares: Sequence[float] = SHARES,
+    *,
+    farthest: float = np.inf,
 ) -> tuple[Protection, ...]:
     """Radius and heading around the best of some poses that hold the true pose.
 
@@ -84,11 +86,13 @@ def protection(
         Probability that the true pose is at none of them.
     shares : sequence of float
         Probabilities that the levels hold, each below 1.
+    farthest : float
+        Metres from corner to corner of the map: no radius that is larger says anything.
 
     Returns
     -------
     tuple of Protection
-        One for each share: infinite where `elsewhere` leaves less than that.
+        One for each share: infinite where `elsewhere` leaves less than that, or beyond `farthest`.
 
     Examples
     --------
@@ -106,6 +110,7 @@ def protection(
     turned, wide = (np.sqrt(np.maximum(v, 0)) for v in variance)
     away = np.hypot(*(poses[:, :2] - poses[0, :2]).T)
     metres = levels(away, wide, mass, elsewhere, shares, POSITION)
+    metres = np.where(metres > farthest, np.inf, metres)
     radians = levels(
         np.abs(wrap(poses[:, 2] - poses[0, 2])), turned, mass, elsewhere, shares, HEADING
     )
