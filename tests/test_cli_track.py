@@ -141,6 +141,41 @@ def test_the_errors_against_a_true_trajectory_are_those_of_evo(
     assert (run.code, "bad.tum: line 1: got '1 2 3', expected stamp x y z" in run.err) == (4, True)
 
 
+@pytest.mark.parametrize(
+    ("quaternion", "said"),
+    [("0 0 0 0", "of length 1, not 0"), ("0 0 0 1e308", "of length 1, not 1e+308"),
+     ("1e200 0 1e200 1e200", "of length 1, not 1.73e+200"), ("0 nan 0 1", "qw, all finite"),
+     ("0 0 1", "expected stamp x y z qx qy qz qw")],
+)  # fmt: skip
+def test_a_quaternion_that_is_no_rotation_is_named(
+    log: Path, tmp_path: Path, quaternion: str, said: str
+) -> None:
+    stamps = load_scans(log).stamps
+    path = tmp_path / "t.tum"
+    lines = [f"{stamp:.6f} 4 8 0 0 0 0 1" for stamp in stamps]
+    lines[7] = f"{stamps[7]:.6f} 4 8 0 {quaternion}"
+    path.write_text("\n".join(lines))
+    run = call("track", MAP, log, "--truth", path)
+    assert run.code == 4
+    assert f"{path.name}: line 8: got '{lines[7][:20]}" in run.err
+    assert f"{said} (1 of 9 is broken; --max-bad 0.12 leaves it out)" in run.err
+    run = call("track", MAP, log, "--truth", path, "--max-bad", "0.12")
+    assert (run.code, f"{path.name}: left out 1 of 9 lines" in run.err) == (0, True)
+
+
+def test_a_trajectory_that_meets_no_unique_pose_is_said_to(log: Path, tmp_path: Path) -> None:
+    scans, path = load_scans(log), tmp_path / "t.tum"
+    path.write_text(f"{scans.stamps[0]:.6f} 4 8 0 0 0 0 1\n")  # where the robot is not unique yet
+    run = call("track", MAP, log, "--truth", path)
+    assert run.code == 0
+    assert re.search(r"no errors: \d+ poses are unique and 1 true poses are known, but", run.err)
+    with np.load(log) as held:
+        np.savez(tmp_path / "b.npz", **{k: v for k, v in held.items() if k != "stamps"})
+    run = call("track", MAP, tmp_path / "b.npz", "--truth", path)
+    assert (run.code, run.out) == (2, "")
+    assert "--truth: the log has no stamps" in run.err
+
+
 def test_lines_for_people(log: Path) -> None:
     run = call("track", MAP, log, "--start", "4,8,0", "--every", "5,90", "--no-cache")
     assert run.code == 0
@@ -300,6 +335,8 @@ def test_strict_says_that_the_end_is_not_unique(log: Path) -> None:
         (["--max-sd", "0,10"], 2, "--max-sd: got 0.0, expected metres, 0.001 to "),
         (["--max-sd", "1"], 2, "2 numbers"),
         (["--tum", "a.txt"], 2, "ends in .tum"),
+        (["--video", "a.avi"], 2, "a.avi: expected a name that ends in .webm or .mp4"),
+        (["--ros", "a.json"], 2, "a.json: expected a name that ends in .yaml or .bag"),
         (["--filter", "kalman"], 2, "kalman"),
     ],
     ids=str,

@@ -160,6 +160,21 @@ def test_the_command_takes_the_speed(tmp_path) -> None:
     before, after = (row["hypotheses"][0]["covariance"][2][2] for row in rows)
     assert after - before == pytest.approx((0.05 * np.pi / 2) ** 2, rel=1e-3)
     assert rows[1]["parameters"]["max_turn"] == pytest.approx(np.pi / 2)
+    diagonal = imgloc.load_map(MAPS / "curved.yaml").diagonal
+    speeds = ("--max-speed", "1000", "--max-turn-deg", "50000")
+    out = call("localize", MAPS / "curved.yaml", tmp_path / "a.npz", "--json", *speeds)
+    levels = [level["metres"] for level in json.loads(out.out)["protection"]]
+    assert all(metres is None or metres <= diagonal for metres in levels)
+    assert None in levels
+    out = call("batch", MAPS / "curved.yaml", tmp_path / "a.npz", "--out", tmp_path / "o", *how)
+    assert out.code == 0, out.err
+    (row,) = [
+        json.loads(line) for line in (tmp_path / "o" / "results.jsonl").read_text().splitlines()
+    ]
+    covariance = row["answers"][0]["hypotheses"][0]["covariance"]
+    assert covariance == rows[1]["hypotheses"][0]["covariance"]
+    out = call("batch", MAPS, "--job", "check", "--out", tmp_path / "p", "--straighten", "forward")
+    assert (out.code, "--straighten" in out.err) == (2, True)
 
 
 def test_inspect_tells_which_way_sweeps_are_straightened(tmp_path) -> None:
@@ -190,7 +205,7 @@ def test_what_is_not_straightened_is_counted(tmp_path, caplog) -> None:
     grows = (tmp_path / "a.jsonl", "--follow", "--straighten", "forward")
     run = call("track", MAPS / "curved.yaml", *grows)
     assert run.code == 2
-    assert "--straighten: needs a log that is whole" in run.err
+    assert "--straighten: needs the odometry of a whole log" in run.err
 
 
 def test_a_sweep_that_takes_longer_than_any_sensor_is_refused(tmp_path) -> None:

@@ -73,17 +73,20 @@ def files_of(map_path: Path) -> list[Path]:
 
 
 def check_target(
-    path: Path | None, ending: str, *, force: bool, inputs: Iterable[Path] = ()
+    path: Path | None, ending: str | tuple[str, ...], *, force: bool, inputs: Iterable[Path] = ()
 ) -> None:
     """Refuse an output file before the work that it is to hold: one without the `ending`, or there.
+
+    If several endings are given, one of them is expected.
 
     With `force` one that is there may be replaced, but for `inputs`, which the command reads. None,
     an option that was not given, passes.
     """
     if path is None:
         return
-    if path.suffix.lower() != ending:
-        raise ConfigError(f"{display(path)}: expected a name that ends in {ending}")
+    endings = (ending,) if isinstance(ending, str) else ending
+    if path.suffix.lower() not in endings:
+        raise ConfigError(f"{display(path)}: expected a name that ends in {' or '.join(endings)}")
     if not is_folder(path.parent):
         raise OutputError(f"{display(path)}: there is no folder {display(path.parent)}")
     if not force:

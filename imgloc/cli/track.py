@@ -74,11 +74,9 @@ class Outputs:
         """Refuse what cannot be written, before the work; `read` are files of the command."""
         from imgloc.cli import inputs
 
-        ending = ".bag" if self.ros is not None and self.ros.suffix.lower() == ".bag" else ".yaml"
-        mp4 = self.video is not None and self.video.suffix.lower() == ".mp4"
         files = (
-            (self.tum, ".tum"), (self.ros, ending), (self.picture, ".png"),
-            (self.video, ".mp4" if mp4 else ".webm"), (self.mcap, ".mcap"),
+            (self.tum, ".tum"), (self.ros, (".yaml", ".bag")), (self.picture, ".png"),
+            (self.video, (".webm", ".mp4")), (self.mcap, ".mcap"),
         )  # fmt: skip
         read = [*read, *([] if self.truth is None else [self.truth])]
         for path, expected in files:
@@ -313,11 +311,14 @@ def _scans_of(
     from imgloc.io.scanset import ScanSet
     from imgloc.io.tum import load_tum
 
-    given = None if outputs.truth is None else load_tum(outputs.truth)
+    given = None if outputs.truth is None else load_tum(outputs.truth, logs.max_bad)
     live = live_of(log, logs, how.mounted, follow=asked.follow)
     if live is not None:
         if logs.straighten != "no":
-            raise ConfigError("--straighten: needs a log that is whole, not one that grows")
+            raise ConfigError(
+                "--straighten: needs the odometry of a whole log, and these scans come while "
+                "imgloc runs; leave it out, or record them and pass the file"
+            )
         if asked.kidnap is not None or asked.simulate_odometry is not None:
             wrong = "--kidnap" if asked.kidnap is not None else "--simulate-odometry"
             raise ConfigError(f"{wrong}: needs a log that is whole, not one that is being written")
@@ -325,10 +326,12 @@ def _scans_of(
     scans = desk.scans(log, how).scans
     if asked.simulate_odometry is not None:
         scans = with_odometry(replace(scans, odom=None), asked.simulate_odometry)[0]
-    if given is not None and scans.stamps is not None:
+    if scans.stamps is None or not np.isfinite(scans.stamps).any():
+        if (outputs.tum or outputs.truth) is not None:
+            wrong = "--tum" if outputs.tum is not None else "--truth"
+            raise ConfigError(f"{wrong}: the log has no stamps, which a trajectory needs")
+    elif given is not None:
         _true_at(scans.stamps, given, outputs.truth)
-    if outputs.tum is not None and (scans.stamps is None or not np.isfinite(scans.stamps).any()):
-        raise ConfigError("--tum: the log has no stamps, which a trajectory needs")
     return scans, None, given
 
 

@@ -34,12 +34,17 @@ pose: rmse 0.141, mean 0.100, max 0.200 m'
     #: (N - 1,) distance between the motion to the next pose and the true motion, metres
     rpe: FloatArray
     which: IntArray  #: (N,) indices of the poses
+    known: tuple[int, int] = (0, 0)  #: how many poses there were, and how many true ones
 
     @property
     def words(self) -> str:
         """RMSE, mean and maximum, in words."""
         if not len(self.ape):
-            return "no unique pose has a true pose to compare with"
+            found, true = self.known
+            return (
+                f"no errors: {found:,} poses are unique and {true:,} true poses are known, but "
+                "never both of one scan"
+            )
         said = f"APE of {len(self.ape):,} unique poses: {_said(self.ape)} m, rmse "
         said += f"{np.degrees(_rmse(self.turn)):.2f} deg"
         return said + (f"; RPE from pose to pose: {_said(self.rpe)} m" if len(self.rpe) else "")
@@ -51,12 +56,13 @@ def deviation(poses: FloatArray, truth: FloatArray) -> Deviation:
     The relative error is that of evo with a delta of one frame: from each pose to the next one that
     is known, in the frame of the first.
     """
-    which = np.flatnonzero(np.isfinite(poses).all(axis=1) & np.isfinite(truth).all(axis=1))
+    found, true = (np.isfinite(some).all(axis=1) for some in (poses, truth))
+    which = np.flatnonzero(found & true)
     a, b = poses[which], truth[which]
     moved, meant = increments(a), increments(b)
     return Deviation(
         np.hypot(*(a - b)[:, :2].T), np.abs(wrap(a[:, 2] - b[:, 2])),
-        np.hypot(*(moved - meant)[:, :2].T), which,
+        np.hypot(*(moved - meant)[:, :2].T), which, (int(found.sum()), int(true.sum())),
     )  # fmt: skip
 
 

@@ -5,20 +5,25 @@ import math
 import numpy as np
 
 from imgloc.errors import ScanError
+from imgloc.io.badlines import BadLines
 from imgloc.io.files import PathLike, display
 from imgloc.io.text import read_text
 from imgloc.model import FloatArray
+from imgloc.options import MAX_BAD
 
 _WORDS = "stamp x y z qx qy qz qw"
+_LENGTH = 0.9, 1.1  # of a quaternion that was rounded
 
 
-def load_tum(path: PathLike) -> tuple[FloatArray, FloatArray]:
+def load_tum(path: PathLike, max_bad: float = MAX_BAD) -> tuple[FloatArray, FloatArray]:
     r"""Read a trajectory, the reference of `evo_ape tum` for example.
 
     Parameters
     ----------
     path : path
         Words with spaces or commas between; lines that begin with # are comments.
+    max_bad : float
+        Share of the lines, 0 to 1, that may be broken: these are left out, with a warning.
 
     Returns
     -------
@@ -30,7 +35,8 @@ def load_tum(path: PathLike) -> tuple[FloatArray, FloatArray]:
     Raises
     ------
     ScanError
-        If the file cannot be read, or a line has not eight numbers.
+        If the file cannot be read, or more lines than that have not eight finite numbers, the last
+        four of them a quaternion of length 1.
 
     Examples
     --------
@@ -42,20 +48,35 @@ def load_tum(path: PathLike) -> tuple[FloatArray, FloatArray]:
     ...     load_tum(file)
     (array([1.5]), array([[2.        , 3.        , 1.28700222]]))
     """
-    rows = list[tuple[float, float, float, float]]()
+    rows, bad = list[tuple[float, float, float, float]](), BadLines(display(path), max_bad)
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         words = line.replace(",", " ").split()
         if not words or words[0].startswith("#"):
             continue
         where = f"{display(path)}: line {number}"
         try:
-            stamp, x, y, _, qx, qy, qz, qw = map(float, words)
-        except ValueError:
-            raise ScanError(f"{where}: got {line[:60]!r}, expected {_WORDS}") from None
-        yaw = math.atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
-        rows.append((stamp, x, y, yaw))
-    found = np.array(rows).reshape(-1, 4)
-    if not len(found) or not np.isfinite(found).all():
-        raise ScanError(f"{display(path)}: expected a line {_WORDS} for each pose, all finite")
+            rows.append(_pose_of(words))
+        except ValueError as e:
+            bad.skip(ScanError(f"{where}: got {line[:60]!r}, expected {e}"))
+    bad.check(len(rows))
+    if not rows:
+        raise ScanError(f"{display(path)}: no pose, expected a line {_WORDS} for each")
+    found = np.array(rows)
     found = found[np.argsort(found[:, 0], kind="stable")]
     return found[:, 0], found[:, 1:]
+
+
+def _pose_of(words: list[str]) -> tuple[float, float, float, float]:
+    """Stamp, x, y and yaw of a line; a ValueError says what was expected."""
+    try:
+        stamp, x, y, z, *quaternion = map(float, words)
+        qx, qy, qz, qw = quaternion
+    except ValueError:
+        raise ValueError(_WORDS) from None
+    if not all(map(math.isfinite, (stamp, x, y, z, *quaternion))):
+        raise ValueError(f"{_WORDS}, all finite")
+    length = math.hypot(*quaternion)
+    if not _LENGTH[0] <= length <= _LENGTH[1]:
+        raise ValueError(f"a quaternion qx qy qz qw of length 1, not {length:.3g}")
+    yaw = math.atan2(2 * (qw * qz + qx * qy), length**2 - 2 * (qy * qy + qz * qz))
+    return stamp, x, y, yaw
