@@ -22,9 +22,9 @@ def visibility(points, n_psi, rho):
 def ray(occupied, x, y, psi, max_range, step=0.01):
     """Walk from (x, y) in cells until an occupied cell; max_range if there is none."""
     height, width = occupied.shape
-    t = 0.0
+    t, cos, sin = 0.0, math.cos(psi), math.sin(psi)
     while t < max_range:
-        column, row = math.floor(x + t * math.cos(psi)), math.floor(y + t * math.sin(psi))
+        column, row = math.floor(x + t * cos), math.floor(y + t * sin)
         if 0 <= column < width and 0 <= row < height and occupied[row, column]:
             return t
         t += step

@@ -28,7 +28,7 @@ def recorded(shared: Path, name: str) -> ScanSet:
     if name == "olin_mac":
         pytest.importorskip("rosbags", reason="reads bags: the extra ros")
     scans = imgloc.load_scans(shared / "data" / LOGS[name][0])
-    scans = scans.take(range(min(len(scans), 360)))
+    scans = scans.take(range(min(len(scans), 300)))
     stamps = np.arange(len(scans)) * 0.5 if scans.stamps is None else scans.stamps
     return replace(scans, stamps=stamps)
 

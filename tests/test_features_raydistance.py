@@ -13,6 +13,8 @@ from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
 from imgloc.features.raydistance import _rotate, ray_distances
 
+SEEN = 50.0  # cells, farther than any of these maps is wide
+
 
 def blobs(seed, height=24, width=31):
     noise = np.random.default_rng(seed).random((height, width)).astype(np.float32)
@@ -41,20 +43,20 @@ def test_psi_is_counter_clockwise_with_row_0_lowest():
 def test_quarter_turns_are_exact_for_odd_and_even_sides(shape):
     occupied = np.zeros(shape, bool)
     occupied[::3, ::4] = True  # no two touch
-    stack = ray_distances(occupied, 1.0, 4, 99.0)
+    stack = ray_distances(occupied, 1.0, 4, SEEN)
     for k, psi in enumerate(np.arange(4) * np.pi / 2):
         for row, col in np.argwhere(~occupied):
-            truth = naive.ray(occupied, col + 0.5, row + 0.5, psi, 99.0)
+            truth = naive.ray(occupied, col + 0.5, row + 0.5, psi, SEEN)
             assert abs(stack[k, row, col] / 100 - truth) <= 0.02, (k, row, col)
 
 
 def test_a_wall_that_touches_another_at_a_corner_is_met_a_quarter_cell_early_at_most():
     occupied = np.random.default_rng(3).random((16, 17)) < 0.15
-    stack = ray_distances(occupied, 1.0, 4, 99.0)
+    stack = ray_distances(occupied, 1.0, 4, SEEN)
     truth = np.array(
         [
             [
-                naive.ray(occupied, col + 0.5, row + 0.5, psi, 99.0)
+                naive.ray(occupied, col + 0.5, row + 0.5, psi, SEEN)
                 for row, col in np.argwhere(~occupied)
             ]
             for psi in np.arange(4) * np.pi / 2
@@ -69,12 +71,12 @@ def test_a_wall_that_touches_another_at_a_corner_is_met_a_quarter_cell_early_at_
 @pytest.mark.parametrize("n_psi", [9, 16])
 def test_against_walked_rays(n_psi):
     occupied = np.pad(blobs(1), 2, constant_values=True)
-    stack = ray_distances(occupied, 1.0, n_psi, 99.0) / 100
+    stack = ray_distances(occupied, 1.0, n_psi, SEEN) / 100
     assert (stack[:, occupied] == 0).all()
     cells = np.argwhere(~occupied)[::7]
     error = np.array(
         [
-            stack[k, row, col] - naive.ray(occupied, col + 0.5, row + 0.5, psi, 99.0)
+            stack[k, row, col] - naive.ray(occupied, col + 0.5, row + 0.5, psi, SEEN)
             for k, psi in enumerate(np.arange(n_psi) * 2 * np.pi / n_psi)
             for row, col in cells
         ]

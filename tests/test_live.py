@@ -235,7 +235,7 @@ def test_a_recorded_map_is_made_as_a_whole() -> None:
     if not folder.exists():
         pytest.skip("needs ../shared/data/fr079")
     features = imgloc.prepare(imgloc.load_map(folder / "map.yaml"))
-    log = imgloc.load_scans(folder / "scans.npz").scans[::60]
+    log = imgloc.load_scans(folder / "scans.npz").scans[::120]
     with Localizer(features) as core:
         before = made_lazily(features)
         for scan in log:

@@ -73,7 +73,7 @@ def same(a: Best, b: Best) -> bool:
     return np.array_equal(a.cells, b.cells) and np.array_equal(a.scores, b.scores)
 
 
-@settings(max_examples=1000)
+@settings(max_examples=300)
 @given(DRAWN)
 def test_argmax_is_that_of_the_stack(drawn: dict) -> None:
     bmap, wanted, xy, thetas = problem(drawn)

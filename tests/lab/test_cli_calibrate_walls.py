@@ -1,0 +1,86 @@
+"""`imgloc calibrate --scans` on maps that others drew, from the command line."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import call, rows
+from walls import GRID, THICK, N, drawn, thick_in
+
+from imgloc.io.scans import load_scans, save_scans
+from imgloc.search.adapt import BENT
+
+
+@pytest.fixture(scope="module")
+def thick(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a map whose walls are too thick."""
+    return thick_in(tmp_path_factory.mktemp("thick"))
+
+
+@pytest.fixture
+def bent(tmp_path: Path) -> Path:
+    """A folder with a map on which each block of 1.5 m stands 0.2 m off, any way."""
+    occupied, rng, block = np.zeros_like(GRID.occupied), np.random.default_rng(5), 15
+    for row in range(0, len(occupied), block):
+        for column in range(0, occupied.shape[1], block):
+            there = np.argwhere(GRID.occupied[row : row + block, column : column + block])
+            y, x = (there + [row, column] + rng.choice([-2, 2], 2)).T
+            inside = (y >= 0) & (x >= 0) & (y < len(occupied)) & (x < occupied.shape[1])
+            occupied[y[inside], x[inside]] = True
+    return drawn(tmp_path, occupied)
+
+
+def test_scans_that_fit_nowhere_alone_calibrate_a_map_together(bent: Path) -> None:
+    files, kept = (bent / "map.yaml", bent / "log.npz"), bent / "map.calibration.json"
+    alone = np.load(files[1])
+    np.savez(bent / "alone.npz", **{name: alone[name] for name in alone if name != "odom"})
+    run = call("calibrate", files[0], "--scans", bent / "alone.npz", "--scans-index", "::4")
+    assert (run.code, run.out) == (2, "")
+    assert "expected at least 5 to say what error they share" in run.err
+    assert "Scans of a log with odometry need not fit one by one" in run.err
+    run = call("calibrate", files[0], "--scans", files[1])
+    assert run.code == 0, run.err
+    content = json.loads(kept.read_text())
+    shared, about = content["shared"], content["about"]["shared"]
+    assert shared["bent"] == BENT
+    assert 0.5 < shared["usual"] < 1.5
+    assert about["asked"] == N
+    assert about["metres"] == pytest.approx(0.5 * (N - 1), abs=0.5)
+    assert f"{about['used']} of {N} are at sure places" in run.out
+    assert "stands 0.15 m off" in run.out
+    assert f"lack {shared['usual']:.1f} nats per reading here" in run.out
+    for row in rows(call("localize", *files, "--json", "--sample", 3).out):
+        assert row["parameters"]["shared"] == shared
+    assert "thinner" not in call("track", *files).err  # there is nothing left to find
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--scans", "log.npz", "--rays", 90], "--rays: is for calibrate without --scans"),
+        (["--topic", "/scan"], "--topic: is for calibrate --scans"),
+        (["--scans", "log.npz", "--scans-index", 99], "--scans-index: got 99, expected 0 to 23"),
+        (["--scans", "log.npz", "--range-scale", 0], "--range-scale: got 0"),
+    ],
+)
+def test_calibrate_reads_a_log_as_localize_does(
+    thick: Path, words: list[object], expected: str
+) -> None:
+    given = [thick / word if word == "log.npz" else word for word in words]
+    run = call("calibrate", thick / "map.yaml", *given)
+    assert (run.code, run.out) == (2, "")
+    assert expected in " ".join(run.err.split())
+
+
+def test_calibrate_is_told_how_a_log_is_read(thick: Path) -> None:
+    recorded = load_scans(thick / "log.npz")
+    mirrored = tuple(scan.flipped.scaled(1000) for scan in recorded.scans)
+    save_scans(thick / "mm.npz", replace(recorded, scans=mirrored))
+    words = ("--flipped", "--range-scale", 0.001, "--scans-index", "::3", "--dry-run", "--json")
+    run = call("calibrate", thick / "map.yaml", "--scans", thick / "mm.npz", *words)
+    assert run.code == 0, run.err
+    (found,) = rows(run.out)
+    assert found["asked"] == N // 3
+    assert found["shared"]["thinner"] == THICK

@@ -1,0 +1,38 @@
+"""Maps whose walls others drew, thick or bent, each with a log from the world itself."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from imgloc.filters.motion import noisy_odometry
+from imgloc.io.maps import save_map
+from imgloc.io.scans import save_scans
+from imgloc.io.scanset import ScanSet
+from imgloc.model import BoolArray, LaserScan
+from imgloc.simulation.scans import simulate_ranges
+from imgloc.simulation.worlds import WORLDS, render
+
+ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
+THICK = 2  # cells of 0.1 m that each side of a wall is drawn too thick
+N = 24
+GRID = render(WORLDS["visibility"](), 0.1)
+
+
+def drawn(folder: Path, occupied: BoolArray) -> Path:
+    """The folder, with a map that has these walls, and a log from the world itself."""
+    save_map(folder / "map.yaml", replace(GRID, occupied=occupied, free=GRID.free & ~occupied))
+    poses = np.array([[4.0 + 0.5 * k, 8.0, 0.02 * k] for k in range(N)])
+    fine = render(WORLDS["visibility"](), 0.05)
+    ranges = simulate_ranges(fine, poses, ANGLES, seed=2, range_max=30.0)
+    scans = tuple(LaserScan(r, ANGLES, range_max=30.0) for r in ranges)
+    odom = noisy_odometry(poses, np.random.default_rng(0))
+    save_scans(folder / "log.npz", ScanSet(scans, poses, 100.0 + np.arange(N), odom))
+    return folder
+
+
+def thick_in(folder: Path) -> Path:
+    """The folder, with a map whose walls are too thick."""
+    disc = np.ones((2 * THICK + 1,) * 2, np.uint8)
+    return drawn(folder, cv2.dilate(GRID.occupied.astype(np.uint8), disc) > 0)
