@@ -1,6 +1,7 @@
 """The rooms of the house and the wall: what each may import, from the first to the last."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -26,20 +27,24 @@ DOORS = [
     "draw_aged",
     "draw_survey",
 ]
-FILES = house.counted("imgloc")
 
 
+def files() -> list[house.File]:
+    return house.counted("imgloc")  # counted once, where a test asks
+
+
+@cache
 def parsed(path: Path) -> ast.Module:
     return ast.parse((ROOT / path).read_text("utf-8"))
 
 
 def test_each_file_is_in_a_room_that_has_a_name() -> None:
-    names = {file.room for file in FILES}
+    names = {file.room for file in files()}
     assert names - {"__init__", "__main__"} == {*house.ROOMS, *house.BEHIND}
 
 
 def test_nothing_is_imported_from_a_later_room_or_from_another_one_behind_the_wall() -> None:
-    assert house.arrows_up(FILES) == []
+    assert house.arrows_up(files()) == []
 
 
 @pytest.mark.parametrize(
@@ -90,7 +95,7 @@ def test_the_goals_are_beside_what_is(capsys) -> None:
 def test_the_wall_has_no_hole_but_the_doors() -> None:
     """Neither types nor names in strings, which importlib may take, are from behind it."""
     rooms, holes = tuple(f"imgloc.{name}" for name in house.BEHIND), []
-    for file in FILES:
+    for file in files():
         if file.room in (*house.BEHIND, "doors", "__init__"):
             continue
         for node in ast.walk(parsed(file.path)):
@@ -109,7 +114,7 @@ def test_every_door_opens(name: str) -> None:
 
 def test_there_are_no_other_doors_and_each_is_used() -> None:
     assert sorted(doors._HOME_OF) == sorted(DOORS)
-    words = {node.value for file in FILES if file.room not in (*house.BEHIND, "doors")
+    words = {node.value for file in files() if file.room not in (*house.BEHIND, "doors")
              for node in ast.walk(parsed(file.path))
              if isinstance(node, ast.Constant) and isinstance(node.value, str)}  # fmt: skip
     assert words >= set(DOORS)

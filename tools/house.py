@@ -47,12 +47,14 @@ class File:
         return Path(self.path.parts[1]).stem
 
 
-def code_lines(text: str) -> set[int]:
-    """Numbers of the lines that are code."""
+def code_lines(text: str, tree: ast.AST | None = None) -> set[int]:
+    """Numbers of the lines that are code; `tree` is what the text is parsed to, if it is."""
     tokens = tokenize.generate_tokens(io.StringIO(text).readline)
-    some = (t for t in tokens if t.string.strip() and t.type != tokenize.COMMENT)
-    code = {line for t in some for line in range(t.start[0], t.end[0] + 1)}
-    for node in ast.walk(ast.parse(text)):
+    code = set[int]()
+    for kind, string, (start, _), (end, _), _ in tokens:
+        if kind != tokenize.COMMENT and string.strip():
+            code.update(range(start, end + 1))
+    for node in ast.walk(tree or ast.parse(text)):
         if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
             code -= set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
     return code
@@ -61,6 +63,8 @@ def code_lines(text: str) -> set[int]:
 def imported(tree: ast.AST) -> Iterator[str]:
     """Modules of imgloc that a file imports when it runs, wherever in it."""
     for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.expr):  # most nodes, none of which imports
+            continue
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
             continue
         if isinstance(node, ast.ImportFrom) and node.module == "imgloc":
@@ -75,9 +79,10 @@ def imported(tree: ast.AST) -> Iterator[str]:
 def count(path: Path, root: Path = ROOT) -> File:
     """Count one file."""
     text = path.read_text("utf-8")
-    tree, code = ast.parse(text), code_lines(text)
-    functions = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
-    values = [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)]
+    tree = ast.parse(text)
+    code, nodes = code_lines(text, tree), list(ast.walk(tree))
+    functions = [n for n in nodes if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+    values = [n.value for n in nodes if isinstance(n, ast.Constant)]
     return File(
         path.relative_to(root),
         len(text.splitlines()),
@@ -115,7 +120,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     files, tools = counted("imgloc"), counted("tools")
     files = [f for f in files if f.room not in given.without]
-    order = sorted({f.room for f in files}, key=lambda room: _PLACE.get(room, -1))
+    order = sorted({f.room for f in files}, key=lambda room: (_PLACE.get(room, -1), room))
     groups = {room: [f for f in files if f.room == room] for room in order}
     groups["before the wall"] = [f for f in files if f.room not in BEHIND]
     groups |= {"imgloc": files, "tools": tools}
