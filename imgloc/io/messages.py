@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.errors import ConfigError, MapError, expect
+from imgloc.io.mapyaml import RESOLUTION_RANGE
 from imgloc.io.scanset import collect
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.numbers import number
@@ -21,6 +22,7 @@ FREE, OCCUPIED = 19.6, 65.0
 """Occupancies of a cell, per cent, up to which it is free and from which it is a wall: the
 thresholds that ROS's map_saver writes beside a map."""
 _MOST = 100  # per cent
+_FAR = 1e9  # metres that a map lies from its frame
 _LONGEST = number("messages.longest")  # seconds of a sweep
 _UNEVEN = 1e-3  # of the step between two rays, by which one may be off
 Frames = dict[str, tuple[str, FloatArray]]
@@ -104,7 +106,7 @@ def grid_from_msg(message: Any, name: str = "map") -> OccupancyGrid:
     Raises
     ------
     MapError
-        If width, height and data do not agree, or there is no resolution.
+        If width, height and data do not agree, or resolution or origin cannot be.
 
     Examples
     --------
@@ -119,13 +121,19 @@ def grid_from_msg(message: Any, name: str = "map") -> OccupancyGrid:
     resolution = float(field(message, "info.resolution"))
     if not width * height or data.size != width * height:
         raise MapError(f"{name}: {data.size:,} cells, expected {width:,} x {height:,} and some")
-    if not 0 < resolution < math.inf:
-        raise MapError(f"{name}: info.resolution: got {resolution:g}, expected metres above 0")
+    low, high = RESOLUTION_RANGE
+    if not 0.999 * low <= resolution <= high:  # a float32
+        raise MapError(
+            f"{name}: info.resolution: got {resolution:g}, expected metres, {low:g} to {high:g}"
+        )
+    origin = pose_of(field(message, "info.origin"))
+    if not all(abs(value) < _FAR for value in origin):
+        raise MapError(f"{name}: info.origin: got {list(origin)}, expected finite metres and a yaw")
     cells = data.reshape(height, width)
     free, occupied = (cells >= 0) & (cells <= FREE), (cells >= OCCUPIED) & (cells <= _MOST)
     # A float32: 0.05 is not 0.05000000074505806.
     resolution = float(np.format_float_positional(np.float32(resolution)))
-    return OccupancyGrid(occupied, free, resolution, pose_of(field(message, "info.origin")))
+    return OccupancyGrid(occupied, free, resolution, origin)
 
 
 def scan_to_msg(scan: LaserScan, frame_id: str = "laser") -> dict[str, Any]:
@@ -275,7 +283,8 @@ def matrix_of(pose: Any) -> FloatArray:
     at, q = (field(pose, name) for name in names)
     # A quaternion of zeros, which scipy's Rotation refuses, is one that nobody filled in.
     quaternion = np.array([float(field(q, key)) for key in "xyzw"])
-    x, y, z, w = quaternion / (math.hypot(*quaternion) or 1.0)
+    length = math.hypot(*quaternion) or 1.0
+    x, y, z, w = quaternion / (length if length < math.inf else math.nan)
     out = np.eye(4)
     out[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

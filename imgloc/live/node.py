@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from imgloc.errors import ConfigError, ImglocError, ScanError
+from imgloc.errors import ConfigError, ImglocError, ScanError, printable
 from imgloc.filters.follow import Moment
 from imgloc.io.messages import (
     Frames,
@@ -61,6 +61,7 @@ _MOVES = 4000  # poses of the odometry that are remembered: 20 s of 200 a second
 _STILL = (0.1, 0.05)  # metres, radians: a robot that has gone less far stands
 _SAID = 5.0  # seconds between two lines of the log that differ in words alone
 _TURN = 0.005  # seconds
+_NAME = 100  # letters of a frame's name that are shown
 _MAP = "map"
 _OTHERS, _POLICIES = ("use_sim_time", "start_type_description_service"), "qos_overrides."  # rclpy's
 _ENDING = (signal.SIGINT, signal.SIGTERM)
@@ -302,6 +303,9 @@ class LocalizerNode:
                 heard(message)
             except ImglocError as error:  # of what others send: it must not end the node
                 self.node.get_logger().warning(f"{topic}: {error}", throttle_duration_sec=5.0)
+            except Exception as error:  # nor must what nobody thought of
+                text = f"{topic}: a message was left out; a defect, {type(error).__name__}: {error}"
+                self.node.get_logger().error(printable(text), throttle_duration_sec=5.0)
 
         self.node.create_subscription(kind, topic, guarded, qos)
 
@@ -361,8 +365,9 @@ class LocalizerNode:
         """The scan, cut and mounted; with no mounting as long as tf does not say it."""
         mount, turned = laser.mount, self.settings.flipped
         if mount is None:
-            laser.frame = frame_name(message.header.frame_id)
-            link = mounting_of(self._frames, laser.frame, self.settings.base_frame)
+            name = frame_name(message.header.frame_id)
+            laser.frame = printable(name)[:_NAME]
+            link = mounting_of(self._frames, name, self.settings.base_frame)
             if link is not None:
                 mount, turned, laser.frame = Pose2D(*planar(link)), link[2, 2] < 0, ""
         scan = scan_from_msg(message, laser.topic, mount, received=0.0)
@@ -404,7 +409,8 @@ class LocalizerNode:
     def _on_transforms(self, message: Any) -> None:
         for item in message.transforms:
             child, parent, pose = link_of(item)
-            self._frames[child] = parent, pose
+            if np.isfinite(pose).all():
+                self._frames[child] = parent, pose
 
     # What is asked, and what becomes of the answers.
 
@@ -551,8 +557,10 @@ class LocalizerNode:
         self._diagnostics.publish(self.made.diagnostics(level, row, name, time_))
         now = time.monotonic()
         if level != self._said[0] or (said != self._said[1] and now > self._said[2] + _SAID):
-            log = self.node.get_logger()
-            (log.error if level == ERROR else log.info)(said)
+            if level == ERROR:  # two lines of code: rclpy refuses two severities from one
+                self.node.get_logger().error(said)
+            else:
+                self.node.get_logger().info(said)
             self._said = level, said, now
         self._answer_callers(said)
 

@@ -1,0 +1,170 @@
+"""What others may send to `imgloc node`: it says what is wrong, and goes on."""
+
+import array
+import math
+import time
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from command import MAPS
+
+import imgloc
+from imgloc.live.localizer import Localizer
+from imgloc.live.node import LocalizerNode, Settings, load_ros
+from imgloc.live.status import ERROR
+from imgloc.options import Options
+
+pytest.importorskip("rclpy", reason="no ROS 2 here: source one, or pip install 'imgloc[node]'")
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of what rclpy imports
+
+NAN, INF = math.nan, math.inf
+GRID = imgloc.load_map(MAPS / "curved.yaml")
+RESOLUTION = float(GRID.resolution)
+
+
+class Heard:
+    """A node in this process, to which messages are handed as rclpy does."""
+
+    def __init__(self, **settings: Any) -> None:
+        self.ros = load_ros()
+        self.ros.rclpy.init(args=[])
+        self.rclpy = self.ros.rclpy.create_node("imgloc")
+        self.core = Localizer({}, Options(), background=True)
+        known = {"sensor": (0.0, 0.0, 0.0), "track": True, "max_age": 60.0, "every": 0.05}
+        self.node = LocalizerNode(
+            self.ros, self.rclpy, Settings(**known | settings), self.core, from_topic=True
+        )
+        self.executor = self.ros.executors.SingleThreadedExecutor()
+        self.executor.add_node(self.rclpy)
+
+    def send(self, topic: str, message: Any) -> None:
+        (heard,) = [s.callback for s in self.rclpy.subscriptions if s.topic_name == f"/{topic}"]
+        heard(message)
+
+    def until(self, there: Callable[[], object]) -> None:
+        end = time.monotonic() + 60
+        while not there():
+            assert time.monotonic() < end, self.node._health()
+            self.executor.spin_once(timeout_sec=0.1)  # an error of a callback comes out here
+
+    def close(self) -> None:
+        self.node.close()
+        self.executor.remove_node(self.rclpy)
+        self.core.close()
+        self.rclpy.destroy_node()
+        self.ros.rclpy.try_shutdown()
+
+    def stamped(self, message: Any, frame: str) -> Any:
+        message.header.stamp = self.rclpy.get_clock().now().to_msg()
+        message.header.frame_id = frame
+        return message
+
+    def map(
+        self, resolution: float = RESOLUTION, at: tuple[float, float] = (0.0, 0.0),
+        q: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0), size: tuple[int, int] | None = None,
+    ) -> Any:  # fmt: skip
+        message = self.stamped(self.ros.nav_msgs.OccupancyGrid(), "map")
+        info = message.info
+        cells = np.where(GRID.occupied, 100, np.where(GRID.free, 0, -1)).astype(np.int8)
+        info.height, info.width = cells.shape if size is None else size
+        info.resolution, message.data = resolution, array.array("b", cells.tobytes())
+        info.origin.position.x, info.origin.position.y = at
+        turn = info.origin.orientation
+        turn.x, turn.y, turn.z, turn.w = q
+        return message
+
+    def scan(self, frame: str = "laser", **fields: Any) -> Any:
+        ranges = np.random.default_rng().uniform(1, 5, 61).tolist()
+        plain = {"angle_min": -1.5, "angle_max": 1.5, "angle_increment": 0.05, "range_max": 20.0}
+        message = self.stamped(self.ros.sensor_msgs.LaserScan(), frame)
+        for name, value in ({"ranges": ranges} | plain | fields).items():
+            setattr(message, name, value)
+        return message
+
+    def odometry(self, x: float = 0.0, q: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)) -> Any:
+        message = self.stamped(self.ros.nav_msgs.Odometry(), "odom")
+        message.pose.pose.position.x, turn = x, message.pose.pose.orientation
+        turn.x, turn.y, turn.z, turn.w = q
+        return message
+
+
+@pytest.fixture
+def heard(monkeypatch: pytest.MonkeyPatch) -> Iterator[Heard]:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
+    made = Heard()
+    yield made
+    made.close()
+
+
+BAD_MAPS: list[tuple[dict[str, Any], str]] = [
+    ({"size": (0, 0)}, "expected 0 x 0 and some"),
+    ({"size": (3, 2)}, "expected 2 x 3 and some"),
+    *(({"resolution": r}, "info.resolution: got") for r in (0.0, -1.0, NAN, INF, 1e-30, 1e30)),
+    *(({"at": (x, 0.0)}, "info.origin: got") for x in (NAN, INF, -1e300)),
+    *(({"q": (v, v, v, v)}, "info.origin: got") for v in (NAN, INF, 1e308)),
+]
+
+
+def test_a_map_that_cannot_be_is_named_and_the_next_one_is_used(heard: Heard) -> None:
+    for k, (wrong, said) in enumerate(BAD_MAPS):
+        heard.send("map", heard.map(**wrong))
+        assert said in heard.node._map_error, wrong
+        if k in (0, len(BAD_MAPS) - 1):  # levels of its log go up, and down again
+            heard.until(lambda: heard.node._said[0] == ERROR)
+            heard.send("map", heard.map())
+            assert not heard.node._map_error
+            heard.until(lambda: heard.core.ready and heard.node._said[0] != ERROR)
+
+
+def test_scans_and_odometry_that_cannot_be_do_not_end_it(heard: Heard) -> None:
+    heard.send("map", heard.map(at=(-5.0, 3.0), q=(0.0, 0.0, 0.6, 0.8)))
+    heard.until(lambda: heard.core.ready)
+    for x in (NAN, INF, 1e308, -1e308, 1e15, 5.0):
+        heard.send("odom", heard.odometry(x))
+        heard.send("scan", heard.scan())
+    for q in ((0.0, 0.0, 0.0, 0.0), (NAN,) * 4, (1e308,) * 4):
+        heard.send("odom", heard.odometry(q=q))
+        heard.send("scan", heard.scan())
+    laser = heard.node.lasers[0]
+    for name in ("angle_min", "angle_max", "angle_increment", "range_max", "range_min"):
+        for value in (NAN, -INF, 1e38, -5.0):
+            heard.send("scan", heard.scan(**{name: value}))
+    assert laser.bad > 15
+    for ranges in ([], [NAN] * 61, [-INF] * 61, [1e38] * 61, [2.0], [2.0] * 200_000):
+        heard.send("scan", heard.scan(ranges=ranges))
+    heard.send("scan", heard.scan(time_increment=NAN))
+    heard.until(lambda: heard.node.found is not None)
+    assert heard.node._health()[0] < ERROR
+
+
+def test_a_message_that_nobody_thought_of_is_left_out(
+    heard: Heard, capfd: pytest.CaptureFixture[str]
+) -> None:
+    heard.send("odom", SimpleNamespace())  # any error that is not imgloc's own
+    assert "a message was left out; a defect, AttributeError" in capfd.readouterr().err
+
+
+def test_names_and_transforms_that_cannot_be(heard: Heard) -> None:
+    laser, node = heard.node.lasers[0], heard.node
+    laser.mount = None  # tf says it
+    heard.send("scan", heard.scan("\x1b[31m" + "x" * 5000))
+    assert laser.frame.startswith("\\x1b[31mxxx")
+    assert len(laser.frame) <= 100
+    link = heard.stamped(heard.ros.geometry_msgs.TransformStamped(), "base_link")
+    link.child_frame_id = "laser"
+    for x in (NAN, INF):
+        link.transform.translation.x = x
+        node._on_transforms(SimpleNamespace(transforms=[link]))
+        heard.send("scan", heard.scan())
+        assert laser.frame == "laser"  # whose place is not known
+    link.transform.translation.x = 0.1
+    node._on_transforms(SimpleNamespace(transforms=[link]))
+    heard.send("scan", heard.scan())
+    assert laser.frame == ""
+    link.header.frame_id = "laser"  # its own parent
+    node._on_transforms(SimpleNamespace(transforms=[link]))
+    heard.send("scan", heard.scan())
+    assert laser.frame == "laser"
