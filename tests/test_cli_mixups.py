@@ -255,33 +255,6 @@ def test_a_mirrored_map_has_one_hint_and_the_command_with_it_works(
     assert [row["verdict"] for row in rows(run.out)] == ["unique", "unique"]
 
 
-def test_which_says_why_localize_is_sure_of_scans_that_have_no_map(
-    shared: Path, tmp_path: Path
-) -> None:
-    names = ("fr079", "gh25", "belgioioso")
-    for name in names:
-        (tmp_path / "maps" / name).mkdir(parents=True)
-        for file in (shared / "data" / name).glob("map.*"):
-            (tmp_path / "maps" / name / file.name).write_bytes(file.read_bytes())
-    some = load_scans(shared / "data" / "fr079" / "scans.npz").take([5, 28, 99, 147, 150, 163, 170])
-    stretched = tuple(replace(scan, ranges=1.06 * scan.ranges) for scan in some.scans)
-    save_scans(tmp_path / "a.npz", replace(some, scans=stretched))
-    run = call("which", tmp_path / "maps", tmp_path / "a.npz", OFF)
-    assert run.code == 0
-    named = sum(line.split()[1] == "fr079" for line in run.out.splitlines()[1:])
-    assert named < 4
-    where = tmp_path / "maps" / "fr079" / "map.yaml"
-    sure = rows(call("localize", where, tmp_path / "a.npz", "--json", OFF).out)
-    assert [row["verdict"] for row in sure].count("unique") >= 5
-    told = run.err.splitlines()[-1]
-    assert "fr079: most scans fit this map far better with their ranges multiplied by 0.9" in told
-    assert "imgloc calibrate MAP --scans FILE finds it once for all" in told
-    done = call("calibrate", where, "--scans", tmp_path / "a.npz")
-    assert done.code == 0, done.err
-    run = call("which", tmp_path / "maps", tmp_path / "a.npz", OFF)
-    assert all(line.split()[1] == "fr079" for line in run.out.splitlines()[1:]), run.out
-
-
 def test_a_row_of_the_report_opens_a_page_that_explains_the_answer(
     scans: Path, tmp_path: Path
 ) -> None:

@@ -5,6 +5,7 @@ import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -213,8 +214,9 @@ def test_the_best_guess_is_marked_in_every_output(log: Path, tmp_path: Path) -> 
 DARK = range(10, 15)
 
 
-def in_the_dark(folder: Path, ranges: Callable[[FloatArray], object], *, carried: bool) -> Path:
-    """A log along a corridor whose scans are blind for 2.5 m, or for as long as it is carried."""
+@cache
+def corridor(*, carried: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Poses along a corridor, ranges, and odometry; the robot drives, or is carried for a while."""
     poses = np.array([[4.0 + 0.5 * k, 7.0, 0.0] for k in range(24)])
     odom = noisy_odometry(poses, np.random.default_rng(0))
     if carried:  # turned around where it was, with its wheels in the air; then it drives back
@@ -222,7 +224,13 @@ def in_the_dark(folder: Path, ranges: Callable[[FloatArray], object], *, carried
         odom[DARK.start :] = odom[DARK.start] + [[0.25 * k, 0, 0] for k in range(14)]
         poses[DARK.start : DARK.stop], odom[DARK] = poses[DARK.stop], odom[DARK.start]
     fine = render(WORLDS["visibility"](), 0.05)
-    seen = simulate_ranges(fine, poses, ANGLES, seed=2, range_max=30.0)
+    return poses, simulate_ranges(fine, poses, ANGLES, seed=2, range_max=30.0), odom
+
+
+def in_the_dark(folder: Path, ranges: Callable[[FloatArray], object], *, carried: bool) -> Path:
+    """A log along a corridor whose scans are blind for 2.5 m, or for as long as it is carried."""
+    poses, seen, odom = corridor(carried=carried)
+    seen = seen.copy()
     for k in DARK:
         seen[k] = ranges(seen[k - 1])
     scans = tuple(LaserScan(r, ANGLES, range_max=30.0) for r in seen)
@@ -267,7 +275,8 @@ def test_a_blind_robot_gives_no_pose(
     published = [row["stamp"] for row in got if row["pose"]]
     tum = (tmp_path / "a.tum").read_text().splitlines()
     assert [float(line.split()[0]) for line in tum] == published
-    assert "ambiguous: blind" in call("track", MAP, path).out
+    if not carried:
+        assert "ambiguous: blind" in call("track", MAP, path).out
 
 
 def test_a_pose_is_as_sure_as_was_asked_for(log: Path) -> None:

@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from command import MAPS, call, rows
 
 from imgloc.io.calibration import load_calibrations
 from imgloc.io.maps import load_map
+from imgloc.io.scans import load_scans, save_scans
 from imgloc.options import DEFAULTS, Shared
 
 QUICK = ("--method", "ght-v", "-n", 20, "--rays", 61, "--theta-step-deg", 15, "--cell", 0.2,
@@ -179,3 +181,30 @@ def test_scans_from_elsewhere_say_nothing(office: Path) -> None:
     assert (run.code, run.out) == (2, "")
     assert "--scans: expected one MAP" in run.err
     assert not office.with_name("curved.calibration.json").exists()
+
+
+def test_which_says_why_localize_is_sure_of_scans_that_have_no_map(
+    shared: Path, tmp_path: Path
+) -> None:
+    names = ("fr079", "gh25", "belgioioso")
+    for name in names:
+        (tmp_path / "maps" / name).mkdir(parents=True)
+        for file in (shared / "data" / name).glob("map.*"):
+            (tmp_path / "maps" / name / file.name).write_bytes(file.read_bytes())
+    some = load_scans(shared / "data" / "fr079" / "scans.npz").take([5, 28, 99, 147, 150, 163, 170])
+    stretched = tuple(replace(scan, ranges=1.06 * scan.ranges) for scan in some.scans)
+    save_scans(tmp_path / "a.npz", replace(some, scans=stretched))
+    run = call("which", tmp_path / "maps", tmp_path / "a.npz", "--no-cache")
+    assert run.code == 0
+    named = sum(line.split()[1] == "fr079" for line in run.out.splitlines()[1:])
+    assert named < 4
+    where = tmp_path / "maps" / "fr079" / "map.yaml"
+    sure = rows(call("localize", where, tmp_path / "a.npz", "--json", "--no-cache").out)
+    assert [row["verdict"] for row in sure].count("unique") >= 5
+    told = run.err.splitlines()[-1]
+    assert "fr079: most scans fit this map far better with their ranges multiplied by 0.9" in told
+    assert "imgloc calibrate MAP --scans FILE finds it once for all" in told
+    done = call("calibrate", where, "--scans", tmp_path / "a.npz")
+    assert done.code == 0, done.err
+    run = call("which", tmp_path / "maps", tmp_path / "a.npz", "--no-cache")
+    assert all(line.split()[1] == "fr079" for line in run.out.splitlines()[1:]), run.out
