@@ -277,8 +277,8 @@ def _seen(scans: ScanSet) -> FloatArray:
 
 def _about_readings(scans: ScanSet, findings: list[Finding]) -> dict[str, Any]:
     some, seen = _some(scans), _seen(scans)
-    first = scans[0]
-    total = {key: sum(scan.counts[key] for scan in some) for key in first.counts}
+    first, counts = scans[0], [scan.counts for scan in some]
+    total = {key: sum(each[key] for each in counts) for key in counts[0]}
     count = max(1, sum(total.values()))
     rays = sorted({len(scan.ranges) for scan in scans.scans})
     reach = sorted({scan.range_max for scan in scans.scans})

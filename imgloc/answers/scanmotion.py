@@ -8,6 +8,7 @@ is tried with what is often wrong: a sensor upside down or turned, other units, 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -53,14 +54,14 @@ def agreement(scans: ScanSet, odom: FloatArray) -> Agreement:
     if len(scans) < _LEAST:
         return Agreement(math.nan)
     pairs = _pairs(odom)
-    here = _share(scans, odom, pairs, Way(""))
+    here = _share(scans.scans.__getitem__, odom, pairs, Way(""))
     if math.isnan(here) or here >= AGREES:
         return Agreement(here)
     if _alternates(scans, odom):
         return Agreement(here, two_lasers=True)
     best, most = None, max(_WINS, here / _HALF)
     for way in _ways(scans, odom):
-        share = _share(scans, odom, pairs, way)
+        share = _share(scans.scans.__getitem__, odom, pairs, way)
         if share > most:
             best, most = way, share
     return Agreement(here, best, most if best else math.nan)
@@ -74,12 +75,13 @@ def straightening(scans: ScanSet, odom: FloatArray) -> dict[str, float] | None:
     """
     if not any(scan.time_increment for scan in scans.scans) or len(scans) < _LEAST:
         return None
-    speeds, pairs, out = scans.velocities, _pairs(odom), dict[str, float]()
-    for way in ("forward", "backward"):
-        both = zip(scans.scans, speeds, strict=True)
-        some = tuple(scan.straightened(v, backward=way == "backward") for scan, v in both)
-        out[way] = _share(replace(scans, scans=some), odom, pairs, Way(""))
-    return out
+    speeds, pairs = scans.velocities, _pairs(odom)
+
+    def straight(way: str, k: int) -> LaserScan:
+        return scans[k].straightened(speeds[k], backward=way == "backward")
+
+    ways = ("forward", "backward")
+    return {way: _share(partial(straight, way), odom, pairs, Way("")) for way in ways}
 
 
 def _alternates(scans: ScanSet, odom: FloatArray) -> bool:
@@ -155,10 +157,12 @@ def _pairs(odom: FloatArray) -> list[tuple[int, int]]:
     return out
 
 
-def _share(scans: ScanSet, odom: FloatArray, pairs: Sequence[tuple[int, int]], way: Way) -> float:
+def _share(
+    scan: Callable[[int], LaserScan], odom: FloatArray, pairs: Sequence[tuple[int, int]], way: Way
+) -> float:
     """The lesser of two medians: of the pairs that turned most, and of those that went farthest.
 
-    Turns tell of angles, and ways of lengths.
+    Turns tell of angles, and ways of lengths. `scan` gives the scan of an index.
     """
     moved = way.odom(odom)
     steps = [compose(inverse(Pose2D(*odom[i])), Pose2D(*odom[j])) for i, j in pairs]
@@ -175,7 +179,7 @@ def _share(scans: ScanSet, odom: FloatArray, pairs: Sequence[tuple[int, int]], w
             if k not in seen:
                 i, j = pairs[k]
                 step = compose(inverse(Pose2D(*moved[i])), Pose2D(*moved[j]))
-                seen[k] = overlap(way.scan(scans[i]), way.scan(scans[j]), step)
+                seen[k] = overlap(way.scan(scan(i)), way.scan(scan(j)), step)
             if not math.isnan(seen[k]):
                 shares.append(seen[k])
         if 2 * len(shares) >= _PAIRS:
