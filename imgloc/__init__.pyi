@@ -22,6 +22,7 @@ from .live.localizer import Answer, Localizer
 from .live.sites import Site
 from .model import (
     Evidence,
+    Floor,
     GridInfo,
     Hypothesis,
     LaserScan,
@@ -57,7 +58,7 @@ from .simulation.scans import simulate
 __all__ = [
     "ALL_METHODS", "METHODS", "Alignment", "Answer", "BatchSummary", "Calibration", "Changes",
     "Choice", "ConfigError", "Dropped", "Evaluation", "Every", "Evidence", "Explanation",
-    "FloorPlan", "FusedOptions", "GridInfo", "Hypothesis", "ImglocError", "Job", "Known",
+    "Floor", "FloorPlan", "FusedOptions", "GridInfo", "Hypothesis", "ImglocError", "Job", "Known",
     "LaserScan", "Likelihood", "Limits", "Localization", "Localizer", "MapError", "MapFeatures",
     "MapReport", "Moment", "OccupancyGrid", "Options", "OrientedPoints", "OutputError", "Picture",
     "Pose2D", "Prior", "Protection", "ScanAlignment", "ScanError", "ScanSet", "Sensor", "Shared",

@@ -558,6 +558,15 @@ class Check:
 
 
 @dataclass(frozen=True)
+class Floor:
+    """Readings of a tilted laser that end on the floor: on a line, or on a circle around it."""
+
+    distance: float  #: metres from the sensor to where the floor is nearest
+    direction: float  #: radians, sensor frame, of that place; NaN for a circle
+    share: float  #: of the valid readings that end on the floor, 0..1
+
+
+@dataclass(frozen=True)
 class Evidence:
     """The evidence for the masses and the verdict of an answer."""
 
@@ -576,6 +585,7 @@ class Evidence:
     scale: float = 1.0
     #: metres taken off each side of the walls, because the readings fit far better so; else 0
     thinner: float = 0.0
+    floor: Floor | None = None  #: left out, because the other readings fit far better without it
     #: divisor that turned log-likelihoods into masses
     temperature: Temperature = field(default_factory=Temperature)
     #: (L,) logarithm of the volume of each listed hypothesis, as a share of that of all poses
@@ -682,6 +692,9 @@ class Localization:
         evidence |= {name: getattr(t, name) for name in ("base", "strain", "number", "cell")}
         rest = ("unmapped", "gained", "against", "scale", "thinner", "found", "listed", "unlisted")
         evidence |= {name: getattr(e, name) for name in rest}
+        floor = Floor(math.nan, math.nan, 0.0) if e.floor is None else e.floor
+        evidence |= {"floor": floor.share}
+        evidence |= {f"floor_{of}": getattr(floor, of) for of in ("distance", "direction")}
         out = {
             "index": index,
             "verdict": self.verdict,

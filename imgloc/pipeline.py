@@ -21,11 +21,12 @@ from typing import Any
 import numpy as np
 
 from imgloc.errors import expect
+from imgloc.features.floor import floors, left_out
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings, one_per_place
 from imgloc.io.maps import require_usable
 from imgloc.likelihoods.stacks import check_stack, likelihood
-from imgloc.model import FloatArray, LaserScan, Likelihood, Localization, OccupancyGrid
+from imgloc.model import FloatArray, Floor, LaserScan, Likelihood, Localization, OccupancyGrid
 from imgloc.numbers import number
 from imgloc.options import FUSED, Options, Shared
 from imgloc.search.adapt import THINNER, adapt
@@ -41,6 +42,7 @@ from imgloc.search.weigh import nothing, weigh
 
 _LAST = number("pipeline.last")  # proposals that get the second look when time is up
 _ROUNDS = number("pipeline.rounds")  # searches again with an error that the readings share
+_FLOOR = number("floor.gain")  # nats per reading by which a scan must fit better without the floor
 _FIRST_LOOK, _SECOND_LOOK = number("refine.first_look"), number("refine.second_look")
 
 
@@ -288,10 +290,11 @@ def look(
 
 
 def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options) -> Modes:
-    """Search for all poses that fit a scan, and allow for an error that all readings share.
+    """Search for all poses that fit a scan, and allow for errors that many readings share.
 
-    If nothing fits well, and the readings fit far better with another scale or with thinner walls,
-    the search is repeated with that error.
+    If nothing fits well, the search is repeated without the readings that may end on the floor. If
+    nothing fits well then, and the readings fit far better with another scale or with thinner
+    walls, it is repeated with that error.
 
     Parameters
     ----------
@@ -305,28 +308,40 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
     Returns
     -------
     Modes
-        Separated modes in the grid frame, best first, with the shared error in use.
+        Separated modes in the grid frame, best first, with the shared error in use and the floor
+        that was left out.
     """
     start = time.monotonic()
 
-    def find(shared: Shared) -> Modes:
+    def find(shared: Shared, floor: Floor | None) -> Modes:
         left = options
         if options.time_budget is not None:
             rest = max(0.0, start + options.time_budget - time.monotonic())
             left = replace(options, time_budget=rest)
-        there = features.thinner(shared.thinner)
-        return replace(find_modes(there, scan.scaled(shared.scale), left), shared=shared)
+        there, seen = features.thinner(shared.thinner), left_out(scan, floor).scaled(shared.scale)
+        return replace(find_modes(there, seen, left), shared=shared, floor=floor)
 
-    fused, found = options.fused, find(options.shared)
+    def lacks(found: Modes) -> float:
+        return options.model.best - found.mean_score
+
+    fused, found = options.fused, find(options.shared, None)
+    if lacks(found) > fused.unfit + options.shared.usual and found.complete and len(found.poses):
+        for floor in floors(scan):
+            if left_out(scan, floor).directions < options.trust.readings:
+                continue
+            again = find(options.shared, floor)
+            if not again.complete:
+                return replace(found, complete=False)
+            if lacks(again) < lacks(found) - _FLOOR:
+                found = again
     for _ in range(_ROUNDS):
-        fits = found.mean_score >= options.model.best - fused.strained
-        if fits or not (found.complete and len(found.poses)):
+        if lacks(found) <= fused.strained or not (found.complete and len(found.poses)):
             break
         places = np.concatenate((found.poses[:1], found.looked))
         shared = adapt(features, found.readings, places, found.shared, options)
         if shared == found.shared:
             break
-        again = find(shared)
+        again = find(shared, found.floor)
         if not again.complete:
             return replace(found, complete=False)
         if again.mean_score <= found.mean_score:

@@ -149,6 +149,8 @@ def doubts(
         At most one; none if at least half of the scans fit, unless they do so as :func:`bent` says.
     """
     given, bent_ = given or Given(), bent(said, options.shared, features.grid.resolution)
+    if found_floor := tilted(said):
+        return found_floor
     doubtful = [k for k, answer in enumerate(said) if is_doubtful(*answer)]
     fit = 2 * len(doubtful) <= len(scans)
     if fit and not bent_:
@@ -381,6 +383,29 @@ def bent(said: Said, known: Shared, resolution: float) -> list[Doubt]:
     else:
         return []
     return [_bent("this scan fits" if count == 1 else "most scans fit", found, short)]
+
+
+def tilted(said: Said) -> list[Doubt]:
+    """Say that most scans fit only without readings that end on the floor, and what helps.
+
+    Examples
+    --------
+    >>> from imgloc.model import Floor
+    >>> tilted([("unique", Evidence(floor=Floor(5.0, 0.0, 0.3)))])[0].short
+    'a line 5.0 m away is on no map: the floor?'
+    """
+    seen = [e.floor for verdict, e in said if verdict in SURE and e.floor is not None]
+    if 2 * len(seen) <= len(said):
+        return []
+    metres, share = np.median([(floor.distance, floor.share) for floor in seen], axis=0)
+    line = sum(math.isnan(floor.direction) for floor in seen) <= len(seen) / 2
+    shape = "a line" if line else "a circle"
+    text = (
+        f"{'this scan fits' if len(said) == 1 else 'most scans fit'} this map only without the "
+        f"{100 * share:.0f} % of the rays that end on {shape} {metres:.1f} m away, which is on no "
+        "map: is the laser tilted, so that it meets the floor there? Level it, or cut its ranges"
+    )
+    return [Doubt("floor", text, f"{shape} {metres:.1f} m away is on no map: the floor?")]
 
 
 def bent_walls(

@@ -143,6 +143,7 @@ class _Sink:
 
     def take(self, run: "Locating", answer: "Located", n: int) -> None:
         """Draw and print an answer, the `n`-th."""
+        from imgloc.features.floor import as_located
         from imgloc.io.scanset import ScanSet
         from imgloc.output.tables import difference, times_words
 
@@ -150,7 +151,7 @@ class _Sink:
         self.scans.append(answer.scan)
         self.said.append((found.verdict, found.evidence))
         if found.pose is not None and found.complete:
-            self.sure.append((answer.scan.scaled(found.evidence.scale), found.pose))
+            self.sure.append((as_located(answer.scan, found.evidence), found.pose))
         if found.best is not None and answer.truth is not None:
             self.errors.append(difference(found.best, answer.truth))
         about = run.taken.name, answer.index, found.verdict, times_words(found)

@@ -11,6 +11,7 @@ from imgloc.answers.logcheck import located
 from imgloc.answers.truth import NOT_TRUE, poses_fit
 from imgloc.errors import ScanError
 from imgloc.features.budget import poses_bytes
+from imgloc.features.floor import as_located
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.calibration import calibrated
 from imgloc.io.contents import content_hash, files_of
@@ -224,7 +225,7 @@ class Aging(Job):
         run = Localize(maps=self.maps, scans=self.scans).open(item, desk)
         located = list(run)
         sure, poses = sure_poses([one.of for one in located])
-        scans = [located[k].scan.scaled(located[k].of.evidence.scale) for k in sure]
+        scans = [as_located(located[k].scan, located[k].of.evidence) for k in sure]
         found = map_changes(run.features.grid, scans, poses)
         row = {"given": len(located), **found.as_row()}
         row["sure"] = row.pop("scans")  # which is the file of an item

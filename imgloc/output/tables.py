@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from imgloc.errors import as_options
-from imgloc.model import SURE, VERDICTS, Localization, Pose2D, base_of
+from imgloc.model import SURE, VERDICTS, Floor, Localization, Pose2D, base_of
 
 if TYPE_CHECKING:
     from imgloc.choice.choose import Choice
@@ -151,6 +151,8 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
             )
             how = "as calibrated, " if calibrated else "fits far better with "
             facts.append(("map", how + bent))
+        if evidence.floor is not None:
+            facts.append(("floor", floor_words(evidence.floor)))
         poses = f"{evidence.listed} listed"
         if evidence.found > evidence.listed:
             unlisted = percent(evidence.unlisted)
@@ -217,6 +219,20 @@ def bent_words(scale: float, thinner: float) -> str | None:
     if thinner > 0:
         said.append(f"walls {thinner:.2f} m thinner on each side")
     return " and ".join(said) or None
+
+
+def floor_words(floor: Floor) -> str:
+    """Say which readings were left out because they end on the floor.
+
+    Examples
+    --------
+    >>> floor_words(Floor(5.0, 0.1, 0.4))
+    'left out 40 % of the rays: they end on a line 5.0 m away at 6 deg'
+    """
+    where = "a circle" if math.isnan(floor.direction) else "a line"
+    at = "" if math.isnan(floor.direction) else f" at {math.degrees(floor.direction):.0f} deg"
+    found = f"they end on {where} {floor.distance:.1f} m away{at}"
+    return f"left out {100 * floor.share:.0f} % of the rays: {found}"
 
 
 def run_words(verdicts: Sequence[str], errors: Sequence[tuple[float, float]]) -> str:

@@ -4,6 +4,7 @@ A file of scans that fits one of its maps is as it should be, though it fits non
 """
 
 import contextlib
+import math
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
@@ -11,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from imgloc.answers.diagnose import Doubt, Said, is_doubtful
-from imgloc.model import Evidence
+from imgloc.model import Evidence, Floor
 from imgloc.options import FUSED
 from imgloc.runs.jobs import Item, Job
 from imgloc.runs.localize import Localize
@@ -52,6 +53,8 @@ class Doubtful:
                 self._said[item] = said
         elif 2 * sum(is_doubtful(*one) for one in said) > len(said):
             self._said[item] = said
+        if 2 * sum(e.floor is not None for _, e in said) > len(said):
+            self._said[item] = said
 
     def of(self, items: Iterable[Item]) -> list[tuple[Item, Said]]:
         """A few of the items that are doubtful: of many files, and each with other maps."""
@@ -80,7 +83,12 @@ class Doubtful:
 
 def _evidence(row: Row) -> Evidence:
     """What a doubt looks at."""
-    told = {key: row[key] for key in ("misfit", "scale", "thinner") if row.get(key) is not None}
+    names = ("misfit", "scale", "thinner")
+    told: dict[str, Any] = {key: row[key] for key in names if row.get(key) is not None}
+    if share := row.get("floor"):
+        at = (row.get(f"floor_{of}") for of in ("distance", "direction"))
+        distance, direction = (math.nan if value is None else value for value in at)
+        told["floor"] = Floor(distance, direction, share)
     return Evidence(**told)
 
 

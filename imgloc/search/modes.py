@@ -7,7 +7,7 @@ import numpy as np
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings
 from imgloc.geometry import wrap
-from imgloc.model import FloatArray
+from imgloc.model import FloatArray, Floor
 from imgloc.options import Options, Shared
 from imgloc.search.hypotheses import centres, modes
 from imgloc.search.priors import stands
@@ -28,6 +28,7 @@ class Modes:
     #: (C, 3, 3) second moments of the maxima around `poses`; None if there are none to give
     spread: FloatArray | None = None
     shared: Shared = field(default_factory=Shared)  #: the error that was allowed for
+    floor: Floor | None = None  #: whose readings were left out
 
     @property
     def mean_score(self) -> float:

@@ -67,7 +67,8 @@ def weigh(
     shared, explained = found.shared, 0.0
     there = features.thinner(shared.thinner)
     fit = evidence_of(there, found.readings, found.scores, options)
-    fit = replace(fit, scale=shared.scale, thinner=shared.thinner * there.grid.resolution)
+    thinner = shared.thinner * there.grid.resolution
+    fit = replace(fit, scale=shared.scale, thinner=thinner, floor=found.floor)
     score = found.scores.log_likelihood
     share = masses(score, fit.temperature.value)
     listed = options.listed(share)

@@ -112,6 +112,19 @@ def moving(scan: LaserScan, _: Rng, velocity: tuple[float, float, float]) -> Las
     return replace(scan, ranges=ranges, time_increment=float(times[1] - times[0]))
 
 
+def floor(
+    scan: LaserScan, rng: Rng, *, distance: float, spread: float = 0.03, cone: bool = False
+) -> LaserScan:
+    """The floor seen by a laser that is tilted ahead, or all around if its plane is a cone."""
+    ahead = np.median(scan.angles) + rng.uniform(-0.6, 0.6)
+    across = np.ones(len(scan.angles)) if cone else np.cos(scan.angles - ahead)
+    far = np.where(across > 0.05, distance / np.maximum(across, 0.05), np.inf)
+    far += spread * rng.standard_normal(len(far))
+    wall = np.where(np.isnan(scan.ranges), np.inf, scan.ranges)
+    seen = (far < scan.range_max) & (far < wall)
+    return replace(scan, ranges=np.where(seen, far, scan.ranges))
+
+
 SCANS: Mapping[str, ScanChange] = MappingProxyType(
     {
         "undisturbed": lambda scan, _: scan,
@@ -126,6 +139,8 @@ SCANS: Mapping[str, ScanChange] = MappingProxyType(
         "reach of 5 m": partial(reach, metres=5.0),
         "view of 90 deg": partial(view, degrees=90.0),
         "1 m/s and 120 deg/s": partial(moving, velocity=(1.0, 0.0, 2.1)),
+        "floor on a line 5 m away": partial(floor, distance=5.0),
+        "floor on a circle 5 m away": partial(floor, distance=5.0, cone=True),
         "ranges x 0.95": partial(scaled_ranges, factor=0.95),
         "ranges x 1.05": partial(scaled_ranges, factor=1.05),
     }

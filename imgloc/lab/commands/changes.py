@@ -41,6 +41,7 @@ def changes(
     300 are taken, evenly spread, unless --scans-index or --sample chooses.
     """
     from imgloc.cli import inputs
+    from imgloc.features.floor import as_located
     from imgloc.features.scanpoints import evenly
     from imgloc.io.calibration import calibrated
     from imgloc.io.maps import save_map
@@ -75,7 +76,7 @@ def changes(
             advance()
     desk.keep(features)
     sure, poses = sure_poses(answers)
-    scaled = [some[k].scaled(answers[k].evidence.scale) for k in sure]
+    scaled = [as_located(some[k], answers[k].evidence) for k in sure]
     found = map_changes(grid, scaled, poses)
     if out is not None:
         Picture(draw_changes(found)).save(out, force=force)

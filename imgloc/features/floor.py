@@ -1,0 +1,118 @@
+"""Readings that may end on the floor: a tilted laser meets it along a line.
+
+A laser that is tilted by s radians at a height h above the floor meets it at h / s metres in the
+direction of the tilt. All its readings there lie on a straight line across that direction, as if a
+wall stood there. Where the plane of the laser is a cone they lie on a circle. Nothing is seen
+beyond the floor, as something is behind the end of a wall, or through a door. A closed room looks
+alike, so that the map has to tell: see :func:`imgloc.pipeline.find_adapted_modes`.
+"""
+
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from imgloc.model import FAR, BoolArray, Evidence, FloatArray, Floor, LaserScan
+from imgloc.numbers import number
+
+_LEAST = number("floor.least")  # share of the valid readings that is worth looking at
+_BEYOND = number("floor.beyond")  # share of the readings on the floor that may be beyond it
+_NEAREST = number("floor.nearest")  # metres: what is nearer is no floor
+_WIDTH = number("floor.width")  # metres from the line at most: floors are not even
+_TURNS = number("floor.turns")  # directions that are tried
+_BINS = 512  # of distances; what is farther is in the last one
+
+
+def left_out(scan: LaserScan, floor: Floor | None) -> LaserScan:
+    """The scan without its readings on a floor."""
+    if floor is None:
+        return scan
+    return replace(scan, ranges=np.where(_on(scan, floor), np.nan, scan.ranges))
+
+
+def as_located(scan: LaserScan, evidence: Evidence) -> LaserScan:
+    """The readings with which a scan was located: without a floor, and scaled."""
+    return left_out(scan, evidence.floor).scaled(evidence.scale)
+
+
+def _on(scan: LaserScan, floor: Floor) -> BoolArray:
+    """Which readings (N,) of a scan end on a floor."""
+    is_circle = math.isnan(floor.direction)
+    depth = scan.ranges * (1 if is_circle else np.cos(scan.angles - floor.direction))
+    return np.asarray(scan.valid & (np.abs(depth - floor.distance) < _WIDTH))
+
+
+def floors(scan: LaserScan) -> list[Floor]:
+    """Find what may be the floor in a scan: at most a line and a circle.
+
+    A Hough transform counts the readings on each line, and those beyond it.
+
+    Parameters
+    ----------
+    scan : LaserScan
+        A ray without a return counts as a reading at `range_max`.
+
+    Returns
+    -------
+    list of Floor
+        Those with a tenth of the valid readings, at 2 m or farther, and hardly any beyond.
+
+    Examples
+    --------
+    A room of 12 m by 8 m, and the floor 3 m ahead:
+
+    >>> angles = np.deg2rad(np.arange(-180.0, 180.0))
+    >>> c, s = np.cos(angles), np.sin(angles)
+    >>> room = np.minimum(6 / np.maximum(abs(c), 1e-9), 4 / np.maximum(abs(s), 1e-9))
+    >>> floor = np.where(c > 0.1, 3 / np.maximum(c, 0.1), np.inf)
+    >>> found = floors(LaserScan(np.minimum(room, floor), angles, range_max=20.0))[0]
+    >>> round(found.distance, 2), abs(round(found.direction, 2)), round(found.share, 2)
+    (3.0, 0.0, 0.3)
+    """
+    seen, angles = scan.valid, scan.angles
+    if not seen.any():
+        return []
+    beyond = np.where(scan.no_return, min(scan.range_max, FAR), 0.0)
+    reach = np.where(seen, scan.ranges, beyond)
+    turns = np.arange(_TURNS) * (2 * np.pi / _TURNS)
+    found = []
+    line = _last_shared(np.cos(angles - turns[:, None]) * reach, seen)
+    if line is not None:
+        floor = Floor(line[1], float(turns[line[0]]), 0.0)
+        for _ in range(2):  # the true direction is between two of those that are tried
+            on = _on(scan, floor)
+            floor = Floor(*_line_through(reach[on], angles[on]), 0.0)
+        found.append(floor)
+    circle = _last_shared(reach[None], seen)
+    if circle is not None:
+        floor = Floor(circle[1], math.nan, 0.0)
+        found.append(replace(floor, distance=float(np.median(reach[_on(scan, floor)]))))
+    return [replace(one, share=float(_on(scan, one)[seen].mean())) for one in found]
+
+
+def _line_through(ranges: FloatArray, angles: FloatArray) -> tuple[float, float]:
+    """Distance, metres, and direction, radians, of the line through readings."""
+    xy = np.stack((ranges * np.cos(angles), ranges * np.sin(angles)), axis=1).astype(np.float32)
+    u, v, x, y = cv2.fitLine(xy, cv2.DIST_HUBER, 0, 0.01, 0.001).ravel().tolist()
+    distance = x * v - y * u
+    return abs(distance), math.atan2(-u, v) if distance > 0 else math.atan2(u, -v)
+
+
+def _last_shared(depth: FloatArray, seen: BoolArray) -> tuple[int, float] | None:
+    """Row and value of `depth` (K, N), metres, that most readings share, hardly any being beyond.
+
+    `seen` (N,) are the readings; the others are rays without one.
+    """
+    bins = np.clip(np.ceil(depth / _WIDTH), 0, _BINS - 1).astype(np.intp)
+    bins += _BINS * np.arange(len(depth))[:, None]
+    every, mine = (
+        np.bincount(some.ravel(), minlength=len(depth) * _BINS).reshape(-1, _BINS)
+        for some in (bins, bins[:, seen])
+    )
+    on = mine[:, :-3] + mine[:, 1:-2]
+    beyond = np.cumsum(every[:, :2:-1], axis=1)[:, ::-1]
+    worth = (on >= _LEAST * np.count_nonzero(seen)) & (beyond <= _BEYOND * on)
+    worth[:, : math.ceil(_NEAREST / _WIDTH)] = False
+    row, column = np.unravel_index(int(np.argmax(worth * on)), on.shape)
+    return (int(row), float(column * _WIDTH)) if worth[row, column] else None
