@@ -42,7 +42,6 @@ from imgloc.search.weigh import nothing, weigh
 
 _LAST = number("pipeline.last")  # proposals that get the second look when time is up
 _ROUNDS = number("pipeline.rounds")  # searches again with an error that the readings share
-_FLOOR = number("floor.gain")  # nats per reading by which a scan must fit better without the floor
 _FIRST_LOOK, _SECOND_LOOK = number("refine.first_look"), number("refine.second_look")
 
 
@@ -292,8 +291,8 @@ def look(
 def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options) -> Modes:
     """Search for all poses that fit a scan, and allow for errors that many readings share.
 
-    If nothing fits well, the search is repeated without the readings that may end on the floor. If
-    nothing fits well then, and the readings fit far better with another scale or with thinner
+    If nothing fits well, the search is repeated without the readings that may end on the floor,
+    which are left out if the others fit well. If nothing fits well then, and the readings fit far better with another scale or with thinner
     walls, it is repeated with that error.
 
     Parameters
@@ -324,15 +323,15 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
     def lacks(found: Modes) -> float:
         return options.model.best - found.mean_score
 
-    fused, found = options.fused, find(options.shared, None)
-    if lacks(found) > fused.unfit + options.shared.usual and found.complete and len(found.poses):
+    fused, usual, found = options.fused, options.shared.usual, find(options.shared, None)
+    if lacks(found) > fused.unfit + usual and found.complete and len(found.poses):
         for floor in floors(scan):
             if left_out(scan, floor).directions < options.trust.readings:
                 continue
             again = find(options.shared, floor)
             if not again.complete:
                 return replace(found, complete=False)
-            if lacks(again) < lacks(found) - _FLOOR:
+            if lacks(again) <= fused.strained + usual and lacks(again) < lacks(found):
                 found = again
     for _ in range(_ROUNDS):
         if lacks(found) <= fused.strained or not (found.complete and len(found.poses)):
