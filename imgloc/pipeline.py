@@ -291,9 +291,9 @@ def look(
 def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options) -> Modes:
     """Search for all poses that fit a scan, and allow for errors that many readings share.
 
-    If nothing fits well, the search is repeated without the readings that may end on the floor,
-    which are left out if the others fit well. If nothing fits well then, and the readings fit far better with another scale or with thinner
-    walls, it is repeated with that error.
+    If nothing fits well, the search is repeated without the readings that may end on the floor.
+    They are left out if the others fit well. If nothing fits well then, and the readings fit far
+    better with another scale or with thinner walls, the search is repeated with that error.
 
     Parameters
     ----------
