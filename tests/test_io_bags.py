@@ -187,6 +187,34 @@ def test_odometry_may_be_in_the_transforms_or_nowhere_near(tmp_path: Path) -> No
     assert scans[0].T_base_laser is None
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1e308])
+def test_odometry_that_cannot_be_is_left_out(
+    tmp_path: Path, value: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    m, content = messages_of(False), list[tuple[str, str, object]]()
+    for k in range(9):
+        x = value if k == 4 else 0.1 * k
+        content.append(("/odom", ODOM, m.odometry(10.0 + 0.25 * k, x, 0.0)))
+        content.append(("/scan", SCAN, m.scan(10.05 + 0.25 * k)))
+    scans = load_scans(write(tmp_path / "a", "db3", content))
+    assert scans.odom is not None
+    assert np.allclose(scans.odom[:8, 0], 0.02 + 0.1 * np.arange(8))  # on the line between
+    assert "left out 1 of 9 poses of the odometry" in caplog.text
+
+
+@pytest.mark.parametrize(("kind", "saves"), [("bag", "rosbag reindex"), ("mcap", "mcap recover")])
+def test_a_bag_that_was_cut_off_is_told_what_may_save_it(
+    tmp_path: Path, kind: str, saves: str
+) -> None:
+    path = write(tmp_path / ("a.bag" if kind == "bag" else "a"), kind, robot(kind))
+    file = path if kind == "bag" else next(path.glob("*.mcap"))
+    file.write_bytes(file.read_bytes()[:-300])
+    run = call("localize", MAPS / "curved.yaml", file)
+    assert (run.code, run.out) == (4, "")
+    assert "damaged or not a bag" in run.err
+    assert f"; {saves} may save what is in it" in run.err
+
+
 def test_of_several_topics_one_is_named(tmp_path: Path) -> None:
     m = messages_of(False)
     front, rear = ("/front", SCAN, m.scan(1.0)), ("/rear", SCAN, m.scan(2.0))

@@ -552,3 +552,24 @@ def test_other_numbers_make_other_rows(monkeypatch: pytest.MonkeyPatch) -> None:
     changed = replace(numbers.NUMBERS["Trust.mass"], value=0.95)
     monkeypatch.setitem(numbers.NUMBERS, "Trust.mass", changed)
     assert make_job("check").digest != before
+
+
+def test_two_files_that_are_shown_by_one_name_are_refused(tmp_path: Path) -> None:
+    """A letter that cannot be printed, and the letters that stand for it."""
+    folder, maps = tmp_path / "scans", tmp_path / "maps"
+    folder.mkdir()
+    maps.mkdir()
+    grid = room_with_a_post()
+    save_map(maps / "a.yaml", grid)
+    for name in ("r\x1bd.npz", "r\\x1bd.npz"):
+        save_scans(folder / name, simulate(grid, 1, 1, Sensor(rays=30)))
+    expected = "2 files are shown by this name"
+    run = call("batch", maps, folder, "--out", tmp_path / "out", "--dry-run")
+    assert (run.code, expected in run.err) == (2, True), run.err
+    pairs = "map,scans\nmaps/a.yaml,scans/r\x1bd.npz\nmaps/a.yaml,scans/r\\x1bd.npz\n"
+    (tmp_path / "pairs.csv").write_text(pairs)
+    run = call("batch", tmp_path / "pairs.csv", "--out", tmp_path / "out", "--dry-run")
+    assert (run.code, expected in run.err) == (2, True), run.err
+    (tmp_path / "pairs.csv").write_text("map,scans\n" + 2 * "maps/a.yaml,scans/r\x1bd.npz\n")
+    run = call("batch", tmp_path / "pairs.csv", "--out", tmp_path / "out", "--dry-run")
+    assert (run.code, "1 items" in run.out) == (0, True)  # the same pair twice is one

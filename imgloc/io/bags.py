@@ -37,6 +37,8 @@ _CLOUD, _GRID = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/OccupancyGrid"
 BAG_ENDINGS = (".bag", ".mcap", ".db3")
 _TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _SHOWN = 8  # topics in a message
+_FAR = 1e9  # metres that a robot is from where its odometry began
+_SAVES = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "sqlite3 FILE .recover"}
 _TILTED = math.cos(math.radians(5))
 _HINTS = {
     "sensor_msgs/msg/MultiEchoLaserScan": "ros2 run laser_proc laser_proc_node makes scans of them",
@@ -106,7 +108,16 @@ def read_bag(path: PathLike, *, topic: str | None = None, height: Height | None 
     if not moves and transforms:
         base = transforms[0][2]
         moves = [(at, *planar(pose)) for at, _, child, pose in transforms if child == base]
-    return _assemble(entries, moves, mounting_of(frames, laser, base), name)
+    return _assemble(entries, _finite(moves, name), mounting_of(frames, laser, base), name)
+
+
+def _finite(moves: Sequence[tuple[float, ...]], name: str) -> list[tuple[float, ...]]:
+    """The poses of the odometry that can be; a warning counts the others."""
+    kept = [move for move in moves if all(abs(value) < _FAR for value in move[1:])]
+    if left := len(moves) - len(kept):
+        text = "%s: left out %d of %d poses of the odometry, which are not finite, or beyond %g m"
+        _LOG.warning(text, name, left, len(moves), _FAR)
+    return kept
 
 
 def _entry(
@@ -207,7 +218,8 @@ def _opened(path: PathLike, name: str) -> Iterator[Any]:
         raise
     except Exception as e:  # of rosbags, of SQLite, of what unpacks them; lengths that are wrong
         why = "a length that no memory holds" if isinstance(e, MemoryError) else reason(e)
-        raise ScanError(f"{name}: damaged or not a bag ({why}); record it again") from None
+        hint = f"{_SAVES.get(parts[0].suffix, 'ros2 bag reindex')} may save what is in it"
+        raise ScanError(f"{name}: damaged or not a bag ({why}); record it again; {hint}") from None
 
 
 def _files(file: Path, name: str) -> tuple[Path, list[Path]]:

@@ -17,6 +17,7 @@ import logging
 import os
 import queue
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Executor, Future
 from dataclasses import dataclass, field, replace
@@ -474,6 +475,8 @@ def find_items(
         raise ConfigError(f"the job {job.name} needs scans: a file, or a folder of them")
     named_maps = list(_maps_in(maps, job, out))
     named_scans = [(None, None)] if scans is None else list(_scans_in(Path(scans), out))
+    for named in (named_maps, named_scans):
+        _check_names([name for name, _ in named])
     if job.all_maps:
         name = display(maps.resolve().name)
         return [Item(name, s, tuple(named_maps), path) for s, path in named_scans]
@@ -482,6 +485,16 @@ def find_items(
         for name, path in named_maps
         for s, scan_path in named_scans
     ]
+
+
+def _check_names(names: Sequence[str | None]) -> None:
+    """Refuse two files that are shown by one name, which rows and `resume` would not tell apart."""
+    for name, count in Counter(names).items():
+        if count > 1:
+            raise ConfigError(
+                f"{name}: {count} files are shown by this name, as it stands for letters that "
+                "cannot be printed; expected other names"
+            )
 
 
 def _maps_in(maps: Path, job: Job, out: PathLike | None) -> Iterator[tuple[str, Path]]:
@@ -532,7 +545,8 @@ def _pairs(path: Path, job: Job) -> list[Item]:
         at, taken = where / map_name, None if scans is None else where / scans
         item = Item(display(map_name), None if scans is None else display(scans),
                     ((display(map_name), at),), taken)  # fmt: skip
-        items[item.id] = item
+        if items.setdefault(item.id, item) != item:
+            _check_names([item.map if scans is None else item.scans] * 2)
     if not items:
         raise ConfigError(f"{name}: no pair, expected a line for each")
     return sorted(items.values(), key=lambda item: (item.map, item.scans or ""))
