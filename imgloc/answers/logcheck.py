@@ -106,12 +106,7 @@ def check_log(scans: ScanSet, notes: Sequence[Finding] = ()) -> LogReport:
     times = _about_stamps(scans)
     facts |= {"stamps": times}
     if times and times["back"]:
-        _add(
-            findings,
-            "order",
-            _back_words(times["back"]),
-            fatal=False,
-        )
+        _add(findings, "order", _back_words(times["back"]), fatal=False)
     path = scans.odom if scans.odom is not None else scans.poses
     known = np.zeros(0, bool) if path is None else np.isfinite(path).all(axis=1)
     poses = "odometry" if scans.poses_are_odometry else scans.poses is not None

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from imgloc.choice.choose import names_of
 from imgloc.cli.console import LOG, progress
 from imgloc.cli.options import Kept, MapImages
 from imgloc.doors import behind
@@ -19,6 +20,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.cache import cache_folder, cache_limit
 from imgloc.io.calibration import calibration_path, load_calibrations
 from imgloc.io.files import display, is_folder, refuse_existing
+from imgloc.io.folders import find_maps
 from imgloc.io.maps import YAML_ENDINGS
 from imgloc.io.mapyaml import load_map_yaml
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D
@@ -45,6 +47,12 @@ def map_files(reading: MapImages, *, many: bool = False) -> MapFiles:
     given: Any = dict(reading)
     lossy = given.pop("allow_lossy", False)
     return MapFiles(given, lossy, many)
+
+
+def maps_in(folder: Path, reading: MapImages) -> dict[str, Path]:
+    """The maps of a folder tree by their names; with a resolution images without a YAML, too."""
+    found = find_maps(folder, images=reading.get("resolution") is not None)
+    return dict(zip(names_of(found, folder), found, strict=True))
 
 
 def as_recorded(

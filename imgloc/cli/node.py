@@ -90,16 +90,13 @@ def node(
     makers: dict[str, Any] = {}
     prepared: Any = None
     if map_path is not None:
-        from imgloc.choice.choose import names_of
         from imgloc.cli import inputs
         from imgloc.io.files import is_folder
-        from imgloc.io.folders import find_maps
 
         folder, many = inputs.kept_in(kept), is_folder(map_path)
         paths, maps = {map_path.stem: map_path}, inputs.map_files(reading, many=many)
         if many:
-            found = find_maps(map_path, images=reading.get("resolution") is not None)
-            paths = dict(zip(names_of(found, map_path), found, strict=True))
+            paths = inputs.maps_in(map_path, reading)
         else:  # what is wrong with one map is said at once
             inputs.desk_of(**vars(taken)).grid(map_path, maps, usable=True)
         makers, prepared = inputs.site_makers(paths, maps, options, folder)

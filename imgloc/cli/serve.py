@@ -16,7 +16,7 @@ from imgloc.cli.command import Without
 from imgloc.cli.console import INTERRUPTED, LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_folder
-from imgloc.options import Bytes, Logs, Options, Reading
+from imgloc.options import Bytes, Logs, Options
 from imgloc.ranges import Option, Within, option
 from imgloc.texts import byte_count
 
@@ -146,20 +146,18 @@ def _core(
     return core, {name: bundled.get(path, display(path)) for name, path in paths.items()}
 
 
-def _named(given: Sequence[Path], reading: Reading) -> dict[str, Path]:
+def _named(given: Sequence[Path], reading: opt.MapImages) -> dict[str, Path]:
     """Files of maps by the names that clients call them, in the order given."""
-    from imgloc.choice.choose import names_of
-    from imgloc.io.folders import find_maps
+    from imgloc.cli import inputs
 
     out: dict[str, Path] = {}
     for path in given:
         if is_folder(path):
-            files = find_maps(path, images=reading.get("resolution") is not None)
-            named = list(zip(names_of(files, path), files, strict=True))
+            named = inputs.maps_in(path, reading)
         else:
             file = opt.find_map(path)
-            named = [(file.stem, file)]
-        for name, file in named:
+            named = {file.stem: file}
+        for name, file in named.items():
             plain = re.sub(r"[^A-Za-z0-9._ -]+", "-", name).strip("-_. ")[:90] or "map"
             some = (plain if k == 1 else f"{plain}-{k}" for k in range(1, len(out) + 2))
             out[next(one for one in some if one not in out)] = file

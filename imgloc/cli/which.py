@@ -62,9 +62,7 @@ def which(
     named only if the scan has a unique place in it. A scan with too few readings is invalid. A map
     that cannot be used is reported and left out; the exit code is then 5.
     """
-    from imgloc.choice.choose import names_of
     from imgloc.cli import inputs
-    from imgloc.io.folders import find_maps
     from imgloc.model import to_json
     from imgloc.output.pictures import draw
     from imgloc.output.tables import CHOICE_HEADER, choice_line
@@ -74,8 +72,7 @@ def which(
     _check(scans_path, maps_index, build=build)
     if maps_index is not None:
         inputs.check_target(maps_index, ".npz", force=True)  # nothing is replaced but an index
-    paths = find_maps(maps_dir, images=reading.get("resolution") is not None)
-    files = tuple(zip(names_of(paths, maps_dir), paths, strict=True))
+    maps = inputs.maps_in(maps_dir, reading)
     job = Which(
         maps=inputs.map_files(reading, many=True),
         scans=inputs.as_recorded(logs, mounting=mounting),
@@ -86,9 +83,10 @@ def which(
     desk = inputs.desk_of(**vars(taken), cache=folder)
     asked = None if scans_path is None else desk.scans(scans_path, job.scans)
     numbers = [] if asked is None else asked.indices
-    read = [file for path in paths for file in inputs.files_of(path)]
+    read = [file for path in maps.values() for file in inputs.files_of(path)]
     targets = inputs.targets(picture, ".png", numbers, force=force, inputs=read)
-    found = job.look(Item(display(maps_dir), None, files, scans_path), desk, asked, file=maps_index)
+    item = Item(display(maps_dir), None, tuple(maps.items()), scans_path)
+    found = job.look(item, desk, asked, file=maps_index)
     if build:
         say(f"{display(maps_index or maps_dir)}: {len(found.index.names):,} maps")
     answers = list[Named]()

@@ -221,15 +221,9 @@ def misfit_at(features: MapFeatures, view: View, poses: FloatArray, options: Opt
     return options.model.best - float(scores.log_likelihood.max()) / len(view.readings)
 
 
-def misfit_near(
-    features: MapFeatures,
-    view: View,
-    poses: FloatArray,
-    options: Options,
-    covariance: FloatArray | None = None,
-) -> float:
+def misfit_near(features: MapFeatures, view: View, poses: FloatArray, options: Options) -> float:
     """Least misfit of poses (C, 3) of the robot after refinement, nats per reading."""
-    return misfit_at(features, view, settled(features, view, poses, covariance), options)
+    return misfit_at(features, view, settled(features, view, poses), options)
 
 
 def stretched(

@@ -156,7 +156,7 @@ def bag_size(
     return ScansSize(count, 2 * count * readings, beside)
 
 
-def read_bag_map(path: PathLike, *, topic: str | None = None) -> OccupancyGrid:
+def read_bag_map(path: PathLike) -> OccupancyGrid:
     """The last nav_msgs/OccupancyGrid of a bag: on ``/map``, or the only such topic.
 
     MapError if there is none, or it is damaged.
@@ -164,14 +164,9 @@ def read_bag_map(path: PathLike, *, topic: str | None = None) -> OccupancyGrid:
     name = display(path)
     try:
         with _opened(path, name) as bag:
-            topics = _by_type(bag, _GRID)
-            wanted = topic or (
-                "/map" if "/map" in topics or len(topics) != 1 else next(iter(topics))
-            )
-            found, last = (
-                [c for c in bag.connections if c.topic == wanted and wanted in topics],
-                None,
-            )
+            topics, last = _by_type(bag, _GRID), None
+            wanted = "/map" if "/map" in topics or len(topics) != 1 else next(iter(topics))
+            found = [c for c in bag.connections if c.topic == wanted and wanted in topics]
             for connection, _, data in messages_of(bag, found) if found else ():
                 last = connection, data
             if last is None:

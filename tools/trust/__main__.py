@@ -35,7 +35,7 @@ import cv2
 import numpy as np
 
 from imgloc import ConfigError, MapFeatures, Options, ScanSet, Sensor, Trust, load_map, prepare
-from imgloc.choice.choose import names_of
+from imgloc.cli.inputs import maps_in
 from imgloc.io.files import refuse_existing, write_bytes_atomic, write_text_atomic
 from imgloc.io.folders import find_maps
 from imgloc.io.images import encode_png
@@ -398,11 +398,7 @@ def run_which(given: argparse.Namespace) -> int:
     of all maps, and again with its own map left out, when `none` or `undecided` are the answers to
     give. Maps of one building, named with --same, count as one. Prints a JSON object.
     """
-    maps = {
-        name: path
-        for folder in given.folders
-        for path, name in zip(find_maps(folder), names_of(find_maps(folder), folder), strict=True)
-    }
+    maps = {name: path for folder in given.folders for name, path in maps_in(folder, {}).items()}
     buildings = buildings_of(given)
     asked = scans_of(maps, given.n, given.seed, given.range_max)
     cv2.setNumThreads(cores := os.cpu_count() or 1)

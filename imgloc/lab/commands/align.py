@@ -86,10 +86,7 @@ def align(
     if (move is None) != (out is None):
         raise ConfigError("--move, --out: expected both: poses of B, and the file for those of A")
     poses = None if move is None else read_poses(move)
-    desk, maps = (
-        inputs.desk_of(**vars(taken)),
-        inputs.map_files(reading, many=True),
-    )
+    desk, maps = inputs.desk_of(**vars(taken)), inputs.map_files(reading, many=True)
     grids = [desk.grid(path, maps, usable=True) for path in (a_path, b_path)]
     by_scans = None
     if scans is not None:
