@@ -6,7 +6,6 @@ The rows are written here, as a batch would: many, of every kind, without the ti
 import csv
 import itertools
 import json
-import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -20,7 +19,6 @@ PNG = bytes.fromhex(
     "89504e470d0a1a0a0000000d49484452000000010000000108060000001f15c4890000000d49444154"
     "789c63f8cfc0f01f00050001ff56c72f0d0000000049454e44ae426082"
 )
-CHROMIUM = shutil.which("chromium")
 
 
 def answer(k: int, verdict: str = "unique", error: float | None = None, **more):
@@ -177,17 +175,6 @@ def test_parquet_has_the_values_of_the_csv(folder: Path) -> None:
     assert table.column("x").to_pylist()[3] == 4.0
     assert table.column("hit").to_pylist()[248] is None
     assert table.column("code").to_pylist()[249] == "9"
-
-
-@pytest.fixture(scope="module")
-def browser():
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    if CHROMIUM is None:
-        pytest.skip("chromium is not installed")
-    with playwright.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
-        browser.close()
 
 
 @pytest.mark.parametrize("width", [390, 1280])

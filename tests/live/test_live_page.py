@@ -29,8 +29,7 @@ from imgloc.simulation.worlds import WORLDS, render
 pytest.importorskip("starlette", reason="starlette is not installed")
 sync = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 uvicorn = pytest.importorskip("uvicorn", reason="uvicorn is not installed")
-CHROMIUM = shutil.which("chromium")
-if CHROMIUM is None:
+if shutil.which("chromium") is None:
     pytest.skip("chromium is not installed", allow_module_level=True)
 
 ANGLES = np.deg2rad(np.arange(-180, 180, 3.0))
@@ -58,14 +57,6 @@ def service() -> Iterator[str]:
     """The address of `imgloc serve`."""
     with served(MAPS / "visibility.yaml") as one:
         yield one.address
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with sync.sync_playwright() as p:
-        browser = p.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        yield browser
-        browser.close()
 
 
 @contextlib.contextmanager
