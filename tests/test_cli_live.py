@@ -198,3 +198,30 @@ def test_stamps_that_run_backwards_end_it(lines: list[str]) -> None:
     assert run.returncode == 4
     assert len(rows(out)) == 1
     assert "standard input: stamps[1]: 100.00 after 101.00" in said
+
+
+@pytest.mark.parametrize("broken", ["garbage", "{", '{"ranges": []}', '{"odom": [NaN, 0, 0]}'])
+def test_a_broken_line_of_a_stream_is_left_out_if_few_may_be(lines: list[str], broken: str) -> None:
+    text = [*lines[:4], broken + "\n", *lines[4:]]
+    run = started("-", "--json", "--max-bad", "0.2")
+    out, said = run.communicate("".join(text))
+    assert run.returncode == 0, said
+    assert "standard input: line 5: " in said
+    assert "the line is left out" in said
+    run = started("-", "--json")
+    whole, _ = run.communicate("".join(lines))
+    assert out == whole  # as if it had not been there
+    run = started("-", "--json")
+    out, said = run.communicate("".join(text))
+    assert (run.returncode, len(rows(out))) == (4, 4)
+    run = started("-", "--json", "--max-bad", "0.2")
+    out, said = run.communicate("".join([*lines[:4], (broken + "\n") * 2, *lines[4:]]))
+    assert (run.returncode, len(rows(out))) == (4, 4)  # two of six are too many
+    assert "line 6: " in said
+
+
+def test_a_first_stamp_that_cannot_be_is_named(lines: list[str]) -> None:
+    run = started("-", "--json")
+    out, said = run.communicate(json.dumps(json.loads(lines[0]) | {"stamp": 1e300}) + "\n")
+    assert (run.returncode, out) == (4, "")
+    assert "standard input: stamps[0]: got 1e+300, expected seconds" in said

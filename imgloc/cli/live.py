@@ -91,7 +91,8 @@ def live_of(
         return None
 
     name = inputs.name_of(log)
-    return Live(stream.scans_of(lines, name, topic=logs.topic, fov=logs.fov), prepared)
+    read = stream.scans_of(lines, name, topic=logs.topic, fov=logs.fov, max_bad=logs.max_bad)
+    return Live(read, prepared)
 
 
 def _growing(log: Path) -> Iterator[bytes]:

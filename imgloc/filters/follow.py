@@ -304,10 +304,10 @@ class Follower:
         k, odom = self._count, np.asarray(odom, dtype=np.float64)
         stamp = scan.stamp if stamp is None else stamp
         step = np.zeros(3)
+        _check_order(self.name, k, np.nan if self._odom is None else self._stamp, stamp)
         if self._odom is None:
             self._said = self._stamp = stamp
         else:
-            _check_order(self.name, k, self._stamp, stamp)
             with np.errstate(over="ignore", invalid="ignore"):
                 step = increments(np.stack((self._odom, odom)))[0]
             _check_way(self.name, k, float(np.hypot(*step[:2])))

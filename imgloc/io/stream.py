@@ -1,6 +1,7 @@
 """Scans that are still being recorded: lines from a pipe, or from a file that grows."""
 
 import io
+import logging
 import os
 import re
 import stat
@@ -15,6 +16,7 @@ from imgloc.io.files import display, is_there, open_regular, reason
 from imgloc.io.scanset import ScanSet
 from imgloc.io.textscans import MAX_LINE, read_jsonl_line
 
+_LOG = logging.getLogger("imgloc")
 _JSON = re.compile(rb"(?:\xef\xbb\xbf)?\s*\{")
 _CARMEN = re.compile(
     rb"(?:\s*#[^\n]*\n)*\s*"
@@ -44,14 +46,16 @@ def comes_in_lines(stream: BinaryIO) -> bool:
 
 
 def scans_of(
-    lines: Iterator[bytes], name: str, *, topic: str | None = None, fov: float | None = None
-) -> Iterator[tuple[float, ScanSet]]:
+    lines: Iterator[bytes], name: str, *, topic: str | None = None, fov: float | None = None,
+    max_bad: float = 0.0,
+) -> Iterator[tuple[float, ScanSet]]:  # fmt: skip
     """Each scan of JSON lines or a CARMEN log, as soon as its line is there, and when that was.
 
     Times are those of :func:`time.perf_counter`. Lines are those of
     :func:`~imgloc.io.textscans.read_jsonl` or, as the first one tells, of
     :class:`~imgloc.io.carmen.CarmenLines`; blank ones are left out, as is a last one that ends in
-    the middle. Any other line is a ScanError that says its number.
+    the middle. Any other line is broken: it is left out with a warning, or a ScanError that says
+    its number if more than a share of the lines so far are.
 
     Parameters
     ----------
@@ -60,28 +64,40 @@ def scans_of(
         What error messages call the source.
     topic, fov : str, float
         As of :func:`~imgloc.io.carmen.read_carmen`.
+    max_bad : float
+        Share of the lines so far, 0 to 1, that may be broken.
     """
     take: Callable[[str, str], ScanSet | None] | None = None
+    bad = 0
     for number, line in enumerate(lines, 1):
         now, where = time.perf_counter(), f"{name}: line {number}"
-        if len(line) > MAX_LINE:
-            raise ScanError(f"{where}: expected at most {MAX_LINE:,} characters for a scan")
         try:
-            text = line.decode("utf-8-sig" if number == 1 else "utf-8").strip()
-        except UnicodeDecodeError as e:
-            raise ScanError(f"{where}: byte {e.start} is not UTF-8 text") from None
-        if not text:
-            continue
-        if take is None:
-            take = _reader_of(text, name, topic, fov)
-        try:
+            text = _text_of(line, where, first=number == 1)
+            if not text:
+                continue
+            if take is None:
+                take = _reader_of(text, name, topic, fov)
             scan = take(text, where)
-        except ScanError:
-            if not line.endswith(b"\n"):
+        except ScanError as error:
+            if take is not None and not line.endswith(b"\n") and len(line) <= MAX_LINE:
                 return
-            raise
+            bad += 1
+            if take is None or bad > max_bad * number:
+                raise
+            _LOG.warning("%s; the line is left out", error)
+            continue
         if scan is not None:
             yield now, scan
+
+
+def _text_of(line: bytes, where: str, *, first: bool) -> str:
+    """The text of a line; a ScanError if it is too long, or none."""
+    if len(line) > MAX_LINE:
+        raise ScanError(f"{where}: expected at most {MAX_LINE:,} characters for a scan")
+    try:
+        return line.decode("utf-8-sig" if first else "utf-8").strip()
+    except UnicodeDecodeError as e:
+        raise ScanError(f"{where}: byte {e.start} is not UTF-8 text") from None
 
 
 def _reader_of(

@@ -83,7 +83,10 @@ class Recording:
         # A log without stamps is one with a scan a second.
         seconds = moment.stamp if math.isfinite(moment.stamp) else float(moment.index)
         if not 0 <= seconds <= _LATEST:
-            raise OutputError(f"MCAP: the stamp {seconds:.6g} s, expected 0 to {_LATEST:,} s")
+            hint = "are these milliseconds or nanoseconds?" if seconds > 0 else "add an offset"
+            raise OutputError(
+                f"MCAP: the stamp {seconds:.6g} s, expected 0 to {_LATEST:,} s; {hint}"
+            )
         at = made.Timestamp.from_epoch_secs(seconds)
         now = {"log_time": at.sec * 10**9 + at.nsec}
         if not self._began:
