@@ -197,7 +197,7 @@ def find_modes(
     options : Options
         Prior, limits and time budget of the search.
     more : (M, 3) float array, optional
-        Further proposals, grid frame: metres, metres, radians.
+        Proposals in place of those of votes, grid frame: metres, metres, radians.
 
     Returns
     -------
@@ -232,7 +232,7 @@ def find_modes_by_steps(
 
     # If none of them fits, pairs of oriented points vote for others.
     unfit = not len(looked) or score[0] < (options.model.best - fused.unfit) * len(few)
-    if unfit and time.monotonic() < end:
+    if unfit and more is None and time.monotonic() < end:
         votes = propose_votes(features, scan, fused, prior, threads)
         yield
         looked, _ = look(features, votes, few, options, before=looked)
@@ -312,13 +312,13 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
     """
     start = time.monotonic()
 
-    def find(shared: Shared, floor: Floor | None) -> Modes:
+    def find(shared: Shared, floor: Floor | None, more: FloatArray | None = None) -> Modes:
         left = options
         if options.time_budget is not None:
             rest = max(0.0, start + options.time_budget - time.monotonic())
             left = replace(options, time_budget=rest)
         there, seen = features.thinner(shared.thinner), left_out(scan, floor).scaled(shared.scale)
-        return replace(find_modes(there, seen, left), shared=shared, floor=floor)
+        return replace(find_modes(there, seen, left, more=more), shared=shared, floor=floor)
 
     def lacks(found: Modes) -> float:
         return options.model.best - found.mean_score
@@ -340,7 +340,8 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
         shared = adapt(features, found.readings, places, found.shared, options)
         if shared == found.shared:
             break
-        again = find(shared, found.floor)
+        # What votes found for the same readings is among the places.
+        again = find(shared, found.floor, places if shared.scale == found.shared.scale else None)
         if not again.complete:
             return replace(found, complete=False)
         if again.mean_score <= found.mean_score:

@@ -204,8 +204,8 @@ def test_time_is_that_of_all_searches(monkeypatch):
     monkeypatch.setattr("imgloc.pipeline.time.monotonic", lambda: now[0])
     found = pipeline.find_modes
 
-    def slow(*given):
-        out = found(*given)
+    def slow(*given, **how):
+        out = found(*given, **how)
         now[0] += 6.0
         return out
 
@@ -215,6 +215,25 @@ def test_time_is_that_of_all_searches(monkeypatch):
     answer = localize(features(), scan, Options(time_budget=5.0))  # gone before the second
     assert (answer.complete, answer.evidence.scale) == (False, 1.0)
     assert answer.verdict != "unique"
+
+
+def test_a_search_with_thinner_walls_votes_no_more(monkeypatch):
+    scan, asked = world()[1].scans[0], []
+    found = pipeline.find_modes
+
+    def listened(there, scan, options, *, more):
+        asked.append((there.grid.occupied.sum(), more is None))
+        return found(there, scan, options, more=more)
+
+    monkeypatch.setattr(pipeline, "find_modes", listened)
+    answer = localize(thick_features(), scan)
+    assert answer.evidence.thinner > 0
+    walls, voted = zip(*asked, strict=True)
+    assert walls[0] > walls[1]
+    assert voted[:2] == (True, False)
+    asked.clear()
+    assert localize(features(), scan.scaled(0.95)).evidence.scale != 1
+    assert [again[1] for again in asked] == [True] * len(asked)
 
 
 def test_explanations_and_words_allow_for_it():
