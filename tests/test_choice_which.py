@@ -414,3 +414,19 @@ def test_a_bound_is_that_of_the_scale_that_is_known(tmp_path: Path) -> None:
     for damaged in ("[]", "{}", '{"shared": {"scale": "wide"}}', '{"shared": 5}', "[" * 9999):
         said.write_text(damaged)
         assert bounds_of(index, files, scan, choosing.OPTIONS)["post"] == unknown
+
+
+def test_maps_of_which_one_is_damaged_are_at_fault_whatever_the_others_are(site: Path) -> None:
+    folder = site / "unfit"
+    folder.mkdir()
+    (folder / "a.yaml").write_text("image: gone.png\nresolution: 0.1\norigin: [0, 0, 0]\n")
+    shutil.copy(MAPS / "large.yaml", folder)
+    shutil.copy(MAPS / "large.png", folder)
+    scans = next(site.glob("*.npz"))
+    run = call("which", folder, scans, "--memory-budget", "3M", "--no-cache")
+    assert "none of its 2 maps can be used" in run.err, run.err
+    assert run.code == 3
+    (folder / "a.yaml").unlink()
+    run = call("which", folder, scans, "--memory-budget", "3M", "--no-cache")
+    assert "none of its 1 maps can be used" in run.err, run.err
+    assert run.code == 2  # too little memory is no fault of the map

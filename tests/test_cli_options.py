@@ -335,6 +335,7 @@ def test_opencv_is_not_asked_to_read_a_mask(tmp_path: Path, scans: Path) -> None
     mask = np.full((140, 200, 3), 255, np.uint8)
     mask[..., 2] = 0  # coloured is not white
     mask[:70] = 255
+    mask[70:80] = 110  # nor is what is rather dark than light
     ok, png = cv2.imencode(".png", mask)
     assert ok
     (tmp_path / "colour.png").write_bytes(png.tobytes())

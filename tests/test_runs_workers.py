@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from command import ROOT
-from killers import die, double, fail, hang, leave, process, swallow
+from killers import complain, die, double, fail, hang, leave, process, swallow
 
 from imgloc.runs.workers import CrashError, OverdueError, Supervised, call_in_child
 
@@ -33,6 +33,14 @@ def test_what_dies_costs_itself_alone() -> None:
         assert "SIGSEGV" in str(torn.exception())
         with pytest.raises(LookupError, match="lost"):
             failed.result()
+
+
+def test_the_last_words_of_a_worker_are_kept_and_are_few() -> None:
+    with Supervised(1) as pool:
+        error = pool.submit(complain, "first " + "word\n" * 200 + "last").exception()
+    assert isinstance(error, CrashError)
+    assert error.last_words.endswith("word word last")
+    assert len(error.last_words) == 400
 
 
 def test_what_hangs_is_ended() -> None:
