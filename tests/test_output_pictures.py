@@ -20,7 +20,6 @@ from imgloc.model import (
     Pose2D,
     compose,
 )
-from imgloc.output import pictures
 from imgloc.output.axes import draw_grid, framed, wrapped
 from imgloc.output.canvas import (
     INK,
@@ -478,7 +477,7 @@ def test_numbers_of_poses_at_one_place_stand_apart(monkeypatch: pytest.MonkeyPat
             written.append((message, x, y))
         return text(image, message, x, y, colour, size)
 
-    monkeypatch.setattr(pictures, "text", write)
+    monkeypatch.setattr("imgloc.output.canvas.text", write)
     turned = [hypothesis(3.0, 2.0, theta, 0.2) for theta in (0.0, 0.0, 1.6, 3.1, 0.0)]
     draw_hypotheses(room(), np.zeros((0, 2)), turned, scale=10, truth=Pose2D(3.0, 2.0, 0.0))
     assert [message for message, _, _ in written] == list("12345")
