@@ -48,7 +48,7 @@ MODULES = {
     "diagnostic_msgs": "msg", "rcl_interfaces": "msg", "visualization_msgs": "msg",
     "std_srvs": "srv",
 }  # fmt: skip
-_PARTS = ("callback_groups", "clock", "duration", "executors", "qos", "signals")
+_PARTS = ("callback_groups", "clock", "duration", "exceptions", "executors", "qos", "signals")
 MISSING = (
     "a ROS 2 node needs rclpy: source a ROS 2 whose Python is this one, or pip install "
     "'imgloc[node]'"
@@ -61,6 +61,7 @@ _MOVES = 4000  # poses of the odometry that are remembered: 20 s of 200 a second
 _STILL = (0.1, 0.05)  # metres, radians: a robot that has gone less far stands
 _SAID = 5.0  # seconds between two lines of the log that differ in words alone
 _TURN = 0.005  # seconds
+_NEAR, _WIDE = 0.01, 1e3  # metres and seconds at least; metres and radians at most
 _NAME = 100  # letters of a frame's name that are shown
 _MAP = "map"
 _OTHERS, _POLICIES = ("use_sim_time", "start_type_description_service"), "qos_overrides."  # rclpy's
@@ -87,6 +88,25 @@ class Settings:
     #: from it needs room for its own errors
     least_deviation: tuple[float, ...] = (0.1, 0.05)
     track: bool = False  #: follow the robot
+
+    def __post_init__(self) -> None:
+        for name, low in (("range_max", _NEAR), ("scan_timeout", _NEAR)):
+            if not (value := getattr(self, name)) >= low:
+                raise ConfigError(f"parameter {name}: got {value:g}, expected {low:g} or more")
+        least = self.least_deviation
+        if len(least) != 2 or not all(0 <= value < _WIDE for value in least):
+            raise ConfigError(
+                f"parameter least_deviation: got {list(least)}, expected metres and radians, each "
+                f"0 to {_WIDE:g}"
+            )
+        if not self.scan_topics or not all(self.scan_topics):
+            got = list(self.scan_topics)
+            raise ConfigError(f"parameter scan_topics: got {got}, expected at least one name")
+        for name in ("map_frame", "base_frame"):
+            if not frame_name(getattr(self, name)):
+                raise ConfigError(f"parameter {name}: is empty, expected the name of a frame")
+        if not all(map(math.isfinite, self.sensor)):
+            raise ConfigError(f"parameter sensor: got {list(self.sensor)}, expected finite numbers")
 
     @property
     def rules(self) -> Rules:
@@ -152,7 +172,11 @@ def _as(value: Any, default: Any, name: str) -> Any:
     kind = type(default)
     if kind is tuple:
         items = [value] if isinstance(value, str | int | float) else list(value or [])
-        return tuple(item if isinstance(item, str) else float(item) for item in items)
+        names = name == "scan_topics"
+        if any(isinstance(i, bool) or isinstance(i, str) != names for i in items):
+            expected = "names" if names else "numbers"
+            raise ConfigError(f"parameter {name}: got {items}, expected {expected}")
+        return tuple(items if names else map(float, items))
     numbers = kind in (int, float) and isinstance(value, int | float)
     if isinstance(value, bool) != (kind is bool) or not (numbers or isinstance(value, kind)):
         raise ConfigError(f"parameter {name}: got {value!r}, expected {kind.__name__}")
@@ -307,7 +331,11 @@ class LocalizerNode:
                 text = f"{topic}: a message was left out; a defect, {type(error).__name__}: {error}"
                 self.node.get_logger().error(printable(text), throttle_duration_sec=5.0)
 
-        self.node.create_subscription(kind, topic, guarded, qos)
+        try:
+            self.node.create_subscription(kind, topic, guarded, qos)
+        except self.ros.exceptions.InvalidTopicNameException as error:
+            why = str(error).splitlines()[0].removesuffix(":")
+            raise ConfigError(f"parameter scan_topics: got {topic!r}: {why}") from None
 
     # What comes in.
 
@@ -691,9 +719,9 @@ def run_node(
     try:
         # Its own handlers would end it in the middle of a callback.
         ros.rclpy.init(args=list(words), signal_handler_options=ros.signals.SignalHandlerOptions.NO)
+        node = ros.rclpy.create_node("imgloc", automatically_declare_parameters_from_overrides=True)
     except Exception as error:  # rclpy has a class for each kind of wrong word
         raise ConfigError(f"the arguments of ROS: {error}") from None
-    node = ros.rclpy.create_node("imgloc", automatically_declare_parameters_from_overrides=True)
     with contextlib.ExitStack() as undo:
         for number, before in signals.items():
             undo.callback(signal.signal, number, before)

@@ -9,13 +9,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command import MAPS
+from command import MAPS, spawn
 
 import imgloc
+from imgloc.errors import ConfigError
 from imgloc.live.localizer import Localizer
 from imgloc.live.node import LocalizerNode, Settings, load_ros
 from imgloc.live.status import ERROR
-from imgloc.options import Options
+from imgloc.options import Options, Sensor
+from imgloc.simulation.scans import simulate
 
 pytest.importorskip("rclpy", reason="no ROS 2 here: source one, or pip install 'imgloc[node]'")
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of what rclpy imports
@@ -168,3 +170,56 @@ def test_names_and_transforms_that_cannot_be(heard: Heard) -> None:
     node._on_transforms(SimpleNamespace(transforms=[link]))
     heard.send("scan", heard.scan())
     assert laser.frame == "laser"
+
+
+def test_poses_are_in_the_frame_of_a_map_that_lies_anywhere(heard: Heard) -> None:
+    """The origin is far off and turned, and its quaternion is not quite one."""
+    yaw, z = 2 * math.atan2(0.6, 0.8), 1.3
+    heard.send("map", heard.map(at=(-512.3, 87.1), q=(0.0, 0.0, 0.6 * z, 0.8 * z)))
+    heard.until(lambda: heard.core.ready)
+    there = imgloc.OccupancyGrid(
+        GRID.occupied, GRID.free, GRID.resolution, imgloc.Pose2D(-512.3, 87.1, yaw)
+    )
+    seen = simulate(there, 3, 5, Sensor(rays=241, fov=6.0))
+    assert seen.poses is not None
+    for k, (scan, truth) in enumerate(zip(seen.scans, seen.poses, strict=True)):
+        before = heard.node.found
+        fields = {"angle_min": -3.0, "angle_max": 3.0, "angle_increment": 0.025}
+        heard.send("scan", heard.scan(ranges=scan.ranges.tolist(), **fields))
+        heard.until(lambda before=before: heard.node.found not in (None, before))
+        found = heard.node.found
+        assert found.verdict == "unique", k
+        assert math.hypot(found.pose.x - truth[0], found.pose.y - truth[1]) < 0.15
+        assert abs(math.remainder(found.pose.theta - truth[2], math.tau)) < 0.05
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"range_max": -1.0}, "range_max: got -1, expected 0.01 or more"),
+        ({"range_max": NAN}, "range_max: got nan"),
+        ({"scan_timeout": NAN}, "scan_timeout: got nan"),
+        ({"least_deviation": (1.0,)}, "least_deviation: got [1.0], expected metres and radians"),
+        ({"least_deviation": (NAN, 1.0)}, "least_deviation: got [nan, 1.0]"),
+        ({"scan_topics": ()}, "scan_topics: got [], expected at least one name"),
+        ({"map_frame": "/"}, "map_frame: is empty"),
+        ({"sensor": (0.0, 0.0, INF)}, "sensor: got [0.0, 0.0, inf], expected finite numbers"),
+    ],
+)
+def test_a_parameter_that_cannot_be_is_refused(wrong: dict[str, Any], said: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        Settings(**wrong)
+    assert str(refused.value).startswith(f"parameter {said}")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--scan", "bad topic"), "parameter scan_topics: got 'bad topic': Invalid topic name"),
+        (("--ros-args", "-p", "sensor:=['a','b','c']"), "parameter sensor: got ['a', 'b', 'c']"),
+        (("--ros-args", "-p", "least_deviation:=[1.0]"), "parameter least_deviation: got [1.0]"),
+    ],
+)
+def test_the_command_refuses_parameters_before_it_runs(words: tuple[str, ...], said: str) -> None:
+    run = spawn("node", "curved", "--sensor", "0,0,0", *words)
+    assert (run.code, said in run.err) == (2, True), run.err
