@@ -139,8 +139,10 @@ def signed_distance(occupied: BoolArray, resolution: float) -> Float32Array:
         return np.full(occupied.shape, FARTHEST, dtype=np.float32)
     outside, inside = distance_transform(1 - wall), distance_transform(wall)
     # One of the two is 0 everywhere; the border lies half a cell before the other's centre.
-    cells = (outside - inside - np.where(wall > 0, -0.5, 0.5))[1:-1, 1:-1]
-    return np.asarray(np.clip(cells * resolution, -FARTHEST, FARTHEST), dtype=np.float32)
+    cells = np.subtract(outside, inside, out=outside)
+    cells -= np.copysign(np.float32(0.5), cells)
+    np.multiply(cells, np.float64(resolution), out=cells, casting="same_kind")
+    return np.asarray(np.clip(cells, -FARTHEST, FARTHEST, out=cells)[1:-1, 1:-1])
 
 
 def distance_field(occupied: BoolArray, resolution: float) -> DistanceField:

@@ -11,7 +11,6 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from skimage import measure
 
 from imgloc.errors import ConfigError
 from imgloc.features.fields import in_levels
@@ -90,9 +89,8 @@ def pyramid(
     rows = factor * max(1, _BAND // factor)
     bands = [distance[top : top + rows] for top in range(0, len(distance), rows)]
     fits = (np.exp(d * d * np.float32(-0.5 / sigma**2)) * np.float32(255) for d in bands)
-    image = np.concatenate(
-        [np.rint(measure.block_reduce(fit, factor, np.mean)).astype(np.uint8) for fit in fits]
-    )
+    sums = (_over_blocks(np.add, fit, factor) for fit in fits)  # beyond the map nothing fits
+    image = np.concatenate([np.rint(s / np.float32(factor**2)).astype(np.uint8) for s in sums])
     out = [Level(image, any_of_blocks(free, factor), resolution * factor)]
     for _ in range(levels - 1):
         last = out[-1]
