@@ -73,6 +73,14 @@ def test_a_batch_and_inspect_name_the_calibration(place: Path) -> None:
     assert "map.calibration.json, whose shared.scale is 1.4. Make that file anew" in run.out
 
 
+def test_changes_of_a_map_name_the_calibration(place: Path) -> None:
+    calibrate(place / "map.yaml", scale=1.4)
+    run = call("map", "changes", place / "map.yaml", place / "a.npz", "--no-cache")
+    assert run.code == 0, run.err
+    (hint,) = advice(run.err)
+    assert f"map.calibration.json, whose shared.scale is 1.4. {MENDS}" in hint
+
+
 def test_a_calibration_that_is_right_is_not_blamed(place: Path) -> None:
     calibrate(place / "map.yaml", scale=1.001, depth=0.01)
     run = call("localize", place / "map.yaml", place / "a.npz", "--no-cache", "--flipped")

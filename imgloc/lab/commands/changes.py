@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import emit, progress, say
+from imgloc.cli.console import LOG, emit, progress, say
 from imgloc.io.files import display
 from imgloc.options import Chosen, Logs, Mounting, Options
 from imgloc.ranges import option
@@ -40,11 +40,13 @@ def changes(
     scans from 2 places or times, so people who walk by are none. Of a file with more than 300 scans
     300 are taken, evenly spread, unless --scans-index or --sample chooses.
     """
+    from imgloc.answers.diagnose import doubts
     from imgloc.cli import inputs
     from imgloc.features.floor import as_located
     from imgloc.features.scanpoints import evenly
     from imgloc.io.calibration import calibrated
     from imgloc.io.maps import save_map
+    from imgloc.io.scanset import ScanSet
     from imgloc.lab.changes import map_changes, sure_poses
     from imgloc.lab.picture import draw_changes
     from imgloc.model import to_json
@@ -87,3 +89,8 @@ def changes(
     for path in (out, update):
         if path is not None:
             say(f"wrote {display(path)}")
+    said = [(answer.verdict, answer.evidence) for answer in answers]
+    given = files.given.beside(map_path, grid)
+    for hint in doubts(features, ScanSet(tuple(some)), said, options, given):
+        if hint.found:  # others lead here
+            LOG.warning("%s", hint.text)
