@@ -120,46 +120,57 @@ def building(seed: int, turn: float = 0.0, floor: int | None = None) -> Building
     for row, (side, bottom, top) in enumerate(
         zip(sides, (outer, high + 0.1), (low - 0.1, depth - outer), strict=True)
     ):
-        x, number, facade = outer, 0, (south, north)[row]
-        while x < width - outer - 2.0:
-            left, length = x, rng.uniform(2.6, 6.5)
-            if width - outer - (x + length) < 2.6:
-                length = width - outer - x
-            x += length
-            if x < width - outer - 1e-6:
-                thin = float(rng.choice([0.1, 0.12, 0.15]))
-                part = wall(x, bottom - 0.05, x, top + 0.05, thin)
-                if rng.random() < 0.35:  # a door to the next room
-                    where = rng.uniform(0.4, top - bottom - 1.4)
-                    b.openings.append(
-                        Opening(part, where, 0.8, "door", int(rng.choice([-1, 1])), 0,
-                                rng.uniform(1.2, 1.7))
-                    )  # fmt: skip
-            wide = float(rng.choice([0.8, 0.9, 1.0]))
-            inside = 1 if row == 1 else -1  # walls run to the right: their left side is up
-            kind = "passage" if length > 5.8 else "door"
-            where = rng.uniform(left + 0.25, x - 2 * wide - 0.25)
-            b.openings.append(
-                Opening(side, where, wide * (2 if kind == "passage" else 1), kind, inside,
-                        int(rng.integers(2)), rng.uniform(1.1, 1.7))
-            )  # fmt: skip
-            if length > 2.9:
-                glass = rng.uniform(1.0, min(2.4, length - 1.2))
-                at = left + (length - glass) / 2
-                b.openings.append(Opening(facade, at, glass, "window"))
-            centre = np.array([left + length / 2, (bottom + top) / 2])
-            b.names.append(
-                (f"{'AB'[row]}{number + 1:02d} {length * (top - bottom):.0f} m2", centre)
-            )
-            number += 1
-            if length > 5.0:
-                c = centre + (rng.uniform(-1, 1), rng.uniform(0.5, 1.2))
-                b.pillars.append(box(*(c - 0.2), *(c + 0.2)))
-            rooms.append(box(left, bottom, x, top))
+        area = outer, bottom, width - outer, top
+        rooms += _rooms(rng, b, area, side, (south, north)[row], "AB"[row], up=row == 1)
     doors = [b.opened(o).mean(axis=0) for o in b.openings if o.kind != "window"]
     for corners in rooms:
         _furnish(rng, corners, [*doors, *(p.mean(axis=0) for p in b.pillars)], b)
     return b
+
+
+def _rooms(
+    rng: np.random.Generator, b: Building, area: tuple[float, float, float, float], side: int,
+    facade: int, letter: str, *, up: bool,
+) -> list[FloatArray]:  # fmt: skip
+    """Rooms side by side in `area` (x0, y0, x1, y1), with doors in the wall `side`, below if `up`.
+
+    Windows are in the wall `facade`; both begin at the same x and run to the right.
+    """
+    (begin, bottom, end, top), rooms = area, list[FloatArray]()
+    x, number, start = begin, 0, b.walls[side][0][0]
+    while x < end - 2.0:
+        left, length = x, rng.uniform(2.6, 6.5)
+        if end - (x + length) < 2.6:
+            length = end - x
+        x += length
+        if x < end - 1e-6:
+            thin = float(rng.choice([0.1, 0.12, 0.15]))
+            b.walls.append((np.array([x, bottom - 0.05]), np.array([x, top + 0.05]), thin))
+            if rng.random() < 0.35:  # a door to the next room
+                where = rng.uniform(0.4, top - bottom - 1.4)
+                b.openings.append(
+                    Opening(len(b.walls) - 1, where, 0.8, "door", int(rng.choice([-1, 1])), 0,
+                            rng.uniform(1.2, 1.7))
+                )  # fmt: skip
+        wide = float(rng.choice([0.8, 0.9, 1.0]))
+        kind = "passage" if length > 5.8 else "door"
+        where = rng.uniform(left + 0.25, x - 2 * wide - 0.25) - start
+        b.openings.append(
+            Opening(side, where, wide * (2 if kind == "passage" else 1), kind, 1 if up else -1,
+                    int(rng.integers(2)), rng.uniform(1.1, 1.7))
+        )  # fmt: skip
+        if length > 2.9:
+            glass = rng.uniform(1.0, min(2.4, length - 1.2))
+            at = left + (length - glass) / 2 - start
+            b.openings.append(Opening(facade, at, glass, "window"))
+        centre = np.array([left + length / 2, (bottom + top) / 2])
+        b.names.append((f"{letter}{number + 1:02d} {length * (top - bottom):.0f} m2", centre))
+        number += 1
+        if length > 5.0:
+            c = centre + (rng.uniform(-1, 1), rng.uniform(0.5, 1.2))
+            b.pillars.append(box(*(c - 0.2), *(c + 0.2)))
+        rooms.append(box(left, bottom, x, top))
+    return rooms
 
 
 def _furnish(
