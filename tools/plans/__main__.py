@@ -2,7 +2,9 @@
 
     python -m tools.plans                            # 20 scans in each of three buildings
     python -m tools.plans -n 5 --seeds 1 --styles filled,outlined
-    python -m tools.plans --draw DIR                 # only draw the plans, as PNG
+    python -m tools.plans --sheets -n 60             # whole sheets, as other programs make them
+    python -m tools.plans --sheets aside,hatched     # of these words
+    python -m tools.plans --draw DIR                 # only draw the plans or the sheets, as PNG
 
 Prints a Markdown table. Right is within 0.5 m and 10 degrees. Buildings are random by their seeds:
 walls, doors, windows, stairs; the scans also see furniture that is on no plan, and open doors.
@@ -10,6 +12,7 @@ walls, doors, windows, stairs; the scans also see furniture that is on no plan, 
 
 import argparse
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,8 +22,9 @@ from imgloc.errors import ConfigError
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
 from tools.plans.drawing import STYLES, building, draw_plan
-from tools.plans.measure import DRAWN, MAPS, measure, table
-from tools.script import ended, parser_of, progress
+from tools.plans.measure import DRAWN, MAPS, SHEETS_HEAD, measure, measure_sheets, table
+from tools.plans.sheets import ASIDE, SHEETS
+from tools.script import ended, parser_of, progress, table_lines
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -30,6 +34,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", default="1,2,3", help="of buildings, with commas between")
     parser.add_argument("--styles", default=",".join(STYLES), help="of walls, with commas between")
     parser.add_argument("--maps", default=",".join(MAPS), help="with commas between")
+    parser.add_argument(
+        "--sheets", nargs="?", const="", metavar="WORDS",
+        help="measure whole sheets whose names have one of these words (default: all of them)",
+    )  # fmt: skip
     parser.add_argument("--draw", type=Path, metavar="DIR", help="draw the plans there instead")
     parser.add_argument("--force", action="store_true", help="overwrite plans that are there")
     given = parser.parse_args(arguments)
@@ -45,6 +53,8 @@ def run(given: argparse.Namespace) -> int:
     seeds = [int(word) for word in given.seeds.split(",") if word.strip().isdecimal()]
     if not seeds or given.n < 1:
         raise ConfigError("--seeds and -n: expected numbers, and at least one scan")
+    if given.sheets is not None:
+        return _sheets(given)
     drawn = [how for how in DRAWN if how.style in given.styles.split(",")]
     if given.draw is not None:
         for seed in seeds:
@@ -60,6 +70,23 @@ def run(given: argparse.Namespace) -> int:
     cv2.setNumThreads(os.cpu_count() or 1)
     with progress("plans", len(seeds) * given.n * len(drawn) * len(maps)) as advance:
         for line in table(measure(seeds, given.n, drawn, maps, advance)):
+            print(line, flush=True)
+    return 0
+
+
+def _sheets(given: argparse.Namespace) -> int:
+    """Measure or draw whole sheets."""
+    words = given.sheets.split(",")
+    some = {n: make for n, make in (SHEETS | ASIDE).items() if any(word in n for word in words)}
+    if given.draw is not None:
+        for name, make in some.items():
+            path = given.draw / f"{re.sub('[^a-z0-9]+', '-', name)}.png"
+            write_bytes_atomic(path, encode_png(make().image), force=given.force)
+            print(path)
+        return 0
+    cv2.setNumThreads(1)
+    with progress("sheets", 2 * len(some) * given.n) as advance:
+        for line in table_lines(SHEETS_HEAD, measure_sheets(given.n, some, advance)):
             print(line, flush=True)
     return 0
 

@@ -55,6 +55,8 @@ class Building:
     things: list[FloatArray] = field(default_factory=list)
     turn: float = 0.0  #: radians
     corner: FloatArray = field(default_factory=lambda: np.zeros(2))  #: added after the turn
+    rooms: list[FloatArray] = field(default_factory=list)  #: corners
+    yards: list[FloatArray] = field(default_factory=list)  #: open to the sky, within the walls
 
     def placed(self, xy: npt.ArrayLike) -> FloatArray:
         """Points (..., 2) of the building in the frame of its plan."""
@@ -98,7 +100,7 @@ def building(seed: int, turn: float = 0.0, floor: int | None = None) -> Building
     outer, low = rng.uniform(0.3, 0.4), rng.uniform(4.5, 6.0)
     high = low + rng.uniform(1.8, 2.4)
     corner = np.array([_AROUND + (depth * np.sin(turn)), _AROUND])
-    b, rooms = Building((width, depth), turn=turn, corner=corner), list[FloatArray]()
+    b = Building((width, depth), turn=turn, corner=corner)
 
     def wall(x0: float, y0: float, x1: float, y1: float, thick: float) -> int:
         b.walls.append((np.array([x0, y0]), np.array([x1, y1]), thick))
@@ -121,11 +123,65 @@ def building(seed: int, turn: float = 0.0, floor: int | None = None) -> Building
         zip(sides, (outer, high + 0.1), (low - 0.1, depth - outer), strict=True)
     ):
         area = outer, bottom, width - outer, top
-        rooms += _rooms(rng, b, area, side, (south, north)[row], "AB"[row], up=row == 1)
-    doors = [b.opened(o).mean(axis=0) for o in b.openings if o.kind != "window"]
-    for corners in rooms:
-        _furnish(rng, corners, [*doors, *(p.mean(axis=0) for p in b.pillars)], b)
+        b.rooms += _rooms(rng, b, area, side, (south, north)[row], "AB"[row], up=row == 1)
+    _furnish_all(rng, b)
     return b
+
+
+def hospital(seed: int, outer: float = 0.8, yard: bool = True) -> Building:
+    """Two corridors along a floor of 46 to 54 m x 28 m, and two across it: thick walls.
+
+    Outer walls are `outer` thick, those of corridors 0.3 m. In the middle may be a `yard`.
+    """
+    rng = np.random.default_rng((seed, 7))
+    width, depth, h = rng.uniform(46, 54), 28.0, outer / 2
+    b = Building((width, depth), corner=np.full(2, _AROUND))
+
+    def wall(x0: float, y0: float, x1: float, y1: float, thick: float) -> int:
+        b.walls.append((np.array([x0, y0]), np.array([x1, y1]), thick))
+        return len(b.walls) - 1
+
+    south, north = wall(0, h, width, h, outer), wall(0, depth - h, width, depth - h, outer)
+    west, east = wall(h, 0, h, depth, outer), wall(width - h, 0, width - h, depth, outer)
+    low, high = rng.uniform(6.0, 7.0, 2)
+    sides = [wall(0, low, width, low, 0.3), wall(0, depth - high, width, depth - high, 0.3)]
+    y0, y1 = low + 2.5, depth - high - 2.5  # of the core, between the corridors
+    for facade, y, hinge in ((west, y0 - 2.1, 0), (east, y1 + 0.5, 1)):
+        b.openings.append(Opening(facade, y, 1.8, "double", 1 if facade == east else -1, hinge))
+    strips = [((outer, outer, width - outer, low - 0.15), sides[0], south, "A", False)]
+    strips.append(((outer, depth - high + 0.15, width - outer, depth - outer), sides[1], north,
+                   "B", True))  # fmt: skip
+    ends = np.array([outer, rng.uniform(0.3, 0.36) * width, rng.uniform(0.64, 0.7) * width])
+    for k, (x0, x1) in enumerate(
+        zip(ends + [0, 2.4, 2.4], [*ends[1:], width - outer], strict=True)
+    ):
+        thick = 0.5 if yard and k == 1 else 0.3
+        lower, upper = (wall(x0, y, x1, y, thick) for y in (y0, y1))
+        for x in ((x0, x1), (x1,), (x0,))[(1, 0, 2)[k]]:
+            wall(x, y0, x, y1, thick)
+        if yard and k == 1:
+            b.yards.append(box(x0, y0, x1, y1))
+            for side in (lower, upper):
+                b.openings += [Opening(side, s, 1.6, "window") for s in (2.0, 6.0)]
+            continue
+        middle = (y0 + y1) / 2
+        spine = wall(x0, middle, x1, middle, 0.2)
+        here = x0 + 0.15, x1 - 0.15
+        for side, bottom, top, up in ((lower, y0 + 0.15, middle - 0.1, True),
+                                      (upper, middle + 0.1, y1 - 0.15, False)):  # fmt: skip
+            strips.append(((here[0], bottom, here[1], top), side, spine, "CDE"[k], up))
+    for area, side, facade, letter, up in strips:
+        b.rooms += _rooms(rng, b, area, side, facade, letter, up=up)
+    b.openings = [o for o in b.openings if o.kind != "window" or b.walls[o.wall][2] > 0.2]
+    _furnish_all(rng, b)
+    return b
+
+
+def _furnish_all(rng: np.random.Generator, b: Building) -> None:
+    """Furnish each room."""
+    doors = [b.opened(o).mean(axis=0) for o in b.openings if o.kind != "window"]
+    for corners in b.rooms:
+        _furnish(rng, corners, [*doors, *(p.mean(axis=0) for p in b.pillars)], b)
 
 
 def _rooms(
@@ -256,6 +312,8 @@ def inside(b: Building, cell: float) -> BoolArray:
     """What is within the outer walls, walls and all; as :func:`solid`."""
     image = b.sheet(cell)
     b.fill(image, box(0, 0, *b.size), cell)
+    for yard in b.yards:
+        b.fill(image, yard, cell, 0)
     return image > 0
 
 

@@ -1,20 +1,24 @@
 """Scans of true buildings, located on their plans, on maps made of these, and on their walls."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import cv2
 import numpy as np
 
 from imgloc import FloorPlan, OccupancyGrid, Options, Pose2D, ScanSet, load_map, plan_to_map
-from imgloc.geometry import pose_errors, poses_of
+from imgloc.errors import MapError
+from imgloc.geometry import pose_errors, poses_of, rotation
 from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
 from imgloc.options import Sensor
 from imgloc.pipeline import localize, prepare
+from imgloc.plans.files import load_plan
 from imgloc.simulation.scans import simulate
 from tools.plans.drawing import Building, Image, building, draw_plan, inside, solid, true_world
+from tools.plans.sheets import Sheet
 from tools.script import table_lines
 
 CELL = 0.05  #: metres: of the maps that plans are compared with
@@ -77,9 +81,56 @@ def measure(
         yield from rows.values()
 
 
-def scans_of(b: Building, n: int, seed: int) -> ScanSet:
+def measure_sheets(
+    n: int, sheets: Mapping[str, Callable[[], Sheet]], advance: Callable[[], None] = lambda: None
+) -> Iterator[tuple[object, ...]]:
+    """Cells of the table of whole sheets, a row each; `n` scans of each building."""
+    for name, make in sheets.items():
+        sheet = make()
+        b = sheet.building
+        with TemporaryDirectory() as folder:
+            path = Path(folder, "sheet.png")
+            write_bytes_atomic(path, encode_png(sheet.image))
+            grey = load_plan(path)
+        scans = scans_of(b, n, 1, AROUND)
+        rows = [Row(name, "walls"), Row(name, "map plan")]
+        _judge(map_of(b, sheet.image, sheet.resolution, "walls"), scans, rows[0], advance)
+        try:
+            found = plan_to_map(grey, sheet.resolution, origin=sheet.origin)
+        except MapError as error:
+            yield name, "", "", "", "", f"{rows[0].right}", f"refused: {error}"[:60]
+            continue
+        _judge(found.grid, scans, rows[1], advance)
+        free, walls = (f"{share:.0%}" for share in shares_found(found.grid, b))
+        right = f"{rows[1].right} of {n}"
+        yield name, free, walls, right, rows[1].wrong, rows[0].right, "yes" if found.doubt else ""
+
+
+SHEETS_HEAD = (
+    "sheet | became free | walls found | first right | unique and wrong | on the walls | warned of"
+)
+
+
+def shares_found(grid: OccupancyGrid, b: Building) -> tuple[float, float]:
+    """Share of the room within a building that is free on a map; of its walls near occupied."""
+    walls = solid(b, CELL)
+    near = cv2.dilate(grid.occupied.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+    shares = []
+    for truth, found in ((inside(b, CELL) & ~walls, grid.free), (walls, near)):
+        rows, columns = np.nonzero(truth)
+        points = (np.column_stack((columns, rows)) + 0.5) * CELL - (grid.origin.x, grid.origin.y)
+        cells = np.floor(points @ rotation(grid.origin.theta) / grid.resolution).astype(int)
+        on = ((cells >= 0) & (cells < found.shape[::-1])).all(axis=1)
+        shares.append(float(found[cells[on, 1], cells[on, 0]].sum() / len(rows)))
+    return shares[0], shares[1]
+
+
+AROUND = Sensor(rays=360, fov=2 * np.pi, range_max=25.0)  #: of whole sheets
+
+
+def scans_of(b: Building, n: int, seed: int, sensor: Sensor | None = None) -> ScanSet:
     """Scans of 270 degrees and 12 m, with noise of 2 cm, where there is room for a robot."""
-    sensor = Sensor(rays=271, fov=1.5 * np.pi, range_max=12.0)
+    sensor = sensor or Sensor(rays=271, fov=1.5 * np.pi, range_max=12.0)
     return simulate(true_world(b, CELL), n, seed, sensor, true_world(b))
 
 

@@ -1,0 +1,302 @@
+"""Whole sheets, as other programs, scanners and telephones make them: a plan is a part of each.
+
+A sheet is a picture in colour and the pose of its lower left corner in the frame of its building.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import PIL.Image
+from PIL import ImageDraw, ImageFont
+
+from imgloc.geometry import rotation
+from imgloc.model import FloatArray, Pose2D
+from tools.plans.drawing import Building, Image, building, draw_plan, hospital
+
+Colour = tuple[int, int, int]
+BLACK: Colour = (0, 0, 0)
+ON_IT = Pose2D(0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A picture of a building, (H, W, 3) uint8 BGR, top row first."""
+
+    building: Building
+    image: Image
+    resolution: float  #: metres a pixel
+    origin: Pose2D = ON_IT  #: of its lower left corner in the frame of the building
+
+    def changed(self, image: Image) -> "Sheet":
+        """The same with another picture of the same size."""
+        return replace(self, image=image)
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Width and height, metres."""
+        high, wide = self.image.shape[:2]
+        return wide * self.resolution, high * self.resolution
+
+    def pixels(self, xy: FloatArray) -> list[tuple[int, int]]:
+        """Where points (N, 2) are, metres from the lower left corner; column and row."""
+        column, row = np.rint(np.asarray(xy) / self.resolution).astype(int).T
+        return list(zip(column.tolist(), (len(self.image) - 1 - row).tolist(), strict=True))
+
+    def placed(self, xy: FloatArray) -> FloatArray:
+        """Points (N, 2) of the building, metres from the lower left corner of the sheet."""
+        return self.building.placed(xy) - (self.origin.x, self.origin.y)
+
+    def line(self, points: list[tuple[float, float]], width: float, colour: Colour = BLACK) -> None:
+        """Draw a line through points, metres, as wide as that, at least a pixel."""
+        thick = max(1, round(width / self.resolution))
+        way = [np.array(self.pixels(np.array(points, float)), np.int32)]
+        cv2.polylines(self.image, way, False, colour, thick, cv2.LINE_AA)
+
+    def box(self, x: float, y: float, wide: float, high: float, width: float) -> None:
+        """Draw a rectangle from its lower left corner."""
+        corners = [(x, y), (x + wide, y), (x + wide, y + high), (x, y + high), (x, y)]
+        self.line(corners, width)
+
+    def fill(self, corners: FloatArray, colour: Colour) -> None:
+        """Fill a polygon, corners in metres, beneath what is drawn."""
+        mask = np.zeros(self.image.shape[:2], np.uint8)
+        cv2.fillPoly(mask, [np.array(self.pixels(corners), np.int32)], 1)
+        here = mask > 0
+        self.image[here] = np.minimum(self.image[here], colour)
+
+    def words(self, text: str, x: float, y: float, height: float, bold: float = 0.0) -> None:
+        """Write a text from its lower left corner, letters so high, `bold` of this thicker."""
+        sheet = PIL.Image.fromarray(self.image)
+        font = ImageFont.load_default(max(6, round(height / self.resolution / 0.7)))
+        stroke = round(bold * height / self.resolution)
+        (at,) = self.pixels(np.array([(x, y)]))
+        ImageDraw.Draw(sheet).text(at, text, BLACK, font, "ls", stroke_width=stroke)
+        self.image[:] = np.asarray(sheet)
+
+
+def drawn(b: Building, resolution: float, style: str, *, clutter: bool = True) -> Sheet:
+    """The plan of a building as a sheet without anything around it."""
+    grey = draw_plan(b, resolution, style, clutter=clutter)
+    return Sheet(b, np.repeat(grey[..., None], 3, axis=2), resolution)
+
+
+def padded(s: Sheet, left: float, below: float, right: float, above: float) -> Sheet:
+    """Paper around a sheet, metres."""
+    sides = [round(side / s.resolution) for side in (above, below, left, right)]
+    image = np.pad(s.image, (sides[:2], sides[2:], (0, 0)), constant_values=255)
+    x, y = s.origin.x - sides[2] * s.resolution, s.origin.y - sides[1] * s.resolution
+    return replace(s, image=image, origin=Pose2D(x, y))
+
+
+def framed(s: Sheet, width: float = 0.1, inner: float | None = 0.03) -> Sheet:
+    """A frame along the border: a bold line and, half a metre within, a thinner one."""
+    wide, high = s.size
+    s.box(0.4, 0.4, wide - 0.8, high - 0.8, width)
+    if inner is not None:
+        s.box(0.9, 0.9, wide - 1.8, high - 1.8, inner)
+        for x in np.linspace(0.9, wide - 0.9, 7)[1:-1].tolist():  # the marks of its fields
+            for y in (0.4, high - 0.9):
+                s.line([(x, y), (x, y + 0.5)], inner)
+    return s
+
+
+def title_block(s: Sheet, width: float = 0.06) -> Sheet:
+    """A table in the lower right corner, joined to the frame."""
+    wide, high = 9.0, 4.2
+    x, y = s.size[0] - 0.9 - wide, 0.9
+    s.box(x, y, wide, high, width)
+    for k, text in enumerate(
+        ("DRAWN  K.M.  12.03.", "SCALE 1:200   A1", "FLOOR PLAN 2", "SHEET 7")
+    ):
+        s.line([(x, y + 1.05 * k), (x + wide, y + 1.05 * k)], width / 2)
+        s.words(text, x + 0.4, y + 1.05 * k + 0.3, 0.4)
+    s.line([(x + 6.5, y), (x + 6.5, y + high)], width)
+    return s
+
+
+def titled(s: Sheet, text: str, height: float, bold: float = 0.06) -> Sheet:
+    """A title in large letters along the upper border."""
+    s.words(text, 3.0, s.size[1] - 1.6 - height, height, bold)
+    return s
+
+
+def legend(s: Sheet, height: float = 0.6, box: float = 1.2) -> Sheet:
+    """Samples of walls, and what they are, along the right border."""
+    x, y = s.size[0] - 9.0, s.size[1] - 4.0
+    for k, text in enumerate(("WALL F90", "WALL F30", "GLASS", "DEMOLISH", "NEW")):
+        low = y - k * (box + 0.6)
+        s.box(x, low, 2 * box, box, (0.3, 0.12, 0.03, 0.06, 0.2)[k])
+        if k in (0, 3):
+            for step in np.arange(0.0, box, 0.15).tolist():
+                s.line([(x + step, low), (x + step + box, low + box)], 0.03)
+        s.words(text, x + 2 * box + 0.4, low + 0.2, height, 0.05)
+    return s
+
+
+def axes(s: Sheet, step: float = 6.0) -> Sheet:
+    """Dashed axes through the building, with a letter in a circle at both ends."""
+    (w, h), radius = s.building.size, 0.5
+    ways = [((x, -1.4), (x, h + 1.4)) for x in np.arange(1.0, w, step)]
+    ways += [((-1.4, y), (w + 1.4, y)) for y in np.arange(1.0, h, step)]
+    for k, way in enumerate(ways):
+        a, b = s.placed(np.array(way))
+        parts = np.linspace(0, 1, max(2, int(np.hypot(*(b - a)) / 0.5)))
+        for t, u in zip(parts[:-1:2], parts[1::2], strict=False):
+            s.line([tuple(a + t * (b - a)), tuple(a + u * (b - a))], 0.02)
+        for end, sign in ((a, -1), (b, 1)):
+            c = end + sign * radius * (b - a) / np.hypot(*(b - a))
+            (at,) = s.pixels(c[None])
+            reach = round(radius / s.resolution)
+            cv2.circle(s.image, at, reach, BLACK, 1, cv2.LINE_AA)
+            s.words(chr(65 + k % 26), c[0] - 0.15, c[1] - 0.2, 0.4)
+    return s
+
+
+def dimensions(s: Sheet) -> Sheet:
+    """A chain of dimensions through each room, both ways, with slanted ends and a number."""
+    for room in s.building.rooms:
+        (x0, y0), (x1, y1) = s.placed(room)[0], s.placed(room)[2]
+        x, y = x0 + 0.37 * (x1 - x0), y0 + 0.68 * (y1 - y0)
+        for a, b in (((x0, y), (x1, y)), ((x, y0), (x, y1))):
+            s.line([a, b], 0.015)
+            for end in (a, b):
+                s.line([(end[0] - 0.1, end[1] - 0.1), (end[0] + 0.1, end[1] + 0.1)], 0.04)
+        s.words(f"{x1 - x0:.2f}", x + 0.1, y + 0.08, 0.22)
+    return s
+
+
+def zones(s: Sheet, colours: tuple[Colour, ...]) -> Sheet:
+    """Rooms in colours."""
+    for k, room in enumerate(s.building.rooms):
+        s.fill(s.placed(room), colours[k % len(colours)])
+    return s
+
+
+def inked(s: Sheet, ink: Colour, paper: Colour) -> Sheet:
+    """Another ink and another paper; greys between them."""
+    share = s.image / 255.0
+    return s.changed(np.rint(share * paper + (1 - share) * np.array(ink)).astype(np.uint8))
+
+
+def smaller(s: Sheet, by: float) -> Sheet:
+    """The same with fewer pixels: averaged, as an editor does."""
+    size = round(s.image.shape[1] / by), round(s.image.shape[0] / by)
+    image = np.asarray(cv2.resize(s.image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    return replace(s, image=image, resolution=s.resolution * s.image.shape[1] / size[0])
+
+
+def turned(s: Sheet, degrees: float = 2.0, beyond: int = 255) -> Sheet:
+    """The sheet turned, on a larger one of the tone `beyond`."""
+    high, wide = s.image.shape[:2]
+    turn = rotation(angle := float(np.deg2rad(degrees)))
+    corners = np.array([(0, 0), (wide, 0), (wide, high), (0, high)]) @ turn.T
+    shift = -corners.min(axis=0)
+    size = tuple(np.ceil(corners.max(axis=0) + shift).astype(int).tolist())
+    # Rows of an image run down: x' = x, y' = height - y, on both sheets.
+    flip, back = np.diag([1.0, -1.0]), np.array([0.0, size[1]])
+    matrix = flip @ turn @ flip
+    move = flip @ (turn @ [0.0, high] + shift) + back
+    tone = (beyond,) * 3
+    image = cv2.warpAffine(
+        s.image, np.column_stack((matrix, move)), size, flags=cv2.INTER_LINEAR, borderValue=tone
+    )
+    corner = (s.origin.x, s.origin.y) - turn.T @ shift * s.resolution
+    origin = Pose2D(float(corner[0]), float(corner[1]), -angle)
+    return replace(s, image=np.asarray(image, np.uint8), origin=origin)
+
+
+def jpeg(s: Sheet, quality: int = 40) -> Sheet:
+    """What is left of it after a JPEG."""
+    _, data = cv2.imencode(".jpg", s.image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return s.changed(np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8))
+
+
+def scanned(s: Sheet, seed: int, share: float = 0.003) -> Sheet:
+    """A scanner's grey and grain, and specks of dust and toner of one to three pixels."""
+    rng = np.random.default_rng(seed)
+    high, wide = s.image.shape[:2]
+    image = cv2.GaussianBlur(s.image, (0, 0), 0.7).astype(np.float32)
+    image += rng.normal(0, 6, (high, wide, 1))
+    for tone in (30, 240):
+        for _ in range(round(share / 4 * high * wide)):
+            x, y, r = rng.integers(wide), rng.integers(high), rng.integers(1, 4)
+            image[y : y + r, x : x + r] = tone
+    return s.changed(np.clip(image * 0.95, 0, 255).astype(np.uint8))
+
+
+def photographed(s: Sheet, seed: int, dark: float = 0.5) -> Sheet:
+    """Uneven light, from 1 down to `dark`, a soft lens and grain."""
+    rng = np.random.default_rng(seed)
+    high, wide = s.image.shape[:2]
+    y, x = np.mgrid[0:high, 0:wide].astype(np.float32)
+    x, y = x / wide, y / high
+    bright = 1 - (1 - dark) * np.clip(0.6 * x + 0.4 * y + 0.3 * np.sin(4 * x + 3 * y) * y, 0, 1)
+    image = cv2.GaussianBlur(s.image, (0, 0), 0.9) * 0.9 * bright[..., None] + 8
+    image = image * (0.93, 0.98, 1.0) + rng.normal(0, 4, (high, wide, 1))
+    return s.changed(np.clip(image, 0, 255).astype(np.uint8))
+
+
+PASTEL: tuple[Colour, ...] = ((180, 235, 255), (200, 255, 200), (255, 220, 190), (215, 200, 255))
+STRONG: tuple[Colour, ...] = ((80, 200, 255), (110, 220, 110), (240, 170, 90), (140, 130, 250))
+
+
+def _whole(b: Building, resolution: float, style: str, *, clutter: bool = True) -> Sheet:
+    """A plan on a sheet with room for a title above, a legend to the right, a block below."""
+    return padded(drawn(b, resolution, style, clutter=clutter), 2.0, 6.0, 11.0, 6.0)
+
+
+#: how each sheet is drawn; those of ASIDE were not looked at while `plan_to_map` was mended
+SHEETS: dict[str, Callable[[], Sheet]] = {
+    "frame and title block": lambda: title_block(framed(_whole(building(1), 0.02, "outlined"))),
+    "thick filled walls, legend and title in large letters": lambda: legend(
+        titled(_whole(hospital(1), 0.045, "filled"), "SECOND FLOOR  WARD 2A", 2.6, 0.08), 1.6, 2.0
+    ),
+    "thick walls as two lines": lambda: titled(
+        _whole(hospital(2), 0.03, "outlined"), "LEVEL 2", 1.5
+    ),
+    "hatched walls, frame, legend": lambda: legend(framed(_whole(building(2), 0.02, "hatched"))),
+    "axes and dimensions": lambda: dimensions(axes(_whole(building(3), 0.02, "outlined"))),
+    "scanned, turned by 2 deg": lambda: jpeg(
+        scanned(turned(framed(_whole(building(1), 0.025, "filled"))), 1)
+    ),
+    "photographed, turned by 2 deg": lambda: jpeg(
+        photographed(turned(titled(_whole(building(2), 0.02, "outlined"), "OFFICES", 1.0)), 2), 60
+    ),
+    "coloured zones": lambda: legend(zones(_whole(building(3), 0.02, "filled"), PASTEL)),
+    "strong coloured zones, walls as two lines": lambda: zones(
+        _whole(hospital(3, 0.4, yard=False), 0.03, "outlined"), STRONG
+    ),
+    "light on dark, title block": lambda: inked(
+        title_block(framed(_whole(building(1), 0.02, "outlined"))), (230, 230, 120), (40, 30, 30)
+    ),
+    "small, grey, soft": lambda: smaller(title_block(_whole(building(2), 0.02, "grey")), 2.5),
+    "light grey walls, dark text": lambda: axes(
+        inked(_whole(hospital(1, 0.5, yard=False), 0.03, "filled", clutter=False), (190,) * 3,
+              (255,) * 3)
+    ),
+}  # fmt: skip
+ASIDE: dict[str, Callable[[], Sheet]] = {
+    "aside: thick hatched walls, scanned, title block": lambda: jpeg(
+        scanned(title_block(framed(_whole(hospital(4, 0.6), 0.035, "hatched"))), 4), 50
+    ),
+    "aside: thick walls as two lines, photographed, zones, frame": lambda: jpeg(
+        photographed(
+            turned(framed(zones(_whole(hospital(5, 0.7), 0.03, "outlined"), PASTEL)), -2.0, 90), 5
+        )
+    ),
+    "aside: red walls on cream paper, legend": lambda: legend(
+        inked(_whole(building(4), 0.025, "filled"), (40, 30, 170), (215, 240, 250))
+    ),
+    "aside: white on blue, turned, dimensions": lambda: turned(
+        inked(dimensions(framed(_whole(building(5), 0.02, "outlined"))), (255,) * 3, (120, 60, 20)),
+        2.0, 60,
+    ),
+    "aside: single lines, title block, small": lambda: smaller(
+        title_block(framed(_whole(building(6), 0.02, "lines"), inner=None)), 1.7
+    ),
+    "aside: grey walls, strong zones, large title, JPEG": lambda: jpeg(
+        titled(zones(_whole(hospital(6, 0.5), 0.03, "grey"), STRONG), "GROUND FLOOR", 2.4, 0.1), 30
+    ),
+}  # fmt: skip
