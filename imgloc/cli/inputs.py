@@ -97,15 +97,15 @@ def check_target(
         raise ConfigError(f"{display(path)}: expected a name that ends in {' or '.join(endings)}")
     if not is_folder(path.parent):
         raise OutputError(f"{display(path)}: there is no folder {display(path.parent)}")
-    if not force:
-        refuse_existing(path)
-    for source in inputs:
+    for source in inputs:  # first: no hint of --force where it does not help
         with contextlib.suppress(OSError):
             if path.samefile(source):
                 raise OutputError(
                     f"{display(path)}: is read by this command and will not be overwritten, not "
                     "even with --force; expected another name"
                 )
+    if not force:
+        refuse_existing(path)
 
 
 def numbered(path: Path | None, indices: Sequence[int]) -> dict[int, Path]:

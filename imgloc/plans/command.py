@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import LOG, emit, say
+from imgloc.cli.console import LOG, emit, progress, say
 from imgloc.errors import ConfigError, MapError, as_options
 from imgloc.io.files import display, is_file
 from imgloc.options import MemoryBudget
@@ -12,6 +12,7 @@ from imgloc.ranges import Within, check_of, option
 from imgloc.texts import numbers, pose
 
 if TYPE_CHECKING:
+    from imgloc.io.mapyaml import MapYaml
     from imgloc.model import Pose2D
     from imgloc.plans.floorplan import FloorPlan
 else:
@@ -56,16 +57,18 @@ def plan(
     thinnest: Annotated[float, Within(0.005, 3, "metres")] = option(
         0.07, "Least thickness of a wall, metres: thinner strokes are no walls."
     ),
-    thickest: Annotated[float, Within(0.005, 3, "metres")] = option(
-        0.5,
+    thickest: Annotated[float | None, Within(0.005, 3, "metres")] = option(
+        None,
         "Greatest thickness of a wall that is drawn as two lines, metres: lines farther apart "
-        "enclose a room.",
+        "enclose a room. [default: found]",
     ),
     gap: Annotated[float | None, Within(0, 30, "metres")] = option(
         None, "Width of the widest outer door, metres. [default: found]"
     ),
     ink: Annotated[float | None, Within(0.01, 0.99, "a share")] = option(
-        None, "Darkness from which a pixel of the plan is ink. [default: found]"
+        None,
+        "Darkness, against the paper around it, from which a pixel of the plan is ink. [default: "
+        "found]",
     ),
     picture: Path | None = option(
         None,
@@ -79,30 +82,30 @@ def plan(
     """Make a map of a floor plan: walls as they stand, doors open, nothing else.
 
     Walls may be filled, two lines, hatched, or single thick lines. Door swings, text, furniture,
-    stairs, dimensions and thin lines are taken away, and what is outside becomes unknown.
+    stairs, dimensions and thin lines are taken away, and what is outside becomes unknown. The
+    building is the largest space within walls: frames, titles and legends are none.
     """
     from imgloc.cli import inputs
     from imgloc.io.images import image_size
     from imgloc.io.maps import save_map
-    from imgloc.io.mapyaml import load_map_yaml
     from imgloc.model import to_json
     from imgloc.plans.files import load_plan, measured_resolution
-    from imgloc.plans.floorplan import plan_bytes, plan_to_map
+    from imgloc.plans.floorplan import STEPS, plan_bytes, plan_to_map
     from imgloc.plans.picture import draw_floor_plan
 
+    beside = _beside(path)
+    read = [path] if beside is None else [path, path.with_suffix(".yaml")]
     png = out.with_suffix(".png")
     for target, ending in ((out, ".yaml"), (png, ".png"), (picture, ".png")):
-        inputs.check_target(target, ending, force=force, inputs=[path])
+        inputs.check_target(target, ending, force=force, inputs=read)
     if picture is not None and picture.resolve() == png.resolve():
         raise ConfigError(f"--picture: {display(picture)} is the image of the map; another name")
     name, budget = display(path), opt.fixed_budget(memory_budget)
-    size, beside = image_size(path), path.with_suffix(".yaml")
-    if is_file(beside) and beside != out:
-        said = load_map_yaml(beside)
-        if said.image.name == path.name:
-            origin = said.origin if origin is None else origin
-            if resolution is None and distance is None:
-                resolution = said.resolution
+    size = image_size(path)
+    if beside is not None:
+        origin = beside.origin if origin is None else origin
+        if resolution is None and distance is None:
+            resolution = beside.resolution
     if (resolution is None) == (distance is None):
         raise ConfigError(
             f"{name}: the scale is {'missing' if distance is None else 'given twice'}, expected "
@@ -118,10 +121,12 @@ def plan(
     with inputs.quiet_libraries():
         grey = load_plan(path)
     try:
-        found = plan_to_map(
-            grey, scale, origin=origin, cell=cell,
-            thinnest=thinnest, thickest=thickest, gap=gap, ink=ink,
-        )  # fmt: skip
+        with progress("plan", STEPS, lines=False) as advance:
+            found = plan_to_map(
+                grey, scale, origin=origin, cell=cell, thinnest=thinnest, thickest=thickest,
+                gap=gap, ink=ink, advance=advance,
+                inverted=True if beside is not None and beside.negate else None,
+            )  # fmt: skip
     except MapError as error:
         raise MapError(f"{name}: {error}") from None
     save_map(out, found.grid, force=force)
@@ -138,6 +143,16 @@ def plan(
         say(f"wrote {display(picture)}")
 
 
+def _beside(path: Path) -> "MapYaml | None":
+    """The YAML beside a plan, as map_server has it, if it is of this image."""
+    from imgloc.io.mapyaml import load_map_yaml
+
+    if not is_file(yaml := path.with_suffix(".yaml")):
+        return None
+    found = load_map_yaml(yaml)
+    return found if found.image.name == path.name else None
+
+
 def plan_text(name: str, resolution: float, plan: "FloorPlan", out: str) -> str:
     """Return what was found on a floor plan and what was taken from it."""
     low, median, high = plan.thickness
@@ -151,7 +166,7 @@ def plan_text(name: str, resolution: float, plan: "FloorPlan", out: str) -> str:
         f"  plan        {resolution:.4g} m a pixel" + (", light on dark" if plan.inverted else ""),
         f"  building    {plan.size[0]:.2f} x {plan.size[1]:.2f} m, {plan.free_area:.1f} m2 free",
         f"  walls       {plan.walls} pieces, {plan.length:.0f} m; {low:.2f} to {high:.2f} m thick, "
-        f"median {median:.2f} m",
+        f"median {median:.2f} m; lines up to {plan.thickest:g} m apart are one wall",
         f"  doors       {doors}; in outer walls openings up to {plan.gap:g} m count as closed",
         "  removed" + ("" if plan.removed else "     nothing"),
         *(f"    {r.kind:<24} {r.count:>5,} {r.area:>8.2f} m2" for r in plan.removed),

@@ -6,6 +6,7 @@ them apart is thickness: a wall is what lines close together enclose, and what i
 pen. The rest a laser never meets, or not where it is drawn: it is neither wall nor obstacle.
 """
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -33,7 +34,8 @@ from imgloc.numbers import number
 #: metres of a cell of the map, unless a pixel of the plan is larger
 CELL: float = number("floorplan.cell")
 THINNEST: float = number("floorplan.thinnest")  #: metres that walls are thick at least
-THICKEST: float = number("floorplan.thickest")  #: metres that walls are thick at most
+#: metres that walls drawn as two lines are thick at most, the first that encloses the building
+THICKEST: tuple[float, ...] = tuple(number("floorplan.thickest"))
 KINDS = (
     "paper", "walls", "door swings", "text", "furniture and symbols", "stairs and hatching",
     "thin lines", "outside the building", "a frame round the sheet",
@@ -44,8 +46,18 @@ _WALL, _SWING, _TEXT, _SYMBOL, _HATCH, _LINE, _OUTSIDE, _FRAME = range(1, len(KI
 _PARTS, _MOST = (4, 3, 2, 1), 16_000_000  # pixels along a cell, the finest of at most so many
 _BYTES = 60  # of each such pixel, at the peak
 # What a plan looks like; numbers.json says of each what it is.
+_PAPER = number("floorplan.paper")
+_DARKEST = number("floorplan.darkest")
+_CONTRAST = number("floorplan.contrast")
+_FRAMED = number("floorplan.framed")
+_ALONG = number("floorplan.along")
+_BROKEN = number("floorplan.broken")
+_THICKER = number("floorplan.thicker")
+_LENGTH = number("floorplan.length")
+_STRAIGHT = number("floorplan.straight")
 _FAINT = number("floorplan.faint")
 _LIGHT = np.array(number("floorplan.light"))
+_PARTITION = number("floorplan.partition")
 _BOLD = number("floorplan.bold")
 _LINES = number("floorplan.lines")
 _BOLDEST = number("floorplan.boldest")
@@ -79,6 +91,7 @@ _FLAT = number("floorplan.flat")
 # Least share of the drawing that is free, and greatest share of the ink that is outside, without
 # a doubt that the building was found.
 _DOUBT: tuple[float, float] = number("floorplan.doubt")
+STEPS = 1 + len(THICKEST) + len(_THINNER)  #: of :func:`plan_to_map` at most
 
 
 @dataclass(frozen=True)
@@ -109,6 +122,7 @@ class FloorPlan:
     removed: tuple[Removed, ...]  #: by kind, in the order of :data:`KINDS`
     gap: float  #: openings in the outer walls up to so wide count as closed, metres
     thinnest: float  #: what is thinner was no wall, metres
+    thickest: float  #: lines farther apart were no wall, metres
     inverted: bool  #: the plan was light on dark
 
     @property
@@ -119,9 +133,8 @@ class FloorPlan:
     @property
     def free_share(self) -> float:
         """Share of the drawing, 0..1, that became free: of the box around all that is drawn."""
-        drawn = ((self.kinds > 0) & (self.kinds != _FRAME)).astype(np.uint8)
-        _, _, wide, high = cv2.boundingRect(drawn)
-        return self.free_area / (max(1, wide * high) * self.pixel**2)
+        span = _span((self.kinds > 0) & (self.kinds != _FRAME))
+        return self.free_area / (max(1, span) * self.pixel**2)
 
     @property
     def outside_share(self) -> float:
@@ -162,6 +175,7 @@ class FloorPlan:
             "doubt": self.doubt or None,
             "gap": self.gap,
             "thinnest": self.thinnest,
+            "thickest": self.thickest,
             "inverted": self.inverted,
             "cell": self.grid.resolution,
             "cells": dict(zip(("height", "width"), self.grid.info.shape, strict=True)),
@@ -178,6 +192,16 @@ class Swing:
     radius: float
 
 
+@dataclass(frozen=True, eq=False)
+class Between:
+    """What lies between lines of a plan, in pixels."""
+
+    thickest: float  #: metres between the lines of a wall at most
+    holes: BoolArray  #: spaces between the lines of a wall
+    hatching: BoolArray  #: those of stairs, tiles and other hatching
+    body: BoolArray  #: walls that are drawn as lines, with these
+
+
 def plan_to_map(
     grey: npt.NDArray[np.uint8],
     resolution: float,
@@ -185,9 +209,11 @@ def plan_to_map(
     origin: Pose2D | None = None,
     cell: float | None = None,
     thinnest: float = THINNEST,
-    thickest: float = THICKEST,
+    thickest: float | None = None,
     gap: float | None = None,
     ink: float | None = None,
+    inverted: bool | None = None,
+    advance: Callable[[], None] = lambda: None,
 ) -> FloorPlan:
     """Make a map of a floor plan: walls as they stand, everything else that is drawn taken away.
 
@@ -201,14 +227,22 @@ def plan_to_map(
         Pose of the plan's lower-left corner in the map frame; default (0, 0, 0).
     cell : float, optional
         Side of a cell of the map, metres; default :data:`CELL`, or a pixel if that is larger.
-    thinnest, thickest : float
-        Thickness of walls, metres: thinner ink is a line, a wider gap between two lines is a room.
-        Where such walls enclose nothing, thinner ones are looked for.
+    thinnest : float
+        Least thickness of walls, metres: thinner ink is a line. Where such walls enclose nothing,
+        or little of the drawing, thinner ones are looked for.
+    thickest : float, optional
+        Greatest distance between the two lines of a wall, metres: a wider gap is a room. Default:
+        the first of :data:`THICKEST` with which walls enclose about as much as with any.
     gap : float, optional
         Openings in the outer walls up to this width, metres, count as closed while the inside is
         found; default: as wide as the plan needs.
     ink : float, optional
-        Darkness, 0..1, from which on a pixel is ink; by default Otsu's threshold.
+        Darkness, 0..1, against the paper around it, from which on a pixel is ink; by default Otsu's
+        threshold.
+    inverted : bool, optional
+        Whether the plan is light on dark; found by default.
+    advance : callable
+        Called after each of :data:`STEPS` steps, of which some may be left out.
 
     Returns
     -------
@@ -234,31 +268,47 @@ def plan_to_map(
     """
     expect(grey, np.ndarray, "grey")
     _check(resolution, cell, thinnest, thickest, gap, ink)
-    refuse_strange(grey)
+    refuse_recorded(grey)
+    grey, inverted = _evened(grey, resolution, inverted)
+    refuse_photo(grey)
+    advance()
     cell = max(CELL, resolution) if cell is None else cell
-    drawn, bold, parts, inverted = _sheet(grey, resolution, cell, ink)
+    drawn, bold, parts = _sheet(grey, resolution, cell, ink)
     pixel = cell / parts
-    holes, hatching = _between_lines(drawn, thickest / pixel, pixel)
-    holes &= ~_furniture(drawn, thickest / pixel, pixel)
     pen = _pen(bold, 2 * _LETTER / pixel) * pixel
     thin = max(thinnest, min(max(_BOLD * pen, _LINES * resolution), _BOLDEST))
-    # The lines between two spaces of a wall are in it, and half of the lines along it.
-    body = _closed(holes, max(0.04, _ACROSS * resolution) / pixel) & (drawn | holes)
+    partition = max(thinnest, _PARTITION * resolution)
     line = max(_pen(drawn, 2 * _LETTER / pixel), _SOFT * resolution / pixel)
-    body = _grown(body, round(line / 2)) & (drawn | body)
-    # A narrow hatched wall is more ink than paper.
-    dense = _opened(drawn | holes, _DENSE * line) & _grown(holes, round(_HATCHED / pixel))
-    body |= dense
+    across = max(0.04, _ACROSS * resolution) / pixel
+    least, frame = max(2.0, thin / pixel), np.zeros_like(drawn)
+    tried = list[tuple[int, Between]]()
+    for most in THICKEST if thickest is None else (thickest,):
+        between = _between_lines(drawn, most, line, across, pixel)
+        solid = _opened(_opened(bold, least) | between.body, least)
+        standing, _ = _standing(solid & ~frame, drawn, pixel)
+        inside, ring, _ = _building(standing, parts, pixel, gap)
+        frame |= ring
+        tried.append((int(np.count_nonzero(inside)), between))
+        advance()
+    enough = _THICKER * max(area for area, _ in tried)
+    between = next(b for area, b in tried if area >= enough)
+    best, best_area = None, _LEAST / cell**2
     for share in _THINNER:
-        walls, pillars, swings = _walls(drawn, bold, body, holes, share * thin, thickest, pixel)
-        frame = _frame(walls, parts, pixel, gap)
-        inside, closed = _inside(walls & ~frame, parts, pixel, gap)
-        if np.count_nonzero(inside) * cell**2 >= _LEAST:
+        walls, pillars, swings = _walls(drawn, bold, between, share * thin, partition, pixel)
+        inside, ring, closed = _building(walls & ~frame, parts, pixel, gap)
+        frame, area = frame | ring, np.count_nonzero(inside)
+        if area >= best_area:
+            best, best_area = (share, walls, pillars, swings, inside, closed), area
+        advance()
+        # A frame is a large share of what is drawn, but thinner lines along it are no walls.
+        span = _span(walls & ~frame) if frame.any() else _span(drawn)
+        if best is not None and area * parts**2 >= _DOUBT[0] * span:
             break
-    else:
-        raise MapError(_nothing(drawn, walls, pixel, thin, thickest, gap))
+    if best is None:
+        raise MapError(_nothing(drawn, walls, pixel, thin, between.thickest, gap))
+    share, walls, pillars, swings, inside, closed = best
     walls = _touching(walls & ~frame | pillars, _finer(inside, parts))
-    kinds = _kinds(drawn, walls, _finer(inside, parts), hatching, frame, swings, pixel)
+    kinds = _kinds(drawn, walls, _finer(inside, parts), between.hatching, frame, swings, pixel)
     middle = skeletonize(walls)
     through = (2 * _depth(walls)[middle] - 0.5) * pixel
     low, median, high = np.percentile(through, (5, 50, 95)).tolist()
@@ -275,17 +325,25 @@ def plan_to_map(
         removed=_counted(kinds, len(swings), pixel),
         gap=closed,
         thinnest=share * thin,
+        thickest=between.thickest,
         inverted=inverted,
     )
 
 
 def _walls(
-    drawn: BoolArray, bold: BoolArray, body: BoolArray, holes: BoolArray, thinnest: float,
-    thickest: float, pixel: float,
-) -> tuple[BoolArray, BoolArray, list[Swing]]:  # fmt: skip
-    """Walls no thinner than `thinnest`, metres, doors open; pillars; and the swings of doors."""
+    drawn: BoolArray,
+    bold: BoolArray,
+    between: Between,
+    thinnest: float,
+    partition: float,
+    pixel: float,
+) -> tuple[BoolArray, BoolArray, list[Swing]]:
+    """Walls no thinner than `thinnest`, metres, doors open; pillars; and the swings of doors.
+
+    What is no thinner than `partition` is a wall, too, where it is long and joined to another.
+    """
     least = max(2.0, thinnest / pixel)
-    solid = _opened(bold, least) | body
+    solid = _opened(bold, least) | between.body
     rough, _ = _standing(_opened(solid, least), drawn, pixel)
     swings = _swings(drawn, rough, pixel)
     # The leaf of a door may be as thick as the thinnest wall, and hide its own swing.
@@ -293,8 +351,17 @@ def _walls(
     for swing in _swings(drawn, bolder, pixel):
         if all(np.hypot(*(swing.hinge - s.hinge)) > _HANGS / pixel for s in swings):
             swings.append(swing)
-    solid = _without_leaves(solid, holes, swings, thickest / pixel, _LEAF_THICK / pixel)
-    return *_standing(_opened(solid, least), drawn, pixel), swings
+    thick, leaf = between.thickest / pixel, _LEAF_THICK / pixel
+    solid = _without_leaves(solid, between.holes, swings, thick, leaf)
+    walls, pillars = _standing(_opened(solid, least), drawn, pixel)
+    if partition < thinnest:
+        finer = _opened(bold, max(2.0, partition / pixel))
+        finer = _without_leaves(finer, between.holes, swings, thick, leaf)
+        long, _ = _standing(finer & ~_grown(walls, 1), drawn, pixel)
+        both = walls | (finer & _grown(long, 2))
+        labels, stats = _pieces(both)
+        walls = _met(labels, len(stats), walls)[labels]
+    return walls, pillars, swings
 
 
 def plan_bytes(height: int, width: int, resolution: float, cell: float | None = None) -> int:
@@ -336,18 +403,37 @@ def _met(labels: npt.NDArray[np.int32], count: int, where: BoolArray) -> BoolArr
     return out
 
 
+def _evened(
+    grey: npt.NDArray[np.uint8], resolution: float, inverted: bool | None
+) -> tuple[npt.NDArray[np.uint8], bool]:
+    """A plan against the paper around each pixel, dark on light; and whether it was not.
+
+    Shadows, and the colours of rooms, are paper: what is wider than any wall.
+    """
+    side = max(3, min(round(_PAPER / resolution), min(grey.shape) // 4))
+    kernel = np.ones((side, side), np.uint8)
+    smooth = cv2.medianBlur(grey, 3)
+    light, dark = cv2.dilate(smooth, kernel), cv2.erode(smooth, kernel)
+    if inverted is None:  # most of what lies near lines is paper, and not ink
+        near = cv2.subtract(light, dark) > 255 * _CONTRAST
+        inked = cv2.subtract(light, smooth) > cv2.subtract(smooth, dark)
+        inverted = bool(2 * np.count_nonzero(inked & near) > np.count_nonzero(near))
+    if inverted:
+        grey, light = 255 - grey, 255 - dark
+    paper = cv2.erode(light, kernel)
+    least = max(1, round(_DARKEST * float(np.percentile(paper, 95))))
+    evened = cv2.divide(grey, np.maximum(paper, least).astype(np.uint8), scale=255)
+    return np.asarray(evened, np.uint8), inverted
+
+
 def _sheet(
     grey: npt.NDArray[np.uint8], resolution: float, cell: float, ink: float | None
-) -> tuple[BoolArray, BoolArray, int, bool]:
+) -> tuple[BoolArray, BoolArray, int]:
     """What is drawn, and what is as dark as ink, in pixels a whole number of which are a cell.
 
     A thin line whose pixels are half white must not break; but a line is not to look like a wall.
     """
     limit = float(threshold_otsu(grey)) if ink is None else 255 * (1 - ink)
-    inverted = bool(np.count_nonzero(grey <= limit) > 0.5 * grey.size)
-    if inverted:
-        grey = 255 - grey
-        limit = 254 - limit if ink is None else limit
     dark = grey <= limit
     tones = np.array([np.median(grey[dark]), np.median(grey[~dark])])
     faint = limit if ink is not None else max(limit, _LIGHT @ tones)
@@ -366,10 +452,32 @@ def _sheet(
         larger = cv2.resize(grey, size, interpolation=cv2.INTER_LINEAR)
         masks = [larger <= faint, larger <= limit]
     drawn, bold = (np.pad(m, [(0, -side % parts) for side in m.shape]) for m in masks)
-    return drawn, bold, parts, inverted
+    return drawn, bold, parts
 
 
-def _between_lines(drawn: BoolArray, thick: float, pixel: float) -> tuple[BoolArray, BoolArray]:
+def _between_lines(
+    drawn: BoolArray, thickest: float, line: float, across: float, pixel: float
+) -> Between:
+    """Walls that are drawn as lines: `line` wide, `across` at most between two spaces, pixels."""
+    holes, hatching = _spaces(drawn, thickest / pixel, pixel)
+    holes &= ~_furniture(drawn, thickest / pixel, pixel)
+    # The lines between two spaces of a wall are in it, and half of the lines along it.
+    body = _closed(holes, across) & (drawn | holes)
+    body = _grown(body, round(line / 2)) & (drawn | body)
+    # A narrow hatched wall is more ink than paper.
+    dense = _opened(drawn | holes, _DENSE * line) & _grown(holes, round(_HATCHED / pixel))
+    body |= dense
+    if thickest > THICKEST[0]:  # so thick are cupboards, too, but outer walls are longer
+        labels, stats = _pieces(_opened(body, THICKEST[0] / pixel))
+        span = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT])
+        short = span < _LENGTH / pixel
+        short[0] = False
+        body &= ~_grown(short[labels], round(across))
+        holes &= body
+    return Between(thickest, holes, hatching, body)
+
+
+def _spaces(drawn: BoolArray, thick: float, pixel: float) -> tuple[BoolArray, BoolArray]:
     """Spaces between the lines of a wall, and those of stairs, tiles and other hatching."""
     labels, stats = _pieces(~drawn, 4)
     half = _depth(~drawn)
@@ -563,17 +671,66 @@ def _finer(mask: BoolArray, parts: int) -> BoolArray:
     return np.repeat(np.repeat(mask, parts, axis=0), parts, axis=1)
 
 
-def _inside(
+def _building(
     walls: BoolArray, parts: int, pixel: float, gap: float | None
-) -> tuple[BoolArray, float]:
-    """Cells that the walls enclose, with doors in the outer walls closed, up to which width."""
+) -> tuple[BoolArray, BoolArray, float]:
+    """Cells of the building that the walls enclose; frames around it; which openings are closed.
+
+    A frame is a rectangle without an opening around walls that enclose much of it by themselves.
+    """
+    frame = np.zeros(tuple(side // parts for side in walls.shape), np.bool_)
     taken = _coarser(walls, parts) > 0
+    cell = parts * pixel
+    inside, closed = _inside(taken, cell, gap)
+    while (ring := _ring(taken & ~frame, _BROKEN / cell)) is not None:
+        line, within = ring
+        own, gaps = _inside(taken & ~frame & ~line & within, cell, gap)
+        # A hall has doors, and may have a few small rooms.
+        shut = np.count_nonzero(_enclosed(line, 0.0)) > 0.5 * np.count_nonzero(within)
+        if np.count_nonzero(own) < _FRAMED[0 if shut else 1] * np.count_nonzero(within):
+            break
+        frame |= line
+        inside, closed = own, gaps
+    return inside, walls & _finer(frame, parts), closed
+
+
+def _ring(taken: BoolArray, broken: float) -> tuple[BoolArray, BoolArray] | None:
+    """The piece of wall around most others, and what is within, if it is little but a rectangle."""
+    labels, stats = _pieces(distance_transform((~taken).astype(np.uint8)) <= broken / 2)
+    if len(stats) < 3:
+        return None
+    spans = stats[1:, cv2.CC_STAT_WIDTH] * stats[1:, cv2.CC_STAT_HEIGHT]
+    ring = taken & (labels == 1 + int(np.argmax(spans)))
+    rows, columns = np.nonzero(ring)
+    hull = cv2.convexHull(np.column_stack((columns, rows)).astype(np.int32))
+    within = cv2.fillConvexPoly(np.zeros(ring.shape, np.uint8), hull, 1) > 0
+    middle = skeletonize(ring)
+    along = np.count_nonzero(middle & (_depth(within) <= 2 * broken))
+    straight = np.count_nonzero(within) > _STRAIGHT * np.prod(cv2.minAreaRect(hull)[1])
+    return (ring, within) if straight and along > _ALONG * np.count_nonzero(middle) else None
+
+
+def _span(drawn: BoolArray) -> int:
+    """Pixels of the box around all that is drawn."""
+    _, _, wide, high = cv2.boundingRect(drawn.astype(np.uint8))
+    return int(wide * high)
+
+
+def _inside(taken: BoolArray, cell: float, gap: float | None) -> tuple[BoolArray, float]:
+    """Cells that walls enclose, with doors in the outer walls closed, up to which width."""
     gaps = _GAPS if gap is None else (gap,)
-    found = [(_enclosed(taken, g / 2 / (parts * pixel)), g) for g in gaps]
+    found = [(_largest(_enclosed(taken, g / 2 / cell), taken), g) for g in gaps]
     most = max(np.count_nonzero(cells) for cells, _ in found)
     enough = [np.count_nonzero(cells) >= _ENOUGH * most for cells, _ in found]
     # One more: a disc that only just fails to get through a door reaches far into it.
     return found[min(int(np.argmax(enough)) + 1, len(found) - 1)]
+
+
+def _largest(inside: BoolArray, walls: BoolArray) -> BoolArray:
+    """What is inside of the largest building: cells joined by walls, as a title's are not."""
+    labels, stats = _pieces(inside | walls)
+    areas = np.bincount(labels[inside], minlength=len(stats))
+    return np.asarray(inside & (labels == int(np.argmax(areas))))
 
 
 def _enclosed(taken: BoolArray, radius: float) -> BoolArray:
@@ -590,26 +747,6 @@ def _enclosed(taken: BoolArray, radius: float) -> BoolArray:
     shut[0] = False
     within = ((cores > 0) & ~outside) | shut[seals]
     return np.asarray(within[pad:-pad, pad:-pad])
-
-
-def _frame(walls: BoolArray, parts: int, pixel: float, gap: float | None) -> BoolArray:
-    """The frame that is drawn round a sheet, if there is one: a ring with a building in it."""
-    labels, stats = _pieces(walls)
-    none = np.zeros_like(walls)
-    if len(stats) < 3:
-        return none
-    k = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_WIDTH]))
-    x, y, wide, high, area = stats[k].tolist()
-    rest = walls & (labels != k)
-    left, top, width, height = cv2.boundingRect(rest.astype(np.uint8))
-    around = 0.3 / pixel
-    within = min(left - x, top - y, x + wide - left - width, y + high - top - height) > around
-    if not within or area > 0.1 * wide * high:
-        return none
-    inside, _ = _inside(rest, parts, pixel, gap)
-    lone = np.count_nonzero(inside) * parts**2 > 0.2 * wide * high
-    thick = [np.median(_depth(m)[skeletonize(m)]) for m in (labels == k, rest)] if lone else [1, 0]
-    return labels == k if thick[0] <= thick[1] else none
 
 
 def _as_grid(
@@ -684,8 +821,8 @@ def _counted(kinds: npt.NDArray[np.uint8], swings: int, pixel: float) -> tuple[R
     return tuple(out)
 
 
-def refuse_strange(grey: npt.NDArray[np.uint8]) -> None:
-    """Raise MapError for what is no plan: one tone only, a photo, a map that a robot made."""
+def refuse_recorded(grey: npt.NDArray[np.uint8]) -> None:
+    """Raise MapError for an image of one tone, and for a map that a robot made."""
     counts = np.bincount(grey.ravel(), minlength=256)
     border = np.concatenate((grey[0], grey[-1], grey[:, 0], grey[:, -1]))
     unknown = np.count_nonzero(np.abs(border.astype(int) - 205) <= 2) / len(border)
@@ -697,7 +834,11 @@ def refuse_strange(grey: npt.NDArray[np.uint8]) -> None:
         )
     if np.count_nonzero(counts) < 2:
         raise MapError("it has one tone only, expected a floor plan with dark walls")
-    flat, left = 0, counts.copy()
+
+
+def refuse_photo(grey: npt.NDArray[np.uint8]) -> None:
+    """Raise MapError for an image of many tones, which no drawing has on even paper."""
+    flat, left = 0, np.bincount(grey.ravel(), minlength=256)
     for _ in range(_TONES):
         tone = int(left.argmax())
         near = slice(max(0, tone - _SHADES), tone + _SHADES + 1)
@@ -730,8 +871,8 @@ def _nothing(
 
 
 def _check(
-    resolution: float, cell: float | None, thinnest: float, thickest: float, gap: float | None,
-    ink: float | None,
+    resolution: float, cell: float | None, thinnest: float, thickest: float | None,
+    gap: float | None, ink: float | None,
 ) -> None:  # fmt: skip
     """Raise ConfigError for a parameter that is out of its range."""
     limits = {
@@ -742,5 +883,7 @@ def _check(
     for name, (value, low, high) in limits.items():
         if value is not None and not low <= value <= high:
             raise ConfigError(f"`{name}`: got {value:g}, expected {low:g} to {high:g}")
+    if thickest is None:
+        thickest = THICKEST[0]
     if thinnest >= thickest:
         raise ConfigError(f"`thinnest={thinnest:g}`: expected less than `thickest={thickest:g}`")

@@ -194,3 +194,25 @@ def test_a_yaml_beside_a_plan_says_its_scale_and_where_it_lies(
     np.testing.assert_array_equal(here.occupied, there.occupied)
     assert here.origin.x == pytest.approx(there.origin.x + 10)
     assert here.origin.y == pytest.approx(there.origin.y + 20)
+
+
+def test_a_yaml_that_is_read_is_no_output_and_its_negate_counts(
+    folder: Path, tmp_path: Path
+) -> None:
+    image = read_image(folder / "drawing.png").pixels
+    (tmp_path / "a.jpg").write_bytes(cv2.imencode(".jpg", 255 - image)[1].tobytes())
+    yaml = f"image: a.jpg\nresolution: {PIXEL}\norigin: [0, 0, 0]\nnegate: 1\n"
+    (tmp_path / "a.yaml").write_text(yaml)
+    for words in ((), ("--force",)):
+        run = call("map", "plan", tmp_path / "a.jpg", "-o", tmp_path / "a.yaml", *words)
+        assert (run.code, "a.yaml: is read by this command" in run.err) == (1, True)
+    assert (tmp_path / "a.yaml").read_text() == yaml
+    for name in ("a", "b"):  # light on dark, and it is not
+        (tmp_path / "a.yaml").write_text(yaml.replace("a.jpg", f"{name}.jpg"))
+        (tmp_path / "a.yaml").rename(tmp_path / f"{name}.yaml")
+        (tmp_path / "b.jpg").write_bytes((folder / "drawing.jpg").read_bytes())
+        run = call("map", "plan", tmp_path / f"{name}.jpg", "-o", tmp_path / f"{name}-map.yaml",
+                   "--json")  # fmt: skip
+        doubted = run.code != 0 or rows(run.out)[0]["doubt"] is not None
+        assert doubted == (name == "b"), run.err
+        (tmp_path / f"{name}.yaml").rename(tmp_path / "a.yaml")

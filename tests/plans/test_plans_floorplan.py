@@ -1,5 +1,7 @@
 """From drawings of a building whose walls are known to its map; and what is no plan."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -8,10 +10,13 @@ import pytest
 from cabin import cabin
 
 from imgloc.errors import ConfigError, MapError
+from imgloc.io.images import encode_png
 from imgloc.model import BoolArray, Pose2D
 from imgloc.plans.files import load_plan
 from imgloc.plans.floorplan import (
     KINDS,
+    STEPS,
+    THICKEST,
     FloorPlan,
     Swing,
     _furniture,
@@ -21,9 +26,23 @@ from imgloc.plans.floorplan import (
     _standing,
     _swings,
     plan_to_map,
-    refuse_strange,
+    refuse_recorded,
 )
 from tools.plans.drawing import Image, draw_plan, inside, solid
+from tools.plans.measure import shares_found
+from tools.plans.sheets import (
+    Sheet,
+    drawn,
+    framed,
+    inked,
+    jpeg,
+    legend,
+    padded,
+    photographed,
+    scanned,
+    titled,
+    turned,
+)
 
 CELL = 0.05
 
@@ -183,7 +202,7 @@ def test_a_map_that_a_robot_made_is_known_by_its_border(turns: int) -> None:
     recorded[40, 3] = 0
     recorded[:, [0, -1]] = 205  # in half of its border that is all
     with pytest.raises(MapError, match="a robot made"):
-        refuse_strange(np.rot90(recorded, turns))
+        refuse_recorded(np.rot90(recorded, turns))
 
 
 @pytest.mark.parametrize("width", [2, 3, 5])
@@ -253,7 +272,7 @@ def test_the_swing_of_a_door_is_a_quarter_circle(middle_deg: int) -> None:
 def test_ink_is_what_is_as_dark_as_that(resolution: float) -> None:
     plan = np.full((60, 60), 255, np.uint8)
     plan[20:40, 10:30], plan[20:40, 30:50] = 102, 103  # a darkness of 0.6, and less
-    drawn, bold, parts, _ = _sheet(plan, resolution, 0.05, 0.6)
+    drawn, bold, parts = _sheet(plan, resolution, 0.05, 0.6)
     scale = resolution / (0.05 / parts)
     for mask in (drawn, bold):
         row = mask[round(30 * scale)]
@@ -267,3 +286,55 @@ def test_recorded_maps_are_no_plans(shared: Path) -> None:
     for path in maps:
         with pytest.raises(MapError, match="a robot made"):
             plan_to_map(load_plan(path), 0.05)
+
+
+@pytest.fixture(scope="module")
+def cabin_sheet() -> Sheet:
+    """The cabin on a sheet with room around it, in colour."""
+    return padded(drawn(cabin(), 0.025, "outlined"), 2.0, 6.0, 11.0, 5.0)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda s: legend(titled(s, "FLOOR 2", 2.0, 0.08)),
+        lambda s: turned(framed(s), 2.0, 90),
+        lambda s: photographed(titled(s, "FLOOR 2", 1.0), 3),
+        lambda s: jpeg(scanned(s, 4)),
+        lambda s: inked(titled(s, "FLOOR 2", 1.0), (230, 230, 120), (40, 30, 30)),
+    ],
+    ids=["legend", "turned", "photographed", "scanned", "light on dark"],
+)
+def test_the_building_is_found_on_a_whole_sheet(
+    cabin_sheet: Sheet, change: Callable[[Sheet], Sheet], tmp_path: Path
+) -> None:
+    sheet = change(replace(cabin_sheet, image=cabin_sheet.image.copy()))
+    (tmp_path / "sheet.png").write_bytes(encode_png(sheet.image))
+    found = plan_to_map(load_plan(tmp_path / "sheet.png"), sheet.resolution, origin=sheet.origin)
+    free, walls = shares_found(found.grid, cabin())
+    assert free > 0.95
+    assert walls > 0.85
+    assert found.free_area < 1.15 * 8.7 * 5.2  # and nothing else is
+
+
+def test_thicker_walls_as_two_lines_are_looked_for_unless_it_is_given(cabin_sheet: Sheet) -> None:
+    b = cabin()
+    b.walls = [(a, end, 0.7 if thick == 0.3 else thick) for a, end, thick in b.walls]
+    plan = upright(draw_plan(b, 0.025, "outlined", clutter=False))
+    assert plan_to_map(plan, 0.025).thickest == THICKEST[-1]
+    assert plan_to_map(plan, 0.025, thickest=1.1).thickest == 1.1
+    given = plan_to_map(upright(cabin_sheet.image[..., 0].copy()), 0.025)
+    assert given.thickest == THICKEST[0]
+
+
+def test_a_partition_that_is_thinner_than_a_bold_pen_stays(cabin_sheet: Sheet) -> None:
+    sheet = padded(drawn(cabin(), 0.04, "filled"), 2.0, 2.0, 2.0, 6.0)
+    sheet = titled(sheet, "FLOOR 2", 0.6, 0.12)
+    found = plan_to_map(upright(sheet.image[..., 0]), 0.04, origin=sheet.origin)
+    assert shares_found(found.grid, cabin())[1] > 0.97
+
+
+def test_each_step_is_counted_at_most_once(plain: tuple[Image, FloorPlan]) -> None:
+    steps = list[None]()
+    plan_to_map(plain[0], 0.02, advance=lambda: steps.append(None))
+    assert 2 < len(steps) <= STEPS
