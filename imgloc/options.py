@@ -223,6 +223,10 @@ class Bending(Checked):
     alike: Share = number("Bending.alike")
 
 
+# More effort: factor on the nodes that are kept, places, and how much worse a proposal may be.
+_WIDER: tuple[float, int, float] = number("options.wider")
+
+
 @dataclass(frozen=True)
 class FusedOptions(Checked):
     """What the search spends where."""
@@ -273,9 +277,21 @@ class FusedOptions(Checked):
     most_scaled: Annotated[float, Within(1, 10, "a factor")] = number("FusedOptions.most_scaled")
     #: distance, metres and radians, below which two poses are one hypothesis
     separation: tuple[Metres, Radians] = number("FusedOptions.separation")
+    #: misfit, nats per reading, above which the search is repeated with more effort: :attr:`wider`
+    hopeless: Nats = number("FusedOptions.hopeless")
     #: parameters of the score, and those that are others on bent walls
     model: EvidenceModel = field(default_factory=EvidenceModel)
     bending: Bending = field(default_factory=Bending)
+
+    @property
+    def wider(self) -> "FusedOptions":
+        """More effort: the first look with all readings, more nodes, more places looked at."""
+        factor, places, worse = _WIDER
+        a, b, c, d = (round(factor * kept) for kept in self.keep)
+        return replace(
+            self, few_rays=self.rays, keep=(a, b, c, d),
+            second_look=max(places, self.second_look), worse=max(worse, self.worse),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from imgloc.io.maps import require_usable
 from imgloc.likelihoods.stacks import check_stack, likelihood
 from imgloc.model import FloatArray, Floor, LaserScan, Likelihood, Localization, OccupancyGrid
 from imgloc.numbers import number
-from imgloc.options import FUSED, Options, Shared
+from imgloc.options import FUSED, FusedOptions, Options, Shared
 from imgloc.search.adapt import THINNER, adapt
 from imgloc.search.answer import answered
 from imgloc.search.asked import check_options
@@ -253,9 +253,8 @@ def propose(
 ) -> FloatArray:
     """Propose poses by endpoint correlation, and by branch and bound if `options.exact` is set.
 
-    The result (M, 3) is in the grid frame: metres, metres, radians. `few` are the readings to
-    correlate. Only the best poses are returned if the time is past `end`, seconds by
-    :func:`time.monotonic`.
+    The result (M, 3) is in the grid frame: metres, metres, radians. Only the best poses are
+    returned if the time is past `end`, seconds by :func:`time.monotonic`.
     """
     fused, prior = options.fused, options.prior
     levels = pyramid_levels(prior, features.pyramid, features.grid.resolution)
@@ -277,10 +276,9 @@ def look(
     options: Options,
     before: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Refine proposals with few readings, and keep the best of them.
+    """Refine proposals (M, 3) with few readings; the best of them and of `before`, (B, 3).
 
-    `proposals` (M, 3) and `before` (B, 3), poses kept by an earlier look, are in the grid frame.
-    The result has the best poses of both (L, 3) and their scores (L,) in nats, best first.
+    These are poses (L, 3) in the grid frame and their scores (L,) in nats, best first.
     """
     poses = refine(proposals, few.xy, features.field, sigmas=_FIRST_LOOK)
     poses = standing(poses, options.prior, features)
@@ -293,46 +291,42 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
 
     If nothing fits well, the search is repeated without the readings that may end on the floor.
     They are left out if the others fit well. If nothing fits well then, and the readings fit far
-    better with another scale or with thinner walls, the search is repeated with that error.
+    better with another scale or with thinner walls, the search is repeated with that error. If
+    hardly anything fits even then, it is repeated with more readings and more proposals.
 
-    Parameters
-    ----------
-    features : MapFeatures
-        The map without any correction.
-    scan : LaserScan
-        The scan, with at least one valid reading.
-    options : Options
-        Prior and limits of the search. The time budget, seconds, covers all searches together.
-
-    Returns
-    -------
-    Modes
-        Separated modes in the grid frame, best first, with the shared error in use and the floor
-        that was left out.
+    The arguments and the result are those of :func:`find_modes`, with the shared error in use and
+    the floor that was left out. The `features` are those of the map without any correction. The
+    time budget, seconds, covers all searches together.
     """
-    start = time.monotonic()
+    start, fused, usual = time.monotonic(), options.fused, options.shared.usual
 
-    def find(shared: Shared, floor: Floor | None, more: FloatArray | None = None) -> Modes:
-        left = options
+    def find(
+        shared: Shared, floor: Floor | None = None, effort: FusedOptions = fused,
+        more: FloatArray | None = None,
+    ) -> Modes:  # fmt: skip
+        left = replace(options, fused=effort)
         if options.time_budget is not None:
             rest = max(0.0, start + options.time_budget - time.monotonic())
-            left = replace(options, time_budget=rest)
+            left = replace(left, time_budget=rest)
         there, seen = features.thinner(shared.thinner), left_out(scan, floor).scaled(shared.scale)
         return replace(find_modes(there, seen, left, more=more), shared=shared, floor=floor)
 
     def lacks(found: Modes) -> float:
         return options.model.best - found.mean_score
 
-    fused, usual, found = options.fused, options.shared.usual, find(options.shared, None)
-    if lacks(found) > fused.unfit + usual and found.complete and len(found.poses):
-        for floor in floors(scan):
-            if left_out(scan, floor).directions < options.trust.readings:
-                continue
-            again = find(options.shared, floor)
-            if not again.complete:
-                return replace(found, complete=False)
-            if lacks(again) <= fused.strained + usual and lacks(again) < lacks(found):
-                found = again
+    def is_unfit(found: Modes, misfit: float) -> bool:
+        unfit = lacks(found) > max(misfit, fused.strained) + usual
+        return unfit and found.complete and len(found.poses) > 0
+
+    found = find(options.shared)
+    for floor in floors(scan) if is_unfit(found, fused.unfit) else ():
+        if left_out(scan, floor).directions < options.trust.readings:
+            continue
+        again = find(options.shared, floor, more=np.empty((0, 3)))
+        if not again.complete:
+            return replace(found, complete=False)
+        if lacks(again) <= fused.strained + usual and lacks(again) < lacks(found):
+            found = again
     for _ in range(_ROUNDS):
         if lacks(found) <= fused.strained or not (found.complete and len(found.poses)):
             break
@@ -341,10 +335,16 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
         if shared == found.shared:
             break
         # What votes found for the same readings is among the places.
-        again = find(shared, found.floor, places if shared.scale == found.shared.scale else None)
+        voted = places if shared.scale == found.shared.scale else None
+        again = find(shared, found.floor, more=voted)
         if not again.complete:
             return replace(found, complete=False)
         if again.mean_score <= found.mean_score:
             break
         found = again
+    if is_unfit(found, fused.hopeless):
+        again = find(options.shared, found.floor, fused.wider)
+        if not again.complete:
+            return replace(found, complete=False)
+        found = max(found, again, key=lambda modes: modes.mean_score)
     return found

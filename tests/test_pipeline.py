@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from command import MAPS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from places import ANGLES, answer_of, error, features_of, grid_of, room_with_a_post, scan_of
@@ -18,7 +19,7 @@ from imgloc.likelihoods.stacks import likelihood
 from imgloc.model import LaserScan, OccupancyGrid, Pose2D, compose, inverse, to_json
 from imgloc.options import ALL_METHODS, FusedOptions, Options, Trust
 from imgloc.pipeline import localize, localize_many, prepare
-from imgloc.simulation.scans import simulate_ranges
+from imgloc.simulation.scans import simulate, simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
 INF, NAN = float("inf"), float("nan")
@@ -245,6 +246,30 @@ def test_a_prepared_map_has_all_that_a_hard_scan_looks_at() -> None:
     assert made(lazy) != few
     assert answers[0].verdict == "no-match" == answers[1].verdict
     assert answers[0].evidence.misfit == answers[1].evidence.misfit
+
+
+@pytest.mark.parametrize("k", [4, 5, 10])
+def test_a_scan_that_hardly_fits_is_searched_for_with_more_effort(k) -> None:
+    features = prepare(load_map(MAPS / "large.yaml"))
+    scans = simulate(features.grid, 12, seed=2)
+    # More than half of the rays are stopped anywhere before the wall.
+    hit, where = np.random.default_rng(k).random((2, len(scans[k].ranges)))
+    ranges = np.where(hit < 0.55, where, 1) * scans[k].ranges
+    short = dataclasses.replace(scans[k], ranges=ranges)
+    with_less = localize(features, short, Options(fused=FusedOptions(hopeless=1e6)))
+    found = localize(features, short)
+    assert found.evidence.misfit < with_less.evidence.misfit - 0.3
+    x, y, _ = scans.poses[k]
+    assert math.hypot(found.best.x - x, found.best.y - y) < 0.1
+    assert math.hypot(with_less.best.x - x, with_less.best.y - y) > 0.3
+
+
+def test_more_effort_is_no_less_of_anything() -> None:
+    wider = FusedOptions(second_look=500).wider
+    assert wider.few_rays == wider.rays == FusedOptions().rays
+    assert wider.keep == tuple(2 * kept for kept in FusedOptions().keep)
+    assert (wider.second_look, wider.worse) == (500, 0.4)
+    assert wider.hopeless == FusedOptions().hopeless
 
 
 @pytest.mark.parametrize("options", [None, Options("cbml", top=3)])
