@@ -42,7 +42,7 @@ class Doubtful:
             yield row
 
     def _note(self, item: Id, answers: Sequence[Row]) -> None:
-        said = [(answer["verdict"], _evidence(answer["evidence"])) for answer in answers]
+        said = [(answer["verdict"], evidence_of(answer["evidence"])) for answer in answers]
         if len(said) == 1:
             self._single.add(str(item[1]))
         if _unique(said):
@@ -81,8 +81,8 @@ class Doubtful:
         return [(item, self._said[item.id]) for item in sorted(there, key=turn)[:_TRIED]]
 
 
-def _evidence(row: Row) -> Evidence:
-    """What a doubt looks at."""
+def evidence_of(row: Row) -> Evidence:
+    """The evidence of a row, as far as a doubt looks at it: misfit, scale, walls and floor."""
     names = ("misfit", "scale", "thinner")
     told: dict[str, Any] = {key: row[key] for key in names if row.get(key) is not None}
     if share := row.get("floor"):

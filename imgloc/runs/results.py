@@ -82,6 +82,7 @@ _ROW: Mapping[str, Any] = {
     "map": str, "scans": (str, None), "message": (str, None), "code": (str, int, None),
     "status": frozenset({"ok", "failed", "crashed", "timeout"}), "key": str, "version": str,
     "answers": [{str: object}],
+    "hashes?": {"map": (str, None), "scans": (str, None), "parameters": str},
     "cost": {"seconds?": float, "attempts?": int, "ms?": [float]},
 }  # fmt: skip
 _ROWS = {job: {**_ROW, "answers": [answer]} for job, answer in _ANSWERS.items()}

@@ -2,6 +2,7 @@
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -179,3 +180,95 @@ def test_the_command_counts_draws_and_mends(moved, tmp_path):
     assert ": 0.0 % of its walls are gone" in text
     slip = call("map", "changes", path, tmp_path / "log.npz", "--update", path, "--force")
     assert (slip.code, "is read by this command" in slip.err) == (1, True)
+
+
+@pytest.fixture
+def logs(moved, tmp_path, monkeypatch):
+    """A map that has aged and two logs of four scans, in the working folder."""
+    old, now = moved
+    monkeypatch.chdir(tmp_path)
+    save_map("old.yaml", OccupancyGrid(old, ~old, 0.1, CORNER))
+    Path("logs").mkdir()
+    scans = scanned(now, POSES)
+    for name, some in (("a", scans[:4]), ("b", scans[4:])):
+        save_scans(f"logs/{name}.npz", ScanSet(tuple(some)))
+
+
+def batch(*options: object, job: str = "localize") -> None:
+    given = ("batch", "old.yaml", "logs", "--job", job, "--workers", 1, "--no-cache")
+    done = call(*given, "--out", "done", *options)
+    assert done.code == 0, done.err
+
+
+def aged(*given: object) -> dict:
+    found = call("map", "changes", "old.yaml", *given, "--json", "--no-cache")
+    assert found.code == 0, found.err
+    return json.loads(found.out)
+
+
+def test_several_logs_and_a_batch_of_them_show_the_same_changes(logs):
+    both = aged("logs/a.npz", "logs/b.npz")
+    assert both["given"] == 8
+    assert both["gone_m"] > 1.5
+    assert aged("logs/a.npz")["given"] == 4
+    batch()
+    assert aged("done") == both
+    assert aged("done", "--scans-index", "0:2")["given"] == 4
+    rows = Path("done/results.jsonl")  # nothing is located again: what the rows say counts
+    rows.write_text(rows.read_text().replace('"unique"', '"ambiguous"', 3))
+    assert aged("done")["scans"] == both["scans"] - 3
+
+
+def test_a_log_beside_a_batch_counts_at_its_own_poses(logs):
+    both = aged("logs/a.npz", "logs/b.npz")
+    Path("b.npz").write_bytes(Path("logs/b.npz").read_bytes())
+    Path("logs/b.npz").unlink()
+    batch()
+    assert aged("b.npz", "done") == both
+
+
+def test_scans_of_a_batch_are_read_as_it_has_read_them(logs, moved):
+    upside_down = [scan.flipped for scan in scanned(moved[1], POSES)]
+    save_scans("logs/a.npz", ScanSet(tuple(upside_down[:4])), force=True)
+    save_scans("logs/b.npz", ScanSet(tuple(upside_down[4:])), force=True)
+    batch("--flipped", "--sensor", "0.1,0,0", "--scans-index", "1:4")
+    given = ("--flipped", "--sensor", "0.1,0,0", "--scans-index", "1:4")
+    found = aged("done")
+    assert found == aged("logs/a.npz", "logs/b.npz", *given)
+    assert (found["given"], found["scans"]) == (6, 6)
+    wrong = call("map", "changes", "old.yaml", "done", "--flipped")
+    assert (wrong.code, "expected no option for how scans are read" in wrong.err) == (2, True)
+
+
+def test_a_batch_that_does_not_fit_is_refused_by_one_error(logs, moved):
+    def refused(*given: object) -> tuple[int, str]:
+        found = call("map", "changes", *given, "--no-cache")
+        assert found.err.count("error:") == 1
+        assert found.out == ""
+        return found.code, found.err
+
+    batch()
+    save_map("new.yaml", OccupancyGrid(moved[1], ~moved[1], 0.1, CORNER))
+    code, err = refused("new.yaml", "done")
+    assert (code, "done: a batch of old.yaml, expected one of new.yaml" in err) == (2, True)
+    code, err = refused("old.yaml", "logs")
+    assert (code, "logs: no run.json" in err) == (1, True)
+    save_scans("logs/b.npz", ScanSet(tuple(scanned(moved[0], POSES))), force=True)
+    code, err = refused("old.yaml", "done")
+    assert (code, "done: b.npz: the file is not there, or not as" in err) == (2, True)
+    Path("logs").rename("moved")
+    code, err = refused("old.yaml", "done")
+    assert (code, "the working folder in which imgloc batch ran" in err) == (2, True)
+    Path("moved").rename("logs")
+    run = json.loads(Path("done/run.json").read_text())
+    for parameters in run["parameters"].values():
+        parameters["scans"]["mount"] = {"x": "far"}
+    Path("done/run.json").write_text(json.dumps(run))
+    code, err = refused("old.yaml", "done")
+    assert (code, "run.json does not state how the scans of" in err) == (1, True)
+
+
+def test_a_batch_of_another_job_is_refused(logs):
+    batch(job="changes")
+    found = call("map", "changes", "old.yaml", "done")
+    assert (found.code, "a batch of the job changes, expected localize" in found.err) == (2, True)
