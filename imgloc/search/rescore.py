@@ -36,6 +36,9 @@ from imgloc.search.refine import endpoints
 _PIECE: tuple[float, float] = number("rescore.piece")
 # Offsets that stand for all: how many, and the farthest, standard deviations.
 _OFFSETS: tuple[int, float] = number("rescore.offsets")
+# Nats that a place may be behind the best one to be as good, and how many such places are kept.
+_EQUAL: float = number("rescore.equal")
+_EQUALS: int = number("rescore.equals")
 
 
 @dataclass(frozen=True)
@@ -207,12 +210,13 @@ def shortlist(
     order = np.argsort(-ends, kind="stable")
     poses = poses[np.sort(order[first_in_cell(poses[order], *fused.same)])]
     score = rescore(poses, ranges, angles, field, features.walls, model).log_likelihood
+    # Of places that are as good as the best one none is left out, else their masses are chance.
+    equal = int(np.count_nonzero(score >= score.max(initial=-np.inf) - _EQUAL))
+    places = max(fused.second_look, min(equal, _EQUALS))
     best, close = (
         modes(poses, score, distance=distance, angle=angle, most=most)
-        for (distance, angle), most in (
-            (fused.twins, fused.second_look), (fused.same, fused.closer)
-        )
-    )  # fmt: skip
+        for (distance, angle), most in ((fused.twins, places), (fused.same, fused.closer))
+    )
     both = np.concatenate((best, np.setdiff1d(close, best)))
     # What is far behind cannot win any more, but some of it is listed.
     (distance, angle), count = fused.separation, fused.least_look

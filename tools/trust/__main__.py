@@ -5,6 +5,7 @@
     python -m tools.trust robustness --out robustness.json            # 20 scans in five worlds
     python -m tools.trust robustness --quick                          # 3 in two
     python -m tools.trust robustness --sets ../data/*/map.yaml        # recorded scans instead
+    python -m tools.trust completeness --sets ../data/*/map.yaml      # beside a wider search
     python -m tools.trust fit --sets ../data/*/map.yaml               # constants of trust
     python -m tools.trust precision --sets ../data/*/map.yaml         # covariances
     python -m tools.trust precision --maps ../data/map_*/map.yaml     # and of simulated scans
@@ -46,6 +47,7 @@ from imgloc.simulation.worlds import WORLDS
 from tools.plots import blank
 from tools.recorded import in_world, recorded_sets
 from tools.script import at_least_one, ended, parser_of, progress
+from tools.trust.completeness import completeness_table, of_place
 from tools.trust.fit import (
     Case,
     cases_at_home,
@@ -226,6 +228,24 @@ def run_robustness(given: argparse.Namespace) -> int:
     print(robustness_table(rows))
     most = POINTS_RECORDED if given.sets else POINTS
     return 0 if all(row.behind <= most for row in rows) else 1
+
+
+def run_completeness(given: argparse.Namespace) -> int:
+    """Does the search list what scores? Its modes beside those of a far wider search.
+
+    The scans of the worlds and sets are disturbed, one in this way and the next in another. A scan
+    misses what the wider search finds and no mode is near. Prints a Markdown table.
+    """
+    at_least_one(n=given.n)
+    sets = recorded_sets(given.sets, given.n, given.seed, given.range_max)
+    worlds = filter(None, given.worlds.split(","))
+    places = [in_world(name, given.n, given.seed) for name in worlds]
+    places += [(grid, scans) for _, grid, scans in sets]
+    jobs: list[Work] = [
+        (of_place, (grid, scans, given.seed, k)) for k, (grid, scans) in enumerate(places)
+    ]
+    print(completeness_table(all_of("completeness", jobs, given.workers)))
+    return 0
 
 
 def run_fit(given: argparse.Namespace) -> int:
@@ -470,6 +490,8 @@ TOOLS: Sequence[tuple[Any, ...]] = (
     (run_robustness, None, 100, "scans in each world or set (default: 20)", "--sets", "--range-max",
      "--out", ("--worlds", {"default": None, "help": "with commas between (default: all five)"}),
      "--conditions", "--quick", "--threads", "--force"),
+    (run_completeness, 40, 7, "scans of each world or set", "--sets", "--range-max", "--worlds",
+     "--workers"),
     (run_fit, 30, 5, "scans of each world or set", "--sets", "--range-max", "--worlds", "--maps",
      "--hold-temperature", "--write", "--workers", "--same"),
     (run_precision, 30, 1, "scans of each world, set or map", "--sets", "--range-max", "--worlds",

@@ -28,7 +28,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.geometry import centre_of, transform_poses
 from imgloc.model import FloatArray
 from imgloc.options import Known
-from imgloc.search.priors import prior_of
+from imgloc.search.priors import leaves_none, prior_of
 from tools.plans.drawing import building, true_world
 from tools.script import table_lines
 from tools.trust.disturb import PRIORS, ROOMS, half_of, unmapped
@@ -155,6 +155,8 @@ def answers(questions: Questions, advance: Callable[[], object] = lambda: None) 
         features = prepare(grid)
         for asked in some:
             options = Options(prior=prior_of(asked.known, grid))
+            if leaves_none(options.prior, features):
+                continue  # what is known of a place elsewhere may be in the walls of this map
             yield told(asked, localize(features, asked.scan, options))
             advance()
 

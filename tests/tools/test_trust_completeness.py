@@ -1,0 +1,41 @@
+"""What a search misses beside a far wider one is counted."""
+
+from dataclasses import replace
+
+from command import run
+
+from imgloc import prepare
+from tools.recorded import in_world
+from tools.trust import completeness
+from tools.trust.__main__ import main
+from tools.trust.completeness import Compared, compared, completeness_table
+
+
+def test_a_search_that_lists_nothing_misses_all_of_the_mass(monkeypatch) -> None:
+    grid, scans = in_world("visibility", 12, 5)
+    features = prepare(grid)
+    scan, pose = next(scans.with_poses())
+    full = compared("undisturbed", features, scan, pose)
+    assert full.missed < 0.01
+    assert full.right == full.wider_right
+    whole = completeness.find_adapted_modes
+
+    def none(*given):
+        found = whole(*given)
+        return replace(found, poses=found.poses[:0])
+
+    monkeypatch.setattr(completeness, "find_adapted_modes", none)
+    blind = compared("undisturbed", features, scan, pose)
+    assert blind.missed == 1.0
+    assert not blind.right
+
+
+def test_a_table_counts_what_is_missed() -> None:
+    some = [Compared("people", 0.0, True, True), Compared("people", 0.05, False, True)]
+    assert completeness_table(some).splitlines()[2] == "| people | 2 | 1 | 0 | 1 | 2 |"
+
+
+def test_the_command_prints_a_table() -> None:
+    found = run(main, "completeness", "-n", 2, "--worlds", "curved", "--workers", 1)
+    assert found.code == 0, found.err
+    assert found.out.splitlines()[-1].startswith("| all | 2 |")
