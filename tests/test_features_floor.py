@@ -132,3 +132,31 @@ def test_a_tilted_laser_is_located_and_the_floor_is_named(tilted, tmp_path) -> N
     assert "is the laser tilted" in run.err
     run = call("batch", MAPS / "large.yaml", tmp_path / "tilted.npz", "--out", tmp_path / "out")
     assert "is the laser tilted" in run.out
+
+
+def test_a_reading_at_the_edge_of_a_bin_is_on_its_floor() -> None:
+    # 3.00 m is a whole number of bins of 0.12 m.
+    ranges = [3.00, 0.50, 1.00, 0.30, 0.50, 0.50, 0.50, 1.00, 0.50, 0.50]
+    for scan in (
+        LaserScan(ranges, np.linspace(0, np.pi, 10), range_max=30.0),
+        *(LaserScan(np.full(360, far), ANGLES, range_max=30.0) for far in (3.0, 6.0, 12.0, 10.32)),
+    ):
+        for floor in floors(scan):
+            assert math.isfinite(floor.distance)
+            assert floor.share >= 0.1
+    circle = floors(LaserScan(np.full(360, 12.0), ANGLES, range_max=30.0))[-1]
+    assert (circle.distance, circle.share) == (12.0, 1.0)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_what_is_returned_keeps_all_limits(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ranges = np.minimum(room(*rng.uniform(3, 16, 2)), line(*rng.uniform((1.5, -3), (6, 3))))
+    ranges += rng.choice([0.0, 0.02, 0.1]) * rng.standard_normal(360)
+    scan = LaserScan(np.maximum(ranges, 0.01), ANGLES, range_max=20.0)
+    for floor in floors(scan):
+        assert floor.distance >= 2.0
+        assert floor.share >= 0.1
+        turn = 1 if math.isnan(floor.direction) else np.cos(ANGLES - floor.direction)
+        beyond = np.sum(scan.ranges * turn > floor.distance + 0.24)
+        assert beyond <= 0.02 * floor.share * 360

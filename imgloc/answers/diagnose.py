@@ -394,7 +394,7 @@ def tilted(said: Said) -> list[Doubt]:
     >>> tilted([("unique", Evidence(floor=Floor(5.0, 0.0, 0.3)))])[0].short
     'a line 5.0 m away is on no map: the floor?'
     """
-    seen = [e.floor for verdict, e in said if verdict in SURE and e.floor is not None]
+    seen = [evidence.floor for _, evidence in said if evidence.floor is not None]
     if 2 * len(seen) <= len(said):
         return []
     metres, share = np.median([(floor.distance, floor.share) for floor in seen], axis=0)

@@ -36,11 +36,16 @@ def as_located(scan: LaserScan, evidence: Evidence) -> LaserScan:
     return left_out(scan, evidence.floor).scaled(evidence.scale)
 
 
-def _on(scan: LaserScan, floor: Floor) -> BoolArray:
+def _on(scan: LaserScan, floor: Floor, width: float = _WIDTH) -> BoolArray:
     """Which readings (N,) of a scan end on a floor."""
+    depth = _depth(scan.ranges, scan.angles, floor)
+    return np.asarray(scan.valid & (np.abs(depth - floor.distance) <= width))
+
+
+def _depth(ranges: FloatArray, angles: FloatArray, floor: Floor) -> FloatArray:
+    """How far readings reach in the direction of a floor, metres."""
     is_circle = math.isnan(floor.direction)
-    depth = scan.ranges * (1 if is_circle else np.cos(scan.angles - floor.direction))
-    return np.asarray(scan.valid & (np.abs(depth - floor.distance) < _WIDTH))
+    return np.asarray(ranges * (1 if is_circle else np.cos(angles - floor.direction)))
 
 
 def floors(scan: LaserScan) -> list[Floor]:
@@ -81,14 +86,23 @@ def floors(scan: LaserScan) -> list[Floor]:
     if line is not None:
         floor = Floor(line[1], float(turns[line[0]]), 0.0)
         for _ in range(2):  # the true direction is between two of those that are tried
-            on = _on(scan, floor)
-            floor = Floor(*_line_through(reach[on], angles[on]), 0.0)
+            on = _on(scan, floor, 2 * _WIDTH)
+            if np.count_nonzero(on) > 1:
+                floor = Floor(*_line_through(reach[on], angles[on]), 0.0)
         found.append(floor)
     circle = _last_shared(reach[None], seen)
     if circle is not None:
         floor = Floor(circle[1], math.nan, 0.0)
-        found.append(replace(floor, distance=float(np.median(reach[_on(scan, floor)]))))
-    return [replace(one, share=float(_on(scan, one)[seen].mean())) for one in found]
+        on = _on(scan, floor, 2 * _WIDTH)
+        found.append(replace(floor, distance=float(np.median(reach[on]))) if on.any() else floor)
+    kept = []
+    for floor in found:  # it has moved since it was counted
+        depth = _depth(reach, angles, floor)
+        many = int(np.count_nonzero(_on(scan, floor)))
+        farther = int(np.count_nonzero(depth > floor.distance + 2 * _WIDTH))
+        if floor.distance >= _NEAREST and farther <= _BEYOND * many:
+            kept.append(replace(floor, share=many / int(np.count_nonzero(seen))))
+    return [floor for floor in kept if floor.share >= _LEAST]
 
 
 def _line_through(ranges: FloatArray, angles: FloatArray) -> tuple[float, float]:

@@ -23,6 +23,7 @@ _MAXIMA, _MAXIMA_ON_FACES = number("pipeline.maxima"), number("faces.maxima")
 _SHARED, _CELL = number("faces.shared"), number("faces.cell")
 _BENDS = number("weigh.bends")  # of what a turn displaces readings, share that displaces the pose
 _FROM_CELLS = number("refine.from_cells")
+_FLOOR = number("floor.against")  # nats against a pose that is found without a floor
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,8 @@ def weigh(
     fit = evidence_of(there, found.readings, found.scores, options)
     thinner = shared.thinner * there.grid.resolution
     fit = replace(fit, scale=shared.scale, thinner=thinner, floor=found.floor)
+    if found.floor is not None:  # what may be left out fits more places
+        fit = replace(fit, against=fit.against + _FLOOR)
     score = found.scores.log_likelihood
     share = masses(score, fit.temperature.value)
     listed = options.listed(share)
