@@ -11,7 +11,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from typing import Any
 
-from imgloc.answers.diagnose import Doubt, Said, is_doubtful
+from imgloc.answers.diagnose import Doubt, Said, is_doubtful, tilted
 from imgloc.model import Evidence, Floor
 from imgloc.options import FUSED
 from imgloc.runs.jobs import Item, Job
@@ -53,7 +53,7 @@ class Doubtful:
                 self._said[item] = said
         elif 2 * sum(is_doubtful(*one) for one in said) > len(said):
             self._said[item] = said
-        if _is_tilted(said):
+        if tilted(said):
             self._said[item] = said
 
     def of(self, items: Iterable[Item]) -> list[tuple[Item, Said]]:
@@ -65,7 +65,7 @@ class Doubtful:
 
         def doubted(item: Item) -> bool:
             if item.id in self._said and _unique(self._said[item.id]):
-                return self._bent[item.map] > 0 or _is_tilted(self._said[item.id])
+                return self._bent[item.map] > 0 or bool(tilted(self._said[item.id]))
             return item.id in self._said and item.scans not in fine
 
         there = [item for item in items if doubted(item)]
@@ -90,11 +90,6 @@ def evidence_of(row: Row) -> Evidence:
         distance, direction = (math.nan if value is None else value for value in at)
         told["floor"] = Floor(distance, direction, share)
     return Evidence(**told)
-
-
-def _is_tilted(said: Said) -> bool:
-    """Whether a floor was left out of most scans."""
-    return 2 * sum(evidence.floor is not None for _, evidence in said) > len(said)
 
 
 def _unique(said: Said) -> bool:
