@@ -2,9 +2,9 @@
 
 A laser that is tilted by s radians at a height h above the floor meets it at h / s metres in the
 direction of the tilt. All its readings there lie on a straight line across that direction, as if a
-wall stood there. Where the plane of the laser is a cone they lie on a circle. Nothing is seen
-beyond the floor, as something is behind the end of a wall, or through a door. A closed room looks
-alike, so that the map has to tell: see :func:`imgloc.pipeline.find_adapted_modes`.
+wall stood there. A laser whose plane is a cone meets the floor along a circle. Some readings pass
+a wall at its end or through a door; none passes the floor. The wall of a closed room looks like a
+floor. The map decides between them: see :func:`imgloc.pipeline.find_adapted_modes`.
 """
 
 import math
