@@ -187,6 +187,10 @@ def test_in_a_browser(folder: Path, browser, width: int) -> None:
     page.on("pageerror", lambda e: trouble.append(str(e)))
     page.goto((folder / "report.html").as_uri())
     assert page.evaluate("document.documentElement.scrollWidth") <= width
+    ground = "getComputedStyle(document.querySelector('main')).backgroundColor"
+    assert page.evaluate(ground) == "rgb(255, 255, 255)"
+    page.emulate_media(color_scheme="dark")
+    assert page.evaluate(ground) == "rgb(22, 27, 34)"
     answers, maps = (page.locator(f"[data-table={name}]") for name in ("answers", "maps"))
     assert maps.locator("tbody tr").count() == 3
     assert answers.locator("tbody tr").count() == 100
