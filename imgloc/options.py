@@ -277,9 +277,9 @@ class FusedOptions(Checked):
     most_scaled: Annotated[float, Within(1, 10, "a factor")] = number("FusedOptions.most_scaled")
     #: distance, metres and radians, below which two poses are one hypothesis
     separation: tuple[Metres, Radians] = number("FusedOptions.separation")
-    #: misfit, nats per reading, above which the search is repeated with more effort, :attr:`wider`,
-    #: unless the scan fits no better than by chance
-    hopeless: Nats = number("FusedOptions.hopeless")
+    #: misfits, nats per reading, between which the search is repeated with more effort (`wider`):
+    #: a scan that fits better needs none, and one that fits worse is of another building
+    hopeless: tuple[Nats, Nats] = number("FusedOptions.hopeless")
     #: parameters of the score, and those that are others on bent walls
     model: EvidenceModel = field(default_factory=EvidenceModel)
     bending: Bending = field(default_factory=Bending)

@@ -32,7 +32,6 @@ from imgloc.options import FUSED, FusedOptions, Options, Shared
 from imgloc.search.adapt import THINNER, adapt
 from imgloc.search.answer import answered
 from imgloc.search.asked import check_options
-from imgloc.search.background import CHANCE
 from imgloc.search.modes import Modes, separate
 from imgloc.search.priors import pyramid_levels, standing
 from imgloc.search.proposals import propose_endpoints, propose_votes
@@ -292,8 +291,8 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
 
     If nothing fits well, the search is repeated without the readings that may end on the floor.
     They are left out if the others fit well. If nothing fits well then, but far better with another
-    scale or with thinner walls, the search is repeated with that error. If hardly anything fits
-    even then, but better than by chance, more readings and more proposals are tried.
+    scale or with thinner walls, the search is repeated with that error. If little fits even then,
+    but more than in another building, it is repeated with more readings and more proposals.
 
     Arguments and result are those of :func:`find_modes`, with the shared error and the floor that
     were found. `features` are of the uncorrected map. The time budget covers all searches together.
@@ -342,7 +341,8 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
         if again.mean_score <= found.mean_score:
             break
         found = again
-    if is_unfit(found, fused.hopeless) and lacks(found) <= CHANCE + usual:
+    some, hardly = fused.hopeless
+    if is_unfit(found, some) and lacks(found) <= hardly + usual:
         again = find(options.shared, found.floor, fused.wider)
         if not again.complete:
             return replace(found, complete=False)

@@ -91,7 +91,7 @@ STEPS: Mapping[str, Step] = {
     "standing again": Step("means may be in walls", instead={"search.priors.stands": _all_stand}),
     "adapt": Step("no error is shared", {"FusedOptions.strained": 1e6}),
     "floor": Step("no reading ends on the floor", {"floor.least": 2.0}),
-    "wider": Step("never more effort", {"FusedOptions.hopeless": 1e6}),
+    "wider": Step("never more effort", {"FusedOptions.hopeless": [1e6, 1e6]}),
     "scale": Step("only walls are adapted", {"FusedOptions.most_scaled": 1.0}),
     "scales": Step("the scale begins at 1", {"adapt.scales": (1.0,)}),
     "thickness": Step("walls get thinner by one cell at most", {"adapt.thinner": 1}),
