@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
@@ -32,6 +33,24 @@ class Run(NamedTuple):
 def call(*arguments: object) -> Run:
     """Run imgloc's main() here."""
     return run(main, *arguments)
+
+
+def fed(text: str, *arguments: object) -> Run:
+    """Run imgloc's main() here, with a text that comes through a pipe as standard input."""
+    end, begin = os.pipe()
+
+    def write() -> None:
+        with contextlib.suppress(BrokenPipeError), os.fdopen(begin, "w") as pipe:
+            pipe.write(text)
+
+    writer, before = threading.Thread(target=write), sys.stdin
+    writer.start()
+    try:
+        with os.fdopen(end) as sys.stdin:
+            return call(*arguments)
+    finally:
+        sys.stdin = before
+        writer.join()
 
 
 def run(program: Callable[[list[str]], int | None], *arguments: object) -> Run:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command import MAPS, call, command, rows
+from command import MAPS, Run, call, command, fed, rows
 
 from imgloc.cli.live import live_of
 from imgloc.filters.motion import noisy_odometry
@@ -49,6 +49,11 @@ def started(*words: object) -> subprocess.Popen[str]:
     pipe = subprocess.PIPE
     made = command(["track", MAP, *words])
     return subprocess.Popen(made, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+
+
+def followed(text: str, *words: object) -> Run:
+    """A run that is given all of its lines at once."""
+    return fed(text, "track", MAP, "-", *words)
 
 
 def line_of(run: subprocess.Popen[str], seconds: float = 30.0) -> str:
@@ -111,15 +116,12 @@ def test_a_file_that_grows_is_followed_through_its_rotation(
     assert (tmp_path / "a.tum").exists()
 
 
-def test_scans_without_odometry_are_left_out_and_counted(
-    lines: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_scans_without_odometry_are_left_out_and_counted(lines: list[str]) -> None:
     bare = {k: v for k, v in json.loads(lines[1]).items() if k != "odom"}
-    run = started("-", "--json")
-    out, said = run.communicate(lines[0] + json.dumps(bare) + "\n" + lines[2])
-    assert run.returncode == 0, said
-    assert [row["index"] for row in rows(out)] == [0, 2]
-    assert "1 of 3 scans have no odometry" in said
+    run = followed(lines[0] + json.dumps(bare) + "\n" + lines[2], "--json")
+    assert run.code == 0, run.err
+    assert [row["index"] for row in rows(run.out)] == [0, 2]
+    assert "1 of 3 scans have no odometry" in run.err
 
 
 @pytest.mark.parametrize(
@@ -132,10 +134,9 @@ def test_scans_without_odometry_are_left_out_and_counted(
     ],
 )
 def test_refuses(words: tuple[str, ...], text: str, code: int, expected: str) -> None:
-    run = started("-", *words)
-    out, said = run.communicate(text)
-    assert (run.returncode, out) == (code, "")
-    assert expected in said
+    run = followed(text, *words)
+    assert (run.code, run.out) == (code, "")
+    assert expected in run.err
 
 
 def carmen_of(line: str) -> str:
@@ -172,10 +173,9 @@ def test_a_carmen_log_is_followed_as_it_comes(lines: list[str], tmp_path: Path) 
 def test_a_carmen_log_whose_laser_moves_on_the_robot_ends_it(lines: list[str]) -> None:
     moved = carmen_of(lines[1]).split(" ")
     moved[10 + N_RAYS] = f"{float(moved[10 + N_RAYS]) + 0.1:.6f}"
-    run = started("-", "--json")
-    out, said = run.communicate(carmen_of(lines[0]) + " ".join(moved))
-    assert (run.returncode, len(rows(out))) == (4, 1)
-    assert "line 2: ROBOTLASER1: the laser has moved on the robot" in said
+    run = followed(carmen_of(lines[0]) + " ".join(moved), "--json")
+    assert (run.code, len(rows(run.out))) == (4, 1)
+    assert "line 2: ROBOTLASER1: the laser has moved on the robot" in run.err
 
 
 def test_ctrl_c_is_an_end_only_once_the_file_is_followed(lines: list[str], tmp_path: Path) -> None:
@@ -193,35 +193,36 @@ def test_ctrl_c_is_an_end_only_once_the_file_is_followed(lines: list[str], tmp_p
 
 
 def test_stamps_that_run_backwards_end_it(lines: list[str]) -> None:
-    run = started("-", "--json")
-    out, said = run.communicate(lines[1] + lines[0])
-    assert run.returncode == 4
-    assert len(rows(out)) == 1
-    assert "standard input: stamps[1]: 100.00 after 101.00" in said
+    run = followed(lines[1] + lines[0], "--json")
+    assert (run.code, len(rows(run.out))) == (4, 1)
+    assert "standard input: stamps[1]: 100.00 after 101.00" in run.err
+
+
+@pytest.fixture(scope="module")
+def whole(lines: list[str]) -> str:
+    """What is printed of all lines."""
+    return followed("".join(lines), "--json").out
 
 
 @pytest.mark.parametrize("broken", ["garbage", "{", '{"ranges": []}', '{"odom": [NaN, 0, 0]}'])
-def test_a_broken_line_of_a_stream_is_left_out_if_few_may_be(lines: list[str], broken: str) -> None:
-    text = [*lines[:4], broken + "\n", *lines[4:]]
-    run = started("-", "--json", "--max-bad", "0.2")
-    out, said = run.communicate("".join(text))
-    assert run.returncode == 0, said
-    assert "standard input: line 5: " in said
-    assert "the line is left out" in said
-    run = started("-", "--json")
-    whole, _ = run.communicate("".join(lines))
-    assert out == whole  # as if it had not been there
-    run = started("-", "--json")
-    out, said = run.communicate("".join(text))
-    assert (run.returncode, len(rows(out))) == (4, 4)
-    run = started("-", "--json", "--max-bad", "0.2")
-    out, said = run.communicate("".join([*lines[:4], (broken + "\n") * 2, *lines[4:]]))
-    assert (run.returncode, len(rows(out))) == (4, 4)  # two of six are too many
-    assert "line 6: " in said
+def test_a_broken_line_of_a_stream_is_left_out_if_few_may_be(
+    lines: list[str], whole: str, broken: str
+) -> None:
+    text = "".join([*lines[:4], broken + "\n", *lines[4:]])
+    run = followed(text, "--json", "--max-bad", "0.2")
+    assert run.code == 0, run.err
+    assert "standard input: line 5: " in run.err
+    assert "the line is left out" in run.err
+    assert run.out == whole  # as if it had not been there
+    run = followed(text, "--json")
+    assert (run.code, len(rows(run.out))) == (4, 4)
+    two = "".join([*lines[:4], (broken + "\n") * 2, *lines[4:]])
+    run = followed(two, "--json", "--max-bad", "0.2")
+    assert (run.code, len(rows(run.out))) == (4, 4)  # two of six are too many
+    assert "line 6: " in run.err
 
 
 def test_a_first_stamp_that_cannot_be_is_named(lines: list[str]) -> None:
-    run = started("-", "--json")
-    out, said = run.communicate(json.dumps(json.loads(lines[0]) | {"stamp": 1e300}) + "\n")
-    assert (run.returncode, out) == (4, "")
-    assert "standard input: stamps[0]: got 1e+300, expected seconds" in said
+    run = followed(json.dumps(json.loads(lines[0]) | {"stamp": 1e300}) + "\n", "--json")
+    assert (run.code, run.out) == (4, "")
+    assert "standard input: stamps[0]: got 1e+300, expected seconds" in run.err

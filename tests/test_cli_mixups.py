@@ -233,7 +233,7 @@ def test_a_wrong_prior_is_named_with_the_place_that_it_leaves_out(
 
 
 def test_what_was_given_is_not_advised_again(scans: Path) -> None:
-    run = call("localize", "large", scans, OFF, "--flipped")
+    run = call("localize", "corridor", scans, OFF, "--flipped")
     assert "--flipped" not in run.err
     run = call("localize", "curved", scans, OFF, "--flipped")
     assert hint_of(run).endswith("Leave out --flipped")

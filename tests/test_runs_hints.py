@@ -133,7 +133,7 @@ def test_a_few_scans_that_are_bent_are_no_reason_to_say_so(
 
 def test_where_several_places_fit_as_they_are_nothing_else_is_tried() -> None:
     grid = render(WORLDS["large"](), 0.1)
-    features, scans = prepare(grid, ready=False), simulate(grid, 1, 1, Sensor()).scans
+    features, scans = prepare(grid, ready=False), simulate(grid, 1, 1, Sensor(rays=91)).scans
     hanging = [scan.flipped for scan in scans]
     for misfit, count in ((0.1, 0), (0.5, 1)):
         said = [("ambiguous", Evidence(misfit=misfit))]

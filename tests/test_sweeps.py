@@ -8,7 +8,7 @@ import pytest
 from command import MAPS, call
 
 import imgloc
-from imgloc import ConfigError, LaserScan, Pose2D, ScanError, ScanSet
+from imgloc import ConfigError, LaserScan, OccupancyGrid, Pose2D, ScanError, ScanSet
 from imgloc.io.odometry import velocities_at
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.runs.opening import Desk, ScanFiles
@@ -151,22 +151,24 @@ def test_the_covariance_allows_for_the_speed_that_is_given() -> None:
 
 
 def test_the_command_takes_the_speed(tmp_path) -> None:
-    scan = sweep((0, 0, 0))
+    scan, place = sweep((0, 0, 0)), tmp_path / "room.yaml"
     save_scans(tmp_path / "a.npz", ScanSet((scan,)))
+    walls = np.pad(np.zeros((60, 80), bool), 2, constant_values=True)
+    imgloc.save_map(place, OccupancyGrid(walls, ~walls, 0.1, Pose2D(-0.2, -0.2)))
     rows = []
     for how in ((), ("--max-speed", "1", "--max-turn-deg", "90")):
-        out = call("localize", MAPS / "curved.yaml", tmp_path / "a.npz", "--json", *how)
+        out = call("localize", place, tmp_path / "a.npz", "--json", *how)
         rows.append(json.loads(out.out))
     before, after = (row["hypotheses"][0]["covariance"][2][2] for row in rows)
     assert after - before == pytest.approx((0.05 * np.pi / 2) ** 2, rel=1e-3)
     assert rows[1]["parameters"]["max_turn"] == pytest.approx(np.pi / 2)
-    diagonal = imgloc.load_map(MAPS / "curved.yaml").diagonal
+    diagonal = imgloc.load_map(place).diagonal
     speeds = ("--max-speed", "1000", "--max-turn-deg", "50000")
-    out = call("localize", MAPS / "curved.yaml", tmp_path / "a.npz", "--json", *speeds)
+    out = call("localize", place, tmp_path / "a.npz", "--json", *speeds)
     levels = [level["metres"] for level in json.loads(out.out)["protection"]]
     assert all(metres is None or metres <= diagonal for metres in levels)
     assert None in levels
-    out = call("batch", MAPS / "curved.yaml", tmp_path / "a.npz", "--out", tmp_path / "o", *how)
+    out = call("batch", place, tmp_path / "a.npz", "--out", tmp_path / "o", *how)
     assert out.code == 0, out.err
     (row,) = [
         json.loads(line) for line in (tmp_path / "o" / "results.jsonl").read_text().splitlines()

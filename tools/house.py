@@ -7,10 +7,8 @@ A line of code is no comment and no docstring; imports count. Exits with 1 where
 """
 
 import ast
-import io
 import statistics
 import sys
-import tokenize
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -49,15 +47,15 @@ class File:
 
 def code_lines(text: str, tree: ast.AST | None = None) -> set[int]:
     """Numbers of the lines that are code; `tree` is what the text is parsed to, if it is."""
-    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
-    code = set[int]()
-    for kind, string, (start, _), (end, _), _ in tokens:
-        if kind != tokenize.COMMENT and string.strip():
-            code.update(range(start, end + 1))
+    lines = enumerate((line.strip() for line in text.splitlines()), 1)
+    code = {number for number, line in lines if line and not line.startswith("#")}
+    texts, docs = set[int](), set[int]()  # of a text blank lines count, too
     for node in ast.walk(tree or ast.parse(text)):
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-            code -= set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
-    return code
+        if isinstance(node, ast.Constant | ast.JoinedStr):
+            texts.update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+        elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+            docs.update(range(node.lineno, (node.end_lineno or node.lineno) + 1))
+    return (code | texts) - docs
 
 
 def imported(tree: ast.AST) -> Iterator[str]:
