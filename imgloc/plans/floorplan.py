@@ -202,6 +202,19 @@ class Between:
     body: BoolArray  #: walls that are drawn as lines, with these
 
 
+@dataclass(frozen=True, eq=False)
+class Enclosed:
+    """Walls that enclose the building."""
+
+    thinnest: float  #: what is thinner was no wall, metres
+    walls: BoolArray  #: pixels, without frames and pillars
+    pillars: BoolArray  #: pixels
+    swings: list[Swing]
+    inside: BoolArray  #: cells
+    gap: float  #: openings up to so wide count as closed, metres
+    frame: BoolArray  #: pixels of frames round the sheet
+
+
 def plan_to_map(
     grey: npt.NDArray[np.uint8],
     resolution: float,
@@ -292,13 +305,43 @@ def plan_to_map(
         advance()
     enough = _THICKER * max(area for area, _ in tried)
     between = next(b for area, b in tried if area >= enough)
-    best, best_area = None, _LEAST / cell**2
+    found = _enclosing(drawn, bold, frame, between, thin, partition, parts, pixel, gap, advance)
+    inside = _finer(found.inside, parts)
+    walls = _touching(found.walls & ~found.frame | found.pillars, inside)
+    kinds = _kinds(drawn, walls, inside, between.hatching, found.frame, found.swings, pixel)
+    middle = skeletonize(walls)
+    through = (2 * _depth(walls)[middle] - 0.5) * pixel
+    low, median, high = np.percentile(through, (5, 50, 95)).tolist()
+    rows, columns = (np.flatnonzero(walls.any(axis=axis)) for axis in (1, 0))
+    return FloorPlan(
+        grid=_as_grid(walls, middle, found.inside, cell, origin or Pose2D(0, 0)),
+        kinds=kinds,
+        pixel=pixel,
+        size=(float(np.ptp(columns) + 1) * pixel, float(np.ptp(rows) + 1) * pixel),
+        walls=int(label(walls, connectivity=2).max()),
+        length=len(through) * pixel,
+        thickness=(low, median, high),
+        doors=tuple(sorted(swing.radius * pixel for swing in found.swings)),
+        removed=_counted(kinds, len(found.swings), pixel),
+        gap=found.gap,
+        thinnest=found.thinnest,
+        thickest=between.thickest,
+        inverted=inverted,
+    )
+
+
+def _enclosing(
+    drawn: BoolArray, bold: BoolArray, frame: BoolArray, between: Between, thin: float,
+    partition: float, parts: int, pixel: float, gap: float | None, advance: Callable[[], None],
+) -> Enclosed:  # fmt: skip
+    """The walls that enclose the building, no thinner than needed: `thin` metres if possible."""
+    best, best_area = None, _LEAST / (parts * pixel) ** 2
     for share in _THINNER:
         walls, pillars, swings = _walls(drawn, bold, between, share * thin, partition, pixel)
         inside, ring, closed = _building(walls & ~frame, parts, pixel, gap)
         frame, area = frame | ring, np.count_nonzero(inside)
         if area >= best_area:
-            best, best_area = (share, walls, pillars, swings, inside, closed), area
+            best, best_area = (share * thin, walls, pillars, swings, inside, closed), area
         advance()
         # A frame is a large share of what is drawn, but thinner lines along it are no walls.
         span = _span(walls & ~frame) if frame.any() else _span(drawn)
@@ -306,28 +349,7 @@ def plan_to_map(
             break
     if best is None:
         raise MapError(_nothing(drawn, walls, pixel, thin, between.thickest, gap))
-    share, walls, pillars, swings, inside, closed = best
-    walls = _touching(walls & ~frame | pillars, _finer(inside, parts))
-    kinds = _kinds(drawn, walls, _finer(inside, parts), between.hatching, frame, swings, pixel)
-    middle = skeletonize(walls)
-    through = (2 * _depth(walls)[middle] - 0.5) * pixel
-    low, median, high = np.percentile(through, (5, 50, 95)).tolist()
-    rows, columns = (np.flatnonzero(walls.any(axis=axis)) for axis in (1, 0))
-    return FloorPlan(
-        grid=_as_grid(walls, middle, inside, cell, Pose2D(0, 0) if origin is None else origin),
-        kinds=kinds,
-        pixel=pixel,
-        size=(float(np.ptp(columns) + 1) * pixel, float(np.ptp(rows) + 1) * pixel),
-        walls=int(label(walls, connectivity=2).max()),
-        length=len(through) * pixel,
-        thickness=(low, median, high),
-        doors=tuple(sorted(swing.radius * pixel for swing in swings)),
-        removed=_counted(kinds, len(swings), pixel),
-        gap=closed,
-        thinnest=share * thin,
-        thickest=between.thickest,
-        inverted=inverted,
-    )
+    return Enclosed(*best, frame)
 
 
 def _walls(
