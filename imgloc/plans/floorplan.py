@@ -8,6 +8,7 @@ pen. The rest a laser never meets, or not where it is drawn: it is neither wall 
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import cv2
@@ -88,9 +89,10 @@ _SPECK = number("floorplan.speck")
 _SHADES = number("floorplan.shades")
 _TONES = number("floorplan.tones")
 _FLAT = number("floorplan.flat")
-# Least share of the drawing that is free, and greatest share of the ink that is outside, without
-# a doubt that the building was found.
-_DOUBT: tuple[float, float] = number("floorplan.doubt")
+# Without a doubt: least share of the drawing that is free, greatest share of the ink that is
+# outside, and of the walls' faces that look into gaps.
+_DOUBT: tuple[float, float, float] = number("floorplan.doubt")
+_NARROW = number("floorplan.narrow")
 STEPS = 1 + len(THICKEST) + len(_THINNER)  #: of :func:`plan_to_map` at most
 
 
@@ -124,6 +126,9 @@ class FloorPlan:
     thinnest: float  #: what is thinner was no wall, metres
     thickest: float  #: lines farther apart were no wall, metres
     inverted: bool  #: the plan was light on dark
+    #: what walls enclose by themselves within an outer rectangle that touches none of them, as a
+    #: frame of the sheet does, square metres; 0 without such a rectangle
+    framed_area: float
 
     @property
     def free_area(self) -> float:
@@ -142,19 +147,39 @@ class FloorPlan:
         ink = int(np.count_nonzero((self.kinds > 0) & (self.kinds != _FRAME)))
         return float(np.count_nonzero(self.kinds == _OUTSIDE)) / max(1, ink)
 
+    @cached_property
+    def gaps_share(self) -> float:
+        """Share of the faces of walls, 0..1, that look into gaps in which no robot fits."""
+        free, radius = self.grid.free, _NARROW / 2 / self.grid.resolution
+        wide = distance_transform((_depth(free) <= radius).astype(np.uint8)) <= radius + 0.5
+        faces = self.grid.occupied & _beside(free)
+        into = int(np.count_nonzero(faces & ~_beside(free & wide)))
+        return into / max(1, int(np.count_nonzero(faces)))
+
     @property
     def doubt(self) -> str:
-        """Why the building was most likely missed; empty if nothing says so."""
+        """Why the map is most likely wrong; empty if nothing says so."""
+        missed = "the building was most likely missed"
         if self.free_share < _DOUBT[0]:
-            what = f"only {self.free_share:.0%} of the drawing became free"
+            what = f"{missed}: only {self.free_share:.0%} of the drawing became free"
         elif self.outside_share > _DOUBT[1]:
-            what = f"{self.outside_share:.0%} of the ink lies outside of what was taken for it"
+            what = f"{missed}: {self.outside_share:.0%} of the ink lies outside of what was found"
+        elif self.framed_area > 0:
+            what = (
+                f"{missed}: a rectangle that touches no other wall surrounds a building of "
+                f"{self.framed_area:.0f} m2, as the frame of a sheet does"
+            )
+        elif self.gaps_share > _DOUBT[2]:
+            what = (
+                f"walls were most likely misread: {self.gaps_share:.0%} of their faces look into "
+                f"gaps less than {_NARROW:g} m wide, as the two lines of a wall do, its hatching, "
+                "or furniture"
+            )
         else:
             return ""
         return (
-            f"the building was most likely missed: {what}. Look at `picture`; a larger `thickest` "
-            "is for walls drawn as two lines, a larger `gap` for wide doors; crop titles and "
-            "legends; is the resolution right?"
+            f"{what}. Look at `picture`; a larger `thickest` is for walls drawn as two lines, a "
+            "larger `gap` for wide doors; crop frames, titles and legends; is the resolution right?"
         )
 
     def as_row(self) -> dict[str, Any]:
@@ -172,6 +197,8 @@ class FloorPlan:
             "free_area": self.free_area,
             "free_share": self.free_share,
             "outside_share": self.outside_share,
+            "framed_area": self.framed_area,
+            "gaps_share": self.gaps_share,
             "doubt": self.doubt or None,
             "gap": self.gap,
             "thinnest": self.thinnest,
@@ -313,8 +340,9 @@ def plan_to_map(
     through = (2 * _depth(walls)[middle] - 0.5) * pixel
     low, median, high = np.percentile(through, (5, 50, 95)).tolist()
     rows, columns = (np.flatnonzero(walls.any(axis=axis)) for axis in (1, 0))
+    grid = _as_grid(walls, middle, found.inside, cell, origin or Pose2D(0, 0))
     return FloorPlan(
-        grid=_as_grid(walls, middle, found.inside, cell, origin or Pose2D(0, 0)),
+        grid=grid,
         kinds=kinds,
         pixel=pixel,
         size=(float(np.ptp(columns) + 1) * pixel, float(np.ptp(rows) + 1) * pixel),
@@ -327,6 +355,7 @@ def plan_to_map(
         thinnest=found.thinnest,
         thickest=between.thickest,
         inverted=inverted,
+        framed_area=_framed(grid.occupied, cell, gap) * cell**2,
     )
 
 
@@ -407,6 +436,11 @@ def _opened(mask: BoolArray, thickness: float) -> BoolArray:
 
 def _grown(mask: BoolArray, by: int) -> BoolArray:
     return cv2.dilate(mask.astype(np.uint8), disk(by)) > 0
+
+
+def _beside(mask: BoolArray) -> BoolArray:
+    """A mask with the eight pixels around each of its own."""
+    return cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
 
 
 def _pieces(mask: BoolArray, connectivity: int = 8) -> tuple[npt.NDArray[np.int32], IntArray]:
@@ -730,6 +764,16 @@ def _ring(taken: BoolArray, broken: float) -> tuple[BoolArray, BoolArray] | None
     along = np.count_nonzero(middle & (_depth(within) <= 2 * broken))
     straight = np.count_nonzero(within) > _STRAIGHT * np.prod(cv2.minAreaRect(hull)[1])
     return (ring, within) if straight and along > _ALONG * np.count_nonzero(middle) else None
+
+
+def _framed(taken: BoolArray, cell: float, gap: float | None) -> int:
+    """Cells that walls enclose by themselves within an outer rectangle, if there is one."""
+    ring = _ring(taken, _BROKEN / cell)
+    if ring is None:
+        return 0
+    own, _ = _inside(taken & ~ring[0] & ring[1], cell, gap)
+    area = int(np.count_nonzero(own))
+    return area if area > _LEAST / cell**2 else 0
 
 
 def _span(drawn: BoolArray) -> int:

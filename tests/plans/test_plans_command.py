@@ -178,6 +178,51 @@ def test_a_title_that_is_taken_for_the_building_is_doubted_aloud(tmp_path: Path)
     assert row["doubt"].startswith("the building was most likely missed")
 
 
+def two_rooms(x: int, y: int, side: int, size: tuple[int, int]) -> np.ndarray:
+    """Draw two rooms with doors of 0.8 m; their walls are two lines 0.3 m apart. Pixels."""
+    sheet, pen, apart, door = np.full(size, 255, np.uint8), 2, 12, round(0.8 / PIXEL)
+    wide, high = 2 * side + 3 * apart, side + 2 * apart
+    cv2.rectangle(sheet, (x, y), (x + wide, y + high), 0, pen)
+    for left in (x + apart, x + 2 * apart + side):
+        cv2.rectangle(sheet, (left, y + apart), (left + side, y + apart + side), 0, pen)
+        middle = left + side // 2
+        cv2.rectangle(sheet, (middle, y - pen), (middle + door, y + apart + pen), 255, -1)
+        for end in (middle, middle + door):
+            cv2.line(sheet, (end, y), (end, y + apart), 0, pen)
+    return sheet
+
+
+def test_walls_that_are_taken_for_two_are_warned_of(tmp_path: Path) -> None:
+    sheet = two_rooms(100, 100, 160, (400, 600))
+    (tmp_path / "sheet.png").write_bytes(encode_png(sheet))
+    words = ("map", "plan", tmp_path / "sheet.png", "--resolution", PIXEL, "--json", "-o")
+    right = call(*words, tmp_path / "right.yaml")
+    assert (right.code, "misread" in right.err) == (0, False), right.err
+    wrong = call(*words, tmp_path / "wrong.yaml", "--thickest", 0.2)
+    assert wrong.code == 0, wrong.err
+    said = " ".join(wrong.err.split())
+    assert "sheet.png: walls were most likely misread: " in said
+    assert "look into gaps less than 0.5 m wide" in said
+    (good,), (bad,) = rows(right.out), rows(wrong.out)
+    assert good["doubt"] is None
+    assert good["framed_area"] == 0
+    assert good["gaps_share"] < 0.1 < 0.2 < bad["gaps_share"]
+
+
+def test_a_frame_that_was_taken_for_the_building_is_warned_of(tmp_path: Path) -> None:
+    sheet = two_rooms(400, 300, 104, (800, 1100))
+    cv2.rectangle(sheet, (20, 20), (1080, 780), 0, 8)  # 36 times as large as the rooms
+    (tmp_path / "sheet.png").write_bytes(encode_png(sheet))
+    run = call("map", "plan", tmp_path / "sheet.png", "--resolution", PIXEL, "--json", "-o",
+               tmp_path / "map.yaml")  # fmt: skip
+    assert run.code == 0, run.err
+    (row,) = rows(run.out)
+    assert row["size"]["width"] > 26
+    assert row["framed_area"] == pytest.approx(14, abs=2)
+    said = " ".join(run.err.split())
+    assert "a rectangle that touches no other wall surrounds a building of 1" in said
+
+
 def test_a_yaml_beside_a_plan_says_its_scale_and_where_it_lies(
     folder: Path, tmp_path: Path
 ) -> None:
