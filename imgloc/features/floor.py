@@ -21,6 +21,7 @@ _BEYOND = number("floor.beyond")  # share of the readings on the floor that may 
 _NEAREST = number("floor.nearest")  # metres: what is nearer is no floor
 _WIDTH = number("floor.width")  # metres from the line at most: floors are not even
 _TURNS = number("floor.turns")  # directions that are tried
+_TOGETHER = 24  # directions at a time, so that their readings stay in the cache
 _BINS = 512  # of distances; what is farther is in the last one
 
 
@@ -82,7 +83,8 @@ def floors(scan: LaserScan) -> list[Floor]:
     reach = np.where(seen, scan.ranges, beyond)
     turns = np.arange(_TURNS) * (2 * np.pi / _TURNS)
     found = []
-    line = _last_shared(np.cos(angles - turns[:, None]) * reach, seen)
+    x, y = reach * np.cos(angles), reach * np.sin(angles)
+    line = _last_shared(np.cos(turns), np.sin(turns), x, y, seen)
     if line is not None:
         floor = Floor(line[1], float(turns[line[0]]), 0.0)
         for _ in range(2):  # the true direction is between two of those that are tried
@@ -90,7 +92,7 @@ def floors(scan: LaserScan) -> list[Floor]:
             if np.count_nonzero(on) > 1:
                 floor = Floor(*_line_through(reach[on], angles[on]), 0.0)
         found.append(floor)
-    circle = _last_shared(reach[None], seen)
+    circle = _last_shared(np.ones(1), np.zeros(1), reach, y, seen)
     if circle is not None:
         floor = Floor(circle[1], math.nan, 0.0)
         on = _on(scan, floor, 2 * _WIDTH)
@@ -113,20 +115,28 @@ def _line_through(ranges: FloatArray, angles: FloatArray) -> tuple[float, float]
     return abs(distance), math.atan2(-u, v) if distance > 0 else math.atan2(u, -v)
 
 
-def _last_shared(depth: FloatArray, seen: BoolArray) -> tuple[int, float] | None:
-    """Row and value of `depth` (K, N), metres, that most readings share, hardly any being beyond.
+def _last_shared(
+    u: FloatArray, v: FloatArray, x: FloatArray, y: FloatArray, seen: BoolArray
+) -> tuple[int, float] | None:
+    """Index k, and the depth ``u[k] x + v[k] y`` that most readings share, hardly any beyond it.
 
-    `seen` (N,) are the readings; the others are rays without one.
+    `u` and `v` are (K,), `x` and `y` (N,) metres. `seen` (N,) are the readings; the others are rays
+    without one.
     """
-    bins = np.clip(np.ceil(depth / _WIDTH), 0, _BINS - 1).astype(np.intp)
-    bins += _BINS * np.arange(len(depth))[:, None]
-    every, mine = (
-        np.bincount(some.ravel(), minlength=len(depth) * _BINS).reshape(-1, _BINS)
-        for some in (bins, bins[:, seen])
-    )
-    on = mine[:, :-3] + mine[:, 1:-2]
-    beyond = np.cumsum(every[:, :2:-1], axis=1)[:, ::-1]
-    worth = (on >= _LEAST * np.count_nonzero(seen)) & (beyond <= _BEYOND * on)
-    worth[:, : math.ceil(_NEAREST / _WIDTH)] = False
-    row, column = np.unravel_index(int(np.argmax(worth * on)), on.shape)
-    return (int(row), float(column * _WIDTH)) if worth[row, column] else None
+    most, found = 0, None
+    for start in range(0, len(u), _TOGETHER):
+        bins = u[start : start + _TOGETHER, None] * x + v[start : start + _TOGETHER, None] * y
+        bins /= _WIDTH
+        np.clip(np.ceil(bins, out=bins), 0, _BINS - 1, out=bins)
+        bins += _BINS * np.arange(len(bins))[:, None]
+        index, size = bins.astype(np.intp), len(bins) * _BINS
+        mine, rest = (np.bincount(index[:, k].ravel(), minlength=size) for k in (seen, ~seen))
+        every, mine = (count.reshape(-1, _BINS) for count in (mine + rest, mine))
+        on = mine[:, :-3] + mine[:, 1:-2]
+        beyond = np.cumsum(every[:, :2:-1], axis=1)[:, ::-1]
+        on *= (on >= _LEAST * np.count_nonzero(seen)) & (beyond <= _BEYOND * on)
+        on[:, : math.ceil(_NEAREST / _WIDTH)] = 0
+        row, column = np.unravel_index(int(np.argmax(on)), on.shape)
+        if on[row, column] > most:
+            most, found = on[row, column], (start + int(row), float(column * _WIDTH))
+    return found
