@@ -35,6 +35,11 @@ def pytest_configure(config: pytest.Config) -> None:
         sys.dont_write_bytecode = False
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """Half as many again as processors: many tests wait, for processes and for browsers."""
+    return (3 * (os.cpu_count() or 1) + 1) // 2
+
+
 def pytest_collection_finish() -> None:
     """Leave bytecode to other processes from here on: tests may limit what this one writes."""
     sys.dont_write_bytecode = True

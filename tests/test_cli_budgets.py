@@ -1,7 +1,6 @@
 """`--memory-budget` of the commands: said with -v, refused before anything is loaded or done."""
 
 import json
-import logging
 import os
 import re
 import shutil
@@ -16,6 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from budgets import check_done, check_refused, words
 from command import MAPS, ROOT, call
 
 from imgloc.io.images import image_size
@@ -49,10 +49,6 @@ def folder(tmp_path: Path, simulated: Path) -> Path:
     return tmp_path / "here"
 
 
-def words(command: list[object], folder: Path) -> list[object]:
-    return [w.format(folder) if isinstance(w, str) else w for w in command]
-
-
 @pytest.mark.parametrize(
     ("command", "budget", "expected"),
     [
@@ -66,14 +62,7 @@ def words(command: list[object], folder: Path) -> list[object]:
 def test_over_budget_is_refused_with_sizes(
     command: list[object], budget: str, expected: list[str], folder: Path
 ) -> None:
-    code, out, err = call(*words(command, folder), "--memory-budget", budget)
-    assert (code, out) == (2, "")
-    assert "curved.yaml: " in err
-    assert f"the budget is {budget.removesuffix('M')} MiB" in err
-    assert err.strip().endswith("or raise --memory-budget")
-    for text in expected:
-        assert text in err
-    assert not list(folder.iterdir())
+    check_refused(command, budget, expected, folder)
 
 
 @pytest.mark.parametrize(
@@ -84,12 +73,7 @@ def test_over_budget_is_refused_with_sizes(
 def test_within_the_budget_it_is_said_and_done(
     command: list[object], folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with caplog.at_level(logging.INFO):
-        code, _, err = call(*words(command, folder), "--memory-budget", "2G", "-v")
-    assert code == 0
-    said = [line for line in (err + caplog.text).splitlines() if "at most" in line]
-    assert said
-    assert all(line.endswith("MiB, the budget is 2048 MiB") for line in said)
+    check_done(command, folder, caplog)
 
 
 def test_features_and_answer_have_to_fit_together(folder: Path) -> None:

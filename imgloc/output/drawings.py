@@ -1,6 +1,7 @@
 """Pictures of a batch, as PNGs: what its workers draw of answers, maps and atlases."""
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -53,21 +54,15 @@ def draw_checked(path: Path, reading: Reading) -> dict[str, bytes]:
     return {"map": encode_picture(draw_map(load_map(path, allow_lossy=True, **reading)))}
 
 
-def draw_survey(*what: Any) -> Mapping[str, bytes]:
-    """Where on a map one scan is enough."""
-    drawn: Mapping[str, bytes] = behind("draw_survey")(*what)
-    return drawn
-
-
-def draw_aged(*what: Any) -> Mapping[str, bytes]:
-    """Where a map has aged."""
-    drawn: Mapping[str, bytes] = behind("draw_aged")(*what)
+def draw_behind(name: str, *what: Any) -> Mapping[str, bytes]:
+    """What a job of a room behind the wall draws."""
+    drawn: Mapping[str, bytes] = behind(name)(*what)
     return drawn
 
 
 DRAWINGS: Mapping[str, Drawing] = {
     "answer": draw_answer,
     "map": draw_checked,
-    "atlas": draw_survey,
-    "changes": draw_aged,
+    "atlas": partial(draw_behind, "draw_survey"),
+    "changes": partial(draw_behind, "draw_aged"),
 }

@@ -50,7 +50,6 @@ START: Colour = PALETTE[2]
 SCAN: Colour = PALETTE[3]
 _SIDE, _NARROW = 960, 480  # pixels of the longer side of a video at most, and of its width at least
 _CODECS = {".webm": "VP80", ".mp4": "mp4v"}
-VIDEOS = tuple(_CODECS)
 _STEP = 3.0  # metres from scan to scan that are drawn as one way
 _MINUTES = (10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0)  # seconds between marks of time
 _MARKS = 12  # of them at most

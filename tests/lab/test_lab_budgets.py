@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from budgets import check_done, check_refused, words
 from command import MAPS, call, spawn
 from test_features_budget import office, peak
 
@@ -63,10 +64,6 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "here"
 
 
-def words(command: list[object], folder: Path) -> list[object]:
-    return [w.format(folder) if isinstance(w, str) else w for w in command]
-
-
 @pytest.mark.parametrize(
     ("command", "budget", "expected"),
     [
@@ -83,24 +80,12 @@ def words(command: list[object], folder: Path) -> list[object]:
 def test_over_budget_is_refused_with_sizes(
     command: list[object], budget: str, expected: list[str], folder: Path
 ) -> None:
-    code, out, err = call(*words(command, folder), "--memory-budget", budget)
-    assert (code, out) == (2, "")
-    assert "curved.yaml: " in err
-    assert f"the budget is {budget.removesuffix('M')} MiB" in err
-    assert err.strip().endswith("or raise --memory-budget")
-    for text in expected:
-        assert text in err
-    assert not list(folder.iterdir())
+    check_refused(command, budget, expected, folder)
 
 
 @pytest.mark.parametrize("command", [EVALUATE, [*ATLAS, 1], [*CALIBRATE, 1]])
 def test_within_the_budget_it_is_said_and_done(command, folder: Path, caplog) -> None:
-    with caplog.at_level(logging.INFO):
-        code, _, err = call(*words(command, folder), "--memory-budget", "2G", "-v")
-    assert code == 0
-    said = [line for line in (err + caplog.text).splitlines() if "at most" in line]
-    assert said
-    assert all(line.endswith("MiB, the budget is 2048 MiB") for line in said)
+    check_done(command, folder, caplog)
 
 
 def test_every_method_is_checked_before_the_first_one_runs(

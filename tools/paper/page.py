@@ -2,7 +2,8 @@
 
 The page needs no other file and no network: style and pictures are inside, scripts there are
 none. It is made of the same plain values that ``results.json`` holds, by the templates beside
-this file: ``page.html`` has the text, ``tables.html`` the tables, ``page.css`` the style.
+this file: ``page.html`` has the text, ``tables.html`` the tables, ``page.css`` what style it has
+beside that of imgloc's own pages.
 """
 
 import base64
@@ -40,7 +41,9 @@ def render_report(results: Row, pictures: Mapping[str, bytes]) -> str:
 def templates() -> jinja2.Environment:
     """The templates, with what they call: everything is escaped unless it is marked up."""
     env = jinja2.Environment(
-        loader=jinja2.PackageLoader("tools.paper", "."),
+        loader=jinja2.ChoiceLoader(
+            [jinja2.PackageLoader("tools.paper", "."), jinja2.PackageLoader("imgloc.output")]
+        ),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -66,12 +66,6 @@ def topics_of(lasers: int) -> tuple[str, ...]:
     return ("scan",) if lasers == 1 else ("front", "rear")
 
 
-def mounts_of(lasers: int, mount: Pose2D) -> tuple[Pose2D, ...]:
-    """Where they sit on the robot: the rear one looks back."""
-    turned = Pose2D(mount.x, mount.y, mount.theta + math.pi)
-    return (mount,) if lasers == 1 else (mount, turned)
-
-
 class Player:
     """A node that plays."""
 
