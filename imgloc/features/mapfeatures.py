@@ -39,6 +39,10 @@ PEELED_CELLS = 6_000_000
 #: With more cells than this at four times `cell`, the search starts at eight times.
 COARSE_CELLS = 1 << 17
 
+# The C library returns the end of its memory to the system whenever twice the largest block so far,
+# up to 32 MB, is free there, and fetches it anew for the next step. So such a block is freed first.
+np.empty((1 << 25) - (1 << 16), np.uint8)
+
 
 @dataclass(frozen=True, eq=False)
 class MapFeatures:
