@@ -80,46 +80,31 @@ def parts_of(body: bytes, content_type: str) -> list[Part]:
     [Part(name='a', file='', data=b'12')]
     """
     from python_multipart.exceptions import FormParserError
-    from python_multipart.multipart import MultipartParser, parse_options_header
+    from python_multipart.multipart import FormParser, parse_options_header
 
     _, options = parse_options_header(content_type.encode("latin-1", "replace"))
-    head, header, found = dict[bytes, bytes](), [b"", b""], list[tuple[dict[bytes, bytes], Any]]()
+    found = list[Part]()
 
-    def begin() -> None:
+    def keep(name: bytes | None, file: bytes, data: bytes | None) -> None:
         if len(found) >= _PARTS:
             raise Refused("bad-request", f"the form has more than {_PARTS} parts")
-        head.clear()
-        found.append(({}, bytearray()))
+        texts = [(text or b"").decode("utf-8", "replace") for text in (name, file)]
+        found.append(Part(texts[0], texts[1], data or b""))
 
-    def ended() -> None:
-        head[header[0].lower()] = header[1]
-        header[:] = [b"", b""]
+    def field(one: Any) -> None:
+        keep(one.field_name, b"", one.value)
 
-    def field(data: bytes, start: int, end: int) -> None:
-        header[0] += data[start:end]
+    def file(one: Any) -> None:
+        keep(one.field_name, one.file_name, one.file_object.getvalue())
 
-    def value(data: bytes, start: int, end: int) -> None:
-        header[1] += data[start:end]
-
-    def whole() -> None:
-        found[-1][0].update(parse_options_header(head.get(b"content-disposition", b""))[1])
-
-    def part(data: bytes, start: int, end: int) -> None:
-        found[-1][1].extend(data[start:end])
-
-    callbacks: Any = {
-        "on_part_begin": begin, "on_header_field": field, "on_header_value": value,
-        "on_header_end": ended, "on_headers_finished": whole, "on_part_data": part,
-    }  # fmt: skip
     try:
-        parser = MultipartParser(options[b"boundary"], callbacks)
+        in_memory = {"MAX_MEMORY_FILE_SIZE": len(body)}
+        parser = FormParser(FORM, field, file, boundary=options[b"boundary"], config=in_memory)
         parser.write(body)
         parser.finalize()
-        about = [(name.get(b"name", b""), name.get(b"filename", b""), d) for name, d in found]
     except (KeyError, FormParserError, ValueError):
         raise Refused("bad-request", "the body is no form (multipart/form-data)") from None
-    return [Part(a.decode("utf-8", "replace"), b.decode("utf-8", "replace"), bytes(data))
-            for a, b, data in about]  # fmt: skip
+    return found
 
 
 def shown(name: str) -> str:

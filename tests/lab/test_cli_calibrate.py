@@ -186,8 +186,7 @@ def test_scans_from_elsewhere_say_nothing(office: Path) -> None:
 def test_which_says_why_localize_is_sure_of_scans_that_have_no_map(
     shared: Path, tmp_path: Path
 ) -> None:
-    names = ("fr079", "gh25", "belgioioso")
-    for name in names:
+    for name in ("fr079", "gh25"):
         (tmp_path / "maps" / name).mkdir(parents=True)
         for file in (shared / "data" / name).glob("map.*"):
             (tmp_path / "maps" / name / file.name).write_bytes(file.read_bytes())

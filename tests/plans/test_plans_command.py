@@ -161,11 +161,11 @@ def test_the_measurement_of_plans_counts_what_it_says() -> None:
 
 
 def test_a_title_that_is_taken_for_the_building_is_doubted_aloud(tmp_path: Path) -> None:
-    sheet = np.full((1200, 1600), 255, np.uint8)
-    for x, y, wide, high in ((100, 100, 1400, 700), (150, 150, 600, 600), (800, 150, 600, 600)):
+    sheet = np.full((720, 960), 255, np.uint8)
+    for x, y, wide, high in ((60, 60, 840, 420), (90, 90, 360, 360), (480, 90, 360, 360)):
         cv2.rectangle(sheet, (x, y), (x + wide, y + high), 0, 1)  # rooms in the thinnest line
-    for x in (300, 500, 700):
-        cv2.circle(sheet, (x, 1000), 70, 0, 14)  # letters of a title
+    for x in (180, 320, 460):
+        cv2.circle(sheet, (x, 620), 52, 0, 8)  # letters of a title
     (tmp_path / "sheet.png").write_bytes(encode_png(sheet))
     words = ("map", "plan", tmp_path / "sheet.png", "--resolution", PIXEL, "-o")
     run = call(*words, tmp_path / "map.yaml", "--json")
