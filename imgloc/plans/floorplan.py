@@ -90,8 +90,8 @@ _SHADES = number("floorplan.shades")
 _TONES = number("floorplan.tones")
 _FLAT = number("floorplan.flat")
 # Without a doubt: least share of the drawing that is free, greatest share of the ink that is
-# outside, and of the walls' faces that look into gaps.
-_DOUBT: tuple[float, float, float] = number("floorplan.doubt")
+# outside, of the walls' faces that look into gaps, and of the walls that have no room beside them.
+_DOUBT: tuple[float, float, float, float] = number("floorplan.doubt")
 _NARROW = number("floorplan.narrow")
 STEPS = 1 + len(THICKEST) + len(_THINNER)  #: of :func:`plan_to_map` at most
 
@@ -156,6 +156,13 @@ class FloorPlan:
         into = int(np.count_nonzero(faces & ~_beside(free & wide)))
         return into / max(1, int(np.count_nonzero(faces)))
 
+    @cached_property
+    def roomless_share(self) -> float:
+        """Share of the walls, 0..1, with nothing free as near as the thickest wall is thick."""
+        away = distance_transform((~self.grid.free).astype(np.uint8)) * self.grid.resolution
+        without = int(np.count_nonzero(self.grid.occupied & (away > THICKEST[-1])))
+        return without / max(1, int(np.count_nonzero(self.grid.occupied)))
+
     @property
     def doubt(self) -> str:
         """Why the map is most likely wrong; empty if nothing says so."""
@@ -168,6 +175,11 @@ class FloorPlan:
             what = (
                 f"{missed}: a rectangle that touches no other wall surrounds a building of "
                 f"{self.framed_area:.0f} m2, as the frame of a sheet does"
+            )
+        elif self.roomless_share > _DOUBT[3]:
+            what = (
+                "a part of the building was most likely cut off: "
+                f"{self.roomless_share:.0%} of the walls have no room beside them"
             )
         elif self.gaps_share > _DOUBT[2]:
             what = (
@@ -198,6 +210,7 @@ class FloorPlan:
             "free_share": self.free_share,
             "outside_share": self.outside_share,
             "framed_area": self.framed_area,
+            "roomless_share": self.roomless_share,
             "gaps_share": self.gaps_share,
             "doubt": self.doubt or None,
             "gap": self.gap,

@@ -300,3 +300,41 @@ ASIDE: dict[str, Callable[[], Sheet]] = {
         titled(zones(_whole(hospital(6, 0.5), 0.03, "grey"), STRONG), "GROUND FLOOR", 2.4, 0.1), 30
     ),
 }  # fmt: skip
+#: those of buildings that no sheet before has; drawn once the warnings were there
+LATER: dict[str, Callable[[], Sheet]] = {
+    "later: frame and title block": lambda: title_block(
+        framed(_whole(building(11), 0.02, "outlined"))
+    ),
+    "later: thick hatched walls, scanned, title block": lambda: jpeg(
+        scanned(title_block(framed(_whole(hospital(11, 0.6), 0.035, "hatched"))), 11), 50
+    ),
+    "later: thick walls as two lines, photographed, zones, frame": lambda: jpeg(
+        photographed(
+            turned(framed(zones(_whole(hospital(12, 0.7), 0.03, "outlined"), PASTEL)), -2.0, 90), 12
+        )
+    ),
+    "later: thick filled walls, legend and title in large letters": lambda: legend(
+        titled(_whole(hospital(13), 0.045, "filled"), "SECOND FLOOR", 2.6, 0.08), 1.6, 2.0
+    ),
+    "later: grey walls, strong zones, large title, JPEG": lambda: jpeg(
+        titled(zones(_whole(hospital(14, 0.5), 0.03, "grey"), STRONG), "GROUND FLOOR", 2.4, 0.1), 30
+    ),
+    "later: hatched walls, scanned, frame": lambda: jpeg(
+        scanned(framed(_whole(building(12), 0.025, "hatched")), 12), 50
+    ),
+    "later: walls as two lines, photographed": lambda: jpeg(
+        photographed(turned(_whole(building(13), 0.02, "outlined")), 13, 0.35), 50
+    ),
+    "later: walls as two lines, small": lambda: smaller(
+        _whole(hospital(15, 0.5), 0.03, "outlined"), 1.8
+    ),
+    "later: thick filled walls, scanned, many specks": lambda: jpeg(
+        scanned(_whole(hospital(16, 0.6), 0.04, "filled"), 16, 0.006), 40
+    ),
+    "later: single lines, scanned": lambda: jpeg(
+        scanned(_whole(building(14), 0.025, "lines"), 14), 50
+    ),
+    "later: double frame around 13 times the building": lambda: framed(
+        padded(drawn(building(1), 0.05, "filled"), 38.0, 20.5, 38.0, 20.5), 0.3, 0.1
+    ),
+}  # fmt: skip
