@@ -6,11 +6,13 @@ number of its log for each scan)::
     python -m tools.old_maps ../data/wean --starts 8
     python -m tools.old_maps ../data/wean --starts 8 --calibrated
     python -m tools.old_maps ../data/wean --one-scan 60
+    python -m tools.old_maps ../data/wean --amcl
 
 It prints a row for each log from its true start, and a row for starts spread over it from anywhere.
 With ``--calibrated`` the tracker begins with what ``imgloc calibrate --scans`` finds in the set.
 With ``--one-scan N`` it locates each of N scans by itself, with the walls as drawn and with what
-``imgloc calibrate --scans`` finds in the whole set.
+``imgloc calibrate --scans`` finds in the whole set. With ``--amcl`` AMCL runs beside the tracker,
+which does not say what is unique. A log without odometry gets that of its poses, with noise.
 """
 
 from collections.abc import Iterator
@@ -21,8 +23,9 @@ from pathlib import Path
 import numpy as np
 
 from imgloc import Options, ScanSet, load_map, load_scans, localize, make_filter
+from imgloc.errors import ConfigError
 from imgloc.filters.belief import Filter
-from imgloc.filters.follow import robot_poses
+from imgloc.filters.follow import robot_poses, with_odometry
 from imgloc.geometry import pose_errors, poses_of
 from imgloc.lab.calibrate import fit_along
 from imgloc.lab.sequences import Run, Searches, drive, driven, from_starts
@@ -30,6 +33,7 @@ from imgloc.model import Pose2D
 from imgloc.options import TOLERANCES, Every, Shared
 from imgloc.pipeline import prepare
 from imgloc.simulation.scans import sample_set
+from tools.amcl_run import NAV2, SURE, missing, run_amcl
 from tools.script import at_least_one, ended, parser_of, table_lines
 
 RIGHT = 1.0  # metres
@@ -37,6 +41,8 @@ HIT = TOLERANCES[-1]  # of one scan
 FOUND = 30.0  # metres driven after which a robot should be found
 PIECE = 35.0  # metres of a run from anywhere
 ONE = "set | walls | scans | first | unique | unique and wrong | no-match | lists the pose"
+BESIDE = "log | filter | start | within 1 m | right after 30 m | m to the right place"
+STAYS = 5.0  # metres driven for which a place that was found is right
 HEAD = "log | start | within 1 m | unique | unique and wrong | right after 30 m"
 
 
@@ -47,6 +53,7 @@ class Row:
     log: str
     start: str
     runs: list[Run]
+    filter: str = "tracker"
 
     @property
     def cells(self) -> Iterator[str]:
@@ -59,6 +66,18 @@ class Row:
         yield f"{np.count_nonzero(unique & ~near)} of {len(near)}"
         yield f"{sum(found)} of {len(found)}"
 
+    @property
+    def to_place(self) -> str:
+        """Median of the metres driven until the pose is right and stays so; how many get there."""
+        ways = []
+        for run in self.runs:
+            right = run.error[:, 0] <= RIGHT
+            ends = np.searchsorted(run.metres, run.metres + STAYS, side="right")
+            there = [run.metres[k] for k, end in enumerate(ends.tolist()) if right[k:end].all()]
+            ways += there[:1]
+        middle = f"{np.median(ways):.1f}" if ways else "-"
+        return f"{middle}, {len(ways)} of {len(self.runs)}"
+
 
 def logs_of(folder: Path) -> Iterator[tuple[str, ScanSet]]:
     """The logs of a set, each with its name."""
@@ -66,7 +85,8 @@ def logs_of(folder: Path) -> Iterator[tuple[str, ScanSet]]:
     with np.load(folder / "scans.npz") as file:
         number = file["log"] if "log" in file.files else np.zeros(len(scans), int)
     for one in np.unique(number):
-        yield f"{folder.name} {one}", scans.take(np.flatnonzero(number == one).tolist())
+        log = scans.take(np.flatnonzero(number == one).tolist())
+        yield f"{folder.name} {one}", with_odometry(log)[0]
 
 
 def rows_of(folder: Path, starts: int, *, calibrated: bool) -> Iterator[Row]:
@@ -85,11 +105,34 @@ def rows_of(folder: Path, starts: int, *, calibrated: bool) -> Iterator[Row]:
         if poses is not None:
             begin = Pose2D(*poses[0])
             yield Row(name, "true", [drive(features, scans, make, Every(), known, start=begin)])
-        last = int(np.searchsorted(driven(scans), max(0.0, driven(scans)[-1] - FOUND - 2)))
-        at = np.linspace(0, last, starts).astype(int).tolist()
-        pieces = from_starts(scans, at, PIECE)
-        runs = [drive(features, piece, make, Every(), known) for piece in pieces]
+        runs = [drive(features, p, make, Every(), known) for p in pieces_of(scans, starts)]
         yield Row(name, f"{starts} from anywhere", runs)
+
+
+def pieces_of(scans: ScanSet, starts: int) -> Iterator[ScanSet]:
+    """Pieces of a log, spread over it."""
+    last = int(np.searchsorted(driven(scans), max(0.0, driven(scans)[-1] - FOUND - 2)))
+    yield from from_starts(scans, np.linspace(0, last, starts).astype(int).tolist(), PIECE)
+
+
+def amcl_rows_of(folder: Path, starts: int) -> Iterator[Row]:
+    """The rows of AMCL on a set."""
+    grid = load_map(folder / "map.yaml")
+    for name, scans in logs_of(folder):
+        poses = robot_poses(scans)
+        if poses is not None:
+            for alpha in (NAV2, SURE):
+                run = run_amcl(grid, scans, Pose2D(*poses[0]), alpha)
+                yield Row(name, "true", [run], f"AMCL, {alpha:g}")
+        runs = [run_amcl(grid, piece, None, SURE) for piece in pieces_of(scans, starts)]
+        yield Row(name, f"{starts} from anywhere", runs, f"AMCL, {SURE:g}")
+
+
+def beside(folder: Path, starts: int) -> Iterator[tuple[str, ...]]:
+    """The rows of AMCL, then those of the tracker, as cells."""
+    for row in chain(amcl_rows_of(folder, starts), rows_of(folder, starts, calibrated=False)):
+        log, start, near, _, _, found = row.cells
+        yield log, row.filter, start, near, found, row.to_place
 
 
 def one_scan_rows(folder: Path, n: int, seed: int) -> Iterator[tuple[object, ...]]:
@@ -117,6 +160,7 @@ def main() -> int:
     parser.add_argument("--starts", type=int, default=8, help="from anywhere, in each log")
     parser.add_argument("--calibrated", action="store_true", help="begin with fitted walls")
     parser.add_argument("--one-scan", type=int, metavar="N", help="locate N scans one by one")
+    parser.add_argument("--amcl", action="store_true", help="run AMCL beside the tracker")
     parser.add_argument("--seed", type=int, default=1, help="draws these scans")
     given = parser.parse_args()
 
@@ -128,6 +172,13 @@ def main() -> int:
                 print(line, flush=True)
             return 0
         at_least_one(starts=given.starts)
+        if given.amcl:
+            if (why := missing()) is not None:
+                raise ConfigError(why)
+            cells = chain.from_iterable(beside(f, given.starts) for f in given.folders)
+            for line in table_lines(BESIDE, cells):
+                print(line, flush=True)
+            return 0
         how = {"calibrated": given.calibrated}
         rows = (row.cells for f in given.folders for row in rows_of(f, given.starts, **how))
         for line in table_lines(HEAD, rows):
