@@ -306,7 +306,7 @@ class Shared(Checked):
     #: standard deviation, metres, of the place of each piece of wall: a map drawn by others is bent
     bent: Annotated[float, Within(0, 1, "metres")] = 0.0
     #: metres behind the border of a wall's cells at which readings end; None if that is not known
-    depth: Annotated[float, Within(-0.5, 0.5, "metres")] | None = None
+    depth: Annotated[float, Within(-0.15, 0.15, "metres")] | None = None
     #: misfit of scans at their true places on a map that others drew, nats per reading: as much
     #: says nothing against a place
     usual: Nats = 0.0

@@ -107,6 +107,7 @@ def test_a_followed_robot_names_the_calibration(shared: Path, tmp_path: Path, sc
         ("thinner", 1.7, "shared.thinner: got 1.7, expected a whole number"),
         ("thinner", 101, "shared.thinner: got 101, expected a whole number, cells, 0 to 100"),
         ("depth", float("nan"), "shared.depth: got nan, expected"),
+        ("depth", 0.2, "shared.depth: got 0.2, expected metres, -0.15 to 0.15"),
         ("bent", -1, "shared.bent: got -1.0, expected metres, 0 to 1"),
     ],
 )
