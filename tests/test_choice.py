@@ -66,7 +66,7 @@ def test_of_few_maps_only_one_in_which_the_place_is_unique_is_named() -> None:
 
 def test_the_better_fit_is_named_and_a_bad_one_is_none() -> None:
     assert choose({"a": made(140.0), "b": made(-100.0)}).verdict == "a"
-    assert choose({"a": made(-250.0), "b": made(-260.0)}).verdict == "none"
+    assert choose({"a": made(-300.0), "b": made(-310.0)}).verdict == "none"
     assert choose({"a": made(), "b": made()}).verdict == "none"
 
 

@@ -71,7 +71,7 @@ def contradiction(misfit: float, unmapped: float, run: float) -> float:
     --------
     >>> contradiction(0.0, 3.0, 0.0) < 0.1
     True
-    >>> contradiction(1.5, 1.0, 0.0) > 5, contradiction(0.1, 0.05, 0.0) > 5
+    >>> contradiction(1.5, 1.0, 0.1) > 5, contradiction(0.1, 0.05, 0.0) > 5
     (True, True)
     """
     bare = 1 / (1 + (max(unmapped, 0.0) / _PLAIN) ** 4)
