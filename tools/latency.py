@@ -24,27 +24,11 @@ import numpy as np
 import imgloc
 from imgloc import Localizer, ScanSet
 from imgloc.filters.follow import with_odometry
-from imgloc.model import FloatArray, plain
+from imgloc.live.service import scan_row
+from imgloc.model import FloatArray
 from tools.script import at_least_one, ended, parser_of, table_lines
 
 HEAD = "log | ready s | first ms | median ms | first / median | p50 ms | p99 ms | p99 / p50"
-
-
-def jsonl_of(scans: ScanSet) -> list[bytes]:
-    """The lines of a log with odometry."""
-    odom = np.zeros((len(scans), 3)) if scans.odom is None else scans.odom
-    rows = (
-        {
-            "ranges": [r if np.isfinite(r) else None for r in scan.ranges.round(3).tolist()],
-            "angles": scan.angles.tolist(),
-            "range_min": scan.range_min,
-            "range_max": scan.range_max if np.isfinite(scan.range_max) else 1e6,
-            "stamp": None if np.isnan(scan.stamp) else scan.stamp,
-            "odom": pose.tolist(),
-        }
-        for scan, pose in zip(scans.scans, odom, strict=True)
-    )
-    return [(json.dumps(plain(row)) + "\n").encode() for row in rows]
 
 
 def answers(map_path: Path, scans: ScanSet) -> tuple[float, FloatArray]:
@@ -118,7 +102,8 @@ def row(folder: Path, count: int, every: float) -> list[str]:
     scans = scans.take(range(min(count, len(scans))))
     ready, took = answers(map_path, scans)
     first, median = 1e3 * took[0], 1e3 * float(np.median(took[1:]))
-    waited = lines(map_path, jsonl_of(scans), every)
+    fed = [(json.dumps(scan_row(scans, k)) + "\n").encode() for k in range(len(scans))]
+    waited = lines(map_path, fed, every)
     half, most = 1e3 * np.percentile(waited, (50, 99))
     return [
         folder.name, f"{ready:.2f}", f"{first:.0f}", f"{median:.0f}", f"{first / median:.2f}",

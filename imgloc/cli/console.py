@@ -97,6 +97,16 @@ def configure(*, verbose: bool, debug: bool) -> None:
 
 
 @contextlib.contextmanager
+def listening(heard: Callable[[logging.LogRecord], bool]) -> Iterator[None]:
+    """Let `heard` know what is logged; it returns whether that is printed, too."""
+    LOG.addFilter(heard)
+    try:
+        yield
+    finally:
+        LOG.removeFilter(heard)
+
+
+@contextlib.contextmanager
 def left_out() -> Iterator[list[str]]:
     """Collect the warnings about lines that readers leave out, to be repeated at the end."""
     notes = list[str]()
@@ -107,11 +117,8 @@ def left_out() -> Iterator[list[str]]:
             notes.append(text)
         return True
 
-    LOG.addFilter(heard)
-    try:
+    with listening(heard):
         yield notes
-    finally:
-        LOG.removeFilter(heard)
 
 
 def emit(text: str) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import LOG, emit
+from imgloc.cli.console import LOG, emit, listening
 from imgloc.errors import ConfigError, as_options
 from imgloc.io.files import display
 from imgloc.options import MAX_BAD, Logs, MemoryBudget, Mounting, Options
@@ -191,18 +191,12 @@ def _heard(name: str) -> "Iterator[list[Finding]]":
 
     notes = list[Finding]()
 
-    class Ear(logging.Filter):
-        def filter(self, record: logging.LogRecord) -> bool:
-            if record.levelno < logging.WARNING:
-                return True
-            code = getattr(record, "code", "reader")
-            text = record.getMessage().removeprefix(f"{name}: ")
-            notes.append(Finding(code, text, serious=False))
-            return False
+    def heard(record: logging.LogRecord) -> bool:
+        if record.levelno < logging.WARNING:
+            return True
+        text = record.getMessage().removeprefix(f"{name}: ")
+        notes.append(Finding(getattr(record, "code", "reader"), text, serious=False))
+        return False
 
-    ear = Ear()
-    LOG.addFilter(ear)
-    try:
+    with listening(heard):
         yield notes
-    finally:
-        LOG.removeFilter(ear)

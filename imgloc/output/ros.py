@@ -9,7 +9,7 @@ the true one. The full matrix is in the JSON.
 import importlib
 import math
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -125,27 +125,23 @@ def write_bag(path: PathLike, messages: Sequence[Message], *, force: bool = Fals
                 topics[POSE, True] = bag.add_connection(GUESSES, POSE, typestore=store)
             for k, (kind, body, guess) in enumerate(messages):
                 sec, nanosec = body["header"]["stamp"].values()
-                raw = store.serialize_ros1(_typed(store, kind, body, k), kind)
+                numbered = {**body, "header": {**body["header"], "seq": k}}
+                raw = store.serialize_ros1(filled(store, kind, numbered), kind)
                 bag.write(topics[kind, guess], 10**9 * sec + nanosec, raw)
         write_bytes_atomic(path, temporary.read_bytes(), force=force)
 
 
-def _typed(store: Any, kind: str, body: dict[str, Any], sequence: int) -> Any:
-    """The message as rosbags has it."""
-    types = store.types
-    stamp = body["header"]["stamp"]
-    time = types["builtin_interfaces/msg/Time"](stamp["sec"], stamp["nanosec"])
-    header = types["std_msgs/msg/Header"](sequence, time, body["header"]["frame_id"])
-
-    def pose(of: dict[str, Any]) -> Any:
-        point = types["geometry_msgs/msg/Point"](**of["position"])
-        return types["geometry_msgs/msg/Pose"](
-            point, types["geometry_msgs/msg/Quaternion"](**of["orientation"])
-        )
-
-    if kind == ARRAY:
-        return types[kind](header, [pose(of) for of in body["poses"]])
-    with_covariance = types["geometry_msgs/msg/PoseWithCovariance"](
-        pose(body["pose"]["pose"]), np.array(body["pose"]["covariance"])
-    )
-    return types[kind](header, with_covariance)
+def filled(store: Any, kind: str, given: Mapping[str, Any]) -> Any:
+    """The message of a type store of rosbags with some fields as given, and zeros in the others."""
+    nodes = importlib.import_module("rosbags.interfaces").Nodetype
+    values = dict[str, Any]()
+    for field, (node, about) in store.fielddefs[kind][1]:
+        if node == nodes.NAME:
+            values[field] = filled(store, about, given.get(field, {}))
+        elif node == nodes.BASE:
+            values[field] = given.get(field, "" if about[0] == "string" else 0)
+        elif about[0][0] == nodes.NAME:
+            values[field] = [filled(store, about[0][1], part) for part in given[field]]
+        else:
+            values[field] = np.array(given.get(field, [0] * about[1]), about[0][1][0])
+    return store.types[kind](**values)

@@ -24,7 +24,6 @@ import numpy as np
 import pyarrow.parquet  # noqa: F401  (its memory is not that of the first export)
 import skimage.measure  # noqa: F401  (nor its time)
 from PIL import Image
-from rosbags.interfaces import Nodetype
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -42,6 +41,7 @@ from imgloc.lab.picture import draw_atlas
 from imgloc.options import FILTERS
 from imgloc.output.export import as_bytes
 from imgloc.output.report import render_report
+from imgloc.output.ros import filled
 from imgloc.runs.batch import BatchSummary, find_items, work
 from imgloc.runs.jobs import make_job
 from imgloc.runs.results import RESULTS, RUN, SUMMARY, Results
@@ -260,21 +260,6 @@ def _echo(_: Path) -> list[bytes]:
     return [2 * text, text.replace(b"\n- 1.0\n- .inf\n- .nan", b" [1.0, inf, nan]")]
 
 
-def _message(store: Any, kind: str, given: dict[str, Any]) -> Any:
-    """A message of ROS with some fields as given, and zeros in the others."""
-    values = {}
-    for field, (node, about) in store.fielddefs[kind][1]:
-        if node == Nodetype.NAME:
-            values[field] = _message(store, about, given.get(field, {}))
-        elif node == Nodetype.BASE:
-            values[field] = given.get(field, "" if about[0] == "string" else 0)
-        elif about[0][0] == Nodetype.NAME:
-            values[field] = [_message(store, about[0][1], part) for part in given[field]]
-        else:
-            values[field] = np.array(given.get(field, [0] * about[1]), about[0][1][0])
-    return store.types[kind](**values)
-
-
 _TF = "tf2_msgs/msg/TFMessage"
 _HEAD = {"stamp": {"sec": 1, "nanosec": 5}, "frame_id": "laser"}
 _MESSAGES: dict[str, dict[str, Any]] = {
@@ -309,7 +294,7 @@ def _bags(kind: str, folder: Path, messages: dict[str, dict[str, Any]] = _MESSAG
             name = {_TF: "/tf_static"}.get(topic, f"/{topic[-4:]}")
             connection = bag.add_connection(name, topic, typestore=store)
             for k in range(2):
-                message = bytes(pack(_message(store, topic, values), topic))
+                message = bytes(pack(filled(store, topic, values), topic))
                 bag.write(connection, (k + 1) * 10**9, message)
     return [(path if kind == "bag" else next(path.glob(f"*.{kind}"))).read_bytes()]
 
