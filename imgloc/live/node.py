@@ -317,25 +317,31 @@ class LocalizerNode:
         beside = ros.callback_groups.ReentrantCallbackGroup()  # while one waits all else goes on
         node.create_service(trigger, "~/localize", self._on_localize, callback_group=beside)
         node.create_service(trigger, "~/reset", self._on_reset, callback_group=beside)
-        self._wake = node.create_guard_condition(self._on_answers)
+        self._wake = node.create_guard_condition(self._guarded("answers", self._on_answers))
         steady = ros.clock.Clock(clock_type=ros.clock.ClockType.STEADY_TIME)
-        node.create_timer(_LOOK, self._report, clock=steady)
+        node.create_timer(_LOOK, self._guarded("status", self._report), clock=steady)
 
     def _hear(self, kind: Any, topic: str, heard: Callable[[Any], None], qos: Any) -> None:
-        def guarded(message: Any) -> None:
-            try:
-                heard(message)
-            except ImglocError as error:  # of what others send: it must not end the node
-                self.node.get_logger().warning(f"{topic}: {error}", throttle_duration_sec=5.0)
-            except Exception as error:  # nor must what nobody thought of
-                text = f"{topic}: a message was left out; a defect, {type(error).__name__}: {error}"
-                self.node.get_logger().error(printable(text), throttle_duration_sec=5.0)
-
+        guarded = self._guarded(topic, heard)
         try:
             self.node.create_subscription(kind, topic, guarded, qos)
         except self.ros.exceptions.InvalidTopicNameException as error:
             why = str(error).splitlines()[0].removesuffix(":")
             raise ConfigError(f"parameter scan_topics: got {topic!r}: {why}") from None
+
+    def _guarded(self, what: str, call: Callable[..., None]) -> Callable[..., None]:
+        """`call`, whose errors are logged: neither a message nor a defect may end the node."""
+
+        def guarded(*given: Any) -> None:
+            try:
+                call(*given)
+            except ImglocError as error:
+                self.node.get_logger().warning(f"{what}: {error}", throttle_duration_sec=5.0)
+            except Exception as error:
+                text = f"{what}: left out; a defect, {type(error).__name__}: {error}"
+                self.node.get_logger().error(printable(text), throttle_duration_sec=5.0)
+
+        return guarded
 
     # What comes in.
 

@@ -146,7 +146,17 @@ def test_a_message_that_nobody_thought_of_is_left_out(
     heard: Heard, capfd: pytest.CaptureFixture[str]
 ) -> None:
     heard.send("odom", SimpleNamespace())  # any error that is not imgloc's own
-    assert "a message was left out; a defect, AttributeError" in capfd.readouterr().err
+    assert "odom: left out; a defect, AttributeError" in capfd.readouterr().err
+
+
+def test_a_status_that_cannot_be_told_does_not_end_the_node(
+    heard: Heard, capfd: pytest.CaptureFixture[str]
+) -> None:
+    first, heard.node.first = heard.node.first, "a defect"  # whatever makes the timer's work fail
+    heard.until(lambda: "status: left out; a defect" in capfd.readouterr().err)
+    heard.node.first = first
+    said = heard.node._said
+    heard.until(lambda: heard.node._said is not said)
 
 
 def test_names_and_transforms_that_cannot_be(heard: Heard) -> None:
