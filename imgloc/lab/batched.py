@@ -1,6 +1,6 @@
 """Scans of a finished batch, at the poses that it found: nothing is located again."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -13,7 +13,8 @@ from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import display, is_folder, reason
 from imgloc.io.maps import reading_of
 from imgloc.io.scans import has_topics
-from imgloc.model import FloatArray, LaserScan, Pose2D
+from imgloc.lab.located import Once, Placed
+from imgloc.model import Pose2D
 from imgloc.options import Chosen, Reading
 from imgloc.runs.batch import find_items
 from imgloc.runs.hints import evidence_of
@@ -23,15 +24,6 @@ from imgloc.runs.results import RUN, Id, Row, id_of, read_rows, read_run
 
 _AGAIN = "run imgloc batch again with `resume=True`"
 _NAMED = 3  # maps of a batch that an error names
-
-
-@dataclass(frozen=True)
-class Placed:
-    """Scans with a sure pose."""
-
-    given: int  #: scans that were located, with a sure pose or not
-    scans: tuple[LaserScan, ...]  #: the readings with which each was located
-    poses: FloatArray  #: (N, 3) of their sensor, map frame: metres, metres, radians
 
 
 def is_batch(path: Path) -> bool:
@@ -45,10 +37,10 @@ def is_batch(path: Path) -> bool:
 def read_batch(
     folder: Path,
     map_path: Path,
-    maps: MapFiles,
+    job: Localize,
     desk: Desk,
-    chosen: Chosen,
-    most: int | None = None,
+    most: int,
+    once: Once,
 ) -> list[Placed]:
     """Read the scans that a batch has located in one map, file by file, with their poses.
 
@@ -58,14 +50,15 @@ def read_batch(
         Folder of results of a batch with the job ``localize``.
     map_path : path
         The map. It must be as it was for the batch: its YAML, image and calibration.
-    maps : MapFiles
-        How its image is read.
+    job : Localize
+        How its image is read, and which scans of each file are taken, if the batch has located
+        them.
     desk : Desk
         What reads the scans. It reads them as the batch has read them.
-    chosen : Chosen
-        Which scans of each file are taken, if the batch has located them.
-    most : int, optional
-        At most so many scans of each file are taken, evenly spread.
+    most : int
+        At most so many scans of each file are taken, evenly spread, unless they are chosen.
+    once : Once
+        Leaves out the scans that a file before had.
 
     Returns
     -------
@@ -95,8 +88,8 @@ def read_batch(
             f"{name}: a batch of {there or 'no map'}, expected one of {display(map_path)}; if "
             f"this map or its calibration has changed since, {_AGAIN}"
         )
-    paths, found = _paths_of(folder, run, maps), list[Placed]()
-    wanted = reading_of(map_path, Localize(maps=maps).parameters["maps"]["reading"])
+    paths, found = _paths_of(folder, run, job.maps), list[Placed]()
+    wanted = reading_of(map_path, job.parameters["maps"]["reading"])
     for row in rows:
         reading, files = _as_read(folder, run, row)
         if (used := reading_of(map_path, reading)) != wanted:
@@ -110,17 +103,19 @@ def read_batch(
                 f"{name}: {row['scans']}: the file is not there, or not as the batch has read it; "
                 f"{_AGAIN}"
             )
-        found.append(_batched(desk, path, replace(files, chosen=chosen), row, most))
+        found.append(_batched(desk, path, replace(files, chosen=job.scans.chosen), row, most, once))
     return found
 
 
-def _batched(desk: Desk, path: Path, files: ScanFiles, row: Row, most: int | None) -> Placed:
+def _batched(desk: Desk, path: Path, files: ScanFiles, row: Row, most: int, once: Once) -> Placed:
     """The scans of a row's file, with the poses of that row."""
     taken = desk.scans(path, files)
     by = {answer["index"]: answer for answer in row["answers"]}
     pairs = zip(taken.indices, taken.scans.scans, strict=True)
     some = [(scan, by[k]) for k, scan in pairs if k in by]
-    some = [some[k] for k in evenly(len(some), most or len(some)).tolist()]
+    if files.chosen == Chosen():
+        some = [some[k] for k in evenly(len(some), most).tolist()]
+    some = [some[k] for k in once.new([scan for scan, _ in some], taken.name)]
     sure = [
         (scan, answer)
         for scan, answer in some

@@ -11,7 +11,6 @@ from imgloc.answers.logcheck import located
 from imgloc.answers.truth import NOT_TRUE, poses_fit
 from imgloc.errors import ScanError
 from imgloc.features.budget import poses_bytes
-from imgloc.features.floor import as_located
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.calibration import calibrated
 from imgloc.io.contents import content_hash, files_of
@@ -19,8 +18,9 @@ from imgloc.io.files import display
 from imgloc.io.scanset import ScanSet
 from imgloc.lab.atlas import AT_ONCE, TOP, Spot, atlas_poses, check_count, simulate_at, survey
 from imgloc.lab.atlas import summarise as summarise_atlas
-from imgloc.lab.changes import map_changes, sure_poses
+from imgloc.lab.changes import map_changes
 from imgloc.lab.evaluation import evaluate, method_options
+from imgloc.lab.located import placed
 from imgloc.lab.performance_index import FLOOR
 from imgloc.model import FloatArray, OccupancyGrid
 from imgloc.options import (
@@ -224,9 +224,8 @@ class Aging(Job):
         """Read the scans and the map of an item; there is one answer."""
         run = Localize(maps=self.maps, scans=self.scans).open(item, desk)
         located = list(run)
-        sure, poses = sure_poses([one.of for one in located])
-        scans = [as_located(located[k].scan, located[k].of.evidence) for k in sure]
-        found = map_changes(run.features.grid, scans, poses)
+        sure = placed(located)
+        found = map_changes(run.features.grid, sure.scans, sure.poses)
         row = {"given": len(located), **found.as_row()}
         row["sure"] = row.pop("scans")  # which is the file of an item
         yield Answer(

@@ -1,6 +1,6 @@
 """The job ``localize``: the pose of each scan of a file in one map."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -120,6 +120,10 @@ class Locating:
     def title(self, index: int) -> str:
         """What a picture of the answer to a scan is called: map, file and scan."""
         return f"{self.map_name}: {Path(self.taken.name).name}, scan {index}"
+
+    def some(self, which: Sequence[int]) -> "Locating":
+        """The same with some of its scans."""
+        return replace(self, taken=self.taken.some(which))
 
     def with_true_poses(self) -> "Locating":
         """The same, without known poses if the scans do not fit the map there."""

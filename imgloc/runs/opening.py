@@ -118,6 +118,11 @@ class Taken:
         for n, (k, scan) in enumerate(zip(self.indices, self.scans.scans, strict=True)):
             yield k, scan, None if self.scans.poses is None else Pose2D(*self.scans.poses[n])
 
+    def some(self, which: Sequence[int]) -> "Taken":
+        """The same with some of the scans that are looked at."""
+        indices = [self.indices[k] for k in which]
+        return replace(self, scans=self.scans.take(which), indices=indices)
+
 
 @dataclass
 class Desk:
@@ -245,6 +250,9 @@ class Desk:
             raise ConfigError("expected scans")
         if str(path) != "-":
             return self._scans(path, files)
+        return self.once("standard input", files, lambda: self._streamed(path, files))
+
+    def _streamed(self, path: Path, files: ScanFiles) -> Taken:
         with TemporaryDirectory(prefix="imgloc-") as folder:
             spooled = Path(folder, "standard input")  # its content tells what it is
             try:

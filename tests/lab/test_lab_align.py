@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from command import MAPS, call
+from command import MAPS, call, fed
 
 from imgloc.errors import ConfigError, MapError
 from imgloc.geometry import rotation, transform_poses
 from imgloc.io.files import map_name
 from imgloc.io.maps import load_map, save_map
+from imgloc.io.scans import load_scans
 from imgloc.lab.align import ScanAlignment, align_maps, align_scans, differences
 from imgloc.lab.aligned import ONLY_A, ONLY_B, draw_alignment, moved_text, read_poses
 from imgloc.model import (
@@ -292,8 +293,18 @@ def test_scans_are_located_in_both(tmp_path):
     assert row["scans"]["used"] >= 4
     assert row["scans"]["walls_apart"] < 0.05
     assert row["scans"]["pose"]["theta"] == pytest.approx(truth.theta, abs=0.01)
-    text = call("map", "align", "visibility", tmp_path / "b.yaml", "--scans", scans).out
+    pair = ("map", "align", "visibility", tmp_path / "b.yaml", "--scans")
+    text = call(*pair, scans).out
     assert "walls and scans differ by 0.0" in text
+    lines = [  # standard input, which can be read only once
+        {"angle_min": s.angles[0], "angle_max": s.angles[-1], "range_max": s.range_max,
+         "ranges": [r if np.isfinite(r) else None for r in s.ranges.tolist()]}
+        for s in load_scans(scans).scans
+    ]  # fmt: skip
+    said = fed("".join(json.dumps(line) + "\n" for line in lines), *pair, "-")
+    assert (said.code, "of 6 agree" in said.out or "of 5 agree" in said.out) == (0, True), said
+    few = json.loads(call(*pair, scans, "--scans-index", "0:3", "--json").out)
+    assert few["scans"]["located"] <= 3
 
 
 def test_the_picture_and_the_words_name_maps_that_are_called_map_by_their_folders(tmp_path):

@@ -1,20 +1,16 @@
 """`imgloc map align`: where one map lies in the frame of another map of the same place."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import NOT_UNIQUE, emit, progress, say
+from imgloc.cli.console import NOT_UNIQUE, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, map_name, write_text_atomic
-from imgloc.options import Chosen, Logs, Mounting, Options
+from imgloc.lab.commands.recorded import Recorded
 from imgloc.ranges import Option, option
-
-if TYPE_CHECKING:
-    from imgloc.lab.align import ScanAlignment
-    from imgloc.runs.opening import Desk, MapFiles, ScanFiles
 
 _SCANS = 24  # of a file, unless they are chosen
 
@@ -54,9 +50,7 @@ def align(
         metavar="YAML",
     ),
     reading: opt.MapImages,
-    logs: Logs,
-    chosen: Chosen,
-    mounting: Mounting,
+    recorded: Recorded,
     taken: opt.Resources,
     as_json: opt.AsJson = False,
     strict: bool = option(False, "Exit with code 6 unless one place alone matches."),
@@ -70,7 +64,7 @@ def align(
     """
     from imgloc.cli import inputs
     from imgloc.io.maps import reading_of, resolve_settings
-    from imgloc.lab.align import align_maps, differences
+    from imgloc.lab.align import align_maps, align_scans, differences
     from imgloc.lab.aligned import (
         alignment_text,
         draw_alignment,
@@ -78,7 +72,9 @@ def align(
         moved_yaml,
         read_poses,
     )
+    from imgloc.lab.located import open_some
     from imgloc.model import to_json
+    from imgloc.runs.localize import Localize
 
     read = [*inputs.files_of(a_path), *inputs.files_of(b_path), *([] if move is None else [move])]
     for path, ending in ((picture, ".png"), (out, ".csv"), (write, ".yaml")):
@@ -87,18 +83,20 @@ def align(
         raise ConfigError("--move, --out: expected both: poses of B, and the file for those of A")
     poses = None if move is None else read_poses(move)
     desk, maps = inputs.desk_of(**vars(taken)), inputs.map_files(reading, many=True)
-    grids = [desk.grid(path, maps, usable=True) for path in (a_path, b_path)]
-    by_scans = None
+    paths, by_scans = (a_path, b_path), None
+    grids = [desk.grid(path, maps, usable=True) for path in paths]
     if scans is not None:
-        files = inputs.as_recorded(logs, chosen, mounting)
-        by_scans = _by_scans(desk, (a_path, b_path), maps, scans, files)
+        job = Localize(maps=maps, scans=recorded.files)
+        items = [inputs.item_of(path, scans) for path in paths]
+        answers = [[one.of for one in open_some(job, item, desk, _SCANS)] for item in items]
+        by_scans = align_scans(list(zip(*answers, strict=True)))
     found = align_maps(grids[0], grids[1], scale=scale, scans=by_scans)
     row: dict[str, Any] = {"a": display(a_path), "b": display(b_path), **found.as_row()}
     if by_scans is not None:
         row["scans"] = by_scans.as_row() | differences(found, by_scans)
     written = [] if picture is None else [picture]
     if picture is not None:
-        names = [map_name(path) for path in (a_path, b_path)]
+        names = [map_name(path) for path in paths]
         draw_alignment(grids[0], grids[1], found, names).save(picture, force=force)
     sure = found.verdict == "unique"
     if sure and poses is not None and out is not None:
@@ -115,28 +113,3 @@ def align(
         if move is not None or write is not None:
             say(f"the maps are {found.verdict}: no pose and no YAML is written")
         raise typer.Exit(NOT_UNIQUE)
-
-
-def _by_scans(
-    desk: "Desk", paths: tuple[Path, Path], maps: "MapFiles", scans: Path, files: "ScanFiles"
-) -> "ScanAlignment":
-    """Locate scans in both maps."""
-    from imgloc.features.scanpoints import evenly
-    from imgloc.lab.align import align_scans
-    from imgloc.pipeline import localize
-
-    held = desk.scans(scans, files)
-    some = list(held.scans.scans)
-    if files.chosen == Chosen():
-        some = [some[k] for k in evenly(len(some), _SCANS).tolist()]
-    answers = []
-    with progress("locate", 2 * len(some)) as advance:
-        for path in paths:
-            options = Options(threads=desk.threads, memory_budget=desk.memory_budget)
-            features = desk.features(path, maps, options, scans=some)
-            here = []
-            for scan in some:
-                here.append(localize(features, scan, options))
-                advance()
-            answers.append(here)
-    return align_scans(list(zip(answers[0], answers[1], strict=True)))

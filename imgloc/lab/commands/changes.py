@@ -1,20 +1,14 @@
 """`imgloc map changes`: where a map has aged."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from imgloc.cli import options as opt
-from imgloc.cli.console import LOG, emit, progress, say
+from imgloc.cli.console import LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
-from imgloc.options import Chosen, Logs, Mounting, Options
+from imgloc.lab.commands.recorded import Recorded
 from imgloc.ranges import Option, option
-
-if TYPE_CHECKING:
-    from imgloc.answers.diagnose import Given
-    from imgloc.lab.batched import Placed
-    from imgloc.model import LaserScan
-    from imgloc.runs.opening import Desk, MapFiles
 
 _SCANS = 300  # of a file, unless they are chosen
 
@@ -40,9 +34,7 @@ def changes(
         metavar="YAML",
     ),
     reading: opt.MapImages,
-    logs: Logs,
-    chosen: Chosen,
-    mounting: Mounting,
+    recorded: Recorded,
     taken: opt.Resources,
     as_json: opt.AsJson = False,
     kept: opt.Kept,
@@ -54,19 +46,20 @@ def changes(
     scans from 2 places or times, so people who walk by are none. Of a file with more than 300 scans
     300 are taken, evenly spread, unless --scans-index or --sample chooses. DIR is a folder of
     results of imgloc batch with its job localize: its poses on MAP are used, nothing is located
-    again, and its scans are read as the batch has read them.
+    again, and its scans are read as the batch has read them. A scan that several files have counts
+    once.
     """
     import numpy as np
 
     from imgloc.cli import inputs
-    from imgloc.features.scanpoints import evenly
-    from imgloc.io.calibration import calibrated
     from imgloc.io.maps import save_map
     from imgloc.lab.batched import is_batch, read_batch
     from imgloc.lab.changes import map_changes
+    from imgloc.lab.located import Once, hints_of, open_some, placed
     from imgloc.lab.picture import draw_changes
-    from imgloc.model import LaserScan, to_json
+    from imgloc.model import to_json
     from imgloc.output.pictures import Picture
+    from imgloc.runs.localize import Localize
 
     folder = inputs.kept_in(kept)
     read = inputs.files_of(map_path)
@@ -74,30 +67,27 @@ def changes(
     for path, ending in ((out, ".png"), (update, ".yaml"), (png, ".png")):
         inputs.check_target(path, ending, force=force, inputs=read)
     desk = inputs.desk_of(**vars(taken), cache=folder)
-    maps = inputs.map_files(reading)
-    grid = desk.grid(map_path, maps, usable=True)
-    files = inputs.as_recorded(logs, chosen, mounting)
-    most = _SCANS if chosen == Chosen() else None
+    job = Localize(maps=inputs.map_files(reading), scans=recorded.files)
+    grid = desk.grid(map_path, job.maps, usable=True)
     batches = [path for path in scans_paths if is_batch(path)]
-    if batches and (logs, mounting) != (Logs(), Mounting()):
+    if batches and not recorded.as_they_are:
         raise ConfigError(
             f"{display(batches[0])}: its scans are read as imgloc batch has read them; expected no "
             "option for how scans are read"
         )
-    placed = [p for path in batches for p in read_batch(path, map_path, maps, desk, chosen, most)]
-    some, hints = list[LaserScan](), list[str]()
-    for path in scans_paths:
-        if path not in batches:
-            held = desk.scans(path, files).scans.scans
-            some += [held[k] for k in evenly(len(held), most or len(held)).tolist()]
-    if not batches or some:
-        options = calibrated(Options(**vars(taken)), map_path, grid)
-        given = files.given.beside(map_path, grid)
-        located, hints = _located(desk, map_path, maps, some, options, given)
-        placed.append(located)
-    scans = [scan for part in placed for scan in part.scans]
-    found = map_changes(grid, scans, np.concatenate([part.poses for part in placed]))
-    count = sum(part.given for part in placed)
+    once = Once()
+    parts = [p for path in batches for p in read_batch(path, map_path, job, desk, _SCANS, once)]
+    runs = [
+        open_some(job, inputs.item_of(map_path, path), desk, _SCANS, once)
+        for path in scans_paths
+        if path not in batches
+    ]
+    located = [one for run in runs for one in run]
+    parts.append(placed(located))
+    hints = hints_of(runs[0], located) if located else []
+    scans = [scan for part in parts for scan in part.scans]
+    found = map_changes(grid, scans, np.concatenate([part.poses for part in parts]))
+    count = sum(part.given for part in parts)
     if out is not None:
         Picture(draw_changes(found)).save(out, force=force)
     if update is not None:
@@ -109,30 +99,3 @@ def changes(
             say(f"wrote {display(path)}")
     for hint in hints:
         LOG.warning("%s", hint)
-
-
-def _located(
-    desk: "Desk", path: Path, maps: "MapFiles", some: "list[LaserScan]", options: Options,
-    given: "Given",
-) -> "tuple[Placed, list[str]]":  # fmt: skip
-    """Locate scans: those with a sure pose, and what keeps others from it."""
-    from imgloc.answers.diagnose import doubts
-    from imgloc.features.floor import as_located
-    from imgloc.io.scanset import ScanSet
-    from imgloc.lab.batched import Placed
-    from imgloc.lab.changes import sure_poses
-    from imgloc.pipeline import localize
-
-    features = desk.features(path, maps, options, scans=some)
-    answers = []
-    with progress("locate", len(some), lines=False) as advance:
-        for scan in some:
-            answers.append(localize(features, scan, options))
-            advance()
-    desk.keep(features)
-    sure, poses = sure_poses(answers)
-    said = [(answer.verdict, answer.evidence) for answer in answers]
-    found = doubts(features, ScanSet(tuple(some)), said, options, given)
-    hints = [hint.text for hint in found if hint.found]  # others lead here
-    scans = tuple(as_located(some[k], answers[k].evidence) for k in sure)
-    return Placed(len(some), scans, poses), hints
