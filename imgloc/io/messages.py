@@ -168,7 +168,7 @@ def scan_to_msg(scan: LaserScan, frame_id: str = "laser") -> dict[str, Any]:
     if not count or np.abs(even - angles).max() > max(_UNEVEN * abs(step), _UNEVEN**2):
         raise ConfigError("scan: its angles are not evenly spaced, as those of a LaserScan are")
     return {
-        "header": _header(scan.stamp, frame_id),
+        "header": header_fields(scan.stamp, frame_id),
         "angle_min": float(angles[0]),
         "angle_max": float(angles[-1]),
         "angle_increment": step,
@@ -209,22 +209,27 @@ def grid_to_msg(grid: OccupancyGrid, frame_id: str = "map", stamp: float = 0.0) 
     expect(grid, OccupancyGrid, "grid")
     height, width = grid.occupied.shape
     data = np.where(grid.occupied, _MOST, np.where(grid.free, 0, -1))
-    at, header = grid.origin, _header(stamp, frame_id)
-    half = at.theta / 2
-    origin = {
-        "position": {"x": at.x, "y": at.y, "z": 0.0},
-        "orientation": {"x": 0.0, "y": 0.0, "z": math.sin(half), "w": math.cos(half)},
-    }
+    header = header_fields(stamp, frame_id)
     info = {"map_load_time": header["stamp"], "resolution": float(grid.resolution),
-            "width": width, "height": height, "origin": origin}  # fmt: skip
+            "width": width, "height": height, "origin": pose_fields(grid.origin)}  # fmt: skip
     return {"header": header, "info": info, "data": data.ravel().tolist()}
 
 
-def _header(stamp: float, frame_id: str) -> dict[str, Any]:
-    """A std_msgs/Header; a stamp that is not known is 0."""
-    nanoseconds = round(1e9 * stamp) if math.isfinite(stamp) else 0
-    seconds, rest = divmod(nanoseconds, 10**9)
-    return {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": frame_id}
+def header_fields(stamp: float, frame_id: str) -> dict[str, Any]:
+    """The fields of a std_msgs/Header; a stamp that is not known is 0."""
+    stamp = stamp if math.isfinite(stamp) else 0.0
+    whole = math.floor(stamp)
+    seconds = {"sec": whole, "nanosec": min(999_999_999, round(1e9 * (stamp - whole)))}
+    return {"stamp": seconds, "frame_id": frame_id}
+
+
+def pose_fields(pose: Pose2D) -> dict[str, Any]:
+    """The fields of a geometry_msgs/Pose."""
+    z, w = math.sin(pose.theta / 2), math.cos(pose.theta / 2)
+    return {
+        "position": {"x": pose.x, "y": pose.y, "z": 0.0},
+        "orientation": {"x": 0.0, "y": 0.0, "z": z, "w": w},
+    }
 
 
 def seconds_of(stamp: Any) -> float:

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from imgloc.geometry import transform_points
+from imgloc.io.messages import pose_fields
 from imgloc.live.status import Found
 from imgloc.model import FloatArray, LaserScan, Pose2D, compose
-from imgloc.output.ros import containing_diagonal, pose_fields
+from imgloc.output.ros import amcl_covariance
 
 _COLOURS = {
     "unique": (0.0, 0.45, 0.70), "ambiguous": (0.90, 0.62, 0.0), "no-match": (0.31, 0.31, 0.31),
@@ -57,15 +58,8 @@ class Messages:
         self, pose: Pose2D, covariance: FloatArray, header: Any,
         least: Sequence[float] = (0.0, 0.0),
     ) -> Any:  # fmt: skip
-        """A PoseWithCovarianceStamped that AMCL takes; covariance (3, 3) of x, y and theta.
-
-        Its deviations are at `least` so many metres and radians.
-        """
-        metres, radians = least
-        floor = np.square([metres, metres, radians])
-        diagonal = np.zeros((6, 6))
-        diagonal[[0, 1, 5], [0, 1, 5]] = np.maximum(containing_diagonal(covariance), floor)
-        body = {"pose": pose_fields(pose), "covariance": diagonal.ravel()}
+        """A PoseWithCovarianceStamped: see :func:`~imgloc.output.ros.amcl_covariance`."""
+        body = {"pose": pose_fields(pose), "covariance": amcl_covariance(covariance, least)}
         message = self._ros.geometry_msgs.PoseWithCovarianceStamped()
         return fill(message, {"header": header, "pose": body})
 

@@ -7,7 +7,6 @@ the true one. The full matrix is in the JSON.
 """
 
 import importlib
-import math
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -20,6 +19,7 @@ from imgloc.errors import OutputError
 from imgloc.filters.follow import Moment
 from imgloc.geometry import transform_poses
 from imgloc.io.files import PathLike, display, write_bytes_atomic
+from imgloc.io.messages import header_fields, pose_fields
 from imgloc.model import FloatArray, Pose2D
 
 POSE, ARRAY = "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseArray"
@@ -64,17 +64,11 @@ def message(moment: Moment, origin: Pose2D, *, best: bool = False) -> Message | 
     best : bool
         Whether the best pose is written, as a guess, although several fit or the robot is lost.
     """
-    stamp = moment.stamp if math.isfinite(moment.stamp) else 0.0
-    whole = math.floor(stamp)
-    seconds = {"sec": whole, "nanosec": min(999_999_999, round(1e9 * (stamp - whole)))}
-    header = {"stamp": seconds, "frame_id": "map"}
+    header = header_fields(moment.stamp, "map")
     pose = moment.best if best else moment.pose
     if pose is not None:
-        diagonal = np.zeros((6, 6))
-        variances = containing_diagonal(moment.covariance)
-        diagonal[[0, 1, 5], [0, 1, 5]] = variances
-        covariance = diagonal.ravel().tolist()
-        fields = {"pose": pose_fields(pose), "covariance": covariance}
+        covariance = amcl_covariance(moment.covariance)
+        fields = {"pose": pose_fields(pose), "covariance": covariance.tolist()}
         return Message(POSE, {"header": header, "pose": fields}, moment.pose is None)
     if moment.belief.verdict == "lost" or not len(moment.belief.poses):
         return None
@@ -82,13 +76,16 @@ def message(moment: Moment, origin: Pose2D, *, best: bool = False) -> Message | 
     return Message(ARRAY, {"header": header, "poses": [pose_fields(Pose2D(*p)) for p in poses]})
 
 
-def pose_fields(pose: Pose2D) -> dict[str, Any]:
-    """The fields of a geometry_msgs/Pose."""
-    z, w = math.sin(pose.theta / 2), math.cos(pose.theta / 2)
-    return {
-        "position": {"x": pose.x, "y": pose.y, "z": 0.0},
-        "orientation": {"x": 0.0, "y": 0.0, "z": z, "w": w},
-    }
+def amcl_covariance(covariance: FloatArray, least: Sequence[float] = (0.0, 0.0)) -> FloatArray:
+    """Covariance (36,) of a pose that AMCL takes, of that (3, 3) of x, y and theta.
+
+    Its deviations are at `least` so many metres and radians.
+    """
+    metres, radians = least
+    diagonal = np.zeros((6, 6))
+    floor = np.square([metres, metres, radians])
+    diagonal[[0, 1, 5], [0, 1, 5]] = np.maximum(containing_diagonal(covariance), floor)
+    return diagonal.ravel()
 
 
 def yaml_text(messages: Iterable[Message]) -> str:

@@ -12,9 +12,9 @@ import numpy as np
 
 from imgloc import LaserScan, OccupancyGrid, ScanSet
 from imgloc.errors import ConfigError
+from imgloc.io.messages import pose_fields
 from imgloc.live.messages import fill
 from imgloc.model import FloatArray, Pose2D, compose
-from imgloc.output.ros import pose_fields
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
