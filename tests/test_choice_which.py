@@ -430,3 +430,13 @@ def test_maps_of_which_one_is_damaged_are_at_fault_whatever_the_others_are(site:
     run = call("which", folder, scans, "--memory-budget", "3M", "--no-cache")
     assert "none of its 1 maps can be used" in run.err, run.err
     assert run.code == 2  # too little memory is no fault of the map
+
+
+def test_the_metadata_of_a_recording_is_no_map(site: Path) -> None:
+    maps = find_maps(site)
+    (site / "bag").mkdir()
+    for name in ("metadata.yaml", "bag_0.db3"):
+        (site / "bag" / name).touch()
+    assert find_maps(site) == maps
+    (site / "bag" / "bag_0.db3").unlink()
+    assert len(find_maps(site)) == len(maps) + 1

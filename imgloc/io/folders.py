@@ -41,14 +41,16 @@ def find_maps(
     """Files of the maps in a folder tree, in the order of their names; none is a ConfigError.
 
     They are map_server YAML files and, if `images` may be maps, images that none of these names.
-    Those in the folder `aside` are none.
+    Those in the folder `aside` are none, nor is the ``metadata.yaml`` of a recording beside it.
     """
     name = display(folder)
     if not is_folder(folder):
         raise ConfigError(f"{name}: expected a folder of maps")
     files = files_in(folder, aside)
     # JPEG is not among the endings: photographs of the site may lie about.
+    bags = {path.parent for path in files if path.suffix in (".db3", ".mcap")}
     yamls = [path for path in files if path.suffix.lower() in YAML_ENDINGS]
+    yamls = [path for path in yamls if path.name != "metadata.yaml" or path.parent not in bags]
     bare = [path for path in files if path.suffix.lower() in IMAGE_ENDINGS]
     found = yamls
     if images:

@@ -184,6 +184,8 @@ def ask(files: Mapping[str, Path], scan: LaserScan, index: Path) -> Choice:
     kept, _ = open_index(files, lambda path: prepare(load_map(path)), about="", file=index)
     bounds = dict(zip(kept.names, kept.bounds(scan, OPTIONS).tolist(), strict=True))
     (fits,) = search(
-        [scan], [bounds], lambda name: nullcontext((prepare(load_map(files[name])), OPTIONS))
+        [scan],
+        [bounds],
+        lambda name: nullcontext((prepare(load_map(files[name]), ready=False), OPTIONS)),
     )
     return choose(fits, ruled_out=len(kept.names) - len(fits))
