@@ -1,5 +1,7 @@
 """`imgloc map plan`: a map of a floor plan."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,6 +14,7 @@ from imgloc.ranges import Within, check_of, option
 from imgloc.texts import numbers, pose
 
 if TYPE_CHECKING:
+    from imgloc.io.images import ImageSize
     from imgloc.io.mapyaml import MapYaml
     from imgloc.model import Pose2D
     from imgloc.plans.floorplan import FloorPlan
@@ -19,6 +22,31 @@ else:
     Pose2D = Any
 
 PlanScale = Annotated[float, Within(0.0005, 1, "metres a pixel")]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """How walls are drawn on a plan, and the cells that they become."""
+
+    cell: Annotated[float | None, Within(0.01, 1, "metres")] = option(
+        None, "Side of a cell of the map, metres. [default: 0.05, or a pixel of the plan]"
+    )
+    thinnest: Annotated[float, Within(0.005, 3, "metres")] = option(
+        0.07, "Least thickness of a wall, metres: thinner strokes are no walls."
+    )
+    thickest: Annotated[float | None, Within(0.005, 3, "metres")] = option(
+        None,
+        "Greatest thickness of a wall that is drawn as two lines, metres: lines farther apart "
+        "enclose a room. [default: found]",
+    )
+    gap: Annotated[float | None, Within(0, 30, "metres")] = option(
+        None, "Width of the widest outer door, metres. [default: found]"
+    )
+    ink: Annotated[float | None, Within(0.01, 0.99, "a share")] = option(
+        None,
+        "Darkness, against the paper around it, from which a pixel of the plan is ink. [default: "
+        "found]",
+    )
 
 
 def plan(
@@ -51,25 +79,7 @@ def plan(
         metavar="X,Y,YAW",
         parse=pose,
     ),
-    cell: Annotated[float | None, Within(0.01, 1, "metres")] = option(
-        None, "Side of a cell of the map, metres. [default: 0.05, or a pixel of the plan]"
-    ),
-    thinnest: Annotated[float, Within(0.005, 3, "metres")] = option(
-        0.07, "Least thickness of a wall, metres: thinner strokes are no walls."
-    ),
-    thickest: Annotated[float | None, Within(0.005, 3, "metres")] = option(
-        None,
-        "Greatest thickness of a wall that is drawn as two lines, metres: lines farther apart "
-        "enclose a room. [default: found]",
-    ),
-    gap: Annotated[float | None, Within(0, 30, "metres")] = option(
-        None, "Width of the widest outer door, metres. [default: found]"
-    ),
-    ink: Annotated[float | None, Within(0.01, 0.99, "a share")] = option(
-        None,
-        "Darkness, against the paper around it, from which a pixel of the plan is ink. [default: "
-        "found]",
-    ),
+    drawing: Drawing,
     picture: Path | None = option(
         None,
         "Draw the plan, with what was taken from it in colour, beside the map into this file.",
@@ -89,7 +99,7 @@ def plan(
     from imgloc.io.images import image_size
     from imgloc.io.maps import save_map
     from imgloc.model import to_json
-    from imgloc.plans.files import load_plan, measured_resolution
+    from imgloc.plans.files import load_plan
     from imgloc.plans.floorplan import STEPS, plan_bytes, plan_to_map
     from imgloc.plans.picture import draw_floor_plan
 
@@ -106,25 +116,16 @@ def plan(
         origin = beside.origin if origin is None else origin
         if resolution is None and distance is None:
             resolution = beside.resolution
-    if (resolution is None) == (distance is None):
-        raise ConfigError(
-            f"{name}: the scale is {'missing' if distance is None else 'given twice'}, expected "
-            "--resolution, metres a pixel, or --distance: two points and the metres between them"
-        )
-    scale = resolution or measured_resolution(distance, size.width, size.height)
-    check = check_of(PlanScale)
-    if check is not None and (refused := check(scale)) is not None:
-        raise ConfigError(f"--distance: got {scale:g}, expected {refused[1]}")
+    scale = _scale(name, resolution, distance, size)
     what = f"{name}: a plan of {size.width} x {size.height} pixels"
-    need = plan_bytes(size.height, size.width, scale, cell)
+    need = plan_bytes(size.height, size.width, scale, drawing.cell)
     inputs.desk_of(1, budget).check(need, what, "crop the plan, use a larger --cell")
     with inputs.quiet_libraries():
         grey = load_plan(path)
     try:
         with progress("plan", STEPS, lines=False) as advance:
             found = plan_to_map(
-                grey, scale, origin=origin, cell=cell, thinnest=thinnest, thickest=thickest,
-                gap=gap, ink=ink, advance=advance,
+                grey, scale, origin=origin, **vars(drawing), advance=advance,
                 inverted=True if beside is not None and beside.negate else None,
             )  # fmt: skip
     except MapError as error:
@@ -141,6 +142,24 @@ def plan(
         emit(plan_text(name, scale, found, display(out)))
     if picture is not None:
         say(f"wrote {display(picture)}")
+
+
+def _scale(
+    name: str, resolution: float | None, distance: Sequence[float] | None, size: "ImageSize"
+) -> float:
+    """Metres a pixel of a plan, as stated or as two points tell; a ConfigError without either."""
+    from imgloc.plans.files import measured_resolution
+
+    if (resolution is None) == (distance is None):
+        raise ConfigError(
+            f"{name}: the scale is {'missing' if distance is None else 'given twice'}, expected "
+            "--resolution, metres a pixel, or --distance: two points and the metres between them"
+        )
+    scale = resolution or measured_resolution(distance or (), size.width, size.height)
+    check = check_of(PlanScale)
+    if check is not None and (refused := check(scale)) is not None:
+        raise ConfigError(f"--distance: got {scale:g}, expected {refused[1]}")
+    return scale
 
 
 def _beside(path: Path) -> "MapYaml | None":

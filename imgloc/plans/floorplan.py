@@ -6,7 +6,7 @@ them apart is thickness: a wall is what lines close together enclose, and what i
 pen. The rest a laser never meets, or not where it is drawn: it is neither wall nor obstacle.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -331,20 +331,8 @@ def plan_to_map(
     pen = _pen(bold, 2 * _LETTER / pixel) * pixel
     thin = max(thinnest, min(max(_BOLD * pen, _LINES * resolution), _BOLDEST))
     partition = max(thinnest, _PARTITION * resolution)
-    line = max(_pen(drawn, 2 * _LETTER / pixel), _SOFT * resolution / pixel)
-    across = max(0.04, _ACROSS * resolution) / pixel
-    least, frame = max(2.0, thin / pixel), np.zeros_like(drawn)
-    tried = list[tuple[int, Between]]()
-    for most in THICKEST if thickest is None else (thickest,):
-        between = _between_lines(drawn, most, line, across, pixel)
-        solid = _opened(_opened(bold, least) | between.body, least)
-        standing, _ = _standing(solid & ~frame, drawn, pixel)
-        inside, ring, _ = _building(standing, parts, pixel, gap)
-        frame |= ring
-        tried.append((int(np.count_nonzero(inside)), between))
-        advance()
-    enough = _THICKER * max(area for area, _ in tried)
-    between = next(b for area, b in tried if area >= enough)
+    tried = (thickest,) if thickest is not None else THICKEST
+    between, frame = _lined(drawn, bold, resolution, tried, thin, parts, pixel, gap, advance)
     found = _enclosing(drawn, bold, frame, between, thin, partition, parts, pixel, gap, advance)
     inside = _finer(found.inside, parts)
     walls = _touching(found.walls & ~found.frame | found.pillars, inside)
@@ -370,6 +358,28 @@ def plan_to_map(
         inverted=inverted,
         framed_area=_framed(grid.occupied, cell, gap) * cell**2,
     )
+
+
+def _lined(
+    drawn: BoolArray, bold: BoolArray, resolution: float, thickest: Sequence[float], thin: float,
+    parts: int, pixel: float, gap: float | None, advance: Callable[[], None],
+) -> tuple[Between, BoolArray]:  # fmt: skip
+    """What is between the lines of walls, by the first thickness that encloses enough; frames."""
+    line = max(_pen(drawn, 2 * _LETTER / pixel), _SOFT * resolution / pixel)
+    across = max(0.04, _ACROSS * resolution) / pixel
+    least, frame = max(2.0, thin / pixel), np.zeros_like(drawn)
+    tried = list[tuple[int, Between]]()
+    for most in thickest:
+        between = _between_lines(drawn, most, line, across, pixel)
+        solid = _opened(_opened(bold, least) | between.body, least)
+        standing, _ = _standing(solid & ~frame, drawn, pixel)
+        inside, ring, _ = _building(standing, parts, pixel, gap)
+        frame |= ring
+        tried.append((int(np.count_nonzero(inside)), between))
+        advance()
+    enough = _THICKER * max(area for area, _ in tried)
+    between = next(b for area, b in tried if area >= enough)
+    return between, frame
 
 
 def _enclosing(
