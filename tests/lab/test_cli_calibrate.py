@@ -191,7 +191,7 @@ def test_which_says_why_localize_is_sure_of_scans_that_have_no_map(
         for file in (shared / "data" / name).glob("map.*"):
             (tmp_path / "maps" / name / file.name).write_bytes(file.read_bytes())
     some = load_scans(shared / "data" / "fr079" / "scans.npz").take([5, 28, 99, 147, 150, 163, 170])
-    stretched = tuple(replace(scan, ranges=1.06 * scan.ranges) for scan in some.scans)
+    stretched = tuple(replace(scan, ranges=1.07 * scan.ranges) for scan in some.scans)
     save_scans(tmp_path / "a.npz", replace(some, scans=stretched))
     run = call("which", tmp_path / "maps", tmp_path / "a.npz", "--no-cache")
     assert run.code == 0
