@@ -3,23 +3,26 @@
     python -m tools.bench                        # on a bundled world
     python -m tools.bench --problem ../problem   # on maps A and B, with the floors in C
     python -m tools.bench --parts engines        # how far engine="auto" is from the best one
-    python -m tools.bench --parts localize --sets ../data/*/map.yaml   # on recorded scans, too
+    python -m tools.bench --parts localize,command --sets ../data/*/map.yaml   # on recorded scans
+    python -m tools.bench --parts huge           # a map of 10,000 x 10,000 cells
 
 Prints Markdown: medians over the repeats with their spread. Compare ratios, not times, between
 machines.
 """
 
 import argparse
+import json
 import os
 import platform
 import re
+import resource
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -29,6 +32,7 @@ import cv2
 import numpy as np
 
 from imgloc import (
+    ConfigError,
     LaserScan,
     MapFeatures,
     OccupancyGrid,
@@ -39,6 +43,8 @@ from imgloc import (
     load_scans,
     localize,
     prepare,
+    save_map,
+    save_scans,
     simulate,
 )
 from imgloc.features.distance import distance_image
@@ -57,8 +63,11 @@ from imgloc.simulation.worlds import WORLDS, render
 from tools.recorded import recorded_sets
 from tools.script import at_least_one, ended, one_of, parser_of, table_lines
 
-PARTS = ("costs", "engines", "localize")
-"""Stacks and votes beside plain references and C; engines beside ``auto``; answers."""
+PARTS = ("costs", "engines", "localize", "command", "huge")
+"""Stacks and votes beside plain references and C; engines beside ``auto``; answers; the command
+from a warm cache, and its batch with one worker and two; the largest map."""
+HUGE = 10_000
+"""Cells of the largest map along a side."""
 BOUND_SCANS = 10
 """Scans of branch and bound, which is faster or slower as they are more or less clear."""
 
@@ -72,7 +81,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--problem", type=Path, help="folder with mapA, mapB and scans_10m.npz")
     add("--sets", type=Path, nargs="*", default=[], help="maps with a scans.npz beside them")
     add("--range-max", type=float, default=20.0, help="metres, of their scans")
-    add("--parts", default=",".join(PARTS), help="with commas between (default: all)")
+    first = ",".join(PARTS[:3])
+    add("--parts", default=first, help=f"of {', '.join(PARTS)}, commas between (default: {first})")
     add("--repeats", type=int, default=5)
     add("--threads", type=int, default=os.cpu_count() or 1)
     add("--scans", type=int, default=50, help="answers of localize")
@@ -131,6 +141,13 @@ def run_bench(given: argparse.Namespace) -> dict[str, Any]:
             out["yardstick"] = {"ms": min(known) if known else searches[0]}
             for row in answers.values() if known else ():
                 row["over_c"] = row["median_ms"] / min(known)
+    if "command" in parts:
+        everything = (*((name, *of) for name, of in maps.items()), *recorded)
+        out["command"] = {name: command_times(g, told, repeats) for name, g, told in everything}
+    if "huge" in parts:
+        code = f"from tools.bench import HUGE, huge_map; huge_map(HUGE, {given.scans})"
+        done = subprocess.run((sys.executable, "-c", code), check=True, capture_output=True)  # noqa: S603
+        out["huge"] = {f"{HUGE} x {HUGE}": json.loads(done.stdout)}
     return out
 
 
@@ -195,6 +212,18 @@ _TABLES: Mapping[str, tuple[str, Callable[[Row], Sequence[object]]]] = {
             f"{r['first_over_median']:.2f}", f"{r['prepare_s']:.2f}",
             f"{r['over_c']:.2f}" if "over_c" in r else "",
         ),
+    ),
+    "command": (
+        "command on | help, s | localize --help, s | localize, s | a scan of batch, ms | "
+        "one worker / two, of the processor",
+        lambda r: (
+            r["name"], f"{r['help']:.2f}", f"{r['localize_help']:.2f}", f"{r['localize']:.2f}",
+            f"{r['item_ms']:.0f}", f"{r['one_over_two']:.2f}",
+        ),
+    ),
+    "huge": (
+        "cells | prepare, s | answer, s | memory, GB",
+        lambda r: (r["name"], f"{r['prepare']:.1f}", f"{r['answer']:.2f}", f"{r['gb']:.2f}"),
     ),
 }  # fmt: skip
 _TITLES = {
@@ -271,14 +300,16 @@ def answer_times(
     """
     at_least_one(scans=len(scans))
     cv2.setNumThreads(threads)
-    start = time.perf_counter()
+    # Others use the machine, too; but the processor's time of two threads is twice that of one.
+    clock = time.process_time if threads == 1 else time.perf_counter
+    start = clock()
     features, options = prepare(grid, threads=threads), Options(threads=threads)
-    prepared = time.perf_counter() - start
+    prepared = clock() - start
 
     def taken(scan: LaserScan) -> float:
-        start = time.perf_counter()
+        start = clock()
         localize(features, scan, options)
-        return 1e3 * (time.perf_counter() - start)
+        return 1e3 * (clock() - start)
 
     first = taken(scans[0])
     turns = [[taken(scan) for scan in scans] for _ in range(repeats)]
@@ -301,6 +332,73 @@ def answer_summary(ms: Sequence[float], prepare_s: float) -> dict[str, float]:
         "median_ms": median, "p99_over_median": high / median, "first_over_median": ms[0] / median,
         "prepare_s": prepare_s,
     }  # fmt: skip
+
+
+def command_times(grid: OccupancyGrid, scans: ScanSet, repeats: int) -> dict[str, float]:
+    """Seconds of the processor that the command takes from a warm cache: of `repeats` the least.
+
+    Also milliseconds for each scan of a batch with one worker, start and end left out, and how many
+    times the processor's time of two workers goes into that of one: half of what two processors of
+    their own would gain.
+    """
+
+    def taken(*words: str | Path) -> float:
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        done = subprocess.run(  # noqa: S603
+            (sys.executable, "-m", "imgloc", *words), check=False, capture_output=True, text=True,
+            env=os.environ | {"XDG_CACHE_HOME": str(folder), "OMP_NUM_THREADS": "1"},
+        )  # fmt: skip
+        if done.returncode:
+            raise ConfigError(f"imgloc {words[0]}: {_last_line(done.stderr)}")
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+    bare = replace(scans, poses=None, odom=None)
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        path, one, many = folder / "map.yaml", folder / "one.npz", folder / "many"
+        save_map(path, grid)
+        save_scans(one, replace(bare, scans=scans.scans[:1]))
+        many.mkdir()
+        for k, scan in enumerate(scans.scans):
+            save_scans(many / f"{k:04d}.npz", replace(bare, scans=(scan,)))
+        cases: dict[str, tuple[str | Path, ...]] = {
+            "help": ("--help",), "localize_help": ("localize", "--help"),
+            "localize": ("localize", path, one, "--json"),
+            "one": ("batch", path, many, "--workers", "1", "--out"),
+            "two": ("batch", path, many, "--workers", "2", "--out"),
+        }  # fmt: skip
+        turns = [
+            {
+                name: taken(*words, *([folder / f"{name} {k}"] if words[0] == "batch" else []))
+                for name, words in cases.items()
+            }
+            for k in range(repeats + 1)
+        ]
+    out = {name: min(turn[name] for turn in turns[1:]) for name in cases}
+    one_worker = out.pop("one")
+    item = 1e3 * (one_worker - out["localize"]) / max(1, len(scans.scans) - 1)
+    return out | {"item_ms": item, "one_over_two": one_worker / out.pop("two")}
+
+
+def huge_map(size: int, count: int) -> None:
+    """Print what a map of `size` cells a side takes, by itself in this process, as JSON.
+
+    The world ``large`` is repeated, in cells of 5 cm: each scan fits equally well in each copy.
+    """
+    cv2.setNumThreads(1)
+    grid = tiled(render(WORLDS["large"](), 0.05), size)
+    scans = simulate(grid, max(3, min(count, 5)), 0, Sensor(range_max=20.0)).scans
+    start = time.process_time()
+    features = prepare(grid)
+    prepared, seconds = time.process_time() - start, []
+    for scan in scans:
+        start = time.process_time()
+        localize(features, scan)
+        seconds.append(time.process_time() - start)
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9
+    answer = float(np.median(seconds))
+    sys.stdout.write(json.dumps({"prepare": prepared, "answer": answer, "gb": most}))
 
 
 HEADINGS = 120

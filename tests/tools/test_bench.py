@@ -1,5 +1,6 @@
 """The benchmark: its references compute what the engines do, and its numbers are of its work."""
 
+import json
 import shutil
 
 import numpy as np
@@ -28,6 +29,7 @@ from tools.bench import (
     exhaustive_search,
     floors,
     gathered,
+    huge_map,
     in_turns,
     main,
     seen,
@@ -172,7 +174,10 @@ def test_rays_of_the_engines_are_as_many_and_as_long_as_said():
         (["--repeats", "0"], "repeats must be at least 1, got 0"),
         (["--threads", "0"], "threads must be at least 1, got 0"),
         (["--scans", "0"], "scans must be at least 1, got 0"),
-        (["--parts", "cost"], "expected one of costs, engines, localize, got 'cost'"),
+        (
+            ["--parts", "cost"],
+            "expected one of costs, engines, localize, command, huge, got 'cost'",
+        ),
     ],
 )
 def test_the_tool_refuses_nonsense(words, expected, capsys):
@@ -195,18 +200,31 @@ def test_the_tool_prints_what_is_asked_for(tmp_path, capsys):
     assert "auto / best" not in out
 
 
+def test_the_largest_map_by_itself(capsys):
+    huge_map(300, 1)
+    found = json.loads(capsys.readouterr().out)
+    assert min(found.values()) > 0
+    assert found["prepare"] + found["answer"] < 100
+    text = bench_tables({"machine": {"cores": 2}, "huge": {"300 x 300": found}})
+    assert f"| 300 x 300 | {found['prepare']:.1f} |" in text
+
+
 def test_the_tables_of_the_tool(case):
     timings = in_turns([("nothing", "call", 1, lambda: None)], 1)
     rows = engine_rows((30,), (10,), (16,), headings=2, repeats=1)
     answers = {"A": {"median_ms": 2.0, "p99_over_median": 1.5, "prepare_s": 0.5, "over_c": 0.256}}
     answers["A"]["first_over_median"] = 1.25
+    command = {"help": 0.1, "localize_help": 0.12, "localize": 0.5, "item_ms": 60.4}
+    command["one_over_two"] = 0.92
     text = bench_tables(
         {"machine": {"cores": 2}, "costs": [as_row(t) for t in timings], "engines": rows,
-         "localize": answers, "floors": {"ght": 2.34567, "cbml": "no C compiler"}}
+         "localize": answers, "command": {"B": command},
+         "floors": {"ght": 2.34567, "cbml": "no C compiler"}}
     )  # fmt: skip
     assert "| nothing |" in text
     assert f"| {rows[0]['best']} | {rows[0]['ratio']:.2f} |" in text
     assert "| A | 2 | 1.50 | 1.25 | 0.50 | 0.26 |" in text
+    assert "| B | 0.10 | 0.12 | 0.50 | 60 | 0.92 |" in text
     assert text.endswith("the same in C, ns: ght 2.346, cbml no C compiler")
     tables = [part.splitlines() for part in text.split("\n\n")[1:-1]]
     for lines in tables:  # as many cells in each line
