@@ -145,17 +145,17 @@ def test_neighbours_count_and_strays_do_not():
     assert longest_run(np.ones(5, bool)) == 5
 
 
-def test_a_reading_in_unknown_space_contradicts_nothing():
+def test_a_reading_before_a_wall_in_unknown_space_contradicts_nothing():
     """A wall at x = 4 m, free before and behind it, unknown above y = 3 m; seen from (1, 2)."""
     occupied = np.zeros((50, 80), bool)
     occupied[:, 40] = True
     free = ~occupied
     free[30:] = False
     features = prepare(OccupancyGrid(occupied, free, 0.1))
-    #        on the wall, in free space, beyond the wall, in unknown space, off the map
-    xy = np.array([[3.0, 0.0], [1.5, 0.0], [5.0, 0.0], [1.0, 1.5], [0.0, 9.0]])
+    # On the wall, before it, beyond it, beyond it in unknown space, before it there, off the map.
+    xy = np.array([[3.0, 0.0], [1.5, 0.0], [5.0, 0.0], [5.0, 1.5], [1.0, 1.5], [0.0, 9.0]])
     readings = Readings(np.hypot(*xy.T), np.arctan2(*xy.T[::-1]))
     pose = np.array([[1.0, 2.0, 0.0]])
     scores = score_poses(features, readings, pose, Options())
     against_map = contradicting(features, pose, readings, scores)
-    assert against_map.tolist() == [False, True, True, False, False]
+    assert against_map.tolist() == [False, True, True, True, False, False]

@@ -157,15 +157,14 @@ def contradicting(
 ) -> BoolArray:
     """Which readings (N,) contradict the map at a `pose` (1, 3), grid frame, with its scores.
 
-    They pass through a wall, or end off every surface. What lies in unknown space contradicts
-    nothing.
+    They pass through a wall, or end in known space off every surface.
     """
     grid = features.grid
     ends = cell_of(transform_points(Pose2D(*pose[0]), readings.xy), grid.resolution)
     mapped = inside(ends, grid.info)
     row, column = ends[mapped].T
     mapped[mapped] = (grid.free | grid.occupied)[row, column]
-    return np.asarray(mapped & (scores.crossed[0] | ~scores.on_surface[0]))
+    return np.asarray(scores.crossed[0] | (mapped & ~scores.on_surface[0]))
 
 
 def longest_run(yes: BoolArray) -> int:
