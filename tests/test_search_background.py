@@ -8,14 +8,13 @@ from places import features_of, scan_of
 
 from imgloc.features.distance import distance_image
 from imgloc.features.raycast import cast_rays
-from imgloc.features.scanpoints import Readings, one_per_place
+from imgloc.features.scanpoints import one_per_place
 from imgloc.model import LaserScan, OccupancyGrid
 from imgloc.options import EvidenceModel, Known, Options
 from imgloc.pipeline import localize, prepare
 from imgloc.search.background import best_room, contradiction, unmapped_score
 from imgloc.search.priors import prior_of
-from imgloc.search.rescore import score_poses
-from imgloc.search.weigh import contradicting, longest_run
+from imgloc.search.weigh import longest_run
 
 MODEL = EvidenceModel()
 
@@ -128,34 +127,18 @@ def test_a_prior_is_no_evidence_against_buildings_on_no_map(hall):
 
 
 @given(st.floats(0, 3), st.floats(0, 3), st.floats(0, 1), st.floats(0, 1))
-def test_what_is_unexplained_only_ever_speaks_against_a_place(misfit, lack, run, more):
-    here = contradiction(misfit, lack, run)
+def test_what_is_unexplained_only_ever_speaks_against_a_place(misfit, lack, through, more):
+    here = contradiction(misfit, lack, through)
     assert here >= 0
-    assert contradiction(misfit + more, lack, run) >= here
-    assert contradiction(misfit, lack, run + more) >= here
-    assert contradiction(misfit, lack + more, run) <= here  # less of it is only a room
+    assert contradiction(misfit + more, lack, through) >= here
+    assert contradiction(misfit, lack, through + more) >= here
+    assert contradiction(misfit, lack + more, through) <= here  # less of it is only a room
 
 
-def test_neighbours_count_and_strays_do_not():
+def test_neighbours_through_a_wall_count_and_strays_do_not():
     rows = np.zeros(40, bool)
     rows[::4] = True
     assert longest_run(rows) == 1
     rows[10:20] = True
     assert longest_run(rows) == 11  # 20 is one of the strays
     assert longest_run(np.ones(5, bool)) == 5
-
-
-def test_a_reading_before_a_wall_in_unknown_space_contradicts_nothing():
-    """A wall at x = 4 m, free before and behind it, unknown above y = 3 m; seen from (1, 2)."""
-    occupied = np.zeros((50, 80), bool)
-    occupied[:, 40] = True
-    free = ~occupied
-    free[30:] = False
-    features = prepare(OccupancyGrid(occupied, free, 0.1))
-    # On the wall, before it, beyond it, beyond it in unknown space, before it there, off the map.
-    xy = np.array([[3.0, 0.0], [1.5, 0.0], [5.0, 0.0], [5.0, 1.5], [1.0, 1.5], [0.0, 9.0]])
-    readings = Readings(np.hypot(*xy.T), np.arctan2(*xy.T[::-1]))
-    pose = np.array([[1.0, 2.0, 0.0]])
-    scores = score_poses(features, readings, pose, Options())
-    against_map = contradicting(features, pose, readings, scores)
-    assert against_map.tolist() == [False, True, True, True, False, False]

@@ -102,7 +102,7 @@ STEPS: Mapping[str, Step] = {
     ),
     "strange": Step("a misfit is not against a place", {"background.strange": 1e-6}, weighs=True),
     "bare": Step("a bare room is a place", {"background.bare": 0.0}, weighs=True),
-    "run": Step("neighbours may contradict the map", {"background.run": 0.0}, weighs=True),
+    "through": Step("doors may be anywhere", {"background.through": 0.0}, weighs=True),
     "strain": Step("misfit does not count", {"Trust.strain": 0.0}, weighs=True),
     "number": Step(
         "readings are not counted", instead={"options.Trust.temperature_at": _any_number},

@@ -26,12 +26,12 @@ _HEADINGS = number("background.headings")
 _BIN = number("background.bin")  # metres; a wall is looked for in three of them
 _BINS = number("background.bins")
 # nats against a place: factor on the misfit; of a scan of nothing but a room; of one all of whose
-# readings contradict the map
+# readings pass through walls, though a run longer than a share of them tells no more
 _STRANGE = number("background.strange")
-_BARE, _RUN = number("background.bare"), number("background.run")
-_PLAIN = number(
-    "background.plain"
-)  # nats per reading by which a bare room falls short of four walls
+_BARE, _THROUGH = number("background.bare"), number("background.through")
+_LONGEST = number("background.longest")
+# nats per reading by which a bare room falls short of four walls
+_PLAIN = number("background.plain")
 
 
 def unmapped_score(xy: FloatArray, model: EvidenceModel) -> float:
@@ -50,12 +50,12 @@ def unmapped_score(xy: FloatArray, model: EvidenceModel) -> float:
     return max(best_room(xy, model), model.best - CHANCE)
 
 
-def contradiction(misfit: float, unmapped: float, run: float) -> float:
+def contradiction(misfit: float, unmapped: float, through: float) -> float:
     """Evidence against a place that fits better than an empty room, nats after the temperature.
 
     The place is doubtful if map and scan disagree. It is doubtful if the scan shows nothing but an
     empty room, because every building has such rooms. And it is doubtful if neighbouring readings
-    contradict the map, as the rooms of another floor do.
+    pass through a wall of the map, as through the open door of another floor.
 
     Parameters
     ----------
@@ -63,9 +63,8 @@ def contradiction(misfit: float, unmapped: float, run: float) -> float:
         Nats per reading that the best pose lacks against a perfect fit.
     unmapped : float
         Nats per reading that the score of :func:`unmapped_score` lacks against a perfect fit.
-    run : float
-        Longest run of neighbouring readings that pass through a wall, or end where the map shows
-        free space, as a share of all readings.
+    through : float
+        Longest run of neighbouring readings that pass through a wall, as a share of all readings.
 
     Examples
     --------
@@ -75,7 +74,7 @@ def contradiction(misfit: float, unmapped: float, run: float) -> float:
     (True, True)
     """
     bare = 1 / (1 + (max(unmapped, 0.0) / _PLAIN) ** 4)
-    return float(_STRANGE * max(misfit, 0.0) + _BARE * bare + _RUN * run)
+    return float(_STRANGE * max(misfit, 0.0) + _BARE * bare + _THROUGH * min(through, _LONGEST))
 
 
 def best_room(xy: FloatArray, model: EvidenceModel) -> float:

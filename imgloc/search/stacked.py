@@ -104,7 +104,7 @@ def _settled_fit(
     The evidence has the stack's `temperature`.
     """
     pose, readings, scores = settle(features, scan, best, options)
-    fit = evidence_of(features, pose, readings, scores, options)
+    fit = evidence_of(features, readings, scores, options)
     explained = explained_rays(features, scan, pose, options, Shared())
     return replace(fit, temperature=Temperature(temperature)), explained
 

@@ -6,8 +6,7 @@ import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings, one_per_place
-from imgloc.geometry import cell_of, inside, transform_points
-from imgloc.model import BoolArray, Evidence, FloatArray, Floor, LaserScan, Pose2D
+from imgloc.model import BoolArray, Evidence, FloatArray, Floor, LaserScan
 from imgloc.numbers import number
 from imgloc.options import Options, Shared
 from imgloc.search.background import contradiction, unmapped_score
@@ -68,7 +67,7 @@ def weigh(
         return nothing(options, found.complete)
     shared, explained = found.shared, 0.0
     there = features.thinner(shared.thinner)
-    fit = evidence_of(there, found.poses, found.readings, found.scores, options, found.floor)
+    fit = evidence_of(there, found.readings, found.scores, options, found.floor)
     fit = replace(fit, scale=shared.scale, thinner=shared.thinner * there.grid.resolution)
     score = found.scores.log_likelihood
     share = masses(score, fit.temperature.value)
@@ -129,42 +128,25 @@ def stand_on_faces(
 
 def evidence_of(
     features: MapFeatures,
-    poses: FloatArray,
     readings: Readings,
     scores: Scores,
     options: Options,
     floor: Floor | None = None,
 ) -> Evidence:
-    """How well the best of some poses (M, 3), grid frame, fits by readings without a `floor`."""
+    """How well the best of some poses fits, by readings from which a `floor` was left out."""
     n, model = len(readings), options.model
     misfit = misfit_of(scores, n, options)
     temperature = options.trust.temperature_at(misfit, n, features.grid.resolution)
     unmapped = unmapped_score(readings.xy, model)
     gained = (model.best - misfit - unmapped) * n / temperature.value
-    best = np.array([np.argmax(scores.log_likelihood)])
-    against_map = contradicting(features, poses[best], readings, scores.select(best))
-    run = longest_run(against_map[np.argsort(readings.angles, kind="stable")]) / n
-    against = contradiction(misfit - options.shared.usual, model.best - unmapped, run)
+    best = int(np.argmax(scores.log_likelihood))
+    through = longest_run(scores.crossed[best][np.argsort(readings.angles, kind="stable")]) / n
+    against = contradiction(misfit - options.shared.usual, model.best - unmapped, through)
     if floor is not None:  # what may be left out fits more places
         against += _FLOOR
     return Evidence(
         n, model.best, misfit, unmapped, gained, against, temperature=temperature, floor=floor
     )
-
-
-def contradicting(
-    features: MapFeatures, pose: FloatArray, readings: Readings, scores: Scores
-) -> BoolArray:
-    """Which readings (N,) contradict the map at a `pose` (1, 3), grid frame, with its scores.
-
-    They pass through a wall, or end in known space off every surface.
-    """
-    grid = features.grid
-    ends = cell_of(transform_points(Pose2D(*pose[0]), readings.xy), grid.resolution)
-    mapped = inside(ends, grid.info)
-    row, column = ends[mapped].T
-    mapped[mapped] = (grid.free | grid.occupied)[row, column]
-    return np.asarray(scores.crossed[0] | (mapped & ~scores.on_surface[0]))
 
 
 def longest_run(yes: BoolArray) -> int:

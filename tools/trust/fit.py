@@ -92,7 +92,7 @@ def case_of(
         there = transform_poses(features.grid.origin, found.poses[:MODES])
         right = np.all(pose_errors(there, Pose2D(*pose)) <= RIGHT, axis=1)
     thinned = features.thinner(found.shared.thinner)
-    fit = evidence_of(thinned, found.poses, found.readings, found.scores, options, found.floor)
+    fit = evidence_of(thinned, found.readings, found.scores, options, found.floor)
     gap, cell = fit.best - fit.misfit - fit.unmapped, features.grid.resolution
     return Case(building, condition, score, right, n, fit.misfit, gap, cell, fit.against)
 
