@@ -93,6 +93,7 @@ _FLAT = number("floorplan.flat")
 # outside, of the walls' faces that look into gaps, and of the walls that have no room beside them.
 _DOUBT: tuple[float, float, float, float] = number("floorplan.doubt")
 _NARROW = number("floorplan.narrow")
+_OPEN = number("floorplan.open")
 STEPS = 1 + len(THICKEST) + len(_THINNER)  #: of :func:`plan_to_map` at most
 
 
@@ -163,6 +164,12 @@ class FloorPlan:
         without = int(np.count_nonzero(self.grid.occupied & (away > THICKEST[-1])))
         return without / max(1, int(np.count_nonzero(self.grid.occupied)))
 
+    @cached_property
+    def largest_share(self) -> float:
+        """Share of the free area, 0..1, of the largest part that a robot can drive through."""
+        areas = _pieces(self.grid.free, 4)[1][1:, cv2.CC_STAT_AREA]
+        return float(areas.max(initial=0)) / max(1, int(areas.sum()))
+
     @property
     def doubt(self) -> str:
         """Why the map is most likely wrong; empty if nothing says so."""
@@ -175,6 +182,12 @@ class FloorPlan:
             what = (
                 f"{missed}: a rectangle that touches no other wall surrounds a building of "
                 f"{self.framed_area:.0f} m2, as the frame of a sheet does"
+            )
+        elif self.largest_share < _OPEN:
+            what = (
+                "it is most likely no floor plan, but a table or a grid, or its doors are drawn "
+                f"closed: no part without a wall across it has more than {self.largest_share:.0%} "
+                "of the free area"
             )
         elif self.roomless_share > _DOUBT[3]:
             what = (
@@ -210,6 +223,7 @@ class FloorPlan:
             "free_share": self.free_share,
             "outside_share": self.outside_share,
             "framed_area": self.framed_area,
+            "largest_share": self.largest_share,
             "roomless_share": self.roomless_share,
             "gaps_share": self.gaps_share,
             "doubt": self.doubt or None,

@@ -163,6 +163,15 @@ def test_light_on_dark_and_a_frame_round_the_sheet(plain: tuple[Image, FloorPlan
     assert np.mean(found.grid.occupied != wanted.occupied) < 0.002
 
 
+def test_a_ruled_table_is_warned_of() -> None:
+    table = np.full((600, 800), 255, np.uint8)
+    for x in range(50, 800, 100):
+        table[50:555, x : x + 5] = 0
+    for y in range(50, 600, 100):
+        table[y : y + 5, 50:755] = 0
+    assert "a table or a grid" in plan_to_map(table, 0.02).doubt
+
+
 def test_the_frame_of_the_map_is_that_of_the_plan(plain: tuple[Image, FloorPlan]) -> None:
     plan, here = plain
     there = plan_to_map(plan, 0.02, origin=Pose2D(10.0, -3.0, np.pi / 2))
