@@ -28,6 +28,10 @@ Heading = Annotated[float, Within(-1e6, 1e6, "radians")]
 Step = Annotated[float, Within(1e-4, math.tau, "radians")]
 Share = Annotated[float, Within(0, 1, "a share")]
 Nats = Annotated[float, Within(0, math.inf, "nats")]
+SCALES = (
+    0.5,
+    2,
+)  #: factors on all readings that can be stated or found: the least and the greatest
 Factor = Annotated[float, Within(1e-6, 1e6, "a factor")]
 LogOdds = Annotated[float, Within(-1e6, 1e6, "log-odds")]
 Count = Annotated[int, Within(1, 1e12, "")]
@@ -300,7 +304,7 @@ class Shared(Checked):
     """An error that all readings of a sensor on a map share, see :mod:`imgloc.search.adapt`."""
 
     #: factor that multiplies the ranges of all readings
-    scale: Annotated[float, Within(0.5, 2, "a factor")] = 1.0
+    scale: Annotated[float, Within(*SCALES, "a factor")] = 1.0
     #: cells that each wall loses on each side
     thinner: Annotated[int, Within(0, 100, "cells")] = 0
     #: standard deviation, metres, of the place of each piece of wall: a map drawn by others is bent

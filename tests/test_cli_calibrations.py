@@ -122,6 +122,14 @@ def test_a_value_that_cannot_be_is_named_with_its_file(
     assert expected in line
 
 
+@pytest.mark.parametrize("scale", [0.5, 2.0])
+def test_no_scale_is_found_beyond_what_can_be_stated(place: Path, scale: float) -> None:
+    calibrate(place / "map.yaml", scale=scale)
+    run = call("batch", place / "map.yaml", place / "a.npz", "--no-cache", "--out", place / "out")
+    assert run.code == 0, run.err
+    assert "whose shared.scale is" in run.err + run.out
+
+
 def test_calibrate_prints_what_it_stores(place: Path) -> None:
     with np.load(place / "a.npz") as held:
         arrays = dict(held) | {"ranges": 1.0008 * held["ranges"]}

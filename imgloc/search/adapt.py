@@ -14,7 +14,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import Readings
 from imgloc.model import FloatArray
 from imgloc.numbers import number
-from imgloc.options import Options, Shared
+from imgloc.options import SCALES, Options, Shared
 from imgloc.search.priors import standing
 from imgloc.search.refine import endpoints, refine
 from imgloc.search.rescore import bent_evidence, hit_density, rescore
@@ -129,6 +129,7 @@ def adapt(
         poses = standing(poses, options.prior, there)
         scale = now.scale * (poses[:, 3] if poses.shape[1] == 4 else np.ones(len(poses)))
         small = np.abs(np.log(scale / options.shared.scale)) <= np.log(fused.most_scaled)
+        small &= (scale >= SCALES[0]) & (scale <= SCALES[1])
         if not small.any():
             return float("-inf"), now
         score = score_of(poses[small], there)

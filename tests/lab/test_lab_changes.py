@@ -178,6 +178,10 @@ def test_the_command_counts_draws_and_mends(moved, tmp_path):
     assert load_map(tmp_path / "new.yaml").free[33, 41]
     text = call("map", "changes", tmp_path / "new.yaml", tmp_path / "log.npz", "--no-cache").out
     assert ": 0.0 % of its walls are gone" in text
+    both = ("--out", tmp_path / "b.png", "--update", tmp_path / "b.yaml")
+    slip = call("map", "changes", path, tmp_path / "log.npz", *both)
+    assert (slip.code, "--out, --update: both would write" in slip.err) == (2, True)
+    assert not (tmp_path / "b.png").exists()
     slip = call("map", "changes", path, tmp_path / "log.npz", "--update", path, "--force")
     assert (slip.code, "is read by this command" in slip.err) == (1, True)
 

@@ -64,6 +64,11 @@ def changes(
     folder = inputs.kept_in(kept)
     read = inputs.files_of(map_path)
     png = None if update is None else update.with_suffix(".png")
+    if out is not None and png is not None and out.resolve() == png.resolve():
+        raise ConfigError(
+            f"`out`, `update`: both would write {display(png)}, the image of the mended map; "
+            "expected two names"
+        )
     for path, ending in ((out, ".png"), (update, ".yaml"), (png, ".png")):
         inputs.check_target(path, ending, force=force, inputs=read)
     desk = inputs.desk_of(**vars(taken), cache=folder)
