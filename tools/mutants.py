@@ -27,8 +27,10 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import accumulate, islice, pairwise
+from multiprocessing import connection
 from pathlib import Path
 from queue import SimpleQueue
+from threading import Lock
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -38,6 +40,7 @@ SLOW = r"tools/|test_(cli|lab_atlas|runs)"
 ENDLESS = " did not end"
 PATIENCE = 60.0  # seconds of a processor for one test, the slowest of which takes a tenth of that
 SERVER = multiprocessing.get_context("forkserver")  # what every run needs is loaded once
+STARTING = Lock()  # start() asks every process for its exit code, which can be read only once
 SERVER.set_forkserver_preload(
     ["pytest", "hypothesis.strategies", "cv2", "skimage.measure", "rich", "typer"]
 )
@@ -162,8 +165,11 @@ def killer(folder: Path, some: Sequence[str]) -> str:
     """The test that fails, "" if none does; what takes longer than `PATIENCE` has failed."""
     with tempfile.NamedTemporaryFile("r", encoding="utf-8", errors="replace") as out:
         run = SERVER.Process(target=_tested, args=(folder, some, out.name, PATIENCE))
-        run.start()
-        run.join()
+        with STARTING:
+            run.start()
+        connection.wait([run.sentinel])
+        with STARTING:
+            run.join()
         with contextlib.suppress(ProcessLookupError):  # processes that a test has left
             os.killpg(run.pid or 0, signal.SIGKILL)
         said = out.read()
