@@ -53,6 +53,9 @@ _CONTRAST = number("floorplan.contrast")
 _FRAMED = number("floorplan.framed")
 _ALONG = number("floorplan.along")
 _BROKEN = number("floorplan.broken")
+_SHUT = number("floorplan.shut")
+_MARGIN = number("floorplan.margin")
+_BORDER = number("floorplan.border")
 _THICKER = number("floorplan.thicker")
 _LENGTH = number("floorplan.length")
 _STRAIGHT = number("floorplan.straight")
@@ -94,6 +97,7 @@ _FLAT = number("floorplan.flat")
 _DOUBT: tuple[float, float, float, float] = number("floorplan.doubt")
 _NARROW = number("floorplan.narrow")
 _OPEN = number("floorplan.open")
+_OTHER = number("floorplan.other")
 STEPS = 1 + len(THICKEST) + len(_THINNER)  #: of :func:`plan_to_map` at most
 
 
@@ -127,9 +131,11 @@ class FloorPlan:
     thinnest: float  #: what is thinner was no wall, metres
     thickest: float  #: lines farther apart were no wall, metres
     inverted: bool  #: the plan was light on dark
-    #: what walls enclose by themselves within an outer rectangle that touches none of them, as a
-    #: frame of the sheet does, square metres; 0 without such a rectangle
+    #: what walls enclose by themselves within an outer rectangle, as the frame of a sheet is,
+    #: square metres; 0 without such a rectangle
     framed_area: float
+    #: what walls enclose elsewhere on the drawing, the largest such space, square metres
+    other_area: float
 
     @property
     def free_area(self) -> float:
@@ -176,12 +182,17 @@ class FloorPlan:
         missed = "the building was most likely missed"
         if self.free_share < _DOUBT[0]:
             what = f"{missed}: only {self.free_share:.0%} of the drawing became free"
+        elif self.other_area > _OTHER * self.free_area:
+            what = (
+                f"walls enclose another {self.other_area:.0f} m2 elsewhere on the drawing, as a "
+                "second building or floor does; the map has the largest only"
+            )
         elif self.outside_share > _DOUBT[1]:
             what = f"{missed}: {self.outside_share:.0%} of the ink lies outside of what was found"
         elif self.framed_area > 0:
             what = (
-                f"{missed}: a rectangle that touches no other wall surrounds a building of "
-                f"{self.framed_area:.0f} m2, as the frame of a sheet does"
+                f"{missed}: a rectangle surrounds a building of {self.framed_area:.0f} m2, as "
+                "the frame of a sheet does"
             )
         elif self.largest_share < _OPEN:
             what = (
@@ -223,6 +234,7 @@ class FloorPlan:
             "free_share": self.free_share,
             "outside_share": self.outside_share,
             "framed_area": self.framed_area,
+            "other_area": self.other_area,
             "largest_share": self.largest_share,
             "roomless_share": self.roomless_share,
             "gaps_share": self.gaps_share,
@@ -371,6 +383,7 @@ def plan_to_map(
         thickest=between.thickest,
         inverted=inverted,
         framed_area=_framed(grid.occupied, cell, gap) * cell**2,
+        other_area=_elsewhere(found.walls & ~found.frame, found.inside, cell, found.gap),
     )
 
 
@@ -775,42 +788,78 @@ def _building(
     taken = _coarser(walls, parts) > 0
     cell = parts * pixel
     inside, closed = _inside(taken, cell, gap)
-    while (ring := _ring(taken & ~frame, _BROKEN / cell)) is not None:
-        line, within = ring
+    while (ring := _ring(taken & ~frame, cell)) is not None:
+        line, within, least = ring
         own, gaps = _inside(taken & ~frame & ~line & within, cell, gap)
-        # A hall has doors, and may have a few small rooms.
-        shut = np.count_nonzero(_enclosed(line, 0.0)) > 0.5 * np.count_nonzero(within)
-        if np.count_nonzero(own) < _FRAMED[0 if shut else 1] * np.count_nonzero(within):
+        if np.count_nonzero(own) < least * np.count_nonzero(within):
             break
         frame |= line
         inside, closed = own, gaps
     return inside, walls & _finer(frame, parts), closed
 
 
-def _ring(taken: BoolArray, broken: float) -> tuple[BoolArray, BoolArray] | None:
-    """The piece of wall around most others, and what is within, if it is little but a rectangle."""
-    labels, stats = _pieces(distance_transform((~taken).astype(np.uint8)) <= broken / 2)
-    if len(stats) < 3:
+def _ring(taken: BoolArray, cell: float) -> tuple[BoolArray, BoolArray, float] | None:
+    """The lines of an outer rectangle; what is within; and what share makes it a frame.
+
+    That is the share of it, 0..1, that other walls enclose by themselves. None if the piece of wall
+    around most others is no rectangle, or is a building: has openings, or walls all along.
+    """
+    labels, stats = _pieces(distance_transform((~taken).astype(np.uint8)) <= _BROKEN / 2 / cell)
+    if len(stats) < 2:
         return None
-    spans = stats[1:, cv2.CC_STAT_WIDTH] * stats[1:, cv2.CC_STAT_HEIGHT]
-    ring = taken & (labels == 1 + int(np.argmax(spans)))
+    ring = taken & (labels == int(np.argmax(_spans(stats))))
     rows, columns = np.nonzero(ring)
     hull = cv2.convexHull(np.column_stack((columns, rows)).astype(np.int32))
     within = cv2.fillConvexPoly(np.zeros(ring.shape, np.uint8), hull, 1) > 0
-    middle = skeletonize(ring)
-    along = np.count_nonzero(middle & (_depth(within) <= 2 * broken))
-    straight = np.count_nonzero(within) > _STRAIGHT * np.prod(cv2.minAreaRect(hull)[1])
-    return (ring, within) if straight and along > _ALONG * np.count_nonzero(middle) else None
+    if np.count_nonzero(within) <= _STRAIGHT * np.prod(cv2.minAreaRect(hull)[1]):
+        return None
+    # A hall has doors, and may have a few small rooms.
+    shut = np.count_nonzero(_enclosed(ring, _SHUT / 2 / cell)) > 0.5 * np.count_nonzero(within)
+    middle, depth = skeletonize(ring), _depth(within)
+    along = np.count_nonzero(middle & (depth <= 2 * _BROKEN / cell))
+    if len(stats) > 2 and along > _ALONG * np.count_nonzero(middle):
+        return ring, within, _FRAMED[0 if shut else 1]
+    # The building, or a title block near it, is joined to the frame. Paper is along the rest of it.
+    loop = (depth > _MARGIN / cell) & (depth <= _MARGIN / cell + 2)
+    free, found = _pieces(loop & ~ring)
+    lengths = np.append(0, found[1:, cv2.CC_STAT_AREA])
+    if not shut or lengths.max() < _BORDER * np.count_nonzero(loop):
+        return None
+    longest = free == int(np.argmax(lengths))
+    to_paper, to_rest = (
+        distance_transform((~m).astype(np.uint8)) for m in (longest, loop & ~longest)
+    )
+    line = ring & (depth <= _MARGIN / cell) & (to_paper < to_rest)
+    # With what is joined to it, as a title block is; the building is larger.
+    labels, stats = _pieces(ring & ~line)
+    table = _met(labels, len(stats), (labels > 0) & (depth <= 3))
+    table[int(np.argmax(_spans(stats)))] = False
+    line |= table[labels]
+    return line, within, _FRAMED[1]
+
+
+def _spans(stats: IntArray) -> IntArray:
+    """Areas of the boxes around pieces; 0 for what is none."""
+    return np.append(0, stats[1:, cv2.CC_STAT_WIDTH] * stats[1:, cv2.CC_STAT_HEIGHT])
 
 
 def _framed(taken: BoolArray, cell: float, gap: float | None) -> int:
     """Cells that walls enclose by themselves within an outer rectangle, if there is one."""
-    ring = _ring(taken, _BROKEN / cell)
+    ring = _ring(taken, cell)
     if ring is None:
         return 0
     own, _ = _inside(taken & ~ring[0] & ring[1], cell, gap)
     area = int(np.count_nonzero(own))
     return area if area > _LEAST / cell**2 else 0
+
+
+def _elsewhere(walls: BoolArray, inside: BoolArray, cell: float, gap: float) -> float:
+    """Square metres that walls enclose which are not joined to the building."""
+    taken = _coarser(walls, walls.shape[0] // inside.shape[0]) > 0
+    labels, stats = _pieces(inside | taken)
+    joined = _met(labels, len(stats), inside)
+    other, _ = _inside(taken & ~joined[labels], cell, gap)
+    return float(np.count_nonzero(other)) * cell**2
 
 
 def _span(drawn: BoolArray) -> int:
@@ -822,11 +871,12 @@ def _span(drawn: BoolArray) -> int:
 def _inside(taken: BoolArray, cell: float, gap: float | None) -> tuple[BoolArray, float]:
     """Cells that walls enclose, with doors in the outer walls closed, up to which width."""
     gaps = _GAPS if gap is None else (gap,)
-    found = [(_largest(_enclosed(taken, g / 2 / cell), taken), g) for g in gaps]
-    most = max(np.count_nonzero(cells) for cells, _ in found)
-    enough = [np.count_nonzero(cells) >= _ENOUGH * most for cells, _ in found]
+    found = [_enclosed(taken, g / 2 / cell) for g in gaps]
+    # Of all buildings: the paper between two is not what a wider gap is for.
+    areas = np.array([np.count_nonzero(cells) for cells in found])
     # One more: a disc that only just fails to get through a door reaches far into it.
-    return found[min(int(np.argmax(enough)) + 1, len(found) - 1)]
+    k = min(int(np.argmax(areas >= _ENOUGH * areas.max())) + 1, len(found) - 1)
+    return _largest(found[k], taken), gaps[k]
 
 
 def _largest(inside: BoolArray, walls: BoolArray) -> BoolArray:

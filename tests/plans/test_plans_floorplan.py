@@ -163,6 +163,64 @@ def test_light_on_dark_and_a_frame_round_the_sheet(plain: tuple[Image, FloorPlan
     assert np.mean(found.grid.occupied != wanted.occupied) < 0.002
 
 
+def house(sheet: Image, x: int, y: int) -> None:
+    """Two rooms of 4 x 5 m, with a door between them and one outside; 0.02 m a pixel."""
+    cv2.rectangle(sheet, (x, y), (x + 412, y + 262), 0, 12)
+    sheet[y : y + 262, x + 200 : x + 212] = 0
+    sheet[y + 100 : y + 140, x + 200 : x + 212] = 255
+    sheet[y + 100 : y + 140, x + 404 : x + 421] = 255
+
+
+def title_near(plan: Image) -> None:
+    """A frame whose title block is 1.1 m from the house."""
+    cv2.rectangle(plan, (10, 10), (689, 489), 0, 5)
+    for y in (380, 420, 460):
+        plan[y : y + 4, 400:690] = 0
+    plan[380:490, 400:404] = 0
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        title_near,
+        lambda plan: cv2.rectangle(plan, (10, 60), (689, 489), 0, 5),
+        lambda plan: cv2.rectangle(plan, (117, 57), (689, 489), 0, 5),
+        lambda plan: cv2.rectangle(plan, (65, 5), (592, 377), 0, 5),
+    ],
+    ids=["title block near", "line along a wall", "lines along two walls", "1.1 m around it"],
+)
+def test_a_frame_may_be_near_the_building(frame: Callable[[Image], None]) -> None:
+    plan = np.full((500, 700), 255, np.uint8)
+    house(plan, 120, 60)
+    alone = plan_to_map(plan, 0.02)
+    frame(plan)
+    found = plan_to_map(plan, 0.02)
+    assert found.free_area == pytest.approx(alone.free_area, rel=0.01)
+    assert found.size == pytest.approx(alone.size, abs=0.06)
+    assert found.doubt == alone.doubt == ""
+
+
+def test_a_hall_with_rooms_in_it_is_no_frame() -> None:
+    plan = np.full((700, 900), 255, np.uint8)
+    cv2.rectangle(plan, (100, 50), (800, 650), 0, 12)
+    house(plan, 105, 50)
+    plan[640:660, 300:400] = 255  # the door of the hall
+    assert plan_to_map(plan, 0.02).free_area == pytest.approx(14 * 12, rel=0.1)
+
+
+def test_of_two_buildings_the_larger_is_the_map_and_the_other_is_warned_of() -> None:
+    plan = np.full((400, 1200), 255, np.uint8)
+    house(plan, 60, 60)
+    alone = plan_to_map(plan, 0.02)
+    assert alone.other_area == 0
+    smaller = cv2.resize(plan[50:340, 50:490], None, fx=0.8, fy=0.8, interpolation=cv2.INTER_AREA)
+    plan[50 : 50 + len(smaller), 660 : 660 + smaller.shape[1]] = smaller  # 3.7 m apart
+    found = plan_to_map(plan, 0.02)
+    assert found.free_area == pytest.approx(alone.free_area, rel=0.01)
+    assert found.other_area == pytest.approx(0.64 * alone.free_area, rel=0.1)
+    assert "walls enclose another 2" in found.doubt
+
+
 def test_a_ruled_table_is_warned_of() -> None:
     table = np.full((600, 800), 255, np.uint8)
     for x in range(50, 800, 100):

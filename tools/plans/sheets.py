@@ -3,7 +3,7 @@
 A sheet is a picture in colour and the pose of its lower left corner in the frame of its building.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -13,7 +13,7 @@ from PIL import ImageDraw, ImageFont
 
 from imgloc.geometry import rotation
 from imgloc.model import FloatArray, Pose2D
-from tools.plans.drawing import Building, Image, building, draw_plan, hospital
+from tools.plans.drawing import Building, Image, Opening, box, building, draw_plan, hospital
 
 Colour = tuple[int, int, int]
 BLACK: Colour = (0, 0, 0)
@@ -338,3 +338,127 @@ LATER: dict[str, Callable[[], Sheet]] = {
         padded(drawn(building(1), 0.05, "filled"), 38.0, 20.5, 38.0, 20.5), 0.3, 0.1
     ),
 }  # fmt: skip
+
+
+def enclosed(s: Sheet, away: Sequence[float], width: float = 0.06) -> Sheet:
+    """A frame of one line, `away` metres left of, below, right of and above the building.
+
+    Where it is 0 m away the line is that of the facade.
+    """
+    wide, high = s.building.size
+    x, y = s.placed(np.array([(-away[0], -away[1])]))[0]
+    s.box(x, y, wide + away[0] + away[2], high + away[1] + away[3], width)
+    return s
+
+
+def block(s: Sheet, x: float, y: float, width: float = 0.06) -> Sheet:
+    """A table of 7 x 3 m, its lower left corner so far from that of the building."""
+    x, y = s.placed(np.array([(x, y)]))[0]
+    s.box(x, y, 7.0, 3.0, width)
+    for k, text in enumerate(("SCALE 1:100", "OFFICE BLOCK", "SHEET 3")):
+        s.line([(x, y + k), (x + 7.0, y + k)], width)
+        s.words(text, x + 0.4, y + k + 0.3, 0.4)
+    s.line([(x + 4.5, y), (x + 4.5, y + 3.0)], width)
+    return s
+
+
+def beside(s: Sheet, other: Sheet, apart: float) -> Sheet:
+    """Another sheet to the right of this one, `apart` metres between the two buildings."""
+    edge = s.placed(np.array([s.building.size]))[0, 0] + apart
+    first = other.placed(np.zeros((1, 2)))[0, 0]
+    keep = round((edge - first) / s.resolution)  # pixels of this sheet, left of the other
+    high = max(len(s.image), len(other.image))
+    parts = []
+    for image in (s.image, other.image):
+        parts.append(np.pad(image, ((high - len(image), 0), (0, 0), (0, 0)), constant_values=255))
+    wide = max(parts[0].shape[1], keep + parts[1].shape[1])
+    out = np.full((high, wide, 3), 255, np.uint8)
+    out[:, : parts[0].shape[1]] = parts[0]
+    there = out[:, keep : keep + parts[1].shape[1]]
+    np.minimum(there, parts[1], out=there)
+    return s.changed(out)
+
+
+def cottage(seed: int) -> Building:
+    """A house of five rooms, 9 to 11 m wide, with wide doors in walls 0.1 m thick."""
+    rng = np.random.default_rng((seed, 3))
+    wide, high = rng.uniform(9, 11), rng.uniform(7, 8)
+    b = Building((wide, high), corner=np.full(2, 2.5))
+    t = 0.1
+    x1, x2, y1 = 0.36 * wide, 0.68 * wide, 0.5 * high
+
+    def wall(x0: float, y0: float, x1: float, y1: float) -> int:
+        b.walls.append((np.array([x0, y0]), np.array([x1, y1]), t))
+        return len(b.walls) - 1
+
+    h = t / 2
+    south, north = wall(0, h, wide, h), wall(0, high - h, wide, high - h)
+    west, east = wall(h, 0, h, high), wall(wide - h, 0, wide - h, high)
+    spine = wall(0, y1, wide, y1)
+    below, above, right = wall(x1, 0, x1, y1), wall(x1, y1, x1, high), wall(x2, 0, x2, y1)
+    doors = ((south, 0.5, 2.4), (south, x2 + 0.5, 2.0), (north, 0.6, 2.4), (north, x2 - 0.6, 2.4),
+             (west, 0.7, 2.0), (west, y1 + 0.8, 2.0), (east, y1 + 0.6, 2.4), (east, 0.8, 2.2),
+             (spine, 0.8, 1.8), (spine, x1 + 0.5, 1.8), (spine, x2 + 0.6, 1.8),
+             (below, 0.8, 1.8), (above, 1.0, 1.8), (right, 0.9, 1.8))  # fmt: skip
+    for where, start, width in doors:
+        b.openings.append(Opening(where, start, width, "double", 1, 0, rng.uniform(1.3, 1.7)))
+    for k, c in enumerate(((0, 0, x1, y1), (x1, 0, x2, y1), (x2, 0, wide, y1), (0, y1, x1, high),
+                           (x1, y1, wide, high))):  # fmt: skip
+        b.rooms.append(box(*c))
+        b.names.append((f"R{k + 1}", np.array([(c[0] + c[2]) / 2, (c[1] + c[3]) / 2])))
+    return b
+
+
+def thick(b: Building, thickness: float) -> Building:
+    """The same with all walls so thick."""
+    b.walls = [(a, end, thickness) for a, end, _ in b.walls]
+    return b
+
+
+HARD: dict[str, Callable[[], Sheet]] = {
+    "hard: title block 1.1 m from the building": lambda: block(
+        enclosed(padded(drawn(building(21), 0.02, "filled"), 3, 3, 3, 3), (2.0, 4.6, 2.0, 2.0)),
+        building(21).size[0] - 5.0,
+        -4.6,
+    ),
+    "hard: frame 1.2 m around the building, hatched": lambda: enclosed(
+        drawn(building(22), 0.02, "hatched"), (1.2, 1.2, 1.2, 1.2)
+    ),
+    "hard: frame along a facade": lambda: enclosed(
+        padded(drawn(building(23), 0.02, "filled"), 2, 2, 2, 2), (2.5, 4.0, 3.0, 0.0)
+    ),
+    "hard: frame along two facades, walls as two lines": lambda: enclosed(
+        padded(drawn(building(24), 0.02, "outlined"), 4, 4, 4, 4), (0.0, 4.0, 5.0, 0.0)
+    ),
+    "hard: title block joined to the facade": lambda: block(
+        enclosed(padded(drawn(building(25), 0.02, "filled"), 3, 3, 3, 3), (2.0, 3.0, 3.0, 2.0)),
+        9.0,
+        -3.0,
+    ),
+    "hard: two buildings 4 m apart": lambda: beside(
+        drawn(building(26), 0.02, "filled"), drawn(building(27), 0.02, "filled"), 4.0
+    ),
+    "hard: two buildings 2 m apart, a small one": lambda: beside(
+        drawn(building(28), 0.02, "filled"), drawn(cottage(1), 0.02, "filled"), 2.0
+    ),
+    "hard: single lines, scanned": lambda: jpeg(
+        scanned(drawn(building(29), 0.025, "lines"), 29), 50
+    ),
+    "hard: single lines, scanned, fine": lambda: jpeg(
+        scanned(_whole(building(30), 0.015, "lines"), 30), 50
+    ),
+    "hard: walls 0.88 m thick as two lines": lambda: drawn(
+        thick(building(31), 0.88), 0.02, "outlined"
+    ),
+    "hard: walls 0.88 m thick as two lines, hospital": lambda: drawn(
+        hospital(32, 0.88), 0.03, "outlined"
+    ),
+    "hard: walls 1.2 m thick as two lines, hospital": lambda: drawn(
+        hospital(33, 1.2), 0.03, "outlined"
+    ),
+    "hard: small house, wide doors, filled": lambda: drawn(cottage(2), 0.02, "filled"),
+    "hard: small house, wide doors, outlined": lambda: drawn(cottage(3), 0.02, "outlined"),
+    "hard: small house, wide doors, no swings": lambda: drawn(
+        cottage(4), 0.02, "filled", clutter=False
+    ),
+}
