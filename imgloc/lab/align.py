@@ -1,10 +1,11 @@
 """Two maps of one place: where one lies in the other's frame, and how well they agree.
 
-The walls of one map are a scan of the other. Directions of walls, as complex images, are correlated
-at every heading by FFT. The best places are refined on the signed distance to the walls, in both
-maps at once. Maps of one building bend against each other, so a lattice of patches then follows the
-walls, and springs hold neighbouring patches together (Sumner et al., Embedded deformation for shape
-manipulation, 2007). Walls that one map has and the other sees decide whether it is the same place.
+The straight walls of one map are a scan of the other. Their directions, as complex images, are
+correlated at every heading by FFT. The best places are refined on the signed distance to the walls,
+in both maps at once. Maps of one building bend against each other, so a lattice of patches then
+follows the walls, and springs hold neighbouring patches together (Sumner et al., Embedded
+deformation for shape manipulation, 2007). Walls that one map has and the other sees decide whether
+it is the same place.
 
 >>> wall = np.pad(np.zeros((60, 90), bool), 3, constant_values=True)
 >>> wall[20:50, 30:33] = wall[40:43, 50:70] = True
@@ -29,7 +30,15 @@ from scipy.spatial.distance import cdist
 from imgloc.errors import MapError, expect
 from imgloc.features.distance import DistanceField, distance_field
 from imgloc.features.surface import surface_points
-from imgloc.geometry import cell_of, inside, poses_of, rotation, transform_poses, wrap
+from imgloc.geometry import (
+    cell_of,
+    inside,
+    poses_of,
+    rotation,
+    transform_points,
+    transform_poses,
+    wrap,
+)
 from imgloc.model import (
     BoolArray,
     FloatArray,
@@ -62,8 +71,10 @@ _CHANCE = number("align.chance")  # best score of the mirrored map that chance a
 _RIVAL = number("align.rival")  # share of the best score that makes another place a rival
 _SCALES = number("align.scales")  # least and greatest scale, and the step between them
 _VOTE = number("align.vote")  # metres and radians, in which scans agree on a transform
+_LEAST_MASS = number("align.mass")  # of the scans, as a share, on a transform
 _ARM = number("align.arm")  # metres: a heading says as much as a point so far off
 _HYPOTHESES, _TRIED = 10, 200  # of a scan, and votes whose transform is tried
+_ROUNDS, _LEAST_AWAY = 20, 1e-3  # of least absolute differences; metres
 _MOST = np.array((0.3, 0.3, 0.05, 0.02, 0.05))  # of a step, in the units of a pose
 _SIDE = 512  # cells of the correlation along a side, about: on larger maps they grow
 _POINTS = 2500  # surface points of a map that are refined and judged, about
@@ -71,31 +82,28 @@ _POINTS = 2500  # surface points of a map that are refined and judged, about
 
 @dataclass(frozen=True)
 class Side:
-    """What is used of one map, in its grid frame."""
+    """What is used of one map, in its grid frame: its straight walls. Furniture moves."""
 
     grid: OccupancyGrid
     xy: FloatArray  #: (N, 2) surface points, metres
     alpha: FloatArray  #: (N,) their normals, radians
-    straight: BoolArray  #: (N,) those of straight walls
     length: float  #: metres of wall that a point stands for
     field: DistanceField
 
     def thinned(self, most: int) -> "Side":
         """The same with at most so many points, about."""
         k = max(1, len(self.xy) // most)
-        points = self.xy[::k], self.alpha[::k], self.straight[::k], k * self.length
-        return Side(self.grid, *points, self.field)
+        return Side(self.grid, self.xy[::k], self.alpha[::k], k * self.length, self.field)
 
 
 def side_of(grid: OccupancyGrid, name: str = "map") -> Side:
-    """The surface of a map and the distance to it; a MapError if it has none."""
+    """The straight walls of a map and the distance to any; a MapError if it has none."""
     surface = surface_points(grid.occupied, grid.free, grid.resolution)
-    some = surface.select(surface.valid)
+    some = surface.select(surface.valid & (surface.sigma_alpha <= _STRAIGHT))
     if len(some) == 0:
-        raise MapError(f"{name}: no wall next to a free cell, expected some to compare")
-    straight = some.sigma_alpha <= _STRAIGHT
+        raise MapError(f"{name}: no straight wall next to a free cell, expected some to compare")
     walls = distance_field(grid.occupied, grid.resolution)
-    return Side(grid, some.xy, some.alpha, straight, grid.resolution, walls)
+    return Side(grid, some.xy, some.alpha, grid.resolution, walls)
 
 
 def propose(
@@ -440,8 +448,8 @@ def agreement(a: Side, b: Side, bend: Bend) -> Agreement:
         on = inside(cells, info)
         row, column = np.where(on[:, None], cells, 0).T
         against = on & (((e >= near) & other.grid.free[row, column]) | (e <= -near))
-        hit += length * np.count_nonzero(fits & on & one.straight)
-        missed += length * np.count_nonzero(against & one.straight)
+        hit += length * np.count_nonzero(fits & on)
+        missed += length * np.count_nonzero(against)
         rigid = flat(one.xy[fits & on])
         away.append(np.abs(size * _looked_up(other.field, rigid)[0] + off))
         moved.append(size * np.hypot(*(xy[fits & on] - rigid).T))
@@ -467,7 +475,8 @@ class ScanAlignment:
 
     pose: Pose2D | None  #: of the frame of `b` in that of `a`; None if too few scans agree
     used: int  #: scans that agree on it
-    located: int  #: scans with a pose in both maps
+    given: int  #: scans with a hypothesis in both maps
+    located: int  #: scans with a pose in both maps: neither ``no-match`` nor ``invalid``
     residual: float  #: median distance between the two places of a scan, metres
     turn: float  #: median angle between them, radians
     #: (used, 3) the poses of these scans in the map frames of `b` and of `a`
@@ -476,7 +485,7 @@ class ScanAlignment:
 
     def as_row(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        names = ("pose", "used", "located", "residual", "turn")
+        names = ("pose", "used", "given", "located", "residual", "turn")
         return dict(plain({name: getattr(self, name) for name in names}))
 
 
@@ -492,21 +501,25 @@ def align_scans(pairs: Sequence[tuple[Localization, Localization]]) -> ScanAlign
     Notes
     -----
     The scale is 1. A scan that is ambiguous in a map takes part: the others say which of its poses
-    is meant. A transform needs more than half of the scans that are located in both maps, and two.
+    is meant. So does one that is ``no-match``, as most are in an old map. More than half of the
+    scans must agree, with a share of their mass that chance does not reach, and two must have a
+    pose in both maps. The transform has the least sum of absolute differences, so that a few scans
+    that are far off do not pull.
 
     Examples
     --------
     >>> align_scans([]).pose is None
     True
     """
-    located = [(a, b) for a, b in pairs if a.pose is not None and b.pose is not None]
-    none = np.zeros((0, 3))
-    lost = ScanAlignment(None, 0, len(located), math.nan, math.nan, none, none)
-    if len(located) < 2:
+    some = [(a, b) for a, b in pairs if a.hypotheses and b.hypotheses]
+    located = np.array([a.pose is not None and b.pose is not None for a, b in some], np.bool_)
+    count, none = int(np.count_nonzero(located)), np.zeros((0, 3))
+    lost = ScanAlignment(None, 0, len(some), count, math.nan, math.nan, none, none)
+    if count < 2:
         return lost
     votes = [
         (one, other, k)
-        for k, (a, b) in enumerate(located)
+        for k, (a, b) in enumerate(some)
         for one in a.hypotheses[:_HYPOTHESES]
         for other in b.hypotheses[:_HYPOTHESES]
     ]
@@ -523,23 +536,27 @@ def align_scans(pairs: Sequence[tuple[Localization, Localization]]) -> ScanAlign
     for _ in range(3):
         pose = _between(there[chosen], here[chosen])
         chosen = _voting(pose, there, here, mass, scan)
-        if 2 * len(chosen) <= len(located) or len(chosen) < 2:
+        if 2 * len(chosen) <= len(some) or mass[chosen].sum() < _LEAST_MASS * len(some):
             return lost
-    moved = transform_poses(pose, here[chosen])
-    away = np.hypot(*(moved - there[chosen])[:, :2].T)
-    turned = np.abs(wrap(moved[:, 2] - there[chosen, 2]))
+    pose = _between(there[chosen], here[chosen])
+    away, turned = _apart(pose, there[chosen], here[chosen])
+    residuals = float(np.median(away)), float(np.median(turned))
     return ScanAlignment(
-        pose, len(chosen), len(located), float(np.median(away)), float(np.median(turned)),
-        here[chosen], there[chosen],
-    )  # fmt: skip
+        pose, len(chosen), len(some), count, *residuals, here[chosen], there[chosen]
+    )
+
+
+def _apart(T: Pose2D, there: FloatArray, here: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How far poses (N, 3) that a transform moves are from others: (N,) metres, (N,) radians."""
+    moved = transform_poses(T, here)
+    return np.hypot(*(moved - there)[:, :2].T), np.abs(wrap(moved[:, 2] - there[:, 2]))
 
 
 def _voting(
     T: Pose2D, there: FloatArray, here: FloatArray, mass: FloatArray, scan: IntArray
 ) -> IntArray:
     """Of each scan the heaviest of its votes that agree with a transform, if one does."""
-    moved = transform_poses(T, here)
-    away, turn = np.hypot(*(moved - there)[:, :2].T), np.abs(wrap(moved[:, 2] - there[:, 2]))
+    away, turn = _apart(T, there, here)
     (good,) = np.nonzero((away < _VOTE[0]) & (turn < _VOTE[1]))
     good = good[np.argsort(-mass[good], kind="stable")]
     return np.asarray(good[np.unique(scan[good], return_index=True)[1]])
@@ -549,16 +566,21 @@ def _between(there: FloatArray, here: FloatArray) -> Pose2D:
     """The transform that takes poses `here` (N, 3) nearest to those `there`, metres and radians.
 
     Positions say the turn if they are far apart, headings if they are not: a heading weighs as an
-    arm of :data:`_ARM` metres.
+    arm of :data:`_ARM` metres. Least absolute differences, by least squares with other weights.
     """
-    a, b = there[:, :2].mean(axis=0), here[:, :2].mean(axis=0)
-    p, q = there[:, :2] - a, here[:, :2] - b
+    weight = np.ones(len(there))
     turn = there[:, 2] - here[:, 2]
-    x = (p * q).sum() + _ARM**2 * np.cos(turn).sum()
-    y = (q[:, 0] * p[:, 1] - q[:, 1] * p[:, 0]).sum() + _ARM**2 * np.sin(turn).sum()
-    theta = math.atan2(y, x)
-    off = a - rotation(theta) @ b
-    return Pose2D(off[0], off[1], theta)
+    for _ in range(_ROUNDS):
+        a, b = (np.average(poses[:, :2], axis=0, weights=weight) for poses in (there, here))
+        p, q = there[:, :2] - a, here[:, :2] - b
+        x = weight @ ((p * q).sum(axis=1) + _ARM**2 * np.cos(turn))
+        y = weight @ (q[:, 0] * p[:, 1] - q[:, 1] * p[:, 0] + _ARM**2 * np.sin(turn))
+        theta = math.atan2(y, x)
+        off = a - rotation(theta) @ b
+        pose = Pose2D(off[0], off[1], theta)
+        away, turned = _apart(pose, there, here)
+        weight = 1 / np.maximum(np.hypot(away, _ARM * turned), _LEAST_AWAY)
+    return pose
 
 
 @dataclass(frozen=True)
@@ -586,6 +608,7 @@ class Alignment:
     verdict: str
     places: tuple[Place, ...]  #: what was looked at closely, best first; also without a match
     origins: tuple[Pose2D, Pose2D]  #: of the grids of `a` and `b`
+    corners: FloatArray  #: (4, 2) of what is known of `b`, its map frame, metres
 
     @property
     def best(self) -> Place | None:
@@ -684,7 +707,7 @@ def align_maps(
         Place(_in_map_frames(a, b, bend), fit, bend)
         for bend, fit in _places(one, other, scale, start)
     )
-    made = Alignment("unique", places, (a.origin, b.origin))
+    made = Alignment("unique", places, (a.origin, b.origin), _corners(b))
     if scans is not None and scans.pose is not None:
         return _as_scans_say(made, scans)
     best = places[0].agreement
@@ -743,17 +766,43 @@ def _in_map_frames(a: OccupancyGrid, b: OccupancyGrid, bend: Bend) -> Pose2D:
     return Pose2D(corner.x - off[0], corner.y - off[1], turn)
 
 
-def differences(found: Alignment, scans: ScanAlignment) -> dict[str, float | None]:
-    """How far apart walls and scans put the place where the scans were taken: metres, radians.
+def _corners(grid: OccupancyGrid) -> FloatArray:
+    """Corners (4, 2) of the rectangle that holds all known cells, map frame, metres."""
+    known = grid.occupied | grid.free
+    (left, right), (low, high) = (np.flatnonzero(known.any(axis=k))[[0, -1]] for k in (0, 1))
+    cells = [(left, low), (right + 1, low), (left, high + 1), (right + 1, high + 1)]
+    return transform_points(grid.origin, np.array(cells, dtype=np.float64) * grid.resolution)
 
-    What they differ by is that of the middle of the scans' poses and of their headings: each scan
-    has an error of its own. None without both.
+
+def differences(found: Alignment, scans: ScanAlignment) -> dict[str, Any]:
+    """How far apart walls and scans put `b`: metres, radians; None without both.
+
+    `walls_apart` and `walls_turned` are those of the middle of the scans' poses and of their
+    headings, carried over as :meth:`Alignment.move` does: each scan has an error of its own.
+    `corners_apart` has the distances of the corners of `b` by the one pose of the walls from those
+    by the one pose of the scans. `halves_apart` has those by the first and by the second half of
+    the scans: where two maps bend against each other no one pose is better than that.
     """
-    if found.best is None or scans.pose is None:
-        return {"walls_apart": None, "walls_turned": None}
+    keys = ("walls_apart", "walls_turned", "corners_apart", "halves_apart")
+    if found.pose is None or scans.pose is None:
+        return dict.fromkeys(keys)
     apart = found.move(scans.of_b) - scans.of_a
     away = float(np.hypot(*np.median(apart[:, :2], axis=0)))
-    return {"walls_apart": away, "walls_turned": float(abs(np.median(wrap(apart[:, 2]))))}
+    half = len(scans.of_a) // 2
+    first, second = (
+        _between(scans.of_a[some], scans.of_b[some]) for some in (slice(half), slice(half, None))
+    )
+    values = (
+        away, float(abs(np.median(wrap(apart[:, 2])))),
+        _distances(found.pose, scans.pose, found.corners),
+        _distances(first, second, found.corners),
+    )  # fmt: skip
+    return dict(zip(keys, values, strict=True))
+
+
+def _distances(T: Pose2D, U: Pose2D, xy: FloatArray) -> list[float]:
+    """Distances between points (N, 2) that two transforms move, metres."""
+    return [float(d) for d in np.hypot(*(transform_points(T, xy) - transform_points(U, xy)).T)]
 
 
 def _as_scans_say(found: Alignment, scans: ScanAlignment) -> Alignment:

@@ -79,19 +79,29 @@ def _pose(row: Mapping[str, Any]) -> str:
     return text if row.get("scale", 1) == 1 else f"{text}, scale {row['scale']:.4f}"
 
 
+def _no_transform(located: int) -> str:
+    """Why scans give no transform."""
+    if located < 2:
+        return f"too few have a pose in both maps: {located}, expected at least 2"
+    return "no transform fits more than half of them"
+
+
 def _scans_text(scans: Mapping[str, Any]) -> list[str]:
     if scans["pose"] is None:
-        return [f"  scans      most of the {scans['located']} located agree on no transform"]
+        return [f"  scans      {_no_transform(scans['located'])}"]
     lines = [
         f"  scans      {_pose(scans['pose'])}",
-        f"             {scans['used']} of {scans['located']} agree, residual "
+        f"             {scans['used']} of {scans['given']} agree, residual "
         f"{scans['residual']:.3f} m, {math.degrees(scans['turn']):.2f} deg",
     ]
     if scans["walls_apart"] is not None:
-        lines.append(
-            f"             there walls and scans differ by {scans['walls_apart']:.3f} m, "
-            f"{math.degrees(scans['walls_turned']):.2f} deg"
-        )
+        poses, halves = (max(scans[key]) for key in ("corners_apart", "halves_apart"))
+        lines += [
+            f"             walls differ there by {scans['walls_apart']:.3f} m, "
+            f"{math.degrees(scans['walls_turned']):.2f} deg",
+            f"  corners    of B: by walls and by scans up to {poses:.2f} m apart, "
+            f"by either half of the scans up to {halves:.2f} m",
+        ]
     return lines
 
 

@@ -14,7 +14,14 @@ from imgloc.io.files import map_name
 from imgloc.io.maps import load_map, save_map
 from imgloc.io.scans import load_scans
 from imgloc.lab.align import ScanAlignment, align_maps, align_scans, differences
-from imgloc.lab.aligned import ONLY_A, ONLY_B, draw_alignment, moved_text, read_poses
+from imgloc.lab.aligned import (
+    ONLY_A,
+    ONLY_B,
+    alignment_text,
+    draw_alignment,
+    moved_text,
+    read_poses,
+)
 from imgloc.model import (
     Hypothesis,
     Localization,
@@ -129,7 +136,7 @@ def test_maps_of_different_places_do_not_match(names):
 
 def test_a_map_without_a_wall_is_refused(a):
     free = np.ones((9, 9), bool)
-    with pytest.raises(MapError, match="b: no wall"):
+    with pytest.raises(MapError, match="b: no straight wall"):
         align_maps(a, OccupancyGrid(~free, free, 0.1))
 
 
@@ -153,13 +160,68 @@ def test_scans_agree_on_a_transform_also_if_they_are_ambiguous_in_one_map():
     assert found.residual < 1e-9
 
 
+def test_scans_that_are_no_match_vote_too_but_two_need_a_pose():
+    T, off = Pose2D(3.0, -1.0, 2.0), Pose2D(0.0, 0.0)
+    here = [Pose2D(k, 0.3 * k * k, k) for k in range(9)]
+    pairs = [(answer(compose(T, pose)), answer(pose)) for pose in here[:2]]
+    pairs[0] = (answer(compose(pairs[0][0].pose, Pose2D(0.2, 0.0))), pairs[0][1])
+    unsure = [(answer(compose(T, p), off, verdict="no-match"), answer(p)) for p in here[2:]]
+    found = align_scans(pairs + unsure)
+    assert (found.used, found.given, found.located) == (9, 9, 2)
+    away = compose(inverse(T), found.pose)
+    assert np.abs((away.x, away.y, away.theta)).max() < 0.01
+    assert align_scans(pairs[:1] + unsure).pose is None
+
+
+def test_a_transform_by_chance_has_too_little_mass():
+    """All scans of a robot that stands are wrong by the same transform in another building."""
+    few = Localization((Hypothesis(Pose2D(1, 2), 0.0, 0.05, np.eye(3)),), "ambiguous", 0.0, 1)
+    pairs = [(answer(Pose2D(3, 4)), few)] * 8
+    assert align_scans(pairs).pose is None
+    assert align_scans(pairs[:6] + [(answer(Pose2D(3, 4)), answer(Pose2D(1, 2)))] * 2).used == 8
+
+
+def test_a_scan_that_is_far_off_does_not_pull():
+    T = Pose2D(1.0, 2.0, -0.5)
+    here = [Pose2D(k, (-1) ** k, 0.7 * k) for k in range(7)]
+    there = [compose(T, pose) for pose in here]
+    there[3] = compose(there[3], Pose2D(0.3, 0.2, 0.05))
+    found = align_scans([(answer(a), answer(b)) for a, b in zip(there, here, strict=True)])
+    assert found.used == 7
+    away = compose(inverse(T), found.pose)
+    assert np.abs((away.x, away.y, away.theta)).max() < 0.005
+
+
+def test_furniture_that_was_moved_does_not_pull_a_map_aside(a):
+    """Rounded things beside walls, 0.1 m further along in one map than in the other."""
+    rng = np.random.default_rng(5)
+    rows, columns = np.mgrid[:120, :160] * 0.05
+    walls = np.kron(a.occupied, np.ones((2, 2), bool))
+    spots = np.column_stack((rng.uniform(0.5, 5.5, 60), rng.uniform(0.5, 7.5, 60)))
+    grids = []
+    for off in (0.0, 0.1):
+        legs = [np.hypot(rows - y - off, columns - x) < 0.08 for y, x in spots]
+        full = walls | np.any(legs, axis=0)
+        grids.append(OccupancyGrid(full, ~full, 0.05))
+    found = align_maps(*grids)
+    moved = found.move(np.array([[x, y, 0.0] for y, x in spots])) - [(x, y, 0) for y, x in spots]
+    assert np.abs(np.median(moved, axis=0)).max() < 0.005
+
+
 def test_scans_that_differ_by_many_transforms_agree_on_none():
     rng = np.random.default_rng(1)
     pairs = [
         (answer(Pose2D(*rng.uniform(-9, 9, 3))), answer(Pose2D(*rng.uniform(-9, 9, 3))))
         for _ in range(8)
     ]
-    assert align_scans(pairs).pose is None
+    found = align_scans(pairs)
+    assert found.pose is None
+    grid = OccupancyGrid(room(), ~room(), 0.1)
+    row = align_maps(grid, grid).as_row() | {"a": "a", "b": "b", "scans": found.as_row()}
+    text = alignment_text(row)
+    assert "no transform fits more than half of them" in text
+    row["scans"] = align_scans(pairs[:1]).as_row()
+    assert "too few have a pose in both maps: 1, expected at least 2" in alignment_text(row)
 
 
 def test_scans_decide_between_places_that_agree_as_well():
@@ -167,12 +229,15 @@ def test_scans_decide_between_places_that_agree_as_well():
     grid = OccupancyGrid(wall, ~wall, 0.1)
     T = Pose2D(8.4, 5.4, math.pi)  # half a turn about the middle
     here = np.array([(1.0, 1.0, 0.2), (5.0, 2.0, 1.0)])
-    scans = ScanAlignment(T, 2, 2, 0.0, 0.0, here, transform_poses(T, here))
+    scans = ScanAlignment(T, 2, 2, 2, 0.0, 0.0, here, transform_poses(T, here))
     found = align_maps(grid, grid, scans=scans)
     assert found.verdict == "unique"
     assert abs(found.pose.theta) == pytest.approx(math.pi, abs=1e-3)
-    assert differences(found, scans)["walls_apart"] < 0.02
-    elsewhere = ScanAlignment(Pose2D(2.0, 0.0), 2, 2, 0.0, 0.0, here, here + (2, 0, 0))
+    apart = differences(found, scans)
+    assert apart["walls_apart"] < 0.02
+    assert max(apart["corners_apart"]) < 0.05
+    assert apart["halves_apart"] == pytest.approx([0, 0, 0, 0], abs=1e-9)
+    elsewhere = ScanAlignment(Pose2D(2.0, 0.0), 2, 2, 2, 0.0, 0.0, here, here + (2, 0, 0))
     assert align_maps(grid, grid, scans=elsewhere).verdict == "ambiguous"
 
 
@@ -291,18 +356,24 @@ def test_scans_are_located_in_both(tmp_path):
     given = call("map", "align", "visibility", tmp_path / "b.yaml", "--scans", scans, "--json")
     row = json.loads(given.out)
     assert row["scans"]["used"] >= 4
+    assert max(row["scans"]["corners_apart"]) < 0.3
+    assert len(row["scans"]["halves_apart"]) == 4
     assert row["scans"]["walls_apart"] < 0.05
     assert row["scans"]["pose"]["theta"] == pytest.approx(truth.theta, abs=0.01)
     pair = ("map", "align", "visibility", tmp_path / "b.yaml", "--scans")
     text = call(*pair, scans).out
-    assert "walls and scans differ by 0.0" in text
+    assert "walls differ there by 0.0" in text
+    assert "of B: by walls and by scans up to 0." in text
     lines = [  # standard input, which can be read only once
         {"angle_min": s.angles[0], "angle_max": s.angles[-1], "range_max": s.range_max,
          "ranges": [r if np.isfinite(r) else None for r in s.ranges.tolist()]}
         for s in load_scans(scans).scans
     ]  # fmt: skip
     said = fed("".join(json.dumps(line) + "\n" for line in lines), *pair, "-")
-    assert (said.code, "of 6 agree" in said.out or "of 5 agree" in said.out) == (0, True), said
+    assert (said.code, "of 6 agree" in said.out or "of 5 agree" in said.out) == (
+        0,
+        True,
+    ), said
     few = json.loads(call(*pair, scans, "--scans-index", "0:3", "--json").out)
     assert few["scans"]["located"] <= 3
 
