@@ -227,8 +227,9 @@ class Bending(Checked):
     alike: Share = number("Bending.alike")
 
 
-# More effort: factor on the nodes that are kept, places, and how much worse a proposal may be.
-_WIDER: tuple[float, int, float] = number("options.wider")
+# More effort: nodes that each level keeps, places, and how much worse a proposal may be.
+_WIDER_KEEP: tuple[int, ...] = number("options.wider_keep")
+_WIDER: tuple[int, float] = number("options.wider")
 
 
 @dataclass(frozen=True)
@@ -291,8 +292,8 @@ class FusedOptions(Checked):
     @property
     def wider(self) -> "FusedOptions":
         """More effort: the first look with all readings, more nodes, more places looked at."""
-        factor, places, worse = _WIDER
-        a, b, c, d = (round(factor * kept) for kept in self.keep)
+        places, worse = _WIDER
+        a, b, c, d = map(max, self.keep, _WIDER_KEEP)
         return replace(
             self, few_rays=self.rays, keep=(a, b, c, d),
             second_look=max(places, self.second_look), worse=max(worse, self.worse),
