@@ -39,6 +39,7 @@ PATHS = tuple(f"imgloc/{room}" for room in ROOMS.split())
 SLOW = r"tools/|test_(cli|lab_atlas|runs)"
 ENDLESS = " did not end"
 PATIENCE = 60.0  # seconds of a processor for one test, the slowest of which takes a tenth of that
+WAITS = 5  # times as long by the clock: a test may wait for ever, and take nothing
 SERVER = multiprocessing.get_context("forkserver")  # what every run needs is loaded once
 STARTING = Lock()  # start() asks every process for its exit code, which can be read only once
 SERVER.set_forkserver_preload(
@@ -183,7 +184,10 @@ def killer(folder: Path, some: Sequence[str]) -> str:
 
 
 class _Patience:
-    """Ends the process with a test that takes too long, by its own time, whatever else runs."""
+    """Ends the process with a test that takes too long, by its own time, whatever else runs.
+
+    A test that waits for what never comes ends by the clock.
+    """
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds
@@ -191,6 +195,7 @@ class _Patience:
     def pytest_runtest_logstart(self) -> None:
         """Count from here."""
         signal.setitimer(signal.ITIMER_PROF, self.seconds)
+        signal.setitimer(signal.ITIMER_REAL, WAITS * self.seconds)
 
 
 def _tested(folder: Path, some: Sequence[str], out: str, patience: float) -> None:

@@ -101,10 +101,11 @@ def test_a_test_that_always_fails_kills_nothing(checkout):
         main(["--paths", "imgloc/search/a.py", "--workers", "1"])
 
 
-def test_what_does_not_end_has_failed(checkout, monkeypatch):
+@pytest.mark.parametrize("forever", ["pass", "time.sleep(1)"])
+def test_what_does_not_end_has_failed(checkout, monkeypatch, forever):
     monkeypatch.setattr(mutants, "PATIENCE", 0.5)
     (checkout / "tests" / "test_search_a.py").write_text(
-        "def test_f():\n    while True:\n        pass\n"
+        f"import time\n\ndef test_f():\n    while True:\n        {forever}\n"
     )
     said = mutants.killer(checkout, ["tests/test_search_a.py"])
     assert said == "tests/test_search_a.py::test_f did not end"
