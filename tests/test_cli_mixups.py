@@ -271,18 +271,3 @@ def test_a_row_of_the_report_opens_a_page_that_explains_the_answer(
     assert "curved: mixed.npz, scan 0: no-match" in text
     assert call("report", out).code == 0
     assert json.dumps(pages[0]) in (out / "report.html").read_text("utf-8")
-
-
-def test_evaluate_says_what_localize_says_of_scans_that_nothing_finds(scans: Path) -> None:
-    half = changed(scans, "half.npz", ranges=lambda a: 0.5 * a["ranges"], range_max=15.0)
-    mine = call("localize", "curved", half, OFF).err.splitlines()[-1]
-    run = call("evaluate", "curved", "--scans", half, "--method", "fused")
-    assert run.code == 0
-    assert run.err.splitlines()[-1] == mine
-    assert "Try --range-scale 2, or" in mine
-    mended = ("--range-scale", 2, "--json", "--method", "fused")
-    (row,) = rows(call("evaluate", "curved", "--scans", half, *mended).out)
-    assert row["success"][-1]["at_1"]["hits"] == 2
-    away = changed(scans, "away.npz", poses=lambda a: a["poses"] + 3)
-    run = call("evaluate", "curved", "--scans", away, "--method", "fused")
-    assert "the scans do not fit the map at their recorded poses" in run.err.splitlines()[-1]

@@ -6,13 +6,17 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command import MAPS, call, rows
 
 from imgloc.io.calibration import load_calibrations
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans, save_scans
-from imgloc.options import DEFAULTS, Shared
+from imgloc.io.scanset import ScanSet
+from imgloc.options import DEFAULTS, Sensor, Shared
+from imgloc.simulation.scans import simulate
+from imgloc.simulation.worlds import WORLDS, render
 
 QUICK = ("--method", "ght-v", "-n", 20, "--rays", 61, "--theta-step-deg", 15, "--cell", 0.2,
          "--threads", 1)  # fmt: skip
@@ -207,3 +211,19 @@ def test_which_says_why_localize_is_sure_of_scans_that_have_no_map(
     assert done.code == 0, done.err
     run = call("which", tmp_path / "maps", tmp_path / "a.npz", "--no-cache")
     assert all(line.split()[1] == "fr079" for line in run.out.splitlines()[1:]), run.out
+
+
+def test_calibrate_prints_what_it_stores(office: Path) -> None:
+    sensor = Sensor(rays=180, fov=2 * np.pi)
+    scans = simulate(render(WORLDS["curved"](), 0.1), 5, 5, sensor).scans
+    path = office.with_name("b.npz")
+    save_scans(path, ScanSet(tuple(replace(s, ranges=1.0008 * s.ranges) for s in scans)))
+    run = call("calibrate", office, "--scans", path)
+    assert run.code == 0, run.err
+    stored = json.loads(office.with_name("curved.calibration.json").read_text("utf-8"))["shared"][
+        "scale"
+    ]
+    (line,) = [line for line in run.out.splitlines() if line.startswith("scale")]
+    assert f"ranges x {stored:.4f} +-" in line
+    assert stored != Shared().scale
+    assert line.endswith(": imgloc uses that, though the map's scale may be right")

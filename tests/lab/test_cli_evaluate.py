@@ -21,6 +21,7 @@ from imgloc.model import OccupancyGrid, Pose2D
 from imgloc.options import DEFAULTS
 
 CURVED = MAPS / "curved.yaml"
+OFF = "--no-cache"
 QUICK = ["--method", "fused,ght-v", "--threads", 1]
 KEYS = ["map", "method", "trials", "index", "index_box", "index_calibrated", "outside", "exact"]
 KEYS += ["near", "success", "position", "heading", "verdicts", "unit", "work", "stack_bytes"]
@@ -256,3 +257,25 @@ def test_real_data(shared: Path) -> None:
     assert row["map"] == "fr079"
     assert row["success"][1]["at_1"]["hits"] == 3
     assert row["outside"] == 0
+
+
+def test_evaluate_says_what_localize_says_of_scans_that_nothing_finds(
+    tmp_path: Path,
+) -> None:
+    scans, half, away = (tmp_path / f"{name}.npz" for name in ("scans", "half", "away"))
+    words = ("--rays", 180, "--fov-deg", 360, "--out", scans)
+    assert call("simulate", CURVED, "-n", 2, "--seed", 5, *words).code == 0
+    with np.load(scans) as held:
+        arrays = dict(held)
+    np.savez(half, **arrays | {"ranges": 0.5 * arrays["ranges"], "range_max": 15.0})
+    np.savez(away, **arrays | {"poses": arrays["poses"] + 3})
+    mine = call("localize", "curved", half, OFF).err.splitlines()[-1]
+    run = call("evaluate", "curved", "--scans", half, "--method", "fused")
+    assert run.code == 0
+    assert run.err.splitlines()[-1] == mine
+    assert "Try --range-scale 2, or" in mine
+    mended = ("--range-scale", 2, "--json", "--method", "fused")
+    (row,) = rows(call("evaluate", "curved", "--scans", half, *mended).out)
+    assert row["success"][-1]["at_1"]["hits"] == 2
+    run = call("evaluate", "curved", "--scans", away, "--method", "fused")
+    assert "the scans do not fit the map at their recorded poses" in run.err.splitlines()[-1]
