@@ -1,5 +1,6 @@
 """Fixtures that every room shares."""
 
+import gc
 import os
 import shutil
 import signal
@@ -41,8 +42,14 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 def pytest_collection_finish() -> None:
-    """Leave bytecode to other processes from here on: tests may limit what this one writes."""
+    """Leave bytecode to other processes from here on: tests may limit what this one writes.
+
+    What was collected stays to the end: the collector of garbage need not look through it.
+    """
     sys.dont_write_bytecode = True
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(10_000, 20, 20)
 
 
 @pytest.fixture(scope="session", autouse=True)
