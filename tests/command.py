@@ -1,5 +1,6 @@
 """Runs of the command line: in this process for speed, or as the user runs it."""
 
+import ast
 import contextlib
 import ctypes
 import io
@@ -22,6 +23,12 @@ from imgloc.cli.app import main
 
 ROOT = Path(__file__).resolve().parents[1]
 MAPS = ROOT / "maps"
+
+
+@cache
+def parsed(path: Path) -> ast.Module:
+    """The syntax tree of a file, which several tests look through."""
+    return ast.parse(path.read_text("utf-8"))
 
 
 class Run(NamedTuple):

@@ -10,13 +10,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import typer
-from command import MAPS, ROOT, call, command, rows, spawn
+from command import MAPS, ROOT, call, command, parsed, rows, spawn
 
 import imgloc
 from imgloc.__main__ import main as imgloc_command
@@ -107,13 +108,17 @@ def options_of(command: Any) -> set[str]:
     return own.union({"--help"}, *map(options_of, below))
 
 
-def texts_of(path: Path) -> Iterator[str]:
+@cache
+def texts_of(path: Path) -> tuple[str, ...]:
     """The strings of a file that are no docstrings, with 0 for what is filled in."""
-    tree = ast.parse(path.read_text("utf-8"))
-    pieces = {id(value) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr)
+    return tuple(_texts_of([*ast.walk(parsed(path))]))
+
+
+def _texts_of(nodes: list[ast.AST]) -> Iterator[str]:
+    pieces = {id(value) for node in nodes if isinstance(node, ast.JoinedStr)
               for value in node.values}  # fmt: skip
-    docs = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    for node in ast.walk(tree):
+    docs = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+    for node in nodes:
         if isinstance(node, ast.JoinedStr):
             parts = (v.value if isinstance(v, ast.Constant) else "0" for v in node.values)
             yield "".join(map(str, parts))

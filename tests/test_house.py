@@ -1,11 +1,10 @@
 """The rooms of the house and the wall: what each may import, from the first to the last."""
 
 import ast
-from functools import cache
 from pathlib import Path
 
 import pytest
-from command import ROOT
+from command import ROOT, parsed
 
 from imgloc import doors
 from tools import house
@@ -31,11 +30,6 @@ DOORS = [
 
 def files() -> list[house.File]:
     return house.counted("imgloc")  # counted once, where a test asks
-
-
-@cache
-def parsed(path: Path) -> ast.Module:
-    return ast.parse((ROOT / path).read_text("utf-8"))
 
 
 def test_each_file_is_in_a_room_that_has_a_name() -> None:
@@ -98,7 +92,7 @@ def test_the_wall_has_no_hole_but_the_doors() -> None:
     for file in files():
         if file.room in (*house.BEHIND, "doors", "__init__"):
             continue
-        for node in ast.walk(parsed(file.path)):
+        for node in ast.walk(parsed(ROOT / file.path)):
             modules = [node.value] if isinstance(node, ast.Constant) else []
             if isinstance(node, ast.ImportFrom):
                 modules = [f"{node.module}.{alias.name}" for alias in node.names]
@@ -115,14 +109,14 @@ def test_every_door_opens(name: str) -> None:
 def test_there_are_no_other_doors_and_each_is_used() -> None:
     assert sorted(doors._HOME_OF) == sorted(DOORS)
     words = {node.value for file in files() if file.room not in (*house.BEHIND, "doors")
-             for node in ast.walk(parsed(file.path))
+             for node in ast.walk(parsed(ROOT / file.path))
              if isinstance(node, ast.Constant) and isinstance(node.value, str)}  # fmt: skip
     assert words >= set(DOORS)
 
 
 def test_the_way_from_scan_to_answer_fits_a_screen() -> None:
     lines = (ROOT / "imgloc/pipeline.py").read_text("utf-8").splitlines()
-    steps = {f.name: f for f in parsed(Path("imgloc/pipeline.py")).body
+    steps = {f.name: f for f in parsed(ROOT / "imgloc/pipeline.py").body
              if isinstance(f, ast.FunctionDef)}  # fmt: skip
     code = 0
     for name in ("localize", "find_modes_by_steps", "find_adapted_modes"):
@@ -149,7 +143,7 @@ def test_a_command_parses_runs_and_prints_in_sixty_lines(path: Path) -> None:
     code = house.code_lines(text)
     found = {
         node.name: len(code & {*range(node.body[0].lineno, 1 + (node.end_lineno or 0))})
-        for node in ast.walk(ast.parse(text))
+        for node in ast.walk(parsed(path))
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
     }
     assert {name: lines for name, lines in found.items() if lines > 60} == {}

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from functools import cache
 
 import pytest
-from command import ROOT
+from command import ROOT, parsed
 
 from imgloc.errors import ConfigError
 from imgloc.numbers import FILE, NUMBERS, Origin, origin, read, write
@@ -45,7 +45,7 @@ FITTED = (
 @cache
 def trees() -> list[tuple[str, ast.Module]]:
     paths = sorted(PACKAGE.rglob("*.py"))
-    return [(p.relative_to(PACKAGE).as_posix(), ast.parse(p.read_text("utf-8"))) for p in paths]
+    return [(p.relative_to(PACKAGE).as_posix(), parsed(p)) for p in paths]
 
 
 def literals(node: ast.AST) -> Iterator[float]:
