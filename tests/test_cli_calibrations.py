@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from command import MAPS, call
 import imgloc
 from imgloc.io.calibration import calibration_path, save_calibrations
 from imgloc.io.scans import save_scans
-from imgloc.options import Sensor, Shared
+from imgloc.options import Sensor
 from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -26,7 +27,7 @@ def place(tmp_path: Path) -> Path:
     text = (tmp_path / "map.yaml").read_text("utf-8").replace("curved.png", "map.png")
     (tmp_path / "map.yaml").write_text(text, "utf-8")
     sensor = Sensor(rays=180, fov=2 * np.pi)
-    save_scans(tmp_path / "a.npz", simulate(render(WORLDS["curved"](), 0.1), 5, 5, sensor))
+    save_scans(tmp_path / "a.npz", simulate(render(WORLDS["curved"](), 0.1), 3, 5, sensor))
     return tmp_path
 
 
@@ -92,8 +93,9 @@ def test_a_calibration_that_is_right_is_not_blamed(place: Path) -> None:
 def test_a_followed_robot_names_the_calibration(shared: Path, tmp_path: Path, scale: float) -> None:
     grid = imgloc.load_map(shared / "data" / "fr079" / "map.yaml", free_thresh=0.196)
     imgloc.save_map(tmp_path / "map.yaml", grid)
-    scans = imgloc.load_scans(shared / "data" / "raw" / "fr079.log").take(range(60))
-    imgloc.save_scans(tmp_path / "log.npz", scans)
+    log = imgloc.load_scans(shared / "data" / "raw" / "fr079.log").take(range(40))
+    few = [replace(s, ranges=s.ranges[::4], angles=s.angles[::4]) for s in log.scans]
+    imgloc.save_scans(tmp_path / "log.npz", replace(log, scans=tuple(few)))
     calibrate(tmp_path / "map.yaml", scale=scale)
     run = call("track", tmp_path / "map.yaml", tmp_path / "log.npz", "--no-cache")
     (hint,) = advice(run.err)
@@ -128,16 +130,3 @@ def test_no_scale_is_found_beyond_what_can_be_stated(place: Path, scale: float) 
     run = call("batch", place / "map.yaml", place / "a.npz", "--no-cache", "--out", place / "out")
     assert run.code == 0, run.err
     assert "whose shared.scale is" in run.err + run.out
-
-
-def test_calibrate_prints_what_it_stores(place: Path) -> None:
-    with np.load(place / "a.npz") as held:
-        arrays = dict(held) | {"ranges": 1.0008 * held["ranges"]}
-    np.savez(place / "b.npz", **arrays)
-    run = call("calibrate", place / "map.yaml", "--scans", place / "b.npz")
-    assert run.code == 0, run.err
-    stored = json.loads((place / "map.calibration.json").read_text("utf-8"))["shared"]["scale"]
-    (line,) = [line for line in run.out.splitlines() if line.startswith("scale")]
-    assert f"ranges x {stored:.4f} +-" in line
-    assert stored != Shared().scale
-    assert line.endswith(": imgloc uses that, though the map's scale may be right")
