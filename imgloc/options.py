@@ -314,7 +314,7 @@ class Shared(Checked):
     depth: Annotated[float, Within(-0.15, 0.15, "metres")] | None = None
     #: misfit of scans at their true places on a map that others drew, nats per reading: as much
     #: says nothing against a place
-    usual: Nats = 0.0
+    usual: Annotated[float, Within(0, 10, "nats")] = 0.0
 
 
 @dataclass(frozen=True)

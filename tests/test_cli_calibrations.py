@@ -111,6 +111,7 @@ def test_a_followed_robot_names_the_calibration(shared: Path, tmp_path: Path, sc
         ("depth", float("nan"), "shared.depth: got nan, expected"),
         ("depth", 0.2, "shared.depth: got 0.2, expected metres, -0.15 to 0.15"),
         ("bent", -1, "shared.bent: got -1.0, expected metres, 0 to 1"),
+        ("usual", 1e6, "shared.usual: got 1000000.0, expected nats, 0 to 10"),
     ],
 )
 def test_a_value_that_cannot_be_is_named_with_its_file(

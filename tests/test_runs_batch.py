@@ -141,7 +141,7 @@ def test_nothing_foreign_is_touched(site: Path, tmp_path: Path) -> None:
         run_batch(site / "floors", None, out, make_job("check"), executor=pool, resume=True)
     assert (out / RESULTS).read_bytes() == before
     (out / "run.json").unlink()
-    with pytest.raises(OutputError, match=r"no run\.json"):
+    with pytest.raises(ConfigError, match=r"no run\.json"):
         in_threads(site, out, resume=True)
     assert (out / RESULTS).read_bytes() == before
     assert (out / "notes.txt").read_text() == "mine"

@@ -69,9 +69,9 @@ def read_batch(
     ------
     ConfigError
         If the folder is of another job, has no results of this map, or of this map read in another
-        way; if a file of scans has changed since, or is not there.
+        way, or is no folder of a batch; if a file of scans has changed since, or is not there.
     OutputError
-        If it is no folder of a batch, or is damaged.
+        If it is damaged.
     """
     name, run = display(folder), read_run(folder)
     if run["job"] != Localize.name:

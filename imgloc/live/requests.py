@@ -6,6 +6,7 @@
 """
 
 import json
+import logging
 import math
 import re
 from collections.abc import Mapping
@@ -36,6 +37,8 @@ _ENDINGS = (*SCAN_ENDINGS, ".yaml", ".yml")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,99}", re.ASCII)
 NAME = _NAME.pattern  #: what a map may be called
 _PARTS = 8  # of a form
+# What the parser logs of a form that is damaged, the refusal tells the client.
+logging.getLogger("python_multipart").addHandler(logging.NullHandler())
 Seconds = Annotated[float, Within(0.01, 86_400, "seconds")]
 
 
@@ -83,7 +86,7 @@ def parts_of(body: bytes, content_type: str) -> list[Part]:
     from python_multipart.multipart import FormParser, parse_options_header
 
     _, options = parse_options_header(content_type.encode("latin-1", "replace"))
-    found = list[Part]()
+    found, ends = list[Part](), list[bool]()
 
     def keep(name: bytes | None, file: bytes, data: bytes | None) -> None:
         if len(found) >= _PARTS:
@@ -99,11 +102,15 @@ def parts_of(body: bytes, content_type: str) -> list[Part]:
 
     try:
         in_memory = {"MAX_MEMORY_FILE_SIZE": len(body)}
-        parser = FormParser(FORM, field, file, boundary=options[b"boundary"], config=in_memory)
+        parser = FormParser(
+            FORM, field, file, lambda: ends.append(True), options[b"boundary"], config=in_memory
+        )
         parser.write(body)
         parser.finalize()
     except (KeyError, FormParserError, ValueError):
         raise Refused("bad-request", "the body is no form (multipart/form-data)") from None
+    if not ends:
+        raise Refused("bad-request", "the form is cut: its last boundary is missing")
     return found
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
-from imgloc.errors import OutputError
+from imgloc.errors import ConfigError, OutputError
 from imgloc.io.files import (
     PathLike,
     display,
@@ -51,7 +51,7 @@ _HYPOTHESIS = {
 }  # fmt: skip
 _EVIDENCE = {
     "misfit": _MAYBE, "temperature": _MAYBE, "readings": int, "found": int, "scale?": float,
-    "thinner?": float, "floor?": float, "floor_distance?": _MAYBE, "floor_direction?": _MAYBE,
+    "thinner?": float, "floor?": _MAYBE, "floor_distance?": _MAYBE, "floor_direction?": _MAYBE,
 }  # fmt: skip
 #: what the answers of each job have, of that which a page, a table or a summary looks at
 _ANSWERS: Mapping[str, Mapping[str, Any]] = {
@@ -247,10 +247,13 @@ class Results:
 
 
 def read_run(folder: PathLike) -> Row:
-    """What decided the rows of a folder; OutputError if it is not one of a batch."""
+    """What decided the rows of a folder; OutputError if it is damaged.
+
+    ConfigError if the folder is not one of a batch.
+    """
     path = Path(folder) / RUN
     if not os.path.lexists(path):
-        raise OutputError(f"{display(folder)}: no {RUN}, expected a {_FOLDER}")
+        raise ConfigError(f"{display(folder)}: no {RUN}, expected a {_FOLDER}")
     about = read_json(path, _RUN, limit=_MAX_ABOUT, what=RUN, version=_FORMAT)
     return {"maps": "", "scans": None, **about}
 
@@ -269,11 +272,12 @@ def read_summary(folder: PathLike) -> Row:
 def read_rows(folder: PathLike) -> Iterator[Row]:
     """Rows of a folder, the last one of each item; what a stop has torn is left out.
 
-    Each has what :data:`_ROWS` says. OutputError if there are none, or the file cannot be read.
+    Each has what :data:`_ROWS` says. OutputError if the file cannot be read, ConfigError if there
+    is none.
     """
     name, path = display(folder), Path(folder) / RESULTS
     if not os.path.lexists(path):
-        raise OutputError(f"{name}: no {RESULTS}, expected a {_FOLDER}")
+        raise ConfigError(f"{name}: no {RESULTS}, expected a {_FOLDER}")
     job = read_run(folder)["job"]
     try:
         with os.fdopen(open_regular(path, OutputError, "file of rows"), "rb") as file:

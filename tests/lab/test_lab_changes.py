@@ -256,6 +256,11 @@ def test_scans_of_a_batch_are_read_as_it_has_read_them(logs, moved):
     assert (wrong.code, "expected no option for how scans are read" in wrong.err) == (2, True)
 
 
+def test_the_help_says_which_scans_count_once():
+    text = " ".join(call("map", "changes", "--help").out.split())
+    assert "the same stamp, ranges and angles as another" in text
+
+
 def test_a_batch_that_does_not_fit_is_refused_by_one_error(logs, moved):
     def refused(*given: object) -> tuple[int, str]:
         found = call("map", "changes", *given, "--no-cache")
@@ -268,7 +273,7 @@ def test_a_batch_that_does_not_fit_is_refused_by_one_error(logs, moved):
     code, err = refused("new.yaml", "done")
     assert (code, "done: a batch of old.yaml, expected one of new.yaml" in err) == (2, True)
     code, err = refused("old.yaml", "logs")
-    assert (code, "logs: no run.json" in err) == (1, True)
+    assert (code, "logs: no run.json" in err) == (2, True)
     save_scans("logs/b.npz", ScanSet(tuple(scanned(moved[0], POSES))), force=True)
     code, err = refused("old.yaml", "done")
     assert (code, "done: b.npz: the file is not there, or not as" in err) == (2, True)

@@ -292,6 +292,27 @@ def test_a_map_as_image_is_the_one_that_was_sent(http: httpx.Client) -> None:
     assert ((image == 254) == grid.free[::-1]).all()
 
 
+def test_a_form_that_is_cut_says_so(http: httpx.Client) -> None:
+    head = 'Content-Disposition: form-data; name="file"; filename="a.jsonl"'
+    body = f'--x\r\n{head}\r\n\r\n{{"ranges": [1, 2], "angle_min": 0}}\r\n--x--\r\n'.encode()
+    form = {"Content-Type": "multipart/form-data; boundary=x"}
+    for size in (len(body) - 4, len(body) // 2, 20):
+        for path in ("localize?map=curved", "maps"):
+            said = http.post(f"/v1/{path}", content=body[:size], headers=form)
+            assert "the form is cut" in problem(said, 400, "bad-request")
+
+
+def test_what_the_parser_of_forms_logs_is_not_printed() -> None:
+    code = (
+        "from imgloc.live.requests import parts_of\n"
+        "try: parts_of(b'--y', 'multipart/form-data; boundary=x')\n"
+        "except Exception as e: print(e)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "is no form" in run.stdout
+    assert run.stderr == ""
+
+
 @pytest.mark.parametrize("path", ["/etc/passwd", "../../../etc/passwd", "C:\\\\boot.ini"])
 def test_no_path_in_a_yaml_is_opened(http: httpx.Client, path: str) -> None:
     ok, image = cv2.imencode(".png", room())

@@ -46,8 +46,8 @@ def changes(
     scans from 2 places or times, so people who walk by are none. Of a file with more than 300 scans
     300 are taken, evenly spread, unless --scans-index or --sample chooses. DIR is a folder of
     results of imgloc batch with its job localize: its poses on MAP are used, nothing is located
-    again, and its scans are read as the batch has read them. A scan that several files have counts
-    once.
+    again, and its scans are read as the batch has read them. A scan counts
+    once: one with the same stamp, ranges and angles as another, in a file before, is left out.
     """
     import numpy as np
 
