@@ -215,6 +215,15 @@ def test_a_bag_that_was_cut_off_is_told_what_may_save_it(
     assert f"; {saves} may save what is in it" in run.err
 
 
+@pytest.mark.parametrize("name", ["upload", "A.BAG"])
+def test_a_bag_whose_name_does_not_tell_its_storage_is_not_called_damaged(
+    tmp_path: Path, name: str
+) -> None:
+    path = write(tmp_path / "a.bag", "bag", robot("bag")).rename(tmp_path / name)
+    with pytest.raises(ScanError, match=r"is a bag, expected a name that ends in \.bag, \.mcap"):
+        load_scans(path)
+
+
 def test_of_several_topics_one_is_named(tmp_path: Path) -> None:
     m = messages_of(False)
     front, rear = ("/front", SCAN, m.scan(1.0)), ("/rear", SCAN, m.scan(2.0))

@@ -197,6 +197,8 @@ def _opened(path: PathLike, name: str) -> Iterator[Any]:
         hint = "reading ROS bags needs rosbags: pip install 'imgloc[ros]'"
         raise ScanError(f"{name}: {hint}") from None
     file, parts = _files(Path(path), name)
+    if not is_folder(file) and file.suffix not in _SAVES:
+        raise ScanError(f"{name}: is a bag, expected a name that ends in {', '.join(_SAVES)}")
     size = 0
     for part in parts:
         if part.suffix == ".db3" and re.search(r"[?#]|%[0-9a-fA-F]{2}", str(part)):
