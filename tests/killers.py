@@ -76,7 +76,7 @@ class Saboteur(Executor):
             pool.shutdown(wait, cancel_futures=cancel_futures)
 
 
-def complain(words):
-    """Say something to standard error, and end."""
-    os.write(2, words.encode())
+def complain(words, to=2):
+    """Say something to standard error, or output, and end."""
+    os.write(to, words.encode())
     os._exit(3)

@@ -20,11 +20,12 @@ from imgloc.geometry import wrap
 from imgloc.io.maps import save_map
 from imgloc.io.scans import load_scans, save_scans
 from imgloc.io.scanset import ScanSet
-from imgloc.model import Pose2D
+from imgloc.model import OccupancyGrid, Pose2D
 from imgloc.options import Known, Options, Sensor
 from imgloc.output.drawings import DRAWINGS
 from imgloc.output.export import columns_of
 from imgloc.output.report import render_report
+from imgloc.runs import results
 from imgloc.runs.batch import find_items, run_batch
 from imgloc.runs.jobs import Item, Job, make_job
 from imgloc.runs.opening import MapFiles, Means, ScanFiles
@@ -183,6 +184,29 @@ def test_a_damaged_row_is_an_error(site: Path, tmp_path: Path) -> None:
     assert path.read_bytes() == b"".join(lines)
 
 
+def test_a_row_that_is_too_long_is_no_row(
+    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    in_threads(site, out := tmp_path / "out")
+    lines = (out / RESULTS).read_bytes().splitlines()
+    longest = max(map(len, lines)) + 1
+    monkeypatch.setattr(results, "_PART", 64)
+    monkeypatch.setattr(results, "_MAX_ROW", 64 * -(-longest // 64))
+    assert len(list(read_rows(out))) == 6
+    monkeypatch.setattr(results, "_MAX_ROW", longest // 2)
+    with pytest.raises(OutputError, match="line 1: no row of a batch"):
+        list(read_rows(out))
+
+
+def test_a_map_is_read_once_and_without_a_standard_error(
+    site: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr", None)  # as where there is no console
+    desk = Means().desk()
+    grid = desk.grid(site / "floors" / "post.yaml", MapFiles())
+    assert desk.grid(site / "floors" / "post.yaml", MapFiles()) is grid
+
+
 # Items.
 
 
@@ -279,6 +303,13 @@ def test_a_job_of_somebody_else_is_a_class_and_a_name(
     assert row["answers"] == [{"size": {"squares": pytest.approx(free / 0.25)}, "unit": "squares"}]
     assert "size.squares" in render_report(out)
     assert columns_of(out)["size_squares"] == [pytest.approx(free / 0.25)]
+    bare = np.ones((20, 30), bool)  # a map without walls is a map, too
+    save_map(tmp_path / "bare.yaml", OccupancyGrid(~bare, bare, 0.1))
+    with ThreadPoolExecutor(1) as pool:
+        there = tmp_path / "there"
+        run_batch(tmp_path / "bare.yaml", None, there, make_job("area"), executor=pool)
+    (row,) = read_rows(there)
+    assert row["answers"] == [{"size": {"squares": pytest.approx(6.0)}, "unit": "squares"}]
     with pytest.raises(TypeError, match="cell"):
         make_job("area", cell=0.2)
 
@@ -305,16 +336,29 @@ def test_a_worker_that_has_a_lossy_map_refuses_it_still(site: Path, tmp_path: Pa
 
 
 def test_pictures_of_what_is_doubtful(site: Path, tmp_path: Path) -> None:
-    blind = load_scans(site / "all.npz")[0]
-    far = type(blind)(np.full(60, np.inf), blind.angles, range_max=9.0)
+    one = load_scans(site / "all.npz")[0]
+    far = type(one)(np.full(60, np.inf), one.angles, range_max=9.0)
     save_scans(tmp_path / "blind.npz", ScanSet((far,)))
+    place, means = site / "floors", Means(drawings=DRAWINGS)
     for kind, count in (("none", 0), ("doubtful", 1), ("all", 1)):
-        job, means = make_job(pictures=kind), Means(drawings=DRAWINGS)
-        out = tmp_path / kind
+        job, out = make_job(pictures=kind), tmp_path / kind
         with ThreadPoolExecutor(1) as pool:
-            run_batch(site / "floors", tmp_path / "blind.npz", out, job, means=means, executor=pool)
+            run_batch(place, tmp_path / "blind.npz", out, job, means=means, executor=pool)
         (row,) = read_rows(out)
         assert len(row["answers"][0].get("pictures", ())) == count
+    # A pose that is sure is doubtful if the known one is another: not if it is right, or unknown.
+    with ThreadPoolExecutor(1) as pool:
+        run_batch(place, site / "all.npz", tmp_path / "sure", make_job(), executor=pool)
+        (row,) = read_rows(tmp_path / "sure")
+        sure = [a["index"] for a in row["answers"] if a["verdict"] == "unique"][:3]
+        some = load_scans(site / "all.npz").take(sure)
+        job, away = make_job(pictures="doubtful"), some.poses + (5.0, 0.0, 0.0)
+        for name, poses, count in (("right", some.poses, 0), ("?", None, 0), ("wrong", away, 3)):
+            save_scans(tmp_path / f"{name}.npz", replace(some, poses=poses))
+            out = tmp_path / f"{name}-out"
+            run_batch(place, tmp_path / f"{name}.npz", out, job, means=means, executor=pool)
+            (row,) = read_rows(out)
+            assert sum(bool(a.get("pictures")) for a in row["answers"]) == count
 
 
 # The command.

@@ -41,6 +41,10 @@ def test_the_last_words_of_a_worker_are_kept_and_are_few() -> None:
     assert isinstance(error, CrashError)
     assert error.last_words.endswith("word word last")
     assert len(error.last_words) == 400
+    with Supervised(1) as pool:  # what a library prints is no result
+        error = pool.submit(complain, "printed", to=1).exception()
+    assert isinstance(error, CrashError)
+    assert (error.code, error.last_words) == (3, "printed")
 
 
 def test_what_hangs_is_ended() -> None:
@@ -82,6 +86,27 @@ def test_a_pool_ends_at_once_when_it_is_told_so() -> None:
         waiting.result()
     with pytest.raises(RuntimeError, match="closed"):
         pool.submit(double, 1)
+
+
+class Held:
+    """Is pickled once it may be: until then there is no worker."""
+
+    def __init__(self) -> None:
+        self.asked, self.may = threading.Event(), threading.Event()
+
+    def __reduce__(self):
+        self.asked.set()
+        self.may.wait(20)
+        return float, ("600",)
+
+
+def test_a_worker_that_is_not_there_yet_is_ended_too() -> None:
+    pool, held = Supervised(1), Held()
+    running = pool.submit(hang, held)
+    assert held.asked.wait(20)
+    pool.shutdown(wait=False, cancel_futures=True)
+    held.may.set()
+    assert isinstance(running.exception(20), CrashError)
 
 
 def test_there_are_no_more_workers_than_tasks() -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 from command import ROOT, call, command
-from killers import Saboteur
+from killers import Saboteur, double
 from places import room_with_a_post
 
 from imgloc.errors import ConfigError
@@ -115,6 +115,11 @@ def test_the_rows_are_those_of_one_machine_even_if_a_worker_is_killed(
         )
     assert summary.statuses == {"ok": 12, "failed": 1}
     assert timeless(there) == timeless(tmp_path / "here")
+
+
+def test_one_worker_is_a_cluster() -> None:
+    with cluster("local", workers=1) as pool:
+        assert pool.submit(double, 4).result(60) == 8
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
