@@ -78,6 +78,7 @@ _HATCHED = number("floorplan.hatched")
 _LITTLE = number("floorplan.little")
 _ROOM = number("floorplan.room")
 _PIECE = number("floorplan.piece")
+_CUT = number("floorplan.cut")
 _PILLAR = number("floorplan.pillar")
 _LETTER = number("floorplan.letter")
 _WORD = number("floorplan.word")
@@ -96,6 +97,7 @@ _FLAT = number("floorplan.flat")
 # outside, of the walls' faces that look into gaps, and of the walls that have no room beside them.
 _DOUBT: tuple[float, float, float, float] = number("floorplan.doubt")
 _NARROW = number("floorplan.narrow")
+_HOLLOW = number("floorplan.hollow")
 _OPEN = number("floorplan.open")
 _OTHER = number("floorplan.other")
 STEPS = 1 + len(THICKEST) + len(_THINNER)  #: of :func:`plan_to_map` at most
@@ -156,9 +158,16 @@ class FloorPlan:
 
     @cached_property
     def gaps_share(self) -> float:
-        """Share of the faces of walls, 0..1, that look into gaps in which no robot fits."""
+        """Share of the faces of walls, 0..1, that look into gaps in which no robot fits.
+
+        Spaces without a door that are nowhere wider than a wall may be are such gaps, too.
+        """
         free, radius = self.grid.free, _NARROW / 2 / self.grid.resolution
-        wide = distance_transform((_depth(free) <= radius).astype(np.uint8)) <= radius + 0.5
+        depth = _depth(free)
+        wide = distance_transform((depth <= radius).astype(np.uint8)) <= radius + 0.5
+        labels, stats = _pieces(free, 4)
+        rooms = _met(labels, len(stats), free & (depth > _HOLLOW / 2 / self.grid.resolution))
+        wide &= rooms[labels]
         faces = self.grid.occupied & _beside(free)
         into = int(np.count_nonzero(faces & ~_beside(free & wide)))
         return into / max(1, int(np.count_nonzero(faces)))
@@ -208,8 +217,8 @@ class FloorPlan:
         elif self.gaps_share > _DOUBT[2]:
             what = (
                 f"walls were most likely misread: {self.gaps_share:.0%} of their faces look into "
-                f"gaps less than {_NARROW:g} m wide, as the two lines of a wall do, its hatching, "
-                "or furniture"
+                f"gaps less than {_NARROW:g} m wide, or into spaces less than {_HOLLOW:g} m wide "
+                "without a door, as the two lines of a wall do, its hatching, or furniture"
             )
         else:
             return ""
@@ -755,7 +764,14 @@ def _standing(walls: BoolArray, drawn: BoolArray, pixel: float) -> tuple[BoolArr
     wide = np.zeros(len(stats), np.float32)
     np.maximum.at(wide, labels[walls], 2 * _depth(walls)[walls])
     long = span >= _PIECE
+    # White specks of a scan cut a line into pieces, some of them short.
+    groups, found = _pieces(_grown(walls, max(1, round(_CUT / 2 / pixel))))
+    own = groups.ravel()[np.unique(labels, return_index=True)[1]]
+    own[0] = 0
+    joined = np.zeros(len(found), np.bool_)
+    joined[own[long]] = True
     pillar = ~long & (ink > 0.9) & (wide * pixel > _PILLAR) & (area < 4 * wide**2)
+    long |= joined[own] & ~pillar
     long[0] = pillar[0] = False
     return long[labels], pillar[labels]
 
@@ -890,15 +906,18 @@ def _enclosed(taken: BoolArray, radius: float) -> BoolArray:
     """Cells that a disc from outside does not reach; in cells."""
     pad = int(np.ceil(radius)) + 3
     taken = np.pad(taken, pad)
-    closed = taken | (_depth(_depth(~taken) <= radius) > radius)
-    cores, _ = _pieces(~closed, 4)
-    outside = cores == cores[0, 0]
+    # Its centre must get in: on both sides of a small hole in a thin wall it may fill half of it.
+    centres, _ = _pieces(distance_transform((~taken).astype(np.uint8)) > radius, 4)
+    outside, cores = (
+        ~taken & (_depth(~m) <= radius) for m in (centres == centres[0, 0], centres > centres[0, 0])
+    )
+    cores &= ~outside
     # What only the disc's size keeps it from, a corner outside, or a door: what has an inner side.
-    seals, stats = _pieces(closed & ~taken)
-    out, inner = (_met(seals, len(stats), _grown(m, 2)) for m in (outside, (cores > 0) & ~outside))
+    seals, stats = _pieces(~(outside | cores | taken))
+    out, inner = (_met(seals, len(stats), _grown(m, 2)) for m in (outside, cores))
     shut = inner | ~out
     shut[0] = False
-    within = ((cores > 0) & ~outside) | shut[seals]
+    within = cores | shut[seals]
     return np.asarray(within[pad:-pad, pad:-pad])
 
 

@@ -11,6 +11,7 @@ from command import MAPS, call, rows
 from imgloc.io.images import encode_png, read_image
 from imgloc.io.maps import load_map
 from imgloc.io.scans import load_scans, save_scans
+from imgloc.plans.floorplan import plan_to_map
 from tools.plans.drawing import draw_plan
 from tools.plans.measure import Drawn, measure, scans_of, table
 
@@ -206,7 +207,23 @@ def test_walls_that_are_taken_for_two_are_warned_of(tmp_path: Path) -> None:
     (good,), (bad,) = rows(right.out), rows(wrong.out)
     assert good["doubt"] is None
     assert good["framed_area"] == 0
-    assert good["gaps_share"] < 0.1 < 0.2 < bad["gaps_share"]
+    assert good["gaps_share"] < 0.1 < 0.23 < bad["gaps_share"]
+
+
+def test_walls_that_are_too_thick_to_be_one_are_warned_of() -> None:
+    sheet, pen, thick, side = np.full((700, 1000), 255, np.uint8), 2, 36, 240
+    cv2.rectangle(sheet, (100, 100), (100 + 2 * side + 3 * thick, 100 + side + 2 * thick), 0, pen)
+    for x in (100 + thick, 100 + 2 * thick + side):
+        cv2.rectangle(sheet, (x, 100 + thick), (x + side, 100 + thick + side), 0, pen)
+    middle = 100 + thick + side
+    for y in (200, 240):  # a door between the rooms
+        cv2.line(sheet, (middle, y), (middle + thick, y), 0, pen)
+    for x in (middle, middle + thick):
+        sheet[203:238, x - 3 : x + 4] = 255
+    found = plan_to_map(sheet, 0.025)  # walls 0.9 m thick
+    assert found.gaps_share > 0.4
+    assert "spaces less than 1.3 m wide without a door" in found.doubt
+    assert plan_to_map(sheet, 0.025, thickest=1.4).doubt == ""
 
 
 def test_a_frame_that_was_taken_for_the_building_is_warned_of(tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from imgloc.plans.floorplan import (
     THICKEST,
     FloorPlan,
     Swing,
+    _enclosed,
     _furniture,
     _kinds,
     _pen,
@@ -198,6 +199,25 @@ def test_a_frame_may_be_near_the_building(frame: Callable[[Image], None]) -> Non
     assert found.free_area == pytest.approx(alone.free_area, rel=0.01)
     assert found.size == pytest.approx(alone.size, abs=0.06)
     assert found.doubt == alone.doubt == ""
+
+
+def test_lines_that_a_scanner_cut_are_walls() -> None:
+    plan = np.full((400, 600), 255, np.uint8)
+    house(plan, 90, 60)
+    whole = plan_to_map(plan, 0.02)
+    for x in (150, 210, 270):  # pieces of 1.2 m
+        plan[54:68, x : x + 3] = plan[316:330, x : x + 3] = 255
+    cut = plan_to_map(plan, 0.02)
+    assert np.count_nonzero(cut.grid.occupied) > 0.95 * np.count_nonzero(whole.grid.occupied)
+    assert cut.free_area == pytest.approx(whole.free_area, rel=0.03)
+
+
+@pytest.mark.parametrize("hole", [1, 2, 3])
+def test_a_disc_does_not_get_through_a_hole_in_a_thin_wall(hole: int) -> None:
+    room = np.zeros((60, 80), np.bool_)
+    cv2.rectangle(walls := room.astype(np.uint8), (10, 10), (70, 50), 1, 1)
+    walls[30 : 30 + hole, 70] = 0
+    assert np.count_nonzero(_enclosed(walls > 0, 8.0)) >= 59 * 39
 
 
 def test_a_hall_with_rooms_in_it_is_no_frame() -> None:
