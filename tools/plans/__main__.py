@@ -23,7 +23,7 @@ from imgloc.io.files import write_bytes_atomic
 from imgloc.io.images import encode_png
 from tools.plans.drawing import STYLES, building, draw_plan
 from tools.plans.measure import DRAWN, MAPS, SHEETS_HEAD, measure, measure_sheets, table
-from tools.plans.sheets import ASIDE, LATER, SHEETS
+from tools.plans.sheets import ASIDE, FRESH, HARD, LATER, SHEETS
 from tools.script import ended, parser_of, progress, table_lines
 
 
@@ -77,9 +77,8 @@ def run(given: argparse.Namespace) -> int:
 def _sheets(given: argparse.Namespace) -> int:
     """Measure or draw whole sheets."""
     words = given.sheets.split(",")
-    some = {
-        n: make for n, make in (SHEETS | ASIDE | LATER).items() if any(word in n for word in words)
-    }
+    known = SHEETS | ASIDE | LATER | HARD | FRESH
+    some = {n: make for n, make in known.items() if any(word in n for word in words)}
     if given.draw is not None:
         for name, make in some.items():
             path = given.draw / f"{re.sub('[^a-z0-9]+', '-', name)}.png"

@@ -393,13 +393,13 @@ def cottage(seed: int) -> Building:
 
     h = t / 2
     south, north = wall(0, h, wide, h), wall(0, high - h, wide, high - h)
-    west, east = wall(h, 0, h, high), wall(wide - h, 0, wide - h, high)
-    spine = wall(0, y1, wide, y1)
-    below, above, right = wall(x1, 0, x1, y1), wall(x1, y1, x1, high), wall(x2, 0, x2, y1)
-    doors = ((south, 0.5, 2.4), (south, x2 + 0.5, 2.0), (north, 0.6, 2.4), (north, x2 - 0.6, 2.4),
-             (west, 0.7, 2.0), (west, y1 + 0.8, 2.0), (east, y1 + 0.6, 2.4), (east, 0.8, 2.2),
-             (spine, 0.8, 1.8), (spine, x1 + 0.5, 1.8), (spine, x2 + 0.6, 1.8),
-             (below, 0.8, 1.8), (above, 1.0, 1.8), (right, 0.9, 1.8))  # fmt: skip
+    west, spine = wall(h, 0, h, high), wall(0, y1, wide, y1)
+    below, above = wall(x1, 0, x1, y1), wall(x1, y1, x1, high)
+    wall(wide - h, 0, wide - h, high)
+    wall(x2, 0, x2, y1)
+    doors = ((south, 0.5, 2.4), (south, x2 + 0.5, 2.0), (north, x2 - 0.6, 2.4), (west, 0.8, 1.0),
+             (spine, 0.8, 1.8), (spine, x1 + 0.5, 1.8), (spine, x2 + 0.6, 1.4),
+             (below, 0.9, 1.6), (above, 1.0, 1.4))  # fmt: skip
     for where, start, width in doors:
         b.openings.append(Opening(where, start, width, "double", 1, 0, rng.uniform(1.3, 1.7)))
     for k, c in enumerate(((0, 0, x1, y1), (x1, 0, x2, y1), (x2, 0, wide, y1), (0, y1, x1, high),
@@ -462,3 +462,77 @@ HARD: dict[str, Callable[[], Sheet]] = {
         cottage(4), 0.02, "filled", clutter=False
     ),
 }
+
+
+def escape_plan(s: Sheet) -> Sheet:
+    """Green arrows along the way out, red signs in rooms, a broad green border, a strip below."""
+    green, red = (60, 140, 20), (30, 30, 200)
+    b, w = s.building, s.building.size[0]
+    y = float(np.mean([c[:, 1].mean() for c in b.rooms]))
+    for x in np.arange(2.0, w - 2.0, 3.0).tolist():
+        a, c = s.placed(np.array([(x, y), (x + 1.6, y)]))
+        s.line([tuple(a), tuple(c)], 0.18, green)
+        s.line([(c[0] - 0.4, c[1] - 0.3), tuple(c), (c[0] - 0.4, c[1] + 0.3)], 0.12, green)
+    for room in b.rooms[::3]:
+        x0, y0 = s.placed(room.mean(axis=0)[None])[0] + (0.6, 0.6)
+        s.fill(np.array([(x0, y0), (x0 + 0.5, y0), (x0 + 0.5, y0 + 0.5), (x0, y0 + 0.5)]), red)
+    wide, high = s.size
+    for x, y, dx, dy in ((0, 0, wide, 0.5), (0, high - 0.5, wide, 0.5), (0, 0, 0.5, high),
+                         (wide - 0.5, 0, 0.5, high)):  # fmt: skip
+        s.fill(np.array([(x, y), (x + dx, y), (x + dx, y + dy), (x, y + dy)]), green)
+    s.words("EMERGENCY EXITS", 3.0, 1.6, 1.2, 0.1)
+    return s
+
+
+def grid(s: Sheet, step: float, colour: Colour) -> Sheet:
+    """Thin lines over the whole sheet, both ways."""
+    wide, high = s.size
+    for x in np.arange(step / 2, wide, step).tolist():
+        s.line([(x, 0.0), (x, high)], 0.0, colour)
+    for y in np.arange(step / 2, high, step).tolist():
+        s.line([(0.0, y), (wide, y)], 0.0, colour)
+    return s
+
+
+def above(s: Sheet, other: Sheet) -> Sheet:
+    """Another sheet above this one."""
+    wide = max(s.image.shape[1], other.image.shape[1])
+    parts = [
+        np.pad(i, ((0, 0), (0, wide - i.shape[1]), (0, 0)), constant_values=255)
+        for i in (other.image, s.image)
+    ]
+    return s.changed(np.concatenate(parts))
+
+
+def copied(s: Sheet) -> Sheet:
+    """The dark margin of a copier's lid, left and above, and a fold across the sheet."""
+    image = s.image.copy()
+    image[:, : round(0.7 / s.resolution)] = image[: round(0.5 / s.resolution)] = 25
+    column = round(0.45 * image.shape[1])
+    image[:, column : column + 2] = np.minimum(image[:, column : column + 2], 170)
+    return s.changed(image)
+
+
+#: of conventions that no sheet before has; drawn when `plan_to_map` was frozen
+FRESH: dict[str, Callable[[], Sheet]] = {
+    "fresh: escape plan, grey walls, green border": lambda: escape_plan(
+        padded(inked(drawn(building(41), 0.025, "filled", clutter=False), (120,) * 3, (255,) * 3),
+               2, 3, 2, 2)
+    ),
+    "fresh: dark screen, a grid all over": lambda: grid(
+        inked(padded(drawn(building(42), 0.025, "outlined"), 2, 2, 2, 2), (235,) * 3, (48, 40, 33)),
+        1.0, (90, 80, 60),
+    ),
+    "fresh: two floors in one frame": lambda: framed(
+        above(padded(drawn(building(43), 0.025, "filled"), 2, 2, 2, 0),
+              padded(drawn(building(43, floor=1), 0.025, "filled"), 2, 0, 2, 2)), 0.12, None
+    ),
+    "fresh: flyer, tinted rooms, large names, JPEG": lambda: jpeg(
+        smaller(
+            titled(zones(padded(drawn(building(44), 0.02, "filled"), 1, 1, 1, 4), PASTEL),
+                   "TO LET", 2.0, 0.12), 2.5), 30
+    ),
+    "fresh: copy of a hatched plan, dark margin, fold": lambda: copied(
+        turned(padded(drawn(building(45), 0.02, "hatched"), 2, 2, 2, 2), 1.0)
+    ),
+}  # fmt: skip
