@@ -28,7 +28,7 @@ from imgloc.output.report import render_report
 from imgloc.runs import results
 from imgloc.runs.batch import find_items, run_batch
 from imgloc.runs.jobs import Item, Job, make_job
-from imgloc.runs.opening import MapFiles, Means, ScanFiles
+from imgloc.runs.opening import Desk, MapFiles, Means, ScanFiles
 from imgloc.runs.results import LOCK, RESULTS, SUMMARY, Results, read_rows
 from imgloc.simulation.scans import simulate
 
@@ -205,6 +205,24 @@ def test_a_map_is_read_once_and_without_a_standard_error(
     desk = Means().desk()
     grid = desk.grid(site / "floors" / "post.yaml", MapFiles())
     assert desk.grid(site / "floors" / "post.yaml", MapFiles()) is grid
+
+
+def test_a_map_that_is_prepared_is_read_no_more_and_gives_way_to_the_next(
+    site: Path, tmp_path: Path
+) -> None:
+    one, other, options = site / "floors" / "post.yaml", tmp_path / "b.yaml", Options()
+    save_map(other, room_with_a_post())
+    desk, maps = Desk(), MapFiles()
+    first = desk.features(one, maps, options)
+    desk.grid(other, maps)
+    assert desk.grid(one, maps) is first.grid
+    assert desk.features(one, maps, options) is first
+    desk.features(other, maps, options)
+    assert desk.features(one, maps, options) is not first  # no share is for maps that wait
+    desk.kept = 1.0
+    first = desk.features(one, maps, options)
+    desk.features(other, maps, options)
+    assert desk.features(one, maps, options) is first
 
 
 # Items.
