@@ -155,6 +155,19 @@ def test_a_cluster_s_thread_has_a_worker_of_its_own() -> None:
     assert call_in_child(None, None, double, 4) == 8
 
 
+def test_a_program_ends_though_it_has_not_closed_its_pool() -> None:
+    code = (
+        "import sys; sys.path[:0] = sys.argv[1:]\n"
+        "from killers import double\n"
+        "from imgloc.runs.workers import Supervised\n"
+        "pool = Supervised(1)\n"
+        "print(pool.submit(double, 2).result())\n"
+    )
+    words = [sys.executable, "-c", code, str(ROOT), str(ROOT / "tests")]
+    done = subprocess.run(words, capture_output=True, timeout=30, check=True)
+    assert done.stdout.split() == [b"4"]
+
+
 def test_workers_do_not_outlive_a_program_that_is_killed() -> None:
     code = (
         "import sys; sys.path[:0] = sys.argv[1:]\n"
