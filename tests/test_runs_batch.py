@@ -371,12 +371,15 @@ def test_pictures_of_what_is_doubtful(site: Path, tmp_path: Path) -> None:
         sure = [a["index"] for a in row["answers"] if a["verdict"] == "unique"][:3]
         some = load_scans(site / "all.npz").take(sure)
         job, away = make_job(pictures="doubtful"), some.poses + (5.0, 0.0, 0.0)
-        for name, poses, count in (("right", some.poses, 0), ("?", None, 0), ("wrong", away, 3)):
+        near = some.poses + (0.37, 0.0, 0.0)  # metres; to 0.5 m an answer is right
+        known = {"right": some.poses, "near": near, "wrong": away, "none": None}
+        for name, poses in known.items():
             save_scans(tmp_path / f"{name}.npz", replace(some, poses=poses))
             out = tmp_path / f"{name}-out"
             run_batch(place, tmp_path / f"{name}.npz", out, job, means=means, executor=pool)
             (row,) = read_rows(out)
-            assert sum(bool(a.get("pictures")) for a in row["answers"]) == count
+            pictures = sum(bool(a.get("pictures")) for a in row["answers"])
+            assert pictures == (3 if name == "wrong" else 0)
 
 
 # The command.
