@@ -68,7 +68,7 @@ STEPS: Mapping[str, Step] = {
     "squares": Step("each ray is a reading", {"FusedOptions.place": 1e-4}),
     "few rays": Step("the first look takes 180 readings", {"FusedOptions.few_rays": 180}),
     "skip": Step("all levels take all of the few rays", {"FusedOptions.skip": 1}),
-    "levels": Step("each level keeps a quarter", {"FusedOptions.keep": (250, 675, 675, 4000)}),
+    "levels": Step("each level keeps a quarter", {"FusedOptions.keep": (375, 1000, 1000, 4000)}),
     "refine first": Step("proposals are looked at where they are", {"refine.first_look": (_OFF,)}),
     "refine first twice": Step("one width, 0.1 m", {"refine.first_look": (0.1,)}),
     "refine again": Step("none with all readings", {"refine.second_look": (_OFF,)}),
