@@ -71,6 +71,7 @@ _SOFT = number("floorplan.soft")
 _THINNER = number("floorplan.thinner")
 _GAPS = number("floorplan.gaps")
 _ENOUGH = number("floorplan.enough")
+_APART = number("floorplan.apart")
 _LEAST = number("floorplan.least")
 _STRIP = number("floorplan.strip")
 _CELLS = number("floorplan.cells")
@@ -892,6 +893,11 @@ def _inside(taken: BoolArray, cell: float, gap: float | None) -> tuple[BoolArray
     areas = np.array([np.count_nonzero(cells) for cells in found])
     # One more: a disc that only just fails to get through a door reaches far into it.
     k = min(int(np.argmax(areas >= _ENOUGH * areas.max())) + 1, len(found) - 1)
+    # Buildings that one more leaves apart are apart, however wide the paper between them is.
+    apart = min(int(np.argmax(areas >= _APART * areas.max())) + 1, k)
+    largest = _largest(found[apart], taken)
+    if np.count_nonzero(largest) < _APART * areas[apart]:
+        return largest, gaps[apart]
     return _largest(found[k], taken), gaps[k]
 
 

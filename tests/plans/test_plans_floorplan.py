@@ -21,6 +21,7 @@ from imgloc.plans.floorplan import (
     Swing,
     _enclosed,
     _furniture,
+    _inside,
     _kinds,
     _pen,
     _sheet,
@@ -239,6 +240,15 @@ def test_of_two_buildings_the_larger_is_the_map_and_the_other_is_warned_of() -> 
     assert found.free_area == pytest.approx(alone.free_area, rel=0.01)
     assert found.other_area == pytest.approx(0.64 * alone.free_area, rel=0.1)
     assert "walls enclose another 2" in found.doubt
+
+
+def test_the_paper_between_two_buildings_is_no_gap() -> None:
+    taken = np.zeros((320, 560), np.uint8)
+    for x in (20, 302):  # 4 m apart
+        cv2.rectangle(taken, (x, 20), (x + 200, 300), 1, 4)
+        taken[280:, x + 90 : x + 110] = 0  # a door
+    inside, _ = _inside(taken > 0, 0.05, None)
+    assert np.count_nonzero(inside) == pytest.approx(200 * 280, rel=0.05)
 
 
 def test_a_ruled_table_is_warned_of() -> None:
