@@ -5,7 +5,7 @@ says by which command, on which data and when. A literal that is left in the cod
 unit, a bound of memory that no answer depends on, or says why it is there.
 
 >>> number("Trust.mass"), number("FusedOptions.keep")
-(0.9, (3000, 8000, 8000, 16000))
+(0.9, (1500, 4000, 4000, 16000))
 >>> origin("Trust.temperature").by
 'python -m tools.trust fit -n 24'
 """

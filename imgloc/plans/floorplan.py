@@ -56,6 +56,7 @@ _BROKEN = number("floorplan.broken")
 _SHUT = number("floorplan.shut")
 _MARGIN = number("floorplan.margin")
 _BORDER = number("floorplan.border")
+_LIGHTER = number("floorplan.lighter")
 _THICKER = number("floorplan.thicker")
 _LENGTH = number("floorplan.length")
 _STRAIGHT = number("floorplan.straight")
@@ -807,12 +808,23 @@ def _building(
     inside, closed = _inside(taken, cell, gap)
     while (ring := _ring(taken & ~frame, cell)) is not None:
         line, within, least = ring
-        own, gaps = _inside(taken & ~frame & ~line & within, cell, gap)
+        rest = taken & ~frame & ~line & within
+        own, gaps = _inside(rest, cell, gap)
         if np.count_nonzero(own) < least * np.count_nonzero(within):
+            break
+        # The wall of a hall that rooms are joined to is no thinner than theirs.
+        joined = np.any(_grown(line, 2) & rest)
+        if joined and _width(walls, line, parts) > _LIGHTER * _width(walls, rest, parts):
             break
         frame |= line
         inside, closed = own, gaps
     return inside, walls & _finer(frame, parts), closed
+
+
+def _width(walls: BoolArray, where: BoolArray, parts: int) -> float:
+    """Mean thickness, pixels, of the walls in some cells."""
+    length = parts * np.count_nonzero(skeletonize(where))
+    return float(np.count_nonzero(walls & _finer(where, parts))) / max(1, length)
 
 
 def _ring(taken: BoolArray, cell: float) -> tuple[BoolArray, BoolArray, float] | None:

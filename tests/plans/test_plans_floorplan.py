@@ -229,6 +229,14 @@ def test_a_hall_with_rooms_in_it_is_no_frame() -> None:
     assert plan_to_map(plan, 0.02).free_area == pytest.approx(14 * 12, rel=0.1)
 
 
+def test_a_closed_hall_with_a_room_at_one_end_is_no_frame() -> None:
+    plan = np.full((700, 900), 255, np.uint8)
+    cv2.rectangle(plan, (100, 50), (800, 650), 0, 10)
+    plan[50:650, 280:290] = 0
+    found = plan_to_map(plan, 0.02)
+    assert found.free_area == pytest.approx(13.8 * 11.8, rel=0.1)
+
+
 def test_of_two_buildings_the_larger_is_the_map_and_the_other_is_warned_of() -> None:
     plan = np.full((400, 1200), 255, np.uint8)
     house(plan, 60, 60)
