@@ -823,7 +823,7 @@ def _building(
 
 def _width(walls: BoolArray, where: BoolArray, parts: int) -> float:
     """Mean thickness, pixels, of the walls in some cells."""
-    length = parts * np.count_nonzero(skeletonize(where))
+    length = parts * int(np.count_nonzero(skeletonize(where)))
     return float(np.count_nonzero(walls & _finer(where, parts))) / max(1, length)
 
 
