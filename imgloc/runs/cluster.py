@@ -88,9 +88,11 @@ def cluster(
             logger.setLevel(logging.CRITICAL)
         try:
             if address == LOCAL:
+                # Without an address its pages take a port of their own, and of all interfaces.
                 here = LocalCluster(
-                    n_workers=workers, threads_per_worker=1, dashboard_address=None, memory_limit=0
-                )
+                    n_workers=workers, threads_per_worker=1, memory_limit=0,
+                    dashboard_address="127.0.0.1:0",
+                )  # fmt: skip
                 client = stack.enter_context(Client(stack.enter_context(here)))
             else:
                 client = stack.enter_context(Client(address, timeout=_WAIT))

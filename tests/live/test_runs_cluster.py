@@ -117,9 +117,9 @@ def test_the_rows_are_those_of_one_machine_even_if_a_worker_is_killed(
     assert timeless(there) == timeless(tmp_path / "here")
 
 
-def test_one_worker_is_a_cluster() -> None:
-    with cluster("local", workers=1) as pool:
-        assert pool.submit(double, 4).result(60) == 8
+def test_one_worker_is_a_cluster_and_two_run_side_by_side() -> None:
+    with cluster("local", workers=1) as one, cluster("local", workers=1) as other:
+        assert [pool.submit(double, 4).result(60) for pool in (one, other)] == [8, 8]
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
