@@ -67,6 +67,7 @@ _DAMPING = 1e-3  # share of the pull that holds a pose where it is, along a corr
 _PATCHES, _LEAST_WALL = 400, 1.0  # at most so many, each with so many metres of wall
 _LEAST = number("align.least")  # share of walls that agree, metres of them, overlap
 _PLAIN = number("align.plain")  # share of walls that agree, overlap
+_SURE = number("align.sure")  # metres
 _CHANCE = number("align.chance")  # best score of the mirrored map that chance alone may make
 _RIVAL = number("align.rival")  # share of the best score that makes another place a rival
 _SCALES = number("align.scales")  # least and greatest scale, and the step between them
@@ -711,7 +712,7 @@ def align_maps(
     if scans is not None and scans.pose is not None:
         return _as_scans_say(made, scans)
     best = places[0].agreement
-    if not best.plausible:
+    if not best.plausible or not (best.plain or best.score >= _SURE):
         return replace(made, verdict="no-match")
     if not best.plain:
         mirrored = replace(b, occupied=b.occupied[:, ::-1], free=b.free[:, ::-1])

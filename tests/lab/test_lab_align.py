@@ -389,3 +389,17 @@ def test_the_picture_and_the_words_name_maps_that_are_called_map_by_their_folder
     assert done.code == 0, done
     assert "walls of both are as thick" in done.out
     assert (map_name(one), map_name(other)) == ("first", "second")
+
+
+@pytest.mark.parametrize(("least", "verdict"), [(30.0, "unique"), (40.0, "no-match")])
+def test_walls_that_agree_are_counted_in_metres_too(least, verdict, monkeypatch) -> None:
+    walls = np.pad(np.zeros((60, 80), bool), 2, constant_values=True)
+    walls[24:26, 2:44] = walls[24:44, 44:46] = True
+    maps = []
+    for seed in (1, 2):  # boxes elsewhere
+        occupied, rng = walls.copy(), np.random.default_rng(seed)
+        for r, c in (rng.integers(3, [52, 72]) for _ in range(8)):
+            occupied[r : r + 6, c : c + 6] = True
+        maps.append(OccupancyGrid(occupied, ~occupied, 0.06))
+    monkeypatch.setattr("imgloc.lab.align._SURE", least)
+    assert align_maps(*maps).verdict == verdict
