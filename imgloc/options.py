@@ -690,9 +690,11 @@ class Chosen(Checked):
             if len(parts) == 1 and first is not None:
                 here = range(first, first + 1)
             if self.index is not None and not (here and here[-1] < count):
+                expected = f"0 to {count - 1}"
+                if len(parts) > 1:
+                    expected = f"A:B with A below B and A at most {count - 1}"
                 raise ConfigError(
-                    f"`index`: got {word.strip()}, expected 0 to {count - 1}: {name} has "
-                    f"{count} scans"
+                    f"`index`: got {word.strip()}, expected {expected}: {name} has {count} scans"
                 )
             found |= dict.fromkeys(here)
         indices = list(found)

@@ -199,6 +199,13 @@ def test_a_folder_that_is_no_batch_is_a_slip(tmp_path: Path) -> None:
         assert "logs: no run.json, expected a folder of results of 'imgloc batch'" in given.err
 
 
+@pytest.mark.parametrize("use", [["report"], ["export"], ["export", "--format", "parquet"]])
+def test_a_folder_that_is_not_there_is_a_slip(use: list[str], tmp_path: Path) -> None:
+    given = call(*use, tmp_path / "logs")
+    assert given.code == 2
+    assert "logs: no such folder, expected a folder of results of 'imgloc batch'" in given.err
+
+
 def test_a_missing_cost_is_no_defect(folder: Path) -> None:
     change(folder / "out" / "results.jsonl", lambda row: row.update(cost={}))
     for use in ("report", "export"):

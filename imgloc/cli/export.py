@@ -31,7 +31,9 @@ def export(
     """
     from imgloc.cli import inputs
     from imgloc.output.export import as_bytes
+    from imgloc.runs.results import read_run
 
+    read_run(folder)  # first: a folder that is no batch is told as such, not as a place to write to
     target = folder / f"results.{form}" if out is None else out
     inputs.check_target(target, f".{form}", force=force)
     data = as_bytes(folder, form)

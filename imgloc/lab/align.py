@@ -70,7 +70,8 @@ _PLAIN = number("align.plain")  # share of walls that agree, overlap
 _SURE = number("align.sure")  # metres
 _CHANCE = number("align.chance")  # best score of the mirrored map that chance alone may make
 _RIVAL = number("align.rival")  # share of the best score that makes another place a rival
-_SCALES = number("align.scales")  # least and greatest scale, and the step between them
+SCALES = number("align.scales")  # least and greatest scale, and the step between them
+_ROUNDED = 0.005  # share by which a scale that is found may be off
 _VOTE = number("align.vote")  # metres and radians, in which scans agree on a transform
 _LEAST_MASS = number("align.mass")  # of the scans, as a share, on a transform
 _ARM = number("align.arm")  # metres: a heading says as much as a point so far off
@@ -597,6 +598,11 @@ class Place:
         """Factor on the lengths of `b`."""
         return float(self.bend.pose[3])
 
+    @property
+    def allowed(self) -> bool:
+        """Whether the scale is one of those that are searched, 0.8 to 1.25."""
+        return bool(SCALES[0] <= self.scale <= SCALES[1])
+
 
 @dataclass(frozen=True)
 class Alignment:
@@ -636,7 +642,7 @@ class Alignment:
         return transform_poses(a, there)
 
     def as_row(self) -> dict[str, Any]:
-        """Plain values for JSON: `x`, `y`, `theta` are null without a match."""
+        """Plain values for JSON: all but the verdict and `others` are null without a match."""
 
         def numbers(place: Place) -> dict[str, Any]:
             found = place.agreement
@@ -648,17 +654,8 @@ class Alignment:
             }  # fmt: skip
 
         listed = [numbers(place) for place in self.places]
-        first = listed[0]
-        if self.verdict == "no-match":
-            first = dict.fromkeys(_KEYS) | {key: first[key] for key in ("agreement", "overlap")}
-        others = listed[self.verdict != "no-match" :]
-        return dict(plain({"verdict": self.verdict} | first | {"others": others}))
-
-
-_KEYS = (
-    "x", "y", "theta", "scale", "thicker", "residual", "bend", "agreement", "overlap", "agreeing_m",
-    "contradicting_m",
-)  # fmt: skip
+        first = listed.pop(0) if self.best is not None else dict.fromkeys(listed[0])
+        return dict(plain({"verdict": self.verdict} | first | {"others": listed}))
 
 
 def align_maps(
@@ -683,7 +680,8 @@ def align_maps(
     -------
     Alignment
         A pose, in map frames, with the agreement of the walls, the bend, and other places. If walls
-        contradict each other as those of different buildings do, the verdict is ``no-match``.
+        contradict each other as those of different buildings do, or agree best at a scale beyond
+        0.8 to 1.25, the verdict is ``no-match``.
 
     Notes
     -----
@@ -710,16 +708,17 @@ def align_maps(
     )
     made = Alignment("unique", places, (a.origin, b.origin), _corners(b))
     if scans is not None and scans.pose is not None:
-        return _as_scans_say(made, scans)
+        made = _as_scans_say(made, scans)
+        return made if made.places[0].allowed else replace(made, verdict="no-match")
     best = places[0].agreement
-    if not best.plausible or not (best.plain or best.score >= _SURE):
+    if not best.plausible or not (best.plain or best.score >= _SURE) or not places[0].allowed:
         return replace(made, verdict="no-match")
     if not best.plain:
         mirrored = replace(b, occupied=b.occupied[:, ::-1], free=b.free[:, ::-1])
         (_, chance), *_ = _places(one, side_of(mirrored, "b"), scale, None)
         if best.score < _CHANCE * chance.score:
             return replace(made, verdict="no-match")
-    rivals = [p.agreement for p in places[1:] if p.agreement.plausible]
+    rivals = [p.agreement for p in places[1:] if p.agreement.plausible and p.allowed]
     if rivals and rivals[0].score >= _RIVAL * best.score:
         return replace(made, verdict="ambiguous")
     return made
@@ -731,7 +730,7 @@ def _places(
     """Where a map may lie on another, best first; a `start` (1, 5) is looked at in any case."""
     few_a, few_b = a.thinned(_POINTS), b.thinned(_POINTS)
     if scale:
-        low, high, step = _SCALES
+        low, high, step = SCALES
         factors = low * step ** np.arange(math.ceil(math.log(high / low, step)) + 1)
         parts = [propose(a, b, scale=float(f), rough=2.0) for f in factors]
         found, scores = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -741,6 +740,9 @@ def _places(
     if start is not None:
         found = np.concatenate((start, found))
     poses = np.array([meet(few_a, few_b, pose, free=scale) for pose in found])
+    # A true scale at the end of the range may be refined a little beyond it.
+    nearest = poses[:, 3].clip(*SCALES[:2])
+    poses[:, 3] = np.where(np.abs(poses[:, 3] / nearest - 1) <= _ROUNDED, nearest, poses[:, 3])
     score = np.array([agreement(few_a, few_b, _rigid(pose)).score for pose in poses])
     score[: 0 if start is None else 1] = np.inf
     order, some = np.argsort(-score, kind="stable"), _some(b)

@@ -17,7 +17,7 @@ from imgloc.features.distance import distance_image
 from imgloc.geometry import cell_of, inside, rotation, transform_points
 from imgloc.io.files import display, read_file
 from imgloc.io.maps import MapSettings
-from imgloc.lab.align import Alignment
+from imgloc.lab.align import SCALES, Alignment
 from imgloc.model import FloatArray, GridInfo, OccupancyGrid, Pose2D, compose, inverse
 from imgloc.output.canvas import (
     INK,
@@ -40,14 +40,11 @@ _LISTED = 3  # other places that the text has
 
 def alignment_text(row: Mapping[str, Any]) -> str:
     """Return the row of an alignment as text."""
-    agree = f"{100 * (row['agreement'] or 0):.0f} %"
     lines = [f"{row['b']} in the frame of {row['a']}: {row['verdict']}"]
     if row["x"] is None:
-        lines.append(
-            f"  walls      {agree} agree at the best place, as by chance: two places, or the "
-            "maps share too little; `scans` may tell"
-        )
+        lines += _no_match_text(row["others"][0], scanned="scans" in row)
     else:
+        agree = f"{100 * row['agreement']:.0f} %"
         against = f"{row['contradicting_m']:.0f} m that one has and the other sees free"
         lines += [
             f"  pose       {_pose(row)}",
@@ -65,6 +62,23 @@ def alignment_text(row: Mapping[str, Any]) -> str:
     if (scans := row.get("scans")) is not None:
         lines += _scans_text(scans)
     return "\n".join(lines)
+
+
+def _no_match_text(best: Mapping[str, Any], *, scanned: bool) -> list[str]:
+    """Why the place where the walls agree best is no answer."""
+    low, high, _ = SCALES
+    agree = f"  walls      {100 * best['agreement']:.0f} % agree at the best place"
+    if not low <= best["scale"] <= high:
+        return [
+            f"{agree}, where the scale of B is {best['scale']:.3f}, expected {low:g} to {high:g}: "
+            "is the resolution of both maps right?"
+        ]
+    lines = [
+        f"{agree}; walls of different buildings may agree as well",
+        "             Either the maps show different places, or they share too little.",
+    ]
+    asked = "             To find out, pass `scans`: imgloc locates them in both maps."
+    return lines if scanned else [*lines, asked]
 
 
 def _thickness(metres: float) -> str:
@@ -127,7 +141,7 @@ def read_poses(path: Path) -> Waypoints:
         raise ConfigError(f"{name}: got the columns {found}, expected x, y and perhaps theta")
     columns = [by["x"], by["y"], *[by[key] for key in _HEADINGS if key in by][:1]]
     rows, poses = list[tuple[str, ...]](), list[list[float]]()
-    for number, cells in enumerate(lines[1:], start=2):
+    for line, cells in enumerate(lines[1:], start=2):
         if not cells:
             continue
         try:
@@ -135,7 +149,7 @@ def read_poses(path: Path) -> Waypoints:
         except (ValueError, IndexError):
             values = [math.nan]
         if not all(map(math.isfinite, values)):
-            raise ConfigError(f"{name}: line {number}: expected numbers: metres, metres, radians")
+            raise ConfigError(f"{name}: line {line}: expected numbers: metres, metres, radians")
         rows.append(tuple(cells))
         poses.append([*values, 0.0][:3])
     return Waypoints(header, tuple(rows), tuple(columns), np.array(poses).reshape(-1, 3))

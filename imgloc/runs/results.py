@@ -253,7 +253,8 @@ def read_run(folder: PathLike) -> Row:
     """
     path = Path(folder) / RUN
     if not os.path.lexists(path):
-        raise ConfigError(f"{display(folder)}: no {RUN}, expected a {_FOLDER}")
+        missing = f"no {RUN}" if os.path.lexists(folder) else "no such folder"
+        raise ConfigError(f"{display(folder)}: {missing}, expected a {_FOLDER}")
     about = read_json(path, _RUN, limit=_MAX_ABOUT, what=RUN, version=_FORMAT)
     return {"maps": "", "scans": None, **about}
 

@@ -114,6 +114,28 @@ def test_a_scale_is_found_if_it_is_free(a):
     assert found.best.scale == pytest.approx(0.1 / 0.111, abs=0.004)
 
 
+@pytest.mark.parametrize("cell", [0.125, 0.08])
+def test_a_scale_at_either_end_of_the_range_is_found_and_not_beyond_it(a, cell):
+    found = align_maps(a, OccupancyGrid(a.occupied, a.free, cell), scale=True)
+    assert found.verdict == "unique"
+    assert 0.8 <= found.best.scale <= 1.25
+    assert found.best.scale == pytest.approx(0.1 / cell, abs=0.004)
+
+
+@pytest.mark.parametrize("cell", [0.077, 0.13])
+def test_a_scale_beyond_the_range_is_no_match_and_is_named(a, cell, tmp_path):
+    save_map(tmp_path / "a.yaml", a)
+    save_map(tmp_path / "b.yaml", OccupancyGrid(a.occupied, a.free, cell))
+    pair = "map", "align", tmp_path / "a.yaml", tmp_path / "b.yaml", "--scale"
+    row = json.loads(call(*pair, "--json").out)
+    assert (row["verdict"], row["x"], row["scale"]) == ("no-match", None, None)
+    assert row["others"][0]["scale"] == pytest.approx(0.1 / cell, abs=0.01)
+    given = call(*pair)
+    assert f"where the scale of B is {row['others'][0]['scale']:.3f}, expected 0.8 to 1.25" in (
+        given.out
+    )
+
+
 def test_a_room_that_is_the_same_turned_by_half_is_ambiguous():
     wall = np.pad(np.zeros((50, 80), bool), 2, constant_values=True)
     grid = OccupancyGrid(wall, ~wall, 0.1)
@@ -331,9 +353,22 @@ def test_nothing_is_written_of_maps_that_do_not_match(tmp_path):
         tmp_path / "out.csv", "--write", tmp_path / "new.yaml",
     )  # fmt: skip
     assert given.code == 6
-    assert "no-match" in given.out
+    assert "no-match\n  walls " in given.out
+    assert "Either the maps show different places, or they share too little" in given.out
+    assert "To find out, pass --scans: imgloc locates them in both maps." in given.out
     assert "no pose and no YAML is written" in given.err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["way.csv"]
+
+
+def test_without_a_match_no_number_stands_for_the_map(tmp_path):
+    row = json.loads(call("map", "align", "curved", "visibility", "--json").out)
+    assert row.pop("verdict") == "no-match"
+    others = row.pop("others")
+    assert 0 < others[0]["agreement"] < 1
+    assert set(row) - {"a", "b"} == set(others[0])
+    assert all(value is None for key, value in row.items() if key not in ("a", "b"))
+    text = call("map", "align", "curved", "visibility").out
+    assert f"  {100 * others[0]['agreement']:.0f} % agree at the best place" in text
 
 
 def test_slips_of_the_command_are_named(files):

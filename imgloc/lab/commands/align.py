@@ -7,7 +7,7 @@ import typer
 
 from imgloc.cli import options as opt
 from imgloc.cli.console import NOT_UNIQUE, emit, say
-from imgloc.errors import ConfigError
+from imgloc.errors import ConfigError, as_options
 from imgloc.io.files import display, map_name, write_text_atomic
 from imgloc.lab.commands.recorded import Recorded
 from imgloc.ranges import Option, option
@@ -106,7 +106,7 @@ def align(
         settings = resolve_settings(b_path, **reading_of(b_path, maps.reading))
         write_text_atomic(write, moved_yaml(settings, found, write.parent), force=force)
         written.append(write)
-    emit(to_json(row) if as_json else alignment_text(row))
+    emit(to_json(row) if as_json else as_options(alignment_text(row)))
     for path in written:
         say(f"wrote {display(path)}")
     if not sure and (strict or move is not None or write is not None):
