@@ -183,7 +183,8 @@ def _run(make: "Callable[[], Any]", host: str, port: int, show: Callable[[str], 
         if not service.stopping.is_set():
             show(address)
         if not LOG.isEnabledFor(logging.INFO):  # what clients send is no news here
-            LOG.setLevel(logging.ERROR)
+            for handler in LOG.handlers:
+                handler.setLevel(logging.ERROR)
 
     LOG.info("listening at %s", address)
     if serve(service, one, ready) == INTERRUPTED - 128:

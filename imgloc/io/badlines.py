@@ -1,13 +1,43 @@
 """Lines of a file that are broken: left out, counted and named, or refused if they are many."""
 
+import contextlib
 import logging
 import re
+import threading
+from collections.abc import Iterator
 
 from imgloc.errors import ScanError
 from imgloc.options import MAX_BAD
 
 _LOG = logging.getLogger("imgloc")
 _SHOWN = 3  # lines that a note names
+
+
+@contextlib.contextmanager
+def warned() -> Iterator[list[str]]:
+    """Collect what readers in this thread warn of, each text once; it is not printed besides.
+
+    Examples
+    --------
+    >>> with warned() as texts:
+    ...     BadLines("a.jsonl").cut("a.jsonl: line 9")
+    >>> texts
+    ['a.jsonl: line 9: the last line was cut off and is left out']
+    """
+    texts, thread = list[str](), threading.get_ident()
+
+    def heard(record: logging.LogRecord) -> bool:
+        if record.levelno < logging.WARNING or record.thread != thread:
+            return True
+        if (text := record.getMessage()) not in texts:
+            texts.append(text)
+        return False
+
+    _LOG.addFilter(heard)
+    try:
+        yield texts
+    finally:
+        _LOG.removeFilter(heard)
 
 
 class BadLines:

@@ -155,6 +155,7 @@ TRACK = (
 
 _NUMBER, _NULL_NUMBER = {"type": "number"}, {"type": ["number", "null"]}
 _WHOLE, _YES, _WORD = {"type": "integer"}, {"type": "boolean"}, {"type": "string"}
+_WARNINGS = {"type": "array", "items": _WORD}
 _TURNED = {"type": "number", "minimum": -4 * math.pi, "maximum": 4 * math.pi}
 _OR_NULL = {**_TURNED, "type": ["number", "null"]}
 _INDEX = {"type": "integer", "minimum": 0, "maximum": 2**31 - 1}
@@ -208,11 +209,12 @@ _SCHEMAS: Mapping[str, Any] = {
         "name width height resolution origin uploaded version",
         name=_WORD, width=_WHOLE, height=_WHOLE, resolution=_NUMBER, origin=_AT, free_m2=_NUMBER,
         uploaded=_YES, version=_WORD, path={"type": ["string", "null"]},
-        warnings={"type": "array", "items": _WORD},
+        warnings=_WARNINGS,
     ),
     "Scans": _object(
-        "id name scans readings poses odom stamps",
+        "id name scans readings poses odom stamps warnings",
         id=_WORD, name=_WORD, scans=_WHOLE, readings=_WHOLE, poses=_YES, odom=_YES, stamps=_YES,
+        warnings=_WARNINGS,
     ),
     "Marks": {
         **_object(
@@ -244,16 +246,17 @@ _SCHEMAS: Mapping[str, Any] = {
                 },
             },
         },
-        counts=_ANY, timings_ms=_ANY, parameters=_ANY,
+        counts=_ANY, timings_ms=_ANY, parameters=_ANY, warnings=_WARNINGS,
     ),
     "Choice": _object(
-        "index verdict none maps", index=_WHOLE, verdict=_WORD, none=_NULL_NUMBER, maps=_SOME
+        "index verdict none maps", index=_WHOLE, verdict=_WORD, none=_NULL_NUMBER, maps=_SOME,
+        warnings=_WARNINGS,
     ),
     "Fit": _object(
         "pose log_likelihood misfit explained counts rays",
         pose=_AT, log_likelihood=_NULL_NUMBER, per_reading=_NULL_NUMBER, best=_NUMBER,
         misfit=_NULL_NUMBER, explained=_NULL_NUMBER, stands=_YES, readings=_WHOLE, counts=_ANY,
-        rays=_ANY,
+        rays=_ANY, warnings=_WARNINGS,
     ),
 }  # fmt: skip
 

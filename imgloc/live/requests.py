@@ -1,8 +1,9 @@
 """Bodies of requests to maps and scans: limited before anything is decoded; no path is a client's.
 
 >>> body = b'{"ranges": [1.0, null, "inf"], "angle_min": 0.0, "angle_increment": 0.1}'
->>> scans_of(body, "application/json", "", Bounds())[0].ranges.tolist()
-[1.0, nan, inf]
+>>> sent = scans_of(body, "application/json", "", Bounds())
+>>> sent.scans[0].ranges.tolist(), sent.warnings
+([1.0, nan, inf], ())
 """
 
 import json
@@ -19,6 +20,7 @@ import numpy as np
 
 from imgloc.errors import MapError, OutputError, ScanError, printable
 from imgloc.features.budget import scans_bytes
+from imgloc.io.badlines import warned
 from imgloc.io.files import reason
 from imgloc.io.maps import map_of_bytes
 from imgloc.io.mapyaml import MAX_YAML_BYTES, parse_map_yaml
@@ -66,6 +68,13 @@ class Part(NamedTuple):
     name: str
     file: str  #: the name of the file; empty if it is none
     data: bytes
+
+
+class Sent(NamedTuple):
+    """The scans of a body."""
+
+    scans: ScanSet
+    warnings: tuple[str, ...] = ()  #: what was left out of it or taken for granted, a sentence each
 
 
 def kind_of(content_type: str) -> str:
@@ -135,7 +144,7 @@ def scans_of(
     budget: int | None = None,
     topic: str | None = None,
     fov: float | None = None,
-) -> ScanSet:
+) -> Sent:
     """The scans of a body: a LaserScan as JSON, or any file of scans, also as a part of a form.
 
     Parameters
@@ -162,7 +171,7 @@ def scans_of(
             raise Refused("bad-request", f"the form has {len(parts)} files, expected one, of scans")
         body, name = parts[0].data, name or parts[0].file
     elif kind == JSON:
-        return _scan_of(body)
+        return Sent(_scan_of(body))
     label, ending = shown(name), PurePosixPath(shown(name)).suffix.lower()
     with TemporaryDirectory(prefix="imgloc-") as folder:
         path = Path(folder, "scans" + (ending if ending in _ENDINGS else ""))
@@ -182,7 +191,9 @@ def scans_of(
             if budget is not None and need > budget:
                 found = f"{-(-need // MIB)} MiB of memory, of {budget // MIB}"
                 raise Refused("too-large", f"{label}: reading it takes {found}; send fewer scans")
-            return load_scans(path, topic=topic, fov=fov)
+            with warned() as texts:
+                scans = load_scans(path, topic=topic, fov=fov)
+            return Sent(scans, tuple(text.replace(str(path), label) for text in texts))
         except (ScanError, MapError) as error:
             raise type(error)(str(error).replace(str(path), label)) from None
 

@@ -47,7 +47,7 @@ from imgloc.live.metrics import Metrics
 from imgloc.live.openapi import OPERATIONS
 from imgloc.live.parameters import Parameter, read_query, with_defaults
 from imgloc.live.problems import MEDIA, Problem, Refused, problem_of
-from imgloc.live.requests import Bounds, map_of, marked_of, scans_of, taken
+from imgloc.live.requests import Bounds, Sent, map_of, marked_of, scans_of, taken
 from imgloc.live.sites import Site
 from imgloc.live.static import page_files
 from imgloc.model import LaserScan, Likelihood, OccupancyGrid, Pose2D, plain, to_json
@@ -71,15 +71,18 @@ class ScansHeld:
     id: str
     name: str
     scans: ScanSet
+    warnings: tuple[str, ...] = ()  #: of its reader
 
     def about(self) -> dict[str, Any]:
         """What is in it."""
         s = self.scans
         readings = max(len(scan.ranges) for scan in s.scans)
         known = {"poses": s.poses, "odom": s.odom, "stamps": s.stamps}
-        return {"id": self.id, "name": self.name, "scans": len(s), "readings": readings} | {
-            key: value is not None for key, value in known.items()
-        }
+        return (
+            {"id": self.id, "name": self.name, "scans": len(s), "readings": readings}
+            | {key: value is not None for key, value in known.items()}
+            | {"warnings": list(self.warnings)}
+        )
 
 
 @dataclass(frozen=True)
@@ -436,23 +439,24 @@ class Service:
         )
         return body, request.headers.get("content-type", "")
 
-    async def _asked(self, request: Request, values: Values) -> tuple[list[int], ScanSet]:
+    async def _asked(self, request: Request, values: Values) -> tuple[list[int], Sent]:
         """Which scans are asked about, and the set that they are of."""
         body, kind = await self._body(request)
         if values["scans"] is not None:
             if body:
                 raise ConfigError("scans: expected either it or a body, not both")
-            scans = self._held(values["scans"]).scans
+            held = self._held(values["scans"])
+            sent = Sent(held.scans, held.warnings)
         else:
             small = len(body) < MIB >> 4 and kind.startswith("application/json")
-            scans = await self._read(lambda: self._scans_in(body, kind, values), small=small)
-        chosen = Chosen(values["index"]).of(len(scans), "the file")
+            sent = await self._read(lambda: self._scans_in(body, kind, values), small=small)
+        chosen = Chosen(values["index"]).of(len(sent.scans), "the file")
         if len(chosen) > self.bounds.each:
             most = f"at most {self.bounds.each:,} at once; index names some"
             raise Refused("too-large", f"{len(chosen):,} scans, expected {most}")
-        return chosen, scans
+        return chosen, sent
 
-    def _scans_in(self, body: bytes, kind: str, values: Values) -> ScanSet:
+    def _scans_in(self, body: bytes, kind: str, values: Values) -> Sent:
         fov = None if values["fov_deg"] is None else math.radians(values["fov_deg"])
         return scans_of(
             body, kind, values["name"] or "", self.bounds,
@@ -471,13 +475,13 @@ class Service:
         body, kind = await self._body(request)
 
         def held() -> ScansHeld:
-            scans = self._scans_in(body, kind, values)
+            scans, warnings = self._scans_in(body, kind, values)
             if values["range_scale"] != 1:
                 scaled = tuple(scan.scaled(values["range_scale"]) for scan in scans.scans)
                 scans = replace(scans, scans=scaled)
             how = json.dumps([values[key] for key in ("name", "topic", "fov_deg", "range_scale")])
             digest = hashlib.sha256(how.encode() + b"\0" + body).hexdigest()[:16]
-            return ScansHeld(digest, values["name"] or "scans", scans)
+            return ScansHeld(digest, values["name"] or "scans", scans, warnings)
 
         found = await self.lanes["files"].run(held, self.bounds.seconds)
         weight = sum(2 * len(scan.ranges) for scan in found.scans.scans)
@@ -510,7 +514,7 @@ class Service:
 
     async def _localize(self, request: Request, values: Values) -> Response:
         name, site = self._site(values["map"])
-        chosen, scans = await self._asked(request, values)
+        chosen, (scans, warnings) = await self._asked(request, values)
         step = values["theta_step_deg"]
         options = replace(
             self.core.options,
@@ -527,7 +531,8 @@ class Service:
             start = partial(self.core.localize_soon, scan, name, options, source=object())
             answer = (await self._answer(start, request)).value
             self._count("localize", answer.verdict, begin)
-            return to_json(answer_row(answer, scan, k, sensor=sensor, flipped=flipped))
+            found = answer_row(answer, scan, k, sensor=sensor, flipped=flipped)
+            return to_json(_warned(found, warnings))
 
         return _rows([await row(k) for k in chosen])
 
@@ -536,7 +541,7 @@ class Service:
             raise Refused("not-found", "there is no map, send one")
         if not self._prepared():
             raise Refused("not-ready", "maps are being prepared", retry=1)
-        chosen, scans = await self._asked(request, values)
+        chosen, (scans, warnings) = await self._asked(request, values)
         known = Known(None, _turned(values["heading"], 1), values["clearance"])
 
         async def row(k: int) -> str:
@@ -546,7 +551,7 @@ class Service:
             kinds = ("none", "undecided", "invalid")
             verdict = found.choice.verdict if found.choice.verdict in kinds else "named"
             self._count("which", verdict, begin)
-            return to_json(found.choice.as_row(found.fits, k))
+            return to_json(_warned(found.choice.as_row(found.fits, k), warnings))
 
         return _rows([await row(k) for k in chosen])
 
@@ -572,7 +577,7 @@ class Service:
 
     async def _fit(self, request: Request, values: Values, *, settle: bool) -> Response:
         site = self._site(values["map"])[1]
-        chosen, scans = await self._asked(request, values)
+        chosen, (scans, warnings) = await self._asked(request, values)
         if len(chosen) != 1:
             raise ConfigError(f"index: got {len(chosen)} scans, expected one")
         scan, grid = taken(scans[chosen[0]], values), site.features.grid
@@ -588,7 +593,7 @@ class Service:
 
         def text() -> str:
             found = fit_at(site.features, scan, pose, options, shared=shared, settle=settle)
-            return to_json(found.as_row())
+            return to_json(_warned(found.as_row(), warnings))
 
         body = await self._look(text, request)
         self._count("settle" if settle else "score", "fit", begin)
@@ -729,6 +734,11 @@ def _refused(error: Exception) -> Exception:
         allowed = (error.headers or {}).get("Allow", "")
         return Refused("method-not-allowed", f"expected {allowed}", allow=allowed)
     return Refused("not-found", "there is nothing at this address; /v1/openapi.json lists all")
+
+
+def _warned(row: Mapping[str, Any], warnings: Sequence[str]) -> dict[str, Any]:
+    """The row, and what the reader of its scans warned of, if it did."""
+    return {**row, "warnings": list(warnings)} if warnings else dict(row)
 
 
 def _rows(lines: Sequence[str]) -> Response:

@@ -2,6 +2,7 @@
 
 import base64
 import contextlib
+import json
 import re
 import shlex
 import shutil
@@ -447,6 +448,14 @@ def test_a_region_is_copied_as_python(
     best = values["answer"].best
     sync.expect(page.locator("#note")).to_be_hidden(timeout=WAIT)
     assert shown_pose(page)[:2] == pytest.approx((best.x, best.y), abs=0.011)
+
+
+def test_a_file_that_is_cut_says_what_is_left_out(page: Any) -> None:
+    line = json.dumps({"ranges": [2.0] * 90, "angle_min": -1.5, "angle_increment": 0.033})
+    drop(page, ("cut.jsonl", f"{line}\n{line[:99]}".encode()))
+    sync.expect(page.locator("#file")).to_have_text("cut.jsonl")
+    left = "cut.jsonl: line 2: the last line was cut off and is left out"
+    sync.expect(page.locator("#trouble")).to_contain_text(left)
 
 
 def test_no_name_is_read_as_html(page: Any, log: Path) -> None:

@@ -353,6 +353,46 @@ def test_scans_that_are_sent_are_read_back_as_they_were(http: httpx.Client, scan
     problem(http.post(f"/v1/localize?map=visibility&scans={about['id']}"), 404, "not-found")
 
 
+@pytest.mark.parametrize("end", [0.6, 0.999])
+def test_a_file_that_is_cut_is_answered_without_its_last_line_and_says_so(
+    service: Served, http: httpx.Client, scans: Path, tmp_path: Path, end: float
+) -> None:
+    lines = [json.dumps(laser_scan(scans, k)) for k in range(3)]
+    cut = "\n".join([*lines[:2], lines[2][: int(end * len(lines[2]))]])
+    (tmp_path / "sent.jsonl").write_text(cut)
+    printed = call("localize", MAP, tmp_path / "sent.jsonl", "--json")
+    (said,) = [line for line in printed.err.splitlines() if "cut off" in line]
+    expected = ["sent.jsonl: line 3: the last line was cut off and is left out"]
+    assert expected[0] in said
+    ask = {"content": cut, "params": {"map": "visibility", "name": "sent.jsonl"}}
+    rows = [json.loads(line) for line in http.post("/v1/localize", **ask).text.splitlines()]
+    assert [row["warnings"] for row in rows] == [expected, expected]
+    raw = http.post("/v1/localize?map=visibility", content=cut).text.splitlines()
+    assert [json.loads(line)["warnings"] for line in raw] == [
+        ["body: line 3: the last line was cut off and is left out"]
+    ] * 2
+    which = http.post("/v1/which", content=cut, params={"name": "sent.jsonl"}).text.splitlines()
+    assert [json.loads(line)["warnings"] for line in which] == [expected, expected]
+    held = http.post("/v1/scans?name=sent.jsonl", content=cut).json()
+    assert (held["scans"], held["warnings"]) == (2, expected)
+    at = {"map": "visibility", "scans": held["id"], "index": 1, "pose": "4,7,0"}
+    assert http.post("/v1/score", params=at).json()["warnings"] == expected
+    whole = http.post("/v1/scans?name=sent.jsonl", content="\n".join(lines)).json()
+    assert (whole["scans"], whole["warnings"]) == (3, [])
+    one = http.post(f"/v1/localize?map=visibility&scans={whole['id']}&index=0").json()
+    assert "warnings" not in one
+
+
+def test_warnings_about_broken_lines_are_answered(http: httpx.Client, scans: Path) -> None:
+    lines = [json.dumps(laser_scan(scans, k % 3)) for k in range(120)]
+    lines[7] = "{"
+    held = http.post("/v1/scans?name=a.jsonl", content="\n".join(lines) + "\n").json()
+    assert held["scans"] == 119
+    assert held["warnings"][0].startswith(
+        "a.jsonl: left out 1 of 120 lines, which are broken: line 8"
+    )
+
+
 # How a scan fits, and layers.
 
 

@@ -99,6 +99,7 @@ export async function addMap(image, yaml, reading) {
 export async function addScans(file, said = {}) {
   const set = await attempt(`Reading ${file.name}`, () => api.uploadScans(file, said));
   if (set) openSet({ ...set, name: file.name }, { file, said });
+  if (set?.warnings.length) trouble("the scans", set.warnings.join(" "));
   return Boolean(set);
 }
 
