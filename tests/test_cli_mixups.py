@@ -11,6 +11,7 @@ from command import MAPS, Run, call, rows
 
 from imgloc.io.images import encode_png, read_image
 from imgloc.io.scans import load_scans, save_scans
+from imgloc.io.scanset import ScanSet
 from imgloc.options import Sensor
 from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
@@ -271,3 +272,19 @@ def test_a_row_of_the_report_opens_a_page_that_explains_the_answer(
     assert "curved: mixed.npz, scan 0: no-match" in text
     assert call("report", out).code == 0
     assert json.dumps(pages[0]) in (out / "report.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize("given", [(), ("--flipped",)])
+def test_a_corridor_scanned_upside_down_has_not_aged(
+    shared: Path, tmp_path: Path, given: tuple[str, ...]
+) -> None:
+    # Both sides of it are alike, so that most scans fit it mirrored, but for the doors.
+    place = shared / "data" / "fr079"
+    some = load_scans(place / "scans.npz").scans[:28]
+    turned = tuple(scan if given else scan.flipped for scan in some)
+    save_scans(tmp_path / "turned.npz", ScanSet(turned))
+    run = call("localize", place / "map.yaml", tmp_path / "turned.npz", *given)
+    assert run.out.count(" unique ") > 14
+    assert "aged" not in run.err
+    assert hint_of(run).startswith("scans like these fit at one place if mirrored: ")
+    assert hint_of(run).endswith("Leave out --flipped" if given else "Try --flipped")

@@ -182,6 +182,23 @@ def doubts(
     return [trial.elsewhere()] if 2 * counts["no-match"] > len(scans) else []
 
 
+def mirrored(
+    features: MapFeatures, scans: ScanSet, said: Said, options: Options, given: Given | None = None
+) -> Doubt | None:
+    """Say that scans which do not fit do so if left and right are swapped.
+
+    A mirrored sensor fits a corridor, where both sides are alike, though walls seem to be gone.
+    The parameters are those of :func:`doubts`; here most of the scans may fit as they are.
+    """
+    doubtful = [k for k, answer in enumerate(said) if is_doubtful(*answer)]
+    if not doubtful:
+        return None
+    misfit = float(np.median([said[k][1].misfit for k in doubtful]))
+    some = scans.take(doubtful)
+    trial = _Trial(features, some, options, given or Given(), one=len(scans) == 1, misfit=misfit)
+    return trial.mirrored()
+
+
 @dataclass(frozen=True)
 class _Trial:
     """Doubtful scans, which are tried in other ways."""

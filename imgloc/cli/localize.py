@@ -221,14 +221,17 @@ class _Sink:
                 LOG.log(logging.INFO if self.as_json or one else logging.WARNING, "wrote %s", text)
         if self.as_json and set(verdicts) == {"invalid"}:
             return  # rows say it themselves, to a program
+        first = self.runs[0]
+        scans = ScanSet(tuple(self.scans)) if self.several else first.taken.scans
         if self.many or not (self.pictures or self.pages):
-            scans = ScanSet(tuple(self.scans)) if self.several else self.runs[0].taken.scans
-            self.hints = self.runs[0].doubts(scans, self.said)
+            self.hints = first.doubts(scans, self.said)
+        aged = aged_words(first.features.grid, self.sure, first.options.shared)
+        if aged and not self.hints:  # to a sensor upside down walls are gone, too
+            found = first.mirrored(scans, self.said)
+            self.hints = [] if found is None else [found]
         for hint in self.hints:
             if hint.text != SWAPPED:  # is said when the map is read
                 LOG.warning("%s", hint.text)
-        first = self.runs[0]
-        aged = aged_words(first.features.grid, self.sure, first.options.shared)
         if aged and not self.hints:
             LOG.warning("%s", aged)
         if not self.hints and 2 * verdicts.count("unique") < len(verdicts):

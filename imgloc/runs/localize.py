@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from imgloc.answers.diagnose import Doubt, Said, doubts
+from imgloc.answers.diagnose import Doubt, Given, Said, doubts, mirrored
 from imgloc.answers.truth import with_true_poses
 from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
@@ -133,10 +133,25 @@ class Locating:
 
     def doubts(self, scans: ScanSet, said: Said) -> list[Doubt]:
         """What may be wrong with scans of which this was `said`."""
-        if self.options.method != FUSED or self.options.time_budget is not None:
+        if not self._tries:
             return []
-        given = self.job.scans.given.beside(self.path, self.features.grid, self.job.drawn)
-        return doubts(self.features, scans, said, self.options, given)
+        return doubts(self.features, scans, said, self.options, self._given)
+
+    def mirrored(self, scans: ScanSet, said: Said) -> Doubt | None:
+        """Whether scans of which this was `said`, and which do not fit, do so if mirrored."""
+        if not self._tries:
+            return None
+        return mirrored(self.features, scans, said, self.options, self._given)
+
+    @property
+    def _tries(self) -> bool:
+        """Whether a doubtful scan may be located in other ways, too."""
+        return self.options.method == FUSED and self.options.time_budget is None
+
+    @property
+    def _given(self) -> Given:
+        """What was stated about the scans and the map."""
+        return self.job.scans.given.beside(self.path, self.features.grid, self.job.drawn)
 
 
 def region_of(path: Path, grid: OccupancyGrid, *, allow_lossy: bool) -> BoolArray:
