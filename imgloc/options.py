@@ -410,8 +410,8 @@ class Options(Checked):
     ] = None
     time_budget: Annotated[float, Within(0, 1e9, "seconds")] | None = option(
         None,
-        "Seconds for the search of each scan. When they are over, the best answer so far is given "
-        "and marked as not complete; it depends on the machine. [default: no limit]",
+        "Seconds for the search of each scan. When they are over, imgloc gives the best answer so "
+        "far and marks it as not complete. A faster machine comes further. [default: no limit]",
     )
     max_speed: Annotated[float, Within(0, 1e3, "m/s")] = option(
         0.0,
@@ -769,8 +769,8 @@ class Logs(Checked):
     )
     height: tuple[float, float] | None = option(
         None,
-        "Make scans of clouds of points: of each take the slice from MIN to MAX, heights in the "
-        "sensor's frame, metres.",
+        "Make a scan of each point cloud from its points between the heights MIN and MAX, metres "
+        "in the sensor's frame.",
         metavar="MIN,MAX",
         parse=numbers(2),
     )

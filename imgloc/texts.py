@@ -52,6 +52,9 @@ def angle(text: str) -> float:
     return value
 
 
+WITH_COMMAS = "numbers with commas between"
+
+
 def numbers(
     least: int, rest: Sequence[float] = (), *, angles: Sequence[int] = ()
 ) -> Callable[[str], tuple[float, ...]]:
@@ -75,7 +78,7 @@ def numbers(
         except ValueError:
             values = []
         if not least <= len(values) <= most or not all(map(math.isfinite, values)):
-            raise ConfigError(f"got {text!r}, expected {count} numbers with commas between")
+            raise ConfigError(f"got {text!r}, expected {count} {WITH_COMMAS}")
         return (*values, *rest[len(values) - least :])
 
     return read

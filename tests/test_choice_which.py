@@ -416,6 +416,15 @@ def test_a_bound_is_that_of_the_scale_that_is_known(tmp_path: Path) -> None:
         assert bounds_of(index, files, scan, choosing.OPTIONS)["post"] == unknown
 
 
+def test_what_is_no_folder_of_maps_says_why(site: Path, tmp_path: Path) -> None:
+    scans = next(site.rglob("*.npz"), site)
+    run = call("which", tmp_path / "nodir", scans)
+    assert (run.code, "nodir: no such folder, expected a folder of maps" in run.err) == (2, True)
+    (tmp_path / "a.yaml").write_text("")
+    run = call("which", tmp_path / "a.yaml", scans)
+    assert (run.code, "a.yaml: is no folder, expected a folder of maps" in run.err) == (2, True)
+
+
 def test_maps_of_which_one_is_damaged_are_at_fault_whatever_the_others_are(site: Path) -> None:
     folder = site / "unfit"
     folder.mkdir()

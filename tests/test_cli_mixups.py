@@ -233,6 +233,45 @@ def test_a_wrong_prior_is_named_with_the_place_that_it_leaves_out(
     assert hint_of(one).startswith(f"this scan fits this map at {at}")
 
 
+def test_priors_that_leave_the_place_out_are_named_together(scans: Path) -> None:
+    run = call("localize", "curved", scans, OFF, "--near", "3,3,1,0.4,0.2", "--clearance", 0.2)
+    assert hint_of(run).endswith("which --near and --clearance leave out: are they right?")
+
+
+def test_a_hint_about_few_readings_is_two_sentences(scans: Path) -> None:
+    run = call("localize", "curved", scans, OFF, "--range-max", 0.01)
+    assert "are they millimetres? Look at range_min and range_max" in hint_of(run)
+
+
+@pytest.mark.parametrize("folder", [".", "/"])
+def test_a_folder_without_a_name_is_no_map(
+    scans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for use in (
+        ("localize", folder, scans), ("track", folder, scans), ("map", "check", folder),
+        ("map", "show", folder, "--out", "a.png"), ("map", "plan", folder, "--out", "p.yaml"),
+        ("map", "align", folder, "curved"), ("map", "changes", folder, scans),
+        ("sample", folder, scans, "--out", "a.csv"), ("atlas", folder, "--out", "a.png"),
+        ("calibrate", folder, "--scans", scans), ("evaluate", folder),
+        ("simulate", folder, "--out", "a.npz"),
+    ):  # fmt: skip
+        run = call(*use)
+        assert (run.code, f"error: {folder}: is a folder, expected a" in run.err) == (3, True), run
+    assert not list(tmp_path.iterdir())
+
+
+def test_numbers_of_an_option_are_named(scans: Path) -> None:
+    for option, given, expected in (
+        ("--near", "3,2", "3 to 5 numbers with commas between: X,Y,YAW[,R[,T]]"),
+        ("--heading", "north", "1 to 2 numbers with commas between: YAW[,T]"),
+        ("--sensor", "1,2", "3 numbers with commas between: X,Y,YAW"),
+    ):
+        run = call("localize", "curved", scans, option, given)
+        assert run.code == 2
+        assert run.err.endswith(f"{option}: got {given!r}, expected {expected}\n")
+
+
 def test_what_was_given_is_not_advised_again(scans: Path) -> None:
     run = call("localize", "corridor", scans, OFF, "--flipped")
     assert "--flipped" not in run.err

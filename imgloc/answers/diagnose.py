@@ -167,9 +167,10 @@ def doubts(
         return [found]
     if 2 * counts["invalid"] > len(scans):
         few = few_readings(trial.scans.scans)
+        few += "" if few.endswith("?") else "."
         text = (
-            f"most scans have too few readings to be placed: {few}. Look at range_min and "
-            "range_max of the file, and pass `range_max`"
+            f"most scans have too few readings to be placed: {few} "
+            "Look at range_min and range_max of the file, and pass `range_max`"
         )
         return [Doubt("few", text, "too few readings: look at `range_max`")]
     if looks_swapped(features.grid):
@@ -296,8 +297,8 @@ class _Trial:
         assert pose is not None
         at = f"x {pose.x:.2f} m, y {pose.y:.2f} m, theta {math.degrees(pose.theta):.0f} degrees"
         where = f"at {at}" if self.one else f"at one place each, the first at {at}"
-        leave = "leaves" if len(names) == 1 else "leave"
-        text = f"{self.fits} this map {where}, which {asked} {leave} out: is it right?"
+        leave, right = ("leaves", "is it") if len(names) == 1 else ("leave", "are they")
+        text = f"{self.fits} this map {where}, which {asked} {leave} out: {right} right?"
         return Doubt("prior", text, f"fits where {asked} {leave} out")
 
     def mirrored(self) -> Doubt | None:

@@ -34,6 +34,7 @@ from imgloc.ranges import (
     expected_of,
     help_of,
 )
+from imgloc.texts import WITH_COMMAS
 
 #: Names that options had, and what they are called now: the first one that the command has.
 RENAMED: Mapping[str, tuple[str, ...]] = {
@@ -158,7 +159,12 @@ def _value_of(field: Declared, text: Any) -> Any:
     text = Path(text) if kind is Path else text
     value, scale = text, (180 / pi, "degrees") if field.in_degrees else ()
     if option is not None and option.parse is not None:
-        value = option.parse(text)
+        try:
+            value = option.parse(text)
+        except ConfigError as error:
+            if str(error).endswith(WITH_COMMAS) and option.metavar:
+                raise ConfigError(f"{error}: {option.metavar}") from None
+            raise
     elif kind in (int, float):
         with contextlib.suppress(ValueError):
             value = radians(float(text)) if field.in_degrees else kind(text)

@@ -34,7 +34,8 @@ _KIND = {"map_hash": str, "methods": {str: _METHOD}, "shared?": _SHARED}
 
 def calibration_path(map_path: PathLike) -> Path:
     """The file beside a map: ``office.calibration.json`` for ``office.yaml``."""
-    return Path(map_path).with_suffix(".calibration.json")
+    path = Path(map_path)
+    return path.parent / f"{path.stem}.calibration.json"  # also of a folder that has no name: "."
 
 
 def map_hash(grid: OccupancyGrid) -> str:

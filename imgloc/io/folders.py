@@ -45,7 +45,8 @@ def find_maps(
     """
     name = display(folder)
     if not is_folder(folder):
-        raise ConfigError(f"{name}: expected a folder of maps")
+        missing = "is no folder" if os.path.lexists(folder) else "no such folder"
+        raise ConfigError(f"{name}: {missing}, expected a folder of maps")
     files = files_in(folder, aside)
     # JPEG is not among the endings: photographs of the site may lie about.
     bags = {path.parent for path in files if path.suffix in (".db3", ".mcap")}

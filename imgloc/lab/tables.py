@@ -14,16 +14,17 @@ from imgloc.output.tables import as_plain, percent
 def atlas_text(summary: Mapping[str, Any]) -> str:
     """Return the shares of :func:`imgloc.lab.atlas.summarise`."""
     meanings = {
-        "unique": "one scan is enough",
-        "unique_area": "whatever the heading (share of the free area)",
-        "ambiguous": "several places fit",
-        "no-match": "not recognized",
-        "wrong": "wrong, but sure",
+        "unique": "of the poses: one scan is enough",
+        "unique_area": "of the free area: one scan is enough at every heading",
+        "ambiguous": "of the poses: several places fit",
+        "no-match": "of the poses: not recognized",
+        "wrong": "of the poses: wrong, but sure",
     }
     lines = [f"{summary['poses']} poses at {summary['places']} places, {summary['area']:.1f} m²"]
     for s, words in ((summary[key], words) for key, words in meanings.items()):
         interval = f"[{100 * s['low']:.1f}, {100 * s['high']:.1f}]"
         lines.append(f"{percent(s['value']):>8} {interval}  {words}")
+    lines.append("  in brackets: where the share lies with 95 % confidence")
     return "\n".join(lines)
 
 

@@ -166,7 +166,7 @@ def _beside(path: Path) -> "MapYaml | None":
     """The YAML beside a plan, as map_server has it, if it is of this image."""
     from imgloc.io.mapyaml import load_map_yaml
 
-    if not is_file(yaml := path.with_suffix(".yaml")):
+    if not is_file(yaml := path.parent / f"{path.stem}.yaml"):
         return None
     found = load_map_yaml(yaml)
     return found if found.image.name == path.name else None

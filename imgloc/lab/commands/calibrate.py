@@ -91,20 +91,22 @@ def calibrate(
     as_json: opt.AsJson = False,
     force: opt.Force = False,
 ) -> None:
-    """Fit what a map's methods are worth, or with --scans its scale and walls; keep it beside it.
+    """Fit the methods to a map, or with --scans the map's scale and walls to recorded scans.
 
-    A stack of votes or log-likelihoods becomes a probability by a blur in x, y and theta and an
-    exponent; those with the greatest S (eq. 12) are stored in MAP.calibration.json with the hash of
-    the map, where localize and evaluate find them. Without that file they use defaults. With
-    --force what the file has of other methods is kept.
+    The results go into MAP.calibration.json, beside the map. localize and evaluate read that file
+    and otherwise use defaults. With --force the file keeps what it has about other methods.
 
-    With --scans, whose poses need not be known, it is by how much all readings are too long or too
-    short for the map and by how much its walls are drawn too thick: as of a floor plan. And it is
-    how far behind the border of the walls readings end: 0 on a sharp map, some centimetres on one
-    that was made of scans. The default method begins with that ever after.
+    Without --scans: a blur in x, y and theta and an exponent turn the votes or log-likelihoods of
+    a method into probabilities. imgloc simulates scans and takes the blur and the exponent with
+    the greatest S (eq. 12).
 
-    If others drew the map and single scans fit nowhere, scans with odometry tell together how thick
-    and how bent the walls are, and how well scans fit this map at their best.
+    With --scans, whose poses need not be known, imgloc finds three things: the factor by which all
+    readings are too long or too short for the map; by how much the map draws its walls too thick,
+    as floor plans do; and how far behind the border of the walls readings end (0 on a sharp map,
+    some centimetres on a map made from scans). The method fused then starts from these.
+
+    If others drew the map and no scan fits by itself, give scans with odometry. Together they tell
+    how thick and how bent the walls are, and how well scans fit this map at their best.
     """
     from imgloc.cli import inputs
     from imgloc.io.calibration import save_calibrations

@@ -113,14 +113,14 @@ def evaluate(
 ) -> None:
     """Measure methods on scans whose poses are known: simulated at random, or recorded.
 
-    S is the paper's performance index (eq. 12), the mean logarithm of the density at the true pose
-    relative to that of no idea at all: 0 knows nothing, S max is certainty on a lattice of poses.
-    S calibrated is that of the posterior which localize uses, see `imgloc calibrate`; for fused it
-    is on the lattice, too, where S of its Gaussians may be above S max. The paper's methods run on
-    its cells: 3 degrees (cbml, cbml-o, beam) and 30 (ght, ght-v). "S all cells" is over walls and
-    unknown space too, "at floor" counts trials whose density is no more than --floor, "not free"
-    those whose true pose is in a cell that the map does not call free.
-    Everything but what is under "cost" is the same in every run.
+    S is the paper's performance index (eq. 12). It compares the density at the true pose with a
+    uniform density: S is the mean logarithm of their ratio. At 0 a method knows nothing; at S max
+    it is certain of one cell of a lattice of poses. "S calibrated" is the S of the posterior that
+    localize uses (see `imgloc calibrate`). For fused, S is that of Gaussians and may be above
+    S max; its S calibrated is on the lattice. "S all cells" includes walls and unknown space. "at
+    floor" counts the trials whose density is at most --floor. "not free" counts those whose true
+    pose is in a cell that is not free on the map. The paper's methods try a heading every 3 degrees
+    (cbml, cbml-o, beam) or 30 (ght, ght-v). Only the columns under "cost" differ between runs.
     """
     from imgloc.cli import inputs
     from imgloc.lab.jobs import Evaluate
