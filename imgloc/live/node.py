@@ -56,6 +56,7 @@ MISSING = (
 _LOOK = 0.5  # seconds between two looks at what has become of everything
 _KEPT = 10.0  # seconds that who comes late still gets /initialpose: what tf2 remembers by default
 _BACK = 1.0  # seconds; stamps that go back farther are a time that begins anew
+_AHEAD = 1.0  # seconds; a stamp farther ahead of the clock counts if the one before is so as well
 _ANSWERED = 15.0  # seconds that ~/localize waits for a pose at most
 _MOVES = 4000  # poses of the odometry that are remembered: 20 s of 200 a second
 _STILL = (0.1, 0.05)  # metres, radians: a robot that has gone less far stands
@@ -191,7 +192,8 @@ class Laser:
     mount: Pose2D | None  #: None: tf says it
     heard: float = -math.inf  #: seconds, monotonic, of the last message
     stamp: float = -math.inf  #: of the last scan
-    age: float = math.nan  #: seconds it had when it came
+    latest: float = -math.inf  #: the highest stamp so far, no higher than the clock was
+    age: float = math.nan  #: seconds that the last scan had when it came
     ranges: bytes = b""  #: of the last scan
     bad: int = 0  #: messages that are no scan, and what is wrong with the last one
     wrong: str = ""
@@ -269,6 +271,7 @@ class LocalizerNode:
         self._followed = False  # whether the filter has had a pose
         self._map_frame, self._odom_frame = settings.map_frame, "odom"
         self._moves = deque[tuple[float, float, float, float]](maxlen=_MOVES)
+        self._odom_age = math.nan  # seconds that the last of the odometry had when it came
         self._frames = Frames()
         self._map: tuple[Any, bytes] | None = None
         self._map_error = ""
@@ -361,19 +364,20 @@ class LocalizerNode:
         except ScanError as error:
             laser.bad, laser.wrong = laser.bad + 1, str(error)
             raise
-        laser.wrong, laser.age = "", now - scan.stamp
+        age, laser.wrong, laser.age = laser.age, "", now - scan.stamp
         laser.stamped = bool(scan.stamp) or self.first.fresh(0.0, now)  # a clock may begin at 0
-        if not laser.stamped:
+        if not laser.stamped or self._leaps_ahead(age, laser.age):
             laser.skipped += 1
             return
-        if scan.stamp < laser.stamp - _BACK:
+        if scan.stamp < laser.latest - _BACK:
             self.start_anew("the time of the scans has gone back")
-        elif scan.stamp <= laser.stamp:
+        elif scan.stamp <= laser.latest or scan.stamp == laser.stamp:
             laser.skipped, laser.heard = laser.skipped + 1, before
             self._repeat(laser, now)
             return
         content = scan.ranges.tobytes()
         again, laser.ranges, laser.stamp = content == laser.ranges, content, scan.stamp
+        laser.latest = max(laser.latest, min(scan.stamp, now))
         if again:
             self._repeat(laser, now)
         else:
@@ -388,6 +392,14 @@ class LocalizerNode:
             return
         if self.first.due(scan.stamp, odom):
             self._ask(scan, message.header.stamp, odom)
+
+    def _leaps_ahead(self, before: float, age: float) -> bool:
+        """Whether a stamp is wrong: ahead of the clock, unlike the one before, or by too much.
+
+        Ages are in seconds. All that comes after such a stamp would seem to lie in the past. A
+        sensor whose clock is a little ahead has all its stamps ahead.
+        """
+        return age < -_AHEAD and (not before < -_AHEAD or age < -self.settings.max_age)
 
     def _repeat(self, laser: Laser, now: float) -> None:
         """Take note of a scan that repeats the one before, or comes after a later one."""
@@ -412,6 +424,9 @@ class LocalizerNode:
     def _on_odometry(self, message: Any) -> None:
         move = move_of(message)
         if not all(map(math.isfinite, move)):
+            return
+        before, self._odom_age = self._odom_age, self.now - move[0]
+        if self._leaps_ahead(before, self._odom_age):
             return
         if self._moves and move[0] < self._moves[-1][0] - _BACK:
             self._moves.clear()
@@ -455,7 +470,7 @@ class LocalizerNode:
         self.found, self._sure, self._followed = None, False, False
         self._moves.clear()
         for laser in self.lasers:
-            laser.stamp, laser.ranges = -math.inf, b""
+            laser.stamp, laser.latest, laser.ranges = -math.inf, -math.inf, b""
         if self._robot is not None:
             self._robot.reset()
         self._tracked.clear()

@@ -194,6 +194,19 @@ def test_no_pose_has_the_stamp_of_a_scan_that_says_nothing(field, log, wrong) ->
     assert not disturbed & {round(p["stamp"], 6) for p in field.heard("initialpose")}
 
 
+def test_a_stamp_ahead_of_the_clock_neither_starts_anew_nor_ends_the_track(field, log) -> None:
+    field.listen()
+    field.node(MAP, "--sensor", SENSOR, "--track")
+    field.play(MAP, log, "--no-map", "--disturb", "ahead")
+    field.until(lambda: len(field.heard("pose")) > 40)
+    assert len(field.heard("initialpose")) == 1
+    assert "starts anew" not in field.said()
+    followed = judged(Told(PATIENCE), field.heard("pose"), field.played(), truth_of(log))
+    assert followed.right, followed
+    ahead = {round(p["stamp"], 6) for p in field.played() if p["disturbed"]}
+    assert not ahead & {round(p["stamp"], 6) for p in field.heard("pose")}
+
+
 def test_millimetres_are_explained_and_given_up(field, log) -> None:
     scans, path = imgloc.load_scans(log), field.folder / "mm.npz"
     wrong = tuple(replace(scan, ranges=1000 * scan.ranges) for scan in scans)

@@ -18,8 +18,9 @@ from imgloc.model import FloatArray, Pose2D, compose
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
-DISTURBED = ("nan", "empty", "short", "zero", "unstamped")
+DISTURBED = ("nan", "empty", "short", "zero", "unstamped", "ahead")
 """What every other scan may be instead of itself."""
+_AHEAD = 5  # seconds that a scan and its odometry may be stamped ahead
 FROZEN = ("stamp", "ranges")
 """What each scan may have of the first one: its stamp and ranges, or its ranges alone."""
 
@@ -127,15 +128,17 @@ class Player:
     def _step(self, k: int, scan: LaserScan, odom: FloatArray | None, stamp: float) -> None:
         whole = math.floor(stamp)
         at = {"sec": whole, "nanosec": min(999_999_999, round(1e9 * (stamp - whole)))}
+        wrong = self._how.disturb if k % 2 else ""
         if self._clock is not None:
             publisher, kind = self._clock
             publisher.publish(fill(kind(), {"clock": at}))
+        if wrong == "ahead":
+            at["sec"] += _AHEAD
         if odom is not None:
             message = fill(self._ros.nav_msgs.Odometry(), {"child_frame_id": "base_link"})
             fill(message, {"header": {"stamp": at, "frame_id": "odom"}})
             fill(message, {"pose": {"pose": pose_fields(Pose2D(*odom))}})
             self._odom.publish(message)
-        wrong = self._how.disturb if k % 2 else ""
         for publisher, part in zip(self._scans, _parts(scan, self._how.lasers), strict=True):
             message = _message(self._ros, part, at, wrong)
             first = self._frozen.setdefault(publisher, message)
@@ -168,7 +171,7 @@ def _message(ros: Any, scan: LaserScan, at: dict[str, int], wrong: str) -> Any:
         ranges[:] = np.nan
     elif wrong == "zero":
         ranges[:] = 0.0
-    elif wrong:
+    elif wrong in ("empty", "short"):
         ranges = ranges[: 0 if wrong == "empty" else 4]
     fields = {
         "angle_min": float(scan.angles[0]), "angle_max": float(scan.angles[-1]),
