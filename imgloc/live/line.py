@@ -16,6 +16,7 @@ _SAID = {
     "replaced": "a newer scan of the same source came while this one waited",
     "reset": "the robot was reset, or its map replaced, after this scan came",
     "old": "its stamp lies before that of the last scan of this robot",
+    "ahead": "its stamp lies ahead of the clock, and that of the scan before did not",
     "late": "the timeout passed before the answer came",
     "preparing": "the map is still being prepared",
     "closed": "the localizer is closed",
@@ -25,7 +26,7 @@ _SAID = {
 class Dropped(ImglocError):  # noqa: N818  (what has become of it)
     """A scan gets no answer; `why` is one word.
 
-    It is ``replaced``, ``reset``, ``old``, ``late``, ``preparing`` or ``closed``.
+    It is ``replaced``, ``reset``, ``old``, ``ahead``, ``late``, ``preparing`` or ``closed``.
 
     Examples
     --------

@@ -40,6 +40,7 @@ Clock = Callable[[], float]
 Maps = MapLike | Maker | Mapping[str, MapLike | Maker]
 ALONE = "map"
 """The name of a map that was given without one."""
+_AHEAD = 1.0  # seconds ahead of the clock, and after the scan before, that a stamp may leap
 READY, PREPARING, FAILED = "ready", "preparing", "failed"
 
 
@@ -611,6 +612,7 @@ class Robot:
         self._follower: Follower | None = None
         self._start: tuple[Pose2D, tuple[float, float]] | None = None
         self._stamp = math.nan
+        self._ahead = False  # whether the last stamp lay ahead of the clock
         self.era = 0  #: number of resets
 
     def update(
@@ -638,8 +640,9 @@ class Robot:
         Raises
         ------
         Dropped
-            ``replaced``, ``reset``, ``late``; or ``old``, if the stamp lies before that of the last
-            scan. After :meth:`reset` time may start anew.
+            ``replaced``, ``reset``, ``late``; ``old``, if the stamp lies before that of the last
+            scan; or ``ahead``, if the stamp leaps more than a second ahead of the clock, and the
+            one before was not ahead. After :meth:`reset` time may start anew.
         ScanError
             If the odometry leaps more than 1000 km between two scans.
         """
@@ -664,6 +667,9 @@ class Robot:
             if scan.stamp < self._stamp:
                 self._core._line.count(key)
                 raise Dropped("old")
+            if self._leaps_ahead(scan.stamp):  # all scans after it would be old
+                self._core._line.count(key)
+                raise Dropped("ahead")
             moment = follower.step(scan, odometry)
             with self._lock:
                 if self.era != era:
@@ -708,6 +714,10 @@ class Robot:
         self._core._line.forget(self)
         if self in self._core._robots:
             self._core._robots.remove(self)
+
+    def _leaps_ahead(self, stamp: float) -> bool:
+        before, self._ahead = self._ahead, stamp > self._clock() + _AHEAD
+        return self._ahead and not before and not stamp <= self._stamp + _AHEAD
 
     def _made(self, site: Site, name: str) -> Follower:
         how = site.options(self._options or self._core.options)

@@ -339,7 +339,8 @@ class LocalizerNode:
             try:
                 call(*given)
             except ImglocError as error:
-                self.node.get_logger().warning(f"{what}: {error}", throttle_duration_sec=5.0)
+                said = str(error).removeprefix(f"{what}: ")
+                self.node.get_logger().warning(f"{what}: {said}", throttle_duration_sec=5.0)
             except Exception as error:
                 text = f"{what}: left out; a defect, {type(error).__name__}: {error}"
                 self.node.get_logger().error(printable(text), throttle_duration_sec=5.0)
@@ -362,7 +363,7 @@ class LocalizerNode:
         try:
             scan = self._complete(laser, message)
         except ScanError as error:
-            laser.bad, laser.wrong = laser.bad + 1, str(error)
+            laser.bad, laser.wrong = laser.bad + 1, str(error).removeprefix(f"{laser.topic}: ")
             raise
         age, laser.wrong, laser.age = laser.age, "", now - scan.stamp
         laser.stamped = bool(scan.stamp) or self.first.fresh(0.0, now)  # a clock may begin at 0
