@@ -4,6 +4,7 @@ import logging
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from hashlib import blake2b
 
 import numpy as np
 
@@ -25,7 +26,7 @@ LOG = logging.getLogger(__name__)
 
 DEVIATION: tuple[float, float] = number("follow.deviation")
 """Default standard deviations of a pose that is given to a filter: metres and radians."""
-_BUFFERS = 8  # scans of a laser that are remembered, because a driver may repeat its buffers
+_BUFFERS = 1000  # scans of a laser that are remembered, because a driver may repeat its buffers
 #: A scan is an old one again if the robot has moved by so many metres or radians, and at least such
 #: a share of its readings have changed by less than so many metres.
 _STALE = number("follow.stale")
@@ -480,7 +481,7 @@ class _Laser:
 
         No sensor measures the same to the bit twice, and scans change while the robot moves.
         """
-        content = scan.ranges.tobytes()
+        content = blake2b(scan.ranges.tobytes(), digest_size=16).digest()
         again = content in self._last
         self._last.append(content)
         before = self._reference

@@ -140,6 +140,10 @@ class TrackerOptions(Checked):
     #: score on bent walls: they stop no reading, and all readings count alike, because scans of
     #: many places are weighed together
     bending: Bending = field(default_factory=lambda: Bending(*number("TrackerOptions.bending")))
+    #: metres over which the share of the way is averaged along which scans agree with one place,
+    #: and the least share with which a component is ``unique``. On the map of another building a
+    #: place fits for some metres now and then.
+    explained: tuple[Metres, Share] = number("TrackerOptions.explained")
     resets: bool = True  #: whether places that a scan finds take the lost mass: sensor resetting
 
 
@@ -227,6 +231,8 @@ class Tracker:
         self._scales = list[tuple[float, float]]()
         self._drawn, self._walls = features, list[FloatArray]()
         self._trusted = 0.0  # metres driven with a unique pose
+        # Share of the way along which scans agreed with one place, and metres not yet counted.
+        self._explained, self._uncounted = 1.0, 0.0
         # The given pose and its covariance, carried by odometry alone: (1, 3) and (1, 3, 3).
         self._begun: tuple[FloatArray, FloatArray] | None = None
 
@@ -238,6 +244,7 @@ class Tracker:
         self._begun = self._poses.copy(), self._covariance.copy()
         self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
         self._unique = self._searching = None
+        self._explained, self._uncounted = 1.0, 0.0
         self._agreed = self.how.agree[0] - 1  # one scan has to agree with the given pose
         self._habits.place()
 
@@ -253,7 +260,7 @@ class Tracker:
         if self._searching is not None:
             self._searching.move(increment)
         metres = float(way_of(increment)[0])
-        self._unsearched += metres
+        self._unsearched, self._uncounted = self._unsearched + metres, self._uncounted + metres
         self._way, self._since = self._way + metres, self._since + metres
         if self._unique is not None:
             pose, ago = self._unique
@@ -380,6 +387,7 @@ class Tracker:
         spread = np.concatenate((np.zeros((2 * known, 3, 3)), found.spread))
         if not len(poses):
             self._lost = 1.0
+            self._judge_map(False)
             return
         seen = sight(self.features, view, poses, self.options, spread)
         best = float(seen.log_likelihood.max())
@@ -417,6 +425,7 @@ class Tracker:
         enough = len(view.readings) >= how.agree[1]
         self._agreed = self._agreed + enough if agrees else 0
         self._dark &= self._agreed < how.agree[0]
+        self._judge_map(self._agreed > 0 and not self._habits.doubted)
         if agrees and enough and not habit.doubted:
             self._since = 0.0
         if len(self._mass):
@@ -477,6 +486,12 @@ class Tracker:
         self._begin_again()
         return True
 
+    def _judge_map(self, agrees: bool) -> None:
+        """Average over the way whether scans agree with one place; a new map is believed."""
+        faded = float(np.exp(-self._uncounted / self.how.explained[0]))
+        self._explained = faded * self._explained + (1 - faded) * agrees
+        self._uncounted = 0.0
+
     def _begin_again(self) -> None:
         """Forget what scans said: only a given pose counts, where odometry has carried it."""
         self._poses, self._covariance = NOWHERE.poses, NOWHERE.covariance
@@ -484,7 +499,7 @@ class Tracker:
         if self._begun is not None:
             self._poses, self._covariance = self._begun
             self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
-        self._unique, self._agreed = None, 0
+        self._unique, self._agreed, self._explained = None, 0, 1.0
 
     def _steps(self, scan: LaserScan) -> Generator[None, None, Places]:
         """Search a scan: pause after each step, but not if a function replaces the search."""
@@ -651,6 +666,7 @@ class Tracker:
             verdict = LOST
         elif not self._habits.doubted and self._agreed >= self._needed(self._poses[order[0]]):
             held = self._followed[order[0]] >= self.how.sure[0] and self._since <= self.how.stale
+            held &= self._explained >= self.how.explained[1]
             verdict = UNIQUE if held else AMBIGUOUS
         neff = float(np.square(mass.sum()) / max(1e-300, np.square(mass).sum()))
         return Belief(
