@@ -13,6 +13,7 @@ from imgloc.errors import ImglocError
 _DEPTH, _DIGITS, _SHOWN = 8, 300, 60
 _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times as fast where libyaml is
 _INT = "tag:yaml.org,2002:int"
+_TOO_DEEP = f"nested too deeply, expected at most {_DEPTH} levels"
 
 
 def plain_yaml(text: str, name: str, error: type[ImglocError], *, most: int) -> Any:
@@ -42,7 +43,10 @@ def plain_yaml(text: str, name: str, error: type[ImglocError], *, most: int) -> 
         return _value(_LOADER(text), name, error, most)
     except yaml.MarkedYAMLError as e:
         line = f" line {e.problem_mark.line + 1}:" if e.problem_mark else ""
-        raise error(f"{name}:{line} not valid YAML: {e.problem}") from None
+        # PyYAML 6.0.4 and later read ahead, and refuse a depth of thousands before the event comes.
+        deep = "nesting depth" in str(e.problem)
+        said = _TOO_DEEP if deep else f"not valid YAML: {e.problem}"
+        raise error(f"{name}:{line} {said}") from None
     except (yaml.YAMLError, ValueError, OverflowError) as e:
         said = str(e).splitlines()[0] if str(e) else type(e).__name__
         raise error(f"{name}: not valid YAML: {said}") from None
@@ -87,7 +91,7 @@ def _value(loader: Any, name: str, error: type[ImglocError], most: int) -> Any:
                 if isinstance(value, dict):
                     keys.append(root)
                 if len(within) > _DEPTH + 1:
-                    raise error(f"{where}: nested too deeply, expected at most {_DEPTH} levels")
+                    raise error(f"{where}: {_TOO_DEEP}")
     return root[0] if root else None
 
 
