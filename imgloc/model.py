@@ -585,6 +585,8 @@ class Evidence:
     scale: float = 1.0
     #: metres taken off each side of the walls, because the readings fit far better so; else 0
     thinner: float = 0.0
+    #: standard deviation, metres, of the place of each piece of wall, as others drew it; else 0
+    bent: float = 0.0
     floor: Floor | None = None  #: left out, because the other readings fit far better without it
     #: divisor that turned log-likelihoods into masses
     temperature: Temperature = field(default_factory=Temperature)
@@ -690,7 +692,10 @@ class Localization:
         ]
         evidence = {"readings": e.readings, "misfit": e.misfit, "temperature": t.value}
         evidence |= {name: getattr(t, name) for name in ("base", "strain", "number", "cell")}
-        rest = ("unmapped", "gained", "against", "scale", "thinner", "found", "listed", "unlisted")
+        rest = (
+            "unmapped", "gained", "against", "scale", "thinner", "bent", "found", "listed",
+            "unlisted",
+        )  # fmt: skip
         evidence |= {name: getattr(e, name) for name in rest}
         floor = Floor(math.nan, math.nan, 0.0) if e.floor is None else e.floor
         evidence |= {"floor": floor.share}

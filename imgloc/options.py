@@ -454,6 +454,17 @@ class Options(Checked):
         ),
     ] = None
 
+    def left(self, spent: float, **changed: Any) -> "Options":
+        """The options with what is left of the time budget after some seconds, and other changes.
+
+        Examples
+        --------
+        >>> Options(time_budget=2.0).left(0.5).time_budget, Options().left(9.0, top=1).time_budget
+        (1.5, None)
+        """
+        rest = None if self.time_budget is None else max(0.0, self.time_budget - spent)
+        return replace(self, time_budget=rest, **changed)
+
     @property
     def model(self) -> EvidenceModel:
         """The parameters of the score, on walls that are as bent as `shared` says."""

@@ -29,7 +29,7 @@ from imgloc.likelihoods.stacks import check_stack, likelihood
 from imgloc.model import FloatArray, Floor, LaserScan, Likelihood, Localization, OccupancyGrid
 from imgloc.numbers import number
 from imgloc.options import FUSED, FusedOptions, Options, Shared
-from imgloc.search.adapt import THINNER, adapt
+from imgloc.search.adapt import THINNER, adapt, drawn_walls
 from imgloc.search.answer import answered
 from imgloc.search.asked import check_options
 from imgloc.search.modes import Modes, separate
@@ -289,62 +289,62 @@ def look(
 def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options) -> Modes:
     """Search for all poses that fit a scan, and allow for errors that many readings share.
 
-    If nothing fits well, the search is repeated without the readings that may end on the floor.
-    They are left out if the others fit well. If nothing fits well then, but far better with another
-    scale or with thinner walls, the search is repeated with that error. If little fits even then,
-    but more than in another building, it is repeated with more readings and more proposals.
+    If nothing fits well on a map that others drew, walls are taken for bent. Else it is tried
+    without readings that may end on the floor, with another scale or thinner walls, and with more
+    effort where little fits.
 
-    Arguments and result are those of :func:`find_modes`, with the shared error and the floor that
-    were found. `features` are of the uncorrected map. The time budget covers all searches together.
+    Arguments and result are those of :func:`find_modes`, with what was found; `features` are of the
+    uncorrected map. The time budget covers all searches together.
     """
-    start, fused, usual = time.monotonic(), options.fused, options.shared.usual
+    fused, start = options.fused, time.monotonic()
 
     def find(
         shared: Shared, floor: Floor | None = None, effort: FusedOptions = fused,
         more: FloatArray | None = None,
     ) -> Modes:  # fmt: skip
-        left = replace(options, fused=effort)
-        if options.time_budget is not None:
-            rest = max(0.0, start + options.time_budget - time.monotonic())
-            left = replace(left, time_budget=rest)
         there, seen = features.thinner(shared.thinner), left_out(scan, floor).scaled(shared.scale)
+        left = options.left(time.monotonic() - start, shared=shared, fused=effort)
         return replace(find_modes(there, seen, left, more=more), shared=shared, floor=floor)
 
-    def lacks(found: Modes) -> float:
-        return options.model.best - found.mean_score
+    def again(*how: Any, **more: Any) -> Modes:
+        if not (repeated := find(*how, **more)).complete:
+            raise TimeoutError
+        return repeated
 
-    def is_unfit(found: Modes, misfit: float) -> bool:
-        unfit = lacks(found) > max(misfit, fused.strained) + usual
-        return unfit and found.complete and len(found.poses) > 0
+    def lacks(found: Modes) -> float:
+        return options.model.best - options.shared.usual - found.mean_score
 
     found = find(options.shared)
-    for floor in floors(scan) if is_unfit(found, fused.unfit) else ():
-        if left_out(scan, floor).directions < options.trust.readings:
-            continue
-        again = find(options.shared, floor, more=np.empty((0, 3)))
-        if not again.complete:
-            return replace(found, complete=False)
-        if lacks(again) <= fused.strained + usual and lacks(again) < lacks(found):
-            found = again
-    for _ in range(_ROUNDS):
-        if lacks(found) <= fused.strained or not (found.complete and len(found.poses)):
-            break
-        places = np.concatenate((found.poses[:1], found.looked))
-        shared = adapt(features, found.readings, places, found.shared, options)
-        if shared == found.shared:
-            break
-        # What votes found for the same readings is among the places.
-        voted = places if shared.scale == found.shared.scale else None
-        again = find(shared, found.floor, more=voted)
-        if not again.complete:
-            return replace(found, complete=False)
-        if again.mean_score <= found.mean_score:
-            break
-        found = again
-    some, hardly = fused.hopeless
-    if is_unfit(found, some) and lacks(found) <= hardly + usual:
-        again = find(options.shared, found.floor, fused.wider)
-        if not again.complete:
-            return replace(found, complete=False)
-        found = max(found, again, key=lambda modes: modes.mean_score)
-    return found
+    if not found.complete or not len(found.poses):
+        return found
+    try:
+        if lacks(found) > fused.strained:
+            walls = drawn_walls(features, found.readings, found.places, options)
+            if walls != options.shared:
+                left = options.left(time.monotonic() - start, shared=walls)
+                bent = find_adapted_modes(features, scan, left)
+                return bent if bent.complete else replace(found, complete=False)
+        for floor in floors(scan) if lacks(found) > max(fused.unfit, fused.strained) else ():
+            if left_out(scan, floor).directions >= options.trust.readings:
+                without = again(options.shared, floor, more=np.empty((0, 3)))
+                if lacks(without) <= min(fused.strained, lacks(found)):
+                    found = without
+        for _ in range(_ROUNDS):
+            if lacks(found) <= fused.strained:
+                break
+            shared = adapt(features, found.readings, found.places, found.shared, options)
+            if shared == found.shared:
+                break
+            # What votes found for the same readings is among the places.
+            voted = found.places if shared.scale == found.shared.scale else None
+            adapted = again(shared, found.floor, more=voted)
+            if adapted.mean_score <= found.mean_score:
+                break
+            found = adapted
+        some, hardly = fused.hopeless
+        if max(some, fused.strained) < lacks(found) <= hardly:
+            wider = again(options.shared, found.floor, fused.wider)
+            found = max(found, wider, key=lambda modes: modes.mean_score)
+        return found
+    except TimeoutError:
+        return replace(found, complete=False)

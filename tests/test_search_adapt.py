@@ -40,10 +40,14 @@ def features():
 
 @cache
 def thick_features():
-    grid = world()[0]
+    return MapFeatures(thick(world()[0]))
+
+
+def thick(grid):
+    """The map with walls that are 0.2 m thicker on each side."""
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
     occupied = cv2.dilate(grid.occupied.astype(np.uint8), disc) > 0
-    return MapFeatures(replace(grid, occupied=occupied, free=grid.free & ~occupied))
+    return replace(grid, occupied=occupied, free=grid.free & ~occupied)
 
 
 def bent(grid):
@@ -66,6 +70,26 @@ def walls_in(features):
         for found in (pipeline.find_modes(features, scan, Options()) for scan in world()[1].scans)
     ]
     return walls_of(np.array(evidence), Shared(1.02))
+
+
+def test_walls_that_others_drew_are_taken_for_bent_by_one_scan():
+    drawn = MapFeatures(thick(bent(world()[0])))
+    assert drawn.thickness == pytest.approx(0.5, abs=0.05)
+    for scan, pose in zip(world()[1].scans, world()[1].poses, strict=True):
+        answer, plain = (localize(drawn, scan, o) for o in (Options(), AS_IT_IS))
+        assert (answer.evidence.thinner, answer.evidence.bent) == pytest.approx((0.1, 0.1))
+        assert answer.verdict == "unique"
+        assert plain.verdict != "unique"
+        assert away(answer, pose) < 0.45  # blocks of wall are 0.2 m off, and walls 0.2 m too thick
+        words = "as others draw walls: walls 0.10 m thinner on each side and pieces of wall 0.10 m"
+        assert words in answer_text("scan", answer)
+
+
+@pytest.mark.parametrize("make", [lambda: thick(world()[0]), lambda: bent(world()[0])])
+def test_walls_are_not_bent_if_thick_ones_stand_right_or_the_image_has_thin_ones(make):
+    there = MapFeatures(make())
+    for scan in world()[1].scans:
+        assert localize(there, scan).evidence.bent == 0
 
 
 def test_scans_tell_together_what_walls_a_map_has():

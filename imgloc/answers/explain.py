@@ -15,7 +15,7 @@ already, tell why it is right, or wrong. The numbers behind the verdict are the 
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -135,6 +135,7 @@ def explain(
     # With the error that the answer has allowed for.
     scan, grid = scan.scaled(said.scale), features.grid
     features = features.thinner(round(said.thinner / grid.resolution))
+    options = replace(options, shared=replace(options.shared, bent=said.bent))
     local = [in_grid_frame(h, grid.info) for h in answer.hypotheses]
     score = np.array([h.log_likelihood for h in local])
     if local and options.method != FUSED:  # of votes, say: what its readings say there

@@ -14,6 +14,8 @@ from imgloc.model import BoolArray, Float32Array
 
 #: Metres; what is farther from a wall than this, or off the map, counts as this far.
 FARTHEST = 4.0
+#: Metres; what is thicker than this is no wall.
+SOLID = 1.0
 #: Steps in which a field keeps distances, metres, and slopes, metres per metre.
 UNIT, SLOPE = FARTHEST / 32000, 1 / 16000
 
@@ -52,6 +54,32 @@ def distance_image(occupied: BoolArray) -> Float32Array:
     [[0.0, 1.0, 2.0]]
     """
     return distance_transform(np.logical_not(occupied).astype(np.uint8))
+
+
+def wall_thickness(distance: Float32Array) -> float:
+    """Median thickness of walls, metres: along their middle lines, so that each metre counts alike.
+
+    Parameters
+    ----------
+    distance : (H, W) float32 array
+        Metres to the nearest surface, negative in occupied cells: :func:`signed_distance`.
+
+    Returns
+    -------
+    float
+        What is thicker than a metre is no wall, but solid. 0 for a map without walls.
+
+    Examples
+    --------
+    >>> walls = np.zeros((30, 40), bool)
+    >>> walls[2], walls[4], walls[8:13], walls[16:] = True, True, True, True
+    >>> [round(wall_thickness(signed_distance(some, 0.1)), 3) for some in (walls, walls[6:])]
+    [0.1, 0.5]
+    """
+    middle = (distance < 0) & (distance <= cv2.erode(distance, np.ones((3, 3), np.uint8)))
+    thickness = -2 * distance[middle]
+    walls = thickness[thickness <= SOLID]
+    return float(np.median(walls)) if len(walls) else 0.0
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,12 @@ from imgloc.features.budget import (
     ray_distances_bytes,
     surface_count,
 )
-from imgloc.features.distance import DistanceField, distance_field, distance_image
+from imgloc.features.distance import (
+    DistanceField,
+    distance_field,
+    distance_image,
+    wall_thickness,
+)
 from imgloc.features.fields import bmap, vmap
 from imgloc.features.gradients import SOURCES, vmap_of_image
 from imgloc.features.pyramid import (
@@ -134,6 +139,11 @@ class MapFeatures:
         """Distance to the nearest occupied cell, in cells, for casting rays."""
         return read_only(distance_image(self.grid.occupied))
 
+    @cached_property
+    def thickness(self) -> float:
+        """Median thickness of the walls, metres: others draw them thicker than scans show them."""
+        return wall_thickness(self.field.distance)
+
     @property
     def peels(self) -> bool:
         """Whether :meth:`thinner` walls are worth their memory: not on very large maps."""
@@ -179,7 +189,7 @@ class MapFeatures:
         """
         _ = self.field, self.walls, self.standable, self.free, self.pyramid
         if self.peels:
-            _ = self.voters_visibility
+            _ = self.voters_visibility, self.thickness
             for cells in range(1, thinnest + 1):
                 there = self.thinner(cells)
                 _ = there.field, there.walls, there.standable, there.pyramid

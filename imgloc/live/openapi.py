@@ -105,6 +105,8 @@ FIT = (
               Number(0.5, 2)),
     Parameter("thinner", "Metres that walls lose on each side: evidence.thinner.",
               Number(0, 10, "metres")),
+    Parameter("bent", "Metres that pieces of wall stand off: evidence.bent.",
+              Number(0, 1, "metres")),
 )  # fmt: skip
 UPLOAD = (
     Parameter("name", "Name of the map.", Text(NAME, 100, NAME_WORDS)),

@@ -582,7 +582,7 @@ class Service:
             raise ConfigError(f"index: got {len(chosen)} scans, expected one")
         scan, grid = taken(scans[chosen[0]], values), site.features.grid
         options, thinner = site.options(self.core.options), values["thinner"]
-        given: dict[str, Any] = {"scale": values["scale"]}
+        given: dict[str, Any] = {name: values[name] for name in ("scale", "bent")}
         if thinner is not None:
             given["thinner"] = round(thinner / grid.resolution)
         given = {name: value for name, value in given.items() if value is not None}

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from imgloc.errors import as_options
-from imgloc.model import SURE, VERDICTS, Floor, Localization, Pose2D, base_of
+from imgloc.model import SURE, VERDICTS, Evidence, Floor, Localization, Pose2D, base_of
 
 if TYPE_CHECKING:
     from imgloc.choice.choose import Choice
@@ -142,14 +142,16 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
         facts.append(("trust", f"{explained}, entropy {answer.entropy:.3f} nats"))
         if within := _within(answer):
             facts.append(("within", within))
-        if (bent := bent_words(evidence.scale, evidence.thinner)) is not None:
+        if (bent := bent_words(evidence)) is not None:
             known: Any = answer.parameters.get("shared")
             calibrated = (
                 known is not None
                 and known["scale"] == evidence.scale
                 and (known["thinner"] > 0 or not evidence.thinner)
+                and known["bent"] == evidence.bent
             )
-            how = "as calibrated, " if calibrated else "fits far better with "
+            taken = "as others draw walls: " if evidence.bent else "fits far better with "
+            how = "as calibrated, " if calibrated else taken
             facts.append(("map", how + bent))
         if evidence.floor is not None:
             facts.append(("floor", floor_words(evidence.floor)))
@@ -207,17 +209,19 @@ def _unlisted(answer: Localization) -> float:
     return max(0.0, 1.0 - sum(h.mass for h in answer.hypotheses))
 
 
-def bent_words(scale: float, thinner: float) -> str | None:
+def bent_words(evidence: Evidence) -> str | None:
     """Say what error of all readings was allowed for; None if none was.
 
     Examples
     --------
-    >>> bent_words(1.0486, 0.1), bent_words(1.0, 0.0)
+    >>> bent_words(Evidence(scale=1.0486, thinner=0.1)), bent_words(Evidence())
     ('ranges x 1.049 and walls 0.10 m thinner on each side', None)
     """
-    said = [f"ranges x {scale:.3f}"] if scale != 1.0 else []
-    if thinner > 0:
-        said.append(f"walls {thinner:.2f} m thinner on each side")
+    said = [f"ranges x {evidence.scale:.3f}"] if evidence.scale != 1.0 else []
+    if evidence.thinner > 0:
+        said.append(f"walls {evidence.thinner:.2f} m thinner on each side")
+    if evidence.bent > 0:
+        said.append(f"pieces of wall {evidence.bent:.2f} m off")
     return " and ".join(said) or None
 
 

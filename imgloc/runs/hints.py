@@ -83,7 +83,7 @@ class Doubtful:
 
 def evidence_of(row: Row) -> Evidence:
     """The evidence of a row, as far as a doubt looks at it: misfit, scale, walls and floor."""
-    names = ("misfit", "scale", "thinner")
+    names = ("misfit", "scale", "thinner", "bent")
     told: dict[str, Any] = {key: row[key] for key in names if row.get(key) is not None}
     if share := row.get("floor"):
         at = (row.get(f"floor_{of}") for of in ("distance", "direction"))

@@ -17,7 +17,7 @@ from imgloc.numbers import number
 from imgloc.options import SCALES, Options, Shared
 from imgloc.search.priors import standing
 from imgloc.search.refine import endpoints, refine
-from imgloc.search.rescore import bent_evidence, hit_density, rescore
+from imgloc.search.rescore import piece_evidence, pieces, rescore
 
 _SIGMAS = number("adapt.sigmas")
 THINNEST: int = number("adapt.thinner")
@@ -28,6 +28,11 @@ THINNER: int = number("adapt.walls")
 _GAIN = number("adapt.gain")  # nats per scan that thinner walls have to gain
 BENT: float = number("adapt.bent")
 """Standard deviation of the place of a piece of wall, metres, on a map that is bent."""
+# A map that others drew, as one scan tells: metres that its walls are thick at least, by which each
+# side is too thick, and by which pieces of wall are off; misfit of scans at their true places, nats
+# per reading; nats per metre beyond the first, and nats that a piece counts for at most.
+_THICK, _LOSES, _OFF, _USUAL = number("adapt.drawn")
+_DOUBT, _COUNTS = number("adapt.doubt")
 _PLACES, _READINGS = number("adapt.places"), number("adapt.readings")  # how many are used
 
 
@@ -57,15 +62,28 @@ def wall_evidence(
     """
     out = np.full((THINNER + 1, 2), -np.inf)
     for n in range(THINNER + 1 if features.peels else 1):
-        there = features.thinner(n)
-        poses = refine(places[:_PLACES], readings.xy, there.field, sigmas=_SIGMAS)
-        poses = standing(poses, options.prior, there)
-        if len(poses):
-            model = options.fused.model.bending(BENT)
-            distance = endpoints(poses, readings.xy, there.field)[2]
-            out[n, 0] = np.log(hit_density(distance, model)).sum(axis=1, dtype=np.float64).max()
-            out[n, 1] = bent_evidence(distance, readings.ranges, readings.angles, model).max()
+        out[n] = _pieces(features, n, BENT, readings, places, options).sum(axis=1)
     return out
+
+
+def _pieces(
+    features: MapFeatures, thinner: int, bent: float, readings: Readings, places: FloatArray,
+    options: Options,
+) -> FloatArray:  # fmt: skip
+    """Evidence of each piece of wall where a scan fits best, straight and bent: (2, P) nats.
+
+    The walls are so many cells thinner, and bent by so many metres. The evidence is -inf if a
+    sensor can be at none of the places.
+    """
+    there, straight = features.thinner(thinner), options.fused.model
+    poses = refine(places[:_PLACES], readings.xy, there.field, sigmas=_SIGMAS)
+    poses = standing(poses, options.prior, there)
+    order, parts = pieces(readings.ranges, readings.angles)
+    if not len(poses):
+        return np.full((2, len(parts)), -np.inf)
+    distance = endpoints(poses, readings.xy, there.field)[2][:, order]
+    told = [piece_evidence(distance, parts, model) for model in (straight, straight.bending(bent))]
+    return np.stack([one[one.sum(axis=1).argmax()] for one in told])
 
 
 def walls_of(evidence: FloatArray, now: Shared) -> Shared:
@@ -86,6 +104,32 @@ def walls_of(evidence: FloatArray, now: Shared) -> Shared:
         n = now_at
     thinner = now.thinner if n == now_at else n
     return replace(now, thinner=thinner, bent=BENT if bent[n] > straight[n] else now.bent)
+
+
+def drawn_walls(
+    features: MapFeatures, readings: Readings, places: FloatArray, options: Options
+) -> Shared:
+    """Take walls that are drawn thick for bent, unless a scan fits far better with straight ones.
+
+    One scan hardly tells which walls a map has. The image does: walls that scans have shown are a
+    cell or two thick, those that others drew are several decimetres thick, and off by as much. The
+    thicker they are, the more must speak for straight walls. Each piece of wall counts for a few
+    nats at most, because somebody who stands before a wall looks like a wall that is off.
+
+    The parameters are those of :func:`wall_evidence`. The result is ``options.shared`` if the walls
+    are good as they are.
+    """
+    now = options.shared
+    if now.bent or not features.peels or features.thickness < _THICK:
+        return now
+    cells = now.thinner or min(THINNER, max(1, round(_LOSES / features.grid.resolution)))
+    told = [_pieces(features, n, _OFF, readings, places, options) for n in range(THINNER + 1)]
+    straight = max((one[0] for one in told), key=np.sum)
+    gain = np.clip(told[min(cells, THINNER)][1] - straight, -_COUNTS, _COUNTS).sum()
+    doubt = _DOUBT * (features.thickness - _THICK)
+    if gain + doubt <= 0:
+        return now
+    return replace(now, thinner=cells, bent=_OFF, usual=max(now.usual, _USUAL))
 
 
 def adapt(

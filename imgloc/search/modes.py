@@ -31,6 +31,11 @@ class Modes:
     floor: Floor | None = None  #: whose readings were left out
 
     @property
+    def places(self) -> FloatArray:
+        """The best pose, and those of the second look, (P, 3): where another error is tried."""
+        return np.concatenate((self.poses[:1], self.looked))
+
+    @property
     def mean_score(self) -> float:
         """Nats per reading of the best pose; -inf without one."""
         best = self.scores.log_likelihood[:1].sum()

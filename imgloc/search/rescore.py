@@ -166,31 +166,48 @@ def bent_evidence(
     >>> bool(bent_evidence(off, ranges, angles, EvidenceModel(bent=0.15))[0] > straight)
     True
     """
-    (angle, jump), (count, farthest) = _PIECE, _OFFSETS
+    order, parts = pieces(ranges, angles)
+    told = piece_evidence(distance[:, order], parts, model)
+    if shifted is None:
+        return np.asarray(told.sum(axis=1))
+    stands = np.log(np.maximum(shifted[:, order], np.finfo(np.float32).tiny))
+    whole = np.exp(np.add.reduceat(stands, parts, axis=1, dtype=np.float64))
+    kept = model.absent + (1 - model.absent) * whole
+    sizes = np.diff(np.append(parts, len(order)))
+    weight = sizes ** (model.alike - 1.0)  # together all readings count as many as they are
+    return np.asarray((told + np.log(kept)) @ weight * (len(order) / (sizes @ weight)))
+
+
+def pieces(ranges: FloatArray, angles: FloatArray) -> tuple[IntArray, IntArray]:
+    """Cut readings (N,), metres and radians, into pieces of wall.
+
+    Returns the order (N,) of the readings by their angles, and where in it each piece begins, (P,).
+    """
+    angle, jump = _PIECE
     order = np.argsort(angles, kind="stable")
     turned, far = angles[order], np.abs(np.diff(ranges[order])) > jump
     wide = np.diff(np.floor((turned - turned[0]) / angle)) > 0
-    parts = np.flatnonzero(np.append(True, far | wide))
-    ends, offsets = distance[:, order], np.linspace(-farthest, farthest, count)
+    return order, np.flatnonzero(np.append(True, far | wide))
+
+
+def piece_evidence(distance: Float32Array, parts: IntArray, model: EvidenceModel) -> FloatArray:
+    """Log-density (C, P) of the readings on each piece of wall, its offset summed out, nats.
+
+    `distance` (C, N), metres, is in the order of :func:`pieces`, `parts` (P,) are where they begin.
+    """
+    count, farthest = _OFFSETS if model.bent else (1, 0.0)
+    offsets = np.linspace(-farthest, farthest, count)
     chance = np.exp(-np.square(offsets) / 2)
     logs = np.stack([
         np.log(p) + np.add.reduceat(
-            np.log(hit_density(ends - np.float32(offset * model.bent), model)), parts,
+            np.log(hit_density(distance - np.float32(offset * model.bent), model)), parts,
             axis=1, dtype=np.float64,
         )
         for offset, p in zip(offsets, chance / chance.sum(), strict=True)
     ])  # fmt: skip
     # scipy.special.logsumexp takes a quarter of a second to import.
     most = logs.max(axis=0)
-    pieces = most + np.log(np.exp(logs - most).sum(axis=0))
-    if shifted is None:
-        return np.asarray(pieces.sum(axis=1))
-    stands = np.log(np.maximum(shifted[:, order], np.finfo(np.float32).tiny))
-    whole = np.exp(np.add.reduceat(stands, parts, axis=1, dtype=np.float64))
-    kept = model.absent + (1 - model.absent) * whole
-    sizes = np.diff(np.append(parts, len(order)))
-    weight = sizes ** (model.alike - 1.0)  # together all readings count as many as they are
-    return np.asarray((pieces + np.log(kept)) @ weight * (len(order) / (sizes @ weight)))
+    return np.asarray(most + np.log(np.exp(logs - most).sum(axis=0)))
 
 
 def shortlist(

@@ -65,10 +65,11 @@ def weigh(
     """
     if len(found.poses) == 0:
         return nothing(options, found.complete)
-    shared, explained = found.shared, 0.0
+    shared, explained, options = found.shared, 0.0, replace(options, shared=found.shared)
     there = features.thinner(shared.thinner)
     fit = evidence_of(there, found.readings, found.scores, options, found.floor)
     fit = replace(fit, scale=shared.scale, thinner=shared.thinner * there.grid.resolution)
+    fit = replace(fit, bent=shared.bent)
     score = found.scores.log_likelihood
     share = masses(score, fit.temperature.value)
     listed = options.listed(share)

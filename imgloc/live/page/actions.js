@@ -190,7 +190,7 @@ export function place(pose, chosen = -1) {
 
 const fitAt = ({ x, y, theta }) => {
   const said = state.answer?.evidence;
-  return { pose: [x, y, theta].map((value) => value.toFixed(5)).join(","), scale: said?.scale, thinner: said?.thinner };
+  return { pose: [x, y, theta].map((value) => value.toFixed(5)).join(","), scale: said?.scale, thinner: said?.thinner, bent: said?.bent };
 };
 
 let settled = 0; // how often: a score that was asked before is of another pose
