@@ -29,7 +29,7 @@ from imgloc.likelihoods.stacks import check_stack, likelihood
 from imgloc.model import FloatArray, Floor, LaserScan, Likelihood, Localization, OccupancyGrid
 from imgloc.numbers import number
 from imgloc.options import FUSED, FusedOptions, Options, Shared
-from imgloc.search.adapt import THINNER, adapt, drawn_walls
+from imgloc.search.adapt import THINNER, adapt, drawn_gain, drawn_walls
 from imgloc.search.answer import answered
 from imgloc.search.asked import check_options
 from imgloc.search.modes import Modes, separate
@@ -319,18 +319,18 @@ def find_adapted_modes(features: MapFeatures, scan: LaserScan, options: Options)
         return found
     try:
         if lacks(found) > fused.strained:
-            walls = drawn_walls(features, found.readings, found.places, options)
+            gain = drawn_gain(features, found.readings, found.places, options)
+            walls = drawn_walls(features, gain, options.shared)
             if walls != options.shared:
-                left = options.left(time.monotonic() - start, shared=walls)
-                bent = find_adapted_modes(features, scan, left)
-                return bent if bent.complete else replace(found, complete=False)
+                options = replace(options, shared=walls)
+                found = again(walls)
         for floor in floors(scan) if lacks(found) > max(fused.unfit, fused.strained) else ():
             if left_out(scan, floor).directions >= options.trust.readings:
                 without = again(options.shared, floor, more=np.empty((0, 3)))
                 if lacks(without) <= min(fused.strained, lacks(found)):
                     found = without
         for _ in range(_ROUNDS):
-            if lacks(found) <= fused.strained:
+            if lacks(found) <= fused.strained or not len(found.poses):
                 break
             shared = adapt(features, found.readings, found.places, found.shared, options)
             if shared == found.shared:

@@ -48,7 +48,7 @@ from imgloc.options import (
     Trust,
 )
 from imgloc.ranges import Checked
-from imgloc.search.adapt import wall_evidence, walls_of
+from imgloc.search.adapt import BENT, drawn_gain, drawn_walls, wall_evidence, walls_of
 from imgloc.search.hypotheses import masses, separated
 
 _SURE = number("tracker.sure")  # odds of being lost, at most
@@ -230,6 +230,7 @@ class Tracker:
         self._habits = Habits(self.options.shared.usual)
         self._scales = list[tuple[float, float]]()
         self._drawn, self._walls = features, list[FloatArray]()
+        self._gain = 0.0  # nats by which scans fit better with walls as others draw them
         self._trusted = 0.0  # metres driven with a unique pose
         # Share of the way along which scans agreed with one place, and metres not yet counted.
         self._explained, self._uncounted = 1.0, 0.0
@@ -473,11 +474,15 @@ class Tracker:
         if misfit_at(self.features, view, poses, options) <= options.fused.strained:
             return False
         at = view.sensor(poses)
-        self._walls.append(wall_evidence(self._drawn, view.readings, at, options))
-        del self._walls[: -self.how.walls[0]]
-        if len(self._walls) < self.how.walls[0]:
-            return False
-        judged = walls_of(np.array(self._walls), shared)
+        self._gain += drawn_gain(self._drawn, view.readings, at, options)
+        judged = drawn_walls(self._drawn, self._gain, shared)
+        if judged != shared:
+            judged = replace(judged, bent=BENT)
+        else:
+            self._walls.append(wall_evidence(self._drawn, view.readings, at, options))
+            del self._walls[: -self.how.walls[0]]
+            if len(self._walls) == self.how.walls[0]:
+                judged = walls_of(np.array(self._walls), shared)
         if judged == shared:
             return False
         self.features = self._drawn.thinner(judged.thinner)

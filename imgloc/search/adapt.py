@@ -106,29 +106,44 @@ def walls_of(evidence: FloatArray, now: Shared) -> Shared:
     return replace(now, thinner=thinner, bent=BENT if bent[n] > straight[n] else now.bent)
 
 
-def drawn_walls(
+def drawn_gain(
     features: MapFeatures, readings: Readings, places: FloatArray, options: Options
-) -> Shared:
-    """Take walls that are drawn thick for bent, unless a scan fits far better with straight ones.
+) -> float:
+    """Nats by which a scan fits better with walls as others draw them than with straight ones.
+
+    Each piece of wall counts for a few nats at most, because somebody who stands before a wall
+    looks like a wall that is off. The parameters are those of :func:`wall_evidence`. The gain is
+    -inf where :func:`drawn_walls` would change nothing.
+    """
+    asked = drawn_walls(features, np.inf, options.shared)
+    if asked == options.shared:
+        return float("-inf")
+    told = [_pieces(features, n, _OFF, readings, places, options) for n in range(THINNER + 1)]
+    straight = max((one[0] for one in told), key=np.sum)
+    return float(np.clip(told[min(asked.thinner, THINNER)][1] - straight, -_COUNTS, _COUNTS).sum())
+
+
+def drawn_walls(features: MapFeatures, gain: float, now: Shared) -> Shared:
+    """Take walls that are drawn thick for bent, unless scans fit far better with straight ones.
 
     One scan hardly tells which walls a map has. The image does: walls that scans have shown are a
     cell or two thick, those that others drew are several decimetres thick, and off by as much. The
-    thicker they are, the more must speak for straight walls. Each piece of wall counts for a few
-    nats at most, because somebody who stands before a wall looks like a wall that is off.
+    thicker they are, the more must speak for straight walls.
 
-    The parameters are those of :func:`wall_evidence`. The result is ``options.shared`` if the walls
-    are good as they are.
+    Parameters
+    ----------
+    features : MapFeatures
+        The map without any correction.
+    gain : float
+        Sum of the :func:`drawn_gain` of some scans.
+    now : Shared
+        The error that is allowed for already; the result if the walls are good as they are.
     """
-    now = options.shared
     if now.bent or not features.peels or features.thickness < _THICK:
         return now
-    cells = now.thinner or min(THINNER, max(1, round(_LOSES / features.grid.resolution)))
-    told = [_pieces(features, n, _OFF, readings, places, options) for n in range(THINNER + 1)]
-    straight = max((one[0] for one in told), key=np.sum)
-    gain = np.clip(told[min(cells, THINNER)][1] - straight, -_COUNTS, _COUNTS).sum()
-    doubt = _DOUBT * (features.thickness - _THICK)
-    if gain + doubt <= 0:
+    if gain + _DOUBT * (features.thickness - _THICK) <= 0:
         return now
+    cells = now.thinner or min(THINNER, max(1, round(_LOSES / features.grid.resolution)))
     return replace(now, thinner=cells, bent=_OFF, usual=max(now.usual, _USUAL))
 
 
