@@ -579,7 +579,7 @@ class Evidence:
     #: nats, divided by the temperature, by which the best pose beats `unmapped`
     gained: float = math.nan
     #: nats against the best pose: map and scan disagree, the scan shows nothing but an empty room,
-    #: or neighbouring readings pass through a wall
+    #: neighbouring readings pass through a wall, or it fits only with an error that was found
     against: float = 0.0
     #: factor on the readings with which they fit far better; 1 if none was needed
     scale: float = 1.0

@@ -33,6 +33,9 @@ BENT: float = number("adapt.bent")
 # per reading; nats per metre beyond the first, and nats that a piece counts for at most.
 _THICK, _LOSES, _OFF, _USUAL = number("adapt.drawn")
 _DOUBT, _COUNTS = number("adapt.doubt")
+# Nats against a place: per unit of the logarithm of a scale that was found, and per metre that
+# walls were found to be too thick on each side.
+_AGAINST: tuple[float, float] = number("adapt.against")
 _PLACES, _READINGS = number("adapt.places"), number("adapt.readings")  # how many are used
 
 
@@ -145,6 +148,23 @@ def drawn_walls(features: MapFeatures, gain: float, now: Shared) -> Shared:
         return now
     cells = now.thinner or min(THINNER, max(1, round(_LOSES / features.grid.resolution)))
     return replace(now, thinner=cells, bent=_OFF, usual=max(now.usual, _USUAL))
+
+
+def price(found: Shared, known: Shared, resolution: float) -> float:
+    """Nats against a place that fits only with an error that was found: with one more places fit.
+
+    What was `known` costs nothing, nor do walls that the image shows to be thick, nor one cell on
+    each side, because walls are drawn in cells. `resolution` is that of the map, metres.
+
+    Examples
+    --------
+    >>> round(price(Shared(1.05, 3), Shared(), 0.05), 1), price(Shared(1.05, 1), Shared(1.05), 0.05)
+    (9.9, 0.0)
+    """
+    per_log, per_metre = _AGAINST
+    scaled = abs(np.log(found.scale / known.scale))
+    thinner = found.thinner - known.thinner - 1 if found.bent == known.bent else 0
+    return float(per_log * scaled + per_metre * resolution * max(0, thinner))
 
 
 def adapt(

@@ -84,22 +84,48 @@ def rescore(
         :func:`~imgloc.features.raycast.distance_image`.
     """
     density, distance = _endpoint_density(poses, ranges, angles, field, model)
-    margin = model.margin + field.resolution / 2
+    shifted = _shifted(poses, ranges, angles, walls, field.resolution, model)
+    if model.bent:
+        log_likelihood = bent_evidence(distance, ranges, angles, model, shifted)
+    else:
+        log_likelihood = _passing(density, shifted, model).sum(axis=1, dtype=np.float64)
+    on_surface = np.abs(distance) < 2 * max(model.sigmas)
+    return Scores(log_likelihood, on_surface, shifted < model.absent)
+
+
+def reading_evidence(
+    features: MapFeatures, readings: Readings, poses: FloatArray, options: Options
+) -> Float32Array:
+    """Log-density of each reading, (C, N) nats: on straight walls :func:`rescore` sums them up."""
+    seen, field, model = (poses, readings.ranges, readings.angles), features.field, options.model
+    shifted = _shifted(*seen, features.walls, field.resolution, model)
+    return _passing(_endpoint_density(*seen, field, model)[0], shifted, model)
+
+
+def _passing(density: Float32Array, shifted: Float32Array, model: EvidenceModel) -> Float32Array:
+    """Log-density of readings with their endpoints' density, given the walls that they pass."""
+    density *= np.float32(model.absent) + np.float32(1 - model.absent) * shifted
+    return np.log(density)
+
+
+def _shifted(
+    poses: FloatArray,
+    ranges: FloatArray,
+    angles: FloatArray,
+    walls: Float32Array,
+    resolution: float,
+    model: EvidenceModel,
+) -> Float32Array:
+    """Chance that the wall that a reading passes is displaced; 1 before a wall, (C, N)."""
+    margin = model.margin + resolution / 2
     far = ranges * poses[:, 3:] if poses.shape[1] == 4 else ranges
     reach = np.maximum(far - margin, 1e-3)
     c, s = (turn(poses[:, 2:3]).astype(np.float32) for turn in (np.cos, np.sin))
     u, v = (turn(angles).astype(np.float32) for turn in (np.cos, np.sin))
     along = c * u - s * v, s * u + c * v
-    seen = cast_along(walls, poses[:, None, :2], *along, reach, field.resolution)
+    seen = cast_along(walls, poses[:, None, :2], *along, reach, resolution)
     beyond = np.maximum(far - seen - margin, 0).astype(np.float32)  # 0 where nothing is met
-    shifted = np.exp(-np.square(beyond / np.float32(model.displaced)))
-    if model.bent:
-        log_likelihood = bent_evidence(distance, ranges, angles, model, shifted)
-    else:
-        density *= np.float32(model.absent) + np.float32(1 - model.absent) * shifted
-        log_likelihood = np.log(density).sum(axis=1, dtype=np.float64)
-    on_surface = np.abs(distance) < 2 * max(model.sigmas)
-    return Scores(log_likelihood, on_surface, shifted < model.absent)
+    return np.asarray(np.exp(-np.square(beyond / np.float32(model.displaced))))
 
 
 def score_poses(

@@ -10,13 +10,13 @@ from imgloc.features.scanpoints import one_per_place, scan_xy
 from imgloc.geometry import centre_of
 from imgloc.likelihoods.posterior import calibrated, entropy
 from imgloc.model import Evidence, Float32Array, FloatArray, LaserScan, Likelihood, Temperature
-from imgloc.numbers import number
 from imgloc.options import DEFAULTS, Options, Shared
 from imgloc.search.branch_and_bound import best_poses
 from imgloc.search.hypotheses import masses
 from imgloc.search.peaks import peaks_of_posterior
 from imgloc.search.priors import on_lattice
 from imgloc.search.weigh import (
+    MODES,
     Weighed,
     covariances_of,
     evidence_of,
@@ -24,9 +24,6 @@ from imgloc.search.weigh import (
     nothing,
     settle,
 )
-
-MODES = number("pipeline.modes")
-"""Least number of poses to look for, so that no verdict depends on the length of the list."""
 
 
 def weigh_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Weighed:

@@ -9,13 +9,21 @@ from imgloc.features.scanpoints import Readings, one_per_place
 from imgloc.model import BoolArray, Evidence, FloatArray, Floor, LaserScan
 from imgloc.numbers import number
 from imgloc.options import Options, Shared
+from imgloc.search.adapt import price
 from imgloc.search.background import contradiction, unmapped_score
 from imgloc.search.faces import depth_of, on_faces
-from imgloc.search.hypotheses import BLOCKS, covariances, covariances_from, masses
+from imgloc.search.hypotheses import (
+    BLOCKS,
+    covariances,
+    covariances_from,
+    masses,
+    steadied,
+    steadiness,
+)
 from imgloc.search.modes import Modes, misfit_of
 from imgloc.search.priors import stands
 from imgloc.search.refine import block_sums, refine
-from imgloc.search.rescore import Scores, score_poses
+from imgloc.search.rescore import Scores, reading_evidence, score_poses
 
 # The mean of a mode's maxima is itself uncertain: this share of their second moments is added.
 _MAXIMA, _MAXIMA_ON_FACES = number("pipeline.maxima"), number("faces.maxima")
@@ -23,6 +31,8 @@ _MAXIMA, _MAXIMA_ON_FACES = number("pipeline.maxima"), number("faces.maxima")
 _SHARED, _CELL = number("faces.shared"), number("faces.cell")
 _BENDS = number("weigh.bends")  # of what a turn displaces readings, share that displaces the pose
 _FROM_CELLS = number("refine.from_cells")
+MODES: int = number("pipeline.modes")
+"""Least number of poses to look for, so that no verdict depends on the length of the list."""
 _FLOOR = number("floor.against")  # nats against a pose that is found without a floor
 
 
@@ -65,13 +75,13 @@ def weigh(
     """
     if len(found.poses) == 0:
         return nothing(options, found.complete)
+    fit = evidence_with(features, found, options)
     shared, explained, options = found.shared, 0.0, replace(options, shared=found.shared)
     there = features.thinner(shared.thinner)
-    fit = evidence_of(there, found.readings, found.scores, options, found.floor)
-    fit = replace(fit, scale=shared.scale, thinner=shared.thinner * there.grid.resolution)
-    fit = replace(fit, bent=shared.bent)
     score = found.scores.log_likelihood
     share = masses(score, fit.temperature.value)
+    lead = float(share[0])
+    share = steadied(share, steadiness_of(features, found, fit, options))
     listed = options.listed(share)
     poses = found.poses.copy()
     if settle and not shared.bent:
@@ -85,7 +95,7 @@ def weigh(
         lever = float(np.sqrt(np.mean(np.square(found.readings.ranges))))
         covariance = covariance + swept(scan.duration, lever, options)
         explained = explained_rays(features, scan, poses[:1], options, shared)
-    lead, whole = float(share[0]), found.complete
+    whole = found.complete
     return Weighed(poses, score, share, covariance, fit, explained, lead, complete=whole)
 
 
@@ -125,6 +135,30 @@ def stand_on_faces(
         covariance = covariance + _MAXIMA_ON_FACES * found.spread[: len(poses)]
     stands_there = stands(there.poses, options.prior, features)[:, None]
     return np.where(stands_there, there.poses, poses), covariance
+
+
+def steadiness_of(features: MapFeatures, found: Modes, fit: Evidence, options: Options) -> float:
+    """The :func:`~imgloc.search.hypotheses.steadiness` of the modes, if map and scan disagree.
+
+    It is 1 where they agree, because there a single door may tell two places apart, and on bent
+    walls, whose pieces are weighed as pieces.
+    """
+    if fit.misfit <= options.fused.strained or found.shared.bent:
+        return 1.0
+    there = features.thinner(found.shared.thinner)
+    told = reading_evidence(there, found.readings, found.poses[:MODES], options)
+    return steadiness(told, found.readings.angles, fit.temperature.value)
+
+
+def evidence_with(features: MapFeatures, found: Modes, options: Options) -> Evidence:
+    """How well the best mode fits, with the error that the search has found beyond a known one."""
+    shared, cell = found.shared, features.grid.resolution
+    there, known = features.thinner(shared.thinner), replace(options, shared=shared)
+    fit = evidence_of(there, found.readings, found.scores, known, found.floor)
+    return replace(
+        fit, scale=shared.scale, thinner=shared.thinner * cell, bent=shared.bent,
+        against=fit.against + price(shared, options.shared, cell),
+    )  # fmt: skip
 
 
 def evidence_of(
