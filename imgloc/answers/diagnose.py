@@ -391,7 +391,7 @@ def bent(said: Said, known: Shared, resolution: float) -> list[Doubt]:
     >>> bent(said[1:], Shared(), 0.05), bent(said, Shared(1.05), 0.05)
     ([], [])
     >>> bent([("ambiguous", Evidence(thinner=0.1, bent=0.1))], Shared(), 0.1)[0].short
-    'walls as others draw them: imgloc track'
+    'thick walls: imgloc track'
     """
     count, placed = len(said), [evidence for verdict, evidence in said if verdict in SURE]
     scales = [e.scale for e in placed if e.scale != known.scale]
@@ -400,12 +400,12 @@ def bent(said: Said, known: Shared, resolution: float) -> list[Doubt]:
     if 2 * len(drawn) > count:
         less, off = np.median(drawn, axis=0)
         text = (
-            "the walls of this map are as thick as others draw them, so imgloc took them to be "
-            f"{less:.2f} m thinner on each side, and each piece of them to stand {off:.2f} m off. "
-            "One scan hardly tells where the robot is on such a map; imgloc track finds it over "
-            "some metres, and a map of the robot's own scans gives surer poses"
+            "the walls of this map are drawn thick, as on maps that no laser made. imgloc took "
+            f"them to be {less:.2f} m thinner on each side, and each piece of them to stand "
+            f"{off:.2f} m off. One scan hardly tells where the robot is on such a map. imgloc "
+            "track finds it over some metres; a map of the robot's own scans gives surer poses"
         )
-        return [Doubt("bent", text, "walls as others draw them: imgloc track")]
+        return [Doubt("bent", text, "thick walls: imgloc track")]
     if 2 * len(scales) > count:
         factor = float(np.median(scales))
         cells = f"are its cells of {resolution / factor:.4g} m? Then correct its resolution"
