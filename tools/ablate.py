@@ -90,6 +90,7 @@ STEPS: Mapping[str, Step] = {
     ),
     "standing again": Step("means may be in walls", instead={"search.priors.stands": _all_stand}),
     "adapt": Step("no error is shared", {"FusedOptions.strained": 1e6}),
+    "thick": Step("thick walls are as drawn", {"adapt.drawn": (1e3, 0.1, 0.1, 0.5)}),
     "floor": Step("no reading ends on the floor", {"floor.least": 2.0}),
     "wider": Step("never more effort", {"FusedOptions.hopeless": [1e6, 1e6]}),
     "scale": Step("only walls are adapted", {"FusedOptions.most_scaled": 1.0}),
@@ -103,6 +104,8 @@ STEPS: Mapping[str, Step] = {
     "strange": Step("a misfit is not against a place", {"background.strange": 1e-6}, weighs=True),
     "bare": Step("a bare room is a place", {"background.bare": 0.0}, weighs=True),
     "through": Step("doors may be anywhere", {"background.through": 0.0}, weighs=True),
+    "price": Step("what is found is free", {"adapt.against": (0.0, 0.0)}, weighs=True),
+    "steady": Step("a sector may decide", {"hypotheses.steady": 0.0}, weighs=True),
     "strain": Step("misfit does not count", {"Trust.strain": 0.0}, weighs=True),
     "number": Step(
         "readings are not counted", instead={"options.Trust.temperature_at": _any_number},
