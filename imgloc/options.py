@@ -838,7 +838,8 @@ class Drawn(Checked):
     bent: Annotated[float, Within(0, 1, "metres")] | None = option(
         None,
         "Standard deviation of the place of each piece of wall, metres: 0.15 suits a map that "
-        "others drew. [default: what imgloc calibrate found, or 0]",
+        "others drew. [default: what imgloc calibrate found, or 0; with 0, a scan that fits "
+        "nowhere on a map with walls of 0.3 m and more takes 0.1]",
     )
 
     def on(self, known: Shared, resolution: float) -> Shared:

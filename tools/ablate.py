@@ -90,7 +90,7 @@ STEPS: Mapping[str, Step] = {
     ),
     "standing again": Step("means may be in walls", instead={"search.priors.stands": _all_stand}),
     "adapt": Step("no error is shared", {"FusedOptions.strained": 1e6}),
-    "thick": Step("thick walls are as drawn", {"adapt.drawn": (1e3, 0.1, 0.1, 0.5)}),
+    "thick": Step("thick walls are as drawn", {"adapt.drawn": (1e3, 0.5, 0.1, 0.1, 0.5)}),
     "floor": Step("no reading ends on the floor", {"floor.least": 2.0}),
     "wider": Step("never more effort", {"FusedOptions.hopeless": [1e6, 1e6]}),
     "scale": Step("only walls are adapted", {"FusedOptions.most_scaled": 1.0}),

@@ -180,9 +180,9 @@ def doubts(
         return [found] if found else bent_
     if looks_drawn(features.grid):
         return [Doubt("plan", f"the map: {DRAWN}", "the map looks like a drawing: imgloc map plan")]
-    # Walls that others drew leave a third of the scans without a match, also at the right place.
-    usual = any(evidence.bent > options.shared.bent for _, evidence in said)
-    most = len(scans) - 1 if usual else len(scans) / 2
+    # Thick walls leave a third of the scans without a match, also at the right place.
+    thick = any(evidence.bent > options.shared.bent for _, evidence in said)
+    most = len(scans) - 1 if thick else len(scans) / 2
     return [trial.elsewhere()] if counts["no-match"] > most else []
 
 
@@ -395,17 +395,18 @@ def bent(said: Said, known: Shared, resolution: float) -> list[Doubt]:
     """
     count, placed = len(said), [evidence for verdict, evidence in said if verdict in SURE]
     scales = [e.scale for e in placed if e.scale != known.scale]
-    drawn = [(e.thinner, e.bent) for e in placed if e.bent > known.bent]
+    drawn = [(e.thinner, e.bent) for _, e in said if placed and e.bent > known.bent]
     thinner = [e.thinner for e in placed if e.thinner > 0 and known.thinner == 0 and not e.bent]
     if 2 * len(drawn) > count:
         less, off = np.median(drawn, axis=0)
         text = (
             "the walls of this map are drawn thick, as on maps that no laser made. imgloc took "
             f"them to be {less:.2f} m thinner on each side, and each piece of them to stand "
-            f"{off:.2f} m off. One scan hardly tells where the robot is on such a map. imgloc "
-            "track finds it over some metres; a map of the robot's own scans gives surer poses"
+            f"{off:.2f} m off. One scan hardly tells where the robot is on such a map, or whether "
+            "it is there. imgloc track finds it over some metres; a map of the robot's own scans "
+            "gives surer poses"
         )
-        return [Doubt("bent", text, "thick walls: imgloc track")]
+        return [Doubt("thick", text, "thick walls: imgloc track")]
     if 2 * len(scales) > count:
         factor = float(np.median(scales))
         cells = f"are its cells of {resolution / factor:.4g} m? Then correct its resolution"

@@ -211,7 +211,7 @@ def doubt_of_log(
                 "where"
             )
             return Doubt("old", text, OLD, found=False)
-        if found is not None:
+        if found is not None and found.code != "thick":  # whose advice is to follow the robot
             return found
         if start is not None and (wrong := _started(features, scans, options, start)):
             return wrong

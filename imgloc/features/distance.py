@@ -67,7 +67,8 @@ def wall_thickness(distance: Float32Array) -> float:
     Returns
     -------
     float
-        What is thicker than a metre is no wall, but solid. 0 for a map without walls.
+        What is thicker than a metre is no wall, but solid. A wall of an even number of cells counts
+        as one cell less, because its middle is between two. 0 for a map without walls.
 
     Examples
     --------

@@ -432,7 +432,7 @@ class Tracker:
         if len(self._mass):
             habit.learn(misfit_at(self.features, view, self._poses[:1], self.options))
             alone = self._lost < 0.5 and self._mass[0] >= least * self._mass.sum()
-            if alone:
+            if alone and not self.options.shared.bent:  # whose offsets look like a scale
                 self._stretch(view, fits=habit.last <= self.options.fused.strained)
         self._remember()
 

@@ -150,7 +150,7 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
                 and (known["thinner"] > 0 or not evidence.thinner)
                 and known["bent"] == evidence.bent
             )
-            taken = "thick walls, taken for " if evidence.bent else "fits far better with "
+            taken = "allows for " if evidence.bent else "fits far better with "
             how = "as calibrated, " if calibrated else taken
             facts.append(("map", how + bent))
         if evidence.floor is not None:

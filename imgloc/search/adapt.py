@@ -28,10 +28,11 @@ THINNER: int = number("adapt.walls")
 _GAIN = number("adapt.gain")  # nats per scan that thinner walls have to gain
 BENT: float = number("adapt.bent")
 """Standard deviation of the place of a piece of wall, metres, on a map that is bent."""
-# A map that others drew, as one scan tells: metres that its walls are thick at least, by which each
-# side is too thick, and by which pieces of wall are off; misfit of scans at their true places, nats
-# per reading; nats per metre beyond the first, and nats that a piece counts for at most.
-_THICK, _LOSES, _OFF, _USUAL = number("adapt.drawn")
+# A map that others drew, as one scan tells: metres that its walls are thick at least, and that
+# count at most; metres by which each side is too thick, and by which pieces of wall are off; misfit
+# of scans at their true places, nats per reading; nats per metre of thickness, and nats that a
+# piece counts for at most.
+_THICK, _THICKEST, _LOSES, _OFF, _USUAL = number("adapt.drawn")
 _DOUBT, _COUNTS = number("adapt.doubt")
 # Nats against a place: per unit of the logarithm of a scale that was found, and per metre that
 # walls were found to be too thick on each side.
@@ -71,15 +72,15 @@ def wall_evidence(
 
 def _pieces(
     features: MapFeatures, thinner: int, bent: float, readings: Readings, places: FloatArray,
-    options: Options,
+    options: Options, most: int | None = _PLACES,
 ) -> FloatArray:  # fmt: skip
     """Evidence of each piece of wall where a scan fits best, straight and bent: (2, P) nats.
 
-    The walls are so many cells thinner, and bent by so many metres. The evidence is -inf if a
-    sensor can be at none of the places.
+    The walls are so many cells thinner, and bent by so many metres. The first `most` places are
+    tried, all if it is None. The evidence is -inf if a sensor can be at none of them.
     """
     there, straight = features.thinner(thinner), options.fused.model
-    poses = refine(places[:_PLACES], readings.xy, there.field, sigmas=_SIGMAS)
+    poses = refine(places[:most], readings.xy, there.field, sigmas=_SIGMAS)
     poses = standing(poses, options.prior, there)
     order, parts = pieces(readings.ranges, readings.angles)
     if not len(poses):
@@ -115,15 +116,25 @@ def drawn_gain(
     """Nats by which a scan fits better with walls as others draw them than with straight ones.
 
     Each piece of wall counts for a few nats at most, because somebody who stands before a wall
-    looks like a wall that is off. The parameters are those of :func:`wall_evidence`. The gain is
-    -inf where :func:`drawn_walls` would change nothing.
+    looks like a wall that is off. Straight walls may have another scale, at its :func:`price`. The
+    parameters are those of :func:`wall_evidence`. The gain is -inf where :func:`drawn_walls` would
+    change nothing, or a sensor can be at none of the places.
     """
     asked = drawn_walls(features, np.inf, options.shared)
     if asked == options.shared:
         return float("-inf")
     told = [_pieces(features, n, _OFF, readings, places, options) for n in range(THINNER + 1)]
-    straight = max((one[0] for one in told), key=np.sum)
-    return float(np.clip(told[min(asked.thinner, THINNER)][1] - straight, -_COUNTS, _COUNTS).sum())
+    known = features, options.shared.thinner, _OFF, readings
+    scaled = _pieces(*known, _scaled(places[:_PLACES]), options, most=None)[0]
+    straight, bent = max((one[0] for one in told), key=np.sum), told[min(asked.thinner, THINNER)][1]
+    cost = _AGAINST[0] * float(np.abs(np.log(_SCALES)).max())
+    if scaled.sum() - cost > straight.sum():
+        straight = scaled
+    else:
+        cost = 0.0
+    if not np.isfinite(straight.sum() + bent.sum()):
+        return float("-inf")
+    return float(np.clip(bent - straight, -_COUNTS, _COUNTS).sum()) + cost
 
 
 def drawn_walls(features: MapFeatures, gain: float, now: Shared) -> Shared:
@@ -138,15 +149,16 @@ def drawn_walls(features: MapFeatures, gain: float, now: Shared) -> Shared:
     features : MapFeatures
         The map without any correction.
     gain : float
-        Sum of the :func:`drawn_gain` of some scans.
+        Sum of the :func:`drawn_gain` of some scans, nats.
     now : Shared
         The error that is allowed for already; the result if the walls are good as they are.
     """
-    if now.bent or not features.peels or features.thickness < _THICK:
+    thickness, cell = features.thickness, features.grid.resolution
+    if now.bent or not features.peels or thickness < _THICK or thickness <= 2 * cell:
         return now
-    if gain + _DOUBT * (features.thickness - _THICK) <= 0:
+    if gain + _DOUBT * (min(thickness, _THICKEST) - _THICK) <= 0:
         return now
-    cells = now.thinner or min(THINNER, max(1, round(_LOSES / features.grid.resolution)))
+    cells = now.thinner or min(THINNER, max(1, round(_LOSES / cell)))
     return replace(now, thinner=cells, bent=_OFF, usual=max(now.usual, _USUAL))
 
 
@@ -215,10 +227,8 @@ def adapt(
         k = int(score.argmax())
         return float(score[k]), replace(now, scale=float(scale[small][k]), thinner=thinner)
 
-    # A reading that is too long ends behind its wall: refinement pulls it to the wall's far side.
     places = places[:_PLACES]
-    scaled = [np.column_stack((places, np.full(len(places), scale))) for scale in _SCALES]
-    found = best(np.concatenate(scaled), now.thinner)
+    found = best(_scaled(places), now.thinner)
     walls = float("-inf"), now
     for n in range(now.thinner + 1, THINNEST + 1):
         if not features.peels:
@@ -231,3 +241,12 @@ def adapt(
     before = score_of(places[:1], features.thinner(now.thinner))
     gain = (score - before[0]) / len(readings)
     return shared if gain * count > fused.adapted else now
+
+
+def _scaled(places: FloatArray) -> FloatArray:
+    """The places (C, 3) with each scale from which the search for one starts: (S * C, 4).
+
+    A reading that is too long ends behind its wall: refinement pulls it to the wall's far side.
+    """
+    with_scale = [np.column_stack((places, np.full(len(places), scale))) for scale in _SCALES]
+    return np.concatenate(with_scale)
