@@ -180,10 +180,7 @@ def doubts(
         return [found] if found else bent_
     if looks_drawn(features.grid):
         return [Doubt("plan", f"the map: {DRAWN}", "the map looks like a drawing: imgloc map plan")]
-    # Thick walls leave a third of the scans without a match, also at the right place.
-    thick = any(evidence.bent > options.shared.bent for _, evidence in said)
-    most = len(scans) - 1 if thick else len(scans) / 2
-    return [trial.elsewhere()] if counts["no-match"] > most else []
+    return [trial.elsewhere()] if 2 * counts["no-match"] > len(scans) else []
 
 
 def mirrored(

@@ -157,7 +157,7 @@ def on_map(
         agrees = facts["agreement"]
         if doubt.code == "mirrored" and agrees is not None and agrees >= MIRRORED:
             findings.append(Finding("mirrored", MIRRORED_MAP, doubt.options))
-        else:
+        elif doubt.code != "thick":  # whose advice is to follow the robot
             code = "flipped" if doubt.code == "mirrored" else "map"
             serious = code == "flipped" or not sure
             findings.append(Finding(code, doubt.text, doubt.options, serious))
