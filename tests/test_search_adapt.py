@@ -16,7 +16,14 @@ from imgloc.options import FusedOptions, Options, Sensor, Shared
 from imgloc.output.pictures import draw
 from imgloc.output.tables import answer_text
 from imgloc.pipeline import localize
-from imgloc.search.adapt import BENT, adapt, wall_evidence, walls_of
+from imgloc.search.adapt import (
+    BENT,
+    adapt,
+    drawn_gain,
+    drawn_walls,
+    wall_evidence,
+    walls_of,
+)
 from imgloc.search.refine import normal_equations, refine
 from imgloc.search.rescore import rescore
 from imgloc.simulation.scans import simulate
@@ -90,6 +97,35 @@ def test_walls_are_not_bent_if_thick_ones_stand_right_or_the_image_has_thin_ones
     there = MapFeatures(make())
     for scan in world()[1].scans:
         assert localize(there, scan).evidence.bent == 0
+
+
+def test_ranges_of_another_scale_do_not_bend_thick_walls():
+    sensor = Sensor(fov=2 * np.pi, rays=181, range_max=30.0)
+    for scan, pose in simulate(thick(world()[0]), 6, 4, sensor).with_poses():
+        answer = localize(thick_features(), scan.scaled(1.05))
+        assert answer.evidence.bent == 0
+        assert away(answer, pose) < 0.1
+
+
+def test_walls_are_thick_by_cells_and_by_metres():
+    line = np.zeros((30, 40), bool)
+    line[[3, -4]] = line[:, [3, -4]] = True
+    wall = np.kron(line, np.ones((5, 5))) > 0
+    for walls, cell, thickness in ((line, 0.5, 0.5), (wall, 0.05, 0.25), (wall, 0.1, 0.5)):
+        there = MapFeatures(OccupancyGrid(walls, ~walls, cell))
+        assert there.thickness == pytest.approx(thickness)
+        found = drawn_walls(there, np.inf, Shared())
+        is_thick = walls is wall and cell == 0.1
+        assert found == (Shared(thinner=1, bent=0.1, usual=0.5) if is_thick else Shared())
+    assert drawn_walls(there, np.inf, Shared(thinner=2)).thinner == 2
+    assert drawn_walls(there, -100.0, Shared()) == Shared()
+
+
+def test_where_no_sensor_can_be_nothing_speaks_for_bent_walls():
+    readings = one_per_place(world()[1].scans[0], 0.07)
+    beside = np.array([[-50.0, -50.0, 0.0]])
+    assert drawn_gain(thick_features(), readings, beside, Options()) == -np.inf
+    assert drawn_gain(features(), readings, world()[1].poses[:1], Options()) == -np.inf
 
 
 def test_scans_tell_together_what_walls_a_map_has():
