@@ -256,6 +256,10 @@ def test_no_cell_of_the_table_is_a_formula(folder: Path) -> None:
         table = list(csv.DictReader(file))
     assert {line["scans"] for line in table} == {"'=1+1.npz", "'@SUM(1).npz", r"\tx.npz"}
     assert min(float(line["second_mass"]) for line in table) >= 0
+    # What was allowed for, which the map and these scans do not need.
+    assert {(line["scale"], line["thinner"], line["bent"]) for line in table} == {
+        ("1.0", "0.0", "0.0")
+    }
     assert all(float(line["x"]) for line in table)  # numbers stay numbers
     texts = [cell for line in table for cell in line.values() if not cell[1:2].isdigit()]
     assert not [cell for cell in texts if cell.startswith(("=", "+", "-", "@", "\t", "\r"))]

@@ -70,7 +70,10 @@ def _located(answer: Row) -> Row:
     """An answer of `localize`: the best pose, and what it is worth."""
     kept = ("index", "verdict", "explained", "entropy", "elsewhere", "complete")
     out = {key: answer[key] for key in kept}
-    out |= {key: answer["evidence"][key] for key in ("misfit", "temperature", "readings", "found")}
+    evidence = answer["evidence"]
+    out |= {key: evidence[key] for key in ("misfit", "temperature", "readings", "found")}
+    # Rows of an earlier version may lack these.
+    out |= {key: evidence[key] for key in ("scale", "thinner", "bent") if key in evidence}
     for best in answer["hypotheses"][:1]:
         out |= {key: best[key] for key in ("x", "y", "theta", "mass", "log_likelihood")}
         for level in answer.get("protection", []):

@@ -51,7 +51,8 @@ _HYPOTHESIS = {
 }  # fmt: skip
 _EVIDENCE = {
     "misfit": _MAYBE, "temperature": _MAYBE, "readings": int, "found": int, "scale?": float,
-    "thinner?": float, "floor?": _MAYBE, "floor_distance?": _MAYBE, "floor_direction?": _MAYBE,
+    "thinner?": float, "bent?": float, "floor?": _MAYBE, "floor_distance?": _MAYBE,
+    "floor_direction?": _MAYBE,
 }  # fmt: skip
 #: what the answers of each job have, of that which a page, a table or a summary looks at
 _ANSWERS: Mapping[str, Mapping[str, Any]] = {
