@@ -66,21 +66,21 @@ def wall_evidence(
     """
     out = np.full((THINNER + 1, 2), -np.inf)
     for n in range(THINNER + 1 if features.peels else 1):
-        out[n] = _pieces(features, n, BENT, readings, places, options).sum(axis=1)
+        out[n] = _pieces(features, n, BENT, readings, places[:_PLACES], options).sum(axis=1)
     return out
 
 
 def _pieces(
     features: MapFeatures, thinner: int, bent: float, readings: Readings, places: FloatArray,
-    options: Options, most: int | None = _PLACES,
+    options: Options,
 ) -> FloatArray:  # fmt: skip
     """Evidence of each piece of wall where a scan fits best, straight and bent: (2, P) nats.
 
-    The walls are so many cells thinner, and bent by so many metres. The first `most` places are
-    tried, all if it is None. The evidence is -inf if a sensor can be at none of them.
+    The walls are so many cells thinner, and bent by so many metres. The evidence is -inf if a
+    sensor can be at none of the places, (C, 3) or with a scale (C, 4).
     """
     there, straight = features.thinner(thinner), options.fused.model
-    poses = refine(places[:most], readings.xy, there.field, sigmas=_SIGMAS)
+    poses = refine(places, readings.xy, there.field, sigmas=_SIGMAS)
     poses = standing(poses, options.prior, there)
     order, parts = pieces(readings.ranges, readings.angles)
     if not len(poses):
@@ -123,18 +123,15 @@ def drawn_gain(
     asked = drawn_walls(features, np.inf, options.shared)
     if asked == options.shared:
         return float("-inf")
+    places, known = places[:_PLACES], options.shared.thinner
     told = [_pieces(features, n, _OFF, readings, places, options) for n in range(THINNER + 1)]
-    known = features, options.shared.thinner, _OFF, readings
-    scaled = _pieces(*known, _scaled(places[:_PLACES]), options, most=None)[0]
-    straight, bent = max((one[0] for one in told), key=np.sum), told[min(asked.thinner, THINNER)][1]
-    cost = _AGAINST[0] * float(np.abs(np.log(_SCALES)).max())
-    if scaled.sum() - cost > straight.sum():
-        straight = scaled
-    else:
-        cost = 0.0
+    scaled = _pieces(features, known, _OFF, readings, _scaled(places), options)
+    bent, cost = told[min(asked.thinner, THINNER)][1], _AGAINST[0] * np.abs(np.log(_SCALES)).max()
+    kinds = [(one[0], 0.0) for one in told] + [(scaled[0], float(cost))]
+    straight, cost = max(kinds, key=lambda kind: kind[0].sum() - kind[1])
     if not np.isfinite(straight.sum() + bent.sum()):
         return float("-inf")
-    return float(np.clip(bent - straight, -_COUNTS, _COUNTS).sum()) + cost
+    return float(np.clip(bent - straight, -_COUNTS, _COUNTS).sum() + cost)
 
 
 def drawn_walls(features: MapFeatures, gain: float, now: Shared) -> Shared:
