@@ -10,7 +10,7 @@ from places import ANGLES, features_of
 
 from imgloc.answers.sample import sample_poses
 from imgloc.errors import ConfigError, ScanError
-from imgloc.filters.belief import Followed, belief_of, deviations_of
+from imgloc.filters.belief import Followed, Habit, belief_of, deviations_of
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import NO_PLACES, Places, Sight, settled, view_of
 from imgloc.filters.follow import Kidnap, follow
@@ -318,6 +318,27 @@ def test_bent_walls_are_found_along_the_way_and_the_belief_begins_again(monkeypa
     # What scans said on straight walls is forgotten: only the given pose counts, and a new search.
     assert np.hypot(*(tracker.belief.poses[0] - carried)[:2]) < 1.0
     assert tracker.belief.verdict != "unique"
+
+
+@pytest.mark.parametrize("strained", (0.0, 0.5))
+def test_a_given_pose_holds_unless_a_scan_fits_well_elsewhere(strained: float) -> None:
+    options = replace(Options(), fused=replace(Options().fused, strained=strained))
+    tracker = make_filter("tracker", features_of(WORLD), options, find=found)
+    given = np.array([5.0, 9.0, 2.0])
+    tracker.place(given, (0.1, 0.1))
+    tracker.see(log().scans[0])
+    best = tracker.belief.poses[0]
+    held = bool(np.hypot(*(best - given)[:2]) < 1.0)
+    assert held == (strained == 0.0)
+    assert tracker.belief.verdict != "unique"
+
+
+def test_evidence_is_new_more_slowly_on_bent_walls() -> None:
+    options, way = Options(shared=Shared(bent=0.15)), np.array([1.0, 0.0])
+    straight, bent = (Tracker(features_of(WORLD), o) for o in (Options(), options))
+    shares = [one._fresh(Habit(way=way)) for one in (straight, bent)]
+    assert shares[0] == pytest.approx(1 / 3)  # each 3 m
+    assert shares[1] == pytest.approx(1 / 6)
 
 
 def test_what_particles_are_drawn_from_has_a_shared_error_once(monkeypatch) -> None:

@@ -74,6 +74,8 @@ class TrackerOptions(Checked):
     births: Count = number("TrackerOptions.births")  #: modes of one scan that may become components
     #: metres and radians of motion after which all of a scan's evidence is new
     fresh: tuple[Length, Step] = number("TrackerOptions.fresh")
+    #: factor on `fresh` on bent walls, where scans share the errors of more pieces of wall
+    blurred: Factor = number("TrackerOptions.blurred")
     #: share of a scan's evidence that counts without any motion
     least: Share = number("TrackerOptions.least")
     #: most nats that one scan can take from a component
@@ -335,7 +337,8 @@ class Tracker:
 
     def _fresh(self, habit: Habit) -> float:
         """Share of a scan's evidence that is new, 0..1, by the way since the last weighed scan."""
-        return float(np.clip((habit.way / self.how.fresh).sum(), self.how.least, 1.0))
+        share = float(np.clip((habit.way / self.how.fresh).sum(), self.how.least, 1.0))
+        return share / self.how.blurred if self.options.shared.bent else share
 
     def _unsurprised(self, view: View, habit: Habit) -> FloatArray | None:
         """Pose (1, 3) where the best component settles; None if it fits abruptly worse than before.
@@ -557,6 +560,10 @@ class Tracker:
         """Odds, by a single scan, of the places from the index `first` on; at most exp(_MOST)."""
         log = seen.log_likelihood
         if first == len(log):
+            return 0.0
+        # A given pose holds: a scan that fits nowhere well does not speak against it alone.
+        given = self._begun is not None and self._unique is None
+        if given and seen.misfit[first:].min() > self.options.fused.strained:
             return 0.0
         share = masses(log[first:], 1.0).max()
         gained = seen.gained - float(log.max() - log[first:].max())
