@@ -82,6 +82,7 @@ _ROOM = number("floorplan.room")
 _PIECE = number("floorplan.piece")
 _CUT = number("floorplan.cut")
 _PILLAR = number("floorplan.pillar")
+_CORNERS = number("floorplan.corners")
 _LETTER = number("floorplan.letter")
 _WORD = number("floorplan.word")
 _LEAF = number("floorplan.leaf")
@@ -427,9 +428,13 @@ def _enclosing(
     """The walls that enclose the building, no thinner than needed: `thin` metres if possible."""
     best, best_area = None, _LEAST / (parts * pixel) ** 2
     for share in _THINNER:
-        walls, pillars, swings = _walls(drawn, bold, between, share * thin, partition, pixel)
+        walls, pillars, short, swings = _walls(
+            drawn, bold, between, share * thin, partition, pixel
+        )
         inside, ring, closed = _building(walls & ~frame, parts, pixel, gap)
-        frame, area = frame | ring, np.count_nonzero(inside)
+        frame = frame | ring
+        inside, corners = _with_corners(walls & ~frame, short, inside, parts * pixel, closed)
+        walls, area = walls | corners, np.count_nonzero(inside)
         if area >= best_area:
             best, best_area = (share * thin, walls, pillars, swings, inside, closed), area
         advance()
@@ -449,8 +454,9 @@ def _walls(
     thinnest: float,
     partition: float,
     pixel: float,
-) -> tuple[BoolArray, BoolArray, list[Swing]]:
-    """Walls no thinner than `thinnest`, metres, doors open; pillars; and the swings of doors.
+) -> tuple[BoolArray, BoolArray, BoolArray, list[Swing]]:
+    """Walls no thinner than `thinnest`, metres, doors open; pillars; what is too short for either;
+    and the swings of doors.
 
     What is no thinner than `partition` is a wall, too, where it is long and joined to another.
     """
@@ -473,7 +479,31 @@ def _walls(
         both = walls | (finer & _grown(long, 2))
         labels, stats = _pieces(both)
         walls = _met(labels, len(stats), walls)[labels]
-    return walls, pillars, swings
+    return walls, pillars, _opened(solid, least) & ~walls & ~pillars, swings
+
+
+def _with_corners(
+    walls: BoolArray, short: BoolArray, inside: BoolArray, cell: float, gap: float
+) -> tuple[BoolArray, BoolArray]:
+    """Cells of the building with the short pieces of its outer walls; and those pieces.
+
+    A corner between two doors is as short as a letter. Such pieces count where the building would
+    be open without them, and only at its border.
+    """
+    parts = len(walls) // len(inside)
+    points = cv2.findNonZero(_touching(walls, _finer(inside, parts)).astype(np.uint8))
+    if points is None:
+        return inside, np.zeros_like(walls)
+    box = np.rint(cv2.boxPoints(cv2.minAreaRect(points))).astype(np.int32)
+    within = cv2.fillConvexPoly(np.zeros(walls.shape, np.uint8), box, 1) > 0
+    corners = short & _grown(within, parts) & ~_finer(inside, parts)
+    taken = _coarser(walls | corners, parts) > 0
+    with_them, _ = _inside(taken, cell, gap)
+    if np.count_nonzero(with_them) <= _CORNERS * np.count_nonzero(inside):
+        return inside, np.zeros_like(walls)
+    labels, stats = _pieces(corners)
+    outside = _finer(~with_them & ~taken, parts)
+    return with_them, _met(labels, len(stats), corners & _grown(outside, 2 * parts))[labels]
 
 
 def plan_bytes(height: int, width: int, resolution: float, cell: float | None = None) -> int:

@@ -259,6 +259,25 @@ def test_the_paper_between_two_buildings_is_no_gap() -> None:
     assert np.count_nonzero(inside) == pytest.approx(200 * 280, rel=0.05)
 
 
+@pytest.mark.parametrize("letter", (False, True))
+def test_a_corner_between_two_doors_belongs_to_the_building(letter: bool) -> None:
+    plan = np.full((500, 600), 255, np.uint8)
+    cv2.rectangle(plan, (50, 50), (550, 450), 0, 8)  # 10 x 8 m, a pixel is 0.02 m
+    cv2.rectangle(plan, (300, 50), (550, 450), 0, 8)
+    for corner, other in (((46, 300), (54, 420)), ((80, 446), (200, 454)), ((296, 150), (304, 240))):
+        cv2.rectangle(plan, corner, other, 255, -1)
+    if letter:  # as bold as walls, in a room: no wall
+        cv2.rectangle(plan, (150, 150), (158, 190), 0, -1)
+    found = plan_to_map(upright(plan), 0.02)
+    assert found.free_area > 70  # m2; without the corner half of the house is outside
+    row, column = (round(pixel * 0.02 / CELL) for pixel in (500 - 450, 50))
+    y, x = (row - round(found.grid.origin.y / CELL), column - round(found.grid.origin.x / CELL))
+    assert found.grid.occupied[y - 2 : y + 3, x - 2 : x + 3].any()
+    y, x = (round(pixel * 0.02 / CELL) for pixel in (500 - 170, 154))
+    y, x = y - round(found.grid.origin.y / CELL), x - round(found.grid.origin.x / CELL)
+    assert not found.grid.occupied[y - 2 : y + 3, x - 2 : x + 3].any()
+
+
 def test_a_ruled_table_is_warned_of() -> None:
     table = np.full((600, 800), 255, np.uint8)
     for x in range(50, 800, 100):
