@@ -320,7 +320,7 @@ def test_bent_walls_are_found_along_the_way_and_the_belief_begins_again(monkeypa
     assert tracker.belief.verdict != "unique"
 
 
-@pytest.mark.parametrize("strained", (0.0, 0.5))
+@pytest.mark.parametrize("strained", [0.0, 0.5])
 def test_a_given_pose_holds_unless_a_scan_fits_well_elsewhere(strained: float) -> None:
     options = replace(Options(), fused=replace(Options().fused, strained=strained))
     tracker = make_filter("tracker", features_of(WORLD), options, find=found)

@@ -455,10 +455,10 @@ def _walls(
     partition: float,
     pixel: float,
 ) -> tuple[BoolArray, BoolArray, BoolArray, list[Swing]]:
-    """Walls no thinner than `thinnest`, metres, doors open; pillars; what is too short for either;
-    and the swings of doors.
+    """Walls no thinner than `thinnest`, metres, doors open; pillars; short pieces; door swings.
 
-    What is no thinner than `partition` is a wall, too, where it is long and joined to another.
+    Short pieces are too short for a wall, and no pillars. What is no thinner than
+    `partition` is a wall, too, where it is long and joined to another.
     """
     least = max(2.0, thinnest / pixel)
     solid = _opened(bold, least) | between.body
@@ -491,9 +491,10 @@ def _with_corners(
     be open without them, and only at its border.
     """
     parts = len(walls) // len(inside)
-    points = cv2.findNonZero(_touching(walls, _finer(inside, parts)).astype(np.uint8))
-    if points is None:
+    around = _touching(walls, _finer(inside, parts))
+    if not around.any():
         return inside, np.zeros_like(walls)
+    points = cv2.findNonZero(around.astype(np.uint8))
     box = np.rint(cv2.boxPoints(cv2.minAreaRect(points))).astype(np.int32)
     within = cv2.fillConvexPoly(np.zeros(walls.shape, np.uint8), box, 1) > 0
     corners = short & _grown(within, parts) & ~_finer(inside, parts)

@@ -259,13 +259,13 @@ def test_the_paper_between_two_buildings_is_no_gap() -> None:
     assert np.count_nonzero(inside) == pytest.approx(200 * 280, rel=0.05)
 
 
-@pytest.mark.parametrize("letter", (False, True))
+@pytest.mark.parametrize("letter", [False, True])
 def test_a_corner_between_two_doors_belongs_to_the_building(letter: bool) -> None:
     plan = np.full((500, 600), 255, np.uint8)
     cv2.rectangle(plan, (50, 50), (550, 450), 0, 8)  # 10 x 8 m, a pixel is 0.02 m
     cv2.rectangle(plan, (300, 50), (550, 450), 0, 8)
-    for corner, other in (((46, 300), (54, 420)), ((80, 446), (200, 454)), ((296, 150), (304, 240))):
-        cv2.rectangle(plan, corner, other, 255, -1)
+    for x, y, wide, high in ((46, 300, 8, 120), (80, 446, 120, 8), (296, 150, 8, 90)):
+        cv2.rectangle(plan, (x, y), (x + wide, y + high), 255, -1)
     if letter:  # as bold as walls, in a room: no wall
         cv2.rectangle(plan, (150, 150), (158, 190), 0, -1)
     found = plan_to_map(upright(plan), 0.02)
