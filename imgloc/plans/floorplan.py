@@ -428,9 +428,7 @@ def _enclosing(
     """The walls that enclose the building, no thinner than needed: `thin` metres if possible."""
     best, best_area = None, _LEAST / (parts * pixel) ** 2
     for share in _THINNER:
-        walls, pillars, short, swings = _walls(
-            drawn, bold, between, share * thin, partition, pixel
-        )
+        walls, pillars, short, swings = _walls(drawn, bold, between, share * thin, partition, pixel)
         inside, ring, closed = _building(walls & ~frame, parts, pixel, gap)
         frame = frame | ring
         inside, corners = _with_corners(walls & ~frame, short, inside, parts * pixel, closed)
