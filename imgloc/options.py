@@ -590,6 +590,8 @@ Resets = Annotated[
     ),
 ]
 Flipped = Annotated[bool, Option("The sensor is mounted upside down: its angles run clockwise.")]
+NAMED: float = number("choose.sure")
+"""Probability that a map needs to be named, unless another one is asked for."""
 Sure = Annotated[
     float,
     Within(0.5, 1, "a probability"),

@@ -29,7 +29,7 @@ from imgloc.features.mapfeatures import MapFeatures
 from imgloc.io.calibration import said_scale
 from imgloc.model import LaserScan, Localization, plain
 from imgloc.numbers import number
-from imgloc.options import FUSED, FusedOptions, Options, Trust
+from imgloc.options import FUSED, NAMED, FusedOptions, Options, Trust
 from imgloc.pipeline import localize
 from imgloc.search.hypotheses import masses
 
@@ -237,7 +237,7 @@ def choose(
     fits: Mapping[str, Localization],
     trust: Trust | None = None,
     *,
-    sure: float = number("choose.sure"),
+    sure: float = NAMED,
     ruled_out: int = 0,
 ) -> Choice:
     """Compare maps by how a scan fits them; all maps are equally likely beforehand.

@@ -17,6 +17,7 @@ from imgloc.doors import JOBS
 from imgloc.errors import ConfigError
 from imgloc.io.files import display, is_there
 from imgloc.options import (
+    NAMED,
     TOLERANCES,
     Bytes,
     Cell,
@@ -97,7 +98,7 @@ def batch(
     ),
     range_max: Reach | None = None,
     tolerance: opt.ToleranceOf = TOLERANCES[-1],
-    sure: Sure = 0.5,
+    sure: Sure = NAMED,
     count: Count = option(100, "Scans that are simulated on each map.", "-n", "--count"),
     seed: Seed = 0,
     step: Spacing = 0.5,

@@ -10,7 +10,7 @@ from imgloc.cli.command import Only, Without
 from imgloc.cli.console import LOG, emit, say
 from imgloc.errors import ConfigError
 from imgloc.io.files import display
-from imgloc.options import Known, Logs, Mounting, Sure
+from imgloc.options import NAMED, Known, Logs, Mounting, Sure
 from imgloc.ranges import option
 
 FAILED_ROWS = 5
@@ -48,7 +48,7 @@ def which(
         metavar="PNG",
     ),
     mounting: Annotated[Mounting, Only("flipped")],
-    sure: Sure = 0.5,
+    sure: Sure = NAMED,
     as_json: opt.AsJson = False,
     kept: Annotated[opt.Kept, Only("no_cache")],
     force: opt.Force = False,

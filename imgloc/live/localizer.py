@@ -31,7 +31,7 @@ from imgloc.filters.follow import DEVIATION, Follower, Moment, Tracking
 from imgloc.live.line import Dropped, Key, Line
 from imgloc.live.sites import Maker, MapLike, Site, site_of, warm
 from imgloc.model import FloatArray, LaserScan, Localization, Pose2D, plain
-from imgloc.options import Known, Options, Prior
+from imgloc.options import NAMED, Known, Options, Prior
 from imgloc.pipeline import localize
 from imgloc.search.priors import leaves_none, prior_of
 
@@ -345,7 +345,7 @@ class Localizer:
         self,
         scan: LaserScan,
         *,
-        sure: float = 0.5,
+        sure: float = NAMED,
         known: Known | None = None,
         source: Hashable = None,
         timeout: float | None = None,
@@ -371,7 +371,7 @@ class Localizer:
         self,
         scan: LaserScan,
         *,
-        sure: float = 0.5,
+        sure: float = NAMED,
         known: Known | None = None,
         source: Hashable = None,
     ) -> "Future[Answer[Chosen]]":

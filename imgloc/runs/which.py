@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from imgloc.answers.diagnose import Doubt, doubts
 from imgloc.choice.choose import FIRST, OPTIONS, Choice, Opened, bounds_of, choose, search
@@ -18,9 +18,8 @@ from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import display
 from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, Localization
-from imgloc.options import Known, Length, Options, Prior
+from imgloc.options import NAMED, Known, Length, Options, Prior, Sure
 from imgloc.pipeline import localize
-from imgloc.ranges import Within
 from imgloc.runs.jobs import Answer, Item, Job
 from imgloc.runs.opening import LOG, Desk, ScanFiles, Taken
 from imgloc.search.asked import check_options
@@ -41,8 +40,7 @@ class Which(Job):
     scans: ScanFiles = field(default_factory=ScanFiles)
     cell: Length = 0.1  #: of the poses, metres
     known: Known = field(default_factory=Known)  #: what is known of all poses, but no place
-    #: probability that a map needs to be named
-    sure: Annotated[float, Within(0.5, 1, "a probability")] = 0.5
+    sure: Sure = NAMED  #: probability that a map needs to be named
 
     def __post_init__(self) -> None:
         super().__post_init__()
