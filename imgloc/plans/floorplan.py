@@ -83,6 +83,7 @@ _PIECE = number("floorplan.piece")
 _CUT = number("floorplan.cut")
 _PILLAR = number("floorplan.pillar")
 _CORNERS = number("floorplan.corners")
+_WINDOW = number("floorplan.window")
 _LETTER = number("floorplan.letter")
 _WORD = number("floorplan.word")
 _LEAF = number("floorplan.leaf")
@@ -485,22 +486,26 @@ def _with_corners(
 ) -> tuple[BoolArray, BoolArray]:
     """Cells of the building with the short pieces of its outer walls; and those pieces.
 
-    A corner between two doors is as short as a letter. Such pieces count where the building would
-    be open without them, and only at its border.
+    A corner between two doors is as short as a letter. Pieces about as thick as the walls count if
+    the building would be open without them, and only at its border.
     """
-    parts = len(walls) // len(inside)
-    around = _touching(walls, _finer(inside, parts))
-    if not around.any():
-        return inside, np.zeros_like(walls)
-    points = cv2.findNonZero(around.astype(np.uint8))
+    parts, none = len(walls) // len(inside), np.zeros_like(walls)
+    building = _touching(walls, _finer(inside, parts))
+    if not building.any():
+        return inside, none
+    points = cv2.findNonZero(building.astype(np.uint8))
     box = np.rint(cv2.boxPoints(cv2.minAreaRect(points))).astype(np.int32)
-    within = cv2.fillConvexPoly(np.zeros(walls.shape, np.uint8), box, 1) > 0
-    corners = short & _grown(within, parts) & ~_finer(inside, parts)
+    within = cv2.fillConvexPoly(none.astype(np.uint8), box, 1) > 0
+    labels, stats = _pieces(short & _grown(within, parts) & ~_finer(inside, parts))
+    thick = _greatest(_depth(short), labels, labels > 0, len(stats))
+    (factor, share) = _CORNERS
+    thick_enough = thick >= share * np.median(_depth(building)[skeletonize(building)])
+    thick_enough[0] = False
+    corners = thick_enough[labels]
     taken = _coarser(walls | corners, parts) > 0
     with_them, _ = _inside(taken, cell, gap)
-    if np.count_nonzero(with_them) <= _CORNERS * np.count_nonzero(inside):
-        return inside, np.zeros_like(walls)
-    labels, stats = _pieces(corners)
+    if np.count_nonzero(with_them) <= factor * np.count_nonzero(inside):
+        return inside, none
     outside = _finer(~with_them & ~taken, parts)
     return with_them, _met(labels, len(stats), corners & _grown(outside, 2 * parts))[labels]
 
@@ -632,10 +637,13 @@ def _spaces(drawn: BoolArray, thick: float, pixel: float) -> tuple[BoolArray, Bo
     for border in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
         narrow[border] = False
     holes = narrow[labels]
-    # Narrow spaces side by side are a wall only if they are as thick as one together.
-    deep = _met(labels, len(stats), holes & (_depth(drawn | holes) > 0.55 * thick + 2))
-    width = np.zeros(len(stats), np.float32)
-    np.maximum.at(width, labels[holes], 2 * half[holes])
+    # Narrow spaces side by side are a wall only if they are as thick as one together; the panes of
+    # a window, only if they are as thick as the wall that it is in.
+    depth, beside, width = (
+        _greatest(image, labels, holes, len(stats))
+        for image in (_depth(drawn | holes), _around(_depth(drawn), thick), 2 * half)
+    )
+    deep = depth > np.maximum(0.55 * thick, _WINDOW * beside) + 2
     long = stats[:, cv2.CC_STAT_AREA] >= _STRIP * np.maximum(width, 1) ** 2
     # What is not belongs to a wall if it is one of many cells between the lines of a hatching.
     little = stats[:, cv2.CC_STAT_AREA] < _LITTLE / pixel**2
@@ -647,6 +655,24 @@ def _spaces(drawn: BoolArray, thick: float, pixel: float) -> tuple[BoolArray, Bo
     hatched = _met(labels, len(stats), cells & (members >= _CELLS)[strip])
     wall = narrow & ~deep & (long | hatched)
     return wall[labels], (narrow & deep)[labels]
+
+
+def _greatest(
+    image: Float32Array, labels: npt.NDArray[np.int32], where: BoolArray, count: int
+) -> Float32Array:
+    """The greatest value of each label within a mask, (count,); 0 for one that is not there."""
+    out = np.zeros(count, np.float32)
+    np.maximum.at(out, labels[where], image[where])
+    return out
+
+
+def _around(image: Float32Array, radius: float) -> Float32Array:
+    """The greatest value within a square around each pixel, to a quarter of its half side."""
+    step = max(1, round(radius / 4))
+    coarse = cv2.dilate(image, np.ones((2 * step + 1,) * 2, np.uint8))[::step, ::step]
+    coarse = cv2.dilate(coarse, np.ones((9, 9), np.uint8))
+    size = image.shape[::-1]
+    return np.asarray(cv2.resize(coarse, size, interpolation=cv2.INTER_NEAREST), np.float32)
 
 
 def _pen(bold: BoolArray, letter: float) -> float:
@@ -792,8 +818,7 @@ def _standing(walls: BoolArray, drawn: BoolArray, pixel: float) -> tuple[BoolArr
     area = stats[:, cv2.CC_STAT_AREA]
     span = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) * pixel
     ink = np.bincount(labels[drawn], minlength=len(stats)) / area
-    wide = np.zeros(len(stats), np.float32)
-    np.maximum.at(wide, labels[walls], 2 * _depth(walls)[walls])
+    wide = 2 * _greatest(_depth(walls), labels, walls, len(stats))
     long = span >= _PIECE
     # White specks of a scan cut a line into pieces, some of them short.
     groups, found = _pieces(_grown(walls, max(1, round(_CUT / 2 / pixel))))
