@@ -63,12 +63,21 @@ def test_a_row_for_each_scan_with_the_promised_keys(tracked: tuple[Path, str, st
     assert [row["index"] for row in got] == list(range(N))
     expected = ["stamp", "age", "verdict", "pose", "covariance", "map_odom", "neff", "resets"]
     assert all(key in row for row in got for key in expected)
+    assert {(row["scale"], row["thinner"], row["bent"]) for row in got} == {(1.0, 0.0, 0.0)}
     for row in got:
         assert (row["pose"] is None) == (row["verdict"] != "unique")
         assert (row["covariance"] is None) == (row["verdict"] != "unique")
     assert got[-1]["verdict"] == "unique"
     assert abs(got[-1]["pose"]["x"] - (4 + 0.5 * (N - 1))) < 0.3
     assert "x real time" in tracked[2]
+
+
+def test_walls_that_are_allowed_for_are_told(log: Path) -> None:
+    run = call("track", MAP, log, "--json", "--thinner", "0.1", "--bent", "0.15")
+    assert run.code == 0, run.err
+    told = {(row["scale"], row["thinner"], row["bent"]) for row in rows(run.out)}
+    assert told == {(1.0, 0.1, 0.15)}
+    assert "walls 0.10 m thinner on each side and pieces of wall 0.15 m off" in run.err
 
 
 def test_tum_has_the_unique_poses(tracked: tuple[Path, str, str]) -> None:

@@ -360,6 +360,7 @@ def _printed(
 ) -> "tuple[list[Moment], str]":  # fmt: skip
     """The moments, each printed and `shown` as it comes, and a word about all of them."""
     from imgloc.filters.follow import UNCONFIRMED
+    from imgloc.output.tables import bent_words
     from imgloc.output.tracks import track_header
 
     moments, begin, speed = list["Moment"](), time.perf_counter(), ""
@@ -382,5 +383,9 @@ def _printed(
     if soon := sum(moment.withheld == UNCONFIRMED for moment in moments):
         counts += f" ({soon} of the ambiguous ones at one place that is not confirmed yet)"
     metres = moments[-1].metres if moments else 0.0
-    about = [f"{len(moments)} scans, {metres:.1f} m: {counts}", speed, live.latency if live else ""]
+    walls = bent_words(moments[-1]) if moments else None
+    about = [
+        f"{len(moments)} scans, {metres:.1f} m: {counts}", f"allows for {walls}" if walls else "",
+        speed, live.latency if live else "",
+    ]  # fmt: skip
     return moments, "; ".join(filter(None, about))

@@ -74,6 +74,9 @@ class Moment:
     deviation: tuple[float, float]
     map_odom: Pose2D | None  #: pose of the odometry's frame in the map, by `best`
     diagonal: float = np.inf  #: from corner to corner of the map, metres
+    scale: float = 1.0  #: factor on the ranges, as scans of the way showed it, or as it was given
+    thinner: float = 0.0  #: metres that each wall loses on each side, likewise
+    bent: float = 0.0  #: standard deviation of the place of a piece of wall, metres, likewise
 
     @property
     def pose(self) -> Pose2D | None:
@@ -366,10 +369,11 @@ class Follower:
                 belief = replace(belief, verdict=AMBIGUOUS)
         elif belief.verdict == AMBIGUOUS and not withheld and belief.mass[0] >= self._held:
             withheld = UNCONFIRMED
-        age = self._stamp - self._said
+        age, shared = self._stamp - self._said, self.filter.options.shared
         return Moment(
             index, self._stamp, age, looked, self._metres, belief, withheld, best, covariance,
             deviation, map_odom, grid.diagonal,
+            shared.scale, shared.thinner * grid.resolution, shared.bent,
         )  # fmt: skip
 
 

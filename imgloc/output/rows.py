@@ -81,6 +81,7 @@ def moment_row(
         "mass": float(belief.mass[0]) if len(belief.mass) else 0.0,
         "neff": belief.neff,
         "resets": belief.resets,
+        **{name: getattr(moment, name) for name in ("scale", "thinner", "bent")},
     }
     if best:
         row["guess"] = moment.best if pose is None else None

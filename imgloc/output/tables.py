@@ -11,6 +11,7 @@ from imgloc.model import SURE, VERDICTS, Evidence, Floor, Localization, Pose2D, 
 
 if TYPE_CHECKING:
     from imgloc.choice.choose import Choice
+    from imgloc.filters.follow import Moment
     from imgloc.io.mapcheck import MapReport
     from imgloc.runs.batch import BatchSummary
 
@@ -209,7 +210,7 @@ def _unlisted(answer: Localization) -> float:
     return max(0.0, 1.0 - sum(h.mass for h in answer.hypotheses))
 
 
-def bent_words(evidence: Evidence) -> str | None:
+def bent_words(found: "Evidence | Moment") -> str | None:
     """Say what error of all readings was allowed for; None if none was.
 
     Examples
@@ -217,11 +218,11 @@ def bent_words(evidence: Evidence) -> str | None:
     >>> bent_words(Evidence(scale=1.0486, thinner=0.1)), bent_words(Evidence())
     ('ranges x 1.049 and walls 0.10 m thinner on each side', None)
     """
-    said = [f"ranges x {evidence.scale:.3f}"] if evidence.scale != 1.0 else []
-    if evidence.thinner > 0:
-        said.append(f"walls {evidence.thinner:.2f} m thinner on each side")
-    if evidence.bent > 0:
-        said.append(f"pieces of wall {evidence.bent:.2f} m off")
+    said = [f"ranges x {found.scale:.3f}"] if found.scale != 1.0 else []
+    if found.thinner > 0:
+        said.append(f"walls {found.thinner:.2f} m thinner on each side")
+    if found.bent > 0:
+        said.append(f"pieces of wall {found.bent:.2f} m off")
     return " and ".join(said) or None
 
 
