@@ -315,6 +315,8 @@ class Shared(Checked):
     #: misfit of scans at their true places on a map that others drew, nats per reading: as much
     #: says nothing against a place
     usual: Annotated[float, Within(0, 10, "nats")] = 0.0
+    #: whether somebody says that walls are straight: then neither image nor scans can bend them
+    straight: bool = False
 
 
 @dataclass(frozen=True)
@@ -840,8 +842,8 @@ class Drawn(Checked):
     bent: Annotated[float, Within(0, 1, "metres")] | None = option(
         None,
         "Standard deviation of the place of each piece of wall, metres: 0.15 suits a map that "
-        "others drew. [default: what imgloc calibrate found, or 0; with 0, a scan that fits "
-        "nowhere on a map with walls of 0.3 m and more takes 0.1]",
+        "others drew, 0 an exact one. [default: what imgloc calibrate found; or 0, and 0.1 for a "
+        "scan that fits nowhere on a map with walls of 0.3 m and more]",
     )
 
     def on(self, known: Shared, resolution: float) -> Shared:
@@ -854,7 +856,8 @@ class Drawn(Checked):
                     f"`thinner`: got {self.thinner:g}, expected 0 or at least half a cell, "
                     f"{resolution / 2:g} m"
                 )
-        return replace(known, thinner=thinner, bent=bent if self.bent is None else self.bent)
+        bent = bent if self.bent is None else self.bent
+        return replace(known, thinner=thinner, bent=bent, straight=self.bent == 0)
 
 
 def _on_base() -> Pose2D:

@@ -26,7 +26,8 @@ def test_walls_are_stated_by_hand_in_metres(thick: Path) -> None:
     assert "calibrate" not in run.err  # there is nothing left to find
     run = call("track", *files, "--thinner", 0.2)
     assert run.code == 0, run.err
-    assert "thinner" not in run.err
+    assert "allows for walls 0.20 m thinner on each side;" in run.err
+    assert run.err.count("thinner") == 1  # no advice
     run = call("batch", files[0], files[1], "--thinner", 0.2, "--out", thick / "out", "--json")
     assert run.code == 0, run.err
     (found,) = rows((thick / "out" / "results.jsonl").read_text())

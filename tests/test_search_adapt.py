@@ -12,7 +12,7 @@ from imgloc.answers.explain import explain
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import one_per_place
 from imgloc.model import LaserScan, OccupancyGrid
-from imgloc.options import FusedOptions, Options, Sensor, Shared
+from imgloc.options import Drawn, FusedOptions, Options, Sensor, Shared
 from imgloc.output.pictures import draw
 from imgloc.output.tables import answer_text
 from imgloc.pipeline import localize
@@ -119,6 +119,9 @@ def test_walls_are_thick_by_cells_and_by_metres():
         assert found == (Shared(thinner=1, bent=0.1, usual=0.5) if is_thick else Shared())
     assert drawn_walls(there, np.inf, Shared(thinner=2)).thinner == 2
     assert drawn_walls(there, -100.0, Shared()) == Shared()
+    stated = Drawn(bent=0.0).on(Shared(), there.grid.resolution)
+    assert stated.straight
+    assert drawn_walls(there, np.inf, stated) == stated
 
 
 def test_where_no_sensor_can_be_nothing_speaks_for_bent_walls():

@@ -472,7 +472,7 @@ class Tracker:
         poses were unique for some metres, the walls are good enough as they are.
         """
         shared, options = self.options.shared, self.options
-        if self._trusted >= self.how.walls[1] or shared.bent:
+        if self._trusted >= self.how.walls[1] or shared.bent or shared.straight:
             return False
         if misfit_at(self.features, view, poses, options) <= options.fused.strained:
             return False

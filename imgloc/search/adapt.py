@@ -151,7 +151,9 @@ def drawn_walls(features: MapFeatures, gain: float, now: Shared) -> Shared:
         The error that is allowed for already; the result if the walls are good as they are.
     """
     thickness, cell = features.thickness, features.grid.resolution
-    if now.bent or not features.peels or thickness < _THICK or thickness <= 2 * cell:
+    if now.bent or now.straight or not features.peels:
+        return now
+    if thickness < _THICK or thickness <= 2 * cell:
         return now
     if gain + _DOUBT * (min(thickness, _THICKEST) - _THICK) <= 0:
         return now
