@@ -597,7 +597,7 @@ class Evidence:
     checks: tuple[Check, ...] = ()
     found: int = 0  #: number of modes that were found
     listed: int = 0  #: number of modes that are listed as hypotheses
-    unlisted: float = 0.0  #: mass of the modes that are not listed
+    unlisted: float = 0.0  #: mass on this map that is at none of the listed hypotheses
 
     def __post_init__(self) -> None:
         _freeze(self, np.float64, "log_volume")

@@ -141,8 +141,8 @@ def test_the_evidence_makes_the_masses(method):
     evidence = answer.evidence
     assert evidence.listed == len(answer.hypotheses) == min(2, evidence.found)
     total = sum(h.mass for h in answer.hypotheses) + evidence.unlisted
+    assert total + answer.elsewhere == pytest.approx(1)
     if method == "fused":
-        assert total + answer.elsewhere == pytest.approx(1)
         a, b = answer.hypotheses
         gap = (a.log_likelihood - b.log_likelihood) / evidence.temperature.value
         assert np.log(a.mass / b.mass) == pytest.approx(gap)
@@ -154,11 +154,10 @@ def test_the_evidence_makes_the_masses(method):
         best = answer.hypotheses[0].log_likelihood / evidence.readings
         assert evidence.misfit == pytest.approx(evidence.best - best)
     else:
-        assert total + answer.elsewhere <= 1 + 1e-6
         assert evidence.temperature.strain == 0
     # Moving the answer to the end of the list changes no more than the list.
     more = localize(features, scan, replace(options, top=50))
-    assert more.evidence.unlisted == 0 or more.evidence.found > 50
+    assert more.evidence.unlisted == 0 or more.evidence.found > 50 or method != "fused"
     assert more.evidence.found == evidence.found or method != "fused"
     volume = np.linalg.slogdet(2 * np.pi * answer.hypotheses[0].covariance)[1] / 2
     space = np.count_nonzero(features.free) * features.lattice.resolution**2 * 2 * np.pi

@@ -33,6 +33,8 @@ def answered(
     listed = as_hypotheses(*(array[: options.listed(found.share)] for array in arrays))
     hypotheses = tuple(in_map_frame(h, features.grid.info) for h in listed)
     whole = np.append(mass, elsewhere) if len(mass) else mass
+    # The posterior of a stack also has mass between its modes.
+    spread = (1 - elsewhere) * max(0.0, 1 - float(found.share.sum())) if len(mass) else 0.0
     return Localization(
         hypotheses=hypotheses,
         verdict=verdict,
@@ -49,7 +51,7 @@ def answered(
             checks=checks,
             found=len(mass),
             listed=len(hypotheses),
-            unlisted=float(mass[len(hypotheses) :].sum()),
+            unlisted=float(mass[len(hypotheses) :].sum()) + spread,
         ),
         T_base_laser=scan.T_base_laser,
         # A search that was cut short may have missed the place: no radius holds it.
