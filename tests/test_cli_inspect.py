@@ -176,6 +176,15 @@ def text_of(scans: ScanSet, robot: bool = True) -> list[str]:
     return lines
 
 
+@pytest.mark.parametrize(("far", "found"), [(1, []), (5, ["codes"])])
+def test_one_far_reading_is_no_code(tmp_path: Path, far: int, found: list[str]) -> None:
+    ranges, angles = np.linspace(2.0, 4.0, 181), np.deg2rad(np.arange(-90, 91.0))
+    ranges[10 : 10 + far] = 12.0
+    file = tmp_path / "scan.npz"
+    imgloc.save_scans(file, ScanSet((LaserScan(ranges, angles, range_max=30.0),)))
+    assert codes(call("inspect", file, "--json")) == found
+
+
 @pytest.mark.parametrize("name", LOGS)
 def test_what_a_reader_forgives_is_named(shared: Path, tmp_path: Path, name: str) -> None:
     scans, file = recorded(shared, name), tmp_path / "run.log"

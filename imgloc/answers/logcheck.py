@@ -29,7 +29,7 @@ from imgloc.options import RADIUS, TOLERANCE, Options, Trust
 from imgloc.pipeline import localize, localize_many
 
 _LOG = logging.getLogger("imgloc")
-_SPIKE, _BIN = number("logcheck.code")
+_SPIKE, _BIN, _OFTEN = number("logcheck.code")
 _SECONDS, _TIMES, _METRES = number("logcheck.gap")
 _LEAP, _BEYOND = number("logcheck.jump")
 _FAST = number("logcheck.fast")
@@ -316,7 +316,7 @@ def _code(seen: FloatArray) -> float | None:
     top = float(seen.max())
     often = int(np.count_nonzero(seen == top))
     near = np.count_nonzero((seen < top) & (seen > 0.9 * top))
-    return top if often >= _SPIKE * len(seen) and often > near else None
+    return top if often >= max(_OFTEN, _SPIKE * len(seen)) and often > near else None
 
 
 def _about_body(some: Sequence[LaserScan], findings: list[Finding]) -> None:
