@@ -588,8 +588,11 @@ class Evidence:
     #: standard deviation, metres, of the place of each piece of wall, as others drew it; else 0
     bent: float = 0.0
     floor: Floor | None = None  #: left out, because the other readings fit far better without it
-    #: divisor that turned log-likelihoods into masses
+    #: divisor of log-likelihoods, of what they are compared with, and with `doubt` of masses
     temperature: Temperature = field(default_factory=Temperature)
+    #: factor on the temperature where places are compared: above 1 if map and scan disagree,
+    #: because the errors of a map are not the same at two places
+    doubt: float = 1.0
     #: (L,) logarithm of the volume of each listed hypothesis, as a share of that of all poses
     log_volume: FloatArray = field(default_factory=lambda: np.empty(0))
     #: checks of the verdict in their order, up to the first that does not hold, which decided; if
@@ -693,7 +696,7 @@ class Localization:
         evidence = {"readings": e.readings, "misfit": e.misfit, "temperature": t.value}
         evidence |= {name: getattr(t, name) for name in ("base", "strain", "number", "cell")}
         rest = (
-            "unmapped", "gained", "against", "scale", "thinner", "bent", "found", "listed",
+            "doubt", "unmapped", "gained", "against", "scale", "thinner", "bent", "found", "listed",
             "unlisted",
         )  # fmt: skip
         evidence |= {name: getattr(e, name) for name in rest}

@@ -330,6 +330,9 @@ class Trust(Checked):
     temperature: Factor = number("Trust.temperature")
     #: growth of the temperature per nat of misfit
     strain: Annotated[float, Within(0, 1e6, "per nat")] = number("Trust.strain")
+    #: factor on the temperature by which places are compared with each other where map and scan
+    #: disagree: see `FusedOptions.strained`
+    doubt: Factor = number("Trust.doubt")
     #: cell of a map, metres, above which the temperature grows in proportion to the cell: all
     #: readings on a wall share the error of its place
     fine: Length = number("Trust.fine")

@@ -1,16 +1,15 @@
-"""A place is doubted if few readings decide it, or if an error that was found makes it fit."""
+"""A place is doubted where map and scan disagree, and if an error that was found makes it fit."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.features.scanpoints import one_per_place
 from imgloc.model import OccupancyGrid
 from imgloc.options import Options, Sensor, Shared
 from imgloc.pipeline import localize
 from imgloc.search.adapt import price
-from imgloc.search.hypotheses import masses, steadied, steadiness
-from imgloc.search.rescore import reading_evidence, score_poses
 from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -23,38 +22,18 @@ def two_rooms(niche: bool = True) -> OccupancyGrid:
     return OccupancyGrid(walls, ~walls, 0.1)
 
 
-def test_evidence_of_readings_sums_to_the_score():
+def test_where_map_and_scan_disagree_places_are_compared_with_more_doubt():
     features = MapFeatures(two_rooms())
     scan = simulate(features.grid, 1, 3, Sensor(fov=2 * np.pi, rays=121), features.grid)[0]
-    readings = one_per_place(scan, 0.07)
-    poses = np.random.default_rng(2).uniform((1.5, 2, -3), (6.5, 5, 3), (9, 3))
-    each = reading_evidence(features, readings, poses, Options())
-    assert each.shape == (9, len(readings))
-    score = score_poses(features, readings, poses, Options()).log_likelihood
-    np.testing.assert_allclose(each.sum(axis=1, dtype=np.float64), score, rtol=1e-6)
-
-
-def test_a_share_is_less_if_neighbours_decide_it_and_stays_if_many_readings_do():
-    everywhere, angles = np.zeros((3, 120), np.float32), np.linspace(-3, 3, 120)
-    everywhere[0] = 0.1
-    once = np.zeros((3, 120), np.float32)
-    once[0, 40:44] = 3.0  # 12 nats as well
-    for told, loses in ((everywhere, False), (once, True)):
-        share = masses(told.sum(axis=1, dtype=np.float64), 2.0)
-        least = steadiness(told, angles, 2.0)
-        found = steadied(share, least)
-        assert share[0] > 0.99
-        assert (found[0] < 0.9) == loses
-        assert found.sum() == pytest.approx(1)
-        assert (np.diff(found) <= 1e-12).all()  # the best stays the best
-        turned = np.random.default_rng(1).permutation(120)  # readings may come in any order
-        assert steadiness(told[:, turned], angles[turned], 2.0) == pytest.approx(least)
-
-
-def test_one_place_keeps_all_of_its_share():
-    assert steadied(np.ones(1), 0.1).tolist() == [1.0]
-    assert steadied(np.array([1.0, 0.0]), 0.1).tolist() == [1.0, 0.0]
-    assert steadiness(np.ones((1, 30), np.float32), np.arange(30.0), 1.0) == 1.0
+    ranges = scan.ranges.copy()
+    ranges[::3] *= 0.5  # people
+    for seen, doubted in ((scan, False), (replace(scan, ranges=ranges), True)):
+        answer = localize(features, seen)
+        evidence, (a, b) = answer.evidence, answer.hypotheses[:2]
+        assert (evidence.misfit > Options().fused.strained) == doubted
+        assert evidence.doubt == (Options().trust.doubt if doubted else 1.0)
+        nats = (a.log_likelihood - b.log_likelihood) / (evidence.temperature.value * evidence.doubt)
+        assert np.log(a.mass / b.mass) == pytest.approx(nats)
 
 
 @pytest.mark.parametrize(

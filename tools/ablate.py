@@ -105,7 +105,7 @@ STEPS: Mapping[str, Step] = {
     "bare": Step("a bare room is a place", {"background.bare": 0.0}, weighs=True),
     "through": Step("doors may be anywhere", {"background.through": 0.0}, weighs=True),
     "price": Step("what is found is free", {"adapt.against": (0.0, 0.0)}, weighs=True),
-    "steady": Step("a sector may decide", {"hypotheses.steady": 0.0}, weighs=True),
+    "doubt": Step("as sure where map and scan disagree", {"Trust.doubt": 1.0}, weighs=True),
     "strain": Step("misfit does not count", {"Trust.strain": 0.0}, weighs=True),
     "number": Step(
         "readings are not counted", instead={"options.Trust.temperature_at": _any_number},

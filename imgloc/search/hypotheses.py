@@ -5,7 +5,7 @@ import numpy as np
 from imgloc.errors import ConfigError
 from imgloc.features.distance import DistanceField
 from imgloc.geometry import wrap
-from imgloc.model import Float32Array, FloatArray, Hypothesis, IntArray, Pose2D
+from imgloc.model import FloatArray, Hypothesis, IntArray, Pose2D
 from imgloc.numbers import number
 from imgloc.search.refine import normal_equations
 
@@ -15,9 +15,6 @@ BLOCKS: int = number("hypotheses.blocks")
 # deviation of a wall's place, in cells.
 _SHARED, _WALLS = number("hypotheses.shared"), number("hypotheses.walls")
 _LEAST = number("hypotheses.least")  # smallest residual that counts, as a share of a cell
-# Sectors of readings, each of which is left out once; share that the best place has to keep.
-_SECTORS: int = number("hypotheses.sectors")
-_STEADY: float = number("hypotheses.steady")
 _TOGETHER = 64  # poses that are compared with all others at a time
 
 
@@ -36,51 +33,6 @@ def masses(log_likelihood: FloatArray, temperature: float) -> FloatArray:
     # scipy.special.softmax checks nothing, and takes a fifth of a second to import.
     weight = np.exp((log_likelihood - log_likelihood.max(initial=-np.inf)) / temperature)
     return np.asarray(weight / weight.sum())
-
-
-def steadiness(evidence: Float32Array, angles: FloatArray, temperature: float) -> float:
-    """Least share, 0..1, that the first of some places keeps if a sector of readings is left out.
-
-    Parameters
-    ----------
-    evidence : (K, N) float32 array
-        Log-density of each reading at each place, nats.
-    angles : (N,) float array
-        Directions of the readings, radians.
-    temperature : float
-        Of all readings together.
-
-    Examples
-    --------
-    Sixteen readings, one of which speaks for the first of two places:
-
-    >>> angles, told = np.arange(16.0), np.zeros((2, 16), np.float32)
-    >>> told[0, 3] = 4.0
-    >>> steadiness(told, angles, 1.0)
-    0.5
-    """
-    count, total = len(angles), evidence.sum(axis=1, dtype=np.float64)
-    sectors = np.array_split(np.argsort(angles, kind="stable"), min(_SECTORS, count))
-    left = ((total - evidence[:, some].sum(axis=1), 1 - len(some) / count) for some in sectors)
-    # The temperature grows with the root of the number of readings.
-    return min(float(masses(log, temperature * part**0.5)[0]) for log, part in left)
-
-
-def steadied(share: FloatArray, least: float) -> FloatArray:
-    """Shares (M,), best first, of which the best is less if a few neighbouring readings decide it.
-
-    `least` is the :func:`steadiness` of the places. The best stays the best.
-
-    Examples
-    --------
-    >>> steadied(np.array([0.98, 0.02]), 0.5).round(2).tolist()
-    [0.61, 0.39]
-    """
-    best, rest = float(share[0]), float(share[1:].sum())
-    if least >= _STEADY or not rest:
-        return share
-    kept = max(best * least / _STEADY, float(share[1]) / (rest + float(share[1])))
-    return np.concatenate(([kept], share[1:] * ((1 - kept) / rest)))
 
 
 def first_in_cell(poses: FloatArray, distance: float, angle: float) -> IntArray:

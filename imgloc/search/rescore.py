@@ -93,15 +93,6 @@ def rescore(
     return Scores(log_likelihood, on_surface, shifted < model.absent)
 
 
-def reading_evidence(
-    features: MapFeatures, readings: Readings, poses: FloatArray, options: Options
-) -> Float32Array:
-    """Log-density of each reading, (C, N) nats: on straight walls :func:`rescore` sums them up."""
-    seen, field, model = (poses, readings.ranges, readings.angles), features.field, options.model
-    shifted = _shifted(*seen, features.walls, field.resolution, model)
-    return _passing(_endpoint_density(*seen, field, model)[0], shifted, model)
-
-
 def _passing(density: Float32Array, shifted: Float32Array, model: EvidenceModel) -> Float32Array:
     """Log-density of readings with their endpoints' density, given the walls that they pass."""
     density *= np.float32(model.absent) + np.float32(1 - model.absent) * shifted

@@ -17,13 +17,11 @@ from imgloc.search.hypotheses import (
     covariances,
     covariances_from,
     masses,
-    steadied,
-    steadiness,
 )
 from imgloc.search.modes import Modes, misfit_of
 from imgloc.search.priors import stands
 from imgloc.search.refine import block_sums, refine
-from imgloc.search.rescore import Scores, reading_evidence, score_poses
+from imgloc.search.rescore import Scores, score_poses
 
 # The mean of a mode's maxima is itself uncertain: this share of their second moments is added.
 _MAXIMA, _MAXIMA_ON_FACES = number("pipeline.maxima"), number("faces.maxima")
@@ -79,9 +77,8 @@ def weigh(
     shared, explained, options = found.shared, 0.0, replace(options, shared=found.shared)
     there = features.thinner(shared.thinner)
     score = found.scores.log_likelihood
-    share = masses(score, fit.temperature.value)
-    lead = float(share[0])
-    share = steadied(share, steadiness_of(features, found, fit, options))
+    lead = float(masses(score, fit.temperature.value)[0])
+    share = masses(score, fit.temperature.value * fit.doubt)
     listed = options.listed(share)
     poses = found.poses.copy()
     if settle and not shared.bent:
@@ -137,19 +134,6 @@ def stand_on_faces(
     return np.where(stands_there, there.poses, poses), covariance
 
 
-def steadiness_of(features: MapFeatures, found: Modes, fit: Evidence, options: Options) -> float:
-    """The :func:`~imgloc.search.hypotheses.steadiness` of the modes, if map and scan disagree.
-
-    It is 1 where they agree, because there a single door may tell two places apart, and on bent
-    walls, whose pieces are weighed as pieces.
-    """
-    if fit.misfit <= options.fused.strained or found.shared.bent:
-        return 1.0
-    there = features.thinner(found.shared.thinner)
-    told = reading_evidence(there, found.readings, found.poses[:MODES], options)
-    return steadiness(told, found.readings.angles, fit.temperature.value)
-
-
 def evidence_with(features: MapFeatures, found: Modes, options: Options) -> Evidence:
     """How well the best mode fits, with the error that the search has found beyond a known one."""
     shared, cell = found.shared, features.grid.resolution
@@ -179,9 +163,12 @@ def evidence_of(
     against = contradiction(misfit - options.shared.usual, model.best - unmapped, through)
     if floor is not None:  # what may be left out fits more places
         against += _FLOOR
+    strained = misfit - options.shared.usual > options.fused.strained
+    doubt = options.trust.doubt if strained else 1.0
     return Evidence(
-        n, model.best, misfit, unmapped, gained, against, temperature=temperature, floor=floor
-    )
+        n, model.best, misfit, unmapped, gained, against, temperature=temperature, doubt=doubt,
+        floor=floor,
+    )  # fmt: skip
 
 
 def longest_run(yes: BoolArray) -> int:

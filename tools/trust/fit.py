@@ -22,10 +22,10 @@ from imgloc.model import BoolArray, FloatArray, inverse
 from imgloc.numbers import Origin, write
 from imgloc.options import Known
 from imgloc.pipeline import find_adapted_modes
-from imgloc.search.hypotheses import masses, steadied
+from imgloc.search.hypotheses import masses
 from imgloc.search.priors import prior_of
 from imgloc.search.trust import judge
-from imgloc.search.weigh import evidence_with, steadiness_of
+from imgloc.search.weigh import evidence_with
 from tools.script import table_lines
 from tools.trust.disturb import MAPS, PRIORS, ROOMS, SCANS, unmapped
 from tools.trust.reliability import LEAST, RIGHT, Judged, reliability
@@ -51,7 +51,7 @@ class Case:
     gap: float  #: nats per reading by which the best mode beats a building on no map
     cell: float  #: of the map, metres
     against: float = 0.0  #: nats that contradict the best mode
-    steady: float = 1.0  #: least share of the best mode if a sector of readings is left out
+    doubt: float = 1.0  #: factor on the temperature, because map and scan disagree
 
     def net(self, temperature: float) -> float:
         """Nats for the best mode, as :attr:`imgloc.model.Evidence.net`."""
@@ -94,8 +94,8 @@ def case_of(
         right = np.all(pose_errors(there, Pose2D(*pose)) <= RIGHT, axis=1)
     fit = evidence_with(features, found, options)
     gap, cell = fit.best - fit.misfit - fit.unmapped, features.grid.resolution
-    steady = steadiness_of(features, found, fit, options)
-    return Case(building, condition, score, right, n, fit.misfit, gap, cell, fit.against, steady)
+    doubt, against = fit.doubt, fit.against
+    return Case(building, condition, score, right, n, fit.misfit, gap, cell, against, doubt)
 
 
 def cases_at_home(building: str, grid: OccupancyGrid, scans: ScanSet, seed: int) -> Iterator[Case]:
@@ -284,7 +284,7 @@ def _judged(case: Case, trust: Trust) -> Judged:
     T = trust.temperature_at(case.misfit, case.readings, case.cell).value
     mass = masses(case.score, T)
     elsewhere = trust.mass_elsewhere(case.net(T), float(mass[0]))
-    mass = steadied(mass, case.steady) * (1 - elsewhere)
+    mass = masses(case.score, T * case.doubt) * (1 - elsewhere)
     verdict = judge(trust.readings, mass, elsewhere, trust)[0]
     told = mass >= LEAST
     wrong = verdict == "unique" and not case.right[0]
