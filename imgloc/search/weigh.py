@@ -77,8 +77,8 @@ def weigh(
     shared, explained, options = found.shared, 0.0, replace(options, shared=found.shared)
     there = features.thinner(shared.thinner)
     score = found.scores.log_likelihood
-    lead = float(masses(score, fit.temperature.value)[0])
     share = masses(score, fit.temperature.value * fit.doubt)
+    lead = float(share[0])
     listed = options.listed(share)
     poses = found.poses.copy()
     if settle and not shared.bent:

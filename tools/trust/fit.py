@@ -243,7 +243,7 @@ def _regressors(cases: Sequence[Case], scale: FloatArray) -> FloatArray:
     rows = []
     for c in cases:
         T = _temperature(c, scale * (1, MARGIN))
-        rows.append((1.0, np.clip(c.net(T), -most, most), 1 - masses(c.score, T)[0]))
+        rows.append((1.0, np.clip(c.net(T), -most, most), 1 - masses(c.score, T * c.doubt)[0]))
     return np.array(rows)
 
 
@@ -282,9 +282,9 @@ def conditions_table(cases: Sequence[Case], trust: Trust) -> str:
 
 def _judged(case: Case, trust: Trust) -> Judged:
     T = trust.temperature_at(case.misfit, case.readings, case.cell).value
-    mass = masses(case.score, T)
+    mass = masses(case.score, T * case.doubt)
     elsewhere = trust.mass_elsewhere(case.net(T), float(mass[0]))
-    mass = masses(case.score, T * case.doubt) * (1 - elsewhere)
+    mass = mass * (1 - elsewhere)
     verdict = judge(trust.readings, mass, elsewhere, trust)[0]
     told = mass >= LEAST
     wrong = verdict == "unique" and not case.right[0]
