@@ -339,6 +339,8 @@ def test_evidence_is_new_more_slowly_on_bent_walls() -> None:
     shares = [one._fresh(Habit(way=way)) for one in (straight, bent)]
     assert shares[0] == pytest.approx(1 / 3)  # each 3 m
     assert shares[1] == pytest.approx(1 / 6)
+    bent.place(log().poses[0], (0.1, 0.1))
+    assert bent._fresh(Habit(way=way)) == pytest.approx(1 / 3)
 
 
 def test_what_particles_are_drawn_from_has_a_shared_error_once(monkeypatch) -> None:

@@ -74,7 +74,8 @@ class TrackerOptions(Checked):
     births: Count = number("TrackerOptions.births")  #: modes of one scan that may become components
     #: metres and radians of motion after which all of a scan's evidence is new
     fresh: tuple[Length, Step] = number("TrackerOptions.fresh")
-    #: factor on `fresh` on bent walls, where scans share the errors of more pieces of wall
+    #: factor on `fresh` on bent walls, where scans share the errors of more pieces of wall, unless
+    #: the robot was given a pose at the start
     blurred: Factor = number("TrackerOptions.blurred")
     #: share of a scan's evidence that counts without any motion
     least: Share = number("TrackerOptions.least")
@@ -338,7 +339,8 @@ class Tracker:
     def _fresh(self, habit: Habit) -> float:
         """Share of a scan's evidence that is new, 0..1, by the way since the last weighed scan."""
         share = float(np.clip((habit.way / self.how.fresh).sum(), self.how.least, 1.0))
-        return share / self.how.blurred if self.options.shared.bent else share
+        found = self._begun is None  # what speaks against a given pose counts in full
+        return share / self.how.blurred if self.options.shared.bent and found else share
 
     def _unsurprised(self, view: View, habit: Habit) -> FloatArray | None:
         """Pose (1, 3) where the best component settles; None if it fits abruptly worse than before.
