@@ -156,10 +156,9 @@ def answer_text(title: str, answer: Localization, truth: Pose2D | None = None) -
             facts.append(("map", how + bent))
         if evidence.floor is not None:
             facts.append(("floor", floor_words(evidence.floor)))
-        poses = f"{evidence.listed} listed"
-        if evidence.found > evidence.listed:
-            unlisted = percent(evidence.unlisted)
-            poses += f" and {evidence.found - evidence.listed} not listed with {unlisted}"
+        poses = f"{evidence.listed} of {evidence.found} listed"
+        if evidence.unlisted > 0:
+            poses += f", {percent(evidence.unlisted)} on this map at none of these"
         facts.append(("poses", f"{poses}, elsewhere {percent(answer.elsewhere)}"))
     counts = ", ".join(f"{n} {key.replace('_', ' ')}" for key, n in answer.counts.items())
     facts += [("readings", counts), ("time", times_words(answer))]

@@ -486,28 +486,28 @@ def _with_corners(
 ) -> tuple[BoolArray, BoolArray]:
     """Cells of the building with the short pieces of its outer walls; and those pieces.
 
-    A corner between two doors is as short as a letter. Pieces about as thick as the walls count if
-    the building would be open without them, and only at its border.
+    A corner between two doors is as short as a letter. A piece about as thick as the walls counts
+    if it is at a corner of the box around the building, and the building is open without it.
     """
     parts, none = len(walls) // len(inside), np.zeros_like(walls)
     building = _touching(walls, _finer(inside, parts))
     if not building.any():
         return inside, none
     points = cv2.findNonZero(building.astype(np.uint8))
-    box = np.rint(cv2.boxPoints(cv2.minAreaRect(points))).astype(np.int32)
-    within = cv2.fillConvexPoly(none.astype(np.uint8), box, 1) > 0
-    labels, stats = _pieces(short & _grown(within, parts) & ~_finer(inside, parts))
+    factor, share, near = _CORNERS
+    spots = none.astype(np.uint8)
+    for corner in np.rint(cv2.boxPoints(cv2.minAreaRect(points))).astype(np.int32).tolist():
+        cv2.circle(spots, corner, round(near * parts / cell), 1, -1)
+    labels, stats = _pieces(short & ~_finer(inside, parts))
     thick = _greatest(_depth(short), labels, labels > 0, len(stats))
-    (factor, share) = _CORNERS
-    thick_enough = thick >= share * np.median(_depth(building)[skeletonize(building)])
-    thick_enough[0] = False
-    corners = thick_enough[labels]
+    median = np.median(_depth(building)[skeletonize(building)])
+    at_corner = _met(labels, len(stats), (labels > 0) & (spots > 0))
+    corners = (at_corner & (thick >= share * median))[labels]
     taken = _coarser(walls | corners, parts) > 0
     with_them, _ = _inside(taken, cell, gap)
     if np.count_nonzero(with_them) <= factor * np.count_nonzero(inside):
         return inside, none
-    outside = _finer(~with_them & ~taken, parts)
-    return with_them, _met(labels, len(stats), corners & _grown(outside, 2 * parts))[labels]
+    return with_them, corners
 
 
 def plan_bytes(height: int, width: int, resolution: float, cell: float | None = None) -> int:
@@ -610,7 +610,7 @@ def _between_lines(
     drawn: BoolArray, thickest: float, line: float, across: float, pixel: float
 ) -> Between:
     """Walls that are drawn as lines: `line` wide, `across` at most between two spaces, pixels."""
-    holes, hatching = _spaces(drawn, thickest / pixel, pixel)
+    holes, hatching = _spaces(drawn, thickest / pixel, across, pixel)
     holes &= ~_furniture(drawn, thickest / pixel, pixel)
     # The lines between two spaces of a wall are in it, and half of the lines along it.
     body = _closed(holes, across) & (drawn | holes)
@@ -628,7 +628,9 @@ def _between_lines(
     return Between(thickest, holes, hatching, body)
 
 
-def _spaces(drawn: BoolArray, thick: float, pixel: float) -> tuple[BoolArray, BoolArray]:
+def _spaces(
+    drawn: BoolArray, thick: float, across: float, pixel: float
+) -> tuple[BoolArray, BoolArray]:
     """Spaces between the lines of a wall, and those of stairs, tiles and other hatching."""
     labels, stats = _pieces(~drawn, 4)
     half = _depth(~drawn)
@@ -637,13 +639,11 @@ def _spaces(drawn: BoolArray, thick: float, pixel: float) -> tuple[BoolArray, Bo
     for border in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
         narrow[border] = False
     holes = narrow[labels]
-    # Narrow spaces side by side are a wall only if they are as thick as one together; the panes of
-    # a window, only if they are as thick as the wall that it is in.
-    depth, beside, width = (
-        _greatest(image, labels, holes, len(stats))
-        for image in (_depth(drawn | holes), _around(_depth(drawn), thick), 2 * half)
-    )
-    deep = depth > np.maximum(0.55 * thick, _WINDOW * beside) + 2
+    # Narrow spaces side by side are a wall only if they are as thick as one together.
+    together = _depth(drawn | holes)
+    depth, width = (_greatest(m, labels, holes, len(stats)) for m in (together, 2 * half))
+    deep = depth > 0.55 * thick + 2
+    deep &= ~_windows(drawn, labels, deep, together, thick, across)
     long = stats[:, cv2.CC_STAT_AREA] >= _STRIP * np.maximum(width, 1) ** 2
     # What is not belongs to a wall if it is one of many cells between the lines of a hatching.
     little = stats[:, cv2.CC_STAT_AREA] < _LITTLE / pixel**2
@@ -664,6 +664,28 @@ def _greatest(
     out = np.zeros(count, np.float32)
     np.maximum.at(out, labels[where], image[where])
     return out
+
+
+def _windows(
+    drawn: BoolArray, labels: npt.NDArray[np.int32], deep: BoolArray, together: Float32Array,
+    thick: float, across: float,
+) -> BoolArray:  # fmt: skip
+    """Which of the spaces that are `deep` are panes of windows in thicker solid outer walls, (N,).
+
+    With such a pane, whose lines are `across` pixels wide at most, the wall is no thicker than
+    beside it. A cupboard makes it thicker; a door with two leaves leads to no paper outside.
+    """
+    panes = deep[labels]
+    union, solid = (_around(m, thick) for m in (together, _depth(drawn)))
+    most, wall = (_greatest(m, labels, panes, len(deep)) for m in (union, solid))
+    flush = deep & (wall > 0.55 * thick) & (most <= _WINDOW * wall + 2)
+    paper = np.zeros(len(deep), np.bool_)
+    for border in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
+        paper[border] = True
+    paper[0] = False
+    groups, found = _pieces(_closed(flush[labels], across))
+    outer = _met(groups, len(found), _grown(paper[labels], round(across) + 2))[groups]
+    return np.asarray(flush & _met(labels, len(deep), outer & flush[labels]))
 
 
 def _around(image: Float32Array, radius: float) -> Float32Array:
