@@ -29,6 +29,7 @@ _METHOD = dict.fromkeys(vars(Calibration()), float)
 _SHARED = {
     "scale": float, "thinner": int, "bent?": float, "depth?": (float, None), "usual?": float
 }  # fmt: skip
+_FITTED = tuple(name.rstrip("?") for name in _SHARED)  # what is only said is not kept
 _KIND = {"map_hash": str, "methods": {str: _METHOD}, "shared?": _SHARED}
 
 
@@ -71,7 +72,7 @@ def save_calibrations(
         "imgloc": __version__,
         "map_hash": map_hash(grid),
         "methods": {name: vars(fitted) for name, fitted in {**kept, **calibrations}.items()},
-        "shared": vars(shared or Shared()),
+        "shared": {name: getattr(shared or Shared(), name) for name in _FITTED},
         "about": {**old, **about},
     }
     write_text_atomic(path, json.dumps(content, indent=2, allow_nan=False) + "\n", force=force)
