@@ -27,9 +27,9 @@ _MOST = 1 << 20  # bytes; what is longer is not such a file
 _UNUSABLE = (ValueError, ConfigError, OutputError)
 _METHOD = dict.fromkeys(vars(Calibration()), float)
 _SHARED = {
-    "scale": float, "thinner": int, "bent?": float, "depth?": (float, None), "usual?": float
+    "scale": float, "thinner": int, "bent?": float, "depth?": (float, None), "usual?": float,
+    "straight?": bool,
 }  # fmt: skip
-_FITTED = tuple(name.rstrip("?") for name in _SHARED)  # what is only said is not kept
 _KIND = {"map_hash": str, "methods": {str: _METHOD}, "shared?": _SHARED}
 
 
@@ -72,7 +72,7 @@ def save_calibrations(
         "imgloc": __version__,
         "map_hash": map_hash(grid),
         "methods": {name: vars(fitted) for name, fitted in {**kept, **calibrations}.items()},
-        "shared": {name: getattr(shared or Shared(), name) for name in _FITTED},
+        "shared": vars(shared or Shared()),
         "about": {**old, **about},
     }
     write_text_atomic(path, json.dumps(content, indent=2, allow_nan=False) + "\n", force=force)
@@ -135,8 +135,9 @@ def _read(file: Path, grid: OccupancyGrid) -> tuple[dict[str, Calibration], Any,
         for name, values in methods.items()
     }
     said = {key: known[key] for key in vars(Shared()) if known.get(key) is not None}
-    numbers = {key: value if key == "thinner" else float(value) for key, value in said.items()}
-    return found, content.get("about"), _made("shared", Shared, numbers)
+    exact = ("thinner", "straight")
+    values = {key: value if key in exact else float(value) for key, value in said.items()}
+    return found, content.get("about"), _made("shared", Shared, values)
 
 
 def _made(key: str, kind: Any, values: Mapping[str, Any]) -> Any:
