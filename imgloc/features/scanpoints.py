@@ -170,8 +170,13 @@ def one_per_place(scan: LaserScan, side: float) -> Readings:
         seen &= ~at_end
     xy = scan_xy(scan)[seen]
     cells = np.floor(xy / side)
-    _, cell, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    x, y = (np.bincount(cell.ravel(), along) / count for along in xy.T)
+    # np.unique compares pairs as structures, and reports Ctrl-C meanwhile as a TypeError.
+    by_cell = np.lexsort(cells.T[::-1])
+    first = np.append(True, np.any(np.diff(cells[by_cell], axis=0) != 0, axis=1))
+    cell = np.empty(len(cells), np.int64)
+    cell[by_cell] = np.cumsum(first) - 1
+    count = np.bincount(cell)
+    x, y = (np.bincount(cell, along) / count for along in xy.T)
     angles = np.arctan2(y, x)
     order = np.argsort(angles, kind="stable")
     return Readings(np.hypot(x, y)[order], angles[order])
