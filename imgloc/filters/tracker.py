@@ -339,8 +339,9 @@ class Tracker:
     def _fresh(self, habit: Habit) -> float:
         """Share of a scan's evidence that is new, 0..1, by the way since the last weighed scan."""
         share = float(np.clip((habit.way / self.how.fresh).sum(), self.how.least, 1.0))
-        found = self._begun is None  # what speaks against a given pose counts in full
-        return share / self.how.blurred if self.options.shared.bent and found else share
+        if not self.options.shared.bent or self._begun is not None:
+            return share  # what speaks against a given pose counts in full
+        return share / self.how.blurred
 
     def _unsurprised(self, view: View, habit: Habit) -> FloatArray | None:
         """Pose (1, 3) where the best component settles; None if it fits abruptly worse than before.
