@@ -24,7 +24,8 @@ REGION = 7.815
 """The 95 % point of chi-square with three degrees of freedom."""
 TRUTH = (0.03, 0.03, float(np.deg2rad(0.4)))
 """Standard deviations of recorded poses: metres, metres, radians."""
-_NEAR = 0.5  # metres; farther off an answer is wrong, not imprecise
+NEAR = 0.5
+"""Metres from the true place; farther off an answer is wrong, not imprecise."""
 _ROUND = 0.05  # length of the mean ray, of rays of length 1, below which a view is a full circle
 
 
@@ -59,25 +60,25 @@ def precision(
     rows, claimed, errors, biases = [], [], [], []
     for k, (scan, pose) in enumerate(scans.with_poses()):
         answer = localize(features, scan, options)
-        found, covariance = _first(answer)
+        found, covariance = best_of(answer)
         error = _difference(found, pose)
-        if answer.verdict != "unique" or np.hypot(*error[:2]) > _NEAR:
+        if answer.verdict != "unique" or np.hypot(*error[:2]) > NEAR:
             continue
         inside = _within(error, covariance + np.diag(np.square(truth)))
         (a, A), (b, B) = (
-            _first(localize(features, replace(scan, ranges=r, angles=phi), options))
+            best_of(localize(features, replace(scan, ranges=r, angles=phi), options))
             for r, phi in _halves(scan)
         )
         ranges = scan.ranges.copy()
         ranges[np.random.default_rng((0, k)).choice(np.flatnonzero(scan.valid))] = np.nan
         less = localize(features, replace(scan, ranges=ranges), options)
-        step = _difference(_first(less)[0], found)
+        step = _difference(best_of(less)[0], found)
         moved = bool(np.any(np.abs(step) > 2 * np.sqrt(np.diag(covariance))))
         rows.append((inside, _within(_difference(a, b), A + B), moved))
         x, y, turn = np.diag(covariance)
         claimed.append(np.sqrt([(x + y) / 2, turn]))
         errors.append([np.hypot(*error[:2]) / np.sqrt(2), error[2]])
-        biases.append(_seen_from(error, pose[2] + _middle(scan)))
+        biases.append(_seen_from(error, pose[2] + middle_of_view(scan)))
     if not rows:
         nan = float("nan")
         return Precision(name, 0, nan, nan, nan, *[(nan, nan)] * 3)
@@ -106,7 +107,7 @@ def precision_table(rows: Sequence[Precision]) -> str:
     return "\n".join(table_lines(head, cells))
 
 
-def _middle(scan: LaserScan) -> float:
+def middle_of_view(scan: LaserScan) -> float:
     """Angle of the middle of the view, radians; 0 for a full circle, which has none."""
     ahead = np.exp(1j * scan.angles).mean()
     return float(np.angle(ahead)) if np.abs(ahead) > _ROUND else 0.0
@@ -124,7 +125,7 @@ def _halves(scan: LaserScan) -> list[tuple[FloatArray, FloatArray]]:
     return [(scan.ranges[second == i], scan.angles[second == i]) for i in (0, 1)]
 
 
-def _first(answer: Localization) -> tuple[FloatArray, FloatArray]:
+def best_of(answer: Localization) -> tuple[FloatArray, FloatArray]:
     """Pose (3,) and covariance of the first hypothesis; far off if there is none."""
     if not answer.hypotheses:
         return np.full(3, np.inf), np.eye(3)
