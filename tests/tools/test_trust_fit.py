@@ -1,6 +1,7 @@
 """Constants of trust: fitted to cases that were made with known ones, and by the tool."""
 
 import json
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -14,10 +15,11 @@ from imgloc.search.hypotheses import masses
 from imgloc.simulation.scans import simulate
 from imgloc.simulation.worlds import WORLDS, render
 from tools.trust.__main__ import main
-from tools.trust.disturb import MAPS, PRIORS, ROOMS, SCANS, unmapped
+from tools.trust.disturb import MAPS, PRIORS, ROOMS, SCANS, shut, unmapped
 from tools.trust.fit import (
     Case,
     case_of,
+    cases_on_floors,
     conditions_table,
     fit_trust,
     mapped,
@@ -84,6 +86,8 @@ def test_disturbances_change_what_they_say_and_nothing_else():
         np.testing.assert_array_equal(once.ranges, again.ranges)
         same = once.ranges.shape == scan.ranges.shape and np.array_equal(once.ranges, scan.ranges)
         assert same == (name in ("undisturbed", "reach of 5 m"))
+    longer = SCANS["ranges + 0.15 m"](scan, np.random.default_rng(0))
+    assert longer.ranges[scan.valid] == pytest.approx(scan.ranges[scan.valid] + 0.15)
     assert SCANS["reach of 5 m"](scan, np.random.default_rng(0)).range_max == 5
     assert SCANS["18 beams"](scan, np.random.default_rng(0)).ranges.shape == (18,)
     far = SCANS["people"](scan, np.random.default_rng(1))
@@ -96,6 +100,57 @@ def test_disturbances_change_what_they_say_and_nothing_else():
     assert thick.occupied[grid.occupied].all()
     half = MAPS["half the map"](grid, np.random.default_rng(0))
     assert 0.3 < half.occupied.sum() / grid.occupied.sum() < 0.7
+
+
+def test_mixed_pixels_are_at_edges_alone_and_in_between():
+    ranges = np.array([2.0, 2.0, 5.0, 5.1, np.inf, 5.0])
+    scan = LaserScan(ranges, np.arange(6) / 10, range_max=10.0)
+    mixed = SCANS["mixed pixels"](scan, np.random.default_rng(0)).ranges
+    assert mixed[[0, 2, 3, 4]].tolist() == [2.0, 5.0, 5.1, np.inf]
+    assert 2.0 < mixed[1] < 5.0
+    assert 2.0 < mixed[5] < 5.0  # the last beam is beside the first
+
+
+def test_a_doorway_is_shut_and_a_corridor_stays_open():
+    walls = np.pad(np.zeros((60, 80), bool), 1, constant_values=True)
+    walls[:, 40] = True
+    walls[20:29, 40] = False  # 0.9 m
+    walls[45:56, 60:] = True
+    walls[46:55, 60:] = False  # a corridor, 0.9 m wide and 2 m long
+    grid = OccupancyGrid(walls, ~walls, 0.1)
+    closed = shut(grid, np.random.default_rng(0), share=1.0)
+    new = np.argwhere(closed.occupied & ~walls)
+    assert new.tolist() == [[row, 40] for row in range(20, 29)]
+    assert not (closed.free & closed.occupied).any()
+    assert shut(grid, np.random.default_rng(0), share=0.0).occupied.sum() == walls.sum()
+
+
+def test_furniture_goes_and_comes_and_walls_stay():
+    walls = np.pad(np.zeros((98, 98), bool), 1, constant_values=True)
+    table = np.zeros_like(walls)
+    table[50:55, 50:55] = True
+    grid = OccupancyGrid(walls | table, ~(walls | table), 0.1)
+    gone = 0
+    for seed in range(20):
+        other = MAPS["furniture moved"](grid, np.random.default_rng(seed))
+        assert other.occupied[walls].all()
+        gone += not other.occupied[52, 52]
+        assert 0 < (other.occupied & ~grid.occupied).mean() < 0.2
+        assert other.free[table & ~other.occupied].all()
+    assert 3 < gone < 17
+
+
+def test_a_map_of_half_the_size_keeps_thin_walls_where_they_are():
+    walls = np.zeros((41, 61), bool)
+    walls[10], walls[:, 31] = True, True
+    half = MAPS["map of half the size"](
+        OccupancyGrid(walls, ~walls, 0.05), np.random.default_rng(0)
+    )
+    assert half.occupied.shape == (20, 30)
+    assert half.resolution == 0.1
+    assert half.occupied[5].all()
+    assert half.occupied[:, 15].all()
+    assert half.occupied.sum() == 20 + 30 - 1
 
 
 @pytest.mark.parametrize("kind", ROOMS)
@@ -129,8 +184,19 @@ def test_a_case_says_which_mode_is_right():
     assert case_of(prepare(grid), LaserScan([1.0], [0.0]), None, "x", "few") is None
 
 
+def test_scans_of_other_floors_have_no_place():
+    cases = list(cases_on_floors(3, 1))
+    rows = Counter(c.condition for c in cases)
+    assert rows["own floor"] == rows["another floor"] == rows["mirrored plan"] == 4
+    assert rows["another floor, heading known to 30 deg"] == 4
+    own = [c for c in cases if c.condition == "own floor"]
+    assert sum(c.right[0] for c in own) >= 3
+    assert not any(c.right.any() for c in cases if c.condition != "own floor")
+    assert {c.building for c in cases} == {"building 3"}
+
+
 def test_the_tool_prints_constants_and_a_table(capsys):
-    assert main(["fit", "-n", "1", "--worlds", "curved"]) == 0
+    assert main(["fit", "-n", "1", "--worlds", "curved", "--buildings", "0"]) == 0
     text = capsys.readouterr().out
     numbers, end = json.JSONDecoder().raw_decode(text)
     assert set(numbers["cases"]) <= set(SCANS) | set(MAPS) | set(PRIORS)

@@ -53,6 +53,7 @@ from tools.trust.fit import (
     Case,
     cases_at_home,
     cases_away,
+    cases_on_floors,
     conditions_table,
     fit_trust,
     listed,
@@ -273,6 +274,7 @@ def run_fit(given: argparse.Namespace) -> int:
         away = [s for home, _, s in sets if one.get(home, home) != one.get(name, name)]
         foreign = [scan for s in away for scan in s.scans[: max(1, n // 4)]]
         jobs.append((cases_away, (one.get(name, name), grid, foreign, max(1, n // 6), seed)))
+    jobs += [(cases_on_floors, (seed * 1000 + k, n)) for k in range(given.buildings)]
     cases: list[Case] = all_of("fit", jobs, given.workers)
     now = Trust()
     fit = fit_trust(cases, (now.temperature, now.strain) if held else None)
@@ -513,7 +515,7 @@ TOOLS: Sequence[tuple[Any, ...]] = (
     (run_completeness, 40, 7, "scans of each world or set", "--sets", "--range-max", "--worlds",
      "--workers"),
     (run_fit, 30, 5, "scans of each world or set", "--sets", "--range-max", "--worlds", "--maps",
-     "--hold-temperature", "--write", "--workers", "--same"),
+     "--buildings", "--hold-temperature", "--write", "--workers", "--same"),
     (run_precision, 30, 1, "scans of each world, set or map", "--sets", "--range-max", "--worlds",
      ("--maps", {"help": "maps on which scans are simulated"}), "--known"),
     (run_lean, 100, 1, "scans of each set", _NEEDED, "--range-max"),

@@ -20,6 +20,8 @@ from tools.trust.reliability import RIGHT
 
 MISSED = (0.01, 0.1)
 """Shares of the mass that a search may miss."""
+_FIFTH, _CLEAR = 5, 1.0  # which mode a missed one must beat, and by how many nats: ties are chance
+_COUNTS = 0.001  # of the mass, that it must have
 #: No error is shared: both searches are of the same score.
 SEARCH = FusedOptions(adapted=1e9)
 
@@ -30,6 +32,7 @@ class Compared:
 
     condition: str
     missed: float  #: share of the mass of the wider search's modes that the search does not have
+    above: bool  #: whether one that it does not have scores above its own fifth, or last
     right: bool  #: whether the search's first mode is right
     wider_right: bool  #: and that of the wider search
 
@@ -40,16 +43,20 @@ def compared(condition: str, features: MapFeatures, scan: LaserScan, pose: Float
     search = find_adapted_modes(features, scan, options)
     found, wider = search.poses, exhaustive(features, left_out(scan, search.floor), SEARCH)
     n, cell = len(wider.readings), features.grid.resolution
-    misfit = misfit_of(wider.scores, n, options)
-    temperature = options.trust.temperature_at(misfit, n, cell).value
-    share = masses(wider.scores.log_likelihood, temperature)
-    missed = float(share[~listed(wider.poses, found, SEARCH.separation)].sum())
+    misfit, score = misfit_of(wider.scores, n, options), wider.scores.log_likelihood
+    doubt = options.trust.doubt if misfit > SEARCH.strained else 1.0
+    share = masses(score, options.trust.temperature_at(misfit, n, cell).value * doubt)
+    lacks = ~listed(wider.poses, found, SEARCH.separation)
+    fifth = search.scores.log_likelihood[:_FIFTH].min(initial=np.inf)
+    above = np.any(lacks & (score > fifth + _CLEAR) & (share > _COUNTS))
 
     def is_right(poses: FloatArray) -> bool:
         there = transform_poses(features.grid.origin, poses[:1])
         return bool(np.all(pose_errors(there, Pose2D(*pose)) <= RIGHT, axis=1).any())
 
-    return Compared(condition, missed, is_right(found), is_right(wider.poses))
+    return Compared(
+        condition, float(share[lacks].sum()), bool(above), is_right(found), is_right(wider.poses)
+    )
 
 
 def listed(poses: FloatArray, among: FloatArray, within: tuple[float, float]) -> np.ndarray:
@@ -83,13 +90,14 @@ def completeness_table(all_compared: Sequence[Compared]) -> str:
     groups = {name: some for name, some in groups.items() if some} | {"all": [*all_compared]}
     head = " | ".join((
         "scans", "number", *(f"misses {100 * most:g} % of the mass" for most in MISSED),
-        "first right", "of the wider search",
+        "misses one above its fifth", "first right", "of the wider search",
     ))  # fmt: skip
     rows = (
         (
             name,
             len(some),
             *(sum(c.missed > most for c in some) for most in MISSED),
+            sum(c.above for c in some),
             sum(c.right for c in some),
             sum(c.wider_right for c in some),
         )

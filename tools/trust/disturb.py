@@ -93,6 +93,21 @@ def scaled_ranges(scan: LaserScan, _: Rng, factor: float) -> LaserScan:
     return with_ranges(scan, factor * scan.ranges)
 
 
+def biased_ranges(scan: LaserScan, _: Rng, metres: float) -> LaserScan:
+    """A constant error of the ranges."""
+    return with_ranges(scan, scan.ranges + metres)
+
+
+def mixed(scan: LaserScan, rng: Rng, jump: float = 0.3) -> LaserScan:
+    """At the edge of a thing the beam meets it and what is behind: the reading is in between."""
+    order = np.argsort(scan.angles, kind="stable")
+    near, beyond = scan.ranges[order], np.roll(scan.ranges[order], -1)
+    edge = scan.valid[order] & np.roll(scan.valid[order], -1) & (np.abs(beyond - near) > jump)
+    ranges = scan.ranges.astype(np.float64)
+    ranges[order[edge]] += rng.random(np.count_nonzero(edge)) * (beyond - near)[edge]
+    return with_ranges(scan, ranges)
+
+
 def moving(scan: LaserScan, _: Rng, velocity: tuple[float, float, float]) -> LaserScan:
     """A sweep of 0.1 s by a robot that moves: m/s, m/s, rad/s. Its rays keep their directions."""
     times = np.linspace(0, 0.1, len(scan.ranges))
@@ -143,6 +158,8 @@ SCANS: Mapping[str, ScanChange] = MappingProxyType(
         "floor on a circle 5 m away": partial(floor, distance=5.0, cone=True),
         "ranges x 0.95": partial(scaled_ranges, factor=0.95),
         "ranges x 1.05": partial(scaled_ranges, factor=1.05),
+        "ranges + 0.15 m": partial(biased_ranges, metres=0.15),
+        "mixed pixels": mixed,
     }
 )
 
@@ -172,6 +189,59 @@ def displaced(grid: OccupancyGrid, rng: Rng, metres: float, over: float = 8.0) -
     return replace(grid, occupied=occupied, free=free)
 
 
+def furnished(grid: OccupancyGrid, rng: Rng, each: float = 10.0) -> OccupancyGrid:
+    """Half of what stands free is gone, and one box for `each` square metres has come."""
+    parts, label, stats, _ = cv2.connectedComponentsWithStats(grid.occupied.astype(np.uint8))
+    small = stats[:, cv2.CC_STAT_WIDTH : cv2.CC_STAT_HEIGHT + 1].max(axis=1) * grid.resolution < 1.5
+    gone = (small & (rng.random(parts) < 0.5))[label] & grid.occupied
+    occupied, free = (grid.occupied & ~gone).astype(np.uint8), grid.free | gone
+    where = np.argwhere(grid.free)
+    count = int(len(where) * grid.resolution**2 / each)
+    for (row, column), sides, turn in zip(
+        where[rng.integers(len(where), size=count)], rng.uniform(0.3, 1.2, (count, 2)),
+        rng.uniform(0, 180, count), strict=True,
+    ):  # fmt: skip
+        box = (float(column), float(row)), (sides / grid.resolution).tolist(), turn
+        corners = cv2.boxPoints(box)
+        cv2.fillConvexPoly(occupied, np.rint(corners).astype(np.int32), 1)
+    return replace(grid, occupied=occupied > 0, free=free & (occupied == 0))
+
+
+def shut(grid: OccupancyGrid, rng: Rng, widest: float = 1.1, share: float = 0.5) -> OccupancyGrid:
+    """A share of the gaps between walls, doorways among them, is closed by a thin door."""
+    cells = max(2, round(widest / grid.resolution))
+    occupied = grid.occupied.copy()
+    for image, drawn in ((grid.occupied, occupied), (grid.occupied.T, occupied.T)):
+        wall = image.astype(np.uint8)
+        across = cv2.morphologyEx(wall, cv2.MORPH_CLOSE, np.ones((1, cells), np.uint8)) > 0
+        # A doorway is short: beyond it, both ways, there is no wall on one side at least.
+        parts, label, stats, _ = cv2.connectedComponentsWithStats(
+            (across & ~image).astype(np.uint8)
+        )
+        deep = stats[:, cv2.CC_STAT_HEIGHT] * grid.resolution
+        wide = stats[:, cv2.CC_STAT_WIDTH] * grid.resolution
+        doors = (deep < 0.5) & (wide > 0.6) & (rng.random(parts) < share)
+        doors[0] = False
+        for k in np.flatnonzero(doors).tolist():
+            middle = stats[k, cv2.CC_STAT_TOP] + stats[k, cv2.CC_STAT_HEIGHT] // 2
+            drawn[middle] |= label[middle] == k
+    return replace(grid, occupied=occupied, free=grid.free & ~occupied)
+
+
+def averaged(grid: OccupancyGrid, _: Rng) -> OccupancyGrid:
+    """A picture made half as large: cells twice as large, of what they have most of."""
+    height, width = grid.occupied.shape
+    size = (width // 2, height // 2)
+    occupied, free = (
+        cv2.resize(even.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        for even in (part[: 2 * size[1], : 2 * size[0]] for part in (grid.occupied, grid.free))
+    )
+    walls = occupied >= 0.5
+    return replace(
+        grid, occupied=walls, free=(free >= 0.5) & ~walls, resolution=2 * grid.resolution
+    )
+
+
 def half(grid: OccupancyGrid, rng: Rng) -> OccupancyGrid:
     """One half of the map is unknown."""
     return half_of(grid, int(rng.integers(4)))
@@ -192,6 +262,9 @@ MAPS: Mapping[str, MapChange] = MappingProxyType(
         "walls dilated by 2 cells": dilated,
         "walls displaced by up to 0.15 m": partial(displaced, metres=0.15),
         "walls displaced by up to 0.3 m": partial(displaced, metres=0.3),
+        "furniture moved": furnished,
+        "doors shut on the map": shut,
+        "map of half the size": averaged,
         "half the map": half,
     }
 )

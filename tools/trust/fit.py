@@ -1,9 +1,10 @@
 """What trust is made of: temperature and the chance of being elsewhere, fitted to disturbed scans.
 
 Scans are simulated in the bundled worlds and taken from recorded sets, each as it is and after
-every disturbance of :mod:`tools.trust.disturb`; others are laid on maps that they are not from. The
-temperature makes the mass of the true mode as large as it may be; a logistic regression tells
-scans whose place is found from those whose place is not. Each building is left out once.
+every disturbance of :mod:`tools.trust.disturb`; others are laid on maps that they are not from, and
+on other floors of drawn buildings. The temperature makes the mass of the true mode as large as it
+may be; a logistic regression tells scans whose place is found from those whose place is not. Each
+building is left out once.
 """
 
 from collections import Counter
@@ -28,6 +29,7 @@ from imgloc.search.trust import judge
 from imgloc.search.weigh import evidence_with
 from tools.script import table_lines
 from tools.trust.disturb import MAPS, PRIORS, ROOMS, SCANS, unmapped
+from tools.trust.foreign import WITHOUT, floors_of, on_other_floors
 from tools.trust.reliability import LEAST, RIGHT, Judged, reliability
 
 MARGIN = 1.25
@@ -137,6 +139,17 @@ def cases_away(
         told = {condition: None} | {f"{condition}, {n}": known(at) for n, known in PRIORS.items()}
         for name, known in told.items():
             case = case_of(features, scan, None, building, name, known)
+            if case is not None:
+                yield case
+
+
+def cases_on_floors(seed: int, n: int) -> Iterator[Case]:
+    """Scans on their own floor, on another one of the same drawn building, on a mirrored plan."""
+    for grid, some in on_other_floors(floors_of(seed, n)):
+        features = prepare(grid, f"building {seed}")
+        for a in some:
+            row = a.row if a.prior == WITHOUT else f"{a.row}, {a.prior}"
+            case = case_of(features, a.scan, a.pose, a.building, row, a.known)
             if case is not None:
                 yield case
 
