@@ -101,10 +101,11 @@ def biased_ranges(scan: LaserScan, _: Rng, metres: float) -> LaserScan:
 def mixed(scan: LaserScan, rng: Rng, jump: float = 0.3) -> LaserScan:
     """At the edge of a thing the beam meets it and what is behind: the reading is in between."""
     order = np.argsort(scan.angles, kind="stable")
-    near, beyond = scan.ranges[order], np.roll(scan.ranges[order], -1)
-    edge = scan.valid[order] & np.roll(scan.valid[order], -1) & (np.abs(beyond - near) > jump)
+    near = np.where(scan.valid, scan.ranges, np.nan)[order]  # beside no reading there is no edge
+    beyond = np.roll(near, -1) - near
+    edge = np.abs(beyond) > jump
     ranges = scan.ranges.astype(np.float64)
-    ranges[order[edge]] += rng.random(np.count_nonzero(edge)) * (beyond - near)[edge]
+    ranges[order[edge]] += rng.random(np.count_nonzero(edge)) * beyond[edge]
     return with_ranges(scan, ranges)
 
 
@@ -189,7 +190,7 @@ def displaced(grid: OccupancyGrid, rng: Rng, metres: float, over: float = 8.0) -
     return replace(grid, occupied=occupied, free=free)
 
 
-def furnished(grid: OccupancyGrid, rng: Rng, each: float = 10.0) -> OccupancyGrid:
+def furnished(grid: OccupancyGrid, rng: Rng, each: float = 30.0) -> OccupancyGrid:
     """Half of what stands free is gone, and one box for `each` square metres has come."""
     parts, label, stats, _ = cv2.connectedComponentsWithStats(grid.occupied.astype(np.uint8))
     small = stats[:, cv2.CC_STAT_WIDTH : cv2.CC_STAT_HEIGHT + 1].max(axis=1) * grid.resolution < 1.5
