@@ -20,7 +20,9 @@ from imgloc.texts import numbers, pose
 
 if TYPE_CHECKING:
     from imgloc.cli.live import Live
-    from imgloc.filters.follow import Kidnap, Moment
+    from imgloc.features.mapfeatures import MapFeatures
+    from imgloc.filters.belief import Filter
+    from imgloc.filters.follow import Kidnap, Moment, Tracking
     from imgloc.io.scanset import ScanSet
     from imgloc.model import FloatArray, OccupancyGrid, Pose2D
     from imgloc.output.mcap import Recording
@@ -203,7 +205,7 @@ def track(
     check_options(features, options)
     scans = with_true_poses(scans, grid, inputs.name_of(log))
     tracking = Tracking(**vars(followed))
-    chosen = tracking.made(features, options)
+    chosen = _made(tracking, features, options, map_name(map_path))
     run = follow(
         features, live or scans, chosen, every=tracking.every, limits=tracking.limits,
         start=asked.start, kidnap=asked.kidnap, name=inputs.name_of(log),
@@ -240,6 +242,19 @@ def track(
         LOG.warning("%s", said)
     if strict and moments[-1].belief.verdict != "unique":
         raise typer.Exit(NOT_UNIQUE)
+
+
+def _made(
+    tracking: "Tracking", features: "MapFeatures", options: Options, name: str
+) -> "Filter":  # fmt: skip
+    """The filter; a warning if no pose of it can be ``unique`` on the map of this name."""
+    made = tracking.made(features, options)
+    if made.unsure:
+        LOG.warning(
+            "%s: %s, so no pose of --filter %s is unique; the tracker allows for it, and --bent 0 "
+            "says that walls are straight", name, made.unsure, tracking.filter,
+        )  # fmt: skip
+    return made
 
 
 def _truth_of(

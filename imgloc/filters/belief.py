@@ -54,6 +54,7 @@ class Filter(Protocol):
     """
 
     options: Options  #: options of the search, with the scale of the scans as estimated so far
+    unsure: str  #: why no pose is ever ``unique`` on this map; empty if one may be
 
     def move(self, increment: FloatArray) -> None:
         """Move the belief by a motion (3,), in the robot's earlier frame: m, m, radians."""

@@ -207,6 +207,8 @@ class Tracker:
     True
     """
 
+    unsure = ""
+
     def __init__(
         self,
         features: MapFeatures,

@@ -173,6 +173,8 @@ class GridFilter(ScannedFilter):
         If the stacks take more than the memory budget.
     """
 
+    knows_bent = False
+
     def __init__(
         self, features: MapFeatures, options: Options | None = None, how: GridOptions | None = None
     ) -> None:

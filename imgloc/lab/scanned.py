@@ -8,6 +8,7 @@ from imgloc.filters.belief import Belief, Followed, Habit, Habits, belief_of
 from imgloc.filters.evidence import misfit_near, usable, view_of
 from imgloc.model import FloatArray, LaserScan
 from imgloc.options import Options
+from imgloc.search.adapt import drawn_thick
 
 
 class Limits(Protocol):
@@ -41,13 +42,25 @@ class ScannedFilter(ABC):
         Options of the search.
     limits : Limits
         Limits of the verdict.
+
+    Notes
+    -----
+    On walls that others drew thick, and so off by decimetres, the wrong bay of a corridor fits as
+    well as the right one. Nothing is ``unique`` there, unless the options say how the walls are.
     """
+
+    knows_bent = True  #: whether the score of the whole belief allows for bent walls
 
     def __init__(self, features: MapFeatures, options: Options, limits: Limits) -> None:
         self.options, self._limits = options, limits
         self.features = features.thinner(options.shared.thinner)
         self._habits, self._last, self._followed = Habits(), Habit(), Followed()
         self._resets = 0
+        self.unsure, shared = "", options.shared
+        if shared.bent and not self.knows_bent:
+            self.unsure = "this filter does not know bent walls"
+        elif not (shared.bent or shared.straight) and drawn_thick(features):
+            self.unsure = f"the walls of this map are drawn {features.thickness:.1f} m thick"
 
     @property
     @abstractmethod
@@ -84,6 +97,6 @@ class ScannedFilter(ABC):
         strange = last.last > last.usual + limits.surprise
         return belief_of(
             poses, mass, sure=limits.mass, lost=last.last > limits.misfit,
-            doubted=strange or self._followed.metres < limits.sure,
+            doubted=bool(self.unsure) or strange or self._followed.metres < limits.sure,
             neff=neff, resets=self._resets,
         )  # fmt: skip

@@ -134,6 +134,12 @@ def drawn_gain(
     return float(np.clip(bent - straight, -_COUNTS, _COUNTS).sum() + cost)
 
 
+def drawn_thick(features: MapFeatures) -> bool:
+    """Whether the walls of an uncorrected map are so thick that no scans have shown them."""
+    thickness, cell = features.thickness, features.grid.resolution
+    return features.peels and thickness >= _THICK and thickness > 2 * cell
+
+
 def drawn_walls(features: MapFeatures, gain: float, now: Shared) -> Shared:
     """Take walls that are drawn thick for bent, unless scans fit far better with straight ones.
 
@@ -150,11 +156,9 @@ def drawn_walls(features: MapFeatures, gain: float, now: Shared) -> Shared:
     now : Shared
         The error that is allowed for already; the result if the walls are good as they are.
     """
+    if now.bent or now.straight or not drawn_thick(features):
+        return now
     thickness, cell = features.thickness, features.grid.resolution
-    if now.bent or now.straight or not features.peels:
-        return now
-    if thickness < _THICK or thickness <= 2 * cell:
-        return now
     if gain + _DOUBT * (min(thickness, _THICKEST) - _THICK) <= 0:
         return now
     cells = now.thinner or min(THINNER, max(1, round(_LOSES / cell)))

@@ -20,8 +20,9 @@ from imgloc.lab.grid import (
     predict,
     turn,
 )
-from imgloc.model import Pose2D
-from imgloc.options import Options
+from imgloc.lab.particle import ParticleFilter
+from imgloc.model import OccupancyGrid, Pose2D
+from imgloc.options import Options, Shared
 from imgloc.pipeline import prepare
 
 
@@ -184,3 +185,21 @@ def test_a_log_that_jumps_off_the_map_is_lost_and_found_again() -> None:
         np.hypot(moments[2].best.x - POSES["curved"][0], moments[2].best.y - POSES["curved"][1])
         < 0.5
     )
+
+
+@pytest.mark.parametrize("kind", [GridFilter, ParticleFilter])
+@pytest.mark.parametrize(("cells", "shared", "sure"), [
+    (1, Shared(), (True, True)),
+    (5, Shared(), (False, False)),
+    (5, Shared(straight=True), (True, True)),
+    (5, Shared(bent=0.1), (False, True)),
+])  # fmt: skip
+def test_where_walls_are_drawn_thick_nothing_is_unique(kind, cells, shared, sure) -> None:
+    walls = np.pad(np.zeros((60, 80), bool), cells, constant_values=True)
+    features = prepare(OccupancyGrid(walls, ~walls, 0.1))
+    found = kind(features, Options(shared=shared))
+    found._followed.metres = 10.0
+    belief = found._belief_of(np.array([[3.0, 3.0, 0.0]]), np.ones(1), 1.0)
+    known = sure[kind is ParticleFilter]
+    assert belief.verdict == ("unique" if known else "ambiguous")
+    assert bool(found.unsure) == (not known)
