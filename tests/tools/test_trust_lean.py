@@ -84,7 +84,10 @@ def test_without_pairs_there_is_no_lean():
     none = np.empty((0, 2), dtype=np.int64)
     assert np.isnan(lean_of(np.zeros((1, 3)), np.zeros(1), none, np.empty((0, 3)))).all()
     row = Lean("a", 3, 2, (0.012, 0.003), (-0.05, 0.01))
-    assert lean_table([row]).splitlines()[2] == "| a | 3 | 2 | +1.2 +- 0.3 | -5.0 +- 1.0 |"
+    alone = Lean("b", 1, 0, (np.nan, np.nan), (np.nan, np.nan))
+    assert lean_table([row, alone]).splitlines()[2:] == [
+        "| a | 3 | 2 | +1.2 +- 0.3 | -5.0 +- 1.0 |", "| b | 1 | 0 | no pairs | no pairs |"
+    ]  # fmt: skip
 
 
 def test_the_command_prints_a_table(shared):

@@ -145,7 +145,8 @@ def lean_table(rows: Sequence[Lean]) -> str:
     head = "scans | `unique` and right | pairs | found poses lean by cm | recorded ones by cm"
     cells = (
         (r.name, r.scans, r.pairs,
-         *(f"{100 * mean:+.1f} +- {100 * error:.1f}" for mean, error in (r.found, r.recorded)))
+         *(f"{100 * mean:+.1f} +- {100 * error:.1f}" if r.pairs else "no pairs"
+           for mean, error in (r.found, r.recorded)))
         for r in rows
     )  # fmt: skip
     return "\n".join(table_lines(head, cells))
