@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from imgloc import LaserScan, MapFeatures, ScanSet, localize
 from imgloc.features.scanpoints import scan_points
-from imgloc.geometry import wrap
+from imgloc.geometry import rotation, wrap
 from imgloc.model import FloatArray, IntArray, OrientedPoints
 from tools.script import table_lines
 from tools.trust.precision import NEAR, best_of, middle_of_view
@@ -75,7 +75,7 @@ def moved_between(scans: Sequence[LaserScan], poses: FloatArray) -> tuple[IntArr
         step = poses[j] - poses[i]
         if np.hypot(*step[:2]) > _APART or abs(wrap(step[2])) < _TURNED:
             continue
-        start = np.append(_turn(-poses[i, 2]) @ step[:2], wrap(step[2]))
+        start = np.append(rotation(-poses[i, 2]) @ step[:2], wrap(step[2]))
         motion = laid_over(points[i], points[j], start)
         if motion is not None:
             pairs.append((i, j))
@@ -93,7 +93,7 @@ def laid_over(a: OrientedPoints, b: OrientedPoints, start: FloatArray) -> FloatA
     motion, tree = start.astype(np.float64).copy(), cKDTree(a.xy)
     there = _units(a.alpha)
     for width in _WIDTHS:
-        arm = b.xy @ _turn(motion[2]).T
+        arm = b.xy @ rotation(motion[2]).T
         normal = _units(b.alpha + motion[2])
         distance, nearest = tree.query(arm + motion[:2])
         meets = (distance < _MEETS) & ((there[nearest] * normal).sum(axis=1) > _ALIKE)
@@ -124,7 +124,7 @@ def lean_of(
         return float("nan"), float("nan")
     by, off = [], []
     for (i, j), motion in zip(pairs, moved, strict=True):
-        step = _turn(-poses[i, 2]) @ (poses[j] - poses[i])[:2]
+        step = rotation(-poses[i, 2]) @ (poses[j] - poses[i])[:2]
         off.append(step - motion[:2])
         ahead = _units(np.array([views[i], motion[2] + views[j]]))
         by.append(ahead[1] - ahead[0])
@@ -150,11 +150,6 @@ def lean_table(rows: Sequence[Lean]) -> str:
         for r in rows
     )  # fmt: skip
     return "\n".join(table_lines(head, cells))
-
-
-def _turn(theta: float) -> FloatArray:
-    c, s = np.cos(theta), np.sin(theta)
-    return np.array([[c, -s], [s, c]])
 
 
 def _units(angles: FloatArray) -> FloatArray:
