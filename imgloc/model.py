@@ -235,6 +235,9 @@ class LaserScan:
     time_increment : float
         Seconds from a reading to the next; `stamp` is that of the first in `ranges`. 0 if all are
         of one moment, or if this is not known.
+    laser : str
+        Name of the laser: its topic or frame. Scans of one name are of one laser, wherever it sits
+        on the robot at their times.
 
     Examples
     --------
@@ -249,6 +252,7 @@ class LaserScan:
     stamp: float = float("nan")
     T_base_laser: Pose2D | None = None
     time_increment: float = 0.0
+    laser: str = ""
 
     def __post_init__(self) -> None:
         _freeze(self, np.float64, "ranges", "angles")

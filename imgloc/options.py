@@ -792,6 +792,14 @@ class Logs(Checked):
         metavar="MIN,MAX",
         parse=numbers(2),
     )
+    odom: str | None = option(
+        None,
+        "Odometry of a bag, by topic or frame; scans takes the motion from the scans alone. "
+        "[default: that of the robot which carries the laser]",
+        "--odom",
+        "--odometry",
+        metavar="TOPIC|FRAME|scans",
+    )
     range_max: RangeMax | None = None
 
 
@@ -817,7 +825,7 @@ class Mounting(Checked):
 
     def check(self, scans: Iterable[LaserScan]) -> None:
         """Refuse one pose for several lasers that say where they sit."""
-        if self.sensor is not None and len({scan.T_base_laser for scan in scans}) > 1:
+        if self.sensor is not None and len({scan.laser for scan in scans}) > 1:
             raise ConfigError("`sensor`: the log has several lasers, each with a place of its own")
 
     def mount(self, scan: LaserScan) -> LaserScan:

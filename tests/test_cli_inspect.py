@@ -27,7 +27,7 @@ LOGS = {
 def recorded(shared: Path, name: str) -> ScanSet:
     if name == "olin_mac":
         pytest.importorskip("rosbags", reason="reads bags: the extra ros")
-    scans = imgloc.load_scans(shared / "data" / LOGS[name][0])
+    scans, _ = imgloc.load_scans(shared / "data" / LOGS[name][0]).with_odometry(name)
     scans = each(
         scans.take(range(min(len(scans), 300))),  # and each third ray: these are enough
         lambda s: replace(s, ranges=s.ranges[::3], angles=s.angles[::3]),

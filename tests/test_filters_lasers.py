@@ -52,8 +52,11 @@ def log(*mounts: Pose2D) -> ScanSet:
         for k, mount in enumerate(mounts)
     ]
     for i in range(len(PATH)):
-        for ranges, mount in zip(seen, mounts, strict=True):
-            scans.append(LaserScan(ranges[i], ANGLES, range_max=REACH, T_base_laser=mount))
+        for k, mount in enumerate(mounts):
+            ranges = seen[k][i]
+            scans.append(
+                LaserScan(ranges, ANGLES, range_max=REACH, T_base_laser=mount, laser=f"laser {k}")
+            )
             poses.append(at(PATH[i], mount))
     stamps = np.add.outer(np.arange(float(len(PATH))), 0.1 * np.arange(n)).ravel()
     return ScanSet(tuple(scans), np.array(poses), stamps, np.repeat(odom, n, axis=0))

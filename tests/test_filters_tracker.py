@@ -10,7 +10,7 @@ from places import ANGLES, features_of
 
 from imgloc.answers.sample import sample_poses
 from imgloc.errors import ConfigError, ScanError
-from imgloc.filters.belief import Followed, Habit, belief_of, deviations_of
+from imgloc.filters.belief import Followed, belief_of, deviations_of
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import NO_PLACES, Places, Sight, settled, view_of
 from imgloc.filters.follow import Kidnap, follow
@@ -25,6 +25,7 @@ from imgloc.lab.sequences import Searches, piece
 from imgloc.model import LaserScan, Pose2D, compose, inverse
 from imgloc.options import Every, Options, Shared
 from imgloc.pipeline import prepare
+from imgloc.robot.lasers import Laser
 from imgloc.simulation.scans import simulate_ranges
 from imgloc.simulation.worlds import WORLDS, render
 
@@ -336,11 +337,11 @@ def test_a_given_pose_holds_unless_a_scan_fits_well_elsewhere(strained: float) -
 def test_evidence_is_new_more_slowly_on_bent_walls() -> None:
     options, way = Options(shared=Shared(bent=0.15)), np.array([1.0, 0.0])
     straight, bent = (Tracker(features_of(WORLD), o) for o in (Options(), options))
-    shares = [one._fresh(Habit(way=way)) for one in (straight, bent)]
+    shares = [one._fresh(Laser(way=way)) for one in (straight, bent)]
     assert shares[0] == pytest.approx(1 / 3)  # each 3 m
     assert shares[1] == pytest.approx(1 / 6)
     bent.place(log().poses[0], (0.1, 0.1))
-    assert bent._fresh(Habit(way=way)) == pytest.approx(1 / 3)
+    assert bent._fresh(Laser(way=way)) == pytest.approx(1 / 3)
 
 
 def test_what_particles_are_drawn_from_has_a_shared_error_once(monkeypatch) -> None:

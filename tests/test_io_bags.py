@@ -163,8 +163,7 @@ def test_a_sensor_upside_down_is_turned_over(tmp_path: Path) -> None:
 def test_a_turn_that_nobody_filled_in_is_none(tmp_path: Path, q, yaw: float | None) -> None:
     path = write(tmp_path / "a.bag", "bag", robot("bag", q))
     if yaw is None:
-        with pytest.raises(ScanError, match="T_base_laser: got nan"):
-            load_scans(path)
+        assert load_scans(path)[0].T_base_laser is None
     else:
         assert load_scans(path)[0].T_base_laser.theta == pytest.approx(yaw)
 
@@ -256,8 +255,9 @@ def test_several_lasers_are_one_set_each_at_its_place(tmp_path: Path) -> None:
     front, rear = Pose2D(0.3, 0.0, 0.0), Pose2D(-0.2, 0.0, math.pi)
     assert [scan.T_base_laser for scan in scans.scans] == [front, rear, rear, front]
     assert [len(scan.ranges) for scan in scans.scans] == [4, 3, 3, 4]
+    assert [scan.laser for scan in scans.scans] == ["/front", "/rear", "/rear", "/front"]
     assert scans_size(path, topic="/front,/rear").scans == 4
-    with pytest.raises(ScanError, match="/front and front sit at the same place"):
+    with pytest.raises(ScanError, match="expected each laser once"):
         load_scans(path, topic="/front,front")
 
 

@@ -10,9 +10,9 @@ from command import MAPS, call, rows
 
 from imgloc.errors import ScanError
 from imgloc.io.carmen import read_carmen
-from imgloc.io.odometry import odometry_at
 from imgloc.io.scans import load_scans, scans_size
 from imgloc.model import Pose2D, compose
+from imgloc.robot.odometry import Odometry
 
 RANGES = " ".join(f"{1 + i / 100:.2f}" for i in range(181))
 FLASER = f"FLASER 181 {RANGES} 1.2 2 0.5 1 2 0.5 1211.5 host 3.5"
@@ -79,7 +79,7 @@ def test_raw_lasers_take_their_odometry_from_the_lines_of_the_log(tmp_path: Path
     np.testing.assert_allclose(scans.odom[0], [1, 0, math.pi])
     assert scans.odom[1, 2] < -3
     assert load_scans(log(tmp_path, odom[0], raw.format(15))).odom is None
-    assert odometry_at(np.array([1.0]), np.empty(0), np.empty((0, 3))) is None
+    assert Odometry().along(np.array([1.0])) is None
 
 
 def test_a_laser_is_chosen_by_name(tmp_path: Path) -> None:

@@ -112,27 +112,6 @@ def test_a_map_that_contradicts_itself_is_refused(change) -> None:
         messages.grid_from_msg(GRID | {"info": INFO | change})
 
 
-def test_a_laser_is_found_through_transforms_also_upside_down() -> None:
-    flipped = {"x": 1.0, "y": 0.0, "z": 0.0, "w": 0.0}
-    links = [
-        {"header": {"frame_id": "/base_link"}, "child_frame_id": "mast",
-         "transform": {"translation": {"x": 0.2, "y": 0.0, "z": 1.0}, "rotation": HALF}},
-        {"header": {"frame_id": "mast"}, "child_frame_id": "laser",
-         "transform": {"translation": {"x": 0.1, "y": 0.0, "z": 0.0}, "rotation": flipped}},
-    ]  # fmt: skip
-    frames = messages.Frames()
-    for link in links:
-        child, parent, pose = messages.link_of(as_object(link))
-        frames[child] = parent, pose
-    found = messages.mounting_of(frames, "laser", "base_link")
-    assert found is not None
-    assert messages.planar(found) == pytest.approx(
-        (0.2 + 0.1 * math.cos(0.5), 0.1 * math.sin(0.5), 0.5)
-    )
-    assert found[2, 2] == pytest.approx(-1.0)
-    assert messages.mounting_of(frames, "laser", "odom") is None
-
-
 def test_odometry_is_seconds_and_a_pose() -> None:
     odometry = {"header": HEADER, "pose": {"pose": POSE, "covariance": [0.0] * 36}}
     assert messages.move_of(as_object(odometry)) == pytest.approx((12.25, 1.0, -2.0, 0.5))

@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from command import ROOT
 
 from imgloc.cli.app import program
 from imgloc.filters.belief import Belief
-from imgloc.filters.follow import Moment
+from imgloc.filters.follow import STANDING, Moment
 from imgloc.live.node import Settings
 from imgloc.live.policy import FirstPose, Rules, Sighting
 from imgloc.live.status import (
@@ -43,9 +44,7 @@ def answer(verdict):
 
 def quiet():
     first = FirstPose()
-    for stamp in (10.0, 11.0):
-        first.due(stamp, None)
-        first.answered(Sighting(stamp, "hall", BASE[0], None), stamp)
+    first.believed(Sighting(10.0, BASE[0]), 10.0)
     first.published()
     return first
 
@@ -68,7 +67,7 @@ def test_a_pose_is_that_of_the_base_in_the_words_of_vda_5050() -> None:
 
 @pytest.mark.parametrize(
     ("verdict", "stands", "score", "others"),
-    [("unique", False, 0.9, 2), ("ambiguous", True, 0.9, 2), ("no-match", True, 0.0, 2)],
+    [("unique", False, 0.9, 2), ("ambiguous", False, 0.9, 2), ("no-match", False, 0.0, 2)],
 )
 def test_no_pose_is_given_that_cannot_be_relied_upon(verdict, stands, score, others) -> None:
     said = row(found_of(answer(verdict), 11.0, "hall"), stands=stands)
@@ -76,6 +75,13 @@ def test_no_pose_is_given_that_cannot_be_relied_upon(verdict, stands, score, oth
     assert [said[key] for key in ("x", "y", "theta", "deviationRange")] == [None] * 4
     assert said["localizationScore"] == score
     assert len(said["alternatives"]) == others
+
+
+def test_a_pose_that_holds_is_localized_and_else_the_reason_is_told() -> None:
+    found = replace(found_of(answer("ambiguous"), 11.0, "hall"), why="wide")
+    assert (row(found)["localized"], row(found)["withheld"]) == (True, "")
+    said = row(found, stands=False)
+    assert (said["localized"], said["withheld"]) == (False, "wide")
 
 
 def test_before_the_first_answer_everything_is_there_and_empty() -> None:
@@ -109,7 +115,18 @@ def test_what_a_filter_believes_is_in_the_map_frame_and_lost_is_no_match() -> No
         ({"first": FirstPose()}, WARN, "waiting: the last scan is unique"),
         ({"found": None, "first": FirstPose()}, WARN, "waiting: no answer yet"),
         ({"track": True, "found": Found(1.0, "hall", "ambiguous")}, WARN, "ambiguous"),
-        ({"track": True}, OK, "the pose is unique"),
+        ({"track": True}, WARN, "the last scan is unique"),
+        ({"track": True, "stands": True}, OK, "the pose is unique"),
+        (
+            {"track": True, "found": Found(1.0, "hall", "ambiguous", why="blind")},
+            WARN,
+            "ambiguous: blind: it sees nothing",
+        ),
+        (
+            {"first": FirstPose(), "found": Found(1, "a", "ambiguous", why=STANDING)},
+            WARN,
+            "has not moved",
+        ),
     ],
 )
 def test_health_names_what_keeps_a_robot_from_its_pose(change, level, said) -> None:

@@ -9,8 +9,8 @@ from command import MAPS, call
 
 import imgloc
 from imgloc import ConfigError, LaserScan, OccupancyGrid, Pose2D, ScanError, ScanSet
-from imgloc.io.odometry import velocities_at
 from imgloc.io.scans import load_scans, save_scans
+from imgloc.robot.odometry import velocities_at
 from imgloc.runs.opening import Desk, ScanFiles
 
 PACE, RAYS = 0.1 / 180, 181

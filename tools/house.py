@@ -19,7 +19,7 @@ from tools.script import parser_of, table_lines
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = (
     "__about__", "doors", "errors", "numbers", "ranges", "model", "geometry", "texts", "options",
-    "io", "features", "likelihoods", "search", "pipeline", "answers", "choice", "filters",
+    "robot", "io", "features", "likelihoods", "search", "pipeline", "answers", "choice", "filters",
     "simulation", "runs", "output", "live", "cli",
 )  # fmt: skip
 BEHIND = ("plans", "lab")

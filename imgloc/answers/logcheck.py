@@ -34,6 +34,7 @@ _SECONDS, _TIMES, _METRES = number("logcheck.gap")
 _LEAP, _BEYOND = number("logcheck.jump")
 _FAST = number("logcheck.fast")
 _REPEATED = number("logcheck.repeats")
+_LACKS = number("logcheck.lacks")
 _BODY = number("logcheck.body")
 _FEW = number("logcheck.few")
 _STANDS = number("logcheck.stands")
@@ -363,7 +364,7 @@ def _about_odometry(
 ) -> dict[str, Any] | None:
     assert scans.odom is not None
     known = np.isfinite(scans.odom).all(axis=1)
-    if known.any() and not known.all():
+    if known.any() and np.mean(~known) > _LACKS:
         text = f"{np.count_nonzero(~known):,} scans have no odometry: track leaves them out"
         _add(findings, "odometry-part", text, fatal=False)
     odom = scans.odom[known]

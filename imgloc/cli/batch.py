@@ -50,7 +50,7 @@ _EVERY = 60.0  # seconds between lines of progress without a terminal
 _FIELDS = {
     **dict.fromkeys(("topic", "range_scale", "flipped"), ("scans",)),
     **dict.fromkeys(("scans_index", "sample", "sample_seed"), ("scans",)),
-    **dict.fromkeys(("max_bad", "straighten", "height"), ("scans",)),
+    **dict.fromkeys(("max_bad", "straighten", "height", "odom"), ("scans",)),
     **dict.fromkeys(("rays", "fov_deg", "sigma", "outliers", "dropped"), ("sensor",)),
     **dict.fromkeys(("sensor", "range_max"), ("scans", "sensor")),
     "n": ("count",),

@@ -171,6 +171,7 @@ class _Look:
         words += [] if follow else ["--scans-index", str(report.scan)]
         words += [f"--topic {logs.topic}"] if logs.topic is not None else []
         words += [f"--height {logs.height[0]:g},{logs.height[1]:g}"] if logs.height else []
+        words += [f"--odom {shlex.quote(logs.odom)}"] if logs.odom else []
         words += [f"--max-bad {logs.max_bad:g}"] if logs.max_bad != MAX_BAD else []
         mended = as_options(report.options)
         given = f" {mended} "

@@ -55,6 +55,11 @@ def node(
     flipped: Flipped = False,
     range_max: RangeMax | None = None,
     track: bool = option(False, "Follow the robot, too, on the topics ~/pose and ~/map_odom."),
+    standing: bool = option(
+        False,
+        "Publish the pose of a robot that has not moved, by one scan that is very sure: a second "
+        "look from the same place would tell nothing new.",
+    ),
     every: Annotated[float, Within(0, 1e9, "seconds")] = option(
         0.3, "Seconds between two scans that are tried."
     ),
@@ -68,7 +73,7 @@ def node(
 ) -> None:
     """Run a ROS 2 node that finds the robot on the map and publishes its first pose.
 
-    The pose goes to /initialpose once two scans have a unique place and agree. The topics
+    The pose goes to /initialpose once scans along some way confirm one place. The topics
     ~/hypotheses, ~/markers, ~/status and /diagnostics say what is found until then. The services
     ~/localize and ~/reset ask for a new pose. Every parameter can also be set by ROS:
     --ros-args -p every:=1.0 -p use_sim_time:=true -r scan:=/front/scan. Ctrl-C ends the node.
@@ -82,6 +87,7 @@ def node(
         flipped=flipped,
         range_max=math.inf if range_max is None else range_max,
         track=track,
+        standing=standing,
         every=every,
         tries=tries,
         max_age=max_age,

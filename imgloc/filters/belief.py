@@ -1,11 +1,11 @@
 """The belief of a filter at one moment, and the interface that all filters have."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from imgloc.filters.motion import compose_poses, way_of
+from imgloc.filters.motion import compose_poses
 from imgloc.geometry import wrap
 from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.numbers import number
@@ -13,9 +13,6 @@ from imgloc.options import Options
 from imgloc.search.hypotheses import separated
 
 UNIQUE, AMBIGUOUS, LOST = VERDICTS = ("unique", "ambiguous", "lost")
-STRANGE = number("belief.strange")
-"""Misfit, nats per reading, that counts as usual before the first scan."""
-_HABIT = number("belief.habit")  # weight of a new scan in the running mean of the misfit
 
 
 @dataclass(frozen=True)
@@ -76,63 +73,15 @@ class Filter(Protocol):
         """The belief now."""
 
 
-@dataclass
-class Habit:
-    """Memory of a filter for one laser of a robot, because another laser sees other walls."""
-
-    #: metres and radians driven since the last scan that weighed the belief
-    way: FloatArray = field(default_factory=lambda: np.full(2, np.inf))
-    usual: float = np.nan  #: running mean of the misfit, nats per reading
-    last: float = np.nan  #: misfit of the last scan, nats per reading
-    doubted: bool = False  #: whether the last misfit was much above the usual one
-
-    def expect(self, misfit: float) -> None:
-        """Set the usual misfit, nats per reading, if no scan has set it yet."""
-        if np.isnan(self.usual):
-            self.usual = self.last = misfit
-
-    def learn(self, misfit: float) -> None:
-        """Take the misfit of a scan, nats per reading, into the running mean."""
-        self.expect(misfit)
-        self.last, self.usual = misfit, self.usual + _HABIT * (misfit - self.usual)
-
-
-class Habits:
-    """A :class:`Habit` for each laser, told apart by its place on the robot."""
-
-    def __init__(self, usual: float = 0.0) -> None:
-        self._of: dict[Pose2D | None, Habit] = {}
-        self._placed = False
-        self._expected = max(STRANGE, usual)  # misfit, nats per reading, where a place was given
-
-    def of(self, scan: LaserScan) -> Habit:
-        """The habit of the laser of a scan."""
-        if scan.T_base_laser not in self._of:
-            self._of[scan.T_base_laser] = Habit()
-            if self._placed:
-                self._of[scan.T_base_laser].expect(self._expected)
-        return self._of[scan.T_base_laser]
-
-    @property
-    def doubted(self) -> bool:
-        """Whether the last scan of any laser is doubted."""
-        return any(habit.doubted for habit in self._of.values())
-
-    def move(self, increment: FloatArray) -> None:
-        """Add a motion (3,), metres, metres, radians, to the way of each laser."""
-        for habit in self._of.values():
-            habit.way = habit.way + way_of(increment)
-
-    def place(self) -> None:
-        """Expect scans to fit, because a place was given."""
-        self._placed = True
-        for habit in self._of.values():
-            habit.expect(self._expected)
-
-
 PLACE = number("belief.place")
 """Poses nearer than this, metres and radians, belong to one place."""
 _PLACES = number("belief.places")
+
+
+def one_place(a: Pose2D, b: Pose2D) -> bool:
+    """Whether two poses of one frame belong to one place."""
+    turned = abs(float(wrap(b.theta - a.theta)))
+    return bool(np.hypot(b.x - a.x, b.y - a.y) < PLACE[0] and turned < PLACE[1])
 
 
 def belief_of(

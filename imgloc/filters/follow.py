@@ -1,10 +1,9 @@
 """A filter along a log: which scans it weighs, and which poses it publishes or withholds."""
 
 import logging
-from collections import deque
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from hashlib import blake2b
 
 import numpy as np
 
@@ -14,25 +13,23 @@ from imgloc.filters.belief import AMBIGUOUS, UNIQUE, Belief, Filter, deviations_
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import usable
 from imgloc.filters.motion import compose_poses, increments, invert_poses, noisy_odometry, way_of
+from imgloc.filters.repeats import STANDS, Repeats, frozen
 from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
 from imgloc.model import FloatArray, LaserScan, Pose2D, Protection
 from imgloc.numbers import number
 from imgloc.options import Every, Followed, Limits, Options
+from imgloc.robot.lasers import Laser, Lasers
 from imgloc.search.protection import protection
 
 LOG = logging.getLogger(__name__)
 
 DEVIATION: tuple[float, float] = number("follow.deviation")
 """Default standard deviations of a pose that is given to a filter: metres and radians."""
-_BUFFERS = 1000  # scans of a laser that are remembered, because a driver may repeat its buffers
-#: A scan is an old one again if the robot has moved by so many metres or radians, and at least such
-#: a share of its readings have changed by less than so many metres.
-_STALE = number("follow.stale")
 Reading = tuple[LaserScan, FloatArray | None]
 """A scan with its stamp, and the odometry's pose (3,) at that time; None without odometry."""
-BLIND, WIDE, UNCONFIRMED = "blind", "wide", "unconfirmed"
+BLIND, WIDE, UNCONFIRMED, STANDING = "blind", "wide", "unconfirmed", "has not moved"
 _LATEST = 1e18  # seconds
 _FASTEST = 50.0  # metres a second: no robot on the ground is faster
 # Share of the stamps that may go back, and by which share the way may be longer in their order.
@@ -65,7 +62,8 @@ class Moment:
     belief: Belief
     #: why a pose that holds the mass is withheld: ``blind`` (this scan says nothing), ``wide`` (the
     #: pose's standard deviation is above the limit), ``unconfirmed`` (too few scans along too short
-    #: a way agree with it yet); empty if nothing is withheld
+    #: a way agree with it yet), ``has not moved`` (the robot has stood since the first scan, and
+    #: scans of one place are one witness); empty if nothing is withheld
     withheld: str
     #: best pose, whatever the verdict; None if there is none
     best: Pose2D | None
@@ -130,7 +128,7 @@ def follow(
         The map.
     scans : ScanSet, or iterable of (LaserScan, (3,) array or None)
         Scans in the order of time; a ScanSet in which few scans are out of it is sorted, with a
-        warning. `T_base_laser` of each scan tells several lasers apart. An iterable yields each
+        warning. `laser` of each scan tells several lasers apart. An iterable yields each
         scan, with its stamp, and the odometry's pose at that time: metres, metres, radians.
         The next scan is taken from it after the moment of the last one has been used. Scans
         without odometry are left out.
@@ -272,9 +270,11 @@ class Follower:
     ) -> None:
         self.features, self.filter, self.name = features, filter_, name
         self.every, self.limits = every or Every(), limits or Limits()
-        self._lasers = dict[Pose2D | None, _Laser]()
+        self._lasers = Lasers()
+        self._repeats = defaultdict[str, Repeats](Repeats)
         self._held = TrackerOptions().mass[0]  # from which one place is no longer one of several
         self._count, self._blind, self._metres = 0, 0, 0.0
+        self._here, self._farthest = np.zeros(3), 0.0  # by odometry, since the first scan
         self._dark = 0.0  # seconds of blind scans that the filter has not counted yet
         self._odom: FloatArray | None = None
         self._stamp = self._said = float("nan")
@@ -288,10 +288,14 @@ class Follower:
         """
         self.filter.place(_local(given, pose, self.features), deviation)
 
+    def begin_time(self) -> None:
+        """Take a stamp before the last one: the clock was set back, or the last one was wrong."""
+        self._said = self._stamp = np.nan
+
     def step(
         self,
         scan: LaserScan,
-        odom: FloatArray,
+        odom: FloatArray | None,
         stamp: float | None = None,
         kidnap: Kidnap | None = None,
     ) -> Moment:
@@ -302,10 +306,14 @@ class Follower:
         Raises
         ------
         ScanError
-            If the stamp is before that of the last scan. If the odometry jumps by more than
-            1,000 km.
+            If the stamp is before that of the last scan. If the odometry is not finite, or jumps
+            by more than 1,000 km. Nothing changes then.
         """
-        k, odom = self._count, np.asarray(odom, dtype=np.float64)
+        k = self._count
+        odom = np.zeros(3) if odom is None else np.array(odom, dtype=np.float64)
+        if odom.shape != (3,) or not np.isfinite(odom).all():
+            got = odom.tolist()
+            raise ScanError(f"{self.name}: odom[{k}]: got {got}, expected finite x, y and theta")
         stamp = scan.stamp if stamp is None else stamp
         step = np.zeros(3)
         _check_order(self.name, k, np.nan if self._odom is None else self._stamp, stamp)
@@ -317,27 +325,35 @@ class Follower:
             _check_way(self.name, k, float(np.hypot(*step[:2])))
         waited = float(np.nan_to_num(stamp - self._stamp))
         self._count, self._odom, self._stamp = k + 1, odom, stamp
-        laser = self._lasers.setdefault(scan.T_base_laser, _Laser())
+        laser, repeats = self._lasers.of(scan), self._repeats[scan.laser]
         self._move(step)
         if kidnap is not None:
             self.place(kidnap.pose, kidnap.deviation, "kidnap")
-        return self._moment(k, self._take(scan, laser, waited))
+        return self._moment(k, self._take(scan, laser, repeats.since(scan), waited))
 
     def _move(self, step: FloatArray) -> None:
         self.filter.move(step)
         moved = way_of(step)
-        for laser in self._lasers.values():
-            laser.move(moved)
+        self._lasers.move(moved)
+        for repeats in self._repeats.values():
+            repeats.move(step)
         self._metres += float(moved[0])
+        self._here = compose_poses(self._here, step)
+        self._farthest = max(self._farthest, float(np.hypot(*self._here[:2])))
 
-    def _take(self, scan: LaserScan, laser: "_Laser", waited: float) -> bool:
-        """Take a scan; return whether it weighed the whole belief."""
-        if laser.repeats(scan) or usable(scan, self.filter.options) is None:
+    def _take(self, scan: LaserScan, laser: Laser, again: FloatArray | None, waited: float) -> bool:
+        """Take a scan, `again` after an equal one; return whether it weighed the whole belief."""
+        blind = usable(scan, self.filter.options) is None
+        if again is not None and not blind:
+            blind = frozen(self.features, self.filter.belief, scan, again)
+            if not blind and (way_of(again) < STANDS).all():
+                return False  # nothing new, and nothing wrong
+        if blind:
             self._blind += 1
             self._dark += waited
             if self._blind < len(self._lasers):  # another one has just seen something
                 return False
-            for one in self._lasers.values():  # the next scan that sees something weighs all
+            for one in self._lasers:  # the next scan that sees something weighs all
                 one.way = np.full(2, np.inf)
             self.filter.miss(self._dark)
             self._dark = 0.0
@@ -367,8 +383,11 @@ class Follower:
                 withheld = withheld or WIDE
             if withheld:
                 belief = replace(belief, verdict=AMBIGUOUS)
-        elif belief.verdict == AMBIGUOUS and not withheld and belief.mass[0] >= self._held:
-            withheld = UNCONFIRMED
+        elif belief.verdict == AMBIGUOUS and not withheld:
+            if not looked and self._farthest < STANDS[0]:
+                withheld = STANDING
+            elif belief.mass[0] >= self._held:
+                withheld = UNCONFIRMED
         age, shared = self._stamp - self._said, self.filter.options.shared
         return Moment(
             index, self._stamp, age, looked, self._metres, belief, withheld, best, covariance,
@@ -465,41 +484,6 @@ def _check_way(name: str, k: int, metres: float) -> None:
             f"{name}: odom[{k}]: it is {metres:.4g} m from the one before, expected at most "
             f"{_FARTHEST:,.0f} m; the log is damaged, cut it there"
         )
-
-
-class _Laser:
-    """One laser of a robot: its way since it last weighed the belief, and its latest scans."""
-
-    def __init__(self) -> None:
-        self.way = np.full(2, np.inf)
-        self._last = deque[bytes](maxlen=_BUFFERS)
-        self._reference: FloatArray | None = None
-        self._moved = np.zeros(2)  # since the reference
-
-    def move(self, moved: FloatArray) -> None:
-        """Add a motion (2,): metres and radians."""
-        self.way, self._moved = self.way + moved, self._moved + moved
-
-    def repeats(self, scan: LaserScan) -> bool:
-        """Whether a scan is an old one that a driver publishes again, perhaps with some noise.
-
-        No sensor measures the same to the bit twice, and scans change while the robot moves.
-        """
-        content = blake2b(scan.ranges.tobytes(), digest_size=16).digest()
-        again = content in self._last
-        self._last.append(content)
-        before = self._reference
-        if before is None or before.shape != scan.ranges.shape:
-            self._reference, self._moved = scan.ranges, np.zeros(2)
-            return again
-        if not (self._moved >= _STALE[:2]).any():
-            return again
-        with np.errstate(invalid="ignore"):
-            same = np.abs(scan.ranges - before)[scan.valid] < _STALE[2]
-        if len(same) and np.mean(same) >= _STALE[3]:
-            return True
-        self._reference, self._moved = scan.ranges, np.zeros(2)
-        return again
 
 
 def robot_poses(scans: ScanSet) -> FloatArray | None:

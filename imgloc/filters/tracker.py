@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.belief import AMBIGUOUS, LOST, NOWHERE, UNIQUE, Belief, Habit, Habits
+from imgloc.filters.belief import AMBIGUOUS, LOST, NOWHERE, UNIQUE, Belief
 from imgloc.filters.evidence import (
     NO_PLACES,
     Places,
@@ -48,6 +48,7 @@ from imgloc.options import (
     Trust,
 )
 from imgloc.ranges import Checked
+from imgloc.robot.lasers import Laser, Lasers
 from imgloc.search.adapt import BENT, drawn_gain, drawn_walls, wall_evidence, walls_of
 from imgloc.search.hypotheses import masses, separated
 
@@ -232,13 +233,13 @@ class Tracker:
         self._unseen = np.nan  # metres and seconds, added, since the first of some blind scans
         self._way, self._since = 0.0, 0.0  # metres since the last scan, and since one agreed
         self._unsearched, self._pause = 0.0, self.how.search[0]  # metres
-        self._habits = Habits(self.options.shared.usual)
+        self._lasers = Lasers(self.options.shared.usual)
         self._scales = list[tuple[float, float]]()
         self._drawn, self._walls = features, list[FloatArray]()
         self._gain = 0.0  # nats by which scans fit better with walls as others draw them
         self._trusted = 0.0  # metres driven with a unique pose
-        # Share of the way along which scans agreed with one place, and metres not yet counted.
-        self._explained, self._uncounted = 1.0, 0.0
+        self._explained = np.zeros(2)  # weight of the way along which scans agreed, and of all
+        self._uncounted = 0.0  # metres that are in neither yet
         # The given pose and its covariance, carried by odometry alone: (1, 3) and (1, 3, 3).
         self._begun: tuple[FloatArray, FloatArray] | None = None
 
@@ -250,9 +251,9 @@ class Tracker:
         self._begun = self._poses.copy(), self._covariance.copy()
         self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
         self._unique = self._searching = None
-        self._explained, self._uncounted = 1.0, 0.0
+        self._explained, self._uncounted = np.zeros(2), 0.0
         self._agreed = self.how.agree[0] - 1  # one scan has to agree with the given pose
-        self._habits.place()
+        self._lasers.place()
 
     def move(self, increment: FloatArray) -> None:
         """Move the belief by a motion (3,), in the robot's earlier frame: m, m, radians."""
@@ -260,7 +261,7 @@ class Tracker:
         self._poses, self._covariance = move_gaussians(
             self._poses, self._covariance, increment, noise
         )
-        self._habits.move(increment)
+        self._lasers.move(way_of(increment))
         if self._begun is not None:
             self._begun = move_gaussians(*self._begun, increment, noise)
         if self._searching is not None:
@@ -306,15 +307,15 @@ class Tracker:
             return False
         if self._dark and self._agreed < self.how.agree[0]:
             return True  # after darkness scans have to agree again, even if the robot stands still
-        habit, view = self._habits.of(seen), view_of(seen, self.options)
-        near = self._unsurprised(view, habit)
+        laser, view = self._lasers.of(seen), view_of(seen, self.options)
+        near = self._unsurprised(view, laser)
         if near is None or self._lost > self.how.known:
             return True
         self._follow_on()
-        if len(view.readings) >= self.how.agree[1] and habit.last <= self._strange(habit):
+        if len(view.readings) >= self.how.agree[1] and laser.last <= self._strange(laser):
             best = slice(int(np.argmax(self._mass)), int(np.argmax(self._mass)) + 1)
             one = sight(self.features, view, near, self.options)
-            self._correct(best, near, self._noise(one), self._fresh(habit))
+            self._correct(best, near, self._noise(one), self._fresh(laser))
             self._since = 0.0
         self._remember()
         if self._searching is not None:
@@ -338,14 +339,14 @@ class Tracker:
         """Count the way since the last scan as followed, because a scan saw something."""
         self._followed, self._way, self._unseen = self._followed + self._way, 0.0, np.nan
 
-    def _fresh(self, habit: Habit) -> float:
+    def _fresh(self, laser: Laser) -> float:
         """Share of a scan's evidence that is new, 0..1, by the way since the last weighed scan."""
-        share = float(np.clip((habit.way / self.how.fresh).sum(), self.how.least, 1.0))
+        share = float(np.clip((laser.way / self.how.fresh).sum(), self.how.least, 1.0))
         if not self.options.shared.bent or self._begun is not None:
             return share  # what speaks against a given pose counts in full
         return share / self.how.blurred
 
-    def _unsurprised(self, view: View, habit: Habit) -> FloatArray | None:
+    def _unsurprised(self, view: View, laser: Laser) -> FloatArray | None:
         """Pose (1, 3) where the best component settles; None if it fits abruptly worse than before.
 
         The pose is first sought within the component's covariance. If nothing fits there, it is
@@ -356,23 +357,23 @@ class Tracker:
         near = settled(self.features, view, pose, spread)
         misfit = misfit_at(self.features, view, near, self.options)
         slipped = False
-        surprised = misfit > min(habit.last + self.how.surprise[1], self._strange(habit))
+        surprised = misfit > min(laser.last + self.how.surprise[1], self._strange(laser))
         if surprised and self._lost < 0.5:
             metres, radians = self.how.slip
             wider = spread + np.diag(np.square([metres, metres, radians]))
             other = settled(self.features, view, pose, wider)
             fit = misfit_at(self.features, view, other, self.options)
-            if slipped := fit <= self._strange(habit):
+            if slipped := fit <= self._strange(laser):
                 near, misfit, self._covariance[best] = other, fit, wider[0]
                 self._doubt_place(self.how.dark[2])
-        if misfit > habit.last + self.how.surprise[1]:
+        if misfit > laser.last + self.how.surprise[1]:
             return None
-        habit.last, habit.doubted = misfit, slipped or misfit > self._strange(habit)
+        laser.last, laser.doubted = misfit, slipped or misfit > self._strange(laser)
         return near
 
-    def _strange(self, habit: Habit) -> float:
+    def _strange(self, laser: Laser) -> float:
         """Misfit, nats per reading, above which a scan of this laser is doubted."""
-        return habit.usual + self.how.surprise[0]
+        return laser.usual + self.how.surprise[0]
 
     def see(self, scan: LaserScan) -> None:
         """Weigh the whole belief by a scan. A blind scan changes nothing."""
@@ -382,11 +383,11 @@ class Tracker:
 
     def _see(self, scan: LaserScan) -> None:
         how, known = self.how, len(self._poses)
-        habit, view = self._habits.of(scan), view_of(scan, self.options)
-        new, driven, habit.way = self._fresh(habit), habit.way[0], np.zeros(2)
+        laser, view = self._lasers.of(scan), view_of(scan, self.options)
+        new, driven, laser.way = self._fresh(laser), laser.way[0], np.zeros(2)
         self._follow_on()
-        contradicted = known > 0 and self._unsurprised(view, habit) is None
-        strange = contradicted or self._habits.doubted or self._lost > how.known
+        contradicted = known > 0 and self._unsurprised(view, laser) is None
+        strange = contradicted or self._lasers.doubted or self._lost > how.known
         found = self._search(scan, view, strange=strange, at_once=driven >= how.later)
         if len(found.poses) and self._judge_walls(view, found.poses):
             found = self._search(scan, view, strange=True)
@@ -407,11 +408,11 @@ class Tracker:
         leak = how.leak[0] * new
         if known:
             leader = float(seen.misfit[at[np.argmax(self._mass)]])
-            if leader > habit.last + how.surprise[1]:
+            if leader > laser.last + how.surprise[1]:
                 leak, new = how.leak[1], max(new, how.startle)
                 relative = np.maximum((seen.log_likelihood - best) * new, -how.drop)
                 at, gain = self._follow(seen, relative, new)
-            habit.doubted = leader > self._strange(habit)
+            laser.doubted = leader > self._strange(laser)
         lost = self._lost + leak * (1 - self._lost)
         mass = self._mass * np.exp(gain)
         if known:
@@ -424,7 +425,7 @@ class Tracker:
             odds = max(how.patience, told, np.exp(_MOST) * lost / (1 - lost))
             lost = min(gone, odds * float(mass.sum()))
         self._mass, self._lost = mass, lost
-        self._settle(seen, at, habit)
+        self._settle(seen, at, laser)
         self._normalise()
         if how.resets or not known:
             self._bear(seen, 2 * known, relative)
@@ -434,14 +435,14 @@ class Tracker:
         enough = len(view.readings) >= how.agree[1]
         self._agreed = self._agreed + enough if agrees else 0
         self._dark &= self._agreed < how.agree[0]
-        self._judge_map(self._agreed > 0 and not self._habits.doubted)
-        if agrees and enough and not habit.doubted:
+        self._judge_map(self._agreed > 0 and not self._lasers.doubted)
+        if agrees and enough and not laser.doubted:
             self._since = 0.0
         if len(self._mass):
-            habit.learn(misfit_at(self.features, view, self._poses[:1], self.options))
+            laser.learn(misfit_at(self.features, view, self._poses[:1], self.options))
             alone = self._lost < 0.5 and self._mass[0] >= least * self._mass.sum()
             if alone and not self.options.shared.bent:  # whose offsets look like a scale
-                self._stretch(view, fits=habit.last <= self.options.fused.strained)
+                self._stretch(view, fits=laser.last <= self.options.fused.strained)
         self._remember()
 
     def _search(
@@ -500,9 +501,9 @@ class Tracker:
         return True
 
     def _judge_map(self, agrees: bool) -> None:
-        """Average over the way whether scans agree with one place; a new map is believed."""
+        """Average over the way, and nothing before it, whether scans agree with one place."""
         faded = float(np.exp(-self._uncounted / self.how.explained[0]))
-        self._explained = faded * self._explained + (1 - faded) * agrees
+        self._explained = faded * self._explained + (1 - faded) * np.array([agrees, 1.0])
         self._uncounted = 0.0
 
     def _begin_again(self) -> None:
@@ -512,7 +513,7 @@ class Tracker:
         if self._begun is not None:
             self._poses, self._covariance = self._begun
             self._mass, self._followed, self._lost = np.ones(1), np.zeros(1), 0.0
-        self._unique, self._agreed, self._explained = None, 0, 1.0
+        self._unique, self._agreed, self._explained = None, 0, np.zeros(2)
 
     def _steps(self, scan: LaserScan) -> Generator[None, None, Places]:
         """Search a scan: pause after each step, but not if a function replaces the search."""
@@ -594,12 +595,12 @@ class Tracker:
         metres, radians = self.how.error
         return np.asarray(seen.covariance + np.diag([metres, metres, radians]) ** 2)
 
-    def _settle(self, seen: Sight, at: IntArray, habit: Habit) -> None:
+    def _settle(self, seen: Sight, at: IntArray, laser: Laser) -> None:
         """Correct the components by the poses they are at.
 
         A component that stays at its own pose is corrected only if the scan fits there.
         """
-        fits = seen.misfit[at] <= self._strange(habit)
+        fits = seen.misfit[at] <= self._strange(laser)
         some = np.flatnonzero((at != np.arange(len(at))) | fits)
         if len(some):
             self._correct(some, seen.poses[at[some]], self._noise(seen)[at[some]])
@@ -681,9 +682,9 @@ class Tracker:
         verdict = AMBIGUOUS
         if self._lost > 0.5 or not len(mass):
             verdict = LOST
-        elif not self._habits.doubted and self._agreed >= self._needed(self._poses[order[0]]):
+        elif not self._lasers.doubted and self._agreed >= self._needed(self._poses[order[0]]):
             held = self._followed[order[0]] >= self.how.sure[0] and self._since <= self.how.stale
-            held &= self._explained >= self.how.explained[1]
+            held &= self._explained[0] >= self.how.explained[1] * self._explained[1]
             verdict = UNIQUE if held else AMBIGUOUS
         neff = float(np.square(mass.sum()) / max(1e-300, np.square(mass).sum()))
         return Belief(

@@ -6,6 +6,7 @@ import math
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -17,19 +18,19 @@ from imgloc.io.clouds import Height, check_height, check_seen, points_of, slice_
 from imgloc.io.files import PathLike, display, is_folder, is_there, open_file, read_file, reason
 from imgloc.io.lasers import lasers_of, together
 from imgloc.io.messages import (
-    Frames,
     entry_of,
     frame_name,
     grid_from_msg,
     link_of,
-    mounting_of,
     move_of,
     planar,
     seconds_of,
 )
-from imgloc.io.odometry import odometry_at
 from imgloc.io.scanset import MAX_RAYS, Entry, ScanSet, ScansSize, check_size, collect
-from imgloc.model import FloatArray, OccupancyGrid, Pose2D
+from imgloc.model import OccupancyGrid, Pose2D
+from imgloc.robot.frames import Frames
+from imgloc.robot.odometry import Odometry
+from imgloc.robot.recording import SCANS, Picked, Recording, Source, mounted, pick_odometry
 
 _LOG = logging.getLogger("imgloc")
 _SCAN, _ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
@@ -45,13 +46,16 @@ _HINTS = {
 }
 
 
-def read_bag(path: PathLike, *, topic: str | None = None, height: Height | None = None) -> ScanSet:
+def read_bag(
+    path: PathLike, *, topic: str | None = None, height: Height | None = None, odom: str = ""
+) -> ScanSet:
     """Read the scans of a topic of a bag, with the robot's odometry and the sensor's place.
 
-    `odom` is the robot's pose at the time of each scan, from nav_msgs/Odometry, else from the
-    transforms below a frame called ``odom``; None if a scan is more than a second from it.
-    `T_base_laser` is from the transforms between the robot's base and the scan's frame; a sensor
-    that hangs upside down is turned over by them.
+    `odom` of the set is the robot's pose at the time of each scan, between two poses of the
+    odometry that :func:`~imgloc.robot.recording.pick_odometry` picks; NaN where there are none.
+    `T_base_laser` is where the scan's frame is in that of the odometry, by the transforms at its
+    time; a sensor that hangs upside down is turned over by them. Scans whose place is not known at
+    their time, or of a moving laser that is tilted then, are left out, with a warning.
 
     Parameters
     ----------
@@ -64,21 +68,25 @@ def read_bag(path: PathLike, *, topic: str | None = None, height: Height | None 
         Without any such topic those of sensor_msgs/PointCloud2 are looked at.
     height : (float, float), optional
         Lowest and highest point of the slice of a cloud that is a scan, metres above the sensor.
+    odom : str
+        Topic or frame of the odometry; empty to pick the one of the robot that has the laser.
     """
     name = display(path)
     if topic is not None and len(topics := lasers_of(topic)) > 1:
-        return together({t: read_bag(path, topic=t, height=height) for t in topics}, name)
+        sets = {t: read_bag(path, topic=t, height=height, odom=odom) for t in topics}
+        return together(sets, name)
     with _opened(path, name) as bag:
         chosen = _choose(bag, topic, name)
-        odometry = _by_type(bag, _ODOMETRY)
-        source = "/odom" if "/odom" in odometry else next(iter(odometry), None)
-        wanted = {chosen, source, *(t for kind in _TF for t in _by_type(bag, kind))}
+        sources = {t: Source(t, "", "") for t in _by_type(bag, _ODOMETRY)}
+        wanted = {chosen, *sources, *(t for kind in _TF for t in _by_type(bag, kind))}
+        lasers = tuple(_by_type(bag, _SCAN)) or tuple(_by_type(bag, _CLOUD))
+        maps = tuple(_by_type(bag, _GRID))
         connections = [c for c in bag.connections if c.topic in wanted]
         entries, laser = list[Entry](), ""
         count = sum(c.msgcount for c in connections if c.topic == chosen)
         readings = most = 0
-        moves, base = list[tuple[float, ...]](), ""
-        transforms, frames = list[tuple[float, str, str, FloatArray]](), Frames()
+        moves = {t: list[tuple[float, ...]]() for t in sources}
+        frames, odd = Frames(), 0
         for connection, time, data in messages_of(bag, connections):
             message = bag.deserialize(data, connection.msgtype)
             if connection.topic == chosen:
@@ -93,31 +101,40 @@ def read_bag(path: PathLike, *, topic: str | None = None, height: Height | None 
                 if readings > most:
                     hint = f"expected {count:,} scans like the first; ros2 bag reindex"
                     raise ScanError(f"{where}: {readings:,} readings up to it, {hint}")
-                entries.append((where, entry))
-            elif connection.topic == source:
-                base = frame_name(message.child_frame_id)
-                moves.append(move_of(message))
+                entries.append((where, {**entry, "laser": chosen}))
+            elif connection.topic in sources:
+                frame, child = map(frame_name, (message.header.frame_id, message.child_frame_id))
+                sources[connection.topic] = Source(connection.topic, frame, child)
+                moves[connection.topic].append(move_of(message))
             else:
                 for item in message.transforms:
                     child, parent, pose = link_of(item)
-                    frames.setdefault(child, (parent, pose))
-                    if parent.endswith("odom"):
-                        transforms.append((seconds_of(item.header.stamp), parent, child, pose))
+                    still = connection.topic.endswith("_static")
+                    stamp = -math.inf if still else seconds_of(item.header.stamp)
+                    odd += not frames.add(child, parent, pose, stamp)
+    if odd:
+        _LOG.warning("%s: left out %d transforms, which are not finite", name, odd)
     if height is not None and entries and "angles" in entries[0][1]:
         check_seen([entry for _, entry in entries], height, f"{name}: {chosen}")
-    if not moves and transforms:
-        base = transforms[0][2]
-        moves = [(at, *planar(pose)) for at, _, child, pose in transforms if child == base]
-    return _assemble(entries, _finite(moves, name), mounting_of(frames, laser, base), name)
+    known = [replace(s, odometry=_odometry(moves[t], f"{name}: {t}")) for t, s in sources.items()]
+    picked = pick_odometry(known, frames, laser, chosen, "" if odom == SCANS else odom, name)
+    if odom == SCANS:
+        picked = replace(picked, source=None)
+    about = Recording(
+        lasers, chosen, picked.source.words if picked.source else "", picked.why, picked.others,
+        picked.robots, picked.truths, maps,
+    )  # fmt: skip
+    return replace(_assemble(entries, picked, frames, laser, name), recording=about)
 
 
-def _finite(moves: Sequence[tuple[float, ...]], name: str) -> list[tuple[float, ...]]:
-    """The poses of the odometry that can be; a warning counts the others."""
+def _odometry(moves: Sequence[tuple[float, ...]], name: str) -> Odometry:
+    """The poses of an odometry that can be; a warning counts the others."""
     kept = [move for move in moves if all(abs(value) < _FAR for value in move[1:])]
     if left := len(moves) - len(kept):
         text = "%s: left out %d of %d poses of the odometry, which are not finite, or beyond %g m"
         _LOG.warning(text, name, left, len(moves), _FAR)
-    return kept
+    table = np.array(kept).reshape(-1, 4)
+    return Odometry(table[:, 0], table[:, 1:])
 
 
 def _entry(
@@ -282,25 +299,38 @@ def _some(names: Sequence[str]) -> str:
 
 
 def _assemble(
-    entries: Sequence[Entry], moves: Sequence[tuple[float, ...]], mounting: FloatArray | None,
-    name: str,
-) -> ScanSet:  # fmt: skip
+    entries: Sequence[Entry], picked: Picked, frames: Frames, laser: str, name: str
+) -> ScanSet:
     """The set of the scans, with the odometry at their times, on a sensor that sits so."""
-    stamps = np.array([entry["stamp"] for _, entry in entries])
-    table = np.array(moves).reshape(-1, 4)
-    odom = odometry_at(stamps, table[:, 0], table[:, 1:]) if len(table) else None
-    if odom is None and len(table):
+    stamps, source = np.array([entry["stamp"] for _, entry in entries]), picked.source
+    odom = None if source is None else source.odometry.along(stamps)
+    if odom is None and source is not None and len(source.odometry):
         _LOG.warning("%s: its odometry does not cover the time of its scans, and is ignored", name)
-    mount, turned = None, False
-    if mounting is not None:
-        mount, turned = Pose2D(*planar(mounting)), mounting[2, 2] < 0
-        if abs(mounting[2, 2]) < _TILTED:
+    mounts = mounted(frames, laser, source.child if source else "", stamps)
+    poses = [None if mounts is None else mounts.get(t) for t in stamps.tolist()]
+    level = [pose is not None and abs(pose[2, 2]) >= _TILTED for pose in poses]
+    if mounts is not None:
+        if not any(level) and mounts:
             _LOG.warning("%s: its laser is tilted in tf; imgloc takes scans for level", name)
+            level = [pose is not None for pose in poses]
+        if left := len(level) - sum(level):
+            lacking = sum(pose is None for pose in poses)
+            _LOG.warning(
+                "%s: left out %d of %d scans: tf does not tell where the laser was at the time of "
+                "%d, and it was tilted by more than 5 degrees at that of %d",
+                name, left, len(level), lacking, left - lacking,
+            )  # fmt: skip
     whole: list[Entry] = []
     for k, (where, entry) in enumerate(entries):
-        more = {"mount": mount, "odom": None if odom is None else odom[k]}
-        if turned:  # its angles run clockwise
-            keys = ("angle_min", "angle_max", "angle_increment", "angles")
-            more |= {key: -entry[key] for key in keys if key in entry}
+        pose, more = poses[k], {"odom": None if odom is None else odom[k]}
+        if mounts is not None and not level[k]:
+            continue
+        if pose is not None:
+            more["mount"] = Pose2D(*planar(pose))
+            if pose[2, 2] < 0:  # its angles run clockwise
+                keys = ("angle_min", "angle_max", "angle_increment", "angles")
+                more |= {key: -entry[key] for key in keys if key in entry}
         whole.append((where, {**entry, **more}))
+    if entries and not whole:
+        raise ScanError(f"{name}: tf never tells where {laser} is at the time of a scan")
     return collect(whole, name)

@@ -25,12 +25,12 @@ from imgloc.errors import ScanError
 from imgloc.io.badlines import BadLines
 from imgloc.io.files import PathLike, display
 from imgloc.io.lasers import lasers_of, together
-from imgloc.io.odometry import odometry_at
 from imgloc.io.scanset import Entry, ScanSet, collect, spread, wrong
 from imgloc.io.text import read_text
 from imgloc.io.textscans import check_lines
 from imgloc.model import MOUNTED, FloatArray, LaserScan, Pose2D, compose, inverse
 from imgloc.options import MAX_BAD
+from imgloc.robot.odometry import Odometry
 
 _LOG = logging.getLogger("imgloc")
 # In the order of preference: a log may hold the same laser in an old and in a new form.
@@ -437,7 +437,7 @@ def _odometry(
         return np.array([(r.x, r.y, r.theta) for r in robots if r is not None])
     table = np.array(moves).reshape(-1, 4)
     table = table[np.isfinite(table[:, 0])]
-    return odometry_at(stamps, table[:, 0], table[:, 1:])
+    return Odometry(table[:, 0], table[:, 1:]).along(stamps)
 
 
 def _laser_poses(messages: Sequence[_Message]) -> tuple[FloatArray | None, Pose2D | None]:

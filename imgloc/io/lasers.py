@@ -1,10 +1,10 @@
-"""Several lasers on one robot: the scans of all in the order of time, each with its own place.
+"""Several lasers on one robot: the scans of all in the order of time, each with its own name.
 
 They are never joined to one scan: what a reading passed through depends on where it started.
 """
 
-import itertools
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -39,7 +39,7 @@ def together(sets: Mapping[str, ScanSet], name: str) -> ScanSet:
     Raises
     ------
     ScanError
-        If a laser has no stamps, no known place on the robot, or the place of another laser.
+        If a laser has no stamps, or no known place on the robot, or is named twice.
     """
     for laser, scans in sets.items():
         if scans.stamps is None or not np.isfinite(scans.stamps).all():
@@ -49,18 +49,19 @@ def together(sets: Mapping[str, ScanSet], name: str) -> ScanSet:
         if any(scan.T_base_laser is None for scan in scans.scans):
             where = "expected a transform from the robot's base to each laser"
             raise ScanError(f"{name}: {laser}: no place on the robot, {where}")
-    for (a, one), (b, other) in itertools.combinations(sets.items(), 2):
-        if one[0].T_base_laser == other[0].T_base_laser:
-            raise ScanError(f"{name}: {a} and {b} sit at the same place, expected one of them")
+    named = {laser: scans.recording.taken or laser for laser, scans in sets.items()}
+    if len(set(named.values())) < len(named):
+        raise ScanError(f"{name}: got {', '.join(named)}, expected each laser once")
     every = list(sets.values())
     stamps = np.concatenate([s.stamps for s in every if s.stamps is not None])
     order = np.argsort(stamps, kind="stable")
-    joined = [scan for s in every for scan in s.scans]
+    joined = [replace(scan, laser=named[laser]) for laser, s in sets.items() for scan in s.scans]
     return ScanSet(
         tuple(joined[k] for k in order),
         _all([s.poses for s in every], order),
         stamps[order],
         _all([s.odom for s in every], order),
+        every[0].recording,
     )
 
 

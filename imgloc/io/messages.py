@@ -16,7 +16,6 @@ from imgloc.io.scanset import collect
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
 from imgloc.numbers import number
 
-_BASES = ("base_footprint", "base_link", "base")
 _SPACING = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max")
 FREE, OCCUPIED = 19.6, 65.0
 """Occupancies of a cell, per cent, up to which it is free and from which it is a wall: the
@@ -25,8 +24,6 @@ _MOST = 100  # per cent
 _FAR = 1e9  # metres that a map lies from its frame
 _LONGEST = number("messages.longest")  # seconds of a sweep
 _UNEVEN = 1e-3  # of the step between two rays, by which one may be off
-Frames = dict[str, tuple[str, FloatArray]]
-"""Of a frame: its parent, and the pose in it, 4 x 4."""
 
 
 def field(message: Any, path: str) -> Any:
@@ -303,17 +300,3 @@ def matrix_of(pose: Any) -> FloatArray:
 def planar(matrix: FloatArray) -> tuple[float, float, float]:
     """x, y and yaw."""
     return matrix[0, 3], matrix[1, 3], math.atan2(matrix[1, 0], matrix[0, 0])
-
-
-def mounting_of(frames: Frames, laser: str, base: str) -> FloatArray | None:
-    """Pose of the frame `laser` in that of the base, 4 x 4; None if no transforms lead there."""
-    bases = (base,) if base else _BASES
-    at, pose = laser, np.eye(4)
-    for _ in range(len(frames) + 1):
-        if at in bases:
-            return pose
-        if at not in frames:
-            return None
-        at, step = frames[at]
-        pose = step @ pose
-    return None

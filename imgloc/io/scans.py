@@ -63,6 +63,7 @@ def load_scans(
     fov: float | None = None,
     max_bad: float = MAX_BAD,
     height: Height | None = None,
+    odom: str | None = None,
 ) -> ScanSet:
     """Load laser scans: at least one, each with at least one reading, all angles finite.
 
@@ -91,8 +92,11 @@ def load_scans(
         Lowest and highest point, metres above the sensor, of the slice of a cloud of points that
         is a scan. Clouds are sensor_msgs/PointCloud2 of a bag, where there is no LaserScan or
         `topic` names them, and ``.pcd`` (:func:`~imgloc.io.clouds.read_pcd`).
+    odom : str, optional
+        Topic or frame of the odometry of a bag, see :func:`~imgloc.io.bags.read_bag`; ``scans``
+        for none, because the scans are to tell the motion.
     """
-    how = Logs(topic, fov, max_bad=max_bad, height=height)
+    how = Logs(topic, fov, max_bad=max_bad, height=height, odom=odom)
     return _kind(path, topic).read(path, how)
 
 
@@ -127,8 +131,8 @@ def read_npz(path: PathLike) -> ScanSet:
     ``angle_increment``; optionally ``range_min`` (default 0), ``range_max`` (default infinite) and
     ``time_increment`` (seconds from a reading to the next, default 0), one number or (N,);
     ``poses`` (N, 3), ``stamps`` (N,), ``odom`` (N, 3); ``mount`` (3,) or (N, 3), where the sensor
-    sits on the robot, NaN where that is not known. Other keys are not read. Arrays of objects are
-    refused, as are more than MAX_READINGS.
+    sits on the robot, NaN where that is not known; ``laser`` (N,), a number for each of several
+    lasers. Other keys are not read. Arrays of objects are refused, as are more than MAX_READINGS.
     """
     name = display(path)
     data = read_file(path, limit=_MAX_BYTES, error=ScanError, what="scan file")
@@ -150,6 +154,9 @@ def write_npz(scans: ScanSet) -> bytes:
     stamps = own if scans.stamps is None else scans.stamps
     mounts = [scan.T_base_laser for scan in scans.scans]
     mount = np.array([(m.x, m.y, m.theta) if m else (np.nan,) * 3 for m in mounts])
+    names = list(dict.fromkeys(scan.laser for scan in scans.scans))
+    if len(names) > 1:
+        arrays["laser"] = np.array([names.index(scan.laser) for scan in scans.scans])
     beside = {"poses": scans.poses, "odom": scans.odom}
     beside |= {key: a for key, a in (("stamps", stamps), ("mount", mount)) if np.isfinite(a).any()}
     arrays |= {key: value for key, value in beside.items() if value is not None}
@@ -179,7 +186,7 @@ _CARMEN = _Kind(
     lambda path, _: text_size(path, between=b" "),
 )
 _BAG = _Kind(
-    lambda path, how: read_bag(path, topic=how.topic, height=how.height),
+    lambda path, how: read_bag(path, topic=how.topic, height=how.height, odom=how.odom or ""),
     lambda path, how: bag_size(path, topic=how.topic, height=how.height),
 )
 _PCD = _Kind(lambda path, how: read_pcd(path, height=how.height), lambda path, _: pcd_size(path))

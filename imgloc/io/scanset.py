@@ -3,15 +3,16 @@
 import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.badlines import BadLines
-from imgloc.io.odometry import velocities_at
 from imgloc.model import LONGEST_SWEEP, FloatArray, LaserScan, Pose2D
+from imgloc.robot.odometry import velocities_at
+from imgloc.robot.recording import Recording
 
 _LOG = logging.getLogger("imgloc")
 MAX_READINGS = 50_000_000
@@ -22,7 +23,7 @@ SPACING = ("angle_min", "angle_max", "angle_increment")
 _LIMITS = {"range_min": 0.0, "range_max": math.inf}
 _PACE = "time_increment"
 _BESIDE, _STEPS = ("poses", "stamps", "odom"), ("angle_min", "angle_increment")
-KEYS = ("ranges", "angles", *_LIMITS, *_STEPS, _PACE, *_BESIDE, "mount")
+KEYS = ("ranges", "angles", *_LIMITS, *_STEPS, _PACE, *_BESIDE, "mount", "laser")
 # The greatest reading of a scan is a code if it is that often there: of all readings, readings, and
 # of how often others are. Of 39,000 scans and parts of scans without codes it was so of none.
 _OFTEN, _LEAST, _OTHERS = 0.05, 10, 10
@@ -68,6 +69,7 @@ class ScanSet:
     #: ``compose(odom, T_base_laser)``, which is the same where a scan has none. NaN where it is
     #: not known
     odom: FloatArray | None = None
+    recording: Recording = field(default_factory=Recording)  #: what else the log holds, by name
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "scans", tuple(self.scans))
@@ -136,11 +138,11 @@ class ScanSet:
     def take(self, indices: Sequence[int]) -> "ScanSet":
         """The scans at some indices, in their order, with what was recorded beside them."""
         at = list(indices)
-        beside = {key: getattr(self, key) for key in _BESIDE}
-        return ScanSet(
-            tuple(self.scans[k] for k in at),
-            **{key: None if array is None else array[at] for key, array in beside.items()},
+        poses, stamps, odom = (
+            None if (array := getattr(self, key)) is None else array[at] for key in _BESIDE
         )
+        scans = tuple(self.scans[k] for k in at)
+        return ScanSet(scans, poses, stamps, odom, self.recording)
 
 
 def wrong(where: str, got: object, expected: str) -> ScanError:
@@ -269,8 +271,11 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
     _check_pace(pace := given.get(_PACE, 0.0), len(ranges), where)
     if mount is not None and not isinstance(mount, Pose2D):
         mount = Pose2D(*_pose(mount, where, "mount"))
+    laser = entry.get("laser", "")
+    if not isinstance(laser, str):
+        raise wrong(f"{where}: laser", repr(laser)[:40], "the name of the laser, a text")
     try:
-        return LaserScan(ranges, angles, low, high, stamp, mount, pace)
+        return LaserScan(ranges, angles, low, high, stamp, mount, pace, laser)
     except ConfigError as error:
         raise ScanError(f"{where}: {error}") from None
 
@@ -368,12 +373,14 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
     stamps = beside.get("stamps", np.full(n, np.nan)).tolist()
     mounts = _mounts(arrays.get("mount"), n, name)
     around = np.broadcast_to(angles, ranges.shape)
-    columns = zip(ranges, around, *limits, stamps, mounts, paces, strict=True)
+    lasers = _lasers(arrays.get("laser"), n, name)
+    columns = zip(ranges, around, *limits, stamps, mounts, paces, lasers, strict=True)
     try:
         scans = [LaserScan(*column) for column in columns]
     except ConfigError as error:
         raise ScanError(f"{name}: {error}") from None
-    return ScanSet(_without_codes(scans, name), **beside)
+    poses, times, odom = (beside.get(key) for key in _BESIDE)
+    return ScanSet(_without_codes(scans, name), poses, times, odom)
 
 
 def _mounts(mount: FloatArray | None, n: int, name: str) -> list[Pose2D | None]:
@@ -384,6 +391,15 @@ def _mounts(mount: FloatArray | None, n: int, name: str) -> list[Pose2D | None]:
         raise wrong(f"{name}: mount", f"shape {mount.shape}", f"(3,) or {(n, 3)}")
     rows = np.broadcast_to(mount, (n, 3))
     return [None if np.isnan(r).all() else Pose2D(*_pose(r, name, "mount")) for r in rows]
+
+
+def _lasers(laser: FloatArray | None, n: int, name: str) -> list[str]:
+    """Names of the lasers of `n` scans, from a number for each."""
+    if laser is None:
+        return [""] * n
+    if laser.size != 1 and laser.shape != (n,):
+        raise wrong(f"{name}: laser", f"shape {laser.shape}", f"one number or {(n,)}")
+    return [f"{number:g}" for number in np.broadcast_to(laser.ravel(), (n,)).tolist()]
 
 
 def _without_codes(scans: Sequence[LaserScan], name: str) -> tuple[LaserScan, ...]:

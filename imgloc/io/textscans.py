@@ -112,8 +112,9 @@ def read_jsonl(path: PathLike, *, max_bad: float = MAX_BAD) -> ScanSet:
     Needed are ``ranges`` and either ``angles`` or ``angle_min`` with ``angle_increment``
     (else ``angle_max``). Optional: ``range_min``, ``range_max``, ``time_increment``, ``stamp``
     (seconds, or ``header.stamp`` with ``sec`` and ``nanosec``), ``pose``, ``odom`` and ``mount``
-    (where the sensor sits on the robot) as [x, y, theta] or an object of these names. In ranges,
-    null is NaN, and "inf", "-inf", "nan" may be strings.
+    (where the sensor sits on the robot) as [x, y, theta] or an object of these names; ``laser`` (or
+    ``header.frame_id``), a name for each of several lasers. In ranges, null is NaN, and "inf",
+    "-inf", "nan" may be strings.
     A ``.json`` file may also be one such object, or an array of them. Broken lines are left out,
     up to the share `max_bad`, as is a last one that was cut off.
     """
@@ -251,6 +252,7 @@ def plain_entry(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
         seconds, nanoseconds = (scalar(part, f"{where}: stamp") for part in parts)
         stamp = seconds + nanoseconds * 1e-9
     plain["stamp"] = stamp
+    plain["laser"] = entry.get("laser", header.get("frame_id", ""))
     for key in _POSES:
         if isinstance(entry.get(key), dict):
             plain[key] = [entry[key].get(k) for k in ("x", "y", "theta")]

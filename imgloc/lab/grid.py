@@ -18,7 +18,7 @@ from imgloc.features.budget import check_budget
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import NOWHERE, Belief
 from imgloc.filters.evidence import sight, view_of
-from imgloc.filters.motion import MotionNoise, deviations
+from imgloc.filters.motion import MotionNoise, deviations, way_of
 from imgloc.geometry import centre_of, rotation, wrap
 from imgloc.lab.scanned import ScannedFilter
 from imgloc.likelihoods.stacks import likelihood
@@ -216,14 +216,14 @@ class GridFilter(ScannedFilter):
         stack = turned[:, None, None] * (y[:, None] * x * self._free)
         self._belief, self._seen = (stack / max(1e-300, stack.sum())).astype(np.float32), True
         self._sparse()
-        self._habits.place()
+        self._lasers.place()
 
     def move(self, increment: FloatArray) -> None:
         """Move the belief by a motion (3,), in the robot's earlier frame: m, m, radians."""
         if not np.any(increment):
             return
         self._followed.move(increment)
-        self._habits.move(increment)
+        self._lasers.move(way_of(increment))
         if not self._seen:
             return  # a uniform belief stays uniform
         first, along, _ = deviations(increment, self.how.noise).tolist()
@@ -242,19 +242,19 @@ class GridFilter(ScannedFilter):
             self._normalise()
 
     def _see(self, scan: LaserScan) -> None:
-        how, habit = self.how, self._habits.of(scan)
-        new = float(np.clip((habit.way / how.fresh).sum(), how.least, 1.0)) if self._seen else 1.0
+        how, laser = self.how, self._lasers.of(scan)
+        new = float(np.clip((laser.way / how.fresh).sum(), how.least, 1.0)) if self._seen else 1.0
         before = self._misfit_at_best(scan) if self._seen else 0.0
-        surprised = self._seen and before > habit.usual + how.surprise
+        surprised = self._seen and before > laser.usual + how.surprise
         if surprised:
             self._dense()
         if self._belief.shape[1:] == self.lattice.shape:
             self._multiply_all(scan, new, mix=surprised and how.resets)
         else:
             self._multiply_box(scan, new)
-        habit.way, self._seen, self._last = np.zeros(2), True, habit
+        laser.way, self._seen, self._last = np.zeros(2), True, laser
         self._sparse()
-        habit.learn(self._misfit_at_best(scan))
+        laser.learn(self._misfit_at_best(scan))
         self._followed.best(self.belief.poses[0])
 
     def _multiply_all(self, scan: LaserScan, new: float, *, mix: bool) -> None:

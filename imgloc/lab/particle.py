@@ -19,11 +19,11 @@ from imgloc.errors import ConfigError
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.filters.belief import NOWHERE, Belief
 from imgloc.filters.evidence import sight, view_of
-from imgloc.filters.motion import MotionNoise, sample_motion
+from imgloc.filters.motion import MotionNoise, sample_motion, way_of
 from imgloc.geometry import cell_of, inside, theta_bin, transform_poses, wrap
 from imgloc.lab.scanned import ScannedFilter
 from imgloc.likelihoods.stacks import likelihood
-from imgloc.model import FloatArray, IntArray, LaserScan, Pose2D, inverse
+from imgloc.model import FloatArray, IntArray, LaserScan, inverse
 from imgloc.numbers import number
 from imgloc.options import (
     ALL_METHODS,
@@ -147,7 +147,7 @@ class ParticleFilter(ScannedFilter):
         super().__init__(features, replace(options or Options(), top=20), self.how)
         self._rng = np.random.default_rng(seed)
         self.poses, self.weights = np.empty((0, 3)), np.empty(0)
-        self._means: dict[Pose2D | None, tuple[float, float]] = {}  # of each laser, long and short
+        self._means: dict[str, tuple[float, float]] = {}  # of each laser, long and short
         self._looks = 0
 
     def place(self, pose: FloatArray, deviation: tuple[float, float]) -> None:
@@ -155,22 +155,22 @@ class ParticleFilter(ScannedFilter):
         spread = (deviation[0], deviation[0], deviation[1])
         self.poses = pose + self._rng.standard_normal((self.how.least * 2, 3)) * spread
         self.weights = np.full(len(self.poses), 1 / len(self.poses))
-        self._habits.place()
+        self._lasers.place()
 
     def move(self, increment: FloatArray) -> None:
         """Move the particles by a motion (3,), in the robot's earlier frame: m, m, radians."""
         self._followed.move(increment)
-        self._habits.move(increment)
+        self._lasers.move(way_of(increment))
         if len(self.poses) and np.any(increment):
             self.poses = sample_motion(self.poses, increment, self.how.noise, self._rng)
 
     def _see(self, scan: LaserScan) -> None:
-        how, habit, first = self.how, self._habits.of(scan), not len(self.poses)
+        how, laser, first = self.how, self._lasers.of(scan), not len(self.poses)
         if first:
             self.poses = self._new(scan, how.most)
             self.weights = np.full(len(self.poses), 1 / len(self.poses))
-        new = float(np.clip((habit.way / how.fresh).sum(), how.least_new, 1.0))
-        habit.way = np.zeros(2)
+        new = float(np.clip((laser.way / how.fresh).sum(), how.least_new, 1.0))
+        laser.way = np.zeros(2)
         seen = sight(self.features, view_of(scan, self._few), self.poses, self._few)
         log = seen.log_likelihood
         if how.weigh_by != FUSED:
@@ -182,15 +182,15 @@ class ParticleFilter(ScannedFilter):
         mean = float(self.weights @ np.exp(-seen.misfit))
         # Lenser and Veloso: the share that is drawn anew follows the running likelihood.
         slow, fast = how.alphas
-        long, short = (mean, mean) if first else self._means.get(scan.T_base_laser, (mean, mean))
+        long, short = (mean, mean) if first else self._means.get(scan.laser, (mean, mean))
         long, short = long + slow * (mean - long), short + fast * (mean - short)
-        self._means[scan.T_base_laser] = long, short
+        self._means[scan.laser] = long, short
         share = max(0.0, 1 - how.slack * short / max(1e-300, long)) if how.resets else 0.0
         neff = 1 / float(np.square(self.weights).sum())
         if first or share > 0 or neff < len(self.weights) / 2:
             self._resample(scan, share)
-        habit.learn(self._misfit_at_best(scan))
-        self._last = habit
+        laser.learn(self._misfit_at_best(scan))
+        self._last = laser
         self._followed.best(self.belief.poses[0])
 
     def _resample(self, scan: LaserScan, share: float) -> None:

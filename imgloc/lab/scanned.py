@@ -1,13 +1,14 @@
-"""Common parts of the grid filter and the particle filter: scans, habits and the belief."""
+"""Common parts of the grid filter and the particle filter: scans, lasers and the belief."""
 
 from abc import ABC, abstractmethod
 from typing import Protocol
 
 from imgloc.features.mapfeatures import MapFeatures
-from imgloc.filters.belief import Belief, Followed, Habit, Habits, belief_of
+from imgloc.filters.belief import Belief, Followed, belief_of
 from imgloc.filters.evidence import misfit_near, usable, view_of
 from imgloc.model import FloatArray, LaserScan
 from imgloc.options import Options
+from imgloc.robot.lasers import Laser, Lasers
 from imgloc.search.adapt import drawn_thick
 
 
@@ -54,7 +55,7 @@ class ScannedFilter(ABC):
     def __init__(self, features: MapFeatures, options: Options, limits: Limits) -> None:
         self.options, self._limits = options, limits
         self.features = features.thinner(options.shared.thinner)
-        self._habits, self._last, self._followed = Habits(), Habit(), Followed()
+        self._lasers, self._last, self._followed = Lasers(), Laser(), Followed()
         self._resets = 0
         self.unsure, shared = "", options.shared
         if shared.bent and not self.knows_bent:
@@ -85,7 +86,7 @@ class ScannedFilter(ABC):
         seen = usable(scan, self.options)
         if seen is None or not len(self._best):
             return False
-        return self._misfit_at_best(seen) > self._habits.of(seen).last + self._limits.surprise
+        return self._misfit_at_best(seen) > self._lasers.of(seen).last + self._limits.surprise
 
     def _misfit_at_best(self, scan: LaserScan) -> float:
         view = view_of(scan, self.options)

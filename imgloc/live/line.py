@@ -1,4 +1,4 @@
-"""A line of scans in front of one worker: first come, first served, one of each source."""
+"""A line of scans in front of one worker: one of each source, and of a robot all in turn."""
 
 import math
 import threading
@@ -70,7 +70,8 @@ class Line:
         self._changed = threading.Condition()
         self._waiting = dict[Key, _Task]()
         self._counts = Counter[Key]()
-        self._total = 0
+        self._turns = dict[Key, int]()  # when each place had its last turn
+        self._total = self._done = 0
         self._busy = self._closed = False
         self._thread: threading.Thread | None = None
 
@@ -97,7 +98,7 @@ class Line:
         """Queue work, a function of the seconds that it has waited.
 
         Work that waits at the same place is dropped, and the new work takes its place. Among the
-        places of one kind the least `stamp` comes first.
+        places of one kind the one whose turn is longest ago comes first, then the least `stamp`.
         """
         task, old = _Task(key, work, stamp, time.perf_counter(), Future()), None
         # The future must not hold its task: answers would wait for the collector of cycles.
@@ -133,8 +134,9 @@ class Line:
     def forget(self, kind: Hashable) -> None:
         """Forget the counts of one kind."""
         with self._changed:
-            for key in [key for key in self._counts if key.kind == kind]:
-                del self._counts[key]
+            for kept in (self._counts, self._turns):
+                for key in [key for key in kept if key.kind == kind]:
+                    del kept[key]
 
     def close(self, *, wait: bool = False) -> None:
         """Drop all work that waits and take no more; the worker finishes its piece.
@@ -176,12 +178,16 @@ class Line:
                 return None
             kind = next(iter(self._waiting)).kind
             same = [task for task in self._waiting.values() if task.key.kind == kind]
-            task = same[0]
-            if not any(math.isnan(one.stamp) for one in same):
-                task = min(same, key=lambda one: one.stamp)
+            task = min(same, key=self._turn)
             del self._waiting[task.key]
+            if not math.isnan(task.stamp):  # others have one source a scan
+                self._done += 1
+                self._turns[task.key] = self._done
             self._busy = True
             return task
+
+    def _turn(self, task: _Task) -> tuple[int, float]:
+        return self._turns.get(task.key, 0), 0.0 if math.isnan(task.stamp) else task.stamp
 
     def _run(self) -> None:
         while (task := self._next()) is not None:

@@ -11,7 +11,6 @@
 """
 
 import atexit
-import math
 import threading
 import time
 import weakref
@@ -33,6 +32,7 @@ from imgloc.live.sites import Maker, MapLike, Site, site_of, warm
 from imgloc.model import FloatArray, LaserScan, Localization, Pose2D, plain
 from imgloc.options import NAMED, Known, Options, Prior
 from imgloc.pipeline import localize
+from imgloc.robot.stamps import AHEAD, ANEW, OLD, Stamps
 from imgloc.search.priors import leaves_none, prior_of
 
 T = TypeVar("T")
@@ -40,7 +40,6 @@ Clock = Callable[[], float]
 Maps = MapLike | Maker | Mapping[str, MapLike | Maker]
 ALONE = "map"
 """The name of a map that was given without one."""
-_AHEAD = 1.0  # seconds ahead of the clock, and after the scan before, that a stamp may leap
 READY, PREPARING, FAILED = "ready", "preparing", "failed"
 
 
@@ -398,7 +397,7 @@ class Localizer:
     def update(
         self,
         scan: LaserScan,
-        odometry: FloatArray,
+        odometry: FloatArray | None,
         *,
         source: Hashable = None,
         timeout: float | None = None,
@@ -407,7 +406,7 @@ class Localizer:
         return self._own.update(scan, odometry, source=source, timeout=timeout)
 
     def update_soon(
-        self, scan: LaserScan, odometry: FloatArray, *, source: Hashable = None
+        self, scan: LaserScan, odometry: FloatArray | None, *, source: Hashable = None
     ) -> "Future[Answer[Moment]]":
         """Return a future of :meth:`update` at once."""
         return self._own.update_soon(scan, odometry, source=source)
@@ -611,14 +610,13 @@ class Robot:
         self._lock = threading.RLock()
         self._follower: Follower | None = None
         self._start: tuple[Pose2D, tuple[float, float]] | None = None
-        self._stamp = math.nan
-        self._ahead = False  # whether the last stamp lay ahead of the clock
+        self._stamps = Stamps(shared=True)
         self.era = 0  #: number of resets
 
     def update(
         self,
         scan: LaserScan,
-        odometry: FloatArray,
+        odometry: FloatArray | None,
         *,
         source: Hashable = None,
         timeout: float | None = None,
@@ -628,11 +626,12 @@ class Robot:
         Parameters
         ----------
         scan : LaserScan
-            With its stamp, if known, and with its `T_base_laser`, if the robot has several lasers.
-        odometry : (3,) array
-            Pose x, y [m], theta [rad] of the robot in the odometry's frame at the stamp.
+            With its stamp, if known; with its `laser` and `T_base_laser`, if the robot has several.
+        odometry : (3,) array, optional
+            Pose x, y [m], theta [rad] of the robot in the odometry's frame at the stamp. Without
+            any, the scans alone tell the motion.
         source : hashable
-            The laser: one scan of each waits.
+            One scan of each waits; by default of each laser.
         timeout : float, optional
             Seconds after which the call raises Dropped. The belief still takes a scan that is
             being looked at.
@@ -641,22 +640,22 @@ class Robot:
         ------
         Dropped
             ``replaced``, ``reset``, ``late``; ``old``, if the stamp lies before that of the last
-            scan; or ``ahead``, if the stamp leaps more than a second ahead of the clock, and the
-            one before was not ahead. After :meth:`reset` time may start anew.
+            scan; or ``ahead``, if the stamp leaps more than a second ahead of the clock. The second
+            stamp in a row that leaps counts.
         ScanError
-            If the odometry leaps more than 1000 km between two scans.
+            If the odometry is not finite, or leaps more than 1000 km between two scans.
         """
         until = _until(timeout)
         self._core.site(self.map, _left(until))
         return _wait_for(self.update_soon(scan, odometry, source=source), until)
 
     def update_soon(
-        self, scan: LaserScan, odometry: FloatArray, *, source: Hashable = None
+        self, scan: LaserScan, odometry: FloatArray | None, *, source: Hashable = None
     ) -> "Future[Answer[Moment]]":
         """Return a future of :meth:`update` at once; Dropped if the map is not prepared yet."""
         expect(scan, LaserScan, "scan")
         self._core._ready(self.map)
-        key, era = Key(self, source), self.era
+        key, era = Key(self, scan.laser if source is None else source), self.era
 
         def work(waited: float) -> Answer[Moment]:
             begin = time.perf_counter()
@@ -664,18 +663,17 @@ class Robot:
                 if self.era != era:
                     raise Dropped("reset")
                 name, follower = self._following()
-            if scan.stamp < self._stamp:
+                judged = self._stamps.take(scan.stamp, self._clock())
+            if judged in (OLD, AHEAD):
                 self._core._line.count(key)
-                raise Dropped("old")
-            if self._leaps_ahead(scan.stamp):  # all scans after it would be old
-                self._core._line.count(key)
-                raise Dropped("ahead")
+                raise Dropped(judged)
+            if judged == ANEW:
+                follower.begin_time()
             moment = follower.step(scan, odometry)
             with self._lock:
                 if self.era != era:
                     self._core._line.count(key)
                     raise Dropped("reset")
-                self._stamp = scan.stamp
             return self._core._answer(moment, name, scan, key, waited, begin, era, self._clock)
 
         return self._core._line.put(key, work, scan.stamp)
@@ -704,7 +702,7 @@ class Robot:
         with self._lock:
             self.era += 1
             self._follower = self._start = None
-            self._stamp = math.nan
+            self._stamps.start()
             self.map = self.map if map is None else map
         self._core._line.clear(self)
 
@@ -714,10 +712,6 @@ class Robot:
         self._core._line.forget(self)
         if self in self._core._robots:
             self._core._robots.remove(self)
-
-    def _leaps_ahead(self, stamp: float) -> bool:
-        before, self._ahead = self._ahead, stamp > self._clock() + _AHEAD
-        return self._ahead and not before and not stamp <= self._stamp + _AHEAD
 
     def _made(self, site: Site, name: str) -> Follower:
         how = site.options(self._options or self._core.options)

@@ -16,32 +16,43 @@ from collections import deque
 from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from imgloc.errors import ConfigError, ImglocError, ScanError, printable
-from imgloc.filters.follow import Moment
+from imgloc.filters.belief import LOST, one_place
+from imgloc.filters.follow import BLIND, Moment
 from imgloc.io.messages import (
-    Frames,
     frame_name,
     grid_from_msg,
     link_of,
-    mounting_of,
     move_of,
     planar,
     scan_from_msg,
+    seconds_of,
 )
-from imgloc.io.odometry import odometry_at
 from imgloc.live.line import Dropped
 from imgloc.live.localizer import Answer, Chosen, Localizer
 from imgloc.live.messages import Messages, words_of
-from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose, Rules, Sighting
+from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose, Rules, Sighting, alone
 from imgloc.live.sites import Maker, Site
 from imgloc.live.status import ERROR, Found, found_along, found_blind, found_of, health, status_row
-from imgloc.model import LaserScan, Localization, Pose2D, check_mount, to_json
+from imgloc.model import (
+    LaserScan,
+    Localization,
+    Pose2D,
+    check_mount,
+    compose,
+    inverse,
+    to_json,
+)
 from imgloc.options import Options
+from imgloc.robot.frames import Frames
+from imgloc.robot.odometry import Odometry
+from imgloc.robot.stamps import AHEAD, ANEW, FINE, Stamps
 
 MODULES = {
     "sensor_msgs": "msg", "nav_msgs": "msg", "geometry_msgs": "msg", "std_msgs": "msg",
@@ -55,10 +66,11 @@ MISSING = (
 )
 _LOOK = 0.5  # seconds between two looks at what has become of everything
 _KEPT = 10.0  # seconds that who comes late still gets /initialpose: what tf2 remembers by default
-_BACK = 1.0  # seconds; stamps that go back farther are a time that begins anew
-_AHEAD = 1.0  # seconds; a stamp farther ahead of the clock counts if the one before is so as well
+_LATE = 1.0  # seconds that a scan waits for odometry and transforms of its time
+_NO_ODOMETRY = 2.0  # seconds from the first scan until the scans alone tell the motion
+_WAITING = 100  # scans that wait so, of all lasers
 _ANSWERED = 15.0  # seconds that ~/localize waits for a pose at most
-_MOVES = 4000  # poses of the odometry that are remembered: 20 s of 200 a second
+_MOVES = 4000  # poses of the odometry, and of a link of tf, remembered: 20 s of 200 a second
 _STILL = (0.1, 0.05)  # metres, radians: a robot that has gone less far stands
 _SAID = 5.0  # seconds between two lines of the log that differ in words alone
 _TURN = 0.005  # seconds
@@ -89,6 +101,8 @@ class Settings:
     #: from it needs room for its own errors
     least_deviation: tuple[float, ...] = (0.1, 0.05)
     track: bool = False  #: follow the robot
+    #: tell a robot that stands a pose by one scan, if that is very sure
+    standing: bool = False
 
     def __post_init__(self) -> None:
         for name, low in (("range_max", _NEAR), ("scan_timeout", _NEAR)):
@@ -130,8 +144,6 @@ class Settings:
         mounts = [Pose2D(*row) for row in np.reshape(self.sensor, (-1, 3)).tolist()]
         for mount in mounts:
             check_mount(mount, "sensor")
-        if len(set(mounts)) < len(mounts):
-            raise ConfigError("sensor: two lasers sit at the same place, expected one of them")
         return mounts
 
 
@@ -185,14 +197,13 @@ def _as(value: Any, default: Any, name: str) -> Any:
 
 
 @dataclass(eq=False)
-class Laser:
+class Topic:
     """One topic of scans."""
 
-    topic: str
+    topic: str  #: its name with namespace and remapping
     mount: Pose2D | None  #: None: tf says it
+    stamps: Stamps
     heard: float = -math.inf  #: seconds, monotonic, of the last message
-    stamp: float = -math.inf  #: of the last scan
-    latest: float = -math.inf  #: the highest stamp so far, no higher than the clock was
     age: float = math.nan  #: seconds that the last scan had when it came
     ranges: bytes = b""  #: of the last scan
     bad: int = 0  #: messages that are no scan, and what is wrong with the last one
@@ -202,6 +213,18 @@ class Laser:
     frozen: bool = False  #: whether the last scan repeats the one before
     stamped: bool = True  #: whether the last scan has a stamp
     frame: str = ""  #: whose place tf does not say
+    late: str = ""  #: what the last scan that was left out waited for
+
+
+@dataclass(eq=False)
+class _Waiting:
+    """A scan that waits for what the robot did at its time."""
+
+    laser: Topic
+    scan: LaserScan  # not mounted yet
+    frame: str
+    stamp: Any  # as it stands in the message
+    until: float  # monotonic seconds
 
 
 @dataclass(eq=False)
@@ -209,7 +232,7 @@ class _Asked:
     """A scan that is looked at."""
 
     scan: LaserScan
-    stamp: Any  # as it stands in the message
+    stamp: Any
     odom: Pose2D | None
     future: "Future[Any]"
     era: int
@@ -262,23 +285,26 @@ class LocalizerNode:
         self.from_topic = from_topic
         self.first = FirstPose(settings.rules)
         self.lasers = [
-            Laser(topic, None if mounts is None else mounts[k])
+            Topic(topic, None if mounts is None else mounts[k], Stamps(settings.max_age))
             for k, topic in enumerate(settings.scan_topics)
-        ]
+        ]  # fmt: skip
         self.found: Found | None = None
         self._sure = False  # whether that is a pose that was published
         self._took = 0.0  # seconds from the last scan that was tried to its answer
         self._followed = False  # whether the filter has had a pose
         self._map_frame, self._odom_frame = settings.map_frame, "odom"
-        self._moves = deque[tuple[float, float, float, float]](maxlen=_MOVES)
-        self._odom_age = math.nan  # seconds that the last of the odometry had when it came
-        self._frames = Frames()
-        self._map: tuple[Any, bytes] | None = None
+        self._moves, self._move_stamps = Odometry(most=_MOVES), Stamps(settings.max_age)
+        self._frames = Frames(most=_MOVES)
+        self._waiting = deque[_Waiting]()
+        self._first = math.inf  # monotonic seconds of the first scan
+        self._stood: Pose2D | None = None  # where a robot that stands was looked at, by odometry
+        self._sure_at: tuple[float, Pose2D] | None = None  # stamp and map_odom of that pose
+        self._map: tuple[Any, ...] | None = None
         self._map_error = ""
         self._era = 0  # of the answers that count
         self._asked: _Asked | None = None
         self._tracked = deque[_Asked]()
-        self._robot = core.robot() if settings.track else None
+        self._robot = core.robot()
         self._callers = list[_Caller]()  # who waits for an answer of ~/localize
         self._said = (-1, "", 0.0)  # level and sentence that were logged last, and when
         self._ended = False
@@ -297,14 +323,15 @@ class LocalizerNode:
             depth=1, reliability=reliable, durability=latched.durability,
             lifespan=ros.duration.Duration(seconds=_KEPT),
         )  # fmt: skip
-        for laser in self.lasers:
-            self._hear(ros.sensor_msgs.LaserScan, laser.topic, self._scan_of(laser), sensor)
+        for name, laser in zip(self.settings.scan_topics, self.lasers, strict=True):
+            laser.topic = self._hear(ros.sensor_msgs.LaserScan, name, self._scan_of(laser), sensor)
         self._hear(ros.nav_msgs.Odometry, "odom", self._on_odometry, sensor)
         if self.from_topic:
             self._hear(ros.nav_msgs.OccupancyGrid, "map", self._on_map, latched)
         if ros.tf2_msgs is not None:
             still = qos.QoSProfile(depth=100, reliability=reliable, durability=latched.durability)
-            self._hear(ros.tf2_msgs.TFMessage, "/tf_static", self._on_transforms, still)
+            on_static = partial(self._on_transforms, static=True)
+            self._hear(ros.tf2_msgs.TFMessage, "/tf_static", on_static, still)
             self._hear(ros.tf2_msgs.TFMessage, "/tf", self._on_transforms, 100)
         say = node.create_publisher
         geometry = ros.geometry_msgs
@@ -313,7 +340,7 @@ class LocalizerNode:
         self._markers = say(ros.visualization_msgs.MarkerArray, "~/markers", latched)
         self._status = say(ros.std_msgs.String, "~/status", latched)
         self._diagnostics = say(ros.diagnostic_msgs.DiagnosticArray, "/diagnostics", 10)
-        if self._robot is not None:
+        if self.settings.track:
             self._pose = say(geometry.PoseWithCovarianceStamped, "~/pose", 10)
             self._map_odom = say(geometry.TransformStamped, "~/map_odom", 10)
         trigger = ros.std_srvs.Trigger
@@ -324,10 +351,11 @@ class LocalizerNode:
         steady = ros.clock.Clock(clock_type=ros.clock.ClockType.STEADY_TIME)
         node.create_timer(_LOOK, self._guarded("status", self._report), clock=steady)
 
-    def _hear(self, kind: Any, topic: str, heard: Callable[[Any], None], qos: Any) -> None:
+    def _hear(self, kind: Any, topic: str, heard: Callable[[Any], None], qos: Any) -> str:
+        """Listen to a topic; return its name with namespace and remapping."""
         guarded = self._guarded(topic, heard)
         try:
-            self.node.create_subscription(kind, topic, guarded, qos)
+            return str(self.node.create_subscription(kind, topic, guarded, qos).topic_name)
         except self.ros.exceptions.InvalidTopicNameException as error:
             why = str(error).splitlines()[0].removesuffix(":")
             raise ConfigError(f"parameter scan_topics: got {topic!r}: {why}") from None
@@ -354,113 +382,163 @@ class LocalizerNode:
         """Seconds of the clock that stamps are of."""
         return float(self.node.get_clock().now().nanoseconds) * 1e-9
 
-    def _scan_of(self, laser: Laser) -> Callable[[Any], None]:
+    def _scan_of(self, laser: Topic) -> Callable[[Any], None]:
         return lambda message: self._on_scan(laser, message)
 
-    def _on_scan(self, laser: Laser, message: Any) -> None:
+    def _on_scan(self, laser: Topic, message: Any) -> None:
         before, laser.heard = laser.heard, time.monotonic()
         now = self.now
         try:
-            scan = self._complete(laser, message)
+            scan = scan_from_msg(message, laser.topic, received=0.0)
         except ScanError as error:
             laser.bad, laser.wrong = laser.bad + 1, str(error).removeprefix(f"{laser.topic}: ")
             raise
-        age, laser.wrong, laser.age = laser.age, "", now - scan.stamp
+        laser.wrong, laser.age = "", now - scan.stamp
         laser.stamped = bool(scan.stamp) or self.first.fresh(0.0, now)  # a clock may begin at 0
-        if not laser.stamped or self._leaps_ahead(age, laser.age):
+        if not laser.stamped:
             laser.skipped += 1
             return
-        if scan.stamp < laser.latest - _BACK:
+        judged = laser.stamps.take(scan.stamp, now)
+        if judged == ANEW:
             self.start_anew("the time of the scans has gone back")
-        elif scan.stamp <= laser.latest or scan.stamp == laser.stamp:
-            laser.skipped, laser.heard = laser.skipped + 1, before
-            self._repeat(laser, now)
+            laser.stamps.take(scan.stamp, now)
+        elif judged != FINE:
+            laser.skipped += 1
+            if judged != AHEAD:
+                laser.heard = before
+                self._repeat(laser, now)
             return
         content = scan.ranges.tobytes()
-        again, laser.ranges, laser.stamp = content == laser.ranges, content, scan.stamp
-        laser.latest = max(laser.latest, min(scan.stamp, now))
+        again, laser.ranges = content == laser.ranges, content
         if again:
-            self._repeat(laser, now)
+            laser.frozen = True
         else:
             laser.fresh, laser.frozen = laser.heard, False
-        if scan.T_base_laser is None or not self.core.ready:
+        frame = frame_name(message.header.frame_id)
+        lost = laser.mount is None and self._frames.path(frame, self.settings.base_frame) is None
+        laser.frame = printable(frame)[:_NAME] if lost else ""
+        if not self.core.ready:
             return
-        odom = self._odometry(scan.stamp)
-        if self._robot is not None and odom is not None:
-            self._follow(laser, scan, message.header.stamp, odom)
-        if again or not self.first.fresh(scan.stamp, now):
+        if not self.first.fresh(scan.stamp, now):
             laser.skipped += 1
             return
-        if self.first.due(scan.stamp, odom):
-            self._ask(scan, message.header.stamp, odom)
+        self._first = min(self._first, laser.heard)
+        self._waiting.append(
+            _Waiting(laser, scan, frame, message.header.stamp, laser.heard + _LATE)
+        )
+        self._go_on()
 
-    def _leaps_ahead(self, before: float, age: float) -> bool:
-        """Whether a stamp is wrong: ahead of the clock, unlike the one before, or by too much.
+    def _go_on(self) -> None:
+        """Look at the scans of whose time odometry and transforms are known by now."""
+        late, kept = time.monotonic(), deque[_Waiting]()
+        while self._waiting:
+            one = self._waiting.popleft()
+            era = self._era
+            scan, odom, lacks = self._complete(one)
+            if not lacks:
+                self._look_at(one, scan, odom)
+                one.laser.late = ""
+            elif one.until > late and len(kept) < _WAITING:
+                kept.append(one)
+            else:
+                one.laser.skipped, one.laser.late = one.laser.skipped + 1, lacks
+            if era != self._era:
+                return  # all that waits is of another time
+        self._waiting = kept
 
-        Ages are in seconds. All that comes after such a stamp would seem to lie in the past. A
-        sensor whose clock is a little ahead has all its stamps ahead.
-        """
-        return age < -_AHEAD and (not before < -_AHEAD or age < -self.settings.max_age)
+    def _complete(self, one: _Waiting) -> tuple[LaserScan, Pose2D | None, str]:
+        """The scan, cut and mounted, with the odometry of its time; or what it waits for."""
+        scan, laser, turned = one.scan, one.laser, self.settings.flipped
+        stamp, mount = scan.stamp, laser.mount
+        if mount is None:
+            base = self.settings.base_frame
+            link = self._frames.at(one.frame, base, stamp)
+            if link is None:
+                return scan, None, f"transforms from {base} to {one.frame}"
+            mount, turned = Pose2D(*planar(link)), link[2, 2] < 0
+        odom = self._moves.at(stamp)
+        silent = not len(self._moves) and time.monotonic() > self._first + _NO_ODOMETRY
+        if odom is None and not silent:
+            return scan, None, "odometry"
+        scan = scan.flipped if turned else scan
+        reach = min(scan.range_max, self.settings.range_max)
+        scan = replace(scan, range_max=reach, T_base_laser=mount, laser=laser.topic)
+        return scan, None if odom is None else Pose2D(*odom), ""
 
-    def _repeat(self, laser: Laser, now: float) -> None:
-        """Take note of a scan that repeats the one before, or comes after a later one."""
+    def _look_at(self, one: _Waiting, scan: LaserScan, odom: Pose2D | None) -> None:
+        """Follow the robot by a scan, or ask on which floor it is."""
+        floors = self._robot.map is None and len(self.core.names) > 1
+        alone = self.settings.standing and self.first.wanted and self._stays(odom)
+        if (floors or alone) and self.first.due(scan.stamp, odom):
+            self._ask(one, scan, odom)
+        if floors or not (self.first.wanted or self.settings.track):
+            return
+        pose = None if odom is None else np.array([odom.x, odom.y, odom.theta])
+        with contextlib.suppress(Dropped):  # another map has come meanwhile
+            future = self._robot.update_soon(scan, pose, source=one.laser.topic)
+            self._tracked.append(_Asked(scan, one.stamp, odom, future, self._era))
+            future.add_done_callback(self._done)
+
+    def _stays(self, odom: Pose2D | None) -> bool:
+        """Whether one scan of this place has not been asked alone yet: it is asked once."""
+        here = odom or Pose2D(0.0, 0.0)
+        if self._stood is not None and _still(self._stood, here):
+            return False
+        self._stood = here
+        return True
+
+    def _repeat(self, laser: Topic, now: float) -> None:
+        """Take note of a scan that has the stamp of the one before, or comes after a later one."""
         laser.frozen = True
         if self.core.ready and all(self._frozen(one) or self._silent(one) for one in self.lasers):
-            self.first.repeated(now)
-
-    def _complete(self, laser: Laser, message: Any) -> LaserScan:
-        """The scan, cut and mounted; with no mounting as long as tf does not say it."""
-        mount, turned = laser.mount, self.settings.flipped
-        if mount is None:
-            name = frame_name(message.header.frame_id)
-            laser.frame = printable(name)[:_NAME]
-            link = mounting_of(self._frames, name, self.settings.base_frame)
-            if link is not None:
-                mount, turned, laser.frame = Pose2D(*planar(link)), link[2, 2] < 0, ""
-        scan = scan_from_msg(message, laser.topic, mount, received=0.0)
-        if turned:
-            scan = scan.flipped
-        return replace(scan, range_max=min(scan.range_max, self.settings.range_max))
+            self.first.believed(Sighting(now, None), now)
 
     def _on_odometry(self, message: Any) -> None:
-        move = move_of(message)
-        if not all(map(math.isfinite, move)):
+        stamp, *pose = move_of(message)
+        if not all(map(math.isfinite, (stamp, *pose))):
             return
-        before, self._odom_age = self._odom_age, self.now - move[0]
-        if self._leaps_ahead(before, self._odom_age):
-            return
-        if self._moves and move[0] < self._moves[-1][0] - _BACK:
+        judged = self._move_stamps.take(stamp, self.now)
+        if judged == ANEW:
             self._moves.clear()
+        elif judged != FINE:
+            return
+        if not len(self._moves) and time.monotonic() > self._first + _NO_ODOMETRY:
+            self._robot.reset()  # until now the scans alone told the motion
         self._odom_frame = frame_name(message.header.frame_id) or "odom"
-        self._moves.append(move)
+        self._moves.add(stamp, pose)
+        self._go_on()
 
     def _odometry(self, stamp: float) -> Pose2D | None:
         """The robot's pose by odometry at a time; None if that is not known."""
-        if not self._moves:
-            return None
-        table = np.array(self._moves)
-        found = odometry_at(np.array([stamp]), table[:, 0], table[:, 1:])
-        return None if found is None or np.isnan(found).any() else Pose2D(*found[0])
+        found = self._moves.at(min(stamp, self._moves.last))
+        return None if found is None else Pose2D(*found)
 
     def _on_map(self, message: Any) -> None:
-        stamp, data = message.header.stamp, bytes(message.data)
-        if self._map is not None and (stamp, data) == self._map:
-            return  # the same message once more: it is latched
+        frame, info = frame_name(message.header.frame_id), message.info
+        at = info.origin
+        place = [getattr(at.position, k) for k in "xyz"] + [
+            getattr(at.orientation, k) for k in "xyzw"
+        ]
+        same = (frame, info.resolution, info.width, info.height, *place, bytes(message.data))
+        if same == self._map:
+            self._map_error = ""
+            return  # the same map once more: it is latched, or published each few seconds
         try:
             grid = grid_from_msg(message, "map")
             self.core.put(_MAP, grid)
         except ImglocError as error:
             self._map_error = str(error)
             raise
-        self._map, self._map_error = (stamp, data), ""
-        self._map_frame = frame_name(message.header.frame_id) or self.settings.map_frame
+        self._map, self._map_error = same, ""
+        self._map_frame = frame or self.settings.map_frame
         self.start_anew("a map came")
 
-    def _on_transforms(self, message: Any) -> None:
+    def _on_transforms(self, message: Any, *, static: bool = False) -> None:
         for item in message.transforms:
             child, parent, pose = link_of(item)
-            if np.isfinite(pose).all():
-                self._frames[child] = parent, pose
+            stamp = -math.inf if static else seconds_of(item.header.stamp)
+            self._frames.add(child, parent, pose, stamp)
+        self._go_on()
 
     # What is asked, and what becomes of the answers.
 
@@ -468,41 +546,37 @@ class LocalizerNode:
         """Know nothing any more: of the place, the way, and what was asked."""
         self.node.get_logger().info(f"starts anew: {why}")
         self._again()
-        self.found, self._sure, self._followed = None, False, False
+        self.found, self._sure = None, False
         self._moves.clear()
+        self._move_stamps.start()
+        self._frames.forget()
+        self._waiting.clear()
         for laser in self.lasers:
-            laser.stamp, laser.latest, laser.ranges = -math.inf, -math.inf, b""
-        if self._robot is not None:
-            self._robot.reset()
-        self._tracked.clear()
+            laser.stamps.start()
+            laser.ranges = b""
 
     def _again(self) -> None:
         """Look for a first pose once more; answers to what was asked before do not count."""
         self.first.start()
-        self._took = 0.0
+        self._robot.reset()
+        if len(self.core.names) > 1:
+            self._robot.map = None  # on which floor is not known
+        self._took, self._stood, self._sure_at, self._followed = 0.0, None, None, False
         self._era += 1
         self._asked = None
+        self._tracked.clear()
 
-    def _ask(self, scan: LaserScan, stamp: Any, odom: Pose2D | None) -> None:
-        many = len(self.core.names) > 1
+    def _ask(self, one: _Waiting, scan: LaserScan, odom: Pose2D | None) -> None:
+        """Ask a scan alone: on which floor it is, or where a robot stands."""
+        floors = self._robot.map is None and len(self.core.names) > 1
         future: Future[Any]
         try:
-            future = self.core.which_soon(scan) if many else self.core.localize_soon(scan)
+            future = self.core.which_soon(scan) if floors else self.core.localize_soon(scan)
         except Dropped:  # another map has come meanwhile
-            self.first.answered(None, self.now)
+            self.first.answered()
             return
-        self._asked = _Asked(scan, stamp, odom, future, self._era)
+        self._asked = _Asked(scan, one.stamp, odom, future, self._era)
         future.add_done_callback(self._done)
-
-    def _follow(self, laser: Laser, scan: LaserScan, stamp: Any, odom: Pose2D) -> None:
-        assert self._robot is not None
-        if self._robot.map is None and len(self.core.names) > 1:
-            return  # on which floor is not known yet
-        pose = np.array([odom.x, odom.y, odom.theta])
-        with contextlib.suppress(Dropped):
-            future = self._robot.update_soon(scan, pose, source=laser.topic)
-            self._tracked.append(_Asked(scan, stamp, odom, future, self._era))
-            future.add_done_callback(self._done)
 
     def _done(self, _: object) -> None:
         if not self._ended:  # in the localizer's thread
@@ -531,59 +605,82 @@ class LocalizerNode:
         return answer
 
     def _take(self, asked: _Asked) -> None:
-        """Take the answer to a scan: say it, and publish its pose if it is confirmed."""
+        """Take the answer to one scan alone: the floor, or where a robot stands."""
+        self.first.answered()
         answer = self._result(asked)
         if answer is None or asked.era != self._era:
-            self.first.answered(None, self.now)
             return
         value, name = answer.value, answer.map
-        if isinstance(value, Chosen):
-            found = Found(asked.scan.stamp, None, "no-match")
-            verdict = value.choice.verdict
-            if value.best is not None:
-                found = found_of(value.best, asked.scan.stamp, name)
-        else:
-            assert isinstance(value, Localization)
-            verdict, found = value.verdict, found_of(value, asked.scan.stamp, name)
-        blind = verdict == "invalid"
-        if blind:
-            found = found_blind(asked.scan, name)
         self._took = self.now - asked.scan.stamp
-        sighting = Sighting(asked.scan.stamp, found.map, found.pose, asked.odom, blind)
-        sure = self.first.answered(sighting, self.now)
-        if not self._followed:
-            self._show(found, asked, sure=sure)
-        if sure:
-            self._publish(found, asked)
+        if isinstance(value, Localization):
+            if self.first.wanted and alone(value) and self.first.fresh(asked.scan.stamp, self.now):
+                found = found_of(value, asked.scan.stamp, name)
+                self._show(found, asked, sure=True)
+                self._publish(found, asked)
+            return
+        assert isinstance(value, Chosen)
+        found = Found(asked.scan.stamp, None, "no-match")
+        if value.best is not None:
+            found = found_of(value.best, asked.scan.stamp, name)
+        if value.choice.verdict == "invalid":
+            found = found_blind(asked.scan, name)
+        self._show(found, asked, sure=False)
+        self.first.believed(Sighting(asked.scan.stamp, None), self.now)
+        if value.best is not None:
+            self._robot.reset(name)  # the filter finds its own way there
         self._report()
 
     def _publish(self, found: Found, asked: _Asked) -> None:
         """Publish a first pose that is confirmed."""
-        pose, covariance = found.pose, found.covariance
-        assert pose is not None
+        pose, covariance = found.poses[0], found.covariance
         assert covariance is not None
         header = self.made.header(asked.stamp, self._map_frame)
         least = self.settings.least_deviation
         self._initial.publish(self.made.pose(pose, covariance, header, least))
         self.first.published()
         self.node.get_logger().info(f"initialpose: {words_of(found)}")
-        if self._robot is not None and self._robot.map is None and len(self.core.names) > 1:
-            self._robot.reset(found.map)  # the filter finds its own way there
 
     def _take_moment(self, asked: _Asked, answer: Answer[Moment]) -> None:
         """Take what the filter believes: publish its pose while that is unique."""
         moment = answer.value
         site = self.core.site(answer.map, timeout=0)
-        found = found_along(moment, site.features.grid.origin, answer.map)
+        found = found_along(moment, site.features.grid.origin, answer.map, asked.scan)
         sure = moment.pose is not None and self.first.fresh(moment.stamp, self.now)
+        self._took = self.now - moment.stamp
         self._followed = self._followed or sure
-        if self._followed:  # until then the first pose is what is known
-            self._show(found, asked, sure=sure)
-        if moment.pose is None or moment.map_odom is None or not sure:
-            return
-        header = self.made.header(asked.stamp, self._map_frame)
-        self._pose.publish(self.made.pose(moment.pose, moment.covariance, header))
-        self._map_odom.publish(self.made.link(moment.map_odom, header, self._odom_frame))
+        if sure and moment.map_odom is not None:
+            self._sure_at = moment.stamp, moment.map_odom
+        shown, before = self.settings.track or self.first.wanted, self.first.state
+        new = moment.looked or moment.withheld == BLIND
+        if self.first.believed(Sighting(moment.stamp, found.pose, new), self.now):
+            self._publish(found, asked)
+        if shown:
+            self._show(found, asked, sure=sure or (self._sure and self._holds(moment)))
+        if sure and self.settings.track and moment.map_odom is not None:
+            header = self.made.header(asked.stamp, self._map_frame)
+            self._pose.publish(self.made.pose(found.poses[0], moment.covariance, header))
+            self._map_odom.publish(self.made.link(moment.map_odom, header, self._odom_frame))
+        elsewhere = moment.belief.verdict == LOST and moment.metres > self.settings.metres
+        if elsewhere and not self._followed and len(self.core.names) > 1:
+            self._robot.reset()  # not this floor
+            self._robot.map = None
+        if self.first.state != before:
+            self._report()
+
+    def _holds(self, moment: Moment) -> bool:
+        """Whether the last sure pose still holds, though this scan alone does not confirm it.
+
+        It does for `max_age`, while the belief stays where the odometry has carried it.
+        """
+        if self._sure_at is None or moment.map_odom is None or moment.best is None:
+            return False
+        stamp, before = self._sure_at
+        odom = compose(inverse(moment.map_odom), moment.best)
+        return (
+            moment.belief.verdict != LOST
+            and moment.stamp - stamp <= self.settings.max_age
+            and one_place(compose(before, odom), moment.best)
+        )
 
     # What is said.
 
@@ -596,12 +693,14 @@ class LocalizerNode:
 
     def _report(self) -> None:
         """Say how things are: status, diagnostics; and answer callers who wait too long."""
+        self._go_on()
         level, said = self._health()
         stands = self._stands()
         dropped = self.core.dropped + sum(laser.skipped + laser.bad for laser in self.lasers)
         row = status_row(
-            self.found, self.first, now=self.now, stands=stands, dropped=dropped, said=said
-        )
+            self.found, self.first, now=self.now, stands=stands, dropped=dropped, said=said,
+            late=bool(self._waits()),
+        )  # fmt: skip
         self._status.publish(self.made.text(to_json(row)))
         name, time_ = self.node.get_fully_qualified_name(), self.node.get_clock().now().to_msg()
         self._diagnostics.publish(self.made.diagnostics(level, row, name, time_))
@@ -623,16 +722,20 @@ class LocalizerNode:
         ]  # fmt: skip
         return health(
             self.first, self.found, silent=silent, alive=len(silent) < len(self.lasers),
-            errors=errors, waits=self._waits(), track=self._followed,
+            errors=errors, waits=self._waits(), track=self._followed and self.settings.track,
+            stands=self._stands(),
         )  # fmt: skip
 
-    def _silent(self, laser: Laser) -> bool:
+    def _silent(self, laser: Topic) -> bool:
         """Whether a laser has said nothing for too long."""
         return time.monotonic() - laser.heard > self.settings.scan_timeout
 
-    def _frozen(self, laser: Laser) -> bool:
-        """Whether a laser has repeated one scan for too long."""
-        return laser.frozen and time.monotonic() - laser.fresh > self.settings.scan_timeout
+    def _frozen(self, laser: Topic) -> bool:
+        """Whether a laser has repeated one scan for too long, though it should have changed."""
+        stuck = laser.heard < laser.fresh + self.settings.scan_timeout
+        blind = self.found is not None and self.found.why == BLIND
+        long = time.monotonic() - laser.fresh > self.settings.scan_timeout
+        return laser.frozen and long and (blind or stuck)
 
     def _waits(self) -> str:
         """What is lacking before a scan can be looked at."""
@@ -643,6 +746,8 @@ class LocalizerNode:
         for laser in self.lasers:
             if laser.wrong:
                 return f"{laser.topic}: {laser.wrong}"
+            if laser.late and not laser.frame:
+                return f"{laser.topic}: late: no {laser.late} of the time of its scans"
             if laser.frame:
                 base = self.settings.base_frame
                 return f"{laser.topic}: tf does not say where {laser.frame} sits on {base}"
@@ -673,8 +778,7 @@ class LocalizerNode:
         then, here = self._odometry(found.stamp), self._odometry(self.now)
         if then is None or here is None:
             return False
-        turned = abs(math.remainder(here.theta - then.theta, math.tau))
-        return math.hypot(here.x - then.x, here.y - then.y) < _STILL[0] and turned < _STILL[1]
+        return _still(then, here)
 
     # Services.
 
@@ -711,6 +815,12 @@ class LocalizerNode:
     def close(self) -> None:
         """Say nothing any more."""
         self._ended = True
+
+
+def _still(then: Pose2D, here: Pose2D) -> bool:
+    """Whether a robot that was there has hardly moved."""
+    turned = abs(math.remainder(here.theta - then.theta, math.tau))
+    return math.hypot(here.x - then.x, here.y - then.y) < _STILL[0] and turned < _STILL[1]
 
 
 def run_node(

@@ -1,40 +1,47 @@
 """When a robot is told its first pose: a small state machine, without ROS and without clocks.
 
-========== =================================================== ====================================
-state      what it waits for                                   what ends it
-========== =================================================== ====================================
-waiting    a map that is ready, and a scan                     the first scan: trying
-trying     a scan each `every` s, or after `metres` of driving two unique answers that agree:
-                                                               confirmed; `tries` answers: given up
-confirmed  its pose to be published                            that it was: quiet
-quiet      nothing: whoever was told the pose goes on from it  start(): waiting
-given up   nothing: this place does not say where it is        start(): waiting
-========== =================================================== ====================================
+========== =============================================== ========================================
+state      what it waits for                               what ends it
+========== =============================================== ========================================
+waiting    a map that is ready, and a scan                 the first scan: trying
+trying     a pose of which the belief is sure              it is there: confirmed; `tries`: given up
+confirmed  its pose to be published                        that it was: quiet
+quiet      nothing: whoever was told the pose goes on      start(): waiting
+given up   nothing: this place does not say where it is    start(): waiting
+========== =============================================== ========================================
 
-A new map, a reset and a request each call start().
+A new map, a reset and a request each call start(). The belief is that of a filter, so a place is
+confirmed by scans along a way: the same scan, asked again, is no second witness.
 
->>> first, standing = FirstPose(), Pose2D(0.0, 0.0)
->>> first.due(10.0, standing)
-True
->>> first.answered(Sighting(10.0, "map", Pose2D(3.0, 2.0), standing), now=10.2)
-False
+>>> first = FirstPose()
+>>> first.believed(Sighting(10.0, None), now=10.2), first.state, first.tries
+(False, 'trying', 1)
+>>> first.believed(Sighting(10.5, Pose2D(3.0, 2.1)), now=10.7), first.state
+(True, 'confirmed')
+
+Which of several maps it is, or where a robot stands, one scan alone is asked: a scan each `every` s
+or after `metres` of driving is due.
+
+>>> standing, first = Pose2D(0.0, 0.0), FirstPose()
+>>> first.due(10.0, standing), first.due(10.5, standing)
+(True, False)
+>>> first.answered()
 >>> first.due(10.1, standing), first.due(10.5, standing)
 (False, True)
->>> first.answered(Sighting(10.5, "map", Pose2D(3.0, 2.1), standing), now=10.7), first.state
-(True, 'confirmed')
 """
 
 import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from imgloc.filters.belief import PLACE
-from imgloc.model import Pose2D, compose, inverse
+from imgloc.model import Localization, Pose2D
 from imgloc.ranges import Checked, Within
 
 WAITING, TRYING, CONFIRMED, QUIET, GIVEN_UP = (
     "waiting", "trying", "confirmed", "quiet", "given up",
 )  # fmt: skip
+#: Of one scan that is believed without a second: least mass, and largest radius of its 95 % level.
+_ALONE = 0.999, 0.5
 
 
 @dataclass(frozen=True)
@@ -45,7 +52,7 @@ class Rules(Checked):
     every: Annotated[float, Within(0, 3600, "seconds")] = 0.3
     #: or so much driving, by odometry
     metres: Annotated[float, Within(0, 1000, "metres")] = 0.3
-    #: until it is given up
+    #: scans that weigh the belief, or are blind, until it is given up
     tries: Annotated[int, Within(2, 1_000_000, "answers")] = 100
     #: of a scan whose pose is published
     max_age: Annotated[float, Within(0.01, 3600, "seconds")] = 2.0
@@ -53,13 +60,11 @@ class Rules(Checked):
 
 @dataclass(frozen=True)
 class Sighting:
-    """The answer for one scan."""
+    """What is believed after a scan."""
 
     stamp: float  #: of the scan, seconds
-    map: str | None  #: its name
-    pose: Pose2D | None  #: of the robot's base, map frame, if it is unique; None otherwise
-    odom: Pose2D | None  #: of the robot's base in the frame of its odometry, if that is known
-    blind: bool = False  #: the scan has too few readings to say anything of the place
+    pose: Pose2D | None  #: of the robot's base, map frame, if the belief is sure of it
+    new: bool = True  #: whether the scan told anything new, or that it tells nothing
 
 
 class FirstPose:
@@ -77,50 +82,45 @@ class FirstPose:
     def start(self) -> None:
         """Know nothing: another map, a reset, or someone asks again."""
         self.state, self.tries = WAITING, 0
-        self._before: Sighting | None = None  # the last answer, if it was unique
-        self._tried: tuple[float, Pose2D | None] | None = None  # stamp and odometry of the last try
-        self._asked = False
-        self._repeated = -math.inf  # time of the last repeated scan that counted as a try
+        self._asked: tuple[float, Pose2D | None] | None = None  # stamp and odometry, alone
+        self._open = False  # whether the answer to it has not come
+        self._counted = -math.inf  # stamp of the last try
 
-    def due(self, stamp: float, odom: Pose2D | None) -> bool:
-        """Whether a scan is to be looked at; :meth:`answered` has to follow then."""
-        if self._asked or self.state not in (WAITING, TRYING):
-            return False
-        if self._tried is not None:
-            waited, driven = stamp - self._tried[0], _apart(self._tried[1], odom)
-            if waited <= 0 or (waited < self.rules.every and driven < self.rules.metres):
-                return False
-        self.state, self._asked, self._tried = TRYING, True, (stamp, odom)
-        return True
+    @property
+    def wanted(self) -> bool:
+        """Whether a first pose is looked for."""
+        return self.state in (WAITING, TRYING)
 
-    def answered(self, found: Sighting | None, now: float) -> bool:
-        """Take the answer, or None if there is none; whether its pose is to be published.
+    def believed(self, found: Sighting, now: float) -> bool:
+        """Take what is believed after a scan; whether its pose is to be published.
 
         `now`, seconds, is the time that stamps are of.
         """
-        self._asked = False
-        if self.state != TRYING or found is None:
+        if not self.wanted:
             return False
-        self.tries += 1
-        if self.fresh(found.stamp, now) and agree(self._before, found):
+        self.state = TRYING
+        if found.pose is not None and self.fresh(found.stamp, now):
             self.state = CONFIRMED
             return True
-        if not found.blind:  # such a scan neither confirms a place nor speaks against it
-            self._before = found if found.pose is not None else None
+        if found.new and abs(found.stamp - self._counted) >= self.rules.every:
+            self.tries, self._counted = self.tries + 1, found.stamp
         self._give_up()
         return False
 
-    def repeated(self, now: float) -> None:
-        """Count a scan that repeats the one before as a try, one in `every` seconds at most.
+    def due(self, stamp: float, odom: Pose2D | None) -> bool:
+        """Whether a scan is to be asked alone; :meth:`answered` has to follow then."""
+        if self._open or not self.wanted:
+            return False
+        if self._asked is not None:
+            waited, driven = stamp - self._asked[0], _apart(self._asked[1], odom)
+            if waited <= 0 or (waited < self.rules.every and driven < self.rules.metres):
+                return False
+        self._open, self._asked = True, (stamp, odom)
+        return True
 
-        `now` is in seconds.
-        """
-        if self._asked or self.state not in (WAITING, TRYING):
-            return
-        if abs(now - self._repeated) < self.rules.every:
-            return
-        self.state, self.tries, self._repeated = TRYING, self.tries + 1, now
-        self._give_up()
+    def answered(self) -> None:
+        """Take note that what was due has an answer, or will have none."""
+        self._open = False
 
     def _give_up(self) -> None:
         if self.tries >= self.rules.tries:
@@ -135,19 +135,12 @@ class FirstPose:
         self.state = QUIET
 
 
-def agree(before: Sighting | None, found: Sighting) -> bool:
-    """Whether two unique answers, the one after the other, are of one place in one map.
-
-    The robot's way between them is that of its odometry; without any it has hardly moved. How far
-    they may be apart is what the filters take for one place.
-    """
-    if before is None or before.pose is None or found.pose is None or before.map != found.map:
+def alone(answer: Localization) -> bool:
+    """Whether one scan is so sure of a place that a robot which stands may be told it."""
+    if answer.verdict != "unique" or not answer.protection:
         return False
-    expected = before.pose
-    if before.odom is not None and found.odom is not None:
-        expected = compose(expected, compose(inverse(before.odom), found.odom))
-    turned = math.remainder(found.pose.theta - expected.theta, math.tau)
-    return bool(_apart(expected, found.pose) < PLACE[0] and abs(turned) < PLACE[1])
+    mass, level = _ALONE
+    return answer.hypotheses[0].mass >= mass and answer.protection[0].metres < level
 
 
 def _apart(a: Pose2D | None, b: Pose2D | None) -> float:

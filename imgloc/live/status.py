@@ -9,13 +9,20 @@ import numpy as np
 
 from imgloc.answers.diagnose import few_readings
 from imgloc.filters.belief import LOST
-from imgloc.filters.follow import Moment
+from imgloc.filters.follow import BLIND, STANDING, UNCONFIRMED, WIDE, Moment
 from imgloc.geometry import transform_poses
 from imgloc.live.policy import GIVEN_UP, QUIET, FirstPose
 from imgloc.model import SURE, FloatArray, LaserScan, Localization, Pose2D, base_of, plain
 from imgloc.search.protection import SHARES, protection
 
 LISTED = 10  # places of a message at most
+WHY = {
+    BLIND: "blind: it sees nothing, or repeats an old scan",
+    UNCONFIRMED: "unconfirmed: drive on, too few scans agree yet",
+    STANDING: "the robot has not moved: drive on, or turn",
+    WIDE: "wide: the standard deviation is above the limit",
+}
+"""Sentences for why a pose is withheld."""
 OK, WARN, ERROR, STALE = range(4)
 """Levels of diagnostic_msgs/DiagnosticStatus."""
 
@@ -73,8 +80,15 @@ def found_blind(scan: LaserScan, name: str | None) -> Found:
     return Found(scan.stamp, name, "invalid", readings=few_readings([scan]))
 
 
-def found_along(moment: Moment, origin: Pose2D, name: str | None) -> Found:
-    """What is believed along the way; `origin` is that of the grid, in whose frame beliefs are."""
+def found_along(
+    moment: Moment, origin: Pose2D, name: str | None, scan: LaserScan | None = None
+) -> Found:
+    """What is believed along the way; `origin` is that of the grid, in whose frame beliefs are.
+
+    With the scan, a belief that has seen nothing tells why.
+    """
+    if scan is not None and moment.withheld == BLIND and not len(moment.belief.poses):
+        return found_blind(scan, name)
     belief = moment.belief
     rows = transform_poses(origin, belief.poses[:LISTED]).tolist()
     poses, masses = tuple(Pose2D(*row) for row in rows), tuple(belief.mass[:LISTED].tolist())
@@ -100,8 +114,9 @@ def base_covariance(covariance: FloatArray, sensor: Pose2D, base: Pose2D) -> Flo
 
 
 def status_row(
-    found: Found | None, first: FirstPose, *, now: float, stands: bool, dropped: int, said: str
-) -> dict[str, Any]:
+    found: Found | None, first: FirstPose, *, now: float, stands: bool, dropped: int, said: str,
+    late: bool = False,
+) -> dict[str, Any]:  # fmt: skip
     """The object of ``~/status``: VDA 5050 3.0's words where it has them, then imgloc's.
 
     Parameters
@@ -113,13 +128,16 @@ def status_row(
     now : float
         Seconds, of the clock that stamps are of.
     stands : bool
-        Whether the pose that was found holds still: scans come, and the robot has not moved on.
+        Whether a sure pose holds: it is followed, or the robot has not moved on.
     dropped : int
         Scans that were not looked at.
     said : str
         The sentence of the diagnostics.
+    late : bool
+        Whether scans, or what belongs to them, do not come in time.
     """
-    pose = found.pose if found is not None and stands else None
+    pose = found.poses[0] if found is not None and found.poses and stands else None
+    why = "" if found is None or pose is not None else found.why or ("late" if late else "")
     row: dict[str, Any] = {
         "localized": pose is not None,
         "localizationScore": found.score if found is not None else 0.0,
@@ -129,6 +147,7 @@ def status_row(
         "y": None if pose is None else pose.y,
         "theta": None if pose is None else pose.theta,
         "verdict": None if found is None else found.verdict,
+        "withheld": why,
         "state": first.state,
         "alternatives": [] if found is None else _alternatives(found, skip=pose is not None),
         "masses": [] if found is None else found.masses,
@@ -150,7 +169,7 @@ def _alternatives(found: Found, *, skip: bool) -> list[dict[str, float]]:
 
 def health(
     first: FirstPose, found: Found | None, *, silent: Sequence[str], alive: bool,
-    errors: Sequence[str], waits: str, track: bool,
+    errors: Sequence[str], waits: str, track: bool, stands: bool = False,
 ) -> tuple[int, str]:  # fmt: skip
     """Level and sentence of the diagnostics.
 
@@ -167,6 +186,8 @@ def health(
         What is lacking before a scan can be looked at; nothing if all is there.
     track : bool
         Whether the robot is followed, and its filter has had a pose.
+    stands : bool
+        Whether that pose holds.
 
     Examples
     --------
@@ -181,10 +202,10 @@ def health(
     if waits:
         return WARN, waits
     last = "no answer yet" if found is None else f"the last scan is {found.verdict}"
-    if found is not None and found.readings:
-        last += f": {found.readings}"
+    if found is not None and (why := found.readings or WHY.get(found.why, found.why)):
+        last += f": {why}"
     if track and found is not None:
-        return (OK, "the pose is unique") if found.pose is not None else (WARN, last)
+        return (OK, "the pose is unique") if stands else (WARN, last)
     if first.state == QUIET:
         return OK, "the pose was published"
     if first.state == GIVEN_UP:

@@ -272,9 +272,10 @@ class Desk:
             "take fewer scans, in several files",
         )
         recorded = load_scans(
-            path, topic=topic, fov=files.fov, max_bad=files.max_bad, height=files.height
-        )
-        if files.mount is not None and len({s.T_base_laser for s in recorded.scans}) > 1:
+            path, topic=topic, fov=files.fov, max_bad=files.max_bad, height=files.height,
+            odom=files.odom,
+        )  # fmt: skip
+        if files.mount is not None and len({s.laser for s in recorded.scans}) > 1:
             raise ConfigError("`sensor`: the log has several lasers, each with a place of its own")
         indices = files.chosen.of(len(recorded), name)
         some, tried = (

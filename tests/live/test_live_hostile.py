@@ -4,6 +4,7 @@ import array
 import math
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -179,12 +180,13 @@ def test_names_and_transforms_that_cannot_be(heard: Heard) -> None:
     link.header.frame_id = "laser"  # its own parent
     node._on_transforms(SimpleNamespace(transforms=[link]))
     heard.send("scan", heard.scan())
-    assert laser.frame == "laser"
+    assert laser.frame == ""  # it is left out
 
 
 def test_poses_are_in_the_frame_of_a_map_that_lies_anywhere(heard: Heard) -> None:
     """The origin is far off and turned, and its quaternion is not quite one."""
     yaw, z = 2 * math.atan2(0.6, 0.8), 1.3
+    heard.node.settings = replace(heard.node.settings, standing=True)
     heard.send("map", heard.map(at=(-512.3, 87.1), q=(0.0, 0.0, 0.6 * z, 0.8 * z)))
     heard.until(lambda: heard.core.ready)
     there = imgloc.OccupancyGrid(
@@ -192,16 +194,64 @@ def test_poses_are_in_the_frame_of_a_map_that_lies_anywhere(heard: Heard) -> Non
     )
     seen = simulate(there, 3, 5, Sensor(rays=241, fov=6.0))
     assert seen.poses is not None
-    for k, (scan, truth) in enumerate(zip(seen.scans, seen.poses, strict=True)):
-        before = heard.node.found
-        time.sleep(0.1)  # scans that come sooner than `every` are not tried
+    for scan, truth in zip(seen.scans, seen.poses, strict=True):
+        heard.node._again()
+        heard.send("odom", heard.odometry())
         fields = {"angle_min": -3.0, "angle_max": 3.0, "angle_increment": 0.025}
         heard.send("scan", heard.scan(ranges=scan.ranges.tolist(), **fields))
-        heard.until(lambda before=before: heard.node.found not in (None, before))
+        heard.send("odom", heard.odometry())
+        heard.until(lambda: heard.node.first.state == "quiet")
         found = heard.node.found
-        assert found.verdict == "unique", k
-        assert math.hypot(found.pose.x - truth[0], found.pose.y - truth[1]) < 0.15
-        assert abs(math.remainder(found.pose.theta - truth[2], math.tau)) < 0.05
+        assert math.hypot(found.poses[0].x - truth[0], found.poses[0].y - truth[1]) < 0.15
+        assert abs(math.remainder(found.poses[0].theta - truth[2], math.tau)) < 0.05
+
+
+def test_the_same_map_again_changes_nothing_and_a_map_that_moved_is_another(heard: Heard) -> None:
+    """Stamps and cells say nothing of where a map is, and a new stamp is no new map."""
+    heard.send("map", heard.map())
+    eras = [heard.node._era]
+    for at in ((0.0, 0.0), (100.0, 50.0), (100.0, 50.0)):
+        message = heard.map(at=at)
+        message.header.stamp.sec, message.header.stamp.nanosec = 0, 0
+        heard.send("map", message)
+        eras.append(heard.node._era)
+    assert eras == [1, 1, 2, 2]
+    assert heard.core.site(timeout=60).features.grid.origin.x == 100.0
+
+
+def test_one_stale_scan_changes_nothing_and_a_clock_set_back_does(heard: Heard) -> None:
+    def stamped(seconds: float) -> Any:
+        message = heard.scan()
+        at = heard.rclpy.get_clock().now().nanoseconds + int(1e9 * seconds)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(at, 10**9)
+        return message
+
+    heard.send("map", heard.map())
+    heard.until(lambda: heard.core.ready)
+    for seconds in (0.0, -20.0, 0.1, -20.0, 0.2):
+        heard.send("scan", stamped(seconds))
+    assert heard.node._era == 1
+    heard.send("scan", stamped(-20.0))
+    heard.send("scan", stamped(-19.0))
+    assert heard.node._era == 2
+
+
+def test_a_scan_waits_for_the_odometry_of_its_time_and_then_is_late(
+    heard: Heard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("imgloc.live.node._LATE", 0.2)
+    heard.send("map", heard.map())
+    heard.until(lambda: heard.core.ready)
+    laser = heard.node.lasers[0]
+    heard.send("odom", heard.odometry())
+    heard.send("scan", heard.scan())
+    assert len(heard.node._waiting) == 1
+    heard.send("odom", heard.odometry())
+    assert (len(heard.node._waiting), laser.skipped, laser.late) == (0, 0, "")
+    heard.send("scan", heard.scan())
+    heard.until(lambda: laser.late)
+    assert (len(heard.node._waiting), laser.skipped) == (0, 1)
+    assert "late: no odometry of the time of its scans" in heard.node._health()[1]
 
 
 @pytest.mark.parametrize(

@@ -150,7 +150,7 @@ def test_a_robot_is_told_its_first_pose_once_and_silence_is_said(field, log, pub
                        START)[0] == pytest.approx([0, 0], abs=1.1)  # fmt: skip
     player.kill()
     field.until(lambda: field.level() == 3)
-    assert field.heard("diagnostics")[-1]["message"] == "no scans on scan"
+    assert field.heard("diagnostics")[-1]["message"] == "no scans on /scan"
     field.until(lambda: not field.heard("status")[-1]["localized"])
     told = field.told(log)
     assert (told.poses, told.right) == (1, True), told
@@ -170,8 +170,8 @@ def test_two_lasers_are_one_robot(field, log) -> None:
 
 @pytest.mark.parametrize(
     ("what", "said", "level"),
-    [("stamp", "no scans on scan (its stamp stays the same)", 3),
-     ("ranges", "scan: each scan repeats the one before; is its driver frozen?", 1)],
+    [("stamp", "no scans on /scan (its stamp stays the same)", 3),
+     ("ranges", "/scan: each scan repeats the one before; is its driver frozen?", 1)],
 )  # fmt: skip
 def test_a_laser_that_repeats_one_scan_is_given_up(field, log, what, said, level) -> None:
     field.listen()

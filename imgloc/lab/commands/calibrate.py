@@ -39,7 +39,7 @@ _OF = {
     **dict.fromkeys(("--rays", "--sigma", "--outliers", "--dropped", "--clearance"), (_SIMULATED,)),
     **dict.fromkeys(("--method", "-n", "--count", "--seed", "--theta-step-deg"), (_SIMULATED,)),
     **dict.fromkeys(("--cell", "--clean"), (_SIMULATED,)),
-    **dict.fromkeys(("--topic", "--range-scale", "--max-bad", "--height"), (_RECORDED,)),
+    **dict.fromkeys(("--topic", "--range-scale", "--max-bad", "--height", "--odom"), (_RECORDED,)),
     **dict.fromkeys(("--scans-index", "--sample", "--sample-seed", "--flipped"), (_RECORDED,)),
 }
 

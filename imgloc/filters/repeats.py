@@ -1,0 +1,111 @@
+"""Scans that repeat an older one: a frozen driver, or a place that looks alike along the way.
+
+The map tells which: a driver is frozen if the robot has moved, the scan has not changed, and the
+expected scan has. While the odometry stands, an equal scan is no fault, and no new evidence either.
+"""
+
+from collections import OrderedDict
+from hashlib import blake2b
+
+import numpy as np
+
+from imgloc.features.mapfeatures import MapFeatures
+from imgloc.features.raycast import cast_rays
+from imgloc.features.scanpoints import evenly
+from imgloc.filters.belief import Belief
+from imgloc.filters.motion import compose_poses, invert_poses, way_of
+from imgloc.model import FloatArray, LaserScan, Pose2D
+from imgloc.numbers import number
+
+_BUFFERS = 1000  # scans of a laser that are remembered, because a driver may repeat its buffers
+# A scan is an old one again if the robot has moved by so many metres or radians, and at least such
+# a share of its readings have changed by less than so many metres, though the map expects such a
+# share to change.
+_FAR, _TURN, _NEAR, _SHARE = number("follow.stale")
+STANDS: tuple[float, float] = number("follow.stands")
+"""Metres and radians: a robot that has gone and turned less stands."""
+_CHANGES: float = number("follow.changes")
+_LEAST: float = number("follow.asked")  # mass of a place that is asked, as a share of the best's
+_FEW = 90  # rays whose expected readings are compared
+_LOOKS = 5  # places of the belief that are asked
+
+
+class Repeats:
+    """The latest scans of one laser, and where the robot was when it took each.
+
+    Examples
+    --------
+    >>> repeats, scan = Repeats(), LaserScan([1.0, 2.0], [0.0, 1.0])
+    >>> repeats.since(scan) is None, repeats.since(scan).tolist()
+    (True, [0.0, 0.0, 0.0])
+    >>> repeats.move(np.array([1.0, 0.0, 0.0]))
+    >>> repeats.since(scan).tolist()
+    [1.0, 0.0, 0.0]
+    """
+
+    def __init__(self) -> None:
+        self._here = np.zeros(3)  # pose of the robot since the first scan, by odometry
+        self._seen = OrderedDict[bytes, FloatArray]()
+        self._reference: tuple[FloatArray, FloatArray] | None = None  # ranges, and the pose then
+
+    def move(self, step: FloatArray) -> None:
+        """Add a motion (3,), in the robot's earlier frame: metres, metres, radians."""
+        self._here = compose_poses(self._here, step)
+
+    def since(self, scan: LaserScan) -> FloatArray | None:
+        """Motion (3,) of the robot since a scan that this one repeats; None if it repeats none.
+
+        No sensor measures the same to the bit twice. A scan with some noise repeats another if the
+        robot has moved since.
+        """
+        content = blake2b(scan.ranges.tobytes(), digest_size=16).digest()
+        then = self._seen.get(content)
+        if then is not None:
+            self._seen.move_to_end(content)
+            return self._way(then)
+        self._seen[content] = self._here
+        if len(self._seen) > _BUFFERS:
+            self._seen.popitem(last=False)
+        if self._reference is not None and self._reference[0].shape == scan.ranges.shape:
+            before, then = self._reference
+            step = self._way(then)
+            if not (way_of(step) >= (_FAR, _TURN)).any():
+                return None
+            with np.errstate(invalid="ignore"):
+                same = np.abs(scan.ranges - before)[scan.valid] < _NEAR
+            if len(same) and np.mean(same) >= _SHARE:
+                return step
+        self._reference = scan.ranges, self._here
+        return None
+
+    def _way(self, then: FloatArray) -> FloatArray:
+        return compose_poses(invert_poses(then), self._here)
+
+
+def frozen(features: MapFeatures, belief: Belief, scan: LaserScan, step: FloatArray) -> bool:
+    """Whether a scan that has not changed should have, as the robot moved by `step` (3,).
+
+    It should if the map expects other readings at each place that the belief holds. A short step is
+    prolonged, because a map shows no change within a cell.
+    """
+    way = way_of(step)
+    if (way < STANDS).all():
+        return False
+    places = belief.poses[:_LOOKS][belief.mass[:_LOOKS] > _LEAST * belief.mass.max(initial=0.0)]
+    if not len(places):
+        return True
+    longer = step * max(1.0, float((np.array((_FAR, _TURN)) / np.maximum(way, 1e-9)).min()))
+    m = scan.T_base_laser or Pose2D(0.0, 0.0)
+    mount, angles = np.array([m.x, m.y, m.theta]), scan.angles[scan.valid]
+    angles = angles[evenly(len(angles), _FEW)]
+    reach, cell = min(scan.range_max, features.grid.diagonal), features.grid.resolution
+
+    def expected(poses: FloatArray) -> FloatArray:
+        at = compose_poses(poses, mount)
+        rays = at[:, 2:] + angles
+        seen = cast_rays(features.walls, at[:, None, :2], rays, reach, cell)
+        return np.minimum(seen.astype(np.float64), reach)
+
+    now, then = expected(places), expected(compose_poses(places, invert_poses(longer)))
+    changed = np.abs(now - then) > max(_NEAR, 2 * cell)
+    return bool((changed.mean(axis=1) >= _CHANGES).all()) if len(angles) else True
