@@ -12,7 +12,7 @@ import logging
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from imgloc.model import VERDICTS, FloatArray, LaserScan, Localization, Pose2D, 
 from imgloc.numbers import number
 from imgloc.options import RADIUS, TOLERANCE, Options, Trust
 from imgloc.pipeline import localize, localize_many
+from imgloc.robot.recording import Recording
 
 _LOG = logging.getLogger("imgloc")
 _SPIKE, _BIN, _OFTEN = number("logcheck.code")
@@ -122,6 +123,8 @@ def check_log(scans: ScanSet, notes: Sequence[Finding] = ()) -> LogReport:
         if "odometry-zero" not in {f.code for f in findings} or path[:, :2].any():
             facts["agreement"] = _about_motion(some, path, findings)
             facts["straightened"] = straightening(some, path)
+    facts["recording"] = asdict(scans.recording) if scans.recording.taken else None
+    _about_sources(scans.recording, findings)
     _about_repeats(scans, path, findings)
     _about_lasers(scans, findings)
     edges = np.linspace(0.0, max(facts["longest"] or 1.0, 1e-6), int(_BARS) + 1)
@@ -488,6 +491,18 @@ def sensor_poses(scans: ScanSet) -> FloatArray:
         for pose, scan in zip(scans.odom, scans.scans, strict=True)
     ]
     return np.array([(p.x, p.y, p.theta) for p in at])
+
+
+def _about_sources(log: Recording, findings: list[Finding]) -> None:
+    """Poses of a log that are not used: those of another robot, further ones of this one."""
+    for names, what in (
+        (log.others, "further odometry of this robot"),
+        (log.robots, "odometry of another robot, or of nothing that carries the laser"),
+        (log.truths, "poses that the robot cannot know of itself, no odometry"),
+    ):
+        if names:
+            text = f"{', '.join(names)}: {what}; `odom={names[0]}` takes it all the same"
+            findings.append(Finding("odometries", text, serious=False))
 
 
 def _about_repeats(scans: ScanSet, path: FloatArray | None, findings: list[Finding]) -> None:

@@ -13,7 +13,7 @@ from imgloc.filters.belief import AMBIGUOUS, UNIQUE, Belief, Filter, deviations_
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import usable
 from imgloc.filters.motion import compose_poses, increments, invert_poses, noisy_odometry, way_of
-from imgloc.filters.repeats import STANDS, Repeats, frozen
+from imgloc.filters.repeats import Repeats, frozen, smooth, stands
 from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
@@ -274,7 +274,7 @@ class Follower:
         self._repeats = defaultdict[str, Repeats](Repeats)
         self._held = TrackerOptions().mass[0]  # from which one place is no longer one of several
         self._count, self._blind, self._metres = 0, 0, 0.0
-        self._here, self._farthest = np.zeros(3), 0.0  # by odometry, since the first scan
+        self._here, self._stands = np.zeros(3), True  # by odometry, since the first scan
         self._dark = 0.0  # seconds of blind scans that the filter has not counted yet
         self._odom: FloatArray | None = None
         self._stamp = self._said = float("nan")
@@ -339,15 +339,18 @@ class Follower:
             repeats.move(step)
         self._metres += float(moved[0])
         self._here = compose_poses(self._here, step)
-        self._farthest = max(self._farthest, float(np.hypot(*self._here[:2])))
+        self._stands &= stands(self._here)
 
     def _take(self, scan: LaserScan, laser: Laser, again: FloatArray | None, waited: float) -> bool:
         """Take a scan, `again` after an equal one; return whether it weighed the whole belief."""
         blind = usable(scan, self.filter.options) is None
         if again is not None and not blind:
-            blind = frozen(self.features, self.filter.belief, scan, again)
-            if not blind and (way_of(again) < STANDS).all():
-                return False  # nothing new, and nothing wrong
+            if stands(again):
+                if self._repeats[scan.laser].noiseless or smooth(scan):
+                    return False  # nothing new, and nothing wrong
+                blind = True
+            else:
+                blind = frozen(self.features, self.filter.belief, scan, again)
         if blind:
             self._blind += 1
             self._dark += waited
@@ -384,7 +387,7 @@ class Follower:
             if withheld:
                 belief = replace(belief, verdict=AMBIGUOUS)
         elif belief.verdict == AMBIGUOUS and not withheld:
-            if not looked and self._farthest < STANDS[0]:
+            if not looked and self._stands:
                 withheld = STANDING
             elif belief.mass[0] >= self._held:
                 withheld = UNCONFIRMED

@@ -1,7 +1,8 @@
 """Scans that repeat an older one: a frozen driver, or a place that looks alike along the way.
 
 The map tells which: a driver is frozen if the robot has moved, the scan has not changed, and the
-expected scan has. While the odometry stands, an equal scan is no fault, and no new evidence either.
+expected scan has. While the robot stands, scans with noise differ in their bits, so a driver that
+repeats one is frozen, too. A simulator without noise repeats them: no fault, and no evidence.
 """
 
 from collections import OrderedDict
@@ -22,11 +23,11 @@ _BUFFERS = 1000  # scans of a laser that are remembered, because a driver may re
 # a share of its readings have changed by less than so many metres, though the map expects such a
 # share to change.
 _FAR, _TURN, _NEAR, _SHARE = number("follow.stale")
-STANDS: tuple[float, float] = number("follow.stands")
-"""Metres and radians: a robot that has gone and turned less stands."""
+_STANDS: tuple[float, float] = number("follow.stands")
 _CHANGES: float = number("follow.changes")
 _LEAST: float = number("follow.asked")  # mass of a place that is asked, as a share of the best's
 _FEW = 90  # rays whose expected readings are compared
+_SMOOTH: float = number("follow.smooth")  # metres by which a scan without noise leaves a line
 _LOOKS = 5  # places of the belief that are asked
 
 
@@ -47,6 +48,8 @@ class Repeats:
         self._here = np.zeros(3)  # pose of the robot since the first scan, by odometry
         self._seen = OrderedDict[bytes, FloatArray]()
         self._reference: tuple[FloatArray, FloatArray] | None = None  # ranges, and the pose then
+        self._equal = False  # whether the last scan was equal to one taken here
+        self.noiseless = False  #: whether scans were equal here, and changed when the robot moved
 
     def move(self, step: FloatArray) -> None:
         """Add a motion (3,), in the robot's earlier frame: metres, metres, radians."""
@@ -62,7 +65,11 @@ class Repeats:
         then = self._seen.get(content)
         if then is not None:
             self._seen.move_to_end(content)
-            return self._way(then)
+            step = self._way(then)
+            self._equal = stands(step)
+            return step
+        self.noiseless |= self._equal
+        self._equal = False
         self._seen[content] = self._here
         if len(self._seen) > _BUFFERS:
             self._seen.popitem(last=False)
@@ -82,6 +89,33 @@ class Repeats:
         return compose_poses(invert_poses(then), self._here)
 
 
+def stands(step: FloatArray) -> bool:
+    """Whether a motion (3,) is that of a robot that stands."""
+    return bool((way_of(step) < _STANDS).all())
+
+
+def smooth(scan: LaserScan) -> bool:
+    """Whether a scan has no noise: most of its readings are on lines of walls to the bit.
+
+    The inverse ranges of three rays that end on one line are those of a sine wave.
+
+    Examples
+    --------
+    >>> angles = np.linspace(-0.5, 0.5, 21)
+    >>> walls = 2 / np.cos(angles)
+    >>> noise = 0.003 * np.random.default_rng(0).standard_normal(21)
+    >>> smooth(LaserScan(walls, angles)), smooth(LaserScan(walls + noise, angles))
+    (True, False)
+    """
+    with np.errstate(divide="ignore"):
+        inverse = 1 / np.where(scan.valid, scan.ranges, np.nan)
+    apart = (scan.angles[2:] - scan.angles[:-2]) / 2
+    off = np.abs((inverse[2:] + inverse[:-2]) / (2 * np.cos(apart)) - inverse[1:-1])
+    metres = off * np.square(scan.ranges[1:-1])
+    metres = metres[np.isfinite(metres)]
+    return len(metres) > 0 and float(np.median(metres)) < _SMOOTH
+
+
 def frozen(features: MapFeatures, belief: Belief, scan: LaserScan, step: FloatArray) -> bool:
     """Whether a scan that has not changed should have, as the robot moved by `step` (3,).
 
@@ -89,8 +123,6 @@ def frozen(features: MapFeatures, belief: Belief, scan: LaserScan, step: FloatAr
     prolonged, because a map shows no change within a cell.
     """
     way = way_of(step)
-    if (way < STANDS).all():
-        return False
     places = belief.poses[:_LOOKS][belief.mass[:_LOOKS] > _LEAST * belief.mass.max(initial=0.0)]
     if not len(places):
         return True

@@ -67,6 +67,8 @@ def log_text(name: str, form: str, kinds: Sequence[Kind], report: LogReport, com
         some = [f"{k.name} ({_about(k, seconds)})" for k in order[:_SHOWN]]
         more = f" and {len(kinds) - _SHOWN} more" if len(kinds) > _SHOWN else ""
         lines.append(("holds", ", ".join(some) + more))
+    if (log := facts["recording"]) is not None:
+        lines.append(("taken", _taken(log)))
     lines += [
         ("scans", f"{facts['scans']:,} of {_rays(facts)}"),
         ("ranges", _ranges(facts)),
@@ -92,6 +94,12 @@ def log_text(name: str, form: str, kinds: Sequence[Kind], report: LogReport, com
     out = [name, *(f"  {key:<11} {value}" for key, value in lines), f"  {'findings':<11} {found}"]
     out += [f"    {f.code}: {as_options(f.said)}" for f in report.findings]
     return "\n".join([*out, f"  {'next':<11} {command}"])
+
+
+def _taken(log: Mapping[str, Any]) -> str:
+    """Which laser and which odometry, and why."""
+    odometry = f"odometry {log['odometry']} ({log['why']})" if log["odometry"] else "no odometry"
+    return f"scans {log['taken']}, {odometry}"
 
 
 def _about(kind: Kind, seconds: float) -> str:
