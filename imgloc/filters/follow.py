@@ -13,7 +13,7 @@ from imgloc.filters.belief import AMBIGUOUS, UNIQUE, Belief, Filter, deviations_
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import usable
 from imgloc.filters.motion import compose_poses, increments, invert_poses, noisy_odometry, way_of
-from imgloc.filters.repeats import Repeats, frozen, smooth, stands
+from imgloc.filters.repeats import NEAR, Repeats, dragged, frozen, smooth, stands
 from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
@@ -329,7 +329,9 @@ class Follower:
         self._move(step)
         if kidnap is not None:
             self.place(kidnap.pose, kidnap.deviation, "kidnap")
-        return self._moment(k, self._take(scan, laser, repeats.since(scan), waited))
+        looked = self._take(scan, laser, repeats.since(scan), waited)
+        repeats.believe(self.filter.belief)
+        return self._moment(k, looked)
 
     def _move(self, step: FloatArray) -> None:
         self.filter.move(step)
@@ -345,12 +347,16 @@ class Follower:
         """Take a scan, `again` after an equal one; return whether it weighed the whole belief."""
         blind = usable(scan, self.filter.options) is None
         if again is not None and not blind:
+            repeats, belief = self._repeats[scan.laser], self.filter.belief
             if stands(again):
-                if self._repeats[scan.laser].noiseless or smooth(scan):
+                if repeats.noiseless or smooth(scan):
                     return False  # nothing new, and nothing wrong
                 blind = True
             else:
-                blind = frozen(self.features, self.filter.belief, scan, again)
+                metres = dragged(belief, repeats.place, again)
+                blind = np.isinf(metres) or frozen(self.features, belief, scan, again)
+                if not blind and metres < NEAR:
+                    repeats.refer(scan)
         if blind:
             self._blind += 1
             self._dark += waited

@@ -13,8 +13,9 @@ import numpy as np
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.raycast import cast_rays
 from imgloc.features.scanpoints import evenly
-from imgloc.filters.belief import Belief
+from imgloc.filters.belief import PLACE, Belief
 from imgloc.filters.motion import compose_poses, invert_poses, way_of
+from imgloc.geometry import wrap
 from imgloc.model import FloatArray, LaserScan, Pose2D
 from imgloc.numbers import number
 
@@ -26,6 +27,8 @@ _FAR, _TURN, _NEAR, _SHARE = number("follow.stale")
 _STANDS: tuple[float, float] = number("follow.stands")
 _CHANGES: float = number("follow.changes")
 _LEAST: float = number("follow.asked")  # mass of a place that is asked, as a share of the best's
+NEAR: float = _FAR / 2
+"""Metres by which a belief may be off the odometry for the next scans to be compared with this."""
 _FEW = 90  # rays whose expected readings are compared
 _SMOOTH: float = number("follow.smooth")  # metres by which a scan without noise leaves a line
 _LOOKS = 5  # places of the belief that are asked
@@ -48,6 +51,7 @@ class Repeats:
         self._here = np.zeros(3)  # pose of the robot since the first scan, by odometry
         self._seen = OrderedDict[bytes, FloatArray]()
         self._reference: tuple[FloatArray, FloatArray] | None = None  # ranges, and the pose then
+        self.place: FloatArray | None = None  #: (3,) believed place of that scan, if there was one
         self._equal = False  # whether the last scan was equal to one taken here
         self.noiseless = False  #: whether scans were equal here, and changed when the robot moved
 
@@ -63,27 +67,37 @@ class Repeats:
         """
         content = blake2b(scan.ranges.tobytes(), digest_size=16).digest()
         then = self._seen.get(content)
-        if then is not None:
-            self._seen.move_to_end(content)
-            step = self._way(then)
-            self._equal = stands(step)
-            return step
-        self.noiseless |= self._equal
-        self._equal = False
-        self._seen[content] = self._here
+        equal = None if then is None else self._way(then)
+        self.noiseless |= self._equal and equal is None
+        self._equal = equal is not None and stands(equal)
+        self._seen[content] = self._here if then is None else then
+        self._seen.move_to_end(content)
         if len(self._seen) > _BUFFERS:
             self._seen.popitem(last=False)
-        if self._reference is not None and self._reference[0].shape == scan.ranges.shape:
-            before, then = self._reference
-            step = self._way(then)
-            if not (way_of(step) >= (_FAR, _TURN)).any():
-                return None
+        if self._equal or self._reference is None:
+            self._reference = self._reference or (scan.ranges, self._here)
+            return equal
+        before, then = self._reference
+        step = self._way(then)
+        if before.shape == scan.ranges.shape:
             with np.errstate(invalid="ignore"):
                 same = np.abs(scan.ranges - before)[scan.valid] < _NEAR
             if len(same) and np.mean(same) >= _SHARE:
-                return step
-        self._reference = scan.ranges, self._here
-        return None
+                far = (way_of(step) >= (_FAR, _TURN)).any()
+                return step if far else equal
+        if equal is None:
+            self.refer(scan)
+        return equal
+
+    def refer(self, scan: LaserScan) -> None:
+        """Compare the next scans with this one."""
+        self._reference, self.place = (scan.ranges, self._here), None
+
+    def believe(self, belief: Belief) -> None:
+        """Take note of where the scan that was referred to just now is believed to be."""
+        here = self._reference is not None and self._reference[1] is self._here
+        if here and self.place is None and len(belief.poses):
+            self.place = belief.poses[0].copy()
 
     def _way(self, then: FloatArray) -> FloatArray:
         return compose_poses(invert_poses(then), self._here)
@@ -95,7 +109,7 @@ def stands(step: FloatArray) -> bool:
 
 
 def smooth(scan: LaserScan) -> bool:
-    """Whether a scan has no noise: most of its readings are on lines of walls to the bit.
+    """Whether a scan has no noise: a quarter of its readings are on lines of walls to the bit.
 
     The inverse ranges of three rays that end on one line are those of a sine wave.
 
@@ -113,7 +127,20 @@ def smooth(scan: LaserScan) -> bool:
     off = np.abs((inverse[2:] + inverse[:-2]) / (2 * np.cos(apart)) - inverse[1:-1])
     metres = off * np.square(scan.ranges[1:-1])
     metres = metres[np.isfinite(metres)]
-    return len(metres) > 0 and float(np.median(metres)) < _SMOOTH
+    return len(metres) > 0 and float(np.percentile(metres, 25)) < _SMOOTH
+
+
+def dragged(belief: Belief, place: FloatArray | None, step: FloatArray) -> float:
+    """Metres by which scans have pulled a belief away from where odometry carried its place (3,).
+
+    A frozen scan fits where it was taken. Infinite if no place is near.
+    """
+    if place is None or not len(belief.poses):
+        return 0.0
+    apart = belief.poses - compose_poses(place, step)
+    metres, turn = np.hypot(apart[:, 0], apart[:, 1]), np.abs(wrap(apart[:, 2]))
+    near = metres[(metres < PLACE[0]) & (turn < PLACE[1])]
+    return float(near.min()) if len(near) else np.inf
 
 
 def frozen(features: MapFeatures, belief: Belief, scan: LaserScan, step: FloatArray) -> bool:
@@ -128,7 +155,7 @@ def frozen(features: MapFeatures, belief: Belief, scan: LaserScan, step: FloatAr
         return True
     longer = step * max(1.0, float((np.array((_FAR, _TURN)) / np.maximum(way, 1e-9)).min()))
     m = scan.T_base_laser or Pose2D(0.0, 0.0)
-    mount, angles = np.array([m.x, m.y, m.theta]), scan.angles[scan.valid]
+    mount, angles = np.array([m.x, m.y, m.theta]), scan.angles[scan.valid | scan.no_return]
     angles = angles[evenly(len(angles), _FEW)]
     reach, cell = min(scan.range_max, features.grid.diagonal), features.grid.resolution
 
