@@ -13,7 +13,7 @@ from imgloc.filters.belief import AMBIGUOUS, UNIQUE, Belief, Filter, deviations_
 from imgloc.filters.choose import make_filter
 from imgloc.filters.evidence import usable
 from imgloc.filters.motion import compose_poses, increments, invert_poses, noisy_odometry, way_of
-from imgloc.filters.repeats import NEAR, Repeats, dragged, frozen, smooth, stands
+from imgloc.filters.repeats import Repeats, dragged, frozen, smooth, stands
 from imgloc.filters.tracker import TrackerOptions
 from imgloc.geometry import in_grid_frame, rotate_covariance, transform_poses
 from imgloc.io.scanset import ScanSet
@@ -355,8 +355,8 @@ class Follower:
             else:
                 metres = dragged(belief, repeats.place, again)
                 blind = np.isinf(metres) or frozen(self.features, belief, scan, again)
-                if not blind and metres < NEAR:
-                    repeats.refer(scan)
+                if not blind:
+                    repeats.refer(scan, metres)
         if blind:
             self._blind += 1
             self._dark += waited

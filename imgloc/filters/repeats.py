@@ -27,8 +27,6 @@ _FAR, _TURN, _NEAR, _SHARE = number("follow.stale")
 _STANDS: tuple[float, float] = number("follow.stands")
 _CHANGES: float = number("follow.changes")
 _LEAST: float = number("follow.asked")  # mass of a place that is asked, as a share of the best's
-NEAR: float = _FAR / 2
-"""Metres by which a belief may be off the odometry for the next scans to be compared with this."""
 _FEW = 90  # rays whose expected readings are compared
 _SMOOTH: float = number("follow.smooth")  # metres by which a scan without noise leaves a line
 _LOOKS = 5  # places of the belief that are asked
@@ -89,8 +87,10 @@ class Repeats:
             self.refer(scan)
         return equal
 
-    def refer(self, scan: LaserScan) -> None:
-        """Compare the next scans with this one."""
+    def refer(self, scan: LaserScan, metres: float = 0.0) -> None:
+        """Compare the next scans with this one, unless scans `metres` drag the belief."""
+        if metres >= _FAR / 2:
+            return
         self._reference, self.place = (scan.ranges, self._here), None
 
     def believe(self, belief: Belief) -> None:
