@@ -23,6 +23,7 @@ from imgloc.plans.floorplan import (
     _furniture,
     _inside,
     _kinds,
+    _opened,
     _pen,
     _sheet,
     _standing,
@@ -198,7 +199,7 @@ def test_a_frame_may_be_near_the_building(frame: Callable[[Image], None]) -> Non
     frame(plan)
     found = plan_to_map(plan, 0.02)
     assert found.free_area == pytest.approx(alone.free_area, rel=0.01)
-    assert found.size == pytest.approx(alone.size, abs=0.06)
+    assert found.size == pytest.approx(alone.size, abs=CELL + 0.02)  # a stub of the frame
     assert found.doubt == alone.doubt == ""
 
 
@@ -312,12 +313,54 @@ def test_what_is_no_plan_is_refused() -> None:
         (recorded, "greys of a map that a robot made"),
         (np.full((50, 50), 255, np.uint8), "one tone only"),
         (words, "no walls found"),
+        (np.pad(np.full((19, 30), 70, np.uint8), 2, constant_values=255), "nothing is darker"),
         (shed, "they enclose nothing"),
     ):
         with pytest.raises(MapError, match=said):
             plan_to_map(image, 0.02)
     with pytest.raises(ConfigError, match=r"`thickest=0\.5`"):
         plan_to_map(shed, 0.02, thinnest=0.6)
+
+
+def test_a_plan_that_is_wall_all_over_has_no_walls() -> None:
+    for shape in ((3, 15), (15, 3), (1, 1), (8, 8)):
+        plan = np.full(shape, 200, np.uint8)
+        plan.ravel()[-1] = 190
+        with pytest.raises(MapError):
+            plan_to_map(plan, 0.01, inverted=True)
+    assert [mask.all() for mask in _standing(*np.ones((2, 400, 8), np.bool_), 0.0125)] == [1, 0]
+
+
+@pytest.mark.parametrize("thickness", [*range(1, 10), 5.6])
+def test_what_is_as_thick_stays_where_it_was(thickness: float) -> None:
+    bars, thick = np.zeros((60, 60), np.bool_), round(thickness + 1)
+    bars[20 : 20 + thick, 15:45] = bars[40 : 38 + thick, 15:45] = True
+    opened = _opened(bars, thickness)
+    assert np.flatnonzero(opened.any(axis=1)).tolist() == list(range(20, 20 + thick))
+    assert not (opened & ~bars).any()
+    for axis in (0, 1):
+        assert np.array_equal(np.flip(_opened(np.flip(bars, axis), thickness), axis), opened)
+
+
+@pytest.mark.parametrize(("style", "resolution"), [("filled", 0.02), ("outlined", 0.0125)])
+def test_the_map_of_a_shifted_or_mirrored_plan_is_shifted_or_mirrored(
+    style: str, resolution: float
+) -> None:
+    plan, cells = upright(draw_plan(cabin(), resolution, style)), round(4 * CELL / resolution)
+    plan = np.pad(plan, [(0, -side % cells) for side in plan.shape], constant_values=255)
+    grid = plan_to_map(plan, resolution).grid
+    high, wide = (side * resolution for side in plan.shape)
+    for axis in (0, 1):
+        mirrored = plan_to_map(np.ascontiguousarray(np.flip(plan, axis)), resolution).grid
+        assert np.array_equal(np.flip(mirrored.occupied, axis), grid.occupied)
+        assert np.array_equal(np.flip(mirrored.free, axis), grid.free)
+        at = mirrored.origin.y if axis == 0 else mirrored.origin.x
+        before = grid.origin.y if axis == 0 else grid.origin.x
+        side = grid.info.shape[axis] * grid.resolution
+        assert at == pytest.approx((high, wide)[axis] - before - side, abs=1e-9)
+    shifted = plan_to_map(np.pad(plan, [(0, 0), (cells, 0)], constant_values=255), resolution).grid
+    assert np.array_equal(shifted.occupied, grid.occupied)
+    assert shifted.origin.x - grid.origin.x == pytest.approx(4 * CELL)
 
 
 @pytest.mark.parametrize("turns", range(4))
