@@ -15,6 +15,7 @@ from typing import Any, final
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.equality import ByContent
 from imgloc.errors import ConfigError
 
 FloatArray = npt.NDArray[np.float64]
@@ -37,11 +38,19 @@ SURE = VERDICTS[:2]  #: verdicts with which an answer has a pose
 _CODES = 2  # most numbers that one sensor uses for "nothing seen"
 
 
-def _freeze(record: Any, dtype: npt.DTypeLike, *names: str) -> None:
-    """Make fields read-only arrays of `dtype`, leaving the caller's own writable."""
+def freeze(record: Any, dtype: npt.DTypeLike, *names: str) -> None:
+    """Make fields read-only arrays of `dtype` that nobody else can write to: copies, if need be.
+
+    An array that is read-only itself, and so is what it is a view of, is taken as it is.
+    """
     for name in names:
-        array = np.asarray(getattr(record, name), dtype=dtype).view()
-        array.flags.writeable = False
+        array = at = getattr(record, name)
+        while isinstance(at, np.ndarray) and not at.flags.writeable and at.base is not None:
+            at = at.base
+        own = isinstance(at, np.ndarray) and not at.flags.writeable and array.dtype == dtype
+        if not own:
+            array = np.array(array, dtype=dtype)
+            array.flags.writeable = False
         object.__setattr__(record, name, array)
 
 
@@ -151,8 +160,8 @@ class GridInfo:
         return self.height, self.width
 
 
-@dataclass(frozen=True, repr=False)
-class OccupancyGrid:
+@dataclass(frozen=True, repr=False, eq=False)
+class OccupancyGrid(ByContent):
     """A map: its occupied and its free cells. A cell that is neither is unknown.
 
     Row 0 is the lowest y (the order of nav_msgs/OccupancyGrid): images are flipped once when
@@ -180,7 +189,7 @@ class OccupancyGrid:
     origin: Pose2D = field(default_factory=lambda: Pose2D(0.0, 0.0, 0.0))
 
     def __post_init__(self) -> None:
-        _freeze(self, np.bool_, "occupied", "free")
+        freeze(self, np.bool_, "occupied", "free")
         occupied, free = self.occupied.shape, self.free.shape
         if len(occupied) != 2 or occupied != free:
             raise ValueError(f"occupied {occupied} and free {free} must be images of one shape")
@@ -189,6 +198,8 @@ class OccupancyGrid:
             raise ValueError(f"cell [{row}, {column}] is both occupied and free")
         if not np.isfinite(self.resolution) or self.resolution <= 0:
             raise ValueError(f"resolution must be positive, got {self.resolution}")
+        if not np.isfinite([*self.origin]).all():
+            raise ValueError(f"origin must be finite metres and a yaw, got {self.origin}")
 
     def __repr__(self) -> str:
         height, width = self.occupied.shape
@@ -214,8 +225,8 @@ class OccupancyGrid:
         return ~(self.occupied | self.free)
 
 
-@dataclass(frozen=True, repr=False)
-class LaserScan:
+@dataclass(frozen=True, repr=False, eq=False)
+class LaserScan(ByContent):
     """One 2-D scan as it was recorded. Which readings count follows from REP 117.
 
     Parameters
@@ -251,7 +262,7 @@ class LaserScan:
     time_increment: float = 0.0
 
     def __post_init__(self) -> None:
-        _freeze(self, np.float64, "ranges", "angles")
+        freeze(self, np.float64, "ranges", "angles")
         ranges, angles = self.ranges.shape, self.angles.shape
         if len(ranges) != 1 or ranges != angles:
             raise ValueError(f"ranges {ranges} and angles {angles} must be vectors of one length")
@@ -393,8 +404,8 @@ class LaserScan:
         }
 
 
-@dataclass(frozen=True, repr=False)
-class OrientedPoints:
+@dataclass(frozen=True, repr=False, eq=False)
+class OrientedPoints(ByContent):
     """Points of a surface with its directed normals.
 
     Parameters
@@ -416,8 +427,8 @@ class OrientedPoints:
     valid: BoolArray
 
     def __post_init__(self) -> None:
-        _freeze(self, np.float64, "xy", "alpha", "sigma_alpha")
-        _freeze(self, np.bool_, "valid")
+        freeze(self, np.float64, "xy", "alpha", "sigma_alpha")
+        freeze(self, np.bool_, "valid")
         n = len(self.xy)
         others = {self.alpha.shape, self.sigma_alpha.shape, self.valid.shape}
         if self.xy.shape != (n, 2) or others != {(n,)}:
@@ -439,8 +450,8 @@ class OrientedPoints:
         )
 
 
-@dataclass(frozen=True, repr=False)
-class Likelihood:
+@dataclass(frozen=True, repr=False, eq=False)
+class Likelihood(ByContent):
     """A likelihood for every pose of a lattice, as a stack of images.
 
     Parameters
@@ -465,8 +476,8 @@ class Likelihood:
     scan: LaserScan | None = None
 
     def __post_init__(self) -> None:
-        _freeze(self, np.float32, "values")
-        _freeze(self, np.float64, "thetas")
+        freeze(self, np.float32, "values")
+        freeze(self, np.float64, "thetas")
         shape = (len(self.thetas), *self.grid.shape)
         if self.values.shape != shape:
             raise ValueError(
@@ -480,8 +491,8 @@ class Likelihood:
 
 
 @final
-@dataclass(frozen=True)
-class Hypothesis:
+@dataclass(frozen=True, eq=False)
+class Hypothesis(ByContent):
     """A pose that fits the scan.
 
     Parameters
@@ -505,7 +516,7 @@ class Hypothesis:
     covariance: FloatArray
 
     def __post_init__(self) -> None:
-        _freeze(self, np.float64, "covariance")
+        freeze(self, np.float64, "covariance")
 
 
 @dataclass(frozen=True)
@@ -566,8 +577,8 @@ class Floor:
     share: float  #: of the valid readings that end on the floor, 0..1
 
 
-@dataclass(frozen=True)
-class Evidence:
+@dataclass(frozen=True, eq=False)
+class Evidence(ByContent):
     """The evidence for the masses and the verdict of an answer."""
 
     readings: int = 0  #: number of readings that were scored
@@ -603,7 +614,7 @@ class Evidence:
     unlisted: float = 0.0  #: mass on this map that is at none of the listed hypotheses
 
     def __post_init__(self) -> None:
-        _freeze(self, np.float64, "log_volume")
+        freeze(self, np.float64, "log_volume")
 
     @property
     def net(self) -> float:
@@ -611,8 +622,8 @@ class Evidence:
         return self.gained - self.against
 
 
-@dataclass(frozen=True)
-class Localization:
+@dataclass(frozen=True, eq=False)
+class Localization(ByContent):
     """The answer for one scan.
 
     Parameters
@@ -630,7 +641,7 @@ class Localization:
     counts : mapping
         Number of valid readings, and of those dropped for each reason.
     timings_ms : mapping
-        Wall time of each step, milliseconds.
+        Wall time of each step, milliseconds; answers are equal whatever it is.
     parameters : mapping
         Every parameter that decided the answer, with the seed.
     complete : bool
@@ -650,7 +661,7 @@ class Localization:
     entropy: float
     explained: float
     counts: Mapping[str, int] = field(default_factory=dict)
-    timings_ms: Mapping[str, float] = field(default_factory=dict)
+    timings_ms: Mapping[str, float] = field(default_factory=dict, compare=False)
     parameters: Mapping[str, Any] = field(default_factory=dict)
     complete: bool = True
     elsewhere: float = 1.0

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
+from imgloc.equality import ByContent
 from imgloc.errors import ConfigError
 from imgloc.numbers import number
 from imgloc.ranges import Checked, Doc, OneOf, Option, Within, option
@@ -125,8 +126,8 @@ def _default(method: str) -> Calibration:
 DEFAULTS: Mapping[str, Calibration] = MappingProxyType({name: _default(name) for name in METHODS})
 
 
-@dataclass(frozen=True)
-class Prior(Checked):
+@dataclass(frozen=True, eq=False)
+class Prior(ByContent, Checked):
     """A set of poses; None is all of them.
 
     Examples
@@ -142,6 +143,13 @@ class Prior(Checked):
     heading: tuple[Heading, Radians] | None = None
     #: what it was made of, as plain values, for the record
     about: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.cells is not None:
+            from imgloc.model import freeze
+
+            freeze(self, "bool", "cells")
 
     def __and__(self, other: "Prior") -> "Prior":
         """The poses that both allow; a ConfigError if both state a heading."""

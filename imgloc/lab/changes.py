@@ -29,6 +29,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from imgloc.equality import ByContent
 from imgloc.errors import expect
 from imgloc.features.distance import distance_image
 from imgloc.features.scanpoints import evenly
@@ -87,8 +88,8 @@ class Piece:
     places: int  #: from how many places or times
 
 
-@dataclass(frozen=True)
-class Changes:
+@dataclass(frozen=True, eq=False)
+class Changes(ByContent):
     """Where a map has aged."""
 
     grid: OccupancyGrid

@@ -184,7 +184,7 @@ class Atlas(Job):
         return Surveying(self, path, grid, poses, options, workers)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Surveying:
     """A map whose poses are located while the answer is iterated."""
 

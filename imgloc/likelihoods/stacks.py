@@ -60,6 +60,7 @@ def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -
     values = stack_of(
         method, features, scan, thetas, engine=engine, threads=threads, memory_budget=budget
     )
+    values.flags.writeable = False  # nobody else has it: no need of a copy
     return Likelihood(values, thetas, lattice, method, scan)
 
 

@@ -262,7 +262,7 @@ class FloorPlan:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Swing:
     """The arc of a door: hinge, and the two ends of the leaf, (2,) pixels."""
 

@@ -76,7 +76,7 @@ class Which(Job):
         return found
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, eq=False)
 class Named(Answer):
     """The answer to one scan."""
 
