@@ -6,9 +6,10 @@ along the columns, y along the rows, metres. :mod:`imgloc.geometry` converts, in
 that an origin with a yaw is honoured everywhere.
 """
 
+import hashlib
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, final
 
@@ -16,7 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from imgloc.equality import ByContent
-from imgloc.errors import ConfigError
+from imgloc.pose import MOUNTED as MOUNTED
+from imgloc.pose import Pose2D as Pose2D
+from imgloc.pose import check_mount as check_mount
 
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
@@ -28,8 +31,6 @@ FAR = 1e6
 
 LONGEST_SWEEP = 10.0
 """Seconds that no sensor takes for a scan."""
-MOUNTED = 5.0
-"""Largest distance of a sensor from the base of its robot, metres."""
 
 VERDICTS = ("unique", "ambiguous", "no-match", "invalid")
 SURE = VERDICTS[:2]  #: verdicts with which an answer has a pose
@@ -52,57 +53,6 @@ def freeze(record: Any, dtype: npt.DTypeLike, *names: str) -> None:
             array = np.array(array, dtype=dtype)
             array.flags.writeable = False
         object.__setattr__(record, name, array)
-
-
-@final
-@dataclass(frozen=True)
-class Pose2D:
-    """A pose in the plane: x, y in metres, theta in radians, counter-clockwise.
-
-    `theta` is wrapped to (-pi, pi] at construction.
-
-    Examples
-    --------
-    >>> round(Pose2D(1.0, 2.0, 3.5).theta, 4)
-    -2.7832
-    >>> x, y, theta = Pose2D(1.0, 2.0, 0.5)
-    >>> x, y, theta
-    (1.0, 2.0, 0.5)
-    """
-
-    x: float
-    y: float
-    theta: float = 0.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "x", float(self.x))
-        object.__setattr__(self, "y", float(self.y))
-        theta = math.remainder(self.theta, math.tau)
-        object.__setattr__(self, "theta", math.pi if theta <= -math.pi else theta)
-
-    def __iter__(self) -> Iterator[float]:
-        """Yield x, y and theta."""
-        return iter((self.x, self.y, self.theta))
-
-
-def check_mount(mount: Pose2D, name: str) -> None:
-    """Raise a ConfigError if a sensor sits more than :data:`MOUNTED` metres from its robot's base.
-
-    `mount` is the pose of the sensor on the robot. The message calls it `name`.
-
-    Examples
-    --------
-    >>> check_mount(Pose2D(20.0, 0.0), "--sensor")
-    Traceback (most recent call last):
-        ...
-    imgloc.errors.ConfigError: --sensor: got 20,0: 20 m from the robot's base, expected at most 5 \
-m; are these centimetres, or millimetres? write metres
-    """
-    if not (away := math.hypot(mount.x, mount.y)) <= MOUNTED:
-        raise ConfigError(
-            f"{name}: got {mount.x:g},{mount.y:g}: {away:g} m from the robot's base, expected at "
-            f"most {MOUNTED:g} m; are these centimetres, or millimetres? write metres"
-        )
 
 
 def compose(a: Pose2D, b: Pose2D) -> Pose2D:
@@ -310,6 +260,13 @@ class LaserScan(ByContent):
         with np.errstate(invalid="ignore"):
             beyond = np.isfinite(self.ranges) & (self.ranges >= min(self.range_max, FAR))
             return np.asarray(beyond | (self.ranges == np.inf), dtype=np.bool_)
+
+    @property
+    def digest(self) -> str:
+        """What tells the readings, angles and limits from those of other scans."""
+        parts = (np.array([self.range_min, self.range_max]), self.ranges, self.angles)
+        held = b"".join(part.tobytes() for part in parts)
+        return hashlib.blake2b(held, digest_size=8).hexdigest()
 
     @property
     def duration(self) -> float:
@@ -654,6 +611,8 @@ class Localization(ByContent):
         Pose of the scan's sensor on the robot.
     protection : tuple of Protection
         Radius and heading around the best pose that hold the true one, at 95, 99 and 99.9 %.
+    scan : str
+        :attr:`LaserScan.digest` of the scan that was answered; empty if it is not known.
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -668,6 +627,7 @@ class Localization(ByContent):
     evidence: Evidence = field(default_factory=Evidence)
     T_base_laser: Pose2D | None = None
     protection: tuple[Protection, ...] = ()
+    scan: str = ""
 
     @property
     def best(self) -> Pose2D | None:

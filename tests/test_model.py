@@ -81,7 +81,8 @@ def test_an_array_that_nobody_can_write_to_is_not_copied():
     scan = LaserScan(ranges, [0.0, 0.1, 0.2])
     assert scan.ranges is ranges
     assert np.shares_memory(LaserScan(scan.ranges[1:], scan.angles[1:]).ranges, ranges)
-    assert not np.shares_memory(LaserScan(scan.ranges.astype(np.float32), scan.angles).ranges, ranges)
+    other = LaserScan(scan.ranges.astype(np.float32), scan.angles)
+    assert not np.shares_memory(other.ranges, ranges)
     assert not np.shares_memory(scan.flipped.angles, scan.angles)
 
 

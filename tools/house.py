@@ -18,8 +18,8 @@ from tools.script import parser_of, table_lines
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = (
-    "__about__", "doors", "equality", "errors", "numbers", "ranges", "model", "geometry", "texts",
-    "options", "io", "features", "likelihoods", "search", "pipeline", "answers", "choice",
+    "__about__", "doors", "equality", "errors", "numbers", "ranges", "pose", "model", "geometry",
+    "texts", "options", "io", "features", "likelihoods", "search", "pipeline", "answers", "choice",
     "filters", "simulation", "runs", "output", "live", "cli",
 )  # fmt: skip
 BEHIND = ("plans", "lab")

@@ -128,10 +128,17 @@ def explain(
     answer : Localization
         What :func:`imgloc.pipeline.localize` returned for these features, scan and options.
     options : Options, optional
+
+    Raises
+    ------
+    ConfigError
+        If the answer is that of another scan.
     """
     expect(features, MapFeatures, "features")
     expect(scan, LaserScan, "scan")
     expect(answer, Localization, "answer")
+    if answer.scan not in ("", scan.digest):
+        raise ConfigError(f"answer: got that of another scan than {scan!r}, expected its own")
     options, said = options or Options(), answer.evidence
     # With the error that the answer has allowed for.
     scan, grid = scan.scaled(said.scale), features.grid

@@ -523,10 +523,14 @@ def _depth(mask: BoolArray) -> Float32Array:
 
 
 def _opened(mask: BoolArray, thickness: float) -> BoolArray:
-    """The parts of a mask that are at least about so many pixels thick, where they were."""
-    side = 2 * int(thickness / 2) + 1  # if it were even, MORPH_OPEN would shift them by a pixel
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0
+    """The parts of a mask that are at least so many pixels thick, where they were."""
+    side = max(1, round(thickness))
+    radius, off = (side - 1) / 2, np.arange(side) - (side - 1) / 2
+    # If the side is even, MORPH_OPEN shifts by a pixel, and MORPH_ELLIPSE is lopsided.
+    disc = (abs(off) <= np.sqrt(radius**2 - off[:, None] ** 2) + 0.5).astype(np.uint8)
+    after, before = (side // 2,) * 2, ((side - 1) // 2,) * 2
+    cores = cv2.erode(np.pad(mask, 1).astype(np.uint8), disc, anchor=after)
+    return cv2.dilate(cores, disc, anchor=before)[1:-1, 1:-1] > 0
 
 
 def _grown(mask: BoolArray, by: int) -> BoolArray:
