@@ -7,6 +7,7 @@ from dataclasses import fields, is_dataclass
 import numpy as np
 import pytest
 
+from imgloc import Pose2D
 from imgloc import options as module
 from imgloc.errors import ConfigError
 from imgloc.filters.motion import MotionNoise

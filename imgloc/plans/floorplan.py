@@ -602,7 +602,7 @@ def _sheet(
     limit = float(threshold_otsu(grey)) if ink is None else 255 * (1 - ink)
     dark = grey <= limit
     if dark.all() or not dark.any():
-        raise MapError("nothing is darker than the paper around it, expected dark walls")
+        raise MapError("nothing is dark as ink against the paper around it, expected dark walls")
     tones = np.array([np.median(grey[dark]), np.median(grey[~dark])])
     faint = limit if ink is not None else max(limit, _LIGHT @ tones)
     high, wide = (side * resolution for side in grey.shape)

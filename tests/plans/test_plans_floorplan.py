@@ -313,11 +313,12 @@ def test_what_is_no_plan_is_refused() -> None:
         (recorded, "greys of a map that a robot made"),
         (np.full((50, 50), 255, np.uint8), "one tone only"),
         (words, "no walls found"),
-        (np.pad(np.full((19, 30), 70, np.uint8), 2, constant_values=255), "nothing is darker"),
         (shed, "they enclose nothing"),
     ):
         with pytest.raises(MapError, match=said):
             plan_to_map(image, 0.02)
+    with pytest.raises(MapError, match="nothing is dark as ink"):
+        plan_to_map(np.maximum(shed, 100), 0.02, ink=0.99)
     with pytest.raises(ConfigError, match=r"`thickest=0\.5`"):
         plan_to_map(shed, 0.02, thinnest=0.6)
 
