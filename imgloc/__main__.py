@@ -1,6 +1,10 @@
 """The command ``imgloc``, and ``python -m imgloc``: however early it is interrupted."""
 
 import sys
+from pathlib import Path
+
+if not __package__:  # run as a file: its folder hides modules of the standard library
+    sys.path[:] = [str(Path(__file__).resolve().parents[1]), *sys.path[1:]]
 
 
 def main() -> None:

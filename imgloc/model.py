@@ -6,16 +6,20 @@ along the columns, y along the rows, metres. :mod:`imgloc.geometry` converts, in
 that an origin with a yaw is honoured everywhere.
 """
 
+import hashlib
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, final
 
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.errors import ConfigError
+from imgloc.equality import ByContent
+from imgloc.pose import MOUNTED as MOUNTED
+from imgloc.pose import Pose2D as Pose2D
+from imgloc.pose import check_mount as check_mount
 
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
@@ -27,8 +31,6 @@ FAR = 1e6
 
 LONGEST_SWEEP = 10.0
 """Seconds that no sensor takes for a scan."""
-MOUNTED = 5.0
-"""Largest distance of a sensor from the base of its robot, metres."""
 
 VERDICTS = ("unique", "ambiguous", "no-match", "invalid")
 SURE = VERDICTS[:2]  #: verdicts with which an answer has a pose
@@ -37,63 +39,20 @@ SURE = VERDICTS[:2]  #: verdicts with which an answer has a pose
 _CODES = 2  # most numbers that one sensor uses for "nothing seen"
 
 
-def _freeze(record: Any, dtype: npt.DTypeLike, *names: str) -> None:
-    """Make fields read-only arrays of `dtype`, leaving the caller's own writable."""
+def freeze(record: Any, dtype: npt.DTypeLike, *names: str) -> None:
+    """Make fields read-only arrays of `dtype` that nobody else can write to: copies, if need be.
+
+    An array that is read-only itself, and so is what it is a view of, is taken as it is.
+    """
     for name in names:
-        array = np.asarray(getattr(record, name), dtype=dtype).view()
-        array.flags.writeable = False
+        array = at = getattr(record, name)
+        while isinstance(at, np.ndarray) and not at.flags.writeable and at.base is not None:
+            at = at.base
+        own = isinstance(at, np.ndarray) and not at.flags.writeable and array.dtype == dtype
+        if not own:
+            array = np.array(array, dtype=dtype)
+            array.flags.writeable = False
         object.__setattr__(record, name, array)
-
-
-@final
-@dataclass(frozen=True)
-class Pose2D:
-    """A pose in the plane: x, y in metres, theta in radians, counter-clockwise.
-
-    `theta` is wrapped to (-pi, pi] at construction.
-
-    Examples
-    --------
-    >>> round(Pose2D(1.0, 2.0, 3.5).theta, 4)
-    -2.7832
-    >>> x, y, theta = Pose2D(1.0, 2.0, 0.5)
-    >>> x, y, theta
-    (1.0, 2.0, 0.5)
-    """
-
-    x: float
-    y: float
-    theta: float = 0.0
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "x", float(self.x))
-        object.__setattr__(self, "y", float(self.y))
-        theta = math.remainder(self.theta, math.tau)
-        object.__setattr__(self, "theta", math.pi if theta <= -math.pi else theta)
-
-    def __iter__(self) -> Iterator[float]:
-        """Yield x, y and theta."""
-        return iter((self.x, self.y, self.theta))
-
-
-def check_mount(mount: Pose2D, name: str) -> None:
-    """Raise a ConfigError if a sensor sits more than :data:`MOUNTED` metres from its robot's base.
-
-    `mount` is the pose of the sensor on the robot. The message calls it `name`.
-
-    Examples
-    --------
-    >>> check_mount(Pose2D(20.0, 0.0), "--sensor")
-    Traceback (most recent call last):
-        ...
-    imgloc.errors.ConfigError: --sensor: got 20,0: 20 m from the robot's base, expected at most 5 \
-m; are these centimetres, or millimetres? write metres
-    """
-    if not (away := math.hypot(mount.x, mount.y)) <= MOUNTED:
-        raise ConfigError(
-            f"{name}: got {mount.x:g},{mount.y:g}: {away:g} m from the robot's base, expected at "
-            f"most {MOUNTED:g} m; are these centimetres, or millimetres? write metres"
-        )
 
 
 def compose(a: Pose2D, b: Pose2D) -> Pose2D:
@@ -151,8 +110,8 @@ class GridInfo:
         return self.height, self.width
 
 
-@dataclass(frozen=True, repr=False)
-class OccupancyGrid:
+@dataclass(frozen=True, repr=False, eq=False)
+class OccupancyGrid(ByContent):
     """A map: its occupied and its free cells. A cell that is neither is unknown.
 
     Row 0 is the lowest y (the order of nav_msgs/OccupancyGrid): images are flipped once when
@@ -180,7 +139,7 @@ class OccupancyGrid:
     origin: Pose2D = field(default_factory=lambda: Pose2D(0.0, 0.0, 0.0))
 
     def __post_init__(self) -> None:
-        _freeze(self, np.bool_, "occupied", "free")
+        freeze(self, np.bool_, "occupied", "free")
         occupied, free = self.occupied.shape, self.free.shape
         if len(occupied) != 2 or occupied != free:
             raise ValueError(f"occupied {occupied} and free {free} must be images of one shape")
@@ -189,6 +148,8 @@ class OccupancyGrid:
             raise ValueError(f"cell [{row}, {column}] is both occupied and free")
         if not np.isfinite(self.resolution) or self.resolution <= 0:
             raise ValueError(f"resolution must be positive, got {self.resolution}")
+        if not np.isfinite([*self.origin]).all():
+            raise ValueError(f"origin must be finite metres and a yaw, got {self.origin}")
 
     def __repr__(self) -> str:
         height, width = self.occupied.shape
@@ -214,8 +175,8 @@ class OccupancyGrid:
         return ~(self.occupied | self.free)
 
 
-@dataclass(frozen=True, repr=False)
-class LaserScan:
+@dataclass(frozen=True, repr=False, eq=False)
+class LaserScan(ByContent):
     """One 2-D scan as it was recorded. Which readings count follows from REP 117.
 
     Parameters
@@ -255,7 +216,7 @@ class LaserScan:
     laser: str = ""
 
     def __post_init__(self) -> None:
-        _freeze(self, np.float64, "ranges", "angles")
+        freeze(self, np.float64, "ranges", "angles")
         ranges, angles = self.ranges.shape, self.angles.shape
         if len(ranges) != 1 or ranges != angles:
             raise ValueError(f"ranges {ranges} and angles {angles} must be vectors of one length")
@@ -303,6 +264,13 @@ class LaserScan:
         with np.errstate(invalid="ignore"):
             beyond = np.isfinite(self.ranges) & (self.ranges >= min(self.range_max, FAR))
             return np.asarray(beyond | (self.ranges == np.inf), dtype=np.bool_)
+
+    @property
+    def digest(self) -> str:
+        """What tells the readings, angles and limits from those of other scans."""
+        parts = (np.array([self.range_min, self.range_max]), self.ranges, self.angles)
+        held = b"".join(part.tobytes() for part in parts)
+        return hashlib.blake2b(held, digest_size=8).hexdigest()
 
     @property
     def duration(self) -> float:
@@ -397,8 +365,8 @@ class LaserScan:
         }
 
 
-@dataclass(frozen=True, repr=False)
-class OrientedPoints:
+@dataclass(frozen=True, repr=False, eq=False)
+class OrientedPoints(ByContent):
     """Points of a surface with its directed normals.
 
     Parameters
@@ -420,8 +388,8 @@ class OrientedPoints:
     valid: BoolArray
 
     def __post_init__(self) -> None:
-        _freeze(self, np.float64, "xy", "alpha", "sigma_alpha")
-        _freeze(self, np.bool_, "valid")
+        freeze(self, np.float64, "xy", "alpha", "sigma_alpha")
+        freeze(self, np.bool_, "valid")
         n = len(self.xy)
         others = {self.alpha.shape, self.sigma_alpha.shape, self.valid.shape}
         if self.xy.shape != (n, 2) or others != {(n,)}:
@@ -443,8 +411,8 @@ class OrientedPoints:
         )
 
 
-@dataclass(frozen=True, repr=False)
-class Likelihood:
+@dataclass(frozen=True, repr=False, eq=False)
+class Likelihood(ByContent):
     """A likelihood for every pose of a lattice, as a stack of images.
 
     Parameters
@@ -469,8 +437,8 @@ class Likelihood:
     scan: LaserScan | None = None
 
     def __post_init__(self) -> None:
-        _freeze(self, np.float32, "values")
-        _freeze(self, np.float64, "thetas")
+        freeze(self, np.float32, "values")
+        freeze(self, np.float64, "thetas")
         shape = (len(self.thetas), *self.grid.shape)
         if self.values.shape != shape:
             raise ValueError(
@@ -484,8 +452,8 @@ class Likelihood:
 
 
 @final
-@dataclass(frozen=True)
-class Hypothesis:
+@dataclass(frozen=True, eq=False)
+class Hypothesis(ByContent):
     """A pose that fits the scan.
 
     Parameters
@@ -509,7 +477,7 @@ class Hypothesis:
     covariance: FloatArray
 
     def __post_init__(self) -> None:
-        _freeze(self, np.float64, "covariance")
+        freeze(self, np.float64, "covariance")
 
 
 @dataclass(frozen=True)
@@ -570,8 +538,8 @@ class Floor:
     share: float  #: of the valid readings that end on the floor, 0..1
 
 
-@dataclass(frozen=True)
-class Evidence:
+@dataclass(frozen=True, eq=False)
+class Evidence(ByContent):
     """The evidence for the masses and the verdict of an answer."""
 
     readings: int = 0  #: number of readings that were scored
@@ -607,7 +575,7 @@ class Evidence:
     unlisted: float = 0.0  #: mass on this map that is at none of the listed hypotheses
 
     def __post_init__(self) -> None:
-        _freeze(self, np.float64, "log_volume")
+        freeze(self, np.float64, "log_volume")
 
     @property
     def net(self) -> float:
@@ -615,8 +583,8 @@ class Evidence:
         return self.gained - self.against
 
 
-@dataclass(frozen=True)
-class Localization:
+@dataclass(frozen=True, eq=False)
+class Localization(ByContent):
     """The answer for one scan.
 
     Parameters
@@ -634,7 +602,7 @@ class Localization:
     counts : mapping
         Number of valid readings, and of those dropped for each reason.
     timings_ms : mapping
-        Wall time of each step, milliseconds.
+        Wall time of each step, milliseconds; answers are equal whatever it is.
     parameters : mapping
         Every parameter that decided the answer, with the seed.
     complete : bool
@@ -647,6 +615,8 @@ class Localization:
         Pose of the scan's sensor on the robot.
     protection : tuple of Protection
         Radius and heading around the best pose that hold the true one, at 95, 99 and 99.9 %.
+    scan : str
+        :attr:`LaserScan.digest` of the scan that was answered; empty if it is not known.
     """
 
     hypotheses: tuple[Hypothesis, ...]
@@ -654,13 +624,14 @@ class Localization:
     entropy: float
     explained: float
     counts: Mapping[str, int] = field(default_factory=dict)
-    timings_ms: Mapping[str, float] = field(default_factory=dict)
+    timings_ms: Mapping[str, float] = field(default_factory=dict, compare=False)
     parameters: Mapping[str, Any] = field(default_factory=dict)
     complete: bool = True
     elsewhere: float = 1.0
     evidence: Evidence = field(default_factory=Evidence)
     T_base_laser: Pose2D | None = None
     protection: tuple[Protection, ...] = ()
+    scan: str = ""
 
     @property
     def best(self) -> Pose2D | None:

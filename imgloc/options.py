@@ -11,15 +11,19 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
+from imgloc.equality import ByContent
 from imgloc.errors import ConfigError
 from imgloc.numbers import number
+from imgloc.pose import Pose2D, check_mount
 from imgloc.ranges import Checked, Doc, OneOf, Option, Within, option
 from imgloc.texts import byte_count, metres_degrees, numbers, pose
 
 if TYPE_CHECKING:
-    from imgloc.model import BoolArray, FloatArray, LaserScan, Pose2D, Temperature
-else:  # help reads these declarations, and has no time for NumPy
-    BoolArray = FloatArray = LaserScan = Pose2D = Temperature = Any
+    from imgloc.model import BoolArray, FloatArray, LaserScan, Temperature
+
+    _Cells = BoolArray
+else:  # help reads the fields, and has no time for NumPy
+    _Cells = Any
 
 Metres = Annotated[float, Within(0, 1e6, "metres")]
 Length = Annotated[float, Within(1e-4, 1e6, "metres")]  #: of something that has one
@@ -125,8 +129,8 @@ def _default(method: str) -> Calibration:
 DEFAULTS: Mapping[str, Calibration] = MappingProxyType({name: _default(name) for name in METHODS})
 
 
-@dataclass(frozen=True)
-class Prior(Checked):
+@dataclass(frozen=True, eq=False)
+class Prior(ByContent, Checked):
     """A set of poses; None is all of them.
 
     Examples
@@ -137,11 +141,18 @@ class Prior(Checked):
     [True, False, False]
     """
 
-    cells: BoolArray | None = None  #: (H, W) those of the map in which the sensor may be
+    cells: _Cells | None = None  #: (H, W) those of the map in which the sensor may be
     #: in the grid frame, and how far it may be off, radians
     heading: tuple[Heading, Radians] | None = None
     #: what it was made of, as plain values, for the record
     about: Mapping[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.cells is not None:
+            from imgloc.model import freeze
+
+            freeze(self, "bool", "cells")
 
     def __and__(self, other: "Prior") -> "Prior":
         """The poses that both allow; a ConfigError if both state a heading."""
@@ -154,7 +165,7 @@ class Prior(Checked):
         heading = self.heading if self.heading is not None else other.heading
         return Prior(cells, heading, {**self.about, **other.about})
 
-    def admits(self, poses: FloatArray, resolution: float) -> BoolArray:
+    def admits(self, poses: "FloatArray", resolution: float) -> "BoolArray":
         """Which poses (C, 3), grid frame, are in the set: (C,) bool."""
         from imgloc.geometry import cell_of, inside
         from imgloc.model import GridInfo
@@ -169,7 +180,7 @@ class Prior(Checked):
             ok &= on_map
         return ok
 
-    def headings(self, thetas: FloatArray, slack: float = 0.0) -> BoolArray:
+    def headings(self, thetas: "FloatArray", slack: float = 0.0) -> "BoolArray":
         """Which headings are in the set, or less than `slack` beside it: bool, as `thetas`."""
         import numpy as np
 
@@ -348,7 +359,9 @@ class Trust(Checked):
     #: number of neighbouring readings that share one error, for the covariances
     correlated: Factor = number("Trust.correlated")
 
-    def temperature_at(self, misfit: float, readings: int = 100, cell: float = 0.0) -> Temperature:
+    def temperature_at(
+        self, misfit: float, readings: int = 100, cell: float = 0.0
+    ) -> "Temperature":
         """Temperature for a misfit in nats per reading, readings, and the cell of a map in metres.
 
         Examples
@@ -475,7 +488,7 @@ class Options(Checked):
         """The parameters of the score, on walls that are as bent as `shared` says."""
         return self.fused.model.bending(self.shared.bent, self.fused.bending)
 
-    def listed(self, share: FloatArray) -> int:
+    def listed(self, share: "FloatArray") -> int:
         """How many hypotheses of these shares (M,), in their order, are listed.
 
         Examples
@@ -515,7 +528,7 @@ class Options(Checked):
         return math.radians(method.theta_step_deg)
 
     @property
-    def thetas(self) -> FloatArray:
+    def thetas(self) -> "FloatArray":
         """Headings that are `step` or less apart, radians."""
         from imgloc.geometry import uniform_thetas
 
@@ -819,16 +832,14 @@ class Mounting(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.sensor is not None:
-            from imgloc.model import check_mount
-
             check_mount(self.sensor, "`sensor`")
 
-    def check(self, scans: Iterable[LaserScan]) -> None:
+    def check(self, scans: "Iterable[LaserScan]") -> None:
         """Refuse one pose for several lasers that say where they sit."""
         if self.sensor is not None and len({scan.laser for scan in scans}) > 1:
             raise ConfigError("`sensor`: the log has several lasers, each with a place of its own")
 
-    def mount(self, scan: LaserScan) -> LaserScan:
+    def mount(self, scan: "LaserScan") -> "LaserScan":
         """The scan as that of a sensor that is mounted upright, with the mounting pose given."""
         scan = scan.flipped if self.flipped else scan
         return scan if self.sensor is None else replace(scan, T_base_laser=self.sensor)
@@ -871,12 +882,6 @@ class Drawn(Checked):
         return replace(known, thinner=thinner, bent=bent, straight=self.bent == 0)
 
 
-def _on_base() -> Pose2D:
-    from imgloc.model import Pose2D
-
-    return Pose2D(0.0, 0.0)
-
-
 @dataclass(frozen=True)
 class Sensor(Checked):
     """A simulated laser; the defaults are that of Sec. VI, with a reach of 30 m.
@@ -910,13 +915,11 @@ class Sensor(Checked):
         "--sensor",
         metavar="X,Y,YAW",
         parse=pose,
-        factory=_on_base,
+        factory=lambda: Pose2D(0.0, 0.0),
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        from imgloc.model import check_mount
-
         check_mount(self.mount, "`sensor`")
 
 

@@ -10,7 +10,7 @@ from command import MAPS, call, rows
 from imgloc.choice.choose import LUCK, choose, fit, log_evidence, names_of, unknown_evidence
 from imgloc.errors import ConfigError
 from imgloc.io.folders import find_maps
-from imgloc.io.maps import save_map
+from imgloc.io.maps import load_map, save_map
 from imgloc.model import Evidence, Hypothesis, Localization, OccupancyGrid, Pose2D
 from imgloc.options import Options, Sensor, Trust
 from imgloc.pipeline import prepare
@@ -23,11 +23,13 @@ def made(*scores: float, log_volume: float = -10.0) -> Localization:
     """An answer by 100 readings, each worth 1.5 nats at best, and half a nat on no map."""
     hypotheses = tuple(Hypothesis(Pose2D(0, 0), s, 0.5, np.eye(3)) for s in scores)
     misfit = 1.5 - scores[0] / 100 if scores else np.nan
-    temperature = Trust().temperature_at(misfit).value
-    gained = (scores[0] - 50) / temperature if scores else np.nan
+    temperature = Trust().temperature_at(misfit)
+    gained = (scores[0] - 50) / temperature.value if scores else np.nan
     volume = np.full(len(scores), log_volume)
     against = contradiction(misfit, 1.0, 0.0) if scores else 0.0
-    evidence = Evidence(100, 1.5, misfit, 0.5, gained, against, log_volume=volume)
+    evidence = Evidence(
+        100, 1.5, misfit, 0.5, gained, against, log_volume=volume, temperature=temperature
+    )
     return Localization(hypotheses, "unique", 0.0, 1.0, evidence=evidence)
 
 
@@ -106,6 +108,16 @@ def test_an_unknown_building_may_lead_the_third_best() -> None:
 def test_the_temperature_is_that_of_the_best_fit() -> None:
     both = choose({"a": made(140.0), "b": made(-100.0)})
     assert both.temperature == choose({"a": made(140.0)}).temperature
+
+
+def test_the_temperature_is_the_answers_own_with_the_size_of_the_cells() -> None:
+    grid = load_map(MAPS / "visibility.yaml")
+    scan, (height, width) = simulate(grid, 1, seed=4)[0], grid.info.shape
+    fine = grid.occupied[: height // 4 * 4, : width // 4 * 4]
+    walls = fine.reshape(height // 4, 4, width // 4, 4).any(axis=(1, 3))
+    answer = fit(prepare(OccupancyGrid(walls, ~walls, 4 * grid.resolution, grid.origin)), scan)
+    assert answer.evidence.temperature.cell > 1
+    assert choose({"coarse": answer}).temperature == answer.evidence.temperature.value
 
 
 def test_the_order_of_the_maps_does_not_matter() -> None:

@@ -1,6 +1,8 @@
 """ROS messages, whoever made them: rclpy, rosbags, or mappings."""
 
+import contextlib
 import math
+from collections.abc import Iterator
 from types import SimpleNamespace
 
 import numpy as np
@@ -110,6 +112,48 @@ def test_a_scan_without_a_stamp_has_the_time_when_it_came() -> None:
 def test_a_map_that_contradicts_itself_is_refused(change) -> None:
     with pytest.raises(MapError, match="expected"):
         messages.grid_from_msg(GRID | {"info": INFO | change})
+
+
+ODD = (None, "text", 200, -5.5, 1e400, math.nan, [], [None], [200, 0, 0, 0, 0, 0], {}, b"\xff")
+
+
+def broken(message: dict) -> Iterator[dict]:
+    """The message without each of its fields, and with something odd in place of each."""
+    for key, value in message.items():
+        yield {name: item for name, item in message.items() if name != key}
+        yield from ({**message, key: odd} for odd in ODD)
+        if isinstance(value, dict):
+            yield from ({**message, key: part} for part in broken(value))
+
+
+@pytest.mark.parametrize(
+    ("message", "read", "error"),
+    [(SCAN, messages.scan_from_msg, ScanError), (GRID, messages.grid_from_msg, MapError)],
+    ids=["scan", "map"],
+)
+@pytest.mark.parametrize("shape", [dict, as_object], ids=NAMES[:2])
+def test_what_is_no_message_is_refused_with_its_name(message, read, error, shape) -> None:
+    for one in [*broken(message), [1, 2], None, {}]:
+        with contextlib.suppress(error):
+            read(shape(one) if isinstance(one, dict) else one, "/topic")
+
+
+@pytest.mark.parametrize(
+    ("read", "message", "said"),
+    [
+        (messages.grid_from_msg, GRID | {"data": [200, 0, 0, 0, 0, 0]}, "data: expected whole"),
+        (messages.grid_from_msg, GRID | {"data": None}, "a field is of another kind"),
+        (messages.grid_from_msg, {"info": INFO}, "it has no field 'data'"),
+        (messages.grid_from_msg, GRID | {"info": {"width": 3, "height": 2, "resolution": 0.05}},
+         "it has no field 'origin'"),
+        (messages.scan_from_msg, {k: v for k, v in SCAN.items() if k != "angle_max"},
+         "it has no field 'angle_max'"),
+    ],
+)  # fmt: skip
+def test_the_field_of_a_message_that_is_missing_is_named(read, message, said) -> None:
+    for shape in (dict, as_object):
+        with pytest.raises((MapError, ScanError), match=f"^/topic: {said}"):
+            read(shape(message), "/topic")
 
 
 def test_odometry_is_seconds_and_a_pose() -> None:

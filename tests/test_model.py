@@ -1,5 +1,6 @@
 """The types that flow: what they refuse, what they derive, and that nobody can change them."""
 
+import copy
 import dataclasses
 
 import numpy as np
@@ -11,6 +12,7 @@ from hypothesis.extra.numpy import arrays
 from imgloc.errors import ConfigError
 from imgloc.model import (
     VERDICTS,
+    Evidence,
     GridInfo,
     Hypothesis,
     LaserScan,
@@ -20,6 +22,7 @@ from imgloc.model import (
     OrientedPoints,
     Pose2D,
 )
+from imgloc.options import Options, Prior
 
 INF, NAN = float("inf"), float("nan")
 
@@ -59,11 +62,63 @@ def test_arrays_are_read_only(name):
         array[...] = 0
 
 
-def test_the_callers_own_array_stays_writable():
-    mine = np.array([[True, False]])
-    OccupancyGrid(mine, ~mine, 0.1)
-    mine[0, 0] = False
-    assert mine.flags.writeable
+def test_what_the_caller_does_to_an_array_later_changes_nothing():
+    walls, buffer = np.array([[True, False]]), np.array([1.0, 2.0])
+    held, view = buffer.view(), buffer[:]
+    held.flags.writeable = False  # but not what it is a view of
+    made = OccupancyGrid(walls, ~walls, 0.1), LaserScan(buffer, held), Prior(walls)
+    made += (Hypothesis(Pose2D(0, 0), 0.0, 1.0, np.broadcast_to(buffer[:1], (3, 3))),)
+    before = copy.deepcopy(made)
+    walls[:], view[:] = True, 7.0
+    assert made == before
+    assert walls.flags.writeable
+    assert buffer.flags.writeable
+
+
+def test_an_array_that_nobody_can_write_to_is_not_copied():
+    ranges = np.array([1.0, 2.0, 3.0])
+    ranges.flags.writeable = False
+    scan = LaserScan(ranges, [0.0, 0.1, 0.2])
+    assert scan.ranges is ranges
+    assert np.shares_memory(LaserScan(scan.ranges[1:], scan.angles[1:]).ranges, ranges)
+    other = LaserScan(scan.ranges.astype(np.float32), scan.angles)
+    assert not np.shares_memory(other.ranges, ranges)
+    assert not np.shares_memory(scan.flipped.angles, scan.angles)
+
+
+def test_what_holds_the_same_is_equal_and_has_one_hash():
+    for name in ("grid", "scan", "points", "stack", "answer", "prior"):
+        one, same, other = (holding(name, at) for at in (1.0, 1.0, 2.0))
+        assert one == same, name
+        assert hash(one) == hash(same), name
+        assert one != other, name
+        assert one != "something else"
+        assert same in [other, one], name
+        assert len({one, same, other}) == 2, name
+
+
+def holding(name: str, at: float):
+    """Something with arrays in it, with NaN where that may be, made anew."""
+    walls = np.eye(2, dtype=bool)
+    return {
+        "grid": lambda: OccupancyGrid(walls, ~walls, at),
+        "scan": lambda: LaserScan([at, NAN], [0.0, 0.1], stamp=NAN),
+        "points": lambda: OrientedPoints([[at, 0.0]], [NAN], [0.0], [True]),
+        "stack": lambda: Likelihood(np.full((1, 1, 2), at), [0.0], GridInfo(1, 2, 0.1), "cbml"),
+        "answer": lambda: Localization(
+            (Hypothesis(Pose2D(at, 0.0), 1.0, 1.0, np.eye(3)),), "unique", 0.0, NAN,
+            counts={"valid": 3, "nan": 1}, timings_ms={"search": np.random.default_rng().random()},
+            parameters={"sigmas": [at, 2.0]}, evidence=Evidence(3, misfit=NAN),
+        ),
+        "prior": lambda: Options(prior=Prior(walls if at == 1 else ~walls, (0.0, at))),
+    }[name]()  # fmt: skip
+
+
+@pytest.mark.parametrize("origin", [(np.nan, 0, 0), (0, -np.inf, 0), (0, 0, np.nan)])
+def test_a_map_is_somewhere(origin):
+    walls = np.eye(2, dtype=bool)
+    with pytest.raises(ValueError, match="origin must be finite"):
+        OccupancyGrid(walls, ~walls, 0.1, Pose2D(*origin))
 
 
 @pytest.mark.parametrize("value", [Pose2D(0, 0), GridInfo(1, 1, 0.1), grid([[1]], [[0]]), points()])

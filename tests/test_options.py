@@ -7,6 +7,7 @@ from dataclasses import fields, is_dataclass
 import numpy as np
 import pytest
 
+from imgloc import Pose2D
 from imgloc import options as module
 from imgloc.errors import ConfigError
 from imgloc.filters.motion import MotionNoise
@@ -121,3 +122,10 @@ def test_all_options_are_checked() -> None:
     named = {kind for kind in kinds if kind.__module__ == module.__name__}
     assert named == {*KINDS, *SHOWN, Method, Tolerance}
     assert all(issubclass(kind, Checked) for kind in (*KINDS, *SHOWN, *OTHERS, Tolerance))
+
+
+def test_a_name_that_options_has_is_the_real_one() -> None:
+    assert module.Pose2D is Pose2D
+    assert not {"LaserScan", "BoolArray", "FloatArray", "Temperature"} & vars(module).keys()
+    with pytest.raises(ConfigError, match=r"Sensor.mount: got '1,2,3', expected Pose2D"):
+        Sensor(mount="1,2,3")

@@ -65,6 +65,8 @@ def test_branch_and_bound_shares_by_calibrated_scores(double_wall):
     assert mass[0] > 2 * mass[4]
     assert flat[0].mass == pytest.approx(flat[4].mass, rel=1e-3)
     assert flat[0].mass <= 1 / 20  # of all that were looked for
+    nats = [h.log_likelihood for h in sharp]
+    assert np.exp(np.subtract(nats, nats[0])) == pytest.approx(np.divide(mass, mass[0]))
 
 
 # --- headings of the prior

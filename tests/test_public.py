@@ -165,3 +165,88 @@ def test_a_new_user_s_python(tmp_path: Path) -> None:
         picture.save(tmp_path / "where.png")
     assert "pass `force=True` to overwrite it" in str(refused.value)
     picture.save(tmp_path / "where.png", force=True)
+
+
+# --- arguments that do not belong together
+
+
+@pytest.fixture(scope="module")
+def curved():
+    """The features of the bundled map, and two scans in it."""
+    features = imgloc.prepare(imgloc.load_map(MAPS / "curved.yaml"))
+    return features, imgloc.simulate(features.grid, 2, seed=1)
+
+
+def test_the_same_work_gives_equal_answers(curved):
+    features, scans = curved
+    one, same, other = (imgloc.localize(features, scans[k]) for k in (0, 0, 1))
+    assert one == same
+    assert hash(one) == hash(same)
+    assert one != other
+    assert one.timings_ms != same.timings_ms
+    assert imgloc.explain(features, scans[0], one) == imgloc.explain(features, scans[0], same)
+    assert scans == imgloc.simulate(features.grid, 2, seed=1)
+
+
+def test_the_answer_of_another_scan_is_not_explained(curved):
+    features, scans = curved
+    answer = imgloc.localize(features, scans[0])
+    assert imgloc.explain(features, scans[0], answer).fits
+    with pytest.raises(imgloc.ConfigError, match="answer: got that of another scan"):
+        imgloc.explain(features, scans[1], answer)
+
+
+def test_a_driver_may_use_its_buffer_again(curved):
+    features, scans = curved
+    expected = imgloc.localize(features, scans[0])
+    buffer = scans[0].ranges.copy()
+    with imgloc.Localizer(features.grid) as core:
+        core.localize_soon(scans[1], source="other")  # it is busy
+        asked = core.localize_soon(
+            LaserScan(buffer, scans[0].angles, range_max=scans[0].range_max), source="laser"
+        )
+        buffer[:] = scans[1].ranges
+        assert asked.result(60).value.hypotheses == expected.hypotheses
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "said"),
+    [
+        (lambda f, s: imgloc.map_changes(f.grid, [s[0]], [[np.nan, 0, 0]]), imgloc.ConfigError,
+         r"poses\[0\]: got \[nan, 0.0, 0.0\], expected metres and radians"),
+        (lambda f, s: imgloc.localize(f, s[0], Options(prior=imgloc.Prior(np.ones((3, 3))))),
+         imgloc.ConfigError, r"the prior has cells of shape \(3, 3\), expected that of the map"),
+        (lambda f, s: imgloc.save_scans("scans.npz", [s[0]]), TypeError,
+         r"scans must be ScanSet, got list .*ScanSet\(\[scan\]\) holds some"),
+    ],
+    ids=["changes", "prior", "scans"],
+)  # fmt: skip
+def test_arguments_that_cannot_be_are_refused(curved, call, error, said):
+    with pytest.raises(error, match=said):
+        call(*curved)
+
+
+@pytest.mark.parametrize(
+    ("pose", "deviation"),
+    [
+        ((np.nan, 0, 0), (0.1, 0.1)), ((5.0, 5.0, np.nan), (0.1, 0.1)),
+        ((5.0, 5.0, 0.0), (np.nan, 0.1)), ((5.0, 5.0, 0.0), (0.1, -1.0)),
+        ((5.0, 5.0, 0.0), (np.inf, 0.1)),
+    ],
+)  # fmt: skip
+def test_a_robot_starts_somewhere(curved, pose, deviation):
+    with imgloc.Localizer(curved[0].grid) as core:
+        robot = core.robot()
+        with pytest.raises(imgloc.ConfigError, match="pose: "):
+            robot.start_at(Pose2D(*pose), deviation)
+        robot.start_at(Pose2D(5.0, 5.0, 0.0), (0.0, 0.1))
+
+
+def test_the_file_of_the_command_runs_by_itself():
+    """Its folder has modules of the names of some in the standard library."""
+    run = subprocess.run(
+        [sys.executable, ROOT / "imgloc" / "__main__.py", "--version"],
+        capture_output=True, text=True, check=False, timeout=60,
+    )  # fmt: skip
+    assert (run.returncode, run.stderr) == (0, "")
+    assert run.stdout.startswith("imgloc ")

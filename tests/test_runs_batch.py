@@ -3,6 +3,9 @@
 import csv
 import json
 import os
+import re
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +14,11 @@ import numpy as np
 import PIL.Image
 import pytest
 from batches import QUICK, in_threads, site_in, timeless
-from command import call
+from command import ROOT, call
 from places import room_with_a_post
 
 from imgloc import doors, numbers
+from imgloc.doors import JOBS
 from imgloc.errors import ConfigError, MapError, OutputError
 from imgloc.geometry import wrap
 from imgloc.io.maps import save_map
@@ -27,10 +31,12 @@ from imgloc.output.export import columns_of
 from imgloc.output.report import render_report
 from imgloc.runs import results
 from imgloc.runs.batch import find_items, run_batch
-from imgloc.runs.jobs import Item, Job, make_job
+from imgloc.runs.jobs import Item, Job, job_class, make_job
 from imgloc.runs.opening import Desk, MapFiles, Means, ScanFiles
 from imgloc.runs.results import LOCK, RESULTS, SUMMARY, Results, read_rows
 from imgloc.simulation.scans import simulate
+
+ASKS = re.compile(r"number\(\s*f?\"(\w+)\.")
 
 
 @pytest.fixture(scope="module")
@@ -496,12 +502,27 @@ def test_a_place_is_known_of_one_map(site: Path, tmp_path: Path) -> None:
     assert "--near: is about one map, not about 2" in run.err
 
 
-def test_other_numbers_make_other_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = make_job("check").digest
-    assert make_job("check").digest == before
-    changed = replace(numbers.NUMBERS["Trust.mass"], value=0.95)
-    monkeypatch.setitem(numbers.NUMBERS, "Trust.mass", changed)
-    assert make_job("check").digest != before
+@pytest.mark.parametrize("name", JOBS)
+def test_other_numbers_make_other_rows_of_the_jobs_that_use_them(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A job uses those that its module asks for, and the modules that this one imports."""
+    before, module = make_job(name).digest, job_class(name).__module__
+    loaded = subprocess.run(
+        [sys.executable, "-c", f"import sys, {module}; print(*sys.modules)"],
+        capture_output=True, text=True, check=True,
+    ).stdout.split()  # fmt: skip
+    paths = [ROOT / (module.replace(".", "/") + ".py") for module in loaded if "imgloc." in module]
+    asked = {f for p in paths if p.exists() for f in ASKS.findall(p.read_text("utf-8"))}
+    # What is said beside the rows, and what options.py hands to another job.
+    asked -= {"diagnose", "logcheck", "scanmotion"} | ({"choose"} if name != "which" else set())
+    asked -= {"changes"} if name != "changes" else set()
+    for number, one in list(numbers.NUMBERS.items()):
+        value = tuple(2 * v for v in one.value) if isinstance(one.value, tuple) else one.value + 1
+        with monkeypatch.context() as changed:
+            changed.setitem(numbers.NUMBERS, number, replace(one, value=value))
+            other = make_job(name).digest != before
+        assert other == (name != "check" and number.split(".")[0] in asked), number
 
 
 def test_two_files_that_are_shown_by_one_name_are_refused(tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 from skimage.measure import block_reduce
 
+from imgloc.equality import ByContent
 from imgloc.errors import ConfigError, expect
 from imgloc.features.budget import MIB, check_budget
 from imgloc.features.mapfeatures import MapFeatures
@@ -61,8 +62,8 @@ _WORK = 10**10  # readings x headings x cells of the correlation that is drawn, 
 _CHUNK = 1 << 24  # cells of its stack at a time
 
 
-@dataclass(frozen=True)
-class RayFit:
+@dataclass(frozen=True, eq=False)
+class RayFit(ByContent):
     """What became of N rays at a pose.
 
     A ray that ``agrees`` ends on a surface that faces it, and met no wall before; the surface
@@ -82,8 +83,8 @@ class RayFit:
         return {kind: int(np.count_nonzero(self.kind == kind)) for kind in KINDS}
 
 
-@dataclass(frozen=True)
-class Layer:
+@dataclass(frozen=True, eq=False)
+class Layer(ByContent):
     """The maximum over theta of a likelihood, as a stack of one; or why there is none."""
 
     name: str
@@ -91,8 +92,8 @@ class Layer:
     likelihood: Likelihood | None
 
 
-@dataclass(frozen=True)
-class HypothesisFit:
+@dataclass(frozen=True, eq=False)
+class HypothesisFit(ByContent):
     """One hypothesis and the scan laid on the map there."""
 
     pose: Pose2D  #: map frame
@@ -103,8 +104,8 @@ class HypothesisFit:
     before: float  #: its mass if the true pose is one of those found
 
 
-@dataclass(frozen=True)
-class Explanation:
+@dataclass(frozen=True, eq=False)
+class Explanation(ByContent):
     """One answer, with what its :class:`~imgloc.model.Evidence` leaves out."""
 
     grid: OccupancyGrid
@@ -127,10 +128,17 @@ def explain(
     answer : Localization
         What :func:`imgloc.pipeline.localize` returned for these features, scan and options.
     options : Options, optional
+
+    Raises
+    ------
+    ConfigError
+        If the answer is that of another scan.
     """
     expect(features, MapFeatures, "features")
     expect(scan, LaserScan, "scan")
     expect(answer, Localization, "answer")
+    if answer.scan not in ("", scan.digest):
+        raise ConfigError(f"answer: got that of another scan than {scan!r}, expected its own")
     options, said = options or Options(), answer.evidence
     # With the error that the answer has allowed for.
     scan, grid = scan.scaled(said.scale), features.grid

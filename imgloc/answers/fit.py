@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.answers.explain import RayFit, explain_rays
+from imgloc.equality import ByContent
 from imgloc.errors import expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import one_per_place
@@ -36,8 +37,8 @@ _WIDTHS = number("fit.settle")
 _AROUND, _APART = number("fit.around"), number("fit.apart")
 
 
-@dataclass(frozen=True)
-class PoseFit:
+@dataclass(frozen=True, eq=False)
+class PoseFit(ByContent):
     """A scan laid on the map at a pose."""
 
     pose: Pose2D  #: of the sensor, map frame

@@ -20,6 +20,7 @@ import numpy as np
 from imgloc.answers.diagnose import OLD, UNITS, Doubt, Given, doubts, few_readings, unit_of
 from imgloc.answers.scanmotion import AGREES, Agreement, Way, agreement, overlap, straightening
 from imgloc.answers.truth import NOT_TRUE, poses_fit
+from imgloc.equality import ByContent
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import evenly
 from imgloc.io.scanset import ScanSet
@@ -70,8 +71,8 @@ class Finding:
         return f"{self.text}{' ' if self.text.endswith('?') else '. '}Pass {self.options}"
 
 
-@dataclass(frozen=True)
-class LogReport:
+@dataclass(frozen=True, eq=False)
+class LogReport(ByContent):
     """What is in a log, and what is likely to be wrong with it."""
 
     facts: Mapping[str, Any]  #: plain values, by name; metres, seconds, degrees as names say

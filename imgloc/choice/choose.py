@@ -228,7 +228,7 @@ def _more(fits: Sequence[Localization]) -> int:
         return FIRST - len(fits)
     if len(fits) >= MOST or not any(f.hypotheses for f in fits):
         return 0
-    _, temperature = _best(fits, Trust())
+    temperature = _best(fits).evidence.temperature.value
     evidence = [log_evidence(f, temperature) for f in fits]
     return NEXT if max(evidence[-NEXT:]) >= sorted(evidence)[-3] else 0
 
@@ -252,7 +252,10 @@ def choose(
     >>> def made(score):
     ...     pose = Hypothesis(Pose2D(0.0, 0.0), score, 1.0, np.eye(3))
     ...     fit, volume = 1.5 - score / 100, np.array([-9.0])
-    ...     evidence = Evidence(100, 1.5, fit, gained=9.0, log_volume=volume)
+    ...     heat = Trust().temperature_at(fit)
+    ...     evidence = Evidence(
+    ...         100, 1.5, fit, gained=9.0, log_volume=volume, temperature=heat
+    ...     )
     ...     return Localization((pose,), "unique", 0.0, 1.0, evidence=evidence)
     >>> choose({"cellar": made(-150.0), "attic": made(140.0)}).verdict
     'attic'
@@ -268,8 +271,8 @@ def choose(
         return Choice("invalid", blank, unknown, {}, trust.temperature, ruled_out)
     if not any(f.hypotheses for f in fits.values()):
         return Choice("none", dict.fromkeys(fits, 0.0), 1.0, {}, trust.temperature, ruled_out)
-    best, temperature = _best(fits.values(), trust)
-    said = best.evidence
+    best = _best(fits.values())
+    said, temperature = best.evidence, best.evidence.temperature.value
     evidence = {name: log_evidence(f, temperature) for name, f in fits.items()}
     top = max(evidence.values())
     order = sorted(evidence, key=lambda name: (-evidence[name], name))
@@ -289,10 +292,9 @@ def choose(
     return Choice(verdict, probability, none, relative, temperature, ruled_out)
 
 
-def _best(fits: Iterable[Localization], trust: Trust) -> tuple[Localization, float]:
-    """The answer that fits best among those with a pose, and its temperature."""
-    best = min((f for f in fits if f.hypotheses), key=lambda f: f.evidence.misfit)
-    return best, trust.temperature_at(best.evidence.misfit, best.evidence.readings).value
+def _best(fits: Iterable[Localization]) -> Localization:
+    """The answer that fits best among those with a pose."""
+    return min((f for f in fits if f.hypotheses), key=lambda f: f.evidence.misfit)
 
 
 def log_evidence(answer: Localization, temperature: float) -> float:

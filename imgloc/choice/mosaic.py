@@ -23,7 +23,7 @@ _ALIKE = 1.2  # largest factor between the widths of the maps of a mosaic
 _MOST = np.iinfo(np.uint8).max
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Mosaic:
     """The same level of some maps as one image."""
 

@@ -83,7 +83,7 @@ def wall_thickness(distance: Float32Array) -> float:
     return float(np.median(walls)) if len(walls) else 0.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class DistanceField:
     """Signed distance and its gradient, one 8-byte row per cell, for lookups by the million."""
 

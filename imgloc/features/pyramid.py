@@ -44,7 +44,7 @@ def coarse_info(grid: GridInfo, factor: int) -> GridInfo:
     return GridInfo(rows, columns, grid.resolution * factor, grid.origin)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Level:
     """One level of the pyramid."""
 
@@ -99,7 +99,7 @@ def pyramid(
     return tuple(out)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PooledMaps:
     """A blurred map max-pooled over blocks of 1, 2, 4 ... 2^top cells a side."""
 

@@ -123,7 +123,7 @@ def evenly(count: int, n: int) -> IntArray:
     return np.linspace(0, count - 1, min(n, count)).round().astype(np.int64)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Readings:
     """What a search sees of a scan: one reading for each place that the scan saw."""
 

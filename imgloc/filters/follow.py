@@ -284,8 +284,11 @@ class Follower:
     ) -> None:
         """Start at a pose, map frame, with standard deviations in metres and radians.
 
-        A pose outside of the map raises a ConfigError, which names the argument `given`.
+        A pose outside of the map raises a ConfigError, which names the argument `given`; so does
+        one that is not finite, or a deviation that is negative or not finite.
         """
+        if not all(0 <= value < np.inf for value in deviation):
+            raise ConfigError(f"{given}: deviation {deviation}, expected metres and radians from 0")
         self.filter.place(_local(given, pose, self.features), deviation)
 
     def begin_time(self) -> None:
@@ -525,7 +528,9 @@ def _check_kidnap(kidnap: Kidnap, features: MapFeatures, stamps: FloatArray) -> 
 
 
 def _local(given: str, pose: Pose2D, features: MapFeatures) -> FloatArray:
-    """`pose` in the grid frame, (3,); a ConfigError that names `given` if it is off the map."""
+    """`pose` in the grid frame, (3,); a ConfigError that names `given` if it is not on the map."""
+    if not np.isfinite([*pose]).all():
+        raise ConfigError(f"{given}: got {pose}, expected finite metres and radians")
     local, grid = in_grid_frame(pose, features.grid), features.grid
     height, width = np.array(grid.occupied.shape) * grid.resolution
     if not (0 <= local.x <= width and 0 <= local.y <= height):

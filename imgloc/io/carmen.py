@@ -51,7 +51,7 @@ _COUNTS = {"ROBOTLASER": (8, 14), "RAWLASER": (8, 3), "LASER": (8, 3), "Laser": 
 _FLASER = (1, 6)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Message:
     """What one line says of a laser."""
 

@@ -415,7 +415,9 @@ def grid_of(image: MapImage, settings: MapSettings) -> OccupancyGrid:
     if settings.mode == "raw":
         low, high = 100 * settings.free_thresh, 100 * settings.occupied_thresh
     free = (values >= 0) & (values <= low)
-    return OccupancyGrid(values >= high, free, settings.resolution, settings.origin)
+    occupied = values >= high
+    occupied.flags.writeable = free.flags.writeable = False  # nobody else has them: no copies
+    return OccupancyGrid(occupied, free, settings.resolution, settings.origin)
 
 
 def occupancy(image: MapImage, settings: MapSettings) -> npt.NDArray[np.int8]:

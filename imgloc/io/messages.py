@@ -5,12 +5,13 @@ A message is any object with the fields of its type: one of rclpy, one of rosbag
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
-from imgloc.errors import ConfigError, MapError, expect
+from imgloc.errors import ConfigError, ImglocError, MapError, ScanError, expect
 from imgloc.io.mapyaml import RESOLUTION_RANGE
 from imgloc.io.scanset import collect
 from imgloc.model import FloatArray, LaserScan, OccupancyGrid, Pose2D
@@ -37,6 +38,18 @@ def field(message: Any, path: str) -> Any:
     for name in path.split("."):
         message = message[name] if isinstance(message, Mapping) else getattr(message, name)
     return message
+
+
+@contextmanager
+def _fields_of(error: type[ImglocError], name: str) -> Iterator[None]:
+    """Any field that is missing, or of another kind, is an `error` about the message `name`."""
+    try:
+        yield
+    except (KeyError, AttributeError) as e:
+        key = e.args[0] if isinstance(e, KeyError) else e.name
+        raise error(f"{name}: it has no field {key!r}") from None
+    except (TypeError, ValueError, OverflowError) as e:
+        raise error(f"{name}: a field is of another kind: {e}") from None
 
 
 def _optional(message: Any, path: str) -> Any:
@@ -80,7 +93,8 @@ def scan_from_msg(
     Raises
     ------
     ScanError
-        If it has no readings, or its angles and limits contradict each other.
+        If a field is missing or of another kind, it has no readings, or its angles and limits
+        contradict each other.
 
     Examples
     --------
@@ -91,7 +105,8 @@ def scan_from_msg(
     >>> scan_from_msg(message), scan_from_msg(message).stamp
     (<LaserScan of 3 rays, 2 valid: -28.65 to 28.65 deg, 1 to 2 m of at most 9>, 5.5)
     """
-    entry = entry_of(message, received) | {"mount": mount}
+    with _fields_of(ScanError, name):
+        entry = entry_of(message, received) | {"mount": mount}
     return collect([(name, entry)], name)[0]
 
 
@@ -103,7 +118,8 @@ def grid_from_msg(message: Any, name: str = "map") -> OccupancyGrid:
     Raises
     ------
     MapError
-        If width, height and data do not agree, or resolution or origin cannot be.
+        If a field is missing or of another kind, width, height and data do not agree, or
+        resolution or origin cannot be.
 
     Examples
     --------
@@ -113,20 +129,25 @@ def grid_from_msg(message: Any, name: str = "map") -> OccupancyGrid:
     >>> grid_from_msg({"info": info, "data": [0, 100, -1]})
     <OccupancyGrid 3 x 1 cells of 0.5 m: 1.5 x 0.5 m, 33.3% occupied, 33.3% free>
     """
-    width, height = (int(field(message, f"info.{key}")) for key in ("width", "height"))
-    data = np.asarray(field(message, "data"), dtype=np.int8)
-    resolution = float(field(message, "info.resolution"))
-    if not width * height or data.size != width * height:
+    with _fields_of(MapError, name):
+        width, height = (int(field(message, f"info.{key}")) for key in ("width", "height"))
+        data = np.asarray(field(message, "data"))
+        with np.errstate(invalid="ignore"):
+            cells = data.astype(np.int8)
+        if (cells != data).any():
+            raise MapError(f"{name}: data: expected whole numbers, -1 to 100")
+        resolution = float(field(message, "info.resolution"))
+        origin = pose_of(field(message, "info.origin"))
+    if not (width > 0 < height and data.size == width * height):
         raise MapError(f"{name}: {data.size:,} cells, expected {width:,} x {height:,} and some")
     low, high = RESOLUTION_RANGE
     if not 0.999 * low <= resolution <= high:  # a float32
         raise MapError(
             f"{name}: info.resolution: got {resolution:g}, expected metres, {low:g} to {high:g}"
         )
-    origin = pose_of(field(message, "info.origin"))
     if not all(abs(value) < _FAR for value in origin):
         raise MapError(f"{name}: info.origin: got {list(origin)}, expected finite metres and a yaw")
-    cells = data.reshape(height, width)
+    cells = cells.reshape(height, width)
     free, occupied = (cells >= 0) & (cells <= FREE), (cells >= OCCUPIED) & (cells <= _MOST)
     # A float32: 0.05 is not 0.05000000074505806.
     resolution = float(np.format_float_positional(np.float32(resolution)))

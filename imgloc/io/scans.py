@@ -23,7 +23,7 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 
-from imgloc.errors import ConfigError, ScanError
+from imgloc.errors import ConfigError, ScanError, expect
 from imgloc.io.bags import bag_size, read_bag
 from imgloc.io.carmen import read_carmen
 from imgloc.io.clouds import Height, pcd_size, read_pcd
@@ -119,6 +119,7 @@ def save_scans(path: PathLike, scans: ScanSet, *, force: bool = False) -> None:
     force : bool
         Overwrite a file that exists, otherwise an OutputError.
     """
+    expect(scans, ScanSet, "scans")
     if Path(path).suffix.lower() != ".npz":
         raise ConfigError(f"{display(path)}: expected a name that ends in .npz")
     write_bytes_atomic(path, write_npz(scans), force=force)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from imgloc.equality import ByContent
 from imgloc.errors import ConfigError, ScanError
 from imgloc.io.badlines import BadLines
 from imgloc.model import LONGEST_SWEEP, FloatArray, LaserScan, Pose2D
@@ -57,8 +58,8 @@ def check_size(scans: int, rays: int, name: str) -> None:
             raise ScanError(f"{name}: {count:,} {what}, expected at most {most:,}; cut the file")
 
 
-@dataclass(frozen=True)
-class ScanSet:
+@dataclass(frozen=True, eq=False)
+class ScanSet(ByContent):
     """Scans, with what was recorded beside them."""
 
     scans: tuple[LaserScan, ...]  #: in the order of the file

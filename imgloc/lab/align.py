@@ -27,6 +27,7 @@ import numpy.typing as npt
 from scipy import fft
 from scipy.spatial.distance import cdist
 
+from imgloc.equality import ByContent
 from imgloc.errors import MapError, expect
 from imgloc.features.distance import DistanceField, distance_field
 from imgloc.features.surface import surface_points
@@ -82,7 +83,7 @@ _SIDE = 512  # cells of the correlation along a side, about: on larger maps they
 _POINTS = 2500  # surface points of a map that are refined and judged, about
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Side:
     """What is used of one map, in its grid frame: its straight walls. Furniture moves."""
 
@@ -301,7 +302,7 @@ def _same_way(facing: FloatArray, alpha: FloatArray) -> BoolArray:
     return np.asarray(along > 0.5 * np.hypot(*facing.T))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Bend:
     """Where a map lies on another: a pose, a scale, and how its parts are moved beyond these."""
 
@@ -471,8 +472,8 @@ def agreement(a: Side, b: Side, bend: Bend) -> Agreement:
     return Agreement(hit, missed, both, min(1.0, both / max(min(areas), 1e-9)), residual, far)
 
 
-@dataclass(frozen=True)
-class ScanAlignment:
+@dataclass(frozen=True, eq=False)
+class ScanAlignment(ByContent):
     """The transform between two maps that scans, located in both, agree on."""
 
     pose: Pose2D | None  #: of the frame of `b` in that of `a`; None if too few scans agree
@@ -604,8 +605,8 @@ class Place:
         return bool(SCALES[0] <= self.scale <= SCALES[1])
 
 
-@dataclass(frozen=True)
-class Alignment:
+@dataclass(frozen=True, eq=False)
+class Alignment(ByContent):
     """Where a map `b` lies in the frame of a map `a`, and how far to trust it.
 
     A point p of `b`, map frame, is at ``pose ⊕ scale * p`` in the map frame of `a`.

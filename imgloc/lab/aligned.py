@@ -119,7 +119,7 @@ def _scans_text(scans: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Waypoints:
     """Poses of a CSV, and the cells of its rows."""
 

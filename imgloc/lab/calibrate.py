@@ -61,7 +61,7 @@ _WALLS = 0.1  # standard deviation of a wall's displacement, metres
 _SHARED = 10.0  # neighbouring readings with nearly the same displacement
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sweep:
     """Logarithms of the relative densities at the true poses, with the floor mixed in, nats."""
 

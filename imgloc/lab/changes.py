@@ -29,7 +29,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from imgloc.errors import expect
+from imgloc.equality import ByContent
+from imgloc.errors import ConfigError, expect
 from imgloc.features.distance import distance_image
 from imgloc.features.scanpoints import evenly
 from imgloc.features.surface import surface_points
@@ -87,8 +88,8 @@ class Piece:
     places: int  #: from how many places or times
 
 
-@dataclass(frozen=True)
-class Changes:
+@dataclass(frozen=True, eq=False)
+class Changes(ByContent):
     """Where a map has aged."""
 
     grid: OccupancyGrid
@@ -228,6 +229,8 @@ def map_changes(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArr
     ------
     ValueError
         If there are not as many poses as scans.
+    ConfigError
+        If a pose is not finite.
     TypeError
         If `grid` is no OccupancyGrid.
     """
@@ -235,6 +238,9 @@ def map_changes(grid: OccupancyGrid, scans: Sequence[LaserScan], poses: FloatArr
     poses = np.asarray(poses, dtype=np.float64).reshape(-1, 3)
     if len(scans) != len(poses):
         raise ValueError(f"expected a pose for each of {len(scans)} scans, got {len(poses)}")
+    if not np.isfinite(poses).all():
+        k = int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
+        raise ConfigError(f"poses[{k}]: got {poses[k].tolist()}, expected metres and radians")
     seen = look(grid, scans, transform_poses(inverse(grid.origin), poses))
     # A piece is sure where nothing beside it blocks rays; its ends lie beside what still stands.
     sure = grid.occupied & _mostly(seen.passed, seen.hit) & (seen.passed_from >= _PLACES)

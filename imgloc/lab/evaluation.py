@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from imgloc.equality import ByContent
 from imgloc.errors import ConfigError, expect
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.scanpoints import scan_points
@@ -94,8 +95,8 @@ def share(happened: Iterable[bool]) -> Share:
     return Share(hits, n, p, max(0.0, middle - half), min(1.0, middle + half))
 
 
-@dataclass(frozen=True)
-class Trial:
+@dataclass(frozen=True, eq=False)
+class Trial(ByContent):
     """Measurements of one scan; densities are relative ones, ``p V``, at the true pose."""
 
     free: float  #: density over free cells by the stack without calibration, as in the paper

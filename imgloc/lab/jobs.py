@@ -36,7 +36,7 @@ from imgloc.options import (
 )
 from imgloc.pipeline import prepare
 from imgloc.ranges import OneOf, Within
-from imgloc.runs.jobs import Answer, Item, Job
+from imgloc.runs.jobs import LOCATING, Answer, Item, Job
 from imgloc.runs.localize import Localize
 from imgloc.runs.opening import LOG, Desk, ScanFiles
 from imgloc.simulation.scans import fine_image, is_world, simulate
@@ -184,7 +184,7 @@ class Atlas(Job):
         return Surveying(self, path, grid, poses, options, workers)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Surveying:
     """A map whose poses are located while the answer is iterated."""
 
@@ -217,6 +217,7 @@ class Aging(Job):
     """Locate the scans of a file, and see where the map has aged since it was made."""
 
     name = "changes"
+    decided_by = LOCATING | {"changes"}
 
     scans: ScanFiles = field(default_factory=ScanFiles)
 

@@ -17,7 +17,7 @@ from imgloc.runs.opening import Desk, held_bytes
 LOG = logging.getLogger("imgloc")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Placed:
     """Scans with a sure pose."""
 

@@ -41,7 +41,7 @@ CARRIED = (10.0, 3.0)  #: a kidnapping: metres driven before and after it, and a
 JAIR = (0.45, 10.0)  #: JAIR 11: recovered, within metres for more than so many seconds
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Run:
     """The beliefs of a filter along one piece of a log: arrays of N moments."""
 

@@ -132,7 +132,7 @@ def ght_v(
     return out
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Pairs:
     """Arrays that the pairs share, in cells and bins: columns for map points, rows for scans'."""
 

@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from imgloc.errors import ConfigError, expect
 from imgloc.features.budget import check_budget, stack_bytes
 from imgloc.features.mapfeatures import MapFeatures
@@ -60,6 +58,7 @@ def likelihood(features: MapFeatures, scan: LaserScan, options: Options | str) -
     values = stack_of(
         method, features, scan, thetas, engine=engine, threads=threads, memory_budget=budget
     )
+    values.flags.writeable = False  # nobody else has it: no need of a copy
     return Likelihood(values, thetas, lattice, method, scan)
 
 
@@ -72,13 +71,8 @@ def check_stack(
     of, here = ((*g.shape, g.resolution) for g in (stack.grid, features.lattice))
     if of != here:
         raise ConfigError(f"stack: got rows, columns, cell {of}, expected {here}: of another map?")
-    other = stack.scan
-    if other is not None and not (
-        np.array_equal(other.ranges, scan.ranges, equal_nan=True)
-        and np.array_equal(other.angles, scan.angles)
-        and (other.range_min, other.range_max) == (scan.range_min, scan.range_max)
-    ):
-        raise ConfigError(f"stack: got one of another scan, {other!r}, expected {scan!r}")
+    if stack.scan is not None and stack.scan.digest != scan.digest:
+        raise ConfigError(f"stack: got one of another scan, {stack.scan!r}, expected {scan!r}")
 
 
 def check_method(name: str, known: Sequence[str]) -> None:

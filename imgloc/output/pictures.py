@@ -228,7 +228,7 @@ def draw_hypotheses(
     return _laid_out(image, legend, scene.inset(size))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Scene:
     """A map, or a part of it, with what is drawn on it; poses are in the grid frame."""
 

@@ -262,7 +262,7 @@ class FloorPlan:
         }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Swing:
     """The arc of a door: hinge, and the two ends of the leaf, (2,) pixels."""
 
@@ -523,10 +523,14 @@ def _depth(mask: BoolArray) -> Float32Array:
 
 
 def _opened(mask: BoolArray, thickness: float) -> BoolArray:
-    """The parts of a mask that are at least so many pixels thick."""
-    size = (max(1, round(thickness)),) * 2
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, size)
-    return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel) > 0
+    """The parts of a mask that are at least so many pixels thick, where they were."""
+    side = max(1, round(thickness))
+    radius, off = (side - 1) / 2, np.arange(side) - (side - 1) / 2
+    # If the side is even, MORPH_OPEN shifts by a pixel, and MORPH_ELLIPSE is lopsided.
+    disc = (abs(off) <= np.sqrt(radius**2 - off[:, None] ** 2) + 0.5).astype(np.uint8)
+    after, before = (side // 2,) * 2, ((side - 1) // 2,) * 2
+    cores = cv2.erode(np.pad(mask, 1).astype(np.uint8), disc, anchor=after)
+    return cv2.dilate(cores, disc, anchor=before)[1:-1, 1:-1] > 0
 
 
 def _grown(mask: BoolArray, by: int) -> BoolArray:
@@ -554,6 +558,17 @@ def _met(labels: npt.NDArray[np.int32], count: int, where: BoolArray) -> BoolArr
     return out
 
 
+def _firsts(labels: npt.NDArray[np.int32], count: int) -> IntArray:
+    """Where each label comes first in the flattened image, (count,); 0 for one that is not there.
+
+    If nothing lies between the pieces, 0 is not there.
+    """
+    found, at = np.unique(labels, return_index=True)
+    out = np.zeros(count, np.int64)
+    out[found] = at
+    return out
+
+
 def _evened(
     grey: npt.NDArray[np.uint8], resolution: float, inverted: bool | None
 ) -> tuple[npt.NDArray[np.uint8], bool]:
@@ -561,7 +576,7 @@ def _evened(
 
     Shadows, and the colours of rooms, are paper: what is wider than any wall.
     """
-    side = max(3, min(round(_PAPER / resolution), min(grey.shape) // 4))
+    side = max(3, min(round(_PAPER / resolution), min(grey.shape) // 4)) | 1  # odd: see _opened
     kernel = np.ones((side, side), np.uint8)
     smooth = cv2.medianBlur(grey, 3)
     light, dark = cv2.dilate(smooth, kernel), cv2.erode(smooth, kernel)
@@ -586,6 +601,8 @@ def _sheet(
     """
     limit = float(threshold_otsu(grey)) if ink is None else 255 * (1 - ink)
     dark = grey <= limit
+    if dark.all() or not dark.any():
+        raise MapError("nothing is dark as ink against the paper around it, expected dark walls")
     tones = np.array([np.median(grey[dark]), np.median(grey[~dark])])
     faint = limit if ink is not None else max(limit, _LIGHT @ tones)
     high, wide = (side * resolution for side in grey.shape)
@@ -837,14 +854,14 @@ def _without_leaves(
 def _standing(walls: BoolArray, drawn: BoolArray, pixel: float) -> tuple[BoolArray, BoolArray]:
     """The pieces of wall that are long; and pillars: filled, and nearly as wide as long."""
     labels, stats = _pieces(walls)
-    area = stats[:, cv2.CC_STAT_AREA]
+    area = np.maximum(1, stats[:, cv2.CC_STAT_AREA])
     span = np.hypot(stats[:, cv2.CC_STAT_WIDTH], stats[:, cv2.CC_STAT_HEIGHT]) * pixel
     ink = np.bincount(labels[drawn], minlength=len(stats)) / area
     wide = 2 * _greatest(_depth(walls), labels, walls, len(stats))
     long = span >= _PIECE
     # White specks of a scan cut a line into pieces, some of them short.
     groups, found = _pieces(_grown(walls, max(1, round(_CUT / 2 / pixel))))
-    own = groups.ravel()[np.unique(labels, return_index=True)[1]]
+    own = groups.ravel()[_firsts(labels, len(stats))]
     own[0] = 0
     joined = np.zeros(len(found), np.bool_)
     joined[own[long]] = True
@@ -1050,7 +1067,7 @@ def _kinds(
         cv2.polylines(arcs, [outline], False, 1, round(0.12 / pixel))
     rest = drawn & ~_grown(walls, 2) & (arcs == 0)
     labels, stats = _pieces(rest)
-    count, area = len(stats), stats[:, cv2.CC_STAT_AREA]
+    count, area = len(stats), np.maximum(1, stats[:, cv2.CC_STAT_AREA])
 
     def share(mask: BoolArray) -> FloatArray:
         return np.bincount(labels[mask & rest], minlength=count) / area
@@ -1059,8 +1076,7 @@ def _kinds(
     small = np.maximum(wide, high) <= _LETTER
     small[0] = False
     words, found = _pieces(_closed(small[labels], 0.2 / pixel))
-    first = np.unique(labels, return_index=True)[1]
-    word = words.ravel()[first]
+    word = words.ravel()[_firsts(labels, count)]
     letters = np.bincount(word[small], minlength=len(found))
     span = np.hypot(wide, high)
     kind = np.full(count, _SYMBOL, np.uint8)

@@ -15,6 +15,7 @@ class Check(Job):
 
     name = "check"
     with_scans = False
+    decided_by = frozenset()
 
     def open(self, item: Item, desk: Desk) -> Iterator[Answer]:
         """Look at a map, which is read once more if it is drawn."""

@@ -25,6 +25,13 @@ from imgloc.ranges import Checked, OneOf
 from imgloc.runs.opening import Desk, MapFiles
 
 PICTURES = ("none", "doubtful", "all")
+LOCATING = frozenset({
+    "Bending", "Calibration", "EvidenceModel", "FusedOptions", "Trust", "adapt", "background",
+    "beam", "faces", "floor", "hypotheses", "messages", "odometry", "options", "pipeline",
+    "posterior", "priors", "proposals", "protection", "refine", "rescore", "tolerances",
+    "trust", "truth", "weigh",
+})  # fmt: skip
+"""Families of :mod:`imgloc.numbers` that decide where a scan is."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +84,7 @@ class Job(Checked, ABC):
     #: whether it needs scans; None is with them or without
     with_scans: ClassVar[bool | None] = True
     all_maps: ClassVar[bool] = False  #: whether an item has all maps, not one of them
+    decided_by: ClassVar[frozenset[str]] = LOCATING  #: families of numbers that decide its rows
 
     maps: MapFiles = field(default_factory=MapFiles)  #: how the images of maps are read
     #: options of a batch that have a field here, but are not taken
@@ -103,7 +111,7 @@ class Job(Checked, ABC):
     @cached_property
     def digest(self) -> str:
         """Hash of the options and numbers that decide the rows, beside files and version."""
-        text = json.dumps([self.parameters, numbers.digest()], sort_keys=True)
+        text = json.dumps([self.parameters, numbers.digest(self.decided_by)], sort_keys=True)
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
     @property

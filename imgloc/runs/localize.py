@@ -61,7 +61,7 @@ class Localize(Job):
         return opened.with_true_poses() if taken.tried.poses_are_odometry else opened
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, eq=False)
 class Located(Answer):
     """The answer to one scan."""
 

@@ -20,7 +20,7 @@ from imgloc.io.scanset import ScanSet
 from imgloc.model import LaserScan, Localization
 from imgloc.options import NAMED, Known, Length, Options, Prior, Sure
 from imgloc.pipeline import localize
-from imgloc.runs.jobs import Answer, Item, Job
+from imgloc.runs.jobs import LOCATING, Answer, Item, Job
 from imgloc.runs.opening import LOG, Desk, ScanFiles, Taken
 from imgloc.search.asked import check_options
 from imgloc.search.priors import leaves_none, prior_of
@@ -36,6 +36,7 @@ class Which(Job):
     name = "which"
     all_maps = True
     refused = frozenset({"near"})
+    decided_by = LOCATING | {"choose", "folder_index"}
 
     scans: ScanFiles = field(default_factory=ScanFiles)
     cell: Length = 0.1  #: of the poses, metres
@@ -75,7 +76,7 @@ class Which(Job):
         return found
 
 
-@dataclass(kw_only=True)
+@dataclass(kw_only=True, eq=False)
 class Named(Answer):
     """The answer to one scan."""
 

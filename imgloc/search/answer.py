@@ -54,6 +54,7 @@ def answered(
             unlisted=float(mass[len(hypotheses) :].sum()) + spread,
         ),
         T_base_laser=scan.T_base_laser,
+        scan=scan.digest,
         # A search that was cut short may have missed the place: no radius holds it.
         protection=protection(
             found.poses,

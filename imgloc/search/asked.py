@@ -29,6 +29,11 @@ def check_options(features: MapFeatures, options: Options) -> None:
     if options.time_budget is not None and options.method != FUSED:
         raise ConfigError(f"a time budget is for the method {FUSED}, not for {options.method}")
     prior = options.prior.cells
+    if prior is not None and prior.shape != features.standable.shape:
+        raise ConfigError(
+            f"the prior has cells of shape {prior.shape}, expected that of the map, "
+            f"{features.standable.shape}"
+        )
     if prior is not None and not (prior & features.standable).any():
         raise ConfigError("the prior leaves no cell of the map in which a sensor can be")
     if options.exact or options.method == FUSED:

@@ -32,7 +32,7 @@ _GROUPS = 4  # groups of readings; a block that falls behind after one group is 
 _QUARTERS = np.array([(0, 0, 0), (0, 0, 1), (0, 1, 0), (0, 1, 1)])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Best:
     """The M best poses of a lattice, best first."""
 

@@ -44,7 +44,7 @@ def any_depth() -> tuple[float, float]:
     return _DEPTH[0], _DEEPEST
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Faces:
     """The faces that N readings meet from C poses: straight lines, (C, N) each."""
 
@@ -95,7 +95,7 @@ def faces_met(poses: FloatArray, readings: Readings, features: MapFeatures) -> F
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Settled:
     """C poses that stand on the faces of the walls, and the equations of N readings there."""
 

@@ -14,7 +14,7 @@ from imgloc.search.priors import stands
 from imgloc.search.rescore import Scores
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Modes:
     """C separated modes in the grid frame, best first. There may be none."""
 

@@ -32,13 +32,14 @@ def weigh_exact(features: MapFeatures, scan: LaserScan, options: Options) -> Wei
     Each score is raised to the calibrated power. The shares are those among at least :data:`MODES`
     poses, as if all modes were equally wide. Poses are in the grid frame.
     """
-    poses, score = exact_poses(features, scan, options)
+    poses, sums = exact_poses(features, scan, options)
     if len(poses) == 0:
         return nothing(options)
     how = options.calibration or DEFAULTS["cbml"]
     temperature = how.temperature_at("cbml", int(scan.valid.sum()))
     xy = one_per_place(scan, options.fused.place).spread(options.fused.rays).xy
-    share = masses(np.log(score), temperature)
+    score = np.log(sums) / temperature
+    share = masses(score, 1.0)
     listed = poses[: options.listed(share)]
     covariance = covariances_of(features, listed, xy, options, features.lattice.resolution)
     fit, explained = _settled_fit(features, scan, poses[:1], temperature, options)

@@ -34,7 +34,7 @@ MODES: int = number("pipeline.modes")
 _FLOOR = number("floor.against")  # nats against a pose that is found without a floor
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Weighed:
     """M separated poses in the grid frame, best first, with their shares and covariances."""
 

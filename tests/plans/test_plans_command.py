@@ -211,7 +211,7 @@ def test_walls_that_are_taken_for_two_are_warned_of(tmp_path: Path) -> None:
 
 
 def test_walls_that_are_too_thick_to_be_one_are_warned_of() -> None:
-    sheet, pen, thick, side = np.full((700, 1000), 255, np.uint8), 2, 36, 240
+    sheet, pen, thick, side = np.full((700, 1000), 255, np.uint8), 2, 34, 240
     cv2.rectangle(sheet, (100, 100), (100 + 2 * side + 3 * thick, 100 + side + 2 * thick), 0, pen)
     for x in (100 + thick, 100 + 2 * thick + side):
         cv2.rectangle(sheet, (x, 100 + thick), (x + side, 100 + thick + side), 0, pen)
@@ -220,7 +220,7 @@ def test_walls_that_are_too_thick_to_be_one_are_warned_of() -> None:
         cv2.line(sheet, (middle, y), (middle + thick, y), 0, pen)
     for x in (middle, middle + thick):
         sheet[203:238, x - 3 : x + 4] = 255
-    found = plan_to_map(sheet, 0.025)  # walls 0.9 m thick
+    found = plan_to_map(sheet, 0.025)  # walls 0.9 m thick with their lines
     assert found.gaps_share > 0.4
     assert "spaces less than 1.3 m wide without a door" in found.doubt
     assert plan_to_map(sheet, 0.025, thickest=1.4).doubt == ""

