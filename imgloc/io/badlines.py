@@ -40,6 +40,34 @@ def warned() -> Iterator[list[str]]:
         _LOG.removeFilter(heard)
 
 
+@contextlib.contextmanager
+def held() -> Iterator[None]:
+    """Hold back what is logged in a block until its end, where standard error is none in it.
+
+    Examples
+    --------
+    >>> with warned() as texts, held():
+    ...     BadLines("a.jsonl").cut("a.jsonl: line 9")
+    ...     texts
+    []
+    >>> len(texts)
+    1
+    """
+    records = list[logging.LogRecord]()
+
+    def hold(record: logging.LogRecord) -> bool:
+        records.append(record)
+        return False
+
+    _LOG.filters.insert(0, hold)
+    try:
+        yield
+    finally:
+        _LOG.removeFilter(hold)
+        for record in records:
+            _LOG.handle(record)
+
+
 class BadLines:
     """Lines that a reader leaves out because they are broken.
 

@@ -16,6 +16,7 @@ import contextlib
 import logging
 import math
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -50,6 +51,7 @@ _POSE = "[x, y, yaw] in metres and radians"
 _NEEDED = {"resolution": "metres per cell, as 0.05", "origin": _POSE}
 YAML_ENDINGS = (".yaml", ".yml")
 UNKNOWN = -1
+_BESIDE = 64  # YAMLs in the folder of an image that are looked at
 
 # Bytes that were measured to be taken at most: per pixel, as it is decoded and read as occupied
 # or free; per byte of the file, whose samples may be written as text; and for tables of greys.
@@ -109,8 +111,8 @@ def load_map(
         A file is missing, damaged, too large or contradicts itself; an argument is out of range.
     """
     settings = resolve_settings(named_map(path), **reading)
-    if settings.yaml is None:
-        _warn_of_other_frame(settings)
+    if said := other_frame(settings):
+        _LOG.warning("%s: %s", display(settings.image), said)
     most = reading.get("max_pixels", MAX_PIXELS)
     image = read_image(settings.image, max_pixels=most, allow_lossy=allow_lossy)
     grid = grid_of(image, settings)
@@ -158,26 +160,42 @@ def map_of_bytes(
     return grid_of(decode_image(image, name, max_pixels=most, allow_lossy=allow_lossy), settings)
 
 
-def _warn_of_other_frame(settings: MapSettings) -> None:
-    """Say of a bare image that a YAML beside it, which is not read, puts it elsewhere."""
-    for beside in map(settings.image.with_suffix, YAML_ENDINGS):
-        with contextlib.suppress(MapError, OSError):
-            said = load_map_yaml(beside)
-            if not said.image.samefile(settings.image):
-                continue
-            theirs = resolve_settings(beside)
+OTHER_FRAME = (
+    "{yaml}, which is of this image, is ignored: {differs}; poses are in another frame; give "
+    "{yaml} instead, or the same values"
+)
+
+
+def yamls_of(image: Path) -> Iterator[MapYaml]:
+    """The map YAMLs in the folder of an image that name it, that of the same name first."""
+    with contextlib.suppress(OSError):
+        beside = [p for p in image.parent.iterdir() if p.suffix.lower() in YAML_ENDINGS]
+        for path in sorted(beside, key=lambda p: (p.stem != image.stem, p.name))[:_BESIDE]:
+            with contextlib.suppress(MapError, OSError):
+                if (said := load_map_yaml(path)).image.samefile(image):
+                    yield said
+
+
+def other_frame(settings: MapSettings) -> str:
+    """Say of a bare image that a YAML beside it, which is not read, puts it elsewhere; or nothing.
+
+    Nothing is said either if one of several puts it where it is taken to be.
+    """
+    texts = list[str]()
+    for said in yamls_of(settings.image) if settings.yaml is None else ():
+        with contextlib.suppress(MapError):
+            theirs = _settings(said, {}, "", bare=False)
             found = [
                 f"{key} {values[0]} there, {values[1]} here"
                 for key in ("origin", "resolution")
                 if (values := [_plainly(getattr(s, key)) for s in (theirs, settings)])[0]
                 != values[1]
             ]
-            if found:
-                _LOG.warning(
-                    "%s: %s, which is of this image, is ignored: %s; poses are in another frame; "
-                    "give %s instead, or the same values", display(settings.image),
-                    display(beside.name), ", ".join(found), display(beside.name),
-                )  # fmt: skip
+            if not found:
+                return ""
+            name = display(said.path.name)
+            texts.append(OTHER_FRAME.format(yaml=name, differs=", ".join(found)))
+    return texts[0] if texts else ""
 
 
 def _plainly(value: object) -> str:
@@ -357,9 +375,9 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
         os.close(open_regular(path, MapError, "map YAML or image"))
         if "resolution" not in given:
             hint = ", expected metres per cell; pass `resolution`, or the map's YAML"
-            for beside in map(file.with_suffix, reversed(YAML_ENDINGS)):
-                if is_file(beside):
-                    hint = f"; give {display(beside)} instead of the image, or pass `resolution`"
+            for beside in yamls_of(file):
+                hint = f"; give {display(beside.path)} instead of the image, or pass `resolution`"
+                break
             raise MapError(f"{name}: resolution: missing{hint}")
     else:
         try:

@@ -30,6 +30,7 @@ from imgloc.features.budget import (
 )
 from imgloc.features.mapfeatures import MapFeatures
 from imgloc.features.store import load_features, save_features
+from imgloc.io.badlines import held
 from imgloc.io.bags import BAG_ENDINGS, read_bag_map
 from imgloc.io.contents import content_hash, files_of
 from imgloc.io.files import display
@@ -377,7 +378,7 @@ def quiet_libraries() -> Iterator[None]:
     """
     if sys.stderr is not None:
         sys.stderr.flush()
-    with STDERR, contextlib.ExitStack() as undo:
+    with STDERR, held(), contextlib.ExitStack() as undo:
         with contextlib.suppress(OSError):  # without a standard error nothing is to be done
             kept = os.dup(2)
             undo.callback(os.close, kept)
