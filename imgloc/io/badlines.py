@@ -1,4 +1,4 @@
-"""Lines of a file that are broken: left out, counted and named, or refused if they are many."""
+"""Lines or messages of a file that are broken: left out, counted and named, or too many."""
 
 import contextlib
 import logging
@@ -77,6 +77,8 @@ class BadLines:
         Name of the file, for messages.
     most : float
         Share of the lines, 0 to 1, that may be broken.
+    what : str
+        What its parts are called.
 
     Examples
     --------
@@ -91,8 +93,8 @@ class BadLines:
 `max_bad=0.67` leaves them out)
     """
 
-    def __init__(self, name: str, most: float = MAX_BAD) -> None:
-        self.name, self.most, self.count = name, most, 0
+    def __init__(self, name: str, most: float = MAX_BAD, what: str = "lines") -> None:
+        self.name, self.most, self.what, self.count = name, most, what, 0
         self._first: list[ScanError] = []
 
     def skip(self, error: ScanError) -> None:
@@ -102,8 +104,8 @@ class BadLines:
             self._first.append(error)
 
     def cut(self, where: str) -> None:
-        """Note that the last line ends in the middle, and is left out."""
-        text = "the last line was cut off and is left out"
+        """Note that the last line, or message, ends in the middle, and is left out."""
+        text = f"the last {self.what.removesuffix('s')} was cut off and is left out"
         _LOG.warning("%s: %s", where, text, extra={"code": "cut"})
 
     def check(self, good: int) -> None:
@@ -125,7 +127,8 @@ class BadLines:
         texts = [re.sub(rf"^{re.escape(self.name)}: ", "", str(error)) for error in self._first]
         more = self.count - len(texts)
         _LOG.warning(
-            "%s: left out %d of %d lines, which are broken: %s%s",
-            self.name, self.count, total, "; ".join(texts), f"; and {more:,} more" if more else "",
+            "%s: left out %d of %d %s, which are broken: %s%s",
+            self.name, self.count, total, self.what, "; ".join(texts),
+            f"; and {more:,} more" if more else "",
             extra={"code": "broken"},
         )  # fmt: skip

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.errors import ImglocError, MapError, ScanError
+from imgloc.io.badlines import BadLines
 from imgloc.io.bagbounds import MAX_METADATA, bounded, largest_chunk, messages_of, metadata
 from imgloc.io.clouds import Height, check_height, check_seen, points_of, slice_of
 from imgloc.io.files import PathLike, display, is_folder, is_there, open_file, read_file, reason
@@ -30,6 +31,7 @@ from imgloc.io.messages import (
 from imgloc.io.odometry import odometry_at
 from imgloc.io.scanset import MAX_RAYS, Entry, ScanSet, ScansSize, check_size, collect
 from imgloc.model import FloatArray, OccupancyGrid, Pose2D
+from imgloc.options import MAX_BAD
 
 _LOG = logging.getLogger("imgloc")
 _SCAN, _ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
@@ -45,7 +47,10 @@ _HINTS = {
 }
 
 
-def read_bag(path: PathLike, *, topic: str | None = None, height: Height | None = None) -> ScanSet:
+def read_bag(
+    path: PathLike, *, topic: str | None = None, height: Height | None = None,
+    max_bad: float = MAX_BAD,
+) -> ScanSet:  # fmt: skip
     """Read the scans of a topic of a bag, with the robot's odometry and the sensor's place.
 
     `odom` is the robot's pose at the time of each scan, from nav_msgs/Odometry, else from the
@@ -64,10 +69,14 @@ def read_bag(path: PathLike, *, topic: str | None = None, height: Height | None 
         Without any such topic those of sensor_msgs/PointCloud2 are looked at.
     height : (float, float), optional
         Lowest and highest point of the slice of a cloud that is a scan, metres above the sensor.
+    max_bad : float
+        Share of the messages, 0 to 1, that may be broken: they are left out, with a warning.
     """
-    name = display(path)
+    name, bad = display(path), BadLines(display(path), max_bad, "scans")
     if topic is not None and len(topics := lasers_of(topic)) > 1:
-        return together({t: read_bag(path, topic=t, height=height) for t in topics}, name)
+        return together(
+            {t: read_bag(path, topic=t, height=height, max_bad=max_bad) for t in topics}, name
+        )
     with _opened(path, name) as bag:
         chosen = _choose(bag, topic, name)
         odometry = _by_type(bag, _ODOMETRY)
@@ -88,9 +97,9 @@ def read_bag(path: PathLike, *, topic: str | None = None, height: Height | None 
                 rays = len(entry["ranges"])
                 readings += rays
                 # Twice what bag_size() says, for lasers whose scans differ, and a scan.
-                most = most or 2 * count * max(readings, 1) + MAX_RAYS
+                most = most or (2 * count * readings + MAX_RAYS if readings else 0)
                 check_size(len(entries) + 1, rays, where)
-                if readings > most:
+                if readings > most > 0:
                     hint = f"expected {count:,} scans like the first; ros2 bag reindex"
                     raise ScanError(f"{where}: {readings:,} readings up to it, {hint}")
                 entries.append((where, entry))
@@ -108,7 +117,7 @@ def read_bag(path: PathLike, *, topic: str | None = None, height: Height | None 
     if not moves and transforms:
         base = transforms[0][2]
         moves = [(at, *planar(pose)) for at, _, child, pose in transforms if child == base]
-    return _assemble(entries, _finite(moves, name), mounting_of(frames, laser, base), name)
+    return _assemble(entries, _finite(moves, name), mounting_of(frames, laser, base), bad)
 
 
 def _finite(moves: Sequence[tuple[float, ...]], name: str) -> list[tuple[float, ...]]:
@@ -147,8 +156,8 @@ def bag_size(
         for connection, _, data in messages_of(bag, connections):
             message = bag.deserialize(data, connection.msgtype)
             entry = _entry(message, connection.msgtype, 0.0, height, f"{name}: {chosen}")
-            readings = len(entry["ranges"])
-            break
+            if readings := len(entry["ranges"]):  # the first ones of a laser may be empty
+                break
         # Beside the scans: a chunk as it is packed, unpacked and cut, and the robot's poses.
         moves = sum(c.msgcount for c in bag.connections if c.msgtype in (_ODOMETRY, *_TF))
         beside = 3 * largest_chunk() + 300 * moves
@@ -283,9 +292,10 @@ def _some(names: Sequence[str]) -> str:
 
 def _assemble(
     entries: Sequence[Entry], moves: Sequence[tuple[float, ...]], mounting: FloatArray | None,
-    name: str,
+    bad: BadLines,
 ) -> ScanSet:  # fmt: skip
     """The set of the scans, with the odometry at their times, on a sensor that sits so."""
+    name = bad.name
     stamps = np.array([entry["stamp"] for _, entry in entries])
     table = np.array(moves).reshape(-1, 4)
     odom = odometry_at(stamps, table[:, 0], table[:, 1:]) if len(table) else None
@@ -303,4 +313,4 @@ def _assemble(
             keys = ("angle_min", "angle_max", "angle_increment", "angles")
             more |= {key: -entry[key] for key in keys if key in entry}
         whole.append((where, {**entry, **more}))
-    return collect(whole, name)
+    return collect(whole, name, bad)

@@ -224,7 +224,8 @@ def _warnings(
     }
     values = {
         **vars(used), **n, "height": height, "width": width,
-        "frame": frame, "keys": ", ".join(unknown_keys), "clear": clear, "tinted": tinted, "trap": trap,
+        "frame": frame, "keys": ", ".join(unknown_keys),
+        "clear": clear, "tinted": tinted, "trap": trap,
         "cells": sums.size, "millions": sums.size / 1e6,
         "lossy": {"jpeg": "JPEG", "webp": "lossy WebP"}.get(image.kind, "JPEG in a TIFF"),
         "share": n["occupied"] / sums.size, "free_area": area,

@@ -85,8 +85,8 @@ def load_scans(
     fov : float, optional
         Angle from the first to the last ray, radians, for a CSV or a log that does not state it.
     max_bad : float
-        Share of the lines of a CSV, a log or JSON lines, 0 to 1, that may be broken: they are left
-        out, with a warning that names them. ScanError if there are more.
+        Share of the lines of a text, or of the messages of a bag, 0 to 1, that may be broken: they
+        are left out, with a warning that names them. ScanError if there are more.
     height : (float, float), optional
         Lowest and highest point, metres above the sensor, of the slice of a cloud of points that
         is a scan. Clouds are sensor_msgs/PointCloud2 of a bag, where there is no LaserScan or
@@ -173,13 +173,16 @@ _CSV = _Kind(
 _JSON = _Kind(
     lambda path, how: read_jsonl(path, max_bad=how.max_bad), lambda path, _: text_size(path)
 )
-_ECHO = _Kind(lambda path, _: read_echo(path), lambda path, _: text_size(path, between=b"\n"))
+_ECHO = _Kind(
+    lambda path, how: read_echo(path, max_bad=how.max_bad),
+    lambda path, _: text_size(path, between=b"\n"),
+)
 _CARMEN = _Kind(
     lambda path, how: read_carmen(path, topic=how.topic, fov=how.fov, max_bad=how.max_bad),
     lambda path, _: text_size(path, between=b" "),
 )
 _BAG = _Kind(
-    lambda path, how: read_bag(path, topic=how.topic, height=how.height),
+    lambda path, how: read_bag(path, topic=how.topic, height=how.height, max_bad=how.max_bad),
     lambda path, how: bag_size(path, topic=how.topic, height=how.height),
 )
 _PCD = _Kind(lambda path, how: read_pcd(path, height=how.height), lambda path, _: pcd_size(path))

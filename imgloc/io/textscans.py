@@ -128,7 +128,11 @@ def read_jsonl(path: PathLike, *, max_bad: float = MAX_BAD) -> ScanSet:
             raise ScanError(f"{name}: {commas:,} values, expected at most {MAX_RAYS:,} a scan")
         whole = _json(text, name)
         for i, item in enumerate(whole if isinstance(whole, list) else [whole]):
-            entries.append((where := f"{name}: scan {i}", _object(item, where)))
+            where = f"{name}: scan {i}"
+            try:
+                entries.append((where, _object(item, where)))
+            except ScanError as error:
+                bad.skip(error)
         return collect(entries, name, bad)
     for line, text in lines.numbered:
         where = f"{name}: line {line}"
