@@ -75,13 +75,13 @@ def _is_map(path: Path) -> bool:
     from imgloc.errors import MapError
     from imgloc.io.images import IMAGE_ENDINGS, LOSSY_ENDINGS
     from imgloc.io.maps import YAML_ENDINGS
-    from imgloc.io.mapyaml import load_map_yaml
+    from imgloc.io.mapyaml import image_named
     from imgloc.io.scans import SCAN_ENDINGS
 
     ending = path.suffix.lower()
     if ending in YAML_ENDINGS:
         with contextlib.suppress(MapError):
-            load_map_yaml(path)
+            image_named(path)
             return True
         return not _is_echo(path)
     if ending in (*IMAGE_ENDINGS, *LOSSY_ENDINGS):

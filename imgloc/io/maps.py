@@ -149,7 +149,7 @@ def map_of_bytes(
     _check_options(given)
     file = Path(name)
     if yaml is not None:
-        written = parse_map_yaml(yaml, file)
+        written = parse_map_yaml(yaml, file, given)
     elif "resolution" in given:
         written = MapYaml(file, file, origin=Pose2D(0.0, 0.0, 0.0))
     else:
@@ -370,7 +370,7 @@ def resolve_settings(path: PathLike, **reading: Unpack[Reading]) -> MapSettings:
     given: dict[str, Any] = {key: value for key, value in reading.items() if value is not None}
     _check_options(given)
     name, file = display(path), Path(path)
-    said = load_map_yaml(path) if file.suffix.lower() in YAML_ENDINGS else None
+    said = load_map_yaml(path, given) if file.suffix.lower() in YAML_ENDINGS else None
     if said is None:
         os.close(open_regular(path, MapError, "map YAML or image"))
         if "resolution" not in given:
@@ -398,7 +398,8 @@ def _settings(written: MapYaml, given: dict[str, Any], name: str, *, bare: bool)
     if not 0 <= low < high <= 1:
         found = f"{name}: free_thresh {low} and occupied_thresh {high}"
         error = ConfigError if given.keys() & _THRESHOLDS.keys() else MapError
-        raise error(f"{found}, expected 0 <= free_thresh < occupied_thresh <= 1")
+        expected = "expected 0 <= free_thresh < occupied_thresh <= 1"
+        raise error(f"{found}, {expected}; or pass `free_thresh` and `occupied_thresh`")
     return MapSettings(
         image=written.image,
         resolution=float(used["resolution"]),

@@ -46,6 +46,7 @@ from imgloc.io.scanset import (
     check_size,
     numbers,
     scan_set,
+    stated,
     wrong,
 )
 from imgloc.io.text import open_text, unmarked
@@ -63,6 +64,7 @@ def load_scans(
     fov: float | None = None,
     max_bad: float = MAX_BAD,
     height: Height | None = None,
+    range_max: float | None = None,
 ) -> ScanSet:
     """Load laser scans: at least one, each with at least one reading, all angles finite.
 
@@ -83,7 +85,8 @@ def load_scans(
         Which laser of a log with several. ScanError if the file is no log, see
         :func:`has_topics`.
     fov : float, optional
-        Angle from the first to the last ray, radians, for a CSV or a log that does not state it.
+        Angle from the first to the last ray, radians, for a CSV or a log that does not state it,
+        or whose angles contradict each other.
     max_bad : float
         Share of the lines of a text, or of the messages of a bag, 0 to 1, that may be broken: they
         are left out, with a warning that names them. ScanError if there are more.
@@ -91,9 +94,12 @@ def load_scans(
         Lowest and highest point, metres above the sensor, of the slice of a cloud of points that
         is a scan. Clouds are sensor_msgs/PointCloud2 of a bag, where there is no LaserScan or
         `topic` names them, and ``.pcd`` (:func:`~imgloc.io.clouds.read_pcd`).
+    range_max : float, optional
+        Reach of the sensor, in the unit of the file, where that of the file cannot be: 0, or NaN.
     """
-    how = Logs(topic, fov, max_bad=max_bad, height=height)
-    return _kind(path, topic).read(path, how)
+    how = Logs(topic, fov, max_bad=max_bad, height=height, range_max=range_max)
+    with stated(how):
+        return _kind(path, topic).read(path, how)
 
 
 def scans_size(

@@ -1,8 +1,10 @@
 """A set of scans, and the checks that every scan format shares; all raise ScanError."""
 
+import contextlib
 import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,6 +14,7 @@ from imgloc.errors import ConfigError, ScanError
 from imgloc.io.badlines import BadLines
 from imgloc.io.odometry import velocities_at
 from imgloc.model import LONGEST_SWEEP, FloatArray, LaserScan, Pose2D
+from imgloc.options import Logs
 
 _LOG = logging.getLogger("imgloc")
 MAX_READINGS = 50_000_000
@@ -174,6 +177,40 @@ def _check_angles(angles: FloatArray, name: str, key: str = "angles") -> None:
         raise wrong(f"{name}: {key}", f"{worst:g}", _DEGREES)
 
 
+_STATED: ContextVar[Logs] = ContextVar("stated", default=Logs())  # noqa: B039, it is frozen
+
+
+@contextlib.contextmanager
+def stated(how: Logs) -> Iterator[None]:
+    """Let what is stated about a file that is read win over what it says that cannot be.
+
+    Examples
+    --------
+    >>> entry = {"ranges": [1.0, 2.0], "angles": [0.0, 0.5], "range_max": 0.0}
+    >>> with stated(Logs(range_max=9.0)):
+    ...     collect([("a", entry)], "a")[0].range_max
+    9.0
+    """
+    token = _STATED.set(how)
+    try:
+        yield
+    finally:
+        _STATED.reset(token)
+
+
+def reach_of(value: Any, where: str, low: float = 0.0) -> float:
+    """The range_max that a file says, or that is stated where the file's cannot be."""
+    how = _STATED.get()
+    try:
+        high = scalar(value, where)
+        _check_limits(low, high, where.removesuffix(": range_max"))
+    except ScanError as error:
+        if how.range_max is None or low < 0 or how.range_max / how.scale <= low:
+            raise ScanError(f"{error}; or pass `range_max`") from None
+        return how.range_max / how.scale
+    return high
+
+
 def _check_limits(range_min: float, range_max: float, name: str) -> None:
     """Refuse limits unless ``0 <= range_min < range_max``; range_max may be infinite."""
     if not (0 <= range_min < np.inf):
@@ -250,7 +287,7 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
     spaced = entry.get("angles") is None
     given = {
         key: scalar(entry[key], f"{where}: {key}")
-        for key in (*(SPACING if spaced else ()), *_LIMITS, _PACE, "stamp")
+        for key in (*(SPACING if spaced else ()), "range_min", _PACE, "stamp")
         if entry.get(key) is not None
     }
     for key in SPACING:
@@ -263,8 +300,9 @@ def _scan(entry: Mapping[str, Any], where: str) -> LaserScan:
     if len(angles) != len(ranges):
         raise wrong(f"{where}: angles", len(angles), f"{len(ranges)} as in ranges")
     _check_angles(angles, where)
-    low, high = (given.get(key, default) for key, default in _LIMITS.items())
-    _check_limits(low, high, where)
+    low, high = given.get("range_min", 0.0), entry.get("range_max")
+    _check_limits(low, math.inf, where)
+    high = math.inf if high is None else reach_of(high, f"{where}: range_max", low)
     stamp, mount = given.get("stamp", math.nan), entry.get("mount")
     _check_pace(pace := given.get(_PACE, 0.0), len(ranges), where)
     if mount is not None and not isinstance(mount, Pose2D):
@@ -303,7 +341,9 @@ def _spaced_angles(given: Mapping[str, float], count: int, where: str) -> FloatA
     angles = first + np.arange(count, dtype=np.float64) * step
     # Drivers disagree on whether angle_max is the last ray or the one after it.
     if last is not None and abs(last - angles[-1]) > 2.5 * abs(step):
-        rule = f"angle_min + {count - 1} x angle_increment; were readings left out?"
+        if (fov := _STATED.get().fov) is not None:
+            return spread(count, fov)
+        rule = f"angle_min + {count - 1} x angle_increment; were readings left out? Or pass `fov`"
         raise wrong(f"{where}: angle_max", f"{last:g}", f"{angles[-1]:g} = {rule}")
     return np.asarray(angles)
 
@@ -349,8 +389,9 @@ def scan_set(arrays: dict[str, FloatArray], name: str) -> ScanSet:
             raise wrong(f"{name}: {key}", f"shape {value.shape}", f"one number or {(n,)}")
         limits.append(np.broadcast_to(value.ravel(), (n,)).tolist())
     paces = limits.pop()
-    for low, high, pace in zip(*limits, paces, strict=True):
-        _check_limits(low, high, name)
+    for k, (low, high, pace) in enumerate(zip(*limits, paces, strict=True)):
+        _check_limits(low, math.inf, name)
+        limits[1][k] = reach_of(high, f"{name}: range_max", low)
         _check_pace(pace, readings, name)
     beside: dict[str, FloatArray] = {}
     for key in [key for key in _BESIDE if key in arrays]:

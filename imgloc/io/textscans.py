@@ -13,7 +13,17 @@ import numpy as np
 from imgloc.errors import ScanError
 from imgloc.io.badlines import BadLines
 from imgloc.io.files import PathLike, display
-from imgloc.io.scanset import MAX_RAYS, SPACING, Entry, ScanSet, ScansSize, collect, scalar, spread
+from imgloc.io.scanset import (
+    MAX_RAYS,
+    SPACING,
+    Entry,
+    ScanSet,
+    ScansSize,
+    collect,
+    reach_of,
+    scalar,
+    spread,
+)
 from imgloc.io.text import MAX_TEXT, open_text, read_text
 from imgloc.options import MAX_BAD
 
@@ -50,7 +60,7 @@ def read_csv(path: PathLike, *, fov: float | None = None, max_bad: float = MAX_B
         where = f"{name}: line {line}"
         if text.startswith("#"):
             said = [(key, value) for key, value in _SETTING.findall(text) if key in _SETTINGS]
-            settings |= {key: _number_of(value, f"{where}: {key}") for key, value in said}
+            settings |= {key: _setting(key, value, f"{where}: {key}") for key, value in said}
             continue
         cells = [cell.strip() for cell in text.split(",")]
         # A line of which only some cells are numbers is data with a slip in it.
@@ -230,6 +240,16 @@ def _number_of(text: str, where: str) -> float:
         raise ScanError(f"{where}: got {text[:40]!r}, expected a number{hint}") from None
 
 
+def _setting(key: str, text: str, where: str) -> float:
+    """The number of a setting: of range_max what is stated, where there is no number."""
+    try:
+        return _number_of(text, where)
+    except ScanError:
+        if key != "range_max":
+            raise
+        return reach_of(text, where)
+
+
 def _json(text: str, where: str) -> Any:
     try:
         return json.loads(text)
@@ -247,7 +267,7 @@ def plain_entry(entry: Mapping[str, Any], where: str) -> dict[str, Any]:
         ]
     for key in ("range_min", "range_max"):
         if isinstance(entry.get(key), str):
-            plain[key] = _number_of(entry[key], f"{where}: {key}")
+            plain[key] = _setting(key, entry[key], f"{where}: {key}")
     header = h if isinstance(h := entry.get("header"), dict) else {}
     stamp = entry.get("stamp", header.get("stamp"))
     if isinstance(stamp, dict):

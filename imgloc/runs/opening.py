@@ -273,8 +273,9 @@ class Desk:
             "take fewer scans, in several files",
         )
         recorded = load_scans(
-            path, topic=topic, fov=files.fov, max_bad=files.max_bad, height=files.height
-        )
+            path, topic=topic, fov=files.fov, max_bad=files.max_bad, height=files.height,
+            range_max=files.range_max and files.range_max / files.scale,
+        )  # fmt: skip
         if files.mount is not None and len({s.T_base_laser for s in recorded.scans}) > 1:
             raise ConfigError("`sensor`: the log has several lasers, each with a place of its own")
         indices = files.chosen.of(len(recorded), name)
