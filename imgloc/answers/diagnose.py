@@ -107,8 +107,10 @@ class Given:
         >>> Given().advice("`flipped=True`"), Given(flipped=True).advice("`flipped=True`")
         ('Try `flipped=True`', 'Leave out `flipped=True`')
         """
-        leave = self.flipped and options == "`flipped=True`"
-        return f"{'Leave out' if leave else 'Try'} {options}"
+        flipped, *rest = options.split()
+        if not (self.flipped and flipped == "`flipped=True`"):
+            return f"Try {options}"
+        return f"Leave out {flipped}" + (f", and try {' '.join(rest)}" if rest else "")
 
 
 def is_doubtful(verdict: str, evidence: Evidence) -> bool:

@@ -4,7 +4,7 @@ A parameter is an option itself, annotated as the fields of :mod:`imgloc.options
 dataclass of such fields: each field with an :class:`~imgloc.ranges.Option` becomes an option, and
 the command gets the dataclass. ``Annotated[Options, Only("method", "top")]`` takes some fields,
 ``Annotated[Sensor, Without("mount")]`` all others. A parameter ``given: Given`` gets the names of
-the options that were typed. Every command has --verbose and --debug.
+the options that were typed, ``typed: Typed`` their words. Every command has --verbose and --debug.
 """
 
 import contextlib
@@ -46,6 +46,7 @@ RENAMED: Mapping[str, tuple[str, ...]] = {
     "index": ("--scans-index", "--maps-index"),
 }
 Given = frozenset[str]  #: names of the options that were typed, as they are written
+Typed = dict[str, list[str]]  #: their words, name and values, as another command takes them
 
 
 class Only:
@@ -107,7 +108,7 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     parts, parameters, aside = list[_Part](), list[inspect.Parameter](), dict[str, Any]()
     for parameter in inspect.signature(function).parameters.values():
         hint = hints[parameter.name]
-        if hint in (Given, typer.Context):
+        if hint in (Given, Typed, typer.Context):
             aside[parameter.name] = hint
             continue
         part = _part(parameter, hint)
@@ -124,20 +125,30 @@ def command(function: Callable[..., None]) -> Callable[..., None]:
     def run(*, verbose: bool, debug: bool, **raw: Any) -> None:
         configure(verbose=verbose, debug=debug)
         values: dict[str, Any] = {name: raw[name] for name in context}
-        typed = set[str]()
+        typed = Typed()
         with _flags_for(flags):
             for part in parts:
                 texts = [(field, raw[_key(part, field)]) for field in part.fields]
                 there = [(field, text) for field, text in texts if text is not None and text != []]
-                typed |= {field.flag for field, _ in there}
+                typed |= {field.flag: _words_of(field, text) for field, text in there}
                 values[part.name] = part.make({f.name: value_of(f, text) for f, text in there})
             values |= {name: Given(typed) for name, hint in aside.items() if hint == Given}
+            values |= {name: typed for name, hint in aside.items() if hint == Typed}
             function(**values)
 
     signature = inspect.Signature([*parameters, *_SWITCHES])
     run.__signature__ = signature  # type: ignore[attr-defined]
     run.__annotations__ = {p.name: p.annotation for p in signature.parameters.values()}
     return run
+
+
+def _words_of(field: Declared, text: Any) -> list[str]:
+    """An option that was typed, in words; of an argument there are none."""
+    if isinstance(text, bool):
+        names = field.option.names if field.option else ()
+        return [field.flag if text else names[0].partition("/")[2]]
+    values = text if isinstance(text, list) else [text]
+    return [w for value in values for w in (field.flag, str(value)) if field.flag[:1] == "-"]
 
 
 def value_of(field: Declared, text: Any) -> Any:

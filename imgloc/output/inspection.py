@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from imgloc.answers.logcheck import Finding, LogReport
+from imgloc.answers.scanmotion import AGREES
 from imgloc.errors import as_options
 from imgloc.features.scanpoints import scan_xy
 from imgloc.io.kinds import Kind
@@ -81,7 +82,8 @@ def log_text(name: str, form: str, kinds: Sequence[Kind], report: LogReport, com
     ]
     if facts["agreement"] is not None:
         share = f"{100 * facts['agreement']:.0f} % of the readings of a scan fall on an earlier one"
-        lines.append(("agreement", share + ", moved by the odometry"))
+        verdict = "good" if facts["agreement"] >= AGREES else "poor"
+        lines.append(("agreement", f"{verdict}: {share}, moved by the odometry"))
     if facts["straightened"] is not None:
         ways = (f"{100 * share:.0f} % with `straighten={way}`"
                 for way, share in facts["straightened"].items())  # fmt: skip
