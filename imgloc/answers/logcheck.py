@@ -123,6 +123,9 @@ def check_log(scans: ScanSet, notes: Sequence[Finding] = ()) -> LogReport:
     facts |= _about_readings(scans, findings)
     times = _about_stamps(scans)
     facts |= {"stamps": times}
+    if times and not times["seconds"]:
+        _add(findings, "stamps", "all stamps are the same: they are no times", fatal=False)
+        times = None
     if times and times["back"]:
         _add(findings, "order", _back_words(times["back"]), fatal=False)
     path = scans.odom if scans.odom is not None else scans.poses

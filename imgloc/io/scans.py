@@ -27,6 +27,7 @@ from imgloc.errors import ConfigError, ScanError
 from imgloc.io.bags import bag_size, read_bag
 from imgloc.io.carmen import read_carmen
 from imgloc.io.clouds import Height, pcd_size, read_pcd
+from imgloc.io.csvscans import read_csv
 from imgloc.io.echo import read_echo
 from imgloc.io.files import (
     PathLike,
@@ -50,7 +51,7 @@ from imgloc.io.scanset import (
     wrong,
 )
 from imgloc.io.text import open_text, unmarked
-from imgloc.io.textscans import read_csv, read_jsonl, text_size
+from imgloc.io.textscans import read_jsonl, text_size
 from imgloc.model import FloatArray
 from imgloc.options import MAX_BAD, Logs
 
@@ -73,7 +74,7 @@ def load_scans(
     Parameters
     ----------
     path : path
-        ``.npz`` (:func:`read_npz`), ``.csv`` (:func:`~imgloc.io.textscans.read_csv`), ``.jsonl``,
+        ``.npz`` (:func:`read_npz`), ``.csv`` (:func:`~imgloc.io.csvscans.read_csv`), ``.jsonl``,
         ``.ndjson`` or ``.json`` (:func:`~imgloc.io.textscans.read_jsonl`), ``.log``, ``.clf`` or
         ``.carmen`` (:func:`~imgloc.io.carmen.read_carmen`), ``.yaml`` or ``.yml``
         (:func:`~imgloc.io.echo.read_echo`), ``.bag``, ``.db3``, ``.mcap`` or the folder of a ROS 2
@@ -174,7 +175,7 @@ class _Kind(NamedTuple):
 _NPZ = _Kind(lambda path, _: read_npz(path), lambda path, _: _npz_size(path))
 _CSV = _Kind(
     lambda path, how: read_csv(path, fov=how.fov, max_bad=how.max_bad),
-    lambda path, _: text_size(path),
+    lambda path, _: text_size(path, between=b",;\t "),
 )
 _JSON = _Kind(
     lambda path, how: read_jsonl(path, max_bad=how.max_bad), lambda path, _: text_size(path)
